@@ -1,0 +1,42 @@
+"""Every default, once. Imports nothing heavy, so that the command line can show them."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """How a lifter is trained; saved in its model card.
+
+    Angles in degrees, lengths in body sizes (RMS joint distance from the centroid; about 0.5 m for an adult).
+    """
+
+    steps: int = 9000
+    batch: int = 256
+    width: int = 64
+    layers: int = 4
+    learning_rate: float = 2e-3
+    roll_deg: float = 10.0  # most rigs stand upright; rolled cameras are turned upright before lifting
+    elevation_deg: tuple[float, float] = (-15.0, 65.0)
+    distance: tuple[float, float] = (3.0, 40.0)
+    noise: tuple[float, float] = (0.005, 0.06)  # of the visible pose's RMS radius, log-uniform per pose
+    outliers: float = 0.02  # share of joints that the detector puts somewhere else
+    length_spread: float = 0.12  # log-normal, a limb; children and adults
+    joint_spread: float = 0.03  # detectors disagree where a joint is
+    joint_dropout: float = 0.6  # up to this share of joints belongs to other layouts
+    occlusion: float = 0.25  # up to this share of the remaining joints is missing
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class PairwiseConfig:
+    """Stage 1. Lengths in body sizes; image errors are measured at the body."""
+
+    frames: int = 150  # evenly spread; the search does not get better with more
+    hypotheses: int = 400
+    modes: int = 8  # kept after the search
+    mode_separation_deg: float = 15.0
+    pose_tolerance: float = 0.35  # RMS joint distance of two lifts of one body
+    place_tolerance: float = 0.15  # of the distance: how well one view tells how far a body is
+    inlier: float = 0.08  # epipolar error of a good joint
+    points: int = 4000  # joints a refinement looks at
+    rounds: int = 3  # of matching and refining

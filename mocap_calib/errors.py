@@ -1,0 +1,26 @@
+"""What can go wrong through no fault of the program.
+
+MocapCalibError
+├── FormatError       a file is not what its format says
+├── MismatchError     two inputs do not belong together
+└── DegenerateError   the observations do not determine the answer
+
+Every message is one line: what was expected, what came, what to do. Anything else that is raised
+is a mistake of the program and keeps its traceback.
+"""
+
+
+class MocapCalibError(Exception):
+    """Base of all errors that a user can cause and mend."""
+
+
+class FormatError(MocapCalibError):
+    """A file is not what its format says."""
+
+
+class MismatchError(MocapCalibError):
+    """Two inputs do not belong together."""
+
+
+class DegenerateError(MocapCalibError):
+    """The observations do not determine the answer."""

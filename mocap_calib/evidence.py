@@ -1,0 +1,115 @@
+"""What two views say about a relative pose of the cameras: steered bodies, places, and epipolar geometry.
+
+Lengths are in body sizes and image errors are measured at the body (an angle times the distance of the body), so
+that one yardstick serves a mouse in a box and a team in a hall.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mocap_calib.geometry.epipolar import essential
+from mocap_calib.types import Floats, Ints, LiftedPoses, Recording
+
+
+@dataclass(frozen=True)
+class ViewPair:
+    """The detections of views a and b in some frames.
+
+    frames: `[frame]` index into the recording. rays_a: `[frame, I, keypoint, 3]`, weight_a: `[frame, I, keypoint]`
+    (0 = missing), place_a: `[frame, I, 3]` lifted centre, distance_a: `[frame, I]` its distance, likewise for b with J
+    instances. cross: `[frame, I, J, 3, 3]` sum w X_a X_b' of the lifted bodies, norm: `[frame, I, J]` sum
+    w (|X_a|^2 + |X_b|^2), both with sum w = 1; lifted: `[frame, I, J]` 1 where both are lifted, else 0.
+    """
+
+    frames: Ints
+    rays_a: Floats
+    rays_b: Floats
+    weight_a: Floats
+    weight_b: Floats
+    place_a: Floats
+    place_b: Floats
+    distance_a: Floats
+    distance_b: Floats
+    cross: Floats
+    norm: Floats
+    lifted: Floats
+
+
+def view_pair(recording: Recording, lifted: LiftedPoses, a: int, b: int, frames: Ints) -> ViewPair:
+    """Gathers the evidence of two views in the given frames (indices into the recording)."""
+    weight_a, weight_b = recording.confidence[a, frames], recording.confidence[b, frames]
+    body_a, precision_a = _bodies(lifted, a, frames)
+    body_b, precision_b = _bodies(lifted, b, frames)
+    total = np.einsum("fik,fjk->fij", precision_a, precision_b)
+    safe = np.where(total > 0, total, 1.0)
+    cross = np.einsum("fikx,fjky->fijxy", body_a * precision_a[..., None], body_b * precision_b[..., None], optimize=True)
+    square_a, square_b = (body_a**2).sum(-1) * precision_a, (body_b**2).sum(-1) * precision_b
+    norm = np.einsum("fik,fjk->fij", square_a, precision_b) + np.einsum("fik,fjk->fij", precision_a, square_b)
+    place_a, place_b = lifted.centre[a, frames], lifted.centre[b, frames]
+    return ViewPair(
+        frames,
+        np.nan_to_num(recording.rays[a, frames]),
+        np.nan_to_num(recording.rays[b, frames]),
+        weight_a,
+        weight_b,
+        np.nan_to_num(place_a),
+        np.nan_to_num(place_b),
+        _distance(place_a),
+        _distance(place_b),
+        cross / safe[..., None, None],
+        norm / safe,
+        (total > 0).astype(np.float64),
+    )
+
+
+def _bodies(lifted: LiftedPoses, view: int, frames: Ints) -> tuple[Floats, Floats]:
+    """Bodies with zeros for nobody, and the precision of each joint (the prior's floor: a twentieth of a body)."""
+    body, spread = lifted.body[view, frames], lifted.spread[view, frames]
+    precision = 1.0 / (spread**2 + 0.05**2)
+    return np.nan_to_num(body), np.nan_to_num(precision)
+
+
+def _distance(place: Floats) -> Floats:
+    """Distances of lifted bodies; the median of the view for detections that were not lifted."""
+    distance = np.linalg.norm(place, axis=-1)
+    known = np.isfinite(distance)
+    return np.where(known, distance, np.median(distance[known]) if known.any() else 1.0)
+
+
+def steering_error(pair: ViewPair, rotation: Floats) -> Floats:
+    """Mean squared joint distance |R X_a - X_b|^2 in body sizes for rotations `[M, 3, 3]`: `[M, frame, I, J]`.
+
+    One matrix product for all hypotheses: the error is linear in R once the bodies' cross-covariance is known.
+    """
+    turned = np.einsum("mij,fabji->mfab", rotation, pair.cross, optimize=True)  # tr(R sum w X_a X_b')
+    return np.maximum(pair.norm - 2 * turned, 0.0)
+
+
+def place_error(pair: ViewPair, rotation: Floats, translation: Floats) -> Floats:
+    """|R c_a + t - c_b|^2 of lifted centres relative to their distance, `[M, frame, I, J]`; t in body sizes `[M, 3]`."""
+    moved = np.einsum("mij,faj->mfai", rotation, pair.place_a) + translation[:, None, None]
+    gap = moved[:, :, :, None] - pair.place_b[None, :, None]
+    scale = pair.distance_a[:, :, None] ** 2 + pair.distance_b[:, None, :] ** 2
+    return (gap**2).sum(-1) / scale
+
+
+def epipolar_error(pair: ViewPair, rotation: Floats, translation: Floats) -> tuple[Floats, Floats]:
+    """Sampson errors of all joints of all possible matches, measured at the body, and the weight of each.
+
+    rotation `[M, 3, 3]`, translation `[M, 3]`. Returns errors `[M, frame, I, J, keypoint]` in body sizes (unsigned) and
+    weights `[frame, I, J, keypoint]`.
+    """
+    matrix = essential(rotation, translation / np.linalg.norm(translation, axis=-1, keepdims=True))
+    from_a = np.einsum("mxy,faky->mfakx", matrix, pair.rays_a, optimize=True)
+    from_b = np.einsum("myx,fbky->mfbkx", matrix, pair.rays_b, optimize=True)
+    value = np.einsum("mfakx,fbkx->mfabk", from_a, pair.rays_b, optimize=True)
+    slope = (from_a**2).sum(-1)[:, :, :, None] + (from_b**2).sum(-1)[:, :, None] - 2 * value**2
+    weight = pair.weight_a[:, :, None] * pair.weight_b[:, None]
+    return np.abs(value) / np.sqrt(np.maximum(slope, 1e-18)) * reach(pair)[None, ..., None], weight
+
+
+def reach(pair: ViewPair) -> Floats:
+    """`[frame, I, J]` body sizes per radian of Sampson's angle: the harmonic mean of both squared distances."""
+    near = 1 / pair.distance_a[:, :, None] ** 2 + 1 / pair.distance_b[:, None, :] ** 2
+    return np.sqrt(2.0 / near)

@@ -1,0 +1,55 @@
+"""Camera models; the one user of cv2.
+
+Pixels have their centres at integers. Rays are unit vectors in the camera's axes: x right, y down, z forward.
+"""
+
+import cv2
+import numpy as np
+
+from mocap_calib.types import Camera, Floats
+
+_UNDISTORT_STEPS = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
+
+
+def rays_from_pixels(camera: Camera, pixels: Floats) -> Floats:
+    """`[..., 2]` pixels -> `[..., 3]` unit rays with the distortion taken out; NaN stays NaN."""
+    flat = np.ascontiguousarray(pixels, dtype=np.float64).reshape(-1, 2)
+    known = np.isfinite(flat).all(1)
+    rays = np.full((len(flat), 3), np.nan)
+    if known.any():
+        rays[known] = _fisheye_rays(camera, flat[known]) if camera.fisheye else _pinhole_rays(camera, flat[known])
+    return rays.reshape(*pixels.shape[:-1], 3)
+
+
+def pixels_from_points(camera: Camera, points: Floats) -> Floats:
+    """`[..., 3]` points in the camera's axes -> `[..., 2]` pixels; NaN stays NaN, and behind the camera is NaN."""
+    flat = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 3)
+    ahead = np.isfinite(flat).all(1) & (np.nan_to_num(flat[:, 2], nan=-1.0) > 1e-9)
+    pixels = np.full((len(flat), 2), np.nan)
+    if ahead.any():
+        project = cv2.fisheye.projectPoints if camera.fisheye else cv2.projectPoints
+        image, _ = project(flat[ahead][:, None], np.zeros(3), np.zeros(3), camera.matrix, camera.distortion)
+        pixels[ahead] = image.reshape(-1, 2)
+    return pixels.reshape(*points.shape[:-1], 2)
+
+
+def _pinhole_rays(camera: Camera, pixels: Floats) -> Floats:
+    image = cv2.undistortPoints(pixels[:, None], camera.matrix, camera.distortion, criteria=_UNDISTORT_STEPS).reshape(-1, 2)
+    rays = np.concatenate([image, np.ones((len(image), 1))], axis=1)
+    return rays / np.linalg.norm(rays, axis=1, keepdims=True)
+
+
+def _fisheye_rays(camera: Camera, pixels: Floats) -> Floats:
+    """Kannala-Brandt (2006) by Newton's method on theta; cv2's inverse returns tan(theta), which breaks near 90 degrees."""
+    k = np.concatenate([camera.distortion, np.zeros(4)])[:4]
+    x = (pixels[:, 0] - camera.matrix[0, 2] - camera.matrix[0, 1] * (pixels[:, 1] - camera.matrix[1, 2]) / camera.matrix[1, 1]) / camera.matrix[0, 0]
+    y = (pixels[:, 1] - camera.matrix[1, 2]) / camera.matrix[1, 1]
+    distorted = np.hypot(x, y)
+    theta = np.minimum(distorted, np.pi / 2)
+    for _ in range(20):
+        square = theta**2
+        value = theta * (1 + square * (k[0] + square * (k[1] + square * (k[2] + square * k[3]))))
+        slope = 1 + square * (3 * k[0] + square * (5 * k[1] + square * (7 * k[2] + square * 9 * k[3])))
+        theta = np.clip(theta - (value - distorted) / np.where(np.abs(slope) > 1e-9, slope, 1e-9), 0.0, np.pi)
+    scale = np.where(distorted > 1e-12, np.sin(theta) / np.maximum(distorted, 1e-12), 1.0)
+    return np.stack([x * scale, y * scale, np.cos(theta)], axis=1)

@@ -1,0 +1,302 @@
+"""Stage 1: two views -> their relative pose and who is who.
+
+Every candidate match of two lifted bodies proposes a rotation in closed form, and five-point RANSAC proposes more where
+identities are known; all are scored against all frames at once, the best modes are refined by turns of matching
+(Sinkhorn) and robust least squares on rays, and the one with the best evidence is kept. One yardstick for all.
+"""
+
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from mocap_calib.assignment import mutual_best, sinkhorn
+from mocap_calib.config import PairwiseConfig
+from mocap_calib.evidence import ViewPair, epipolar_error, place_error, reach, steering_error, view_pair
+from mocap_calib.geometry.epipolar import depths, five_point
+from mocap_calib.geometry.rotation import angle_between, matrix_from_vector, nearest_rotation
+from mocap_calib.types import Bools, Floats, Ints, LiftedPoses, PairwiseCalibration, Progress, Recording
+
+
+@dataclass(frozen=True)
+class Modes:
+    """Rival relative poses of one pair. rotation: `[M, 3, 3]`, translation: `[M, 3]` in body sizes, source: `[M]`."""
+
+    rotation: Floats
+    translation: Floats
+    source: tuple[str, ...]
+
+    def __getitem__(self, index: Ints) -> "Modes":
+        return Modes(self.rotation[index], self.translation[index], tuple(self.source[k] for k in index))
+
+
+@dataclass(frozen=True)
+class Score:
+    """Evidence for each mode. matched: `[M, frame, I, J]`; the rest `[M]`, in 0..1 but the residual (radians)."""
+
+    matched: Bools
+    total: Floats
+    explained: Floats
+    in_front: Floats
+    residual: Floats
+
+
+def calibrate_pairs(
+    recording: Recording, lifted: LiftedPoses, config: PairwiseConfig, *, rng: np.random.Generator, progress: Progress
+) -> tuple[PairwiseCalibration, ...]:
+    """Calibrates all pairs of views that see something in the same frames; the others are left out."""
+    pairs = list(combinations(range(len(recording.cameras)), 2))
+    seeds = rng.spawn(len(pairs))
+    found = []
+    for done, ((a, b), own) in enumerate(zip(pairs, seeds, strict=True)):
+        result = calibrate_pair(recording, lifted, a, b, config, own)
+        found += [] if result is None else [result]
+        progress("pairwise", done + 1, len(pairs))
+    return tuple(found)
+
+
+def calibrate_pair(recording: Recording, lifted: LiftedPoses, a: int, b: int, config: PairwiseConfig, rng: np.random.Generator) -> PairwiseCalibration | None:
+    """The best supported relative pose of views a and b, or None where they share nothing to go by."""
+    frames = _shared_frames(recording, a, b)
+    if len(frames) == 0:
+        return None
+    chosen = frames[np.linspace(0, len(frames) - 1, min(len(frames), config.frames)).astype(int)]
+    pair = view_pair(recording, lifted, a, b, chosen)
+    modes = _proposals(pair, bool(recording.tracked[a] and recording.tracked[b]), config, rng)
+    if len(modes.rotation) == 0:
+        return None
+    modes, score = _refine_modes(pair, modes, config, rng)
+    best = int(np.argmax(score.total))
+    rotation, translation = modes.rotation[best], _with_baseline(pair, modes, score, best)
+    frame, i, j = np.nonzero(score.matched[best])
+    return PairwiseCalibration(
+        a, b, rotation, translation, np.stack([chosen[frame], i, j], 1), len(frames),
+        float(score.total[best]), float(score.residual[best]), float(score.in_front[best]), modes.source[best],
+    )  # fmt: skip
+
+
+def _shared_frames(recording: Recording, a: int, b: int) -> Ints:
+    """Frames in which both views show a body with enough joints."""
+    bodies = recording.seen[[a, b]].sum(-1) >= 4
+    return np.flatnonzero(bodies.any(-1).all(0))
+
+
+def _proposals(pair: ViewPair, tracked: bool, config: PairwiseConfig, rng: np.random.Generator) -> Modes:
+    """Modes of the search over lifted poses, and of five-point RANSAC where it is known who is who."""
+    modes = _search(pair, config, rng)
+    single = ((pair.weight_a > 0).any(-1).sum(-1) <= 1) & ((pair.weight_b > 0).any(-1).sum(-1) <= 1)
+    if tracked or single.mean() > 0.5:
+        use = np.flatnonzero(single) if not tracked else np.arange(len(pair.frames))
+        modes = _join(modes, _from_five_points(pair, use, rng))
+    return modes
+
+
+def _search(pair: ViewPair, config: PairwiseConfig, rng: np.random.Generator) -> Modes:
+    """Closed-form rotations of candidate matches, scored against all frames; the best well-separated modes.
+
+    Half of the hypotheses are the candidates whose bodies agree best, half are drawn at random.
+    """
+    frame, i, j = np.nonzero(pair.lifted)
+    if len(frame) == 0:
+        return Modes(np.zeros((0, 3, 3)), np.zeros((0, 3)), ())
+    rotation = nearest_rotation(np.swapaxes(pair.cross[frame, i, j], -1, -2))
+    own = pair.norm[frame, i, j] - 2 * np.einsum("nij,nji->n", rotation, pair.cross[frame, i, j])
+    half = config.hypotheses // 2
+    order = np.argsort(own, kind="stable")
+    index = np.concatenate([order[:half], rng.permutation(order[half:])[:half]])
+    rotation = rotation[index]
+    translation = pair.place_b[frame, j][index] - np.einsum("nij,nj->ni", rotation, pair.place_a[frame, i][index])
+    support = _support(_agreement(pair, rotation, translation, config))
+    keep = _separated(rotation, support, config.modes, np.deg2rad(config.mode_separation_deg))
+    modes = Modes(rotation[keep], translation[keep], ("lifted",) * len(keep))
+    for _ in range(config.rounds):
+        modes = _procrustes(pair, modes, config)
+    return modes
+
+
+def _agreement(pair: ViewPair, rotation: Floats, translation: Floats, config: PairwiseConfig) -> Floats:
+    """`[M, frame, I, J]` in 0..1 how well the lifted bodies and their places agree; 0 where there is no body."""
+    pose = steering_error(pair, rotation) / config.pose_tolerance**2
+    place = place_error(pair, rotation, translation) / config.place_tolerance**2
+    return pair.lifted * np.exp(-0.5 * pose) / (1 + 0.5 * place)
+
+
+def _support(agreement: Floats) -> Floats:
+    """`[M]` mean over all detections of their best agreement, both ways."""
+    return agreement.max(-1).sum((-1, -2)) + agreement.max(-2).sum((-1, -2))
+
+
+def _separated(rotation: Floats, support: Floats, count: int, gap: float) -> Ints:
+    """Indices of the best supported rotations that are at least `gap` radians apart."""
+    order = np.argsort(-support, kind="stable")
+    far = angle_between(rotation[order][:, None], rotation[order][None]) >= gap
+    keep: list[int] = []
+    for k in range(len(order)):
+        if len(keep) < count and far[k, keep].all():
+            keep.append(k)
+    return order[keep]
+
+
+def _procrustes(pair: ViewPair, modes: Modes, config: PairwiseConfig) -> Modes:
+    """One turn of matching and of weighted Procrustes on the matched bodies, all modes at once."""
+    agreement = _agreement(pair, modes.rotation, modes.translation, config)
+    weight = agreement * mutual_best(sinkhorn(agreement, dummy=0.1), least=0.05)
+    rotation = nearest_rotation(np.einsum("mfab,fabij->mji", weight, pair.cross, optimize=True) + 1e-9 * modes.rotation)
+    gap = pair.place_b[None, :, None] - np.einsum("mij,faj->mfai", rotation, pair.place_a)[:, :, :, None]
+    near = weight / (pair.distance_a[:, :, None] ** 2 + pair.distance_b[:, None] ** 2)
+    total = near.sum((1, 2, 3))[:, None]
+    mean = (near[..., None] * gap).sum((1, 2, 3)) / np.maximum(total, 1e-12)
+    return replace(modes, rotation=rotation, translation=np.where(total > 0, mean, modes.translation))
+
+
+def _from_five_points(pair: ViewPair, use: Ints, rng: np.random.Generator) -> Modes:
+    """Five-point RANSAC (Nister 2004) on subsets of the frames in which identities are known: first instances only."""
+    rotations, translations = [], []
+    for _ in range(3):
+        part = np.sort(rng.choice(use, max(1, min(len(use), 40)), replace=False))
+        first_a = (pair.weight_a[part] > 0).any(-1).argmax(-1)
+        first_b = (pair.weight_b[part] > 0).any(-1).argmax(-1)
+        both = (pair.weight_a[part, first_a] > 0) & (pair.weight_b[part, first_b] > 0)
+        threshold = 0.05 / float(np.median(reach(pair)[part, first_a, first_b]))
+        for rotation, translation in five_point(pair.rays_a[part, first_a][both], pair.rays_b[part, first_b][both], threshold):
+            rotations.append(rotation)
+            translations.append(translation)
+    return Modes(np.reshape(rotations, (-1, 3, 3)), np.reshape(translations, (-1, 3)), ("five-point",) * len(rotations))
+
+
+def _join(first: Modes, second: Modes) -> Modes:
+    return Modes(
+        np.concatenate([first.rotation, second.rotation]), np.concatenate([first.translation, second.translation]), first.source + second.source
+    )
+
+
+def _refine_modes(pair: ViewPair, modes: Modes, config: PairwiseConfig, rng: np.random.Generator) -> tuple[Modes, Score]:
+    """Turns of matching and robust refinement; a mode keeps its last state that its own evidence did not contradict."""
+    score = _score(pair, modes, config)
+    for turn in range(config.rounds):
+        refined = _on_rays(pair, modes, score.matched, config, rng)
+        after = _score(pair, refined, config)
+        better = after.total >= score.total
+        modes = replace(
+            modes,
+            rotation=np.where(better[:, None, None], refined.rotation, modes.rotation),
+            translation=np.where(better[:, None], refined.translation, modes.translation),
+        )
+        score = _choose(better, after, score)
+        if turn == 0:
+            keep = np.argsort(-score.total, kind="stable")[: max(3, config.modes // 3)]
+            modes, score = modes[keep], Score(score.matched[keep], score.total[keep], score.explained[keep], score.in_front[keep], score.residual[keep])
+    return modes, score
+
+
+def _choose(better: Bools, after: Score, before: Score) -> Score:
+    pick = lambda x, y: np.where(better.reshape(-1, *[1] * (x.ndim - 1)), x, y)  # noqa: E731
+    return Score(*(pick(getattr(after, name), getattr(before, name)) for name in ("matched", "total", "explained", "in_front", "residual")))
+
+
+def _score(pair: ViewPair, modes: Modes, config: PairwiseConfig) -> Score:
+    """Matches each mode's detections by all the evidence, and says how much of what could be matched it explains.
+
+    total = share of detections matched x share of joints that fit the epipolar geometry x share of joints in front of both cameras x
+    agreement of the lifted bodies.
+    """
+    error, weight = epipolar_error(pair, modes.rotation, modes.translation)
+    fit = weight / (1 + (error / config.inlier) ** 2)
+    joints = np.maximum(weight.sum(-1), 1e-9)
+    enough = (weight > 0).sum(-1) >= 3
+    epipolar = fit.sum(-1) / joints * enough
+    bodies = _agreement(pair, modes.rotation, modes.translation, config)
+    affinity = epipolar * np.where(pair.lifted > 0, np.sqrt(bodies), 0.3)
+    matched = mutual_best(sinkhorn(affinity, dummy=0.15), least=0.1)
+    ahead = _in_front(pair, modes, matched)
+    count = np.maximum(matched.sum((1, 2, 3)), 1)
+    possible = np.minimum((pair.weight_a > 0).any(-1).sum(-1), (pair.weight_b > 0).any(-1).sum(-1)).sum()
+    explained = (matched * epipolar).sum((1, 2, 3)) / max(possible, 1)
+    steered = (matched * np.exp(-0.5 * steering_error(pair, modes.rotation) / config.pose_tolerance**2)).sum((1, 2, 3)) / count
+    used = matched[..., None] & (weight > 0)[None]
+    residual = np.array([np.median(e[u]) if u.any() else np.inf for e, u in zip(error / reach(pair)[None, ..., None], used, strict=True)])
+    lifted = steered if pair.lifted.any() else 1.0
+    return Score(matched, explained * ahead * lifted, explained, ahead, residual)
+
+
+def _in_front(pair: ViewPair, modes: Modes, matched: Bools) -> Floats:
+    """`[M]` share of the matched joints that lie in front of both cameras."""
+    share = np.zeros(len(matched))
+    for m, (rotation, translation) in enumerate(zip(modes.rotation, modes.translation, strict=True)):
+        rays_a, rays_b, _, _ = _matched_rays(pair, matched[m])
+        if len(rays_a):
+            ahead_a, ahead_b = depths(rotation, translation, rays_a, rays_b)
+            share[m] = ((ahead_a > 0) & (ahead_b > 0)).mean()
+    return share
+
+
+def _matched_rays(pair: ViewPair, matched: Bools) -> tuple[Floats, Floats, Floats, Floats]:
+    """Rays `[N, 3]` of all joints of one mode's matches, their weight and their reach `[N]`."""
+    frame, i, j = np.nonzero(matched)
+    weight = pair.weight_a[frame, i] * pair.weight_b[frame, j]
+    use = weight > 0
+    far = np.broadcast_to(reach(pair)[frame, i, j][:, None], use.shape)
+    return pair.rays_a[frame, i][use], pair.rays_b[frame, j][use], weight[use], far[use]
+
+
+def _on_rays(pair: ViewPair, modes: Modes, matched: Bools, config: PairwiseConfig, rng: np.random.Generator) -> Modes:
+    """Robust refinement of each mode on the rays of its own matches, all modes in one batch of equal size."""
+    size = config.points
+    count = len(modes.rotation)
+    rays_a, rays_b = np.zeros((count, size, 3)), np.zeros((count, size, 3))
+    rays_a[..., 2] = rays_b[..., 2] = 1.0
+    weight, far = np.zeros((count, size)), np.ones((count, size))
+    for m in range(count):
+        own_a, own_b, own_weight, own_far = _matched_rays(pair, matched[m])
+        pick = rng.permutation(len(own_a))[:size]
+        rays_a[m, : len(pick)], rays_b[m, : len(pick)] = own_a[pick], own_b[pick]
+        weight[m, : len(pick)], far[m, : len(pick)] = own_weight[pick], own_far[pick]
+    rotation, translation = refine_two_view(modes.rotation, modes.translation, rays_a, rays_b, weight, far, scale=config.inlier)
+    return replace(modes, rotation=rotation, translation=translation)
+
+
+def refine_two_view(
+    rotation: Floats, translation: Floats, rays_a: Floats, rays_b: Floats, weight: Floats, far: Floats, *, scale: float, steps: int = 12
+) -> tuple[Floats, Floats]:
+    """Gauss-Newton on R and the direction of t, under a Geman-McClure loss that tightens from 4 x scale to scale.
+
+    Minimises Sampson's error on rays times `far`; the length of t stays. rotation `[M, 3, 3]`, translation `[M, 3]`, rays
+    `[M, N, 3]`, weight and far `[M, N]`.
+    """
+    length = np.linalg.norm(translation, axis=-1, keepdims=True)
+    direction = translation / np.maximum(length, 1e-12)
+    for step in range(steps):
+        width = scale * max(4.0 * 0.75**step, 1.0)
+        turned = np.einsum("mij,mnj->mni", rotation, rays_a)
+        normal = np.cross(turned, rays_b)
+        value = (normal * direction[:, None]).sum(-1)  # t . (R u_a x u_b) = u_b' [t]x R u_a
+        across = np.cross(rays_b, direction[:, None])
+        slope = (np.cross(direction[:, None], turned) ** 2).sum(-1) + (across**2).sum(-1) - 2 * value**2
+        unit = far / np.sqrt(np.maximum(slope, 1e-12))
+        error = value * unit
+        tangent = np.linalg.svd(direction[:, None])[2][:, 1:]  # (M, 2, 3) spans the plane normal to t
+        jacobian = np.concatenate([np.cross(turned, across), np.einsum("mkj,mnj->mnk", tangent, normal)], -1) * unit[..., None]
+        robust = weight / (1 + (error / width) ** 2) ** 2
+        hessian = np.einsum("mn,mni,mnj->mij", robust, jacobian, jacobian, optimize=True)
+        gradient = np.einsum("mn,mni,mn->mi", robust, jacobian, error, optimize=True)
+        damping = 1e-6 * np.trace(hessian, axis1=1, axis2=2)[:, None, None] * np.eye(5) + 1e-12 * np.eye(5)
+        delta = -np.linalg.solve(hessian + damping, gradient[..., None])[..., 0]
+        delta *= np.minimum(1.0, 0.3 / np.maximum(np.linalg.norm(delta, axis=1, keepdims=True), 1e-12))
+        rotation = matrix_from_vector(delta[:, :3]) @ rotation
+        direction = direction + np.einsum("mk,mkj->mj", delta[:, 3:], tangent)
+        direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
+    return rotation, direction * length
+
+
+def _with_baseline(pair: ViewPair, modes: Modes, score: Score, best: int) -> Floats:
+    """The translation at the length that makes the triangulated bodies as far away as they were lifted."""
+    frame, i, j = np.nonzero(score.matched[best])
+    direction = modes.translation[best] / np.linalg.norm(modes.translation[best])
+    weight = (pair.weight_a[frame, i] > 0) & (pair.weight_b[frame, j] > 0)
+    if not weight.any():
+        return direction
+    near_a, near_b = depths(modes.rotation[best], direction, pair.rays_a[frame, i][weight], pair.rays_b[frame, j][weight])
+    lifted = np.broadcast_to((pair.distance_a[frame, i] + pair.distance_b[frame, j])[:, None], weight.shape)[weight]
+    total = near_a + near_b
+    good = (near_a > 0) & (near_b > 0)
+    return direction * float(np.median(lifted[good] / total[good])) if good.any() else direction

@@ -1,0 +1,78 @@
+"""Vocabularies of joints: reading them, and matching other names to them.
+
+Lives below `io` because the readers and the model both need it.
+"""
+
+import re
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from mocap_calib.errors import FormatError
+from mocap_calib.types import Ints, Skeleton
+
+_SIDES = {"l": "left", "left": "left", "r": "right", "right": "right"}
+
+
+def normalise_name(name: str) -> str:
+    """`LShoulder`, `shoulder_l`, `Left Shoulder`, `leftShoulder` -> `left_shoulder`."""
+    spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[LR])(?=[A-Z][a-z])|[\s\-.()]+", "_", name.strip())
+    words = [word for word in spaced.lower().split("_") if word]
+    sides = [_SIDES[word] for word in words if word in _SIDES]
+    rest = [word for word in words if word not in _SIDES]
+    return "_".join(sides[:1] + rest)
+
+
+def match_names(names: tuple[str, ...], skeleton: Skeleton) -> Ints:
+    """`[keypoint]` index in the skeleton of each name, -1 where it has no such joint; the first of twins wins."""
+    index = {normalise_name(joint): k for k, joint in enumerate(skeleton.keypoints)}
+    aliases = {normalise_name(a): index[normalise_name(joint)] for a, joint in skeleton.aliases.items()}
+    exact = [index.get(normalise_name(name), -1) for name in names]
+    taken = set(exact)
+    found = np.full(len(names), -1, dtype=np.int64)
+    for k, name in enumerate(names):
+        joint = exact[k] if exact[k] >= 0 else aliases.get(normalise_name(name), -1)
+        if exact[k] >= 0 or joint not in taken:
+            found[k] = joint
+            taken.add(joint)
+    return found
+
+
+def load_skeleton(name_or_path: str | Path) -> Skeleton:
+    """A skeleton by name (one that is shipped) or from a YAML file of one's own.
+
+    The file has `name`, `keypoints`, and optionally `edges` (pairs of names, parent first), and `aliases`
+    (other name: keypoint). Raises FormatError.
+    """
+    shipped = resources.files("mocap_calib") / "skeletons" / f"{name_or_path}.yaml"
+    path = Path(name_or_path)
+    if shipped.is_file():
+        text = shipped.read_text("utf-8")
+    elif path.is_file():
+        text = path.read_text("utf-8")
+    else:
+        raise FormatError(f"skeleton {name_or_path}: expected the name of a shipped skeleton or a YAML file, found neither")
+    try:
+        fields = yaml.safe_load(text)
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise FormatError(f"skeleton {name_or_path}: not a YAML file: {str(error).splitlines()[0]}") from None
+    return parse_skeleton(fields, str(name_or_path))
+
+
+def parse_skeleton(fields: Any, source: str) -> Skeleton:
+    """A skeleton from the fields of its YAML file. Raises FormatError."""
+    if not isinstance(fields, dict) or not isinstance(fields.get("keypoints"), list):
+        raise FormatError(f"skeleton {source}: expected a mapping with a list `keypoints`; see docs/skeletons.md")
+    keypoints = tuple(str(name) for name in fields["keypoints"])
+    index = {name: k for k, name in enumerate(keypoints)}
+    aliases = {str(a): str(joint) for a, joint in (fields.get("aliases") or {}).items()}
+    edges = [tuple(map(str, edge)) for edge in fields.get("edges") or []]
+    strangers = sorted({n for edge in edges for n in edge} | set(aliases.values()) - set(keypoints) - {n for edge in edges for n in edge if n in index})
+    strangers = [n for n in strangers if n not in index]
+    if strangers:
+        raise FormatError(f"skeleton {source}: edges or aliases name {', '.join(strangers)}, expected only its own keypoints")
+    symmetries = tuple((index[n], index["right" + n[4:]]) for n in keypoints if n.startswith("left") and "right" + n[4:] in index)
+    return Skeleton(str(fields.get("name", source)), keypoints, tuple((index[a], index[b]) for a, b in edges), symmetries, aliases)
