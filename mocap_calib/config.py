@@ -40,3 +40,49 @@ class PairwiseConfig:
     inlier: float = 0.08  # epipolar error of a good joint
     points: int = 4000  # joints a refinement looks at
     rounds: int = 3  # of matching and refining
+
+
+@dataclass(frozen=True)
+class AveragingConfig:
+    """Stage 2."""
+
+    rotation_scale_deg: float = 4.0  # a pair this far from the rig counts half
+    translation_scale: float = 0.15  # of its baseline
+    iterations: int = 30
+
+
+@dataclass(frozen=True)
+class MatchingConfig:
+    """Stage 4."""
+
+    least_affinity: float = 0.25  # mean over all pairs of views of one individual
+    block: int = 512  # frames at a time
+
+
+@dataclass(frozen=True)
+class AdjustConfig:
+    """Stage 5. Loss scales are in standard deviations of each view's own error."""
+
+    points: int = 10_000
+    loss_scales: tuple[float, ...] = (6.0, 3.0, 1.5)
+    least_confidence: float = 0.2
+    rounds: int = 6  # of adjusting and matching; it stops when no label changes
+
+
+@dataclass(frozen=True)
+class TriangulateConfig:
+    """Stage 6. Errors in standard deviations of each view's own error."""
+
+    outlier: float = 4.0
+    least_angle_deg: float = 2.0  # between the rays of a point
+
+
+@dataclass(frozen=True)
+class Config:
+    """All stages."""
+
+    pairwise: PairwiseConfig = PairwiseConfig()
+    averaging: AveragingConfig = AveragingConfig()
+    matching: MatchingConfig = MatchingConfig()
+    adjust: AdjustConfig = AdjustConfig()
+    triangulate: TriangulateConfig = TriangulateConfig()

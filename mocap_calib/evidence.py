@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.epipolar import essential
 from mocap_calib.types import Floats, Ints, LiftedPoses, Recording
 
@@ -113,3 +114,22 @@ def reach(pair: ViewPair) -> Floats:
     """`[frame, I, J]` body sizes per radian of Sampson's angle: the harmonic mean of both squared distances."""
     near = 1 / pair.distance_a[:, :, None] ** 2 + 1 / pair.distance_b[:, None, :] ** 2
     return np.sqrt(2.0 / near)
+
+
+def agreement(pair: ViewPair, rotation: Floats, translation: Floats, config: PairwiseConfig) -> Floats:
+    """`[M, frame, I, J]` in 0..1 how well the lifted bodies and their places agree; 0 where there is no body."""
+    pose = steering_error(pair, rotation) / config.pose_tolerance**2
+    place = place_error(pair, rotation, translation) / config.place_tolerance**2
+    return pair.lifted * np.exp(-0.5 * pose) / (1 + 0.5 * place)
+
+
+def epipolar_fit(error: Floats, weight: Floats, config: PairwiseConfig) -> Floats:
+    """`[M, frame, I, J]` in 0..1 weighted share of joints that fit the epipolar geometry; 0 below three joints in common."""
+    fit = (weight / (1 + (error / config.inlier) ** 2)).sum(-1)
+    return fit / np.maximum(weight.sum(-1), 1e-9) * ((weight > 0).sum(-1) >= 3)
+
+
+def match_affinity(pair: ViewPair, rotation: Floats, translation: Floats, epipolar: Floats, config: PairwiseConfig) -> Floats:
+    """`[M, frame, I, J]` in 0..1 that two detections are one individual: geometry, tempered by the lifted bodies."""
+    bodies = np.sqrt(agreement(pair, rotation, translation, config))
+    return epipolar * np.where(pair.lifted > 0, bodies, 0.3)

@@ -12,7 +12,7 @@ import numpy as np
 
 from mocap_calib.assignment import mutual_best, sinkhorn
 from mocap_calib.config import PairwiseConfig
-from mocap_calib.evidence import ViewPair, epipolar_error, place_error, reach, steering_error, view_pair
+from mocap_calib.evidence import ViewPair, agreement, epipolar_error, epipolar_fit, match_affinity, reach, steering_error, view_pair
 from mocap_calib.geometry.epipolar import depths, five_point
 from mocap_calib.geometry.rotation import angle_between, matrix_from_vector, nearest_rotation
 from mocap_calib.types import Bools, Floats, Ints, LiftedPoses, PairwiseCalibration, Progress, Recording
@@ -106,7 +106,7 @@ def _search(pair: ViewPair, config: PairwiseConfig, rng: np.random.Generator) ->
     index = np.concatenate([order[:half], rng.permutation(order[half:])[:half]])
     rotation = rotation[index]
     translation = pair.place_b[frame, j][index] - np.einsum("nij,nj->ni", rotation, pair.place_a[frame, i][index])
-    support = _support(_agreement(pair, rotation, translation, config))
+    support = _support(agreement(pair, rotation, translation, config))
     keep = _separated(rotation, support, config.modes, np.deg2rad(config.mode_separation_deg))
     modes = Modes(rotation[keep], translation[keep], ("lifted",) * len(keep))
     for _ in range(config.rounds):
@@ -114,16 +114,9 @@ def _search(pair: ViewPair, config: PairwiseConfig, rng: np.random.Generator) ->
     return modes
 
 
-def _agreement(pair: ViewPair, rotation: Floats, translation: Floats, config: PairwiseConfig) -> Floats:
-    """`[M, frame, I, J]` in 0..1 how well the lifted bodies and their places agree; 0 where there is no body."""
-    pose = steering_error(pair, rotation) / config.pose_tolerance**2
-    place = place_error(pair, rotation, translation) / config.place_tolerance**2
-    return pair.lifted * np.exp(-0.5 * pose) / (1 + 0.5 * place)
-
-
-def _support(agreement: Floats) -> Floats:
-    """`[M]` mean over all detections of their best agreement, both ways."""
-    return agreement.max(-1).sum((-1, -2)) + agreement.max(-2).sum((-1, -2))
+def _support(agree: Floats) -> Floats:
+    """`[M]` sum over all detections of their best agreement, both ways."""
+    return agree.max(-1).sum((-1, -2)) + agree.max(-2).sum((-1, -2))
 
 
 def _separated(rotation: Floats, support: Floats, count: int, gap: float) -> Ints:
@@ -139,8 +132,8 @@ def _separated(rotation: Floats, support: Floats, count: int, gap: float) -> Int
 
 def _procrustes(pair: ViewPair, modes: Modes, config: PairwiseConfig) -> Modes:
     """One turn of matching and of weighted Procrustes on the matched bodies, all modes at once."""
-    agreement = _agreement(pair, modes.rotation, modes.translation, config)
-    weight = agreement * mutual_best(sinkhorn(agreement, dummy=0.1), least=0.05)
+    agree = agreement(pair, modes.rotation, modes.translation, config)
+    weight = agree * mutual_best(sinkhorn(agree, dummy=0.1), least=0.05)
     rotation = nearest_rotation(np.einsum("mfab,fabij->mji", weight, pair.cross, optimize=True) + 1e-9 * modes.rotation)
     gap = pair.place_b[None, :, None] - np.einsum("mij,faj->mfai", rotation, pair.place_a)[:, :, :, None]
     near = weight / (pair.distance_a[:, :, None] ** 2 + pair.distance_b[:, None] ** 2)
@@ -201,12 +194,8 @@ def _score(pair: ViewPair, modes: Modes, config: PairwiseConfig) -> Score:
     agreement of the lifted bodies.
     """
     error, weight = epipolar_error(pair, modes.rotation, modes.translation)
-    fit = weight / (1 + (error / config.inlier) ** 2)
-    joints = np.maximum(weight.sum(-1), 1e-9)
-    enough = (weight > 0).sum(-1) >= 3
-    epipolar = fit.sum(-1) / joints * enough
-    bodies = _agreement(pair, modes.rotation, modes.translation, config)
-    affinity = epipolar * np.where(pair.lifted > 0, np.sqrt(bodies), 0.3)
+    epipolar = epipolar_fit(error, weight, config)
+    affinity = match_affinity(pair, modes.rotation, modes.translation, epipolar, config)
     matched = mutual_best(sinkhorn(affinity, dummy=0.15), least=0.1)
     ahead = _in_front(pair, modes, matched)
     count = np.maximum(matched.sum((1, 2, 3)), 1)

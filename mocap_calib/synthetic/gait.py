@@ -75,7 +75,7 @@ def foot(walk: Walk, cycles: Floats, side: float, offsets: Floats) -> Foot:
 
 
 def _skin(offsets: Floats) -> float:
-    """Height of the joints of the foot over the sole, metres: a fifth of the ankle's height."""
+    """Height of heel and toes, which are joints inside the foot, over the sole; metres."""
     return float(-0.35 * offsets[0, 2])
 
 

@@ -31,15 +31,11 @@ def walks(rng: np.random.Generator, time: Floats, individuals: int, room: tuple[
     """One walk an individual; of several candidates the one that keeps most away from those already there."""
     chosen: list[Walk] = []
     for _ in range(individuals):
-        best, best_room = None, -1.0
+        best = _walk(rng, time, room)
         for _ in range(_CANDIDATES):
-            candidate = _walk(rng, time, room)
-            free = _elbow_room(candidate, chosen)
-            if free > best_room:
-                best, best_room = candidate, free
-            if best_room >= 1.0:
+            if _elbow_room(best, chosen) >= 1.0:
                 break
-        assert best is not None
+            best = max(best, _walk(rng, time, room), key=lambda walk: _elbow_room(walk, chosen))
         chosen.append(best)
     return chosen
 
@@ -60,7 +56,7 @@ def _walk(rng: np.random.Generator, time: Floats, room: tuple[float, float]) -> 
     tangent = np.gradient(path, _STEP, axis=0)
     heading = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
     curvature = np.abs(gaussian_filter1d(np.gradient(heading, _STEP), 5))
-    speed = np.minimum(usual * np.exp(0.15 * wander(rng, arc, 3.0)), 1.5 / np.maximum(curvature, 0.1))  # at most 1.5 rad/s
+    speed = np.minimum(usual * np.exp(0.15 * wander(rng, arc, 3.0)), 1.2 / np.maximum(curvature, 0.1))  # at most 1.2 rad/s
     at = np.cumsum(rng.uniform(2.0, 7.0, int(arc[-1] // 2) + 1)) - rng.uniform(0.0, 5.0)
     at = at[(at > 0.5) & (at < arc[-1] - 0.5)]
     for stop in at:
@@ -101,7 +97,7 @@ def _path(rng: np.random.Generator, room: tuple[float, float], length: float) ->
         total += 0.8 * float(far[best])
     polyline = np.array(corners)
     dense = _resampled(polyline)
-    return _resampled(gaussian_filter1d(dense, 0.35 / _STEP, axis=0, mode="nearest"))
+    return _resampled(gaussian_filter1d(dense, 0.4 / _STEP, axis=0, mode="nearest"))
 
 
 def _resampled(points: Floats) -> Floats:

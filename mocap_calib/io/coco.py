@@ -1,0 +1,148 @@
+"""COCO keypoint annotations (`images`, `annotations`, `categories` in one JSON file)."""
+
+import json
+import re
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from mocap_calib.io.reading import decode, frame_number, frame_order, malformed, mark_missing, unique_names
+from mocap_calib.types import Floats, Ints, Keypoints2D
+
+_EXPECTED = "COCO annotations (an object with the lists `images`, `annotations` and `categories`)"
+_MOST_INSTANCES = 1000
+
+
+def sniff(head: bytes) -> bool:
+    """Any JSON array or object."""
+    return re.match(rb"(\xef\xbb\xbf)?\s*[\[{]", head) is not None
+
+
+def load(content: bytes, camera: str, source: str) -> Keypoints2D:
+    """The detections of a COCO annotations file.
+
+    All `images` are frames, also those without annotations. The instance is the position among the image's
+    annotations in file order; annotations of categories without keypoints do not count. Raises FormatError.
+    """
+    data = _parse(content, source)
+    images, annotations = (_objects(data, key, source) for key in ("images", "annotations"))
+    if not images:
+        raise malformed(source, "at least one entry in `images`", "none", "export the images together with the annotations")
+    names, subjects = _vocabulary(_objects(data, "categories", source), source)
+    annotations = [a for a in annotations if "category_id" not in a or str(a["category_id"]) in subjects]
+    frames = _frame_numbers(images, source)
+    order = frame_order(frames, [image.get("file_name", image.get("id")) for image in images], source)
+    row, instance = _places(images, annotations, order, source)
+    values = np.full((len(images), _most(instance, source), len(names), 3), np.nan)
+    values[row, instance] = _points(annotations, len(names), source)
+    positions, confidence = mark_missing(values[..., :2], _confidence(values[..., 2]))
+    return Keypoints2D(camera, names, frames[order], positions, confidence, False, _image_size(images, source), source)
+
+
+def _parse(content: bytes, source: str) -> dict[str, Any]:
+    try:
+        data = json.loads(decode(content, source))
+    except RecursionError:
+        raise malformed(source, _EXPECTED, "JSON nested too deeply", "export it again") from None
+    except ValueError as error:
+        raise malformed(source, "complete JSON", f"an error ({error})", "the file is cut or damaged: export it again") from None
+    if not isinstance(data, dict) or not {"images", "annotations", "categories"} <= data.keys():
+        found = f"an object with {', '.join(map(str, list(data)[:6])) or 'nothing'}" if isinstance(data, dict) else f"a {type(data).__name__}"
+        raise malformed(source, _EXPECTED, found, "results without images and names must be joined with their annotations file")
+    return data
+
+
+def _objects(data: dict[str, Any], key: str, source: str) -> list[dict[str, Any]]:
+    found = data[key]
+    if not isinstance(found, list) or not all(isinstance(entry, dict) for entry in found):
+        raise malformed(source, f"`{key}` to be a list of objects", type(found).__name__, "export it again")
+    return found
+
+
+def _vocabulary(categories: Iterable[dict[str, Any]], source: str) -> tuple[tuple[str, ...], set[str]]:
+    """The keypoint names, and the ids (as text: some writers quote them) of the categories that have them."""
+    named = [c for c in categories if isinstance(c.get("keypoints"), list) and c["keypoints"]]
+    lists = {tuple(map(str, c["keypoints"])) for c in named}
+    if len(lists) != 1:
+        found = "none" if not lists else f"{len(lists)} different lists"
+        raise malformed(source, "one list of keypoint names in `categories`", found, "keep the category of one kind of subject")
+    return unique_names(lists.pop(), source), {str(c.get("id")) for c in named}
+
+
+def _frame_numbers(images: list[dict[str, Any]], source: str) -> Ints:
+    """`[image]` numbers, all from the first place where every image has one: file name, `frame`, `frame_id`, `id`."""
+    numbers = [frame_number(image["file_name"]) if isinstance(image.get("file_name"), str) else -1 for image in images]
+    for key in ("frame", "frame_id", "id"):
+        if min(numbers) >= 0:
+            break
+        numbers = [_whole(image.get(key)) for image in images]
+    if min(numbers) < 0:
+        worst = images[numbers.index(min(numbers))]
+        raise malformed(source, "a frame number at the end of each file name", worst.get("file_name", worst), "add a field `frame` to each image")
+    return np.array(numbers, dtype=np.int64)
+
+
+def _whole(value: object) -> int:
+    """A whole number that may be quoted; -1 for anything else."""
+    plain = isinstance(value, int | str) and not isinstance(value, bool) and re.fullmatch(r"[0-9]{1,18}", str(value))
+    return int(str(value)) if plain else -1
+
+
+def _places(images: list[dict[str, Any]], annotations: list[dict[str, Any]], order: Ints, source: str) -> tuple[Ints, Ints]:
+    """`[annotation]` row of its frame and `[annotation]` instance within it."""
+    place = {str(images[i].get("id")): row for row, i in enumerate(order)}
+    if len(place) < len(images):
+        raise malformed(source, "each image id once", f"{len(images)} images with {len(place)} ids", "export it again")
+    strangers = [a for a in annotations if str(a.get("image_id")) not in place]
+    if strangers:
+        raise malformed(source, "each annotation's image_id among `images`", strangers[0].get("image_id"), "export images and annotations together")
+    row = np.array([place[str(a["image_id"])] for a in annotations], dtype=np.int64)
+    grouped = np.argsort(row, kind="stable")
+    start = np.searchsorted(row[grouped], row[grouped])  # where each frame's run of annotations begins
+    instance = np.empty_like(row)
+    instance[grouped] = np.arange(len(row)) - start
+    return row, instance
+
+
+def _most(instance: Ints, source: str) -> int:
+    """Detections in the fullest frame, held to what memory holds: a damaged file may put all into one frame."""
+    most = int(instance.max(initial=-1)) + 1
+    if most > _MOST_INSTANCES:
+        raise malformed(source, f"at most {_MOST_INSTANCES} annotations per image", most, "check the image_id of the annotations")
+    return most
+
+
+def _points(annotations: list[dict[str, Any]], keypoints: int, source: str) -> Floats:
+    """`[annotation, keypoint, 3]` x, y and third value; NaN for an annotation that has no points."""
+    values = np.full((len(annotations), keypoints, 3), np.nan)
+    lists = [a.get("keypoints") or [] for a in annotations]
+    wrong = [entry for entry in lists if not isinstance(entry, list) or len(entry) not in (0, 3 * keypoints)]
+    if wrong:
+        found = f"{len(wrong[0])} numbers" if isinstance(wrong[0], list) else type(wrong[0]).__name__
+        raise malformed(source, f"{3 * keypoints} numbers (x, y, v) per annotation for {keypoints} names", found, "export it again")
+    full = [k for k, entry in enumerate(lists) if entry]
+    try:
+        values[full] = np.array([lists[k] for k in full], dtype=np.float64).reshape(-1, keypoints, 3)
+    except (ValueError, TypeError, OverflowError) as error:
+        raise malformed(source, "`keypoints` to hold numbers", error, "export it again") from None
+    return values
+
+
+def _confidence(third: Floats) -> Floats:
+    """COCO's flags (0 not labelled, 1 occluded, 2 visible) as 0, 0.5, 1; anything else is a confidence already."""
+    known = third[third >= 0]
+    flags = bool(np.isin(known, (0, 1, 2)).all() and (known == 2).any())
+    return third / 2 if flags else third
+
+
+def _image_size(images: list[dict[str, Any]], source: str) -> tuple[int, int]:
+    """(width, height) that the images have in common, (0, 0) where none says."""
+    try:
+        sizes = {(int(image["width"]), int(image["height"])) for image in images if image.get("width") and image.get("height")}
+    except (ValueError, TypeError, OverflowError) as error:
+        raise malformed(source, "width and height of images to be numbers", error, "export it again") from None
+    if len(sizes) > 1:
+        found = " and ".join(f"{w} x {h}" for w, h in sorted(sizes)[:2])
+        raise malformed(source, "images of one size", found, "give one file per camera")
+    return sizes.pop() if sizes else (0, 0)

@@ -1,0 +1,85 @@
+"""DeepLabCut's table of labelled columns, whichever file it came from -> detections. Lightning Pose writes the same."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mocap_calib.io.reading import frame_number, frame_order, malformed, mark_missing
+from mocap_calib.types import Floats, Ints, Keypoints2D
+
+LEVELS = ("scorer", "individuals", "bodyparts", "coords")
+
+
+@dataclass(frozen=True)
+class Table:
+    """What the files hold.
+
+    levels: names of the header rows. columns: each column's labels, one per level. rows: frame numbers or image
+    paths, as text. values: `[row, column]`, NaN where a cell is empty.
+    """
+
+    levels: tuple[str, ...]
+    columns: tuple[tuple[str, ...], ...]
+    rows: Sequence[str]
+    values: Floats
+
+
+def keypoints_from_table(table: Table, camera: str, source: str) -> Keypoints2D:
+    """Detections by label, so that jagged tables come out right.
+
+    One instance per individual, in the order of the columns. The pseudo-individual `single`, which holds the
+    unique body parts of a scene (corners, levers), is nobody and left out when it shares none with the others.
+    Labelled frames have no likelihood: their confidence is 1. Raises FormatError.
+    """
+    place = _columns_by_label(table, source)
+    individuals = _individuals(place)
+    keypoints = tuple(dict.fromkeys(part for who, part in place if who in individuals))
+    shape = (len(table.rows), len(individuals), len(keypoints))
+    values = np.full((*shape, 3), np.nan)
+    for (who, part), coords in place.items():
+        if who in individuals:
+            target = values[:, individuals.index(who), keypoints.index(part)]
+            target[:, 2] = 1.0
+            for axis, coord in enumerate(("x", "y", "likelihood")):
+                if coord in coords:
+                    target[:, axis] = table.values[:, coords[coord]]
+    frames = _frames(table.rows, source)
+    order = frame_order(frames, table.rows, source)
+    positions, confidence = mark_missing(values[order, ..., :2], values[order, ..., 2])
+    return Keypoints2D(camera, keypoints, frames[order], positions, confidence, True, (0, 0), source)
+
+
+def _columns_by_label(table: Table, source: str) -> dict[tuple[str, str], dict[str, int]]:
+    """(individual, body part) -> coordinate -> column."""
+    if not {"bodyparts", "coords"} <= set(table.levels) or not set(table.levels) <= set(LEVELS):
+        raise malformed(source, f"header rows among {', '.join(LEVELS)}", ", ".join(table.levels) or "none", "export it from DeepLabCut again")
+    place: dict[tuple[str, str], dict[str, int]] = {}
+    for column, labels in enumerate(table.columns):
+        label = dict(zip(table.levels, labels, strict=True))
+        coords = place.setdefault((label.get("individuals", ""), label["bodyparts"]), {})
+        if label["coords"] in coords:
+            raise malformed(source, "each column once", f"{' '.join(labels)} twice", "keep the columns of one scorer")
+        coords[label["coords"]] = column
+    found = sorted({coord for coords in place.values() for coord in coords})
+    if "z" in found:
+        raise malformed(source, "2D keypoints (x, y, likelihood)", "3D ones (x, y, z)", "give the 2D file of each camera")
+    if not place or set(found) - {"x", "y", "likelihood"} or not all({"x", "y"} <= coords.keys() for coords in place.values()):
+        raise malformed(source, "columns x, y and perhaps likelihood for each body part", ", ".join(found) or "none", "export it from DeepLabCut again")
+    return place
+
+
+def _individuals(place: dict[tuple[str, str], dict[str, int]]) -> list[str]:
+    names = list(dict.fromkeys(who for who, _ in place))
+    shared = {part for who, part in place if who != "single"}
+    unique = {part for who, part in place if who == "single"}
+    return [who for who in names if who != "single" or not shared or unique & shared]
+
+
+def _frames(rows: Sequence[str], source: str) -> Ints:
+    if not rows:
+        raise malformed(source, "at least one row of data", "none", "export it from DeepLabCut again")
+    numbers = [frame_number(row) for row in rows]
+    if min(numbers) < 0:
+        raise malformed(source, "each row to begin with a frame number or a numbered image", rows[numbers.index(min(numbers))], "mend the first column")
+    return np.array(numbers, dtype=np.int64)

@@ -1,0 +1,113 @@
+"""From whatever a file says of a camera to a `Camera`, or to a complaint; and the fields of our own files."""
+
+from typing import Any
+
+import numpy as np
+
+from mocap_calib.geometry.rotation import matrix_from_vector, nearest_rotation
+from mocap_calib.io.reading import malformed
+from mocap_calib.types import Camera, Floats
+
+_PINHOLE_LENGTHS = (4, 5, 8, 12, 14)
+_NOT_A_ROTATION = 1e-2  # real files round to three or four digits
+_ROUNDED = 1e-9
+
+
+def numbers(value: Any, expected: str, source: str) -> Floats:
+    """Nested lists, or a `rows`, `cols`, `data` matrix as OpenCV and ROS write it, as an array. Raises FormatError."""
+    try:
+        if isinstance(value, dict):
+            return np.array(value["data"], dtype=np.float64).reshape(int(value["rows"]), int(value["cols"]))
+        array = np.array(value, dtype=np.float64)
+    except (ValueError, TypeError, KeyError, OverflowError) as error:
+        raise malformed(source, expected, f"an error ({error})", "mend the numbers") from None
+    return array
+
+
+def make_camera(name: str, size: Any, matrix: Any, distortion: Any, fisheye: bool, source: str) -> Camera:  # noqa: PLR0917
+    """A camera from raw fields, checked; `source` names file and camera in the complaint. Raises FormatError."""
+    return Camera(name, _size(size, source), _matrix(matrix, fisheye, source), _distortion(distortion, fisheye, source), fisheye)
+
+
+def make_extrinsics(rotation: Any, translation: Any, source: str) -> tuple[Floats, Floats]:
+    """`[3, 3]` rotation and `[3]` translation of cam_from_world, from a matrix or a rotation vector. Raises FormatError."""
+    matrix = numbers(rotation, "a rotation (3 x 3, or a vector of 3)", source)
+    if matrix.size == 3:
+        matrix = matrix_from_vector(matrix.reshape(3))
+    offset = numbers(translation, "a translation of 3 numbers", source).reshape(-1)
+    if matrix.shape != (3, 3) or offset.shape != (3,) or not (np.isfinite(matrix).all() and np.isfinite(offset).all()):
+        found = f"shapes {matrix.shape} and {offset.shape}"
+        raise malformed(source, "a finite rotation (3 x 3, or a vector of 3) and a translation of 3", found, "mend the extrinsics")
+    excess = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
+    if excess > _NOT_A_ROTATION or np.linalg.det(matrix) < 0:
+        raise malformed(source, "a rotation (orthonormal, determinant 1)", "another matrix", "check the axes and the order of the rows")
+    return (nearest_rotation(matrix) if excess > _ROUNDED else matrix), offset
+
+
+def camera_fields(camera: Camera) -> dict[str, Any]:
+    """The fields of a camera in our own files."""
+    return {
+        "name": camera.name,
+        "size": list(camera.size),
+        "model": "fisheye" if camera.fisheye else "opencv",
+        "K": camera.matrix.tolist(),
+        "distortion": camera.distortion.tolist(),
+    }
+
+
+def camera_from_fields(fields: Any, source: str) -> Camera:
+    """The inverse of `camera_fields`; the model `pinhole` has no distortion. Raises FormatError."""
+    if not isinstance(fields, dict) or not {"name", "K"} <= fields.keys():
+        raise malformed(source, "cameras with name, size, model, K, distortion", one_field(fields), "write the file again")
+    model = fields.get("model", "opencv")
+    if model not in ("opencv", "fisheye", "pinhole"):
+        raise malformed(f"{source}: camera {fields['name']}", "the model opencv, fisheye or pinhole", model, "convert the camera")
+    name, distortion = str(fields["name"]), [] if model == "pinhole" else fields.get("distortion", [])
+    return make_camera(name, fields.get("size"), fields["K"], distortion, model == "fisheye", f"{source}: camera {name}")
+
+
+def one_field(fields: Any) -> str:
+    """What came instead of a mapping with the right keys."""
+    return ", ".join(map(str, list(fields)[:8])) if isinstance(fields, dict) else type(fields).__name__
+
+
+def _size(value: Any, source: str) -> tuple[int, int]:
+    """(width, height); (0, 0) where the file does not say."""
+    if value is None:
+        return (0, 0)
+    size = numbers(value, "a size [width, height]", source).reshape(-1)
+    if size.shape != (2,) or not np.isfinite(size).all() or (size != size.round()).any() or (size < 0).any() or (size > 1e6).any():
+        raise malformed(source, "a size [width, height] in pixels", value, "mend the size")
+    return int(size[0]), int(size[1])
+
+
+def _matrix(value: Any, fisheye: bool, source: str) -> Floats:
+    matrix = numbers(value, "a 3 x 3 camera matrix", source)
+    if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
+        raise malformed(source, "a finite 3 x 3 camera matrix", f"shape {matrix.shape}", "mend the camera matrix")
+    if (matrix[2, :2] != 0).any() or matrix[2, 2] != 1 or matrix[1, 0] != 0:
+        raise malformed(source, "a camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]", matrix.tolist(), "transpose it if it came from MATLAB")
+    if min(matrix[0, 0], matrix[1, 1]) <= 0:
+        raise malformed(source, "positive focal lengths", matrix[[0, 1], [0, 1]].tolist(), "mend the camera matrix")
+    # OpenCV's pinhole model has no skew and drops it silently
+    if not fisheye and abs(matrix[0, 1]) > 1e-3 * matrix[0, 0]:
+        raise malformed(source, "a camera matrix without skew", f"skew {matrix[0, 1]}", "calibrate without skew")
+    return matrix
+
+
+def _distortion(value: Any, fisheye: bool, source: str) -> Floats:
+    """As many coefficients as the model takes; missing ones are 0, and zeros too many are dropped."""
+    given = numbers([] if value is None else value, "distortion coefficients", source).reshape(-1)
+    lengths = (4,) if fisheye else _PINHOLE_LENGTHS
+    used = int(np.flatnonzero(given).max(initial=-1)) + 1
+    room = 4 if fisheye else 5
+    # k1, k2 alone are clear; three may be k1 k2 k3 or k1 k2 p1
+    fits = len(given) in lengths or used <= 2 or (used <= room and (fisheye or len(given) > room))
+    if not fits or not np.isfinite(given).all():
+        model = "the fisheye model" if fisheye else "OpenCV's model"
+        raise malformed(source, f"{' or '.join(map(str, lengths))} finite distortion coefficients of {model}", given.tolist(), "calibrate with one of them")
+    if len(given) in lengths:
+        return given
+    padded = np.zeros(room)
+    padded[:used] = given[:used]
+    return padded

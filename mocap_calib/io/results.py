@@ -1,0 +1,213 @@
+"""Writing and reading what a run finds: matches, 3D poses, and the pairs of stage 1."""
+
+import csv
+import io
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from mocap_calib.errors import FormatError, MismatchError
+from mocap_calib.io.atomic import write_bytes
+from mocap_calib.io.intrinsics import camera_fields, camera_from_fields, numbers, one_field
+from mocap_calib.io.reading import decode, malformed, one_line, read_bytes
+from mocap_calib.types import Bools, Camera, Floats, Ints, Matches, PairwiseCalibration, Poses3D, Recording, check_shape
+
+VERSION = 1
+_MATCH_COLUMNS = ["camera", "frame", "instance", "individual"]
+_DAMAGE = (OSError, KeyError, IndexError, ValueError, TypeError, AttributeError, RuntimeError, OverflowError, MemoryError)
+
+
+# --- matches.csv
+
+
+def format_matches_csv(recording: Recording, matches: Matches) -> str:
+    """CSV with a row per detection: camera name, frame number, instance (order in the file), individual (-1 = nobody)."""
+    view, frame, instance = np.nonzero(recording.seen.any(-1))
+    names = [_csv_line([name]).rstrip("\n") for name in recording.names]
+    columns = (recording.frames[frame].tolist(), instance.tolist(), matches.labels[view, frame, instance].tolist())
+    rows = (f"{names[v]},{f},{i},{who}\n" for v, f, i, who in zip(view.tolist(), *columns, strict=True))
+    return _csv_line(_MATCH_COLUMNS) + "".join(rows)
+
+
+def write_matches_csv(path: Path, recording: Recording, matches: Matches) -> None:
+    """Writes `format_matches_csv` atomically."""
+    write_bytes(path, format_matches_csv(recording, matches).encode())
+
+
+def read_matches_csv(path_or_text: Path | str, recording: Recording) -> Matches:
+    """The inverse of `format_matches_csv`; a detection that has no row is nobody's.
+
+    Raises FormatError for bad content and MismatchError for a camera, frame or instance that the recording lacks.
+    """
+    source = str(path_or_text) if isinstance(path_or_text, Path) else "matches"
+    text = decode(read_bytes(path_or_text), source) if isinstance(path_or_text, Path) else path_or_text
+    cameras, rows = _match_rows(text, source)
+    index = {name: v for v, name in enumerate(recording.names)}
+    strangers = sorted(set(cameras) - set(index))
+    if strangers:
+        raise MismatchError(f"{source}: expected the cameras {', '.join(recording.names)}, found {', '.join(strangers)}; give the matches of this recording")
+    view = np.array([index[name] for name in cameras], dtype=np.int64)
+    frame = np.searchsorted(recording.frames, rows[:, 0]).clip(max=len(recording.frames) - 1)
+    instance = rows[:, 1].clip(0, recording.positions.shape[2] - 1)
+    detected: Bools = np.isfinite(recording.positions[view, frame, instance, :, 0]).any(-1)
+    known: Bools = (recording.frames[frame] == rows[:, 0]) & (instance == rows[:, 1]) & detected
+    if not known.all():
+        row = int(np.argmin(known))
+        found = f"camera {cameras[row]} frame {rows[row, 0]} instance {rows[row, 1]}"
+        raise MismatchError(f"{source}: row {row + 2}: expected detections of the recording, found {found}; give the matches of this recording")
+    _check_once(np.column_stack([view, frame, instance]), "each detection once", source)
+    somebody = rows[:, 2] >= 0
+    _check_once(np.column_stack([view, frame, rows[:, 2]])[somebody], "each individual once per camera and frame", source)
+    labels = np.full(recording.positions.shape[:3], -1, dtype=np.int64)
+    labels[view, frame, instance] = rows[:, 2]
+    return Matches(labels)
+
+
+def _match_rows(text: str, source: str) -> tuple[list[str], Ints]:
+    """Camera names, and `[row, 3]` frame, instance, individual."""
+    remedy = "write the file as mocap-calib does"
+    try:
+        table = [row for row in csv.reader(io.StringIO(text, newline="")) if row]
+    except csv.Error as error:
+        raise malformed(source, "comma-separated values", error, remedy) from None
+    if not table or table[0] != _MATCH_COLUMNS:
+        raise malformed(source, f"the columns {','.join(_MATCH_COLUMNS)}", ",".join(table[0]) if table else "an empty file", remedy)
+    try:
+        rows = np.array([[int(cell) for cell in cells] for _, *cells in table[1:]], dtype=np.int64).reshape(-1, 3)
+    except (ValueError, OverflowError) as error:
+        raise malformed(source, "three whole numbers after the camera in each row", error, remedy) from None
+    if len(rows) != len(table) - 1 or (rows[:, 2] < -1).any() or (rows[:, 2] >= len(rows)).any():
+        raise malformed(source, "four cells a row, individuals counted from 0, -1 = nobody", "others", remedy)
+    return [row[0] for row in table[1:]], rows
+
+
+def _check_once(rows: Ints, expected: str, source: str) -> None:
+    if len(np.unique(rows, axis=0)) != len(rows):
+        raise malformed(source, expected, "one of them twice", "remove one of the rows")
+
+
+def _csv_line(cells: Sequence[str]) -> str:
+    line = io.StringIO()
+    csv.writer(line, lineterminator="\n").writerow(cells)
+    return line.getvalue()
+
+
+# --- poses.h5, poses.csv
+
+
+def write_poses_h5(path: Path, poses: Poses3D, attributes: Mapping[str, Any]) -> None:
+    """Writes the poses to HDF5, atomically; the same poses and `attributes` (provenance) give the same bytes.
+
+    Datasets: position `[frame, individual, keypoint, 3]`, error, views, confidence `[frame, individual,
+    keypoint]`, frames `[frame]`, keypoint_names `[keypoint]`.
+    """
+    arrays = {"position": poses.positions, "error": poses.error, "views": poses.views, "confidence": poses.confidence, "frames": poses.frames}
+    with h5py.File("poses", "w", driver="core", backing_store=False) as file:
+        for name, array in arrays.items():
+            packed = {"compression": "gzip", "shuffle": True} if array.size else {}
+            # no times in the file: they would change its bytes
+            file.create_dataset(name, data=array, track_times=False, **packed)
+        file.create_dataset("keypoint_names", data=np.array(poses.keypoints, dtype=object), dtype=h5py.string_dtype(), track_times=False)
+        fields = {"format": "mocap-calib poses", "version": VERSION, "unit": poses.unit, "dimensions": "frame, individual, keypoint, coordinate"}
+        for name, value in (fields | {"provenance": json.dumps(attributes, default=str)}).items():
+            file.attrs[name] = value
+        file.flush()
+        content = file.id.get_file_image()
+    write_bytes(path, content)
+
+
+def read_poses_h5(path: Path) -> Poses3D:
+    """The inverse of `write_poses_h5`. Raises FormatError."""
+    source, content = str(path), read_bytes(path)
+    try:
+        with h5py.File(io.BytesIO(content), "r") as file:
+            if file.attrs["format"] != "mocap-calib poses" or file.attrs["version"] != VERSION:
+                raise ValueError(f"format {file.attrs['format']}, version {file.attrs['version']}")
+            keypoints = tuple(file["keypoint_names"].asstr()[...])
+            position, error, confidence = (file[name][...].astype(np.float64) for name in ("position", "error", "confidence"))
+            views, frames = (file[name][...].astype(np.int64) for name in ("views", "frames"))
+            unit = str(file.attrs["unit"])
+        check_shape("position", position, len(frames), None, len(keypoints), 3)
+        for name, array in (("error", error), ("views", views), ("confidence", confidence)):
+            check_shape(name, array, *position.shape[:3])
+    except _DAMAGE as damage:
+        raise malformed(source, f"mocap-calib poses, version {VERSION}", f"an error ({damage})", "write the file again") from None
+    return Poses3D(keypoints, frames, position, error, views, confidence, unit)
+
+
+def format_poses_csv(poses: Poses3D, individual: int) -> str:
+    """The poses of one individual in the columns of anipose: a row per frame, empty cells where something is missing.
+
+    M and center are anipose's later change of axes: none here.
+    """
+    header = [f"{name}_{field}" for name in poses.keypoints for field in ("x", "y", "z", "error", "ncams", "score")]
+    header += [f"M_{i}{j}" for i in range(3) for j in range(3)] + [f"center_{i}" for i in range(3)] + ["fnum"]
+    axes = ",".join(map(str, [*np.eye(3).ravel().tolist(), 0.0, 0.0, 0.0]))
+    lines = [_csv_line(header)]
+    for start in range(0, len(poses.frames), 4096):  # in pieces: Python's floats take four times the room of numpy's
+        piece = slice(start, start + 4096)
+        rows = _anipose_rows(poses, individual, piece)
+        for row, frame in zip(rows.tolist(), poses.frames[piece].tolist(), strict=True):
+            # a list prints its floats with repr, which is exact, and much faster than a call each
+            lines.append(f"{str(row)[1:-1].replace(' ', '').replace('nan', '')},{axes},{frame}\n")
+    return "".join(lines)
+
+
+def _anipose_rows(poses: Poses3D, individual: int, piece: slice) -> Floats:
+    """`[frame, 6 keypoint]` x, y, z, error, ncams, score of each keypoint."""
+    who = (piece, individual)
+    rest = np.stack([poses.error[who], poses.views[who].astype(np.float64), poses.confidence[who]], axis=-1)
+    table = np.concatenate([poses.positions[who], rest], axis=-1)
+    return table.reshape(len(table), -1)
+
+
+# --- pairs.json
+
+
+def pairs_to_json(pairs: Sequence[PairwiseCalibration], cameras: Sequence[Camera]) -> str:
+    """The calibrated pairs of stage 1 with their cameras, which is all that stage 2 needs; NaN is written as null."""
+    entries = []
+    for pair in pairs:
+        fields = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in asdict(pair).items()}
+        fields |= {"a": cameras[pair.a].name, "b": cameras[pair.b].name}
+        entries.append({k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in fields.items()})
+    head = {"format": "mocap-calib pairs", "version": VERSION, "transform": "b_from_a, baseline in body sizes"}
+    lists = {"cameras": [camera_fields(camera) for camera in cameras], "pairs": entries}
+    body = [f"{json.dumps(k)}: [\n  " + ",\n  ".join(json.dumps(e, ensure_ascii=False) for e in v) + "\n]" for k, v in lists.items()]
+    return "{\n" + ",\n".join([f"{json.dumps(k)}: {json.dumps(v)}" for k, v in head.items()] + body) + "\n}\n"
+
+
+def pairs_from_json(text: str, source: str) -> tuple[tuple[PairwiseCalibration, ...], tuple[Camera, ...]]:
+    """The inverse of `pairs_to_json`; `source` names the text in complaints. Raises FormatError."""
+    remedy = "write the file again with the first stage"
+    try:
+        data = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise malformed(source, "JSON", f"an error ({error})", remedy) from None
+    if not isinstance(data, dict) or data.get("format") != "mocap-calib pairs" or data.get("version") != VERSION:
+        raise malformed(source, f"mocap-calib pairs, version {VERSION}", one_field(data), remedy)
+    if not isinstance(data.get("cameras"), list) or not isinstance(data.get("pairs"), list):
+        raise malformed(source, "lists of cameras and pairs", one_field(data), remedy)
+    cameras = tuple(camera_from_fields(fields, source) for fields in data["cameras"])
+    index = {camera.name: v for v, camera in enumerate(cameras)}
+    try:
+        pairs = tuple(_pair(fields, index, f"{source}: pair {k}") for k, fields in enumerate(data["pairs"]))
+    except FormatError:
+        raise
+    except _DAMAGE as error:
+        raise malformed(source, "pairs of the cameras named", f"an error ({one_line(error)})", remedy) from None
+    return pairs, cameras
+
+
+def _pair(fields: Mapping[str, Any], index: Mapping[str, int], source: str) -> PairwiseCalibration:
+    rotation = numbers(fields["rotation"], "a 3 x 3 rotation", source).reshape(3, 3)
+    translation = numbers(fields["translation"], "a translation", source).reshape(3)
+    matches = np.array(fields["matches"], dtype=np.int64).reshape(-1, 3)
+    score, residual, in_front = (np.nan if fields[k] is None else float(fields[k]) for k in ("score", "residual", "in_front"))
+    ends = index[fields["a"]], index[fields["b"]]
+    return PairwiseCalibration(*ends, rotation, translation, matches, int(fields["frames"]), score, residual, in_front, str(fields["source"]))

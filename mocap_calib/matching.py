@@ -1,0 +1,180 @@
+"""Stage 4: one labelling of all detections in all views.
+
+In each frame detections are merged, most alike first, by the mean affinity between their groups; a group never holds
+two detections of one view. A label per detection is cycle-consistent by construction. Groups are then carried through
+time by where they stand.
+"""
+
+from itertools import combinations
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from mocap_calib.config import MatchingConfig, PairwiseConfig
+from mocap_calib.evidence import ViewPair, epipolar_error, epipolar_fit, match_affinity, view_pair
+from mocap_calib.geometry.epipolar import depths
+from mocap_calib.types import CameraRig, Floats, Ints, LiftedPoses, Matches, Progress, Recording
+
+
+def match(
+    recording: Recording, lifted: LiftedPoses, rig: CameraRig, config: MatchingConfig, evidence: PairwiseConfig, *, progress: Progress
+) -> Matches:
+    """Labels every detection with its individual, -1 where no second view confirms it.
+
+    The rig may be in any unit: its scale in body sizes is estimated from the bodies.
+    """
+    views, frames, instances = recording.positions.shape[:3]
+    labels = np.full((views, frames, instances), -1, dtype=np.int64)
+    scale = _body_scale(recording, lifted, rig, evidence)
+    for start in range(0, frames, config.block):
+        block = np.arange(start, min(start + config.block, frames))
+        affinity, comparable = _affinities(recording, lifted, rig, scale, block, evidence)
+        group = _cluster(affinity, comparable, views, config.least_affinity)
+        labels[:, block] = np.moveaxis(group.reshape(len(block), views, instances), 0, 1)
+        progress("match", int(block[-1]) + 1, frames)
+    return Matches(_through_time(labels, _places(recording, rig, labels) * scale, recording.frames))
+
+
+def _relative(rig: CameraRig, a: int, b: int) -> tuple[Floats, Floats]:
+    """R `[1, 3, 3]` and t `[1, 3]` of b_from_a."""
+    rotation = rig.rotation[b] @ rig.rotation[a].T
+    return rotation[None], (rig.translation[b] - rotation @ rig.translation[a])[None]
+
+
+def _body_scale(recording: Recording, lifted: LiftedPoses, rig: CameraRig, config: PairwiseConfig) -> float:
+    """Body sizes per unit of the rig: how far bodies were lifted over how far the rig triangulates them."""
+    ratios = []
+    seen = np.isfinite(lifted.centre[..., 0]).any(-1)
+    for a, b in combinations(range(len(rig.cameras)), 2):
+        shared = np.flatnonzero(seen[a] & seen[b])
+        if len(shared):
+            pair = view_pair(recording, lifted, a, b, shared[np.linspace(0, len(shared) - 1, min(len(shared), 40)).astype(int)])
+            ratios.append(_distance_ratios(pair, *_relative(rig, a, b), config))
+    found = np.concatenate(ratios) if ratios else np.zeros(0)
+    return float(np.median(found)) if len(found) else 1.0
+
+
+def _distance_ratios(pair: ViewPair, rotation: Floats, translation: Floats, config: PairwiseConfig) -> Floats:
+    """Lifted over triangulated distances of the joints of well-fitting candidate matches."""
+    error, weight = epipolar_error(pair, rotation, translation)
+    frame, i, j = np.nonzero((epipolar_fit(error, weight, config)[0] > 0.7) & (pair.lifted > 0))
+    use = (pair.weight_a[frame, i] > 0) & (pair.weight_b[frame, j] > 0)
+    near_a, near_b = depths(rotation[0], translation[0], pair.rays_a[frame, i][use], pair.rays_b[frame, j][use])
+    far = np.broadcast_to((pair.distance_a[frame, i] + pair.distance_b[frame, j])[:, None], use.shape)[use]
+    good = (near_a > 0) & (near_b > 0)
+    return far[good] / (near_a + near_b)[good]
+
+
+def _affinities(
+    recording: Recording, lifted: LiftedPoses, rig: CameraRig, scale: float, frames: Ints, config: PairwiseConfig
+) -> tuple[Floats, Floats]:
+    """Affinity of all pairs of detections of a frame `[frame, N, N]`, N = views x instances, and 1 where it means something."""
+    views, instances = len(rig.cameras), recording.positions.shape[2]
+    affinity = np.zeros((len(frames), views, instances, views, instances))
+    comparable = np.zeros_like(affinity)
+    for a, b in combinations(range(views), 2):
+        pair = view_pair(recording, lifted, a, b, frames)
+        rotation, translation = _relative(rig, a, b)
+        error, weight = epipolar_error(pair, rotation, translation)
+        found = match_affinity(pair, rotation, translation * scale, epipolar_fit(error, weight, config), config)[0]
+        common = ((weight > 0).sum(-1) >= 3).astype(np.float64)
+        affinity[:, a, :, b], affinity[:, b, :, a] = found, np.swapaxes(found, 1, 2)
+        comparable[:, a, :, b], comparable[:, b, :, a] = common, np.swapaxes(common, 1, 2)
+    nodes = views * instances
+    return affinity.reshape(len(frames), nodes, nodes), comparable.reshape(len(frames), nodes, nodes)
+
+
+def _cluster(affinity: Floats, comparable: Floats, views: int, least: float) -> Ints:
+    """`[frame, N]` groups by average linkage, all frames at once; -1 for a detection that stays alone."""
+    frames, nodes = affinity.shape[:2]
+    total, count = affinity * comparable, comparable.copy()
+    view = np.repeat(np.eye(views, dtype=bool), nodes // views, axis=0)
+    holds = np.broadcast_to(view, (frames, nodes, views)).copy()
+    group = np.broadcast_to(np.arange(nodes), (frames, nodes)).copy()
+    everyone = np.arange(frames)
+    while len(everyone):
+        clash = np.matmul(holds[everyone].astype(np.float32), np.swapaxes(holds[everyone], 1, 2).astype(np.float32)) > 0
+        linkage = np.where(clash, 0.0, total[everyone] / np.maximum(count[everyone], 1.0))
+        flat = linkage.reshape(len(everyone), -1)
+        best = flat.argmax(1)
+        going = flat[np.arange(len(best)), best] >= least
+        everyone, best = everyone[going], best[going]
+        keep, gone = best // nodes, best % nodes
+        for table in (total, count):
+            table[everyone, keep] += table[everyone, gone]
+            table[everyone, :, keep] += table[everyone, :, gone]
+            table[everyone, gone] = 0.0
+            table[everyone, :, gone] = 0.0
+        holds[everyone, keep] |= holds[everyone, gone]
+        holds[everyone, gone] = False
+        group[everyone] = np.where(group[everyone] == gone[:, None], keep[:, None], group[everyone])
+    size = (group[:, :, None] == group[:, None]).sum(-1)
+    return np.where(size > 1, group, -1)
+
+
+def _places(recording: Recording, rig: CameraRig, labels: Ints) -> Floats:
+    """`[frame, group, 3]` where the rays through the middles of a group's detections meet; NaN where there is no group."""
+    views, frames, _ = labels.shape
+    groups = int(labels.max(initial=-1)) + 1
+    view, frame, instance = np.nonzero(labels >= 0)
+    middle = np.nansum(recording.rays[view, frame, instance], axis=1)
+    middle /= np.linalg.norm(middle, axis=1, keepdims=True)
+    ray = np.einsum("nji,nj->ni", rig.rotation[view], middle)
+    project = np.eye(3) - ray[:, :, None] * ray[:, None]
+    matrix, vector = np.zeros((frames, groups, 3, 3)), np.zeros((frames, groups, 3))
+    slot = (frame, labels[view, frame, instance])
+    np.add.at(matrix, slot, project)
+    np.add.at(vector, slot, np.einsum("nij,nj->ni", project, rig.centres[view]))
+    there = matrix.any((-1, -2))
+    point = np.linalg.solve(matrix + 1e-9 * np.eye(3), vector[..., None])[..., 0]
+    return np.where(there[..., None], point, np.nan)
+
+
+def _through_time(labels: Ints, places: Floats, frames: Ints) -> Ints:
+    """Renames the groups of each frame so that an individual keeps its label.
+
+    Groups go to the nearest place an individual was last seen at, within what bodies move in this recording: a
+    multiple of the usual step between its frames, so that sparse recordings are linked as well as video. The loop over
+    frames assigns a handful of bodies at a time.
+    """
+    reach = _usual_step(places)
+    out = np.full_like(labels, -1)
+    last, seen = np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
+    for frame in range(labels.shape[1]):
+        groups = np.flatnonzero(np.isfinite(places[frame, :, 0]))
+        here = places[frame, groups]
+        gap = np.linalg.norm(last[:, None] - here[None], axis=-1)
+        limit = reach * np.minimum(frames[frame] - seen, 50)[:, None]
+        rows, columns = linear_sum_assignment(np.minimum(gap, 2 * limit)) if gap.size else (np.zeros(0, int), np.zeros(0, int))
+        near = gap[rows, columns] <= limit[rows, 0] if gap.size else np.zeros(0, bool)
+        name = np.full(len(groups), -1, dtype=np.int64)
+        name[columns[near]] = rows[near]
+        fresh = np.flatnonzero(name < 0)
+        name[fresh] = len(last) + np.arange(len(fresh))
+        last = np.concatenate([last, np.zeros((len(fresh), 3))])
+        seen = np.concatenate([seen, np.zeros(len(fresh), dtype=np.int64)])
+        last[name], seen[name] = here, frames[frame]
+        translate = np.full(places.shape[1] + 1, -1, dtype=np.int64)
+        translate[groups] = name
+        out[:, frame] = translate[labels[:, frame]]
+    return _by_presence(out)
+
+
+def _usual_step(places: Floats) -> float:
+    """How far a body may be from where it was a frame ago: half a body, or five times the median step if that is more."""
+    before, after = places[:-1], places[1:]
+    gap = np.linalg.norm(before[:, :, None] - after[:, None], axis=-1)
+    nearest = np.nanmin(np.where(np.isfinite(gap), gap, np.inf), axis=-1, initial=np.inf) if gap.size else np.zeros(0)
+    found = nearest[np.isfinite(nearest)]
+    return max(0.5, 5.0 * float(np.median(found))) if len(found) else 0.5
+
+
+def _by_presence(labels: Ints) -> Ints:
+    """Renumbers individuals by how often they are seen, most first; those of a moment (under 1 % of the frames, at most 5) are nobody."""
+    present = np.stack([(labels == k).any((0, 2)).sum() for k in range(int(labels.max(initial=-1)) + 1)] or [np.zeros((), int)])
+    least = min(5, labels.shape[1] // 100)
+    order = np.argsort(-present, kind="stable")
+    name = np.full(len(present) + 1, -1, dtype=np.int64)
+    name[order] = np.where(present[order] > least, np.arange(len(order)), -1)
+    name[-1] = -1
+    return name[labels]

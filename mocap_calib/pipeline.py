@@ -1,0 +1,63 @@
+"""The order of the stages and nothing else: pairs -> rig -> matches -> adjust -> triangulate."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+
+from mocap_calib.averaging import average
+from mocap_calib.bundle_adjustment import adjust
+from mocap_calib.config import Config
+from mocap_calib.matching import match
+from mocap_calib.pairwise import calibrate_pairs
+from mocap_calib.steerpose.lift import lift
+from mocap_calib.steerpose.model import Lifter
+from mocap_calib.triangulation import triangulate
+from mocap_calib.types import Calibration, CameraRig, LiftedPoses, Matches, Progress, Recording
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """Stage 5: adjusted rig, the labels it implies, and whether they stopped changing within the rounds allowed."""
+
+    rig: CameraRig
+    matches: Matches
+    rounds: int
+    converged: bool
+
+
+def calibrate(recording: Recording, lifter: Lifter, config: Config, *, seed: int, device: str, progress: Progress) -> Calibration:
+    """From a recording to cameras, matches and 3D poses. Raises DegenerateError where it does not determine them."""
+    seconds: dict[str, float] = {}
+
+    def timed(stage: str, work: Callable[[], T]) -> T:
+        start = time.perf_counter()
+        result = work()
+        seconds[stage] = time.perf_counter() - start
+        return result
+
+    rng = np.random.default_rng(seed)
+    lifted = timed("lift", lambda: lift(recording, lifter, device=device, progress=progress))
+    pairs = timed("pairwise", lambda: calibrate_pairs(recording, lifted, config.pairwise, rng=rng, progress=progress))
+    averaged = timed("average", lambda: average(recording.cameras, pairs, config.averaging))
+    matches = timed("match", lambda: match(recording, lifted, averaged.rig, config.matching, config.pairwise, progress=progress))
+    adjusted = timed("adjust", lambda: adjust_to_fixed_point(recording, lifted, averaged.rig, matches, config, progress=progress))
+    poses = timed("triangulate", lambda: triangulate(recording, adjusted.rig, adjusted.matches, config.triangulate, progress=progress))
+    return Calibration(recording, pairs, averaged, adjusted.rig, adjusted.matches, poses, adjusted.rounds, adjusted.converged, seconds)
+
+
+def adjust_to_fixed_point(recording: Recording, lifted: LiftedPoses, rig: CameraRig, matches: Matches, config: Config, *, progress: Progress) -> Adjusted:
+    """Adjusts, matches from the adjusted geometry, and adjusts again until no label changes."""
+    rounds = config.adjust.rounds
+    for done in range(1, rounds + 1):
+        rig = adjust(recording, rig, matches, config.adjust, config.triangulate)
+        progress("adjust", done, rounds)
+        again = match(recording, lifted, rig, config.matching, config.pairwise, progress=lambda *_: None)
+        if np.array_equal(again.labels, matches.labels):
+            return Adjusted(rig, matches, done, True)
+        matches = again
+    return Adjusted(rig, matches, rounds, False)

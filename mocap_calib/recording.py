@@ -1,0 +1,174 @@
+"""All cameras on one clock: which file belongs to which camera, which frames and keypoints they share."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from mocap_calib.errors import MismatchError
+from mocap_calib.geometry.projection import rays_from_pixels
+from mocap_calib.skeleton import match_names, normalise_name
+from mocap_calib.types import Bools, Camera, Floats, Ints, Keypoints2D, Recording, Skeleton
+
+_OUTSIDE = 1.5  # detections this many image sizes from the corner were made at another resolution
+_TYPICAL = 99.0  # percentile that stands for the largest value, so that one wild point does not count
+
+
+def make_recording(views: Sequence[Keypoints2D], cameras: Sequence[Camera], skeleton: Skeleton, aliases: Mapping[str, str]) -> Recording:
+    """Joins keypoint files and cameras by name, frames by number, keypoints by meaning.
+
+    Views come in the order of `cameras`; cameras without a keypoint file or without any detection are left out.
+    Frames are those that two views have, keypoints those that two views name: a name counts as the joint of the
+    `skeleton` that it means, after `aliases` (own name -> joint) were applied. Each view's confidence is scaled to
+    0..1 by itself. Raises MismatchError when the files do not belong together.
+    """
+    owner = {id(view): name for view, (_, name) in zip(views, name_mapping(views, cameras), strict=True)}
+    paired = [(view, camera) for camera in cameras for view in usable(views) if owner[id(view)] == camera.name]
+    if len(paired) < 2:
+        found = ", ".join(camera.name for _, camera in paired) or "none"
+        raise MismatchError(f"expected detections of two cameras or more, found those of {len(paired)} ({found}); add the other keypoint files")
+    kept = [_sized(view, camera) for view, camera in paired]
+    views = [view for view, _ in paired]
+    frames, keys = _shared_frames(views), _keys(views, skeleton, aliases)
+    columns = _shared_keypoints(views, keys)
+    arrays = [_on_clock(view, frames, [keys[name] for name in view.keypoints], list(columns)) for view in views]
+    positions = _padded([positions for positions, _ in arrays], np.nan)
+    confidence = _padded([confidence for _, confidence in arrays], 0.0)
+    rays = np.stack([rays_from_pixels(camera, seen) for camera, seen in zip(kept, positions, strict=True)])
+    seen: Bools = np.isfinite(rays).all(-1)
+    # what the lens model cannot undo is no detection
+    positions[~seen], confidence[~seen] = np.nan, 0.0
+    if not (seen.any(axis=(2, 3)).sum(axis=0) >= 2).any():
+        raise MismatchError("expected frames in which two cameras see the subject, found no co-visible detections; check that the files are of one recording")
+    joints = {normalise_name(joint): k for k, joint in enumerate(skeleton.keypoints)}
+    vocabulary = np.array([joints.get(key, -1) for key in columns], dtype=np.int64)
+    tracked = np.array([view.tracked for view in views])
+    return Recording(tuple(kept), tuple(columns.values()), frames, positions, confidence, rays, tracked, vocabulary)
+
+
+def name_mapping(views: Sequence[Keypoints2D], cameras: Sequence[Camera]) -> list[tuple[str, str]]:
+    """(source of the keypoints, name of the camera) for each view: by exact name, else regardless of case.
+
+    Raises MismatchError for keypoints without a camera, and for two files of one camera.
+    """
+    exact = {camera.name for camera in cameras}
+    folded = [camera.name.casefold() for camera in cameras]
+    pairs: list[tuple[str, str]] = []
+    for view in views:
+        close = [camera.name for camera in cameras if camera.name.casefold() == view.camera.casefold()]
+        if view.camera in exact:
+            pairs.append((view.source, view.camera))
+        elif folded.count(view.camera.casefold()) == 1:
+            pairs.append((view.source, close[0]))
+    if len(pairs) < len(views):
+        listed = (", ".join(names) or "none" for names in ([view.camera for view in views], [camera.name for camera in cameras]))
+        raise MismatchError("expected a camera of the same name for each keypoint file, found keypoints of {} and cameras {}; rename one side".format(*listed))
+    names = [name for _, name in pairs]
+    twice = [source for source, name in pairs if names.count(name) > 1]
+    if twice:
+        found = f"{' and '.join(twice[:2])} for camera {dict(pairs)[twice[0]]}"
+        raise MismatchError(f"expected one keypoint file per camera, found {found}; remove or rename one")
+    return pairs
+
+
+def usable(views: Sequence[Keypoints2D]) -> tuple[Keypoints2D, ...]:
+    """The views that have any detection; the others take no part in a recording."""
+    return tuple(view for view in views if np.isfinite(view.positions).any())
+
+
+def slice_frames(recording: Recording, index: Ints) -> Recording:
+    """The recording at the frames with these indices (not numbers), or where a mask of frames is true."""
+    parts = {name: getattr(recording, name)[:, index] for name in ("positions", "confidence", "rays")}
+    return replace(recording, frames=recording.frames[index], **parts)
+
+
+def _sized(view: Keypoints2D, camera: Camera) -> Camera:
+    """The camera, with the image size of the keypoint file where it has none. Raises MismatchError when they differ."""
+    remedy = "scale the intrinsics to the images of the keypoints"
+    typical = np.nanpercentile(view.positions, _TYPICAL, axis=(0, 1, 2))
+    if np.nanmax(np.abs(view.positions)) <= 1.5:
+        raise MismatchError(f"{view.source}: expected positions in pixels, found none above 1.5; multiply normalised positions by the image size")
+    if (0, 0) in (view.image_size, camera.size):
+        if camera.size != (0, 0) and (typical > _OUTSIDE * np.array(camera.size)).any():
+            found = f"detections at ({typical[0]:.0f}, {typical[1]:.0f})"
+            raise MismatchError(f"{view.source}: expected an image of {_by(camera.size)} as camera {camera.name} has, found {found}; {remedy}")
+        return replace(camera, size=max(view.image_size, camera.size))
+    if view.image_size != camera.size:
+        found = _by(view.image_size)
+        raise MismatchError(f"{view.source}: expected an image of {_by(camera.size)} as camera {camera.name} has, found {found}; {remedy}")
+    return camera
+
+
+def _by(size: tuple[int, int]) -> str:
+    return f"{size[0]} x {size[1]}"
+
+
+def _shared_frames(views: Sequence[Keypoints2D]) -> Ints:
+    """`[frame]` numbers that two views have, ascending."""
+    numbers, counts = np.unique(np.concatenate([view.frames for view in views]), return_counts=True)
+    if not (counts >= 2).any():
+        ranges = ", ".join(f"{view.camera} {view.frames[0]}-{view.frames[-1]}" for view in views)
+        raise MismatchError(f"expected frames that two cameras have, found the frame numbers {ranges}; number the frames of all cameras on one clock")
+    return np.asarray(numbers[counts >= 2], dtype=np.int64)
+
+
+def _keys(views: Sequence[Keypoints2D], skeleton: Skeleton, aliases: Mapping[str, str]) -> dict[str, str]:
+    """What each keypoint name means: a joint of the skeleton, else the name itself; both normalised.
+
+    A name that is not alone in its meaning in one of the files (`thorax` beside `neck`, `l_ear` beside `LeftEar`)
+    means only itself, in all files.
+    """
+    joints = [normalise_name(joint) for joint in skeleton.keypoints]
+    renamed = {normalise_name(name): joint for name, joint in aliases.items()}
+    keys: dict[str, str] = {}
+    twins: set[str] = set()
+    for view in views:
+        names = tuple(renamed.get(normalise_name(name), name) for name in view.keypoints)
+        taken: set[str] = set()
+        for name, meant, joint in zip(view.keypoints, names, match_names(names, skeleton), strict=True):
+            key = joints[joint] if joint >= 0 else normalise_name(meant)
+            if key in taken or keys.setdefault(name, key) != key:
+                twins.add(name)
+            taken.add(key)
+    # normalised names have neither capitals nor `=`, so that these cannot meet another
+    return keys | {name: f"={name}" for name in twins}
+
+
+def _shared_keypoints(views: Sequence[Keypoints2D], keys: Mapping[str, str]) -> dict[str, str]:
+    """The meanings that two views have, each with the name that the first of them gives it."""
+    meanings = [keys[name] for view in views for name in view.keypoints]
+    names = {keys[name]: name for view in reversed(views) for name in view.keypoints}
+    shared = {key: names[key] for key in dict.fromkeys(meanings) if meanings.count(key) >= 2}
+    if not shared:
+        listed = "; ".join(f"{view.camera}: {', '.join(view.keypoints[:12])}" for view in views)
+        raise MismatchError(f"expected keypoint names that two cameras share, found {listed}; rename them, or map them with --skeleton")
+    return shared
+
+
+def _on_clock(view: Keypoints2D, frames: Ints, keys: Sequence[str], columns: Sequence[str]) -> tuple[Floats, Floats]:
+    """`[frame, instance, keypoint, 2]` positions and `[frame, instance, keypoint]` confidences in the shared order."""
+    here = np.isin(view.frames, frames)
+    there = [k for k, key in enumerate(keys) if key in columns]
+    columns_there = np.array([columns.index(keys[k]) for k in there], dtype=np.int64)
+    place = np.ix_(np.searchsorted(frames, view.frames[here]), np.arange(view.positions.shape[1]), columns_there)
+    positions = np.full((len(frames), view.positions.shape[1], len(columns), 2), np.nan)
+    confidence = np.zeros(positions.shape[:3])
+    positions[place] = view.positions[here][:, :, there]
+    confidence[place] = _scaled(view.confidence)[here][:, :, there]
+    return positions, confidence
+
+
+def _scaled(confidence: Floats) -> Floats:
+    """Confidences in 0..1; detectors that go beyond 1 are divided by what they typically reach."""
+    if confidence.max(initial=0.0) > 1.0:
+        confidence = confidence / np.percentile(confidence[confidence > 0], _TYPICAL)
+    return confidence.clip(0.0, 1.0)
+
+
+def _padded(arrays: Sequence[Floats], fill: float) -> Floats:
+    """`[view, frame, instance, ...]` with as many instances as the fullest view has."""
+    most = max(array.shape[1] for array in arrays)
+    padded = np.full((len(arrays), arrays[0].shape[0], most, *arrays[0].shape[2:]), fill)
+    for view, array in zip(padded, arrays, strict=True):
+        view[:, : array.shape[1]] = array
+    return padded

@@ -1,0 +1,70 @@
+"""A whole recording with its truth, from one seed."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mocap_calib.config import SimulateConfig
+from mocap_calib.synthetic.bodies import JOINTS, people
+from mocap_calib.synthetic.detections import Detections, detect, keypoint_files
+from mocap_calib.synthetic.rigs import ring_rig
+from mocap_calib.types import CameraRig, Floats, Ints, Keypoints2D
+
+_HEIGHT = 2.2  # metres: above people's heads, as cameras hang in rooms
+_ROOM = 0.9  # side of the square that people walk in, in radii of the ring
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Detections, and the truth behind them.
+
+    rig: in metres, +z up. poses: `[frame, individual, joint, 3]` of the joints `joints`, whatever the layout of the
+    detections.
+    """
+
+    rig: CameraRig
+    joints: tuple[str, ...]
+    poses: Floats
+    detections: Detections
+
+    @property
+    def files(self) -> tuple[Keypoints2D, ...]:
+        """What the detector's files hold, one a view."""
+        return keypoint_files(self.rig, self.detections)
+
+    @property
+    def identity(self) -> Ints:
+        """`[view, frame, instance]` who each detection is, -1 = nobody."""
+        return self.detections.identity
+
+
+def simulate(config: SimulateConfig) -> Scene:
+    """A scene of people who walk about among a ring of cameras; the same configuration gives the same bytes.
+
+    People, rig and detector draw from generators of their own: another noise leaves the people and the rig as they
+    are. Raises MismatchError.
+    """
+    of_people, of_rig, of_detector = np.random.default_rng(config.seed).spawn(3)
+    side = _ROOM * config.radius
+    poses = people(of_people, individuals=config.people, frames=config.frames, fps=config.fps, room=(side, side))
+    rig = ring_rig(
+        of_rig,
+        cameras=config.cameras,
+        radius=config.radius,
+        height=_HEIGHT,
+        size=config.size,
+        distortion=config.distortion,
+        arc_deg=config.arc_deg,
+    )
+    detections = detect(
+        of_detector,
+        rig,
+        poses,
+        layout=config.layout,
+        noise_px=config.noise_px,
+        missing=config.missing,
+        outliers=config.outliers,
+        false_detections=config.false_detections,
+        shuffle=config.shuffle,
+    )
+    return Scene(rig, JOINTS, poses, detections)
