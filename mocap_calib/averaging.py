@@ -24,7 +24,7 @@ def average(cameras: tuple[Camera, ...], pairs: tuple[PairwiseCalibration, ...],
     trust = np.array([p.score for p in pairs]) ** 2 + 1e-6
     rotation, kept = _rotations(edge, relative, trust, len(cameras), config)
     centre, kept = _centres(edge, rotation, baseline, kept, config)
-    rig = CameraRig(cameras, rotation, -np.einsum("vij,vj->vi", rotation, centre), "body sizes")
+    rig = CameraRig(cameras, rotation, -np.einsum("vij,vj->vi", rotation, centre), "arbitrary")
     found = _relative(edge, rotation)
     moved = rig.translation[edge[:, 1]] - np.einsum("eij,ej->ei", found, rig.translation[edge[:, 0]])
     return Averaged(rig, angle_between(found, relative), direction_angle(moved, baseline), kept / trust)

@@ -51,13 +51,22 @@ def _observations(
     labelled = np.flatnonzero((matches.labels >= 0).any((0, 2)))
     frames = _spread(labelled, recording, matches, config.points)
     rays, positions, weight = by_individual(recording, matches, frames)
-    weight = np.where(weight >= config.least_confidence, weight, 0.0)
+    weight = _confident(weight, config.doubtful)
     views = len(rays)
     rays, positions, weight = rays.reshape(views, -1, 3), positions.reshape(views, -1, 2), weight.reshape(views, -1)
     # wide: the rig is not yet right, and the loss deals with outliers
     points, used = triangulate_rays(rig, rays, weight, noise, replace(triangulation, outlier=4 * triangulation.outlier))
     known = np.isfinite(points[:, 0])
     return Observations(points[known], positions[:, known], used[:, known])
+
+
+def _confident(weight: Floats, doubtful: float) -> Floats:
+    """Takes the least confident share of each view's detections out: detectors are wrong there by more than chance."""
+    out = weight.copy()
+    for own in out:
+        seen = own[own > 0]
+        own[own < (np.quantile(seen, doubtful) if len(seen) else 0.0)] = 0.0
+    return out
 
 
 def _spread(labelled: Ints, recording: Recording, matches: Matches, budget: int) -> Ints:

@@ -1,6 +1,7 @@
 """Every default, once. Imports nothing heavy, so that the command line can show them."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ class AdjustConfig:
 
     points: int = 10_000
     loss_scales: tuple[float, ...] = (6.0, 3.0, 1.5)
-    least_confidence: float = 0.2
+    doubtful: float = 0.3  # share of each view's detections, the least confident, that the rig is not built on
     rounds: int = 6  # of adjusting and matching; it stops when no label changes
 
 
@@ -86,3 +87,24 @@ class Config:
     matching: MatchingConfig = MatchingConfig()
     adjust: AdjustConfig = AdjustConfig()
     triangulate: TriangulateConfig = TriangulateConfig()
+
+
+@dataclass(frozen=True)
+class SimulateConfig:
+    """A synthetic recording. Lengths in metres; people walk in a square 0.9 radii wide."""
+
+    cameras: int = 4
+    people: int = 3
+    frames: int = 200
+    fps: float = 30.0
+    radius: float = 4.5
+    arc_deg: float = 360.0  # less than a full ring makes narrower baselines
+    size: tuple[int, int] = (1280, 720)  # (width, height)
+    distortion: Literal["none", "brown", "fisheye"] = "none"
+    layout: Literal["coco17", "all"] = "coco17"
+    noise_px: float = 2.0  # RMS of a coordinate
+    missing: float = 0.05  # share of joints
+    outliers: float = 0.01  # share of joints
+    false_detections: float = 0.05  # share of frames, in each view
+    shuffle: bool = True
+    seed: int = 0

@@ -35,7 +35,7 @@ def make_recording(views: Sequence[Keypoints2D], cameras: Sequence[Camera], skel
     positions = _padded([positions for positions, _ in arrays], np.nan)
     confidence = _padded([confidence for _, confidence in arrays], 0.0)
     rays = np.stack([rays_from_pixels(camera, seen) for camera, seen in zip(kept, positions, strict=True)])
-    seen: Bools = np.isfinite(rays).all(-1)
+    seen: Bools = np.asarray(np.isfinite(rays).all(axis=-1))
     # what the lens model cannot undo is no detection
     positions[~seen], confidence[~seen] = np.nan, 0.0
     if not (seen.any(axis=(2, 3)).sum(axis=0) >= 2).any():

@@ -30,14 +30,16 @@ def write_bytes(path: Path, content: bytes) -> None:
 def folder(path: Path) -> Iterator[Path]:
     """A folder to fill: its files appear in `path` together when the block ends well, none when it fails.
 
-    Files of the same names in `path` are replaced; others are left alone.
+    Files of the same names in `path` and its subfolders are replaced; others are left alone.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     work = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}."))
     try:
         yield work
         path.mkdir(exist_ok=True)
-        for file in sorted(work.iterdir()):
-            os.replace(file, path / file.name)
+        for file in sorted(file for file in work.rglob("*") if file.is_file()):
+            target = path / file.relative_to(work)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            os.replace(file, target)
     finally:
         shutil.rmtree(work, ignore_errors=True)

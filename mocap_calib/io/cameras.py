@@ -197,5 +197,5 @@ def _parse_own(text: str, source: str) -> _Cameras:
 _READERS = (
     _Reader("mocap-calib cameras.yaml", lambda text: re.search(r"^format: *[\"']?mocap-calib cameras", text, re.M) is not None, _parse_own),
     _Reader("OpenCV or ROS YAML", lambda text: re.search(r"\A\s*%YAML|!!opencv-matrix|^(camera_matrix|K|M1)\s*:", text, re.M) is not None, _parse_opencv),
-    _Reader("anipose calibration.toml", lambda text: re.search(r"^\s*\[[^\[\]]+\]\s*(#.*)?$|^\s*[\w\"'-]+\s*=", text, re.M) is not None, _parse_toml),
+    _Reader("anipose calibration.toml", lambda text: re.search(r"^\s*\[[\w .\"'-]+\]\s*(#.*)?$|^[\w\"' .-]+=", text, re.M) is not None, _parse_toml),
 )

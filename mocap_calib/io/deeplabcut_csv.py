@@ -54,7 +54,9 @@ def _split(text: str, source: str) -> tuple[dict[str, list[str]], list[tuple[int
 
 
 def _numbers(row: list[str], first: int, end: int, source: str) -> Floats:
-    """The cells of one row; empty ones are NaN."""
+    """The cells of one row; empty ones are NaN. A row may be short only if it has nothing to say: else the file is cut."""
+    if first < len(row) < end and not any(row[first:]):
+        return np.full(end - first, np.nan)
     if len(row) < end or any(row[end:]):
         raise malformed(source, f"{end} cells", len(row), "the file is cut or damaged: export it again")
     try:

@@ -31,17 +31,19 @@ def make_camera(name: str, size: Any, matrix: Any, distortion: Any, fisheye: boo
 
 def make_extrinsics(rotation: Any, translation: Any, source: str) -> tuple[Floats, Floats]:
     """`[3, 3]` rotation and `[3]` translation of cam_from_world, from a matrix or a rotation vector. Raises FormatError."""
-    matrix = numbers(rotation, "a rotation (3 x 3, or a vector of 3)", source)
-    if matrix.size == 3:
-        matrix = matrix_from_vector(matrix.reshape(3))
+    given = numbers(rotation, "a rotation (3 x 3, or a vector of 3)", source)
     offset = numbers(translation, "a translation of 3 numbers", source).reshape(-1)
-    if matrix.shape != (3, 3) or offset.shape != (3,) or not (np.isfinite(matrix).all() and np.isfinite(offset).all()):
-        found = f"shapes {matrix.shape} and {offset.shape}"
-        raise malformed(source, "a finite rotation (3 x 3, or a vector of 3) and a translation of 3", found, "mend the extrinsics")
-    excess = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
-    if excess > _NOT_A_ROTATION or np.linalg.det(matrix) < 0:
+    # no entry of a rotation is above 1, and no rotation vector needs to be above pi
+    plausible = np.isfinite(offset).all() and (np.abs(given) < 100).all()
+    if not (given.shape == (3, 3) or given.size == 3) or offset.shape != (3,) or not plausible:
+        found = f"shapes {given.shape} and {offset.shape}" if plausible else "numbers that cannot be"
+        raise malformed(source, "a rotation (3 x 3, or a vector of 3) and a translation of 3", found, "mend the extrinsics")
+    if given.size == 3:
+        return matrix_from_vector(given.reshape(3)), offset
+    excess = float(np.abs(given @ given.T - np.eye(3)).max())
+    if excess > _NOT_A_ROTATION or np.linalg.det(given) < 0:
         raise malformed(source, "a rotation (orthonormal, determinant 1)", "another matrix", "check the axes and the order of the rows")
-    return (nearest_rotation(matrix) if excess > _ROUNDED else matrix), offset
+    return (nearest_rotation(given) if excess > _ROUNDED else given), offset
 
 
 def camera_fields(camera: Camera) -> dict[str, Any]:

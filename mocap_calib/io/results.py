@@ -54,7 +54,7 @@ def read_matches_csv(path_or_text: Path | str, recording: Recording) -> Matches:
     view = np.array([index[name] for name in cameras], dtype=np.int64)
     frame = np.searchsorted(recording.frames, rows[:, 0]).clip(max=len(recording.frames) - 1)
     instance = rows[:, 1].clip(0, recording.positions.shape[2] - 1)
-    detected: Bools = np.isfinite(recording.positions[view, frame, instance, :, 0]).any(-1)
+    detected = np.asarray(np.isfinite(recording.positions[view, frame, instance, :, 0]).any(axis=-1))
     known: Bools = (recording.frames[frame] == rows[:, 0]) & (instance == rows[:, 1]) & detected
     if not known.all():
         row = int(np.argmin(known))

@@ -82,14 +82,14 @@ def _person(rng: np.random.Generator, time: Floats, walk: Walk) -> Floats:
     pelvis = _pelvis(walk, how, body, axes=pelvis_axes, feet=feet, sway=sway, interval=float(time[1] - time[0]))
     places = {"mid_hip": pelvis}
     for side, sign in _SIDES.items():
-        places |= _leg(side, pelvis + pelvis_axes @ [0, sign * body.hip, 0], facing, feet[side], body)
+        places |= _leg(side, body, hip=pelvis + pelvis_axes @ [0, sign * body.hip, 0], facing=facing, where=feet[side])
     lower = facing @ _turn(0.4 * how.twist, 2) @ _turn(0.7 * how.lean, 1) @ _turn(0.5 * how.side, 0)
     chest = facing @ _turn(how.twist, 2) @ _turn(how.lean, 1) @ _turn(how.side, 0)
     places["spine"] = pelvis + lower @ [0, 0, body.trunk / 2]
     places["neck"] = places["spine"] + chest @ [0, 0, body.trunk / 2]
     places |= _head(places["neck"], chest, how, body)
     for k, (side, sign) in enumerate(_SIDES.items()):
-        places |= _arm(side, places["neck"] + chest @ [0, sign * body.shoulder, 0], chest, how.arms[:, k], body)
+        places |= _arm(side, body, shoulder=places["neck"] + chest @ [0, sign * body.shoulder, 0], chest=chest, angles=how.arms[:, k])
     return np.stack([places[joint] for joint in JOINTS], axis=1)
 
 
@@ -115,7 +115,7 @@ def _pelvis(walk: Walk, how: Posture, body: Body, *, axes: Floats, feet: dict[st
     return np.concatenate([level, height[:, None]], axis=1)
 
 
-def _leg(side: str, hip: Floats, facing: Floats, where: Foot, body: Body) -> dict[str, Floats]:
+def _leg(side: str, body: Body, *, hip: Floats, facing: Floats, where: Foot) -> dict[str, Floats]:
     """Hip, knee, ankle and foot: the knee by the law of cosines, ahead of the line from hip to ankle."""
     line = where.ankle - hip
     length = np.linalg.norm(line, axis=1, keepdims=True)
@@ -144,7 +144,7 @@ def _head(neck: Floats, chest: Floats, how: Posture, body: Body) -> dict[str, Fl
     return places
 
 
-def _arm(side: str, shoulder: Floats, chest: Floats, angles: Floats, body: Body) -> dict[str, Floats]:
+def _arm(side: str, body: Body, *, shoulder: Floats, chest: Floats, angles: Floats) -> dict[str, Floats]:
     """Shoulder, elbow, wrist and hand. angles: `[time, 4]` flexion, abduction, inward turn, elbow."""
     flexion, abduction, inward, elbow = angles.T
     sign = _SIDES[side]

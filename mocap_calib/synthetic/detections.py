@@ -94,7 +94,7 @@ def _images(rig: CameraRig, bodies: Floats) -> Floats:
 def _inside(rig: CameraRig, image: Floats) -> Bools:
     """`[view, frame, body, joint]` in the image; integer pixels are centres, so it reaches half a pixel further."""
     size = np.array([camera.size for camera in rig.cameras])[:, None, None, None]
-    return ((image >= -0.5) & (image <= size - 0.5)).all(-1)
+    return np.asarray(((image >= -0.5) & (image <= size - 0.5)).all(-1))
 
 
 def _strangers(rng: np.random.Generator, poses: Floats) -> Floats:
@@ -107,7 +107,7 @@ def _strangers(rng: np.random.Generator, poses: Floats) -> Floats:
     angle = rng.uniform(0, 2 * np.pi, frames)
     c, s, zero, one = np.cos(angle), np.sin(angle), np.zeros(frames), np.ones(frames)
     turn = np.stack([c, -s, zero, s, c, zero, zero, zero, one], axis=-1).reshape(-1, 3, 3)
-    return (body - middle) @ np.swapaxes(turn, 1, 2) + place[:, None]
+    return np.asarray((body - middle) @ np.swapaxes(turn, 1, 2) + place[:, None])
 
 
 def _with_copies(rng: np.random.Generator, image: Floats) -> Floats:
@@ -125,7 +125,7 @@ def _size(image: Floats) -> Floats:
     """`[...]` diagonal in pixels of the box around `[..., joint, 2]`; 0 where nothing is seen."""
     seen = np.isfinite(image)
     box = np.where(seen, image, -np.inf).max(-2) - np.where(seen, image, np.inf).min(-2)
-    return np.hypot(*np.moveaxis(np.where(seen.any(-2), box, 0.0), -1, 0))
+    return np.asarray(np.linalg.norm(np.where(seen.any(-2), box, 0.0), axis=-1))
 
 
 def _blurred(rng: np.random.Generator, image: Floats, noise_px: float, outliers: float) -> tuple[Floats, Floats]:

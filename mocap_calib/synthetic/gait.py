@@ -32,21 +32,22 @@ class Foot:
 def phase(time: Floats, walk: Walk, stature: float) -> Floats:
     """`[time]` gait cycles since the start; all pauses fall where both feet are on the floor."""
     stride = (0.5 + 0.62 * np.maximum(walk.speed, 0.0)) * stature / 1.7  # longer when faster
-    raw = np.concatenate([[0.0], np.cumsum((walk.speed / stride)[1:] * np.diff(time))])
+    # who turns on the spot steps as well, about 70 degrees a step
+    raw: Floats = np.concatenate([[0.0], np.cumsum((walk.speed / stride)[1:] * np.diff(time) + np.abs(np.diff(walk.heading)) / 2.4)])
     if not walk.pauses:
         return raw
-    at = np.interp([(a + b) / 2 for a, b in walk.pauses], time, raw)
+    at: Floats = np.interp(np.array([(a + b) / 2 for a, b in walk.pauses]), time, raw)
     at = at[np.concatenate([[True], np.diff(at) > 0.3])]
     wanted = np.round(2 * (at - _BOTH_DOWN)) / 2 + _BOTH_DOWN
-    knots = np.concatenate([[at[0] - 1.0], at, [at[-1] + 1.0]])
-    values = np.concatenate([[wanted[0] - 1.0], wanted, [wanted[-1] + 1.0]])
-    inside = np.interp(raw, knots, values)
-    return np.where(raw < knots[0], raw - knots[0] + values[0], np.where(raw > knots[-1], raw - knots[-1] + values[-1], inside))
+    # between pauses the phase is stretched a little, outside of them only shifted
+    far = raw[-1] + 1.0
+    knots = np.concatenate([[at[0] - far], at, [at[-1] + far]])
+    return np.asarray(np.interp(raw, knots, np.concatenate([[wanted[0] - far], wanted, [wanted[-1] + far]])))
 
 
 def vigour(walk: Walk) -> Floats:
     """`[time]` 0 standing .. 1 walking briskly: how large the swings of legs and arms are."""
-    return ease(0.15 + 0.7 * walk.speed / 1.1) * ease(walk.speed / 0.4)
+    return np.asarray(ease(0.15 + 0.7 * walk.speed / 1.1) * ease(walk.speed / 0.4))
 
 
 def foot(walk: Walk, cycles: Floats, side: float, offsets: Floats) -> Foot:
@@ -59,7 +60,7 @@ def foot(walk: Walk, cycles: Floats, side: float, offsets: Floats) -> Foot:
     number = np.floor(own)
     within = own - number
     swing = ease((within - _STANCE) / (1 - _STANCE))
-    now, following = (_foothold(walk, cycles, own, number + k, side) for k in (0, 1))
+    now, following = (_foothold(walk, own, number + k, side) for k in (0, 1))
     yaw = now[1] + swing * (following[1] - now[1])
     strength = vigour(walk)
     pitch = strength * np.radians(_PITCH(within))
@@ -82,14 +83,14 @@ def _skin(offsets: Floats) -> float:
 def _roll(pitch: Floats, offsets: Floats) -> Floats:
     """`[time]` metres that the ankle goes ahead when the foot rolls over its toe, or stands back on its heel."""
     pivot = np.where(np.asarray(pitch)[..., None] > 0, offsets[1], offsets[0])
-    return pivot[..., 0] - (np.cos(pitch) * pivot[..., 0] + np.sin(pitch) * pivot[..., 2])
+    return np.asarray(pivot[..., 0] - (np.cos(pitch) * pivot[..., 0] + np.sin(pitch) * pivot[..., 2]))
 
 
-def _foothold(walk: Walk, cycles: Floats, own: Floats, number: Floats, side: float) -> tuple[Floats, Floats]:
+def _foothold(walk: Walk, own: Floats, number: Floats, side: float) -> tuple[Floats, Floats]:
     """Place `[time, 2]` and yaw `[time]` of the foot's stance `number`: beside where the pelvis passes over it."""
     # a slight slope makes the phase strictly increasing, also while somebody stands
-    passing = np.interp(number + _PASSING, own + 1e-9 * np.arange(len(own)), np.arange(len(own), dtype=np.float64))
-    index = np.arange(len(cycles), dtype=np.float64)
+    index = np.arange(len(own), dtype=np.float64)
+    passing = np.interp(number + _PASSING, own + 1e-9 * index, index)
     place = np.stack([np.interp(passing, index, walk.position[:, k]) for k in (0, 1)], axis=-1)
     heading = np.interp(passing, index, walk.heading)
     left = np.stack([-np.sin(heading), np.cos(heading)], axis=-1)

@@ -9,8 +9,8 @@ from mocap_calib.synthetic.signals import wander
 from mocap_calib.types import Floats
 
 _STEP = 0.02  # metres between the points of a path
-_APART = 0.7  # metres that people keep between them
-_CANDIDATES = 40
+_APART = 0.8  # metres that people keep between them
+_CANDIDATES = 60
 
 
 @dataclass(frozen=True)
@@ -45,14 +45,14 @@ def _elbow_room(candidate: Walk, others: list[Walk]) -> float:
     if not others:
         return 1.0
     distance = np.min([np.linalg.norm(candidate.position - other.position, axis=1) for other in others], axis=0)
-    return float(np.minimum(distance / _APART, 1.0).mean())
+    return float(1.0 - (np.maximum(1.0 - distance / _APART, 0.0) ** 2).mean())
 
 
 def _walk(rng: np.random.Generator, time: Floats, room: tuple[float, float]) -> Walk:
     """Speeds and pauses are laid out along the path, then turned into a time at each point of it."""
     usual = rng.uniform(0.55, 1.35)
     path = _path(rng, room, 1.6 * usual * (time[-1] - time[0]) + 3.0)
-    arc = np.arange(len(path)) * _STEP
+    arc = np.linspace(0.0, _STEP * (len(path) - 1), len(path))
     tangent = np.gradient(path, _STEP, axis=0)
     heading = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
     curvature = np.abs(gaussian_filter1d(np.gradient(heading, _STEP), 5))
@@ -68,12 +68,12 @@ def _walk(rng: np.random.Generator, time: Floats, room: tuple[float, float]) -> 
         begin = float(np.interp(stop, arc, arrival))
         arrival = np.where(arc > stop, arrival + dwell, arrival)
         pauses.append((begin, begin + dwell))
-    return _timed(time, arrival, arc, path, heading, tuple(pauses))
+    return _timed(time, arrival=arrival, path=path, heading=heading, pauses=tuple(pauses))
 
 
-def _timed(time: Floats, arrival: Floats, arc: Floats, path: Floats, heading: Floats, pauses: tuple[tuple[float, float], ...]) -> Walk:
+def _timed(time: Floats, *, arrival: Floats, path: Floats, heading: Floats, pauses: tuple[tuple[float, float], ...]) -> Walk:
     """The path as a function of time; the smoothing takes the kinks out of starting and stopping."""
-    interval = time[1] - time[0]
+    arc, interval = np.linspace(0.0, _STEP * (len(path) - 1), len(path)), time[1] - time[0]
     along = gaussian_filter1d(np.interp(time, arrival, arc), 0.12 / interval, mode="nearest")
     position = np.stack([np.interp(along, arc, path[:, k]) for k in (0, 1)], axis=-1)
     turned = gaussian_filter1d(np.interp(along, arc, heading), 0.15 / interval, mode="nearest")

@@ -80,15 +80,15 @@ def _arms(rng: np.random.Generator, time: Floats, swing: Floats, stoop: Floats) 
     arms[..., 1] = rng.uniform(5, 10)
     arms[..., 2] = rng.uniform(15, 30)
     arms[..., 3] = rng.uniform(10, 22) + 10 * (1 + swing) / 2 * np.abs(swing) + 20 * stoop[:, None]
-    both, liveliness = spells(rng, time, 5.0, (1.5, 4.5)), rng.uniform(1.5, 5.0)
+    both, liveliness = spells(rng, time, 5.0, (1.8, 4.5)), rng.uniform(1.5, 5.0)
     for start, end in both:
         goal, beat = _gesture(rng, time)
-        _blend(arms[:, 0], pulse(time, start, end, 0.7), goal, beat)
-        _blend(arms[:, 1], pulse(time, start + 0.1, end + 0.1, 0.7), goal + rng.normal(0, 5, 4), beat)
+        _blend(arms[:, 0], pulse(time, start, end, 0.8), goal, beat)
+        _blend(arms[:, 1], pulse(time, start + 0.1, end + 0.1, 0.8), goal + rng.normal(0, 5, 4), beat)
     for arm in (0, 1):
-        for start, end in spells(rng, time, liveliness, (1.2, 4.0)):
+        for start, end in spells(rng, time, liveliness, (1.6, 4.5)):
             goal, beat = _gesture(rng, time)
-            _blend(arms[:, arm], pulse(time, start, end, rng.uniform(0.45, 0.6)), goal, beat)
+            _blend(arms[:, arm], pulse(time, start, end, rng.uniform(0.6, 0.8)), goal, beat)
     arms += np.stack([2 * wander(rng, time, 1.5) for _ in range(8)], axis=-1).reshape(-1, 2, 4)
     arms[..., 3] = np.clip(arms[..., 3], 2, 140)  # elbows bend ahead only
     return arms

@@ -14,7 +14,7 @@ _DOWN = np.array([0.0, 0.0, -1.0])
 _AIM = np.array([0.0, 0.0, 0.9])  # the middle of the people in the room
 
 
-def ring_rig(  # noqa: PLR0913 - each is one plain number of the scene
+def ring_rig(
     rng: np.random.Generator,
     *,
     cameras: int,

@@ -16,7 +16,8 @@ def wander(rng: np.random.Generator, time: Floats, period: float) -> Floats:
     terms = 6
     frequency = rng.uniform(0.3, 1.2, terms) / period
     phase = rng.uniform(0.0, 2 * np.pi, terms)
-    return np.sin(2 * np.pi * frequency[:, None] * time + phase[:, None]).sum(0) * np.sqrt(2.0 / terms)
+    waves: Floats = np.sin(2 * np.pi * frequency[:, None] * time + phase[:, None])
+    return np.asarray(waves.sum(0) * np.sqrt(2.0 / terms))
 
 
 def pulse(time: Floats, start: float, end: float, ramp: float) -> Floats:

@@ -1,0 +1,119 @@
+"""`mocap-calib simulate`: complete, readable, the same every time; and the example that it made."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from mocap_calib_cli.commands.simulate import command, repeat
+
+from mocap_calib.config import SimulateConfig
+from mocap_calib.errors import MismatchError
+from mocap_calib.io.cameras import read_cameras, read_rig
+from mocap_calib.io.coco_writer import format_coco
+from mocap_calib.io.keypoints import read_keypoints
+from mocap_calib.synthetic import JOINTS, LAYOUTS, simulate
+
+EXAMPLE = Path(__file__).parents[1] / "examples" / "three_people"
+FEW = ["--frames", "12", "--people", "2", "--cameras", "3", "--distortion", "fisheye", "--seed", "7"]
+SCENE = SimulateConfig(frames=12, people=2, cameras=3, distortion="fisheye", seed=7)
+
+
+def run(output, *options):
+    return CliRunner().invoke(command, ["-o", str(output), *options])
+
+
+def content(folder):
+    return {str(file.relative_to(folder)): file.read_bytes() for file in sorted(folder.rglob("*")) if file.is_file()}
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("simulate") / "deep" / "scene"
+    result = run(folder, *FEW)
+    assert result.exit_code == 0, result.output
+    assert result.stdout == ""
+    assert "3 cameras, 12 frames, 2 people" in result.stderr
+    return folder
+
+
+def check_scene(folder, scene):
+    """The files of a folder say what the scene does, to the digits that they have."""
+    truth = np.load(folder / "truth.npz", allow_pickle=False)
+    np.testing.assert_array_equal(truth["ids"], scene.identity)
+    np.testing.assert_allclose(truth["poses3d"], scene.poses, atol=1e-6)
+    assert tuple(truth["joints"]) == JOINTS
+    rig = read_rig(folder / "reference.toml")
+    assert (rig.names, rig.unit) == (scene.rig.names, "m")
+    np.testing.assert_allclose(rig.rotation, scene.rig.rotation, atol=1e-12)
+    np.testing.assert_allclose(rig.translation, scene.rig.translation, atol=1e-12)
+    for camera, known, file in zip(read_cameras(folder / "intrinsics.toml"), scene.rig.cameras, scene.files, strict=True):
+        assert (camera.name, camera.size, camera.fisheye) == (known.name, known.size, known.fisheye)
+        np.testing.assert_allclose(camera.matrix, known.matrix, atol=1e-9)
+        np.testing.assert_allclose(camera.distortion, known.distortion, atol=1e-12)
+        read = read_keypoints(folder / "keypoints" / f"{camera.name}.json", camera.name)
+        assert (read.keypoints, read.image_size) == (file.keypoints, camera.size)
+        np.testing.assert_array_equal(read.frames, file.frames)
+        instances = read.positions.shape[1]
+        assert not np.isfinite(file.positions[:, instances:]).any()
+        np.testing.assert_allclose(read.positions, file.positions[:, :instances], atol=0.0501)
+        np.testing.assert_allclose(read.confidence, file.confidence[:, :instances], atol=0.00501)
+
+
+def test_the_files_are_the_scene(written):
+    assert set(content(written)) == {"README.md", "intrinsics.toml", "reference.toml", "truth.npz", *(f"keypoints/cam{k}.json" for k in (1, 2, 3))}
+    check_scene(written, simulate(SCENE))
+    assert "rotation" not in (written / "intrinsics.toml").read_text()
+
+
+def test_readme_has_two_lines_and_the_command(written):
+    text = (written / "README.md").read_text()
+    assert len(text.splitlines()) == 2
+    assert repeat(SCENE) in text
+
+
+def test_same_command_same_bytes_and_it_may_be_repeated(written, tmp_path):
+    for _ in range(2):
+        assert run(tmp_path / "again", *FEW, "--quiet").stderr == ""
+        assert content(tmp_path / "again") == content(written)
+    assert [file.name for file in tmp_path.iterdir()] == ["again"]  # nothing temporary is left
+
+
+def test_keypoints_of_other_cameras_are_not_mixed_in(tmp_path):
+    assert run(tmp_path, *FEW).exit_code == 0
+    before = content(tmp_path)
+    result = run(tmp_path, *FEW, "--cameras", "2")
+    assert isinstance(result.exception, MismatchError)
+    assert "cam3.json" in str(result.exception)
+    assert content(tmp_path) == before
+
+
+@pytest.mark.parametrize("wrong", [["--cameras", "0"], ["--missing", "2"], ["--distortion", "thick"], ["--fps", "0"], ["--seed", "-1"]])
+def test_wrong_usage(tmp_path, wrong):
+    assert run(tmp_path / "new", *wrong).exit_code == 2
+    assert not (tmp_path / "new").exists()
+
+
+def test_repeat_gives_only_what_is_unusual():
+    assert repeat(SimulateConfig()) == "mocap-calib simulate -o OUT --seed 0"
+    assert repeat(SimulateConfig(noise_px=1.0, arc_deg=90.0, shuffle=False)) == "mocap-calib simulate -o OUT --noise 1.0 --arc 90.0 --no-shuffle --seed 0"
+
+
+def test_help_has_an_example():
+    assert "Example: mocap-calib simulate" in CliRunner().invoke(command, ["--help"]).output
+
+
+def test_coco_leaves_out_empty_instances_and_keeps_the_order():
+    positions = np.array([[[[1.26, 2.0]], [[np.nan, np.nan]], [[3.0, 4.04]]]])
+    data = json.loads(format_coco("c", (64, 48), np.array([5]), ("nose",), positions, np.array([[[0.126, 0.0, 0.001]]]).reshape(1, 3, 1)))
+    assert data["images"] == [{"id": 5, "file_name": "frame_000005.jpg", "width": 64, "height": 48}]
+    assert [entry["keypoints"] for entry in data["annotations"]] == [[1.3, 2, 0.13], [3, 4, 0.01]]
+    assert [entry["id"] for entry in data["annotations"]] == [1, 2]
+
+
+def test_the_example_is_what_its_command_makes():
+    check_scene(EXAMPLE, simulate(SimulateConfig(distortion="brown")))
+    assert repeat(SimulateConfig(distortion="brown")) in (EXAMPLE / "README.md").read_text()
+    assert read_keypoints(EXAMPLE / "keypoints" / "cam1.json", "cam1").keypoints == LAYOUTS["coco17"]
+    assert sum(map(len, content(EXAMPLE).values())) < 2e6
