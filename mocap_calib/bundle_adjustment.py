@@ -27,9 +27,12 @@ class Observations:
     used: Floats
 
 
-def adjust(recording: Recording, rig: CameraRig, matches: Matches, config: AdjustConfig, triangulation: TriangulateConfig) -> CameraRig:
-    """The rig that minimises the robust reprojection error; intrinsics stay, and so do first camera and first baseline's gauge.
+def adjust(
+    recording: Recording, rig: CameraRig, matches: Matches, config: AdjustConfig, triangulation: TriangulateConfig, *, near: bool = False
+) -> CameraRig:
+    """The rig that minimises the robust reprojection error; intrinsics stay, and so does the gauge (two cameras' worth).
 
+    The loss is tightened in steps; `near` says that the rig has been adjusted before and only the last step is needed.
     Raises DegenerateError where a camera has too few points to hold it.
     """
     noise = view_noise(recording, rig, matches)
@@ -37,7 +40,7 @@ def adjust(recording: Recording, rig: CameraRig, matches: Matches, config: Adjus
     _check_enough(rig, seen)
     scale = np.array([1.0 / (sigma * camera.focal) for sigma, camera in zip(noise, rig.cameras, strict=True)])
     model = _reconstruction(rig, seen, scale)
-    for loss_scale in config.loss_scales:
+    for loss_scale in config.loss_scales[-1:] if near else config.loss_scales:
         _solve(model, len(rig.cameras), loss_scale)
     found = [model.image(k + 1).cam_from_world() for k in range(len(rig.cameras))]
     rotation = np.stack([f.rotation.matrix() for f in found])

@@ -33,8 +33,10 @@ class PairwiseConfig:
     """Stage 1. Lengths in body sizes; image errors are measured at the body."""
 
     frames: int = 150  # evenly spread; the search does not get better with more
+    candidates: int = 6000  # possible matches looked at; crowds get fewer frames
     hypotheses: int = 400
     modes: int = 8  # kept after the search
+    finalists: int = 3  # refined to the end
     mode_separation_deg: float = 15.0
     pose_tolerance: float = 0.35  # RMS joint distance of two lifts of one body
     place_tolerance: float = 0.15  # of the distance: how well one view tells how far a body is

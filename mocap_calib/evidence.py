@@ -90,9 +90,10 @@ def steering_error(pair: ViewPair, rotation: Floats) -> Floats:
 def place_error(pair: ViewPair, rotation: Floats, translation: Floats) -> Floats:
     """|R c_a + t - c_b|^2 of lifted centres relative to their distance, `[M, frame, I, J]`; t in body sizes `[M, 3]`."""
     moved = np.einsum("mij,faj->mfai", rotation, pair.place_a) + translation[:, None, None]
-    gap = moved[:, :, :, None] - pair.place_b[None, :, None]
+    product = np.matmul(moved, np.swapaxes(pair.place_b, 1, 2)[None])  # |m - c|^2 = |m|^2 - 2 m.c + |c|^2
+    gap = (moved**2).sum(-1)[..., None] - 2 * product + (pair.place_b**2).sum(-1)[None, :, None]
     scale = pair.distance_a[:, :, None] ** 2 + pair.distance_b[:, None, :] ** 2
-    return (gap**2).sum(-1) / scale
+    return np.maximum(gap, 0.0) / scale
 
 
 def epipolar_error(pair: ViewPair, rotation: Floats, translation: Floats) -> tuple[Floats, Floats]:

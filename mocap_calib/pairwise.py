@@ -5,7 +5,7 @@ identities are known; all are scored against all frames at once, the best modes 
 (Sinkhorn) and robust least squares on rays, and the one with the best evidence is kept. One yardstick for all.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import combinations
 
 import numpy as np
@@ -60,7 +60,7 @@ def calibrate_pair(recording: Recording, lifted: LiftedPoses, a: int, b: int, co
     frames = _shared_frames(recording, a, b)
     if len(frames) == 0:
         return None
-    chosen = frames[np.linspace(0, len(frames) - 1, min(len(frames), config.frames)).astype(int)]
+    chosen = _evenly(frames, min(config.frames, max(20, config.candidates // recording.positions.shape[2] ** 2)))
     pair = view_pair(recording, lifted, a, b, chosen)
     modes = _proposals(pair, bool(recording.tracked[a] and recording.tracked[b]), config, rng)
     if len(modes.rotation) == 0:
@@ -79,6 +79,10 @@ def _shared_frames(recording: Recording, a: int, b: int) -> Ints:
     """Frames in which both views show a body with enough joints."""
     bodies = recording.seen[[a, b]].sum(-1) >= 4
     return np.flatnonzero(bodies.any(-1).all(0))
+
+
+def _evenly(frames: Ints, count: int) -> Ints:
+    return frames[np.linspace(0, len(frames) - 1, min(len(frames), count)).astype(int)]
 
 
 def _proposals(pair: ViewPair, tracked: bool, config: PairwiseConfig, rng: np.random.Generator) -> Modes:
@@ -111,7 +115,7 @@ def _search(pair: ViewPair, config: PairwiseConfig, rng: np.random.Generator) ->
     modes = Modes(rotation[keep], translation[keep], ("lifted",) * len(keep))
     for _ in range(config.rounds):
         modes = _procrustes(pair, modes, config)
-    return modes
+    return modes[_separated(modes.rotation, _support(agreement(pair, modes.rotation, modes.translation, config)), config.modes, np.deg2rad(2.0))]
 
 
 def _support(agree: Floats) -> Floats:
@@ -177,14 +181,14 @@ def _refine_modes(pair: ViewPair, modes: Modes, config: PairwiseConfig, rng: np.
         )
         score = _choose(better, after, score)
         if turn == 0:
-            keep = np.argsort(-score.total, kind="stable")[: max(3, config.modes // 3)]
-            modes, score = modes[keep], Score(score.matched[keep], score.total[keep], score.explained[keep], score.in_front[keep], score.residual[keep])
+            keep = _separated(modes.rotation, score.total, config.finalists, np.deg2rad(2.0))
+            modes, score = modes[keep], Score(*(getattr(score, f.name)[keep] for f in fields(Score)))
     return modes, score
 
 
 def _choose(better: Bools, after: Score, before: Score) -> Score:
     pick = lambda x, y: np.where(better.reshape(-1, *[1] * (x.ndim - 1)), x, y)  # noqa: E731
-    return Score(*(pick(getattr(after, name), getattr(before, name)) for name in ("matched", "total", "explained", "in_front", "residual")))
+    return Score(*(pick(getattr(after, f.name), getattr(before, f.name)) for f in fields(Score)))
 
 
 def _score(pair: ViewPair, modes: Modes, config: PairwiseConfig) -> Score:

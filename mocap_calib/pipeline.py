@@ -54,7 +54,7 @@ def adjust_to_fixed_point(recording: Recording, lifted: LiftedPoses, rig: Camera
     """Adjusts, matches from the adjusted geometry, and adjusts again until no label changes."""
     rounds = config.adjust.rounds
     for done in range(1, rounds + 1):
-        rig = adjust(recording, rig, matches, config.adjust, config.triangulate)
+        rig = adjust(recording, rig, matches, config.adjust, config.triangulate, near=done > 1)
         progress("adjust", done, rounds)
         again = match(recording, lifted, rig, config.matching, config.pairwise, progress=lambda *_: None)
         if np.array_equal(again.labels, matches.labels):

@@ -41,7 +41,8 @@ def dlc_levels(columns):
 
 def dlc_csv(rows, columns, values, index_columns=1):
     """Text of a .csv; `rows` are frame numbers or paths, of which `index_columns` is the number of cells."""
-    lines = [",".join([level] + [""] * (index_columns - 1) + list(labels)) for level, labels in zip(dlc_levels(columns), zip(*columns, strict=True), strict=True)]
+    header = zip(dlc_levels(columns), zip(*columns, strict=True), strict=True)
+    lines = [",".join([level, *[""] * (index_columns - 1), *labels]) for level, labels in header]
     for row, cells in zip(rows, values, strict=True):
         lines.append(",".join([str(row), *("" if np.isnan(cell) else repr(float(cell)) for cell in cells)]))
     return "\n".join(lines) + "\n"

@@ -100,8 +100,10 @@ def test_instances_follow_the_order_of_annotations(tmp_path_factory, order):
 
 @pytest.mark.parametrize(
     ("name", "number"),
-    [("a/b_007.png", 7), ("000017", 17), ("42150", 42150), ("3.0", 3), ("frame.0012.jpg", 12), ("C:\\x9\\img4.mp4", 4), ("clip.mp4", -1), ("a7b.png", -1)]
-    + [("-5", -1), ("1.5", -1), ("", -1), ("x" + "9" * 25, -1), ("9" * 40, -1), ("img-5.png", 5)],
+    [
+        *(("a/b_007.png", 7), ("000017", 17), ("42150", 42150), ("3.0", 3), ("frame.0012.jpg", 12), ("C:\\x9\\img4.mp4", 4), ("img-5.png", 5)),
+        *(("clip.mp4", -1), ("a7b.png", -1), ("-5", -1), ("1.5", -1), ("", -1), ("x" + "9" * 25, -1), ("9" * 40, -1)),
+    ],
 )
 def test_frame_number(name, number):
     assert frame_number(name) == number
@@ -366,16 +368,15 @@ def test_damaged_files_load_or_are_refused(tmp_path, name):
             content[rng.integers(len(content))] = rng.integers(256)
         try:
             read(tmp_path, bytes(content))
-            outcomes.add("read")
         except FormatError as error:
-            assert "\n" not in str(error)
-            outcomes.add("refused")
-    assert "refused" in outcomes
+            outcomes.add(str(error).count("\n"))
+    assert outcomes == {0}
 
 
 # --- the project's own recordings and samples, where they lie beside the checkout
 
-OTHERS = sorted([*SHARED.glob("recordings/*/keypoints/*"), *(p for d in ("dlc_csv", "dlc_h5_single", "dlc_h5_generated", "dlc_labels") for p in SHARED.glob(f"formats/samples/{d}/*"))])
+FOLDERS = ["recordings/*/keypoints", *(f"formats/samples/{name}" for name in ("dlc_csv", "dlc_h5_single", "dlc_h5_generated", "dlc_labels"))]
+OTHERS = sorted(path for folder in FOLDERS for path in SHARED.glob(f"{folder}/*"))
 
 
 @pytest.mark.skipif(not OTHERS, reason="no ../shared here")

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from mocap_calib_cli.commands.simulate import command, repeat
 
 from mocap_calib.config import SimulateConfig
 from mocap_calib.errors import MismatchError
@@ -14,6 +13,7 @@ from mocap_calib.io.cameras import read_cameras, read_rig
 from mocap_calib.io.coco_writer import format_coco
 from mocap_calib.io.keypoints import read_keypoints
 from mocap_calib.synthetic import JOINTS, LAYOUTS, simulate
+from mocap_calib_cli.commands.simulate import command, repeat
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "three_people"
 FEW = ["--frames", "12", "--people", "2", "--cameras", "3", "--distortion", "fisheye", "--seed", "7"]
@@ -97,7 +97,7 @@ def test_wrong_usage(tmp_path, wrong):
 
 def test_repeat_gives_only_what_is_unusual():
     assert repeat(SimulateConfig()) == "mocap-calib simulate -o OUT --seed 0"
-    assert repeat(SimulateConfig(noise_px=1.0, arc_deg=90.0, shuffle=False)) == "mocap-calib simulate -o OUT --noise 1.0 --arc 90.0 --no-shuffle --seed 0"
+    assert repeat(SimulateConfig(noise_px=1.0, arc_deg=90.0, shuffle=False)) == "mocap-calib simulate -o OUT --arc 90.0 --noise 1.0 --no-shuffle --seed 0"
 
 
 def test_help_has_an_example():

@@ -271,7 +271,7 @@ class TestDetections:
         assert not np.isfinite(found(backward(ring(distortion="none")), bodies(frames=10)).positions).any()
 
     def test_shares_are_checked(self):
-        with pytest.raises(MismatchError, match="missing 1.5"):
+        with pytest.raises(MismatchError, match=r"missing 1\.5"):
             found(ring(), bodies(frames=2), missing=1.5)
 
 

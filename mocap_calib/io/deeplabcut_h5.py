@@ -46,11 +46,21 @@ def _table(file: Any, source: str) -> Table:
     if len(kinds) > 1:
         raise malformed(source, "one pandas table", f"{len(kinds)}: {', '.join(kinds)}", "which one? keep that one, or give its .csv")
     key, kind = next(iter(kinds.items()))
+    _require_filters(file[key], source)
     if kind == "frame_table":
         return _from_table_layout(file[key], source)
     if kind == "frame":
         return _from_fixed_layout(file[key])
     raise malformed(source, "a pandas DataFrame", f"a {kind}", _CSV_INSTEAD)
+
+
+def _require_filters(group: Any, source: str) -> None:
+    """PyTables can compress with blosc, which h5py does not have; its own words for that are about folders."""
+    for dataset in (item for item in group.values() if isinstance(item, h5py.Dataset)):
+        layout = dataset.id.get_create_plist()
+        for number, _, _, name in map(layout.get_filter, range(layout.get_nfilters())):
+            if not h5py.h5z.filter_avail(number):
+                raise malformed(source, "compression that HDF5 has itself", f"filter {number} ({_text(name) or 'blosc?'})", _CSV_INSTEAD)
 
 
 def _from_table_layout(group: Any, source: str) -> Table:

@@ -48,6 +48,6 @@ def command(output: Path, quiet: bool, **fields: Any) -> None:
 def repeat(config: SimulateConfig) -> str:
     """The command that makes the same scene; options that are as usual are left out."""
     names = {"noise_px": "--noise", "arc_deg": "--arc"}
-    changed = {key: value for key, value in vars(config).items() if value != getattr(_DEFAULT, key) and key not in ("shuffle", "seed")}
+    changed = {key: value for key, value in vars(config).items() if value != getattr(_DEFAULT, key) and key not in ("size", "shuffle", "seed")}
     options = [f"{names.get(key, '--' + key.replace('_', '-'))} {value}" for key, value in changed.items()]
     return " ".join(["mocap-calib simulate -o OUT", *options, *([] if config.shuffle else ["--no-shuffle"]), f"--seed {config.seed}"])
