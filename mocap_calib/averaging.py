@@ -36,7 +36,9 @@ def _check_connected(cameras: tuple[Camera, ...], pairs: tuple[PairwiseCalibrati
     count, group = connected_components(graph, directed=False)
     if count > 1:
         names = [", ".join(c.name for c, g in zip(cameras, group, strict=True) if g == k) for k in range(count)]
-        raise DegenerateError(f"expected cameras that see the same bodies, found groups without co-visible detections: {' | '.join(names)}; calibrate each group by itself")
+        raise DegenerateError(
+            f"expected cameras that see the same bodies, found groups without co-visible detections: {' | '.join(names)}; calibrate each group by itself"
+        )
 
 
 def _relative(edge: Ints, rotation: Floats) -> Floats:

@@ -13,7 +13,7 @@ import pycolmap
 from mocap_calib.config import AdjustConfig, TriangulateConfig
 from mocap_calib.errors import DegenerateError, MismatchError
 from mocap_calib.triangulation import by_individual, triangulate_rays, view_noise
-from mocap_calib.types import Camera, CameraRig, Floats, Ints, Matches, Recording
+from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Matches, Recording
 
 pycolmap.logging.minloglevel = 3
 
@@ -24,12 +24,10 @@ class Observations:
 
     points: Floats
     positions: Floats
-    used: Floats
+    used: Bools
 
 
-def adjust(
-    recording: Recording, rig: CameraRig, matches: Matches, config: AdjustConfig, triangulation: TriangulateConfig, *, near: bool = False
-) -> CameraRig:
+def adjust(recording: Recording, rig: CameraRig, matches: Matches, config: AdjustConfig, triangulation: TriangulateConfig, *, near: bool = False) -> CameraRig:
     """The rig that minimises the robust reprojection error; intrinsics stay, and so does the gauge (two cameras' worth).
 
     The loss is tightened in steps; `near` says that the rig has been adjusted before and only the last step is needed.
@@ -108,7 +106,7 @@ def _reconstruction(rig: CameraRig, seen: Observations, scale: Floats) -> pycolm
     for view, camera in enumerate(rig.cameras):
         number = view + 1
         model.add_camera_with_trivial_rig(_camera(camera, number, scale[view]))
-        points = (seen.positions[view, seen.used[view].astype(bool)] + 0.5) * scale[view]
+        points = (seen.positions[view, seen.used[view]] + 0.5) * scale[view]
         image = pycolmap.Image(name=camera.name, keypoints=points, camera_id=number, image_id=number)
         pose = pycolmap.Rigid3d(pycolmap.Rotation3d(rig.rotation[view]), rig.translation[view])
         model.add_image_with_trivial_frame(image, pose)

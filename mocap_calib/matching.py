@@ -16,9 +16,7 @@ from mocap_calib.geometry.epipolar import depths
 from mocap_calib.types import CameraRig, Floats, Ints, LiftedPoses, Matches, Progress, Recording
 
 
-def match(
-    recording: Recording, lifted: LiftedPoses, rig: CameraRig, config: MatchingConfig, evidence: PairwiseConfig, *, progress: Progress
-) -> Matches:
+def match(recording: Recording, lifted: LiftedPoses, rig: CameraRig, config: MatchingConfig, evidence: PairwiseConfig, *, progress: Progress) -> Matches:
     """Labels every detection with its individual, -1 where no second view confirms it.
 
     The rig may be in any unit: its scale in body sizes is estimated from the bodies.
@@ -44,7 +42,7 @@ def _relative(rig: CameraRig, a: int, b: int) -> tuple[Floats, Floats]:
 def _body_scale(recording: Recording, lifted: LiftedPoses, rig: CameraRig, config: PairwiseConfig) -> float:
     """Body sizes per unit of the rig: how far bodies were lifted over how far the rig triangulates them."""
     ratios = []
-    seen = np.isfinite(lifted.centre[..., 0]).any(-1)
+    seen = np.isfinite(lifted.centre[..., 0]).sum(-1) > 0
     for a, b in combinations(range(len(rig.cameras)), 2):
         shared = np.flatnonzero(seen[a] & seen[b])
         if len(shared):
@@ -65,9 +63,7 @@ def _distance_ratios(pair: ViewPair, rotation: Floats, translation: Floats, conf
     return far[good] / (near_a + near_b)[good]
 
 
-def _affinities(
-    recording: Recording, lifted: LiftedPoses, rig: CameraRig, scale: float, frames: Ints, config: PairwiseConfig
-) -> tuple[Floats, Floats]:
+def _affinities(recording: Recording, lifted: LiftedPoses, rig: CameraRig, scale: float, frames: Ints, config: PairwiseConfig) -> tuple[Floats, Floats]:
     """Affinity of all pairs of detections of a frame `[frame, N, N]`, N = views x instances, and 1 where it means something."""
     views, instances = len(rig.cameras), recording.positions.shape[2]
     affinity = np.zeros((len(frames), views, instances, views, instances))
@@ -114,7 +110,7 @@ def _cluster(affinity: Floats, comparable: Floats, views: int, least: float) -> 
 
 def _places(recording: Recording, rig: CameraRig, labels: Ints) -> Floats:
     """`[frame, group, 3]` where the rays through the middles of a group's detections meet; NaN where there is no group."""
-    views, frames, _ = labels.shape
+    frames = labels.shape[1]
     groups = int(labels.max(initial=-1)) + 1
     view, frame, instance = np.nonzero(labels >= 0)
     middle = np.nansum(recording.rays[view, frame, instance], axis=1)
@@ -125,7 +121,7 @@ def _places(recording: Recording, rig: CameraRig, labels: Ints) -> Floats:
     slot = (frame, labels[view, frame, instance])
     np.add.at(matrix, slot, project)
     np.add.at(vector, slot, np.einsum("nij,nj->ni", project, rig.centres[view]))
-    there = matrix.any((-1, -2))
+    there = np.abs(matrix).sum((-1, -2)) > 0
     point = np.linalg.solve(matrix + 1e-9 * np.eye(3), vector[..., None])[..., 0]
     return np.where(there[..., None], point, np.nan)
 

@@ -5,10 +5,13 @@ identities are known; all are scored against all frames at once, the best modes 
 (Sinkhorn) and robust least squares on rays, and the one with the best evidence is kept. One yardstick for all.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mocap_calib.assignment import mutual_best, sinkhorn
 from mocap_calib.config import PairwiseConfig
@@ -162,9 +165,7 @@ def _from_five_points(pair: ViewPair, use: Ints, rng: np.random.Generator) -> Mo
 
 
 def _join(first: Modes, second: Modes) -> Modes:
-    return Modes(
-        np.concatenate([first.rotation, second.rotation]), np.concatenate([first.translation, second.translation]), first.source + second.source
-    )
+    return Modes(np.concatenate([first.rotation, second.rotation]), np.concatenate([first.translation, second.translation]), first.source + second.source)
 
 
 def _refine_modes(pair: ViewPair, modes: Modes, config: PairwiseConfig, rng: np.random.Generator) -> tuple[Modes, Score]:
@@ -182,13 +183,24 @@ def _refine_modes(pair: ViewPair, modes: Modes, config: PairwiseConfig, rng: np.
         score = _choose(better, after, score)
         if turn == 0:
             keep = _separated(modes.rotation, score.total, config.finalists, np.deg2rad(2.0))
-            modes, score = modes[keep], Score(*(getattr(score, f.name)[keep] for f in fields(Score)))
+            modes, score = modes[keep], _take(score, keep)
     return modes, score
 
 
+def _map(function: Callable[..., NDArray[Any]], *scores: Score) -> Score:
+    """Applies a function to each field of one or more scores."""
+    return Score(*(function(*(getattr(score, field.name) for score in scores)) for field in fields(Score)))
+
+
+def _take(score: Score, index: Ints) -> Score:
+    return _map(lambda x: x[index], score)
+
+
 def _choose(better: Bools, after: Score, before: Score) -> Score:
-    pick = lambda x, y: np.where(better.reshape(-1, *[1] * (x.ndim - 1)), x, y)  # noqa: E731
-    return Score(*(pick(getattr(after, f.name), getattr(before, f.name)) for f in fields(Score)))
+    def pick(x: NDArray[Any], y: NDArray[Any]) -> NDArray[Any]:
+        return np.where(better.reshape(-1, *[1] * (x.ndim - 1)), x, y)
+
+    return _map(pick, after, before)
 
 
 def _score(pair: ViewPair, modes: Modes, config: PairwiseConfig) -> Score:

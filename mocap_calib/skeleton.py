@@ -70,8 +70,7 @@ def parse_skeleton(fields: Any, source: str) -> Skeleton:
     index = {name: k for k, name in enumerate(keypoints)}
     aliases = {str(a): str(joint) for a, joint in (fields.get("aliases") or {}).items()}
     edges = [tuple(map(str, edge)) for edge in fields.get("edges") or []]
-    strangers = sorted({n for edge in edges for n in edge} | set(aliases.values()) - set(keypoints) - {n for edge in edges for n in edge if n in index})
-    strangers = [n for n in strangers if n not in index]
+    strangers = sorted(({n for edge in edges for n in edge} | set(aliases.values())) - set(index))
     if strangers:
         raise FormatError(f"skeleton {source}: edges or aliases name {', '.join(strangers)}, expected only its own keypoints")
     symmetries = tuple((index[n], index["right" + n[4:]]) for n in keypoints if n.startswith("left") and "right" + n[4:] in index)

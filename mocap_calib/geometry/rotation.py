@@ -52,7 +52,7 @@ def quaternion_from_matrix(matrix: Floats) -> Floats:
 
 
 def skew(vector: Floats) -> Floats:
-    """`[..., 3]` -> `[..., 3, 3]` with skew(a) b = a x b."""
+    """The cross product as a matrix, `[..., 3]` -> `[..., 3, 3]`: [a]x b = a x b."""
     x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
     zero = np.zeros_like(x)
     return np.stack([np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1), np.stack([-y, x, zero], -1)], -2)

@@ -1,0 +1,1 @@
+"""The SteerPose network: lifting detections, and training."""

@@ -15,7 +15,8 @@ from torch import Tensor
 from mocap_calib.config import TrainConfig
 from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.skeleton import match_names
-from mocap_calib.types import Floats, Skeleton
+from mocap_calib.steerpose.model import normalise
+from mocap_calib.types import Bools, Floats, Skeleton
 
 Split = Literal["train", "val", "test"]
 
@@ -62,7 +63,7 @@ def load_poses(path: Path, skeleton: Skeleton, split: Split) -> PoseSet:
     return PoseSet(fields["poses"][keep][:, order].astype(np.float64), weight / weight.sum())
 
 
-def _every_tenth(n: int, split: Split) -> np.ndarray:
+def _every_tenth(n: int, split: Split) -> Bools:
     """7:2:1 in blocks of time, where a set does not bring its own split."""
     tenth = np.arange(n) * 10 // max(n, 1)
     return {"train": tenth < 7, "val": (tenth >= 7) & (tenth < 9), "test": tenth == 9}[split]
@@ -97,8 +98,6 @@ class Synthesiser:
 
     def _normalised(self, image: Tensor, camera: Tensor, depth: Tensor, seen: Tensor) -> Batch:
         """Adds the detector's noise, then centres and scales input and target alike."""
-        from mocap_calib.steerpose.model import normalise
-
         config = self.config
         _, _, radius = normalise(image, seen)
         low, high = np.log(config.noise[0]), np.log(config.noise[1])
@@ -127,7 +126,8 @@ class Synthesiser:
     def _straighten(self, body: Tensor) -> Tensor:
         """Moves each middle joint of a chain of three a random part of the way to the straight line."""
         names = {name: k for k, name in enumerate(self.skeleton.keypoints)}
-        chains = [(names[s + "_hip"], names[s + "_knee"], names[s + "_ankle"]) for s in ("left", "right") if {s + "_hip", s + "_knee", s + "_ankle"} <= set(names)]
+        legs = [[f"{side}_{joint}" for joint in ("hip", "knee", "ankle")] for side in ("left", "right")]
+        chains = [[names[joint] for joint in leg] for leg in legs if set(leg) <= set(names)]
         out, part = body.clone(), 0.7 * self._uniform(len(body), 1)
         for above, middle, under in chains:
             bone = body[:, under] - body[:, above]

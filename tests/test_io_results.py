@@ -1,0 +1,231 @@
+"""Results: what is written comes back, the same input gives the same bytes, other people's columns are right."""
+
+import csv
+import io
+import json
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mocap_calib.errors import FormatError, MismatchError
+from mocap_calib.io.results import (
+    format_matches_csv,
+    format_poses_csv,
+    pairs_from_json,
+    pairs_to_json,
+    read_matches_csv,
+    read_poses_h5,
+    write_matches_csv,
+    write_poses_h5,
+)
+from mocap_calib.types import Camera, Matches, PairwiseCalibration, Poses3D, Recording
+
+NAMES = ("left", "right, far", "3")
+FRAMES = np.array([2, 5, 40, 41])
+
+
+def camera(name):
+    return Camera(name, (640, 480), np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]), np.array([0.1, 0, 0, 0, 1e-7]), False)
+
+
+def recording(seed=0, instances=3, keypoints=2):
+    rng = np.random.default_rng(seed)
+    positions = rng.uniform(1, 400, (len(NAMES), len(FRAMES), instances, keypoints, 2))
+    positions[rng.random(positions.shape[:3]) < 0.4] = np.nan
+    positions[rng.random(positions.shape[:4]) < 0.2] = np.nan
+    confidence = np.isfinite(positions[..., 0]).astype(float)
+    rays = np.concatenate([positions, positions[..., :1]], -1)
+    cameras = tuple(map(camera, NAMES))
+    return Recording(cameras, tuple("ab"[:keypoints]), FRAMES, positions, confidence, rays, np.zeros(len(NAMES), bool), np.full(keypoints, -1))
+
+
+def matches(of, seed=0):
+    """Random identities: each individual once per view and frame, some detections nobody's."""
+    rng = np.random.default_rng(seed)
+    labels = np.argsort(rng.random(of.positions.shape[:3]), axis=-1)
+    labels[rng.random(labels.shape) < 0.3] = -1
+    return Matches(np.where(of.seen.any(-1), labels, -1))
+
+
+# --- matches
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10**6))
+def test_matches_come_back(seed):
+    of = recording(seed)
+    labels = matches(of, seed)
+    np.testing.assert_array_equal(read_matches_csv(format_matches_csv(of, labels), of).labels, labels.labels)
+
+
+def test_matches_have_a_row_per_detection(tmp_path):
+    of = recording()
+    write_matches_csv(tmp_path / "matches.csv", of, matches(of))
+    with open(tmp_path / "matches.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == ["camera", "frame", "instance", "individual"]
+    assert len(rows) == of.seen.any(-1).sum()
+    for row in rows:
+        v, f, i = of.names.index(row["camera"]), FRAMES.tolist().index(int(row["frame"])), int(row["instance"])
+        assert matches(of).labels[v, f, i] == int(row["individual"])
+    np.testing.assert_array_equal(read_matches_csv(tmp_path / "matches.csv", of).labels, matches(of).labels)
+
+
+def test_matches_in_any_order_with_any_line_end_and_gaps(tmp_path):
+    of = recording()
+    head, *rows = format_matches_csv(of, matches(of)).splitlines()
+    (tmp_path / "m.csv").write_bytes(b"\xef\xbb\xbf" + "\r\n".join([head, *rows[::-1], ""]).encode())
+    np.testing.assert_array_equal(read_matches_csv(tmp_path / "m.csv", of).labels, matches(of).labels)
+    assert (read_matches_csv(head + "\n", of).labels == -1).all()
+
+
+HEAD = "camera,frame,instance,individual\n"
+
+
+@pytest.mark.parametrize("row", ["middle,2,0,0", "left,3,0,0", "left,99,0,0", "left,2,9,0", "left,2,-1,0", "left,-5,0,0"])
+def test_matches_of_another_recording_are_refused(row):
+    with pytest.raises(MismatchError, match="expected .* found"):
+        read_matches_csv(f"{HEAD}{row}\n", recording())
+
+
+@pytest.mark.parametrize("text", ["", "a,b\n1,2\n", HEAD + "left,2,0\n", HEAD + "left,2,0,x\n", HEAD + "left,2,0,-2\n", HEAD + "left,2,0,999\n", HEAD + "left,2,0," + "9" * 40])
+def test_bad_matches_are_refused(text):
+    with pytest.raises(FormatError) as caught:
+        read_matches_csv(text, recording())
+    assert "\n" not in str(caught.value)
+
+
+def test_matches_that_contradict_themselves_are_refused():
+    of = recording()
+    labels = np.full(of.positions.shape[:3], -1)
+    lines = format_matches_csv(of, Matches(labels)).splitlines()
+    with pytest.raises(FormatError, match="each detection once"):
+        read_matches_csv("\n".join([*lines, lines[-1]]), of)
+    v, f = np.argwhere(of.seen.any(-1).sum(-1) >= 2)[0]
+    labels[v, f] = 0
+    with pytest.raises(FormatError, match="each individual once"):
+        read_matches_csv(format_matches_csv(of, Matches(labels)), of)
+
+
+# --- poses
+
+
+def poses(frames=5, individuals=2, keypoints=("nose", "tail, base"), seed=0):
+    rng = np.random.default_rng(seed)
+    positions = rng.normal(size=(frames, individuals, len(keypoints), 3))
+    missing = rng.random(positions.shape[:3]) < 0.3
+    positions[missing] = np.nan
+    error = np.where(missing, np.nan, rng.random(missing.shape))
+    views = np.where(missing, 0, rng.integers(2, 6, missing.shape))
+    return Poses3D(keypoints, np.arange(frames) * 3 + 7, positions, error, views, np.where(missing, np.nan, rng.random(missing.shape)), "mm")
+
+
+@pytest.mark.parametrize("sizes", [(5, 2), (1, 1), (0, 2), (4, 0)])
+def test_poses_come_back_from_h5(tmp_path, sizes):
+    given_ = poses(*sizes)
+    write_poses_h5(tmp_path / "poses.h5", given_, {"seed": 0})
+    back = read_poses_h5(tmp_path / "poses.h5")
+    assert (back.keypoints, back.unit) == (given_.keypoints, given_.unit)
+    for name in ("frames", "positions", "error", "views", "confidence"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(given_, name))
+
+
+def test_the_same_poses_are_the_same_bytes(tmp_path):
+    for name in ("a.h5", "b.h5"):
+        write_poses_h5(tmp_path / name, poses(500), {"seed": 0, "inputs": {"a": "0f"}})
+    assert (tmp_path / "a.h5").read_bytes() == (tmp_path / "b.h5").read_bytes()
+
+
+def test_an_h5_says_what_it_holds(tmp_path):
+    write_poses_h5(tmp_path / "poses.h5", poses(), {"seed": 7})
+    with h5py.File(tmp_path / "poses.h5") as file:
+        assert file.attrs["unit"] == "mm"
+        assert file.attrs["dimensions"] == "frame, individual, keypoint, coordinate"
+        assert json.loads(file.attrs["provenance"]) == {"seed": 7}
+
+
+def test_a_bad_poses_file_is_refused(tmp_path):
+    good, bad = tmp_path / "poses.h5", tmp_path / "bad.h5"
+    write_poses_h5(good, poses(), {})
+    content = good.read_bytes()
+    for size in (0, 100, len(content) // 2):
+        bad.write_bytes(content[:size])
+        with pytest.raises(FormatError, match="mocap-calib poses"):
+            read_poses_h5(bad)
+    for change in ("del file['views']", "file.attrs['version'] = 9", "del file['frames']; file['frames'] = [1, 2]"):
+        bad.write_bytes(content)
+        with h5py.File(bad, "a") as file:
+            exec(change)
+        with pytest.raises(FormatError, match="mocap-calib poses"):
+            read_poses_h5(bad)
+
+
+def test_anipose_columns():
+    given_ = poses(9000)  # more than one piece
+    rows = list(csv.DictReader(io.StringIO(format_poses_csv(given_, 1))))
+    assert list(rows[0])[:7] == ["nose_x", "nose_y", "nose_z", "nose_error", "nose_ncams", "nose_score", "tail, base_x"]
+    assert list(rows[0])[12:] == [f"M_{i}{j}" for i in range(3) for j in range(3)] + ["center_0", "center_1", "center_2", "fnum"]
+    assert [int(row["fnum"]) for row in rows] == given_.frames.tolist()
+    assert [[float(rows[0][f"M_{i}{j}"]) for j in range(3)] for i in range(3)] == np.eye(3).tolist()
+    columns = {"x": given_.positions[..., 0], "z": given_.positions[..., 2], "error": given_.error, "ncams": given_.views, "score": given_.confidence}
+    for k, name in enumerate(given_.keypoints):
+        for field, array in columns.items():
+            cells = [float(row[f"{name}_{field}"] or "nan") for row in rows]
+            np.testing.assert_array_equal(cells, array[:, 1, k])
+
+
+def test_missing_poses_are_empty_cells_also_of_a_keypoint_named_nan():
+    given_ = poses(keypoints=("nan", "banana"))
+    text = format_poses_csv(given_, 0)
+    assert text.startswith("nan_x,nan_y,")
+    assert "nan" not in text.split("\n", 1)[1]
+
+
+# --- pairs
+
+
+def pair(a, b, seed):
+    rng = np.random.default_rng(seed)
+    matched = rng.integers(0, 9, (seed % 4, 3))
+    return PairwiseCalibration(a, b, rng.normal(size=(3, 3)), rng.normal(size=3), matched, 9, rng.random(), rng.random(), float("nan"), "lifted")
+
+
+def same_pair(first, second):
+    for name in ("a", "b", "frames", "score", "residual", "source"):
+        assert getattr(first, name) == getattr(second, name)
+    assert np.isnan(second.in_front) == np.isnan(first.in_front)
+    for name in ("rotation", "translation", "matches"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
+
+
+def test_pairs_come_back_with_their_cameras():
+    cameras = tuple(map(camera, NAMES))
+    pairs = (pair(0, 1, 1), pair(0, 2, 4), pair(1, 2, 7))
+    text = pairs_to_json(pairs, cameras)
+    json.loads(text, parse_constant=pytest.fail)  # strict JSON: no NaN
+    back, back_cameras = pairs_from_json(text, "text")
+    assert [c.name for c in back_cameras] == list(NAMES)
+    np.testing.assert_array_equal(back_cameras[0].distortion, cameras[0].distortion)
+    for first, second in zip(pairs, back, strict=True):
+        same_pair(first, second)
+
+
+TEXT = pairs_to_json((pair(0, 1, 3),), tuple(map(camera, NAMES)))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("", "[]", "{}", "[" * 100_000, TEXT[:-40], TEXT.replace('"version": 1', '"version": 2'), TEXT.replace('"a": "left"', '"a": "nobody"')),
+        *(TEXT.replace('"frames": 9', '"frames": "x"'), TEXT.replace('"score"', '"skore"'), TEXT.replace('"rotation": [[', '"rotation": [[[')),
+        *(TEXT.replace('"translation": [', '"translation": [1, '), TEXT.replace('"pairs": [', '"pairs": [3, '), TEXT.replace('"cameras": [', '"cameras": [3, ')),
+    ],
+)
+def test_bad_pairs_are_refused_in_one_line(text):
+    with pytest.raises(FormatError) as caught:
+        pairs_from_json(text, "pairs.json")
+    assert str(caught.value).startswith("pairs.json")
+    assert "\n" not in str(caught.value)
