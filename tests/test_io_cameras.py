@@ -58,7 +58,7 @@ def test_anipose_toml_comes_back(seed, names, fisheye):
     rig = make_rig(seed, names, fisheye=fisheye)
     back = parse_rig(format_calibration_toml(rig, PROVENANCE), "text")
     same_cameras(rig.cameras, back.cameras)
-    # measured 6e-16 over 2000 rigs: a vector and back
+    # measured 1.6e-15 over 2000 rigs: a vector and back
     np.testing.assert_allclose(back.rotation, rig.rotation, rtol=0, atol=5e-15)
     np.testing.assert_array_equal(back.translation, rig.translation)
     assert back.unit == rig.unit
@@ -232,7 +232,7 @@ BROKEN = {
     "opencv stereo": opencv("M1", extra="M2: 1\n"),
     "opencv with a foreign tag": opencv(extra="x: !!python/object:os.system {}\n"),
     "opencv with half a size": "%YAML:1.0\n---\nK: [[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0]]\nimage_width: wide\nimage_height: 3\n",
-    "yaml nested": "%YAML 1.2\n---\n" + "[" * 5_000,
+    "yaml nested": "%YAML 1.2\n---\n" + "[" * 2_000,
     "yaml with an impossible date": opencv(extra="calibration_time: 2024-99-99\n"),
     "ours newer": OURS.replace("version: 1", "version: 2"),
     "ours empty": OURS[: OURS.index("cameras:\n")] + "cameras: []\n",

@@ -102,8 +102,8 @@ def test_frames_are_those_of_two_views_by_number(sets):
 def test_rays_project_back_to_the_positions():
     recording = record(view("a"), view("b"))
     for v, one in enumerate(recording.cameras):
-        # measured 3e-10 px: the iterative inverse of the distortion
-        np.testing.assert_allclose(pixels_from_points(one, recording.rays[v]), recording.positions[v], atol=1e-6)
+        # measured 1e-12 px at this mild distortion, which cv2 inverts by iteration
+        np.testing.assert_allclose(pixels_from_points(one, recording.rays[v]), recording.positions[v], atol=1e-9)
 
 
 def test_missing_stays_missing_and_instances_are_padded():
@@ -203,7 +203,6 @@ def test_keypoints_without_a_camera_are_refused():
     message = refused(view("a"), view("b"), cameras=[camera("a"), camera("c")])
     assert "a, b" in message
     assert "a, c" in message
-    refused(view("A"), view("b"), cameras=[camera("a"), camera("b"), camera("B"), camera("x"), camera("á")][:0] or [camera("x")])
     assert "LEFT.json" in refused(view("left"), view("LEFT"), cameras=[camera("left")])
 
 
@@ -282,5 +281,5 @@ def test_real_recordings_are_recordings(folder):
     order = [[v.camera for v in views].index(name) for name in recording.names]
     for v, k in enumerate(order):
         np.testing.assert_array_equal(recording.positions[v, :, : views[k].positions.shape[1]], views[k].positions)
-    # measured 0.45 s for the largest on a busy machine
+    # measured 0.25 s for the largest
     assert time.perf_counter() - start < 5

@@ -69,7 +69,9 @@ def _plain(provenance: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _yaml(fields: Mapping[str, Any], flow: bool | None) -> str:
-    return yaml.safe_dump(dict(fields), default_flow_style=flow, sort_keys=False, allow_unicode=True, width=160)
+    # PyYAML does not escape these line breaks, and reads them back as spaces
+    readable = not re.search("[\x85\u2028\u2029]", json.dumps(fields, ensure_ascii=False))
+    return yaml.safe_dump(dict(fields), default_flow_style=flow, sort_keys=False, allow_unicode=readable, width=160)
 
 
 def _assignments(fields: Mapping[str, Any]) -> list[str]:

@@ -24,7 +24,7 @@ def numbers(value: Any, expected: str, source: str) -> Floats:
     return array
 
 
-def make_camera(name: str, size: Any, matrix: Any, distortion: Any, fisheye: bool, source: str) -> Camera:  # noqa: PLR0917
+def make_camera(name: str, size: Any, matrix: Any, distortion: Any, fisheye: bool, source: str) -> Camera:
     """A camera from raw fields, checked; `source` names file and camera in the complaint. Raises FormatError."""
     return Camera(name, _size(size, source), _matrix(matrix, fisheye, source), _distortion(distortion, fisheye, source), fisheye)
 

@@ -1,0 +1,125 @@
+"""From what was typed to a recording: which file belongs to which camera, and what the files hold.
+
+Imports numpy and the readers: commands import this module when they run, so that --help stays quick.
+"""
+
+import hashlib
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import click
+import numpy as np
+
+from mocap_calib.errors import MismatchError
+from mocap_calib.io.cameras import parse_cameras, parse_rig, read_cameras, read_rig
+from mocap_calib.io.keypoints import read_keypoints
+from mocap_calib.io.reading import decode
+from mocap_calib.io.results import read_matches_csv
+from mocap_calib.recording import make_recording, name_mapping
+from mocap_calib.skeleton import load_aliases, load_skeleton
+from mocap_calib.types import Camera, CameraRig, Keypoints2D, LiftedPoses, Matches, Recording
+from mocap_calib_cli.options import STDIO
+from mocap_calib_cli.progress import Reporter, table
+
+SUFFIXES = (".json", ".csv", ".h5")
+MODEL = "people"
+
+
+def keypoint_files(arguments: Sequence[str]) -> list[tuple[str, Path]]:
+    """(camera name, file) of each keypoint file: of folders, files and `name=path` pairs. Raises MismatchError."""
+    found = [pair for argument in arguments for pair in _expand(argument)]
+    names = [name for name, _ in found]
+    twice = [(name, path) for name, path in found if names.count(name) > 1]
+    if twice:
+        files = " and ".join(str(path) for name, path in twice if name == twice[0][0])
+        raise MismatchError(f"expected one keypoint file per camera, found {files} for camera {twice[0][0]}; leave one out, or say name=path")
+    return found
+
+
+def _expand(argument: str) -> list[tuple[str, Path]]:
+    path = Path(argument)
+    name, equals, rest = argument.partition("=")
+    if path.is_dir():
+        files = sorted(file for file in path.iterdir() if file.suffix.lower() in SUFFIXES and not file.name.startswith(".") and file.is_file())
+        if not files:
+            raise MismatchError(f"{path}: expected keypoint files ({', '.join(SUFFIXES)}) in the folder, found none; name the files themselves")
+        return [(file.stem, file) for file in files]
+    if equals and not path.exists():
+        if not name or not rest:
+            raise click.BadParameter(f"expected name=path, found {argument}", param_hint="KEYPOINTS")
+        return [(name, Path(rest))]
+    return [(path.stem, path)]
+
+
+def read_recording(arguments: Sequence[str], cameras: tuple[Camera, ...], skeleton: Path | None, reporter: Reporter) -> Recording:
+    """Reads the keypoints of the cameras, and says which file went to which camera.
+
+    `skeleton` is a file of other names of joints. Raises FormatError and MismatchError.
+    """
+    vocabulary = load_skeleton(MODEL)
+    aliases = {} if skeleton is None else load_aliases(skeleton, vocabulary)
+    files = keypoint_files(arguments)
+    views = [read_keypoints(path, name) for name, path in files]
+    recording = make_recording(views, cameras, vocabulary, aliases)
+    reporter.say(*_mapping(views, cameras, recording))
+    return recording
+
+
+def _mapping(views: Sequence[Keypoints2D], cameras: tuple[Camera, ...], recording: Recording) -> list[str]:
+    """Lines that say which file belongs to which camera, which cameras are left out, and which joints the model knows."""
+    rows = {}
+    for view, (source, name) in zip(views, name_mapping(views, cameras), strict=True):
+        detections = int(np.isfinite(view.positions[..., 0]).any(-1).sum())
+        rows[name] = [name, source, str(len(view.frames)), str(detections)]
+    nothing = [[camera.name, "(no keypoint file)", "-", "-"] for camera in cameras if camera.name not in rows]
+    lines = table(["camera", "keypoints", "frames", "detections"], [*(rows[c.name] for c in cameras if c.name in rows), *nothing])
+    left = [camera.name for camera in cameras if camera.name not in recording.names]
+    lines += [f"left out, nothing detected: {', '.join(left)}"] if left else []
+    strangers = [name for name, joint in zip(recording.keypoints, recording.vocabulary, strict=True) if joint < 0]
+    known = len(recording.keypoints) - len(strangers)
+    lines += [f"{len(recording.frames)} frames; {len(recording.keypoints)} joints, the model knows {known}" + (f", not: {', '.join(strangers)}" if strangers else "")]
+    return lines
+
+
+def cameras_of(path: str) -> tuple[Camera, ...]:
+    """The intrinsics in a file or folder, or on stdin. Raises FormatError."""
+    return parse_cameras(read_stdin("--cameras"), "stdin") if path == STDIO else read_cameras(Path(path))
+
+
+def rig_of(path: str, option: str = "--rig") -> CameraRig:
+    """The cameras and where they stand in a file, or on stdin. Raises FormatError."""
+    return parse_rig(read_stdin(option), "stdin") if path == STDIO else read_rig(Path(path))
+
+
+def matches_of(path: str, recording: Recording) -> Matches:
+    """The matches in a file, or on stdin. Raises FormatError and MismatchError."""
+    return read_matches_csv(read_stdin("--matches") if path == STDIO else Path(path), recording)
+
+
+def placed(recording: Recording, rig: CameraRig) -> CameraRig:
+    """The rig with the cameras of the recording alone, in their order."""
+    index = [rig.names.index(name) for name in recording.names]
+    return CameraRig(recording.cameras, rig.rotation[index], rig.translation[index], rig.unit)
+
+
+def lifted_poses(recording: Recording, device: str, reporter: Reporter) -> LiftedPoses:
+    """The recording's detections, lifted. Raises MismatchError where there is no such device."""
+    from mocap_calib.steerpose.lift import lift  # noqa: PLC0415 - torch takes a while
+    from mocap_calib_cli.model import load_model  # noqa: PLC0415
+
+    return lift(recording, load_model(device), device=device, progress=reporter)
+
+
+def read_stdin(what: str) -> str:
+    """All of stdin, for one input of the command."""
+    meta = click.get_current_context().meta
+    if "stdin" in meta:
+        raise click.UsageError(f"{meta['stdin']} and {what} cannot both come from stdin; give a file for one of them")
+    meta["stdin"] = what
+    return decode(click.get_binary_stream("stdin").read(), "stdin")
+
+
+def hashes(paths: Iterable[str | Path]) -> dict[str, str]:
+    """path -> SHA-256 of each regular file, and of those in each folder; a pipe has been read and is left out."""
+    files = [file for path in map(Path, paths) for file in (sorted(path.iterdir()) if path.is_dir() else [path])]
+    return {str(file): hashlib.sha256(file.read_bytes()).hexdigest() for file in files if file.is_file()}

@@ -1,0 +1,99 @@
+"""The command `mocap-calib`: a table of commands, imported when they are called, and the one place where errors end.
+
+stdout is data, stderr is talk. Exit status: 0 done, 1 the data or the calibration is bad, 2 usage, 130 interrupted.
+"""
+
+import errno
+import importlib
+import sys
+
+import click
+
+from mocap_calib import __version__
+from mocap_calib.errors import MocapCalibError
+
+# name: (module:attribute, what the list of commands says of it); kept here so that the list imports no command
+COMMANDS = {
+    "run": ("mocap_calib_cli.commands.run:command", "Keypoints to cameras and 3D poses: all stages in one."),
+    "pairwise": ("mocap_calib_cli.commands.pairwise:command", "Stage 1: relative positions of all pairs of cameras."),
+    "average": ("mocap_calib_cli.commands.average:command", "Stage 2: pairs to one rig."),
+    "match": ("mocap_calib_cli.commands.match:command", "Stage 3: who is who in all cameras."),
+    "adjust": ("mocap_calib_cli.commands.adjust:command", "Stage 4: bundle adjustment of the rig."),
+    "triangulate": ("mocap_calib_cli.commands.triangulate:command", "Stage 5: 3D poses."),
+    "evaluate": ("mocap_calib_cli.commands.evaluate:command", "Compare cameras with a reference calibration."),
+    "simulate": ("mocap_calib_cli.commands.simulate:command", "Make a synthetic recording with its truth."),
+    "train": ("mocap_calib_cli.commands.train:command", "Train the network that lifts 2D poses."),
+}
+_REMEDIES = {
+    errno.ENOENT: "expected a file or folder, found none; check the path",
+    errno.EACCES: "expected a path this program may use, found permission denied; change its permissions or choose another",
+    errno.EPERM: "expected a path this program may use, found operation not permitted; choose another",
+    errno.EROFS: "expected a place to write to, found a read-only file system; choose another",
+    errno.EISDIR: "expected a file, found a folder; give the file itself",
+    errno.ENOTDIR: "expected a folder, found a file on the way; choose another path",
+    errno.EEXIST: "expected a folder, found a file of that name; choose another path",
+    errno.ENOSPC: "expected room to write, found a full disk; free some",
+    errno.EDQUOT: "expected room to write, found the quota used up; free some",
+}
+
+
+class LazyGroup(click.Group):
+    """Imports a command when it is called (after click's documentation, "Lazily loading subcommands")."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002 - click's signature
+        """In the order of the table."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
+        """Imports the command."""
+        if cmd_name not in COMMANDS:
+            return None
+        module, attribute = COMMANDS[cmd_name][0].split(":")
+        command: click.Command = getattr(importlib.import_module(module), attribute)
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
+        """Lists the commands without importing them."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
+
+
+@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "show_default": True, "max_content_width": 100})
+@click.version_option(__version__, prog_name="mocap-calib", message="%(prog)s %(version)s")
+def group() -> None:
+    """Calibrates cameras from the 2D keypoints of moving people and animals, and triangulates them.
+
+    \b
+    Example:
+      mocap-calib run keypoints/ --cameras intrinsics.toml -o out
+      mocap-calib evaluate out/cameras.yaml --reference reference.toml
+    """
+
+
+def main() -> None:
+    """The entry point: runs the command, and turns a user's mistake into one line and an exit status."""
+    try:
+        # without standalone mode click leaves errors to us
+        status = group.main(prog_name="mocap-calib", standalone_mode=False)
+    except click.ClickException as error:
+        error.show()
+        status = error.exit_code
+    except click.Abort as error:
+        if isinstance(error.__cause__, EOFError):  # click takes it for an interruption
+            raise
+        status = _complain("interrupted", 130)
+    except BrokenPipeError:
+        sys.stdout = None  # type: ignore[assignment]  # the reader has gone: flushing at exit would complain
+        status = 1
+    except MocapCalibError as error:
+        status = _complain(str(error), 1)
+    except OSError as error:
+        if error.errno not in _REMEDIES:
+            raise
+        status = _complain(f"{error.filename or 'a file'}: {_REMEDIES[error.errno]}", 1)
+    sys.exit(status or 0)
+
+
+def _complain(message: str, status: int) -> int:
+    click.echo(f"mocap-calib: {' '.join(message.split())}", err=True)
+    return status

@@ -1,0 +1,62 @@
+"""Where results go: stdout, a file, or a folder; checked before the work starts, written whole or not at all."""
+
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+
+from mocap_calib.errors import MismatchError
+from mocap_calib.io.atomic import write_bytes
+from mocap_calib_cli.options import STDIO
+
+
+def write_text(output: str, text: str) -> None:
+    """Writes to stdout or to a file."""
+    if output == STDIO:
+        click.echo(text, nl=False)
+    else:
+        write_bytes(Path(output), text.encode())
+
+
+def check_text(output: str | None) -> None:
+    """Raises MismatchError or OSError where `write_text` could not write a file."""
+    if output not in (None, STDIO):
+        check_file(Path(str(output)))
+
+
+def check_file(path: Path) -> None:
+    """Raises MismatchError or OSError where a file could not be written."""
+    if path.is_dir():
+        raise MismatchError(f"{path}: expected a file to write, found a folder; give a name within it")
+    _check_writable(path.absolute().parent)
+
+
+def check_folder(path: Path) -> None:
+    """Raises MismatchError or OSError where a folder could not be made and filled."""
+    if path.exists() and not path.is_dir():
+        raise MismatchError(f"{path}: expected a folder to write, or a new name, found a file; choose another")
+    _check_writable(path.absolute().parent)
+    if path.exists():
+        _check_writable(path)
+
+
+def _check_writable(folder: Path) -> None:
+    """Tries it, which is the only way to know, in the nearest folder that exists."""
+    while not folder.exists():
+        folder = folder.parent
+    if not folder.is_dir():
+        raise MismatchError(f"{folder}: expected a folder, found a file; choose another path")
+    try:
+        with tempfile.TemporaryDirectory(dir=folder, prefix=".mocap-calib."):
+            pass
+    except OSError as error:
+        raise MismatchError(f"{folder}: expected a folder that can be written to, found: {error.strerror}; choose another") from None
+
+
+def provenance(command: str, **fields: Any) -> Mapping[str, Any]:
+    """What a result file says of how it came about."""
+    from mocap_calib import __version__  # noqa: PLC0415
+
+    return {"command": f"mocap-calib {command}", "version": __version__, **fields}

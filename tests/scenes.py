@@ -1,0 +1,65 @@
+"""Scenes with truth, made once per test session."""
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+from mocap_calib.config import Config, SimulateConfig
+from mocap_calib.pipeline import calibrate
+from mocap_calib.recording import make_recording
+from mocap_calib.skeleton import load_skeleton
+from mocap_calib.steerpose.checkpoint import load_lifter
+from mocap_calib.steerpose.lift import lift
+from mocap_calib.synthetic import Scene, simulate
+from mocap_calib.types import Calibration, CameraRig, LiftedPoses, Matches, Recording, silent
+
+PEOPLE = load_skeleton("people")
+
+
+@lru_cache
+def scene(**changes) -> Scene:
+    return simulate(replace(SimulateConfig(frames=60), **changes))
+
+
+@lru_cache
+def recording(**changes) -> Recording:
+    made = scene(**changes)
+    return make_recording(made.files, made.rig.cameras, PEOPLE, {})
+
+
+@lru_cache
+def lifted(**changes) -> LiftedPoses:
+    return lift(recording(**changes), load_lifter()[0], progress=silent)
+
+
+def calibrated(seed: int = 0, **changes) -> Calibration:
+    return calibrate(recording(**changes), load_lifter()[0], Config(), seed=seed, device="cpu", progress=silent)
+
+
+def truth(**changes) -> Matches:
+    """The true identities as labels."""
+    return Matches(scene(**changes).identity.astype(np.int64))
+
+
+def rotation_errors_deg(rig: CameraRig, reference: CameraRig) -> np.ndarray:
+    """Angle between the relative rotations of all pairs."""
+    errors = []
+    for a in range(len(rig.cameras)):
+        for b in range(a):
+            found, true = rig.rotation[b] @ rig.rotation[a].T, reference.rotation[b] @ reference.rotation[a].T
+            errors.append(np.degrees(np.arccos(np.clip((np.trace(found.T @ true) - 1) / 2, -1, 1))))
+    return np.array(errors)
+
+
+def precision(labels: np.ndarray, identity: np.ndarray) -> float:
+    """Share of detections of one label in two views, both of known identity, that are the same person."""
+    good = wrong = 0
+    for a in range(len(labels)):
+        for b in range(a):
+            same_label = (labels[a][:, :, None] == labels[b][:, None]) & (labels[a][:, :, None] >= 0)
+            known = (identity[a][:, :, None] >= 0) & (identity[b][:, None] >= 0)
+            same = identity[a][:, :, None] == identity[b][:, None]
+            good += int((same_label & known & same).sum())
+            wrong += int((same_label & known & ~same).sum())
+    return good / max(good + wrong, 1)

@@ -1,0 +1,187 @@
+"""Laws of the geometry. Tolerances are a few times the rounding error measured."""
+
+import numpy as np
+import pytest
+
+from mocap_calib.errors import DegenerateError
+from mocap_calib.geometry.alignment import similarity
+from mocap_calib.geometry.epipolar import depths, essential, five_point, sampson_angle, translation_system
+from mocap_calib.geometry.projection import pixels_from_points, rays_from_pixels
+from mocap_calib.geometry.rotation import (
+    angle_between,
+    direction_angle,
+    looking_along,
+    matrix_from_vector,
+    nearest_rotation,
+    quaternion_from_matrix,
+    skew,
+    vector_from_matrix,
+)
+from mocap_calib.types import Camera
+
+MATRIX = np.array([[1100.0, 0.0, 640.0], [0.0, 1105.0, 355.0], [0.0, 0.0, 1.0]])
+CAMERAS = {
+    "plain": Camera("plain", (1280, 720), MATRIX, np.zeros(5), False),
+    "brown": Camera("brown", (1280, 720), MATRIX, np.array([-0.2, 0.15, 0.001, -0.002, -0.02]), False),
+    "rational": Camera("rational", (1280, 720), MATRIX, np.array([0.3, 0.1, 0.001, 0.0, 0.02, 0.5, 0.2, 0.01]), False),
+    "fisheye": Camera("fisheye", (1280, 720), MATRIX * [[0.4], [0.4], [1]] + [[0, 0, 384], [0, 0, 213], [0, 0, 0]], np.array([0.03, 0.02, -0.01, 0.002]), True),
+}
+
+
+def rotations(rng: np.random.Generator, count: int, largest: float = np.pi) -> np.ndarray:
+    axis = rng.normal(size=(count, 3))
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    return matrix_from_vector(axis * rng.uniform(0, largest, (count, 1)))
+
+
+def two_views(rng: np.random.Generator, points: int = 200) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """R, t of b_from_a and exact rays of points in front of both."""
+    rotation, translation = rotations(rng, 1, 1.0)[0], rng.normal(size=3)
+    in_a = rng.uniform(-1, 1, (points, 3)) + [0, 0, 6.0]
+    in_b = in_a @ rotation.T + translation
+    in_front = in_b[:, 2] > 0.1
+    in_a, in_b = in_a[in_front], in_b[in_front]
+    return rotation, translation, in_a / np.linalg.norm(in_a, axis=1, keepdims=True), in_b / np.linalg.norm(in_b, axis=1, keepdims=True)
+
+
+@pytest.mark.parametrize("size", [1e-12, 1e-7, 1e-3, 1.0, 3.0, np.pi - 1e-6])
+def test_rotation_vector_round_trip(size):
+    """Near zero and near a half turn too, where the formulas break."""
+    axis = np.random.default_rng(0).normal(size=(50, 3))
+    vector = size * axis / np.linalg.norm(axis, axis=1, keepdims=True)
+    matrix = matrix_from_vector(vector)
+    np.testing.assert_allclose(matrix @ np.swapaxes(matrix, 1, 2), np.broadcast_to(np.eye(3), matrix.shape), atol=1e-14)
+    np.testing.assert_allclose(vector_from_matrix(matrix), vector, atol=1e-9 * max(size, 1e-3))
+
+
+def test_quaternion_reproduces_the_rotation_of_every_octant():
+    matrix = rotations(np.random.default_rng(1), 500)
+    w, x, y, z = quaternion_from_matrix(matrix).T
+    np.testing.assert_allclose(w**2 + x**2 + y**2 + z**2, 1, atol=1e-14)
+    np.testing.assert_allclose(matrix[:, 0, 1], 2 * (x * y - w * z), atol=1e-14)
+    np.testing.assert_allclose(matrix[:, 2, 2], 1 - 2 * (x**2 + y**2), atol=1e-14)
+
+
+def test_angle_is_exact_for_tiny_rotations():
+    assert angle_between(np.eye(3), matrix_from_vector(np.array([0, 0, 1e-9]))) == pytest.approx(1e-9, rel=1e-6)
+
+
+def test_angle_is_invariant_to_the_frame():
+    a, b, c = (rotations(np.random.default_rng(k), 20) for k in range(3))
+    np.testing.assert_allclose(angle_between(c @ a, c @ b), angle_between(a, b), atol=1e-7)
+
+
+def test_direction_angle_of_nothing_is_a_half_turn():
+    assert direction_angle(np.zeros(3), np.array([1.0, 0, 0])) == np.pi
+
+
+def test_skew_is_the_cross_product():
+    a, b = np.random.default_rng(2).normal(size=(2, 10, 3))
+    np.testing.assert_allclose((skew(a) @ b[..., None])[..., 0], np.cross(a, b), atol=1e-15)
+
+
+def test_nearest_rotation_is_proper_and_optimal():
+    """No rotation of a thousand does better, for any matrix, mirrored ones too."""
+    rng = np.random.default_rng(3)
+    matrix = rng.normal(size=(30, 3, 3))
+    best = nearest_rotation(matrix)
+    np.testing.assert_allclose(np.linalg.det(best), 1, atol=1e-12)
+    value = np.einsum("nij,nij->n", best, matrix)
+    others = np.einsum("mij,nij->nm", rotations(rng, 1000), matrix)
+    assert (value[:, None] >= others - 1e-12).all()
+
+
+def test_looking_along_is_a_rotation_that_looks_along():
+    direction = np.concatenate([np.random.default_rng(4).normal(size=(100, 3)), [[0, 1.0, 0], [0, -1.0, 0]]])
+    turn = looking_along(direction, np.array([0.0, 1.0, 0.0]))
+    np.testing.assert_allclose(np.linalg.det(turn), 1, atol=1e-12)
+    ahead = (turn @ direction[..., None])[..., 0]
+    np.testing.assert_allclose(ahead[:, :2], 0, atol=1e-12)
+    assert (ahead[:, 2] > 0).all()
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_pixel_ray_pixel_round_trip(name):
+    """Measured 1e-12 px; 1e-8 leaves room for other processors."""
+    camera = CAMERAS[name]
+    pixels = np.random.default_rng(5).uniform([0, 0], camera.size, (500, 2))
+    pixels[0] = np.nan
+    rays = rays_from_pixels(camera, pixels)
+    np.testing.assert_allclose(np.linalg.norm(rays[1:], axis=1), 1, atol=1e-14)
+    assert np.isnan(rays[0]).all()
+    np.testing.assert_allclose(pixels_from_points(camera, 3.0 * rays), pixels, atol=1e-8)
+
+
+def test_a_point_behind_the_camera_has_no_pixel():
+    assert np.isnan(pixels_from_points(CAMERAS["plain"], np.array([[0, 0, -1.0], [0, 0, 0.0]]))).all()
+
+
+def test_fisheye_sees_past_the_image_plane():
+    """Kannala-Brandt has no tangent: rays near 90 degrees are as good as any."""
+    ray = np.array([np.sin(1.5), 0, np.cos(1.5)])
+    np.testing.assert_allclose(rays_from_pixels(CAMERAS["fisheye"], pixels_from_points(CAMERAS["fisheye"], ray[None])), ray[None], atol=1e-9)
+
+
+def test_exact_matches_have_no_epipolar_error_and_positive_depths():
+    for seed in range(5):
+        rotation, translation, a, b = two_views(np.random.default_rng(seed))
+        np.testing.assert_allclose(sampson_angle(essential(rotation, translation), a, b), 0, atol=1e-12)
+        near_a, near_b = depths(rotation, translation, a, b)
+        np.testing.assert_allclose(near_b[:, None] * b - near_a[:, None] * (a @ rotation.T), np.broadcast_to(translation, a.shape), atol=1e-9)
+        assert (near_a > 0).all()
+        assert (near_b > 0).all()
+
+
+def test_sampson_error_is_the_angle_to_the_epipolar_plane():
+    """A ray turned out of its plane by e has an error of e shared between two views: e / sqrt(2)."""
+    rotation, translation, a, b = two_views(np.random.default_rng(7))
+    plane = np.cross(translation, a @ rotation.T)
+    plane /= np.linalg.norm(plane, axis=1, keepdims=True)
+    moved = np.cos(1e-4) * b + np.sin(1e-4) * plane
+    slope_a, slope_b = (np.linalg.norm(x, axis=1) for x in (moved @ essential(rotation, translation), a @ essential(rotation, translation).T))
+    expected = 1e-4 * slope_b / np.hypot(slope_a, slope_b)
+    np.testing.assert_allclose(np.abs(sampson_angle(essential(rotation, translation), a, moved)), expected, rtol=1e-3)
+
+
+def test_translation_system_agrees_with_the_full_collinearity_and_coplanarity_system():
+    """The paper's A [x_1 .. x_N t] = 0: both have t as the vector of their smallest singular value, at the true rotation."""
+    rotation, translation, a, b = two_views(np.random.default_rng(8), points=12)
+    _, vectors = np.linalg.eigh(translation_system(rotation, a, b, np.ones(len(a))))
+    n = len(a)
+    rows = np.zeros((6 * n, 3 * n + 3))
+    for k in range(n):  # u_a x x = 0 and u_b x (R x + t) = 0
+        rows[6 * k : 6 * k + 3, 3 * k : 3 * k + 3] = skew(a[k])
+        rows[6 * k + 3 : 6 * k + 6, 3 * k : 3 * k + 3] = skew(b[k]) @ rotation
+        rows[6 * k + 3 : 6 * k + 6, -3:] = skew(b[k])
+    full = np.linalg.svd(rows)[2][-1, -3:]
+    unit = translation / np.linalg.norm(translation)
+    assert abs(vectors[:, 0] @ unit) == pytest.approx(1, abs=1e-12)
+    assert abs(full @ unit) / np.linalg.norm(full) == pytest.approx(1, abs=1e-9)
+
+
+def test_five_point_finds_the_pose_among_outliers():
+    rng = np.random.default_rng(9)
+    rotation, translation, a, b = two_views(rng)
+    b[:40] = rng.permutation(b[:40])
+    ((found, direction),) = five_point(a, b, 1e-4)
+    assert np.degrees(angle_between(found, rotation)) < 0.01
+    assert np.degrees(direction_angle(direction, translation)) < 0.05
+
+
+def test_five_point_declines_too_few_points():
+    _, _, a, b = two_views(np.random.default_rng(10), points=6)
+    assert five_point(a, b, 1e-3) == []
+
+
+def test_similarity_recovers_what_was_applied():
+    rng = np.random.default_rng(11)
+    source, rotation = rng.normal(size=(7, 3)), rotations(rng, 1)[0]
+    scale, found, shift = similarity(source, 2.5 * source @ rotation.T + [1.0, -2.0, 3.0])
+    assert scale == pytest.approx(2.5)
+    np.testing.assert_allclose(found, rotation, atol=1e-12)
+    np.testing.assert_allclose(shift, [1, -2, 3], atol=1e-12)
+
+
+def test_similarity_of_one_place_is_degenerate():
+    with pytest.raises(DegenerateError, match="different places"):
+        similarity(np.ones((4, 3)), np.zeros((4, 3)))
