@@ -33,6 +33,8 @@ def adjust(recording: Recording, rig: CameraRig, matches: Matches, config: Adjus
     The loss is tightened in steps; `near` says that the rig has been adjusted before and only the last step is needed.
     Raises DegenerateError where a camera has too few points to hold it.
     """
+    if matches.individuals == 0:
+        raise DegenerateError("expected bodies that two views agree on, found none; check that the files belong to these cameras and to the same time")
     noise = view_noise(recording, rig, matches)
     seen = _observations(recording, rig, matches, noise, config, triangulation)
     _check_enough(rig, seen)

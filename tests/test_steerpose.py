@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from scenes import recording, scene
 
 from mocap_calib.config import TrainConfig
 from mocap_calib.errors import FormatError, MismatchError
@@ -17,7 +18,6 @@ from mocap_calib.steerpose.model import Lifter, ModelConfig, normalise
 from mocap_calib.steerpose.train import lifting_loss, train_lifter
 from mocap_calib.synthetic import people
 from mocap_calib.types import silent
-from scenes import recording, scene
 
 PEOPLE = load_skeleton("people")
 SMALL = TrainConfig(steps=3, batch=8, width=16, layers=1)

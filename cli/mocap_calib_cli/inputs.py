@@ -77,7 +77,9 @@ def _mapping(views: Sequence[Keypoints2D], cameras: tuple[Camera, ...], recordin
     lines += [f"left out, nothing detected: {', '.join(left)}"] if left else []
     strangers = [name for name, joint in zip(recording.keypoints, recording.vocabulary, strict=True) if joint < 0]
     known = len(recording.keypoints) - len(strangers)
-    lines += [f"{len(recording.frames)} frames; {len(recording.keypoints)} joints, the model knows {known}" + (f", not: {', '.join(strangers)}" if strangers else "")]
+    lines += [
+        f"{len(recording.frames)} frames; {len(recording.keypoints)} joints, the model knows {known}" + (f", not: {', '.join(strangers)}" if strangers else "")
+    ]
     return lines
 
 
@@ -104,8 +106,8 @@ def placed(recording: Recording, rig: CameraRig) -> CameraRig:
 
 def lifted_poses(recording: Recording, device: str, reporter: Reporter) -> LiftedPoses:
     """The recording's detections, lifted. Raises MismatchError where there is no such device."""
-    from mocap_calib.steerpose.lift import lift  # noqa: PLC0415 - torch takes a while
-    from mocap_calib_cli.model import load_model  # noqa: PLC0415
+    from mocap_calib.steerpose.lift import lift
+    from mocap_calib_cli.model import load_model
 
     return lift(recording, load_model(device), device=device, progress=reporter)
 
@@ -120,6 +122,6 @@ def read_stdin(what: str) -> str:
 
 
 def hashes(paths: Iterable[str | Path]) -> dict[str, str]:
-    """path -> SHA-256 of each regular file, and of those in each folder; a pipe has been read and is left out."""
+    """Path -> SHA-256 of each regular file, and of those in each folder; a pipe has been read and is left out."""
     files = [file for path in map(Path, paths) for file in (sorted(path.iterdir()) if path.is_dir() else [path])]
     return {str(file): hashlib.sha256(file.read_bytes()).hexdigest() for file in files if file.is_file()}

@@ -57,6 +57,6 @@ def _check_writable(folder: Path) -> None:
 
 def provenance(command: str, **fields: Any) -> Mapping[str, Any]:
     """What a result file says of how it came about."""
-    from mocap_calib import __version__  # noqa: PLC0415
+    from mocap_calib import __version__
 
     return {"command": f"mocap-calib {command}", "version": __version__, **fields}

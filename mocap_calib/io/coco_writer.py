@@ -7,9 +7,7 @@ import numpy as np
 from mocap_calib.types import Bools, Floats, Ints, check_shape
 
 
-def format_coco(  # noqa: PLR0917 - the parts of a COCO file
-    camera: str, size: tuple[int, int], frames: Ints, keypoints: tuple[str, ...], positions: Floats, confidence: Floats
-) -> str:
+def format_coco(camera: str, size: tuple[int, int], frames: Ints, keypoints: tuple[str, ...], positions: Floats, confidence: Floats) -> str:
     """The detections of one camera as COCO annotations.
 
     size: (width, height) of the images. frames: `[frame]` numbers; they are the image ids, and in the file names.

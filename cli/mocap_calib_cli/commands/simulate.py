@@ -34,8 +34,8 @@ _SHARE = click.FloatRange(0, 1)
 @click.option("--quiet", is_flag=True, help="Say nothing on stderr.")
 def command(output: Path, quiet: bool, **fields: Any) -> None:
     """Makes a recording of synthetic people with its truth: keypoints (COCO), cameras, who is who, true 3D."""
-    from mocap_calib.io.scene import write_scene  # noqa: PLC0415 - heavy imports would slow --help
-    from mocap_calib.synthetic import simulate  # noqa: PLC0415
+    from mocap_calib.io.scene import write_scene
+    from mocap_calib.synthetic import simulate
 
     config = SimulateConfig(**fields)
     scene = simulate(config)

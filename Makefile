@@ -1,0 +1,47 @@
+# Two commands for a fresh machine: `make demo` and `make test`. Both make the environment in .venv first.
+# Everything is installed through constraints.txt: a bare requirement on torch can fetch gigabytes of CUDA.
+
+PYTHON ?= python3
+BIN := .venv/bin
+INSTALL := $(BIN)/pip install --disable-pip-version-check -c constraints.txt
+
+.PHONY: demo test test-quick lint benchmark cli-docs clean
+
+demo: .venv/installed
+	@echo "== three people, four cameras, nobody knows who is who =="
+	$(BIN)/mocap-calib run examples/three_people/keypoints --cameras examples/three_people/intrinsics.toml -o out/demo
+	@echo "== compared with the truth of the simulation =="
+	$(BIN)/mocap-calib evaluate out/demo/cameras.yaml --reference examples/three_people/reference.toml
+	@echo "== the results are in out/demo =="
+	@ls out/demo
+
+test: .venv/tested
+	$(BIN)/python -m pytest --durations=10
+
+test-quick: .venv/tested
+	$(BIN)/python -m pytest -m "not slow"
+
+lint: .venv/tested
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+benchmark: .venv/installed
+	$(BIN)/python benchmarks/recordings.py
+
+cli-docs: .venv/installed
+	$(BIN)/python docs/make_cli.py
+
+.venv/installed: setup.cfg constraints.txt
+	@echo "== making the environment in .venv (a minute or two) =="
+	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	$(INSTALL) -e .
+	@touch $@
+
+.venv/tested: .venv/installed
+	$(INSTALL) -e ".[test]"
+	@touch $@
+
+clean:
+	rm -rf .venv out build dist *.egg-info
