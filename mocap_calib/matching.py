@@ -166,9 +166,9 @@ def _usual_step(places: Floats) -> float:
 
 
 def _by_presence(labels: Ints) -> Ints:
-    """Renumbers individuals by how often they are seen, most first; those of a moment (under 1 % of the frames, at most 5) are nobody."""
+    """Renumbers individuals by how often they are seen, most first; those of a moment (5 % of the frames, at most 10) are nobody."""
     present = np.stack([(labels == k).any((0, 2)).sum() for k in range(int(labels.max(initial=-1)) + 1)] or [np.zeros((), int)])
-    least = min(5, labels.shape[1] // 100)
+    least = min(10, labels.shape[1] // 20)
     order = np.argsort(-present, kind="stable")
     name = np.full(len(present) + 1, -1, dtype=np.int64)
     name[order] = np.where(present[order] > least, np.arange(len(order)), -1)

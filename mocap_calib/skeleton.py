@@ -55,11 +55,36 @@ def load_skeleton(name_or_path: str | Path) -> Skeleton:
         text = path.read_text("utf-8")
     else:
         raise FormatError(f"skeleton {name_or_path}: expected the name of a shipped skeleton or a YAML file, found neither")
+    return parse_skeleton(_mapping(text, f"skeleton {name_or_path}"), str(name_or_path))
+
+
+def load_aliases(path: Path, skeleton: Skeleton) -> dict[str, str]:
+    """Own names of joints, `aliases: {own name: joint}` in a YAML file; a joint may be said by any name the skeleton knows.
+
+    Raises FormatError, also for a joint that the skeleton does not have.
+    """
     try:
-        fields = yaml.safe_load(text)
+        text = path.read_text("utf-8")
+    except (OSError, ValueError) as error:
+        raise FormatError(f"{path}: expected a YAML file with `aliases`, found: {getattr(error, 'strerror', None) or error}; check the path") from None
+    fields = _mapping(text, str(path))
+    found = fields.get("aliases") if isinstance(fields, dict) else None
+    if not isinstance(found, dict) or not found:
+        raise FormatError(f"{path}: expected a mapping `aliases` of own names to joints, found none; write for instance `aliases: {{beak: nose}}`")
+    aliases = {str(name): str(joint) for name, joint in found.items()}
+    strangers = [joint for joint in aliases.values() if match_names((joint,), skeleton)[0] < 0]
+    if strangers:
+        known = ", ".join(skeleton.keypoints)
+        raise FormatError(f"{path}: expected aliases of joints that the model {skeleton.name} has ({known}), found {', '.join(strangers)}; choose among those")
+    return aliases
+
+
+def _mapping(text: str, source: str) -> Any:
+    """What a YAML text holds. Raises FormatError."""
+    try:
+        return yaml.safe_load(text)
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise FormatError(f"skeleton {name_or_path}: not a YAML file: {str(error).splitlines()[0]}") from None
-    return parse_skeleton(fields, str(name_or_path))
+        raise FormatError(f"{source}: not a YAML file: {str(error).splitlines()[0]}") from None
 
 
 def parse_skeleton(fields: Any, source: str) -> Skeleton:

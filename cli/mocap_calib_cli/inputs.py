@@ -4,6 +4,7 @@ Imports numpy and the readers: commands import this module when they run, so tha
 """
 
 import hashlib
+import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -118,7 +119,7 @@ def read_stdin(what: str) -> str:
     if "stdin" in meta:
         raise click.UsageError(f"{meta['stdin']} and {what} cannot both come from stdin; give a file for one of them")
     meta["stdin"] = what
-    return decode(click.get_binary_stream("stdin").read(), "stdin")
+    return decode(sys.stdin.buffer.read(), "stdin")
 
 
 def hashes(paths: Iterable[str | Path]) -> dict[str, str]:

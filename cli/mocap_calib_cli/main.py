@@ -83,7 +83,7 @@ def main() -> None:
             raise
         status = _complain("interrupted", 130)
     except BrokenPipeError:
-        sys.stdout = None  # type: ignore[assignment]  # the reader has gone: flushing at exit would complain
+        sys.stdout = None  # the reader has gone: flushing at exit would complain
         status = 1
     except MocapCalibError as error:
         status = _complain(str(error), 1)

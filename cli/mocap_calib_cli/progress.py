@@ -1,5 +1,6 @@
 """What is said on stderr while a command works; stdout is for data."""
 
+import sys
 import time
 from collections.abc import Iterable, Sequence
 from types import TracebackType
@@ -23,7 +24,7 @@ class Reporter:
 
     def __init__(self, *, quiet: bool) -> None:
         self.quiet = quiet
-        self.terminal = click.get_text_stream("stderr").isatty()
+        self.terminal = sys.stderr.isatty()
         self.stage, self.done, self.total = "", 0, 0
         self.since = self.spoken = time.monotonic()
         self.bars: Progress | None = None

@@ -1,0 +1,89 @@
+"""Runs the main job on real recordings and prints the README's table.
+
+    .venv/bin/python benchmarks/recordings.py [--recordings ../shared/recordings] [NAME ...]
+
+Each run is a process of its own that sees the keypoints and the intrinsics alone; rotation and translation errors come
+from `mocap-calib evaluate`, precision and recall from the known identities.
+"""
+
+import argparse
+import csv
+import json
+import subprocess
+import sys
+import tempfile
+import time
+import tomllib
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+
+TOOL = Path(sys.executable).with_name("mocap-calib")
+NAMES = (
+    "h36m_S1_walking",
+    "h36m_S1_mix",
+    "h36m_S6_mix",
+    "h36m_S5_multi3",
+    "shelf",
+    "pose2sim_single",
+    "humaneva_S1_projected",
+    "panoptic_band1_projected",
+    "mvor_openpose",
+)
+
+
+def main() -> None:
+    """One row a recording, as Markdown on stdout."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="*", default=NAMES, metavar="NAME")
+    parser.add_argument("--recordings", type=Path, default=Path("../shared/recordings"))
+    options = parser.parse_args()
+    print("| recording | E_R median / max (deg) | E_t median (deg) | precision | recall | wall (s) |")
+    print("|---|---|---|---|---|---|")
+    for name in options.names:
+        print(row(options.recordings / name), flush=True)
+
+
+def row(recording: Path) -> str:
+    """Runs and judges one recording."""
+    with tempfile.TemporaryDirectory() as work:
+        out = Path(work) / "out"
+        start = time.perf_counter()
+        run("run", str(recording / "keypoints"), "--cameras", str(recording / "intrinsics.toml"), "-o", str(out), "--seed", "0", "--quiet")
+        wall = time.perf_counter() - start
+        found = json.loads(run("evaluate", str(out / "cameras.yaml"), "--reference", str(recording / "reference.toml"), "--json"))
+        precision, recall = identities(recording, out / "matches.csv")
+    rotation, translation = found["rotation_error_deg"], found["translation_error_deg"]
+    return (
+        f"| {recording.name} | {rotation['median']:.2f} / {rotation['max']:.2f} | {translation['median']:.2f} "
+        f"| {precision:.3f} | {recall:.3f} | {wall:.1f} |"
+    )
+
+
+def run(*arguments: str) -> str:
+    """One command of the tool; its complaints go where ours go."""
+    return subprocess.run([TOOL, *arguments], check=True, stdout=subprocess.PIPE, text=True).stdout
+
+
+def identities(recording: Path, matches: Path) -> tuple[float, float]:
+    """Precision and recall of matches between views, over detections of known identity in all pairs of views."""
+    ids = np.load(recording / "truth.npz")["ids"]
+    names = [entry["name"] for entry in tomllib.loads((recording / "reference.toml").read_text()).values()]
+    labels = np.full(ids.shape, -1)
+    with matches.open(newline="") as file:
+        for line in csv.DictReader(file):
+            where = names.index(line["camera"]), int(line["frame"]), int(line["instance"])
+            if where[2] < ids.shape[2]:
+                labels[where] = int(line["individual"])
+    good = matched = possible = 0
+    for a, b in combinations(range(len(ids)), 2):
+        known = (ids[a][:, :, None] >= 0) & (ids[b][:, None] >= 0)
+        same = known & (ids[a][:, :, None] == ids[b][:, None])
+        joined = known & (labels[a][:, :, None] >= 0) & (labels[a][:, :, None] == labels[b][:, None])
+        good, matched, possible = good + int((same & joined).sum()), matched + int(joined.sum()), possible + int(same.sum())
+    return good / max(matched, 1), good / max(possible, 1)
+
+
+if __name__ == "__main__":
+    main()
