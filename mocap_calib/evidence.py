@@ -56,8 +56,8 @@ def view_pair(recording: Recording, lifted: LiftedPoses, a: int, b: int, frames:
         weight_b,
         np.nan_to_num(place_a),
         np.nan_to_num(place_b),
-        _distance(place_a),
-        _distance(place_b),
+        _distance(place_a, recording.rays[a, frames]),
+        _distance(place_b, recording.rays[b, frames]),
         cross / safe[..., None, None],
         norm / safe,
         (total > 0).astype(np.float64),
@@ -71,11 +71,15 @@ def _bodies(lifted: LiftedPoses, view: int, frames: Ints) -> tuple[Floats, Float
     return np.nan_to_num(body), np.nan_to_num(precision)
 
 
-def _distance(place: Floats) -> Floats:
-    """Distances of lifted bodies; the median of the view for detections that were not lifted."""
-    distance = np.linalg.norm(place, axis=-1)
-    known = np.isfinite(distance)
-    return np.where(known, distance, np.median(distance[known]) if known.any() else 1.0)
+def _distance(place: Floats, rays: Floats) -> Floats:
+    """`[frame, I]` distances of lifted bodies; of the others, how far a body of their angular size would be."""
+    seen = np.isfinite(rays[..., :1])
+    known = np.where(seen, rays, 0.0)
+    middle = known.sum(-2, keepdims=True) / np.maximum(seen.sum(-2, keepdims=True), 1)
+    square = np.where(seen, (known - middle) ** 2, 0.0).sum((-1, -2)) / np.maximum(seen.sum((-1, -2)), 1)
+    by_size = np.sqrt(2 / 3) / np.sqrt(np.maximum(square, 1e-8))  # two of three dimensions are seen
+    lifted = np.linalg.norm(place, axis=-1)
+    return np.where(np.isfinite(lifted), lifted, by_size)
 
 
 def steering_error(pair: ViewPair, rotation: Floats) -> Floats:
@@ -131,6 +135,9 @@ def epipolar_fit(error: Floats, weight: Floats, config: PairwiseConfig) -> Float
 
 
 def match_affinity(pair: ViewPair, rotation: Floats, translation: Floats, epipolar: Floats, config: PairwiseConfig) -> Floats:
-    """`[M, frame, I, J]` in 0..1 that two detections are one individual: geometry, tempered by the lifted bodies."""
+    """`[M, frame, I, J]` in 0..1 that two detections are one individual: geometry, tempered by the lifted bodies.
+
+    A detection that could not be lifted has less to say than others, unless none could be: then geometry is all there is.
+    """
     bodies = np.sqrt(agreement(pair, rotation, translation, config))
-    return epipolar * np.where(pair.lifted > 0, bodies, 0.3)
+    return epipolar * np.where(pair.lifted > 0, bodies, 0.3 if pair.lifted.any() else 1.0)

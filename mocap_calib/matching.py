@@ -42,7 +42,7 @@ def _relative(rig: CameraRig, a: int, b: int) -> tuple[Floats, Floats]:
 def _body_scale(recording: Recording, lifted: LiftedPoses, rig: CameraRig, config: PairwiseConfig) -> float:
     """Body sizes per unit of the rig: how far bodies were lifted over how far the rig triangulates them."""
     ratios = []
-    seen = np.isfinite(lifted.centre[..., 0]).sum(-1) > 0
+    seen = (recording.seen.sum(-1) >= 4).sum(-1) > 0
     for a, b in combinations(range(len(rig.cameras)), 2):
         shared = np.flatnonzero(seen[a] & seen[b])
         if len(shared):
@@ -55,7 +55,7 @@ def _body_scale(recording: Recording, lifted: LiftedPoses, rig: CameraRig, confi
 def _distance_ratios(pair: ViewPair, rotation: Floats, translation: Floats, config: PairwiseConfig) -> Floats:
     """Lifted over triangulated distances of the joints of well-fitting candidate matches."""
     error, weight = epipolar_error(pair, rotation, translation)
-    frame, i, j = np.nonzero((epipolar_fit(error, weight, config)[0] > 0.7) & (pair.lifted > 0))
+    frame, i, j = np.nonzero(epipolar_fit(error, weight, config)[0] > 0.7)
     use = (pair.weight_a[frame, i] > 0) & (pair.weight_b[frame, j] > 0)
     near_a, near_b = depths(rotation[0], translation[0], pair.rays_a[frame, i][use], pair.rays_b[frame, j][use])
     far = np.broadcast_to((pair.distance_a[frame, i] + pair.distance_b[frame, j])[:, None], use.shape)[use]

@@ -7,7 +7,7 @@ identities are known; all are scored against all frames at once, the best modes 
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from itertools import combinations
+from itertools import combinations, product
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,9 @@ from mocap_calib.evidence import ViewPair, agreement, epipolar_error, epipolar_f
 from mocap_calib.geometry.epipolar import depths, five_point
 from mocap_calib.geometry.rotation import angle_between, matrix_from_vector, nearest_rotation
 from mocap_calib.types import Bools, Floats, Ints, LiftedPoses, PairwiseCalibration, Progress, Recording
+
+
+_TRACKS = 9  # pairs of tracks that are looked at
 
 
 @dataclass(frozen=True)
@@ -91,11 +94,22 @@ def _evenly(frames: Ints, count: int) -> Ints:
 def _proposals(pair: ViewPair, tracked: bool, config: PairwiseConfig, rng: np.random.Generator) -> Modes:
     """Modes of the search over lifted poses, and of five-point RANSAC where it is known who is who."""
     modes = _search(pair, config, rng)
-    single = ((pair.weight_a > 0).any(-1).sum(-1) <= 1) & ((pair.weight_b > 0).any(-1).sum(-1) <= 1)
-    if tracked or single.mean() > 0.5:
-        use = np.flatnonzero(single) if not tracked else np.arange(len(pair.frames))
-        modes = _join(modes, _from_five_points(pair, use, rng))
+    for frame, i, j in _known_identities(pair, tracked):
+        modes = _join(modes, _from_five_points(pair, frame, i, j, rng))
     return modes
+
+
+def _known_identities(pair: ViewPair, tracked: bool) -> list[tuple[Ints, Ints, Ints]]:
+    """Sets of matches (frame, i, j) that hold one individual a view: the frames with one subject, or each pair of tracks."""
+    there_a, there_b = (pair.weight_a > 0).any(-1), (pair.weight_b > 0).any(-1)
+    if tracked:
+        tracks = product(range(there_a.shape[1]), range(there_b.shape[1]))
+        sets = [(np.flatnonzero(there_a[:, i] & there_b[:, j]), i, j) for i, j in tracks]
+        return [(f, np.full(len(f), i), np.full(len(f), j)) for f, i, j in sets if len(f)][:_TRACKS]
+    single = np.flatnonzero((there_a.sum(1) == 1) & (there_b.sum(1) == 1))
+    if 2 * len(single) < len(pair.frames):
+        return []
+    return [(single, there_a[single].argmax(1), there_b[single].argmax(1))]
 
 
 def _search(pair: ViewPair, config: PairwiseConfig, rng: np.random.Generator) -> Modes:
@@ -149,16 +163,15 @@ def _procrustes(pair: ViewPair, modes: Modes, config: PairwiseConfig) -> Modes:
     return replace(modes, rotation=rotation, translation=np.where(total > 0, mean, modes.translation))
 
 
-def _from_five_points(pair: ViewPair, use: Ints, rng: np.random.Generator) -> Modes:
-    """Five-point RANSAC (Nister 2004) on subsets of the frames in which identities are known: first instances only."""
+def _from_five_points(pair: ViewPair, frame: Ints, i: Ints, j: Ints, rng: np.random.Generator) -> Modes:
+    """Five-point RANSAC (Nister 2004) on subsets of matches that are known to be right."""
     rotations, translations = [], []
     for _ in range(3):
-        part = np.sort(rng.choice(use, max(1, min(len(use), 40)), replace=False))
-        first_a = (pair.weight_a[part] > 0).any(-1).argmax(-1)
-        first_b = (pair.weight_b[part] > 0).any(-1).argmax(-1)
-        both = (pair.weight_a[part, first_a] > 0) & (pair.weight_b[part, first_b] > 0)
-        threshold = 0.05 / float(np.median(reach(pair)[part, first_a, first_b]))
-        for rotation, translation in five_point(pair.rays_a[part, first_a][both], pair.rays_b[part, first_b][both], threshold):
+        part = np.sort(rng.permutation(len(frame))[:40])
+        f, m, n = frame[part], i[part], j[part]
+        both = (pair.weight_a[f, m] > 0) & (pair.weight_b[f, n] > 0)
+        threshold = 0.05 / float(np.median(reach(pair)[f, m, n]))
+        for rotation, translation in five_point(pair.rays_a[f, m][both], pair.rays_b[f, n][both], threshold):
             rotations.append(rotation)
             translations.append(translation)
     return Modes(np.reshape(rotations, (-1, 3, 3)), np.reshape(translations, (-1, 3)), ("five-point",) * len(rotations))
