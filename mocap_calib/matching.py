@@ -13,7 +13,7 @@ from scipy.optimize import linear_sum_assignment
 from mocap_calib.config import MatchingConfig, PairwiseConfig
 from mocap_calib.evidence import ViewPair, epipolar_error, epipolar_fit, match_affinity, view_pair
 from mocap_calib.geometry.epipolar import depths
-from mocap_calib.types import CameraRig, Floats, Ints, LiftedPoses, Matches, Progress, Recording
+from mocap_calib.types import Bools, CameraRig, Floats, Ints, LiftedPoses, Matches, Progress, Recording
 
 
 def match(recording: Recording, lifted: LiftedPoses, rig: CameraRig, config: MatchingConfig, evidence: PairwiseConfig, *, progress: Progress) -> Matches:
@@ -166,11 +166,63 @@ def _usual_step(places: Floats) -> float:
 
 
 def _by_presence(labels: Ints) -> Ints:
-    """Renumbers individuals by how often they are seen, most first; those of a moment (5 % of the frames, at most 10) are nobody."""
-    present = np.stack([(labels == k).any((0, 2)).sum() for k in range(int(labels.max(initial=-1)) + 1)] or [np.zeros((), int)])
-    least = min(10, labels.shape[1] // 20)
-    order = np.argsort(-present, kind="stable")
-    name = np.full(len(present) + 1, -1, dtype=np.int64)
-    name[order] = np.where(present[order] > least, np.arange(len(order)), -1)
-    name[-1] = -1
+    """Renumbers individuals by how often they are seen, most first."""
+    order = np.argsort(-_presence(labels), kind="stable")
+    name = np.full(len(order) + 1, -1, dtype=np.int64)  # the last entry is where -1 finds itself
+    name[order] = np.arange(len(order))
+    return name[labels]
+
+
+def _presence(labels: Ints) -> Ints:
+    """`[individual]` number of frames each is seen in."""
+    frames, individuals = labels.shape[1], int(labels.max(initial=-1)) + 1
+    seen = np.zeros((frames, individuals + 1), dtype=bool)
+    seen[np.arange(frames)[:, None], np.swapaxes(labels, 0, 1).reshape(frames, -1)] = True
+    return seen[:, :individuals].sum(0)
+
+
+def same_groups(first: Matches, second: Matches) -> bool:
+    """Whether two labellings join the same detections in every frame, whatever they call them."""
+    return np.array_equal(_canonical(first.labels), _canonical(second.labels))
+
+
+def _canonical(labels: Ints) -> Ints:
+    """`[frame, N]` each detection named after the first detection of its group, -1 for nobody."""
+    flat = np.swapaxes(labels, 0, 1).reshape(labels.shape[1], -1)
+    first = (flat[:, :, None] == flat[:, None]).argmax(-1)
+    return np.where(flat >= 0, first, -1)
+
+
+def settle(recording: Recording, rig: CameraRig, matches: Matches) -> Matches:
+    """The final names: no individuals of a moment, and as few as the recording needs.
+
+    Individuals of at most 5 % of the frames (and at most 10) that never three views agree on are false detections that
+    happen to meet: nobody. Of the others, one that appears takes the name of one that has gone, the nearest: a cage or
+    a stage holds so many bodies and no more.
+    """
+    labels = matches.labels
+    individuals = matches.individuals
+    support = np.stack([(labels == k).any(-1).sum(0) for k in range(individuals)]).reshape(individuals, -1)  # (individual, frame) views
+    few = min(10, labels.shape[1] // 20)
+    real = ((support > 0).sum(1) > few) | (support.max(1, initial=0) >= 3)
+    labels = np.where(np.append(real, False)[labels], labels, -1)
+    return Matches(_by_presence(_renamed(labels, _places(recording, rig, labels))))
+
+
+def _renamed(labels: Ints, places: Floats) -> Ints:
+    """Joins individuals that are never there together, in the order they appear, each to the one last seen nearest."""
+    there = np.isfinite(places[..., 0]).T  # (individual, frame)
+    name = np.full(len(there) + 1, -1, dtype=np.int64)
+    taken: list[Bools] = []  # per name: the frames it is seen in
+    last: list[Floats] = []  # per name: where it was in its last frame so far
+    for k in np.argsort(np.where(there.any(1), there.argmax(1), there.shape[1]), kind="stable"):
+        present = np.flatnonzero(there[k])
+        if len(present):
+            free = [n for n, frames in enumerate(taken) if not frames[present].any()]
+            name[k] = min(free, key=lambda n: float(np.linalg.norm(last[n] - places[present[0], k])), default=len(taken))
+            if name[k] == len(taken):
+                taken.append(np.zeros(there.shape[1], dtype=bool))
+                last.append(places[0, k])
+            taken[name[k]] = taken[name[k]] | there[k]
+            last[name[k]] = places[present[-1], k]
     return name[labels]

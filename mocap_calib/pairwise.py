@@ -20,7 +20,6 @@ from mocap_calib.geometry.epipolar import depths, five_point
 from mocap_calib.geometry.rotation import angle_between, matrix_from_vector, nearest_rotation
 from mocap_calib.types import Bools, Floats, Ints, LiftedPoses, PairwiseCalibration, Progress, Recording
 
-
 _TRACKS = 9  # pairs of tracks that are looked at
 
 
@@ -101,7 +100,7 @@ def _proposals(pair: ViewPair, tracked: bool, config: PairwiseConfig, rng: np.ra
 
 def _known_identities(pair: ViewPair, tracked: bool) -> list[tuple[Ints, Ints, Ints]]:
     """Sets of matches (frame, i, j) that hold one individual a view: the frames with one subject, or each pair of tracks."""
-    there_a, there_b = (pair.weight_a > 0).any(-1), (pair.weight_b > 0).any(-1)
+    there_a, there_b = (pair.weight_a > 0).sum(-1) > 0, (pair.weight_b > 0).sum(-1) > 0
     if tracked:
         tracks = product(range(there_a.shape[1]), range(there_b.shape[1]))
         sets = [(np.flatnonzero(there_a[:, i] & there_b[:, j]), i, j) for i, j in tracks]

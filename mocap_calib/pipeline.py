@@ -10,7 +10,7 @@ import numpy as np
 from mocap_calib.averaging import average
 from mocap_calib.bundle_adjustment import adjust
 from mocap_calib.config import Config
-from mocap_calib.matching import match
+from mocap_calib.matching import match, same_groups, settle
 from mocap_calib.pairwise import calibrate_pairs
 from mocap_calib.steerpose.lift import lift
 from mocap_calib.steerpose.model import Lifter
@@ -51,13 +51,13 @@ def calibrate(recording: Recording, lifter: Lifter, config: Config, *, seed: int
 
 
 def adjust_to_fixed_point(recording: Recording, lifted: LiftedPoses, rig: CameraRig, matches: Matches, config: Config, *, progress: Progress) -> Adjusted:
-    """Adjusts, matches from the adjusted geometry, and adjusts again until no label changes."""
+    """Adjusts, matches from the adjusted geometry, and adjusts again until no detection changes its group."""
     rounds = config.adjust.rounds
     for done in range(1, rounds + 1):
         rig = adjust(recording, rig, matches, config.adjust, config.triangulate, near=done > 1)
         progress("adjust", done, rounds)
         again = match(recording, lifted, rig, config.matching, config.pairwise, progress=lambda *_: None)
-        if np.array_equal(again.labels, matches.labels):
-            return Adjusted(rig, matches, done, True)
-        matches = again
-    return Adjusted(rig, matches, rounds, False)
+        settled, matches = same_groups(again, matches), again
+        if settled:
+            break
+    return Adjusted(rig, settle(recording, rig, matches), done, settled)
