@@ -5,6 +5,8 @@ Positions: all pairs see the same bodies, so each baseline comes with its length
 not one of directions; reweighted in the same way. A pair that breaks the loops loses its weight and is named.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
@@ -16,8 +18,7 @@ from mocap_calib.types import Averaged, Camera, CameraRig, Floats, Ints, Pairwis
 
 
 def average(cameras: tuple[Camera, ...], pairs: tuple[PairwiseCalibration, ...], config: AveragingConfig) -> Averaged:
-    """The rig that agrees best with all pairs. Raises DegenerateError where pairs do not connect all cameras."""
-    _check_connected(cameras, pairs)
+    """The rig that agrees best with all pairs, which must connect all cameras (`usable_cameras`)."""
     edge = np.array([(p.a, p.b) for p in pairs])
     relative = np.stack([p.rotation for p in pairs])
     baseline = np.stack([p.translation for p in pairs])
@@ -30,15 +31,28 @@ def average(cameras: tuple[Camera, ...], pairs: tuple[PairwiseCalibration, ...],
     return Averaged(rig, angle_between(found, relative), direction_angle(moved, baseline), kept / trust)
 
 
-def _check_connected(cameras: tuple[Camera, ...], pairs: tuple[PairwiseCalibration, ...]) -> None:
-    edge = np.array([(p.a, p.b) for p in pairs]).reshape(-1, 2)
+def usable_cameras(cameras: tuple[Camera, ...], pairs: tuple[PairwiseCalibration, ...], config: AveragingConfig) -> Ints:
+    """Indices of the cameras that pairs worth a name connect; single cameras that none holds are left out.
+
+    Raises DegenerateError where nothing is connected, or groups are connected only within themselves: they are never
+    glued by guess.
+    """
+    edge = np.array([(p.a, p.b) for p in pairs if p.score >= config.least_score], dtype=np.int64).reshape(-1, 2)
     graph = csr_array((np.ones(len(edge)), (edge[:, 0], edge[:, 1])), shape=(len(cameras), len(cameras)))
     count, group = connected_components(graph, directed=False)
-    if count > 1:
-        names = [", ".join(c.name for c, g in zip(cameras, group, strict=True) if g == k) for k in range(count)]
-        raise DegenerateError(
-            f"expected cameras that see the same bodies, found groups without co-visible detections: {' | '.join(names)}; calibrate each group by itself"
-        )
+    groups = [g for g in (np.flatnonzero(group == k) for k in range(count)) if len(g) > 1]
+    if not groups:
+        raise DegenerateError("expected two cameras that see the same bodies, found none; check that the files belong to these cameras and to the same time")
+    if len(groups) > 1:
+        names = " | ".join(", ".join(cameras[v].name for v in g) for g in groups)
+        raise DegenerateError(f"expected cameras that see the same bodies, found groups that share too little: {names}; calibrate each group by itself")
+    return groups[0]
+
+
+def of_cameras(pairs: tuple[PairwiseCalibration, ...], cameras: Ints) -> tuple[PairwiseCalibration, ...]:
+    """The pairs among some cameras, renumbered to their order."""
+    place = {int(camera): k for k, camera in enumerate(cameras)}
+    return tuple(replace(p, a=place[p.a], b=place[p.b]) for p in pairs if p.a in place and p.b in place)
 
 
 def _relative(edge: Ints, rotation: Floats) -> Floats:

@@ -49,6 +49,7 @@ class PairwiseConfig:
 class AveragingConfig:
     """Stage 2."""
 
+    least_score: float = 0.12  # a pair below it is no evidence; a camera that only such pairs hold is left out
     rotation_scale_deg: float = 4.0  # a pair this far from the rig counts half
     translation_scale: float = 0.15  # of its baseline
     iterations: int = 30

@@ -7,11 +7,12 @@ from typing import TypeVar
 
 import numpy as np
 
-from mocap_calib.averaging import average
+from mocap_calib.averaging import average, of_cameras, usable_cameras
 from mocap_calib.bundle_adjustment import adjust
 from mocap_calib.config import Config
 from mocap_calib.matching import match, same_groups, settle
 from mocap_calib.pairwise import calibrate_pairs
+from mocap_calib.recording import select_lifted, select_views
 from mocap_calib.steerpose.lift import lift
 from mocap_calib.steerpose.model import Lifter
 from mocap_calib.triangulation import triangulate
@@ -43,11 +44,14 @@ def calibrate(recording: Recording, lifter: Lifter, config: Config, *, seed: int
     rng = np.random.default_rng(seed)
     lifted = timed("lift", lambda: lift(recording, lifter, device=device, progress=progress))
     pairs = timed("pairwise", lambda: calibrate_pairs(recording, lifted, config.pairwise, rng=rng, progress=progress))
+    kept = usable_cameras(recording.cameras, pairs, config.averaging)
+    left_out = tuple(camera.name for v, camera in enumerate(recording.cameras) if v not in kept)
+    recording, lifted, pairs = select_views(recording, kept), select_lifted(lifted, kept), of_cameras(pairs, kept)
     averaged = timed("average", lambda: average(recording.cameras, pairs, config.averaging))
     matches = timed("match", lambda: match(recording, lifted, averaged.rig, config.matching, config.pairwise, progress=progress))
     adjusted = timed("adjust", lambda: adjust_to_fixed_point(recording, lifted, averaged.rig, matches, config, progress=progress))
     poses = timed("triangulate", lambda: triangulate(recording, adjusted.rig, adjusted.matches, config.triangulate, progress=progress))
-    return Calibration(recording, pairs, averaged, adjusted.rig, adjusted.matches, poses, adjusted.rounds, adjusted.converged, seconds)
+    return Calibration(recording, left_out, pairs, averaged, adjusted.rig, adjusted.matches, poses, adjusted.rounds, adjusted.converged, seconds)
 
 
 def adjust_to_fixed_point(recording: Recording, lifted: LiftedPoses, rig: CameraRig, matches: Matches, config: Config, *, progress: Progress) -> Adjusted:

@@ -8,7 +8,7 @@ import numpy as np
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.projection import rays_from_pixels
 from mocap_calib.skeleton import match_names, normalise_name
-from mocap_calib.types import Bools, Camera, Floats, Ints, Keypoints2D, Recording, Skeleton
+from mocap_calib.types import Bools, Camera, Floats, Ints, Keypoints2D, LiftedPoses, Recording, Skeleton
 
 _OUTSIDE = 1.5  # detections this many image sizes from the corner were made at another resolution
 _TYPICAL = 99.0  # percentile that stands for the largest value, so that one wild point does not count
@@ -80,6 +80,17 @@ def slice_frames(recording: Recording, index: Ints) -> Recording:
     """The recording at the frames with these indices (not numbers), or where a mask of frames is true."""
     parts = {name: getattr(recording, name)[:, index] for name in ("positions", "confidence", "rays")}
     return replace(recording, frames=recording.frames[index], **parts)
+
+
+def select_views(recording: Recording, views: Ints) -> Recording:
+    """The recording with these views (indices) alone, in this order."""
+    parts = {name: getattr(recording, name)[views] for name in ("positions", "confidence", "rays", "tracked")}
+    return replace(recording, cameras=tuple(recording.cameras[v] for v in views), **parts)
+
+
+def select_lifted(lifted: LiftedPoses, views: Ints) -> LiftedPoses:
+    """The lifted poses of these views (indices) alone, in this order."""
+    return LiftedPoses(lifted.body[views], lifted.centre[views], lifted.spread[views])
 
 
 def _sized(view: Keypoints2D, camera: Camera) -> Camera:

@@ -262,9 +262,10 @@ class Poses3D:
 
 @dataclass(frozen=True)
 class Calibration:
-    """All that a run finds. seconds: wall time per stage."""
+    """All that a run finds. left_out: cameras that no pair holds; seconds: wall time per stage."""
 
     recording: Recording
+    left_out: tuple[str, ...]
     pairs: tuple[PairwiseCalibration, ...]
     averaged: Averaged
     rig: CameraRig

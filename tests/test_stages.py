@@ -8,7 +8,7 @@ import pytest
 from scenes import lifted, precision, recording, rotation_errors_deg, scene, truth
 
 from mocap_calib.assignment import mutual_best, sinkhorn
-from mocap_calib.averaging import average
+from mocap_calib.averaging import average, of_cameras, usable_cameras
 from mocap_calib.bundle_adjustment import adjust
 from mocap_calib.config import AdjustConfig, AveragingConfig, MatchingConfig, PairwiseConfig, TriangulateConfig
 from mocap_calib.errors import DegenerateError
@@ -193,7 +193,15 @@ def test_unconnected_cameras_are_not_glued():
     rig = scene(cameras=4).rig
     pairs = [p for p in exact_pairs(rig) if (p.a < 2) == (p.b < 2)]
     with pytest.raises(DegenerateError, match=r"cam1, cam2 \| cam3, cam4"):
-        average(rig.cameras, tuple(pairs), AveragingConfig())
+        usable_cameras(rig.cameras, tuple(pairs), AveragingConfig())
+
+
+def test_a_camera_that_no_pair_holds_is_left_out():
+    rig = scene(cameras=4).rig
+    pairs = tuple(replace(p, score=0.02) if 1 in (p.a, p.b) else p for p in exact_pairs(rig))
+    kept = usable_cameras(rig.cameras, pairs, AveragingConfig())
+    assert kept.tolist() == [0, 2, 3]
+    assert [(p.a, p.b) for p in of_cameras(pairs, kept)] == [(0, 1), (0, 2), (1, 2)]
 
 
 # matching
