@@ -17,6 +17,9 @@ from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Matches, R
 
 pycolmap.logging.minloglevel = 3
 
+_LEAST = 12  # keypoints that can hold a camera: twice what would do without any noise
+_ENOUGH = 500  # detections of a view that are kept however doubtful
+
 
 @dataclass(frozen=True)
 class Observations:
@@ -65,11 +68,15 @@ def _observations(
 
 
 def _confident(weight: Floats, doubtful: float) -> Floats:
-    """Takes the least confident share of each view's detections out: detectors are wrong there by more than chance."""
+    """Takes the least confident share of each view's detections out: detectors are wrong there by more than chance.
+
+    Where detections are few, a doubtful one is better than none.
+    """
     out = weight.copy()
     for own in out:
         seen = own[own > 0]
-        own[own < (np.quantile(seen, doubtful) if len(seen) else 0.0)] = 0.0
+        share = min(doubtful, max(0.0, 1.0 - _ENOUGH / max(len(seen), 1)))
+        own[own < (np.quantile(seen, share) if len(seen) else 0.0)] = 0.0
     return out
 
 
@@ -82,10 +89,10 @@ def _spread(labelled: Ints, recording: Recording, matches: Matches, budget: int)
 
 
 def _check_enough(rig: CameraRig, seen: Observations) -> None:
-    poor = [camera.name for camera, used in zip(rig.cameras, seen.used, strict=True) if used.sum() < 20]
+    poor = [camera.name for camera, used in zip(rig.cameras, seen.used, strict=True) if used.sum() < _LEAST]
     if poor:
         raise DegenerateError(
-            f"camera {', '.join(poor)}: expected at least 20 keypoints that agree with other views, found fewer; leave it out or record longer"
+            f"camera {', '.join(poor)}: expected at least {_LEAST} keypoints that agree with other views, found fewer; leave it out or record longer"
         )
 
 

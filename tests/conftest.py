@@ -6,9 +6,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import torch
 from scenes import scene
 
 from mocap_calib.io.scene import write_scene
+
+torch.set_num_threads(1)  # as the commands do: two threads spin when the machine has other work
 
 TOOL = Path(sys.executable).with_name("mocap-calib")
 Run = Callable[..., subprocess.CompletedProcess[str]]
