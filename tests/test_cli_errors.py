@@ -38,6 +38,11 @@ def no_common_joints(folder: Path) -> None:
         edit(folder / "keypoints" / f"cam{k}.json", lambda c, k=k: c["categories"][0].update(keypoints=[f"joint{j}of{k}" for j in range(17)]))
 
 
+def unknown_joints(folder: Path) -> None:
+    for k in (1, 2, 3):
+        edit(folder / "keypoints" / f"cam{k}.json", lambda c: c["categories"][0].update(keypoints=[f"x{j}" for j in range(17)]))
+
+
 def intrinsics_missing(folder: Path) -> None:
     path = folder / "intrinsics.toml"
     path.write_text(path.read_text().replace('"cam2"', '"other"'))
@@ -75,6 +80,7 @@ MISTAKES = [
     (unknown_format, "cam1.json"),
     (cut_file, "cam1.json"),
     (no_common_joints, "joint"),
+    (unknown_joints, "--skeleton"),
     (intrinsics_missing, "cam2"),
     (one_camera, "two"),
     (no_overlap, "1000"),

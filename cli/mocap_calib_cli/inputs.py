@@ -85,6 +85,7 @@ def _mapping(views: Sequence[Keypoints2D], cameras: tuple[Camera, ...], recordin
     lines += [
         f"{len(recording.frames)} frames; {len(recording.keypoints)} joints, the model knows {known}" + (f", not: {', '.join(strangers)}" if strangers else "")
     ]
+    lines += ["the model knows too few joints to help: calibrated by geometry alone"] if known < 4 else []
     return lines
 
 

@@ -8,6 +8,7 @@ under which the network is surest is taken for each view.
 import numpy as np
 import torch
 
+from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.rotation import looking_along
 from mocap_calib.steerpose.model import Lifter, normalise
 from mocap_calib.types import Bools, Floats, LiftedPoses, Progress, Recording
@@ -15,6 +16,7 @@ from mocap_calib.types import Bools, Floats, LiftedPoses, Progress, Recording
 LEAST_JOINTS = 4
 _BLOCK = 4096
 _SAMPLE = 128
+_CROWD = 0.2  # share of images with several detections; below it they are false ones
 _DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]])
 
 
@@ -22,10 +24,12 @@ def lift(recording: Recording, lifter: Lifter, *, device: str = "cpu", progress:
     """Lifts all detections that show at least four joints of the model's vocabulary.
 
     The body of the network (eq. 1's q*(R) = P R E[X | p]) is freed of the virtual camera and scaled to unit size;
-    its centre is where perspective puts it, in body sizes.
+    its centre is where perspective puts it, in body sizes. Raises MismatchError where the model knows too few joints and
+    several subjects make it needed; a single subject can be calibrated by geometry alone.
     """
     lifter = lifter.to(device)
     known = recording.vocabulary >= 0
+    _check_needed(recording, known)
     views, frames, instances = recording.positions.shape[:3]
     joints = lifter.config.joints
     rays = np.full((views, frames, instances, joints, 3), np.nan)
@@ -45,6 +49,13 @@ def lift(recording: Recording, lifter: Lifter, *, device: str = "cpu", progress:
             spread[view].reshape(-1, joints)[where] = np.concatenate([b[2] for b in blocks])
         progress("lift", view + 1, views)
     return LiftedPoses(body, centre, spread)
+
+
+def _check_needed(recording: Recording, known: Bools) -> None:
+    crowded = (recording.seen.any(-1).sum(-1) > 1).mean() > _CROWD
+    if known.sum() < LEAST_JOINTS and crowded and not recording.tracked.all():
+        names = ", ".join(recording.keypoints)
+        raise MismatchError(f"expected at least {LEAST_JOINTS} joint names that the model knows, found {known.sum()} among {names}; map them with --skeleton")
 
 
 def _down(rays: Floats, lifter: Lifter, device: str) -> Floats:
