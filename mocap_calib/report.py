@@ -13,9 +13,11 @@ from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.alignment import similarity
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.geometry.rotation import angle_between, direction_angle
+from mocap_calib.triangulation import by_individual
 from mocap_calib.types import Calibration, CameraRig, Floats, PairwiseCalibration
 
 THRESHOLDS = (5, 10, 20, 30)
+_SAMPLE = 2000  # frames whose reprojection errors are reported
 _BREAKS = 0.25  # a pair of less weight than this breaks the loops
 
 
@@ -47,13 +49,21 @@ def evaluate_rig(rig: CameraRig, reference: CameraRig) -> Evaluation:
     pairs = tuple(combinations(sorted(reference.names), 2))
     errors = [_pair_error(rig, reference, *pair) if set(pair) <= set(names) else (np.pi, np.pi) for pair in pairs]
     found, true = _select(rig, names), _select(reference, names)
-    scale, turn, shift = similarity(found.centres, true.centres)
-    if len(names) == 2:  # two centres leave the roll about their line open: the first camera's axes settle it
-        turn = true.rotation[0].T @ found.rotation[0]
-        shift = true.centres[0] - scale * turn @ found.centres[0]
+    scale, turn, shift = similarity(_with_axes(found), _with_axes(true))
     centre = np.linalg.norm(scale * found.centres @ turn.T + shift - true.centres, axis=1)
     rotation = angle_between(found.rotation @ turn.T, true.rotation)
     return Evaluation(names, missing, pairs, np.array([e[0] for e in errors]), np.array([e[1] for e in errors]), rotation, centre, reference.unit)
+
+
+def _with_axes(rig: CameraRig) -> Floats:
+    """`[7 camera, 3]` the centres, and points along the cameras' axes so near to them that they decide only what the centres leave open.
+
+    Centres on a line, those of two cameras for instance, leave the turn about it open.
+    """
+    spread = np.sqrt(((rig.centres - rig.centres.mean(0)) ** 2).sum(1).mean())
+    axes = 1e-3 * spread * rig.rotation.reshape(-1, 3)  # rows of cam_from_world are the camera's axes in the world
+    near = np.repeat(rig.centres, 3, axis=0)
+    return np.concatenate([rig.centres, near + axes, near - axes])
 
 
 def _select(rig: CameraRig, names: tuple[str, ...]) -> CameraRig:
@@ -110,6 +120,7 @@ def run_report(found: Calibration, *, seed: int, config: Config, inputs: Mapping
     """All numbers of a run, as run.json holds them. inputs: path -> SHA-256. What is not known is None."""
     recording, rig, labels = found.recording, found.rig, found.matches.labels
     points = np.isfinite(found.poses.error)
+    errors = _errors(found)
     return {
         "version": __version__,
         "seed": seed,
@@ -120,25 +131,25 @@ def run_report(found: Calibration, *, seed: int, config: Config, inputs: Mapping
         "frames": {"first": int(recording.frames[0]), "last": int(recording.frames[-1]), "count": len(recording.frames)},
         "keypoints": list(recording.keypoints),
         "left_out": list(found.left_out),
-        "cameras": [_camera_report(found, view, error) for view, error in enumerate(_view_errors(found))],
-        "pairs": [_pair_report(found, k, pair) for k, pair in enumerate(found.pairs)],
+        "cameras": [_camera_report(found, view, errors[view]) for view in range(len(rig.cameras))],
+        "pairs": [_pair_report(found, k, pair, errors[[pair.a, pair.b]]) for k, pair in enumerate(found.pairs)],
         "adjust": {"rounds": found.rounds, "converged": found.converged},
         "individuals": [{"individual": k, "frames": int((labels == k).any((0, 2)).sum())} for k in range(found.matches.individuals)],
         "points": {"triangulated": int(points.sum()), "reprojection_error_px": _spread(found.poses.error[points])},
     }
 
 
-def _view_errors(found: Calibration) -> list[Floats]:
-    """Per view the distances in pixels of all labelled detections from the triangulated points."""
-    rig, poses, recording = found.rig, found.poses, found.recording
-    errors = []
-    for view, camera in enumerate(rig.cameras):
-        frame, instance = np.nonzero(found.matches.labels[view] >= 0)
-        points = poses.positions[frame, found.matches.labels[view, frame, instance]]
-        image = pixels_from_points(camera, points @ rig.rotation[view].T + rig.translation[view])
-        gap = np.linalg.norm(image - recording.positions[view, frame, instance], axis=-1)
-        errors.append(gap[np.isfinite(gap)])
-    return errors
+def _errors(found: Calibration) -> Floats:
+    """`[view, frame, individual, keypoint]` distance in pixels of the labelled detections from the triangulated points.
+
+    Of an even sample of the frames: a report of a long recording need not cost its length in memory.
+    """
+    rig, recording = found.rig, found.recording
+    frames = np.unique(np.linspace(0, len(recording.frames) - 1, min(len(recording.frames), _SAMPLE)).astype(int))
+    _, pixels, _ = by_individual(recording, found.matches, frames)
+    points = found.poses.positions[frames]
+    images = [pixels_from_points(camera, points @ rig.rotation[v].T + rig.translation[v]) for v, camera in enumerate(rig.cameras)]
+    return np.linalg.norm(np.stack(images) - pixels, axis=-1)
 
 
 def _camera_report(found: Calibration, view: int, error: Floats) -> dict[str, Any]:
@@ -154,20 +165,25 @@ def _camera_report(found: Calibration, view: int, error: Floats) -> dict[str, An
     }
 
 
-def _pair_report(found: Calibration, number: int, pair: PairwiseCalibration) -> dict[str, Any]:
-    cameras, averaged = found.rig.cameras, found.averaged
+def _pair_report(found: Calibration, number: int, pair: PairwiseCalibration, error: Floats) -> dict[str, Any]:
+    """What stage 1 found, how far it is from the rig, and, last, what the rig makes of the points that both views see."""
+    cameras, averaged, labels = found.rig.cameras, found.averaged, found.matches.labels
     focal = (cameras[pair.a].focal + cameras[pair.b].focal) / 2
+    together = (labels[pair.a][:, :, None] == labels[pair.b][:, None]) & (labels[pair.a][:, :, None] >= 0)
+    both = np.isfinite(error).all(0)
     return {
         "a": cameras[pair.a].name,
         "b": cameras[pair.b].name,
         "frames": pair.frames,
-        "matches": len(pair.matches),
+        "matches": int(together.sum()),
+        "reprojection_error_px": _spread(error[:, both].ravel()),
+        "sampled_matches": len(pair.matches),
         "score": pair.score,
         "source": pair.source,
         "in_front": pair.in_front,
         "epipolar_error_deg": _number(np.degrees(pair.residual)),
         "epipolar_error_px": _number(pair.residual * focal),
-        "baseline": float(np.linalg.norm(pair.translation)),
+        "baseline_body_sizes": float(np.linalg.norm(pair.translation)),
         "loop_rotation_deg": float(np.degrees(averaged.loop_error[number])),
         "loop_translation_deg": float(np.degrees(averaged.translation_error[number])),
         "weight": float(averaged.weight[number]),
@@ -176,6 +192,7 @@ def _pair_report(found: Calibration, number: int, pair: PairwiseCalibration) -> 
 
 
 def _spread(values: Floats) -> dict[str, float | None]:
+    values = values[np.isfinite(values)]
     if not len(values):
         return {"median": None, "p95": None}
     return {"median": float(np.median(values)), "p95": float(np.percentile(values, 95))}

@@ -35,6 +35,16 @@ def test_the_same_rig_in_any_world_has_no_error(cameras):
     assert figures["unit"] == "m"
 
 
+def test_cameras_on_a_line_are_turned_by_their_axes():
+    """The centres alone leave the turn about the line open; measured below 1e-8 degrees."""
+    rig = scene(cameras=4).rig
+    centres = np.outer(np.arange(4), [1.0, 0.2, 0.1]) + [0, 0, 2]
+    line = replace(rig, translation=-np.einsum("vij,vj->vi", rig.rotation, centres))
+    found = evaluate_rig(elsewhere(line), line)
+    assert np.degrees(found.camera_rotation).max() < 1e-6
+    assert found.centre_error.max() < 1e-6
+
+
 def test_a_known_turn_is_the_error_of_its_pairs():
     rig = scene(cameras=4).rig
     rotation = rig.rotation.copy()
@@ -44,7 +54,7 @@ def test_a_known_turn_is_the_error_of_its_pairs():
     for pair in figures["pairs"]:
         assert pair["rotation_error_deg"] == pytest.approx(7.0 if "cam3" in (pair["a"], pair["b"]) else 0.0, abs=1e-6)
     assert figures["rra"] == {"5": 0.5, "10": 1, "20": 1, "30": 1}
-    assert figures["centre_error"]["max"] == pytest.approx(0, abs=1e-9)
+    assert figures["centre_error"]["max"] == pytest.approx(0, abs=1e-6)  # metres; the cameras' axes weigh a millionth
 
 
 def test_a_known_shift_is_the_error_of_the_centre():

@@ -55,6 +55,19 @@ def _check_writable(folder: Path) -> None:
         raise MismatchError(f"{folder}: expected a folder that can be written to, found: {error.strerror}; choose another") from None
 
 
+def of_individual(path: Path, individual: int) -> Path:
+    """The file of an individual where each has its own: the first has the plain name, the next NAME_1, NAME_2, ..."""
+    return path if individual == 0 else path.with_name(f"{path.stem}_{individual}{path.suffix}")
+
+
+def remove_stale(path: Path, individuals: int) -> None:
+    """Takes away the files of more individuals than there are now, which an earlier run has left."""
+    current = {of_individual(path, k).name for k in range(individuals)}
+    for other in path.parent.glob(f"{path.stem}_*{path.suffix}"):
+        if other.name not in current and other.stem.removeprefix(f"{path.stem}_").isdigit():
+            other.unlink()
+
+
 def provenance(command: str, **fields: Any) -> Mapping[str, Any]:
     """What a result file says of how it came about."""
     from mocap_calib import __version__

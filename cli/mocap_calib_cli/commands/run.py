@@ -57,9 +57,9 @@ def _write(output: Path, found: "Calibration", report: dict[str, Any], seed: int
     from mocap_calib.io.atomic import folder
     from mocap_calib.io.camera_files import format_calibration_toml, format_cameras_yaml
     from mocap_calib.io.results import format_matches_csv, format_poses_csv, write_poses_h5
-    from mocap_calib_cli.outputs import provenance
+    from mocap_calib_cli import outputs
 
-    source = provenance("run", seed=seed)
+    source = outputs.provenance("run", seed=seed, inputs=report["inputs"])
     with folder(output) as work:
         (work / "cameras.yaml").write_text(format_cameras_yaml(found.rig, source), "utf-8")
         (work / "calibration.toml").write_text(format_calibration_toml(found.rig, source), "utf-8")
@@ -67,15 +67,8 @@ def _write(output: Path, found: "Calibration", report: dict[str, Any], seed: int
         (work / "run.json").write_text(json.dumps(report, indent=1, allow_nan=False) + "\n", "utf-8")
         write_poses_h5(work / "poses3d.h5", found.poses, source)
         for individual in range(max(1, found.matches.individuals)):
-            (work / poses_csv(individual)).write_text(format_poses_csv(found.poses, individual), "utf-8")
-    for stale in output.glob("poses3d_*.csv"):
-        if stale.name not in {poses_csv(k) for k in range(found.matches.individuals)}:
-            stale.unlink()
-
-
-def poses_csv(individual: int) -> str:
-    """Name of an individual's file: the first has the plain one."""
-    return "poses3d.csv" if individual == 0 else f"poses3d_{individual}.csv"
+            outputs.of_individual(work / "poses3d.csv", individual).write_text(format_poses_csv(found.poses, individual), "utf-8")
+    outputs.remove_stale(output / "poses3d.csv", found.matches.individuals)
 
 
 def _summarise(reporter: "Reporter", found: "Calibration", report: dict[str, Any], output: Path) -> None:

@@ -50,6 +50,8 @@ def command(
     from mocap_calib_cli.model import check_device, use_threads
     from mocap_calib_cli.progress import Reporter
 
+    if fields["width"] % 4:
+        raise click.BadParameter("expected a multiple of 4: a token is shared by four heads", param_hint="--width")
     outputs.check_file(output)
     check_device(device)
     use_threads(threads)

@@ -41,5 +41,5 @@ def command(keypoints: tuple[str, ...], rig: str, matches: str, output: Path, sk
         write_poses_h5(output, poses, outputs.provenance("triangulate"))
     else:
         for k in range(max(1, labels.individuals)):
-            path = output if k == 0 else output.with_name(f"{output.stem}_{k}.csv")
-            write_bytes(path, format_poses_csv(poses, k).encode())
+            write_bytes(outputs.of_individual(output, k), format_poses_csv(poses, k).encode())
+        outputs.remove_stale(output, labels.individuals)
