@@ -1,4 +1,4 @@
-"""Stage 2: relative poses of pairs -> one rig, in the frame of the first camera, in body sizes.
+"""Relative poses of pairs -> one rig, in the frame of the first camera, in body sizes.
 
 Rotations: the best spanning tree, then iteratively reweighted least squares on SO(3) (Chatterjee and Govindu 2018).
 Positions: all pairs see the same bodies, so each baseline comes with its length and positions are a linear problem,

@@ -1,4 +1,4 @@
-"""Stage 5: bundle adjustment by Ceres; the one user of pycolmap.
+"""Bundle adjustment by Ceres; the one user of pycolmap.
 
 One static image per camera; each (frame, individual, keypoint) is one 3D point. COLMAP puts the pixel's corner at an
 integer, we its centre: half a pixel is added here and nowhere else. Every image is scaled so that its usual error is
@@ -11,14 +11,11 @@ import numpy as np
 import pycolmap
 
 from mocap_calib.config import AdjustConfig, TriangulateConfig
-from mocap_calib.errors import DegenerateError, MismatchError
-from mocap_calib.triangulation import by_individual, triangulate_rays, view_noise
+from mocap_calib.errors import DegenerateError
+from mocap_calib.triangulation import by_individual, triangulate_rays, view_noise, within_frames
 from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Matches, Recording
 
 pycolmap.logging.minloglevel = 3
-
-_LEAST = 12  # keypoints that can hold a camera: twice what would do without any noise
-_ENOUGH = 500  # detections of a view that are kept however doubtful
 
 
 @dataclass(frozen=True)
@@ -38,9 +35,10 @@ def adjust(recording: Recording, rig: CameraRig, matches: Matches, config: Adjus
     """
     if matches.individuals == 0:
         raise DegenerateError("expected bodies that two views agree on, found none; check that the files belong to these cameras and to the same time")
+    matches = within_frames(matches)  # who it is in other frames does not matter here
     noise = view_noise(recording, rig, matches)
     seen = _observations(recording, rig, matches, noise, config, triangulation)
-    _check_enough(rig, seen)
+    _check_enough(rig, seen, config.least)
     scale = np.array([1.0 / (sigma * camera.focal) for sigma, camera in zip(noise, rig.cameras, strict=True)])
     model = _reconstruction(rig, seen, scale)
     for loss_scale in config.loss_scales[-1:] if near else config.loss_scales:
@@ -58,7 +56,7 @@ def _observations(
     labelled = np.flatnonzero((matches.labels >= 0).any((0, 2)))
     frames = _spread(labelled, recording, matches, config.points)
     rays, positions, weight = by_individual(recording, matches, frames)
-    weight = _confident(weight, config.doubtful)
+    weight = _confident(weight, config)
     views = len(rays)
     rays, positions, weight = rays.reshape(views, -1, 3), positions.reshape(views, -1, 2), weight.reshape(views, -1)
     # wide: the rig is not yet right, and the loss deals with outliers
@@ -67,7 +65,7 @@ def _observations(
     return Observations(points[known], positions[:, known], used[:, known])
 
 
-def _confident(weight: Floats, doubtful: float) -> Floats:
+def _confident(weight: Floats, config: AdjustConfig) -> Floats:
     """Takes the least confident share of each view's detections out: detectors are wrong there by more than chance.
 
     Where detections are few, a doubtful one is better than none.
@@ -75,7 +73,7 @@ def _confident(weight: Floats, doubtful: float) -> Floats:
     out = weight.copy()
     for own in out:
         seen = own[own > 0]
-        share = min(doubtful, max(0.0, 1.0 - _ENOUGH / max(len(seen), 1)))
+        share = min(config.doubtful, max(0.0, 1.0 - config.enough / max(len(seen), 1)))
         own[own < (np.quantile(seen, share) if len(seen) else 0.0)] = 0.0
     return out
 
@@ -88,11 +86,11 @@ def _spread(labelled: Ints, recording: Recording, matches: Matches, budget: int)
     return labelled[np.linspace(0, len(labelled) - 1, max(1, round(share * len(labelled)))).astype(int)]
 
 
-def _check_enough(rig: CameraRig, seen: Observations) -> None:
-    poor = [camera.name for camera, used in zip(rig.cameras, seen.used, strict=True) if used.sum() < _LEAST]
+def _check_enough(rig: CameraRig, seen: Observations, least: int) -> None:
+    poor = [camera.name for camera, used in zip(rig.cameras, seen.used, strict=True) if used.sum() < least]
     if poor:
         raise DegenerateError(
-            f"camera {', '.join(poor)}: expected at least {_LEAST} keypoints that agree with other views, found fewer; leave it out or record longer"
+            f"camera {', '.join(poor)}: expected at least {least} keypoints that agree with other views, found fewer; leave it out or record longer"
         )
 
 
@@ -103,8 +101,6 @@ def _camera(camera: Camera, number: int, scale: float) -> pycolmap.Camera:
     if camera.fisheye:
         model, params = "OPENCV_FISHEYE", [*lens, *np.pad(k, (0, 4))[:4]]
     else:
-        if np.any(k[8:] != 0):
-            raise MismatchError(f"camera {camera.name}: expected at most 8 distortion coefficients, found thin-prism or tilt terms; recalibrate without them")
         model, params = "FULL_OPENCV", [*lens, *np.pad(k[:8], (0, 8 - len(k[:8])))]
     width, height = (max(1, round(side * scale)) for side in camera.size)
     return pycolmap.Camera(camera_id=number, model=model, width=width, height=height, params=params)

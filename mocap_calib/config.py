@@ -8,7 +8,7 @@ from typing import Literal
 class TrainConfig:
     """How a lifter is trained; saved in its model card.
 
-    Angles in degrees, lengths in body sizes (RMS joint distance from the centroid; about 0.5 m for an adult).
+    Angles in degrees, lengths in body sizes (RMS joint distance from the centroid; about 0.55 m for an adult).
     """
 
     steps: int = 9000
@@ -30,7 +30,7 @@ class TrainConfig:
 
 @dataclass(frozen=True)
 class PairwiseConfig:
-    """Stage 1. Lengths in body sizes; image errors are measured at the body."""
+    """Relative poses of pairs. Lengths in body sizes; image errors are measured at the body."""
 
     frames: int = 150  # evenly spread; the search does not get better with more
     candidates: int = 6000  # possible matches looked at; crowds get fewer frames
@@ -47,9 +47,11 @@ class PairwiseConfig:
 
 @dataclass(frozen=True)
 class AveragingConfig:
-    """Stage 2."""
+    """From pairs to a rig."""
 
     least_score: float = 0.12  # a pair below it is no evidence; a camera that only such pairs hold is left out
+    weak_score: float = 0.55  # simulated views of different times reach 0.53, of one time 0.8 and more; below it the user is warned
+    breaks: float = 0.25  # a pair left with less of its weight than this contradicts the others
     rotation_scale_deg: float = 4.0  # a pair this far from the rig counts half
     translation_scale: float = 0.15  # of its baseline
     iterations: int = 30
@@ -57,25 +59,31 @@ class AveragingConfig:
 
 @dataclass(frozen=True)
 class MatchingConfig:
-    """Stage 4."""
+    """Who is who."""
 
     least_affinity: float = 0.25  # mean over all pairs of views of one individual
-    block: int = 512  # frames at a time
+    cells: int = 2_000_000  # pairs of detections looked at in one go: so many frames, or fewer where there is a crowd
+    reach: float = 0.5  # body sizes that a body may move between frames, or five times its usual step if that is more
+    memory: int = 50  # frames after which how far it may have gone does not grow any more
+    fleeting_frames: int = 10  # an individual of no more frames than this,
+    fleeting_share: float = 0.05  # and of no larger share of them, that never three of three or more views agree on, is nobody
 
 
 @dataclass(frozen=True)
 class AdjustConfig:
-    """Stage 5. Loss scales are in standard deviations of each view's own error."""
+    """Bundle adjustment. Loss scales are in standard deviations of each view's own error."""
 
     points: int = 10_000
     loss_scales: tuple[float, ...] = (6.0, 3.0, 1.5)
-    doubtful: float = 0.3  # share of each view's detections, the least confident, that the rig is not built on
+    doubtful: float = 0.3  # share of each view's detections, the least confident, that the rig is not built on,
+    enough: int = 500  # as long as so many are left
+    least: int = 12  # keypoints that can hold a camera: twice what would do without any noise
     rounds: int = 6  # of adjusting and matching; it stops when no label changes
 
 
 @dataclass(frozen=True)
 class TriangulateConfig:
-    """Stage 6. Errors in standard deviations of each view's own error."""
+    """3D poses. Errors in standard deviations of each view's own error."""
 
     outlier: float = 4.0
     least_angle_deg: float = 2.0  # between the rays of a point

@@ -1,4 +1,4 @@
-"""Stage 4: one labelling of all detections in all views.
+"""One labelling of all detections in all views.
 
 In each frame detections are merged, most alike first, by the mean affinity between their groups; a group never holds
 two detections of one view. A label per detection is cycle-consistent by construction. Groups are then carried through
@@ -11,8 +11,10 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from mocap_calib.config import MatchingConfig, PairwiseConfig
+from mocap_calib.errors import DegenerateError
 from mocap_calib.evidence import ViewPair, epipolar_error, epipolar_fit, match_affinity, view_pair
 from mocap_calib.geometry.epipolar import depths
+from mocap_calib.triangulation import within_frames
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, LiftedPoses, Matches, Progress, Recording
 
 
@@ -24,13 +26,14 @@ def match(recording: Recording, lifted: LiftedPoses, rig: CameraRig, config: Mat
     views, frames, instances = recording.positions.shape[:3]
     labels = np.full((views, frames, instances), -1, dtype=np.int64)
     scale = _body_scale(recording, lifted, rig, evidence)
-    for start in range(0, frames, config.block):
-        block = np.arange(start, min(start + config.block, frames))
+    step = max(1, config.cells // (views * instances) ** 2)
+    for start in range(0, frames, step):
+        block = np.arange(start, min(start + step, frames))
         affinity, comparable = _affinities(recording, lifted, rig, scale, block, evidence)
         group = _cluster(affinity, comparable, views, config.least_affinity)
         labels[:, block] = np.moveaxis(group.reshape(len(block), views, instances), 0, 1)
         progress("match", int(block[-1]) + 1, frames)
-    return Matches(_through_time(labels, _places(recording, rig, labels) * scale, recording.frames))
+    return Matches(_through_time(labels, _places(recording, rig, labels) * scale, recording.frames, config))
 
 
 def _relative(rig: CameraRig, a: int, b: int) -> tuple[Floats, Floats]:
@@ -126,21 +129,21 @@ def _places(recording: Recording, rig: CameraRig, labels: Ints) -> Floats:
     return np.where(there[..., None], point, np.nan)
 
 
-def _through_time(labels: Ints, places: Floats, frames: Ints) -> Ints:
+def _through_time(labels: Ints, places: Floats, frames: Ints, config: MatchingConfig) -> Ints:
     """Renames the groups of each frame so that an individual keeps its label.
 
     Groups go to the nearest place an individual was last seen at, within what bodies move in this recording: a
     multiple of the usual step between its frames, so that sparse recordings are linked as well as video. The loop over
     frames assigns a handful of bodies at a time.
     """
-    reach = _usual_step(places)
+    reach = _usual_step(places, frames, config)
     out = np.full_like(labels, -1)
     last, seen = np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
     for frame in range(labels.shape[1]):
         groups = np.flatnonzero(np.isfinite(places[frame, :, 0]))
         here = places[frame, groups]
         gap = np.linalg.norm(last[:, None] - here[None], axis=-1)
-        limit = reach * np.minimum(frames[frame] - seen, 50)[:, None]
+        limit = reach * np.minimum(frames[frame] - seen, config.memory)[:, None]
         rows, columns = linear_sum_assignment(np.minimum(gap, 2 * limit)) if gap.size else (np.zeros(0, int), np.zeros(0, int))
         near = gap[rows, columns] <= limit[rows, 0] if gap.size else np.zeros(0, bool)
         name = np.full(len(groups), -1, dtype=np.int64)
@@ -156,13 +159,12 @@ def _through_time(labels: Ints, places: Floats, frames: Ints) -> Ints:
     return _by_presence(out)
 
 
-def _usual_step(places: Floats) -> float:
-    """How far a body may be from where it was a frame ago: half a body, or five times the median step if that is more."""
-    before, after = places[:-1], places[1:]
-    gap = np.linalg.norm(before[:, :, None] - after[:, None], axis=-1)
-    nearest = np.nanmin(np.where(np.isfinite(gap), gap, np.inf), axis=-1, initial=np.inf) if gap.size else np.zeros(0)
+def _usual_step(places: Floats, frames: Ints, config: MatchingConfig) -> float:
+    """How far a body may be from where it was a frame number ago."""
+    gap = np.linalg.norm(places[:-1, :, None] - places[1:, None], axis=-1) / np.diff(frames)[:, None, None]
+    nearest = np.nanmin(np.where(np.isfinite(gap), gap, np.inf), axis=-1, initial=np.inf)
     found = nearest[np.isfinite(nearest)]
-    return max(0.5, 5.0 * float(np.median(found))) if len(found) else 0.5
+    return max(config.reach, 5.0 * float(np.median(found))) if len(found) else config.reach
 
 
 def _by_presence(labels: Ints) -> Ints:
@@ -183,46 +185,57 @@ def _presence(labels: Ints) -> Ints:
 
 def same_groups(first: Matches, second: Matches) -> bool:
     """Whether two labellings join the same detections in every frame, whatever they call them."""
-    return np.array_equal(_canonical(first.labels), _canonical(second.labels))
+    return np.array_equal(within_frames(first).labels, within_frames(second).labels)
 
 
-def _canonical(labels: Ints) -> Ints:
-    """`[frame, N]` each detection named after the first detection of its group, -1 for nobody."""
-    flat = np.swapaxes(labels, 0, 1).reshape(labels.shape[1], -1)
-    first = (flat[:, :, None] == flat[:, None]).argmax(-1)
-    return np.where(flat >= 0, first, -1)
-
-
-def settle(recording: Recording, rig: CameraRig, matches: Matches) -> Matches:
+def settle(recording: Recording, rig: CameraRig, matches: Matches, config: MatchingConfig) -> Matches:
     """The final names: no individuals of a moment, and as few as the recording needs.
 
-    Individuals of at most 5 % of the frames (and at most 10) that never three views agree on are false detections that
-    happen to meet: nobody. Of the others, one that appears takes the name of one that has gone, the nearest: a cage or
-    a stage holds so many bodies and no more.
+    An individual of a moment that never three views agree on is a false detection that happened to meet another: nobody.
+    Of the others, one that appears takes the name of one that has gone, the last seen nearest: a cage or a stage holds so
+    many bodies and no more. Raises DegenerateError where nobody is left.
     """
-    labels = matches.labels
-    individuals = matches.individuals
-    support = np.stack([(labels == k).any(-1).sum(0) for k in range(individuals)]).reshape(individuals, -1)  # (individual, frame) views
-    few = min(10, labels.shape[1] // 20)
-    real = ((support > 0).sum(1) > few) | (support.max(1, initial=0) >= 3)
-    labels = np.where(np.append(real, False)[labels], labels, -1)
-    return Matches(_by_presence(_renamed(labels, _places(recording, rig, labels))))
+    name, _, views = _appearances(matches.labels)
+    few = min(config.fleeting_frames, int(config.fleeting_share * matches.labels.shape[1]))
+    frames = np.bincount(name, minlength=matches.individuals)
+    sure = np.zeros(matches.individuals, dtype=bool)
+    sure[name[views >= min(3, len(rig.cameras))]] = True
+    real = (frames > few) | sure
+    if not real.any():
+        raise DegenerateError("expected bodies that two views agree on, found none for more than a moment; record longer, or with more overlap")
+    labels = np.where(np.append(real, False)[matches.labels], matches.labels, -1)
+    return Matches(_by_presence(_renamed(labels, _places(recording, rig, within_frames(Matches(labels)).labels))))
+
+
+def _appearances(labels: Ints) -> tuple[Ints, Ints, Ints]:
+    """(individual, frame index, number of views) of every individual in every frame that has it, by individual and frame."""
+    _, frame, _ = np.nonzero(labels >= 0)
+    individual = labels[labels >= 0]
+    key, views = np.unique(individual * labels.shape[1] + frame, return_counts=True)
+    return key // labels.shape[1], key % labels.shape[1], views
 
 
 def _renamed(labels: Ints, places: Floats) -> Ints:
-    """Joins individuals that are never there together, in the order they appear, each to the one last seen nearest."""
-    there = np.isfinite(places[..., 0]).T  # (individual, frame)
-    name = np.full(len(there) + 1, -1, dtype=np.int64)
-    taken: list[Bools] = []  # per name: the frames it is seen in
-    last: list[Floats] = []  # per name: where it was in its last frame so far
-    for k in np.argsort(np.where(there.any(1), there.argmax(1), there.shape[1]), kind="stable"):
-        present = np.flatnonzero(there[k])
-        if len(present):
-            free = [n for n, frames in enumerate(taken) if not frames[present].any()]
-            name[k] = min(free, key=lambda n: float(np.linalg.norm(last[n] - places[present[0], k])), default=len(taken))
-            if name[k] == len(taken):
-                taken.append(np.zeros(there.shape[1], dtype=bool))
-                last.append(places[0, k])
-            taken[name[k]] = taken[name[k]] | there[k]
-            last[name[k]] = places[present[-1], k]
+    """Joins individuals that are never there together, in the order they appear, each to the one last seen nearest.
+
+    places: `[frame, group, 3]` of the groups numbered within their frames.
+    """
+    names, frames, _ = _appearances(labels)
+    group = within_frames(Matches(labels)).labels
+    where = np.zeros((int(labels.max(initial=-1)) + 1, 2, 3))  # first and last place of each individual
+    spans = {int(k): frames[names == k] for k in np.unique(names)}
+    for k, present in spans.items():
+        for end, at in enumerate((present[0], present[-1])):
+            where[k, end] = places[at, group[:, at][labels[:, at] == k][0]]
+    name = np.full(len(where) + 1, -1, dtype=np.int64)
+    taken: list[Bools] = []  # per new name: the frames it is seen in
+    last: list[Floats] = []  # per new name: where it was in its last frame so far
+    for k, present in sorted(spans.items(), key=lambda span: span[1][0]):
+        free = [n for n, busy in enumerate(taken) if not busy[present].any()]
+        name[k] = min(free, key=lambda n: float(np.linalg.norm(last[n] - where[k, 0])), default=len(taken))
+        if name[k] == len(taken):
+            taken.append(np.zeros(labels.shape[1], dtype=bool))
+            last.append(where[k, 1])
+        taken[name[k]][present] = True
+        last[name[k]] = where[k, 1]
     return name[labels]

@@ -1,4 +1,4 @@
-"""Stage 1: two views -> their relative pose and who is who.
+"""Two views -> their relative pose and who is who.
 
 Every candidate match of two lifted bodies proposes a rotation in closed form, and five-point RANSAC proposes more where
 identities are known; all are scored against all frames at once, the best modes are refined by turns of matching
@@ -21,6 +21,7 @@ from mocap_calib.geometry.rotation import angle_between, matrix_from_vector, nea
 from mocap_calib.types import Bools, Floats, Ints, LiftedPoses, PairwiseCalibration, Progress, Recording
 
 _TRACKS = 9  # pairs of tracks that are looked at
+_CELLS = 2_000_000  # hypotheses x possible matches scored at a time
 
 
 @dataclass(frozen=True)
@@ -126,7 +127,10 @@ def _search(pair: ViewPair, config: PairwiseConfig, rng: np.random.Generator) ->
     index = np.concatenate([order[:half], rng.permutation(order[half:])[:half]])
     rotation = rotation[index]
     translation = pair.place_b[frame, j][index] - np.einsum("nij,nj->ni", rotation, pair.place_a[frame, i][index])
-    support = _support(agreement(pair, rotation, translation, config))
+    # in blocks: a single crowded frame multiplies the matches that each hypothesis is scored on
+    block = max(1, _CELLS // pair.lifted.size)
+    parts = [slice(k, k + block) for k in range(0, len(rotation), block)]
+    support = np.concatenate([_support(agreement(pair, rotation[p], translation[p], config)) for p in parts])
     keep = _separated(rotation, support, config.modes, np.deg2rad(config.mode_separation_deg))
     modes = Modes(rotation[keep], translation[keep], ("lifted",) * len(keep))
     for _ in range(config.rounds):

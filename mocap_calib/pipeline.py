@@ -23,7 +23,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Adjusted:
-    """Stage 5: adjusted rig, the labels it implies, and whether they stopped changing within the rounds allowed."""
+    """Adjusted rig, the labels it implies, and whether they stopped changing within the rounds allowed."""
 
     rig: CameraRig
     matches: Matches
@@ -45,13 +45,15 @@ def calibrate(recording: Recording, lifter: Lifter, config: Config, *, seed: int
     lifted = timed("lift", lambda: lift(recording, lifter, device=device, progress=progress))
     pairs = timed("pairwise", lambda: calibrate_pairs(recording, lifted, config.pairwise, rng=rng, progress=progress))
     kept = usable_cameras(recording.cameras, pairs, config.averaging)
-    left_out = tuple(camera.name for v, camera in enumerate(recording.cameras) if v not in kept)
+    names = recording.names
+    left_out = tuple(name for v, name in enumerate(names) if v not in kept)
+    unused = tuple((names[p.a], names[p.b], p.score) for p in pairs if not {p.a, p.b} <= set(kept.tolist()))
     recording, lifted, pairs = select_views(recording, kept), select_lifted(lifted, kept), of_cameras(pairs, kept)
     averaged = timed("average", lambda: average(recording.cameras, pairs, config.averaging))
     matches = timed("match", lambda: match(recording, lifted, averaged.rig, config.matching, config.pairwise, progress=progress))
     adjusted = timed("adjust", lambda: adjust_to_fixed_point(recording, lifted, averaged.rig, matches, config, progress=progress))
     poses = timed("triangulate", lambda: triangulate(recording, adjusted.rig, adjusted.matches, config.triangulate, progress=progress))
-    return Calibration(recording, left_out, pairs, averaged, adjusted.rig, adjusted.matches, poses, adjusted.rounds, adjusted.converged, seconds)
+    return Calibration(recording, left_out, unused, pairs, averaged, adjusted.rig, adjusted.matches, poses, adjusted.rounds, adjusted.converged, seconds)
 
 
 def adjust_to_fixed_point(recording: Recording, lifted: LiftedPoses, rig: CameraRig, matches: Matches, config: Config, *, progress: Progress) -> Adjusted:
@@ -64,4 +66,4 @@ def adjust_to_fixed_point(recording: Recording, lifted: LiftedPoses, rig: Camera
         settled, matches = same_groups(again, matches), again
         if settled:
             break
-    return Adjusted(rig, settle(recording, rig, matches), done, settled)
+    return Adjusted(rig, settle(recording, rig, matches, config.matching), done, settled)

@@ -18,7 +18,6 @@ from mocap_calib.types import Calibration, CameraRig, Floats, PairwiseCalibratio
 
 THRESHOLDS = (5, 10, 20, 30)
 _SAMPLE = 2000  # frames whose reprojection errors are reported
-_BREAKS = 0.25  # a pair of less weight than this breaks the loops
 
 
 @dataclass(frozen=True)
@@ -121,6 +120,7 @@ def run_report(found: Calibration, *, seed: int, config: Config, inputs: Mapping
     recording, rig, labels = found.recording, found.rig, found.matches.labels
     points = np.isfinite(found.poses.error)
     errors = _errors(found)
+    support = _support(found)
     return {
         "version": __version__,
         "seed": seed,
@@ -131,8 +131,9 @@ def run_report(found: Calibration, *, seed: int, config: Config, inputs: Mapping
         "frames": {"first": int(recording.frames[0]), "last": int(recording.frames[-1]), "count": len(recording.frames)},
         "keypoints": list(recording.keypoints),
         "left_out": list(found.left_out),
-        "cameras": [_camera_report(found, view, errors[view]) for view in range(len(rig.cameras))],
-        "pairs": [_pair_report(found, k, pair, errors[[pair.a, pair.b]]) for k, pair in enumerate(found.pairs)],
+        "unused_pairs": [{"a": a, "b": b, "score": score} for a, b, score in found.unused],
+        "cameras": [_camera_report(found, view, errors[view]) | _verdict(support[view], config) for view in range(len(rig.cameras))],
+        "pairs": [_pair_report(found, k, pair, errors[[pair.a, pair.b]], config) for k, pair in enumerate(found.pairs)],
         "adjust": {"rounds": found.rounds, "converged": found.converged},
         "individuals": [{"individual": k, "frames": int((labels == k).any((0, 2)).sum())} for k in range(found.matches.individuals)],
         "points": {"triangulated": int(points.sum()), "reprojection_error_px": _spread(found.poses.error[points])},
@@ -152,6 +153,15 @@ def _errors(found: Calibration) -> Floats:
     return np.linalg.norm(np.stack(images) - pixels, axis=-1)
 
 
+def _support(found: Calibration) -> list[float]:
+    """The score of each camera's best pair: what it stands on."""
+    return [max(p.score for p in found.pairs if view in (p.a, p.b)) for view in range(len(found.rig.cameras))]
+
+
+def _verdict(support: float, config: Config) -> dict[str, Any]:
+    return {"support": support, "weak": support < config.averaging.weak_score}
+
+
 def _camera_report(found: Calibration, view: int, error: Floats) -> dict[str, Any]:
     there = found.recording.seen[view].any(-1)
     matched = there & (found.matches.labels[view] >= 0)
@@ -165,8 +175,8 @@ def _camera_report(found: Calibration, view: int, error: Floats) -> dict[str, An
     }
 
 
-def _pair_report(found: Calibration, number: int, pair: PairwiseCalibration, error: Floats) -> dict[str, Any]:
-    """What stage 1 found, how far it is from the rig, and, last, what the rig makes of the points that both views see."""
+def _pair_report(found: Calibration, number: int, pair: PairwiseCalibration, error: Floats, config: Config) -> dict[str, Any]:
+    """What the pair by itself said, how far it is from the rig, and, last, what the rig makes of the points that both views see."""
     cameras, averaged, labels = found.rig.cameras, found.averaged, found.matches.labels
     focal = (cameras[pair.a].focal + cameras[pair.b].focal) / 2
     together = (labels[pair.a][:, :, None] == labels[pair.b][:, None]) & (labels[pair.a][:, :, None] >= 0)
@@ -187,7 +197,7 @@ def _pair_report(found: Calibration, number: int, pair: PairwiseCalibration, err
         "loop_rotation_deg": float(np.degrees(averaged.loop_error[number])),
         "loop_translation_deg": float(np.degrees(averaged.translation_error[number])),
         "weight": float(averaged.weight[number]),
-        "breaks_loop": bool(averaged.weight[number] < _BREAKS),
+        "breaks_loop": bool(averaged.weight[number] < config.averaging.breaks),
     }
 
 

@@ -4,6 +4,7 @@ Lives below `io` because the readers and the model both need it.
 """
 
 import re
+from collections.abc import Set
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -26,15 +27,23 @@ def normalise_name(name: str) -> str:
     return "_".join(sides[:1] + rest)
 
 
+def _spelled(name: str, known: Set[str]) -> str:
+    """The normalised name; `leye` and `leftshoulder`, which only a list of joints can take apart, as far as it is known."""
+    whole = normalise_name(name)
+    sides = [f"{_SIDES[side]}_{whole.removeprefix(side)}" for side in ("left", "right", "l", "r") if whole.startswith(side)]
+    return next((each for each in (whole, *sides) if each in known), whole)
+
+
 def match_names(names: tuple[str, ...], skeleton: Skeleton) -> Ints:
     """`[keypoint]` index in the skeleton of each name, -1 where it has no such joint; the first of twins wins."""
     index = {normalise_name(joint): k for k, joint in enumerate(skeleton.keypoints)}
     aliases = {normalise_name(a): index[normalise_name(joint)] for a, joint in skeleton.aliases.items()}
-    exact = [index.get(normalise_name(name), -1) for name in names]
+    spelled = [_spelled(name, index.keys() | aliases.keys()) for name in names]
+    exact = [index.get(name, -1) for name in spelled]
     taken = set(exact)
     found = np.full(len(names), -1, dtype=np.int64)
-    for k, name in enumerate(names):
-        joint = exact[k] if exact[k] >= 0 else aliases.get(normalise_name(name), -1)
+    for k, name in enumerate(spelled):
+        joint = exact[k] if exact[k] >= 0 else aliases.get(name, -1)
         if exact[k] >= 0 or joint not in taken:
             found[k] = joint
             taken.add(joint)

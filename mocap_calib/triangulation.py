@@ -1,4 +1,4 @@
-"""Stage 6, and what the adjustment starts from: points from rays, many at once."""
+"""Triangulation, and what the adjustment starts from: points from rays, many at once."""
 
 from itertools import combinations
 
@@ -8,7 +8,7 @@ from mocap_calib.config import TriangulateConfig
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Matches, Poses3D, Progress, Recording
 
-_SEEDS = 12  # pairs of views that propose a point
+_SMALL_RIG = 7  # views up to which all pairs of them propose points
 _STEPS = 6
 _BLOCK = 20_000
 _START = 0.01  # radians: error of a keypoint before anything is known of it
@@ -24,6 +24,17 @@ def by_individual(recording: Recording, matches: Matches, frames: Ints) -> tuple
     rays[target], positions[target] = recording.rays[source], recording.positions[source]
     confidence[target] = recording.confidence[source]
     return rays, positions, confidence
+
+
+def within_frames(matches: Matches) -> Matches:
+    """The same groups, numbered from 0 in each frame by their first detection: what they are called elsewhere is forgotten."""
+    labels = matches.labels
+    flat = np.swapaxes(labels, 0, 1).reshape(labels.shape[1], -1)
+    first = (flat[:, :, None] == flat[:, None]).argmax(-1)
+    begins = (first == np.arange(flat.shape[1])) & (flat >= 0)
+    number = np.take_along_axis(begins.cumsum(1) - 1, first, axis=1)
+    named = np.where(flat >= 0, number, -1)
+    return Matches(np.swapaxes(named.reshape(labels.shape[1], labels.shape[0], -1), 0, 1))
 
 
 def triangulate(recording: Recording, rig: CameraRig, matches: Matches, config: TriangulateConfig, *, progress: Progress) -> Poses3D:
@@ -87,8 +98,9 @@ def _intersect(rig: CameraRig, rays: Floats, weight: Floats, noise: Floats) -> F
     precision = np.where(np.isfinite(rays[..., 0]), weight, 0.0) / noise[:, None] ** 2
     project = np.eye(3) - world[..., :, None] * world[..., None, :]  # onto the plane normal to the ray
     points, cost = np.full((rays.shape[1], 3), np.nan), np.full(rays.shape[1], np.inf)
-    for a, b in _seed_pairs(rig):
-        both = np.flatnonzero((precision[a] > 0) & (precision[b] > 0))
+    first, others = _seed_pairs(rig)
+    for turn, (a, b) in enumerate([*first, *others]):
+        both = np.flatnonzero((precision[a] > 0) & (precision[b] > 0) & ((turn < len(first)) | ~np.isfinite(cost)))
         proposal = _weighted_point(rig.centres[[a, b]], project[[a, b]][:, both], precision[[a, b]][:, both])
         residual = _robust_cost(rig, proposal, world[:, both], precision[:, both])
         better = residual < cost[both]
@@ -103,14 +115,17 @@ def _intersect(rig: CameraRig, rays: Floats, weight: Floats, noise: Floats) -> F
     return points
 
 
-def _seed_pairs(rig: CameraRig) -> list[tuple[int, int]]:
-    """All pairs of views, or an even choice of them in a large rig that leaves no view out."""
-    pairs = list(combinations(range(len(rig.cameras)), 2))
-    if len(pairs) <= 2 * _SEEDS:
-        return pairs
+def _seed_pairs(rig: CameraRig) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
+    """Pairs of views that propose every point they see, and pairs that propose those that none of the first sees.
+
+    All are of the first kind in a small rig; in a large one those to the next view and to one a third of the rig away.
+    """
     views = len(rig.cameras)
-    steps = (1, max(2, views // 3))
-    return sorted({(min(v, (v + s) % views), max(v, (v + s) % views)) for v in range(views) for s in steps})
+    pairs = list(combinations(range(views), 2))
+    if views <= _SMALL_RIG:
+        return pairs, []
+    first = sorted({(min(v, (v + s) % views), max(v, (v + s) % views)) for v in range(views) for s in (1, views // 3)})
+    return first, [pair for pair in pairs if pair not in set(first)]
 
 
 def _weighted_point(centres: Floats, project: Floats, weight: Floats) -> Floats:

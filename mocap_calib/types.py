@@ -133,7 +133,7 @@ class Keypoints2D:
 class Recording:
     """All views on one clock.
 
-    frames: `[frame]` numbers that at least one view has. positions: `[view, frame, instance, keypoint, 2]`
+    frames: `[frame]` numbers that at least two views have. positions: `[view, frame, instance, keypoint, 2]`
     pixels, NaN = missing. confidence: `[view, frame, instance, keypoint]` in 0..1 of each view's own scale,
     0 = missing. rays: `[view, frame, instance, keypoint, 3]` unit vectors in each camera's frame (distortion
     taken out), NaN = missing. tracked: `[view]` the instance index names the same individual in all frames.
@@ -193,12 +193,13 @@ class LiftedPoses:
 
 @dataclass(frozen=True)
 class PairwiseCalibration:
-    """Stage 1 for the views a and b.
+    """What is found of the views a and b.
 
     rotation: `[3, 3]` and translation: `[3]` of b_from_a; the translation's length is the baseline in body
-    sizes. matches: `[match, 3]` rows (frame index, instance in a, instance in b). score: 0..1, share of the
-    co-visible detections that this geometry explains. residual: median epipolar error in radians.
-    source: what proposed it ("lifted" or "five-point").
+    sizes. matches: `[match, 3]` rows (frame index, instance in a, instance in b) in the frames that were looked at;
+    frames: how many the views share. in_front: 0..1, share of the matched joints in front of both cameras. score: 0..1,
+    share of the detections explained x in_front x agreement of the lifted bodies. residual: median epipolar error in
+    radians. source: what proposed it ("lifted" or "five-point").
     """
 
     a: int
@@ -215,7 +216,7 @@ class PairwiseCalibration:
 
 @dataclass(frozen=True)
 class Averaged:
-    """Stage 2: the rig, and how well each pair agrees with it.
+    """The rig, and how well each pair agrees with it.
 
     loop_error: `[pair]` angle in radians between a pair's rotation and the rig's; translation_error: `[pair]`
     angle between the directions of translation; weight: `[pair]` 0..1, what the pair counted for in the end.
@@ -262,10 +263,16 @@ class Poses3D:
 
 @dataclass(frozen=True)
 class Calibration:
-    """All that a run finds. left_out: cameras that no pair holds; seconds: wall time per stage."""
+    """All that a run finds.
+
+    recording, and all that follows: of the cameras that were calibrated. left_out: names of those that no pair holds;
+    unused: (name, name, score) of the pairs with one of them. rounds of adjusting and matching were made; converged: no
+    detection changed its group in the last. seconds: wall time per stage.
+    """
 
     recording: Recording
     left_out: tuple[str, ...]
+    unused: tuple[tuple[str, str, float], ...]
     pairs: tuple[PairwiseCalibration, ...]
     averaged: Averaged
     rig: CameraRig

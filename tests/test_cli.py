@@ -137,7 +137,7 @@ def test_same_seed_same_bytes_and_a_rerun_replaces(done, small, tool, tmp_path):
     first, _ = done
     again = tmp_path / "out"
     again.mkdir()
-    for stale in ("poses3d_7.csv", "notes.txt"):
+    for stale in ("poses3d_2.csv", "poses3d_3.csv", "poses3d_2024.csv", "notes.txt"):
         (again / stale).write_text("mine")
     said = tool("run", small / "keypoints", "--cameras", small / "intrinsics.toml", "-o", again, "--quiet")
     assert (said.returncode, said.stdout, said.stderr) == (0, "", "")
@@ -148,7 +148,7 @@ def test_same_seed_same_bytes_and_a_rerun_replaces(done, small, tool, tmp_path):
     assert reports[0].pop("seconds") != {}
     reports[1].pop("seconds")
     assert reports[0] == reports[1]
-    assert not (again / "poses3d_7.csv").exists()
+    assert sorted(file.name for file in again.glob("poses3d_*.csv")) == ["poses3d_1.csv", "poses3d_2024.csv"]
     assert (again / "notes.txt").read_text() == "mine"
 
 

@@ -112,6 +112,35 @@ def test_pixel_ray_pixel_round_trip(name):
     np.testing.assert_allclose(pixels_from_points(camera, 3.0 * rays), pixels, atol=1e-8)
 
 
+@pytest.mark.parametrize(
+    ("k", "fisheye", "pixel"),
+    [([-0.3, 0, 0, 0], False, (1200.0, 400.0)), ([-0.1, 0, 0, 0], True, (3000.0, 3000.0)), ([0.0, 0, 0, 0], True, (3000.0, 360.0))],
+)
+def test_a_pixel_that_no_ray_has_is_nan_and_its_neighbours_are_not(k, fisheye, pixel):
+    """Past the fold of the polynomial, or past 180 degrees."""
+    camera = Camera("fold", (1280, 720), np.array([[600.0, 0, 640], [0, 600, 360], [0, 0, 1]]), np.array(k), fisheye)
+    rays = rays_from_pixels(camera, np.array([[pixel, (700.0, 400.0)], [(np.nan, 1.0), (900.0, 200.0)]]))
+    np.testing.assert_array_equal(np.isnan(rays).all(-1), [[True, False], [True, False]])
+    np.testing.assert_allclose(pixels_from_points(camera, rays[:, 1]), [[700, 400], [900, 200]], atol=1e-6)
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_wild_pixels_have_true_rays_or_none(name):
+    pixels = np.random.default_rng(6).normal(size=(300, 2)) * 10.0 ** np.random.default_rng(7).uniform(2, 9, (300, 1))
+    rays = rays_from_pixels(CAMERAS[name], pixels)
+    back = pixels_from_points(CAMERAS[name], rays)
+    ahead = np.isfinite(back).all(1)
+    assert (np.abs(back - pixels)[ahead] < 1).all()
+    assert (rays[~ahead, 2][np.isfinite(rays[~ahead, 2])] <= 1e-9).all()
+
+
+def test_fisheye_sees_behind_itself():
+    """Equidistant: 100 degrees off the axis are f * 1.745 pixels."""
+    camera = Camera("wide", (1280, 720), np.array([[300.0, 0, 640], [0, 300, 360], [0, 0, 1]]), np.zeros(4), True)
+    angle = np.radians(100)
+    np.testing.assert_allclose(rays_from_pixels(camera, np.array([640 + 300 * angle, 360])), [np.sin(angle), 0, np.cos(angle)], atol=1e-12)
+
+
 def test_a_point_behind_the_camera_has_no_pixel():
     assert np.isnan(pixels_from_points(CAMERAS["plain"], np.array([[0, 0, -1.0], [0, 0, 0.0]]))).all()
 
@@ -185,3 +214,12 @@ def test_similarity_recovers_what_was_applied():
 def test_similarity_of_one_place_is_degenerate():
     with pytest.raises(DegenerateError, match="different places"):
         similarity(np.ones((4, 3)), np.zeros((4, 3)))
+
+
+def test_a_strong_lens_is_undone_up_to_its_fold():
+    """k1 = -0.44 as wide lenses have it: every ray short of the fold comes back, though cv2's iteration diverges before."""
+    camera = Camera("wide", (2048, 1536), np.array([[1290.0, 0, 1024], [0, 1290, 768], [0, 0, 1]]), np.array([-0.44, 0.21, 0, 0, -0.05]), False)
+    angle, radius = np.random.default_rng(12).uniform([0, 0], [2 * np.pi, 0.85], (500, 2)).T
+    points = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.ones(500)], axis=1)
+    rays = rays_from_pixels(camera, pixels_from_points(camera, points))
+    np.testing.assert_allclose(rays, points / np.linalg.norm(points, axis=1, keepdims=True), atol=1e-5)

@@ -23,7 +23,7 @@ def make_rig(seed=0, names=("cam_10", "cam_2"), vectors=None, fisheye=False):
     cameras = []
     for k, name in enumerate(names):
         matrix = np.array([[rng.uniform(1e-5, 1e5), 0, rng.normal() * 1e3], [0, rng.uniform(100, 2000), rng.normal()], [0, 0, 1]])
-        cameras.append(Camera(name, (640 + k, 480), matrix, rng.normal(size=4 if fisheye else (4, 5, 8, 12, 14)[k % 5]) * 10.0 ** rng.integers(-8, 3), fisheye))
+        cameras.append(Camera(name, (640 + k, 480), matrix, rng.normal(size=4 if fisheye else (4, 5, 8)[k % 3]) * 10.0 ** rng.integers(-8, 3), fisheye))
     vectors = rng.normal(size=(len(names), 3)) if vectors is None else np.asarray(vectors, dtype=float)
     return CameraRig(tuple(cameras), matrix_from_vector(vectors), rng.normal(size=(len(names), 3)), "m")
 
@@ -180,6 +180,7 @@ def test_what_a_file_leaves_out():
     [
         *(([], False, [0] * 5), ([0.1], False, [0.1, 0, 0, 0, 0]), ([0.1, 0.2], False, [0.1, 0.2, 0, 0, 0]), ([1, 2, 3, 4], False, [1, 2, 3, 4])),
         *(([1, 2, 3, 4, 5, 0], False, [1, 2, 3, 4, 5]), ([[1, 2, 3, 4, 5]], False, [1, 2, 3, 4, 5])),
+        *(([*range(1, 9), 0, 0, 0, 0], False, range(1, 9)), ([1, 2, 3, 4, 5] + [0] * 9, False, [1, 2, 3, 4, 5, 0, 0, 0])),
         *(([0.1, 0, 0, 0, 0], True, [0.1, 0, 0, 0]), ([1, 2, 3], True, [1, 2, 3, 0])),
     ],
 )
@@ -213,6 +214,9 @@ BROKEN = {
     "matrix with NaN": edited("500.0", "nan"),
     "negative focal length": edited("500.0", "-500.0"),
     "skew": edited("[[500.0, 0.0", "[[500.0, 9.0"),
+    "skew of a fisheye": edited("[[500.0, 0.0", "[[500.0, 9.0").replace("[0.1, -0.2, 0.0, 0.0]", "[0.1, -0.2, 0.0, 0.0]\nfisheye = true"),
+    "thin prism": edited("[0.1, -0.2, 0.0, 0.0]", "[1, 2, 3, 4, 5, 6, 7, 8, 0, 0.1, 0, 0]"),
+    "tilt": edited("[0.1, -0.2, 0.0, 0.0]", "[1, 2, 3, 4, 5, 0, 0, 0, 0, 0, 0, 0, 0, 0.1]"),
     "3 coefficients": edited("[0.1, -0.2, 0.0, 0.0]", "[0.1, 0.2, 0.3]"),
     "6 coefficients": edited("[0.1, -0.2, 0.0, 0.0]", "[1, 2, 3, 4, 5, 6]"),
     "5 fisheye coefficients": edited("[0.1, -0.2, 0.0, 0.0]", "[1, 2, 3, 4, 5]\nfisheye = true"),

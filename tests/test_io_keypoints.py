@@ -123,6 +123,27 @@ def test_coco_frame_numbers_come_from_where_all_images_have_one(tmp_path):
     refused(tmp_path, json.dumps(data))
 
 
+@pytest.mark.parametrize(
+    ("names", "fields", "numbers"),
+    [
+        (("a7/000005_cam1.jpg", "a7/000006_cam1.jpg", "a7/000009_cam1.jpg"), {}, [5, 6, 9]),
+        (("000005_cam1.jpg", "000006_cam1.jpg", "000009_cam1.jpg"), {"frame": (31, 32, 33)}, [31, 32, 33]),
+        (("5_cam1.jpg", "6_cam1.jpg", "9_cam1.jpg"), {"frame": (3, 3, 3), "frame_id": (7, 8, 9)}, [7, 8, 9]),
+        (("5_left.jpg", "6_left.jpg", "9_left.jpg"), {}, [5, 6, 9]),
+        (("day1_x_cam1.jpg", "day1_y_cam1.jpg", "day1_z_cam1.jpg"), {}, [0, 1, 2]),
+    ],
+    ids=["first integer", "frame", "frame_id", "no last integer", "id"],
+)
+def test_coco_frame_numbers_that_repeat_come_from_the_next_place(tmp_path, names, fields, numbers):
+    positions, confidence = scene()
+    data = coco(FRAMES, NAMES, positions, confidence)
+    for k, image in enumerate(data["images"]):
+        image.update({"file_name": names[k]} | {key: values[k] for key, values in fields.items()})
+    loaded = read(tmp_path, json.dumps(data))
+    np.testing.assert_array_equal(loaded.frames, numbers)
+    np.testing.assert_array_equal(loaded.positions, positions)
+
+
 def test_images_without_annotations_are_frames(tmp_path):
     positions, confidence = scene()
     data = coco(FRAMES, NAMES, positions, confidence)

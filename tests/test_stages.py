@@ -298,6 +298,19 @@ def test_exact_rays_meet_in_their_point(views):
     assert used.all()
 
 
+@pytest.mark.parametrize("views", [8, 10, 13])
+def test_any_two_or_three_views_of_a_large_rig_will_do(views):
+    """Not only those that are neighbours."""
+    rig, point = ring(views), np.array([[0.1, -0.2, 1.1]])
+    seen = [*combinations(range(views), 2), *combinations(range(views), 3)]
+    weight = np.zeros((views, len(seen)))
+    for n, some in enumerate(seen):
+        weight[list(some), n] = 1.0
+    rays = np.repeat(rays_to(rig, point), len(seen), axis=1)
+    found, _ = triangulate_rays(rig, rays, weight, np.full(views, 1e-3), TriangulateConfig())
+    np.testing.assert_allclose(found, np.broadcast_to(point, found.shape), atol=1e-4)  # two views may face each other
+
+
 def test_one_outlying_view_is_found_and_left_out():
     rig, points = ring(4), np.random.default_rng(1).uniform(-1, 1, (300, 3)) + [0, 0, 1]
     rays = rays_to(rig, points)

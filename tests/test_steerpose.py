@@ -35,7 +35,18 @@ def test_spellings_of_one_joint(name):
 
 
 @pytest.mark.parametrize(
-    ("name", "joint"), [("thorax", "neck"), ("Pelvis", "mid_hip"), ("MidHip", "mid_hip"), ("head", "head_top"), ("LBigToe", "left_big_toe"), ("tail", None)]
+    ("name", "joint"),
+    [
+        ("thorax", "neck"),
+        ("Pelvis", "mid_hip"),
+        ("MidHip", "mid_hip"),
+        ("head", "head_top"),
+        ("LBigToe", "left_big_toe"),
+        ("leye", "left_eye"),
+        ("rightankle", "right_ankle"),
+        ("Lshoulder", "left_shoulder"),
+        ("tail", None),
+    ],
 )
 def test_aliases_map_onto_the_vocabulary(name, joint):
     (found,) = match_names((name,), PEOPLE)

@@ -41,15 +41,27 @@ def _expand(argument: str) -> list[tuple[str, Path]]:
     path = Path(argument)
     name, equals, rest = argument.partition("=")
     if path.is_dir():
-        files = sorted(file for file in path.iterdir() if file.suffix.lower() in SUFFIXES and not file.name.startswith(".") and file.is_file())
+        files = _listed(path)
         if not files:
             raise MismatchError(f"{path}: expected keypoint files ({', '.join(SUFFIXES)}) in the folder, found none; name the files themselves")
-        return [(file.stem, file) for file in files]
+        doubles = _doubles(files)
+        return [(file.stem, file) for file in files if file not in doubles]
     if equals and not path.exists():
         if not name or not rest:
             raise click.BadParameter(f"expected name=path, found {argument}", param_hint="KEYPOINTS")
         return [(name, Path(rest))]
     return [(path.stem, path)]
+
+
+def _listed(folder: Path) -> list[Path]:
+    """The files of a folder that may hold keypoints, by name."""
+    return sorted(file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES and not file.name.startswith(".") and file.is_file())
+
+
+def _doubles(files: Sequence[Path]) -> list[Path]:
+    """The .csv files that lie beside an .h5 file of the same name, as DeepLabCut writes them; the .h5 is read."""
+    binary = {file.stem for file in files if file.suffix.lower() == ".h5"}
+    return [file for file in files if file.suffix.lower() == ".csv" and file.stem in binary]
 
 
 def read_recording(arguments: Sequence[str], cameras: tuple[Camera, ...], skeleton: Path | None, reporter: Reporter, *, placed: bool = False) -> Recording:
@@ -66,7 +78,7 @@ def read_recording(arguments: Sequence[str], cameras: tuple[Camera, ...], skelet
         files = [(name, path) for name, path in files if name.lower() in known] or files
     views = [read_keypoints(path, name) for name, path in files]
     recording = make_recording(views, cameras, vocabulary, aliases)
-    reporter.say(*_mapping(views, cameras, recording))
+    reporter.say(*_mapping(views, cameras, recording), *_doubled(arguments))
     return recording
 
 
@@ -80,6 +92,8 @@ def _mapping(views: Sequence[Keypoints2D], cameras: tuple[Camera, ...], recordin
     lines = table(["camera", "keypoints", "frames", "detections"], [*(rows[c.name] for c in cameras if c.name in rows), *nothing])
     left = [camera.name for camera in cameras if camera.name not in recording.names]
     lines += [f"left out, nothing detected: {', '.join(left)}"] if left else []
+    alone = _detections_alone(views, recording)
+    lines += [f"{alone} detections in frames of a single camera are left out"] if alone else []
     strangers = [name for name, joint in zip(recording.keypoints, recording.vocabulary, strict=True) if joint < 0]
     known = len(recording.keypoints) - len(strangers)
     lines += [
@@ -87,6 +101,17 @@ def _mapping(views: Sequence[Keypoints2D], cameras: tuple[Camera, ...], recordin
     ]
     lines += ["the model knows too few joints to help: calibrated by geometry alone"] if known < 4 else []
     return lines
+
+
+def _doubled(arguments: Sequence[str]) -> list[str]:
+    """A line that says which files of the folders are left out for their .h5, if any."""
+    doubles = [str(file) for folder in map(Path, arguments) if folder.is_dir() for file in _doubles(_listed(folder))]
+    return [f"left out, the .h5 beside it is read: {', '.join(doubles)}"] if doubles else []
+
+
+def _detections_alone(views: Sequence[Keypoints2D], recording: Recording) -> int:
+    """How many detections are in frames that no second camera has."""
+    return sum(int(np.isfinite(view.positions[~np.isin(view.frames, recording.frames), ..., 0]).any(-1).sum()) for view in views)
 
 
 def cameras_of(path: str) -> tuple[Camera, ...]:

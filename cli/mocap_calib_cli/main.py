@@ -15,11 +15,11 @@ from mocap_calib.errors import MocapCalibError
 # name: (module:attribute, what the list of commands says of it); kept here so that the list imports no command
 COMMANDS = {
     "run": ("mocap_calib_cli.commands.run:command", "Keypoints to cameras and 3D poses: all stages in one."),
-    "pairwise": ("mocap_calib_cli.commands.pairwise:command", "Stage 1: relative positions of all pairs of cameras."),
-    "average": ("mocap_calib_cli.commands.average:command", "Stage 2: pairs to one rig."),
-    "match": ("mocap_calib_cli.commands.match:command", "Stage 3: who is who in all cameras."),
-    "adjust": ("mocap_calib_cli.commands.adjust:command", "Stage 4: bundle adjustment of the rig."),
-    "triangulate": ("mocap_calib_cli.commands.triangulate:command", "Stage 5: 3D poses."),
+    "pairwise": ("mocap_calib_cli.commands.pairwise:command", "Relative positions of all pairs of cameras."),
+    "average": ("mocap_calib_cli.commands.average:command", "Pairs to one rig."),
+    "match": ("mocap_calib_cli.commands.match:command", "Who is who in all cameras."),
+    "adjust": ("mocap_calib_cli.commands.adjust:command", "Bundle adjustment of the rig."),
+    "triangulate": ("mocap_calib_cli.commands.triangulate:command", "3D poses."),
     "evaluate": ("mocap_calib_cli.commands.evaluate:command", "Compare cameras with a reference calibration."),
     "simulate": ("mocap_calib_cli.commands.simulate:command", "Make a synthetic recording with its truth."),
     "train": ("mocap_calib_cli.commands.train:command", "Train the network that lifts 2D poses."),

@@ -61,11 +61,11 @@ def of_individual(path: Path, individual: int) -> Path:
 
 
 def remove_stale(path: Path, individuals: int) -> None:
-    """Takes away the files of more individuals than there are now, which an earlier run has left."""
-    current = {of_individual(path, k).name for k in range(individuals)}
-    for other in path.parent.glob(f"{path.stem}_*{path.suffix}"):
-        if other.name not in current and other.stem.removeprefix(f"{path.stem}_").isdigit():
-            other.unlink()
+    """Takes away the files of the individuals that an earlier run found beyond those of this one."""
+    number = individuals
+    while (stale := of_individual(path, number)).is_file():
+        stale.unlink()
+        number += 1
 
 
 def provenance(command: str, **fields: Any) -> Mapping[str, Any]:

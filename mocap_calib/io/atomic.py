@@ -1,5 +1,6 @@
 """Files and folders that are written whole or not at all."""
 
+import errno
 import os
 import shutil
 import tempfile
@@ -34,12 +35,33 @@ def folder(path: Path) -> Iterator[Path]:
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     work = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}."))
+    old = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}.old."))
     try:
         yield work
         path.mkdir(exist_ok=True)
-        for file in sorted(file for file in work.rglob("*") if file.is_file()):
-            target = path / file.relative_to(work)
-            target.parent.mkdir(parents=True, exist_ok=True)
-            os.replace(file, target)
+        _move([file.relative_to(work) for file in sorted(work.rglob("*")) if file.is_file()], work, path, old)
     finally:
         shutil.rmtree(work, ignore_errors=True)
+        shutil.rmtree(old, ignore_errors=True)
+
+
+def _move(names: list[Path], work: Path, path: Path, old: Path) -> None:
+    """Moves files into place; what they replace is kept aside until all are there, and put back if one cannot be."""
+    blocked = [path / name for name in names if (path / name).is_dir()]
+    if blocked:
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(blocked[0]))
+    moved: list[Path] = []
+    try:
+        for name in names:
+            (path / name).parent.mkdir(parents=True, exist_ok=True)
+            if (path / name).exists():
+                (old / name).parent.mkdir(parents=True, exist_ok=True)
+                os.replace(path / name, old / name)
+            moved.append(name)
+            os.replace(work / name, path / name)
+    except BaseException:
+        for name in moved:
+            (path / name).unlink(missing_ok=True)
+            if (old / name).exists():
+                os.replace(old / name, path / name)
+        raise

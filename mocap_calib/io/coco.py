@@ -71,16 +71,33 @@ def _vocabulary(categories: Iterable[dict[str, Any]], source: str) -> tuple[tupl
 
 
 def _frame_numbers(images: list[dict[str, Any]], source: str) -> Ints:
-    """`[image]` numbers, all from the first place where every image has one: file name, `frame`, `frame_id`, `id`."""
-    numbers = [frame_number(image["file_name"]) if isinstance(image.get("file_name"), str) else -1 for image in images]
-    for key in ("frame", "frame_id", "id"):
-        if min(numbers) >= 0:
-            break
-        numbers = [_whole(image.get(key)) for image in images]
-    if min(numbers) < 0:
-        worst = images[numbers.index(min(numbers))]
+    """`[image]` numbers, all from the first place where every image has one of its own, else from the first where all have one.
+
+    The places: the integer at the end of the file name, `frame`, `frame_id`, the first integer of the file name, `id`.
+    Images of one name in two folders are not told apart by `id`: they are those of two cameras. Raises FormatError.
+    """
+    names = [image["file_name"] if isinstance(image.get("file_name"), str) else "" for image in images]
+    stems = [_stem(name) for name in names if name]
+    places = [[frame_number(name) for name in names]]
+    places += [[_whole(image.get(key)) for image in images] for key in ("frame", "frame_id")]
+    places += [[_first_integer(name) for name in names]]
+    places += [[_whole(image.get("id")) for image in images]] if len(set(stems)) == len(stems) else []
+    complete = [numbers for numbers in places if min(numbers) >= 0]
+    if not complete:
+        worst = images[places[-1].index(min(places[-1]))]
         raise malformed(source, "a frame number at the end of each file name", worst.get("file_name", worst), "add a field `frame` to each image")
-    return np.array(numbers, dtype=np.int64)
+    return np.array(next((numbers for numbers in complete if len(set(numbers)) == len(numbers)), complete[0]), dtype=np.int64)
+
+
+def _stem(name: str) -> str:
+    """The name without folders and suffix."""
+    return re.sub(r"\.[A-Za-z]\w*$", "", re.split(r"[/\\]", name.strip())[-1])
+
+
+def _first_integer(name: str) -> int:
+    """The first integer of a file name without its folders (`a7/000012_cam1.jpg` -> 12); -1 where there is none."""
+    digits = re.search(r"[0-9]+", _stem(name))
+    return _whole(digits[0]) if digits else -1
 
 
 def _whole(value: object) -> int:

@@ -8,7 +8,8 @@ from mocap_calib.geometry.rotation import matrix_from_vector, nearest_rotation
 from mocap_calib.io.reading import malformed
 from mocap_calib.types import Camera, Floats
 
-_PINHOLE_LENGTHS = (4, 5, 8, 12, 14)
+_PINHOLE_LENGTHS = (4, 5, 8)
+_LONG_LENGTHS = (12, 14)  # OpenCV's thin prism and tilt, which bundle adjustment does not have
 _NOT_A_ROTATION = 1e-2  # real files round to three or four digits
 _ROUNDED = 1e-9
 
@@ -26,7 +27,7 @@ def numbers(value: Any, expected: str, source: str) -> Floats:
 
 def make_camera(name: str, size: Any, matrix: Any, distortion: Any, fisheye: bool, source: str) -> Camera:
     """A camera from raw fields, checked; `source` names file and camera in the complaint. Raises FormatError."""
-    return Camera(name, _size(size, source), _matrix(matrix, fisheye, source), _distortion(distortion, fisheye, source), fisheye)
+    return Camera(name, _size(size, source), _matrix(matrix, source), _distortion(distortion, fisheye, source), fisheye)
 
 
 def make_extrinsics(rotation: Any, translation: Any, source: str) -> tuple[Floats, Floats]:
@@ -83,7 +84,8 @@ def _size(value: Any, source: str) -> tuple[int, int]:
     return int(size[0]), int(size[1])
 
 
-def _matrix(value: Any, fisheye: bool, source: str) -> Floats:
+def _matrix(value: Any, source: str) -> Floats:
+    """`[3, 3]` camera matrix; a skew of rounding is set to 0. Raises FormatError."""
     matrix = numbers(value, "a 3 x 3 camera matrix", source)
     if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
         raise malformed(source, "a finite 3 x 3 camera matrix", f"shape {matrix.shape}", "mend the camera matrix")
@@ -91,15 +93,18 @@ def _matrix(value: Any, fisheye: bool, source: str) -> Floats:
         raise malformed(source, "a camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]", matrix.tolist(), "transpose it if it came from MATLAB")
     if min(matrix[0, 0], matrix[1, 1]) <= 0:
         raise malformed(source, "positive focal lengths", matrix[[0, 1], [0, 1]].tolist(), "mend the camera matrix")
-    # OpenCV's pinhole model has no skew and drops it silently
-    if not fisheye and abs(matrix[0, 1]) > 1e-3 * matrix[0, 0]:
+    # OpenCV's pinhole model has no skew and drops it silently; COLMAP's fisheye model has none either
+    if abs(matrix[0, 1]) > 1e-3 * matrix[0, 0]:
         raise malformed(source, "a camera matrix without skew", f"skew {matrix[0, 1]}", "calibrate without skew")
+    matrix[0, 1] = 0.0
     return matrix
 
 
 def _distortion(value: Any, fisheye: bool, source: str) -> Floats:
-    """As many coefficients as the model takes; missing ones are 0, and zeros too many are dropped."""
+    """As many coefficients as the model takes; missing ones are 0, and zeros too many are dropped. Raises FormatError."""
     given = numbers([] if value is None else value, "distortion coefficients", source).reshape(-1)
+    if not fisheye and len(given) in _LONG_LENGTHS:
+        given = _without_prism(given, source)
     lengths = (4,) if fisheye else _PINHOLE_LENGTHS
     used = int(np.flatnonzero(given).max(initial=-1)) + 1
     room = 4 if fisheye else 5
@@ -113,3 +118,11 @@ def _distortion(value: Any, fisheye: bool, source: str) -> Floats:
     padded = np.zeros(room)
     padded[:used] = given[:used]
     return padded
+
+
+def _without_prism(given: Floats, source: str) -> Floats:
+    """The first 8 of `[12 | 14]` coefficients, where the others are 0. Raises FormatError."""
+    if (given[8:] != 0).any():
+        found = f"thin-prism or tilt terms {given[8:].tolist()}"
+        raise malformed(source, "at most 8 distortion coefficients that are not 0", found, "calibrate without thin prism and tilt")
+    return given[:8]

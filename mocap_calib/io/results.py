@@ -1,4 +1,4 @@
-"""Writing and reading what a run finds: matches, 3D poses, and the pairs of stage 1."""
+"""Writing and reading what a run finds: matches, 3D poses, and the pairs."""
 
 import csv
 import io
@@ -170,7 +170,7 @@ def _anipose_rows(poses: Poses3D, individual: int, piece: slice) -> Floats:
 
 
 def pairs_to_json(pairs: Sequence[PairwiseCalibration], cameras: Sequence[Camera]) -> str:
-    """The calibrated pairs of stage 1 with their cameras, which is all that stage 2 needs; NaN is written as null."""
+    """The calibrated pairs with their cameras, which is all that averaging needs; NaN is written as null."""
     entries = []
     for pair in pairs:
         fields = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in asdict(pair).items()}

@@ -52,6 +52,8 @@ def lift(recording: Recording, lifter: Lifter, *, device: str = "cpu", progress:
 
 
 def _check_needed(recording: Recording, known: Bools) -> None:
+    if len(known) < LEAST_JOINTS:
+        raise MismatchError(f"expected at least {LEAST_JOINTS} joints that two views have in common, found {', '.join(recording.keypoints)}; detect more")
     crowded = (recording.seen.any(-1).sum(-1) > 1).mean() > _CROWD
     if known.sum() < LEAST_JOINTS and crowded and not recording.tracked.all():
         names = ", ".join(recording.keypoints)

@@ -1,4 +1,4 @@
-"""mocap-calib adjust: stage 4."""
+"""mocap-calib adjust: bundle adjustment."""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from mocap_calib_cli import options
 @options.device
 @options.quiet
 def command(keypoints: tuple[str, ...], rig: str, matches: str, output: str, matches_out: str | None, skeleton: Path | None, device: str, quiet: bool) -> None:
-    """Stage 4: bundle adjustment, matched and adjusted again until no match changes.
+    """Bundle adjustment, matched and adjusted again until no match changes.
 
     \b
     Example:

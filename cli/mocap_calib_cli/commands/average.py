@@ -1,4 +1,4 @@
-"""mocap-calib average: stage 2."""
+"""mocap-calib average: pairs to one rig."""
 
 import sys
 
@@ -12,7 +12,7 @@ from mocap_calib_cli import options
 @options.output_text("cameras (YAML)")
 @options.quiet
 def command(pairs: str, output: str, quiet: bool) -> None:
-    """Stage 2: one rig from the pairs of `pairwise`; - reads stdin.
+    """One rig from the pairs of `pairwise`; - reads stdin.
 
     Cameras that no pair holds are left out and named.
 

@@ -1,4 +1,4 @@
-"""mocap-calib match: stage 3."""
+"""mocap-calib match: who is who in all cameras."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from mocap_calib_cli import options
 @options.device
 @options.quiet
 def command(keypoints: tuple[str, ...], rig: str, output: str, skeleton: Path | None, device: str, quiet: bool) -> None:
-    """Stage 3: labels every detection with its individual, given the cameras.
+    """Labels every detection with its individual, given the cameras.
 
     \b
     Example:

@@ -1,4 +1,4 @@
-"""mocap-calib pairwise: stage 1."""
+"""mocap-calib pairwise: relative poses of all pairs of cameras."""
 
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from mocap_calib_cli import options
 @options.device
 @options.quiet
 def command(keypoints: tuple[str, ...], cameras: str, output: str, skeleton: Path | None, seed: int, device: str, quiet: bool) -> None:
-    """Stage 1: finds the relative pose of every pair of cameras, and who matches whom.
+    """Finds the relative pose of every pair of cameras, and who matches whom.
 
     \b
     Example:

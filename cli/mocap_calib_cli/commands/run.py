@@ -66,23 +66,29 @@ def _write(output: Path, found: "Calibration", report: dict[str, Any], seed: int
         (work / "matches.csv").write_text(format_matches_csv(found.recording, found.matches), "utf-8")
         (work / "run.json").write_text(json.dumps(report, indent=1, allow_nan=False) + "\n", "utf-8")
         write_poses_h5(work / "poses3d.h5", found.poses, source)
-        for individual in range(max(1, found.matches.individuals)):
+        for individual in range(found.matches.individuals):
             outputs.of_individual(work / "poses3d.csv", individual).write_text(format_poses_csv(found.poses, individual), "utf-8")
     outputs.remove_stale(output / "poses3d.csv", found.matches.individuals)
 
 
 def _summarise(reporter: "Reporter", found: "Calibration", report: dict[str, Any], output: Path) -> None:
     """What a person wants to see at the end, on stderr."""
+    from mocap_calib.config import Config
     from mocap_calib_cli.progress import figure, table
 
     rows = [
-        [c["name"], str(c["detections"]), str(c["matched"]), figure(c["reprojection_error_px"]["median"]), figure(c["reprojection_error_px"]["p95"])]
+        [c["name"], str(c["detections"]), str(c["matched"]), *(figure(c["reprojection_error_px"][k]) for k in ("median", "p95")), figure(c["support"])]
         for c in report["cameras"]
     ]
-    reporter.say("", *table(["camera", "detections", "matched", "median px", "95 % px"], rows))
+    reporter.say("", *table(["camera", "detections", "matched", "median px", "95 % px", "support"], rows))
     for pair in report["pairs"]:
         if pair["breaks_loop"]:
             reporter.say(f"pair {pair['a']}-{pair['b']} contradicts the others by {pair['loop_rotation_deg']:.1f} deg and was given little weight")
+    weak = [camera["name"] for camera in report["cameras"] if camera["weak"]]
+    if weak:
+        reporter.say(
+            f"weak: {', '.join(weak)} (support below {Config().averaging.weak_score}, good recordings have 0.7 and more): do not trust it without a check"
+        )
     if found.left_out:
         reporter.say(f"left out, no other camera confirms what they see: {', '.join(found.left_out)}")
     if not found.converged:

@@ -6,6 +6,7 @@ from typing import Any
 import click
 
 from mocap_calib.config import SimulateConfig
+from mocap_calib_cli import options
 
 _DEFAULT = SimulateConfig()
 _SHARE = click.FloatRange(0, 1)
@@ -31,7 +32,7 @@ _SHARE = click.FloatRange(0, 1)
 @click.option("--arc", "arc_deg", type=click.FloatRange(0, 360), default=_DEFAULT.arc_deg, metavar="DEGREES", help="Over which cameras are spread.")
 @click.option("--shuffle/--no-shuffle", default=_DEFAULT.shuffle, help="Order of the detections in each image says nothing.")
 @click.option("--seed", type=click.IntRange(min=0), default=_DEFAULT.seed, help="The same seed gives the same bytes.")
-@click.option("--quiet", is_flag=True, help="Say nothing on stderr.")
+@options.quiet
 def command(output: Path, quiet: bool, **fields: Any) -> None:
     """Makes a recording of synthetic people with its truth: keypoints (COCO), cameras, who is who, true 3D."""
     from mocap_calib.io.scene import write_scene
@@ -49,5 +50,5 @@ def repeat(config: SimulateConfig) -> str:
     """The command that makes the same scene; options that are as usual are left out."""
     names = {"noise_px": "--noise", "arc_deg": "--arc"}
     changed = {key: value for key, value in vars(config).items() if value != getattr(_DEFAULT, key) and key not in ("size", "shuffle", "seed")}
-    options = [f"{names.get(key, '--' + key.replace('_', '-'))} {value}" for key, value in changed.items()]
-    return " ".join(["mocap-calib simulate -o OUT", *options, *([] if config.shuffle else ["--no-shuffle"]), f"--seed {config.seed}"])
+    said = [f"{names.get(key, '--' + key.replace('_', '-'))} {value}" for key, value in changed.items()]
+    return " ".join(["mocap-calib simulate -o OUT", *said, *([] if config.shuffle else ["--no-shuffle"]), f"--seed {config.seed}"])

@@ -1,4 +1,4 @@
-"""mocap-calib triangulate: stage 5."""
+"""mocap-calib triangulate: 3D poses."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from mocap_calib_cli import options
 @options.skeleton
 @options.quiet
 def command(keypoints: tuple[str, ...], rig: str, matches: str, output: Path, skeleton: Path | None, quiet: bool) -> None:
-    """Stage 5: 3D poses of all individuals in all frames.
+    """3D poses of all individuals in all frames.
 
     \b
     Example:
@@ -23,7 +23,7 @@ def command(keypoints: tuple[str, ...], rig: str, matches: str, output: Path, sk
     """
     from mocap_calib.config import TriangulateConfig
     from mocap_calib.errors import MismatchError
-    from mocap_calib.io.atomic import write_bytes
+    from mocap_calib.io.atomic import folder
     from mocap_calib.io.results import format_poses_csv, write_poses_h5
     from mocap_calib.triangulation import triangulate
     from mocap_calib_cli import inputs, outputs
@@ -40,6 +40,6 @@ def command(keypoints: tuple[str, ...], rig: str, matches: str, output: Path, sk
     if output.suffix == ".h5":
         write_poses_h5(output, poses, outputs.provenance("triangulate"))
     else:
-        for k in range(max(1, labels.individuals)):
-            write_bytes(outputs.of_individual(output, k), format_poses_csv(poses, k).encode())
-        outputs.remove_stale(output, labels.individuals)
+        with folder(output.absolute().parent) as work:
+            for k in range(labels.individuals):
+                (work / outputs.of_individual(output, k).name).write_text(format_poses_csv(poses, k), "utf-8")

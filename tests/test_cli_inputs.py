@@ -1,0 +1,63 @@
+"""What was typed and what is said of it: twins of DeepLabCut, detections that no second camera has."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from keypoint_files import dlc_columns, dlc_csv, dlc_h5_fixed, dlc_values
+
+from mocap_calib.errors import MismatchError
+from mocap_calib.types import Camera
+from mocap_calib_cli.inputs import keypoint_files, read_recording
+from mocap_calib_cli.progress import Reporter
+
+NAMES = ("nose", "left_eye", "right_eye", "left_ear")
+FRAMES = {"a": [0, 1, 2, 3], "b": [2, 3, 4]}
+
+
+@pytest.fixture
+def twins(tmp_path):
+    """A folder with an .h5 and a .csv file of each camera."""
+    for name, frames in FRAMES.items():
+        positions = np.random.default_rng(0).uniform(10, 400, (len(frames), 1, len(NAMES), 2))
+        columns, values = dlc_columns(NAMES), dlc_values(positions, np.ones(positions.shape[:3]))
+        dlc_h5_fixed(tmp_path / f"{name}.h5", frames, columns, values)
+        (tmp_path / f"{name}.csv").write_text(dlc_csv(frames, columns, values))
+    return tmp_path
+
+
+def read(folder, *arguments):
+    camera = Camera("a", (640, 480), np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]), np.zeros(5), False)
+    return read_recording([str(a) for a in arguments] or [str(folder)], (camera, replace(camera, name="b")), None, Reporter(quiet=False))
+
+
+def test_an_h5_is_preferred_to_the_csv_beside_it_and_that_is_said(twins, capsys):
+    assert keypoint_files([str(twins)]) == [(name, twins / f"{name}.h5") for name in "ab"]
+    assert read(twins).names == ("a", "b")
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert f"left out, the .h5 beside it is read: {twins / 'a.csv'}, {twins / 'b.csv'}" in said.err
+
+
+def test_files_that_are_named_are_read(twins, capsys):
+    read(twins, twins / "a.csv", twins / "b.h5")
+    assert "beside" not in capsys.readouterr().err
+    with pytest.raises(MismatchError, match="one keypoint file per camera"):
+        keypoint_files([str(twins / "a.csv"), str(twins / "a.h5")])
+
+
+def test_a_third_file_of_one_name_is_refused(twins):
+    (twins / "a.json").write_text("{}")
+    with pytest.raises(MismatchError, match="one keypoint file per camera"):
+        keypoint_files([str(twins)])
+
+
+def test_detections_of_a_single_camera_are_counted(twins, capsys):
+    read(twins)
+    assert "3 detections in frames of a single camera are left out\n" in capsys.readouterr().err
+
+
+def test_nothing_is_said_where_all_frames_are_shared(twins, capsys):
+    twins.joinpath("b.h5").write_bytes(twins.joinpath("a.h5").read_bytes())
+    read(twins)
+    assert "single camera" not in capsys.readouterr().err
