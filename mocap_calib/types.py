@@ -40,7 +40,8 @@ class Skeleton:
     """The vocabulary of one kind of body.
 
     keypoints: `[keypoint]` names; edges: pairs (parent, child) of indices into them; symmetries: pairs
-    (left, right); aliases: other spellings, normalised name -> keypoint name.
+    (left, right); aliases: other spellings, normalised name -> keypoint name; layouts: what names mean where all of
+    a layout occur together (a dog's `shoulder` beside its `arm`), normalised name -> keypoint name.
     """
 
     name: str
@@ -48,6 +49,7 @@ class Skeleton:
     edges: tuple[tuple[int, int], ...]
     symmetries: tuple[tuple[int, int], ...]
     aliases: dict[str, str]
+    layouts: tuple[dict[str, str], ...] = ()
 
 
 @dataclass(frozen=True)

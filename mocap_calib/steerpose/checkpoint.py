@@ -26,6 +26,7 @@ def save_lifter(path: Path, lifter: Lifter, skeleton: Skeleton, card: dict[str, 
             "keypoints": skeleton.keypoints,
             "edges": [[skeleton.keypoints[a], skeleton.keypoints[b]] for a, b in skeleton.edges],
             "aliases": skeleton.aliases,
+            "layouts": {str(k): layout for k, layout in enumerate(skeleton.layouts)},
         },
         "card": card,
     }
