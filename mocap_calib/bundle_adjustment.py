@@ -43,8 +43,9 @@ def adjust(recording: Recording, rig: CameraRig, matches: Matches, config: Adjus
     for loss_scale in config.loss_scales[-1:] if near else config.loss_scales:
         _solve(model, len(rig.cameras), loss_scale)
     found = [model.image(k + 1).cam_from_world() for k in range(len(rig.cameras))]
-    rotation = np.stack([f.rotation.matrix() for f in found])
-    return replace(rig, rotation=rotation, translation=np.stack([f.translation for f in found]))
+    # contiguous: another memory layout is another order of summation, and other last digits downstream
+    rotation = np.ascontiguousarray([f.rotation.matrix() for f in found])
+    return replace(rig, rotation=rotation, translation=np.ascontiguousarray([f.translation for f in found]) + 0.0)
 
 
 def _observations(

@@ -52,14 +52,18 @@ def _expand(argument: str) -> list[tuple[str, Path]]:
     return [(path.stem, path)]
 
 
-def read_recording(arguments: Sequence[str], cameras: tuple[Camera, ...], skeleton: Path | None, reporter: Reporter) -> Recording:
+def read_recording(arguments: Sequence[str], cameras: tuple[Camera, ...], skeleton: Path | None, reporter: Reporter, *, placed: bool = False) -> Recording:
     """Reads the keypoints of the cameras, and says which file went to which camera.
 
-    `skeleton` is a file of other names of joints. Raises FormatError and MismatchError.
+    `skeleton` is a file of other names of joints. `placed`: the cameras are those of a rig, which may have left some
+    out; their keypoints are left out too. Raises FormatError and MismatchError.
     """
     vocabulary = load_skeleton(MODEL)
     aliases = {} if skeleton is None else load_aliases(skeleton, vocabulary)
     files = keypoint_files(arguments)
+    if placed:
+        known = {camera.name.lower() for camera in cameras}
+        files = [(name, path) for name, path in files if name.lower() in known] or files
     views = [read_keypoints(path, name) for name, path in files]
     recording = make_recording(views, cameras, vocabulary, aliases)
     reporter.say(*_mapping(views, cameras, recording))

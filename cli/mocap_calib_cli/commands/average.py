@@ -1,0 +1,41 @@
+"""mocap-calib average: stage 2."""
+
+import sys
+
+import click
+
+from mocap_calib_cli import options
+
+
+@click.command(name="average")
+@click.argument("pairs", metavar="PAIRS")
+@options.output_text("cameras (YAML)")
+@options.quiet
+def command(pairs: str, output: str, quiet: bool) -> None:
+    """Stage 2: one rig from the pairs of `pairwise`; - reads stdin.
+
+    Cameras that no pair holds are left out and named.
+
+    \b
+    Example:
+      mocap-calib average pairs.json -o rig.yaml
+      mocap-calib pairwise keypoints/ --cameras intrinsics.toml | mocap-calib average -
+    """
+    from pathlib import Path
+
+    from mocap_calib.averaging import average, of_cameras, usable_cameras
+    from mocap_calib.config import AveragingConfig
+    from mocap_calib.io.camera_files import format_cameras_yaml
+    from mocap_calib.io.reading import decode, read_bytes
+    from mocap_calib.io.results import pairs_from_json
+    from mocap_calib_cli import inputs, outputs
+
+    outputs.check_text(output)
+    text = inputs.read_stdin("PAIRS") if pairs == options.STDIO else decode(read_bytes(Path(pairs)), pairs)
+    found, cameras = pairs_from_json(text, "stdin" if pairs == options.STDIO else pairs)
+    kept = usable_cameras(cameras, found, AveragingConfig())
+    left_out = [camera.name for k, camera in enumerate(cameras) if k not in kept]
+    if left_out and not quiet:
+        print(f"left out, no other camera confirms what they see: {', '.join(left_out)}", file=sys.stderr)  # noqa: T201
+    averaged = average(tuple(cameras[k] for k in kept), of_cameras(found, kept), AveragingConfig())
+    outputs.write_text(output, format_cameras_yaml(averaged.rig, outputs.provenance("average")))

@@ -1,0 +1,38 @@
+"""mocap-calib pairwise: stage 1."""
+
+from pathlib import Path
+
+import click
+
+from mocap_calib_cli import options
+
+
+@click.command(name="pairwise")
+@options.keypoints
+@options.cameras
+@options.output_text("pairs (JSON)")
+@options.skeleton
+@options.seed
+@options.device
+@options.quiet
+def command(keypoints: tuple[str, ...], cameras: str, output: str, skeleton: Path | None, seed: int, device: str, quiet: bool) -> None:
+    """Stage 1: finds the relative pose of every pair of cameras, and who matches whom.
+
+    \b
+    Example:
+      mocap-calib pairwise keypoints/ --cameras intrinsics.toml -o pairs.json
+    """
+    import numpy as np
+
+    from mocap_calib.config import PairwiseConfig
+    from mocap_calib.io.results import pairs_to_json
+    from mocap_calib.pairwise import calibrate_pairs
+    from mocap_calib_cli import inputs, outputs
+    from mocap_calib_cli.progress import Reporter
+
+    outputs.check_text(output)
+    with Reporter(quiet=quiet) as reporter:
+        recording = inputs.read_recording(keypoints, inputs.cameras_of(cameras), skeleton, reporter)
+        lifted = inputs.lifted_poses(recording, device, reporter)
+        pairs = calibrate_pairs(recording, lifted, PairwiseConfig(), rng=np.random.default_rng(seed), progress=reporter)
+    outputs.write_text(output, pairs_to_json(pairs, recording.cameras))

@@ -1,0 +1,98 @@
+"""mocap-calib run: keypoints to cameras and 3D poses."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from mocap_calib_cli import options
+
+if TYPE_CHECKING:
+    from mocap_calib.types import Calibration
+    from mocap_calib_cli.progress import Reporter
+
+
+@click.command(name="run")
+@options.keypoints
+@options.cameras
+@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, metavar="OUT", help="Folder to write; made when missing.")
+@options.skeleton
+@options.seed
+@options.device
+@options.as_json("Write the content of run.json to stdout as well.")
+@options.quiet
+def command(keypoints: tuple[str, ...], cameras: str, output: Path, skeleton: Path | None, seed: int, device: str, as_json: bool, quiet: bool) -> None:
+    """Calibrates the cameras that saw KEYPOINTS, finds who is who, and triangulates the poses.
+
+    KEYPOINTS: a folder with one file per camera, or files, or name=path pairs. The name of a camera is the stem of its
+    file; it must be a name in INTRINSICS.
+
+    \b
+    Example:
+      mocap-calib run keypoints/ --cameras intrinsics.toml -o out
+      mocap-calib run left=a.json right=b.json --cameras intrinsics.toml -o out --json
+    """
+    from mocap_calib.config import Config
+    from mocap_calib.pipeline import calibrate
+    from mocap_calib.report import run_report
+    from mocap_calib_cli import inputs, outputs
+    from mocap_calib_cli.model import load_model
+    from mocap_calib_cli.progress import Reporter
+
+    outputs.check_folder(output)
+    with Reporter(quiet=quiet) as reporter:
+        recording = inputs.read_recording(keypoints, inputs.cameras_of(cameras), skeleton, reporter)
+        found = calibrate(recording, load_model(device), Config(), seed=seed, device=device, progress=reporter)
+    hashes = inputs.hashes([*(path for _, path in inputs.keypoint_files(keypoints)), cameras, *([skeleton] if skeleton else [])])
+    report = run_report(found, seed=seed, config=Config(), inputs=hashes)
+    _write(output, found, report, seed)
+    _summarise(reporter, found, report, output)
+    if as_json:
+        click.echo(json.dumps(report, indent=1, allow_nan=False))
+
+
+def _write(output: Path, found: "Calibration", report: dict[str, Any], seed: int) -> None:
+    """All files of a run, together or not at all; poses of more individuals than this run found are taken away."""
+    from mocap_calib.io.atomic import folder
+    from mocap_calib.io.camera_files import format_calibration_toml, format_cameras_yaml
+    from mocap_calib.io.results import format_matches_csv, format_poses_csv, write_poses_h5
+    from mocap_calib_cli.outputs import provenance
+
+    source = provenance("run", seed=seed)
+    with folder(output) as work:
+        (work / "cameras.yaml").write_text(format_cameras_yaml(found.rig, source), "utf-8")
+        (work / "calibration.toml").write_text(format_calibration_toml(found.rig, source), "utf-8")
+        (work / "matches.csv").write_text(format_matches_csv(found.recording, found.matches), "utf-8")
+        (work / "run.json").write_text(json.dumps(report, indent=1, allow_nan=False) + "\n", "utf-8")
+        write_poses_h5(work / "poses3d.h5", found.poses, source)
+        for individual in range(max(1, found.matches.individuals)):
+            (work / poses_csv(individual)).write_text(format_poses_csv(found.poses, individual), "utf-8")
+    for stale in output.glob("poses3d_*.csv"):
+        if stale.name not in {poses_csv(k) for k in range(found.matches.individuals)}:
+            stale.unlink()
+
+
+def poses_csv(individual: int) -> str:
+    """Name of an individual's file: the first has the plain one."""
+    return "poses3d.csv" if individual == 0 else f"poses3d_{individual}.csv"
+
+
+def _summarise(reporter: "Reporter", found: "Calibration", report: dict[str, Any], output: Path) -> None:
+    """What a person wants to see at the end, on stderr."""
+    from mocap_calib_cli.progress import figure, table
+
+    rows = [
+        [c["name"], str(c["detections"]), str(c["matched"]), figure(c["reprojection_error_px"]["median"]), figure(c["reprojection_error_px"]["p95"])]
+        for c in report["cameras"]
+    ]
+    reporter.say("", *table(["camera", "detections", "matched", "median px", "95 % px"], rows))
+    for pair in report["pairs"]:
+        if pair["breaks_loop"]:
+            reporter.say(f"pair {pair['a']}-{pair['b']} contradicts the others by {pair['loop_rotation_deg']:.1f} deg and was given little weight")
+    if found.left_out:
+        reporter.say(f"left out, no other camera confirms what they see: {', '.join(found.left_out)}")
+    if not found.converged:
+        reporter.say(f"matches still changed after {found.rounds} rounds of adjustment; look at matches.csv with care")
+    people = report["individuals"]
+    reporter.say(f"{len(people)} individuals, {report['points']['triangulated']} points; lengths in {report['unit']} units; results in {output}")

@@ -1,0 +1,39 @@
+"""What several test files share: the command, and one run of it on a small recording."""
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from scenes import scene
+
+from mocap_calib.io.scene import write_scene
+
+TOOL = Path(sys.executable).with_name("mocap-calib")
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture(scope="session")
+def tool() -> Run:
+    """Runs the command in a process of its own."""
+
+    def run(*arguments: object, stdin: str | None = None, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+        return subprocess.run([TOOL, *map(str, arguments)], input=stdin, capture_output=True, text=True, check=False, cwd=cwd)
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def small(tmp_path_factory) -> Path:
+    """A recording with truth: 3 cameras, 2 people, 30 frames."""
+    folder = tmp_path_factory.mktemp("small")
+    write_scene(folder / "scene", scene(cameras=3, people=2, frames=30), "made by a test")
+    return folder / "scene"
+
+
+@pytest.fixture(scope="session")
+def done(small, tool, tmp_path_factory) -> tuple[Path, subprocess.CompletedProcess[str]]:
+    """The folder that `run --json` wrote, and what it said."""
+    out = tmp_path_factory.mktemp("done") / "out"
+    return out, tool("run", small / "keypoints", "--cameras", small / "intrinsics.toml", "-o", out, "--json")

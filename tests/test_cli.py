@@ -1,0 +1,174 @@
+"""The command line through real processes and pipes."""
+
+import csv
+import json
+import subprocess
+import sys
+import time
+import tomllib
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import yaml
+from conftest import TOOL
+from scenes import rotation_errors_deg
+
+from mocap_calib.io.cameras import read_rig
+from mocap_calib_cli.main import COMMANDS
+
+HEAVY = ("torch", "pycolmap", "scipy", "cv2", "h5py", "numpy", "rich")
+
+
+def test_help_is_quick():
+    """Measured 0.07 s; the best of three, since other work may run beside."""
+    best = np.inf
+    for _ in range(3):
+        start = time.perf_counter()
+        subprocess.run([TOOL, "--help"], check=True, capture_output=True)
+        best = min(best, time.perf_counter() - start)
+    assert best < 0.3
+
+
+def test_help_leaves_the_heavy_things_alone():
+    code = f"""
+import sys
+sys.argv = ["mocap-calib", "--help"]
+from mocap_calib_cli.main import main
+try:
+    main()
+except SystemExit:
+    print([m for m in {HEAVY} if m in sys.modules])
+"""
+    said = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
+    assert said.splitlines()[-1] == "[]"
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_help_with_an_example(name, tool):
+    said = tool(name, "--help")
+    assert said.returncode == 0
+    assert f"mocap-calib {name}" in said.stdout.split("Example", 1)[1]
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_is_documented(name):
+    assert f"## mocap-calib {name}" in (Path(__file__).parents[1] / "docs" / "cli.md").read_text("utf-8")
+
+
+@pytest.mark.parametrize("arguments", [("frobnicate",), ("run",), ("run", "x", "--nonsense"), ("evaluate", "x")])
+def test_usage_errors_exit_2(arguments, tool):
+    said = tool(*arguments)
+    assert said.returncode == 2
+    assert said.stdout == ""
+    assert "Traceback" not in said.stderr
+
+
+def test_run_says_only_data_on_stdout(done):
+    _, said = done
+    assert said.returncode == 0, said.stderr
+    report = json.loads(said.stdout)
+    assert {"version", "seed", "config", "inputs", "seconds", "cameras", "pairs", "adjust", "individuals", "points"} <= set(report)
+    assert "cam1" in said.stderr
+    assert all(len(digest) == 64 for digest in report["inputs"].values())
+    assert len(report["pairs"]) == 3
+
+
+def test_run_calibrates_and_evaluate_says_so(done, small, tool):
+    """Measured 0.1 degrees."""
+    out, _ = done
+    figures = json.loads(tool("evaluate", out / "cameras.yaml", "--reference", small / "reference.toml", "--json").stdout)
+    assert figures["rotation_error_deg"]["max"] < 0.5
+    assert figures["centre_error"]["max"] < 0.05
+    truth, found = read_rig(small / "reference.toml"), read_rig(out / "calibration.toml")
+    assert figures["rotation_error_deg"]["max"] == pytest.approx(rotation_errors_deg(found, truth).max(), abs=1e-6)
+    assert "median" in tool("evaluate", out / "cameras.yaml", "--reference", small / "reference.toml").stdout
+
+
+def test_outputs_are_what_they_should_be(done):
+    out, _ = done
+    cameras = yaml.safe_load((out / "cameras.yaml").read_text())
+    assert [c["name"] for c in cameras["cameras"]] == ["cam1", "cam2", "cam3"]
+    for camera in cameras["cameras"]:
+        assert {"size", "model", "K", "distortion", "R", "t", "centre"} <= set(camera)
+        np.testing.assert_allclose(np.array(camera["R"]) @ camera["centre"] + camera["t"], 0, atol=1e-9)
+    anipose = tomllib.loads((out / "calibration.toml").read_text())
+    assert {"name", "size", "matrix", "distortions", "rotation", "translation"} <= set(anipose["cam_0"])
+    with h5py.File(out / "poses3d.h5") as file:
+        assert file["position"].shape == (30, 2, 17, 3)
+        assert file.attrs["unit"] == "arbitrary"
+    with (out / "matches.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == ["camera", "frame", "instance", "individual"]
+    with (out / "poses3d.csv").open() as file:
+        header = file.readline().strip().split(",")
+    assert header[:6] == ["nose_x", "nose_y", "nose_z", "nose_error", "nose_ncams", "nose_score"]
+    assert header[-1] == "fnum"
+    assert (out / "poses3d_1.csv").exists()
+    assert not list(out.parent.glob(".*"))
+
+
+@pytest.mark.slow
+def test_the_stages_through_pipes_are_the_run(done, small, tool, tmp_path):
+    """To the last digit: what passes between stages is written with all its digits."""
+    out, _ = done
+    keypoints = small / "keypoints"
+    pairs = tool("pairwise", keypoints, "--cameras", small / "intrinsics.toml", "-q").stdout
+    (tmp_path / "rig.yaml").write_text(tool("average", "-", stdin=pairs).stdout)
+    labels = tool("match", keypoints, "--rig", tmp_path / "rig.yaml", "-q").stdout
+    adjusted = tool("adjust", keypoints, "--rig", tmp_path / "rig.yaml", "--matches", "-", "--matches-out", tmp_path / "a.csv", "-q", stdin=labels)
+    assert adjusted.returncode == 0, adjusted.stderr
+    (tmp_path / "cameras.yaml").write_text(adjusted.stdout)
+    one, other = read_rig(tmp_path / "cameras.yaml"), read_rig(out / "cameras.yaml")
+    assert one.rotation.tobytes() == other.rotation.tobytes()
+    assert one.translation.tobytes() == other.translation.tobytes()
+    assert (tmp_path / "a.csv").read_text() == (out / "matches.csv").read_text()
+    for name in ("p.h5", "p.csv"):
+        said = tool("triangulate", keypoints, "--rig", "-", "--matches", tmp_path / "a.csv", "-o", tmp_path / name, "-q", stdin=adjusted.stdout)
+        assert said.returncode == 0, said.stderr
+    assert (tmp_path / "p.csv").read_text() == (out / "poses3d.csv").read_text()
+    with h5py.File(tmp_path / "p.h5") as first, h5py.File(out / "poses3d.h5") as second:
+        np.testing.assert_array_equal(first["position"][:], second["position"][:])
+
+
+@pytest.mark.slow
+def test_same_seed_same_bytes_and_a_rerun_replaces(done, small, tool, tmp_path):
+    first, _ = done
+    again = tmp_path / "out"
+    again.mkdir()
+    for stale in ("poses3d_7.csv", "notes.txt"):
+        (again / stale).write_text("mine")
+    said = tool("run", small / "keypoints", "--cameras", small / "intrinsics.toml", "-o", again, "--quiet")
+    assert (said.returncode, said.stdout, said.stderr) == (0, "", "")
+    for file in first.iterdir():
+        if file.name != "run.json":
+            assert file.read_bytes() == (again / file.name).read_bytes(), file.name
+    reports = [json.loads((folder / "run.json").read_text()) for folder in (first, again)]
+    assert reports[0].pop("seconds") != {}
+    reports[1].pop("seconds")
+    assert reports[0] == reports[1]
+    assert not (again / "poses3d_7.csv").exists()
+    assert (again / "notes.txt").read_text() == "mine"
+
+
+def test_cameras_are_matched_by_name_not_by_place(small, tool, tmp_path):
+    files = [f"{name}={small / 'keypoints' / (name + '.json')}" for name in ("cam3", "cam1")]
+    said = tool("pairwise", *files, "--cameras", small / "intrinsics.toml", "-o", tmp_path / "pairs.json")
+    assert said.returncode == 0, said.stderr
+    assert [line.split()[:2] for line in said.stderr.splitlines() if "keypoints/" in line] == [
+        ["cam1", str(small / "keypoints" / "cam1.json")],
+        ["cam3", str(small / "keypoints" / "cam3.json")],
+    ]
+
+
+@pytest.mark.slow
+def test_simulate_then_train(tool, tmp_path):
+    """The tools around the main job work on small things; the error is reported as data."""
+    assert tool("simulate", "-o", tmp_path / "s", "--frames", 5, "--cameras", 2, "--quiet").returncode == 0
+    truth = np.load(tmp_path / "s" / "truth.npz")
+    np.savez(tmp_path / "p.npz", poses=np.repeat(truth["poses3d"].reshape(-1, 29, 3), 10, axis=0), joints=truth["joints"])
+    said = tool("train", tmp_path / "p.npz", "-o", tmp_path / "w.safetensors", "--steps", 3, "--batch", 8, "--width", 16, "--layers", 1, "--json", "-q")
+    assert said.returncode == 0, said.stderr
+    assert set(json.loads(said.stdout)) == {"joint_3d", "steered_2d", "completed_2d"}
+    assert (tmp_path / "w.safetensors").stat().st_size > 1000
