@@ -96,7 +96,9 @@ def procedural_poses(skeleton: Skeleton, body: Mapping[str, Any], count: int, *,
 def mix(sets: Sequence[PoseSet], shares: Sequence[float]) -> PoseSet:
     """One set that draws from each of several with its share; bodies are brought to one size."""
     total = sum(shares)
-    return PoseSet(np.concatenate([_unit_size(one.poses) for one in sets]), np.concatenate([one.weight * s / total for one, s in zip(sets, shares, strict=True)]))
+    return PoseSet(
+        np.concatenate([_unit_size(one.poses) for one in sets]), np.concatenate([one.weight * s / total for one, s in zip(sets, shares, strict=True)])
+    )
 
 
 def _unit_size(poses: Floats) -> Floats:

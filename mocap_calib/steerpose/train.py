@@ -19,7 +19,8 @@ def training_config(settings: Mapping[str, Any]) -> TrainConfig:
     """The defaults with the section `training` of a skeleton's file. Raises FormatError for a setting that does not exist."""
     if strangers := sorted(set(settings) - {field.name for field in fields(TrainConfig)}):
         raise FormatError(f"training: expected settings of TrainConfig (docs/skeletons.md), found {', '.join(strangers)}")
-    return replace(TrainConfig(), **{name: tuple(value) if isinstance(value, list) else value for name, value in settings.items()})
+    chosen: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value for name, value in settings.items()}
+    return replace(TrainConfig(), **chosen)
 
 
 def train_lifter(poses: PoseSet, skeleton: Skeleton, config: TrainConfig, *, device: str = "cpu", progress: Progress) -> Lifter:

@@ -24,8 +24,10 @@ Angles = Mapping[tuple[str, str], tuple[float, ...]]
 
 @dataclass(frozen=True)
 class Posture:
-    """One way to hold the body. opposed: degrees (least, most) between the strides of left and right; angles: (bone without its
-    side unless only one is meant, axis) -> (least, most) or (middle, amplitude, phase), in degrees.
+    """One way to hold the body.
+
+    opposed: degrees (least, most) between the strides of left and right; angles: (bone without its side unless only one
+    is meant, axis) -> (least, most) or (middle, amplitude, phase), in degrees.
     """
 
     weight: float
