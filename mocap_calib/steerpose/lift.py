@@ -13,13 +13,15 @@ from mocap_calib.steerpose.model import Lifter, normalise
 from mocap_calib.types import Bools, Floats, LiftedPoses, Progress, Recording
 
 LEAST_JOINTS = 4
+_DOUBTFUL = 0.4  # of the confidence that a view reaches at its best; the network knows joints that are seen or not
+_BEST = 90.0  # percentile
 _BLOCK = 4096
 _SAMPLE = 128
 _DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]])
 
 
 def lift(recording: Recording, lifter: Lifter, *, device: str = "cpu", progress: Progress) -> LiftedPoses:
-    """Lifts all detections that show at least four joints of the model's vocabulary.
+    """Lifts all detections that show at least four joints of the model's vocabulary for sure.
 
     The body of the network (eq. 1's q*(R) = P R E[X | p]) is freed of the virtual camera and scaled to unit size;
     its centre is where perspective puts it, in body sizes.
@@ -29,7 +31,7 @@ def lift(recording: Recording, lifter: Lifter, *, device: str = "cpu", progress:
     views, frames, instances = recording.positions.shape[:3]
     joints = lifter.config.joints
     rays = np.full((views, frames, instances, joints, 3), np.nan)
-    rays[..., recording.vocabulary[known], :] = recording.rays[..., known, :]
+    rays[..., recording.vocabulary[known], :] = np.where(_sure(recording)[..., known, None], recording.rays[..., known, :], np.nan)
     enough = np.isfinite(rays[..., 0]).sum(-1) >= LEAST_JOINTS
     body = np.full_like(rays, np.nan)
     centre = np.full((views, frames, instances, 3), np.nan)
@@ -45,6 +47,12 @@ def lift(recording: Recording, lifter: Lifter, *, device: str = "cpu", progress:
             spread[view].reshape(-1, joints)[where] = np.concatenate([b[2] for b in blocks])
         progress("lift", view + 1, views)
     return LiftedPoses(body, centre, spread)
+
+
+def _sure(recording: Recording) -> Bools:
+    """`[view, frame, instance, keypoint]` joints that are worth lifting: detectors also report, doubtfully, what they do not see."""
+    best = [np.percentile(own[own > 0], _BEST) if (own > 0).any() else 1.0 for own in recording.confidence]
+    return recording.seen & (recording.confidence >= _DOUBTFUL * np.reshape(best, (-1, 1, 1, 1)))
 
 
 def _down(rays: Floats, lifter: Lifter, device: str) -> Floats:
