@@ -41,7 +41,8 @@ class PairwiseConfig:
     modes: int = 8  # kept after the search
     finalists: int = 3  # refined to the end
     mode_separation_deg: float = 15.0
-    pose_tolerance: float = 0.35  # RMS joint distance of two lifts of one body
+    pose_tolerance: float = 0.35  # RMS joint distance of two lifts of one body ...
+    pose_doubt: float = 2.5  # ... or this many times what the network expects, where that is more
     place_tolerance: float = 0.15  # of the distance: how well one view tells how far a body is
     inlier: float = 0.08  # epipolar error of a good joint
     points: int = 4000  # joints a refinement looks at
