@@ -266,3 +266,14 @@ def test_shipped_models_say_what_they_are_and_fit_their_vocabulary():
         assert skeleton == load_skeleton(name)
         assert lifter.config.joints == len(skeleton.keypoints)
         assert {"data", "terms", "command", "held_out_error"} <= set(card)
+
+
+def test_models_lists_what_is_shipped():
+    from click.testing import CliRunner
+
+    from mocap_calib_cli.commands.models import command
+
+    said = CliRunner().invoke(command)
+    assert said.exit_code == 0
+    assert all(name in said.output for name in models())
+    assert "NSF EIA-0196217" in said.output
