@@ -18,13 +18,16 @@ class TrainConfig:
     learning_rate: float = 2e-3
     roll_deg: float = 10.0  # most rigs stand upright; rolled cameras are turned upright before lifting
     elevation_deg: tuple[float, float] = (-15.0, 65.0)
+    elevation_skew: float = 0.5  # 0: all elevations alike; more: the lower ones likelier
     distance: tuple[float, float] = (3.0, 40.0)
     noise: tuple[float, float] = (0.005, 0.06)  # of the visible pose's RMS radius, log-uniform per pose
     outliers: float = 0.02  # share of joints that the detector puts somewhere else
     length_spread: float = 0.12  # log-normal, a limb; children and adults
+    straighten: float = 0.7  # knees of fitted skeletons are too bent: up to this share of the way to straight
     joint_spread: float = 0.03  # detectors disagree where a joint is
     joint_dropout: float = 0.6  # up to this share of joints belongs to other layouts
     occlusion: float = 0.25  # up to this share of the remaining joints is missing
+    bodies: int = 40_000  # procedural bodies that are drawn from, where a skeleton has a body and they are asked for
     seed: int = 0
 
 
@@ -38,7 +41,8 @@ class PairwiseConfig:
     modes: int = 8  # kept after the search
     finalists: int = 3  # refined to the end
     mode_separation_deg: float = 15.0
-    pose_tolerance: float = 0.35  # RMS joint distance of two lifts of one body
+    pose_tolerance: float = 0.35  # RMS joint distance of two lifts of one body ...
+    pose_doubt: float = 2.5  # ... or this many times what the network expects, where that is more
     place_tolerance: float = 0.15  # of the distance: how well one view tells how far a body is
     inlier: float = 0.08  # epipolar error of a good joint
     points: int = 4000  # joints a refinement looks at

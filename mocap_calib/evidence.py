@@ -20,7 +20,8 @@ class ViewPair:
     frames: `[frame]` index into the recording. rays_a: `[frame, I, keypoint, 3]`, weight_a: `[frame, I, keypoint]`
     (0 = missing), place_a: `[frame, I, 3]` lifted centre, distance_a: `[frame, I]` its distance, likewise for b with J
     instances. cross: `[frame, I, J, 3, 3]` sum w X_a X_b' of the lifted bodies, norm: `[frame, I, J]` sum
-    w (|X_a|^2 + |X_b|^2), both with sum w = 1; lifted: `[frame, I, J]` 1 where both are lifted, else 0.
+    w (|X_a|^2 + |X_b|^2), both with sum w = 1; doubt: `[frame, I, J]` sum w (s_a^2 + s_b^2) of the network's own spreads, how
+    far apart two lifts of one body are to be expected; lifted: `[frame, I, J]` 1 where both are lifted, else 0.
     """
 
     frames: Ints
@@ -34,6 +35,7 @@ class ViewPair:
     distance_b: Floats
     cross: Floats
     norm: Floats
+    doubt: Floats
     lifted: Floats
 
 
@@ -47,6 +49,8 @@ def view_pair(recording: Recording, lifted: LiftedPoses, a: int, b: int, frames:
     cross = np.einsum("fikx,fjky->fijxy", body_a * precision_a[..., None], body_b * precision_b[..., None], optimize=True)
     square_a, square_b = (body_a**2).sum(-1) * precision_a, (body_b**2).sum(-1) * precision_b
     norm = np.einsum("fik,fjk->fij", square_a, precision_b) + np.einsum("fik,fjk->fij", precision_a, square_b)
+    spread_a, spread_b = (np.nan_to_num(lifted.spread[view, frames]) ** 2 for view in (a, b))
+    doubt = np.einsum("fik,fjk->fij", spread_a * precision_a, precision_b) + np.einsum("fik,fjk->fij", precision_a, spread_b * precision_b)
     place_a, place_b = lifted.centre[a, frames], lifted.centre[b, frames]
     return ViewPair(
         frames,
@@ -60,6 +64,7 @@ def view_pair(recording: Recording, lifted: LiftedPoses, a: int, b: int, frames:
         _distance(place_b, recording.rays[b, frames]),
         cross / safe[..., None, None],
         norm / safe,
+        doubt / safe,
         (total > 0).astype(np.float64),
     )
 
@@ -89,6 +94,11 @@ def steering_error(pair: ViewPair, rotation: Floats) -> Floats:
     """
     turned = np.einsum("mij,fabji->mfab", rotation, pair.cross, optimize=True)  # tr(R sum w X_a X_b')
     return np.maximum(pair.norm - 2 * turned, 0.0)
+
+
+def pose_variance(pair: ViewPair, config: PairwiseConfig) -> Floats:
+    """`[frame, I, J]` squared distance at which two lifts still pass for one body: the tolerance, or what the network says where that is more."""
+    return np.maximum(config.pose_tolerance**2, config.pose_doubt**2 * pair.doubt)
 
 
 def place_error(pair: ViewPair, rotation: Floats, translation: Floats) -> Floats:
@@ -123,7 +133,7 @@ def reach(pair: ViewPair) -> Floats:
 
 def agreement(pair: ViewPair, rotation: Floats, translation: Floats, config: PairwiseConfig) -> Floats:
     """`[M, frame, I, J]` in 0..1 how well the lifted bodies and their places agree; 0 where there is no body."""
-    pose = steering_error(pair, rotation) / config.pose_tolerance**2
+    pose = steering_error(pair, rotation) / pose_variance(pair, config)
     place = place_error(pair, rotation, translation) / config.place_tolerance**2
     return pair.lifted * np.exp(-0.5 * pose) / (1 + 0.5 * place)
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mocap_calib.assignment import mutual_best, sinkhorn
 from mocap_calib.config import PairwiseConfig
-from mocap_calib.evidence import ViewPair, agreement, epipolar_error, epipolar_fit, match_affinity, reach, steering_error, view_pair
+from mocap_calib.evidence import ViewPair, agreement, epipolar_error, epipolar_fit, match_affinity, pose_variance, reach, steering_error, view_pair
 from mocap_calib.geometry.epipolar import depths, five_point
 from mocap_calib.geometry.rotation import angle_between, matrix_from_vector, nearest_rotation
 from mocap_calib.types import Bools, Floats, Ints, LiftedPoses, PairwiseCalibration, Progress, Recording
@@ -233,7 +233,7 @@ def _score(pair: ViewPair, modes: Modes, config: PairwiseConfig) -> Score:
     count = np.maximum(matched.sum((1, 2, 3)), 1)
     possible = np.minimum((pair.weight_a > 0).any(-1).sum(-1), (pair.weight_b > 0).any(-1).sum(-1)).sum()
     explained = (matched * epipolar).sum((1, 2, 3)) / max(possible, 1)
-    steered = (matched * np.exp(-0.5 * steering_error(pair, modes.rotation) / config.pose_tolerance**2)).sum((1, 2, 3)) / count
+    steered = (matched * np.exp(-0.5 * steering_error(pair, modes.rotation) / pose_variance(pair, config))).sum((1, 2, 3)) / count
     used = matched[..., None] & (weight > 0)[None]
     residual = np.array([np.median(e[u]) if u.any() else np.inf for e, u in zip(error / reach(pair)[None, ..., None], used, strict=True)])
     lifted = steered if pair.lifted.any() else 1.0

@@ -10,6 +10,7 @@ import numpy as np
 from mocap_calib.averaging import average, of_cameras, usable_cameras
 from mocap_calib.bundle_adjustment import adjust
 from mocap_calib.config import Config
+from mocap_calib.determinacy import disagreement
 from mocap_calib.matching import match, same_groups, settle
 from mocap_calib.pairwise import calibrate_pairs
 from mocap_calib.recording import select_lifted, select_views
@@ -52,8 +53,11 @@ def calibrate(recording: Recording, lifter: Lifter, config: Config, *, seed: int
     averaged = timed("average", lambda: average(recording.cameras, pairs, config.averaging))
     matches = timed("match", lambda: match(recording, lifted, averaged.rig, config.matching, config.pairwise, progress=progress))
     adjusted = timed("adjust", lambda: adjust_to_fixed_point(recording, lifted, averaged.rig, matches, config, progress=progress))
+    difference = timed("verdict", lambda: disagreement(recording, adjusted.rig, adjusted.matches, config, seed=seed))
     poses = timed("triangulate", lambda: triangulate(recording, adjusted.rig, adjusted.matches, config.triangulate, progress=progress))
-    return Calibration(recording, left_out, unused, pairs, averaged, adjusted.rig, adjusted.matches, poses, adjusted.rounds, adjusted.converged, seconds)
+    return Calibration(
+        recording, left_out, unused, pairs, averaged, adjusted.rig, adjusted.matches, difference, poses, adjusted.rounds, adjusted.converged, seconds
+    )
 
 
 def adjust_to_fixed_point(recording: Recording, lifted: LiftedPoses, rig: CameraRig, matches: Matches, config: Config, *, progress: Progress) -> Adjusted:

@@ -9,6 +9,7 @@ import numpy as np
 
 from mocap_calib import __version__
 from mocap_calib.config import Config
+from mocap_calib.determinacy import verdict
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.alignment import similarity
 from mocap_calib.geometry.projection import pixels_from_points
@@ -134,6 +135,7 @@ def run_report(found: Calibration, *, seed: int, config: Config, inputs: Mapping
         "unused_pairs": [{"a": a, "b": b, "score": score} for a, b, score in found.unused],
         "cameras": [_camera_report(found, view, errors[view]) | _verdict(support[view], config) for view in range(len(rig.cameras))],
         "pairs": [_pair_report(found, k, pair, errors[[pair.a, pair.b]], config) for k, pair in enumerate(found.pairs)],
+        "verdict": {"rig": verdict(found.disagreement), "halves_differ_deg": _middle(np.degrees(found.disagreement))},
         "adjust": {"rounds": found.rounds, "converged": found.converged},
         "individuals": [{"individual": k, "frames": int((labels == k).any((0, 2)).sum())} for k in range(found.matches.individuals)],
         "points": {"triangulated": int(points.sum()), "reprojection_error_px": _spread(found.poses.error[points])},

@@ -40,7 +40,8 @@ class Skeleton:
     """The vocabulary of one kind of body.
 
     keypoints: `[keypoint]` names; edges: pairs (parent, child) of indices into them; symmetries: pairs
-    (left, right); aliases: other spellings, normalised name -> keypoint name.
+    (left, right); aliases: other spellings, normalised name -> keypoint name; layouts: what names mean where all of
+    a layout occur together (a dog's `shoulder` beside its `arm`), normalised name -> keypoint name.
     """
 
     name: str
@@ -48,6 +49,7 @@ class Skeleton:
     edges: tuple[tuple[int, int], ...]
     symmetries: tuple[tuple[int, int], ...]
     aliases: dict[str, str]
+    layouts: tuple[dict[str, str], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -267,7 +269,8 @@ class Calibration:
 
     recording, and all that follows: of the cameras that were calibrated. left_out: names of those that no pair holds;
     unused: (name, name, score) of the pairs with one of them. rounds of adjusting and matching were made; converged: no
-    detection changed its group in the last. seconds: wall time per stage.
+    detection changed its group in the last. disagreement: `[pair]` radians between the rigs of two halves of the joints, an
+    estimate of the rig's error. seconds: wall time per stage.
     """
 
     recording: Recording
@@ -277,6 +280,7 @@ class Calibration:
     averaged: Averaged
     rig: CameraRig
     matches: Matches
+    disagreement: Floats
     poses: Poses3D
     rounds: int
     converged: bool

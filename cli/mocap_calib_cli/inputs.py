@@ -11,19 +11,18 @@ from pathlib import Path
 import click
 import numpy as np
 
-from mocap_calib.errors import MismatchError
+from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.io.cameras import parse_cameras, parse_rig, read_cameras, read_rig
 from mocap_calib.io.keypoints import read_keypoints
 from mocap_calib.io.reading import decode
 from mocap_calib.io.results import read_matches_csv
 from mocap_calib.recording import make_recording, name_mapping
-from mocap_calib.skeleton import load_aliases, load_skeleton
-from mocap_calib.types import Camera, CameraRig, Keypoints2D, LiftedPoses, Matches, Recording
+from mocap_calib.skeleton import SHIPPED, choose_skeleton, load_aliases, load_skeleton, match_names
+from mocap_calib.types import Camera, CameraRig, Keypoints2D, LiftedPoses, Matches, Recording, Skeleton
 from mocap_calib_cli.options import STDIO
 from mocap_calib_cli.progress import Reporter, table
 
 SUFFIXES = (".json", ".csv", ".h5")
-MODEL = "people"
 
 
 def keypoint_files(arguments: Sequence[str]) -> list[tuple[str, Path]]:
@@ -64,25 +63,45 @@ def _doubles(files: Sequence[Path]) -> list[Path]:
     return [file for file in files if file.suffix.lower() == ".csv" and file.stem in binary]
 
 
-def read_recording(arguments: Sequence[str], cameras: tuple[Camera, ...], skeleton: Path | None, reporter: Reporter, *, placed: bool = False) -> Recording:
-    """Reads the keypoints of the cameras, and says which file went to which camera.
+def read_recording(
+    arguments: Sequence[str], cameras: tuple[Camera, ...], skeleton: Path | None, reporter: Reporter, *, placed: bool = False
+) -> tuple[Recording, str]:
+    """Reads the keypoints of the cameras, and says which file went to which camera; with the name of the model that fits.
 
     `skeleton` is a file of other names of joints. `placed`: the cameras are those of a rig, which may have left some
     out; their keypoints are left out too. Raises FormatError and MismatchError.
     """
-    vocabulary = load_skeleton(MODEL)
-    aliases = {} if skeleton is None else load_aliases(skeleton, vocabulary)
     files = keypoint_files(arguments)
     if placed:
         known = {camera.name.lower() for camera in cameras}
         files = [(name, path) for name, path in files if name.lower() in known] or files
     views = [read_keypoints(path, name) for name, path in files]
+    vocabulary, aliases = _model(views, skeleton)
     recording = make_recording(views, cameras, vocabulary, aliases)
-    reporter.say(*_mapping(views, cameras, recording), *_doubled(arguments))
-    return recording
+    reporter.say(*_mapping(views, cameras, recording, vocabulary.name), *_doubled(arguments))
+    return recording, vocabulary.name
 
 
-def _mapping(views: Sequence[Keypoints2D], cameras: tuple[Camera, ...], recording: Recording) -> list[str]:
+def _model(views: Sequence[Keypoints2D], path: Path | None) -> tuple[Skeleton, dict[str, str]]:
+    """The shipped skeleton that knows most of the joints, by the names they have or a file gives them; and those names.
+
+    Raises FormatError where no skeleton has the joints that the file names.
+    """
+    names = tuple(dict.fromkeys(name for view in views for name in view.keypoints))
+    if path is None:
+        return choose_skeleton(names), {}
+    tried, refusals = [], []
+    for shipped in map(load_skeleton, SHIPPED):
+        try:
+            tried.append((shipped, load_aliases(path, shipped)))
+        except FormatError as error:
+            refusals.append(error)
+    if not tried:
+        raise refusals[0]
+    return max(tried, key=lambda each: int((match_names(tuple(each[1].get(name, name) for name in names), each[0]) >= 0).sum()))
+
+
+def _mapping(views: Sequence[Keypoints2D], cameras: tuple[Camera, ...], recording: Recording, model: str) -> list[str]:
     """Lines that say which file belongs to which camera, which cameras are left out, and which joints the model knows."""
     rows = {}
     for view, (source, name) in zip(views, name_mapping(views, cameras), strict=True):
@@ -97,7 +116,8 @@ def _mapping(views: Sequence[Keypoints2D], cameras: tuple[Camera, ...], recordin
     strangers = [name for name, joint in zip(recording.keypoints, recording.vocabulary, strict=True) if joint < 0]
     known = len(recording.keypoints) - len(strangers)
     lines += [
-        f"{len(recording.frames)} frames; {len(recording.keypoints)} joints, the model knows {known}" + (f", not: {', '.join(strangers)}" if strangers else "")
+        f"{len(recording.frames)} frames; {len(recording.keypoints)} joints, the model of {model} knows {known}"
+        + (f", not: {', '.join(strangers)}" if strangers else "")
     ]
     lines += ["the model knows too few joints to help: calibrated by geometry alone"] if known < 4 else []
     return lines
@@ -135,12 +155,12 @@ def placed(recording: Recording, rig: CameraRig) -> CameraRig:
     return CameraRig(recording.cameras, rig.rotation[index], rig.translation[index], rig.unit)
 
 
-def lifted_poses(recording: Recording, device: str, reporter: Reporter) -> LiftedPoses:
+def lifted_poses(recording: Recording, model: str, device: str, reporter: Reporter) -> LiftedPoses:
     """The recording's detections, lifted. Raises MismatchError where there is no such device."""
     from mocap_calib.steerpose.lift import lift
     from mocap_calib_cli.model import load_model
 
-    return lift(recording, load_model(device), device=device, progress=reporter)
+    return lift(recording, load_model(device, model), device=device, progress=reporter)
 
 
 def read_stdin(what: str) -> str:

@@ -22,6 +22,7 @@ COMMANDS = {
     "triangulate": ("mocap_calib_cli.commands.triangulate:command", "3D poses."),
     "evaluate": ("mocap_calib_cli.commands.evaluate:command", "Compare cameras with a reference calibration."),
     "simulate": ("mocap_calib_cli.commands.simulate:command", "Make a synthetic recording with its truth."),
+    "models": ("mocap_calib_cli.commands.models:command", "List the networks that are shipped."),
     "train": ("mocap_calib_cli.commands.train:command", "Train the network that lifts 2D poses."),
 }
 _REMEDIES = {

@@ -8,11 +8,11 @@ from mocap_calib.steerpose.checkpoint import load_lifter
 from mocap_calib.steerpose.model import Lifter
 
 
-def load_model(device: str) -> Lifter:
-    """The shipped lifter for people. Raises MismatchError where there is no such device."""
+def load_model(device: str, name: str = "people") -> Lifter:
+    """The shipped lifter of that name. Raises MismatchError where there is no such device."""
     use_threads(1)  # such small networks are slower on more, and one is reproducible
     check_device(device)
-    lifter, vocabulary = load_lifter()
+    lifter, vocabulary = load_lifter(name)
     if vocabulary.keypoints != load_skeleton(vocabulary.name).keypoints:
         raise MismatchError(f"expected weights for the shipped skeleton {vocabulary.name}, found others; install mocap-calib again")
     return lifter

@@ -3,14 +3,16 @@
 import json
 from dataclasses import asdict
 from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
+from typing import Any
 
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 
 from mocap_calib.errors import FormatError
 from mocap_calib.io.atomic import write_bytes
-from mocap_calib.skeleton import parse_skeleton
+from mocap_calib.skeleton import SHIPPED, parse_skeleton
 from mocap_calib.steerpose.model import Lifter, ModelConfig
 from mocap_calib.types import Skeleton
 
@@ -26,6 +28,7 @@ def save_lifter(path: Path, lifter: Lifter, skeleton: Skeleton, card: dict[str, 
             "keypoints": skeleton.keypoints,
             "edges": [[skeleton.keypoints[a], skeleton.keypoints[b]] for a, b in skeleton.edges],
             "aliases": skeleton.aliases,
+            "layouts": {str(k): layout for k, layout in enumerate(skeleton.layouts)},
         },
         "card": card,
     }
@@ -33,23 +36,43 @@ def save_lifter(path: Path, lifter: Lifter, skeleton: Skeleton, card: dict[str, 
     write_bytes(path, save(tensors, metadata={_KEY: json.dumps(description, sort_keys=True)}))
 
 
-def load_lifter(path: Path | None = None) -> tuple[Lifter, Skeleton]:
-    """The network and its vocabulary from a file, or the shipped ones for people. Raises FormatError."""
-    if path is None:
-        with resources.as_file(resources.files("mocap_calib") / "weights" / "people.safetensors") as shipped:
-            return _read(shipped)
-    return _read(path)
+def load_lifter(name_or_path: str | Path = "people") -> tuple[Lifter, Skeleton]:
+    """The network and its vocabulary: shipped ones by name (`models`), or from a file. Raises FormatError."""
+    if isinstance(name_or_path, str) and (name := name_or_path) in SHIPPED:
+        with resources.as_file(_shipped(name)) as path:
+            return _read(path)
+    return _read(Path(name_or_path))
 
 
-def _read(path: Path) -> tuple[Lifter, Skeleton]:
+def models() -> dict[str, dict[str, Any]]:
+    """The model card of each shipped model, by the name of its skeleton."""
+    cards = {}
+    for name in SHIPPED:
+        with resources.as_file(_shipped(name)) as path:
+            if path.is_file():
+                cards[name] = _description(path)["card"]
+    return cards
+
+
+def _shipped(name: str) -> Traversable:
+    return resources.files("mocap_calib") / "weights" / f"{name}.safetensors"
+
+
+def _description(path: Path) -> dict[str, Any]:
+    """What a weights file says of itself. Raises FormatError."""
     try:
         with safe_open(path, framework="pt") as file:
-            description = json.loads((file.metadata() or {})[_KEY])
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (not a dictionary)
+            return json.loads((file.metadata() or {})[_KEY])
     except FileNotFoundError:
         raise FormatError(f"{path}: expected a weights file, found none") from None
     except (SafetensorError, KeyError, ValueError) as error:
         raise FormatError(f"{path}: not weights of mocap-calib: {str(error).splitlines()[0]}") from None
+
+
+def _read(path: Path) -> tuple[Lifter, Skeleton]:
+    description = _description(path)
+    with safe_open(path, framework="pt") as file:
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (not a dictionary)
     lifter = Lifter(ModelConfig(**description["model"]))
     lifter.load_state_dict(tensors)
     return lifter.eval(), parse_skeleton(description["skeleton"], str(path))

@@ -5,68 +5,24 @@ joint layouts. All of it is drawn anew for each batch; nothing is stored.
 """
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from mocap_calib.config import TrainConfig
-from mocap_calib.errors import FormatError, MismatchError
-from mocap_calib.skeleton import match_names
 from mocap_calib.steerpose.model import normalise
-from mocap_calib.types import Bools, Floats, Skeleton
-
-Split = Literal["train", "val", "test"]
-
-
-@dataclass(frozen=True)
-class PoseSet:
-    """3D poses, +z up. poses: `[pose, joint, 3]`; weight: `[pose]` how often to draw each."""
-
-    poses: Floats
-    weight: Floats
+from mocap_calib.steerpose.poses import PoseSet
+from mocap_calib.types import Skeleton
 
 
 @dataclass(frozen=True)
 class Batch:
-    """What the network sees and should say. pose: `[B, J, 2]`, seen: `[B, J]`, target: `[B, J, 3]`."""
+    """What the network sees and should say. pose: `[B, J, 2]`, seen: `[B, J]`, target: `[B, J, 3]`, NaN for joints that the data lack."""
 
     pose: Tensor
     seen: Tensor
     target: Tensor
-
-
-def load_poses(path: Path, skeleton: Skeleton, split: Split) -> PoseSet:
-    """Reads an npz with `poses [S, J, 3]` (+z up), `joints [J]` and optionally `split` and `subject` `[S]`.
-
-    Poses are drawn by subject and by the square root of its number of frames, so that one long dance does not
-    rule. Raises FormatError, and MismatchError where the joints are not those of the skeleton.
-    """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            fields = {name: file[name] for name in file.files if name in ("poses", "joints", "split", "subject")}
-    except (OSError, ValueError) as error:
-        raise FormatError(f"{path}: expected an npz file of 3D poses: {error}") from None
-    if not {"poses", "joints"} <= set(fields):
-        raise FormatError(f"{path}: expected the arrays `poses` and `joints`, found {', '.join(fields) or 'neither'}")
-    found = match_names(tuple(str(name) for name in fields["joints"]), skeleton)
-    order = [int(np.flatnonzero(found == k)[0]) for k in range(len(skeleton.keypoints)) if k in found]
-    if len(order) < len(skeleton.keypoints):
-        missing = [name for k, name in enumerate(skeleton.keypoints) if k not in found]
-        raise MismatchError(f"{path}: joints of skeleton {skeleton.name} are missing: {', '.join(missing)}")
-    keep = fields["split"] == split if "split" in fields else _every_tenth(len(fields["poses"]), split)
-    subject = fields["subject"][keep] if "subject" in fields else np.zeros(int(keep.sum()), dtype=np.int64)
-    _, which, count = np.unique(subject, return_inverse=True, return_counts=True)
-    weight = 1.0 / np.sqrt(count[which])
-    return PoseSet(fields["poses"][keep][:, order].astype(np.float64), weight / weight.sum())
-
-
-def _every_tenth(n: int, split: Split) -> Bools:
-    """7:2:1 in blocks of time, where a set does not bring its own split."""
-    tenth = np.arange(n) * 10 // max(n, 1)
-    return {"train": tenth < 7, "val": (tenth >= 7) & (tenth < 9), "test": tenth == 9}[split]
 
 
 class Synthesiser:
@@ -85,16 +41,28 @@ class Synthesiser:
         """`size` new examples."""
         config = self.config
         index = torch.multinomial(self.weight, size, replacement=True, generator=self.generator)
-        body = self._other_bodies(self.poses[index])
-        centred = body - body.mean(1, keepdim=True)
-        centred = centred / centred.square().sum(2).mean(1).sqrt()[:, None, None]
+        known = torch.isfinite(self.poses[index, :, 0])
+        body = self._other_bodies(self._filled(self.poses[index]))
+        share = (known / known.sum(1, keepdim=True))[..., None]
+        centred = body - (share * body).sum(1, keepdim=True)
+        centred = centred / (share * centred.square()).sum((1, 2)).sqrt()[:, None, None]
         body = centred + config.joint_spread * self._normal(centred.shape)
         camera = torch.einsum("bij,bkj->bki", self._views(size), body)
         low, high = np.log(config.distance[0]), np.log(config.distance[1])
         depth = camera[..., 2] + torch.exp(self._uniform(size, 1) * (high - low) + low)
         image = camera[..., :2] / depth[..., None]
-        seen = self._seen(size)
-        return self._normalised(image, camera, depth, seen)
+        seen = self._seen(known)
+        batch = self._normalised(image, camera, depth, seen)
+        return Batch(batch.pose, seen, torch.where(known[..., None], batch.target, torch.nan))
+
+    def _filled(self, body: Tensor) -> Tensor:
+        """Puts joints that the data lack where their nearest ancestor is, so that limbs beyond them can be moved."""
+        known = torch.isfinite(body[..., :1])
+        here = torch.where(known, body, torch.nan)
+        out = torch.where(known, body, here.nanmean(1, keepdim=True))
+        for parent, child in self.skeleton.edges:
+            out[:, child] = torch.where(known[:, child], out[:, child], out[:, parent])
+        return out
 
     def _normalised(self, image: Tensor, camera: Tensor, depth: Tensor, seen: Tensor) -> Batch:
         """Adds the detector's noise, then centres and scales input and target alike."""
@@ -113,7 +81,7 @@ class Synthesiser:
     def _other_bodies(self, body: Tensor) -> Tensor:
         """Rescales every limb, both sides alike; the knees of fitted skeletons are straightened at random."""
         size, config = len(body), self.config
-        body = self._straighten(body)
+        body = self._straighten(body) if config.straighten else body
         stretch = torch.exp(config.length_spread * self._normal((size, len(self.pairs))))
         joint_class = torch.empty(body.shape[1], dtype=torch.long)
         for k, members in enumerate(self.pairs):
@@ -128,7 +96,7 @@ class Synthesiser:
         names = {name: k for k, name in enumerate(self.skeleton.keypoints)}
         legs = [[f"{side}_{joint}" for joint in ("hip", "knee", "ankle")] for side in ("left", "right")]
         chains = [[names[joint] for joint in leg] for leg in legs if set(leg) <= set(names)]
-        out, part = body.clone(), 0.7 * self._uniform(len(body), 1)
+        out, part = body.clone(), self.config.straighten * self._uniform(len(body), 1)
         for above, middle, under in chains:
             bone = body[:, under] - body[:, above]
             along = ((body[:, middle] - body[:, above]) * bone).sum(1, keepdim=True) / bone.square().sum(1, keepdim=True).clamp_min(1e-9)
@@ -140,7 +108,7 @@ class Synthesiser:
         config = self.config
         azimuth = 2 * np.pi * self._uniform(size)
         low, high = np.deg2rad(config.elevation_deg)
-        elevation = low + (high - low) * self._uniform(size) * self._uniform(size).sqrt()
+        elevation = low + (high - low) * self._uniform(size) * self._uniform(size) ** config.elevation_skew
         forward = torch.stack([-elevation.cos() * azimuth.cos(), -elevation.cos() * azimuth.sin(), -elevation.sin()], 1)
         up = torch.tensor([0.0, 0.0, 1.0]).expand_as(forward)
         right = torch.nn.functional.normalize(torch.cross(forward, up, dim=1), dim=1)
@@ -150,18 +118,18 @@ class Synthesiser:
         turn = torch.stack([roll.cos(), -roll.sin(), zero, roll.sin(), roll.cos(), zero, zero, zero, one], 1).view(-1, 3, 3)
         return turn @ upright
 
-    def _seen(self, size: int) -> Tensor:
+    def _seen(self, known: Tensor) -> Tensor:
         """`[B, J]` another layout (left and right go together), a hidden limb, scattered misses; at least four stay."""
-        config, joints = self.config, len(self.skeleton.keypoints)
+        config, (size, joints) = self.config, known.shape
         absent = self._uniform(size, len(self.pairs)) < config.joint_dropout * self._uniform(size, 1)
-        seen = torch.ones(size, joints, dtype=torch.bool)
+        seen = known.clone()
         for k, members in enumerate(self.pairs):
             seen[:, list(members)] &= ~absent[:, k, None]
         limb = torch.randint(len(self.below), (size,), generator=self.generator)
         seen &= ~(self.below[limb] & (self._uniform(size, 1) < 0.2))
         seen &= self._uniform(size, joints) >= config.occlusion * self._uniform(size, 1)
         lost = seen.sum(1) < 4
-        seen[lost] = True
+        seen[lost] = known[lost]
         return seen
 
     def _uniform(self, *shape: int) -> Tensor:

@@ -14,6 +14,8 @@ from mocap_calib.steerpose.model import Lifter, normalise
 from mocap_calib.types import Bools, Floats, LiftedPoses, Progress, Recording
 
 LEAST_JOINTS = 4
+_DOUBTFUL = 0.4  # of the confidence that a view reaches at its best; the network knows joints that are seen or not
+_BEST = 90.0  # percentile
 _BLOCK = 4096
 _SAMPLE = 128
 _CROWD = 0.2  # share of images with several detections; below it they are false ones
@@ -21,7 +23,7 @@ _DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [-1.0, 0.0
 
 
 def lift(recording: Recording, lifter: Lifter, *, device: str = "cpu", progress: Progress) -> LiftedPoses:
-    """Lifts all detections that show at least four joints of the model's vocabulary.
+    """Lifts all detections that show at least four joints of the model's vocabulary for sure.
 
     The body of the network (eq. 1's q*(R) = P R E[X | p]) is freed of the virtual camera and scaled to unit size;
     its centre is where perspective puts it, in body sizes. Raises MismatchError where the model knows too few joints and
@@ -33,7 +35,7 @@ def lift(recording: Recording, lifter: Lifter, *, device: str = "cpu", progress:
     views, frames, instances = recording.positions.shape[:3]
     joints = lifter.config.joints
     rays = np.full((views, frames, instances, joints, 3), np.nan)
-    rays[..., recording.vocabulary[known], :] = recording.rays[..., known, :]
+    rays[..., recording.vocabulary[known], :] = np.where(_sure(recording)[..., known, None], recording.rays[..., known, :], np.nan)
     enough = np.isfinite(rays[..., 0]).sum(-1) >= LEAST_JOINTS
     body = np.full_like(rays, np.nan)
     centre = np.full((views, frames, instances, 3), np.nan)
@@ -58,6 +60,12 @@ def _check_needed(recording: Recording, known: Bools) -> None:
     if known.sum() < LEAST_JOINTS and crowded and not recording.tracked.all():
         names = ", ".join(recording.keypoints)
         raise MismatchError(f"expected at least {LEAST_JOINTS} joint names that the model knows, found {known.sum()} among {names}; map them with --skeleton")
+
+
+def _sure(recording: Recording) -> Bools:
+    """`[view, frame, instance, keypoint]` joints that are worth lifting: detectors also report, doubtfully, what they do not see."""
+    best = [np.percentile(own[own > 0], _BEST) if (own > 0).any() else 1.0 for own in recording.confidence]
+    return recording.seen & (recording.confidence >= _DOUBTFUL * np.reshape(best, (-1, 1, 1, 1)))
 
 
 def _down(rays: Floats, lifter: Lifter, device: str) -> Floats:

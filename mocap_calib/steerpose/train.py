@@ -1,14 +1,26 @@
 """Training of the lifter, and its error on poses it has never seen."""
 
-from dataclasses import asdict
+from collections.abc import Mapping
+from dataclasses import asdict, fields, replace
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from mocap_calib.config import TrainConfig
-from mocap_calib.steerpose.dataset import Batch, PoseSet, Synthesiser
+from mocap_calib.errors import FormatError
+from mocap_calib.steerpose.dataset import Batch, Synthesiser
 from mocap_calib.steerpose.model import Lifter, ModelConfig
+from mocap_calib.steerpose.poses import PoseSet
 from mocap_calib.types import Progress, Skeleton
+
+
+def training_config(settings: Mapping[str, Any]) -> TrainConfig:
+    """The defaults with the section `training` of a skeleton's file. Raises FormatError for a setting that does not exist."""
+    if strangers := sorted(set(settings) - {field.name for field in fields(TrainConfig)}):
+        raise FormatError(f"training: expected settings of TrainConfig (docs/skeletons.md), found {', '.join(strangers)}")
+    chosen: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value for name, value in settings.items()}
+    return replace(TrainConfig(), **chosen)
 
 
 def train_lifter(poses: PoseSet, skeleton: Skeleton, config: TrainConfig, *, device: str = "cpu", progress: Progress) -> Lifter:
@@ -35,13 +47,14 @@ def train_lifter(poses: PoseSet, skeleton: Skeleton, config: TrainConfig, *, dev
 
 
 def lifting_loss(lifter: Lifter, batch: Batch) -> Tensor:
-    """Mean joint distance, plus the Laplace likelihood of what remains across and along the ray."""
+    """Mean joint distance, plus the Laplace likelihood of what remains across and along the ray, over the joints with a target."""
     joints, log_spread = lifter(batch.pose, batch.seen)
-    error = joints - batch.target
-    distance = torch.sqrt(error.square().sum(-1) + 1e-8).mean()
+    known = torch.isfinite(batch.target[..., 0])
+    error = torch.where(known[..., None], joints - batch.target.nan_to_num(), 0.0)
+    distance = torch.sqrt(error.square().sum(-1) + 1e-8)
     remains = torch.stack([error[..., :2].detach().norm(dim=-1), error[..., 2].detach().abs()], -1)
-    likelihood = (remains * torch.exp(-log_spread) + log_spread).mean()
-    return distance + 0.1 * likelihood
+    likelihood = (remains * torch.exp(-log_spread) + log_spread).mean(-1)
+    return ((distance + 0.1 * likelihood) * known).sum() / known.sum()
 
 
 @torch.no_grad()
@@ -58,9 +71,9 @@ def held_out_error(lifter: Lifter, poses: PoseSet, skeleton: Skeleton, config: T
     angle = 2 * torch.pi * torch.rand(examples, 1, generator=torch.Generator().manual_seed(54321))
     steered = torch.stack([error[..., 0] * angle.cos() + error[..., 2] * angle.sin(), error[..., 1]], -1)
     return {
-        "joint_3d": round(error.norm(dim=-1).mean().item(), 4),
-        "steered_2d": round(steered.norm(dim=-1).mean().item(), 4),
-        "completed_2d": round(error[..., :2].norm(dim=-1)[~batch.seen].mean().item(), 4),
+        "joint_3d": round(error.norm(dim=-1).nanmean().item(), 4),
+        "steered_2d": round(steered.norm(dim=-1).nanmean().item(), 4),
+        "completed_2d": round(error[..., :2].norm(dim=-1)[~batch.seen].nanmean().item(), 4),
     }
 
 

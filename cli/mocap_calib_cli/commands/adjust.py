@@ -34,8 +34,8 @@ def command(keypoints: tuple[str, ...], rig: str, matches: str, output: str, mat
     outputs.check_text(matches_out)
     with Reporter(quiet=quiet) as reporter:
         cameras = inputs.rig_of(rig)
-        recording = inputs.read_recording(keypoints, cameras.cameras, skeleton, reporter, placed=True)
-        lifted = inputs.lifted_poses(recording, device, reporter)
+        recording, model = inputs.read_recording(keypoints, cameras.cameras, skeleton, reporter, placed=True)
+        lifted = inputs.lifted_poses(recording, model, device, reporter)
         start, labels = inputs.placed(recording, cameras), inputs.matches_of(matches, recording)
         found = adjust_to_fixed_point(recording, lifted, start, labels, Config(), progress=reporter)
     if matches_out is not None:

@@ -30,7 +30,7 @@ def command(keypoints: tuple[str, ...], rig: str, output: str, skeleton: Path | 
     outputs.check_text(output)
     with Reporter(quiet=quiet) as reporter:
         cameras = inputs.rig_of(rig)
-        recording = inputs.read_recording(keypoints, cameras.cameras, skeleton, reporter, placed=True)
-        lifted = inputs.lifted_poses(recording, device, reporter)
+        recording, model = inputs.read_recording(keypoints, cameras.cameras, skeleton, reporter, placed=True)
+        lifted = inputs.lifted_poses(recording, model, device, reporter)
         found = match(recording, lifted, inputs.placed(recording, cameras), MatchingConfig(), PairwiseConfig(), progress=reporter)
     outputs.write_text(output, format_matches_csv(recording, found))

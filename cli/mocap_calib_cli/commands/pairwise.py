@@ -32,7 +32,7 @@ def command(keypoints: tuple[str, ...], cameras: str, output: str, skeleton: Pat
 
     outputs.check_text(output)
     with Reporter(quiet=quiet) as reporter:
-        recording = inputs.read_recording(keypoints, inputs.cameras_of(cameras), skeleton, reporter)
-        lifted = inputs.lifted_poses(recording, device, reporter)
+        recording, model = inputs.read_recording(keypoints, inputs.cameras_of(cameras), skeleton, reporter)
+        lifted = inputs.lifted_poses(recording, model, device, reporter)
         pairs = calibrate_pairs(recording, lifted, PairwiseConfig(), rng=np.random.default_rng(seed), progress=reporter)
     outputs.write_text(output, pairs_to_json(pairs, recording.cameras))

@@ -42,10 +42,10 @@ def command(keypoints: tuple[str, ...], cameras: str, output: Path, skeleton: Pa
 
     outputs.check_folder(output)
     with Reporter(quiet=quiet) as reporter:
-        recording = inputs.read_recording(keypoints, inputs.cameras_of(cameras), skeleton, reporter)
-        found = calibrate(recording, load_model(device), Config(), seed=seed, device=device, progress=reporter)
+        recording, model = inputs.read_recording(keypoints, inputs.cameras_of(cameras), skeleton, reporter)
+        found = calibrate(recording, load_model(device, model), Config(), seed=seed, device=device, progress=reporter)
     hashes = inputs.hashes([*(path for _, path in inputs.keypoint_files(keypoints)), cameras, *([skeleton] if skeleton else [])])
-    report = run_report(found, seed=seed, config=Config(), inputs=hashes)
+    report = run_report(found, seed=seed, config=Config(), inputs=hashes) | {"model": model}
     _write(output, found, report, seed)
     _summarise(reporter, found, report, output)
     if as_json:
@@ -93,5 +93,7 @@ def _summarise(reporter: "Reporter", found: "Calibration", report: dict[str, Any
         reporter.say(f"left out, no other camera confirms what they see: {', '.join(found.left_out)}")
     if not found.converged:
         reporter.say(f"matches still changed after {found.rounds} rounds of adjustment; look at matches.csv with care")
+    determined = report["verdict"]
+    reporter.say(f"rig: {determined['rig']}; two halves of the joints give rigs {determined['halves_differ_deg']['median']:.1f} deg apart")
     people = report["individuals"]
     reporter.say(f"{len(people)} individuals, {report['points']['triangulated']} points; lengths in {report['unit']} units; results in {output}")

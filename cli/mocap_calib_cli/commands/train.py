@@ -5,20 +5,26 @@ import shlex
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from mocap_calib.config import TrainConfig
 from mocap_calib_cli import options
 
+if TYPE_CHECKING:
+    from mocap_calib.steerpose.poses import PoseSet, Split
+
 _DEFAULT = TrainConfig()
 _COUNT = click.IntRange(min=1)
 
 
 @click.command(name="train")
-@click.argument("poses", type=click.Path(path_type=Path), metavar="POSES.npz")
+@click.argument("poses", nargs=-1, type=click.Path(path_type=Path), metavar="[POSES...]")
 @options.output_file("Weights to write (.safetensors); the model card is inside.")
 @click.option("--skeleton", default="people", metavar="NAME|FILE.yaml", help="Vocabulary: a shipped skeleton or one of your own.")
+@click.option("--up", multiple=True, metavar="AXIS", help="What points up in the poses: +z (default), -y, ...; once for all files, or once for each.")
+@click.option("--procedural", type=click.FloatRange(0, 1), metavar="SHARE", help="Of bodies made from the skeleton's file; half beside data, all without.")
 @click.option("--steps", type=_COUNT, default=_DEFAULT.steps, help="Batches to train on.")
 @click.option("--batch", type=_COUNT, default=_DEFAULT.batch, help="Poses in a batch.")
 @click.option("--width", type=click.IntRange(min=4), default=_DEFAULT.width, help="Size of a token; a multiple of 4.")
@@ -32,20 +38,22 @@ _COUNT = click.IntRange(min=1)
 @options.as_json("Write the held-out errors to stdout.")
 @options.quiet
 def command(
-    poses: Path, output: Path, skeleton: str, seed: int, device: str, threads: int, data: str, terms: str, as_json: bool, quiet: bool, **fields: float
-) -> None:
-    """Trains a lifter on the 3D poses of an npz file: `poses` [pose, joint, 3] with z up, `joints` names.
+    poses: tuple[Path, ...], output: Path, skeleton: str, up: tuple[str, ...], procedural: float | None, seed: int, device: str, threads: int,
+    data: str, terms: str, as_json: bool, quiet: bool, **fields: float,
+) -> None:  # fmt: skip
+    """Trains a lifter on 3D poses, on bodies made from the skeleton's file, or on both.
 
-    With `split` (train, val, test) and `subject` in the file, the error is measured on poses that were held out.
+    POSES: npz files with `poses` [pose, joint, 3] and `joints`, or folders with poses3d.npz and joints.json; they may lack joints.
+    With `split` (train, val, test) and `subject` in a file, the error is measured on poses that were held out.
 
     \b
     Example:
       mocap-calib train poses.npz --skeleton people -o people.safetensors --steps 9000
+      mocap-calib train --skeleton quadruped -o quadruped.safetensors --steps 4000
     """
-    from mocap_calib.skeleton import load_skeleton
+    from mocap_calib.skeleton import load_section, load_skeleton
     from mocap_calib.steerpose.checkpoint import save_lifter
-    from mocap_calib.steerpose.dataset import load_poses
-    from mocap_calib.steerpose.train import held_out_error, model_card, train_lifter
+    from mocap_calib.steerpose.train import held_out_error, model_card, train_lifter, training_config
     from mocap_calib_cli import outputs
     from mocap_calib_cli.model import check_device, use_threads
     from mocap_calib_cli.progress import Reporter
@@ -56,12 +64,45 @@ def command(
     check_device(device)
     use_threads(threads)
     vocabulary = load_skeleton(skeleton)
-    config = replace(_DEFAULT, seed=seed, **fields)  # type: ignore[arg-type]
+    chosen = {name: value for name, value in fields.items() if value != getattr(_DEFAULT, name)}
+    config = replace(training_config(load_section(skeleton, "training")), seed=seed, **chosen)  # type: ignore[arg-type]
+    training, testing = (_pose_set(poses, up, skeleton, procedural, split, config) for split in ("train", "test"))
     with Reporter(quiet=quiet) as reporter:
-        lifter = train_lifter(load_poses(poses, vocabulary, "train"), vocabulary, config, device=device, progress=reporter)
-    errors = held_out_error(lifter.cpu(), load_poses(poses, vocabulary, "test"), vocabulary, config)
+        lifter = train_lifter(training, vocabulary, config, device=device, progress=reporter)
+    errors = held_out_error(lifter.cpu(), testing, vocabulary, config)
     typed = shlex.join(["mocap-calib", *(Path(word).name if Path(word).exists() else word for word in sys.argv[1:])])
-    save_lifter(output, lifter, vocabulary, model_card(config, errors, command=typed, data=data or poses.name, terms=terms or "not stated"))
+    save_lifter(
+        output,
+        lifter,
+        vocabulary,
+        model_card(
+            config,
+            errors,
+            command=typed,
+            data=data or ", ".join(p.name for p in poses) or "procedural bodies",
+            terms=terms or ("not stated" if poses else "none: no data"),
+        ),
+    )
     reporter.say(f"held out: {', '.join(f'{name} {value}' for name, value in errors.items())}; weights in {output}")
     if as_json:
         click.echo(json.dumps(errors))
+
+
+def _pose_set(poses: tuple[Path, ...], up: tuple[str, ...], skeleton: str, procedural: float | None, split: "Split", config: TrainConfig) -> "PoseSet":
+    """What to train or test on. Raises FormatError and MismatchError; a usage error where there is nothing."""
+    from mocap_calib.skeleton import load_section, load_skeleton
+    from mocap_calib.steerpose.poses import by_size, load_poses, mix, procedural_poses
+
+    if len(up) not in (0, 1, len(poses)):
+        raise click.UsageError(f"--up: expected it once, or once for each of {len(poses)} files, found it {len(up)} times")
+    vocabulary, body = load_skeleton(skeleton), load_section(skeleton, "body")
+    axes = up if len(up) == len(poses) else (up or ("+z",)) * len(poses)
+    sets = [load_poses(path, vocabulary, split, up=axis) for path, axis in zip(poses, axes, strict=True)]
+    share = procedural if procedural is not None else (0.5 if sets else 1.0) * bool(body)
+    if (share and not body) or not (sets or share):
+        raise click.UsageError(f"expected POSES, or a skeleton with a section `body` to make some from, found neither in {skeleton}; see docs/skeletons.md")
+    if not share:
+        return sets[0] if len(sets) == 1 else mix(sets, by_size(sets))
+    made = procedural_poses(vocabulary, body, config.bodies, seed=config.seed + (split == "test"))
+    sizes = by_size(sets)
+    return mix([*sets, made], [*(size / sum(sizes) * (1 - share) for size in sizes), share]) if sets else mix([made], [1.0])

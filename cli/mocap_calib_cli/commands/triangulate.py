@@ -34,7 +34,7 @@ def command(keypoints: tuple[str, ...], rig: str, matches: str, output: Path, sk
     outputs.check_file(output)
     with Reporter(quiet=quiet) as reporter:
         cameras = inputs.rig_of(rig)
-        recording = inputs.read_recording(keypoints, cameras.cameras, skeleton, reporter, placed=True)
+        recording, _ = inputs.read_recording(keypoints, cameras.cameras, skeleton, reporter, placed=True)
         labels = inputs.matches_of(matches, recording)
         poses = triangulate(recording, inputs.placed(recording, cameras), labels, TriangulateConfig(), progress=reporter)
     if output.suffix == ".h5":
