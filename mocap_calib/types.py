@@ -57,7 +57,7 @@ class Camera:
     """Intrinsics of one camera.
 
     size: (width, height) in pixels. matrix: `[3, 3]`, pixel centres are integers (OpenCV). distortion:
-    `[4 | 5 | 8 | 12 | 14]` OpenCV's k1 k2 p1 p2 k3 ..., or `[4]` of cv2.fisheye when `fisheye` is set.
+    `[4 | 5 | 8]` OpenCV's k1 k2 p1 p2 k3 k4 k5 k6, or `[4]` of cv2.fisheye when `fisheye` is set.
     """
 
     name: str

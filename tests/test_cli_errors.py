@@ -132,7 +132,7 @@ def test_names_of_ones_own(folder, tool, tmp_path):
     (tmp_path / "mine.yaml").write_text("aliases:\n" + "".join(f"  p{j}: {name}\n" for j, name in enumerate(names)))
     said = tool("pairwise", folder / "keypoints", "--cameras", folder / "intrinsics.toml", "--skeleton", tmp_path / "mine.yaml", "-o", tmp_path / "pairs.json")
     assert said.returncode == 0, said.stderr
-    assert "the model knows 17" in said.stderr
+    assert "the model of people knows 17" in said.stderr
     (tmp_path / "mine.yaml").write_text("aliases: {p0: beak}")
     said = tool("pairwise", folder / "keypoints", "--cameras", folder / "intrinsics.toml", "--skeleton", tmp_path / "mine.yaml")
     assert said.returncode == 1

@@ -33,7 +33,7 @@ def read(folder, *arguments):
 
 def test_an_h5_is_preferred_to_the_csv_beside_it_and_that_is_said(twins, capsys):
     assert keypoint_files([str(twins)]) == [(name, twins / f"{name}.h5") for name in "ab"]
-    assert read(twins).names == ("a", "b")
+    assert read(twins)[0].names == ("a", "b")
     said = capsys.readouterr()
     assert said.out == ""
     assert f"left out, the .h5 beside it is read: {twins / 'a.csv'}, {twins / 'b.csv'}" in said.err
