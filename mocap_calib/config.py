@@ -29,6 +29,19 @@ class TrainConfig:
 
 
 @dataclass(frozen=True)
+class PairsConfig:
+    """The paper's training pairs (appendix C) for the rotation-token network."""
+
+    cameras: int = 100  # on the hemisphere
+    rolls: int = 20  # of each, about its axis
+    pairs: int = 3000  # of views, split 7:2:1
+    noise: float = 0.03  # of the visible pose's RMS radius
+    masked: tuple[float, float] = (0.1, 0.3)  # share of joints
+    layouts: float = 0.5  # share of poses that lack further joints, as detectors' layouts do; not in the paper
+    seed: int = 0
+
+
+@dataclass(frozen=True)
 class PairwiseConfig:
     """Stage 1. Lengths in body sizes; image errors are measured at the body."""
 

@@ -12,14 +12,17 @@ from mocap_calib.errors import FormatError
 from mocap_calib.io.atomic import write_bytes
 from mocap_calib.skeleton import parse_skeleton
 from mocap_calib.steerpose.model import Lifter, ModelConfig
+from mocap_calib.steerpose.steer import Architecture, Model
+from mocap_calib.steerpose.token import TokenConfig, TokenSteerer
 from mocap_calib.types import Skeleton
 
 _KEY = "mocap_calib"
 
 
-def save_lifter(path: Path, lifter: Lifter, skeleton: Skeleton, card: dict[str, object]) -> None:
+def save_lifter(path: Path, lifter: Model, skeleton: Skeleton, card: dict[str, object]) -> None:
     """Writes weights, network size, vocabulary and model card into one file."""
     description = {
+        "architecture": "factorised" if isinstance(lifter, Lifter) else "token",
         "model": asdict(lifter.config),
         "skeleton": {
             "name": skeleton.name,
@@ -34,14 +37,23 @@ def save_lifter(path: Path, lifter: Lifter, skeleton: Skeleton, card: dict[str, 
 
 
 def load_lifter(path: Path | None = None) -> tuple[Lifter, Skeleton]:
-    """The network and its vocabulary from a file, or the shipped ones for people. Raises FormatError."""
+    """The factorised network and its vocabulary from a file, or the shipped ones for people. Raises FormatError."""
+    model, skeleton = load_steerer(path)
+    if not isinstance(model, Lifter):
+        raise FormatError(f"{path}: expected weights of the factorised architecture, found those of the rotation token; use them with --solver paper")
+    return model, skeleton
+
+
+def load_steerer(path: Path | None = None, *, architecture: Architecture = "factorised") -> tuple[Model, Skeleton]:
+    """A network of either architecture from a file, or the shipped one for people of the given. Raises FormatError."""
     if path is None:
-        with resources.as_file(resources.files("mocap_calib") / "weights" / "people.safetensors") as shipped:
+        name = "people.safetensors" if architecture == "factorised" else "people_token.safetensors"
+        with resources.as_file(resources.files("mocap_calib") / "weights" / name) as shipped:
             return _read(shipped)
     return _read(path)
 
 
-def _read(path: Path) -> tuple[Lifter, Skeleton]:
+def _read(path: Path) -> tuple[Model, Skeleton]:
     try:
         with safe_open(path, framework="pt") as file:
             description = json.loads((file.metadata() or {})[_KEY])
@@ -50,6 +62,7 @@ def _read(path: Path) -> tuple[Lifter, Skeleton]:
         raise FormatError(f"{path}: expected a weights file, found none") from None
     except (SafetensorError, KeyError, ValueError) as error:
         raise FormatError(f"{path}: not weights of mocap-calib: {str(error).splitlines()[0]}") from None
-    lifter = Lifter(ModelConfig(**description["model"]))
+    token = description.get("architecture") == "token"
+    lifter: Model = TokenSteerer(TokenConfig(**description["model"])) if token else Lifter(ModelConfig(**description["model"]))
     lifter.load_state_dict(tensors)
     return lifter.eval(), parse_skeleton(description["skeleton"], str(path))
