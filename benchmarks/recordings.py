@@ -56,8 +56,7 @@ def row(recording: Path) -> str:
         precision, recall = identities(recording, out / "matches.csv")
     rotation, translation = found["rotation_error_deg"], found["translation_error_deg"]
     return (
-        f"| {recording.name} | {rotation['median']:.2f} / {rotation['max']:.2f} | {translation['median']:.2f} "
-        f"| {precision:.3f} | {recall:.3f} | {wall:.1f} |"
+        f"| {recording.name} | {rotation['median']:.2f} / {rotation['max']:.2f} | {translation['median']:.2f} | {precision:.3f} | {recall:.3f} | {wall:.1f} |"
     )
 
 

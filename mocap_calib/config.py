@@ -59,6 +59,23 @@ class PairwiseConfig:
 
 
 @dataclass(frozen=True)
+class PaperConfig:
+    """The paper's solver (section 3.2 and appendix C.3); what the paper leaves open is marked."""
+
+    iterations: int = 1000
+    learning_rate: float = 0.01
+    final_rate: float = 0.01  # of the learning rate, reached linearly
+    alpha: float = 3.0  # of the similarity
+    sharpness: float = 10.0  # of Sinkhorn; open in the paper
+    sweeps: int = 10  # of Sinkhorn; open in the paper
+    geometric_weight: float = 1.0  # lambda, "empirically determined"; 0 leaves L_geom out
+    geometric_from: float = 0.4  # share of the iterations before L_geom is active
+    mutual: int = 2  # matches, mutual in both directions, before L_geom is active
+    tries: int = 5
+    success_px: float = 10.0
+
+
+@dataclass(frozen=True)
 class AveragingConfig:
     """Stage 2."""
 

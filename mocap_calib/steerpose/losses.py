@@ -9,7 +9,7 @@ _EPSILON = 1e-12
 
 
 def similarity(displacement: Tensor, alpha: float = 3.0) -> Tensor:
-    """s = 2 / (1 + exp(alpha L_kp)): 1 for the same pose, 0 for the farthest. Any shape."""
+    """The paper's s = 2 / (1 + exp(alpha L_kp)): 1 for the same pose, 0 for the farthest. Any shape."""
     return 2 * torch.sigmoid(-alpha * displacement)
 
 
