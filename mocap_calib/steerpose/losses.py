@@ -76,7 +76,7 @@ def geometric_system(rotation: Tensor, points_a: Tensor, points_b: Tensor) -> Te
     turned = cross_b @ rotation[..., None, :, :]
     normal = torch.linalg.cross(points_a @ rotation.transpose(-1, -2), points_b)
     eye = torch.eye(count, dtype=points_a.dtype, device=points_a.device)
-    batch = torch.broadcast_shapes(cross_a.shape[:-3], turned.shape[:-3])
+    batch = normal.shape[:-2]
 
     def blocks(block: Tensor) -> Tensor:
         """`[..., N, 3, 3]` onto the diagonal of `[..., 3 N, 3 N]`."""

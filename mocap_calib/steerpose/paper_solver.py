@@ -5,6 +5,7 @@ Kept as a measured reference; `pairwise.py` is the program's own. Several pairs 
 as if it were alone.
 """
 
+import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -100,6 +101,7 @@ def solve_pairs(
     start: `[problem, 3]` rotation vectors of the first try. Of five failures the one with the least error is returned.
     """
     batch = _batch(problems)
+    model = copy.deepcopy(model).requires_grad_(False)  # frozen: no gradients of weights are needed
     best: list[PaperSolution | None] = [None] * len(problems)
     for number in range(1, config.tries + 1):
         open_ = [k for k, found in enumerate(best) if found is None or found.error >= config.success_px]
