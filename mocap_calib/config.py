@@ -54,6 +54,10 @@ class PairwiseConfig:
     pose_tolerance: float = 0.35  # RMS joint distance of two lifts of one body
     place_tolerance: float = 0.15  # of the distance: how well one view tells how far a body is
     inlier: float = 0.08  # epipolar error of a good joint
+    least_noise: float = 0.01  # of a joint, at the body; no detector is better
+    lift_spread: float = 0.12  # RMS joint distance of two right lifts of one body
+    place_spread: float = 0.06  # of the distance: how well two views agree how far one body is
+    lift_independent: float = 2.0  # lifted bodies err alike: any number of them knows no more than this many
     points: int = 4000  # joints a refinement looks at
     rounds: int = 3  # of matching and refining
 

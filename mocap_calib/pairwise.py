@@ -18,6 +18,7 @@ from mocap_calib.config import PairwiseConfig
 from mocap_calib.evidence import ViewPair, agreement, epipolar_error, epipolar_fit, match_affinity, reach, steering_error, view_pair
 from mocap_calib.geometry.epipolar import depths, five_point
 from mocap_calib.geometry.rotation import angle_between, matrix_from_vector, nearest_rotation
+from mocap_calib.posterior import most_probable
 from mocap_calib.types import Bools, Floats, Ints, LiftedPoses, PairwiseCalibration, Progress, Recording
 
 _TRACKS = 9  # pairs of tracks that are looked at
@@ -70,7 +71,7 @@ def calibrate_pair(recording: Recording, lifted: LiftedPoses, a: int, b: int, co
     modes = _proposals(pair, bool(recording.tracked[a] and recording.tracked[b]), config, rng)
     if len(modes.rotation) == 0:
         return None
-    modes, score = _refine_modes(pair, modes, config, rng)
+    modes, score = _weigh_all(pair, *_refine_modes(pair, modes, config, rng), config, rng)
     best = int(np.argmax(score.total))
     rotation, translation = modes.rotation[best], _with_baseline(pair, modes, score, best)
     frame, i, j = np.nonzero(score.matched[best])
@@ -197,6 +198,18 @@ def _refine_modes(pair: ViewPair, modes: Modes, config: PairwiseConfig, rng: np.
             keep = _separated(modes.rotation, score.total, config.finalists, np.deg2rad(2.0))
             modes, score = modes[keep], _take(score, keep)
     return modes, score
+
+
+def _weigh_all(pair: ViewPair, modes: Modes, score: Score, config: PairwiseConfig, rng: np.random.Generator) -> tuple[Modes, Score]:
+    """The modes where rays and lifted bodies together put them."""
+    found = []
+    for m in range(len(modes.rotation)):
+        rays = _matched_rays(pair, score.matched[m])
+        pick = rng.permutation(len(rays[0]))[: config.points]
+        some = (rays[0][pick], rays[1][pick], rays[2][pick], rays[3][pick])
+        found.append(most_probable(pair, modes.rotation[m], modes.translation[m], score.matched[m], some, config))
+    modes = replace(modes, rotation=np.stack([r for r, _ in found]), translation=np.stack([t for _, t in found]))
+    return modes, _score(pair, modes, config)
 
 
 def _map(function: Callable[..., NDArray[Any]], *scores: Score) -> Score:
