@@ -83,8 +83,7 @@ def calibrate_pair(recording: Recording, lifted: LiftedPoses, a: int, b: int, co
 
 def _shared_frames(recording: Recording, a: int, b: int) -> Ints:
     """Frames in which both views show a body with enough joints."""
-    bodies = recording.seen[[a, b]].sum(-1) >= 4
-    return np.flatnonzero(bodies.any(-1).all(0))
+    return np.flatnonzero((recording.seen[[a, b]].sum(-1) >= 4).any(-1).all(0))
 
 
 def _evenly(frames: Ints, count: int) -> Ints:
@@ -202,13 +201,12 @@ def _refine_modes(pair: ViewPair, modes: Modes, config: PairwiseConfig, rng: np.
 
 def _weigh_all(pair: ViewPair, modes: Modes, score: Score, config: PairwiseConfig, rng: np.random.Generator) -> tuple[Modes, Score]:
     """The modes where rays and lifted bodies together put them."""
-    found = []
-    for m in range(len(modes.rotation)):
-        rays = _matched_rays(pair, score.matched[m])
+    rotation, translation = modes.rotation.copy(), modes.translation.copy()
+    for m, matched in enumerate(score.matched):
+        rays = _matched_rays(pair, matched)
         pick = rng.permutation(len(rays[0]))[: config.points]
-        some = (rays[0][pick], rays[1][pick], rays[2][pick], rays[3][pick])
-        found.append(most_probable(pair, modes.rotation[m], modes.translation[m], score.matched[m], some, config))
-    modes = replace(modes, rotation=np.stack([r for r, _ in found]), translation=np.stack([t for _, t in found]))
+        rotation[m], translation[m] = most_probable(pair, rotation[m], translation[m], matched, [part[pick] for part in rays], config)
+    modes = replace(modes, rotation=rotation, translation=translation)
     return modes, _score(pair, modes, config)
 
 

@@ -5,6 +5,8 @@ answer lies to some ten degrees: each is weighted by what it knows. With many fr
 errors of lifted bodies are alike and do not average out.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from mocap_calib.config import PairwiseConfig
@@ -16,7 +18,7 @@ _STEPS = 25
 
 
 def most_probable(
-    pair: ViewPair, rotation: Floats, translation: Floats, matched: Bools, rays: tuple[Floats, Floats, Floats, Floats], config: PairwiseConfig
+    pair: ViewPair, rotation: Floats, translation: Floats, matched: Bools, rays: Sequence[Floats], config: PairwiseConfig
 ) -> tuple[Floats, Floats]:
     """Levenberg-Marquardt on R and t of one mode from where robust refinement on rays has left it.
 
@@ -30,7 +32,6 @@ def most_probable(
     error = _epipolar(rotation, translation, rays)[0]
     freedom = np.sqrt(len(error) / max(len(error) - 5, 1))
     noise = max(1.4826 * float(np.median(np.abs(error))) * freedom, config.least_noise)
-
     width = max(3 * noise, config.inlier)  # as the refinement before: keypoints err by more than chance
 
     def system(r: Floats, t: Floats) -> tuple[float, Floats, Floats]:
@@ -58,7 +59,7 @@ def most_probable(
     return rotation, translation
 
 
-def _epipolar(rotation: Floats, translation: Floats, rays: tuple[Floats, Floats, Floats, Floats]) -> tuple[Floats, Floats]:
+def _epipolar(rotation: Floats, translation: Floats, rays: Sequence[Floats]) -> tuple[Floats, Floats]:
     """Sampson's errors at the body `[N]` and their slopes `[N, 6]` in a turn (left) and a shift of t."""
     rays_a, rays_b, _, far = rays
     length = np.linalg.norm(translation)
