@@ -269,13 +269,12 @@ def _matched_rays(pair: ViewPair, matched: Bools) -> tuple[Floats, Floats, Float
 
 def _on_rays(pair: ViewPair, modes: Modes, matched: Bools, config: PairwiseConfig, rng: np.random.Generator) -> Modes:
     """Robust refinement of each mode on the rays of its own matches, all modes in one batch of equal size."""
-    size = config.points
-    count = len(modes.rotation)
+    own = [_matched_rays(pair, one) for one in matched]
+    count, size = len(own), min(config.points, max(len(rays[0]) for rays in own))
     rays_a, rays_b = np.zeros((count, size, 3)), np.zeros((count, size, 3))
     rays_a[..., 2] = rays_b[..., 2] = 1.0
     weight, far = np.zeros((count, size)), np.ones((count, size))
-    for m in range(count):
-        own_a, own_b, own_weight, own_far = _matched_rays(pair, matched[m])
+    for m, (own_a, own_b, own_weight, own_far) in enumerate(own):
         pick = rng.permutation(len(own_a))[:size]
         rays_a[m, : len(pick)], rays_b[m, : len(pick)] = own_a[pick], own_b[pick]
         weight[m, : len(pick)], far[m, : len(pick)] = own_weight[pick], own_far[pick]

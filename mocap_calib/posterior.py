@@ -15,6 +15,7 @@ from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.types import Bools, Floats
 
 _STEPS = 25
+_SETTLED = 1e-5  # of the log posterior
 
 
 def most_probable(
@@ -53,7 +54,10 @@ def most_probable(
         moved = matrix_from_vector(delta[:3]) @ rotation, translation + delta[3:]
         after = system(*moved)
         if after[0] < energy:
+            settled = energy - after[0] < _SETTLED
             (rotation, translation), (energy, hessian, gradient), damping = moved, after, damping / 5
+            if settled:
+                break
         else:
             damping *= 5
     return rotation, translation
