@@ -32,6 +32,19 @@ class TrainConfig:
 
 
 @dataclass(frozen=True)
+class PairsConfig:
+    """The paper's training pairs (appendix C) for the rotation-token network."""
+
+    cameras: int = 100  # on the hemisphere
+    rolls: int = 20  # of each, about its axis
+    pairs: int = 3000  # of views, split 7:2:1
+    noise: float = 0.03  # of the visible pose's RMS radius
+    masked: tuple[float, float] = (0.1, 0.3)  # share of joints
+    layouts: float = 0.5  # share of poses that lack further joints, as detectors' layouts do; not in the paper
+    seed: int = 0
+
+
+@dataclass(frozen=True)
 class PairwiseConfig:
     """Relative poses of pairs. Lengths in body sizes; image errors are measured at the body."""
 
@@ -45,8 +58,29 @@ class PairwiseConfig:
     pose_doubt: float = 2.5  # ... or this many times what the network expects, where that is more
     place_tolerance: float = 0.15  # of the distance: how well one view tells how far a body is
     inlier: float = 0.08  # epipolar error of a good joint
+    least_noise: float = 0.01  # of a joint, at the body; no detector is better
+    lift_spread: float = 0.12  # RMS joint distance of two right lifts of one body
+    place_spread: float = 0.06  # of the distance: how well two views agree how far one body is
+    lift_independent: float = 2.0  # lifted bodies err alike: any number of them knows no more than this many
     points: int = 4000  # joints a refinement looks at
     rounds: int = 3  # of matching and refining
+
+
+@dataclass(frozen=True)
+class PaperConfig:
+    """The paper's solver (section 3.2 and appendix C.3); what the paper leaves open is marked."""
+
+    iterations: int = 1000
+    learning_rate: float = 0.01
+    final_rate: float = 0.01  # of the learning rate, reached linearly
+    alpha: float = 3.0  # of the similarity
+    sharpness: float = 10.0  # of Sinkhorn; open in the paper
+    sweeps: int = 10  # of Sinkhorn; open in the paper
+    geometric_weight: float = 1.0  # lambda, "empirically determined"; 0 leaves L_geom out
+    geometric_from: float = 0.4  # share of the iterations before L_geom is active
+    mutual: int = 2  # matches, mutual in both directions, before L_geom is active
+    tries: int = 5
+    success_px: float = 10.0
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from mocap_calib.config import PairwiseConfig
 from mocap_calib.evidence import ViewPair, agreement, epipolar_error, epipolar_fit, match_affinity, pose_variance, reach, steering_error, view_pair
 from mocap_calib.geometry.epipolar import depths, five_point
 from mocap_calib.geometry.rotation import angle_between, matrix_from_vector, nearest_rotation
+from mocap_calib.posterior import most_probable
 from mocap_calib.types import Bools, Floats, Ints, LiftedPoses, PairwiseCalibration, Progress, Recording
 
 _TRACKS = 9  # pairs of tracks that are looked at
@@ -71,7 +72,7 @@ def calibrate_pair(recording: Recording, lifted: LiftedPoses, a: int, b: int, co
     modes = _proposals(pair, bool(recording.tracked[a] and recording.tracked[b]), config, rng)
     if len(modes.rotation) == 0:
         return None
-    modes, score = _refine_modes(pair, modes, config, rng)
+    modes, score = _weigh_all(pair, *_refine_modes(pair, modes, config, rng), config, rng)
     best = int(np.argmax(score.total))
     rotation, translation = modes.rotation[best], _with_baseline(pair, modes, score, best)
     frame, i, j = np.nonzero(score.matched[best])
@@ -83,8 +84,7 @@ def calibrate_pair(recording: Recording, lifted: LiftedPoses, a: int, b: int, co
 
 def _shared_frames(recording: Recording, a: int, b: int) -> Ints:
     """Frames in which both views show a body with enough joints."""
-    bodies = recording.seen[[a, b]].sum(-1) >= 4
-    return np.flatnonzero(bodies.any(-1).all(0))
+    return np.flatnonzero((recording.seen[[a, b]].sum(-1) >= 4).any(-1).all(0))
 
 
 def _evenly(frames: Ints, count: int) -> Ints:
@@ -189,18 +189,30 @@ def _refine_modes(pair: ViewPair, modes: Modes, config: PairwiseConfig, rng: np.
     score = _score(pair, modes, config)
     for turn in range(config.rounds):
         refined = _on_rays(pair, modes, score.matched, config, rng)
-        after = _score(pair, refined, config)
-        better = after.total >= score.total
-        modes = replace(
-            modes,
-            rotation=np.where(better[:, None, None], refined.rotation, modes.rotation),
-            translation=np.where(better[:, None], refined.translation, modes.translation),
-        )
-        score = _choose(better, after, score)
+        modes, score = _better(pair, refined, modes, score, config)
         if turn == 0:
             keep = _separated(modes.rotation, score.total, config.finalists, np.deg2rad(2.0))
             modes, score = modes[keep], _take(score, keep)
     return modes, score
+
+
+def _weigh_all(pair: ViewPair, modes: Modes, score: Score, config: PairwiseConfig, rng: np.random.Generator) -> tuple[Modes, Score]:
+    """The modes where rays and lifted bodies together put them."""
+    rotation, translation = modes.rotation.copy(), modes.translation.copy()
+    for m, matched in enumerate(score.matched):
+        rays = _matched_rays(pair, matched)
+        pick = rng.permutation(len(rays[0]))[: config.points]
+        rotation[m], translation[m] = most_probable(pair, rotation[m], translation[m], matched, [part[pick] for part in rays], config)
+    return _better(pair, replace(modes, rotation=rotation, translation=translation), modes, score, config)
+
+
+def _better(pair: ViewPair, after: Modes, before: Modes, score: Score, config: PairwiseConfig) -> tuple[Modes, Score]:
+    """Each mode as it is after a step, or as it was before where the step lowers its score."""
+    scored = _score(pair, after, config)
+    better = scored.total >= score.total
+    rotation = np.where(better[:, None, None], after.rotation, before.rotation)
+    translation = np.where(better[:, None], after.translation, before.translation)
+    return replace(before, rotation=rotation, translation=translation), _choose(better, scored, score)
 
 
 def _map(function: Callable[..., NDArray[Any]], *scores: Score) -> Score:
@@ -262,13 +274,12 @@ def _matched_rays(pair: ViewPair, matched: Bools) -> tuple[Floats, Floats, Float
 
 def _on_rays(pair: ViewPair, modes: Modes, matched: Bools, config: PairwiseConfig, rng: np.random.Generator) -> Modes:
     """Robust refinement of each mode on the rays of its own matches, all modes in one batch of equal size."""
-    size = config.points
-    count = len(modes.rotation)
+    own = [_matched_rays(pair, one) for one in matched]
+    count, size = len(own), min(config.points, max(len(rays[0]) for rays in own))
     rays_a, rays_b = np.zeros((count, size, 3)), np.zeros((count, size, 3))
     rays_a[..., 2] = rays_b[..., 2] = 1.0
     weight, far = np.zeros((count, size)), np.ones((count, size))
-    for m in range(count):
-        own_a, own_b, own_weight, own_far = _matched_rays(pair, matched[m])
+    for m, (own_a, own_b, own_weight, own_far) in enumerate(own):
         pick = rng.permutation(len(own_a))[:size]
         rays_a[m, : len(pick)], rays_b[m, : len(pick)] = own_a[pick], own_b[pick]
         weight[m, : len(pick)], far[m, : len(pick)] = own_weight[pick], own_far[pick]

@@ -14,14 +14,17 @@ from mocap_calib.errors import FormatError
 from mocap_calib.io.atomic import write_bytes
 from mocap_calib.skeleton import SHIPPED, parse_skeleton
 from mocap_calib.steerpose.model import Lifter, ModelConfig
+from mocap_calib.steerpose.steer import Architecture, Model
+from mocap_calib.steerpose.token import TokenConfig, TokenSteerer
 from mocap_calib.types import Skeleton
 
 _KEY = "mocap_calib"
 
 
-def save_lifter(path: Path, lifter: Lifter, skeleton: Skeleton, card: dict[str, object]) -> None:
+def save_lifter(path: Path, lifter: Model, skeleton: Skeleton, card: dict[str, object]) -> None:
     """Writes weights, network size, vocabulary and model card into one file."""
     description = {
+        "architecture": "factorised" if isinstance(lifter, Lifter) else "token",
         "model": asdict(lifter.config),
         "skeleton": {
             "name": skeleton.name,
@@ -37,15 +40,23 @@ def save_lifter(path: Path, lifter: Lifter, skeleton: Skeleton, card: dict[str, 
 
 
 def load_lifter(name_or_path: str | Path = "people") -> tuple[Lifter, Skeleton]:
-    """The network and its vocabulary: shipped ones by name (`models`), or from a file. Raises FormatError."""
+    """The factorised network and its vocabulary: shipped ones by name (`models`), or from a file. Raises FormatError."""
+    model, skeleton = load_steerer(name_or_path)
+    if not isinstance(model, Lifter):
+        raise FormatError(f"{name_or_path}: expected weights of the factorised architecture, found those of the rotation token")
+    return model, skeleton
+
+
+def load_steerer(name_or_path: str | Path = "people", *, architecture: Architecture = "factorised") -> tuple[Model, Skeleton]:
+    """A network of either architecture: shipped ones by the name of their skeleton, or from a file. Raises FormatError."""
     if isinstance(name_or_path, str) and (name := name_or_path) in SHIPPED:
-        with resources.as_file(_shipped(name)) as path:
+        with resources.as_file(_shipped(name if architecture == "factorised" else f"{name}_token")) as path:
             return _read(path)
     return _read(Path(name_or_path))
 
 
 def models() -> dict[str, dict[str, Any]]:
-    """The model card of each shipped model, by the name of its skeleton."""
+    """The model card of each shipped lifter, by the name of its skeleton."""
     cards = {}
     for name in SHIPPED:
         with resources.as_file(_shipped(name)) as path:
@@ -69,10 +80,11 @@ def _description(path: Path) -> dict[str, Any]:
         raise FormatError(f"{path}: not weights of mocap-calib: {str(error).splitlines()[0]}") from None
 
 
-def _read(path: Path) -> tuple[Lifter, Skeleton]:
+def _read(path: Path) -> tuple[Model, Skeleton]:
     description = _description(path)
     with safe_open(path, framework="pt") as file:
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (not a dictionary)
-    lifter = Lifter(ModelConfig(**description["model"]))
-    lifter.load_state_dict(tensors)
-    return lifter.eval(), parse_skeleton(description["skeleton"], str(path))
+    token = description.get("architecture") == "token"
+    model: Model = TokenSteerer(TokenConfig(**description["model"])) if token else Lifter(ModelConfig(**description["model"]))
+    model.load_state_dict(tensors)
+    return model.eval(), parse_skeleton(description["skeleton"], str(path))

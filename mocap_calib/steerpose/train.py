@@ -1,17 +1,20 @@
 """Training of the lifter, and its error on poses it has never seen."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, fields, replace
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
-from mocap_calib.config import TrainConfig
+from mocap_calib.config import PairsConfig, TrainConfig
 from mocap_calib.errors import FormatError
 from mocap_calib.steerpose.dataset import Batch, Synthesiser
 from mocap_calib.steerpose.model import Lifter, ModelConfig
+from mocap_calib.steerpose.pairs import PairSynthesiser
 from mocap_calib.steerpose.poses import PoseSet
+from mocap_calib.steerpose.steer import Model, steer
+from mocap_calib.steerpose.token import TokenConfig, TokenSteerer
 from mocap_calib.types import Progress, Skeleton
 
 
@@ -32,18 +35,47 @@ def train_lifter(poses: PoseSet, skeleton: Skeleton, config: TrainConfig, *, dev
     torch.manual_seed(config.seed)
     lifter = Lifter(ModelConfig(len(skeleton.keypoints), config.width, config.layers)).to(device).train()
     source = Synthesiser(poses, skeleton, config, config.seed)
-    optimiser = torch.optim.AdamW(lifter.parameters(), lr=config.learning_rate, weight_decay=1e-4)
+
+    def next_loss() -> Tensor:
+        batch = source.batch(config.batch)
+        return lifting_loss(lifter, Batch(batch.pose.to(device), batch.seen.to(device), batch.target.to(device)))
+
+    optimise(lifter, next_loss, config, progress=progress)
+    return lifter.eval()
+
+
+def train_steerer(poses: PoseSet, skeleton: Skeleton, config: TrainConfig, pairs: PairsConfig, *, device: str = "cpu", progress: Progress) -> TokenSteerer:
+    """Trains the paper's network with its loss L_kp (eq. 1) on its pairs; of `config` only size, steps, batch, rate and seed count."""
+    torch.manual_seed(config.seed)
+    model = TokenSteerer(TokenConfig(len(skeleton.keypoints), config.width, config.layers)).to(device).train()
+    source = PairSynthesiser(poses, skeleton, pairs, "train", config.seed)
+
+    def next_loss() -> Tensor:
+        batch = source.batch(config.batch)
+        steered = model(batch.pose.to(device), batch.seen.to(device), batch.vector.to(device))
+        return displacement(steered, batch.target.to(device)).mean()
+
+    optimise(model, next_loss, config, progress=progress)
+    return model.eval()
+
+
+def optimise(model: nn.Module, next_loss: Callable[[], Tensor], config: TrainConfig, *, progress: Progress) -> None:
+    """The training loop of both architectures: AdamW, one cycle."""
+    optimiser = torch.optim.AdamW(model.parameters(), lr=config.learning_rate, weight_decay=1e-4)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, config.learning_rate, total_steps=config.steps, pct_start=0.05)
     for step in range(config.steps):
-        batch = source.batch(config.batch)
-        loss = lifting_loss(lifter, Batch(batch.pose.to(device), batch.seen.to(device), batch.target.to(device)))
+        loss = next_loss()
         optimiser.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
-        torch.nn.utils.clip_grad_norm_(lifter.parameters(), 1.0)
+        torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0)
         optimiser.step()
         schedule.step()
         progress(f"train (loss {loss.item():.3f})", step + 1, config.steps)
-    return lifter.eval()
+
+
+def displacement(steered: Tensor, target: Tensor) -> Tensor:
+    """`[B]` mean keypoint displacement D(q, p') of eq. 1, poses `[B, J, 2]`."""
+    return torch.sqrt((steered - target).square().sum(-1) + 1e-8).mean(-1)
 
 
 def lifting_loss(lifter: Lifter, batch: Batch) -> Tensor:
@@ -75,6 +107,20 @@ def held_out_error(lifter: Lifter, poses: PoseSet, skeleton: Skeleton, config: T
         "steered_2d": round(steered.norm(dim=-1).nanmean().item(), 4),
         "completed_2d": round(error[..., :2].norm(dim=-1)[~batch.seen].nanmean().item(), 4),
     }
+
+
+@torch.no_grad()
+def steering_error(model: Model, poses: PoseSet, skeleton: Skeleton, config: PairsConfig, *, examples: int = 8192) -> dict[str, float]:
+    """L_kp (eq. 1) of either architecture on pairs and poses held out, in units of the visible pose's RMS radius.
+
+    identity_2d: the displacement of the seen joints when nothing is turned.
+    """
+    batch = PairSynthesiser(poses, skeleton, config, "test", seed=12345).batch(examples)
+    steered = displacement(steer(model, batch.pose, batch.seen, batch.vector), batch.target)
+    upright = PairSynthesiser(poses, skeleton, replace(config, noise=1e-6), "test", seed=12345).batch(examples)
+    still = steer(model, upright.pose, upright.seen, torch.zeros_like(upright.vector))
+    to_first = torch.where(upright.seen[..., None], (still - upright.pose).square(), torch.zeros_like(still)).sum(-1).sqrt()
+    return {"steered_2d": round(steered.mean().item(), 4), "identity_2d": round(to_first[upright.seen].mean().item(), 4)}
 
 
 def model_card(config: TrainConfig, errors: dict[str, float], *, command: str, data: str, terms: str) -> dict[str, object]:

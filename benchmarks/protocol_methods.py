@@ -1,0 +1,127 @@
+"""The methods of the paper's protocol behind one signature: problems -> answers and seconds a pair."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from mocap_calib.config import PairwiseConfig, PaperConfig
+from mocap_calib.geometry.baselines import all_pairs_magsac, five_point_over_matches
+from mocap_calib.pairwise import calibrate_pair
+from mocap_calib.steerpose.checkpoint import load_steerer
+from mocap_calib.steerpose.lift import lift
+from mocap_calib.steerpose.model import Lifter
+from mocap_calib.steerpose.paper_solver import solve_pair, solve_pairs, two_views
+from mocap_calib.steerpose.steer import Model
+from mocap_calib.types import Floats, Ints, Recording, silent
+
+THRESHOLD_PX = 6.0  # of RANSAC: two standard deviations of the noise
+TIMED = 1  # pairs that the paper's solver does alone, to know its seconds; the others go in one batch
+BATCH = 50
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Views a and b of a recording, all of its frames."""
+
+    recording: Recording
+    a: int
+    b: int
+
+
+@dataclass(frozen=True)
+class Found:
+    """R, t of b_from_a and matches `[match, 3]` (frame, i, j)."""
+
+    rotation: Floats
+    translation: Floats
+    matches: Ints
+
+
+Answers = tuple[list[Found | None], float]
+Method = Callable[[Sequence[Problem], dict[str, Model]], Answers]
+
+
+def load_models(methods: Sequence[str]) -> dict[str, Model]:
+    """The shipped networks that these methods need."""
+    names = ("token", "factorised")
+    return {name: load_steerer(architecture=name)[0] for name in names if name == "factorised" or any(name in method for method in methods)}
+
+
+def _each(problems: Sequence[Problem], solve: Callable[[Problem], Found | None]) -> Answers:
+    start = time.perf_counter()
+    found = [solve(problem) for problem in problems]
+    return found, (time.perf_counter() - start) / len(problems)
+
+
+def _threshold(problem: Problem) -> float:
+    return THRESHOLD_PX / float(np.mean([problem.recording.cameras[v].focal for v in (problem.a, problem.b)]))
+
+
+def five_point(problems: Sequence[Problem], _: dict[str, Model]) -> Answers:
+    """RANSAC over instance matches, five-point on joints."""
+
+    def solve(problem: Problem) -> Found | None:
+        rays = problem.recording.rays
+        found = five_point_over_matches(rays[problem.a], rays[problem.b], _threshold(problem), np.random.default_rng(0))
+        return None if found is None else Found(*found)
+
+    return _each(problems, solve)
+
+
+def magsac(problems: Sequence[Problem], _: dict[str, Model]) -> Answers:
+    """All cross pairs of detections as correspondences."""
+
+    def solve(problem: Problem) -> Found | None:
+        found = all_pairs_magsac(problem.recording.rays[problem.a], problem.recording.rays[problem.b], _threshold(problem))
+        return None if found is None else Found(*found)
+
+    return _each(problems, solve)
+
+
+def ours(config: PairwiseConfig) -> Method:
+    """Lifting and the pairwise search, as `mocap-calib pairwise` does; the seconds include the lifting."""
+
+    def method(problems: Sequence[Problem], models: dict[str, Model]) -> Answers:
+        lifter = models["factorised"]
+        assert isinstance(lifter, Lifter)
+
+        def solve(problem: Problem) -> Found | None:
+            lifted = lift(problem.recording, lifter, progress=silent)
+            found = calibrate_pair(problem.recording, lifted, problem.a, problem.b, config, np.random.default_rng(0))
+            return None if found is None else Found(found.rotation, found.translation, found.matches)
+
+        return _each(problems, solve)
+
+    return method
+
+
+def paper(architecture: str, config: PaperConfig) -> Method:
+    """The paper's solver; its seconds are those of pairs solved alone."""
+
+    def method(problems: Sequence[Problem], models: dict[str, Model]) -> Answers:
+        model = models[architecture]
+        views = [two_views(p.recording, p.a, p.b, np.arange(len(p.recording.frames)), model.config.joints) for p in problems]
+        start = time.perf_counter()
+        for k in range(min(TIMED, len(views))):
+            solve_pair(views[k], model, config, torch.Generator().manual_seed(k))
+        seconds = (time.perf_counter() - start) / max(min(TIMED, len(views)), 1)
+        generator = torch.Generator().manual_seed(0)
+        found = [s for k in range(0, len(views), BATCH) for s in solve_pairs(views[k : k + BATCH], model, config, generator)]
+        return [Found(s.rotation, s.translation, s.matches) for s in found], seconds
+
+    return method
+
+
+METHODS: dict[str, Method] = {
+    "five-point": five_point,
+    "magsac": magsac,
+    "paper-token": paper("token", PaperConfig()),
+    "paper-token-nogeom": paper("token", PaperConfig(geometric_weight=0.0)),
+    "paper-factorised": paper("factorised", PaperConfig()),
+    "paper-factorised-nogeom": paper("factorised", PaperConfig(geometric_weight=0.0)),
+    "ours": ours(PairwiseConfig()),
+    "ours-norays": ours(replace(PairwiseConfig(), points=0)),
+}
