@@ -133,7 +133,7 @@ def test_names_of_ones_own(folder, tool, tmp_path):
     said = tool("pairwise", folder / "keypoints", "--cameras", folder / "intrinsics.toml", "--skeleton", tmp_path / "mine.yaml", "-o", tmp_path / "pairs.json")
     assert said.returncode == 0, said.stderr
     assert "the model of people knows 17" in said.stderr
-    (tmp_path / "mine.yaml").write_text("aliases: {p0: beak}")
+    (tmp_path / "mine.yaml").write_text("aliases: {p0: proboscis}")
     said = tool("pairwise", folder / "keypoints", "--cameras", folder / "intrinsics.toml", "--skeleton", tmp_path / "mine.yaml")
     assert said.returncode == 1
-    assert "beak" in said.stderr
+    assert "proboscis" in said.stderr
