@@ -30,6 +30,9 @@ NAMES = (
     "humaneva_S1_projected",
     "panoptic_band1_projected",
     "mvor_openpose",
+    "acinoset_lily_run",
+    "two_dogs_projected",
+    "dannce_two_mice_projected",
 )
 
 
