@@ -172,3 +172,6 @@ def test_simulate_then_train(tool, tmp_path):
     assert said.returncode == 0, said.stderr
     assert set(json.loads(said.stdout)) == {"joint_3d", "steered_2d", "completed_2d"}
     assert (tmp_path / "w.safetensors").stat().st_size > 1000
+    said = tool("train", tmp_path / "p.npz", "--architecture", "token", "-o", tmp_path / "t.safetensors", "--steps", 3, "--batch", 8, "--json", "-q")
+    assert said.returncode == 0, said.stderr
+    assert set(json.loads(said.stdout)) == {"steered_2d", "identity_2d"}

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from mocap_calib.config import TrainConfig
+from mocap_calib.config import PairsConfig, TrainConfig
 from mocap_calib_cli import options
 
 if TYPE_CHECKING:
     from mocap_calib.steerpose.poses import PoseSet, Split
+    from mocap_calib.steerpose.steer import Model
 
 _DEFAULT = TrainConfig()
 _COUNT = click.IntRange(min=1)
@@ -23,6 +24,7 @@ _COUNT = click.IntRange(min=1)
 @click.argument("poses", nargs=-1, type=click.Path(path_type=Path), metavar="[POSES...]")
 @options.output_file("Weights to write (.safetensors); the model card is inside.")
 @click.option("--skeleton", default="people", metavar="NAME|FILE.yaml", help="Vocabulary: a shipped skeleton or one of your own.")
+@click.option("--architecture", type=click.Choice(["factorised", "token"]), default="factorised", help="Ours, or the paper's with its rotation token.")
 @click.option("--up", multiple=True, metavar="AXIS", help="What points up in the poses: +z (default), -y, ...; once for all files, or once for each.")
 @click.option("--procedural", type=click.FloatRange(0, 1), metavar="SHARE", help="Of bodies made from the skeleton's file; half beside data, all without.")
 @click.option("--steps", type=_COUNT, default=_DEFAULT.steps, help="Batches to train on.")
@@ -38,8 +40,8 @@ _COUNT = click.IntRange(min=1)
 @options.as_json("Write the held-out errors to stdout.")
 @options.quiet
 def command(
-    poses: tuple[Path, ...], output: Path, skeleton: str, up: tuple[str, ...], procedural: float | None, seed: int, device: str, threads: int,
-    data: str, terms: str, as_json: bool, quiet: bool, **fields: float,
+    poses: tuple[Path, ...], output: Path, skeleton: str, architecture: str, up: tuple[str, ...], procedural: float | None, seed: int, device: str,
+    threads: int, data: str, terms: str, as_json: bool, quiet: bool, **fields: float,
 ) -> None:  # fmt: skip
     """Trains a lifter on 3D poses, on bodies made from the skeleton's file, or on both.
 
@@ -53,7 +55,7 @@ def command(
     """
     from mocap_calib.skeleton import load_section, load_skeleton
     from mocap_calib.steerpose.checkpoint import save_lifter
-    from mocap_calib.steerpose.train import held_out_error, model_card, train_lifter, training_config
+    from mocap_calib.steerpose.train import held_out_error, model_card, steering_error, train_lifter, train_steerer, training_config
     from mocap_calib_cli import outputs
     from mocap_calib_cli.model import check_device, use_threads
     from mocap_calib_cli.progress import Reporter
@@ -67,9 +69,16 @@ def command(
     chosen = {name: value for name, value in fields.items() if value != getattr(_DEFAULT, name)}
     config = replace(training_config(load_section(skeleton, "training")), seed=seed, **chosen)  # type: ignore[arg-type]
     training, testing = (_pose_set(poses, up, skeleton, procedural, split, config) for split in ("train", "test"))
+    lifter: Model
     with Reporter(quiet=quiet) as reporter:
-        lifter = train_lifter(training, vocabulary, config, device=device, progress=reporter)
-    errors = held_out_error(lifter.cpu(), testing, vocabulary, config)
+        if architecture == "token":
+            # the paper's size, unless another is asked for
+            config = replace(config, width=int(chosen.get("width", 32)), layers=int(chosen.get("layers", 5)))
+            lifter = train_steerer(training, vocabulary, config, PairsConfig(), device=device, progress=reporter)
+            errors = steering_error(lifter.cpu(), testing, vocabulary, PairsConfig())
+        else:
+            lifter = train_lifter(training, vocabulary, config, device=device, progress=reporter)
+            errors = held_out_error(lifter.cpu(), testing, vocabulary, config)
     typed = shlex.join(["mocap-calib", *(Path(word).name if Path(word).exists() else word for word in sys.argv[1:])])
     save_lifter(
         output,
