@@ -46,7 +46,8 @@ def view_pair(recording: Recording, lifted: LiftedPoses, a: int, b: int, frames:
     body_b, precision_b = _bodies(lifted, b, frames)
     total = np.einsum("fik,fjk->fij", precision_a, precision_b)
     safe = np.where(total > 0, total, 1.0)
-    cross = np.einsum("fikx,fjky->fijxy", body_a * precision_a[..., None], body_b * precision_b[..., None], optimize=True)
+    # in C order, which pickling keeps: the last digit of sums over it depends on the order in memory
+    cross = np.einsum("fikx,fjky->fijxy", body_a * precision_a[..., None], body_b * precision_b[..., None], optimize=True, order="C")
     square_a, square_b = (body_a**2).sum(-1) * precision_a, (body_b**2).sum(-1) * precision_b
     norm = np.einsum("fik,fjk->fij", square_a, precision_b) + np.einsum("fik,fjk->fij", precision_a, square_b)
     spread_a, spread_b = (np.nan_to_num(lifted.spread[view, frames]) ** 2 for view in (a, b))

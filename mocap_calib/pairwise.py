@@ -7,6 +7,7 @@ identities are known; all are scored against all frames at once, the best modes 
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from itertools import combinations, product
 from typing import Any
 
@@ -20,7 +21,7 @@ from mocap_calib.geometry.epipolar import depths, five_point
 from mocap_calib.geometry.rotation import angle_between, nearest_rotation
 from mocap_calib.posterior import most_probable
 from mocap_calib.two_view import refine_two_view
-from mocap_calib.types import Bools, Floats, Ints, LiftedPoses, PairwiseCalibration, Progress, Recording
+from mocap_calib.types import Bools, Floats, Ints, LiftedPoses, Mapper, PairwiseCalibration, Progress, Recording
 
 _TRACKS = 9  # pairs of tracks that are looked at
 _CELLS = 2_000_000  # hypotheses x possible matches scored at a time
@@ -49,28 +50,49 @@ class Score:
     residual: Floats
 
 
+@dataclass(frozen=True)
+class PairProblem:
+    """All that is needed to calibrate the views a and b, and no more: it may travel to another machine.
+
+    pair: their detections in the frames looked at; frames: how many they share; tracked: both know who is who; rng: of this pair alone, so
+    that the order in which pairs are calibrated does not matter. It is consumed.
+    """
+
+    a: int
+    b: int
+    pair: ViewPair
+    frames: int
+    tracked: bool
+    rng: np.random.Generator
+
+
 def calibrate_pairs(
-    recording: Recording, lifted: LiftedPoses, config: PairwiseConfig, *, rng: np.random.Generator, progress: Progress
+    recording: Recording, lifted: LiftedPoses, config: PairwiseConfig, *, rng: np.random.Generator, progress: Progress, mapper: Mapper = map
 ) -> tuple[PairwiseCalibration, ...]:
-    """Calibrates all pairs of views that see something in the same frames; the others are left out."""
+    """Calibrates all pairs of views that see something in the same frames; the others are left out. `mapper` may do so elsewhere."""
     pairs = list(combinations(range(len(recording.cameras)), 2))
-    seeds = rng.spawn(len(pairs))
+    problems = (pair_problem(recording, lifted, a, b, config, own) for (a, b), own in zip(pairs, rng.spawn(len(pairs)), strict=True))
     found = []
-    for done, ((a, b), own) in enumerate(zip(pairs, seeds, strict=True)):
-        result = calibrate_pair(recording, lifted, a, b, config, own)
+    for done, result in enumerate(mapper(partial(calibrate_pair, config=config), problems)):
         found += [] if result is None else [result]
         progress("pairwise", done + 1, len(pairs))
-    return tuple(found)
+    return tuple(sorted(found, key=lambda each: (each.a, each.b)))
 
 
-def calibrate_pair(recording: Recording, lifted: LiftedPoses, a: int, b: int, config: PairwiseConfig, rng: np.random.Generator) -> PairwiseCalibration | None:
-    """The best supported relative pose of views a and b, or None where they share nothing to go by."""
+def pair_problem(recording: Recording, lifted: LiftedPoses, a: int, b: int, config: PairwiseConfig, rng: np.random.Generator) -> PairProblem:
+    """Gathers what the views a and b show in an even sample of the frames they share."""
     frames = _shared_frames(recording, a, b)
-    if len(frames) == 0:
-        return None
     chosen = _evenly(frames, min(config.frames, max(20, config.candidates // recording.positions.shape[2] ** 2)))
-    pair = view_pair(recording, lifted, a, b, chosen)
-    modes = _proposals(pair, bool(recording.tracked[a] and recording.tracked[b]), config, rng)
+    tracked = bool(recording.tracked[a] and recording.tracked[b])
+    return PairProblem(a, b, view_pair(recording, lifted, a, b, chosen), len(frames), tracked, rng)
+
+
+def calibrate_pair(problem: PairProblem, config: PairwiseConfig) -> PairwiseCalibration | None:
+    """The best supported relative pose of the two views, or None where they share nothing to go by."""
+    pair, rng = problem.pair, problem.rng
+    if problem.frames == 0:
+        return None
+    modes = _proposals(pair, problem.tracked, config, rng)
     if len(modes.rotation) == 0:
         return None
     modes, score = _weigh_all(pair, *_refine_modes(pair, modes, config, rng), config, rng)
@@ -78,7 +100,7 @@ def calibrate_pair(recording: Recording, lifted: LiftedPoses, a: int, b: int, co
     rotation, translation = modes.rotation[best], _with_baseline(pair, modes, score, best)
     frame, i, j = np.nonzero(score.matched[best])
     return PairwiseCalibration(
-        a, b, rotation, translation, np.stack([chosen[frame], i, j], 1), len(frames),
+        problem.a, problem.b, rotation, translation, np.stack([pair.frames[frame], i, j], 1), problem.frames,
         float(score.total[best]), float(score.residual[best]), float(score.in_front[best]), modes.source[best],
     )  # fmt: skip
 

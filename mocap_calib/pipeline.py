@@ -17,7 +17,7 @@ from mocap_calib.recording import select_lifted, select_views
 from mocap_calib.steerpose.lift import lift
 from mocap_calib.steerpose.model import Lifter
 from mocap_calib.triangulation import triangulate
-from mocap_calib.types import Calibration, CameraRig, LiftedPoses, Matches, Progress, Recording
+from mocap_calib.types import Calibration, CameraRig, LiftedPoses, Mapper, Matches, Progress, Recording
 
 T = TypeVar("T")
 
@@ -32,8 +32,8 @@ class Adjusted:
     converged: bool
 
 
-def calibrate(recording: Recording, lifter: Lifter, config: Config, *, seed: int, device: str, progress: Progress) -> Calibration:
-    """From a recording to cameras, matches and 3D poses. Raises DegenerateError where it does not determine them."""
+def calibrate(recording: Recording, lifter: Lifter, config: Config, *, seed: int, device: str, progress: Progress, mapper: Mapper = map) -> Calibration:
+    """From a recording to cameras, matches and 3D poses; `mapper` calibrates the pairs. Raises DegenerateError where it does not determine them."""
     seconds: dict[str, float] = {}
 
     def timed(stage: str, work: Callable[[], T]) -> T:
@@ -44,7 +44,7 @@ def calibrate(recording: Recording, lifter: Lifter, config: Config, *, seed: int
 
     rng = np.random.default_rng(seed)
     lifted = timed("lift", lambda: lift(recording, lifter, device=device, progress=progress))
-    pairs = timed("pairwise", lambda: calibrate_pairs(recording, lifted, config.pairwise, rng=rng, progress=progress))
+    pairs = timed("pairwise", lambda: calibrate_pairs(recording, lifted, config.pairwise, rng=rng, progress=progress, mapper=mapper))
     kept = usable_cameras(recording.cameras, pairs, config.averaging)
     names = recording.names
     left_out = tuple(name for v, name in enumerate(names) if v not in kept)

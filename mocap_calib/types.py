@@ -6,8 +6,9 @@ body's pose; cameras have *extrinsics*. Transforms are named `target_from_source
 Missing is NaN in floats and -1 in labels. docs/conventions.md says the rest.
 """
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,9 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
+
+T = TypeVar("T")
+R = TypeVar("R")
 
 
 def check_shape(owner: str, array: NDArray[np.generic], *shape: int | None) -> None:
@@ -33,6 +37,13 @@ class Progress(Protocol):
 
 def silent(stage: str, done: int, total: int) -> None:
     """The progress nobody listens to."""
+
+
+class Mapper(Protocol):
+    """How the library has independent work done: `map`, one after the other, unless the caller knows a better place."""
+
+    def __call__(self, function: Callable[[T], R], items: Iterable[T], /) -> Iterable[R]:
+        """`function` of every item, in any order. Both can be pickled, and items may be taken long before their results come."""
 
 
 @dataclass(frozen=True)

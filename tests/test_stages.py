@@ -1,5 +1,6 @@
 """Each stage alone: laws first, then scenes with truth."""
 
+import pickle
 from dataclasses import replace
 from itertools import combinations
 
@@ -15,11 +16,12 @@ from mocap_calib.errors import DegenerateError
 from mocap_calib.evidence import epipolar_error, place_error, reach, steering_error, view_pair
 from mocap_calib.geometry.epipolar import essential, sampson_angle
 from mocap_calib.geometry.rotation import angle_between, direction_angle, matrix_from_vector
+from mocap_calib.io.results import pairs_to_json
 from mocap_calib.matching import match
-from mocap_calib.pairwise import calibrate_pair, calibrate_pairs
+from mocap_calib.pairwise import calibrate_pair, calibrate_pairs, pair_problem
 from mocap_calib.triangulation import triangulate, triangulate_rays
 from mocap_calib.two_view import refine_two_view
-from mocap_calib.types import Camera, CameraRig, Matches, PairwiseCalibration, silent
+from mocap_calib.types import Camera, CameraRig, Matches, PairwiseCalibration, Recording, silent
 
 
 def some_pair():
@@ -135,17 +137,32 @@ def test_baselines_come_in_one_unit():
     assert np.ptp(ratio) / ratio.mean() < 0.12
 
 
+def pair_of(found: Recording, a: int, b: int, config: PairwiseConfig | None = None) -> PairwiseCalibration | None:
+    config = config or PairwiseConfig()
+    return calibrate_pair(pair_problem(found, lifted(), a, b, config, np.random.default_rng(0)), config)
+
+
+def test_pairs_may_be_calibrated_elsewhere_and_in_any_order():
+    """A mapper that pickles and turns the order round: the same bytes as `map`."""
+
+    def away(function, items):
+        return reversed([pickle.loads(pickle.dumps(function))(pickle.loads(pickle.dumps(item))) for item in items])
+
+    here, there = (calibrate_pairs(recording(), lifted(), PairwiseConfig(), rng=np.random.default_rng(0), progress=silent, mapper=m) for m in (map, away))
+    assert pairs_to_json(here, recording().cameras) == pairs_to_json(there, recording().cameras)
+
+
 def test_a_pair_is_its_own_inverse():
     """b_from_a of (a, b) and of (b, a): the search is not symmetric, its answer is (measured 0.15 degrees)."""
-    forth = calibrate_pair(recording(), lifted(), 0, 2, PairwiseConfig(), np.random.default_rng(0))
-    back = calibrate_pair(recording(), lifted(), 2, 0, PairwiseConfig(), np.random.default_rng(0))
+    forth = pair_of(recording(), 0, 2)
+    back = pair_of(recording(), 2, 0)
     assert np.degrees(angle_between(forth.rotation, back.rotation.T)) < 0.6
     assert np.degrees(direction_angle(forth.translation, -forth.rotation @ back.translation)) < 0.6
 
 
 def test_refinement_is_guarded():
     """A round that its own evidence contradicts is not kept: more rounds end with no less, but for other draws of rays (4e-8)."""
-    scores = [calibrate_pair(recording(), lifted(), 1, 3, PairwiseConfig(rounds=r), np.random.default_rng(0)).score for r in (0, 1, 3)]
+    scores = [pair_of(recording(), 1, 3, PairwiseConfig(rounds=r)).score for r in (0, 1, 3)]
     assert np.diff(scores).min() > -1e-5
 
 
@@ -154,7 +171,7 @@ def test_views_that_share_no_frame_make_no_pair():
     positions, rays = found.positions.copy(), found.rays.copy()
     positions[0, ::2], rays[0, ::2], positions[1, 1::2], rays[1, 1::2] = np.nan, np.nan, np.nan, np.nan
     apart = replace(found, positions=positions, rays=rays, confidence=np.where(np.isnan(positions[..., 0]), 0.0, found.confidence))
-    assert calibrate_pair(apart, lifted(), 0, 1, PairwiseConfig(), np.random.default_rng(0)) is None
+    assert pair_of(apart, 0, 1) is None
 
 
 # averaging
