@@ -96,9 +96,7 @@ def header() -> None:
     print("|---|---|---|---|---|---|---|---|---|---|---|---|---|")
 
 
-def rows(
-    label: str, methods: Sequence[str], problems: list[Problem], truths: list[Truth], options: argparse.Namespace, *, model: str = "people"
-) -> None:
+def rows(label: str, methods: Sequence[str], problems: list[Problem], truths: list[Truth], options: argparse.Namespace, *, model: str = "people") -> None:
     """One row a method."""
     models = load_models(methods, model)
     for method in methods:

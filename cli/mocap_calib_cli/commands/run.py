@@ -63,12 +63,16 @@ def _write(output: Path, found: "Calibration", report: dict[str, Any], seed: int
     with folder(output) as work:
         (work / "cameras.yaml").write_text(format_cameras_yaml(found.rig, source), "utf-8")
         (work / "calibration.toml").write_text(format_calibration_toml(found.rig, source), "utf-8")
+        if found.rival is not None:
+            (work / "calibration_reversed.toml").write_text(format_calibration_toml(found.rival, source), "utf-8")
         (work / "matches.csv").write_text(format_matches_csv(found.recording, found.matches), "utf-8")
         (work / "run.json").write_text(json.dumps(report, indent=1, allow_nan=False) + "\n", "utf-8")
         write_poses_h5(work / "poses3d.h5", found.poses, source)
         for individual in range(found.matches.individuals):
             outputs.of_individual(work / "poses3d.csv", individual).write_text(format_poses_csv(found.poses, individual), "utf-8")
     outputs.remove_stale(output / "poses3d.csv", found.matches.individuals)
+    if found.rival is None:
+        (output / "calibration_reversed.toml").unlink(missing_ok=True)
 
 
 def _summarise(reporter: "Reporter", found: "Calibration", report: dict[str, Any], output: Path) -> None:
@@ -95,5 +99,13 @@ def _summarise(reporter: "Reporter", found: "Calibration", report: dict[str, Any
         reporter.say(f"matches still changed after {found.rounds} rounds of adjustment; look at matches.csv with care")
     determined = report["verdict"]
     reporter.say(f"rig: {determined['rig']}; two halves of the joints give rigs {determined['halves_differ_deg']['median']:.1f} deg apart")
+    affine = [camera["name"] for camera in report["cameras"] if camera["near_affine"]]
+    if affine:
+        reporter.say(
+            f"translation not observable: {', '.join(affine)} so far away or of such long focal length that images show no perspective; "
+            "distances follow from the focal lengths alone"
+        )
+    if found.rival is not None:
+        reporter.say(f"a rig reversed in depth fits as well, nothing seen tells which is right: it is in {output / 'calibration_reversed.toml'}")
     people = report["individuals"]
     reporter.say(f"{len(people)} individuals, {report['points']['triangulated']} points; lengths in {report['unit']} units; results in {output}")
