@@ -75,7 +75,7 @@ def _description(path: Path) -> dict[str, Any]:
         with safe_open(path, framework="pt") as file:
             return json.loads((file.metadata() or {})[_KEY])
     except FileNotFoundError:
-        raise FormatError(f"{path}: expected a weights file, found none") from None
+        raise FormatError(f"{path}: expected a weights file, or a shipped model ({', '.join(SHIPPED)}), found neither") from None
     except (SafetensorError, KeyError, ValueError) as error:
         raise FormatError(f"{path}: not weights of mocap-calib: {str(error).splitlines()[0]}") from None
 

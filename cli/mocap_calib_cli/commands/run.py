@@ -18,11 +18,16 @@ if TYPE_CHECKING:
 @options.cameras
 @click.option("-o", "--output", type=click.Path(path_type=Path), required=True, metavar="OUT", help="Folder to write; made when missing.")
 @options.skeleton
+@options.model
+@options.solver
 @options.seed
 @options.device
 @options.as_json("Write the content of run.json to stdout as well.")
 @options.quiet
-def command(keypoints: tuple[str, ...], cameras: str, output: Path, skeleton: Path | None, seed: int, device: str, as_json: bool, quiet: bool) -> None:
+def command(
+    keypoints: tuple[str, ...], cameras: str, output: Path, skeleton: Path | None, model: str | None, solver: str, seed: int, device: str, as_json: bool,
+    quiet: bool,
+) -> None:  # fmt: skip
     """Calibrates the cameras that saw KEYPOINTS, finds who is who, and triangulates the poses.
 
     KEYPOINTS: a folder with one file per camera, or files, or name=path pairs. The name of a camera is the stem of its
@@ -42,10 +47,11 @@ def command(keypoints: tuple[str, ...], cameras: str, output: Path, skeleton: Pa
 
     outputs.check_folder(output)
     with Reporter(quiet=quiet) as reporter:
-        recording, model = inputs.read_recording(keypoints, inputs.cameras_of(cameras), skeleton, reporter)
-        found = calibrate(recording, load_model(device, model), Config(), seed=seed, device=device, progress=reporter)
+        recording, chosen = inputs.read_recording(keypoints, inputs.cameras_of(cameras), skeleton, reporter, model=model)
+        solve = inputs.pair_solver(solver, recording, chosen)
+        found = calibrate(recording, load_model(device, chosen), Config(), seed=seed, device=device, progress=reporter, solve=solve)
     hashes = inputs.hashes([*(path for _, path in inputs.keypoint_files(keypoints)), cameras, *([skeleton] if skeleton else [])])
-    report = run_report(found, seed=seed, config=Config(), inputs=hashes) | {"model": model}
+    report = run_report(found, seed=seed, config=Config(), inputs=hashes) | {"model": chosen, "solver": solver}
     _write(output, found, report, seed)
     _summarise(reporter, found, report, output)
     if as_json:
