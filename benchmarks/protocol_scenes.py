@@ -8,7 +8,7 @@ import numpy as np
 from mocap_calib.geometry.projection import pixels_from_points, rays_from_pixels
 from mocap_calib.geometry.rotation import looking_along, matrix_from_vector
 from mocap_calib.skeleton import match_names
-from mocap_calib.types import Camera, CameraRig, Floats, Ints, Recording, Skeleton
+from mocap_calib.types import Camera, CameraRig, Floats, Ints, Sample, Skeleton
 
 SIZE = (1920, 1080)
 ROOM = 4.0  # metres, side of the square where people are
@@ -78,9 +78,7 @@ def random_rig(rng: np.random.Generator, views: int) -> CameraRig:
     return CameraRig(tuple(cameras), rotation, -np.einsum("vij,vj->vi", rotation, centre), "m")
 
 
-def scene(
-    people: People, rng: np.random.Generator, *, count: int, frames: int, views: int, noise_px: float, joints: tuple[str, ...]
-) -> tuple[Recording, Truth]:
+def scene(people: People, rng: np.random.Generator, *, count: int, frames: int, views: int, noise_px: float, joints: tuple[str, ...]) -> tuple[Sample, Truth]:
     """A recording of `count` people in their first `frames` moments, detections in random order, and its truth.
 
     joints: those that the detector gives; detections outside of the image are missing.
@@ -102,4 +100,4 @@ def scene(
     rays = np.stack([rays_from_pixels(camera, seen) for camera, seen in zip(rig.cameras, positions, strict=True)])
     confidence = np.isfinite(positions[..., 0]).astype(np.float64)
     tracked = np.zeros(views, dtype=bool)
-    return Recording(rig.cameras, joints, np.arange(frames), positions, confidence, rays, tracked, columns), Truth(rig, ids)
+    return Sample(rig.cameras, joints, np.arange(frames), positions, confidence, tracked, columns, rays), Truth(rig, ids)

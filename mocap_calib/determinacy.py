@@ -17,13 +17,13 @@ from mocap_calib.bundle_adjustment import adjust
 from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.rotation import angle_between
-from mocap_calib.types import Bools, CameraRig, Floats, Matches, Recording
+from mocap_calib.types import Bools, CameraRig, Floats, Matches, Sample
 
 Verdict = Literal["well determined", "weak", "not determined"]
 _WELL_DEG, _WEAK_DEG = 3.0, 10.0
 
 
-def disagreement(recording: Recording, rig: CameraRig, matches: Matches, config: Config, *, seed: int) -> Floats:
+def disagreement(recording: Sample, rig: CameraRig, matches: Matches, config: Config, *, seed: int) -> Floats:
     """`[pair]` radians between the relative rotations of two rigs, each adjusted on half of the joints; pi where a half does not hold it."""
     try:
         first, second = (adjust(half, rig, matches, config.adjust, config.triangulate, near=True) for half in _halves(recording, seed))
@@ -40,14 +40,14 @@ def verdict(difference: Floats) -> Verdict:
     return "well determined" if typical <= _WELL_DEG else "weak" if typical <= _WEAK_DEG else "not determined"
 
 
-def _halves(recording: Recording, seed: int) -> Iterator[Recording]:
+def _halves(recording: Sample, seed: int) -> Iterator[Sample]:
     """The recording twice, with joints drawn at random."""
     order = np.random.default_rng(seed).permutation(len(recording.keypoints))
     for part in (order[::2], order[1::2]):
         yield _only(recording, np.isin(np.arange(len(order)), part))
 
 
-def _only(recording: Recording, joints: Bools) -> Recording:
+def _only(recording: Sample, joints: Bools) -> Sample:
     return replace(
         recording,
         positions=np.where(joints[:, None], recording.positions, np.nan),

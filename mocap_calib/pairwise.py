@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 from mocap_calib.assignment import mutual_best, sinkhorn
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.evidence import ViewPair, agreement, epipolar_error, epipolar_fit, match_affinity, pose_variance, reach, steering_error, view_pair
+from mocap_calib.frames import evenly
 from mocap_calib.geometry.epipolar import depths, five_point
 from mocap_calib.geometry.rotation import angle_between, nearest_rotation
 from mocap_calib.posterior import most_probable
 from mocap_calib.two_view import refine_two_view
-from mocap_calib.types import Bools, Floats, Ints, LiftedPoses, PairwiseCalibration, Progress, Recording
+from mocap_calib.types import Bools, Floats, Ints, LiftedPoses, PairwiseCalibration, Progress, Sample
 
 _TRACKS = 9  # pairs of tracks that are looked at
 _CELLS = 2_000_000  # hypotheses x possible matches scored at a time
@@ -50,7 +51,7 @@ class Score:
 
 
 def calibrate_pairs(
-    recording: Recording, lifted: LiftedPoses, config: PairwiseConfig, *, rng: np.random.Generator, progress: Progress
+    recording: Sample, lifted: LiftedPoses, config: PairwiseConfig, *, rng: np.random.Generator, progress: Progress
 ) -> tuple[PairwiseCalibration, ...]:
     """Calibrates all pairs of views that see something in the same frames; the others are left out."""
     pairs = list(combinations(range(len(recording.cameras)), 2))
@@ -63,12 +64,17 @@ def calibrate_pairs(
     return tuple(found)
 
 
-def calibrate_pair(recording: Recording, lifted: LiftedPoses, a: int, b: int, config: PairwiseConfig, rng: np.random.Generator) -> PairwiseCalibration | None:
+def in_recording(pairs: tuple[PairwiseCalibration, ...], chosen: Ints) -> tuple[PairwiseCalibration, ...]:
+    """Pairs found in a sample, their matches by the frames of the recording that it was chosen from."""
+    return tuple(replace(p, matches=np.column_stack([chosen[p.matches[:, 0]], p.matches[:, 1:]])) for p in pairs)
+
+
+def calibrate_pair(recording: Sample, lifted: LiftedPoses, a: int, b: int, config: PairwiseConfig, rng: np.random.Generator) -> PairwiseCalibration | None:
     """The best supported relative pose of views a and b, or None where they share nothing to go by."""
     frames = _shared_frames(recording, a, b)
     if len(frames) == 0:
         return None
-    chosen = _evenly(frames, min(config.frames, max(20, config.candidates // recording.positions.shape[2] ** 2)))
+    chosen = evenly(frames, min(config.frames, max(20, config.candidates // recording.positions.shape[2] ** 2)))
     pair = view_pair(recording, lifted, a, b, chosen)
     modes = _proposals(pair, bool(recording.tracked[a] and recording.tracked[b]), config, rng)
     if len(modes.rotation) == 0:
@@ -83,13 +89,9 @@ def calibrate_pair(recording: Recording, lifted: LiftedPoses, a: int, b: int, co
     )  # fmt: skip
 
 
-def _shared_frames(recording: Recording, a: int, b: int) -> Ints:
+def _shared_frames(recording: Sample, a: int, b: int) -> Ints:
     """Frames in which both views show a body with enough joints."""
     return np.flatnonzero((recording.seen[[a, b]].sum(-1) >= 4).any(-1).all(0))
-
-
-def _evenly(frames: Ints, count: int) -> Ints:
-    return frames[np.linspace(0, len(frames) - 1, min(len(frames), count)).astype(int)]
 
 
 def _proposals(pair: ViewPair, tracked: bool, config: PairwiseConfig, rng: np.random.Generator) -> Modes:

@@ -25,8 +25,10 @@ def command(keypoints: tuple[str, ...], rig: str, matches: str, output: str, mat
     """
     from mocap_calib.config import Config
     from mocap_calib.io.camera_files import format_cameras_yaml
-    from mocap_calib.io.results import format_matches_csv
-    from mocap_calib.pipeline import adjust_to_fixed_point
+    from mocap_calib.io.results import matches_csv
+    from mocap_calib.matching import settle
+    from mocap_calib.pipeline import adjust_to_fixed_point, match_all
+    from mocap_calib.types import Matches
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.progress import Reporter
 
@@ -35,9 +37,10 @@ def command(keypoints: tuple[str, ...], rig: str, matches: str, output: str, mat
     with Reporter(quiet=quiet) as reporter:
         cameras = inputs.rig_of(rig)
         recording, model = inputs.read_recording(keypoints, cameras.cameras, skeleton, reporter, placed=True)
-        lifted = inputs.lifted_poses(recording, model, device, reporter)
         start, labels = inputs.placed(recording, cameras), inputs.matches_of(matches, recording)
-        found = adjust_to_fixed_point(recording, lifted, start, labels, Config(), progress=reporter)
-    if matches_out is not None:
-        outputs.write_text(matches_out, format_matches_csv(recording, found.matches))
-    outputs.write_text(output, format_cameras_yaml(found.rig, outputs.provenance("adjust")))
+        chosen, some, lifted = inputs.lifted_sample(recording, model, device, reporter)
+        found = adjust_to_fixed_point(some, lifted, start, Matches(labels.labels[:, chosen]), Config(), progress=reporter)
+        if matches_out is not None:
+            everyone = match_all(recording, chosen, some, lifted, found.rig, found.matches, Config(), progress=reporter)
+            outputs.write_text(matches_out, matches_csv(recording, settle(recording, found.rig, everyone, Config().matching)))
+    outputs.write_text(output, [format_cameras_yaml(found.rig, outputs.provenance("adjust"))])

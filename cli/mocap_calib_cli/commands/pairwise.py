@@ -26,13 +26,13 @@ def command(keypoints: tuple[str, ...], cameras: str, output: str, skeleton: Pat
 
     from mocap_calib.config import PairwiseConfig
     from mocap_calib.io.results import pairs_to_json
-    from mocap_calib.pairwise import calibrate_pairs
+    from mocap_calib.pairwise import calibrate_pairs, in_recording
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.progress import Reporter
 
     outputs.check_text(output)
     with Reporter(quiet=quiet) as reporter:
         recording, model = inputs.read_recording(keypoints, inputs.cameras_of(cameras), skeleton, reporter)
-        lifted = inputs.lifted_poses(recording, model, device, reporter)
-        pairs = calibrate_pairs(recording, lifted, PairwiseConfig(), rng=np.random.default_rng(seed), progress=reporter)
-    outputs.write_text(output, pairs_to_json(pairs, recording.cameras))
+        chosen, some, lifted = inputs.lifted_sample(recording, model, device, reporter)
+        pairs = calibrate_pairs(some, lifted, PairwiseConfig(), rng=np.random.default_rng(seed), progress=reporter)
+    outputs.write_text(output, [pairs_to_json(in_recording(pairs, chosen), recording.cameras)])
