@@ -15,7 +15,7 @@ from mocap_calib.steerpose.lift import lift
 from mocap_calib.steerpose.model import Lifter
 from mocap_calib.steerpose.paper_solver import solve_pair, solve_pairs, two_views
 from mocap_calib.steerpose.steer import Model
-from mocap_calib.types import Floats, Ints, Recording, silent
+from mocap_calib.types import Floats, Ints, Sample, silent
 
 THRESHOLD_PX = 6.0  # of RANSAC: two standard deviations of the noise
 TIMED = 1  # pairs that the paper's solver does alone, to know its seconds; the others go in one batch
@@ -26,7 +26,7 @@ BATCH = 50
 class Problem:
     """Views a and b of a recording, all of its frames."""
 
-    recording: Recording
+    recording: Sample
     a: int
     b: int
 

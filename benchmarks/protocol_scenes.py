@@ -10,7 +10,7 @@ import numpy as np
 from mocap_calib.geometry.projection import pixels_from_points, rays_from_pixels
 from mocap_calib.geometry.rotation import looking_along, matrix_from_vector
 from mocap_calib.skeleton import load_skeleton, match_names
-from mocap_calib.types import Camera, CameraRig, Floats, Ints, Recording
+from mocap_calib.types import Camera, CameraRig, Floats, Ints, Sample
 
 SIZE = (1920, 1080)
 ROOM = 4.0  # metres, side of the square where subjects are
@@ -129,7 +129,7 @@ def random_rig(rng: np.random.Generator, views: int) -> CameraRig:
 
 def scene(
     subjects: Subjects, rng: np.random.Generator, *, count: int, frames: int, views: int, noise_px: float, joints: tuple[str, ...]
-) -> tuple[Recording, Truth]:
+) -> tuple[Sample, Truth]:
     """A recording of `count` subjects in their first `frames` moments, detections in random order, and its truth.
 
     joints: those that the detector gives; detections outside of the image are missing.
@@ -152,4 +152,4 @@ def scene(
     confidence = np.isfinite(positions[..., 0]).astype(np.float64)
     tracked = np.zeros(views, dtype=bool)
     vocabulary = np.array([subjects.skeleton.keypoints.index(name) for name in joints])
-    return Recording(rig.cameras, joints, np.arange(frames), positions, confidence, rays, tracked, vocabulary), Truth(rig, ids)
+    return Sample(rig.cameras, joints, np.arange(frames), positions, confidence, tracked, vocabulary, rays), Truth(rig, ids)

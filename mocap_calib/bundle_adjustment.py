@@ -1,34 +1,33 @@
-"""Bundle adjustment by Ceres; the one user of pycolmap.
-
-One static image per camera; each (frame, individual, keypoint) is one 3D point. COLMAP puts the pixel's corner at an
-integer, we its centre: half a pixel is added here and nowhere else. Every image is scaled so that its usual error is
-one, so that the robust loss means the same in all views.
-"""
+"""Bundle adjustment: which detections the rig is built on, and the rig that fits them best."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pycolmap
 
 from mocap_calib.config import AdjustConfig, TriangulateConfig
 from mocap_calib.errors import DegenerateError
-from mocap_calib.triangulation import by_individual, triangulate_rays, view_noise, within_frames
-from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Matches, Recording
+from mocap_calib.frames import evenly
+from mocap_calib.geometry.projection import pixels_from_points
+from mocap_calib.least_squares import Sightings, State, minimise
+from mocap_calib.triangulation import observations, triangulate_rays, view_noise, within_frames
+from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Matches, Sample
 
-pycolmap.logging.minloglevel = 3
+_NUDGE = 1e-4  # radians
+_ON_THE_WAY = 1e-3  # a loss that is going to be tightened need not be minimised to the end
 
 
 @dataclass(frozen=True)
-class Observations:
-    """What is adjusted. points: `[N, 3]`; positions: `[view, N, 2]` pixels; used: `[view, N]`."""
+class Points:
+    """What is adjusted. points: `[3, N]`; rays: `[view, 3, N]`; weight: `[view, N]` confidence; used: `[view, N]`."""
 
     points: Floats
-    positions: Floats
+    rays: Floats
+    weight: Floats
     used: Bools
 
 
-def adjust(recording: Recording, rig: CameraRig, matches: Matches, config: AdjustConfig, triangulation: TriangulateConfig, *, near: bool = False) -> CameraRig:
-    """The rig that minimises the robust reprojection error; intrinsics stay, and so does the gauge (two cameras' worth).
+def adjust(recording: Sample, rig: CameraRig, matches: Matches, config: AdjustConfig, triangulation: TriangulateConfig, *, near: bool = False) -> CameraRig:
+    """The rig that minimises the robust reprojection error; intrinsics stay, and so do the first camera and the size of the rig.
 
     The loss is tightened in steps; `near` says that the rig has been adjusted before and only the last step is needed.
     Raises DegenerateError where a camera has too few points to hold it.
@@ -39,30 +38,32 @@ def adjust(recording: Recording, rig: CameraRig, matches: Matches, config: Adjus
     noise = view_noise(recording, rig, matches)
     seen = _observations(recording, rig, matches, noise, config, triangulation)
     _check_enough(rig, seen, config.least)
-    scale = np.array([1.0 / (sigma * camera.focal) for sigma, camera in zip(noise, rig.cameras, strict=True)])
-    model = _reconstruction(rig, seen, scale)
-    for loss_scale in config.loss_scales[-1:] if near else config.loss_scales:
-        _solve(model, len(rig.cameras), loss_scale)
-    found = [model.image(k + 1).cam_from_world() for k in range(len(rig.cameras))]
-    # contiguous: another memory layout is another order of summation, and other last digits downstream
-    rotation = np.ascontiguousarray([f.rotation.matrix() for f in found])
-    return replace(rig, rotation=rotation, translation=np.ascontiguousarray([f.translation for f in found]) + 0.0)
+    sightings = _sightings(rig, seen, noise)
+    state = State(rig.rotation, rig.translation, seen.points)
+    for loss_scale in () if near else config.loss_scales[:-1]:
+        state = minimise(state, sightings, loss_scale, settled=_ON_THE_WAY)
+    state = minimise(state, sightings, config.loss_scales[-1])
+    return _of_size(replace(rig, rotation=state.rotation, translation=state.translation), rig)
 
 
-def _observations(
-    recording: Recording, rig: CameraRig, matches: Matches, noise: Floats, config: AdjustConfig, triangulation: TriangulateConfig
-) -> Observations:
+def _of_size(rig: CameraRig, like: CameraRig) -> CameraRig:
+    """The rig at the size of another, the first camera where it was."""
+    first = like.centres[0]
+    size, wanted = (np.sqrt(((r.centres - first) ** 2).sum()) for r in (rig, like))
+    centres = first + (rig.centres - first) * (wanted / size)
+    return replace(rig, translation=-np.einsum("vij,vj->vi", rig.rotation, centres))
+
+
+def _observations(recording: Sample, rig: CameraRig, matches: Matches, noise: Floats, config: AdjustConfig, triangulation: TriangulateConfig) -> Points:
     """Points of evenly spread frames, as many as the budget allows, that at least two views agree on."""
     labelled = np.flatnonzero((matches.labels >= 0).any((0, 2)))
     frames = _spread(labelled, recording, matches, config.points)
-    rays, positions, weight = by_individual(recording, matches, frames)
-    weight = _confident(weight, config)
-    views = len(rays)
-    rays, positions, weight = rays.reshape(views, -1, 3), positions.reshape(views, -1, 2), weight.reshape(views, -1)
+    found = observations(recording, matches, frames)
+    weight = _confident(found.confidence, config)
     # wide: the rig is not yet right, and the loss deals with outliers
-    points, used = triangulate_rays(rig, rays, weight, noise, replace(triangulation, outlier=4 * triangulation.outlier))
-    known = np.isfinite(points[:, 0])
-    return Observations(points[known], positions[:, known], used[:, known])
+    points, used = triangulate_rays(rig, found.rays, weight, noise, replace(triangulation, outlier=4 * triangulation.outlier))
+    known = np.isfinite(points[0])
+    return Points(points[:, known], found.rays[..., known], weight[:, known], used[:, known])
 
 
 def _confident(weight: Floats, config: AdjustConfig) -> Floats:
@@ -78,15 +79,15 @@ def _confident(weight: Floats, config: AdjustConfig) -> Floats:
     return out
 
 
-def _spread(labelled: Ints, recording: Recording, matches: Matches, budget: int) -> Ints:
+def _spread(labelled: Ints, recording: Sample, matches: Matches, budget: int) -> Ints:
     """An even choice of the frames with matches, so that about `budget` points come of them."""
     instance = matches.labels[:, labelled] >= 0
     joints = (recording.seen[:, labelled] & instance[..., None]).sum((0, 2, 3)) / max(2.0, instance.any(2).sum(0).mean())
     share = min(1.0, budget / max(float(joints.sum()), 1.0))
-    return labelled[np.linspace(0, len(labelled) - 1, max(1, round(share * len(labelled)))).astype(int)]
+    return evenly(labelled, max(1, round(share * len(labelled))))
 
 
-def _check_enough(rig: CameraRig, seen: Observations, least: int) -> None:
+def _check_enough(rig: CameraRig, seen: Points, least: int) -> None:
     poor = [camera.name for camera, used in zip(rig.cameras, seen.used, strict=True) if used.sum() < least]
     if poor:
         raise DegenerateError(
@@ -94,46 +95,19 @@ def _check_enough(rig: CameraRig, seen: Observations, least: int) -> None:
         )
 
 
-def _camera(camera: Camera, number: int, scale: float) -> pycolmap.Camera:
-    """A camera of an image enlarged by `scale`. COLMAP: cx = scale * (cx + 0.5)."""
-    matrix, k = camera.matrix, camera.distortion
-    lens = [*matrix[[0, 1], [0, 1]] * scale, *(matrix[[0, 1], [2, 2]] + 0.5) * scale]
-    if camera.fisheye:
-        model, params = "OPENCV_FISHEYE", [*lens, *np.pad(k, (0, 4))[:4]]
-    else:
-        model, params = "FULL_OPENCV", [*lens, *np.pad(k[:8], (0, 8 - len(k[:8])))]
-    width, height = (max(1, round(side * scale)) for side in camera.size)
-    return pycolmap.Camera(camera_id=number, model=model, width=width, height=height, params=params)
+def _sightings(rig: CameraRig, seen: Points, noise: Floats) -> Sightings:
+    """Residuals in standard deviations of each view's own error, so that the loss means the same in all views."""
+    rays = np.where(seen.used[:, None], seen.rays, np.array([0.0, 0.0, 1.0])[:, None])
+    metric = np.stack([_pixels_per_ray(camera, own.T) / (sigma * camera.focal) for camera, own, sigma in zip(rig.cameras, rays, noise, strict=True)])
+    metric = np.ascontiguousarray(np.moveaxis(metric, 1, -1))
+    return Sightings(rays, np.where(seen.used[:, None, None], np.nan_to_num(metric), 0.0), np.where(seen.used, seen.weight, 0.0))
 
 
-def _reconstruction(rig: CameraRig, seen: Observations, scale: Floats) -> pycolmap.Reconstruction:
-    model = pycolmap.Reconstruction()
-    index = np.where(seen.used, np.cumsum(seen.used, axis=1) - 1, -1)
-    for view, camera in enumerate(rig.cameras):
-        number = view + 1
-        model.add_camera_with_trivial_rig(_camera(camera, number, scale[view]))
-        points = (seen.positions[view, seen.used[view]] + 0.5) * scale[view]
-        image = pycolmap.Image(name=camera.name, keypoints=points, camera_id=number, image_id=number)
-        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(rig.rotation[view]), rig.translation[view])
-        model.add_image_with_trivial_frame(image, pose)
-    for n, point in enumerate(seen.points):
-        track = pycolmap.Track()
-        for view in np.flatnonzero(seen.used[:, n]).tolist():
-            track.add_element(view + 1, int(index[view, n]))
-        model.add_point3D(point, track)
-    return model
-
-
-def _solve(model: pycolmap.Reconstruction, views: int, loss_scale: float) -> None:
-    setup = pycolmap.BundleAdjustmentConfig()
-    for number in range(1, views + 1):
-        setup.add_image(number)
-        setup.set_constant_cam_intrinsics(number)
-    setup.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
-    options = pycolmap.BundleAdjustmentOptions(print_summary=False)
-    options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
-    options.ceres.loss_function_scale = loss_scale
-    options.ceres.solver_options.num_threads = 1  # two are slower here, and one is reproducible
-    options.ceres.solver_options.max_num_iterations = 50
-    options.ceres.solver_options.function_tolerance = 1e-6
-    pycolmap.create_default_ceres_bundle_adjuster(options, setup, model).solve()
+def _pixels_per_ray(camera: Camera, rays: Floats) -> Floats:
+    """`[N, 2, 3]` by how many pixels the image moves when a ray `[N, 3]` turns; along the ray nothing moves."""
+    across = np.cross(rays, np.eye(3)[np.abs(rays).argmin(-1)])
+    across /= np.linalg.norm(across, axis=-1, keepdims=True)
+    basis = np.stack([across, np.cross(rays, across)], axis=1)  # (N, 2, 3) the plane that touches the sphere at the ray
+    ends = [pixels_from_points(camera, rays[:, None] + sign * _NUDGE * basis) for sign in (1.0, -1.0)]
+    slope = (ends[0] - ends[1]) / (2 * _NUDGE)  # (N, 2 of the basis, 2 of the image)
+    return np.einsum("nbi,nbk->nik", slope, basis)

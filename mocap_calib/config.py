@@ -45,6 +45,15 @@ class PairsConfig:
 
 
 @dataclass(frozen=True)
+class SampleConfig:
+    """The frames that calibration looks at: so many detections in all views together, within bounds on the frames."""
+
+    detections: int = 10_000
+    frames: int = 500  # at most: of one subject there are not more postures
+    least_frames: int = 100
+
+
+@dataclass(frozen=True)
 class PairwiseConfig:
     """Relative poses of pairs. Lengths in body sizes; image errors are measured at the body."""
 
@@ -133,6 +142,7 @@ class TriangulateConfig:
 class Config:
     """All stages."""
 
+    sample: SampleConfig = SampleConfig()
     pairwise: PairwiseConfig = PairwiseConfig()
     averaging: AveragingConfig = AveragingConfig()
     matching: MatchingConfig = MatchingConfig()

@@ -16,10 +16,10 @@ import numpy as np
 from mocap_calib.bundle_adjustment import adjust
 from mocap_calib.config import Config, TriangulateConfig
 from mocap_calib.errors import DegenerateError
-from mocap_calib.geometry.projection import pixels_from_points
+from mocap_calib.frames import evenly
 from mocap_calib.geometry.rotation import angle_between
-from mocap_calib.triangulation import by_individual, triangulate_rays, view_noise
-from mocap_calib.types import Bools, CameraRig, Floats, Matches, Recording
+from mocap_calib.triangulation import observations, project, triangulate_rays, view_noise
+from mocap_calib.types import Bools, CameraRig, Floats, Matches, Sample
 
 Verdict = Literal["well determined", "weak", "not determined"]
 _WELL_DEG, _WEAK_DEG = 3.0, 10.0
@@ -42,7 +42,7 @@ class Fit:
     perspective: Floats
 
 
-def disagreement(recording: Recording, rig: CameraRig, matches: Matches, config: Config, *, seed: int) -> Floats:
+def disagreement(recording: Sample, rig: CameraRig, matches: Matches, config: Config, *, seed: int) -> Floats:
     """`[pair]` radians between the relative rotations of two rigs, each adjusted on half of the joints; pi where a half does not hold it."""
     try:
         first, second = (adjust(half, rig, matches, config.adjust, config.triangulate, near=True) for half in _halves(recording, seed))
@@ -59,24 +59,20 @@ def verdict(difference: Floats) -> Verdict:
     return "well determined" if typical <= _WELL_DEG else "weak" if typical <= _WEAK_DEG else "not determined"
 
 
-def fit(recording: Recording, rig: CameraRig, matches: Matches, config: TriangulateConfig) -> Fit:
+def fit(recording: Sample, rig: CameraRig, matches: Matches, config: TriangulateConfig) -> Fit:
     """Of an even sample of the frames."""
-    labelled = np.flatnonzero((matches.labels >= 0).any((0, 2)))
-    frames = labelled[np.linspace(0, len(labelled) - 1, min(len(labelled), _FRAMES)).astype(int)]
-    rays, pixels, weight = by_individual(recording, matches, frames)
-    views = len(rays)
+    frames = evenly(np.flatnonzero((matches.labels >= 0).any((0, 2))), _FRAMES)
+    seen = observations(recording, matches, frames)
     noise = view_noise(recording, rig, matches)
     # wide: what does not fit is to be counted, not left out
-    points, _ = triangulate_rays(rig, rays.reshape(views, -1, 3), weight.reshape(views, -1), noise, replace(config, outlier=np.inf))
-    known = np.isfinite(points[:, 0])
-    points = points[known]
-    seen, positions = weight.reshape(views, -1)[:, known] > 0, pixels.reshape(views, -1, 2)[:, known]
-    turned = np.einsum("vij,nj->vni", rig.rotation, points) + rig.translation[:, None]
-    image = np.stack([pixels_from_points(camera, one) for camera, one in zip(rig.cameras, turned, strict=True)])
-    error = np.linalg.norm(image - positions, axis=-1)[seen]
+    points, _ = triangulate_rays(rig, seen.rays, seen.confidence, noise, replace(config, outlier=np.inf))
+    images = [project(camera, rig.rotation[v], rig.translation[v], points) for v, camera in enumerate(rig.cameras)]
+    there = (seen.confidence > 0) & np.isfinite(points[0])
+    error = np.linalg.norm(np.stack(images) - seen.pixels, axis=1)[there]
     error = np.minimum(np.nan_to_num(error, nan=np.inf), _FAR * np.nanmedian(error))
+    inside = np.matmul(rig.rotation, points) + rig.translation[:, :, None]
     focal = np.array([camera.focal for camera in rig.cameras])
-    perspective = np.array([_beyond_affine(points[s], t[s]) for s, t in zip(seen, turned, strict=True)])
+    perspective = np.array([_beyond_affine(points[:, own].T, turned[:, own].T) for own, turned in zip(there, inside, strict=True)])
     return Fit(float(np.sqrt((error**2).mean())), noise * focal, perspective * focal)
 
 
@@ -98,14 +94,14 @@ def _beyond_affine(points: Floats, turned: Floats) -> float:
     return float(np.sqrt((residual**2).sum(1).mean())) if len(points) else 0.0
 
 
-def _halves(recording: Recording, seed: int) -> Iterator[Recording]:
+def _halves(recording: Sample, seed: int) -> Iterator[Sample]:
     """The recording twice, with joints drawn at random."""
     order = np.random.default_rng(seed).permutation(len(recording.keypoints))
     for part in (order[::2], order[1::2]):
         yield _only(recording, np.isin(np.arange(len(order)), part))
 
 
-def _only(recording: Recording, joints: Bools) -> Recording:
+def _only(recording: Sample, joints: Bools) -> Sample:
     return replace(
         recording,
         positions=np.where(joints[:, None], recording.positions, np.nan),

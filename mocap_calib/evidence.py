@@ -5,12 +5,13 @@ that one yardstick serves a mouse in a box and a team in a hall.
 """
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.epipolar import essential
-from mocap_calib.types import Floats, Ints, LiftedPoses, Recording
+from mocap_calib.types import CameraRig, Floats, Ints, LiftedPoses, Sample
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class ViewPair:
     lifted: Floats
 
 
-def view_pair(recording: Recording, lifted: LiftedPoses, a: int, b: int, frames: Ints) -> ViewPair:
+def view_pair(recording: Sample, lifted: LiftedPoses, a: int, b: int, frames: Ints) -> ViewPair:
     """Gathers the evidence of two views in the given frames (indices into the recording)."""
     weight_a, weight_b = recording.confidence[a, frames], recording.confidence[b, frames]
     body_a, precision_a = _bodies(lifted, a, frames)
@@ -152,3 +153,35 @@ def match_affinity(pair: ViewPair, rotation: Floats, translation: Floats, epipol
     """
     bodies = np.sqrt(agreement(pair, rotation, translation, config))
     return epipolar * np.where(pair.lifted > 0, bodies, 0.3 if pair.lifted.any() else 1.0)
+
+
+def by_geometry(some: Sample, rig: CameraRig, config: PairwiseConfig) -> tuple[Floats, Floats]:
+    """Affinity of all pairs of detections of a frame `[frame, N, N]`, N = views x instances, by the rig alone; and 1 where it means something.
+
+    `epipolar_fit` written out for one rig and many frames: by component, and nothing is kept by keypoint.
+    """
+    views, frames, instances, keypoints = some.confidence.shape
+    rays = np.ascontiguousarray(np.moveaxis(np.nan_to_num(some.rays), -1, 1)).reshape(views, 3, -1)
+    nowhere = np.full((frames, instances, 3), np.nan)
+    near = [1 / _distance(nowhere, own) ** 2 for own in some.rays]
+    affinity = np.zeros((frames, views, instances, views, instances))
+    comparable = np.zeros_like(affinity)
+    shape = (3, frames, instances, keypoints)
+    for a, b in combinations(range(views), 2):
+        rotation = rig.rotation[b] @ rig.rotation[a].T
+        translation = rig.translation[b] - rotation @ rig.translation[a]
+        matrix = essential(rotation, translation / np.linalg.norm(translation))
+        from_a, from_b = (matrix @ rays[a]).reshape(shape), (matrix.T @ rays[b]).reshape(shape)
+        value = np.einsum("cfik,cfjk->fijk", from_a, rays[b].reshape(shape)) ** 2
+        slope = (from_a**2).sum(0)[:, :, None] + (from_b**2).sum(0)[:, None]
+        slope -= 2 * value
+        reach = 2 / (near[a][:, :, None] + near[b][:, None]) / config.inlier**2
+        weight = some.confidence[a][:, :, None] * some.confidence[b][:, None]
+        value *= reach[..., None]
+        value += slope
+        common = (weight > 0).sum(-1) >= 3
+        found = np.einsum("fijk,fijk->fij", weight, slope / np.maximum(value, 1e-18)) / np.maximum(weight.sum(-1), 1e-9) * common
+        affinity[:, a, :, b], affinity[:, b, :, a] = found, np.swapaxes(found, 1, 2)
+        comparable[:, a, :, b], comparable[:, b, :, a] = common, np.swapaxes(common, 1, 2)
+    nodes = views * instances
+    return affinity.reshape(frames, nodes, nodes), comparable.reshape(frames, nodes, nodes)

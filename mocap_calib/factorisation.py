@@ -9,11 +9,10 @@ from itertools import repeat
 import numpy as np
 
 from mocap_calib.geometry.rotation import nearest_rotation
-from mocap_calib.triangulation import by_individual
-from mocap_calib.types import CameraRig, Floats, Ints, Matches, Recording
+from mocap_calib.triangulation import observations
+from mocap_calib.types import CameraRig, Floats, Ints, Matches, Sample
 
 _REVERSE = np.diag([1.0, 1.0, -1.0])
-_FRAMES = 1000
 _LEAST_VIEWS = 3
 _LEAST_POINTS = 24
 _ROUNDS = 5  # of leaving out the points that fit worst
@@ -21,7 +20,7 @@ _FAR = 2.5  # median residuals
 _SWEEPS = 50
 
 
-def single_subject(recording: Recording) -> Matches | None:
+def single_subject(recording: Sample) -> Matches | None:
     """Who is who where it needs no finding: the only detection of each view; None where half of the frames have more than one."""
     there = recording.seen.any(-1)
     alone = (there.sum(-1) <= 1).all(0)
@@ -30,15 +29,13 @@ def single_subject(recording: Recording) -> Matches | None:
     return Matches(np.where(there & alone[:, None], 0, -1))
 
 
-def factorise(recording: Recording, matches: Matches) -> tuple[CameraRig, ...]:
+def factorise(recording: Sample, matches: Matches) -> tuple[CameraRig, ...]:
     """Two rigs, reversed in depth from each other, from the points that all views see; none where these are too few.
 
     Scaled orthographic cameras: what comes out is a start for the adjustment, in units of the subject's extent.
     """
-    frames = np.unique(np.linspace(0, len(recording.frames) - 1, _FRAMES).astype(int))
-    rays, _, weight = by_individual(recording, matches, frames)
-    views = len(rays)
-    rays, weight = rays.reshape(views, -1, 3), weight.reshape(views, -1)
+    seen = observations(recording, matches, np.arange(len(recording.frames)))
+    views, rays, weight = len(seen.rays), np.swapaxes(seen.rays, 1, 2), seen.confidence
     whole = np.flatnonzero(((weight > 0) & (rays[..., 2] > 0)).all(0))
     if views < _LEAST_VIEWS or len(whole) < _LEAST_POINTS:
         return ()
@@ -96,7 +93,7 @@ def _products(m: Floats, n: Floats) -> Floats:
     return np.stack([x * u, x * v + y * u, x * w + z * u, y * v, y * w + z * v, z * w], axis=1)
 
 
-def _placed(recording: Recording, rotation: Floats, image: Floats) -> CameraRig:
+def _placed(recording: Sample, rotation: Floats, image: Floats) -> CameraRig:
     """The cameras as far away as the size of the subject in their images says, in units of its RMS extent."""
     middle = image.mean(1)
     centred = np.swapaxes(image - middle[:, None], 1, 2)  # (view, 2, point)

@@ -10,30 +10,65 @@ from itertools import combinations
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from mocap_calib.config import MatchingConfig, PairwiseConfig
+from mocap_calib.config import Config, MatchingConfig, PairwiseConfig
 from mocap_calib.errors import DegenerateError
-from mocap_calib.evidence import ViewPair, epipolar_error, epipolar_fit, match_affinity, view_pair
+from mocap_calib.evidence import ViewPair, by_geometry, epipolar_error, epipolar_fit, match_affinity, view_pair
+from mocap_calib.frames import evenly, sample
 from mocap_calib.geometry.epipolar import depths
+from mocap_calib.geometry.projection import rays_from_pixels
+from mocap_calib.parallel import in_order
 from mocap_calib.triangulation import within_frames
-from mocap_calib.types import Bools, CameraRig, Floats, Ints, LiftedPoses, Matches, Progress, Recording
+from mocap_calib.types import Bools, CameraRig, Floats, Ints, LiftedPoses, Matches, Progress, Recording, Sample
+
+_SCALE_FRAMES = 40  # of each pair tell how large the rig is
+_CELLS = 200_000  # pairs of detections grouped at a time, so that they stay in the cache
+_FRAMES = 512  # placed at a time
 
 
-def match(recording: Recording, lifted: LiftedPoses, rig: CameraRig, config: MatchingConfig, evidence: PairwiseConfig, *, progress: Progress) -> Matches:
+def match(recording: Sample, lifted: LiftedPoses, rig: CameraRig, config: MatchingConfig, evidence: PairwiseConfig, *, progress: Progress) -> Matches:
     """Labels every detection with its individual, -1 where no second view confirms it.
 
     The rig may be in any unit: its scale in body sizes is estimated from the bodies.
     """
     views, frames, instances = recording.positions.shape[:3]
     labels = np.full((views, frames, instances), -1, dtype=np.int64)
-    scale = _body_scale(recording, lifted, rig, evidence)
+    scale = body_scale(recording, lifted, rig, evidence)
     step = max(1, config.cells // (views * instances) ** 2)
     for start in range(0, frames, step):
         block = np.arange(start, min(start + step, frames))
         affinity, comparable = _affinities(recording, lifted, rig, scale, block, evidence)
-        group = _cluster(affinity, comparable, views, config.least_affinity)
-        labels[:, block] = np.moveaxis(group.reshape(len(block), views, instances), 0, 1)
+        labels[:, block] = _groups(affinity, comparable, views, config)
         progress("match", int(block[-1]) + 1, frames)
     return Matches(_through_time(labels, _places(recording, rig, labels) * scale, recording.frames, config))
+
+
+def match_everything(recording: Recording, chosen: Ints, matches: Matches, rig: CameraRig, config: Config, *, scale: float, progress: Progress) -> Matches:
+    """Labels for a whole recording, of which some frames (indices) have been matched.
+
+    In the others the adjusted rig decides alone, without lifted bodies; all are then named as one recording. scale: body sizes
+    per unit of the rig.
+    """
+    frames = len(recording.frames)
+    labels = np.full(recording.positions.shape[:3], -1, dtype=np.int64)
+    labels[:, chosen] = within_frames(matches).labels
+    rest = np.setdiff1d(np.arange(frames), chosen)
+    step = max(1, _CELLS // labels[:, 0].size ** 2)
+    blocks = [rest[start : start + step] for start in range(0, len(rest), step)]
+
+    def work(block: Ints) -> Ints:
+        affinity, comparable = by_geometry(sample(recording, block), rig, config.pairwise)
+        return _groups(affinity, comparable, len(labels), config.matching)
+
+    for block, group in zip(blocks, in_order(work, blocks), strict=True):
+        labels[:, block] = group
+        progress("match", int(block[-1]) + 1, frames)
+    return Matches(_through_time(labels, _places(recording, rig, labels) * scale, recording.frames, config.matching))
+
+
+def _groups(affinity: Floats, comparable: Floats, views: int, config: MatchingConfig) -> Ints:
+    """`[view, frame, instance]` groups within each frame."""
+    group = _cluster(affinity, comparable, views, config.least_affinity)
+    return np.moveaxis(group.reshape(len(group), views, -1), 0, 1)
 
 
 def _relative(rig: CameraRig, a: int, b: int) -> tuple[Floats, Floats]:
@@ -42,14 +77,14 @@ def _relative(rig: CameraRig, a: int, b: int) -> tuple[Floats, Floats]:
     return rotation[None], (rig.translation[b] - rotation @ rig.translation[a])[None]
 
 
-def _body_scale(recording: Recording, lifted: LiftedPoses, rig: CameraRig, config: PairwiseConfig) -> float:
+def body_scale(recording: Sample, lifted: LiftedPoses, rig: CameraRig, config: PairwiseConfig) -> float:
     """Body sizes per unit of the rig: how far bodies were lifted over how far the rig triangulates them."""
     ratios = []
     seen = (recording.seen.sum(-1) >= 4).sum(-1) > 0
     for a, b in combinations(range(len(rig.cameras)), 2):
         shared = np.flatnonzero(seen[a] & seen[b])
         if len(shared):
-            pair = view_pair(recording, lifted, a, b, shared[np.linspace(0, len(shared) - 1, min(len(shared), 40)).astype(int)])
+            pair = view_pair(recording, lifted, a, b, evenly(shared, _SCALE_FRAMES))
             ratios.append(_distance_ratios(pair, *_relative(rig, a, b), config))
     found = np.concatenate(ratios) if ratios else np.zeros(0)
     return float(np.median(found)) if len(found) else 1.0
@@ -66,7 +101,7 @@ def _distance_ratios(pair: ViewPair, rotation: Floats, translation: Floats, conf
     return far[good] / (near_a + near_b)[good]
 
 
-def _affinities(recording: Recording, lifted: LiftedPoses, rig: CameraRig, scale: float, frames: Ints, config: PairwiseConfig) -> tuple[Floats, Floats]:
+def _affinities(recording: Sample, lifted: LiftedPoses, rig: CameraRig, scale: float, frames: Ints, config: PairwiseConfig) -> tuple[Floats, Floats]:
     """Affinity of all pairs of detections of a frame `[frame, N, N]`, N = views x instances, and 1 where it means something."""
     views, instances = len(rig.cameras), recording.positions.shape[2]
     affinity = np.zeros((len(frames), views, instances, views, instances))
@@ -90,22 +125,23 @@ def _cluster(affinity: Floats, comparable: Floats, views: int, least: float) -> 
     view = np.repeat(np.eye(views, dtype=bool), nodes // views, axis=0)
     holds = np.broadcast_to(view, (frames, nodes, views)).copy()
     group = np.broadcast_to(np.arange(nodes), (frames, nodes)).copy()
+    linkage = np.where(view @ view.T, 0.0, total / np.maximum(count, 1.0))
     everyone = np.arange(frames)
     while len(everyone):
-        clash = np.matmul(holds[everyone].astype(np.float32), np.swapaxes(holds[everyone], 1, 2).astype(np.float32)) > 0
-        linkage = np.where(clash, 0.0, total[everyone] / np.maximum(count[everyone], 1.0))
-        flat = linkage.reshape(len(everyone), -1)
+        flat = linkage.reshape(frames, -1)[everyone]
         best = flat.argmax(1)
         going = flat[np.arange(len(best)), best] >= least
         everyone, best = everyone[going], best[going]
         keep, gone = best // nodes, best % nodes
         for table in (total, count):
-            table[everyone, keep] += table[everyone, gone]
-            table[everyone, :, keep] += table[everyone, :, gone]
-            table[everyone, gone] = 0.0
-            table[everyone, :, gone] = 0.0
+            joined = table[everyone, keep] + table[everyone, gone]
+            table[everyone, keep] = table[everyone, :, keep] = joined
         holds[everyone, keep] |= holds[everyone, gone]
-        holds[everyone, gone] = False
+        holds[everyone, gone] = True  # what has been joined to another meets nobody
+        clash = (holds[everyone] & holds[everyone, keep][:, None]).any(-1)
+        row = np.where(clash, 0.0, total[everyone, keep] / np.maximum(count[everyone, keep], 1.0))
+        linkage[everyone, keep] = linkage[everyone, :, keep] = row
+        linkage[everyone, gone] = linkage[everyone, :, gone] = 0.0
         group[everyone] = np.where(group[everyone] == gone[:, None], keep[:, None], group[everyone])
     size = (group[:, :, None] == group[:, None]).sum(-1)
     return np.where(size > 1, group, -1)
@@ -115,18 +151,27 @@ def _places(recording: Recording, rig: CameraRig, labels: Ints) -> Floats:
     """`[frame, group, 3]` where the rays through the middles of a group's detections meet; NaN where there is no group."""
     frames = labels.shape[1]
     groups = int(labels.max(initial=-1)) + 1
-    view, frame, instance = np.nonzero(labels >= 0)
-    middle = np.nansum(recording.rays[view, frame, instance], axis=1)
-    middle /= np.linalg.norm(middle, axis=1, keepdims=True)
-    ray = np.einsum("nji,nj->ni", rig.rotation[view], middle)
-    project = np.eye(3) - ray[:, :, None] * ray[:, None]
-    matrix, vector = np.zeros((frames, groups, 3, 3)), np.zeros((frames, groups, 3))
-    slot = (frame, labels[view, frame, instance])
-    np.add.at(matrix, slot, project)
-    np.add.at(vector, slot, np.einsum("nij,nj->ni", project, rig.centres[view]))
-    there = np.abs(matrix).sum((-1, -2)) > 0
-    point = np.linalg.solve(matrix + 1e-9 * np.eye(3), vector[..., None])[..., 0]
-    return np.where(there[..., None], point, np.nan)
+    blocks = [slice(start, start + _FRAMES) for start in range(0, frames, _FRAMES)]
+
+    def work(block: slice) -> Floats:
+        view, frame, instance = np.nonzero(labels[:, block] >= 0)
+        pixels = recording.positions[:, block][view, frame, instance].astype(np.float64)
+        middle = np.zeros((len(view), 3))
+        for v, camera in enumerate(recording.cameras):
+            middle[view == v] = np.nansum(rays_from_pixels(camera, pixels[view == v]), axis=1)
+        middle /= np.linalg.norm(middle, axis=1, keepdims=True)
+        ray = np.einsum("nji,nj->ni", rig.rotation[view], middle)
+        project = np.eye(3) - ray[:, :, None] * ray[:, None]
+        size = len(labels[0, block])
+        matrix, vector = np.zeros((size, groups, 3, 3)), np.zeros((size, groups, 3))
+        slot = (frame, labels[:, block][view, frame, instance])
+        np.add.at(matrix, slot, project)
+        np.add.at(vector, slot, np.einsum("nij,nj->ni", project, rig.centres[view]))
+        there = np.abs(matrix).sum((-1, -2)) > 0
+        point = np.linalg.solve(matrix + 1e-9 * np.eye(3), vector[..., None])[..., 0]
+        return np.where(there[..., None], point, np.nan)
+
+    return np.concatenate(list(in_order(work, blocks)))
 
 
 def _through_time(labels: Ints, places: Floats, frames: Ints, config: MatchingConfig) -> Ints:

@@ -3,12 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
 from mocap_calib.config import PairwiseConfig, PaperConfig
 from mocap_calib.evidence import ViewPair
+from mocap_calib.frames import evenly
 from mocap_calib.pairwise import PairProblem, judge_pair
-from mocap_calib.steerpose.paper_solver import TwoViews, solve_pair
+from mocap_calib.steerpose.paper_solver import TwoViews, seeded, solve_pair
 from mocap_calib.steerpose.steer import Model
 from mocap_calib.types import Floats, Ints, PairwiseCalibration
 
@@ -28,8 +28,8 @@ class PaperPairs:
         pair = problem.pair
         if problem.frames == 0:
             return None
-        chosen = np.unique(np.linspace(0, len(pair.frames) - 1, self.config.frames).astype(int))
-        generator = torch.Generator().manual_seed(int(problem.rng.integers(2**62)))
+        chosen = evenly(np.arange(len(pair.frames)), self.config.frames)
+        generator = seeded(int(problem.rng.integers(2**62)))
         found = solve_pair(self._views(pair, chosen, problem.a, problem.b), self.model, self.config, generator)
         if not len(found.matches):
             return None

@@ -12,14 +12,15 @@ from mocap_calib.bundle_adjustment import adjust
 from mocap_calib.config import Config
 from mocap_calib.determinacy import alike, disagreement, fit, near_affine
 from mocap_calib.factorisation import factorise, single_subject
+from mocap_calib.frames import informative, sample
 from mocap_calib.geometry.rotation import angle_between
-from mocap_calib.matching import match, same_groups, settle
-from mocap_calib.pairwise import PairSolver, calibrate_pairs
+from mocap_calib.matching import body_scale, match, match_everything, same_groups, settle
+from mocap_calib.pairwise import PairSolver, calibrate_pairs, in_recording
 from mocap_calib.recording import select_lifted, select_views
 from mocap_calib.steerpose.lift import lift
 from mocap_calib.steerpose.model import Lifter
 from mocap_calib.triangulation import triangulate
-from mocap_calib.types import Calibration, CameraRig, LiftedPoses, Mapper, Matches, Progress, Recording
+from mocap_calib.types import Calibration, CameraRig, Ints, LiftedPoses, Mapper, Matches, Progress, Recording, Sample
 
 T = TypeVar("T")
 _SAME_DEG = 10.0
@@ -27,7 +28,7 @@ _SAME_DEG = 10.0
 
 @dataclass(frozen=True)
 class Adjusted:
-    """Adjusted rig, the labels it implies, and whether they stopped changing within the rounds allowed."""
+    """Adjusted rig, the labels it implies in the sample, and whether they stopped changing within the rounds allowed."""
 
     rig: CameraRig
     matches: Matches
@@ -40,6 +41,7 @@ def calibrate(
 ) -> Calibration:
     """From a recording to cameras, matches and 3D poses; `mapper` has the pairs calibrated, by `solve` or our own search.
 
+    The rig is found from a sample of the frames, of a size that does not depend on the length of the recording.
     Raises DegenerateError where the recording does not determine them.
     """
     seconds: dict[str, float] = {}
@@ -51,37 +53,43 @@ def calibrate(
         return result
 
     rng = np.random.default_rng(seed)
-    lifted = timed("lift", lambda: lift(recording, lifter, device=device, progress=progress))
-    pairs = timed("pairwise", lambda: calibrate_pairs(recording, lifted, config.pairwise, rng=rng, progress=progress, mapper=mapper, solve=solve))
+    chosen = timed("choose", lambda: informative(recording, config.sample))
+    some = sample(recording, chosen)
+    lifted = timed("lift", lambda: lift(some, lifter, device=device, progress=progress))
+    pairs = timed("pairwise", lambda: calibrate_pairs(some, lifted, config.pairwise, rng=rng, progress=progress, mapper=mapper, solve=solve))
     kept = usable_cameras(recording.cameras, pairs, config.averaging)
     names = recording.names
     left_out = tuple(name for v, name in enumerate(names) if v not in kept)
     unused = tuple((names[p.a], names[p.b], p.score) for p in pairs if not {p.a, p.b} <= set(kept.tolist()))
-    recording, lifted, pairs = select_views(recording, kept), select_lifted(lifted, kept), of_cameras(pairs, kept)
+    recording, some = select_views(recording, kept), select_views(some, kept)
+    lifted, pairs = select_lifted(lifted, kept), of_cameras(pairs, kept)
     averaged = timed("average", lambda: average(recording.cameras, pairs, config.averaging))
-    matches = timed("match", lambda: match(recording, lifted, averaged.rig, config.matching, config.pairwise, progress=progress))
-    adjusted, rival = timed("adjust", lambda: _best_start(recording, lifted, averaged.rig, matches, config, progress=progress))
-    difference = timed("verdict", lambda: disagreement(recording, adjusted.rig, adjusted.matches, config, seed=seed))
-    poses = timed("triangulate", lambda: triangulate(recording, adjusted.rig, adjusted.matches, config.triangulate, progress=progress))
-    found = fit(recording, adjusted.rig, adjusted.matches, config.triangulate)
+    matches = timed("match", lambda: match(some, lifted, averaged.rig, config.matching, config.pairwise, progress=progress))
+    adjusted, rival = timed("adjust", lambda: _best_start(some, lifted, averaged.rig, matches, config, progress=progress))
+    everyone = timed("match all", lambda: match_all(recording, chosen, some, lifted, adjusted.rig, adjusted.matches, config, progress=progress))
+    everyone = settle(recording, adjusted.rig, everyone, config.matching)
+    within = Matches(everyone.labels[:, chosen])
+    difference = timed("verdict", lambda: disagreement(some, adjusted.rig, within, config, seed=seed))
+    poses = timed("triangulate", lambda: triangulate(recording, adjusted.rig, everyone, config.triangulate, progress=progress))
+    affine = near_affine(fit(some, adjusted.rig, within, config.triangulate))
     return Calibration(
-        recording, left_out, unused, pairs, averaged, adjusted.rig, rival, adjusted.matches, difference, near_affine(found), poses,
+        recording, left_out, unused, in_recording(pairs, chosen), averaged, adjusted.rig, rival, everyone, difference, affine, poses,
         adjusted.rounds, adjusted.converged, seconds,
     )  # fmt: skip
 
 
 def _best_start(
-    recording: Recording, lifted: LiftedPoses, rig: CameraRig, matches: Matches, config: Config, *, progress: Progress
+    some: Sample, lifted: LiftedPoses, rig: CameraRig, matches: Matches, config: Config, *, progress: Progress
 ) -> tuple[Adjusted, CameraRig | None]:
     """The adjustment from the averaged rig; where no model helped, also from rigs found by factorisation, and the one that fits best.
 
     With it the rig that fits as well, if there is one: its reversal in depth.
     """
-    found = [adjust_to_fixed_point(recording, lifted, rig, matches, config, progress=progress)]
-    alone = None if np.isfinite(lifted.centre).any() else single_subject(recording)
+    found = [adjust_to_fixed_point(some, lifted, rig, matches, config, progress=progress)]
+    alone = None if np.isfinite(lifted.centre).any() else single_subject(some)
     if alone is not None:
-        found += [adjust_to_fixed_point(recording, lifted, start, alone, config, progress=progress) for start in factorise(recording, alone)]
-    fits = [fit(recording, each.rig, each.matches, config.triangulate) for each in found]
+        found += [adjust_to_fixed_point(some, lifted, start, alone, config, progress=progress) for start in factorise(some, alone)]
+    fits = [fit(some, each.rig, each.matches, config.triangulate) for each in found]
     best, *others = sorted(range(len(found)), key=lambda k: fits[k].misfit)
     rivals = [found[k].rig for k in others if alike(fits[k], fits[best]) and _turned(found[k].rig, found[best].rig) > _SAME_DEG]
     return found[best], next(iter(rivals), None)
@@ -92,14 +100,22 @@ def _turned(first: CameraRig, second: CameraRig) -> float:
     return float(np.rad2deg(angle_between(*(rig.rotation @ rig.rotation[0].T for rig in (first, second))).max()))
 
 
-def adjust_to_fixed_point(recording: Recording, lifted: LiftedPoses, rig: CameraRig, matches: Matches, config: Config, *, progress: Progress) -> Adjusted:
+def adjust_to_fixed_point(some: Sample, lifted: LiftedPoses, rig: CameraRig, matches: Matches, config: Config, *, progress: Progress) -> Adjusted:
     """Adjusts, matches from the adjusted geometry, and adjusts again until no detection changes its group and no camera turns any more."""
     rounds = config.adjust.rounds
     for done in range(1, rounds + 1):
-        before, rig = rig, adjust(recording, rig, matches, config.adjust, config.triangulate, near=done > 1)
+        before, rig = rig, adjust(some, rig, matches, config.adjust, config.triangulate, near=done > 1)
         progress("adjust", done, rounds)
-        again = match(recording, lifted, rig, config.matching, config.pairwise, progress=lambda *_: None)
+        again = match(some, lifted, rig, config.matching, config.pairwise, progress=lambda *_: None)
         settled, matches = same_groups(again, matches) and _turned(before, rig) < config.adjust.still_deg, again
         if settled:
             break
-    return Adjusted(rig, settle(recording, rig, matches, config.matching), done, settled)
+    return Adjusted(rig, matches, done, settled)
+
+
+def match_all(  # noqa: PLR0917 - a recording, its sample, and what is known of it
+    recording: Recording, chosen: Ints, some: Sample, lifted: LiftedPoses, rig: CameraRig, matches: Matches, config: Config, *, progress: Progress
+) -> Matches:
+    """Who is who in a whole recording, of which the chosen frames (indices) made the sample that was matched."""
+    scale = body_scale(some, lifted, rig, config.pairwise)
+    return match_everything(recording, chosen, matches, rig, config, scale=scale, progress=progress)

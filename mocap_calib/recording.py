@@ -2,15 +2,19 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.projection import rays_from_pixels
 from mocap_calib.skeleton import match_names, normalise_name
-from mocap_calib.types import Bools, Camera, Floats, Ints, Keypoints2D, LiftedPoses, Recording, Skeleton
+from mocap_calib.types import Bools, Camera, Ints, Keypoints2D, LiftedPoses, Reals, Recording, Skeleton
+
+Some = TypeVar("Some", bound=Recording)
 
 _OUTSIDE = 1.5  # detections this many image sizes from the corner were made at another resolution
+_BLOCK = 4096  # frames at a time, so that long recordings need no more memory than they hold
 _TYPICAL = 99.0  # percentile that stands for the largest value, so that one wild point does not count
 
 
@@ -31,19 +35,16 @@ def make_recording(views: Sequence[Keypoints2D], cameras: Sequence[Camera], skel
     views = [view for view, _ in paired]
     frames, keys = _shared_frames(views), _keys(views, skeleton, aliases)
     columns = _shared_keypoints(views, keys)
-    arrays = [_on_clock(view, frames, [keys[name] for name in view.keypoints], list(columns)) for view in views]
-    positions = _padded([positions for positions, _ in arrays], np.nan)
-    confidence = _padded([confidence for _, confidence in arrays], 0.0)
-    rays = np.stack([rays_from_pixels(camera, seen) for camera, seen in zip(kept, positions, strict=True)])
-    seen: Bools = np.asarray(np.isfinite(rays).all(axis=-1))
-    # what the lens model cannot undo is no detection
-    positions[~seen], confidence[~seen] = np.nan, 0.0
-    if not (seen.any(axis=(2, 3)).sum(axis=0) >= 2).any():
+    shape = (len(views), len(frames), max(view.positions.shape[1] for view in views), len(columns))
+    positions, confidence = np.full((*shape, 2), np.nan, dtype=np.float32), np.zeros(shape, dtype=np.float32)
+    for v, (view, camera) in enumerate(zip(views, kept, strict=True)):
+        _put_on_clock(view, camera, frames, [keys[name] for name in view.keypoints], list(columns), positions=positions[v], confidence=confidence[v])
+    if not ((confidence > 0).any(axis=(2, 3)).sum(axis=0) >= 2).any():
         raise MismatchError("expected frames in which two cameras see the subject, found no co-visible detections; check that the files are of one recording")
     joints = {normalise_name(joint): k for k, joint in enumerate(skeleton.keypoints)}
     vocabulary = np.array([joints.get(key, -1) for key in columns], dtype=np.int64)
     tracked = np.array([view.tracked for view in views])
-    return Recording(tuple(kept), tuple(columns.values()), frames, positions, confidence, rays, tracked, vocabulary)
+    return Recording(tuple(kept), tuple(columns.values()), frames, positions, confidence, tracked, vocabulary)
 
 
 def name_mapping(views: Sequence[Keypoints2D], cameras: Sequence[Camera]) -> list[tuple[str, str]]:
@@ -76,15 +77,17 @@ def usable(views: Sequence[Keypoints2D]) -> tuple[Keypoints2D, ...]:
     return tuple(view for view in views if np.isfinite(view.positions).any())
 
 
-def slice_frames(recording: Recording, index: Ints) -> Recording:
+def slice_frames(recording: Some, index: Ints | slice) -> Some:
     """The recording at the frames with these indices (not numbers), or where a mask of frames is true."""
-    parts = {name: getattr(recording, name)[:, index] for name in ("positions", "confidence", "rays")}
+    parts = {name: getattr(recording, name)[:, index] for name in ("positions", "confidence", "rays") if hasattr(recording, name)}
     return replace(recording, frames=recording.frames[index], **parts)
 
 
-def select_views(recording: Recording, views: Ints) -> Recording:
+def select_views(recording: Some, views: Ints) -> Some:
     """The recording with these views (indices) alone, in this order."""
-    parts = {name: getattr(recording, name)[views] for name in ("positions", "confidence", "rays", "tracked")}
+    if np.array_equal(views, np.arange(len(recording.cameras))):
+        return recording  # a long one is not copied
+    parts = {name: getattr(recording, name)[views] for name in ("positions", "confidence", "rays", "tracked") if hasattr(recording, name)}
     return replace(recording, cameras=tuple(recording.cameras[v] for v in views), **parts)
 
 
@@ -156,30 +159,25 @@ def _shared_keypoints(views: Sequence[Keypoints2D], keys: Mapping[str, str]) -> 
     return shared
 
 
-def _on_clock(view: Keypoints2D, frames: Ints, keys: Sequence[str], columns: Sequence[str]) -> tuple[Floats, Floats]:
-    """`[frame, instance, keypoint, 2]` positions and `[frame, instance, keypoint]` confidences in the shared order."""
-    here = np.isin(view.frames, frames)
+def _put_on_clock(view: Keypoints2D, camera: Camera, frames: Ints, keys: Sequence[str], columns: Sequence[str], *, positions: Reals, confidence: Reals) -> None:
+    """Fills `[frame, instance, keypoint, 2]` positions and `[frame, instance, keypoint]` confidences in the shared order.
+
+    What the lens model cannot undo is no detection.
+    """
     there = [k for k, key in enumerate(keys) if key in columns]
-    columns_there = np.array([columns.index(keys[k]) for k in there], dtype=np.int64)
-    place = np.ix_(np.searchsorted(frames, view.frames[here]), np.arange(view.positions.shape[1]), columns_there)
-    positions = np.full((len(frames), view.positions.shape[1], len(columns), 2), np.nan)
-    confidence = np.zeros(positions.shape[:3])
-    positions[place] = view.positions[here][:, :, there]
-    confidence[place] = _scaled(view.confidence)[here][:, :, there]
-    return positions, confidence
+    order = np.array([columns.index(keys[k]) for k in there], dtype=np.int64)
+    instances = np.arange(view.positions.shape[1])
+    most = _most(view.confidence)
+    known = np.flatnonzero(np.isin(view.frames, frames))
+    for start in range(0, len(known), _BLOCK):
+        block = known[start : start + _BLOCK]
+        place = np.ix_(np.searchsorted(frames, view.frames[block]), instances, order)
+        seen = view.positions[block][:, :, there].astype(np.float32)
+        blind: Bools = np.asarray(~np.isfinite(rays_from_pixels(camera, seen)).all(axis=-1))
+        positions[place] = np.where(blind[..., None], np.nan, seen)
+        confidence[place] = np.where(blind, 0.0, (view.confidence[block][:, :, there] / most).clip(0.0, 1.0))
 
 
-def _scaled(confidence: Floats) -> Floats:
-    """Confidences in 0..1; detectors that go beyond 1 are divided by what they typically reach."""
-    if confidence.max(initial=0.0) > 1.0:
-        confidence = confidence / np.percentile(confidence[confidence > 0], _TYPICAL)
-    return confidence.clip(0.0, 1.0)
-
-
-def _padded(arrays: Sequence[Floats], fill: float) -> Floats:
-    """`[view, frame, instance, ...]` with as many instances as the fullest view has."""
-    most = max(array.shape[1] for array in arrays)
-    padded = np.full((len(arrays), arrays[0].shape[0], most, *arrays[0].shape[2:]), fill)
-    for view, array in zip(padded, arrays, strict=True):
-        view[:, : array.shape[1]] = array
-    return padded
+def _most(confidence: Reals) -> float:
+    """What confidences are divided by: detectors that go beyond 1 by what they typically reach, others by 1."""
+    return float(np.percentile(confidence[confidence > 0], _TYPICAL)) if confidence.max(initial=0.0) > 1.0 else 1.0

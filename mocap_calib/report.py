@@ -11,10 +11,10 @@ from mocap_calib import __version__
 from mocap_calib.config import Config
 from mocap_calib.determinacy import verdict
 from mocap_calib.errors import MismatchError
+from mocap_calib.frames import evenly
 from mocap_calib.geometry.alignment import similarity
-from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.geometry.rotation import angle_between, direction_angle
-from mocap_calib.triangulation import by_individual
+from mocap_calib.triangulation import observations, project
 from mocap_calib.types import Calibration, CameraRig, Floats, PairwiseCalibration
 
 THRESHOLDS = (5, 10, 20, 30)
@@ -153,11 +153,11 @@ def _errors(found: Calibration) -> Floats:
     Of an even sample of the frames: a report of a long recording need not cost its length in memory.
     """
     rig, recording = found.rig, found.recording
-    frames = np.unique(np.linspace(0, len(recording.frames) - 1, min(len(recording.frames), _SAMPLE)).astype(int))
-    _, pixels, _ = by_individual(recording, found.matches, frames)
+    frames = evenly(np.arange(len(recording.frames)), _SAMPLE)
+    pixels = observations(recording, found.matches, frames).pixels
     points = found.poses.positions[frames]
-    images = [pixels_from_points(camera, points @ rig.rotation[v].T + rig.translation[v]) for v, camera in enumerate(rig.cameras)]
-    return np.linalg.norm(np.stack(images) - pixels, axis=-1)
+    images = [project(camera, rig.rotation[v], rig.translation[v], points.reshape(-1, 3).T) for v, camera in enumerate(rig.cameras)]
+    return np.linalg.norm(np.stack(images) - pixels, axis=1).reshape(len(images), *points.shape[:3])
 
 
 def _support(found: Calibration) -> list[float]:

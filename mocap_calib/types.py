@@ -8,7 +8,7 @@ Missing is NaN in floats and -1 in labels. docs/conventions.md says the rest.
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
+Reals = NDArray[np.floating[Any]]  # float32 where whole recordings are kept, which is a ten-thousandth of a pixel
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -129,8 +130,8 @@ class Keypoints2D:
     camera: str
     keypoints: tuple[str, ...]
     frames: Ints
-    positions: Floats
-    confidence: Floats
+    positions: Reals
+    confidence: Reals
     tracked: bool
     image_size: tuple[int, int]
     source: str
@@ -148,17 +149,15 @@ class Recording:
 
     frames: `[frame]` numbers that at least two views have. positions: `[view, frame, instance, keypoint, 2]`
     pixels, NaN = missing. confidence: `[view, frame, instance, keypoint]` in 0..1 of each view's own scale,
-    0 = missing. rays: `[view, frame, instance, keypoint, 3]` unit vectors in each camera's frame (distortion
-    taken out), NaN = missing. tracked: `[view]` the instance index names the same individual in all frames.
+    0 = missing. tracked: `[view]` the instance index names the same individual in all frames.
     vocabulary: `[keypoint]` index of each keypoint in the model's skeleton, -1 = the model has no such joint.
     """
 
     cameras: tuple[Camera, ...]
     keypoints: tuple[str, ...]
     frames: Ints
-    positions: Floats
-    confidence: Floats
-    rays: Floats
+    positions: Reals
+    confidence: Reals
     tracked: Bools
     vocabulary: Ints
 
@@ -168,7 +167,6 @@ class Recording:
             raise ValueError(f"recording: {views} views, {keypoints} keypoints in positions for {len(self.cameras)} cameras, {len(self.keypoints)} names")
         check_shape("recording: frames", self.frames, frames)
         check_shape("recording: confidence", self.confidence, views, frames, instances, keypoints)
-        check_shape("recording: rays", self.rays, views, frames, instances, keypoints, 3)
         check_shape("recording: tracked", self.tracked, views)
         check_shape("recording: vocabulary", self.vocabulary, keypoints)
 
@@ -181,6 +179,22 @@ class Recording:
     def seen(self) -> Bools:
         """`[view, frame, instance, keypoint]` where there is a detection."""
         return np.isfinite(self.positions[..., 0])
+
+
+@dataclass(frozen=True)
+class Sample(Recording):
+    """Some frames of a recording in double precision, with the rays of their detections; made by `frames.sample`.
+
+    rays: `[view, frame, instance, keypoint, 3]` unit vectors in each camera's frame (distortion taken out), NaN = missing.
+    """
+
+    positions: Floats
+    confidence: Floats
+    rays: Floats
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_shape("sample: rays", self.rays, *self.positions.shape[:4], 3)
 
 
 @dataclass(frozen=True)

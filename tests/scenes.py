@@ -6,13 +6,14 @@ from functools import lru_cache
 import numpy as np
 
 from mocap_calib.config import Config, SimulateConfig
+from mocap_calib.frames import sample
 from mocap_calib.pipeline import calibrate
 from mocap_calib.recording import make_recording
 from mocap_calib.skeleton import load_skeleton
 from mocap_calib.steerpose.checkpoint import load_lifter
 from mocap_calib.steerpose.lift import lift
 from mocap_calib.synthetic import Scene, simulate
-from mocap_calib.types import Calibration, CameraRig, LiftedPoses, Matches, Recording, silent
+from mocap_calib.types import Calibration, CameraRig, LiftedPoses, Matches, Sample, silent
 
 PEOPLE = load_skeleton("people")
 
@@ -23,9 +24,9 @@ def scene(**changes) -> Scene:
 
 
 @lru_cache
-def recording(**changes) -> Recording:
+def recording(**changes) -> Sample:
     made = scene(**changes)
-    return make_recording(made.files, made.rig.cameras, PEOPLE, {})
+    return sample(make_recording(made.files, made.rig.cameras, PEOPLE, {}), slice(None))
 
 
 @lru_cache

@@ -12,7 +12,7 @@ from mocap_calib.factorisation import factorise, single_subject
 from mocap_calib.geometry.projection import pixels_from_points, rays_from_pixels
 from mocap_calib.pipeline import calibrate
 from mocap_calib.steerpose.checkpoint import load_lifter
-from mocap_calib.types import Camera, CameraRig, Recording, silent
+from mocap_calib.types import Camera, CameraRig, Recording, Sample, silent
 
 REVERSE = np.diag([1.0, 1.0, -1.0])
 ALONE = {"people": 1, "false_detections": 0.0, "outliers": 0.0}
@@ -23,7 +23,7 @@ def strangers(found: Recording) -> Recording:
     return replace(found, keypoints=tuple(f"marker{k}" for k in range(len(found.keypoints))), vocabulary=np.full(len(found.keypoints), -1))
 
 
-def telescopes(noise: float, focal: float = 40_000.0) -> tuple[Recording, CameraRig]:
+def telescopes(noise: float, focal: float = 40_000.0) -> tuple[Sample, CameraRig]:
     """Three cameras that see a wriggling cloud of 12 markers from a thousand times its size."""
     rng = np.random.default_rng(0)
     points = rng.normal(size=(12, 3)) + 0.5 * rng.normal(size=(200, 12, 3))
@@ -38,7 +38,7 @@ def telescopes(noise: float, focal: float = 40_000.0) -> tuple[Recording, Camera
     images = (images + noise * rng.normal(size=images.shape))[:, :, None]
     rays = np.stack([rays_from_pixels(camera, seen) for camera, seen in zip(cameras, images, strict=True)])
     names = tuple(f"marker{k}" for k in range(12))
-    made = Recording(cameras, names, np.arange(200), images, np.ones(images.shape[:-1]), rays, np.ones(3, dtype=bool), np.full(12, -1))
+    made = Sample(cameras, names, np.arange(200), images, np.ones(images.shape[:-1]), np.ones(3, dtype=bool), np.full(12, -1), rays)
     return made, rig
 
 

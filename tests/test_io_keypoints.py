@@ -23,8 +23,8 @@ FRAMES = [3, 4, 10]
 
 def scene(individuals=1, seed=0, missing=0.0):
     rng = np.random.default_rng(seed)
-    positions = rng.uniform(1, 400, (len(FRAMES), individuals, len(NAMES), 2))
-    confidence = rng.uniform(0.1, 0.99, positions.shape[:3])
+    positions = rng.uniform(1, 400, (len(FRAMES), individuals, len(NAMES), 2)).astype(np.float32).astype(np.float64)
+    confidence = rng.uniform(0.1, 0.99, positions.shape[:3]).astype(np.float32).astype(np.float64)
     gone = rng.random(confidence.shape) < missing
     positions[gone], confidence[gone] = np.nan, 0.0
     return positions, confidence

@@ -11,14 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mocap_calib.errors import FormatError, MismatchError
+from mocap_calib.io.atomic import replace_text
 from mocap_calib.io.results import (
-    format_matches_csv,
-    format_poses_csv,
+    matches_csv,
     pairs_from_json,
     pairs_to_json,
+    poses_csv,
     read_matches_csv,
     read_poses_h5,
-    write_matches_csv,
     write_poses_h5,
 )
 from mocap_calib.types import Camera, Matches, PairwiseCalibration, Poses3D, Recording
@@ -37,9 +37,8 @@ def recording(seed=0, instances=3, keypoints=2):
     positions[rng.random(positions.shape[:3]) < 0.4] = np.nan
     positions[rng.random(positions.shape[:4]) < 0.2] = np.nan
     confidence = np.isfinite(positions[..., 0]).astype(float)
-    rays = np.concatenate([positions, positions[..., :1]], -1)
     cameras = tuple(map(camera, NAMES))
-    return Recording(cameras, tuple("ab"[:keypoints]), FRAMES, positions, confidence, rays, np.zeros(len(NAMES), bool), np.full(keypoints, -1))
+    return Recording(cameras, tuple("ab"[:keypoints]), FRAMES, positions, confidence, np.zeros(len(NAMES), bool), np.full(keypoints, -1))
 
 
 def matches(of, seed=0):
@@ -50,6 +49,14 @@ def matches(of, seed=0):
     return Matches(np.where(of.seen.any(-1), labels, -1))
 
 
+def matches_text(of, labels):
+    return "".join(matches_csv(of, labels))
+
+
+def poses_text(given_, individual):
+    return "".join(poses_csv(given_, individual))
+
+
 # --- matches
 
 
@@ -58,12 +65,12 @@ def matches(of, seed=0):
 def test_matches_come_back(seed):
     of = recording(seed)
     labels = matches(of, seed)
-    np.testing.assert_array_equal(read_matches_csv(format_matches_csv(of, labels), of).labels, labels.labels)
+    np.testing.assert_array_equal(read_matches_csv(matches_text(of, labels), of).labels, labels.labels)
 
 
 def test_matches_have_a_row_per_detection(tmp_path):
     of = recording()
-    write_matches_csv(tmp_path / "matches.csv", of, matches(of))
+    replace_text(tmp_path / "matches.csv", matches_csv(of, matches(of)))
     with open(tmp_path / "matches.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     assert list(rows[0]) == ["camera", "frame", "instance", "individual"]
@@ -76,7 +83,7 @@ def test_matches_have_a_row_per_detection(tmp_path):
 
 def test_matches_in_any_order_with_any_line_end_and_gaps(tmp_path):
     of = recording()
-    head, *rows = format_matches_csv(of, matches(of)).splitlines()
+    head, *rows = matches_text(of, matches(of)).splitlines()
     (tmp_path / "m.csv").write_bytes(b"\xef\xbb\xbf" + "\r\n".join([head, *rows[::-1], ""]).encode())
     np.testing.assert_array_equal(read_matches_csv(tmp_path / "m.csv", of).labels, matches(of).labels)
     assert (read_matches_csv(head + "\n", of).labels == -1).all()
@@ -101,13 +108,13 @@ def test_bad_matches_are_refused(text):
 def test_matches_that_contradict_themselves_are_refused():
     of = recording()
     labels = np.full(of.positions.shape[:3], -1)
-    lines = format_matches_csv(of, Matches(labels)).splitlines()
+    lines = matches_text(of, Matches(labels)).splitlines()
     with pytest.raises(FormatError, match="each detection once"):
         read_matches_csv("\n".join([*lines, lines[-1]]), of)
     v, f = np.argwhere(of.seen.any(-1).sum(-1) >= 2)[0]
     labels[v, f] = 0
     with pytest.raises(FormatError, match="each individual once"):
-        read_matches_csv(format_matches_csv(of, Matches(labels)), of)
+        read_matches_csv(matches_text(of, Matches(labels)), of)
 
 
 # --- poses
@@ -167,7 +174,7 @@ def test_a_bad_poses_file_is_refused(tmp_path):
 
 def test_anipose_columns():
     given_ = poses(9000)  # more than one piece
-    rows = list(csv.DictReader(io.StringIO(format_poses_csv(given_, 1))))
+    rows = list(csv.DictReader(io.StringIO(poses_text(given_, 1))))
     assert list(rows[0])[:7] == ["nose_x", "nose_y", "nose_z", "nose_error", "nose_ncams", "nose_score", "tail, base_x"]
     assert list(rows[0])[12:] == [f"M_{i}{j}" for i in range(3) for j in range(3)] + ["center_0", "center_1", "center_2", "fnum"]
     assert [int(row["fnum"]) for row in rows] == given_.frames.tolist()
@@ -181,7 +188,7 @@ def test_anipose_columns():
 
 def test_missing_poses_are_empty_cells_also_of_a_keypoint_named_nan():
     given_ = poses(keypoints=("nan", "banana"))
-    text = format_poses_csv(given_, 0)
+    text = poses_text(given_, 0)
     assert text.startswith("nan_x,nan_y,")
     assert "nan" not in text.split("\n", 1)[1]
 

@@ -11,7 +11,7 @@ from mocap_calib.errors import DegenerateError
 from mocap_calib.pipeline import calibrate
 from mocap_calib.recording import make_recording, slice_frames
 from mocap_calib.steerpose.checkpoint import load_lifter
-from mocap_calib.types import Recording, silent
+from mocap_calib.types import Sample, silent
 
 SCENES = [
     ("ring of four, three people", {}, 0.15),  # 0.03
@@ -44,7 +44,7 @@ def test_an_empty_view_is_left_out():
     assert found.names == ("cam1", "cam3", "cam4")
 
 
-def permuted(found: Recording, *, views=None, frames=None, instances=None) -> Recording:
+def permuted(found: Sample, *, views=None, frames=None, instances=None) -> Sample:
     """The same recording in another order."""
     views = np.arange(len(found.cameras)) if views is None else np.array(views)
     if frames is not None:
@@ -61,7 +61,7 @@ def permuted(found: Recording, *, views=None, frames=None, instances=None) -> Re
     )
 
 
-def run(found: Recording):
+def run(found):
     return calibrate(found, load_lifter()[0], Config(), seed=0, device="cpu", progress=silent)
 
 

@@ -303,16 +303,17 @@ def ring(views: int) -> CameraRig:
 
 
 def rays_to(rig: CameraRig, points: np.ndarray) -> np.ndarray:
-    inside = np.einsum("vij,nj->vni", rig.rotation, points) + rig.translation[:, None]
-    return inside / np.linalg.norm(inside, axis=-1, keepdims=True)
+    """`[view, 3, N]` to points `[N, 3]`."""
+    inside = rig.rotation @ points.T + rig.translation[:, :, None]
+    return inside / np.linalg.norm(inside, axis=1, keepdims=True)
 
 
 @pytest.mark.parametrize("views", [2, 4, 9])
 def test_exact_rays_meet_in_their_point(views):
     rig, points = ring(views), np.random.default_rng(0).uniform(-1, 1, (300, 3)) + [0, 0, 1]
     rays = rays_to(rig, points)
-    found, used = triangulate_rays(rig, rays, np.ones(rays.shape[:2]), np.full(views, 1e-3), TriangulateConfig())
-    np.testing.assert_allclose(found, points, atol=1e-6)
+    found, used = triangulate_rays(rig, rays, np.ones((views, 300)), np.full(views, 1e-3), TriangulateConfig())
+    np.testing.assert_allclose(found.T, points, atol=1e-6)
     assert used.all()
 
 
@@ -324,18 +325,18 @@ def test_any_two_or_three_views_of_a_large_rig_will_do(views):
     weight = np.zeros((views, len(seen)))
     for n, some in enumerate(seen):
         weight[list(some), n] = 1.0
-    rays = np.repeat(rays_to(rig, point), len(seen), axis=1)
+    rays = np.repeat(rays_to(rig, point), len(seen), axis=2)
     found, _ = triangulate_rays(rig, rays, weight, np.full(views, 1e-3), TriangulateConfig())
-    np.testing.assert_allclose(found, np.broadcast_to(point, found.shape), atol=1e-4)  # two views may face each other
+    np.testing.assert_allclose(found.T, np.broadcast_to(point, (len(seen), 3)), atol=1e-4)  # two views may face each other
 
 
 def test_one_outlying_view_is_found_and_left_out():
     rig, points = ring(4), np.random.default_rng(1).uniform(-1, 1, (300, 3)) + [0, 0, 1]
     rays = rays_to(rig, points)
     bad = np.random.default_rng(2).integers(4, size=300)
-    rays[bad, np.arange(300)] = matrix_from_vector(np.array([0.1, 0.05, 0.0])) @ rays[bad, np.arange(300)][..., None] @ [1.0]
-    found, used = triangulate_rays(rig, rays, np.ones(rays.shape[:2]), np.full(4, 2e-3), TriangulateConfig())
-    assert np.median(np.linalg.norm(found - points, axis=1)) < 2e-3
+    rays[bad, :, np.arange(300)] = rays[bad, :, np.arange(300)] @ matrix_from_vector(np.array([0.1, 0.05, 0.0])).T
+    found, used = triangulate_rays(rig, rays, np.ones((4, 300)), np.full(4, 2e-3), TriangulateConfig())
+    assert np.median(np.linalg.norm(found.T - points, axis=1)) < 2e-3
     assert not used[bad, np.arange(300)].any()
     assert (used.sum(0) == 3).mean() > 0.99
 
@@ -344,9 +345,9 @@ def test_two_views_that_disagree_or_look_alike_give_nothing():
     rig, points = ring(2), np.array([[0.0, 0.0, 1.0]])
     rays = rays_to(rig, points)
     off = rays.copy()
-    normal = np.cross(rig.rotation[0] @ (rig.centres[1] - rig.centres[0]), rays[0, 0])
-    off[0, 0] += 0.1 * normal / np.linalg.norm(normal)
-    off[0, 0] /= np.linalg.norm(off[0, 0])
+    normal = np.cross(rig.rotation[0] @ (rig.centres[1] - rig.centres[0]), rays[0, :, 0])
+    off[0, :, 0] += 0.1 * normal / np.linalg.norm(normal)
+    off[0] /= np.linalg.norm(off[0])
     weight, noise = np.ones((2, 1)), np.full(2, 1e-3)
     assert np.isnan(triangulate_rays(rig, off, weight, noise, TriangulateConfig())[0]).all()
     assert np.isnan(triangulate_rays(rig, rays, weight, noise, TriangulateConfig(least_angle_deg=179.0))[0]).all()

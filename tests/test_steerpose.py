@@ -146,7 +146,7 @@ def test_not_weights(tmp_path):
     (tmp_path / "w.safetensors").write_bytes(b"not weights at all")
     with pytest.raises(FormatError, match="not weights"):
         load_lifter(tmp_path / "w.safetensors")
-    with pytest.raises(FormatError, match="found none"):
+    with pytest.raises(FormatError, match="found neither"):
         load_lifter(tmp_path / "missing.safetensors")
 
 

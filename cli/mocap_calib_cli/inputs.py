@@ -19,7 +19,7 @@ from mocap_calib.io.results import read_matches_csv
 from mocap_calib.pairwise import PairSolver
 from mocap_calib.recording import make_recording, name_mapping
 from mocap_calib.skeleton import SHIPPED, choose_skeleton, load_aliases, load_skeleton, match_names
-from mocap_calib.types import Camera, CameraRig, Keypoints2D, LiftedPoses, Matches, Recording, Skeleton
+from mocap_calib.types import Camera, CameraRig, Ints, Keypoints2D, LiftedPoses, Matches, Recording, Sample, Skeleton
 from mocap_calib_cli.options import STDIO
 from mocap_calib_cli.progress import Reporter, table
 
@@ -164,12 +164,16 @@ def placed(recording: Recording, rig: CameraRig) -> CameraRig:
     return CameraRig(recording.cameras, rig.rotation[index], rig.translation[index], rig.unit)
 
 
-def lifted_poses(recording: Recording, model: str, device: str, reporter: Reporter) -> LiftedPoses:
-    """The recording's detections, lifted. Raises MismatchError where there is no such device."""
+def lifted_sample(recording: Recording, model: str, device: str, reporter: Reporter) -> tuple[Ints, Sample, LiftedPoses]:
+    """The frames (indices) that calibration looks at, and their detections, lifted. Raises MismatchError where there is no such device."""
+    from mocap_calib.config import SampleConfig
+    from mocap_calib.frames import informative, sample
     from mocap_calib.steerpose.lift import lift
     from mocap_calib_cli.model import load_model
 
-    return lift(recording, load_model(device, model), device=device, progress=reporter)
+    chosen = informative(recording, SampleConfig())
+    some = sample(recording, chosen)
+    return chosen, some, lift(some, load_model(device, model), device=device, progress=reporter)
 
 
 def pair_solver(solver: str, recording: Recording, model: str) -> PairSolver | None:
@@ -196,4 +200,9 @@ def read_stdin(what: str) -> str:
 def hashes(paths: Iterable[str | Path]) -> dict[str, str]:
     """Path -> SHA-256 of each regular file, and of those in each folder; a pipe has been read and is left out."""
     files = [file for path in map(Path, paths) for file in (sorted(path.iterdir()) if path.is_dir() else [path])]
-    return {str(file): hashlib.sha256(file.read_bytes()).hexdigest() for file in files if file.is_file()}
+    return {str(file): _hash(file) for file in files if file.is_file()}
+
+
+def _hash(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,23 +1,24 @@
 """Where results go: stdout, a file, or a folder; checked before the work starts, written whole or not at all."""
 
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import click
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.io.atomic import write_bytes
+from mocap_calib.io.atomic import replace_text
 from mocap_calib_cli.options import STDIO
 
 
-def write_text(output: str, text: str) -> None:
-    """Writes to stdout or to a file."""
+def write_text(output: str, pieces: Iterable[str]) -> None:
+    """Writes text that comes in pieces to stdout or to a file."""
     if output == STDIO:
-        click.echo(text, nl=False)
+        for piece in pieces:
+            click.echo(piece, nl=False)
     else:
-        write_bytes(Path(output), text.encode())
+        replace_text(Path(output), pieces)
 
 
 def check_text(output: str | None) -> None:

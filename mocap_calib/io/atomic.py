@@ -4,19 +4,20 @@ import errno
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 
-def write_bytes(path: Path, content: bytes) -> None:
-    """Replaces `path` by `content` in one step; the folder is made when missing."""
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A file to write: it takes the place of `path` in one step when the block ends well; the folder is made when missing."""
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    os.close(handle)
     try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-            file.flush()
+        yield Path(name)
+        with open(name, "rb+") as file:
             os.fsync(file.fileno())
         umask = os.umask(0)
         os.umask(umask)
@@ -25,6 +26,18 @@ def write_bytes(path: Path, content: bytes) -> None:
     except BaseException:
         Path(name).unlink(missing_ok=True)
         raise
+
+
+def replace_text(path: Path, pieces: Iterable[str]) -> None:
+    """Replaces `path` by text that comes in pieces, in one step."""
+    with replacing(path) as work, work.open("w", encoding="utf-8", newline="") as file:
+        file.writelines(pieces)
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Replaces `path` by `content` in one step; the folder is made when missing."""
+    with replacing(path) as work:
+        work.write_bytes(content)
 
 
 @contextmanager

@@ -4,10 +4,10 @@ import json
 
 import numpy as np
 
-from mocap_calib.types import Bools, Floats, Ints, check_shape
+from mocap_calib.types import Bools, Ints, Reals, check_shape
 
 
-def format_coco(camera: str, size: tuple[int, int], frames: Ints, keypoints: tuple[str, ...], positions: Floats, confidence: Floats) -> str:
+def format_coco(camera: str, size: tuple[int, int], frames: Ints, keypoints: tuple[str, ...], positions: Reals, confidence: Reals) -> str:
     """The detections of one camera as COCO annotations.
 
     size: (width, height) of the images. frames: `[frame]` numbers; they are the image ids, and in the file names.
@@ -27,11 +27,11 @@ def format_coco(camera: str, size: tuple[int, int], frames: Ints, keypoints: tup
     return "{" + ",\n".join(lists) + "}\n"
 
 
-def _annotation(number: int, image: int, positions: Floats, confidence: Floats) -> dict[str, object]:
+def _annotation(number: int, image: int, positions: Reals, confidence: Reals) -> dict[str, object]:
     """One detection. The confidence of what is there is at least 0.01, since 0 means missing."""
     seen: Bools = np.asarray(np.isfinite(positions).all(-1))
     third = np.where(seen, np.clip(confidence, 0.01, None), 0.0)
-    values = np.concatenate([np.where(seen[:, None], positions, 0.0).round(1), third[:, None].round(2)], axis=1).ravel()
+    values = np.concatenate([np.where(seen[:, None], positions, 0.0).astype(np.float64).round(1), third[:, None].astype(np.float64).round(2)], axis=1).ravel()
     whole = [int(value) if value == int(value) else value for value in values.tolist()]
     return {"id": number, "image_id": image, "category_id": 1, "num_keypoints": int(seen.sum()), "keypoints": whole}
 

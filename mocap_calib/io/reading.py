@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from mocap_calib.errors import FormatError
-from mocap_calib.types import Bools, Floats, Ints
+from mocap_calib.types import Bools, Floats, Ints, Reals
 
 _LARGEST = np.iinfo(np.int64).max
 
@@ -66,11 +66,14 @@ def unique_names(names: Sequence[str], source: str) -> tuple[str, ...]:
     return tuple(names)
 
 
-def mark_missing(positions: Floats, confidence: Floats) -> tuple[Floats, Floats]:
-    """`[..., 2]` positions with NaN and `[...]` confidences with 0 at every point that one of the customs calls missing.
+def mark_missing(positions: Floats, confidence: Floats) -> tuple[Reals, Reals]:
+    """`[..., 2]` positions with NaN and `[...]` confidences with 0 at every point that one of the customs calls missing; float32.
 
     The customs: not a number, a confidence of 0 or below, (0, 0) (OpenPose, COCO), (-1, -1) (DeepLabCut 3).
     """
-    missing: Bools = ~(np.isfinite(positions).all(-1) & (confidence > 0) & np.isfinite(confidence))
+    with np.errstate(over="ignore"):  # what float32 cannot hold is no pixel
+        kept = positions.astype(np.float32), confidence.astype(np.float32)
+    missing: Bools = np.asarray(~(np.isfinite(kept[0]).all(-1) & (kept[1] > 0) & np.isfinite(kept[1])))
     missing |= (positions == 0).all(-1) | (positions == -1).all(-1)
-    return np.where(missing[..., None], np.nan, positions), np.where(missing, 0.0, confidence)
+    kept[0][missing], kept[1][missing] = np.nan, 0.0
+    return kept

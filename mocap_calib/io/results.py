@@ -3,7 +3,7 @@
 import csv
 import io
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -12,12 +12,13 @@ import h5py
 import numpy as np
 
 from mocap_calib.errors import FormatError, MismatchError
-from mocap_calib.io.atomic import write_bytes
+from mocap_calib.io.atomic import replacing
 from mocap_calib.io.intrinsics import camera_fields, camera_from_fields, numbers, one_field
 from mocap_calib.io.reading import decode, malformed, one_line, read_bytes
 from mocap_calib.types import Bools, Camera, Floats, Ints, Matches, PairwiseCalibration, Poses3D, Recording, check_shape
 
 VERSION = 1
+_PIECE = 4096  # frames
 _MATCH_COLUMNS = ["camera", "frame", "instance", "individual"]
 _DAMAGE = (OSError, KeyError, IndexError, ValueError, TypeError, AttributeError, RuntimeError, OverflowError, MemoryError)
 
@@ -25,22 +26,26 @@ _DAMAGE = (OSError, KeyError, IndexError, ValueError, TypeError, AttributeError,
 # --- matches.csv
 
 
-def format_matches_csv(recording: Recording, matches: Matches) -> str:
-    """CSV with a row per detection: camera name, frame number, instance (order in the file), individual (-1 = nobody)."""
-    view, frame, instance = np.nonzero(recording.seen.any(-1))
-    names = [_csv_line([name]).rstrip("\n") for name in recording.names]
-    columns = (recording.frames[frame].tolist(), instance.tolist(), matches.labels[view, frame, instance].tolist())
-    rows = (f"{names[v]},{f},{i},{who}\n" for v, f, i, who in zip(view.tolist(), *columns, strict=True))
-    return _csv_line(_MATCH_COLUMNS) + "".join(rows)
+def matches_csv(recording: Recording, matches: Matches) -> Iterator[str]:
+    """CSV, in pieces, with a row per detection: camera name, frame number, instance (order in the file), individual (-1 = nobody)."""
+    yield _csv_line(_MATCH_COLUMNS)
+    for view, name in enumerate(recording.names):
+        camera = _csv_line([name]).rstrip("\n")
+        for piece in _pieces(len(recording.frames)):
+            frame, instance = np.nonzero(np.isfinite(recording.positions[view, piece, :, :, 0]).any(-1))
+            who = matches.labels[view, piece][frame, instance]
+            columns = (recording.frames[piece][frame].tolist(), instance.tolist(), who.tolist())
+            yield "".join(f"{camera},{f},{i},{w}\n" for f, i, w in zip(*columns, strict=True))
 
 
-def write_matches_csv(path: Path, recording: Recording, matches: Matches) -> None:
-    """Writes `format_matches_csv` atomically."""
-    write_bytes(path, format_matches_csv(recording, matches).encode())
+def _pieces(frames: int) -> Iterator[slice]:
+    """Slices of the frames: Python's numbers take four times the room of numpy's."""
+    for start in range(0, frames, _PIECE):
+        yield slice(start, start + _PIECE)
 
 
 def read_matches_csv(path_or_text: Path | str, recording: Recording) -> Matches:
-    """The inverse of `format_matches_csv`; a detection that has no row is nobody's.
+    """The inverse of `matches_csv`; a detection that has no row is nobody's.
 
     Raises FormatError for bad content and MismatchError for a camera, frame or instance that the recording lacks.
     """
@@ -107,7 +112,7 @@ def write_poses_h5(path: Path, poses: Poses3D, attributes: Mapping[str, Any]) ->
     keypoint]`, frames `[frame]`, keypoint_names `[keypoint]`.
     """
     arrays = {"position": poses.positions, "error": poses.error, "views": poses.views, "confidence": poses.confidence, "frames": poses.frames}
-    with h5py.File("poses", "w", driver="core", backing_store=False) as file:
+    with replacing(path) as work, h5py.File(work, "w") as file:
         for name, array in arrays.items():
             packed = {"compression": "gzip", "shuffle": True} if array.size else {}
             # no times in the file: they would change its bytes
@@ -116,9 +121,6 @@ def write_poses_h5(path: Path, poses: Poses3D, attributes: Mapping[str, Any]) ->
         fields = {"format": "mocap-calib poses", "version": VERSION, "unit": poses.unit, "dimensions": "frame, individual, keypoint, coordinate"}
         for name, value in (fields | {"provenance": json.dumps(attributes, default=str)}).items():
             file.attrs[name] = value
-        file.flush()
-        content = file.id.get_file_image()
-    write_bytes(path, content)
 
 
 def read_poses_h5(path: Path) -> Poses3D:
@@ -140,22 +142,19 @@ def read_poses_h5(path: Path) -> Poses3D:
     return Poses3D(keypoints, frames, position, error, views, confidence, unit)
 
 
-def format_poses_csv(poses: Poses3D, individual: int) -> str:
-    """The poses of one individual in the columns of anipose: a row per frame, empty cells where something is missing.
+def poses_csv(poses: Poses3D, individual: int) -> Iterator[str]:
+    """The poses of one individual in the columns of anipose, in pieces: a row per frame, empty cells where something is missing.
 
     M and center are anipose's later change of axes: none here.
     """
     header = [f"{name}_{field}" for name in poses.keypoints for field in ("x", "y", "z", "error", "ncams", "score")]
     header += [f"M_{i}{j}" for i in range(3) for j in range(3)] + [f"center_{i}" for i in range(3)] + ["fnum"]
     axes = ",".join(map(str, [*np.eye(3).ravel().tolist(), 0.0, 0.0, 0.0]))
-    lines = [_csv_line(header)]
-    for start in range(0, len(poses.frames), 4096):  # in pieces: Python's floats take four times the room of numpy's
-        piece = slice(start, start + 4096)
-        rows = _anipose_rows(poses, individual, piece)
-        for row, frame in zip(rows.tolist(), poses.frames[piece].tolist(), strict=True):
-            # a list prints its floats with repr, which is exact, and much faster than a call each
-            lines.append(f"{str(row)[1:-1].replace(' ', '').replace('nan', '')},{axes},{frame}\n")
-    return "".join(lines)
+    yield _csv_line(header)
+    for piece in _pieces(len(poses.frames)):
+        rows = zip(_anipose_rows(poses, individual, piece).tolist(), poses.frames[piece].tolist(), strict=True)
+        # a list prints its floats with repr, which is exact, and much faster than a call each
+        yield "".join(f"{str(row)[1:-1].replace(' ', '').replace('nan', '')},{axes},{frame}\n" for row, frame in rows)
 
 
 def _anipose_rows(poses: Poses3D, individual: int, piece: slice) -> Floats:

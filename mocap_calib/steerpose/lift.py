@@ -9,9 +9,10 @@ import numpy as np
 import torch
 
 from mocap_calib.errors import MismatchError
+from mocap_calib.frames import evenly
 from mocap_calib.geometry.rotation import looking_along
 from mocap_calib.steerpose.model import Lifter, normalise
-from mocap_calib.types import Bools, Floats, LiftedPoses, Progress, Recording
+from mocap_calib.types import Bools, Floats, LiftedPoses, Progress, Sample
 
 LEAST_JOINTS = 4
 _DOUBTFUL = 0.4  # of the confidence that a view reaches at its best; the network knows joints that are seen or not
@@ -22,7 +23,7 @@ _CROWD = 0.2  # share of images with several detections; below it they are false
 _DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]])
 
 
-def lift(recording: Recording, lifter: Lifter, *, device: str = "cpu", progress: Progress) -> LiftedPoses:
+def lift(recording: Sample, lifter: Lifter, *, device: str = "cpu", progress: Progress) -> LiftedPoses:
     """Lifts all detections that show at least four joints of the model's vocabulary for sure.
 
     The body of the network (eq. 1's q*(R) = P R E[X | p]) is freed of the virtual camera and scaled to unit size;
@@ -53,7 +54,7 @@ def lift(recording: Recording, lifter: Lifter, *, device: str = "cpu", progress:
     return LiftedPoses(body, centre, spread)
 
 
-def _check_needed(recording: Recording, known: Bools) -> None:
+def _check_needed(recording: Sample, known: Bools) -> None:
     if len(known) < LEAST_JOINTS:
         raise MismatchError(f"expected at least {LEAST_JOINTS} joints that two views have in common, found {', '.join(recording.keypoints)}; detect more")
     crowded = (recording.seen.any(-1).sum(-1) > 1).mean() > _CROWD
@@ -62,7 +63,7 @@ def _check_needed(recording: Recording, known: Bools) -> None:
         raise MismatchError(f"expected at least {LEAST_JOINTS} joint names that the model knows, found {known.sum()} among {names}; map them with --skeleton")
 
 
-def _sure(recording: Recording) -> Bools:
+def _sure(recording: Sample) -> Bools:
     """`[view, frame, instance, keypoint]` joints that are worth lifting: detectors also report, doubtfully, what they do not see."""
     best = [np.percentile(own[own > 0], _BEST) if (own > 0).any() else 1.0 for own in recording.confidence]
     return recording.seen & (recording.confidence >= _DOUBTFUL * np.reshape(best, (-1, 1, 1, 1)))
@@ -70,8 +71,8 @@ def _sure(recording: Recording) -> Bools:
 
 def _down(rays: Floats, lifter: Lifter, device: str) -> Floats:
     """`[3]` the quarter turn of the image plane that makes the network surest of a sample of this view's detections."""
-    sample = rays[np.linspace(0, len(rays) - 1, min(len(rays), _SAMPLE)).astype(int)]
-    doubt = [np.median(_lift_rays(sample, down, lifter, device)[2]) for down in _DOWN]
+    some = rays[evenly(np.arange(len(rays)), _SAMPLE)]
+    doubt = [np.median(_lift_rays(some, down, lifter, device)[2]) for down in _DOWN]
     return _DOWN[int(np.argmin(doubt))]
 
 

@@ -51,20 +51,23 @@ def own_poses(poses: Poses3D, skeleton: Skeleton, up: Floats, split: Split) -> P
 
 def own_skeleton(name: str, poses: Poses3D) -> Skeleton:
     """The keypoints of the poses, joined into a tree by what is most rigid: the bones that change their length least."""
-    bodies = poses.positions.reshape(-1, len(poses.keypoints), 3)
-    spread, length = _lengths(bodies)
-    cost = 1e-6 + np.nan_to_num(spread / np.sqrt(np.maximum(length, 1e-12)), nan=np.nanmax(spread) * 10)
-    tree = minimum_spanning_tree(csr_array(np.triu(cost, 1)))
+    spread, length = _lengths(poses.positions)
+    tree = minimum_spanning_tree(csr_array(np.triu(1e-6 + np.nan_to_num(spread, nan=np.nanmax(spread)), 1)))
     order, parent = breadth_first_order(tree, int(np.nanmean(length, axis=1).argmin()), directed=False)
     edges = [[poses.keypoints[parent[child]], poses.keypoints[child]] for child in order[1:]]
     return parse_skeleton({"name": name, "keypoints": list(poses.keypoints), "edges": edges}, name)
 
 
-def _lengths(bodies: Floats) -> tuple[Floats, Floats]:
-    """`[keypoint, keypoint]` standard deviation and median of the distance between two keypoints, in the unit of the poses."""
-    count = bodies.shape[1]
-    spread, length = np.zeros((count, count)), np.zeros((count, count))
+def _lengths(positions: Floats) -> tuple[Floats, Floats]:
+    """`[keypoint, keypoint]` spread and typical value of the distance between two keypoints, in sizes of the individual.
+
+    positions: `[frame, individual, keypoint, 3]`. Medians: some points are wrong, and some individuals are children.
+    """
+    count = positions.shape[2]
+    length = np.full((count, *positions.shape[:3]), np.nan)
     for k in range(count):
-        distance = np.linalg.norm(bodies - bodies[:, k : k + 1], axis=-1)
-        spread[k], length[k] = np.nanstd(distance, axis=0), np.nanmedian(distance, axis=0)
-    return spread, length
+        length[k] = np.linalg.norm(positions - positions[:, :, k : k + 1], axis=-1)
+    size = np.nanmedian(length, axis=(0, 1, 3))
+    length = length / size[:, None]
+    typical = np.nanmedian(length, axis=1, keepdims=True)
+    return np.nanmedian(np.abs(length - typical), axis=(1, 2)), np.nanmedian(typical, axis=(1, 2))

@@ -26,7 +26,7 @@ from mocap_calib.steerpose.losses import (
 )
 from mocap_calib.steerpose.model import normalise
 from mocap_calib.steerpose.steer import Model, matrix_from_vector, steering
-from mocap_calib.types import Floats, Ints, Recording
+from mocap_calib.types import Floats, Ints, Sample
 
 _FAR_PX = 100.0  # a joint reprojected farther away, or behind a camera, counts as this
 _LEAST_JOINTS = 4
@@ -79,13 +79,18 @@ class _Batch:
         return self.seen_a.sum(-1) >= _LEAST_JOINTS, self.seen_b.sum(-1) >= _LEAST_JOINTS
 
 
-def two_views(recording: Recording, a: int, b: int, frames: Ints, joints: int) -> TwoViews:
+def two_views(recording: Sample, a: int, b: int, frames: Ints, joints: int) -> TwoViews:
     """The detections of two views in these frames (indices), in the order of the model's joints."""
     known = recording.vocabulary >= 0
     rays = np.full((2, len(frames), recording.rays.shape[2], joints, 3), np.nan)
     for side, view in enumerate((a, b)):
         rays[side][..., recording.vocabulary[known], :] = recording.rays[view][frames][..., known, :]
     return TwoViews(rays[0], rays[1], (recording.cameras[a].focal + recording.cameras[b].focal) / 2)
+
+
+def seeded(seed: int) -> torch.Generator:
+    """The source of the random starts."""
+    return torch.Generator().manual_seed(seed)
 
 
 def solve_pair(views: TwoViews, model: Model, config: PaperConfig, generator: torch.Generator, *, start: Tensor | None = None) -> PaperSolution:

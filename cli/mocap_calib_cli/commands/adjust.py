@@ -28,8 +28,10 @@ def command(
     """
     from mocap_calib.config import Config
     from mocap_calib.io.camera_files import format_cameras_yaml
-    from mocap_calib.io.results import format_matches_csv
-    from mocap_calib.pipeline import adjust_to_fixed_point
+    from mocap_calib.io.results import matches_csv
+    from mocap_calib.matching import settle
+    from mocap_calib.pipeline import adjust_to_fixed_point, match_all
+    from mocap_calib.types import Matches
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.progress import Reporter
 
@@ -37,10 +39,11 @@ def command(
     outputs.check_text(matches_out)
     with Reporter(quiet=quiet) as reporter:
         cameras = inputs.rig_of(rig)
-        recording, chosen = inputs.read_recording(keypoints, cameras.cameras, skeleton, reporter, model=model, placed=True)
-        lifted = inputs.lifted_poses(recording, chosen, device, reporter)
+        recording, network = inputs.read_recording(keypoints, cameras.cameras, skeleton, reporter, model=model, placed=True)
         start, labels = inputs.placed(recording, cameras), inputs.matches_of(matches, recording)
-        found = adjust_to_fixed_point(recording, lifted, start, labels, Config(), progress=reporter)
-    if matches_out is not None:
-        outputs.write_text(matches_out, format_matches_csv(recording, found.matches))
-    outputs.write_text(output, format_cameras_yaml(found.rig, outputs.provenance("adjust")))
+        chosen, some, lifted = inputs.lifted_sample(recording, network, device, reporter)
+        found = adjust_to_fixed_point(some, lifted, start, Matches(labels.labels[:, chosen]), Config(), progress=reporter)
+        if matches_out is not None:
+            everyone = match_all(recording, chosen, some, lifted, found.rig, found.matches, Config(), progress=reporter)
+            outputs.write_text(matches_out, matches_csv(recording, settle(recording, found.rig, everyone, Config().matching)))
+    outputs.write_text(output, [format_cameras_yaml(found.rig, outputs.provenance("adjust"))])

@@ -38,4 +38,4 @@ def command(pairs: str, output: str, quiet: bool) -> None:
     if left_out and not quiet:
         print(f"left out, no other camera confirms what they see: {', '.join(left_out)}", file=sys.stderr)  # noqa: T201
     averaged = average(tuple(cameras[k] for k in kept), of_cameras(found, kept), AveragingConfig())
-    outputs.write_text(output, format_cameras_yaml(averaged.rig, outputs.provenance("average")))
+    outputs.write_text(output, [format_cameras_yaml(averaged.rig, outputs.provenance("average"))])

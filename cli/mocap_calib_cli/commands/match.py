@@ -22,16 +22,19 @@ def command(keypoints: tuple[str, ...], rig: str, output: str, skeleton: Path | 
     Example:
       mocap-calib match keypoints/ --rig rig.yaml -o matches.csv
     """
-    from mocap_calib.config import MatchingConfig, PairwiseConfig
-    from mocap_calib.io.results import format_matches_csv
+    from mocap_calib.config import Config
+    from mocap_calib.io.results import matches_csv
     from mocap_calib.matching import match
+    from mocap_calib.pipeline import match_all
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.progress import Reporter
 
     outputs.check_text(output)
     with Reporter(quiet=quiet) as reporter:
         cameras = inputs.rig_of(rig)
-        recording, chosen = inputs.read_recording(keypoints, cameras.cameras, skeleton, reporter, model=model, placed=True)
-        lifted = inputs.lifted_poses(recording, chosen, device, reporter)
-        found = match(recording, lifted, inputs.placed(recording, cameras), MatchingConfig(), PairwiseConfig(), progress=reporter)
-    outputs.write_text(output, format_matches_csv(recording, found))
+        recording, network = inputs.read_recording(keypoints, cameras.cameras, skeleton, reporter, model=model, placed=True)
+        chosen, some, lifted = inputs.lifted_sample(recording, network, device, reporter)
+        start = inputs.placed(recording, cameras)
+        within = match(some, lifted, start, Config().matching, Config().pairwise, progress=reporter)
+        found = match_all(recording, chosen, some, lifted, start, within, Config(), progress=reporter)
+    outputs.write_text(output, matches_csv(recording, found))

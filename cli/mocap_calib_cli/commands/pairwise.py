@@ -31,14 +31,14 @@ def command(
 
     from mocap_calib.config import PairwiseConfig
     from mocap_calib.io.results import pairs_to_json
-    from mocap_calib.pairwise import calibrate_pairs
+    from mocap_calib.pairwise import calibrate_pairs, in_recording
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.progress import Reporter
 
     outputs.check_text(output)
     with Reporter(quiet=quiet) as reporter:
-        recording, chosen = inputs.read_recording(keypoints, inputs.cameras_of(cameras), skeleton, reporter, model=model)
-        lifted = inputs.lifted_poses(recording, chosen, device, reporter)
-        solve = inputs.pair_solver(solver, recording, chosen)
-        pairs = calibrate_pairs(recording, lifted, PairwiseConfig(), rng=np.random.default_rng(seed), progress=reporter, solve=solve)
-    outputs.write_text(output, pairs_to_json(pairs, recording.cameras))
+        recording, network = inputs.read_recording(keypoints, inputs.cameras_of(cameras), skeleton, reporter, model=model)
+        chosen, some, lifted = inputs.lifted_sample(recording, network, device, reporter)
+        solve = inputs.pair_solver(solver, recording, network)
+        pairs = calibrate_pairs(some, lifted, PairwiseConfig(), rng=np.random.default_rng(seed), progress=reporter, solve=solve)
+    outputs.write_text(output, [pairs_to_json(in_recording(pairs, chosen), recording.cameras)])

@@ -47,11 +47,11 @@ def command(
 
     outputs.check_folder(output)
     with Reporter(quiet=quiet) as reporter:
-        recording, chosen = inputs.read_recording(keypoints, inputs.cameras_of(cameras), skeleton, reporter, model=model)
-        solve = inputs.pair_solver(solver, recording, chosen)
-        found = calibrate(recording, load_model(device, chosen), Config(), seed=seed, device=device, progress=reporter, solve=solve)
+        recording, network = inputs.read_recording(keypoints, inputs.cameras_of(cameras), skeleton, reporter, model=model)
+        solve = inputs.pair_solver(solver, recording, network)
+        found = calibrate(recording, load_model(device, network), Config(), seed=seed, device=device, progress=reporter, solve=solve)
     hashes = inputs.hashes([*(path for _, path in inputs.keypoint_files(keypoints)), cameras, *([skeleton] if skeleton else [])])
-    report = run_report(found, seed=seed, config=Config(), inputs=hashes) | {"model": chosen, "solver": solver}
+    report = run_report(found, seed=seed, config=Config(), inputs=hashes) | {"model": network, "solver": solver}
     _write(output, found, report, seed)
     _summarise(reporter, found, report, output)
     if as_json:
@@ -60,9 +60,9 @@ def command(
 
 def _write(output: Path, found: "Calibration", report: dict[str, Any], seed: int) -> None:
     """All files of a run, together or not at all; poses of more individuals than this run found are taken away."""
-    from mocap_calib.io.atomic import folder
+    from mocap_calib.io.atomic import folder, replace_text
     from mocap_calib.io.camera_files import format_calibration_toml, format_cameras_yaml
-    from mocap_calib.io.results import format_matches_csv, format_poses_csv, write_poses_h5
+    from mocap_calib.io.results import matches_csv, poses_csv, write_poses_h5
     from mocap_calib_cli import outputs
 
     source = outputs.provenance("run", seed=seed, inputs=report["inputs"])
@@ -71,11 +71,11 @@ def _write(output: Path, found: "Calibration", report: dict[str, Any], seed: int
         (work / "calibration.toml").write_text(format_calibration_toml(found.rig, source), "utf-8")
         if found.rival is not None:
             (work / "calibration_reversed.toml").write_text(format_calibration_toml(found.rival, source), "utf-8")
-        (work / "matches.csv").write_text(format_matches_csv(found.recording, found.matches), "utf-8")
+        replace_text(work / "matches.csv", matches_csv(found.recording, found.matches))
         (work / "run.json").write_text(json.dumps(report, indent=1, allow_nan=False) + "\n", "utf-8")
         write_poses_h5(work / "poses3d.h5", found.poses, source)
         for individual in range(found.matches.individuals):
-            outputs.of_individual(work / "poses3d.csv", individual).write_text(format_poses_csv(found.poses, individual), "utf-8")
+            replace_text(outputs.of_individual(work / "poses3d.csv", individual), poses_csv(found.poses, individual))
     outputs.remove_stale(output / "poses3d.csv", found.matches.individuals)
     if found.rival is None:
         (output / "calibration_reversed.toml").unlink(missing_ok=True)

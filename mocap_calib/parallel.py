@@ -1,0 +1,46 @@
+"""The one place where work is spread over threads. What is computed never depends on how many there are.
+
+Blocks are cut by their content alone and put together in their order, and each runs on one thread: OpenMP and BLAS, whose sums depend
+on the number of threads, are held to one.
+"""
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import TypeVar
+
+from threadpoolctl import threadpool_limits
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+def threads() -> int:
+    """The processors at hand, or fewer where OMP_NUM_THREADS says so."""
+    wanted = os.environ.get("OMP_NUM_THREADS", "")
+    at_hand = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(at_hand, int(wanted)) if wanted.isdigit() and int(wanted) else at_hand
+
+
+@contextmanager
+def single_threaded_libraries() -> Iterator[None]:
+    """BLAS and OpenMP on one thread each: ours are enough."""
+    with threadpool_limits(1):
+        yield
+
+
+def in_order(function: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Result]:
+    """The results for all items, in their order, as they come; a few at a time are under way."""
+    count = threads()
+    if count == 1 or len(items) < 2:
+        yield from map(function, items)
+        return
+    with ThreadPoolExecutor(count) as pool:
+        ahead = [pool.submit(function, item) for item in items[: 2 * count]]
+        for done in range(len(items)):
+            result = ahead[done].result()
+            ahead[done] = None  # type: ignore[call-overload]  # what has been taken need not be kept
+            if len(ahead) < len(items):
+                ahead.append(pool.submit(function, items[len(ahead)]))
+            yield result
