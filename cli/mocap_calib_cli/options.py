@@ -18,6 +18,7 @@ matches = click.option("--matches", required=True, metavar="MATCHES", help="File
 skeleton = click.option("--skeleton", type=click.Path(path_type=Path), metavar="FILE.yaml", help="Your names of joints: a mapping `aliases`, own name: joint.")
 seed = click.option("--seed", type=click.IntRange(min=0), default=0, help="The same seed gives the same results.")
 device = click.option("--device", type=click.Choice(["cpu", "cuda"]), default="cpu", help="Where the network runs.")
+scheduler = click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler whose workers do the work (tcp://HOST:PORT); same results.")
 quiet = click.option("--quiet", "-q", is_flag=True, help="Say nothing on stderr but errors.")
 
 

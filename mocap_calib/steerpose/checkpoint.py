@@ -1,5 +1,6 @@
 """Weights as safetensors files that describe themselves."""
 
+import hashlib
 import json
 from dataclasses import asdict
 from importlib import resources
@@ -63,6 +64,11 @@ def models() -> dict[str, dict[str, Any]]:
             if path.is_file():
                 cards[name] = _description(path)["card"]
     return cards
+
+
+def digest(name: str) -> str:
+    """SHA-256 of the weights of a shipped lifter."""
+    return hashlib.sha256(_shipped(name).read_bytes()).hexdigest()
 
 
 def _shipped(name: str) -> Traversable:

@@ -20,55 +20,42 @@ if TYPE_CHECKING:
 @options.skeleton
 @options.seed
 @options.device
+@options.scheduler
 @options.as_json("Write the content of run.json to stdout as well.")
 @options.quiet
-def command(keypoints: tuple[str, ...], cameras: str, output: Path, skeleton: Path | None, seed: int, device: str, as_json: bool, quiet: bool) -> None:
+def command(
+    keypoints: tuple[str, ...],
+    cameras: str,
+    output: Path,
+    skeleton: Path | None,
+    seed: int,
+    device: str,
+    scheduler: str | None,
+    as_json: bool,
+    quiet: bool,
+) -> None:
     """Calibrates the cameras that saw KEYPOINTS, finds who is who, and triangulates the poses.
 
     KEYPOINTS: a folder with one file per camera, or files, or name=path pairs. The name of a camera is the stem of its
-    file; it must be a name in INTRINSICS.
+    file; it must be a name in INTRINSICS. A run that was killed picks up the pairs of cameras it had finished.
 
     \b
     Example:
       mocap-calib run keypoints/ --cameras intrinsics.toml -o out
       mocap-calib run left=a.json right=b.json --cameras intrinsics.toml -o out --json
     """
-    from mocap_calib.config import Config
-    from mocap_calib.pipeline import calibrate
-    from mocap_calib.report import run_report
-    from mocap_calib_cli import inputs, outputs
-    from mocap_calib_cli.model import load_model
+    from mocap_calib_cli import jobs, outputs
+    from mocap_calib_cli.engine import engine
     from mocap_calib_cli.progress import Reporter
 
     outputs.check_folder(output)
-    with Reporter(quiet=quiet) as reporter:
-        recording, model = inputs.read_recording(keypoints, inputs.cameras_of(cameras), skeleton, reporter)
-        found = calibrate(recording, load_model(device, model), Config(), seed=seed, device=device, progress=reporter)
-    hashes = inputs.hashes([*(path for _, path in inputs.keypoint_files(keypoints)), cameras, *([skeleton] if skeleton else [])])
-    report = run_report(found, seed=seed, config=Config(), inputs=hashes) | {"model": model}
-    _write(output, found, report, seed)
+    with Reporter(quiet=quiet) as reporter, engine(reporter, scheduler=scheduler) as there:
+        job = jobs.read(jobs.Order(keypoints, cameras, skeleton, seed, device, output), reporter)
+        found = jobs.solve_here(job, progress=reporter, mapper=there or map)
+    report = jobs.write(job, found)
     _summarise(reporter, found, report, output)
     if as_json:
         click.echo(json.dumps(report, indent=1, allow_nan=False))
-
-
-def _write(output: Path, found: "Calibration", report: dict[str, Any], seed: int) -> None:
-    """All files of a run, together or not at all; poses of more individuals than this run found are taken away."""
-    from mocap_calib.io.atomic import folder
-    from mocap_calib.io.camera_files import format_calibration_toml, format_cameras_yaml
-    from mocap_calib.io.results import format_matches_csv, format_poses_csv, write_poses_h5
-    from mocap_calib_cli import outputs
-
-    source = outputs.provenance("run", seed=seed, inputs=report["inputs"])
-    with folder(output) as work:
-        (work / "cameras.yaml").write_text(format_cameras_yaml(found.rig, source), "utf-8")
-        (work / "calibration.toml").write_text(format_calibration_toml(found.rig, source), "utf-8")
-        (work / "matches.csv").write_text(format_matches_csv(found.recording, found.matches), "utf-8")
-        (work / "run.json").write_text(json.dumps(report, indent=1, allow_nan=False) + "\n", "utf-8")
-        write_poses_h5(work / "poses3d.h5", found.poses, source)
-        for individual in range(found.matches.individuals):
-            outputs.of_individual(work / "poses3d.csv", individual).write_text(format_poses_csv(found.poses, individual), "utf-8")
-    outputs.remove_stale(output / "poses3d.csv", found.matches.individuals)
 
 
 def _summarise(reporter: "Reporter", found: "Calibration", report: dict[str, Any], output: Path) -> None:

@@ -1,0 +1,138 @@
+"""One recording from its files to its results, in steps that `run` takes here and `batch` may have done elsewhere."""
+
+import hashlib
+import json
+import shutil
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from mocap_calib import __version__
+from mocap_calib.config import Config
+from mocap_calib.errors import ClusterError, MocapCalibError
+from mocap_calib.io.atomic import folder
+from mocap_calib.io.camera_files import format_calibration_toml, format_cameras_yaml
+from mocap_calib.io.pair_store import remembering
+from mocap_calib.io.results import format_matches_csv, format_poses_csv, write_poses_h5
+from mocap_calib.pipeline import calibrate
+from mocap_calib.report import run_report
+from mocap_calib.steerpose.checkpoint import digest
+from mocap_calib.steerpose.model import Lifter
+from mocap_calib.types import Calibration, Mapper, Progress, Recording, silent
+from mocap_calib_cli import inputs, outputs
+from mocap_calib_cli.model import check_device, load_model, use_threads
+from mocap_calib_cli.progress import Reporter
+
+_UNFINISHED = ".unfinished"  # in the folder of results: the pairs of a run that is under way or was killed
+
+
+@dataclass(frozen=True)
+class Order:
+    """What was typed: which files, how, and where the results go."""
+
+    keypoints: tuple[str, ...]
+    cameras: str
+    skeleton: Path | None
+    seed: int
+    device: str
+    output: Path
+
+    def hashes(self) -> dict[str, str]:
+        """Path -> SHA-256 of all files that the results follow from."""
+        return inputs.hashes([*(path for _, path in inputs.keypoint_files(self.keypoints)), self.cameras, *([self.skeleton] if self.skeleton else [])])
+
+    def fingerprint(self, hashes: Mapping[str, str], model: str) -> str:
+        """SHA-256 of all that the results follow from: what was typed, the files, the configuration, the weights and the version."""
+        typed = [self.keypoints, self.cameras, str(self.skeleton), self.seed, self.device]
+        return hashlib.sha256(json.dumps([typed, hashes, asdict(Config()), model, digest(model), __version__]).encode()).hexdigest()
+
+
+@dataclass(frozen=True)
+class Job:
+    """A recording that has been read: all that calibrating it needs, on any machine."""
+
+    order: Order
+    hashes: Mapping[str, str]
+    recording: Recording
+    model: str
+    lifter: Lifter
+
+
+def read(order: Order, reporter: Reporter) -> Job:
+    """Raises FormatError and MismatchError."""
+    hashes = order.hashes()  # first: what changes from now on makes another fingerprint
+    recording, model = inputs.read_recording(order.keypoints, inputs.cameras_of(order.cameras), order.skeleton, reporter)
+    return Job(order, hashes, recording, model, load_model("cpu", model))
+
+
+def solve(job: Job, *, progress: Progress = silent, mapper: Mapper = map) -> Calibration:
+    """Calibrates a recording; touches no file. Raises MismatchError and DegenerateError."""
+    use_threads(1)  # such small networks are slower on more, and one is reproducible
+    check_device(job.order.device)
+    return calibrate(job.recording, job.lifter, Config(), seed=job.order.seed, device=job.order.device, progress=progress, mapper=mapper)
+
+
+def solve_here(job: Job, *, progress: Progress = silent, mapper: Mapper = map) -> Calibration:
+    """`solve`, with the pairs kept beside the results until those are written: a run that is killed need not find them again."""
+    try:
+        return solve(job, progress=progress, mapper=remembering(mapper, job.order.output / _UNFINISHED))
+    except MocapCalibError as error:
+        if not isinstance(error, ClusterError):  # it would end there again
+            _forget(job.order.output)
+        raise
+
+
+def write(job: Job, found: Calibration) -> dict[str, Any]:
+    """Writes all files of a run, together or not at all, and returns what run.json holds.
+
+    Poses of more individuals than this run found are taken away.
+    """
+    order = job.order
+    report = run_report(found, seed=order.seed, config=Config(), inputs=job.hashes) | {"model": job.model}
+    source = outputs.provenance("run", seed=order.seed, inputs=job.hashes)
+    with folder(order.output) as work:
+        (work / "cameras.yaml").write_text(format_cameras_yaml(found.rig, source), "utf-8")
+        (work / "calibration.toml").write_text(format_calibration_toml(found.rig, source), "utf-8")
+        (work / "matches.csv").write_text(format_matches_csv(found.recording, found.matches), "utf-8")
+        write_poses_h5(work / "poses3d.h5", found.poses, source)
+        for individual in range(found.matches.individuals):
+            outputs.of_individual(work / "poses3d.csv", individual).write_text(format_poses_csv(found.poses, individual), "utf-8")
+        report |= {"fingerprint": order.fingerprint(job.hashes, job.model), "outputs": _contents(work)}
+        (work / "run.json").write_text(json.dumps(report, indent=1, allow_nan=False) + "\n", "utf-8")
+    outputs.remove_stale(order.output / "poses3d.csv", found.matches.individuals)
+    _forget(order.output)
+    return report
+
+
+def finished(order: Order) -> dict[str, Any] | None:
+    """What run.json holds where the results are those of this order and whole; None where they are to be made.
+
+    A run may have been killed while it moved its files into place: every one of them must be what run.json says.
+    """
+    try:
+        report = json.loads((order.output / "run.json").read_bytes())
+        same = report["fingerprint"] == order.fingerprint(order.hashes(), report["model"])
+        whole = same and all(_digest(order.output / name) == content for name, content in report["outputs"].items())
+        individuals = len(report["individuals"])
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        return None
+    if not whole:
+        return None
+    outputs.remove_stale(order.output / "poses3d.csv", individuals)
+    return report
+
+
+def _contents(work: Path) -> dict[str, str]:
+    return {file.relative_to(work).as_posix(): _digest(file) for file in sorted(work.rglob("*")) if file.is_file()}
+
+
+def _digest(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def _forget(output: Path) -> None:
+    """Takes the pairs of an unfinished run away, and the folder of its results if there are none."""
+    shutil.rmtree(output / _UNFINISHED, ignore_errors=True)
+    if output.is_dir() and not any(output.iterdir()):
+        output.rmdir()
