@@ -13,6 +13,7 @@ from typing import TypeVar
 import dask
 from dask.typing import Key
 from distributed import Client, Future, KilledWorker, LocalCluster, as_completed
+from distributed.comm.addressing import get_address_host_port
 
 from mocap_calib import __version__
 from mocap_calib.errors import ClusterError
@@ -76,8 +77,12 @@ def cluster(address: str) -> Iterator[Cluster]:
     """The cluster of the Dask scheduler at `address` (tcp://...). Raises ClusterError where there is none."""
     with _large_pieces():
         try:
+            get_address_host_port(address, strict=True)
+        except ValueError as error:
+            raise ClusterError(f"expected the address of a Dask scheduler (tcp://HOST:PORT), found {address} ({error}); it says it when it starts") from None
+        try:
             client = Client(address, timeout=_PATIENCE, set_as_default=False)
-        except (OSError, ValueError) as error:
+        except OSError as error:
             raise ClusterError(f"{address}: expected a Dask scheduler, found none that answers ({error}); start it with `dask scheduler`") from None
         with client:
             yield Cluster(client)

@@ -4,9 +4,7 @@ stdout is data, stderr is talk. Exit status: 0 done, 1 the data or the calibrati
 """
 
 import importlib
-import signal
 import sys
-from types import FrameType
 
 import click
 
@@ -65,7 +63,6 @@ def group() -> None:
 
 def main() -> None:
     """The entry point: runs the command, and turns a user's mistake into one line and an exit status."""
-    signal.signal(signal.SIGTERM, _terminate)
     try:
         # without standalone mode click leaves errors to us
         status = group.main(prog_name="mocap-calib", standalone_mode=False)
@@ -84,11 +81,6 @@ def main() -> None:
             raise
         status = _complain(line, 1)
     sys.exit(status or 0)
-
-
-def _terminate(number: int, _: FrameType | None) -> None:
-    """Batch systems end a job with SIGTERM: what is half written is taken away on the way out."""
-    sys.exit(_complain("terminated", 128 + number))
 
 
 def _complain(message: str, status: int) -> int:

@@ -126,6 +126,7 @@ class _Batch:
         """Calibrates what is not finished; a failure is one recording's own."""
         from mocap_calib_cli import jobs
 
+        self.reporter("batch", 0, self.total)
         for job, result in completed(jobs.solve if away else jobs.solve_here, self._unfinished(orders)):
             try:
                 report = jobs.write(job, result())
