@@ -35,7 +35,8 @@ class Cluster:
     @property
     def threads(self) -> int:
         """How many pieces of work can be done at a time, now."""
-        return sum(self.client.nthreads().values())
+        with _answering():
+            return sum(self.client.nthreads().values())
 
     def __call__(self, function: Callable[[T], R], items: Iterable[T], /) -> Iterator[R]:
         """`function` of every item, in the order in which they are done. Raises ClusterError."""
@@ -66,10 +67,8 @@ class Cluster:
             refill()
 
     def _submit(self, function: Callable[[T], R], item: T) -> "Future[R]":
-        try:
+        with _answering():
             return self.client.submit(_same_version, __version__, function, item, pure=False)
-        except OSError:
-            raise ClusterError(_GONE) from None
 
 
 @contextmanager
@@ -97,6 +96,15 @@ def processes(count: int) -> Iterator[Cluster]:
         Client(local, set_as_default=False) as client,
     ):
         yield Cluster(client)
+
+
+@contextmanager
+def _answering() -> Iterator[None]:
+    """Whatever goes wrong with the connection."""
+    try:
+        yield
+    except OSError:
+        raise ClusterError(_GONE) from None
 
 
 def _large_pieces() -> dask.config.set:

@@ -100,8 +100,7 @@ def write(job: Job, found: Calibration) -> dict[str, Any]:
             outputs.of_individual(work / "poses3d.csv", individual).write_text(format_poses_csv(found.poses, individual), "utf-8")
         report |= {"fingerprint": order.fingerprint(job.hashes, job.model), "outputs": _contents(work)}
         (work / "run.json").write_text(json.dumps(report, indent=1, allow_nan=False) + "\n", "utf-8")
-    outputs.remove_stale(order.output / "poses3d.csv", found.matches.individuals)
-    _forget(order.output)
+    _clear(order.output, found.matches.individuals)
     return report
 
 
@@ -119,7 +118,7 @@ def finished(order: Order) -> dict[str, Any] | None:
         return None
     if not whole:
         return None
-    outputs.remove_stale(order.output / "poses3d.csv", individuals)
+    _clear(order.output, individuals)  # which the run did not come to if it was killed at the very end
     return report
 
 
@@ -129,6 +128,11 @@ def _contents(work: Path) -> dict[str, str]:
 
 def _digest(file: Path) -> str:
     return hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def _clear(output: Path, individuals: int) -> None:
+    outputs.remove_stale(output / "poses3d.csv", individuals)
+    _forget(output)
 
 
 def _forget(output: Path) -> None:
