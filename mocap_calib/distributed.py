@@ -126,3 +126,8 @@ def _result(future: "Future[R]") -> R:
         raise ClusterError(
             f"expected workers that survive the work, found {error.allowed_failures + 1} killed by the same piece; give them more memory"
         ) from None
+    except (ModuleNotFoundError, RuntimeError) as error:
+        missing = error.__cause__ or error  # the scheduler tells of it in its own words
+        if not isinstance(missing, ModuleNotFoundError):
+            raise
+        raise ClusterError(f"expected the same packages where the scheduler and the workers are as here, found {missing}; install mocap-calib there") from None

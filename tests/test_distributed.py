@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import psutil
 import pytest
 from conftest import TOOL
 from scenes import scene
@@ -125,7 +126,7 @@ def test_recordings_survive_a_worker(machines, tool, tmp_path):
 
 @pytest.mark.slow
 def test_processes_of_this_machine(tool, tmp_path):
-    """`--jobs`: the same bytes; and when the command is killed nothing that counts as finished is left half done."""
+    """`--jobs`: the same bytes; and the processes do not outlive a command that is killed."""
     for seed in range(2):
         write_scene(tmp_path / f"s{seed}", scene(cameras=3, people=1, frames=30, seed=seed), "made by a test")
     command = ["batch", "s0", "s1", "--cameras", "intrinsics.toml", "-q", "-o"]
@@ -133,6 +134,15 @@ def test_processes_of_this_machine(tool, tmp_path):
         said = tool(*command, jobs, "--jobs", jobs, cwd=tmp_path)
         assert (said.returncode, said.stderr) == (0, "")
     assert contents(tmp_path / "1") == contents(tmp_path / "2")
+    process = subprocess.Popen([TOOL, *command, "killed", "--jobs", "2"], cwd=tmp_path)
+    while not list(tmp_path.glob("killed/*/run.json")):
+        assert process.poll() is None
+        time.sleep(0.01)
+    workers = psutil.Process(process.pid).children(recursive=True)
+    process.kill()
+    process.wait()
+    assert len(workers) >= 2
+    assert psutil.wait_procs(workers, timeout=30)[1] == []
 
 
 @pytest.mark.slow
@@ -160,6 +170,27 @@ def test_no_scheduler_is_one_line(address, said, small, tool, tmp_path):
     assert len(done.stderr.splitlines()) == 1
     assert said in done.stderr
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_work_that_kills_its_workers_is_one_line():
+    """As too little memory does; what else there is to do is done."""
+    code = """
+import os
+from mocap_calib.distributed import processes
+from mocap_calib.errors import ClusterError
+def outcome(result):
+    try:
+        return result()
+    except ClusterError as error:
+        return str(error)
+if __name__ == "__main__":
+    with processes(2) as cluster:
+        print(sorted((item, outcome(result)) for item, result in cluster.completed(os._exit, [1])))
+        print(sorted((item, outcome(result)) for item, result in cluster.completed(abs, [-2, -3])))
+"""
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.splitlines()
+    assert said == ["[(1, 'expected workers that survive the work, found 4 killed by the same piece; give them more memory')]", "[(-3, 3), (-2, 2)]"]
 
 
 def test_workers_of_another_version_are_refused():

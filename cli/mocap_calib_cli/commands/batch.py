@@ -155,7 +155,8 @@ class _Batch:
         cameras, individuals, verdict = len(report["cameras"]), len(report["individuals"]), report["verdict"]
         difference = verdict["halves_differ_deg"]["median"]
         outcome = {"cameras": cameras, "left_out": report["left_out"], "individuals": individuals, "rig": verdict["rig"], "halves_differ_deg": difference}
-        self._note(order, f"{status}: {cameras} cameras, {individuals} individuals, rig {verdict['rig']}", outcome | {"status": status, "error": None})
+        self.reporter.say(f"{order.output.name} {status}: {cameras} cameras, {individuals} individuals, rig {verdict['rig']}")
+        self._note(order, {"status": status, "error": None} | outcome)
 
     def _failed(self, order: "Order", error: Exception) -> None:
         """A line for a mistake of the user; one of the program keeps its traceback, and does not stop the others either."""
@@ -164,15 +165,12 @@ class _Batch:
         line = explained(error)
         if line is None:
             click.echo("".join(traceback.format_exception(error)), err=True, nl=False)
-            line = f"{type(error).__name__}: {error}"
-        self._note(order, "", {"status": "failed", "error": line})
+            line = " ".join(f"{type(error).__name__}: {error}".split())
         click.echo(f"mocap-calib: {order.output.name}: {line}", err=True)
+        self._note(order, {"status": "failed", "error": line})
 
-    def _note(self, order: "Order", line: str, outcome: Outcome) -> None:
-        name = order.output.name
-        self.outcomes[name] = {"name": name, "output": str(order.output)} | outcome
-        if line:
-            self.reporter.say(f"{name} {line}")
+    def _note(self, order: "Order", outcome: Outcome) -> None:
+        self.outcomes[order.output.name] = {"name": order.output.name, "output": str(order.output)} | outcome
         self.reporter("batch", len(self.outcomes), self.total)
 
 
