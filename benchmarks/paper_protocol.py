@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from protocol_methods import METHODS, Found, Problem, load_models
-from protocol_scenes import People, Truth, scene
+from protocol_scenes import KINDS, Subjects, Truth, scene
 
 from mocap_calib.config import Config
 from mocap_calib.geometry.rotation import angle_between, direction_angle
@@ -31,7 +31,6 @@ from mocap_calib.types import CameraRig, silent
 
 NOISE_PX = 3.0
 FAILED = 180.0  # degrees: what no answer counts as
-LAYOUTS = {"29": 29, "17": 17}  # the model's joints; the first 17 of them are COCO's
 
 
 @dataclass(frozen=True)
@@ -48,13 +47,13 @@ def main() -> None:
     """One table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("table", choices=["two-view", "ablation", "multi-view", "detectors"])
-    parser.add_argument("--poses", type=Path, default=Path("../shared/poses3d/human_body29.npz"))
+    parser.add_argument("--poses", type=Path, default=Path("../shared/poses3d"), help="folder with the sets of poses")
+    parser.add_argument("--kinds", nargs="*", choices=KINDS, default=["people"])
     parser.add_argument("--recordings", type=Path, default=Path("../shared/recordings"))
     parser.add_argument("--pairs", type=int, default=100)
     parser.add_argument("--token-pairs", type=int, default=100, help="the first so many for the token network, which takes long")
-    parser.add_argument("--scenarios", nargs="*", default=["1x1", "4x1", "1x5", "4x5"], help="people x frames")
+    parser.add_argument("--scenarios", nargs="*", default=["1x1", "4x1", "1x5", "4x5"], help="subjects x frames")
     parser.add_argument("--methods", nargs="*", help="default: those of the table")
-    parser.add_argument("--layout", choices=LAYOUTS, default="29", help="joints that the detector gives")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     torch.set_num_threads(1)
@@ -75,20 +74,19 @@ def ablation(options: argparse.Namespace) -> None:
 
 def _synthetic(options: argparse.Namespace, methods: Sequence[str]) -> None:
     header()
-    for name in options.scenarios:
-        people, frames = (int(part) for part in name.split("x"))
-        problems, truths = _scenes(options, people, frames, views=2, count=options.pairs)
-        label = f"{people} people" if people > 1 else "1 person"
-        rows(f"{label}, {frames} frame{'s' if frames > 1 else ''}", methods, problems, truths, options)
+    for kind in options.kinds:
+        for name in options.scenarios:
+            subjects, frames = (int(part) for part in name.split("x"))
+            problems, truths = _scenes(options, kind, subjects, frames, views=2, scenes=options.pairs)
+            rows(f"{kind}: {subjects}, {frames} frame{'s' if frames > 1 else ''}", methods, problems, truths, options, model=KINDS[kind].model)
 
 
-def _scenes(options: argparse.Namespace, people: int, frames: int, *, views: int, count: int) -> tuple[list[Problem], list[Truth]]:
-    source = People(options.poses, load_skeleton("people"))
-    joints = source.skeleton.keypoints[: LAYOUTS[options.layout]]
+def _scenes(options: argparse.Namespace, kind: str, count: int, frames: int, *, views: int, scenes: int) -> tuple[list[Problem], list[Truth]]:
+    subjects = Subjects(options.poses, KINDS[kind])
     made = []
-    for k in range(count):
-        rng = np.random.default_rng([options.seed, people, frames, views, k])
-        made.append(scene(source, rng, count=people, frames=frames, views=views, noise_px=NOISE_PX, joints=joints))
+    for k in range(scenes):
+        rng = np.random.default_rng([options.seed, count, frames, views, k])
+        made.append(scene(subjects, rng, count=count, frames=frames, views=views, noise_px=NOISE_PX, joints=subjects.joints))
     return [Problem(recording, 0, 1) for recording, _ in made], [truth for _, truth in made]
 
 
@@ -98,9 +96,9 @@ def header() -> None:
     print("|---|---|---|---|---|---|---|---|---|---|---|---|---|")
 
 
-def rows(label: str, methods: Sequence[str], problems: list[Problem], truths: list[Truth], options: argparse.Namespace) -> None:
+def rows(label: str, methods: Sequence[str], problems: list[Problem], truths: list[Truth], options: argparse.Namespace, *, model: str = "people") -> None:
     """One row a method."""
-    models = load_models(methods)
+    models = load_models(methods, model)
     for method in methods:
         count = min(len(problems), options.token_pairs) if "token" in method else len(problems)
         found, seconds = METHODS[method](problems[:count], models)
@@ -143,7 +141,7 @@ def multi_view(options: argparse.Namespace) -> None:
     print("| people | scenes | stage | E_R | E_t | E_2D (px) |")
     print("|---|---|---|---|---|---|")
     for people in (1, 4):
-        problems, truths = _scenes(options, people, 20, views=4, count=min(options.pairs, 10))
+        problems, truths = _scenes(options, "people", people, 20, views=4, scenes=min(options.pairs, 10))
         stages: dict[str, list[tuple[float, float, float]]] = {"averaging": [], "adjustment": []}
         for problem, truth in zip(problems, truths, strict=True):
             done = calibrate(problem.recording, lifter, config, seed=0, device="cpu", progress=silent)

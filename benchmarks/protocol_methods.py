@@ -9,7 +9,7 @@ import torch
 
 from mocap_calib.config import PairwiseConfig, PaperConfig
 from mocap_calib.geometry.baselines import all_pairs_magsac, five_point_over_matches
-from mocap_calib.pairwise import calibrate_pair
+from mocap_calib.pairwise import calibrate_pair, pair_problem
 from mocap_calib.steerpose.checkpoint import load_steerer
 from mocap_calib.steerpose.lift import lift
 from mocap_calib.steerpose.model import Lifter
@@ -44,10 +44,10 @@ Answers = tuple[list[Found | None], float]
 Method = Callable[[Sequence[Problem], dict[str, Model]], Answers]
 
 
-def load_models(methods: Sequence[str]) -> dict[str, Model]:
-    """The shipped networks that these methods need."""
-    names = ("token", "factorised")
-    return {name: load_steerer(architecture=name)[0] for name in names if name == "factorised" or any(name in method for method in methods)}
+def load_models(methods: Sequence[str], skeleton: str = "people") -> dict[str, Model]:
+    """The shipped networks that these methods need; a rotation token is shipped for people alone."""
+    token = {"token": load_steerer(skeleton, architecture="token")[0]} if any("token" in method for method in methods) else {}
+    return {"factorised": load_steerer(skeleton)[0], **token}
 
 
 def _each(problems: Sequence[Problem], solve: Callable[[Problem], Found | None]) -> Answers:
@@ -90,7 +90,7 @@ def ours(config: PairwiseConfig) -> Method:
 
         def solve(problem: Problem) -> Found | None:
             lifted = lift(problem.recording, lifter, progress=silent)
-            found = calibrate_pair(problem.recording, lifted, problem.a, problem.b, config, np.random.default_rng(0))
+            found = calibrate_pair(pair_problem(problem.recording, lifted, problem.a, problem.b, config, np.random.default_rng(0)), config)
             return None if found is None else Found(found.rotation, found.translation, found.matches)
 
         return _each(problems, solve)

@@ -1,21 +1,25 @@
-"""Scenes of the paper's protocol: held-out people placed at random in a room, seen by random cameras, 3 px noise."""
+"""Scenes of the paper's protocol: held-out people and animals placed at random in a room, seen by random cameras, 3 px noise."""
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from mocap_calib.geometry.projection import pixels_from_points, rays_from_pixels
 from mocap_calib.geometry.rotation import looking_along, matrix_from_vector
-from mocap_calib.skeleton import match_names
-from mocap_calib.types import Camera, CameraRig, Floats, Ints, Recording, Skeleton
+from mocap_calib.skeleton import load_skeleton, match_names
+from mocap_calib.types import Camera, CameraRig, Floats, Ints, Recording
 
 SIZE = (1920, 1080)
-ROOM = 4.0  # metres, side of the square where people are
-APART = 0.7  # metres between people
+ROOM = 4.0  # metres, side of the square where subjects are
+APART = 0.7  # metres between subjects
 RADIUS = (4.5, 8.0)  # of the cameras from the middle
 HEIGHT = (0.8, 2.4)  # metres: a person holds them, or a tripod
 LEAST = 1.0  # metres between cameras
+BODY = 0.55  # metres, RMS distance of a joint of an adult from the centroid
+MIDDLE = 0.9  # metres above the floor, where the cameras look
 
 
 @dataclass(frozen=True)
@@ -26,30 +30,73 @@ class Truth:
     ids: Ints
 
 
-class People:
-    """Held-out poses by sequence, +z up, in metres."""
+@dataclass(frozen=True)
+class Kind:
+    """A set of 3D poses of the protocol. model: the shipped network; up: the axis that points up; keep: what was held out of training."""
 
-    def __init__(self, path: Path, skeleton: Skeleton, split: str = "test") -> None:
-        with np.load(path) as file:
-            names = tuple(str(name) for name in file["joints"])
-            keep = file["split"] == split
-            poses, self.sequence = file["poses"][keep].astype(np.float64), file["sequence"][keep]
-        found = match_names(names, skeleton)
-        self.poses = poses[:, [int(np.flatnonzero(found == k)[0]) for k in range(len(skeleton.keypoints))]]
-        self.skeleton = skeleton
+    file: str
+    model: str
+    up: str
+    keep: Literal["split", "last tenth", "last clip", "all"]
+
+
+# what the network of a kind was trained on is left out: see the model cards
+KINDS = {
+    "people": Kind("human_body29.npz", "people", "+z", "split"),
+    "dog": Kind("train_dog_mocap", "quadruped", "+y", "all"),
+    "cheetah": Kind("train_cheetah_fte", "quadruped", "+z", "all"),
+    "mouse": Kind("train_mouse22", "rodent", "+z", "last clip"),
+    "rat": Kind("train_rat23", "rodent", "+z", "last tenth"),
+    "hawk": Kind("train_hawk8", "bird", "+z", "last tenth"),
+    "chickadee": Kind("train_chickadee", "bird", "+z", "all"),
+}
+
+
+class Subjects:
+    """Held-out poses of one kind by sequence, +z up; all kinds are as large as people, so that 3 px are as much to each."""
+
+    def __init__(self, folder: Path, kind: Kind) -> None:
+        self.skeleton = load_skeleton(kind.model)
+        path = folder / kind.file
+        with np.load(path if path.is_file() else path / "poses3d.npz") as file:
+            fields = {{"poses3d": "poses", "clip": "sequence"}.get(name, name): file[name] for name in file.files}
+        names = fields["joints"] if "joints" in fields else json.loads((path / "joints.json").read_text())["names"]
+        poses, sequence = fields["poses"].astype(np.float64), fields["sequence"]
+        keep = {
+            "split": lambda: fields["split"] == "test",
+            "last tenth": lambda: np.arange(len(poses)) * 10 // len(poses) == 9,
+            "last clip": lambda: sequence == sequence.max(),
+            "all": lambda: np.ones(len(poses), dtype=bool),
+        }[kind.keep]()
+        found = match_names(tuple(str(name) for name in names), self.skeleton)
+        known = found >= 0
+        self.joints = tuple(self.skeleton.keypoints[k] for k in found[known])
+        whole = keep & np.isfinite(poses[:, known]).all((1, 2))
+        self.poses, self.sequence = _standing(poses[whole][:, known], kind), sequence[whole]
 
     def draw(self, rng: np.random.Generator, count: int, frames: int) -> Floats:
-        """`[frame, person, joint, 3]`: each person is of one sequence, every frame another moment, place and heading."""
+        """`[frame, subject, joint, 3]`: each subject is of one sequence, every frame another moment, place and heading."""
         out = np.zeros((frames, count, *self.poses.shape[1:]))
-        for person in range(count):
+        for subject in range(count):
             sequence = rng.choice(np.unique(self.sequence))
             moments = rng.choice(np.flatnonzero(self.sequence == sequence), frames)
             angle = rng.uniform(0, 2 * np.pi, frames)
             turn = matrix_from_vector(angle[:, None] * np.array([0.0, 0.0, 1.0]))
-            out[:, person] = np.einsum("fij,fkj->fki", turn, self.poses[moments])
+            out[:, subject] = np.einsum("fij,fkj->fki", turn, self.poses[moments])
         for frame in out:
             frame[..., :2] += _places(rng, count)[:, None]
         return out
+
+
+def _standing(poses: Floats, kind: Kind) -> Floats:
+    """Turned upright; of animals also centred, on the floor, and as large as people."""
+    if kind.model == "people":
+        return poses
+    column = "xyz".index(kind.up[1])
+    poses = np.roll(poses, 2 - column, axis=-1)
+    poses = poses - poses.mean(1, keepdims=True)
+    poses *= BODY / np.median(np.sqrt((poses**2).sum(-1).mean(-1)))
+    return poses + [0.0, 0.0, MIDDLE]
 
 
 def _places(rng: np.random.Generator, count: int) -> Floats:
@@ -79,15 +126,15 @@ def random_rig(rng: np.random.Generator, views: int) -> CameraRig:
 
 
 def scene(
-    people: People, rng: np.random.Generator, *, count: int, frames: int, views: int, noise_px: float, joints: tuple[str, ...]
+    subjects: Subjects, rng: np.random.Generator, *, count: int, frames: int, views: int, noise_px: float, joints: tuple[str, ...]
 ) -> tuple[Recording, Truth]:
-    """A recording of `count` people in their first `frames` moments, detections in random order, and its truth.
+    """A recording of `count` subjects in their first `frames` moments, detections in random order, and its truth.
 
     joints: those that the detector gives; detections outside of the image are missing.
     """
-    bodies = people.draw(rng, count, frames)
+    bodies = subjects.draw(rng, count, frames)
     rig = random_rig(rng, views)
-    columns = np.array([people.skeleton.keypoints.index(name) for name in joints])
+    columns = np.array([subjects.joints.index(name) for name in joints])
     positions = np.full((views, frames, count, len(columns), 2), np.nan)
     ids = np.zeros((views, frames, count), dtype=np.int64)
     for view, camera in enumerate(rig.cameras):
@@ -102,4 +149,5 @@ def scene(
     rays = np.stack([rays_from_pixels(camera, seen) for camera, seen in zip(rig.cameras, positions, strict=True)])
     confidence = np.isfinite(positions[..., 0]).astype(np.float64)
     tracked = np.zeros(views, dtype=bool)
-    return Recording(rig.cameras, joints, np.arange(frames), positions, confidence, rays, tracked, columns), Truth(rig, ids)
+    vocabulary = np.array([subjects.skeleton.keypoints.index(name) for name in joints])
+    return Recording(rig.cameras, joints, np.arange(frames), positions, confidence, rays, tracked, vocabulary), Truth(rig, ids)

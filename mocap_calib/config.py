@@ -117,6 +117,7 @@ class AdjustConfig:
     enough: int = 500  # as long as so many are left
     least: int = 12  # keypoints that can hold a camera: twice what would do without any noise
     rounds: int = 6  # of adjusting and matching; it stops when no label changes
+    still_deg: float = 0.05  # and no camera turns by more than this
 
 
 @dataclass(frozen=True)

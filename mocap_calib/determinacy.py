@@ -7,20 +7,39 @@ true error is 0.03-1.6, and 39 deg for a motionless mouse whose rig is 21 deg wr
 """
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Literal
 
 import numpy as np
 
 from mocap_calib.bundle_adjustment import adjust
-from mocap_calib.config import Config
+from mocap_calib.config import Config, TriangulateConfig
 from mocap_calib.errors import DegenerateError
+from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.geometry.rotation import angle_between
+from mocap_calib.triangulation import by_individual, triangulate_rays, view_noise
 from mocap_calib.types import Bools, CameraRig, Floats, Matches, Recording
 
 Verdict = Literal["well determined", "weak", "not determined"]
 _WELL_DEG, _WEAK_DEG = 3.0, 10.0
+_FRAMES = 1000
+_FAR = 4.0  # usual errors
+_ALIKE = 1.05  # misfits of two rigs that the observations do not tell apart
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How a rig fits what was seen, in pixels.
+
+    misfit: RMS distance of all detections from their reprojections, none counted as farther than four usual ones. noise: `[view]` robust
+    standard deviation of a coordinate. perspective: `[view]` RMS of what no affine camera could explain: where it is far below the noise, the
+    view might as well be infinitely far away, and how far it is follows from its focal length alone.
+    """
+
+    misfit: float
+    noise: Floats
+    perspective: Floats
 
 
 def disagreement(recording: Recording, rig: CameraRig, matches: Matches, config: Config, *, seed: int) -> Floats:
@@ -38,6 +57,45 @@ def verdict(difference: Floats) -> Verdict:
     """What the disagreement of a typical pair of cameras means."""
     typical = float(np.rad2deg(np.median(difference)))
     return "well determined" if typical <= _WELL_DEG else "weak" if typical <= _WEAK_DEG else "not determined"
+
+
+def fit(recording: Recording, rig: CameraRig, matches: Matches, config: TriangulateConfig) -> Fit:
+    """Of an even sample of the frames."""
+    labelled = np.flatnonzero((matches.labels >= 0).any((0, 2)))
+    frames = labelled[np.linspace(0, len(labelled) - 1, min(len(labelled), _FRAMES)).astype(int)]
+    rays, pixels, weight = by_individual(recording, matches, frames)
+    views = len(rays)
+    noise = view_noise(recording, rig, matches)
+    # wide: what does not fit is to be counted, not left out
+    points, _ = triangulate_rays(rig, rays.reshape(views, -1, 3), weight.reshape(views, -1), noise, replace(config, outlier=np.inf))
+    known = np.isfinite(points[:, 0])
+    points = points[known]
+    seen, positions = weight.reshape(views, -1)[:, known] > 0, pixels.reshape(views, -1, 2)[:, known]
+    turned = np.einsum("vij,nj->vni", rig.rotation, points) + rig.translation[:, None]
+    image = np.stack([pixels_from_points(camera, one) for camera, one in zip(rig.cameras, turned, strict=True)])
+    error = np.linalg.norm(image - positions, axis=-1)[seen]
+    error = np.minimum(np.nan_to_num(error, nan=np.inf), _FAR * np.nanmedian(error))
+    focal = np.array([camera.focal for camera in rig.cameras])
+    perspective = np.array([_beyond_affine(points[s], t[s]) for s, t in zip(seen, turned, strict=True)])
+    return Fit(float(np.sqrt((error**2).mean())), noise * focal, perspective * focal)
+
+
+def alike(first: Fit, second: Fit) -> bool:
+    """Two rigs that fit as well: what was seen does not tell which one is right."""
+    return max(first.misfit, second.misfit) <= _ALIKE * min(first.misfit, second.misfit)
+
+
+def near_affine(found: Fit) -> Bools:
+    """`[view]` cameras so far away, for the size of what they see, that perspective drowns in the noise."""
+    return found.perspective < found.noise
+
+
+def _beyond_affine(points: Floats, turned: Floats) -> float:
+    """RMS distance of the images of points `[N, 3]` from those of the best affine camera, in radians."""
+    image = turned[:, :2] / turned[:, 2:]
+    homogeneous = np.concatenate([points, np.ones((len(points), 1))], axis=1)
+    residual = image - homogeneous @ np.linalg.lstsq(homogeneous, image, rcond=None)[0]
+    return float(np.sqrt((residual**2).sum(1).mean())) if len(points) else 0.0
 
 
 def _halves(recording: Recording, seed: int) -> Iterator[Recording]:

@@ -10,7 +10,9 @@ import numpy as np
 from mocap_calib.averaging import average, of_cameras, usable_cameras
 from mocap_calib.bundle_adjustment import adjust
 from mocap_calib.config import Config
-from mocap_calib.determinacy import disagreement
+from mocap_calib.determinacy import alike, disagreement, fit, near_affine
+from mocap_calib.factorisation import factorise, single_subject
+from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.matching import match, same_groups, settle
 from mocap_calib.pairwise import calibrate_pairs
 from mocap_calib.recording import select_lifted, select_views
@@ -20,6 +22,7 @@ from mocap_calib.triangulation import triangulate
 from mocap_calib.types import Calibration, CameraRig, LiftedPoses, Mapper, Matches, Progress, Recording
 
 T = TypeVar("T")
+_SAME_DEG = 10.0
 
 
 @dataclass(frozen=True)
@@ -52,22 +55,46 @@ def calibrate(recording: Recording, lifter: Lifter, config: Config, *, seed: int
     recording, lifted, pairs = select_views(recording, kept), select_lifted(lifted, kept), of_cameras(pairs, kept)
     averaged = timed("average", lambda: average(recording.cameras, pairs, config.averaging))
     matches = timed("match", lambda: match(recording, lifted, averaged.rig, config.matching, config.pairwise, progress=progress))
-    adjusted = timed("adjust", lambda: adjust_to_fixed_point(recording, lifted, averaged.rig, matches, config, progress=progress))
+    adjusted, rival = timed("adjust", lambda: _best_start(recording, lifted, averaged.rig, matches, config, progress=progress))
     difference = timed("verdict", lambda: disagreement(recording, adjusted.rig, adjusted.matches, config, seed=seed))
     poses = timed("triangulate", lambda: triangulate(recording, adjusted.rig, adjusted.matches, config.triangulate, progress=progress))
+    found = fit(recording, adjusted.rig, adjusted.matches, config.triangulate)
     return Calibration(
-        recording, left_out, unused, pairs, averaged, adjusted.rig, adjusted.matches, difference, poses, adjusted.rounds, adjusted.converged, seconds
-    )
+        recording, left_out, unused, pairs, averaged, adjusted.rig, rival, adjusted.matches, difference, near_affine(found), poses,
+        adjusted.rounds, adjusted.converged, seconds,
+    )  # fmt: skip
+
+
+def _best_start(
+    recording: Recording, lifted: LiftedPoses, rig: CameraRig, matches: Matches, config: Config, *, progress: Progress
+) -> tuple[Adjusted, CameraRig | None]:
+    """The adjustment from the averaged rig; where no model helped, also from rigs found by factorisation, and the one that fits best.
+
+    With it the rig that fits as well, if there is one: its reversal in depth.
+    """
+    found = [adjust_to_fixed_point(recording, lifted, rig, matches, config, progress=progress)]
+    alone = None if np.isfinite(lifted.centre).any() else single_subject(recording)
+    if alone is not None:
+        found += [adjust_to_fixed_point(recording, lifted, start, alone, config, progress=progress) for start in factorise(recording, alone)]
+    fits = [fit(recording, each.rig, each.matches, config.triangulate) for each in found]
+    best, *others = sorted(range(len(found)), key=lambda k: fits[k].misfit)
+    rivals = [found[k].rig for k in others if alike(fits[k], fits[best]) and _turned(found[k].rig, found[best].rig) > _SAME_DEG]
+    return found[best], next(iter(rivals), None)
+
+
+def _turned(first: CameraRig, second: CameraRig) -> float:
+    """Degrees by which a camera is turned, against the first camera, in one rig and not in the other; the largest."""
+    return float(np.rad2deg(angle_between(*(rig.rotation @ rig.rotation[0].T for rig in (first, second))).max()))
 
 
 def adjust_to_fixed_point(recording: Recording, lifted: LiftedPoses, rig: CameraRig, matches: Matches, config: Config, *, progress: Progress) -> Adjusted:
-    """Adjusts, matches from the adjusted geometry, and adjusts again until no detection changes its group."""
+    """Adjusts, matches from the adjusted geometry, and adjusts again until no detection changes its group and no camera turns any more."""
     rounds = config.adjust.rounds
     for done in range(1, rounds + 1):
-        rig = adjust(recording, rig, matches, config.adjust, config.triangulate, near=done > 1)
+        before, rig = rig, adjust(recording, rig, matches, config.adjust, config.triangulate, near=done > 1)
         progress("adjust", done, rounds)
         again = match(recording, lifted, rig, config.matching, config.pairwise, progress=lambda *_: None)
-        settled, matches = same_groups(again, matches), again
+        settled, matches = same_groups(again, matches) and _turned(before, rig) < config.adjust.still_deg, again
         if settled:
             break
     return Adjusted(rig, settle(recording, rig, matches, config.matching), done, settled)

@@ -135,7 +135,12 @@ def run_report(found: Calibration, *, seed: int, config: Config, inputs: Mapping
         "unused_pairs": [{"a": a, "b": b, "score": score} for a, b, score in found.unused],
         "cameras": [_camera_report(found, view, errors[view]) | _verdict(support[view], config) for view in range(len(rig.cameras))],
         "pairs": [_pair_report(found, k, pair, errors[[pair.a, pair.b]], config) for k, pair in enumerate(found.pairs)],
-        "verdict": {"rig": verdict(found.disagreement), "halves_differ_deg": _middle(np.degrees(found.disagreement))},
+        "verdict": {
+            "rig": verdict(found.disagreement),
+            "halves_differ_deg": _middle(np.degrees(found.disagreement)),
+            "reversal": "observed" if found.rival is None else "not observable",
+            "translation": "not observable" if found.near_affine.any() else "observed",
+        },
         "adjust": {"rounds": found.rounds, "converged": found.converged},
         "individuals": [{"individual": k, "frames": int((labels == k).any((0, 2)).sum())} for k in range(found.matches.individuals)],
         "points": {"triangulated": int(points.sum()), "reprojection_error_px": _spread(found.poses.error[points])},
@@ -173,6 +178,7 @@ def _camera_report(found: Calibration, view: int, error: Floats) -> dict[str, An
         "detections": int(there.sum()),
         "matched": int(matched.sum()),
         "unmatched": int((there & ~matched).sum()),
+        "near_affine": bool(found.near_affine[view]),
         "reprojection_error_px": _spread(error),
     }
 

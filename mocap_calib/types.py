@@ -281,7 +281,8 @@ class Calibration:
     recording, and all that follows: of the cameras that were calibrated. left_out: names of those that no pair holds;
     unused: (name, name, score) of the pairs with one of them. rounds of adjusting and matching were made; converged: no
     detection changed its group in the last. disagreement: `[pair]` radians between the rigs of two halves of the joints, an
-    estimate of the rig's error. seconds: wall time per stage.
+    estimate of the rig's error. rival: a rig that fits as well, reversed in depth: what was seen does not tell them apart. near_affine: `[view]`
+    cameras in whose images perspective drowns in noise, whose distance follows from their focal length alone. seconds: wall time per stage.
     """
 
     recording: Recording
@@ -290,8 +291,10 @@ class Calibration:
     pairs: tuple[PairwiseCalibration, ...]
     averaged: Averaged
     rig: CameraRig
+    rival: CameraRig | None
     matches: Matches
     disagreement: Floats
+    near_affine: Bools
     poses: Poses3D
     rounds: int
     converged: bool

@@ -24,6 +24,7 @@ from mocap_calib_cli import inputs, outputs
 from mocap_calib_cli.model import check_device, load_model, use_threads
 from mocap_calib_cli.progress import Reporter
 
+_RIVAL = "calibration_reversed.toml"
 _UNFINISHED = ".unfinished"  # in the folder of results: the pairs of a run that is under way or was killed
 
 
@@ -86,7 +87,7 @@ def solve_here(job: Job, *, progress: Progress = silent, mapper: Mapper = map) -
 def write(job: Job, found: Calibration) -> dict[str, Any]:
     """Writes all files of a run, together or not at all, and returns what run.json holds.
 
-    Poses of more individuals than this run found are taken away.
+    What an earlier run found and this one did not, further individuals and a rival rig, is taken away.
     """
     order = job.order
     report = run_report(found, seed=order.seed, config=Config(), inputs=job.hashes) | {"model": job.model}
@@ -94,13 +95,15 @@ def write(job: Job, found: Calibration) -> dict[str, Any]:
     with folder(order.output) as work:
         (work / "cameras.yaml").write_text(format_cameras_yaml(found.rig, source), "utf-8")
         (work / "calibration.toml").write_text(format_calibration_toml(found.rig, source), "utf-8")
+        if found.rival is not None:
+            (work / _RIVAL).write_text(format_calibration_toml(found.rival, source), "utf-8")
         (work / "matches.csv").write_text(format_matches_csv(found.recording, found.matches), "utf-8")
         write_poses_h5(work / "poses3d.h5", found.poses, source)
         for individual in range(found.matches.individuals):
             outputs.of_individual(work / "poses3d.csv", individual).write_text(format_poses_csv(found.poses, individual), "utf-8")
         report |= {"fingerprint": order.fingerprint(job.hashes, job.model), "outputs": _contents(work)}
         (work / "run.json").write_text(json.dumps(report, indent=1, allow_nan=False) + "\n", "utf-8")
-    _clear(order.output, found.matches.individuals)
+    _clear(order.output, report)
     return report
 
 
@@ -113,12 +116,11 @@ def finished(order: Order) -> dict[str, Any] | None:
         report = json.loads((order.output / "run.json").read_bytes())
         same = report["fingerprint"] == order.fingerprint(order.hashes(), report["model"])
         whole = same and all(_digest(order.output / name) == content for name, content in report["outputs"].items())
-        individuals = len(report["individuals"])
     except (OSError, ValueError, LookupError, TypeError, AttributeError):
         return None
     if not whole:
         return None
-    _clear(order.output, individuals)  # which the run did not come to if it was killed at the very end
+    _clear(order.output, report)  # which the run did not come to if it was killed at the very end
     return report
 
 
@@ -130,8 +132,11 @@ def _digest(file: Path) -> str:
     return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
-def _clear(output: Path, individuals: int) -> None:
-    outputs.remove_stale(output / "poses3d.csv", individuals)
+def _clear(output: Path, report: Mapping[str, Any]) -> None:
+    """Takes away what earlier runs left that these results do not replace."""
+    outputs.remove_stale(output / "poses3d.csv", len(report["individuals"]))
+    if _RIVAL not in report["outputs"]:
+        (output / _RIVAL).unlink(missing_ok=True)
     _forget(output)
 
 

@@ -82,5 +82,13 @@ def _summarise(reporter: "Reporter", found: "Calibration", report: dict[str, Any
         reporter.say(f"matches still changed after {found.rounds} rounds of adjustment; look at matches.csv with care")
     determined = report["verdict"]
     reporter.say(f"rig: {determined['rig']}; two halves of the joints give rigs {determined['halves_differ_deg']['median']:.1f} deg apart")
+    affine = [camera["name"] for camera in report["cameras"] if camera["near_affine"]]
+    if affine:
+        reporter.say(
+            f"translation not observable: {', '.join(affine)} so far away or of such long focal length that images show no perspective; "
+            "distances follow from the focal lengths alone"
+        )
+    if found.rival is not None:
+        reporter.say(f"a rig reversed in depth fits as well, nothing seen tells which is right: it is in {output / 'calibration_reversed.toml'}")
     people = report["individuals"]
     reporter.say(f"{len(people)} individuals, {report['points']['triangulated']} points; lengths in {report['unit']} units; results in {output}")
