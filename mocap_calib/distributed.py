@@ -4,6 +4,7 @@ What is sent is sent once: a piece of work carries its own data, so a worker tha
 need. Results are those of `map` to the last digit where the processors are of one kind.
 """
 
+import logging
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -92,7 +93,7 @@ def processes(count: int) -> Iterator[Cluster]:
     """A cluster of `count` processes on this machine, which end with this one."""
     with (
         _large_pieces(),
-        LocalCluster(n_workers=count, threads_per_worker=1, memory_limit=0, dashboard_address=None) as local,
+        LocalCluster(n_workers=count, threads_per_worker=1, memory_limit=0, dashboard_address=None, silence_logs=logging.ERROR) as local,
         Client(local, set_as_default=False) as client,
     ):
         yield Cluster(client)

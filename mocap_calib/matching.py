@@ -36,12 +36,6 @@ def match(recording: Recording, lifted: LiftedPoses, rig: CameraRig, config: Mat
     return Matches(_through_time(labels, _places(recording, rig, labels) * scale, recording.frames, config))
 
 
-def _relative(rig: CameraRig, a: int, b: int) -> tuple[Floats, Floats]:
-    """R `[1, 3, 3]` and t `[1, 3]` of b_from_a."""
-    rotation = rig.rotation[b] @ rig.rotation[a].T
-    return rotation[None], (rig.translation[b] - rotation @ rig.translation[a])[None]
-
-
 def _body_scale(recording: Recording, lifted: LiftedPoses, rig: CameraRig, config: PairwiseConfig) -> float:
     """Body sizes per unit of the rig: how far bodies were lifted over how far the rig triangulates them."""
     ratios = []
@@ -50,17 +44,17 @@ def _body_scale(recording: Recording, lifted: LiftedPoses, rig: CameraRig, confi
         shared = np.flatnonzero(seen[a] & seen[b])
         if len(shared):
             pair = view_pair(recording, lifted, a, b, shared[np.linspace(0, len(shared) - 1, min(len(shared), 40)).astype(int)])
-            ratios.append(_distance_ratios(pair, *_relative(rig, a, b), config))
+            ratios.append(_distance_ratios(pair, *rig.relative(a, b), config))
     found = np.concatenate(ratios) if ratios else np.zeros(0)
     return float(np.median(found)) if len(found) else 1.0
 
 
 def _distance_ratios(pair: ViewPair, rotation: Floats, translation: Floats, config: PairwiseConfig) -> Floats:
     """Lifted over triangulated distances of the joints of well-fitting candidate matches."""
-    error, weight = epipolar_error(pair, rotation, translation)
+    error, weight = epipolar_error(pair, rotation[None], translation[None])
     frame, i, j = np.nonzero(epipolar_fit(error, weight, config)[0] > 0.7)
     use = (pair.weight_a[frame, i] > 0) & (pair.weight_b[frame, j] > 0)
-    near_a, near_b = depths(rotation[0], translation[0], pair.rays_a[frame, i][use], pair.rays_b[frame, j][use])
+    near_a, near_b = depths(rotation, translation, pair.rays_a[frame, i][use], pair.rays_b[frame, j][use])
     far = np.broadcast_to((pair.distance_a[frame, i] + pair.distance_b[frame, j])[:, None], use.shape)[use]
     good = (near_a > 0) & (near_b > 0)
     return far[good] / (near_a + near_b)[good]
@@ -73,7 +67,7 @@ def _affinities(recording: Recording, lifted: LiftedPoses, rig: CameraRig, scale
     comparable = np.zeros_like(affinity)
     for a, b in combinations(range(views), 2):
         pair = view_pair(recording, lifted, a, b, frames)
-        rotation, translation = _relative(rig, a, b)
+        rotation, translation = (part[None] for part in rig.relative(a, b))
         error, weight = epipolar_error(pair, rotation, translation)
         found = match_affinity(pair, rotation, translation * scale, epipolar_fit(error, weight, config), config)[0]
         common = ((weight > 0).sum(-1) >= 3).astype(np.float64)
