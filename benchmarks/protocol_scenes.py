@@ -37,7 +37,7 @@ class Kind:
     file: str
     model: str
     up: str
-    keep: Literal["split", "last tenth", "last clip", "all"]
+    keep: Literal["split", "last tenth", "first clip", "last clip", "all"]
 
 
 # what the network of a kind was trained on is left out: see the model cards
@@ -65,12 +65,14 @@ class Subjects:
         keep = {
             "split": lambda: fields["split"] == "test",
             "last tenth": lambda: np.arange(len(poses)) * 10 // len(poses) == 9,
+            "first clip": lambda: sequence == sequence.min(),
             "last clip": lambda: sequence == sequence.max(),
             "all": lambda: np.ones(len(poses), dtype=bool),
         }[kind.keep]()
         found = match_names(tuple(str(name) for name in names), self.skeleton)
         known = found >= 0
         self.joints = tuple(self.skeleton.keypoints[k] for k in found[known])
+        self.own_names = tuple(str(name) for name, use in zip(names, known, strict=True) if use)
         whole = keep & np.isfinite(poses[:, known]).all((1, 2))
         self.poses, self.sequence = _standing(poses[whole][:, known], kind), sequence[whole]
 

@@ -70,6 +70,7 @@ class PairwiseConfig:
 class PaperConfig:
     """The paper's solver (section 3.2 and appendix C.3); what the paper leaves open is marked."""
 
+    frames: int = 5  # of a pair of views at a time; the paper has one
     iterations: int = 1000
     learning_rate: float = 0.01
     final_rate: float = 0.01  # of the learning rate, reached linearly

@@ -66,14 +66,21 @@ class PairProblem:
     rng: np.random.Generator
 
 
+PairSolver = Callable[[PairProblem], PairwiseCalibration | None]
+
+
 def calibrate_pairs(
-    recording: Recording, lifted: LiftedPoses, config: PairwiseConfig, *, rng: np.random.Generator, progress: Progress, mapper: Mapper = map
-) -> tuple[PairwiseCalibration, ...]:
-    """Calibrates all pairs of views that see something in the same frames; the others are left out. `mapper` may do so elsewhere."""
+    recording: Recording, lifted: LiftedPoses, config: PairwiseConfig, *, rng: np.random.Generator, progress: Progress, mapper: Mapper = map,
+    solve: PairSolver | None = None,
+) -> tuple[PairwiseCalibration, ...]:  # fmt: skip
+    """Calibrates all pairs of views that see something in the same frames; the others are left out.
+
+    `mapper` may do so elsewhere; `solve` calibrates one, by default `calibrate_pair`.
+    """
     pairs = list(combinations(range(len(recording.cameras)), 2))
     problems = (pair_problem(recording, lifted, a, b, config, own) for (a, b), own in zip(pairs, rng.spawn(len(pairs)), strict=True))
     found = []
-    for done, result in enumerate(mapper(partial(calibrate_pair, config=config), problems)):
+    for done, result in enumerate(mapper(solve or partial(calibrate_pair, config=config), problems)):
         found += [] if result is None else [result]
         progress("pairwise", done + 1, len(pairs))
     return tuple(sorted(found, key=lambda each: (each.a, each.b)))
@@ -97,11 +104,23 @@ def calibrate_pair(problem: PairProblem, config: PairwiseConfig) -> PairwiseCali
         return None
     modes, score = _weigh_all(pair, *_refine_modes(pair, modes, config, rng), config, rng)
     best = int(np.argmax(score.total))
-    rotation, translation = modes.rotation[best], _with_baseline(pair, modes, score, best)
-    frame, i, j = np.nonzero(score.matched[best])
+    translation = _with_baseline(pair, modes.rotation[best], modes.translation[best], score.matched[best])
+    return _calibration(problem, modes.rotation[best], translation, score.matched[best], _take(score, np.array([best])), modes.source[best])
+
+
+def judge_pair(problem: PairProblem, rotation: Floats, translation: Floats, matched: Bools, source: str, config: PairwiseConfig) -> PairwiseCalibration:
+    """A relative pose and matches `[frame, I, J]` that were found in another way, with a baseline in body sizes and judged by the same yardstick."""
+    translation = _with_baseline(problem.pair, rotation, translation, matched)
+    score = _score(problem.pair, Modes(rotation[None], translation[None], (source,)), config)
+    return _calibration(problem, rotation, translation, matched, score, source)
+
+
+def _calibration(problem: PairProblem, rotation: Floats, translation: Floats, matched: Bools, score: Score, source: str) -> PairwiseCalibration:
+    """The record of one mode, the only one of `score`."""
+    frame, i, j = np.nonzero(matched)
     return PairwiseCalibration(
-        problem.a, problem.b, rotation, translation, np.stack([pair.frames[frame], i, j], 1), problem.frames,
-        float(score.total[best]), float(score.residual[best]), float(score.in_front[best]), modes.source[best],
+        problem.a, problem.b, rotation, translation, np.stack([problem.pair.frames[frame], i, j], 1), problem.frames,
+        float(score.total[0]), float(score.residual[0]), float(score.in_front[0]), source,
     )  # fmt: skip
 
 
@@ -310,14 +329,14 @@ def _on_rays(pair: ViewPair, modes: Modes, matched: Bools, config: PairwiseConfi
     return replace(modes, rotation=rotation, translation=translation)
 
 
-def _with_baseline(pair: ViewPair, modes: Modes, score: Score, best: int) -> Floats:
+def _with_baseline(pair: ViewPair, rotation: Floats, translation: Floats, matched: Bools) -> Floats:
     """The translation at the length that makes the triangulated bodies as far away as they were lifted."""
-    frame, i, j = np.nonzero(score.matched[best])
-    direction = modes.translation[best] / np.linalg.norm(modes.translation[best])
+    frame, i, j = np.nonzero(matched)
+    direction = translation / np.linalg.norm(translation)
     weight = (pair.weight_a[frame, i] > 0) & (pair.weight_b[frame, j] > 0)
     if not weight.any():
         return direction
-    near_a, near_b = depths(modes.rotation[best], direction, pair.rays_a[frame, i][weight], pair.rays_b[frame, j][weight])
+    near_a, near_b = depths(rotation, direction, pair.rays_a[frame, i][weight], pair.rays_b[frame, j][weight])
     lifted = np.broadcast_to((pair.distance_a[frame, i] + pair.distance_b[frame, j])[:, None], weight.shape)[weight]
     total = near_a + near_b
     good = (near_a > 0) & (near_b > 0)

@@ -14,7 +14,7 @@ from mocap_calib.determinacy import alike, disagreement, fit, near_affine
 from mocap_calib.factorisation import factorise, single_subject
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.matching import match, same_groups, settle
-from mocap_calib.pairwise import calibrate_pairs
+from mocap_calib.pairwise import PairSolver, calibrate_pairs
 from mocap_calib.recording import select_lifted, select_views
 from mocap_calib.steerpose.lift import lift
 from mocap_calib.steerpose.model import Lifter
@@ -35,8 +35,13 @@ class Adjusted:
     converged: bool
 
 
-def calibrate(recording: Recording, lifter: Lifter, config: Config, *, seed: int, device: str, progress: Progress, mapper: Mapper = map) -> Calibration:
-    """From a recording to cameras, matches and 3D poses; `mapper` calibrates the pairs. Raises DegenerateError where it does not determine them."""
+def calibrate(
+    recording: Recording, lifter: Lifter, config: Config, *, seed: int, device: str, progress: Progress, mapper: Mapper = map, solve: PairSolver | None = None
+) -> Calibration:
+    """From a recording to cameras, matches and 3D poses; `mapper` has the pairs calibrated, by `solve` or our own search.
+
+    Raises DegenerateError where the recording does not determine them.
+    """
     seconds: dict[str, float] = {}
 
     def timed(stage: str, work: Callable[[], T]) -> T:
@@ -47,7 +52,7 @@ def calibrate(recording: Recording, lifter: Lifter, config: Config, *, seed: int
 
     rng = np.random.default_rng(seed)
     lifted = timed("lift", lambda: lift(recording, lifter, device=device, progress=progress))
-    pairs = timed("pairwise", lambda: calibrate_pairs(recording, lifted, config.pairwise, rng=rng, progress=progress, mapper=mapper))
+    pairs = timed("pairwise", lambda: calibrate_pairs(recording, lifted, config.pairwise, rng=rng, progress=progress, mapper=mapper, solve=solve))
     kept = usable_cameras(recording.cameras, pairs, config.averaging)
     names = recording.names
     left_out = tuple(name for v, name in enumerate(names) if v not in kept)

@@ -111,7 +111,7 @@ def test_recordings_of_one_name_are_refused(arguments, tool, tmp_path):
 def order(done, small, tmp_path) -> jobs.Order:
     """What the run `done` was asked for, with copies of its files and results to spoil."""
     shutil.copytree(done[0], tmp_path / "out")
-    return jobs.Order((str(small / "keypoints"),), str(small / "intrinsics.toml"), None, 0, "cpu", tmp_path / "out")
+    return jobs.Order((str(small / "keypoints"),), str(small / "intrinsics.toml"), None, None, "search", 0, "cpu", tmp_path / "out")
 
 
 def damage(name: str):
@@ -166,6 +166,8 @@ CHANGES = [
     *(damage(name) for name in ("cameras.yaml", "poses3d.h5", "poses3d_1.csv")),
     *(remove(name) for name in ("matches.csv", "run.json")),
     lambda order, _: replace(order, seed=1),
+    lambda order, _: replace(order, model="none"),
+    lambda order, _: replace(order, solver="paper"),
     other_input,
     other_config,
     other_weights,

@@ -16,6 +16,7 @@ from mocap_calib.io.cameras import parse_cameras, parse_rig, read_cameras, read_
 from mocap_calib.io.keypoints import read_keypoints
 from mocap_calib.io.reading import decode
 from mocap_calib.io.results import read_matches_csv
+from mocap_calib.pairwise import PairSolver
 from mocap_calib.recording import make_recording, name_mapping
 from mocap_calib.skeleton import SHIPPED, choose_skeleton, load_aliases, load_skeleton, match_names
 from mocap_calib.types import Camera, CameraRig, Keypoints2D, LiftedPoses, Matches, Recording, Skeleton
@@ -64,9 +65,9 @@ def _doubles(files: Sequence[Path]) -> list[Path]:
 
 
 def read_recording(
-    arguments: Sequence[str], cameras: tuple[Camera, ...], skeleton: Path | None, reporter: Reporter, *, placed: bool = False
+    arguments: Sequence[str], cameras: tuple[Camera, ...], skeleton: Path | None, reporter: Reporter, *, model: str | None = None, placed: bool = False
 ) -> tuple[Recording, str]:
-    """Reads the keypoints of the cameras, and says which file went to which camera; with the name of the model that fits.
+    """Reads the keypoints of the cameras, and says which file went to which camera; with the name of the model, by default the one that fits.
 
     `skeleton` is a file of other names of joints. `placed`: the cameras are those of a rig, which may have left some
     out; their keypoints are left out too. Raises FormatError and MismatchError.
@@ -76,13 +77,21 @@ def read_recording(
         known = {camera.name.lower() for camera in cameras}
         files = [(name, path) for name, path in files if name.lower() in known] or files
     views = [read_keypoints(path, name) for name, path in files]
-    vocabulary, aliases = _model(views, skeleton)
+    vocabulary, aliases = _asked(model, skeleton) if model else _fitting(views, skeleton)
     recording = make_recording(views, cameras, vocabulary, aliases)
     reporter.say(*_mapping(views, cameras, recording, vocabulary.name), *_doubled(arguments))
-    return recording, vocabulary.name
+    return recording, model or vocabulary.name
 
 
-def _model(views: Sequence[Keypoints2D], path: Path | None) -> tuple[Skeleton, dict[str, str]]:
+def _asked(model: str, path: Path | None) -> tuple[Skeleton, dict[str, str]]:
+    """The joints of the model that was asked for, and the names that a file gives them. Raises FormatError."""
+    from mocap_calib_cli.model import vocabulary
+
+    known = vocabulary(model)
+    return known, load_aliases(path, known) if path else {}
+
+
+def _fitting(views: Sequence[Keypoints2D], path: Path | None) -> tuple[Skeleton, dict[str, str]]:
     """The shipped skeleton that knows most of the joints, by the names they have or a file gives them; and those names.
 
     Raises FormatError where no skeleton has the joints that the file names.
@@ -161,6 +170,18 @@ def lifted_poses(recording: Recording, model: str, device: str, reporter: Report
     from mocap_calib_cli.model import load_model
 
     return lift(recording, load_model(device, model), device=device, progress=reporter)
+
+
+def pair_solver(solver: str, recording: Recording, model: str) -> PairSolver | None:
+    """The paper's way to calibrate a pair, or None for ours. Raises FormatError."""
+    if solver == "search":
+        return None
+    from mocap_calib.config import PairwiseConfig, PaperConfig
+    from mocap_calib.paper_pairs import PaperPairs
+    from mocap_calib_cli.model import load_model
+
+    focal = np.array([camera.focal for camera in recording.cameras])
+    return PaperPairs(load_model("cpu", model), recording.vocabulary, focal, PairwiseConfig(), PaperConfig())
 
 
 def read_stdin(what: str) -> str:

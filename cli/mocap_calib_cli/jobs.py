@@ -15,13 +15,14 @@ from mocap_calib.io.atomic import folder
 from mocap_calib.io.camera_files import format_calibration_toml, format_cameras_yaml
 from mocap_calib.io.pair_store import remembering
 from mocap_calib.io.results import format_matches_csv, format_poses_csv, write_poses_h5
+from mocap_calib.pairwise import PairSolver
 from mocap_calib.pipeline import calibrate
 from mocap_calib.report import run_report
 from mocap_calib.steerpose.checkpoint import digest
 from mocap_calib.steerpose.model import Lifter
 from mocap_calib.types import Calibration, Mapper, Progress, Recording, silent
 from mocap_calib_cli import inputs, outputs
-from mocap_calib_cli.model import check_device, load_model, use_threads
+from mocap_calib_cli.model import NONE, check_device, load_model, use_threads
 from mocap_calib_cli.progress import Reporter
 
 _RIVAL = "calibration_reversed.toml"
@@ -35,6 +36,8 @@ class Order:
     keypoints: tuple[str, ...]
     cameras: str
     skeleton: Path | None
+    model: str | None
+    solver: str
     seed: int
     device: str
     output: Path
@@ -45,8 +48,9 @@ class Order:
 
     def fingerprint(self, hashes: Mapping[str, str], model: str) -> str:
         """SHA-256 of all that the results follow from: what was typed, the files, the configuration, the weights and the version."""
-        typed = [self.keypoints, self.cameras, str(self.skeleton), self.seed, self.device]
-        return hashlib.sha256(json.dumps([typed, hashes, asdict(Config()), model, digest(model), __version__]).encode()).hexdigest()
+        typed = [self.keypoints, self.cameras, str(self.skeleton), self.model, self.solver, self.seed, self.device]
+        weights = NONE if model == NONE else digest(model)
+        return hashlib.sha256(json.dumps([typed, hashes, asdict(Config()), model, weights, __version__]).encode()).hexdigest()
 
 
 @dataclass(frozen=True)
@@ -58,20 +62,22 @@ class Job:
     recording: Recording
     model: str
     lifter: Lifter
+    solver: PairSolver | None
 
 
 def read(order: Order, reporter: Reporter) -> Job:
     """Raises FormatError and MismatchError."""
     hashes = order.hashes()  # first: what changes from now on makes another fingerprint
-    recording, model = inputs.read_recording(order.keypoints, inputs.cameras_of(order.cameras), order.skeleton, reporter)
-    return Job(order, hashes, recording, model, load_model("cpu", model))
+    recording, model = inputs.read_recording(order.keypoints, inputs.cameras_of(order.cameras), order.skeleton, reporter, model=order.model)
+    return Job(order, hashes, recording, model, load_model("cpu", model), inputs.pair_solver(order.solver, recording, model))
 
 
 def solve(job: Job, *, progress: Progress = silent, mapper: Mapper = map) -> Calibration:
     """Calibrates a recording; touches no file. Raises MismatchError and DegenerateError."""
     use_threads(1)  # such small networks are slower on more, and one is reproducible
     check_device(job.order.device)
-    return calibrate(job.recording, job.lifter, Config(), seed=job.order.seed, device=job.order.device, progress=progress, mapper=mapper)
+    seed, device = job.order.seed, job.order.device
+    return calibrate(job.recording, job.lifter, Config(), seed=seed, device=device, progress=progress, mapper=mapper, solve=job.solver)
 
 
 def solve_here(job: Job, *, progress: Progress = silent, mapper: Mapper = map) -> Calibration:
@@ -90,7 +96,7 @@ def write(job: Job, found: Calibration) -> dict[str, Any]:
     What an earlier run found and this one did not, further individuals and a rival rig, is taken away.
     """
     order = job.order
-    report = run_report(found, seed=order.seed, config=Config(), inputs=job.hashes) | {"model": job.model}
+    report = run_report(found, seed=order.seed, config=Config(), inputs=job.hashes) | {"model": job.model, "solver": order.solver}
     source = outputs.provenance("run", seed=order.seed, inputs=job.hashes)
     with folder(order.output) as work:
         (work / "cameras.yaml").write_text(format_cameras_yaml(found.rig, source), "utf-8")

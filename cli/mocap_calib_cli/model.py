@@ -3,19 +3,23 @@
 import torch
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.skeleton import load_skeleton
 from mocap_calib.steerpose.checkpoint import load_lifter
 from mocap_calib.steerpose.model import Lifter
+from mocap_calib.types import Skeleton
+
+NONE = "none"
 
 
 def load_model(device: str, name: str = "people") -> Lifter:
-    """The shipped lifter of that name. Raises MismatchError where there is no such device."""
+    """The lifter of that name or in that file; for geometry alone any will do. Raises MismatchError where there is no such device, and FormatError."""
     use_threads(1)  # such small networks are slower on more, and one is reproducible
     check_device(device)
-    lifter, vocabulary = load_lifter(name)
-    if vocabulary.keypoints != load_skeleton(vocabulary.name).keypoints:
-        raise MismatchError(f"expected weights for the shipped skeleton {vocabulary.name}, found others; install mocap-calib again")
-    return lifter
+    return load_lifter("people" if name == NONE else name)[0]
+
+
+def vocabulary(name: str) -> Skeleton:
+    """The joints that a model knows: a shipped one's, those inside a weights file, or none at all. Raises FormatError."""
+    return Skeleton(NONE, (), (), (), {}) if name == NONE else load_lifter(name)[1]
 
 
 def use_threads(count: int) -> None:

@@ -16,6 +16,10 @@ cameras = click.option("--cameras", required=True, metavar="INTRINSICS", help="F
 rig = click.option("--rig", required=True, metavar="CAMERAS", help="File with cameras and where they stand (cameras.yaml, calibration.toml); - reads stdin.")
 matches = click.option("--matches", required=True, metavar="MATCHES", help="File of the command `match`; - reads stdin.")
 skeleton = click.option("--skeleton", type=click.Path(path_type=Path), metavar="FILE.yaml", help="Your names of joints: a mapping `aliases`, own name: joint.")
+model = click.option(
+    "--model", metavar="NAME|FILE|none", help="Network: shipped (see `models`) or one of your own; none: geometry alone. [default: by joint names]"
+)
+solver = click.option("--solver", type=click.Choice(["search", "paper"]), default="search", help="Of pairs: ours, or the paper's gradient descent (slow).")
 seed = click.option("--seed", type=click.IntRange(min=0), default=0, help="The same seed gives the same results.")
 device = click.option("--device", type=click.Choice(["cpu", "cuda"]), default="cpu", help="Where the network runs.")
 scheduler = click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler whose workers do the work (tcp://HOST:PORT); same results.")

@@ -66,9 +66,9 @@ def models() -> dict[str, dict[str, Any]]:
     return cards
 
 
-def digest(name: str) -> str:
-    """SHA-256 of the weights of a shipped lifter."""
-    return hashlib.sha256(_shipped(name).read_bytes()).hexdigest()
+def digest(name_or_path: str) -> str:
+    """SHA-256 of the weights of a lifter: a shipped one, or one in a file."""
+    return hashlib.sha256((_shipped(name_or_path) if name_or_path in SHIPPED else Path(name_or_path)).read_bytes()).hexdigest()
 
 
 def _shipped(name: str) -> Traversable:
@@ -81,7 +81,7 @@ def _description(path: Path) -> dict[str, Any]:
         with safe_open(path, framework="pt") as file:
             return json.loads((file.metadata() or {})[_KEY])
     except FileNotFoundError:
-        raise FormatError(f"{path}: expected a weights file, found none") from None
+        raise FormatError(f"{path}: expected a weights file, or a shipped model ({', '.join(SHIPPED)}), found neither") from None
     except (SafetensorError, KeyError, ValueError) as error:
         raise FormatError(f"{path}: not weights of mocap-calib: {str(error).splitlines()[0]}") from None
 

@@ -43,7 +43,7 @@ def load_poses(path: Path, skeleton: Skeleton, split: Split, *, up: str = "+z") 
     known = np.flatnonzero(found >= 0)
     if len(known) < _LEAST_JOINTS:
         raise MismatchError(f"{path}: expected joints of skeleton {skeleton.name}, found {', '.join(map(str, fields['joints']))}")
-    keep = fields["split"] == split if "split" in fields else _every_tenth(len(fields["poses"]), split)
+    keep = fields["split"] == split if "split" in fields else every_tenth(len(fields["poses"]), split)
     poses = np.full((int(keep.sum()), len(skeleton.keypoints), 3), np.nan)
     poses[:, found[known]] = _upright(fields["poses"][keep][:, known].astype(np.float64), up)
     enough = np.isfinite(poses).all(-1).sum(1) >= _LEAST_JOINTS
@@ -81,7 +81,7 @@ def _upright(poses: Floats, up: str) -> Floats:
     return turned if sign > 0 else turned * [-1.0, 1.0, -1.0]
 
 
-def _every_tenth(n: int, split: Split) -> Bools:
+def every_tenth(n: int, split: Split) -> Bools:
     """7:2:1 in blocks of time, where a set does not bring its own split."""
     tenth = np.arange(n) * 10 // max(n, 1)
     return {"train": tenth < 7, "val": (tenth >= 7) & (tenth < 9), "test": tenth == 9}[split]

@@ -14,9 +14,12 @@ from mocap_calib_cli import options
 @options.output_text("adjusted cameras (YAML)")
 @click.option("--matches-out", metavar="FILE", help="Where to write the matches that the adjusted cameras imply.")
 @options.skeleton
+@options.model
 @options.device
 @options.quiet
-def command(keypoints: tuple[str, ...], rig: str, matches: str, output: str, matches_out: str | None, skeleton: Path | None, device: str, quiet: bool) -> None:
+def command(
+    keypoints: tuple[str, ...], rig: str, matches: str, output: str, matches_out: str | None, skeleton: Path | None, model: str | None, device: str, quiet: bool
+) -> None:
     """Bundle adjustment, matched and adjusted again until no match changes.
 
     \b
@@ -34,8 +37,8 @@ def command(keypoints: tuple[str, ...], rig: str, matches: str, output: str, mat
     outputs.check_text(matches_out)
     with Reporter(quiet=quiet) as reporter:
         cameras = inputs.rig_of(rig)
-        recording, model = inputs.read_recording(keypoints, cameras.cameras, skeleton, reporter, placed=True)
-        lifted = inputs.lifted_poses(recording, model, device, reporter)
+        recording, chosen = inputs.read_recording(keypoints, cameras.cameras, skeleton, reporter, model=model, placed=True)
+        lifted = inputs.lifted_poses(recording, chosen, device, reporter)
         start, labels = inputs.placed(recording, cameras), inputs.matches_of(matches, recording)
         found = adjust_to_fixed_point(recording, lifted, start, labels, Config(), progress=reporter)
     if matches_out is not None:

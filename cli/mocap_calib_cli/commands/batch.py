@@ -24,6 +24,8 @@ Outcome = dict[str, Any]
 @click.option("--cameras", required=True, metavar="INTRINSICS", help="As for `run`; first looked for in each recording's folder, then as a path for all.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), required=True, metavar="OUT", help="Folder to write: OUT/NAME of recording NAME.")
 @options.skeleton
+@options.model
+@options.solver
 @options.seed
 @options.device
 @options.scheduler
@@ -37,6 +39,8 @@ def command(
     cameras: str,
     output: Path,
     skeleton: Path | None,
+    model: str | None,
+    solver: str,
     seed: int,
     device: str,
     scheduler: str | None,
@@ -64,7 +68,7 @@ def command(
         raise click.UsageError("--jobs is for this machine, --scheduler for others; give one of them")
     outputs.check_folder(output)
     folders = _by_name(recordings)
-    orders = {name: Order((_keypoints(path),), _cameras(path, cameras), skeleton, seed, device, output / name) for name, path in folders.items()}
+    orders = {name: Order((_keypoints(path),), _cameras(path, cameras), skeleton, model, solver, seed, device, output / name) for name, path in folders.items()}
     with Reporter(quiet=quiet) as reporter, engine(reporter, scheduler=scheduler, jobs=min(jobs, len(orders))) as there:
         batch = _Batch(reporter, len(orders))
         batch.work_off(orders, there.completed if there else _one_by_one, away=there is not None)

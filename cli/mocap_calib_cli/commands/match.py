@@ -12,9 +12,10 @@ from mocap_calib_cli import options
 @options.rig
 @options.output_text("matches (CSV)")
 @options.skeleton
+@options.model
 @options.device
 @options.quiet
-def command(keypoints: tuple[str, ...], rig: str, output: str, skeleton: Path | None, device: str, quiet: bool) -> None:
+def command(keypoints: tuple[str, ...], rig: str, output: str, skeleton: Path | None, model: str | None, device: str, quiet: bool) -> None:
     """Labels every detection with its individual, given the cameras.
 
     \b
@@ -30,7 +31,7 @@ def command(keypoints: tuple[str, ...], rig: str, output: str, skeleton: Path | 
     outputs.check_text(output)
     with Reporter(quiet=quiet) as reporter:
         cameras = inputs.rig_of(rig)
-        recording, model = inputs.read_recording(keypoints, cameras.cameras, skeleton, reporter, placed=True)
-        lifted = inputs.lifted_poses(recording, model, device, reporter)
+        recording, chosen = inputs.read_recording(keypoints, cameras.cameras, skeleton, reporter, model=model, placed=True)
+        lifted = inputs.lifted_poses(recording, chosen, device, reporter)
         found = match(recording, lifted, inputs.placed(recording, cameras), MatchingConfig(), PairwiseConfig(), progress=reporter)
     outputs.write_text(output, format_matches_csv(recording, found))

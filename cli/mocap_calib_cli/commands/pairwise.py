@@ -12,15 +12,20 @@ from mocap_calib_cli import options
 @options.cameras
 @options.output_text("pairs (JSON)")
 @options.skeleton
+@options.model
+@options.solver
 @options.seed
 @options.device
 @options.quiet
-def command(keypoints: tuple[str, ...], cameras: str, output: str, skeleton: Path | None, seed: int, device: str, quiet: bool) -> None:
+def command(
+    keypoints: tuple[str, ...], cameras: str, output: str, skeleton: Path | None, model: str | None, solver: str, seed: int, device: str, quiet: bool
+) -> None:
     """Finds the relative pose of every pair of cameras, and who matches whom.
 
     \b
     Example:
       mocap-calib pairwise keypoints/ --cameras intrinsics.toml -o pairs.json
+      mocap-calib pairwise keypoints/ --cameras intrinsics.toml --solver paper -o paper.json
     """
     import numpy as np
 
@@ -32,7 +37,8 @@ def command(keypoints: tuple[str, ...], cameras: str, output: str, skeleton: Pat
 
     outputs.check_text(output)
     with Reporter(quiet=quiet) as reporter:
-        recording, model = inputs.read_recording(keypoints, inputs.cameras_of(cameras), skeleton, reporter)
-        lifted = inputs.lifted_poses(recording, model, device, reporter)
-        pairs = calibrate_pairs(recording, lifted, PairwiseConfig(), rng=np.random.default_rng(seed), progress=reporter)
+        recording, chosen = inputs.read_recording(keypoints, inputs.cameras_of(cameras), skeleton, reporter, model=model)
+        lifted = inputs.lifted_poses(recording, chosen, device, reporter)
+        solve = inputs.pair_solver(solver, recording, chosen)
+        pairs = calibrate_pairs(recording, lifted, PairwiseConfig(), rng=np.random.default_rng(seed), progress=reporter, solve=solve)
     outputs.write_text(output, pairs_to_json(pairs, recording.cameras))

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 @options.cameras
 @click.option("-o", "--output", type=click.Path(path_type=Path), required=True, metavar="OUT", help="Folder to write; made when missing.")
 @options.skeleton
+@options.model
+@options.solver
 @options.seed
 @options.device
 @options.scheduler
@@ -28,6 +30,8 @@ def command(
     cameras: str,
     output: Path,
     skeleton: Path | None,
+    model: str | None,
+    solver: str,
     seed: int,
     device: str,
     scheduler: str | None,
@@ -50,7 +54,7 @@ def command(
 
     outputs.check_folder(output)
     with Reporter(quiet=quiet) as reporter, engine(reporter, scheduler=scheduler) as there:
-        job = jobs.read(jobs.Order(keypoints, cameras, skeleton, seed, device, output), reporter)
+        job = jobs.read(jobs.Order(keypoints, cameras, skeleton, model, solver, seed, device, output), reporter)
         found = jobs.solve_here(job, progress=reporter, mapper=there or map)
     report = jobs.write(job, found)
     _summarise(reporter, found, report, output)

@@ -5,7 +5,7 @@ import shlex
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -15,6 +15,7 @@ from mocap_calib_cli import options
 if TYPE_CHECKING:
     from mocap_calib.steerpose.poses import PoseSet, Split
     from mocap_calib.steerpose.steer import Model
+    from mocap_calib.types import Skeleton
 
 _DEFAULT = TrainConfig()
 _COUNT = click.IntRange(min=1)
@@ -23,7 +24,8 @@ _COUNT = click.IntRange(min=1)
 @click.command(name="train")
 @click.argument("poses", nargs=-1, type=click.Path(path_type=Path), metavar="[POSES...]")
 @options.output_file("Weights to write (.safetensors); the model card is inside.")
-@click.option("--skeleton", default="people", metavar="NAME|FILE.yaml", help="Vocabulary: a shipped skeleton or one of your own.")
+@click.option("--from", "calibrated", type=click.Path(path_type=Path), metavar="POSES3D.h5", help="Poses that a run found, for a model of that species.")
+@click.option("--skeleton", metavar="NAME|FILE.yaml", help="Vocabulary: a shipped skeleton or one of your own. [default: people; with --from: its own joints]")
 @click.option("--architecture", type=click.Choice(["factorised", "token"]), default="factorised", help="Ours, or the paper's with its rotation token.")
 @click.option("--up", multiple=True, metavar="AXIS", help="What points up in the poses: +z (default), -y, ...; once for all files, or once for each.")
 @click.option("--procedural", type=click.FloatRange(0, 1), metavar="SHARE", help="Of bodies made from the skeleton's file; half beside data, all without.")
@@ -40,20 +42,22 @@ _COUNT = click.IntRange(min=1)
 @options.as_json("Write the held-out errors to stdout.")
 @options.quiet
 def command(
-    poses: tuple[Path, ...], output: Path, skeleton: str, architecture: str, up: tuple[str, ...], procedural: float | None, seed: int, device: str,
-    threads: int, data: str, terms: str, as_json: bool, quiet: bool, **fields: float,
+    poses: tuple[Path, ...], output: Path, calibrated: Path | None, skeleton: str | None, architecture: str, up: tuple[str, ...],
+    procedural: float | None, seed: int, device: str, threads: int, data: str, terms: str, as_json: bool, quiet: bool, **fields: float,
 ) -> None:  # fmt: skip
     """Trains a lifter on 3D poses, on bodies made from the skeleton's file, or on both.
 
     POSES: npz files with `poses` [pose, joint, 3] and `joints`, or folders with poses3d.npz and joints.json; they may lack joints.
     With `split` (train, val, test) and `subject` in a file, the error is measured on poses that were held out.
+    --from takes the poses3d.h5 of a run instead, whose cameras.yaml beside it tells what is up unless --up does; the weights are
+    for `run --model`.
 
     \b
     Example:
       mocap-calib train poses.npz --skeleton people -o people.safetensors --steps 9000
       mocap-calib train --skeleton quadruped -o quadruped.safetensors --steps 4000
+      mocap-calib train --from out/poses3d.h5 -o beetle.safetensors --steps 2000
     """
-    from mocap_calib.skeleton import load_section, load_skeleton
     from mocap_calib.steerpose.checkpoint import save_lifter
     from mocap_calib.steerpose.train import held_out_error, model_card, steering_error, train_lifter, train_steerer, training_config
     from mocap_calib_cli import outputs
@@ -65,10 +69,15 @@ def command(
     outputs.check_file(output)
     check_device(device)
     use_threads(threads)
-    vocabulary = load_skeleton(skeleton)
     chosen = {name: value for name, value in fields.items() if value != getattr(_DEFAULT, name)}
-    config = replace(training_config(load_section(skeleton, "training")), seed=seed, **chosen)  # type: ignore[arg-type]
-    training, testing = (_pose_set(poses, up, skeleton, procedural, split, config) for split in ("train", "test"))
+    vocabulary, settings = _vocabulary(calibrated, skeleton)
+    config = replace(training_config(settings), seed=seed, **chosen)  # type: ignore[arg-type]
+    if calibrated:
+        if poses or procedural:
+            raise click.UsageError("expected POSES or --procedural, or --from, found both")
+        training, testing = (_own_poses(calibrated, vocabulary, up, split) for split in ("train", "test"))
+    else:
+        training, testing = (_pose_set(poses, up, skeleton or "people", procedural, split, config) for split in ("train", "test"))
     lifter: Model
     with Reporter(quiet=quiet) as reporter:
         if architecture == "token":
@@ -88,13 +97,36 @@ def command(
             config,
             errors,
             command=typed,
-            data=data or ", ".join(p.name for p in poses) or "procedural bodies",
-            terms=terms or ("not stated" if poses else "none: no data"),
+            data=data or ", ".join(p.name for p in (*poses, *([calibrated] if calibrated else []))) or "procedural bodies",
+            terms=terms or ("not stated" if poses or calibrated else "none: no data"),
         ),
     )
     reporter.say(f"held out: {', '.join(f'{name} {value}' for name, value in errors.items())}; weights in {output}")
     if as_json:
         click.echo(json.dumps(errors))
+
+
+def _vocabulary(calibrated: Path | None, skeleton: str | None) -> tuple["Skeleton", dict[str, Any]]:
+    """The joints to train for, and settings that differ from the defaults. Raises FormatError."""
+    from mocap_calib.io.results import read_poses_h5
+    from mocap_calib.skeleton import load_section, load_skeleton
+    from mocap_calib.steerpose.own import TRAINING, own_skeleton
+
+    if calibrated and skeleton is None:
+        return own_skeleton(calibrated.stem, read_poses_h5(calibrated)), TRAINING
+    return load_skeleton(skeleton or "people"), load_section(skeleton or "people", "training")
+
+
+def _own_poses(calibrated: Path, vocabulary: "Skeleton", up: tuple[str, ...], split: "Split") -> "PoseSet":
+    """The poses of a calibrated recording. Raises FormatError and DegenerateError; a usage error where nothing tells what is up."""
+    from mocap_calib.io.cameras import read_rig
+    from mocap_calib.io.results import read_poses_h5
+    from mocap_calib.steerpose.own import axis, own_poses, up_of_rig
+
+    rig = calibrated.with_name("cameras.yaml")
+    if not up and not rig.is_file():
+        raise click.UsageError(f"expected {rig} beside the poses, or --up, found neither")
+    return own_poses(read_poses_h5(calibrated), vocabulary, axis(up[0]) if up else up_of_rig(read_rig(rig)), split)
 
 
 def _pose_set(poses: tuple[Path, ...], up: tuple[str, ...], skeleton: str, procedural: float | None, split: "Split", config: TrainConfig) -> "PoseSet":
