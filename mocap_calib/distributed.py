@@ -6,6 +6,7 @@ need. Results are those of `map` to the last digit where the processors are of o
 
 import logging
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from functools import partial
 from itertools import islice
@@ -127,6 +128,8 @@ def _result(future: "Future[R]") -> R:
         raise ClusterError(
             f"expected workers that survive the work, found {error.allowed_failures + 1} killed by the same piece; give them more memory"
         ) from None
+    except CancelledError:
+        raise ClusterError(_GONE) from None
     except (ModuleNotFoundError, RuntimeError) as error:
         missing = error.__cause__ or error  # the scheduler tells of it in its own words
         if not isinstance(missing, ModuleNotFoundError):

@@ -231,11 +231,10 @@ def test_pairs_found_before_are_not_made_again(tmp_path):
             made.append(item)
             yield function(item)
 
-    def pairs(seed: int = 0) -> str:
+    def pairs(seed: int = 0, method: str = "") -> str:
         made.clear()
-        found = calibrate_pairs(
-            recording(), lifted(), PairwiseConfig(), rng=np.random.default_rng(seed), progress=silent, mapper=remembering(counting, tmp_path)
-        )
+        mapper = remembering(counting, tmp_path, method)
+        found = calibrate_pairs(recording(), lifted(), PairwiseConfig(), rng=np.random.default_rng(seed), progress=silent, mapper=mapper)
         return pairs_to_json(found, recording().cameras)
 
     first = pairs()
@@ -247,8 +246,9 @@ def test_pairs_found_before_are_not_made_again(tmp_path):
     files[1].write_bytes(files[1].read_bytes()[:-9])  # as a full disk may leave it
     assert pairs() == first
     assert len(made) == 2
-    pairs(seed=1)
-    assert len(made) == 6
+    for change in ({"seed": 1}, {"method": "other weights"}):
+        pairs(**change)
+        assert len(made) == 6
 
 
 @pytest.mark.slow

@@ -48,9 +48,12 @@ class Order:
 
     def fingerprint(self, hashes: Mapping[str, str], model: str) -> str:
         """SHA-256 of all that the results follow from: what was typed, the files, the configuration, the weights and the version."""
-        typed = [self.keypoints, self.cameras, str(self.skeleton), self.model, self.solver, self.seed, self.device]
-        weights = NONE if model == NONE else digest(model)
-        return hashlib.sha256(json.dumps([typed, hashes, asdict(Config()), model, weights, __version__]).encode()).hexdigest()
+        typed = [self.keypoints, self.cameras, str(self.skeleton), self.model, self.seed, self.device]
+        return hashlib.sha256(json.dumps([typed, hashes, self.method(model)]).encode()).hexdigest()
+
+    def method(self, model: str) -> str:
+        """How any recording is calibrated: solver, configuration, weights and version."""
+        return json.dumps([self.solver, asdict(Config()), model, NONE if model == NONE else digest(model), __version__])
 
 
 @dataclass(frozen=True)
@@ -83,7 +86,8 @@ def solve(job: Job, *, progress: Progress = silent, mapper: Mapper = map) -> Cal
 def solve_here(job: Job, *, progress: Progress = silent, mapper: Mapper = map) -> Calibration:
     """`solve`, with the pairs kept beside the results until those are written: a run that is killed need not find them again."""
     try:
-        return solve(job, progress=progress, mapper=remembering(mapper, job.order.output / _UNFINISHED))
+        store = remembering(mapper, job.order.output / _UNFINISHED, job.order.method(job.model))
+        return solve(job, progress=progress, mapper=store)
     except MocapCalibError as error:
         if not isinstance(error, ClusterError):  # it would end there again
             _forget(job.order.output)
@@ -147,7 +151,8 @@ def _clear(output: Path, report: Mapping[str, Any]) -> None:
 
 
 def _forget(output: Path) -> None:
-    """Takes the pairs of an unfinished run away, and the folder of its results if there are none."""
-    shutil.rmtree(output / _UNFINISHED, ignore_errors=True)
-    if output.is_dir() and not any(output.iterdir()):
-        output.rmdir()
+    """Takes the pairs of an unfinished run away, and the folder that was made for them if there are no results."""
+    if (output / _UNFINISHED).is_dir():
+        shutil.rmtree(output / _UNFINISHED, ignore_errors=True)
+        if not any(output.iterdir()):
+            output.rmdir()

@@ -1,7 +1,7 @@
 """The pairs that a long run has found so far, one file each: a run that was killed need not find them again.
 
-A pair is recognised by a hash of all that it follows from: the detections and their lifted bodies, the configuration,
-the random generator, and the version of the program.
+A pair is recognised by a hash of all that it follows from: the detections, their lifted bodies and its random generator, and
+what the caller says of how it is calibrated.
 """
 
 import hashlib
@@ -15,7 +15,6 @@ from typing import TypeVar, cast
 
 import numpy as np
 
-from mocap_calib import __version__
 from mocap_calib.io.atomic import write_bytes
 from mocap_calib.types import Mapper, PairwiseCalibration
 
@@ -23,15 +22,18 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 
-def remembering(mapper: Mapper, folder: Path) -> Mapper:
-    """Maps as `mapper` does a function whose results are pairs (or None), and keeps them in `folder`; those found there are not made again."""
+def remembering(mapper: Mapper, folder: Path, method: str) -> Mapper:
+    """Maps as `mapper` does a function whose results are pairs (or None), and keeps them in `folder`; those found there are not made again.
+
+    method: all that the results follow from besides the items: configuration, weights, version.
+    """
 
     def spread(function: Callable[[T], R], items: Iterable[T], /) -> Iterator[R]:
         known: list[R] = []
 
         def unknown() -> Iterator[tuple[Path, T]]:
             for item in items:
-                path = folder / f"{hashlib.sha256(pickle.dumps((__version__, function, item))).hexdigest()}.json"
+                path = folder / f"{hashlib.sha256(pickle.dumps((method, item))).hexdigest()}.json"
                 try:
                     known.append(cast(R, _decoded(path.read_bytes())))
                 except (OSError, ValueError, TypeError):  # not there, or damaged: to be made
