@@ -162,6 +162,7 @@ def test_a_scheduler_that_goes_is_one_line(machines, tmp_path):
     assert list((tmp_path / "out" / ".unfinished").glob("*"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("address", "said"), [("tcp://127.0.0.1:1", "found none that answers"), ("node1", "(tcp://HOST:PORT), found node1")])
 def test_no_scheduler_is_one_line(address, said, small, tool, tmp_path):
     done = tool("run", small / "keypoints", "--cameras", small / "intrinsics.toml", "-o", tmp_path / "out", "-q", "--scheduler", address)
