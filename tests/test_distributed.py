@@ -30,6 +30,8 @@ with Client(scheduler_file=sys.argv[1]) as client:
     def held():
         return client.processing().get(address, ())
 
+    client.wait_for_workers(2)
+    print("ready", flush=True)
     address = next(a for a, worker in client.scheduler_info()["workers"].items() if worker["name"] == "victim")
     while not held():
         time.sleep(0.005)
@@ -67,6 +69,7 @@ class Machines:
         """Kills a worker amid the block, and sees to it that it held work and was gone before the block's end."""
         killer = subprocess.Popen([sys.executable, "-c", KILLER, self.file, str(self.victim.pid)], stdout=subprocess.PIPE, text=True)
         try:
+            assert killer.stdout.readline() == "ready\n"
             yield
             assert killer.poll() == 0, "the work was done before the worker could be killed"
             assert int(killer.stdout.read()) >= 1
