@@ -110,8 +110,7 @@ def judge(found: Sequence[Found | None], problems: Sequence[Problem], truths: Se
     """Compares with the truth."""
     rotation, translation, right, matched = [], [], 0, 0
     for one, problem, truth in zip(found, problems, truths, strict=True):
-        r = truth.rig.rotation[problem.b] @ truth.rig.rotation[problem.a].T
-        t = truth.rig.translation[problem.b] - r @ truth.rig.translation[problem.a]
+        r, t = truth.rig.relative(problem.a, problem.b)
         rotation.append(FAILED if one is None else np.degrees(angle_between(one.rotation, r)))
         translation.append(FAILED if one is None else np.degrees(direction_angle(one.translation, t)))
         if one is not None and len(one.matches):
@@ -157,15 +156,10 @@ def rig_errors(found: CameraRig, truth: CameraRig) -> tuple[float, float]:
     """Median E_R and E_t in degrees over the pairs of a rig."""
     rotation, translation = [], []
     for a, b in combinations(range(len(truth.cameras)), 2):
-        (r, t), (s, u) = (_relative(rig, a, b) for rig in (found, truth))
+        (r, t), (s, u) = (rig.relative(a, b) for rig in (found, truth))
         rotation.append(np.degrees(angle_between(r, s)))
         translation.append(np.degrees(direction_angle(t, u)))
     return float(np.median(rotation)), float(np.median(translation))
-
-
-def _relative(rig: CameraRig, a: int, b: int) -> tuple[np.ndarray, np.ndarray]:
-    r = rig.rotation[b] @ rig.rotation[a].T
-    return r, rig.translation[b] - r @ rig.translation[a]
 
 
 def detectors(options: argparse.Namespace) -> None:

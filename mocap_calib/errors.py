@@ -3,7 +3,8 @@
 MocapCalibError
 ├── FormatError       a file is not what its format says
 ├── MismatchError     two inputs do not belong together
-└── DegenerateError   the observations do not determine the answer
+├── DegenerateError   the observations do not determine the answer
+└── ClusterError      the machines that work was sent to cannot do it
 
 Every message is one line: what was expected, what came, what to do. Anything else that is raised
 is a mistake of the program and keeps its traceback.
@@ -24,3 +25,7 @@ class MismatchError(MocapCalibError):
 
 class DegenerateError(MocapCalibError):
     """The observations do not determine the answer."""
+
+
+class ClusterError(MocapCalibError):
+    """The machines that work was sent to cannot do it."""

@@ -71,12 +71,6 @@ def _groups(affinity: Floats, comparable: Floats, views: int, config: MatchingCo
     return np.moveaxis(group.reshape(len(group), views, -1), 0, 1)
 
 
-def _relative(rig: CameraRig, a: int, b: int) -> tuple[Floats, Floats]:
-    """R `[1, 3, 3]` and t `[1, 3]` of b_from_a."""
-    rotation = rig.rotation[b] @ rig.rotation[a].T
-    return rotation[None], (rig.translation[b] - rotation @ rig.translation[a])[None]
-
-
 def body_scale(recording: Sample, lifted: LiftedPoses, rig: CameraRig, config: PairwiseConfig) -> float:
     """Body sizes per unit of the rig: how far bodies were lifted over how far the rig triangulates them."""
     ratios = []
@@ -85,17 +79,17 @@ def body_scale(recording: Sample, lifted: LiftedPoses, rig: CameraRig, config: P
         shared = np.flatnonzero(seen[a] & seen[b])
         if len(shared):
             pair = view_pair(recording, lifted, a, b, evenly(shared, _SCALE_FRAMES))
-            ratios.append(_distance_ratios(pair, *_relative(rig, a, b), config))
+            ratios.append(_distance_ratios(pair, *rig.relative(a, b), config))
     found = np.concatenate(ratios) if ratios else np.zeros(0)
     return float(np.median(found)) if len(found) else 1.0
 
 
 def _distance_ratios(pair: ViewPair, rotation: Floats, translation: Floats, config: PairwiseConfig) -> Floats:
     """Lifted over triangulated distances of the joints of well-fitting candidate matches."""
-    error, weight = epipolar_error(pair, rotation, translation)
+    error, weight = epipolar_error(pair, rotation[None], translation[None])
     frame, i, j = np.nonzero(epipolar_fit(error, weight, config)[0] > 0.7)
     use = (pair.weight_a[frame, i] > 0) & (pair.weight_b[frame, j] > 0)
-    near_a, near_b = depths(rotation[0], translation[0], pair.rays_a[frame, i][use], pair.rays_b[frame, j][use])
+    near_a, near_b = depths(rotation, translation, pair.rays_a[frame, i][use], pair.rays_b[frame, j][use])
     far = np.broadcast_to((pair.distance_a[frame, i] + pair.distance_b[frame, j])[:, None], use.shape)[use]
     good = (near_a > 0) & (near_b > 0)
     return far[good] / (near_a + near_b)[good]
@@ -108,7 +102,7 @@ def _affinities(recording: Sample, lifted: LiftedPoses, rig: CameraRig, scale: f
     comparable = np.zeros_like(affinity)
     for a, b in combinations(range(views), 2):
         pair = view_pair(recording, lifted, a, b, frames)
-        rotation, translation = _relative(rig, a, b)
+        rotation, translation = (part[None] for part in rig.relative(a, b))
         error, weight = epipolar_error(pair, rotation, translation)
         found = match_affinity(pair, rotation, translation * scale, epipolar_fit(error, weight, config), config)[0]
         common = ((weight > 0).sum(-1) >= 3).astype(np.float64)

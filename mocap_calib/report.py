@@ -73,14 +73,8 @@ def _select(rig: CameraRig, names: tuple[str, ...]) -> CameraRig:
 
 def _pair_error(rig: CameraRig, reference: CameraRig, a: str, b: str) -> tuple[float, float]:
     """Angles in radians between the rotations and between the directions of translation of b_from_a."""
-    (found, moved), (true, shift) = _relative(rig, a, b), _relative(reference, a, b)
+    (found, moved), (true, shift) = (each.relative(each.names.index(a), each.names.index(b)) for each in (rig, reference))
     return float(angle_between(found, true)), float(direction_angle(moved, shift))
-
-
-def _relative(rig: CameraRig, a: str, b: str) -> tuple[Floats, Floats]:
-    i, j = rig.names.index(a), rig.names.index(b)
-    rotation = rig.rotation[j] @ rig.rotation[i].T
-    return rotation, rig.translation[j] - rotation @ rig.translation[i]
 
 
 def accuracy(error: Floats, degrees: float) -> float:

@@ -115,6 +115,11 @@ class CameraRig:
         """`[view, 3]` camera centres in world coordinates, C = -R' t."""
         return -np.einsum("vji,vj->vi", self.rotation, self.translation)
 
+    def relative(self, a: int, b: int) -> tuple[Floats, Floats]:
+        """R `[3, 3]` and t `[3]` of b_from_a, for the views a and b: x_b = R x_a + t."""
+        rotation = self.rotation[b] @ self.rotation[a].T
+        return rotation, self.translation[b] - rotation @ self.translation[a]
+
 
 @dataclass(frozen=True)
 class Keypoints2D:

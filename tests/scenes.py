@@ -48,7 +48,7 @@ def rotation_errors_deg(rig: CameraRig, reference: CameraRig) -> np.ndarray:
     errors = []
     for a in range(len(rig.cameras)):
         for b in range(a):
-            found, true = rig.rotation[b] @ rig.rotation[a].T, reference.rotation[b] @ reference.rotation[a].T
+            found, true = rig.relative(a, b)[0], reference.relative(a, b)[0]
             errors.append(np.degrees(np.arccos(np.clip((np.trace(found.T @ true) - 1) / 2, -1, 1))))
     return np.array(errors)
 

@@ -28,11 +28,6 @@ def some_pair():
     return view_pair(recording(), lifted(), 0, 1, np.arange(10))
 
 
-def relative(rig: CameraRig, a: int, b: int) -> tuple[np.ndarray, np.ndarray]:
-    rotation = rig.rotation[b] @ rig.rotation[a].T
-    return rotation, rig.translation[b] - rotation @ rig.translation[a]
-
-
 def turned(rig: CameraRig, degrees: float, seed: int = 0) -> CameraRig:
     """Every camera but the first turned about its centre by so much."""
     axis = np.random.default_rng(seed).normal(size=(len(rig.cameras), 3))
@@ -120,7 +115,7 @@ def test_pairs_of_a_ring_of_strangers():
     pairs = calibrate_pairs(recording(), lifted(), PairwiseConfig(), rng=np.random.default_rng(0), progress=silent)
     assert [(p.a, p.b) for p in pairs] == list(combinations(range(4), 2))
     for pair in pairs:
-        rotation, translation = relative(made.rig, pair.a, pair.b)
+        rotation, translation = made.rig.relative(pair.a, pair.b)
         assert np.degrees(angle_between(pair.rotation, rotation)) < 1.5
         assert np.degrees(direction_angle(pair.translation, translation)) < 2.0
         frame, i, j = pair.matches.T
@@ -133,7 +128,7 @@ def test_baselines_come_in_one_unit():
     """Baselines in body sizes over baselines in metres: within 6 % of each other (measured 3 %), known without any length."""
     made = scene()
     pairs = calibrate_pairs(recording(), lifted(), PairwiseConfig(), rng=np.random.default_rng(0), progress=silent)
-    ratio = np.array([np.linalg.norm(p.translation) / np.linalg.norm(relative(made.rig, p.a, p.b)[1]) for p in pairs])
+    ratio = np.array([np.linalg.norm(p.translation) / np.linalg.norm(made.rig.relative(p.a, p.b)[1]) for p in pairs])
     assert np.ptp(ratio) / ratio.mean() < 0.12
 
 
@@ -181,7 +176,7 @@ def exact_pairs(rig: CameraRig, *, wrong: tuple[int, ...] = ()) -> tuple[Pairwis
     """Pairs that agree with a rig, but for some that are 40 degrees off and score less."""
     pairs = []
     for k, (a, b) in enumerate(combinations(range(len(rig.cameras)), 2)):
-        rotation, translation = relative(rig, a, b)
+        rotation, translation = rig.relative(a, b)
         if k in wrong:
             rotation = matrix_from_vector(np.radians([0.0, 40.0, 0.0])) @ rotation
             translation = np.roll(translation, 1)
@@ -195,7 +190,7 @@ def test_consistent_pairs_give_their_rig():
     found = average(rig.cameras, exact_pairs(rig), AveragingConfig()).rig
     np.testing.assert_allclose(found.rotation[0], np.eye(3), atol=1e-12)
     for a, b in combinations(range(6), 2):
-        np.testing.assert_allclose(np.concatenate(relative(found, a, b), None), np.concatenate(relative(rig, a, b), None), atol=1e-8)
+        np.testing.assert_allclose(np.concatenate(found.relative(a, b), None), np.concatenate(rig.relative(a, b), None), atol=1e-8)
 
 
 def test_a_pair_that_breaks_the_loops_is_named_and_loses_its_weight():

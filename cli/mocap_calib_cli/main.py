@@ -3,7 +3,6 @@
 stdout is data, stderr is talk. Exit status: 0 done, 1 the data or the calibration is bad, 2 usage, 130 interrupted.
 """
 
-import errno
 import importlib
 import sys
 
@@ -11,10 +10,12 @@ import click
 
 from mocap_calib import __version__
 from mocap_calib.errors import MocapCalibError
+from mocap_calib_cli.mistakes import explained
 
 # name: (module:attribute, what the list of commands says of it); kept here so that the list imports no command
 COMMANDS = {
     "run": ("mocap_calib_cli.commands.run:command", "Keypoints to cameras and 3D poses: all stages in one."),
+    "batch": ("mocap_calib_cli.commands.batch:command", "Many recordings, here or on a cluster; what is finished is kept."),
     "pairwise": ("mocap_calib_cli.commands.pairwise:command", "Relative positions of all pairs of cameras."),
     "average": ("mocap_calib_cli.commands.average:command", "Pairs to one rig."),
     "match": ("mocap_calib_cli.commands.match:command", "Who is who in all cameras."),
@@ -24,17 +25,6 @@ COMMANDS = {
     "simulate": ("mocap_calib_cli.commands.simulate:command", "Make a synthetic recording with its truth."),
     "models": ("mocap_calib_cli.commands.models:command", "List the networks that are shipped."),
     "train": ("mocap_calib_cli.commands.train:command", "Train the network that lifts 2D poses."),
-}
-_REMEDIES = {
-    errno.ENOENT: "expected a file or folder, found none; check the path",
-    errno.EACCES: "expected a path this program may use, found permission denied; change its permissions or choose another",
-    errno.EPERM: "expected a path this program may use, found operation not permitted; choose another",
-    errno.EROFS: "expected a place to write to, found a read-only file system; choose another",
-    errno.EISDIR: "expected a file, found a folder; give the file itself",
-    errno.ENOTDIR: "expected a folder, found a file on the way; choose another path",
-    errno.EEXIST: "expected a folder, found a file of that name; choose another path",
-    errno.ENOSPC: "expected room to write, found a full disk; free some",
-    errno.EDQUOT: "expected room to write, found the quota used up; free some",
 }
 
 
@@ -86,15 +76,13 @@ def main() -> None:
     except BrokenPipeError:
         sys.stdout = None  # the reader has gone: flushing at exit would complain
         status = 1
-    except MocapCalibError as error:
-        status = _complain(str(error), 1)
-    except OSError as error:
-        if error.errno not in _REMEDIES:
+    except (MocapCalibError, OSError) as error:
+        if not (line := explained(error)):
             raise
-        status = _complain(f"{error.filename or 'a file'}: {_REMEDIES[error.errno]}", 1)
+        status = _complain(line, 1)
     sys.exit(status or 0)
 
 
 def _complain(message: str, status: int) -> int:
-    click.echo(f"mocap-calib: {' '.join(message.split())}", err=True)
+    click.echo(f"mocap-calib: {message}", err=True)
     return status

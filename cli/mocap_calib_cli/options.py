@@ -22,6 +22,7 @@ model = click.option(
 solver = click.option("--solver", type=click.Choice(["search", "paper"]), default="search", help="Of pairs: ours, or the paper's gradient descent (slow).")
 seed = click.option("--seed", type=click.IntRange(min=0), default=0, help="The same seed gives the same results.")
 device = click.option("--device", type=click.Choice(["cpu", "cuda"]), default="cpu", help="Where the network runs.")
+scheduler = click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler whose workers do the work (tcp://HOST:PORT); same results.")
 quiet = click.option("--quiet", "-q", is_flag=True, help="Say nothing on stderr but errors.")
 
 

@@ -1,5 +1,6 @@
 """Weights as safetensors files that describe themselves."""
 
+import hashlib
 import json
 from dataclasses import asdict
 from importlib import resources
@@ -63,6 +64,11 @@ def models() -> dict[str, dict[str, Any]]:
             if path.is_file():
                 cards[name] = _description(path)["card"]
     return cards
+
+
+def digest(name_or_path: str) -> str:
+    """SHA-256 of the weights of a lifter: a shipped one, or one in a file."""
+    return hashlib.sha256((_shipped(name_or_path) if name_or_path in SHIPPED else Path(name_or_path)).read_bytes()).hexdigest()
 
 
 def _shipped(name: str) -> Traversable:

@@ -22,63 +22,44 @@ if TYPE_CHECKING:
 @options.solver
 @options.seed
 @options.device
+@options.scheduler
 @options.as_json("Write the content of run.json to stdout as well.")
 @options.quiet
 def command(
-    keypoints: tuple[str, ...], cameras: str, output: Path, skeleton: Path | None, model: str | None, solver: str, seed: int, device: str, as_json: bool,
+    keypoints: tuple[str, ...],
+    cameras: str,
+    output: Path,
+    skeleton: Path | None,
+    model: str | None,
+    solver: str,
+    seed: int,
+    device: str,
+    scheduler: str | None,
+    as_json: bool,
     quiet: bool,
-) -> None:  # fmt: skip
+) -> None:
     """Calibrates the cameras that saw KEYPOINTS, finds who is who, and triangulates the poses.
 
     KEYPOINTS: a folder with one file per camera, or files, or name=path pairs. The name of a camera is the stem of its
-    file; it must be a name in INTRINSICS.
+    file; it must be a name in INTRINSICS. A run that was killed picks up the pairs of cameras it had finished.
 
     \b
     Example:
       mocap-calib run keypoints/ --cameras intrinsics.toml -o out
       mocap-calib run left=a.json right=b.json --cameras intrinsics.toml -o out --json
     """
-    from mocap_calib.config import Config
-    from mocap_calib.pipeline import calibrate
-    from mocap_calib.report import run_report
-    from mocap_calib_cli import inputs, outputs
-    from mocap_calib_cli.model import load_model
+    from mocap_calib_cli import jobs, outputs
+    from mocap_calib_cli.engine import engine
     from mocap_calib_cli.progress import Reporter
 
     outputs.check_folder(output)
-    with Reporter(quiet=quiet) as reporter:
-        recording, network = inputs.read_recording(keypoints, inputs.cameras_of(cameras), skeleton, reporter, model=model)
-        solve = inputs.pair_solver(solver, recording, network)
-        found = calibrate(recording, load_model(device, network), Config(), seed=seed, device=device, progress=reporter, solve=solve)
-    hashes = inputs.hashes([*(path for _, path in inputs.keypoint_files(keypoints)), cameras, *([skeleton] if skeleton else [])])
-    report = run_report(found, seed=seed, config=Config(), inputs=hashes) | {"model": network, "solver": solver}
-    _write(output, found, report, seed)
+    with Reporter(quiet=quiet) as reporter, engine(reporter, scheduler=scheduler) as there:
+        job = jobs.read(jobs.Order(keypoints, cameras, skeleton, model, solver, seed, device, output), reporter)
+        found = jobs.solve_here(job, progress=reporter, mapper=there or map)
+    report = jobs.write(job, found)
     _summarise(reporter, found, report, output)
     if as_json:
         click.echo(json.dumps(report, indent=1, allow_nan=False))
-
-
-def _write(output: Path, found: "Calibration", report: dict[str, Any], seed: int) -> None:
-    """All files of a run, together or not at all; poses of more individuals than this run found are taken away."""
-    from mocap_calib.io.atomic import folder, replace_text
-    from mocap_calib.io.camera_files import format_calibration_toml, format_cameras_yaml
-    from mocap_calib.io.results import matches_csv, poses_csv, write_poses_h5
-    from mocap_calib_cli import outputs
-
-    source = outputs.provenance("run", seed=seed, inputs=report["inputs"])
-    with folder(output) as work:
-        (work / "cameras.yaml").write_text(format_cameras_yaml(found.rig, source), "utf-8")
-        (work / "calibration.toml").write_text(format_calibration_toml(found.rig, source), "utf-8")
-        if found.rival is not None:
-            (work / "calibration_reversed.toml").write_text(format_calibration_toml(found.rival, source), "utf-8")
-        replace_text(work / "matches.csv", matches_csv(found.recording, found.matches))
-        (work / "run.json").write_text(json.dumps(report, indent=1, allow_nan=False) + "\n", "utf-8")
-        write_poses_h5(work / "poses3d.h5", found.poses, source)
-        for individual in range(found.matches.individuals):
-            replace_text(outputs.of_individual(work / "poses3d.csv", individual), poses_csv(found.poses, individual))
-    outputs.remove_stale(output / "poses3d.csv", found.matches.individuals)
-    if found.rival is None:
-        (output / "calibration_reversed.toml").unlink(missing_ok=True)
 
 
 def _summarise(reporter: "Reporter", found: "Calibration", report: dict[str, Any], output: Path) -> None:

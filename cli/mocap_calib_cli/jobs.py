@@ -1,0 +1,159 @@
+"""One recording from its files to its results, in steps that `run` takes here and `batch` may have done elsewhere."""
+
+import hashlib
+import json
+import shutil
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from mocap_calib import __version__
+from mocap_calib.config import Config
+from mocap_calib.errors import ClusterError, MocapCalibError
+from mocap_calib.io.atomic import folder, replace_text
+from mocap_calib.io.camera_files import format_calibration_toml, format_cameras_yaml
+from mocap_calib.io.pair_store import remembering
+from mocap_calib.io.results import matches_csv, poses_csv, write_poses_h5
+from mocap_calib.pairwise import PairSolver
+from mocap_calib.pipeline import calibrate
+from mocap_calib.report import run_report
+from mocap_calib.steerpose.checkpoint import digest
+from mocap_calib.steerpose.model import Lifter
+from mocap_calib.types import Calibration, Mapper, Progress, Recording, silent
+from mocap_calib_cli import inputs, outputs
+from mocap_calib_cli.model import NONE, check_device, load_model, use_threads
+from mocap_calib_cli.progress import Reporter
+
+_RIVAL = "calibration_reversed.toml"
+_UNFINISHED = ".unfinished"  # in the folder of results: the pairs of a run that is under way or was killed
+
+
+@dataclass(frozen=True)
+class Order:
+    """What was typed: which files, how, and where the results go."""
+
+    keypoints: tuple[str, ...]
+    cameras: str
+    skeleton: Path | None
+    model: str | None
+    solver: str
+    seed: int
+    device: str
+    output: Path
+
+    def hashes(self) -> dict[str, str]:
+        """Path -> SHA-256 of all files that the results follow from."""
+        return inputs.hashes([*(path for _, path in inputs.keypoint_files(self.keypoints)), self.cameras, *([self.skeleton] if self.skeleton else [])])
+
+    def fingerprint(self, hashes: Mapping[str, str], model: str) -> str:
+        """SHA-256 of all that the results follow from: what was typed, the files, the configuration, the weights and the version."""
+        typed = [self.keypoints, self.cameras, str(self.skeleton), self.model, self.seed, self.device]
+        return hashlib.sha256(json.dumps([typed, hashes, self.method(model)]).encode()).hexdigest()
+
+    def method(self, model: str) -> str:
+        """How any recording is calibrated: solver, configuration, weights and version."""
+        return json.dumps([self.solver, asdict(Config()), model, NONE if model == NONE else digest(model), __version__])
+
+
+@dataclass(frozen=True)
+class Job:
+    """A recording that has been read: all that calibrating it needs, on any machine."""
+
+    order: Order
+    hashes: Mapping[str, str]
+    recording: Recording
+    model: str
+    lifter: Lifter
+    solver: PairSolver | None
+
+
+def read(order: Order, reporter: Reporter) -> Job:
+    """Raises FormatError and MismatchError."""
+    hashes = order.hashes()  # first: what changes from now on makes another fingerprint
+    recording, model = inputs.read_recording(order.keypoints, inputs.cameras_of(order.cameras), order.skeleton, reporter, model=order.model)
+    return Job(order, hashes, recording, model, load_model("cpu", model), inputs.pair_solver(order.solver, recording, model))
+
+
+def solve(job: Job, *, progress: Progress = silent, mapper: Mapper = map) -> Calibration:
+    """Calibrates a recording; touches no file. Raises MismatchError and DegenerateError."""
+    use_threads(1)  # such small networks are slower on more, and one is reproducible
+    check_device(job.order.device)
+    seed, device = job.order.seed, job.order.device
+    return calibrate(job.recording, job.lifter, Config(), seed=seed, device=device, progress=progress, mapper=mapper, solve=job.solver)
+
+
+def solve_here(job: Job, *, progress: Progress = silent, mapper: Mapper = map) -> Calibration:
+    """`solve`, with the pairs kept beside the results until those are written: a run that is killed need not find them again."""
+    try:
+        store = remembering(mapper, job.order.output / _UNFINISHED, job.order.method(job.model))
+        return solve(job, progress=progress, mapper=store)
+    except MocapCalibError as error:
+        if not isinstance(error, ClusterError):  # it would end there again
+            _forget(job.order.output)
+        raise
+
+
+def write(job: Job, found: Calibration) -> dict[str, Any]:
+    """Writes all files of a run, together or not at all, and returns what run.json holds.
+
+    What an earlier run found and this one did not, further individuals and a rival rig, is taken away.
+    """
+    order = job.order
+    report = run_report(found, seed=order.seed, config=Config(), inputs=job.hashes) | {"model": job.model, "solver": order.solver}
+    source = outputs.provenance("run", seed=order.seed, inputs=job.hashes)
+    with folder(order.output) as work:
+        (work / "cameras.yaml").write_text(format_cameras_yaml(found.rig, source), "utf-8")
+        (work / "calibration.toml").write_text(format_calibration_toml(found.rig, source), "utf-8")
+        if found.rival is not None:
+            (work / _RIVAL).write_text(format_calibration_toml(found.rival, source), "utf-8")
+        replace_text(work / "matches.csv", matches_csv(found.recording, found.matches))
+        write_poses_h5(work / "poses3d.h5", found.poses, source)
+        for individual in range(found.matches.individuals):
+            replace_text(outputs.of_individual(work / "poses3d.csv", individual), poses_csv(found.poses, individual))
+        report |= {"fingerprint": order.fingerprint(job.hashes, job.model), "outputs": _contents(work)}
+        (work / "run.json").write_text(json.dumps(report, indent=1, allow_nan=False) + "\n", "utf-8")
+    _clear(order.output, report)
+    return report
+
+
+def finished(order: Order) -> dict[str, Any] | None:
+    """What run.json holds where the results are those of this order and whole; None where they are to be made.
+
+    A run may have been killed while it moved its files into place: every one of them must be what run.json says.
+    """
+    try:
+        report = json.loads((order.output / "run.json").read_bytes())
+        same = report["fingerprint"] == order.fingerprint(order.hashes(), report["model"])
+        whole = same and all(_digest(order.output / name) == content for name, content in report["outputs"].items())
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        return None
+    if not whole:
+        return None
+    _clear(order.output, report)  # which the run did not come to if it was killed at the very end
+    return report
+
+
+def _contents(work: Path) -> dict[str, str]:
+    return {file.relative_to(work).as_posix(): _digest(file) for file in sorted(work.rglob("*")) if file.is_file()}
+
+
+def _digest(file: Path) -> str:
+    with file.open("rb") as content:
+        return hashlib.file_digest(content, "sha256").hexdigest()
+
+
+def _clear(output: Path, report: Mapping[str, Any]) -> None:
+    """Takes away what earlier runs left that these results do not replace."""
+    outputs.remove_stale(output / "poses3d.csv", len(report["individuals"]))
+    if _RIVAL not in report["outputs"]:
+        (output / _RIVAL).unlink(missing_ok=True)
+    _forget(output)
+
+
+def _forget(output: Path) -> None:
+    """Takes the pairs of an unfinished run away, and the folder that was made for them if there are no results."""
+    if (output / _UNFINISHED).is_dir():
+        shutil.rmtree(output / _UNFINISHED, ignore_errors=True)
+        if not any(output.iterdir()):
+            output.rmdir()
