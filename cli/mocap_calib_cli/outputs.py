@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.io.atomic import write_bytes
+from mocap_calib.io.atomic import of_individual, write_bytes
 from mocap_calib_cli.options import STDIO
 
 
@@ -53,11 +53,6 @@ def _check_writable(folder: Path) -> None:
             pass
     except OSError as error:
         raise MismatchError(f"{folder}: expected a folder that can be written to, found: {error.strerror}; choose another") from None
-
-
-def of_individual(path: Path, individual: int) -> Path:
-    """The file of an individual where each has its own: the first has the plain name, the next NAME_1, NAME_2, ..."""
-    return path if individual == 0 else path.with_name(f"{path.stem}_{individual}{path.suffix}")
 
 
 def remove_stale(path: Path, individuals: int) -> None:

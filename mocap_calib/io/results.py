@@ -101,29 +101,42 @@ def _csv_line(cells: Sequence[str]) -> str:
 
 
 def write_poses_h5(path: Path, poses: Poses3D, attributes: Mapping[str, Any]) -> None:
-    """Writes the poses to HDF5, atomically; the same poses and `attributes` (provenance) give the same bytes.
+    """Writes `poses_to_h5` atomically."""
+    write_bytes(path, poses_to_h5(poses, attributes))
+
+
+def poses_to_h5(poses: Poses3D, attributes: Mapping[str, Any], figures: Mapping[str, float] | None = None, individuals: Sequence[str] = ()) -> bytes:
+    """The poses as HDF5; the same poses and `attributes` (provenance) give the same bytes.
 
     Datasets: position `[frame, individual, keypoint, 3]`, error, views, confidence `[frame, individual,
-    keypoint]`, frames `[frame]`, keypoint_names `[keypoint]`.
+    keypoint]`, frames `[frame]`, keypoint_names `[keypoint]`, and individual_names where they are given. `figures` are
+    further attributes (fps); NaN is left out.
     """
     arrays = {"position": poses.positions, "error": poses.error, "views": poses.views, "confidence": poses.confidence, "frames": poses.frames}
+    names = {"keypoint_names": poses.keypoints} | ({"individual_names": tuple(individuals)} if individuals else {})
     with h5py.File("poses", "w", driver="core", backing_store=False) as file:
         for name, array in arrays.items():
             packed = {"compression": "gzip", "shuffle": True} if array.size else {}
             # no times in the file: they would change its bytes
             file.create_dataset(name, data=array, track_times=False, **packed)
-        file.create_dataset("keypoint_names", data=np.array(poses.keypoints, dtype=object), dtype=h5py.string_dtype(), track_times=False)
+        for name, texts in names.items():
+            file.create_dataset(name, data=np.array(texts, dtype=object), dtype=h5py.string_dtype(), track_times=False)
         fields = {"format": "mocap-calib poses", "version": VERSION, "unit": poses.unit, "dimensions": "frame, individual, keypoint, coordinate"}
+        fields |= {name: value for name, value in (figures or {}).items() if np.isfinite(value)}
         for name, value in (fields | {"provenance": json.dumps(attributes, default=str)}).items():
             file.attrs[name] = value
         file.flush()
-        content = file.id.get_file_image()
-    write_bytes(path, content)
+        content: bytes = file.id.get_file_image()
+    return content
 
 
 def read_poses_h5(path: Path) -> Poses3D:
     """The inverse of `write_poses_h5`. Raises FormatError."""
-    source, content = str(path), read_bytes(path)
+    return parse_poses_h5(read_bytes(path), str(path))
+
+
+def parse_poses_h5(content: bytes, source: str) -> Poses3D:
+    """The inverse of `poses_to_h5`. Raises FormatError."""
     try:
         with h5py.File(io.BytesIO(content), "r") as file:
             if file.attrs["format"] != "mocap-calib poses" or file.attrs["version"] != VERSION:

@@ -54,7 +54,7 @@ def command(keypoints: tuple[str, ...], cameras: str, output: Path, skeleton: Pa
 
 def _write(output: Path, found: "Calibration", report: dict[str, Any], seed: int) -> None:
     """All files of a run, together or not at all; poses of more individuals than this run found are taken away."""
-    from mocap_calib.io.atomic import folder
+    from mocap_calib.io.atomic import folder, of_individual
     from mocap_calib.io.camera_files import format_calibration_toml, format_cameras_yaml
     from mocap_calib.io.results import format_matches_csv, format_poses_csv, write_poses_h5
     from mocap_calib_cli import outputs
@@ -67,7 +67,7 @@ def _write(output: Path, found: "Calibration", report: dict[str, Any], seed: int
         (work / "run.json").write_text(json.dumps(report, indent=1, allow_nan=False) + "\n", "utf-8")
         write_poses_h5(work / "poses3d.h5", found.poses, source)
         for individual in range(found.matches.individuals):
-            outputs.of_individual(work / "poses3d.csv", individual).write_text(format_poses_csv(found.poses, individual), "utf-8")
+            of_individual(work / "poses3d.csv", individual).write_text(format_poses_csv(found.poses, individual), "utf-8")
     outputs.remove_stale(output / "poses3d.csv", found.matches.individuals)
 
 

@@ -23,7 +23,7 @@ def command(keypoints: tuple[str, ...], rig: str, matches: str, output: Path, sk
     """
     from mocap_calib.config import TriangulateConfig
     from mocap_calib.errors import MismatchError
-    from mocap_calib.io.atomic import folder
+    from mocap_calib.io.atomic import folder, of_individual
     from mocap_calib.io.results import format_poses_csv, write_poses_h5
     from mocap_calib.triangulation import triangulate
     from mocap_calib_cli import inputs, outputs
@@ -42,4 +42,4 @@ def command(keypoints: tuple[str, ...], rig: str, matches: str, output: Path, sk
     else:
         with folder(output.absolute().parent) as work:
             for k in range(labels.individuals):
-                (work / outputs.of_individual(output, k).name).write_text(format_poses_csv(poses, k), "utf-8")
+                (work / of_individual(output, k).name).write_text(format_poses_csv(poses, k), "utf-8")

@@ -20,6 +20,7 @@ from mocap_calib.io.reading import decode, malformed
 from mocap_calib.types import Camera, CameraRig, Floats
 
 _YAML_ROOM = 4_000_000  # bytes; PyYAML reads a megabyte in seconds, and a camera takes a kilobyte
+_YAML_LEVELS = 50
 _TOML = r"^\s*\[\[?[\w .\"'-]+\]\]?\s*(#.*)?$|^[\w\"' .-]+="
 _BINARY = (b"MATLAB", b"\x89HDF", b"\x00")
 
@@ -118,12 +119,19 @@ def parse_toml(text: str, source: str) -> Any:
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML with OpenCV's matrices as plain mappings; each key once, and no aliases, which could stand for a giant."""
+    """YAML with OpenCV's matrices as plain mappings; each key once, no aliases, which could stand for a giant, no abyss."""
+
+    level = 0
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         if self.check_event(yaml.AliasEvent):
             raise yaml.YAMLError("an alias (*name), which camera files do not need")
-        return super().compose_node(parent, index)
+        if self.level > _YAML_LEVELS:  # PyYAML takes seconds for thousands
+            raise yaml.YAMLError(f"more than {_YAML_LEVELS} levels of nesting")
+        self.level += 1
+        node = super().compose_node(parent, index)
+        self.level -= 1
+        return node
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
