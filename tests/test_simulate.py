@@ -11,7 +11,7 @@ from mocap_calib.config import SimulateConfig
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.cameras import read_cameras, read_rig
 from mocap_calib.io.coco_writer import format_coco
-from mocap_calib.io.keypoints import read_keypoints
+from mocap_calib.io.formats2d import read_keypoints
 from mocap_calib.synthetic import JOINTS, LAYOUTS, simulate
 from mocap_calib_cli.commands.simulate import command, repeat
 
@@ -52,7 +52,7 @@ def check_scene(folder, scene):
         assert (camera.name, camera.size, camera.fisheye) == (known.name, known.size, known.fisheye)
         np.testing.assert_allclose(camera.matrix, known.matrix, atol=1e-9)
         np.testing.assert_allclose(camera.distortion, known.distortion, atol=1e-12)
-        read = read_keypoints(folder / "keypoints" / f"{camera.name}.json", camera.name)
+        read = read_keypoints([folder / "keypoints" / f"{camera.name}.json"])[0]
         assert (read.keypoints, read.image_size) == (file.keypoints, camera.size)
         np.testing.assert_array_equal(read.frames, file.frames)
         instances = read.positions.shape[1]
@@ -115,5 +115,5 @@ def test_coco_leaves_out_empty_instances_and_keeps_the_order():
 def test_the_example_is_what_its_command_makes():
     check_scene(EXAMPLE, simulate(SimulateConfig(distortion="brown")))
     assert repeat(SimulateConfig(distortion="brown")) in (EXAMPLE / "README.md").read_text()
-    assert read_keypoints(EXAMPLE / "keypoints" / "cam1.json", "cam1").keypoints == LAYOUTS["coco17"]
+    assert read_keypoints([EXAMPLE / "keypoints" / "cam1.json"])[0].keypoints == LAYOUTS["coco17"]
     assert sum(map(len, content(EXAMPLE).values())) < 2e6

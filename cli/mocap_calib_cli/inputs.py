@@ -11,9 +11,10 @@ from pathlib import Path
 import click
 import numpy as np
 
-from mocap_calib.errors import FormatError, MismatchError
+from mocap_calib.errors import FormatError
 from mocap_calib.io.cameras import parse_cameras, parse_rig, read_cameras, read_rig
-from mocap_calib.io.keypoints import read_keypoints
+from mocap_calib.io.formats2d import read_keypoints
+from mocap_calib.io.items import twins
 from mocap_calib.io.reading import decode
 from mocap_calib.io.results import read_matches_csv
 from mocap_calib.recording import make_recording, name_mapping
@@ -21,46 +22,6 @@ from mocap_calib.skeleton import SHIPPED, choose_skeleton, load_aliases, load_sk
 from mocap_calib.types import Camera, CameraRig, Keypoints2D, LiftedPoses, Matches, Recording, Skeleton
 from mocap_calib_cli.options import STDIO
 from mocap_calib_cli.progress import Reporter, table
-
-SUFFIXES = (".json", ".csv", ".h5")
-
-
-def keypoint_files(arguments: Sequence[str]) -> list[tuple[str, Path]]:
-    """(camera name, file) of each keypoint file: of folders, files and `name=path` pairs. Raises MismatchError."""
-    found = [pair for argument in arguments for pair in _expand(argument)]
-    names = [name for name, _ in found]
-    twice = [(name, path) for name, path in found if names.count(name) > 1]
-    if twice:
-        files = " and ".join(str(path) for name, path in twice if name == twice[0][0])
-        raise MismatchError(f"expected one keypoint file per camera, found {files} for camera {twice[0][0]}; leave one out, or say name=path")
-    return found
-
-
-def _expand(argument: str) -> list[tuple[str, Path]]:
-    path = Path(argument)
-    name, equals, rest = argument.partition("=")
-    if path.is_dir():
-        files = _listed(path)
-        if not files:
-            raise MismatchError(f"{path}: expected keypoint files ({', '.join(SUFFIXES)}) in the folder, found none; name the files themselves")
-        doubles = _doubles(files)
-        return [(file.stem, file) for file in files if file not in doubles]
-    if equals and not path.exists():
-        if not name or not rest:
-            raise click.BadParameter(f"expected name=path, found {argument}", param_hint="KEYPOINTS")
-        return [(name, Path(rest))]
-    return [(path.stem, path)]
-
-
-def _listed(folder: Path) -> list[Path]:
-    """The files of a folder that may hold keypoints, by name."""
-    return sorted(file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES and not file.name.startswith(".") and file.is_file())
-
-
-def _doubles(files: Sequence[Path]) -> list[Path]:
-    """The .csv files that lie beside an .h5 file of the same name, as DeepLabCut writes them; the .h5 is read."""
-    binary = {file.stem for file in files if file.suffix.lower() == ".h5"}
-    return [file for file in files if file.suffix.lower() == ".csv" and file.stem in binary]
 
 
 def read_recording(
@@ -71,11 +32,10 @@ def read_recording(
     `skeleton` is a file of other names of joints. `placed`: the cameras are those of a rig, which may have left some
     out; their keypoints are left out too. Raises FormatError and MismatchError.
     """
-    files = keypoint_files(arguments)
+    views = read_keypoints(arguments)
     if placed:
-        known = {camera.name.lower() for camera in cameras}
-        files = [(name, path) for name, path in files if name.lower() in known] or files
-    views = [read_keypoints(path, name) for name, path in files]
+        known = {camera.name.casefold() for camera in cameras}
+        views = tuple(view for view in views if view.camera.casefold() in known) or views
     vocabulary, aliases = _model(views, skeleton)
     recording = make_recording(views, cameras, vocabulary, aliases)
     reporter.say(*_mapping(views, cameras, recording, vocabulary.name), *_doubled(arguments))
@@ -125,7 +85,7 @@ def _mapping(views: Sequence[Keypoints2D], cameras: tuple[Camera, ...], recordin
 
 def _doubled(arguments: Sequence[str]) -> list[str]:
     """A line that says which files of the folders are left out for their .h5, if any."""
-    doubles = [str(file) for folder in map(Path, arguments) if folder.is_dir() for file in _doubles(_listed(folder))]
+    doubles = [str(file) for folder in map(Path, arguments) if folder.is_dir() for file in twins(folder)]
     return [f"left out, the .h5 beside it is read: {', '.join(doubles)}"] if doubles else []
 
 
@@ -172,7 +132,12 @@ def read_stdin(what: str) -> str:
     return decode(sys.stdin.buffer.read(), "stdin")
 
 
+def plain_paths(arguments: Iterable[str]) -> list[str]:
+    """The paths of files, folders and name=path pairs."""
+    return [argument if "=" not in argument or Path(argument).exists() else argument.partition("=")[2] for argument in arguments]
+
+
 def hashes(paths: Iterable[str | Path]) -> dict[str, str]:
-    """Path -> SHA-256 of each regular file, and of those in each folder; a pipe has been read and is left out."""
-    files = [file for path in map(Path, paths) for file in (sorted(path.iterdir()) if path.is_dir() else [path])]
+    """Path -> SHA-256 of each regular file, and of those below each folder; a pipe has been read and is left out."""
+    files = [file for path in map(Path, paths) for file in (sorted(path.rglob("*")) if path.is_dir() else [path])]
     return {str(file): hashlib.sha256(file.read_bytes()).hexdigest() for file in files if file.is_file()}

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 
-from mocap_calib.types import Bools, Floats, Ints, check_shape
+from mocap_calib.types import Bools, Floats, Ints, Keypoints2D, check_shape
 
 
 def format_coco(camera: str, size: tuple[int, int], frames: Ints, keypoints: tuple[str, ...], positions: Floats, confidence: Floats) -> str:
@@ -42,3 +42,8 @@ def _lines(entries: list[dict[str, object]]) -> str:
 
 def _compact(value: object) -> str:
     return json.dumps(value, separators=(",", ":"), ensure_ascii=False)
+
+
+def write(views: tuple[Keypoints2D, ...]) -> dict[str, bytes]:
+    """A file per camera."""
+    return {f"{v.camera}.json": format_coco(v.camera, v.image_size, v.frames, v.keypoints, v.positions, v.confidence).encode() for v in views}

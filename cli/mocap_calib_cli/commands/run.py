@@ -44,7 +44,7 @@ def command(keypoints: tuple[str, ...], cameras: str, output: Path, skeleton: Pa
     with Reporter(quiet=quiet) as reporter:
         recording, model = inputs.read_recording(keypoints, inputs.cameras_of(cameras), skeleton, reporter)
         found = calibrate(recording, load_model(device, model), Config(), seed=seed, device=device, progress=reporter)
-    hashes = inputs.hashes([*(path for _, path in inputs.keypoint_files(keypoints)), cameras, *([skeleton] if skeleton else [])])
+    hashes = inputs.hashes([*inputs.plain_paths(keypoints), cameras, *([skeleton] if skeleton else [])])
     report = run_report(found, seed=seed, config=Config(), inputs=hashes) | {"model": model}
     _write(output, found, report, seed)
     _summarise(reporter, found, report, output)

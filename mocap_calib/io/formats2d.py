@@ -1,0 +1,125 @@
+"""The table of keypoint formats: how each is recognised by content, read and written."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from mocap_calib.errors import MismatchError
+from mocap_calib.io import coco, coco_writer, deeplabcut_csv, deeplabcut_h5, generic_csv
+from mocap_calib.io.atomic import folder, write_bytes
+from mocap_calib.io.document import Document, Item, ReadOptions, describe
+from mocap_calib.io.items import keypoint_items
+from mocap_calib.io.reading import malformed
+from mocap_calib.types import Keypoints2D
+
+Writer = Callable[[tuple[Keypoints2D, ...]], dict[str, bytes]]
+
+
+@dataclass(frozen=True)
+class KeypointFormat:
+    """One format.
+
+    sniff: whether a file is meant for it, which its reader may still refuse. read: the cameras in a file or folder.
+    write: relative path -> content of what holds these cameras, or None. per_frame: a file holds one frame, a folder
+    one camera.
+    """
+
+    description: str
+    sniff: Callable[[Document], bool]
+    read: Callable[[Item, ReadOptions], tuple[Keypoints2D, ...]]
+    write: Writer | None = None
+    per_frame: bool = False
+
+
+# the first whose sniff says yes reads the file
+KEYPOINT_FORMATS = {
+    "deeplabcut-h5": KeypointFormat("DeepLabCut .h5, also of several animals and SuperAnimal", deeplabcut_h5.sniff, deeplabcut_h5.read),
+    "deeplabcut-csv": KeypointFormat("DeepLabCut .csv, Lightning Pose .csv", deeplabcut_csv.sniff, deeplabcut_csv.read),
+    "coco": KeypointFormat("COCO annotations .json", coco.sniff, coco.read, coco_writer.write),
+    "csv": KeypointFormat("a row per point: camera,frame,individual,keypoint,x,y,score", generic_csv.sniff, generic_csv.read, generic_csv.write),
+}
+
+
+def read_keypoints(paths: Sequence[str | Path], format: str | None = None, options: ReadOptions | None = None) -> tuple[Keypoints2D, ...]:
+    """The detections of each camera in files, folders and `name=path` pairs; x right, y down, in pixels as the files have them.
+
+    format: a name in KEYPOINT_FORMATS; each file's content says where none is given. Raises FormatError, in one line,
+    for whatever is wrong with a file, and MismatchError where two files are of one camera.
+    """
+    options = options or ReadOptions()
+    if format is not None:
+        _known(format)
+    items = keypoint_items(paths, options, lambda item: _format(item.document, format).per_frame)
+    _check_once([(item.camera, str(item.path)) for item in items if item.camera])
+    views = [view for item in items for view in _read(item, format, options)]
+    _check_once([(view.camera, view.source) for view in views])
+    return tuple(views)
+
+
+def _check_once(found: list[tuple[str, str]]) -> None:
+    """Holds (camera, source) pairs to one of each camera. Raises MismatchError."""
+    cameras = [camera for camera, _ in found]
+    twice = next((camera for camera in cameras if cameras.count(camera) > 1), None)
+    if twice is not None:
+        files = " and ".join(source for camera, source in found if camera == twice)
+        raise MismatchError(f"expected one keypoint file per camera, found {files} for camera {twice}; leave one out, or say name=path")
+
+
+def write_keypoints(path: Path, views: tuple[Keypoints2D, ...], format: str) -> None:
+    """Writes the cameras as `format` has them, whole or not at all.
+
+    A format with one file for all of them writes `path`; others fill the folder `path`. Raises MismatchError where the
+    format has no writer, or no place for what the views hold.
+    """
+    writer = _known(format).write
+    if writer is None:
+        known = ", ".join(name for name, each in KEYPOINT_FORMATS.items() if each.write)
+        raise MismatchError(f"expected a keypoint format that is written ({known}), found {format}; choose one of those")
+    files = writer(views)
+    if len(files) == 1 and path.suffix:
+        write_bytes(path, next(iter(files.values())))
+        return
+    with folder(path) as work:
+        for name, content in files.items():
+            (work / name).parent.mkdir(parents=True, exist_ok=True)
+            (work / name).write_bytes(content)
+
+
+def _known(name: str) -> KeypointFormat:
+    if name not in KEYPOINT_FORMATS:
+        raise MismatchError(f"expected a keypoint format ({', '.join(KEYPOINT_FORMATS)}), found {name}; choose one of those")
+    return KEYPOINT_FORMATS[name]
+
+
+def _format(document: Document, name: str | None) -> KeypointFormat:
+    """The format that is named, or that the content shows. Raises FormatError."""
+    if name is not None:
+        return KEYPOINT_FORMATS[name]
+    for known in KEYPOINT_FORMATS.values():
+        if known.sniff(document):
+            return known
+    expected = f"one of: {', '.join(each.description for each in KEYPOINT_FORMATS.values())}"
+    raise malformed(document.source, expected, describe(document), "export one of these, or give --format")
+
+
+def _read(item: Item, name: str | None, options: ReadOptions) -> tuple[Keypoints2D, ...]:
+    """The cameras in one item, moved as the options say. Raises FormatError and MismatchError."""
+    views = _format(item.document, name).read(item, options)
+    if item.named and len(views) > 1:
+        cameras = ", ".join(view.camera for view in views)
+        raise MismatchError(f"{item.path}: expected the one camera {item.camera}, found {cameras}; give the file without a name")
+    if item.named:
+        views = (replace(views[0], camera=item.camera),)
+    if not all(view.camera for view in views):
+        raise malformed(str(item.path), f"a camera in the path by the pattern {options.camera_pattern}", "none", "change --camera-regex")
+    return tuple(_moved(view, options) for view in views)
+
+
+def _moved(view: Keypoints2D, options: ReadOptions) -> Keypoints2D:
+    """The view with the user's offsets of frames and pixels."""
+    frames = view.frames + options.frame_offset.get(view.camera, 0)
+    if frames.min(initial=0) < 0:
+        raise MismatchError(f"{view.source}: expected frame numbers from 0 on, found {frames.min()} after the offset; change --frame-offset")
+    return replace(view, frames=frames, positions=view.positions + np.array(options.crop_offset.get(view.camera, (0.0, 0.0))))
