@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.io.document import Document, Item, ReadOptions
-from mocap_calib.io.reading import Origin, blank, camera_in, frame_number, make_view, malformed, unique_names
+from mocap_calib.io.reading import Origin, blank, camera_in, frame_number, make_view, malformed, unique_names, visibility_as_confidence
 from mocap_calib.types import Floats, Ints, Keypoints2D
 
 _EXPECTED = "COCO annotations (an object with the lists `images`, `annotations` and `categories`)"
@@ -44,7 +44,7 @@ def _view(origin: Origin, images: list[dict[str, Any]], annotations: list[dict[s
     row, instance = _places([place[str(a["image_id"])] for a in annotations])
     values = blank(len(images), int(instance.max(initial=-1)) + 1, len(names), source)
     values[row, instance] = _points(annotations, len(names), source)
-    values[..., 2] = _confidence(values[..., 2])
+    values[..., 2] = visibility_as_confidence(values[..., 2])
     rows = [image.get("file_name", image.get("id")) for image in images]
     return make_view(origin, names, _frame_numbers(images, source), values, tracked=False, image_size=_image_size(images, source), rows=rows)
 
@@ -181,13 +181,6 @@ def _points(annotations: list[dict[str, Any]], keypoints: int, source: str) -> F
     except (ValueError, TypeError, OverflowError) as error:
         raise malformed(source, "`keypoints` to hold numbers", error, "export it again") from None
     return values
-
-
-def _confidence(third: Floats) -> Floats:
-    """COCO's flags (0 not labelled, 1 occluded, 2 visible) as 0, 0.5, 1; anything else is a confidence already."""
-    known = third[third >= 0]
-    flags = bool(np.isin(known, (0, 1, 2)).all() and (known == 2).any())
-    return third / 2 if flags else third
 
 
 def _image_size(images: list[dict[str, Any]], source: str) -> tuple[int, int]:

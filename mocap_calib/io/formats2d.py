@@ -7,7 +7,25 @@ from pathlib import Path
 import numpy as np
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.io import coco, coco_writer, deeplabcut_csv, deeplabcut_h5, generic_csv
+from mocap_calib.io import (
+    caliscope,
+    coco,
+    coco_writer,
+    deeplabcut_csv,
+    deeplabcut_h5,
+    generic_csv,
+    label3d,
+    mmpose,
+    movement_nc,
+    nwb,
+    openpose,
+    results_json,
+    sleap_csv,
+    sleap_h5,
+    sleap_slp,
+    superanimal,
+    ultralytics,
+)
 from mocap_calib.io.atomic import folder, write_bytes
 from mocap_calib.io.document import Document, Item, ReadOptions, describe
 from mocap_calib.io.items import keypoint_items
@@ -35,10 +53,24 @@ class KeypointFormat:
 
 # the first whose sniff says yes reads the file
 KEYPOINT_FORMATS = {
-    "deeplabcut-h5": KeypointFormat("DeepLabCut .h5, also of several animals and SuperAnimal", deeplabcut_h5.sniff, deeplabcut_h5.read),
-    "deeplabcut-csv": KeypointFormat("DeepLabCut .csv, Lightning Pose .csv", deeplabcut_csv.sniff, deeplabcut_csv.read),
     "coco": KeypointFormat("COCO annotations .json", coco.sniff, coco.read, coco_writer.write),
-    "csv": KeypointFormat("a row per point: camera,frame,individual,keypoint,x,y,score", generic_csv.sniff, generic_csv.read, generic_csv.write),
+    "openpose": KeypointFormat("OpenPose .json, a folder per camera", openpose.sniff, openpose.read, openpose.write, per_frame=True),
+    "alphapose": KeypointFormat("AlphaPose .json", results_json.sniff_alphapose, results_json.read_alphapose),
+    "mmpose-images": KeypointFormat("MMPose .json of images, a folder per camera", mmpose.sniff_image, mmpose.read_images, per_frame=True),
+    "mmpose": KeypointFormat("MMPose and RTMPose .json of a video", mmpose.sniff_video, mmpose.read_video),
+    "superanimal": KeypointFormat("DeepLabCut SuperAnimal .json", superanimal.sniff, superanimal.read),
+    "coco-results": KeypointFormat("COCO results .json", results_json.sniff_coco, results_json.read_coco),
+    "deeplabcut-h5": KeypointFormat("DeepLabCut .h5", deeplabcut_h5.sniff, deeplabcut_h5.read),
+    "sleap": KeypointFormat("SLEAP analysis .h5", sleap_h5.sniff, sleap_h5.read, sleap_h5.write),
+    "sleap-slp": KeypointFormat("SLEAP .slp", sleap_slp.sniff, sleap_slp.read),
+    "movement": KeypointFormat("movement .nc", movement_nc.sniff, movement_nc.read, movement_nc.write),
+    "nwb": KeypointFormat("NWB ndx-pose .nwb", nwb.sniff, nwb.read),
+    "label3d": KeypointFormat("Label3D .mat", label3d.sniff, label3d.read),
+    "deeplabcut-csv": KeypointFormat("DeepLabCut and Lightning Pose .csv", deeplabcut_csv.sniff, deeplabcut_csv.read),
+    "sleap-csv": KeypointFormat("SLEAP analysis .csv", sleap_csv.sniff, sleap_csv.read),
+    "caliscope": KeypointFormat("caliscope .csv", caliscope.sniff, caliscope.read),
+    "csv": KeypointFormat("csv with a row per point (camera,frame,individual,keypoint,x,y,score)", generic_csv.sniff, generic_csv.read, generic_csv.write),
+    "ultralytics": KeypointFormat("Ultralytics .txt, a folder per camera", ultralytics.sniff, ultralytics.read, per_frame=True),
 }
 
 
@@ -100,8 +132,7 @@ def _format(document: Document, name: str | None) -> KeypointFormat:
     for known in KEYPOINT_FORMATS.values():
         if known.sniff(document):
             return known
-    expected = f"one of: {', '.join(each.description for each in KEYPOINT_FORMATS.values())}"
-    raise malformed(document.source, expected, describe(document), "export one of these, or give --format")
+    raise malformed(document.source, f"one of: {', '.join(KEYPOINT_FORMATS)}", describe(document), "export one of these")
 
 
 def _read(item: Item, name: str | None, options: ReadOptions) -> tuple[Keypoints2D, ...]:

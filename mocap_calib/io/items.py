@@ -66,8 +66,9 @@ def _folder(path: Path, per_frame: Callable[[Item], bool]) -> list[Item]:
 
 
 def _listed(folder: Path) -> list[Path]:
-    """The files of a folder that may hold keypoints, by name."""
-    return sorted(file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES and not file.name.startswith(".") and file.is_file())
+    """The files of a folder that may hold keypoints, by name; texts only where there is nothing else, since they mostly are notes."""
+    files = sorted(file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES and not file.name.startswith(".") and file.is_file())
+    return [file for file in files if file.suffix.lower() != ".txt"] or files
 
 
 def _stem(path: Path) -> str:

@@ -53,7 +53,7 @@ def camera_in(name: str, pattern: str) -> str:
 
 def frame_number(name: str) -> int:
     """A whole number as it is, or the integer at the end of a file name's stem (`a/b_007.png` -> 7); -1 for neither."""
-    stem = re.sub(r"\.[A-Za-z]\w*$|\.0+$", "", name.strip())
+    stem = re.sub(r"\.[A-Za-z]\w*$|^(?P<whole>[0-9]+)\.0+$", lambda found: found["whole"] or "", name.strip())
     digits = None if re.fullmatch(r"-[0-9.]+|[0-9]*\.[0-9]+", stem) else re.search(r"[0-9]+$", stem)
     number = int(digits[0]) if digits and len(digits[0]) < 30 else -1
     return number if number <= _LARGEST else -1
@@ -148,3 +148,20 @@ def stacked(detections: Sequence[Sequence[Floats]], keypoints: int, source: str)
         for target, points in zip(row, found, strict=False):
             target[: len(points)] = points
     return values
+
+
+def visibility_as_confidence(third: Floats) -> Floats:
+    """COCO's flags (0 not labelled, 1 occluded, 2 visible) as 0, 0.5, 1; anything else is a confidence already."""
+    known = third[third >= 0]
+    flags = bool(np.isin(known, (0, 1, 2)).all() and (known == 2).any())
+    return third / 2 if flags else third
+
+
+def scored(values: Floats) -> tuple[Floats, tuple[str, ...]]:
+    """`[..., 3]` values with score 1 where there is a point without one, as labelled by hand; and a remark where that is so."""
+    bare = np.isfinite(values[..., :2]).all(-1) & np.isnan(values[..., 2])
+    if not bare.any():
+        return values, ()
+    known = np.isfinite(values[..., 2]).any()
+    remark = f"{int(bare.sum())} points without a score (labelled by hand?) count fully" if known else NO_SCORE
+    return np.concatenate([values[..., :2], np.where(bare, 1.0, values[..., 2])[..., None]], axis=-1), (remark,)
