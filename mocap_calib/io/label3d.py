@@ -33,7 +33,7 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
 def _content(content: bytes, source: str) -> dict[str, Any]:
     try:
         # names alone are read: nothing in a .mat of this version is run
-        found: dict[str, Any] = loadmat(io.BytesIO(content), variable_names=["camnames", "labelData"])
+        found: dict[str, Any] = loadmat(io.BytesIO(content), variable_names=["camnames", "labelData"])  # type: ignore[arg-type]  # the stubs know paths only
     except Exception as error:
         raise malformed(source, "a whole MATLAB file", f"an error ({error})", _REMEDY) from None
     missing = {"camnames", "labelData"} - found.keys()

@@ -30,7 +30,7 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:  # noqa: 
         if axes != ("x", "y"):
             raise malformed(source, "2D positions (x, y)", ", ".join(axes), "give the 2D poses of each camera")
         nodes = names(file, "keypoint" if "keypoint" in file else "keypoints", source)
-        values = blank(*positions.shape[:3], source)
+        values = blank(positions.shape[0], positions.shape[1], positions.shape[2], source)
         values[..., :2] = positions
         if "confidence" in file:
             values[..., 2] = _turned(file, "confidence", _DIMS[:3], source)

@@ -29,7 +29,7 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:  # noqa: 
         tracks = array(file, "tracks", source)
         order = _axes(tracks.shape, len(nodes), len(who), _frames(file, source), source)
         positions = tracks.transpose(order).astype(np.float64)
-        values = blank(*positions.shape[:3], source)
+        values = blank(positions.shape[0], positions.shape[1], positions.shape[2], source)
         values[..., :2] = positions
         if "point_scores" in file:
             values[..., 2] = _scores(array(file, "point_scores", source), order, positions.shape[:3], source)

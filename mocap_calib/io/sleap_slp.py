@@ -54,7 +54,7 @@ def _nodes(file: Any, source: str) -> tuple[str, ...]:
 def _points(file: Any, name: str, source: str) -> np.ndarray[Any, np.dtype[np.float64]]:
     """`[point, 3]` x, y, score, NaN where not visible; hand-made points have no score. Before format 1.1 the centre of a pixel was at 0.5."""
     table = array(file, name, source)
-    score = table["score"] if "score" in table.dtype.names else np.full(len(table), np.nan)
+    score = table["score"] if "score" in (table.dtype.names or ()) else np.full(len(table), np.nan)
     values = np.column_stack([table["x"], table["y"], score]).astype(np.float64).reshape(-1, 3)
     values[:, :2] -= 0.5 if float(file["metadata"].attrs.get("format_id", 1.1)) < 1.1 else 0.0
     values[~table["visible"].astype(bool), :2] = np.nan
