@@ -4,17 +4,21 @@ Imports numpy and the readers: commands import this module when they run, so tha
 """
 
 import hashlib
+import re
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
 
 from mocap_calib.errors import FormatError
 from mocap_calib.io.cameras import parse_cameras, parse_rig, read_cameras, read_rig
+from mocap_calib.io.document import ReadOptions
 from mocap_calib.io.formats2d import read_keypoints
 from mocap_calib.io.items import twins
+from mocap_calib.io.layouts import parse_layout
 from mocap_calib.io.reading import decode
 from mocap_calib.io.results import read_matches_csv
 from mocap_calib.recording import make_recording, name_mapping
@@ -24,15 +28,70 @@ from mocap_calib_cli.options import STDIO
 from mocap_calib_cli.progress import Reporter, table
 
 
+def read_views(arguments: Sequence[str], reading: Mapping[str, Any] | None = None) -> tuple[Keypoints2D, ...]:
+    """The detections of each camera; `reading` is what options.reading gives. Raises FormatError and MismatchError."""
+    given = reading or {}
+    layout, views = given.get("layout"), given.get("views")
+    pattern = given.get("camera_regex") or ""
+    try:
+        re.compile(pattern)
+    except re.error as error:
+        raise click.BadParameter(f"expected a regular expression, found {pattern} ({error})", param_hint="--camera-regex") from None
+    options = ReadOptions(
+        layout=parse_layout(layout) if layout else (),
+        image_size=_image_size(given.get("image_size")),
+        camera_pattern=pattern,
+        frame_offset={camera: int(_numbers(text, 1, "--frame-offset")[0]) for camera, text in _by_camera(given.get("frame_offset", ()), "--frame-offset")},
+        crop_offset={camera: _pair(text, "--crop-offset") for camera, text in _by_camera(given.get("crop_offset", ()), "--crop-offset")},
+        views=tuple(views.split(",")) if views else (),
+    )
+    return read_keypoints(arguments, given.get("format"), options)
+
+
+def _image_size(text: str | None) -> tuple[int, int]:
+    width, height = _numbers((text or "0x0").lower().replace("x", ","), 2, "--image-size")
+    return int(width), int(height)
+
+
+def _by_camera(texts: Sequence[str], option: str) -> list[tuple[str, str]]:
+    """(camera, what is said of it)."""
+    pairs = [text.rpartition(":") for text in texts]
+    if not all(camera for camera, _, _ in pairs):
+        raise click.BadParameter(f"expected camera:value, found {', '.join(texts)}", param_hint=option)
+    return [(camera, value) for camera, _, value in pairs]
+
+
+def _numbers(text: str, count: int, option: str) -> list[float]:
+    """`count` numbers with commas between them."""
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != count or not all(abs(value) < 2**53 for value in values) or (option != "--crop-offset" and any(value % 1 for value in values)):
+        raise click.BadParameter(f"expected {'a whole number' if count == 1 else 'two numbers'}, found {text}", param_hint=option)
+    return values
+
+
+def _pair(text: str, option: str) -> tuple[float, float]:
+    x, y = _numbers(text, 2, option)
+    return x, y
+
+
 def read_recording(
-    arguments: Sequence[str], cameras: tuple[Camera, ...], skeleton: Path | None, reporter: Reporter, *, placed: bool = False
+    arguments: Sequence[str],
+    cameras: tuple[Camera, ...],
+    skeleton: Path | None,
+    reporter: Reporter,
+    reading: Mapping[str, Any] | None = None,
+    *,
+    placed: bool = False,
 ) -> tuple[Recording, str]:
     """Reads the keypoints of the cameras, and says which file went to which camera; with the name of the model that fits.
 
-    `skeleton` is a file of other names of joints. `placed`: the cameras are those of a rig, which may have left some
+    `skeleton` is a file of other names of joints; `reading` what options.reading gives. `placed`: the cameras are those of a rig, which may have left some
     out; their keypoints are left out too. Raises FormatError and MismatchError.
     """
-    views = read_keypoints(arguments)
+    views = read_views(arguments, reading)
     if placed:
         known = {camera.name.casefold() for camera in cameras}
         views = tuple(view for view in views if view.camera.casefold() in known) or views

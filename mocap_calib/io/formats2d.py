@@ -4,8 +4,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
 from mocap_calib.errors import MismatchError
 from mocap_calib.io import (
     caliscope,
@@ -26,6 +24,7 @@ from mocap_calib.io import (
     superanimal,
     ultralytics,
 )
+from mocap_calib.io.adjust2d import moved, split_views
 from mocap_calib.io.atomic import folder, write_bytes
 from mocap_calib.io.document import Document, Item, ReadOptions, describe
 from mocap_calib.io.items import keypoint_items
@@ -87,7 +86,7 @@ def read_keypoints(paths: Sequence[str | Path], format: str | None = None, optio
     _check_once([(item.camera, str(item.path)) for item in items if item.camera])
     views = [view for item in items for view in _read(item, format, options)]
     _check_once([(view.camera, view.source) for view in views])
-    return tuple(views)
+    return moved(views, options)
 
 
 def _check_once(found: list[tuple[str, str]]) -> None:
@@ -145,12 +144,4 @@ def _read(item: Item, name: str | None, options: ReadOptions) -> tuple[Keypoints
         views = (replace(views[0], camera=item.camera),)
     if not all(view.camera for view in views):
         raise malformed(str(item.path), f"a camera in the path by the pattern {options.camera_pattern}", "none", "change --camera-regex")
-    return tuple(_moved(view, options) for view in views)
-
-
-def _moved(view: Keypoints2D, options: ReadOptions) -> Keypoints2D:
-    """The view with the user's offsets of frames and pixels."""
-    frames = view.frames + options.frame_offset.get(view.camera, 0)
-    if frames.min(initial=0) < 0:
-        raise MismatchError(f"{view.source}: expected frame numbers from 0 on, found {frames.min()} after the offset; change --frame-offset")
-    return replace(view, frames=frames, positions=view.positions + np.array(options.crop_offset.get(view.camera, (0.0, 0.0))))
+    return tuple(view for whole in views for view in split_views(whole, options.views))
