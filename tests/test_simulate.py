@@ -104,12 +104,12 @@ def test_help_has_an_example():
     assert "Example: mocap-calib simulate" in CliRunner().invoke(command, ["--help"]).output
 
 
-def test_coco_leaves_out_empty_instances_and_keeps_the_order():
-    positions = np.array([[[[1.26, 2.0]], [[np.nan, np.nan]], [[3.0, 4.04]]]])
-    data = json.loads(format_coco("c", (64, 48), np.array([5]), ("nose",), positions, np.array([[[0.126, 0.0, 0.001]]]).reshape(1, 3, 1)))
+def test_coco_keeps_the_place_of_empty_instances_before_others():
+    positions = np.array([[[[1.26, 2.0]], [[np.nan, np.nan]], [[3.0, 4.04]], [[np.nan, np.nan]]]])
+    data = json.loads(format_coco("c", (64, 48), np.array([5]), ("nose",), positions, np.array([[[0.126, 0.0, 0.001, 0.0]]]).reshape(1, 4, 1)))
     assert data["images"] == [{"id": 5, "file_name": "frame_000005.jpg", "width": 64, "height": 48}]
-    assert [entry["keypoints"] for entry in data["annotations"]] == [[1.3, 2, 0.13], [3, 4, 0.01]]
-    assert [entry["id"] for entry in data["annotations"]] == [1, 2]
+    assert [entry["keypoints"] for entry in data["annotations"]] == [[1.3, 2, 0.13], [0, 0, 0], [3, 4, 0.01]]
+    assert [entry["id"] for entry in data["annotations"]] == [1, 2, 3]
 
 
 def test_the_example_is_what_its_command_makes():

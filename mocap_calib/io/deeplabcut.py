@@ -1,5 +1,6 @@
 """DeepLabCut's table of labelled columns, whichever file it came from -> detections. Lightning Pose writes the same."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -48,7 +49,7 @@ def keypoints_from_table(table: Table, origin: Origin) -> Keypoints2D:
     remarks: tuple[str, ...] = (f"unique body parts belong to no individual and are left out: {', '.join(unique)}",) if unique else ()
     if not any("likelihood" in coords for coords in place.values()):
         remarks += (NO_SCORE,)
-    return make_view(origin, keypoints, _frames(table.rows, source), values, tracked=True, rows=table.rows, remarks=remarks)
+    return make_view(origin, keypoints, _frames(table.rows, source), values, tracked=not _any_order(individuals), rows=table.rows, remarks=remarks)
 
 
 def _columns_by_label(table: Table, source: str) -> dict[tuple[str, str], dict[str, int]]:
@@ -75,6 +76,11 @@ def _individuals(place: dict[tuple[str, str], dict[str, int]]) -> list[str]:
     shared = {part for who, part in place if who != "single"}
     unique = {part for who, part in place if who == "single"}
     return [who for who in names if who != "single" or not shared or unique & shared]
+
+
+def _any_order(individuals: list[str]) -> bool:
+    """SuperAnimal's `animal0`, `animal1`, ... are detections that nobody follows."""
+    return len(individuals) > 1 and all(re.fullmatch(r"animal[0-9]+", name) for name in individuals)
 
 
 def _frames(rows: Sequence[str], source: str) -> Ints:
