@@ -21,7 +21,7 @@ from mocap_calib.io.items import twins
 from mocap_calib.io.layouts import parse_layout
 from mocap_calib.io.reading import decode
 from mocap_calib.io.results import read_matches_csv
-from mocap_calib.recording import make_recording, name_mapping
+from mocap_calib.recording import make_recording, name_mapping, of_cameras
 from mocap_calib.skeleton import SHIPPED, choose_skeleton, load_aliases, load_skeleton, match_names
 from mocap_calib.types import Camera, CameraRig, Keypoints2D, LiftedPoses, Matches, Recording, Skeleton
 from mocap_calib_cli.options import STDIO
@@ -93,8 +93,7 @@ def read_recording(
     """
     views = read_views(arguments, reading)
     if placed:
-        known = {camera.name.casefold() for camera in cameras}
-        views = tuple(view for view in views if view.camera.casefold() in known) or views
+        views = of_cameras(views, cameras) or views
     vocabulary, aliases = _model(views, skeleton)
     recording = make_recording(views, cameras, vocabulary, aliases)
     reporter.say(*_mapping(views, cameras, recording, vocabulary.name), *_doubled(arguments))

@@ -27,12 +27,13 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:  # noqa: 
         nodes = names(file, "node_names", source)
         who = names(file, "track_names", source) if "track_names" in file else ()
         tracks = array(file, "tracks", source)
-        order = _axes(tracks.shape, len(nodes), len(who), _frames(file, source), source)
+        scores = array(file, "point_scores", source) if "point_scores" in file else np.zeros(0)
+        order = _axes(tracks.shape, scores.shape, len(nodes), len(who), _frames(file, source), source)
         positions = tracks.transpose(order).astype(np.float64)
         values = blank(positions.shape[0], positions.shape[1], positions.shape[2], source)
         values[..., :2] = positions
-        if "point_scores" in file:
-            values[..., 2] = _scores(array(file, "point_scores", source), order, positions.shape[:3], source)
+        if scores.size:
+            values[..., 2] = _scores(scores, order, positions.shape[:3], source)
     values, remarks = scored(values)
     return (make_view(item.origin, nodes, range(len(values)), values, tracked=bool(who), remarks=remarks),)
 
@@ -42,15 +43,17 @@ def _frames(file: Any, source: str) -> int:
     return max(array(file, "track_occupancy", source).shape, default=0) if "track_occupancy" in file else 0
 
 
-def _axes(shape: tuple[int, ...], nodes: int, tracks: int, frames: int, source: str) -> tuple[int, int, int, int]:
-    """Which axes are frame, track, node and coordinate."""
-    orders = {(3, 0, 2, 1): "MATLAB", (0, 1, 2, 3): "standard"}
-    fitting = [o for o in orders if len(shape) == 4 and shape[o[2]] == nodes and shape[o[3]] == 2 and (not tracks or shape[o[1]] == tracks)]
+def _axes(tracks: tuple[int, ...], scores: tuple[int, ...], nodes: int, who: int, frames: int, source: str) -> tuple[int, int, int, int]:
+    """Which axes are frame, track, node and coordinate: the order that fits what is known of the lengths."""
+    orders = ((3, 0, 2, 1), (0, 1, 2, 3))  # MATLAB, standard
+    fitting = [o for o in orders if len(tracks) == 4 and tracks[o[2]] == nodes and tracks[o[3]] == 2 and (not who or tracks[o[1]] == who)]
     if len(fitting) > 1 and frames:
-        fitting = [order for order in fitting if shape[order[0]] == frames] or fitting
+        fitting = [order for order in fitting if tracks[order[0]] == frames] or fitting
+    if len(fitting) > 1 and scores:  # which have no axis of coordinates
+        fitting = [order for order in fitting if scores == tuple(np.delete(tracks, order[3]))] or fitting
     if len(fitting) != 1:
         expected = f"`tracks` of shape (tracks, 2, {nodes} nodes, frames)"
-        raise malformed(source, expected, f"{shape}, which fits {len(fitting)} orders of axes", _REMEDY)
+        raise malformed(source, expected, f"{tracks}, which fits {len(fitting)} orders of axes", _REMEDY)
     return fitting[0]
 
 
