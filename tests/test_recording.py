@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.io.cameras import read_cameras
-from mocap_calib.io.keypoints import read_keypoints
+from mocap_calib.io.formats2d import read_keypoints
 from mocap_calib.recording import make_recording, name_mapping, slice_frames, usable
 from mocap_calib.skeleton import load_skeleton
 from mocap_calib.types import Camera, Keypoints2D, Skeleton
@@ -286,7 +286,7 @@ def test_two_files_without_a_source_are_two_files():
 @pytest.mark.parametrize("folder", sorted(SHARED.glob("recordings/*")), ids=lambda path: path.name)
 def test_real_recordings_are_recordings(folder):
     start = time.perf_counter()
-    views = [read_keypoints(path, path.stem) for path in sorted((folder / "keypoints").iterdir())]
+    views = read_keypoints([folder / "keypoints"])
     recording = make_recording(views, read_cameras(folder / "intrinsics.toml"), load_skeleton("people"), {})
     assert len(recording.cameras) == len(views)
     assert recording.keypoints == views[0].keypoints

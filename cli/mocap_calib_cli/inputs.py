@@ -4,78 +4,96 @@ Imports numpy and the readers: commands import this module when they run, so tha
 """
 
 import hashlib
+import re
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
 
-from mocap_calib.errors import FormatError, MismatchError
+from mocap_calib.errors import FormatError
 from mocap_calib.io.cameras import parse_cameras, parse_rig, read_cameras, read_rig
-from mocap_calib.io.keypoints import read_keypoints
+from mocap_calib.io.document import ReadOptions
+from mocap_calib.io.formats2d import read_keypoints
+from mocap_calib.io.items import twins
+from mocap_calib.io.layouts import parse_layout
 from mocap_calib.io.reading import decode
 from mocap_calib.io.results import read_matches_csv
-from mocap_calib.recording import make_recording, name_mapping
+from mocap_calib.recording import make_recording, name_mapping, of_cameras
 from mocap_calib.skeleton import SHIPPED, choose_skeleton, load_aliases, load_skeleton, match_names
 from mocap_calib.types import Camera, CameraRig, Keypoints2D, LiftedPoses, Matches, Recording, Skeleton
 from mocap_calib_cli.options import STDIO
 from mocap_calib_cli.progress import Reporter, table
 
-SUFFIXES = (".json", ".csv", ".h5")
+
+def read_views(arguments: Sequence[str], reading: Mapping[str, Any] | None = None) -> tuple[Keypoints2D, ...]:
+    """The detections of each camera; `reading` is what options.reading gives. Raises FormatError and MismatchError."""
+    given = reading or {}
+    layout, views = given.get("layout"), given.get("views")
+    pattern = given.get("camera_regex") or ""
+    try:
+        re.compile(pattern)
+    except re.error as error:
+        raise click.BadParameter(f"expected a regular expression, found {pattern} ({error})", param_hint="--camera-regex") from None
+    options = ReadOptions(
+        layout=parse_layout(layout) if layout else (),
+        image_size=_image_size(given.get("image_size")),
+        camera_pattern=pattern,
+        frame_offset={camera: int(_numbers(text, 1, "--frame-offset")[0]) for camera, text in _by_camera(given.get("frame_offset", ()), "--frame-offset")},
+        crop_offset={camera: _pair(text, "--crop-offset") for camera, text in _by_camera(given.get("crop_offset", ()), "--crop-offset")},
+        views=tuple(views.split(",")) if views else (),
+    )
+    return read_keypoints(arguments, given.get("format"), options)
 
 
-def keypoint_files(arguments: Sequence[str]) -> list[tuple[str, Path]]:
-    """(camera name, file) of each keypoint file: of folders, files and `name=path` pairs. Raises MismatchError."""
-    found = [pair for argument in arguments for pair in _expand(argument)]
-    names = [name for name, _ in found]
-    twice = [(name, path) for name, path in found if names.count(name) > 1]
-    if twice:
-        files = " and ".join(str(path) for name, path in twice if name == twice[0][0])
-        raise MismatchError(f"expected one keypoint file per camera, found {files} for camera {twice[0][0]}; leave one out, or say name=path")
-    return found
+def _image_size(text: str | None) -> tuple[int, int]:
+    width, height = _numbers((text or "0x0").lower().replace("x", ","), 2, "--image-size")
+    return int(width), int(height)
 
 
-def _expand(argument: str) -> list[tuple[str, Path]]:
-    path = Path(argument)
-    name, equals, rest = argument.partition("=")
-    if path.is_dir():
-        files = _listed(path)
-        if not files:
-            raise MismatchError(f"{path}: expected keypoint files ({', '.join(SUFFIXES)}) in the folder, found none; name the files themselves")
-        doubles = _doubles(files)
-        return [(file.stem, file) for file in files if file not in doubles]
-    if equals and not path.exists():
-        if not name or not rest:
-            raise click.BadParameter(f"expected name=path, found {argument}", param_hint="KEYPOINTS")
-        return [(name, Path(rest))]
-    return [(path.stem, path)]
+def _by_camera(texts: Sequence[str], option: str) -> list[tuple[str, str]]:
+    """(camera, what is said of it)."""
+    pairs = [text.rpartition(":") for text in texts]
+    if not all(camera for camera, _, _ in pairs):
+        raise click.BadParameter(f"expected camera:value, found {', '.join(texts)}", param_hint=option)
+    return [(camera, value) for camera, _, value in pairs]
 
 
-def _listed(folder: Path) -> list[Path]:
-    """The files of a folder that may hold keypoints, by name."""
-    return sorted(file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES and not file.name.startswith(".") and file.is_file())
+def _numbers(text: str, count: int, option: str) -> list[float]:
+    """`count` numbers with commas between them."""
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != count or not all(abs(value) < 2**53 for value in values) or (option != "--crop-offset" and any(value % 1 for value in values)):
+        raise click.BadParameter(f"expected {'a whole number' if count == 1 else 'two numbers'}, found {text}", param_hint=option)
+    return values
 
 
-def _doubles(files: Sequence[Path]) -> list[Path]:
-    """The .csv files that lie beside an .h5 file of the same name, as DeepLabCut writes them; the .h5 is read."""
-    binary = {file.stem for file in files if file.suffix.lower() == ".h5"}
-    return [file for file in files if file.suffix.lower() == ".csv" and file.stem in binary]
+def _pair(text: str, option: str) -> tuple[float, float]:
+    x, y = _numbers(text, 2, option)
+    return x, y
 
 
 def read_recording(
-    arguments: Sequence[str], cameras: tuple[Camera, ...], skeleton: Path | None, reporter: Reporter, *, placed: bool = False
+    arguments: Sequence[str],
+    cameras: tuple[Camera, ...],
+    skeleton: Path | None,
+    reporter: Reporter,
+    reading: Mapping[str, Any] | None = None,
+    *,
+    placed: bool = False,
 ) -> tuple[Recording, str]:
     """Reads the keypoints of the cameras, and says which file went to which camera; with the name of the model that fits.
 
-    `skeleton` is a file of other names of joints. `placed`: the cameras are those of a rig, which may have left some
+    `skeleton` is a file of other names of joints; `reading` what options.reading gives. `placed`: the cameras are those of a rig, which may have left some
     out; their keypoints are left out too. Raises FormatError and MismatchError.
     """
-    files = keypoint_files(arguments)
+    views = read_views(arguments, reading)
     if placed:
-        known = {camera.name.lower() for camera in cameras}
-        files = [(name, path) for name, path in files if name.lower() in known] or files
-    views = [read_keypoints(path, name) for name, path in files]
+        views = of_cameras(views, cameras) or views
     vocabulary, aliases = _model(views, skeleton)
     recording = make_recording(views, cameras, vocabulary, aliases)
     reporter.say(*_mapping(views, cameras, recording, vocabulary.name), *_doubled(arguments))
@@ -125,7 +143,7 @@ def _mapping(views: Sequence[Keypoints2D], cameras: tuple[Camera, ...], recordin
 
 def _doubled(arguments: Sequence[str]) -> list[str]:
     """A line that says which files of the folders are left out for their .h5, if any."""
-    doubles = [str(file) for folder in map(Path, arguments) if folder.is_dir() for file in _doubles(_listed(folder))]
+    doubles = [str(file) for folder in map(Path, arguments) if folder.is_dir() for file in twins(folder)]
     return [f"left out, the .h5 beside it is read: {', '.join(doubles)}"] if doubles else []
 
 
@@ -172,7 +190,12 @@ def read_stdin(what: str) -> str:
     return decode(sys.stdin.buffer.read(), "stdin")
 
 
+def plain_paths(arguments: Iterable[str]) -> list[str]:
+    """The paths of files, folders and name=path pairs."""
+    return [argument if "=" not in argument or Path(argument).exists() else argument.partition("=")[2] for argument in arguments]
+
+
 def hashes(paths: Iterable[str | Path]) -> dict[str, str]:
-    """Path -> SHA-256 of each regular file, and of those in each folder; a pipe has been read and is left out."""
-    files = [file for path in map(Path, paths) for file in (sorted(path.iterdir()) if path.is_dir() else [path])]
+    """Path -> SHA-256 of each regular file, and of those below each folder; a pipe has been read and is left out."""
+    files = [file for path in map(Path, paths) for file in (sorted(path.rglob("*")) if path.is_dir() else [path])]
     return {str(file): hashlib.sha256(file.read_bytes()).hexdigest() for file in files if file.is_file()}

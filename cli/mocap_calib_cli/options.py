@@ -1,5 +1,6 @@
 """The options that commands share, said once."""
 
+import functools
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -34,3 +35,26 @@ def output_file(what: str) -> Callable[[Command], Command]:
 def as_json(what: str) -> Callable[[Command], Command]:
     """`--json`."""
     return click.option("--json", "as_json", is_flag=True, help=what)
+
+
+_READING = {
+    "format": ("--format", "NAME", False, "Format of the keypoint files, where their content does not show it (docs/formats.md)."),
+    "layout": ("--layout", "NAME", False, "Names of the keypoints in files that do not name them: body_25, body_25b, coco_17, ... or a,b,c."),
+    "image_size": ("--image-size", "WxH", False, "Size of the images in pixels, for positions from 0 to 1."),
+    "camera_regex": ("--camera-regex", "REGEX", False, "Finds the camera's name in a path: its group `camera`, its first, or all of it."),
+    "frame_offset": ("--frame-offset", "CAM:N", True, "Added to the frame numbers of a camera; may be given for each."),
+    "crop_offset": ("--crop-offset", "CAM:X,Y", True, "Corner of the part of the image in which a camera's keypoints were found."),
+    "views": ("--views", "A,B", False, "Views in one file: endings of keypoint names (paw_A, paw_B), each a camera."),
+}
+
+
+def reading(command: Command) -> Command:
+    """The options that say how keypoint files are to be read, given to the command as one dictionary `reading`."""
+
+    @functools.wraps(command)
+    def collected(**values: Any) -> Any:
+        return command(reading={name: values.pop(name) for name in _READING}, **values)
+
+    for name, (flag, metavar, multiple, text) in reversed(_READING.items()):
+        collected = click.option(flag, name, metavar=metavar, multiple=multiple, help=text)(collected)
+    return collected  # type: ignore[return-value]  # click keeps the kind of what it decorates

@@ -1,6 +1,7 @@
 """mocap-calib adjust: bundle adjustment."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -9,6 +10,7 @@ from mocap_calib_cli import options
 
 @click.command(name="adjust")
 @options.keypoints
+@options.reading
 @options.rig
 @options.matches
 @options.output_text("adjusted cameras (YAML)")
@@ -16,7 +18,17 @@ from mocap_calib_cli import options
 @options.skeleton
 @options.device
 @options.quiet
-def command(keypoints: tuple[str, ...], rig: str, matches: str, output: str, matches_out: str | None, skeleton: Path | None, device: str, quiet: bool) -> None:
+def command(
+    reading: dict[str, Any],
+    keypoints: tuple[str, ...],
+    rig: str,
+    matches: str,
+    output: str,
+    matches_out: str | None,
+    skeleton: Path | None,
+    device: str,
+    quiet: bool,
+) -> None:
     """Bundle adjustment, matched and adjusted again until no match changes.
 
     \b
@@ -34,7 +46,7 @@ def command(keypoints: tuple[str, ...], rig: str, matches: str, output: str, mat
     outputs.check_text(matches_out)
     with Reporter(quiet=quiet) as reporter:
         cameras = inputs.rig_of(rig)
-        recording, model = inputs.read_recording(keypoints, cameras.cameras, skeleton, reporter, placed=True)
+        recording, model = inputs.read_recording(keypoints, cameras.cameras, skeleton, reporter, reading, placed=True)
         lifted = inputs.lifted_poses(recording, model, device, reporter)
         start, labels = inputs.placed(recording, cameras), inputs.matches_of(matches, recording)
         found = adjust_to_fixed_point(recording, lifted, start, labels, Config(), progress=reporter)

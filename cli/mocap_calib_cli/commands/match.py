@@ -1,6 +1,7 @@
 """mocap-calib match: who is who in all cameras."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -9,12 +10,13 @@ from mocap_calib_cli import options
 
 @click.command(name="match")
 @options.keypoints
+@options.reading
 @options.rig
 @options.output_text("matches (CSV)")
 @options.skeleton
 @options.device
 @options.quiet
-def command(keypoints: tuple[str, ...], rig: str, output: str, skeleton: Path | None, device: str, quiet: bool) -> None:
+def command(reading: dict[str, Any], keypoints: tuple[str, ...], rig: str, output: str, skeleton: Path | None, device: str, quiet: bool) -> None:
     """Labels every detection with its individual, given the cameras.
 
     \b
@@ -30,7 +32,7 @@ def command(keypoints: tuple[str, ...], rig: str, output: str, skeleton: Path | 
     outputs.check_text(output)
     with Reporter(quiet=quiet) as reporter:
         cameras = inputs.rig_of(rig)
-        recording, model = inputs.read_recording(keypoints, cameras.cameras, skeleton, reporter, placed=True)
+        recording, model = inputs.read_recording(keypoints, cameras.cameras, skeleton, reporter, reading, placed=True)
         lifted = inputs.lifted_poses(recording, model, device, reporter)
         found = match(recording, lifted, inputs.placed(recording, cameras), MatchingConfig(), PairwiseConfig(), progress=reporter)
     outputs.write_text(output, format_matches_csv(recording, found))

@@ -1,6 +1,7 @@
 """mocap-calib pairwise: relative poses of all pairs of cameras."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -9,13 +10,14 @@ from mocap_calib_cli import options
 
 @click.command(name="pairwise")
 @options.keypoints
+@options.reading
 @options.cameras
 @options.output_text("pairs (JSON)")
 @options.skeleton
 @options.seed
 @options.device
 @options.quiet
-def command(keypoints: tuple[str, ...], cameras: str, output: str, skeleton: Path | None, seed: int, device: str, quiet: bool) -> None:
+def command(reading: dict[str, Any], keypoints: tuple[str, ...], cameras: str, output: str, skeleton: Path | None, seed: int, device: str, quiet: bool) -> None:
     """Finds the relative pose of every pair of cameras, and who matches whom.
 
     \b
@@ -32,7 +34,7 @@ def command(keypoints: tuple[str, ...], cameras: str, output: str, skeleton: Pat
 
     outputs.check_text(output)
     with Reporter(quiet=quiet) as reporter:
-        recording, model = inputs.read_recording(keypoints, inputs.cameras_of(cameras), skeleton, reporter)
+        recording, model = inputs.read_recording(keypoints, inputs.cameras_of(cameras), skeleton, reporter, reading)
         lifted = inputs.lifted_poses(recording, model, device, reporter)
         pairs = calibrate_pairs(recording, lifted, PairwiseConfig(), rng=np.random.default_rng(seed), progress=reporter)
     outputs.write_text(output, pairs_to_json(pairs, recording.cameras))

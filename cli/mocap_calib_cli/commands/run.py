@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 @click.command(name="run")
 @options.keypoints
+@options.reading
 @options.cameras
 @click.option("-o", "--output", type=click.Path(path_type=Path), required=True, metavar="OUT", help="Folder to write; made when missing.")
 @options.skeleton
@@ -22,7 +23,9 @@ if TYPE_CHECKING:
 @options.device
 @options.as_json("Write the content of run.json to stdout as well.")
 @options.quiet
-def command(keypoints: tuple[str, ...], cameras: str, output: Path, skeleton: Path | None, seed: int, device: str, as_json: bool, quiet: bool) -> None:
+def command(
+    reading: dict[str, Any], keypoints: tuple[str, ...], cameras: str, output: Path, skeleton: Path | None, seed: int, device: str, as_json: bool, quiet: bool
+) -> None:
     """Calibrates the cameras that saw KEYPOINTS, finds who is who, and triangulates the poses.
 
     KEYPOINTS: a folder with one file per camera, or files, or name=path pairs. The name of a camera is the stem of its
@@ -42,9 +45,9 @@ def command(keypoints: tuple[str, ...], cameras: str, output: Path, skeleton: Pa
 
     outputs.check_folder(output)
     with Reporter(quiet=quiet) as reporter:
-        recording, model = inputs.read_recording(keypoints, inputs.cameras_of(cameras), skeleton, reporter)
+        recording, model = inputs.read_recording(keypoints, inputs.cameras_of(cameras), skeleton, reporter, reading)
         found = calibrate(recording, load_model(device, model), Config(), seed=seed, device=device, progress=reporter)
-    hashes = inputs.hashes([*(path for _, path in inputs.keypoint_files(keypoints)), cameras, *([skeleton] if skeleton else [])])
+    hashes = inputs.hashes([*inputs.plain_paths(keypoints), cameras, *([skeleton] if skeleton else [])])
     report = run_report(found, seed=seed, config=Config(), inputs=hashes) | {"model": model}
     _write(output, found, report, seed)
     _summarise(reporter, found, report, output)
