@@ -14,7 +14,8 @@ import click
 import numpy as np
 
 from mocap_calib.errors import FormatError
-from mocap_calib.io.cameras import parse_cameras, parse_rig, read_cameras, read_rig
+from mocap_calib.io.camera_formats.source import CameraFile
+from mocap_calib.io.cameras import load_cameras, make_rig, parse_content
 from mocap_calib.io.document import ReadOptions
 from mocap_calib.io.formats2d import read_keypoints
 from mocap_calib.io.items import twins
@@ -39,7 +40,7 @@ def read_views(arguments: Sequence[str], reading: Mapping[str, Any] | None = Non
         raise click.BadParameter(f"expected a regular expression, found {pattern} ({error})", param_hint="--camera-regex") from None
     options = ReadOptions(
         layout=parse_layout(layout) if layout else (),
-        image_size=_image_size(given.get("image_size")),
+        image_size=image_size(given.get("image_size")),
         camera_pattern=pattern,
         frame_offset={camera: int(_numbers(text, 1, "--frame-offset")[0]) for camera, text in _by_camera(given.get("frame_offset", ()), "--frame-offset")},
         crop_offset={camera: _pair(text, "--crop-offset") for camera, text in _by_camera(given.get("crop_offset", ()), "--crop-offset")},
@@ -48,7 +49,8 @@ def read_views(arguments: Sequence[str], reading: Mapping[str, Any] | None = Non
     return read_keypoints(arguments, given.get("format"), options)
 
 
-def _image_size(text: str | None) -> tuple[int, int]:
+def image_size(text: str | None) -> tuple[int, int]:
+    """(width, height) of `WxH`, (0, 0) where there is none."""
     width, height = _numbers((text or "0x0").lower().replace("x", ","), 2, "--image-size")
     return int(width), int(height)
 
@@ -154,12 +156,20 @@ def _detections_alone(views: Sequence[Keypoints2D], recording: Recording) -> int
 
 def cameras_of(path: str) -> tuple[Camera, ...]:
     """The intrinsics in a file or folder, or on stdin. Raises FormatError."""
-    return parse_cameras(read_stdin("--cameras"), "stdin") if path == STDIO else read_cameras(Path(path))
+    return _loaded(path, "--cameras").cameras
 
 
 def rig_of(path: str, option: str = "--rig") -> CameraRig:
     """The cameras and where they stand in a file, or on stdin. Raises FormatError."""
-    return parse_rig(read_stdin(option), "stdin") if path == STDIO else read_rig(Path(path))
+    return make_rig(_loaded(path, option), "stdin" if path == STDIO else path)
+
+
+def _loaded(path: str, option: str) -> CameraFile:
+    """What a file says of cameras; what it lacks is said on stderr."""
+    found = parse_content(read_stdin(option).encode(), "stdin") if path == STDIO else load_cameras(Path(path))
+    for note in () if click.get_current_context().params.get("quiet") else found.notes:
+        click.echo(note, err=True)
+    return found
 
 
 def matches_of(path: str, recording: Recording) -> Matches:

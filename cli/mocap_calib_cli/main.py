@@ -20,6 +20,7 @@ COMMANDS = {
     "match": ("mocap_calib_cli.commands.match:command", "Who is who in all cameras."),
     "adjust": ("mocap_calib_cli.commands.adjust:command", "Bundle adjustment of the rig."),
     "triangulate": ("mocap_calib_cli.commands.triangulate:command", "3D poses."),
+    "convert": ("mocap_calib_cli.commands.convert:command", "Keypoints, cameras and poses from one format to another."),
     "evaluate": ("mocap_calib_cli.commands.evaluate:command", "Compare cameras with a reference calibration."),
     "simulate": ("mocap_calib_cli.commands.simulate:command", "Make a synthetic recording with its truth."),
     "models": ("mocap_calib_cli.commands.models:command", "List the networks that are shipped."),

@@ -50,11 +50,20 @@ _READING = {
 
 def reading(command: Command) -> Command:
     """The options that say how keypoint files are to be read, given to the command as one dictionary `reading`."""
+    return _reading(command, tuple(_READING))
 
+
+def reading_but_format(command: Command) -> Command:
+    """The same, of a command that has its own option for the format."""
+    return _reading(command, tuple(name for name in _READING if name != "format"))
+
+
+def _reading(command: Command, names: tuple[str, ...]) -> Command:
     @functools.wraps(command)
     def collected(**values: Any) -> Any:
-        return command(reading={name: values.pop(name) for name in _READING}, **values)
+        return command(reading={name: values.pop(name) for name in names}, **values)
 
-    for name, (flag, metavar, multiple, text) in reversed(_READING.items()):
+    for name in reversed(names):
+        flag, metavar, multiple, text = _READING[name]
         collected = click.option(flag, name, metavar=metavar, multiple=multiple, help=text)(collected)
     return collected  # type: ignore[return-value]  # click keeps the kind of what it decorates

@@ -42,6 +42,11 @@ def check_folder(path: Path) -> None:
         _check_writable(path)
 
 
+def check_place(path: Path) -> None:
+    """Raises MismatchError or OSError where neither a file nor a folder could be written."""
+    _check_writable(path.absolute().parent)
+
+
 def _check_writable(folder: Path) -> None:
     """Tries it, which is the only way to know, in the nearest folder that exists."""
     while not folder.exists():

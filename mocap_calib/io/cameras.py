@@ -69,6 +69,16 @@ def load_cameras(path: Path, name: str | None = None, unit: str | None = None) -
     return reduce(lambda found, more: both(found, more, str(path)), parts)
 
 
+def looks_like_cameras(path: Path, content: bytes | None = None) -> bool:
+    """Whether a file or a folder is of one of the camera formats; raises FormatError where its JSON, TOML or YAML is broken."""
+    if content is not None or not path.is_dir():
+        file = Source(str(path), {path.name: read_bytes(path) if content is None else content})
+        return any(each.sniff(file) for each in CAMERA_FORMATS)
+    whole = Source(str(path), {file.name: b"" for file in path.iterdir() if file.suffix.lower() in _SUFFIXES}, folder=True)
+    files = sorted(file for file in path.iterdir() if file.suffix.lower() in _ONE_CAMERA and file.is_file() and not file.name.startswith("."))
+    return any(each.sniff(whole) for each in CAMERA_FORMATS if each.folder) or (bool(files) and looks_like_cameras(files[0]))
+
+
 def parse_content(content: bytes, source: str, name: str | None = None, unit: str | None = None) -> CameraFile:
     """`load_cameras` on the content of one file; `source` stands for its path."""
     file = Source(source, {Path(source).name or source: content})

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.io.atomic import folder, of_individual
+from mocap_calib.io.atomic import folder, of_individual, write_bytes
 from mocap_calib.io.pose_formats import anipose_csv, arrays, c3d_file, movement, nwb, trc
 from mocap_calib.io.pose_formats.common import PoseFile, WrittenPoses, check_poses
 from mocap_calib.io.reading import malformed, read_bytes
@@ -17,7 +17,11 @@ from mocap_calib.io.units import ARBITRARY
 
 @dataclass(frozen=True)
 class PoseFormat:
-    """One format. single: a file holds one individual, so that several are several files. endings: of a file's name, for which it is written unnamed."""
+    """One format.
+
+    single: a file holds one individual, so that several are several files. timed: it needs the number of frames per second.
+    endings: of a file's name, for which it is written unnamed.
+    """
 
     name: str
     title: str
@@ -26,16 +30,17 @@ class PoseFormat:
     write: Callable[[PoseFile, str], WrittenPoses]
     endings: tuple[str, ...]
     single: bool = False
+    timed: bool = False
 
 
 POSE_FORMATS = (
     PoseFormat("poses-h5", "mocap-calib poses3d.h5", arrays.sniff_own, arrays.parse_own, arrays.write_own, (".h5",)),
     PoseFormat("anipose-csv", "Anipose CSV", anipose_csv.sniff, anipose_csv.parse, anipose_csv.write, (".csv",), single=True),
-    PoseFormat("trc", "OpenSim TRC", trc.sniff, trc.parse, trc.write, (".trc",), single=True),
-    PoseFormat("c3d", "C3D", c3d_file.sniff, c3d_file.parse, c3d_file.write, (".c3d",)),
+    PoseFormat("trc", "OpenSim TRC", trc.sniff, trc.parse, trc.write, (".trc",), single=True, timed=True),
+    PoseFormat("c3d", "C3D", c3d_file.sniff, c3d_file.parse, c3d_file.write, (".c3d",), timed=True),
     PoseFormat("movement-3d", "movement netCDF", movement.sniff, movement.parse, movement.write, (".nc",)),
     PoseFormat("sleap-anipose", "SLEAP-anipose points3d.h5", arrays.sniff_sleap_anipose, arrays.parse_sleap_anipose, arrays.write_sleap_anipose, ()),
-    PoseFormat("nwb-3d", "NWB with ndx-pose", nwb.sniff, nwb.parse, nwb.write, (".nwb",)),
+    PoseFormat("nwb-3d", "NWB with ndx-pose", nwb.sniff, nwb.parse, nwb.write, (".nwb",), timed=True),
     PoseFormat("npz", "numpy archive", arrays.sniff_npz, arrays.parse_npz, arrays.write_npz, (".npz",)),
 )
 POSE_FORMAT_NAMES = tuple(each.name for each in POSE_FORMATS)
@@ -95,6 +100,9 @@ def write_poses(path: Path, file: PoseFile, name: str, title: str = "") -> tuple
     Returns what of the poses the format does not carry. Raises MismatchError where it carries too little.
     """
     files, lost = format_poses(file, name, path, title)
+    if len(files) == 1:
+        write_bytes(path, files[path.name])
+        return lost
     with folder(path.absolute().parent) as work:
         for called, content in files.items():
             (work / called).write_bytes(content)

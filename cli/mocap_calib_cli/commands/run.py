@@ -18,13 +18,25 @@ if TYPE_CHECKING:
 @options.reading
 @options.cameras
 @click.option("-o", "--output", type=click.Path(path_type=Path), required=True, metavar="OUT", help="Folder to write; made when missing.")
+@click.option("--write", "formats", multiple=True, metavar="FORMAT", help="Write this format too (trc, pose2sim, ...: docs/formats.md); may be repeated.")
+@click.option("--fps", type=click.FloatRange(min=0, min_open=True), help="Frames per second, for the formats that need it.")
 @options.skeleton
 @options.seed
 @options.device
 @options.as_json("Write the content of run.json to stdout as well.")
 @options.quiet
 def command(
-    reading: dict[str, Any], keypoints: tuple[str, ...], cameras: str, output: Path, skeleton: Path | None, seed: int, device: str, as_json: bool, quiet: bool
+    reading: dict[str, Any],
+    keypoints: tuple[str, ...],
+    cameras: str,
+    output: Path,
+    formats: tuple[str, ...],
+    fps: float | None,
+    skeleton: Path | None,
+    seed: int,
+    device: str,
+    as_json: bool,
+    quiet: bool,
 ) -> None:
     """Calibrates the cameras that saw KEYPOINTS, finds who is who, and triangulates the poses.
 
@@ -35,15 +47,18 @@ def command(
     Example:
       mocap-calib run keypoints/ --cameras intrinsics.toml -o out
       mocap-calib run left=a.json right=b.json --cameras intrinsics.toml -o out --json
+      mocap-calib run keypoints/ --cameras intrinsics.toml -o out --write colmap --write movement-3d --fps 60
     """
     from mocap_calib.config import Config
+    from mocap_calib.io.pose_formats.common import PoseFile
     from mocap_calib.pipeline import calibrate
     from mocap_calib.report import run_report
-    from mocap_calib_cli import inputs, outputs
+    from mocap_calib_cli import conversion, inputs, outputs
     from mocap_calib_cli.model import load_model
     from mocap_calib_cli.progress import Reporter
 
     outputs.check_folder(output)
+    conversion.check_formats(formats, fps)
     with Reporter(quiet=quiet) as reporter:
         recording, model = inputs.read_recording(keypoints, inputs.cameras_of(cameras), skeleton, reporter, reading)
         found = calibrate(recording, load_model(device, model), Config(), seed=seed, device=device, progress=reporter)
@@ -51,6 +66,8 @@ def command(
     report = run_report(found, seed=seed, config=Config(), inputs=hashes) | {"model": model}
     _write(output, found, report, seed)
     _summarise(reporter, found, report, output)
+    poses = PoseFile(found.poses, float("nan") if fps is None else fps)
+    reporter.say(*conversion.write_formats(output, found.rig, poses, formats, outputs.provenance("run", seed=seed)))
     if as_json:
         click.echo(json.dumps(report, indent=1, allow_nan=False))
 

@@ -1,5 +1,6 @@
 """EasyMocap's pair of files: intri.yml and extri.yml in a folder. Names are keys of FileStorage there."""
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -15,7 +16,9 @@ _INTRI, _EXTRI = "intri.yml", "extri.yml"
 
 def sniff(source: Source) -> bool:
     """A folder with intri.yml, or one of the two by its list of names."""
-    return _INTRI in source.files if source.folder else source.has("yaml", "names") and isinstance(source.tree["names"], list)
+    if source.folder:
+        return _INTRI in source.files
+    return source.syntax == "yaml" and re.search(r"^names\s*:", source.text, re.M) is not None
 
 
 def parse(source: Source) -> CameraFile:
