@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from mocap_calib.errors import MismatchError
+from mocap_calib.errors import MismatchError, MocapCalibError
 from mocap_calib.io import (
     caliscope,
     coco,
@@ -80,14 +80,32 @@ def read_keypoints(paths: Sequence[str | Path], format: str | None = None, optio
     format: a name in KEYPOINT_FORMATS; each file's content says where none is given. Raises FormatError, in one line,
     for whatever is wrong with a file, and MismatchError where two files are of one camera.
     """
+    views, errors = read_what_can(paths, format, options)
+    if errors:
+        raise errors[0]
+    return views
+
+
+def read_what_can(
+    paths: Sequence[str | Path],
+    format: str | None = None,
+    options: ReadOptions | None = None,
+) -> tuple[tuple[Keypoints2D, ...], list[MocapCalibError]]:
+    """The detections of the files that can be read, and what `read_keypoints` would raise of the others. Raises MismatchError as it does."""
     options = options or ReadOptions()
     if format is not None:
         _known(format)
     items = keypoint_items(paths, options, lambda item: _format(item.document, format).per_frame)
     _check_once([(item.camera, str(item.path)) for item in items if item.camera])
-    views = [view for item in items for view in _read(item, format, options)]
+    views: list[Keypoints2D] = []
+    errors: list[MocapCalibError] = []
+    for item in items:
+        try:
+            views += _read(item, format, options)
+        except MocapCalibError as error:
+            errors.append(error)
     _check_once([(view.camera, view.source) for view in views])
-    return moved(views, options)
+    return (tuple(views) if errors else moved(views, options)), errors
 
 
 def _check_once(found: list[tuple[str, str]]) -> None:
