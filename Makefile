@@ -21,7 +21,8 @@ test: .venv/tested
 test-quick: .venv/tested
 	$(BIN)/python -m pytest -m "not slow"
 
-FUZZ_EXAMPLES ?= 6000  # damaged files of each of the formats
+# damaged files of each of the formats
+FUZZ_EXAMPLES ?= 6000
 fuzz: .venv/tested
 	FUZZ_EXAMPLES=$(FUZZ_EXAMPLES) $(BIN)/python -m pytest tests/test_fuzz.py --durations=0
 

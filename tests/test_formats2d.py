@@ -118,7 +118,7 @@ def test_a_format_can_be_forced_and_is_the_one_that_is_sniffed(tmp_path, name):
     sniffed, forced = (read_keypoints(paths, each, options)[0] for each in (None, known))
     np.testing.assert_array_equal(sniffed.positions, forced.positions)
     others = [other for other, each in KEYPOINT_FORMATS.items() if other != known and each.sniff(_document(paths[0]))]
-    assert set(others) <= ({"coco-results"} if known == "alphapose" else set())
+    assert set(others) <= ({"alphapose"} if known == "coco-results" else set())
 
 
 def _document(path):

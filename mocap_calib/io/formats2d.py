@@ -55,11 +55,11 @@ class KeypointFormat:
 KEYPOINT_FORMATS = {
     "coco": KeypointFormat("COCO annotations .json", coco.sniff, coco.read, coco_writer.write),
     "openpose": KeypointFormat("OpenPose .json, a folder per camera", openpose.sniff, openpose.read, openpose.write, per_frame=True),
-    "alphapose": KeypointFormat("AlphaPose .json", results_json.sniff_alphapose, results_json.read_alphapose),
     "mmpose-images": KeypointFormat("MMPose .json of images, a folder per camera", mmpose.sniff_image, mmpose.read_images, per_frame=True),
     "mmpose": KeypointFormat("MMPose and RTMPose .json of a video", mmpose.sniff_video, mmpose.read_video),
     "superanimal": KeypointFormat("DeepLabCut SuperAnimal .json", superanimal.sniff, superanimal.read),
     "coco-results": KeypointFormat("COCO results .json", results_json.sniff_coco, results_json.read_coco),
+    "alphapose": KeypointFormat("AlphaPose .json", results_json.sniff_alphapose, results_json.read_alphapose),
     "deeplabcut-h5": KeypointFormat("DeepLabCut .h5", deeplabcut_h5.sniff, deeplabcut_h5.read, deeplabcut_writer.write_h5),
     "sleap": KeypointFormat("SLEAP analysis .h5", sleap_h5.sniff, sleap_h5.read, sleap_h5.write),
     "sleap-slp": KeypointFormat("SLEAP .slp", sleap_slp.sniff, sleap_slp.read),
@@ -144,8 +144,10 @@ def _known(name: str) -> KeypointFormat:
 
 
 def _format(document: Document, name: str | None) -> KeypointFormat:
-    """The format that is named, or that the content shows. Raises FormatError."""
+    """The format that is named, or that the content shows. Raises FormatError, also where the content cannot be what is named."""
     if name is not None:
+        if not KEYPOINT_FORMATS[name].sniff(document):
+            raise malformed(document.source, KEYPOINT_FORMATS[name].description, describe(document), "leave out --format, or choose another")
         return KEYPOINT_FORMATS[name]
     for known in KEYPOINT_FORMATS.values():
         if known.sniff(document):
