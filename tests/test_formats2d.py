@@ -4,11 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import samples2d
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from samples2d import FRAMES, SAMPLES, SIZE, recording, write_sample
 
 from mocap_calib.errors import FormatError, MismatchError
-from mocap_calib.io.document import ReadOptions
+from mocap_calib.io.document import Document, ReadOptions
 from mocap_calib.io.formats2d import KEYPOINT_FORMATS, read_keypoints, write_keypoints
 from mocap_calib.types import Keypoints2D
 
@@ -92,3 +94,36 @@ def test_a_format_that_is_not_known_or_not_written_is_refused(tmp_path):
     (tmp_path / "a.json").write_text('{"version": 1}')
     with pytest.raises(FormatError, match="one of: coco"):
         read_keypoints([tmp_path / "a.json"])
+
+
+@pytest.mark.parametrize("name", SAMPLES)
+@pytest.mark.parametrize("individuals", [1, 2])
+def test_what_other_programs_write_of_one_recording_is_equal(tmp_path, name, individuals):
+    _, _, options, most, scores, tracked = SAMPLES[name]
+    individuals = min(individuals, most)
+    positions, confidence = recording(individuals, scores=scores)
+    (found,) = read_keypoints(write_sample(name, tmp_path, positions, confidence), None, options)
+    assert (found.camera, found.tracked) == ("cam", tracked)
+    assert found.image_size == (SIZE if name in ("coco", "nwb", "ultralytics") else (0, 0))
+    order = [found.keypoints.index(joint) for joint in samples2d.NAMES]  # tables name joints as they appear
+    np.testing.assert_array_equal(found.frames, FRAMES)
+    np.testing.assert_allclose(found.positions[:, :, order], positions, rtol=1e-12)
+    np.testing.assert_allclose(found.confidence[:, :, order], confidence, rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", SAMPLES)
+def test_a_format_can_be_forced_and_is_the_one_that_is_sniffed(tmp_path, name):
+    known, _, options, _, scores, _ = SAMPLES[name]
+    paths = write_sample(name, tmp_path, *recording(scores=scores))
+    sniffed, forced = (read_keypoints(paths, each, options)[0] for each in (None, known))
+    np.testing.assert_array_equal(sniffed.positions, forced.positions)
+    others = [other for other, each in KEYPOINT_FORMATS.items() if other != known and each.sniff(_document(paths[0]))]
+    assert set(others) <= ({"alphapose"} if known == "coco-results" else set())
+
+
+def _document(path):
+    return Document(path if path.is_file() else min(each for each in path.rglob("*") if each.is_file()))
+
+
+def test_every_format_has_a_sample():
+    assert {known for known, *_ in SAMPLES.values()} == set(KEYPOINT_FORMATS)

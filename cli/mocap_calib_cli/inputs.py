@@ -32,13 +32,18 @@ from mocap_calib_cli.progress import Reporter, table
 def read_views(arguments: Sequence[str], reading: Mapping[str, Any] | None = None) -> tuple[Keypoints2D, ...]:
     """The detections of each camera; `reading` is what options.reading gives. Raises FormatError and MismatchError."""
     given = reading or {}
+    return read_keypoints(arguments, given.get("format"), read_options(given))
+
+
+def read_options(given: Mapping[str, Any]) -> ReadOptions:
+    """What options.reading gives, as the readers take it. Raises MismatchError and click's BadParameter."""
     layout, views = given.get("layout"), given.get("views")
     pattern = given.get("camera_regex") or ""
     try:
         re.compile(pattern)
     except re.error as error:
         raise click.BadParameter(f"expected a regular expression, found {pattern} ({error})", param_hint="--camera-regex") from None
-    options = ReadOptions(
+    return ReadOptions(
         layout=parse_layout(layout) if layout else (),
         image_size=image_size(given.get("image_size")),
         camera_pattern=pattern,
@@ -46,7 +51,6 @@ def read_views(arguments: Sequence[str], reading: Mapping[str, Any] | None = Non
         crop_offset={camera: _pair(text, "--crop-offset") for camera, text in _by_camera(given.get("crop_offset", ()), "--crop-offset")},
         views=tuple(views.split(",")) if views else (),
     )
-    return read_keypoints(arguments, given.get("format"), options)
 
 
 def image_size(text: str | None) -> tuple[int, int]:

@@ -15,6 +15,7 @@ from mocap_calib.errors import MocapCalibError
 # name: (module:attribute, what the list of commands says of it); kept here so that the list imports no command
 COMMANDS = {
     "run": ("mocap_calib_cli.commands.run:command", "Keypoints to cameras and 3D poses: all stages in one."),
+    "inspect": ("mocap_calib_cli.commands.inspect:command", "What is in keypoint files, and what stands in the way of a run."),
     "pairwise": ("mocap_calib_cli.commands.pairwise:command", "Relative positions of all pairs of cameras."),
     "average": ("mocap_calib_cli.commands.average:command", "Pairs to one rig."),
     "match": ("mocap_calib_cli.commands.match:command", "Who is who in all cameras."),

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from mocap_calib.errors import MismatchError
+from mocap_calib.errors import MismatchError, MocapCalibError
 from mocap_calib.io import (
     caliscope,
     coco,
@@ -55,11 +55,11 @@ class KeypointFormat:
 KEYPOINT_FORMATS = {
     "coco": KeypointFormat("COCO annotations .json", coco.sniff, coco.read, coco_writer.write),
     "openpose": KeypointFormat("OpenPose .json, a folder per camera", openpose.sniff, openpose.read, openpose.write, per_frame=True),
-    "alphapose": KeypointFormat("AlphaPose .json", results_json.sniff_alphapose, results_json.read_alphapose),
     "mmpose-images": KeypointFormat("MMPose .json of images, a folder per camera", mmpose.sniff_image, mmpose.read_images, per_frame=True),
     "mmpose": KeypointFormat("MMPose and RTMPose .json of a video", mmpose.sniff_video, mmpose.read_video),
     "superanimal": KeypointFormat("DeepLabCut SuperAnimal .json", superanimal.sniff, superanimal.read),
     "coco-results": KeypointFormat("COCO results .json", results_json.sniff_coco, results_json.read_coco),
+    "alphapose": KeypointFormat("AlphaPose .json", results_json.sniff_alphapose, results_json.read_alphapose),
     "deeplabcut-h5": KeypointFormat("DeepLabCut .h5", deeplabcut_h5.sniff, deeplabcut_h5.read, deeplabcut_writer.write_h5),
     "sleap": KeypointFormat("SLEAP analysis .h5", sleap_h5.sniff, sleap_h5.read, sleap_h5.write),
     "sleap-slp": KeypointFormat("SLEAP .slp", sleap_slp.sniff, sleap_slp.read),
@@ -80,14 +80,32 @@ def read_keypoints(paths: Sequence[str | Path], format: str | None = None, optio
     format: a name in KEYPOINT_FORMATS; each file's content says where none is given. Raises FormatError, in one line,
     for whatever is wrong with a file, and MismatchError where two files are of one camera.
     """
+    views, errors = read_what_can(paths, format, options)
+    if errors:
+        raise errors[0]
+    return views
+
+
+def read_what_can(
+    paths: Sequence[str | Path],
+    format: str | None = None,
+    options: ReadOptions | None = None,
+) -> tuple[tuple[Keypoints2D, ...], list[MocapCalibError]]:
+    """The detections of the files that can be read, and what `read_keypoints` would raise of the others. Raises MismatchError as it does."""
     options = options or ReadOptions()
     if format is not None:
         _known(format)
     items = keypoint_items(paths, options, lambda item: _format(item.document, format).per_frame)
     _check_once([(item.camera, str(item.path)) for item in items if item.camera])
-    views = [view for item in items for view in _read(item, format, options)]
+    views: list[Keypoints2D] = []
+    errors: list[MocapCalibError] = []
+    for item in items:
+        try:
+            views += _read(item, format, options)
+        except MocapCalibError as error:
+            errors.append(error)
     _check_once([(view.camera, view.source) for view in views])
-    return moved(views, options)
+    return (tuple(views) if errors else moved(views, options)), errors
 
 
 def _check_once(found: list[tuple[str, str]]) -> None:
@@ -126,8 +144,10 @@ def _known(name: str) -> KeypointFormat:
 
 
 def _format(document: Document, name: str | None) -> KeypointFormat:
-    """The format that is named, or that the content shows. Raises FormatError."""
+    """The format that is named, or that the content shows. Raises FormatError, also where the content cannot be what is named."""
     if name is not None:
+        if not KEYPOINT_FORMATS[name].sniff(document):
+            raise malformed(document.source, KEYPOINT_FORMATS[name].description, describe(document), "leave out --format, or choose another")
         return KEYPOINT_FORMATS[name]
     for known in KEYPOINT_FORMATS.values():
         if known.sniff(document):

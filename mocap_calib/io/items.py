@@ -51,7 +51,7 @@ def _pattern(item: Item, pattern: str) -> str:
 def _folder(path: Path, per_frame: Callable[[Item], bool]) -> list[Item]:
     files = _listed(path)
     if files:
-        frames = Item(path.name.removesuffix("_json"), path, tuple(files))
+        frames = Item(_camera(path), path, tuple(files))
         if per_frame(frames):
             return [frames]
         doubles = twins(path)
@@ -59,10 +59,15 @@ def _folder(path: Path, per_frame: Callable[[Item], bool]) -> list[Item]:
     items = []
     for folder in sorted(each for each in path.iterdir() if each.is_dir() and not each.name.startswith(".")):
         inside = _folder(folder, per_frame)
-        items += [Item(folder.name.removesuffix("_json"), inside[0].path, inside[0].members)] if len(inside) == 1 else inside
+        items += [Item(_camera(folder), inside[0].path, inside[0].members)] if len(inside) == 1 else inside
     if not items:
         raise MismatchError(f"{path}: expected keypoint files ({', '.join(SUFFIXES)}) in the folder, found none; name the files themselves")
     return items
+
+
+def _camera(folder: Path) -> str:
+    """The camera of a folder: OpenPose's ends in _json, Ultralytics' holds a folder `labels`."""
+    return (folder.absolute().parent if folder.name == "labels" else folder.absolute()).name.removesuffix("_json")
 
 
 def _listed(folder: Path) -> list[Path]:

@@ -1,13 +1,12 @@
 """Label3D's and DANNCE's .mat: the points that were clicked in each camera, all cameras in one file."""
 
-import io
 from typing import Any
 
 import numpy as np
-from scipy.io import loadmat
 
 from mocap_calib.io.document import Document, Item, ReadOptions
 from mocap_calib.io.layouts import layout_for
+from mocap_calib.io.mat5 import DAMAGE, read_mat
 from mocap_calib.io.reading import NO_SCORE, Origin, blank, make_view, malformed
 from mocap_calib.types import Keypoints2D
 
@@ -22,32 +21,24 @@ def sniff(document: Document) -> bool:
 def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """The labelled frames of each camera; keypoints are `point_1`, ... where the user does not name them. Raises FormatError."""
     source = item.origin.source
-    content = _content(item.document.content, source)
-    cameras = [str(np.asarray(name).reshape(-1)[0]) for name in np.asarray(content["camnames"]).reshape(-1)]
-    labels = np.asarray(content["labelData"]).reshape(-1)
-    if len(cameras) != len(labels) or not cameras:
-        raise malformed(source, "labelData of each camera in camnames", f"{len(labels)} of {len(cameras)}", _REMEDY)
-    return tuple(_view(Origin(camera, source), label, options) for camera, label in zip(cameras, labels, strict=True))
-
-
-def _content(content: bytes, source: str) -> dict[str, Any]:
     try:
-        # names alone are read: nothing in a .mat of this version is run
-        found: dict[str, Any] = loadmat(io.BytesIO(content), variable_names=["camnames", "labelData"])  # type: ignore[arg-type]  # the stubs know paths only
-    except Exception as error:
-        raise malformed(source, "a whole MATLAB file", f"an error ({error})", _REMEDY) from None
+        found = read_mat(item.document.content, ("camnames", "labelData"))
+    except DAMAGE as error:
+        raise malformed(source, "a whole MATLAB file", f"an error ({error or type(error).__name__})", _REMEDY) from None
     missing = {"camnames", "labelData"} - found.keys()
     if missing:
         raise malformed(source, "the variables camnames and labelData", f"no {' and no '.join(sorted(missing))}", "give the file that Label3D saved")
-    return found
+    cameras, labels = found["camnames"], found["labelData"]
+    if not isinstance(cameras, list) or not isinstance(labels, list) or len(cameras) != len(labels) or not all(isinstance(c, str) and c for c in cameras):
+        raise malformed(source, "cells camnames and labelData, one for each camera", "others", _REMEDY)
+    return tuple(_view(Origin(camera, source), label, options) for camera, label in zip(cameras, labels, strict=True))
 
 
 def _view(origin: Origin, label: Any, options: ReadOptions) -> Keypoints2D:
     source = f"{origin.source}: {origin.camera}"
     try:
-        record = np.asarray(label).reshape(-1)[0]
-        points = np.asarray(record["data_2d"], dtype=np.float64)
-        frames = np.asarray(record["data_frame"]).reshape(-1).astype(np.int64)
+        points = np.asarray(label[0]["data_2d"], dtype=np.float64)
+        frames = np.asarray(label[0]["data_frame"]).reshape(-1).astype(np.int64)
         positions = points.reshape(len(frames), -1, 2)
     except (ValueError, IndexError, TypeError, OverflowError, KeyError) as error:
         raise malformed(source, "data_2d [frame, 2 x keypoint] and data_frame", f"an error ({error})", _REMEDY) from None

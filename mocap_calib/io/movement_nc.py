@@ -44,7 +44,9 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:  # noqa: 
 def _turned(file: Any, name: str, wanted: tuple[str, ...], source: str) -> Floats:
     """A variable with its dimensions in the wanted order; a dimension that it does not have has length 1."""
     values = array(file, name, source).astype(np.float64)
-    dims = [text(dim[0].name).strip("/") if len(dim) else "" for dim in file[name].dims]
+    # not through h5py's `dims`, which ends the process where a scale has gone
+    references = file[name].attrs.get("DIMENSION_LIST", ())
+    dims = [text(file[entry[0]].name).strip("/") if len(entry) else "" for entry in references]
     found = [dim.removesuffix("s") for dim in dims]
     if sorted(found) != sorted(wanted):
         raise malformed(source, f"`{name}` over {', '.join(wanted)}", ", ".join(dims) or "no dimensions", _REMEDY)

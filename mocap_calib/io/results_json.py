@@ -19,13 +19,13 @@ def _is_list(document: Document) -> bool:
     return isinstance(entries, list) and bool(entries) and all(isinstance(e, dict) and {"image_id", "keypoints"} <= e.keys() for e in entries[:20])
 
 
-def sniff_alphapose(document: Document) -> bool:
-    """A list of detections with AlphaPose's `box` or `idx`, or with names of images."""
-    return _is_list(document) and any({"box", "idx"} & e.keys() or not str(e["image_id"]).isdigit() for e in document.json[:20])
-
-
 def sniff_coco(document: Document) -> bool:
-    """A list of detections with numbers of images."""
+    """A list of detections with numbers of images, without what AlphaPose adds."""
+    return _is_list(document) and all(str(e["image_id"]).isdigit() and not {"box", "idx"} & e.keys() for e in document.json[:20])
+
+
+def sniff_alphapose(document: Document) -> bool:
+    """A list of detections."""
     return _is_list(document)
 
 
