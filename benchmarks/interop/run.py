@@ -3,7 +3,7 @@
     .venv/bin/python benchmarks/interop/run.py SCRATCH [consumer ...]
 
 Writes one rig and one set of poses in every format to SCRATCH/files, with the pixels and positions that must come out in
-expected.json; makes SCRATCH/env-CONSUMER with pip (nothing is installed twice), runs consumers/CONSUMER.py there, and
+expected.json; makes SCRATCH/env-CONSUMER with pip (nothing is installed twice), runs checks/check_CONSUMER.py there, and
 prints a table: what was read, by what, and the largest difference. docs/formats.md holds the last run.
 """
 
@@ -59,7 +59,7 @@ def run(scratch: Path, name: str) -> tuple[str, str, bool]:
     python = environment(scratch / f"env-{name}", CONSUMERS[name])
     if python is None:
         return name, "could not be installed", True
-    done = subprocess.run([python, HERE / "consumers" / f"{name}.py", scratch / "files"], capture_output=True, text=True, check=False)
+    done = subprocess.run([python, HERE / "checks" / f"check_{name}.py", scratch / "files"], capture_output=True, text=True, check=False)
     lines = (done.stdout.strip() if done.returncode == 0 else done.stderr.strip()).splitlines() or ["nothing"]
     return name, "; ".join(lines) if done.returncode == 0 else f"FAILED: {lines[-1]}", done.returncode != 0
 
@@ -104,7 +104,11 @@ def write_files(files: Path) -> None:
             write_poses(files / f"poses-{form.name}{form.endings[0] if form.endings else '.h5'}", poses, form.name)
     points = np.random.default_rng(1).uniform(-0.5, 0.5, size=(20, 3))
     expected = {"points": points.tolist(), "names": list(rig.names), "rate": poses.rate, "keypoints": list(poses.poses.keypoints), "unit": "m"}
-    expected |= {"individuals": list(poses.individuals), "frames": poses.poses.frames.tolist(), "positions": np.nan_to_num(poses.poses.positions, nan=-99.0).tolist()}
+    expected |= {
+        "individuals": list(poses.individuals),
+        "frames": poses.poses.frames.tolist(),
+        "positions": np.nan_to_num(poses.poses.positions, nan=-99.0).tolist(),
+    }
     for key, each_rig in (("pixels", rig), ("pixels_fisheye", fish)):
         seen = [pixels_from_points(c, points @ each_rig.rotation[v].T + each_rig.translation[v]).tolist() for v, c in enumerate(each_rig.cameras)]
         expected[key] = seen

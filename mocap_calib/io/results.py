@@ -12,6 +12,7 @@ import h5py
 import numpy as np
 
 from mocap_calib.errors import FormatError, MismatchError
+from mocap_calib.io import hdf5
 from mocap_calib.io.atomic import write_bytes
 from mocap_calib.io.intrinsics import camera_fields, camera_from_fields, numbers, one_field
 from mocap_calib.io.reading import decode, malformed, one_line, read_bytes
@@ -141,9 +142,9 @@ def parse_poses_h5(content: bytes, source: str) -> Poses3D:
         with h5py.File(io.BytesIO(content), "r") as file:
             if file.attrs["format"] != "mocap-calib poses" or file.attrs["version"] != VERSION:
                 raise ValueError(f"format {file.attrs['format']}, version {file.attrs['version']}")
-            keypoints = tuple(file["keypoint_names"].asstr()[...])
-            position, error, confidence = (file[name][...].astype(np.float64) for name in ("position", "error", "confidence"))
-            views, frames = (file[name][...].astype(np.int64) for name in ("views", "frames"))
+            keypoints = hdf5.names(file, "keypoint_names", source)
+            position, error, confidence = (hdf5.array(file, name, source).astype(np.float64) for name in ("position", "error", "confidence"))
+            views, frames = (hdf5.array(file, name, source).astype(np.int64) for name in ("views", "frames"))
             unit = str(file.attrs["unit"])
         check_shape("position", position, len(frames), None, len(keypoints), 3)
         for name, array in (("error", error), ("views", views), ("confidence", confidence)):

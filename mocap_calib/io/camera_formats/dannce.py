@@ -1,23 +1,21 @@
-"""Label3D's and DANNCE's .mat: K and rotation for row vectors, as MATLAB has them. scipy reads and writes it."""
+"""Label3D's and DANNCE's .mat: K and rotation for row vectors, as MATLAB has them."""
 
 import io
 import re
-import zlib
 from collections.abc import Mapping
 from typing import Any, cast
 
 import numpy as np
-from scipy.io import loadmat, savemat
-from scipy.io.matlab import MatReadError
+from scipy.io import savemat
 
 from mocap_calib.io.camera_formats.source import CameraFile, Source, Written, terms, unique, without_sizes
 from mocap_calib.io.intrinsics import make_camera, make_extrinsics, numbers
+from mocap_calib.io.mat5 import DAMAGE, read_mat
 from mocap_calib.io.reading import malformed, one_line
 from mocap_calib.types import Camera, CameraRig, Floats
 
 _FIELDS = ("K", "RDistort", "TDistort", "r", "t")
 _SKEW = 1e-2  # of the focal length: MATLAB estimates it where it is noise
-_DAMAGE = (OSError, KeyError, IndexError, ValueError, TypeError, AttributeError, RuntimeError, OverflowError, MemoryError, EOFError, zlib.error, MatReadError)
 _REMEDY = "save params and camnames with `save -v7`"
 
 
@@ -52,13 +50,14 @@ def _load(source: Source) -> tuple[list[dict[str, Any]], list[str]]:
     if source.content.startswith(b"MATLAB 7.3"):
         raise malformed(source.path, "a .mat file of version 7 or below", "version 7.3", _REMEDY)
     try:
-        found = loadmat(cast(Any, io.BytesIO(source.content)), simplify_cells=True, variable_names=["params", "camnames"])
-        params = found.get("params", [])
-        params = [params] if isinstance(params, dict) else [each for each in params if isinstance(each, dict)]
-        names = [str(name).strip() for name in np.atleast_1d(np.array(found.get("camnames", []), dtype=object)).ravel()]
-    except _DAMAGE as error:
-        raise malformed(source.path, "a .mat file of Label3D or DANNCE", f"an error ({one_line(error)})", _REMEDY) from None
-    if not params or len(names) not in (0, len(params)):
+        found = read_mat(source.content, ("params", "camnames"))
+    except DAMAGE as error:
+        raise malformed(source.path, "a .mat file of Label3D or DANNCE", f"an error ({one_line(error) or type(error).__name__})", _REMEDY) from None
+    cells, called = found.get("params"), found.get("camnames", [])
+    structs = [cell[0] if isinstance(cell, list) and len(cell) == 1 else cell for cell in cells] if isinstance(cells, list) else []
+    params = [fields for fields in structs if isinstance(fields, dict)]
+    names = [str(name).strip() for name in called] if isinstance(called, list) else []
+    if not params or len(params) < len(structs) or len(names) not in (0, len(params)):
         raise malformed(source.path, "cells params, a camera each, and as many camnames", f"{len(params)} and {len(names)}", _REMEDY)
     return params, names
 

@@ -8,6 +8,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from mocap_calib.io.hdf5 import array, names
 from mocap_calib.io.pose_formats.common import DAMAGE, PoseFile, WrittenPoses, attribute, bare_poses, lost_quality, without_gaps
 from mocap_calib.io.reading import malformed, one_line
 from mocap_calib.io.results import parse_poses_h5, poses_to_h5
@@ -43,9 +44,9 @@ def parse_own(content: bytes, source: str) -> PoseFile:
     poses = parse_poses_h5(content, source)
     try:
         with h5py.File(io.BytesIO(content), "r") as file:
-            names = tuple(file["individual_names"].asstr()[...]) if "individual_names" in file else ()
+            called = names(file, "individual_names", source) if "individual_names" in file else ()
             rate = float(file.attrs.get("fps", np.nan))
-        return PoseFile(poses, rate, names)
+        return PoseFile(poses, rate, called)
     except DAMAGE as error:
         raise malformed(source, _OURS, f"an error ({one_line(error)})", "write the file again") from None
 
@@ -76,8 +77,8 @@ def parse_npz(content: bytes, source: str) -> PoseFile:
             keypoints, individuals = (tuple(map(str, file[name])) for name in ("keypoints", "individuals"))
             rate, unit = float(file["fps"]), str(file["unit"])
         check_shape("positions", positions, len(frames), len(individuals), len(keypoints), 3)
-        for name, array in (("error", error), ("views", views), ("confidence", confidence)):
-            check_shape(name, array, *positions.shape[:3])
+        for name, each in (("error", error), ("views", views), ("confidence", confidence)):
+            check_shape(name, each, *positions.shape[:3])
         return PoseFile(Poses3D(keypoints, frames, positions, error, views, confidence, known_unit(unit, source)), rate, individuals)
     except DAMAGE as error:
         raise malformed(source, f"an .npz of poses ({', '.join(_ARRAYS)}, ...)", f"an error ({one_line(error)})", "write the file again") from None
@@ -104,11 +105,11 @@ def parse_sleap_anipose(content: bytes, source: str) -> PoseFile:
     """`tracks` (frame, track, node, 3); its own files name no nodes and count frames from 0. Raises FormatError."""
     try:
         with h5py.File(io.BytesIO(content), "r") as file:
-            positions = file["tracks"][...].astype(np.float64)
+            positions = array(file, "tracks", source).astype(np.float64)
             check_shape("tracks", positions, None, None, None, 3)
-            frames = file["frames"][...].astype(np.int64) if "frames" in file else np.arange(len(positions))
-            keypoints = tuple(file["node_names"].asstr()[...]) if "node_names" in file else ()
-            individuals = tuple(file["track_names"].asstr()[...]) if "track_names" in file else ()
+            frames = array(file, "frames", source).astype(np.int64) if "frames" in file else np.arange(len(positions))
+            keypoints = names(file, "node_names", source) if "node_names" in file else ()
+            individuals = names(file, "track_names", source) if "track_names" in file else ()
             unit, rate = attribute(file.attrs, "unit"), float(file.attrs.get("fps", np.nan))
         notes = () if keypoints else (f"the file does not name its {positions.shape[2]} nodes: they are called node_0, node_1, ...",)
         keypoints = keypoints or tuple(f"node_{k}" for k in range(positions.shape[2]))

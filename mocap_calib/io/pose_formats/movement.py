@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 
 from mocap_calib import __version__
+from mocap_calib.io.hdf5 import array, names
 from mocap_calib.io.pose_formats.arrays import looks
 from mocap_calib.io.pose_formats.common import DAMAGE, PoseFile, WrittenPoses, attribute
 from mocap_calib.io.reading import malformed, one_line
@@ -18,7 +19,7 @@ from mocap_calib.io.units import known_unit
 from mocap_calib.types import Floats, Ints, Poses3D, check_shape
 
 _DIMENSIONS = ("time", "space", "keypoint", "individual")
-_SPACE = [b"x", b"y", b"z"]
+_SPACE = ("x", "y", "z")
 
 
 def sniff(content: bytes) -> bool:
@@ -36,36 +37,35 @@ def parse(content: bytes, source: str) -> PoseFile:
 
 
 def _parse(file: h5py.File, source: str) -> PoseFile:
-    names = [name if name in file else f"{name}s" for name in _DIMENSIONS[2:]]
-    keypoints, individuals = (tuple(file[name].asstr()[...]) for name in names)
-    if list(file["space"][...]) != _SPACE:
+    keypoints, individuals = (names(file, name if name in file else f"{name}s", source) for name in _DIMENSIONS[2:])
+    if names(file, "space", source) != _SPACE:
         raise ValueError("space that is not x, y, z")
-    positions = file["position"][...].astype(np.float64)
+    positions = array(file, "position", source).astype(np.float64)
     check_shape("position", positions, None, 3, len(keypoints), len(individuals))
     positions = positions.transpose(0, 3, 2, 1)
     shape = positions.shape[:3]
     rate = float(np.ravel(file.attrs["fps"])[0]) if "fps" in file.attrs else np.nan
-    found = {name: _optional(file, name, shape) for name in ("confidence", "reprojection_error", "views")}
+    found = {name: _optional(file, name, shape, source) for name in ("confidence", "reprojection_error", "views")}
     views = np.nan_to_num(found["views"], nan=0.0).astype(np.int64)
     missing = ~np.isfinite(positions).all(-1, keepdims=True)
     unit = known_unit(attribute(file.attrs, "unit"), source)
     error, confidence = found["reprojection_error"], found["confidence"]
-    return PoseFile(Poses3D(keypoints, _frames(file, rate), np.where(missing, np.nan, positions), error, views, confidence, unit), rate, individuals)
+    return PoseFile(Poses3D(keypoints, _frames(file, rate, source), np.where(missing, np.nan, positions), error, views, confidence, unit), rate, individuals)
 
 
-def _optional(file: h5py.File, name: str, shape: tuple[int, ...]) -> Floats:
+def _optional(file: h5py.File, name: str, shape: tuple[int, ...], source: str) -> Floats:
     """`[frame, individual, keypoint]` of a variable (time, keypoint, individual), NaN where it is not there."""
     if name not in file:
         return np.full(shape, np.nan)
-    values: Floats = file[name][...].astype(np.float64).transpose(0, 2, 1)
+    values: Floats = array(file, name, source).astype(np.float64).transpose(0, 2, 1)
     check_shape(name, values, *shape)
     return values
 
 
-def _frames(file: h5py.File, rate: float) -> Ints:
+def _frames(file: h5py.File, rate: float, source: str) -> Ints:
     if "frame" in file:
-        return np.asarray(file["frame"][...], dtype=np.int64)
-    times = file["time"][...].astype(np.float64)
+        return array(file, "frame", source).astype(np.int64)
+    times = array(file, "time", source).astype(np.float64)
     if attribute(file.attrs, "time_unit") == "seconds":
         times = times * rate
     frames = np.round(times)

@@ -13,6 +13,7 @@ import h5py
 import numpy as np
 
 from mocap_calib.errors import MismatchError
+from mocap_calib.io.hdf5 import array
 from mocap_calib.io.pose_formats.arrays import looks
 from mocap_calib.io.pose_formats.common import DAMAGE, PoseFile, WrittenPoses, attribute, bare_poses, need_keypoints, need_rate
 from mocap_calib.io.reading import malformed, one_line
@@ -55,30 +56,30 @@ def _parse(file: h5py.File, source: str) -> PoseFile:
     groups = list(dict.fromkeys(group for group, _, _ in series))
     keypoints = list(dict.fromkeys(name for _, name, _ in series))
     by_name = {(group, name): item for group, name, item in series}
-    frames, rate = _frames(series[0][2])
+    frames, rate = _frames(series[0][2], source)
     positions = np.full((len(frames), len(groups), len(keypoints), 3), np.nan)
     confidence = np.full(positions.shape[:3], np.nan)
     for (group, name), item in by_name.items():
         place = (slice(None), groups.index(group), keypoints.index(name))
-        if not np.array_equal(_frames(item)[0], frames):
+        if not np.array_equal(_frames(item, source)[0], frames):
             raise ValueError("series of different times")
         factor = float(item["data"].attrs.get("conversion", 1.0))
-        values = item["data"][...].astype(np.float64) * factor
+        values = array(item, "data", source).astype(np.float64) * factor
         positions[place] = np.where(np.isfinite(values).all(-1, keepdims=True), values, np.nan)
         if "confidence" in item:
-            confidence[place] = item["confidence"][...]
+            confidence[place] = array(item, "confidence", source)
     unit = known_unit(attribute(series[0][2]["data"].attrs, "unit"), source)
     names = tuple(group.rsplit("/", 1)[-1] for group in groups)
     return PoseFile(bare_poses(keypoints, frames, positions, unit, confidence), rate, names)
 
 
-def _frames(series: Any) -> tuple[Ints, float]:
+def _frames(series: Any, source: str) -> tuple[Ints, float]:
     """`[frame]` numbers at the rate of the series, and the rate; of bare timestamps it is the shortest step between two."""
     if "starting_time" in series:
         rate = float(series["starting_time"].attrs["rate"])
         times: Floats = float(series["starting_time"][()]) + np.arange(len(series["data"])) / rate
     else:
-        times = series["timestamps"][...].astype(np.float64)
+        times = array(series, "timestamps", source).astype(np.float64)
         rate = 1 / float(np.diff(times).min()) if len(times) > 1 else np.nan
         rate = float(series.attrs.get("fps", round(rate, 6)))
     frames = np.round(times * rate)

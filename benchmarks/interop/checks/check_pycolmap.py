@@ -1,9 +1,5 @@
 """pycolmap: our text model, projected by it; its pixels are half a pixel more."""
 
-import sys
-
-sys.path = [path for path in sys.path if not path.endswith("consumers")] + [path for path in sys.path if path.endswith("consumers")]
-
 import numpy as np
 import pycolmap
 from expected import FILES, POINTS, near, pixels

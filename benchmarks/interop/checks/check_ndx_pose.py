@@ -1,17 +1,20 @@
-"""pynwb and ndx-pose: they write the NWB here, through the code of the extra, and read it."""
+"""pynwb and ndx-pose: the NWB is written here, by mocap_calib with its extra, and read by pynwb itself."""
 
 import sys
-
-sys.path = [path for path in sys.path if not path.endswith("consumers")] + [path for path in sys.path if path.endswith("consumers")]
-
 from importlib.metadata import version
+from pathlib import Path
 
-import ndx_pose  # noqa: F401 - its types
 import numpy as np
 import pynwb
 from expected import EXPECTED, FILES, FRAMES, POSITIONS, near
 
-with pynwb.NWBHDF5IO(str(FILES / "poses-nwb-3d.nwb"), "r") as file:
+sys.path.append(str(Path(__file__).parents[3]))  # mocap_calib's writers need no more than what is installed here
+
+from mocap_calib.io.formats_poses import read_poses, write_poses
+
+path = FILES / "poses.nwb"
+write_poses(path, read_poses(FILES / "poses-poses-h5.h5"), "nwb-3d")
+with pynwb.NWBHDF5IO(str(path), "r") as file:
     behavior = file.read().processing["behavior"]
     found = np.full(POSITIONS.shape, np.nan)
     for i, individual in enumerate(EXPECTED["individuals"]):

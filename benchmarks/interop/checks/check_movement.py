@@ -1,9 +1,5 @@
 """movement: our netCDF passes its validator, and its kinematics work on it."""
 
-import sys
-
-sys.path = [path for path in sys.path if not path.endswith("consumers")] + [path for path in sys.path if path.endswith("consumers")]
-
 from importlib.metadata import version
 
 import xarray

@@ -1,9 +1,5 @@
 """aniposelib's CameraGroup: our calibration.toml, projected by it; pinhole and fisheye."""
 
-import sys
-
-sys.path = [path for path in sys.path if not path.endswith("consumers")] + [path for path in sys.path if path.endswith("consumers")]
-
 from importlib.metadata import version
 
 from aniposelib.cameras import CameraGroup

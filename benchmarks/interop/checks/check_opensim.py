@@ -1,9 +1,5 @@
 """OpenSim: our TRC and C3D by its own readers."""
 
-import sys
-
-sys.path = [path for path in sys.path if not path.endswith("consumers")] + [path for path in sys.path if path.endswith("consumers")]
-
 import numpy as np
 import opensim
 from expected import EXPECTED, FILES, FRAMES, POSITIONS, near

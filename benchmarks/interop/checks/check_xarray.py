@@ -1,9 +1,5 @@
 """xarray: our movement netCDF, by the names that movement looks for."""
 
-import sys
-
-sys.path = [path for path in sys.path if not path.endswith("consumers")] + [path for path in sys.path if path.endswith("consumers")]
-
 import xarray
 from expected import EXPECTED, FILES, FRAMES, POSITIONS, near
 

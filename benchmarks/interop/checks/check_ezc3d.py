@@ -1,9 +1,5 @@
 """ezc3d: our C3D."""
 
-import sys
-
-sys.path = [path for path in sys.path if not path.endswith("consumers")] + [path for path in sys.path if path.endswith("consumers")]
-
 from importlib.metadata import version
 
 import ezc3d

@@ -9,7 +9,7 @@ def storage(path):
     """A file that FileStorage opens."""
     file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
     assert file.isOpened(), path
-    return lambda key: file.getNode(key)
+    return file.getNode
 
 
 for folder, key, project in (("opencv", "pixels", cv2.projectPoints), ("opencv-fisheye", "pixels_fisheye", cv2.fisheye.projectPoints)):
@@ -25,9 +25,7 @@ for folder, key, project in (("opencv", "pixels", cv2.projectPoints), ("opencv-f
 
 intri, extri = (storage(FILES / "easymocap" / name) for name in ("intri.yml", "extri.yml"))
 names = [intri("names").at(k).string() for k in range(intri("names").size())]
-found = [
-    cv2.projectPoints(POINTS, extri(f"R_{n}").mat(), extri(f"T_{n}").mat(), intri(f"K_{n}").mat(), intri(f"dist_{n}").mat())[0][:, 0] for n in names
-]
+found = [cv2.projectPoints(POINTS, extri(f"R_{n}").mat(), extri(f"T_{n}").mat(), intri(f"K_{n}").mat(), intri(f"dist_{n}").mat())[0][:, 0] for n in names]
 assert [int(intri(f"W_{n}").real()) for n in names] == [1280] * len(names)
 near("EasyMocap pair (px)", found, list(pixels().values()), 1e-6)
 

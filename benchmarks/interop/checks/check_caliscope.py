@@ -1,9 +1,5 @@
 """caliscope's CameraArray: our camera_array.toml, pinhole and fisheye."""
 
-import sys
-
-sys.path = [path for path in sys.path if not path.endswith("consumers")] + [path for path in sys.path if path.endswith("consumers")]
-
 from importlib.metadata import version
 from pathlib import Path
 
