@@ -96,7 +96,7 @@ def test_what_cannot_be_carried_is_refused_in_a_line(name, data):
 @pytest.mark.parametrize("name", WRITTEN)
 def test_the_same_rig_in_two_formats_projects_alike(name):
     """Through the formats' own conventions to pixels: 1e-6 px at 4 m and f = 1000 px (measured 2e-9)."""
-    rig = _studio(name)
+    rig = studio(name)
     found = back(rig, name)
     points = np.random.default_rng(0).uniform(-0.5, 0.5, size=(30, 3))
     scale = METRES[rig.unit] / METRES[found.unit] if found.unit in METRES else 1.0
@@ -107,7 +107,7 @@ def test_the_same_rig_in_two_formats_projects_alike(name):
         np.testing.assert_allclose(after, before, rtol=0, atol=1e-6)
 
 
-def _studio(name):
+def studio(name):
     lens = np.zeros(5) if name == "4d-association" else np.array([-0.1, 0.02, 1e-3, -2e-3, 1e-3])
     matrix = np.array([[1000.0, 0, 640], [0, 1000, 360], [0, 0, 1]])
     cameras = tuple(Camera(f"cam{k}", (1280, 720), matrix, lens, False) for k in range(3))
@@ -116,7 +116,7 @@ def _studio(name):
 
 
 def test_a_unit_is_never_assumed():
-    rig = replace(_studio("anipose"), unit="arbitrary")
+    rig = replace(studio("anipose"), unit="arbitrary")
     for name in WRITTEN:
         if camera_format(name).unit:
             with pytest.raises(MismatchError, match="--unit"):
@@ -126,17 +126,17 @@ def test_a_unit_is_never_assumed():
 
 
 def test_the_users_unit_does_not_contradict_the_file(tmp_path):
-    write_cameras(tmp_path / "a.toml", _studio("anipose"), "anipose")
+    write_cameras(tmp_path / "a.toml", studio("anipose"), "anipose")
     assert read_rig(tmp_path / "a.toml", unit="m").unit == "m"
     with pytest.raises(MismatchError, match="as the file says"):
         read_rig(tmp_path / "a.toml", unit="mm")
-    write_cameras(tmp_path / "b.toml", replace(_studio("anipose"), unit="arbitrary"), "anipose")
+    write_cameras(tmp_path / "b.toml", replace(studio("anipose"), unit="arbitrary"), "anipose")
     assert read_rig(tmp_path / "b.toml", unit="mm").unit == "mm"
 
 
 @pytest.mark.parametrize("name", WRITTEN)
 def test_files_are_recognised_and_written_the_same_twice(name, tmp_path):
-    rig = _studio(name)
+    rig = studio(name)
     for k in range(2):
         write_cameras(tmp_path / f"{k}", rig, name)
     one, two = ({f.name: f.read_bytes() for f in ([p] if p.is_file() else p.iterdir())} for p in (tmp_path / "0", tmp_path / "1"))
@@ -240,7 +240,7 @@ OTHERS = [b"", b"{}", b"[]", b"[cameras]", b"null", b"- 1\n", b"a: 1\n", b"%YAML
 @settings(max_examples=40, deadline=10_000, suppress_health_check=[HealthCheck.too_slow])
 @given(data=st.data())
 def test_damaged_files_load_or_are_refused_in_a_line(name, data):
-    files = dict(format_rig(_studio(name), name, {"seed": 1}).files)
+    files = dict(format_rig(studio(name), name, {"seed": 1}).files)
     victim = data.draw(st.sampled_from(sorted(files)))
     files[victim] = data.draw(corrupted(files[victim]))
     form = camera_format(name)

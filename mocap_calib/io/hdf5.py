@@ -12,6 +12,8 @@ from mocap_calib.errors import FormatError
 from mocap_calib.io.document import HDF5_DAMAGE, Document
 from mocap_calib.io.reading import MOST_POINTS, malformed
 
+_MOST_PACKED = 1100  # times that deflate can make bytes of zeros fewer
+
 
 @contextmanager
 def damage_refused(source: str, expected: str, remedy: str) -> Iterator[None]:
@@ -49,6 +51,8 @@ def array(group: Any, name: str, source: str) -> NDArray[Any]:
         raise malformed(source, f"a dataset `{name}`", "none", "export it again")
     if dataset.size is not None and dataset.size > 4 * MOST_POINTS:
         raise malformed(source, f"at most {4 * MOST_POINTS} numbers in `{name}`", dataset.size, "the file is damaged: export it again")
+    if dataset.size is not None and dataset.nbytes > _MOST_PACKED * group.file.id.get_filesize():
+        raise malformed(source, f"`{name}` to fit into the file", f"a claim of {dataset.nbytes} bytes", "the file is damaged: export it again")
     return np.asarray(dataset[...])
 
 
