@@ -34,7 +34,7 @@ CONSUMERS: dict[str, dict[str, list[str]]] = {
         "alone": ["pose2sim"],
         "pip": ["numpy", "opencv-python-headless", "rtoml", "scipy", "pandas", "matplotlib", "c3d", "anytree", "tqdm", "lxml", "statsmodels", "filterpy"],
     },
-    "caliscope": {"alone": ["caliscope"], "pip": ["numpy", "opencv-python-headless", "rtoml", "scipy", "pandas", "pandera", "av"]},
+    "caliscope": {"alone": ["caliscope"], "pip": ["numpy", "opencv-python-headless", "rtoml", "scipy", "pandas", "pandera", "av", "platformdirs"]},
     "c3d": {"pip": ["c3d", "numpy"]},
     "ezc3d": {"pip": ["ezc3d", "numpy"]},
     "opensim": {"pip": ["opensim", "numpy"]},
@@ -70,7 +70,7 @@ def environment(path: Path, needs: dict[str, list[str]]) -> Path | None:
     if (path / "done").exists():
         return python
     base = shutil.which(f"python{needs['python'][0]}") if "python" in needs else sys.executable
-    if base is None:
+    if base is None or subprocess.run([base, "-c", ""], check=False).returncode:  # pyenv has names of what is not there
         return None
     subprocess.run([base, "-m", "venv", "--clear", path], check=True)
     pip = [python, "-m", "pip", "install", "--disable-pip-version-check", "-q"]

@@ -7,7 +7,7 @@ import numpy as np
 from expected import EXPECTED, FILES, FRAMES, POINTS, POSITIONS, near, pixels
 from Pose2Sim.common import computeP, read_trc, retrieve_calib_params
 
-path = str(FILES / "pose2sim.toml")
+path = FILES / "pose2sim.toml"
 params = retrieve_calib_params(path)
 each = zip(params["R"], params["T"], params["K"], params["dist"], strict=True)
 found = [cv2.projectPoints(POINTS, rotation, translation, matrix, lens)[0][:, 0] for rotation, translation, matrix, lens in each]
