@@ -112,6 +112,9 @@ def test_a_trc_is_what_opensim_reads(tmp_path):
     second = lines[6].split("\t")
     assert second[:5] == ["4", repr(4 / 60), "", "", ""]
     assert "nan" not in "".join(lines[5:])
+    write_poses(tmp_path / "q.trc", example(1, ("nose",)), "trc")
+    # OpenSim 4.6 counts an empty last cell only where a tab follows it
+    assert (tmp_path / "q.trc").read_text().splitlines()[6] == "4\t" + repr(4 / 60) + "\t" * 4
     assert [line.split("\t")[0] for line in lines[5:]] == ["3", "4", "5", "6", "7", "8"]
 
 

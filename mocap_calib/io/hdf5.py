@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from mocap_calib.errors import FormatError
 from mocap_calib.io.document import HDF5_DAMAGE, Document
 from mocap_calib.io.reading import MOST_POINTS, malformed
+from mocap_calib.types import Ints
 
 _MOST_PACKED = 1100  # times that deflate can make bytes of zeros fewer
 
@@ -54,6 +55,14 @@ def array(group: Any, name: str, source: str) -> NDArray[Any]:
     if dataset.size is not None and dataset.nbytes > _MOST_PACKED * group.file.id.get_filesize():
         raise malformed(source, f"`{name}` to fit into the file", f"a claim of {dataset.nbytes} bytes", "the file is damaged: export it again")
     return np.asarray(dataset[...])
+
+
+def integers(group: Any, name: str, source: str) -> Ints:
+    """A dataset of whole numbers. Raises FormatError."""
+    values = array(group, name, source)
+    if values.dtype.kind not in "iu" or (values.size and int(values.max()) > np.iinfo(np.int64).max):
+        raise malformed(source, f"whole numbers in `{name}`", values.dtype, "export it again")
+    return values.astype(np.int64)
 
 
 def names(group: Any, name: str, source: str) -> tuple[str, ...]:

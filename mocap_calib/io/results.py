@@ -144,7 +144,7 @@ def parse_poses_h5(content: bytes, source: str) -> Poses3D:
                 raise ValueError(f"format {file.attrs['format']}, version {file.attrs['version']}")
             keypoints = hdf5.names(file, "keypoint_names", source)
             position, error, confidence = (hdf5.array(file, name, source).astype(np.float64) for name in ("position", "error", "confidence"))
-            views, frames = (hdf5.array(file, name, source).astype(np.int64) for name in ("views", "frames"))
+            views, frames = (hdf5.integers(file, name, source) for name in ("views", "frames"))
             unit = str(file.attrs["unit"])
         check_shape("position", position, len(frames), None, len(keypoints), 3)
         for name, array in (("error", error), ("views", views), ("confidence", confidence)):

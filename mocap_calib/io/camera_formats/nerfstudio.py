@@ -40,7 +40,7 @@ def parse(source: Source) -> CameraFile:
 
 
 def _camera(name: str, fields: Mapping[str, Any], where: str) -> Camera:
-    model = fields.get("camera_model", "OPENCV")
+    model = str(fields.get("camera_model", "OPENCV"))
     if model not in _MODELS:
         raise malformed(where, f"a camera_model of {', '.join(_MODELS)}", model, "export with one of them")
     need(fields, ("fl_x", "cx", "cy"), where)

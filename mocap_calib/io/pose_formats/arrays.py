@@ -8,7 +8,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from mocap_calib.io.hdf5 import array, names
+from mocap_calib.io.hdf5 import array, integers, names
 from mocap_calib.io.pose_formats.common import DAMAGE, PoseFile, WrittenPoses, attribute, bare_poses, lost_quality, without_gaps
 from mocap_calib.io.reading import malformed, one_line
 from mocap_calib.io.results import parse_poses_h5, poses_to_h5
@@ -73,7 +73,7 @@ def parse_npz(content: bytes, source: str) -> PoseFile:
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as file:
             positions, error, confidence = (file[name].astype(np.float64) for name in ("positions", "error", "confidence"))
-            views, frames = (file[name].astype(np.int64) for name in ("views", "frames"))
+            views, frames = (file[name].astype(np.int64, casting="safe") for name in ("views", "frames"))
             keypoints, individuals = (tuple(map(str, file[name])) for name in ("keypoints", "individuals"))
             rate, unit = float(file["fps"]), str(file["unit"])
         check_shape("positions", positions, len(frames), len(individuals), len(keypoints), 3)
@@ -107,7 +107,7 @@ def parse_sleap_anipose(content: bytes, source: str) -> PoseFile:
         with h5py.File(io.BytesIO(content), "r") as file:
             positions = array(file, "tracks", source).astype(np.float64)
             check_shape("tracks", positions, None, None, None, 3)
-            frames = array(file, "frames", source).astype(np.int64) if "frames" in file else np.arange(len(positions))
+            frames = integers(file, "frames", source) if "frames" in file else np.arange(len(positions))
             keypoints = names(file, "node_names", source) if "node_names" in file else ()
             individuals = names(file, "track_names", source) if "track_names" in file else ()
             unit, rate = attribute(file.attrs, "unit"), float(file.attrs.get("fps", np.nan))

@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 
 from mocap_calib import __version__
-from mocap_calib.io.hdf5 import array, names
+from mocap_calib.io.hdf5 import array, integers, names
 from mocap_calib.io.pose_formats.arrays import looks
 from mocap_calib.io.pose_formats.common import DAMAGE, PoseFile, WrittenPoses, attribute
 from mocap_calib.io.reading import malformed, one_line
@@ -46,7 +46,7 @@ def _parse(file: h5py.File, source: str) -> PoseFile:
     shape = positions.shape[:3]
     rate = float(np.ravel(file.attrs["fps"])[0]) if "fps" in file.attrs else np.nan
     found = {name: _optional(file, name, shape, source) for name in ("confidence", "reprojection_error", "views")}
-    views = np.nan_to_num(found["views"], nan=0.0).astype(np.int64)
+    views = np.nan_to_num(found["views"], nan=0.0).clip(0, 1e6).astype(np.int64)
     missing = ~np.isfinite(positions).all(-1, keepdims=True)
     unit = known_unit(attribute(file.attrs, "unit"), source)
     error, confidence = found["reprojection_error"], found["confidence"]
@@ -64,7 +64,7 @@ def _optional(file: h5py.File, name: str, shape: tuple[int, ...], source: str) -
 
 def _frames(file: h5py.File, rate: float, source: str) -> Ints:
     if "frame" in file:
-        return array(file, "frame", source).astype(np.int64)
+        return integers(file, "frame", source)
     times = array(file, "time", source).astype(np.float64)
     if attribute(file.attrs, "time_unit") == "seconds":
         times = times * rate

@@ -77,5 +77,6 @@ def write(file: PoseFile, title: str) -> WrittenPoses:
     table = positions[:, 0].reshape(count, -1)
     for frame, row in zip(frames.tolist(), table.tolist(), strict=True):
         cells = "\t".join("" if value != value else repr(value) for value in row)  # noqa: PLR0124 - NaN
-        lines.append(f"{frame}\t{frame / rate!r}\t{cells}")
+        # OpenSim does not count an empty cell at the end of a line without a tab behind it
+        lines.append(f"{frame}\t{frame / rate!r}\t{cells}" + ("\t" if cells.endswith("\t") else ""))
     return WrittenPoses(("\n".join(lines) + "\n").encode(), (*lost_quality(file), *lost_names(file)))
