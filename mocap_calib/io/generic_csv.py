@@ -3,6 +3,8 @@
 `individual` names the same body in all frames; a table of detections that nobody follows calls the column `instance`.
 """
 
+import re
+
 import numpy as np
 
 from mocap_calib.io.document import Document, Item, ReadOptions
@@ -15,13 +17,20 @@ _KNOWN = (*("camera", "frame", "individual", "instance"), *("keypoint", "x", "y"
 
 
 def sniff(document: Document) -> bool:
-    """A header with the columns that are needed."""
-    return set(document.header) >= _NEEDED
+    """A header with the columns that are needed; the wrong separator is recognised too, to be refused in words."""
+    return set(_cells(document)) >= _NEEDED
+
+
+def _cells(document: Document) -> list[str]:
+    """The header's cells, whatever separates them."""
+    return [cell.strip() for cell in re.split(r"[,;\t]", ",".join(document.header))]
 
 
 def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:  # noqa: ARG001 - a reader's signature
     """The detections of each camera in the table; of the file's camera where there is no column `camera`. Raises FormatError."""
     header, source = item.document.header, item.origin.source
+    if tuple(_cells(item.document)) != header:
+        raise malformed(source, "commas between cells and points in numbers", header[0], "export it so")
     if not _NEEDED <= set(header) <= set(_KNOWN) or {"individual", "instance"} <= set(header):
         expected = f"the columns {','.join(_KNOWN)} (individual or instance; camera, they and score may be absent)"
         raise malformed(source, expected, ",".join(header), "rename or remove columns")
