@@ -39,7 +39,7 @@ def moved(views: Sequence[Keypoints2D], options: ReadOptions) -> tuple[Keypoints
 
 
 def _moved(view: Keypoints2D, frames: int, pixels: tuple[float, float]) -> Keypoints2D:
-    if not frames and pixels == (0.0, 0.0):
+    if not len(view.frames) or (not frames and pixels == (0.0, 0.0)):
         return view
     first, last = (int(number) + frames for number in (view.frames[0], view.frames[-1]))
     if first < 0 or last >= 2**62:
