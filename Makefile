@@ -22,7 +22,7 @@ test-quick: .venv/tested
 	$(BIN)/python -m pytest -m "not slow"
 
 # damaged files of each of the formats
-FUZZ_EXAMPLES ?= 6000
+FUZZ_EXAMPLES ?= 5500
 fuzz: .venv/tested
 	FUZZ_EXAMPLES=$(FUZZ_EXAMPLES) $(BIN)/python -m pytest tests/test_fuzz.py tests/test_fuzz_outputs.py --durations=0
 

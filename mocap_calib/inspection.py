@@ -43,7 +43,7 @@ def _camera(view: Keypoints2D, config: InspectConfig) -> dict[str, Any]:
     return {
         "name": view.camera,
         "source": view.source,
-        "frames": {"count": len(view.frames), "first": int(view.frames.min(initial=0)), "last": int(view.frames.max(initial=0)), "gaps": _gaps(view.frames)},
+        "frames": _frames(view.frames),
         "detections": int(there.sum()),
         "most_at_once": int(there.sum(axis=1).max(initial=0)),
         "followed": view.tracked,
@@ -60,6 +60,11 @@ def _camera(view: Keypoints2D, config: InspectConfig) -> dict[str, Any]:
 
 def _seen(view: Keypoints2D) -> Bools:
     return np.asarray(np.isfinite(view.positions[..., 0]))
+
+
+def _frames(frames: Ints) -> dict[str, Any]:
+    first, last = (int(frames[0]), int(frames[-1])) if len(frames) else (None, None)
+    return {"count": len(frames), "first": first, "last": last, "gaps": _gaps(frames)}
 
 
 def _gaps(frames: Ints) -> list[list[int]]:

@@ -39,8 +39,9 @@ def moved(views: Sequence[Keypoints2D], options: ReadOptions) -> tuple[Keypoints
 
 
 def _moved(view: Keypoints2D, frames: int, pixels: tuple[float, float]) -> Keypoints2D:
-    if not frames and pixels == (0.0, 0.0):
+    if not len(view.frames) or (not frames and pixels == (0.0, 0.0)):
         return view
-    if not 0 <= int(view.frames.min(initial=0)) + frames <= int(view.frames.max(initial=0)) + frames < 2**62:
-        raise MismatchError(f"{view.source}: expected frame numbers from 0 on, found {view.frames.min() + frames} after the offset; change --frame-offset")
+    first, last = (int(number) + frames for number in (view.frames[0], view.frames[-1]))
+    if first < 0 or last >= 2**62:
+        raise MismatchError(f"{view.source}: expected frame numbers from 0 on, found {first} after the offset; change --frame-offset")
     return replace(view, frames=view.frames + frames, positions=view.positions + np.array(pixels))

@@ -1,8 +1,9 @@
 """caliscope's xy.csv: all cameras in one table, keypoints by number, frames by synchronisation index."""
 
-from mocap_calib.errors import FormatError
+import numpy as np
+
 from mocap_calib.io.document import Document, Item, ReadOptions
-from mocap_calib.io.long_table import Row, cells_of, number, views_of
+from mocap_calib.io.long_table import Points, cells_of, views_of
 from mocap_calib.io.reading import malformed
 from mocap_calib.types import Keypoints2D
 
@@ -19,21 +20,15 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     keypoint = next((name for name in ("keypoint_id", "point_id") if name in header), None)
     if camera is None or keypoint is None:
         raise malformed(source, "the columns cam_id (or port) and keypoint_id (or point_id)", ",".join(header), "export it from caliscope again")
-    rows = []
-    for place, cells in cells_of(item):
-        name = _name(cells[keypoint], options.layout, place)
-        x, y = number(cells["img_loc_x"], place), number(cells["img_loc_y"], place)
-        rows.append(Row(cells[camera], cells["sync_index"], cells.get("object_id", "0"), name, x, y, float("nan")))
-    return views_of(rows, item, tracked=True)
-
-
-def _name(cell: str, layout: tuple[str, ...], place: str) -> str:
-    if not layout:
-        return cell
-    if not cell.isascii() or not cell.isdigit() or len(cell) > 6 or int(cell) >= len(layout):
-        raise _beyond(cell, layout, place)
-    return layout[int(cell)]
-
-
-def _beyond(cell: str, layout: tuple[str, ...], place: str) -> FormatError:
-    return malformed(place, f"a number of a keypoint below {len(layout)}, as many as the layout has", cell, "give --layout with more names, or without")
+    cells = cells_of(item)
+    names = cells.columns[keypoint]
+    if options.layout:
+        known = {str(k): name for k, name in enumerate(options.layout)}
+        beyond = next((k for k, name in enumerate(names) if name not in known), None)
+        if beyond is not None:
+            expected = f"a number of a keypoint below {len(known)}, as many as the layout has"
+            raise malformed(cells.place(beyond), expected, names[beyond], "give --layout with more names, or leave it out")
+        names = tuple(map(known.__getitem__, names))
+    values = np.column_stack([cells.numbers("img_loc_x"), cells.numbers("img_loc_y"), np.full(len(cells), np.nan)])
+    who = cells.columns.get("object_id", ("0",) * len(cells))
+    return views_of(Points(cells.columns[camera], cells.columns["sync_index"], who, names, values), item, tracked=True)

@@ -37,7 +37,9 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:  # noqa: 
 def _table(file: Any, source: str) -> Table:
     kinds = {key: _text(item.attrs["pandas_type"]) for key, item in file.items() if "pandas_type" in item.attrs}
     if not kinds:
-        raise malformed(source, "a pandas table as DeepLabCut writes it", f"HDF5 with {', '.join(file) or 'nothing'}", "export DeepLabCut .csv or COCO")
+        raise malformed(
+            source, "a pandas table as DeepLabCut writes it", f"HDF5 with {', '.join(map(str, file)) or 'nothing'}", "export DeepLabCut .csv or COCO"
+        )
     if len(kinds) > 1:
         raise malformed(source, "one pandas table", f"{len(kinds)}: {', '.join(kinds)}", "which one? keep that one, or give its .csv")
     key, kind = next(iter(kinds.items()))

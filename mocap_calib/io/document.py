@@ -91,6 +91,8 @@ class Document:
         """The content as an open HDF5 file; None where it is none."""
         if not self.is_hdf5:
             return None
+        if _endless_heap(self.content):
+            raise malformed(self.source, "a whole HDF5 file", "a heap without an end", "the file is damaged: export it again")
         try:
             return h5py.File(io.BytesIO(self.content), "r")
         except HDF5_DAMAGE as error:
@@ -125,11 +127,26 @@ class Item:
         return map(Document, self.members) if self.members else iter((self.document,))
 
 
+def _endless_heap(content: bytes) -> bool:
+    """Whether a collection of HDF5's global heap has an object of such a size that libhdf5 (2.0 too) never comes to the next one."""
+    at = content.find(b"GCOL")
+    while at >= 0:
+        end = at + int.from_bytes(content[at + 8 : at + 16], "little")
+        place = at + 16
+        while place + 16 <= min(end, len(content)):
+            index, size = int.from_bytes(content[place : place + 2], "little"), int.from_bytes(content[place + 8 : place + 16], "little")
+            if size >= 2**63 or (index == 0 and size == 0):
+                return True
+            place += size if index == 0 else 16 + (size + 7) // 8 * 8  # free space counts its own header
+        at = content.find(b"GCOL", at + 4)
+    return False
+
+
 def describe(document: Document) -> str:
     """What a file of no known format looks like, in a few words."""
     content = document.json
     if document.hdf5 is not None:
-        return f"HDF5 with {', '.join(list(document.hdf5)[:8]) or 'nothing'}"
+        return f"HDF5 with {', '.join(map(str, list(document.hdf5)[:8])) or 'nothing'}"
     if isinstance(content, dict):
         return f"a JSON object with {', '.join(list(content)[:8]) or 'nothing'}"
     if isinstance(content, list):

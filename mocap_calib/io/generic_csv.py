@@ -3,10 +3,12 @@
 `individual` names the same body in all frames; a table of detections that nobody follows calls the column `instance`.
 """
 
+import re
+
 import numpy as np
 
 from mocap_calib.io.document import Document, Item, ReadOptions
-from mocap_calib.io.long_table import Row, cells_of, number, views_of
+from mocap_calib.io.long_table import Points, cells_of, views_of
 from mocap_calib.io.reading import malformed
 from mocap_calib.types import Keypoints2D
 
@@ -15,25 +17,31 @@ _KNOWN = (*("camera", "frame", "individual", "instance"), *("keypoint", "x", "y"
 
 
 def sniff(document: Document) -> bool:
-    """A header with the columns that are needed."""
-    return set(document.header) >= _NEEDED
+    """A header with the columns that are needed; the wrong separator is recognised too, to be refused in words."""
+    return set(_cells(document)) >= _NEEDED
+
+
+def _cells(document: Document) -> list[str]:
+    """The header's cells, whatever separates them."""
+    return [cell.strip() for cell in re.split(r"[,;\t]", ",".join(document.header))]
 
 
 def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:  # noqa: ARG001 - a reader's signature
     """The detections of each camera in the table; of the file's camera where there is no column `camera`. Raises FormatError."""
     header, source = item.document.header, item.origin.source
+    if tuple(_cells(item.document)) != header:
+        raise malformed(source, "commas between cells and points in numbers", header[0], "export it so")
     if not _NEEDED <= set(header) <= set(_KNOWN) or {"individual", "instance"} <= set(header):
         expected = f"the columns {','.join(_KNOWN)} (individual or instance; camera, they and score may be absent)"
         raise malformed(source, expected, ",".join(header), "rename or remove columns")
-    rows = []
-    for place, cells in cells_of(item):
-        camera = cells.get("camera", item.camera)
-        if "camera" in cells and not camera:
-            raise malformed(place, "the camera's name", "an empty cell", "fill it, or remove the column")
-        who = cells.get("individual", cells.get("instance", "0"))
-        x, y, score = (number(cells.get(name, ""), place) for name in ("x", "y", "score"))
-        rows.append(Row(camera, cells["frame"], who, cells["keypoint"], x, y, score))
-    return views_of(rows, item, tracked="instance" not in header)
+    cells = cells_of(item)
+    cameras = cells.columns.get("camera", (item.camera,) * len(cells))
+    if "camera" in header and not all(cameras):
+        raise malformed(cells.place(cameras.index("")), "the camera's name", "an empty cell", "fill it, or remove the column")
+    who = cells.columns.get("individual", cells.columns.get("instance", ("0",) * len(cells)))
+    values = np.column_stack([cells.numbers(name) for name in ("x", "y", "score")])
+    points = Points(cameras, cells.columns["frame"], who, cells.columns["keypoint"], values)
+    return views_of(points, item, tracked="instance" not in header)
 
 
 def write(views: tuple[Keypoints2D, ...]) -> dict[str, bytes]:

@@ -15,6 +15,8 @@ from mocap_calib.types import Ints
 
 _MOST_PACKED = 1100  # times that deflate can make bytes of zeros fewer
 
+_REMEDY = "the file is cut or damaged: export it again"
+
 
 @contextmanager
 def damage_refused(source: str, expected: str, remedy: str) -> Iterator[None]:
@@ -36,13 +38,14 @@ def text(value: Any) -> str:
 
 def children_attributes(document: Document) -> list[dict[str, Any]]:
     """The attributes of what lies at the top of an HDF5 file. Raises FormatError."""
-    with damage_refused(document.source, "a whole HDF5 file", "the file is cut or damaged: export it again"):
+    with damage_refused(document.source, "a whole HDF5 file", _REMEDY):
         return [dict(item.attrs) for item in document.hdf5.values()]
 
 
 def keys(document: Document) -> set[str]:
     """The names of what lies at the top of an HDF5 file; nothing for other files."""
-    return set() if document.hdf5 is None else set(document.hdf5)
+    with damage_refused(document.source, "a whole HDF5 file", _REMEDY):
+        return set() if document.hdf5 is None else set(map(text, document.hdf5))
 
 
 def array(group: Any, name: str, source: str) -> NDArray[Any]:

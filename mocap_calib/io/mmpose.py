@@ -53,8 +53,6 @@ def _view(item: Item, options: ReadOptions, numbers: list[int], detections: list
     count = max((len(points) for found in detections for points in found), default=0)
     if count == 0:
         raise malformed(source, "instances in one of its frames", f"none in {len(detections)} frames", "check the detector's output")
-    if any(len(points) != count for found in detections for points in found):
-        raise malformed(source, f"{count} keypoints in every instance", "others too", "keep the detections of one model")
     names = layout_for(count, options.layout or own, source)
     return (make_view(item.origin, names, numbers, stacked(detections, count, source), tracked=False, rows=rows),)
 

@@ -17,7 +17,8 @@ _DEPTH = 6  # how far below the top poses are looked for
 
 def sniff(document: Document) -> bool:
     """HDF5 with NWB's mark."""
-    return document.hdf5 is not None and ("nwb_version" in document.hdf5.attrs or {"processing", "session_description"} <= keys(document))
+    with damage_refused(document.source, "a whole HDF5 file", _REMEDY):
+        return {"processing"} <= keys(document) and ("nwb_version" in document.hdf5.attrs or "session_description" in document.hdf5)
 
 
 def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:  # noqa: ARG001 - a reader's signature

@@ -143,6 +143,9 @@ def blank(frames: int, instances: int, keypoints: int, source: str) -> Floats:
 
 def stacked(detections: Sequence[Sequence[Floats]], keypoints: int, source: str) -> Floats:
     """`[frame, instance, keypoint, 3]` of each frame's `[keypoint, 3]` detections; those of (0, 3) have no point. Raises FormatError."""
+    odd = next((len(points) for found in detections for points in found if len(points) not in (0, keypoints)), None)
+    if odd is not None:
+        raise malformed(source, f"{keypoints} keypoints in every detection", f"{odd} in one", "keep the detections of one model")
     values = blank(len(detections), max(map(len, detections), default=0), keypoints, source)
     for row, found in zip(values, detections, strict=True):
         for target, points in zip(row, found, strict=False):

@@ -50,9 +50,6 @@ def _read(item: Item, options: ReadOptions, sure: tuple[str, ...]) -> tuple[Keyp
     if count == 0:
         raise malformed(source, "numbers in one of its `keypoints`", "none", "export the keypoints too")
     names = layout_for(count, options.layout, source, sure)
-    short = next((k for k, found in enumerate(points) if len(found) not in (0, count)), None)
-    if short is not None:
-        raise malformed(f"{source}: entry {short}", f"{3 * count} numbers", 3 * len(points[short]), "keep the detections of one model")
     images = [str(entry["image_id"]) for entry in entries]
     return tuple(
         _view(Origin(camera, source), [images[k] for k in own], [points[k] for k in own], names, options)

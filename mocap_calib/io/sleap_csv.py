@@ -1,7 +1,11 @@
 """SLEAP's analysis .csv: a row per detection, `track,frame_idx,instance.score,<node>.x,<node>.y,<node>.score`."""
 
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
 from mocap_calib.io.document import Document, Item, ReadOptions
-from mocap_calib.io.long_table import Row, cells_of, number, views_of
+from mocap_calib.io.long_table import Points, cells_of, views_of
 from mocap_calib.io.reading import malformed
 from mocap_calib.types import Keypoints2D
 
@@ -17,15 +21,19 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:  # noqa: 
     nodes = [name.removesuffix(".x") for name in header if name.endswith(".x")]
     if not nodes or not all(f"{node}.y" in header for node in nodes):
         raise malformed(source, "columns <node>.x and <node>.y", ",".join(header), "export the analysis .csv from SLEAP again")
-    detections = list(cells_of(item))
-    tracked = all(cells["track"] for _, cells in detections)
+    cells = cells_of(item)
+    frames, tracks = cells.columns["frame_idx"], cells.columns["track"]
+    tracked = all(tracks)
+    who = tracks if tracked else tuple(_places(frames))
+    values = np.concatenate([np.column_stack([cells.numbers(f"{node}.{part}") for part in ("x", "y", "score")]) for node in nodes])
+    names = [node for node in nodes for _ in frames]
+    points = Points((item.camera,) * len(names), frames * len(nodes), who * len(nodes), names, values)
+    return views_of(points, item, tracked, ("frames without a detection are not in the file",))
+
+
+def _places(frames: Sequence[str]) -> Iterator[str]:
+    """The number of each row among those of its frame."""
     seen: dict[str, int] = {}
-    rows = []
-    for place, cells in detections:
-        frame = cells["frame_idx"]
-        who = cells["track"] if tracked else str(seen.get(frame, 0))
+    for frame in frames:
+        yield str(seen.get(frame, 0))
         seen[frame] = seen.get(frame, 0) + 1
-        for node in nodes:
-            x, y, score = (number(cells.get(f"{node}.{part}", ""), place) for part in ("x", "y", "score"))
-            rows.append(Row(item.camera, frame, who, node, x, y, score))
-    return views_of(rows, item, tracked, ("frames without a detection are not in the file",))

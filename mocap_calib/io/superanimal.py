@@ -22,8 +22,6 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     count = max((len(points) for found in frames for points in found), default=0)
     if count == 0:
         raise malformed(source, "individuals in one of its frames", f"none in {len(frames)} frames", "check the detector's output")
-    if any(len(points) != count for found in frames for points in found):
-        raise malformed(source, f"{count} body parts in every individual", "others too", "export it again")
     names = layout_for(count, options.layout, source)
     return (make_view(item.origin, names, range(len(frames)), stacked(frames, count, source), tracked=False),)
 
