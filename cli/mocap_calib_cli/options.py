@@ -13,8 +13,10 @@ Option = Callable[[Command], Command]
 STDIO = "-"
 
 keypoints = click.argument("keypoints", nargs=-1, required=True, metavar="KEYPOINTS...")
-cameras = click.option("--cameras", required=True, metavar="INTRINSICS", help="File with the cameras' intrinsics (TOML or YAML), or folder of such files.")
-rig = click.option("--rig", required=True, metavar="CAMERAS", help="File with cameras and where they stand (cameras.yaml, calibration.toml); - reads stdin.")
+cameras = click.option(
+    "--cameras", required=True, metavar="INTRINSICS", help="File or folder with the cameras' intrinsics, in any format of docs/formats.md; - reads stdin."
+)
+rig = click.option("--rig", required=True, metavar="CAMERAS", help="File or folder with cameras and where they stand (docs/formats.md); - reads stdin.")
 matches = click.option("--matches", required=True, metavar="MATCHES", help="File of the command `match`; - reads stdin.")
 skeleton = click.option("--skeleton", type=click.Path(path_type=Path), metavar="FILE.yaml", help="Your names of joints: a mapping `aliases`, own name: joint.")
 seed = click.option("--seed", type=click.IntRange(min=0), default=0, help="The same seed gives the same results.")
