@@ -264,3 +264,18 @@ def test_an_h5_of_something_else_is_refused(tmp_path):
         file["tracks"] = np.zeros((3, 2))
     with pytest.raises(FormatError, match="one of"):
         read_poses(tmp_path / "x.h5")
+
+
+def test_a_heap_that_hdf5_reads_for_ever_is_refused():
+    """The free rest of a heap of texts says it is of size 0 (found by fuzzing; HDF5 does not come back)."""
+    files, _ = format_poses(example(1), "sleap-anipose", Path("x"))
+    content = bytearray(files["x"])
+    at = content.index(b"GCOL") + 16
+    while content[at : at + 2] != b"\x00\x00":
+        at += 16 + (int.from_bytes(content[at + 8 : at + 16], "little") + 7) // 8 * 8
+    content[at + 8 : at + 16] = bytes(8)
+    for name in (None, "sleap-anipose"):
+        with pytest.raises(FormatError):
+            parse_poses(bytes(content), "x", name)
+    with pytest.raises(FormatError, match="heap"):
+        parse_poses(bytes(content), "x", "sleap-anipose")

@@ -11,6 +11,7 @@ from typing import Any
 
 import h5py
 
+from mocap_calib.io.heaps import check_heaps
 from mocap_calib.io.reading import Origin, decode, malformed, read_bytes
 
 # what h5py and numpy raise on files that are cut, damaged or compressed with a filter that is not installed
@@ -94,6 +95,7 @@ class Document:
         if _endless_heap(self.content):
             raise malformed(self.source, "a whole HDF5 file", "a heap without an end", "the file is damaged: export it again")
         try:
+            check_heaps(self.content)
             return h5py.File(io.BytesIO(self.content), "r")
         except HDF5_DAMAGE as error:
             raise malformed(self.source, "a whole HDF5 file", f"an error ({error})", "the file is cut or damaged: export it again") from None

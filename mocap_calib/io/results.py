@@ -139,7 +139,7 @@ def read_poses_h5(path: Path) -> Poses3D:
 def parse_poses_h5(content: bytes, source: str) -> Poses3D:
     """The inverse of `poses_to_h5`. Raises FormatError."""
     try:
-        with h5py.File(io.BytesIO(content), "r") as file:
+        with hdf5.opened(content) as file:
             if file.attrs["format"] != "mocap-calib poses" or file.attrs["version"] != VERSION:
                 raise ValueError(f"format {file.attrs['format']}, version {file.attrs['version']}")
             keypoints = hdf5.names(file, "keypoint_names", source)
