@@ -176,3 +176,9 @@ def test_run_knows_before_it_starts_what_it_cannot_write(tool, small, tmp_path, 
     assert (done.returncode, done.stdout) == (1, "")
     assert reason in done.stderr
     assert not (tmp_path / "out").exists()
+
+
+def test_every_format_is_documented():
+    text = (Path(__file__).parents[1] / "docs" / "formats.md").read_text("utf-8")
+    for name in (*CAMERA_FORMAT_NAMES, *POSE_FORMAT_NAMES):
+        assert f"\n| `{name}` |" in text, name
