@@ -87,12 +87,12 @@ def test_the_command_says_it_as_text_and_as_json(tmp_path, tool):
     assert (done.returncode, done.stderr) == (0, "")
     assert "nothing stands in the way" in done.stdout
     assert "\x1b" not in done.stdout
-    (tmp_path / "b.json").write_text('{"images": []')
+    (tmp_path / "a.json").write_text('{"images": []')
     done = tool("inspect", tmp_path)
     assert done.returncode == 1
     lines = [line for line in done.stdout.splitlines() if line.startswith("CRITICAL: ")]
     assert len(lines) == 2  # the file, and that one camera is left
-    assert str(tmp_path / "b.json") in lines[0]
+    assert str(tmp_path / "a.json") in lines[0]
     report = json.loads(tool("inspect", tmp_path, "--json").stdout)
     assert [each["level"] for each in report["findings"]] == ["CRITICAL", "CRITICAL"]
-    assert report["cameras"][0]["name"] == "a"
+    assert report["cameras"][0]["name"] == "b"
