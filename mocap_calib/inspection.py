@@ -1,7 +1,7 @@
 """What is in keypoint files, before any calibration: numbers per camera and per pair, and what stands in the way of a run."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from mocap_calib.config import InspectConfig
 from mocap_calib.errors import MismatchError
-from mocap_calib.recording import make_recording, name_mapping
+from mocap_calib.recording import make_recording, name_mapping, of_cameras
 from mocap_calib.skeleton import SHIPPED, choose_skeleton, load_skeleton, match_names, normalise_name
 from mocap_calib.types import Bools, Camera, Floats, Ints, Keypoints2D
 
@@ -32,6 +32,12 @@ def inspect_views(views: Sequence[Keypoints2D], config: InspectConfig) -> dict[s
         "pairs": [_pair(a, b) for a, b in combinations(views, 2)],
         "model": {"name": skeleton.name, "knows": int(known.sum()), "unknown": [n for n, k in zip(names, known, strict=True) if not k]},
     }
+
+
+def with_sizes(views: Sequence[Keypoints2D], cameras: Sequence[Camera]) -> tuple[Keypoints2D, ...]:
+    """The views, with the image sizes of the cameras of their names where their files have none."""
+    sizes = [next((camera.size for camera in cameras if of_cameras([view], [camera])), (0, 0)) for view in views]
+    return tuple(replace(view, image_size=size) if view.image_size == (0, 0) else view for view, size in zip(views, sizes, strict=True))
 
 
 def _camera(view: Keypoints2D, config: InspectConfig) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from keypoint_files import dlc_columns, dlc_csv, dlc_h5_fixed, dlc_values
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.formats2d import read_keypoints
 from mocap_calib.types import Camera
-from mocap_calib_cli.inputs import read_recording
+from mocap_calib_cli.inputs import hashes, read_recording
 from mocap_calib_cli.progress import Reporter
 
 NAMES = ("nose", "left_eye", "right_eye", "left_ear")
@@ -62,3 +62,15 @@ def test_nothing_is_said_where_all_frames_are_shared(twins, capsys):
     twins.joinpath("b.h5").write_bytes(twins.joinpath("a.h5").read_bytes())
     read(twins)
     assert "single camera" not in capsys.readouterr().err
+
+
+def test_a_folder_of_frames_has_one_hash_for_its_files_and_names(tmp_path):
+    for camera in ("a_json", "b_json"):
+        (tmp_path / camera).mkdir()
+        (tmp_path / camera / "0.json").write_text("{}")
+    before = hashes([tmp_path])
+    assert sorted(before) == [str(tmp_path / "a_json"), str(tmp_path / "b_json")]
+    (tmp_path / "a_json" / "0.json").rename(tmp_path / "a_json" / "1.json")
+    after = hashes([tmp_path])
+    assert before[str(tmp_path / "a_json")] != after[str(tmp_path / "a_json")]
+    assert before[str(tmp_path / "b_json")] == after[str(tmp_path / "b_json")]

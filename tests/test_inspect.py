@@ -8,7 +8,7 @@ import pytest
 from keypoint_files import coco_bytes
 
 from mocap_calib.config import InspectConfig
-from mocap_calib.inspection import findings, inspect_views
+from mocap_calib.inspection import findings, inspect_views, with_sizes
 from mocap_calib.types import Camera, Keypoints2D
 
 NAMES = ("nose", "left_eye", "right_eye", "left_ear", "right_ear")
@@ -44,6 +44,11 @@ def test_coverage_is_that_of_the_image():
     assert inspect_views([corner], InspectConfig())["cameras"][0]["image"]["covered"] == pytest.approx(0.04)
     corner.positions[0] = 1500.0
     assert inspect_views([corner], InspectConfig())["cameras"][0]["image"]["outside"] == pytest.approx(1 / 400)
+
+
+def test_the_cameras_say_the_size_of_images_that_the_files_do_not():
+    views = with_sizes([view("a", size=(0, 0)), view("b", size=(0, 0)), view("Cam_1")], (camera("A"), camera("cam1", (8, 8))))
+    assert [each.image_size for each in views] == [SIZE, (0, 0), SIZE]
 
 
 @pytest.mark.parametrize("frames", [0, 1])
@@ -82,12 +87,12 @@ def test_the_command_says_it_as_text_and_as_json(tmp_path, tool):
     assert (done.returncode, done.stderr) == (0, "")
     assert "nothing stands in the way" in done.stdout
     assert "\x1b" not in done.stdout
-    (tmp_path / "b.json").write_text('{"images": []')
+    (tmp_path / "a.json").write_text('{"images": []')
     done = tool("inspect", tmp_path)
     assert done.returncode == 1
     lines = [line for line in done.stdout.splitlines() if line.startswith("CRITICAL: ")]
     assert len(lines) == 2  # the file, and that one camera is left
-    assert str(tmp_path / "b.json") in lines[0]
+    assert str(tmp_path / "a.json") in lines[0]
     report = json.loads(tool("inspect", tmp_path, "--json").stdout)
     assert [each["level"] for each in report["findings"]] == ["CRITICAL", "CRITICAL"]
-    assert report["cameras"][0]["name"] == "a"
+    assert report["cameras"][0]["name"] == "b"

@@ -210,6 +210,16 @@ def plain_paths(arguments: Iterable[str]) -> list[str]:
 
 
 def hashes(paths: Iterable[str | Path]) -> dict[str, str]:
-    """Path -> SHA-256 of each regular file, and of those below each folder; a pipe has been read and is left out."""
-    files = [file for path in map(Path, paths) for file in (sorted(path.rglob("*")) if path.is_dir() else [path])]
-    return {str(file): hashlib.sha256(file.read_bytes()).hexdigest() for file in files if file.is_file()}
+    """Path -> SHA-256 of each regular file and of what lies in each folder; a pipe has been read and is left out.
+
+    A folder within a folder, such as that of a camera's frames, has one for all its files and their names.
+    """
+    found = [each for path in map(Path, paths) for each in (sorted(path.iterdir()) if path.is_dir() else [path])]
+    return {str(path): _hash(path) for path in found if path.is_file() or path.is_dir()}
+
+
+def _hash(path: Path) -> str:
+    if path.is_file():
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    files = [f"{file.relative_to(path)} {_hash(file)}" for file in sorted(path.rglob("*")) if file.is_file()]
+    return hashlib.sha256("\n".join(files).encode()).hexdigest()

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from mocap_calib.errors import MismatchError, MocapCalibError
+from mocap_calib.errors import FormatError, MismatchError, MocapCalibError
 from mocap_calib.io import (
     caliscope,
     coco,
@@ -95,7 +95,7 @@ def read_what_can(
     options = options or ReadOptions()
     if format is not None:
         _known(format)
-    items = keypoint_items(paths, options, lambda item: _format(item.document, format).per_frame)
+    items = keypoint_items(paths, options, lambda item: _per_frame(item, format))
     _check_once([(item.camera, str(item.path)) for item in items if item.camera])
     views: list[Keypoints2D] = []
     errors: list[MocapCalibError] = []
@@ -153,6 +153,14 @@ def _format(document: Document, name: str | None) -> KeypointFormat:
         if known.sniff(document):
             return known
     raise malformed(document.source, f"one of: {', '.join(KEYPOINT_FORMATS)}", describe(document), "export one of these")
+
+
+def _per_frame(item: Item, name: str | None) -> bool:
+    """Whether the files of a folder are the frames of one camera; a file that cannot be told is complained of when it is read."""
+    try:
+        return _format(item.document, name).per_frame
+    except FormatError:
+        return False
 
 
 def _read(item: Item, name: str | None, options: ReadOptions) -> tuple[Keypoints2D, ...]:

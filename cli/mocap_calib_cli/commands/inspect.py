@@ -26,7 +26,7 @@ def command(reading: dict[str, Any], keypoints: tuple[str, ...], cameras: str | 
       mocap-calib inspect openpose/ --layout body_25b --json
     """
     from mocap_calib.config import InspectConfig
-    from mocap_calib.inspection import Finding, findings, inspect_views
+    from mocap_calib.inspection import Finding, findings, inspect_views, with_sizes
     from mocap_calib.io.formats2d import read_what_can
     from mocap_calib.skeleton import choose_skeleton, load_aliases
     from mocap_calib_cli import inputs
@@ -35,7 +35,7 @@ def command(reading: dict[str, Any], keypoints: tuple[str, ...], cameras: str | 
     known = inputs.cameras_of(cameras) if cameras else ()
     names = tuple(dict.fromkeys(name for view in views for name in view.keypoints))
     aliases = load_aliases(skeleton, choose_skeleton(names)) if skeleton else {}
-    report = inspect_views(views, InspectConfig())
+    report = inspect_views(with_sizes(views, known), InspectConfig())
     found = [*(Finding(True, str(error)) for error in errors), *findings(views, report, known, aliases, InspectConfig())]
     report["findings"] = [{"level": "CRITICAL" if each.critical else "WARNING", "message": each.message} for each in found]
     if as_json:

@@ -40,8 +40,8 @@ def command(
 ) -> None:
     """Calibrates the cameras that saw KEYPOINTS, finds who is who, and triangulates the poses.
 
-    KEYPOINTS: a folder with one file per camera, or files, or name=path pairs. The name of a camera is the stem of its
-    file; it must be a name in INTRINSICS.
+    KEYPOINTS: a folder with a file or a folder per camera, or files, or name=path pairs, or a file of all cameras. The name
+    of a camera is that of its file or folder; it must be a name in INTRINSICS. docs/formats.md lists the formats.
 
     \b
     Example:
