@@ -1,5 +1,6 @@
 """Camera formats: what is written comes back, two formats of a rig agree, real files load, bad ones are refused in a line."""
 
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -143,6 +144,23 @@ def test_files_are_recognised_and_written_the_same_twice(name, tmp_path):
     one, two = ({f.name: f.read_bytes() for f in ([p] if p.is_file() else p.iterdir())} for p in (tmp_path / "0", tmp_path / "1"))
     assert sorted(one.values()) == sorted(two.values())
     assert len(load_cameras(tmp_path / "0").cameras) == 3
+
+
+def test_a_folder_with_another_rig_is_refused(tmp_path):
+    write_cameras(tmp_path / "cams", studio("opencv"), "opencv")
+    write_cameras(tmp_path / "cams", studio("opencv"), "opencv")
+    other = studio("opencv")
+    other = replace(other, cameras=tuple(replace(camera, name=f"other{k}") for k, camera in enumerate(other.cameras)))
+    with pytest.raises(MismatchError, match=r"cam0\.yml"):
+        write_cameras(tmp_path / "cams", other, "opencv")
+    assert len(load_cameras(tmp_path / "cams").cameras) == 3
+
+
+@pytest.mark.parametrize("text", ["\n" * 200_000, " \n" * 100_000, "[" * 200_000, "a" * 1_000_000, "a:\n" * 100_000])
+def test_long_nothings_are_refused_at_once(text):
+    begun = time.perf_counter()
+    assert complaint(lambda: parse_content(text.encode(), "x"))
+    assert time.perf_counter() - begun < 20  # 3 s for a megabyte of YAML on a busy machine
 
 
 # --- what other programs wrote

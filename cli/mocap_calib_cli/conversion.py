@@ -11,7 +11,6 @@ import click
 import numpy as np
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.io.atomic import folder
 from mocap_calib.io.camera_formats.source import CameraFile
 from mocap_calib.io.cameras import load_cameras, looks_like_cameras, make_rig, parse_content
 from mocap_calib.io.formats2d import KEYPOINT_FORMATS, write_keypoints
@@ -236,11 +235,9 @@ def write_formats(output: Path, rig: CameraRig, file: PoseFile, names: tuple[str
     said = []
     for name in names:
         if name in CAMERA_FORMAT_NAMES:
-            written = format_rig(rig, name, source)
-            with folder(output / name) as work:
-                for called, content in written.files.items():
-                    (work / called).write_bytes(content)
-            lost = written.lost
+            called = next(iter(format_rig(rig, name, source).files))
+            path = output / name if camera_format(name).folder else output / name / called
+            lost = write_cameras(path, rig, name, source)
         else:
             path = output / (f"poses3d{''.join(pose_format(name).endings)}" if pose_format(name).endings else "points3d.h5")
             lost = write_poses(path, file, name)

@@ -92,6 +92,14 @@ def format_rig(rig: CameraRig, name: str, provenance: Mapping[str, Any]) -> Writ
     return target.write(rig, provenance)
 
 
+def _check_strangers(path: Path, written: Written) -> None:
+    """Raises MismatchError where the folder has files of the same kind, which would join the rig or contradict it."""
+    endings = {Path(name).suffix for name in written.files}
+    strangers = sorted(file.name for file in path.glob("*") if file.suffix in endings and file.name not in written.files)
+    if strangers:
+        raise MismatchError(f"{path}: expected a new folder or one with the same files, found {strangers[0]}: choose another or remove it")
+
+
 def write_cameras(path: Path, rig: CameraRig, name: str, provenance: Mapping[str, Any] | None = None) -> tuple[str, ...]:
     """Writes the rig in the format, atomically: to the file `path`, or to the folder where the format is several files.
 
@@ -99,6 +107,7 @@ def write_cameras(path: Path, rig: CameraRig, name: str, provenance: Mapping[str
     """
     written = format_rig(rig, name, provenance or {})
     if camera_format(name).folder:
+        _check_strangers(path, written)
         with folder(path) as work:
             for file, content in written.files.items():
                 (work / file).write_bytes(content)

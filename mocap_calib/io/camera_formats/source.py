@@ -21,7 +21,7 @@ from mocap_calib.types import Camera, CameraRig, Floats
 
 _YAML_ROOM = 4_000_000  # bytes; PyYAML reads a megabyte in seconds, and a camera takes a kilobyte
 _YAML_LEVELS = 50
-_TOML = r"^\s*\[\[?[\w .\"'-]+\]\]?\s*(#.*)?$|^[\w\"' .-]+="
+_TOML = r"^[ \t]*\[\[?[\w .\"'-]+\]\]?\s*(#.*)?$|^[\w\"' .-]+="
 _BINARY = (b"MATLAB", b"\x89HDF", b"\x00")
 
 
