@@ -5,7 +5,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALL := $(BIN)/pip install --disable-pip-version-check -c constraints.txt
 
-.PHONY: demo test test-quick lint benchmark cli-docs clean
+.PHONY: demo test test-quick fuzz lint benchmark cli-docs clean
 
 demo: .venv/installed
 	@echo "== three people, four cameras, nobody knows who is who =="
@@ -20,6 +20,11 @@ test: .venv/tested
 
 test-quick: .venv/tested
 	$(BIN)/python -m pytest -m "not slow"
+
+# damaged files of each of the formats
+FUZZ_EXAMPLES ?= 5500
+fuzz: .venv/tested
+	FUZZ_EXAMPLES=$(FUZZ_EXAMPLES) $(BIN)/python -m pytest tests/test_fuzz.py tests/test_fuzz_outputs.py --durations=0
 
 lint: .venv/tested
 	$(BIN)/ruff check .

@@ -21,7 +21,7 @@ from protocol_scenes import KINDS, Subjects, Truth, scene
 from mocap_calib.config import Config
 from mocap_calib.geometry.rotation import angle_between, direction_angle
 from mocap_calib.io.cameras import read_cameras, read_rig
-from mocap_calib.io.keypoints import read_keypoints
+from mocap_calib.io.formats2d import read_keypoints
 from mocap_calib.pipeline import calibrate
 from mocap_calib.recording import make_recording, select_views, slice_frames
 from mocap_calib.skeleton import load_skeleton
@@ -172,7 +172,7 @@ def detectors(options: argparse.Namespace) -> None:
 
 def _real_pairs(folder: Path, count: int, seed: int) -> tuple[list[Problem], list[Truth]]:
     """Pairs of views and frames in which at least two known people, or one where no frame has more, are in both views."""
-    files = [read_keypoints(path, path.stem) for path in sorted((folder / "keypoints").iterdir())]
+    files = read_keypoints([folder / "keypoints"])
     recording = make_recording(files, read_cameras(folder / "intrinsics.toml"), load_skeleton("people"), {})
     rig = read_rig(folder / "reference.toml")
     order = [rig.names.index(name) for name in recording.names]

@@ -151,6 +151,18 @@ class Config:
 
 
 @dataclass(frozen=True)
+class InspectConfig:
+    """What `inspect` calls worth a word."""
+
+    cells: int = 10  # of the grid over the image, each way
+    normalised: float = 1.5  # positions no larger than this are shares of the image
+    outside: float = 0.01  # share of the points outside the image
+    enough_frames: int = 20  # that two cameras see together
+    low_confidence: float = 0.1
+    gaps: float = 0.1  # share of the frame numbers between the first and the last
+
+
+@dataclass(frozen=True)
 class SimulateConfig:
     """A synthetic recording. Lengths in metres; people walk in a square 0.9 radii wide."""
 

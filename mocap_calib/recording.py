@@ -48,18 +48,18 @@ def make_recording(views: Sequence[Keypoints2D], cameras: Sequence[Camera], skel
 
 
 def name_mapping(views: Sequence[Keypoints2D], cameras: Sequence[Camera]) -> list[tuple[str, str]]:
-    """(source of the keypoints, name of the camera) for each view: by exact name, else regardless of case.
+    """(source of the keypoints, name of the camera) for each view: by exact name, else regardless of case and of marks (`cam01`, `Cam_01`).
 
     Raises MismatchError for keypoints without a camera, and for two files of one camera.
     """
     exact = {camera.name for camera in cameras}
-    folded = [camera.name.casefold() for camera in cameras]
+    folded = [_folded(camera.name) for camera in cameras]
     pairs: list[tuple[str, str]] = []
     for view in views:
-        close = [camera.name for camera in cameras if camera.name.casefold() == view.camera.casefold()]
+        close = [camera.name for camera in cameras if _folded(camera.name) == _folded(view.camera)]
         if view.camera in exact:
             pairs.append((view.source, view.camera))
-        elif folded.count(view.camera.casefold()) == 1:
+        elif folded.count(_folded(view.camera)) == 1:
             pairs.append((view.source, close[0]))
     if len(pairs) < len(views):
         listed = (", ".join(names) or "none" for names in ([view.camera for view in views], [camera.name for camera in cameras]))
@@ -70,6 +70,17 @@ def name_mapping(views: Sequence[Keypoints2D], cameras: Sequence[Camera]) -> lis
         found = f"{' and '.join(twice[:2])} for camera {dict(pairs)[twice[0]]}"
         raise MismatchError(f"expected one keypoint file per camera, found {found}; remove or rename one")
     return pairs
+
+
+def of_cameras(views: Sequence[Keypoints2D], cameras: Sequence[Camera]) -> tuple[Keypoints2D, ...]:
+    """The views whose name is one of the cameras', as `name_mapping` compares them."""
+    known = {_folded(camera.name) for camera in cameras}
+    return tuple(view for view in views if _folded(view.camera) in known)
+
+
+def _folded(name: str) -> str:
+    """The letters and digits of a name."""
+    return "".join(character for character in name.casefold() if character.isalnum())
 
 
 def usable(views: Sequence[Keypoints2D]) -> tuple[Keypoints2D, ...]:

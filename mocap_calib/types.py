@@ -7,7 +7,7 @@ Missing is NaN in floats and -1 in labels. docs/conventions.md says the rest.
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -130,6 +130,8 @@ class Keypoints2D:
     file order (for files with one column per individual: the column's position). confidence: `[frame,
     instance, keypoint]`, as the file has it, 0 = missing. tracked: the instance index names the same
     individual in all frames of this file. image_size: (width, height), (0, 0) where the file does not say.
+    missing: how many points each custom of the file ("(0, 0)", "empty or NaN", ...) marks as missing; remarks: what a
+    person should know of the file, a line each. The latter two are for `inspect`; no stage looks at them.
     """
 
     camera: str
@@ -140,6 +142,8 @@ class Keypoints2D:
     tracked: bool
     image_size: tuple[int, int]
     source: str
+    missing: dict[str, int] = field(default_factory=dict, compare=False)
+    remarks: tuple[str, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
         frames, instances, keypoints = self.positions.shape[:3]

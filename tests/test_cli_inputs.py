@@ -7,8 +7,9 @@ import pytest
 from keypoint_files import dlc_columns, dlc_csv, dlc_h5_fixed, dlc_values
 
 from mocap_calib.errors import MismatchError
+from mocap_calib.io.formats2d import read_keypoints
 from mocap_calib.types import Camera
-from mocap_calib_cli.inputs import keypoint_files, read_recording
+from mocap_calib_cli.inputs import hashes, read_recording
 from mocap_calib_cli.progress import Reporter
 
 NAMES = ("nose", "left_eye", "right_eye", "left_ear")
@@ -32,7 +33,7 @@ def read(folder, *arguments):
 
 
 def test_an_h5_is_preferred_to_the_csv_beside_it_and_that_is_said(twins, capsys):
-    assert keypoint_files([str(twins)]) == [(name, twins / f"{name}.h5") for name in "ab"]
+    assert [(view.camera, view.source) for view in read_keypoints([twins])] == [(name, str(twins / f"{name}.h5")) for name in "ab"]
     assert read(twins)[0].names == ("a", "b")
     said = capsys.readouterr()
     assert said.out == ""
@@ -43,13 +44,13 @@ def test_files_that_are_named_are_read(twins, capsys):
     read(twins, twins / "a.csv", twins / "b.h5")
     assert "beside" not in capsys.readouterr().err
     with pytest.raises(MismatchError, match="one keypoint file per camera"):
-        keypoint_files([str(twins / "a.csv"), str(twins / "a.h5")])
+        read_keypoints([twins / "a.csv", twins / "a.h5"])
 
 
 def test_a_third_file_of_one_name_is_refused(twins):
     (twins / "a.json").write_text("{}")
     with pytest.raises(MismatchError, match="one keypoint file per camera"):
-        keypoint_files([str(twins)])
+        read_keypoints([twins])
 
 
 def test_detections_of_a_single_camera_are_counted(twins, capsys):
@@ -61,3 +62,15 @@ def test_nothing_is_said_where_all_frames_are_shared(twins, capsys):
     twins.joinpath("b.h5").write_bytes(twins.joinpath("a.h5").read_bytes())
     read(twins)
     assert "single camera" not in capsys.readouterr().err
+
+
+def test_a_folder_of_frames_has_one_hash_for_its_files_and_names(tmp_path):
+    for camera in ("a_json", "b_json"):
+        (tmp_path / camera).mkdir()
+        (tmp_path / camera / "0.json").write_text("{}")
+    before = hashes([tmp_path])
+    assert sorted(before) == [str(tmp_path / "a_json"), str(tmp_path / "b_json")]
+    (tmp_path / "a_json" / "0.json").rename(tmp_path / "a_json" / "1.json")
+    after = hashes([tmp_path])
+    assert before[str(tmp_path / "a_json")] != after[str(tmp_path / "a_json")]
+    assert before[str(tmp_path / "b_json")] == after[str(tmp_path / "b_json")]

@@ -13,7 +13,7 @@ from scenes import PEOPLE, precision, rotation_errors_deg
 from mocap_calib.config import Config
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.io.cameras import read_cameras
-from mocap_calib.io.keypoints import read_keypoints
+from mocap_calib.io.formats2d import read_keypoints
 from mocap_calib.pipeline import calibrate
 from mocap_calib.recording import make_recording
 from mocap_calib.steerpose.checkpoint import load_lifter
@@ -38,7 +38,7 @@ FIGURES = [
 @pytest.mark.parametrize(("name", "median", "largest", "least_precision"), FIGURES, ids=[f[0] for f in FIGURES])
 def test_recording(name, median, largest, least_precision):
     folder = RECORDINGS / name
-    views = [read_keypoints(path, path.stem) for path in sorted((folder / "keypoints").iterdir())]
+    views = read_keypoints([folder / "keypoints"])
     found = make_recording(views, read_cameras(folder / "intrinsics.toml"), PEOPLE, {})
     result = calibrate(found, load_lifter()[0], Config(), seed=0, device="cpu", progress=silent)
     reference, names = read_reference(folder / "reference.toml", result.rig)

@@ -11,7 +11,7 @@ from mocap_calib.config import SimulateConfig
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.cameras import read_cameras, read_rig
 from mocap_calib.io.coco_writer import format_coco
-from mocap_calib.io.keypoints import read_keypoints
+from mocap_calib.io.formats2d import read_keypoints
 from mocap_calib.synthetic import JOINTS, LAYOUTS, simulate
 from mocap_calib_cli.commands.simulate import command, repeat
 
@@ -52,7 +52,7 @@ def check_scene(folder, scene):
         assert (camera.name, camera.size, camera.fisheye) == (known.name, known.size, known.fisheye)
         np.testing.assert_allclose(camera.matrix, known.matrix, atol=1e-9)
         np.testing.assert_allclose(camera.distortion, known.distortion, atol=1e-12)
-        read = read_keypoints(folder / "keypoints" / f"{camera.name}.json", camera.name)
+        read = read_keypoints([folder / "keypoints" / f"{camera.name}.json"])[0]
         assert (read.keypoints, read.image_size) == (file.keypoints, camera.size)
         np.testing.assert_array_equal(read.frames, file.frames)
         instances = read.positions.shape[1]
@@ -104,16 +104,16 @@ def test_help_has_an_example():
     assert "Example: mocap-calib simulate" in CliRunner().invoke(command, ["--help"]).output
 
 
-def test_coco_leaves_out_empty_instances_and_keeps_the_order():
-    positions = np.array([[[[1.26, 2.0]], [[np.nan, np.nan]], [[3.0, 4.04]]]])
-    data = json.loads(format_coco("c", (64, 48), np.array([5]), ("nose",), positions, np.array([[[0.126, 0.0, 0.001]]]).reshape(1, 3, 1)))
+def test_coco_keeps_the_place_of_empty_instances_before_others():
+    positions = np.array([[[[1.26, 2.0]], [[np.nan, np.nan]], [[3.0, 4.04]], [[np.nan, np.nan]]]])
+    data = json.loads(format_coco("c", (64, 48), np.array([5]), ("nose",), positions, np.array([[[0.126, 0.0, 0.001, 0.0]]]).reshape(1, 4, 1)))
     assert data["images"] == [{"id": 5, "file_name": "frame_000005.jpg", "width": 64, "height": 48}]
-    assert [entry["keypoints"] for entry in data["annotations"]] == [[1.3, 2, 0.13], [3, 4, 0.01]]
-    assert [entry["id"] for entry in data["annotations"]] == [1, 2]
+    assert [entry["keypoints"] for entry in data["annotations"]] == [[1.3, 2, 0.13], [0, 0, 0], [3, 4, 0.01]]
+    assert [entry["id"] for entry in data["annotations"]] == [1, 2, 3]
 
 
 def test_the_example_is_what_its_command_makes():
     check_scene(EXAMPLE, simulate(SimulateConfig(distortion="brown")))
     assert repeat(SimulateConfig(distortion="brown")) in (EXAMPLE / "README.md").read_text()
-    assert read_keypoints(EXAMPLE / "keypoints" / "cam1.json", "cam1").keypoints == LAYOUTS["coco17"]
+    assert read_keypoints([EXAMPLE / "keypoints" / "cam1.json"])[0].keypoints == LAYOUTS["coco17"]
     assert sum(map(len, content(EXAMPLE).values())) < 2e6

@@ -4,79 +4,105 @@ Imports numpy and the readers: commands import this module when they run, so tha
 """
 
 import hashlib
+import re
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
 
-from mocap_calib.errors import FormatError, MismatchError
-from mocap_calib.io.cameras import parse_cameras, parse_rig, read_cameras, read_rig
-from mocap_calib.io.keypoints import read_keypoints
+from mocap_calib.errors import FormatError
+from mocap_calib.io.camera_formats.source import CameraFile
+from mocap_calib.io.cameras import load_cameras, make_rig, parse_content
+from mocap_calib.io.document import ReadOptions
+from mocap_calib.io.formats2d import read_keypoints
+from mocap_calib.io.items import twins
+from mocap_calib.io.layouts import parse_layout
 from mocap_calib.io.reading import decode
 from mocap_calib.io.results import read_matches_csv
 from mocap_calib.pairwise import PairSolver
-from mocap_calib.recording import make_recording, name_mapping
+from mocap_calib.recording import make_recording, name_mapping, of_cameras
 from mocap_calib.skeleton import SHIPPED, choose_skeleton, load_aliases, load_skeleton, match_names
 from mocap_calib.types import Camera, CameraRig, Ints, Keypoints2D, LiftedPoses, Matches, Recording, Sample, Skeleton
 from mocap_calib_cli.options import STDIO
 from mocap_calib_cli.progress import Reporter, table
 
-SUFFIXES = (".json", ".csv", ".h5")
+
+def read_views(arguments: Sequence[str], reading: Mapping[str, Any] | None = None, *, single_precision: bool = False) -> tuple[Keypoints2D, ...]:
+    """The detections of each camera; `reading` is what options.reading gives. Raises FormatError and MismatchError."""
+    given = reading or {}
+    return read_keypoints(arguments, given.get("format"), replace(read_options(given), single_precision=single_precision))
 
 
-def keypoint_files(arguments: Sequence[str]) -> list[tuple[str, Path]]:
-    """(camera name, file) of each keypoint file: of folders, files and `name=path` pairs. Raises MismatchError."""
-    found = [pair for argument in arguments for pair in _expand(argument)]
-    names = [name for name, _ in found]
-    twice = [(name, path) for name, path in found if names.count(name) > 1]
-    if twice:
-        files = " and ".join(str(path) for name, path in twice if name == twice[0][0])
-        raise MismatchError(f"expected one keypoint file per camera, found {files} for camera {twice[0][0]}; leave one out, or say name=path")
-    return found
+def read_options(given: Mapping[str, Any]) -> ReadOptions:
+    """What options.reading gives, as the readers take it. Raises MismatchError and click's BadParameter."""
+    layout, views = given.get("layout"), given.get("views")
+    pattern = given.get("camera_regex") or ""
+    try:
+        re.compile(pattern)
+    except re.error as error:
+        raise click.BadParameter(f"expected a regular expression, found {pattern} ({error})", param_hint="--camera-regex") from None
+    return ReadOptions(
+        layout=parse_layout(layout) if layout else (),
+        image_size=image_size(given.get("image_size")),
+        camera_pattern=pattern,
+        frame_offset={camera: int(_numbers(text, 1, "--frame-offset")[0]) for camera, text in _by_camera(given.get("frame_offset", ()), "--frame-offset")},
+        crop_offset={camera: _pair(text, "--crop-offset") for camera, text in _by_camera(given.get("crop_offset", ()), "--crop-offset")},
+        views=tuple(views.split(",")) if views else (),
+    )
 
 
-def _expand(argument: str) -> list[tuple[str, Path]]:
-    path = Path(argument)
-    name, equals, rest = argument.partition("=")
-    if path.is_dir():
-        files = _listed(path)
-        if not files:
-            raise MismatchError(f"{path}: expected keypoint files ({', '.join(SUFFIXES)}) in the folder, found none; name the files themselves")
-        doubles = _doubles(files)
-        return [(file.stem, file) for file in files if file not in doubles]
-    if equals and not path.exists():
-        if not name or not rest:
-            raise click.BadParameter(f"expected name=path, found {argument}", param_hint="KEYPOINTS")
-        return [(name, Path(rest))]
-    return [(path.stem, path)]
+def image_size(text: str | None) -> tuple[int, int]:
+    """(width, height) of `WxH`, (0, 0) where there is none."""
+    width, height = _numbers((text or "0x0").lower().replace("x", ","), 2, "--image-size")
+    return int(width), int(height)
 
 
-def _listed(folder: Path) -> list[Path]:
-    """The files of a folder that may hold keypoints, by name."""
-    return sorted(file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES and not file.name.startswith(".") and file.is_file())
+def _by_camera(texts: Sequence[str], option: str) -> list[tuple[str, str]]:
+    """(camera, what is said of it)."""
+    pairs = [text.rpartition(":") for text in texts]
+    if not all(camera for camera, _, _ in pairs):
+        raise click.BadParameter(f"expected camera:value, found {', '.join(texts)}", param_hint=option)
+    return [(camera, value) for camera, _, value in pairs]
 
 
-def _doubles(files: Sequence[Path]) -> list[Path]:
-    """The .csv files that lie beside an .h5 file of the same name, as DeepLabCut writes them; the .h5 is read."""
-    binary = {file.stem for file in files if file.suffix.lower() == ".h5"}
-    return [file for file in files if file.suffix.lower() == ".csv" and file.stem in binary]
+def _numbers(text: str, count: int, option: str) -> list[float]:
+    """`count` numbers with commas between them."""
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != count or not all(abs(value) < 2**53 for value in values) or (option != "--crop-offset" and any(value % 1 for value in values)):
+        raise click.BadParameter(f"expected {'a whole number' if count == 1 else 'two numbers'}, found {text}", param_hint=option)
+    return values
+
+
+def _pair(text: str, option: str) -> tuple[float, float]:
+    x, y = _numbers(text, 2, option)
+    return x, y
 
 
 def read_recording(
-    arguments: Sequence[str], cameras: tuple[Camera, ...], skeleton: Path | None, reporter: Reporter, *, model: str | None = None, placed: bool = False
+    arguments: Sequence[str],
+    cameras: tuple[Camera, ...],
+    skeleton: Path | None,
+    reporter: Reporter,
+    reading: Mapping[str, Any] | None = None,
+    *,
+    model: str | None = None,
+    placed: bool = False,
 ) -> tuple[Recording, str]:
     """Reads the keypoints of the cameras, and says which file went to which camera; with the name of the model, by default the one that fits.
 
-    `skeleton` is a file of other names of joints. `placed`: the cameras are those of a rig, which may have left some
+    `skeleton` is a file of other names of joints; `reading` what options.reading gives. `placed`: the cameras are those of a rig, which may have left some
     out; their keypoints are left out too. Raises FormatError and MismatchError.
     """
-    files = keypoint_files(arguments)
+    views = read_views(arguments, reading, single_precision=True)
     if placed:
-        known = {camera.name.lower() for camera in cameras}
-        files = [(name, path) for name, path in files if name.lower() in known] or files
-    views = [read_keypoints(path, name) for name, path in files]
+        views = of_cameras(views, cameras) or views
     vocabulary, aliases = _asked(model, skeleton) if model else _fitting(views, skeleton)
     recording = make_recording(views, cameras, vocabulary, aliases)
     reporter.say(*_mapping(views, cameras, recording, vocabulary.name), *_doubled(arguments))
@@ -134,7 +160,7 @@ def _mapping(views: Sequence[Keypoints2D], cameras: tuple[Camera, ...], recordin
 
 def _doubled(arguments: Sequence[str]) -> list[str]:
     """A line that says which files of the folders are left out for their .h5, if any."""
-    doubles = [str(file) for folder in map(Path, arguments) if folder.is_dir() for file in _doubles(_listed(folder))]
+    doubles = [str(file) for folder in map(Path, arguments) if folder.is_dir() for file in twins(folder)]
     return [f"left out, the .h5 beside it is read: {', '.join(doubles)}"] if doubles else []
 
 
@@ -145,12 +171,20 @@ def _detections_alone(views: Sequence[Keypoints2D], recording: Recording) -> int
 
 def cameras_of(path: str) -> tuple[Camera, ...]:
     """The intrinsics in a file or folder, or on stdin. Raises FormatError."""
-    return parse_cameras(read_stdin("--cameras"), "stdin") if path == STDIO else read_cameras(Path(path))
+    return _loaded(path, "--cameras").cameras
 
 
 def rig_of(path: str, option: str = "--rig") -> CameraRig:
     """The cameras and where they stand in a file, or on stdin. Raises FormatError."""
-    return parse_rig(read_stdin(option), "stdin") if path == STDIO else read_rig(Path(path))
+    return make_rig(_loaded(path, option), "stdin" if path == STDIO else path)
+
+
+def _loaded(path: str, option: str) -> CameraFile:
+    """What a file says of cameras; what it lacks is said on stderr."""
+    found = parse_content(read_stdin(option).encode(), "stdin") if path == STDIO else load_cameras(Path(path))
+    for note in () if click.get_current_context().params.get("quiet") else found.notes:
+        click.echo(note, err=True)
+    return found
 
 
 def matches_of(path: str, recording: Recording) -> Matches:
@@ -197,12 +231,23 @@ def read_stdin(what: str) -> str:
     return decode(sys.stdin.buffer.read(), "stdin")
 
 
+def plain_paths(arguments: Iterable[str]) -> list[str]:
+    """The paths of files, folders and name=path pairs."""
+    return [argument if "=" not in argument or Path(argument).exists() else argument.partition("=")[2] for argument in arguments]
+
+
 def hashes(paths: Iterable[str | Path]) -> dict[str, str]:
-    """Path -> SHA-256 of each regular file, and of those in each folder; a pipe has been read and is left out."""
-    files = [file for path in map(Path, paths) for file in (sorted(path.iterdir()) if path.is_dir() else [path])]
-    return {str(file): _hash(file) for file in files if file.is_file()}
+    """Path -> SHA-256 of each regular file and of what lies in each folder; a pipe has been read and is left out.
+
+    A folder within a folder, such as that of a camera's frames, has one for all its files and their names.
+    """
+    found = [each for path in map(Path, paths) for each in (sorted(path.iterdir()) if path.is_dir() else [path])]
+    return {str(path): _hash(path) for path in found if path.is_file() or path.is_dir()}
 
 
 def _hash(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    if path.is_file():
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    files = [f"{file.relative_to(path)} {_hash(file)}" for file in sorted(path.rglob("*")) if file.is_file()]
+    return hashlib.sha256("\n".join(files).encode()).hexdigest()

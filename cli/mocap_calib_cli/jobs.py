@@ -11,7 +11,7 @@ from typing import Any
 from mocap_calib import __version__
 from mocap_calib.config import Config
 from mocap_calib.errors import ClusterError, MocapCalibError
-from mocap_calib.io.atomic import folder, replace_text
+from mocap_calib.io.atomic import folder, of_individual, replace_text
 from mocap_calib.io.camera_files import format_calibration_toml, format_cameras_yaml
 from mocap_calib.io.pair_store import remembering
 from mocap_calib.io.results import matches_csv, poses_csv, write_poses_h5
@@ -41,14 +41,16 @@ class Order:
     seed: int
     device: str
     output: Path
+    reading: Mapping[str, Any] | None = None  # what options.reading gives
 
     def hashes(self) -> dict[str, str]:
         """Path -> SHA-256 of all files that the results follow from."""
-        return inputs.hashes([*(path for _, path in inputs.keypoint_files(self.keypoints)), self.cameras, *([self.skeleton] if self.skeleton else [])])
+        return inputs.hashes([*inputs.plain_paths(self.keypoints), self.cameras, *([self.skeleton] if self.skeleton else [])])
 
     def fingerprint(self, hashes: Mapping[str, str], model: str) -> str:
         """SHA-256 of all that the results follow from: what was typed, the files, the configuration, the weights and the version."""
-        typed = [self.keypoints, self.cameras, str(self.skeleton), self.model, self.seed, self.device]
+        reading = {name: value for name, value in (self.reading or {}).items() if value}
+        typed = [self.keypoints, self.cameras, str(self.skeleton), self.model, self.seed, self.device, reading]
         return hashlib.sha256(json.dumps([typed, hashes, self.method(model)]).encode()).hexdigest()
 
     def method(self, model: str) -> str:
@@ -71,7 +73,7 @@ class Job:
 def read(order: Order, reporter: Reporter) -> Job:
     """Raises FormatError and MismatchError."""
     hashes = order.hashes()  # first: what changes from now on makes another fingerprint
-    recording, model = inputs.read_recording(order.keypoints, inputs.cameras_of(order.cameras), order.skeleton, reporter, model=order.model)
+    recording, model = inputs.read_recording(order.keypoints, inputs.cameras_of(order.cameras), order.skeleton, reporter, order.reading, model=order.model)
     return Job(order, hashes, recording, model, load_model("cpu", model), inputs.pair_solver(order.solver, recording, model))
 
 
@@ -110,7 +112,7 @@ def write(job: Job, found: Calibration) -> dict[str, Any]:
         replace_text(work / "matches.csv", matches_csv(found.recording, found.matches))
         write_poses_h5(work / "poses3d.h5", found.poses, source)
         for individual in range(found.matches.individuals):
-            replace_text(outputs.of_individual(work / "poses3d.csv", individual), poses_csv(found.poses, individual))
+            replace_text(of_individual(work / "poses3d.csv", individual), poses_csv(found.poses, individual))
         report |= {"fingerprint": order.fingerprint(job.hashes, job.model), "outputs": _contents(work)}
         (work / "run.json").write_text(json.dumps(report, indent=1, allow_nan=False) + "\n", "utf-8")
     _clear(order.output, report)

@@ -16,11 +16,13 @@ from mocap_calib_cli.mistakes import explained
 COMMANDS = {
     "run": ("mocap_calib_cli.commands.run:command", "Keypoints to cameras and 3D poses: all stages in one."),
     "batch": ("mocap_calib_cli.commands.batch:command", "Many recordings, here or on a cluster; what is finished is kept."),
+    "inspect": ("mocap_calib_cli.commands.inspect:command", "What is in keypoint files, and what stands in the way of a run."),
     "pairwise": ("mocap_calib_cli.commands.pairwise:command", "Relative positions of all pairs of cameras."),
     "average": ("mocap_calib_cli.commands.average:command", "Pairs to one rig."),
     "match": ("mocap_calib_cli.commands.match:command", "Who is who in all cameras."),
     "adjust": ("mocap_calib_cli.commands.adjust:command", "Bundle adjustment of the rig."),
     "triangulate": ("mocap_calib_cli.commands.triangulate:command", "3D poses."),
+    "convert": ("mocap_calib_cli.commands.convert:command", "Keypoints, cameras and poses from one format to another."),
     "evaluate": ("mocap_calib_cli.commands.evaluate:command", "Compare cameras with a reference calibration."),
     "simulate": ("mocap_calib_cli.commands.simulate:command", "Make a synthetic recording with its truth."),
     "models": ("mocap_calib_cli.commands.models:command", "List the networks that are shipped."),

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.io.atomic import replace_text
+from mocap_calib.io.atomic import of_individual, replace_text
 from mocap_calib_cli.options import STDIO
 
 
@@ -43,6 +43,11 @@ def check_folder(path: Path) -> None:
         _check_writable(path)
 
 
+def check_place(path: Path) -> None:
+    """Raises MismatchError or OSError where neither a file nor a folder could be written."""
+    _check_writable(path.absolute().parent)
+
+
 def _check_writable(folder: Path) -> None:
     """Tries it, which is the only way to know, in the nearest folder that exists."""
     while not folder.exists():
@@ -54,11 +59,6 @@ def _check_writable(folder: Path) -> None:
             pass
     except OSError as error:
         raise MismatchError(f"{folder}: expected a folder that can be written to, found: {error.strerror}; choose another") from None
-
-
-def of_individual(path: Path, individual: int) -> Path:
-    """The file of an individual where each has its own: the first has the plain name, the next NAME_1, NAME_2, ..."""
-    return path if individual == 0 else path.with_name(f"{path.stem}_{individual}{path.suffix}")
 
 
 def remove_stale(path: Path, individuals: int) -> None:

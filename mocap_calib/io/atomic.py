@@ -58,6 +58,11 @@ def folder(path: Path) -> Iterator[Path]:
         shutil.rmtree(old, ignore_errors=True)
 
 
+def of_individual(path: Path, individual: int) -> Path:
+    """The file of an individual where each has its own: the first has the plain name, the next NAME_1, NAME_2, ..."""
+    return path if individual == 0 else path.with_name(f"{path.stem}_{individual}{path.suffix}")
+
+
 def _move(names: list[Path], work: Path, path: Path, old: Path) -> None:
     """Moves files into place; what they replace is kept aside until all are there, and put back if one cannot be."""
     blocked = [path / name for name in names if (path / name).is_dir()]

@@ -14,10 +14,10 @@ import yaml
 from mocap_calib import __version__
 from mocap_calib.geometry.rotation import vector_from_matrix
 from mocap_calib.io.atomic import write_bytes
-from mocap_calib.io.cameras import VERSION
 from mocap_calib.io.intrinsics import camera_fields
 from mocap_calib.types import CameraRig
 
+VERSION = 1
 CONVENTION = "x_camera = R x_world + t; x right, y down, z forward; pixel centres are integers"
 
 
@@ -33,7 +33,7 @@ def write_calibration_toml(path: Path, rig: CameraRig, provenance: Mapping[str, 
 
 def format_cameras_yaml(rig: CameraRig, provenance: Mapping[str, Any]) -> str:
     """Our own file: plain YAML, lengths in the rig's unit; `provenance` is whatever says how it came about."""
-    header = {"format": "mocap-calib cameras", "version": VERSION, "unit": rig.unit, "convention": CONVENTION, "provenance": _plain(provenance)}
+    header = {"format": "mocap-calib cameras", "version": VERSION, "unit": rig.unit, "convention": CONVENTION, "provenance": plain(provenance)}
     cameras = [
         camera_fields(camera) | {"R": rig.rotation[v].tolist(), "t": rig.translation[v].tolist(), "centre": rig.centres[v].tolist()}
         for v, camera in enumerate(rig.cameras)
@@ -44,25 +44,31 @@ def format_cameras_yaml(rig: CameraRig, provenance: Mapping[str, Any]) -> str:
 
 def format_calibration_toml(rig: CameraRig, provenance: Mapping[str, Any]) -> str:
     """The file of anipose; rotations as Rodrigues vectors in radians, lengths in the rig's unit."""
-    lines = []
+    lines, digits = [], len(str(len(rig.cameras) - 1))  # aniposelib sorts the sections as text
     for v, camera in enumerate(rig.cameras):
-        fields = {
-            "name": camera.name,
-            "size": list(camera.size),
-            "matrix": camera.matrix.tolist(),
-            "distortions": camera.distortion.tolist(),
-            "rotation": vector_from_matrix(rig.rotation[v]).tolist(),
-            "translation": rig.translation[v].tolist(),
-        } | ({"fisheye": True} if camera.fisheye else {})
-        lines += [f"[cam_{v}]", *_assignments(fields), ""]
+        fields = toml_fields(rig, v) | ({"fisheye": True} if camera.fisheye else {})
+        lines += [f"[cam_{v:0{digits}}]", *assignments(fields), ""]
     metadata = {"adjusted": False, "error": 0.0, "unit": rig.unit, "generator": f"mocap-calib {__version__}"}
-    lines += ["[metadata]", *_assignments(metadata)]
+    lines += ["[metadata]", *assignments(metadata)]
     if provenance:
-        lines += ["", "[metadata.provenance]", *_assignments(_plain(provenance))]
+        lines += ["", "[metadata.provenance]", *assignments(plain(provenance))]
     return "\n".join(lines) + "\n"
 
 
-def _plain(provenance: Mapping[str, Any]) -> dict[str, Any]:
+def toml_fields(rig: CameraRig, v: int) -> dict[str, Any]:
+    """The fields of a camera that anipose and its descendants share."""
+    camera = rig.cameras[v]
+    return {
+        "name": camera.name,
+        "size": list(camera.size),
+        "matrix": camera.matrix.tolist(),
+        "distortions": camera.distortion.tolist(),
+        "rotation": vector_from_matrix(rig.rotation[v]).tolist(),
+        "translation": rig.translation[v].tolist(),
+    }
+
+
+def plain(provenance: Mapping[str, Any]) -> dict[str, Any]:
     """Down to the types that every format knows; paths and the like become text."""
     plain: dict[str, Any] = json.loads(json.dumps(provenance, default=str))
     return plain
@@ -74,9 +80,9 @@ def _yaml(fields: Mapping[str, Any], flow: bool | None) -> str:
     return yaml.safe_dump(dict(fields), default_flow_style=flow, sort_keys=False, allow_unicode=readable, width=160)
 
 
-def _assignments(fields: Mapping[str, Any]) -> list[str]:
-    """`key = value` lines; TOML has no null, so such fields are left out."""
-    return [f"{_key(key)} = {_toml(value)}" for key, value in fields.items() if value is not None]
+def assignments(fields: Mapping[str, Any]) -> list[str]:
+    """`key = value` lines of TOML, which has no null: such fields are left out."""
+    return [f"{toml_key(key)} = {_toml(value)}" for key, value in fields.items() if value is not None]
 
 
 def _toml(value: Any) -> str:
@@ -87,11 +93,12 @@ def _toml(value: Any) -> str:
     if isinstance(value, list):
         return f"[{', '.join(_toml(v) for v in value if v is not None)}]"
     if isinstance(value, dict):
-        return f"{{ {', '.join(_assignments(value))} }}"
+        return f"{{ {', '.join(assignments(value))} }}"
     return repr(value)
 
 
-def _key(key: str) -> str:
+def toml_key(key: str) -> str:
+    """A key as TOML spells it."""
     return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _quoted(key)
 
 

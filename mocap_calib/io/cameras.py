@@ -1,67 +1,50 @@
-"""Reading cameras: anipose TOML (also Pose2Sim, FreeMoCap, caliscope), OpenCV and ROS YAML, our own YAML.
+"""Reading cameras in any of the formats of `formats_cameras`.
 
-The format is recognised by content. Intrinsics are `read_cameras`; with extrinsics, `read_rig`.
+Intrinsics are `read_cameras`; with extrinsics, `read_rig`; all that a file says, `load_cameras`.
 """
 
-import re
-import tomllib
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import replace
+from functools import reduce
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import yaml
 
-from mocap_calib.io.intrinsics import camera_from_fields, make_camera, make_extrinsics, one_field
-from mocap_calib.io.reading import decode, malformed, read_bytes
-from mocap_calib.types import Camera, CameraRig, Floats
+from mocap_calib.errors import MismatchError
+from mocap_calib.io.camera_formats.source import CameraFile, Source, both
+from mocap_calib.io.formats_cameras import CAMERA_FORMAT_NAMES, CAMERA_FORMATS, CameraFormat, camera_format
+from mocap_calib.io.reading import malformed, read_bytes
+from mocap_calib.io.units import ARBITRARY, known_unit
+from mocap_calib.types import Camera, CameraRig
 
-VERSION = 1
-_SUFFIXES = (".yml", ".yaml", ".toml")
-_MATRIX = ("camera_matrix", "K", "M1", "intrinsic_matrix")
-_DISTORTION = ("distortion_coefficients", "dist_coeffs", "distCoeffs", "dist_coeff", "D", "D1")
-_ROTATION = ("rvec", "R", "rotation", "rotation_matrix", "rotation_vector")
-_TRANSLATION = ("tvec", "T", "t", "translation", "translation_vector")
+_ONE_CAMERA = (".yml", ".yaml", ".toml", ".json", ".mat")
+_SUFFIXES = (*_ONE_CAMERA, ".txt", ".bin")  # COLMAP's
 
 
-@dataclass(frozen=True)
-class _Cameras:
-    """What one file says. extrinsics: (rotation, translation) by camera name, for the cameras that have them."""
-
-    cameras: tuple[Camera, ...]
-    extrinsics: dict[str, tuple[Floats, Floats]]
-    unit: str
-
-
-@dataclass(frozen=True)
-class _Reader:
-    name: str
-    sniff: Callable[[str], bool]
-    parse: Callable[[str, str], _Cameras]
-
-
-def read_cameras(path: Path) -> tuple[Camera, ...]:
-    """The cameras (intrinsics only) in a file, or in a folder of files with one camera each. Raises FormatError."""
-    return _read(path).cameras
+def read_cameras(path: Path, name: str | None = None) -> tuple[Camera, ...]:
+    """The cameras (intrinsics only) in a file, or in a folder; `name` is the format, where it is not to be recognised. Raises FormatError."""
+    return load_cameras(path, name).cameras
 
 
 def parse_cameras(text: str, source: str) -> tuple[Camera, ...]:
     """`read_cameras` on text; `source` stands for the file's path. Raises FormatError."""
-    return _parse(text, source).cameras
+    return parse_content(text.encode(), source).cameras
 
 
-def read_rig(path: Path) -> CameraRig:
-    """The cameras and where they stand, all of them. Raises FormatError, also when extrinsics are absent."""
-    return _rig(_read(path), str(path))
+def read_rig(path: Path, name: str | None = None, unit: str | None = None) -> CameraRig:
+    """The cameras and where they stand, all of them; `unit` is what a length of 1 is, where the file does not say.
+
+    Raises FormatError, also when extrinsics are absent, and MismatchError where the file states another unit.
+    """
+    return make_rig(load_cameras(path, name, unit), str(path))
 
 
 def parse_rig(text: str, source: str) -> CameraRig:
     """`read_rig` on text; `source` stands for the file's path. Raises FormatError."""
-    return _rig(_parse(text, source), source)
+    return make_rig(parse_content(text.encode(), source), source)
 
 
-def _rig(found: _Cameras, source: str) -> CameraRig:
+def make_rig(found: CameraFile, source: str) -> CameraRig:
+    """The rig that a file holds. Raises FormatError where a camera has no extrinsics."""
     bare = [camera.name for camera in found.cameras if camera.name not in found.extrinsics]
     if bare:
         raise malformed(source, "extrinsics (rotation and translation) of every camera", f"none of {', '.join(bare)}", "calibrate, or remove these cameras")
@@ -69,133 +52,69 @@ def _rig(found: _Cameras, source: str) -> CameraRig:
     return CameraRig(found.cameras, np.stack(rotations), np.stack(translations), found.unit)
 
 
-def _read(path: Path) -> _Cameras:
+def load_cameras(path: Path, name: str | None = None, unit: str | None = None) -> CameraFile:
+    """All that a file or a folder says of cameras; see `read_rig`. Raises FormatError and MismatchError."""
     if not path.is_dir():
-        return _parse(decode(read_bytes(path), str(path)), str(path))
-    files = sorted(file for file in path.iterdir() if file.suffix.lower() in _SUFFIXES and file.is_file())
+        return parse_content(read_bytes(path), str(path), name, unit)
+    files = sorted(file for file in path.iterdir() if file.suffix.lower() in _SUFFIXES and file.is_file() and not file.name.startswith("."))
     if not files:
         raise malformed(str(path), f"camera files ({', '.join(_SUFFIXES)}) in the folder", "none", "give the file itself")
-    parts = [_parse(decode(read_bytes(file), str(file)), str(file)) for file in files]
-    units = {part.unit for part in parts}
-    if len(units) > 1:
-        raise malformed(str(path), "files in one unit of length", " and ".join(sorted(units)), "convert one of them")
-    # the names are checked before the extrinsics are joined by name
-    cameras = _unique((camera for part in parts for camera in part.cameras), str(path))
-    return _Cameras(cameras, {name: pose for part in parts for name, pose in part.extrinsics.items()}, units.pop())
+    whole = Source(str(path), {file.name: read_bytes(file) for file in files}, folder=True)
+    for each in _candidates(name):
+        if each.sniff(whole):
+            return _with_unit(each.parse(whole), each, str(path), unit)
+    parts = [parse_content(content, f"{path}/{file}", name, unit) for file, content in whole.files.items() if file.lower().endswith(_ONE_CAMERA)]
+    if not parts:
+        raise malformed(str(path), f"camera files ({', '.join(_ONE_CAMERA)}) in the folder", ", ".join(whole.files), "give the file itself")
+    return reduce(lambda found, more: both(found, more, str(path)), parts)
 
 
-def _parse(text: str, source: str) -> _Cameras:
-    for reader in _READERS:
-        if reader.sniff(text):
-            return reader.parse(text, source)
-    found = f"text that begins with {text.strip()[:20]!r}" if text.strip() else "an empty file"
-    raise malformed(source, f"one of: {', '.join(reader.name for reader in _READERS)}", found, "export one of these")
+def looks_like_cameras(path: Path, content: bytes | None = None) -> bool:
+    """Whether a file or a folder is of one of the camera formats; raises FormatError where its JSON, TOML or YAML is broken."""
+    if content is not None or not path.is_dir():
+        file = Source(str(path), {path.name: read_bytes(path) if content is None else content})
+        return any(each.sniff(file) for each in CAMERA_FORMATS)
+    whole = Source(str(path), {file.name: b"" for file in path.iterdir() if file.suffix.lower() in _SUFFIXES}, folder=True)
+    files = sorted(file for file in path.iterdir() if file.suffix.lower() in _ONE_CAMERA and file.is_file() and not file.name.startswith("."))
+    return any(each.sniff(whole) for each in CAMERA_FORMATS if each.folder) or (bool(files) and looks_like_cameras(files[0]))
 
 
-def _unique(cameras: Iterable[Camera], source: str) -> tuple[Camera, ...]:
-    kept = tuple(cameras)
-    names = [camera.name for camera in kept]
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise malformed(source, "each camera name once", f"{', '.join(twice)} twice", "rename one of them")
-    return kept
+def parse_content(content: bytes, source: str, name: str | None = None, unit: str | None = None) -> CameraFile:
+    """`load_cameras` on the content of one file; `source` stands for its path."""
+    file = Source(source, {Path(source).name or source: content})
+    return _parse(file, name, unit)
 
 
-# --- anipose TOML
+def _parse(file: Source, name: str | None, unit: str | None) -> CameraFile:
+    for each in _candidates(name):
+        # a format that is named is taken at its word: its own complaint says more
+        if name is not None or each.sniff(file):
+            return _with_unit(each.parse(file), each, file.path, unit)
+    found = f"text that begins with {file.text.strip()[:20]!r}" if file.syntax != "binary" and file.text.strip() else "another file"
+    found = found if file.content.strip() else "an empty file"
+    raise malformed(file.path, f"one of: {', '.join(CAMERA_FORMAT_NAMES)}", found, "export one of these, or name it")
 
 
-def _parse_toml(text: str, source: str) -> _Cameras:
-    try:
-        data = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError, ValueError) as error:
-        raise malformed(source, "TOML", f"an error ({error})", "mend that line") from None
-    sections = dict(_sections(data))
-    if not sections:
-        raise malformed(source, "sections with a camera's size, matrix and distortions", one_field(data) or "nothing", "export anipose's calibration.toml")
-    cameras, extrinsics = [], {}
-    for section, fields in sections.items():
-        name = str(fields.get("name", section))
-        where = f"{source}: camera {name}"
-        fisheye = fields.get("fisheye", False) is True
-        cameras.append(make_camera(name, fields.get("size"), fields["matrix"], fields.get("distortions"), fisheye, where))
-        # caliscope writes the text "null" where a camera was not placed
-        if isinstance(fields.get("rotation"), list) and isinstance(fields.get("translation"), list):
-            extrinsics[name] = make_extrinsics(fields["rotation"], fields["translation"], where)
-    metadata = data.get("metadata")
-    unit = metadata.get("unit", "arbitrary") if isinstance(metadata, dict) else "arbitrary"
-    return _Cameras(_unique(cameras, source), extrinsics, str(unit))
+def _candidates(name: str | None) -> tuple[CameraFormat, ...]:
+    return CAMERA_FORMATS if name is None else (camera_format(name),)
 
 
-def _sections(data: dict[str, Any]) -> Iterable[tuple[str, dict[str, Any]]]:
-    """The tables with a matrix, at the top or one below ([cameras.0] of caliscope)."""
-    for key, value in data.items():
-        if isinstance(value, dict) and isinstance(value.get("matrix"), list):
-            yield key, value
-        elif isinstance(value, dict):
-            yield from ((k, v) for k, v in value.items() if isinstance(v, dict) and isinstance(v.get("matrix"), list))
+def _with_unit(found: CameraFile, form: CameraFormat, source: str, unit: str | None) -> CameraFile:
+    """With the unit that the file states, else the user, else the format. Raises MismatchError where the file contradicts the user."""
+    stated = known_unit(found.unit, source)
+    if unit is not None and stated not in (ARBITRARY, unit):
+        raise MismatchError(f"{source}: expected lengths in {stated}, as the file says, found --unit {unit}; leave it out")
+    if stated == ARBITRARY:
+        stated = unit or form.unit or ARBITRARY
+    return replace(found, unit=stated, notes=(*found.notes, *_alike(found)))
 
 
-# --- YAML
-
-
-class _Loader(yaml.SafeLoader):
-    """YAML with OpenCV's matrices, as plain mappings of rows, cols and data."""
-
-
-def _opencv_matrix(loader: yaml.SafeLoader, node: yaml.Node) -> Any:
-    return loader.construct_yaml_map(node)
-
-
-_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _opencv_matrix)
-
-
-def _mapping(text: str, source: str) -> dict[str, Any]:
-    # OpenCV 4 writes `%YAML:1.0`, which is not YAML
-    text = re.sub(r"\A\s*%YAML.*\n", "", text)
-    try:
-        data = yaml.load(text, _Loader)  # a SafeLoader
-    except (yaml.YAMLError, RecursionError, ValueError, TypeError, AttributeError, KeyError) as error:
-        raise malformed(source, "YAML", f"an error ({error})", "mend the file") from None
-    if not isinstance(data, dict):
-        raise malformed(source, "a YAML mapping", type(data).__name__, "export the cameras again")
-    return data
-
-
-def _parse_opencv(text: str, source: str) -> _Cameras:
-    data = _mapping(text, source)
-    matrix = _first(data, _MATRIX)
-    if matrix is None or "M2" in data:
-        found = "a stereo pair (M1, M2)" if "M2" in data else ", ".join(map(str, list(data)[:8]))
-        raise malformed(source, f"one camera with its matrix under {', '.join(_MATRIX)}", found, "give one file per camera")
-    name = str(data.get("camera_name") or Path(source).stem)
-    width, height = data.get("image_width"), data.get("image_height")
-    size = None if width is None or height is None else [width, height]
-    fisheye = str(data.get("distortion_model", data.get("model", ""))).lower() in ("equidistant", "fisheye") or data.get("fisheye") in (True, 1)
-    camera = make_camera(name, size, matrix, _first(data, _DISTORTION), fisheye, source)
-    rotation, translation = _first(data, _ROTATION), _first(data, _TRANSLATION)
-    placed = rotation is not None and translation is not None
-    return _Cameras((camera,), {name: make_extrinsics(rotation, translation, source)} if placed else {}, str(data.get("unit", "arbitrary")))
-
-
-def _first(data: dict[str, Any], keys: Iterable[str]) -> Any:
-    return next((data[key] for key in keys if key in data), None)
-
-
-def _parse_own(text: str, source: str) -> _Cameras:
-    data = _mapping(text, source)
-    if data.get("version") != VERSION:
-        raise malformed(source, f"version {VERSION} of our cameras", f"version {data.get('version')}", "use the program that wrote it")
-    entries = data.get("cameras")
-    if not isinstance(entries, list) or not entries:
-        raise malformed(source, "a list of cameras", one_field(entries), "write the file again")
-    cameras = _unique((camera_from_fields(fields, source) for fields in entries), source)
-    placed = [(camera.name, fields) for camera, fields in zip(cameras, entries, strict=True) if {"R", "t"} <= fields.keys()]
-    extrinsics = {name: make_extrinsics(fields["R"], fields["t"], f"{source}: camera {name}") for name, fields in placed}
-    return _Cameras(cameras, extrinsics, str(data.get("unit", "arbitrary")))
-
-
-_READERS = (
-    _Reader("mocap-calib cameras.yaml", lambda text: re.search(r"^format: *[\"']?mocap-calib cameras", text, re.M) is not None, _parse_own),
-    _Reader("OpenCV or ROS YAML", lambda text: re.search(r"\A\s*%YAML|!!opencv-matrix|^(camera_matrix|K|M1)\s*:", text, re.M) is not None, _parse_opencv),
-    _Reader("anipose calibration.toml", lambda text: re.search(r"^\s*\[[\w .\"'-]+\]\s*(#.*)?$|^[\w\"' .-]+=", text, re.M) is not None, _parse_toml),
-)
+def _alike(found: CameraFile) -> list[str]:
+    """Notes of cameras that stand in one place and look one way: a calibration that went wrong, or one copied."""
+    placed = list(found.extrinsics.items())
+    return [
+        f"cameras {first} and {second} stand in the same place and look the same way: one of them is wrong"
+        for k, (first, (rotation, translation)) in enumerate(placed)
+        for second, (other, offset) in placed[k + 1 :]
+        if np.array_equal(rotation, other) and np.array_equal(translation, offset)
+    ]

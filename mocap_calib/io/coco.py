@@ -1,56 +1,107 @@
 """COCO keypoint annotations (`images`, `annotations`, `categories` in one JSON file)."""
 
-import json
 import re
 from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
-from mocap_calib.io.reading import decode, frame_number, frame_order, malformed, mark_missing, unique_names
+from mocap_calib.io.document import Document, Item, ReadOptions
+from mocap_calib.io.reading import Origin, blank, camera_in, frame_number, make_view, malformed, unique_names, visibility_as_confidence
 from mocap_calib.types import Floats, Ints, Keypoints2D
 
 _EXPECTED = "COCO annotations (an object with the lists `images`, `annotations` and `categories`)"
-_MOST_INSTANCES = 1000
 
 
-def sniff(head: bytes) -> bool:
-    """Any JSON array or object."""
-    return re.match(rb"(\xef\xbb\xbf)?\s*[\[{]", head) is not None
+def sniff(document: Document) -> bool:
+    """A JSON object with the lists of COCO."""
+    return isinstance(document.json, dict) and bool({"images", "annotations", "categories"} & document.json.keys())
 
 
-def load(content: bytes, camera: str, source: str) -> Keypoints2D:
-    """The detections of a COCO annotations file.
+def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
+    """The detections of a COCO annotations file; of several cameras where the images say so.
 
     All `images` are frames, also those without annotations. The instance is the position among the image's
     annotations in file order; annotations of categories without keypoints do not count. Raises FormatError.
     """
-    data = _parse(content, source)
+    source = item.origin.source
+    data = _checked(item.document.json, source)
     images, annotations = (_objects(data, key, source) for key in ("images", "annotations"))
     if not images:
         raise malformed(source, "at least one entry in `images`", "none", "export the images together with the annotations")
     names, subjects = _vocabulary(_objects(data, "categories", source), source)
     annotations = [a for a in annotations if "category_id" not in a or str(a["category_id"]) in subjects]
-    frames = _frame_numbers(images, source)
-    order = frame_order(frames, [image.get("file_name", image.get("id")) for image in images], source)
-    row, instance = _places(images, annotations, order, source)
-    values = np.full((len(images), _most(instance, source), len(names), 3), np.nan)
+    _check_ids(images, annotations, source)
+    cameras = _cameras(images, item, options)
+    return tuple(_view(Origin(camera, source), own, annotations, names) for camera, own in cameras.items())
+
+
+def _view(origin: Origin, images: list[dict[str, Any]], annotations: list[dict[str, Any]], names: tuple[str, ...]) -> Keypoints2D:
+    """One camera's detections."""
+    source = origin.source
+    place = {str(image.get("id")): row for row, image in enumerate(images)}
+    annotations = [a for a in annotations if str(a["image_id"]) in place]
+    row, instance = _places([place[str(a["image_id"])] for a in annotations])
+    values = blank(len(images), int(instance.max(initial=-1)) + 1, len(names), source)
     values[row, instance] = _points(annotations, len(names), source)
-    positions, confidence = mark_missing(values[..., :2], _confidence(values[..., 2]))
-    return Keypoints2D(camera, names, frames[order], positions, confidence, False, _image_size(images, source), source)
+    values[..., 2] = visibility_as_confidence(values[..., 2])
+    rows = [image.get("file_name", image.get("id")) for image in images]
+    return make_view(origin, names, _frame_numbers(images, source), values, tracked=False, image_size=_image_size(images, source), rows=rows)
 
 
-def _parse(content: bytes, source: str) -> dict[str, Any]:
-    try:
-        data = json.loads(decode(content, source))
-    except RecursionError:
-        raise malformed(source, _EXPECTED, "JSON nested too deeply", "export it again") from None
-    except ValueError as error:
-        raise malformed(source, "complete JSON", f"an error ({error})", "the file is cut or damaged: export it again") from None
+def _checked(data: Any, source: str) -> dict[str, Any]:
     if not isinstance(data, dict) or not {"images", "annotations", "categories"} <= data.keys():
         found = f"an object with {', '.join(map(str, list(data)[:6])) or 'nothing'}" if isinstance(data, dict) else f"a {type(data).__name__}"
         raise malformed(source, _EXPECTED, found, "results without images and names must be joined with their annotations file")
     return data
+
+
+def _check_ids(images: list[dict[str, Any]], annotations: list[dict[str, Any]], source: str) -> None:
+    known = {str(image.get("id")) for image in images}
+    if len(known) < len(images):
+        raise malformed(source, "each image id once", f"{len(images)} images with {len(known)} ids", "export it again")
+    stranger = next((a for a in annotations if str(a.get("image_id")) not in known), None)
+    if stranger is not None:
+        raise malformed(source, "each annotation's image_id among `images`", stranger.get("image_id"), "export images and annotations together")
+
+
+def _cameras(images: list[dict[str, Any]], item: Item, options: ReadOptions) -> dict[str, list[dict[str, Any]]]:
+    """The images of each camera: by the user's pattern, by a field of the images, by folder where numbers repeat; else all are one's."""
+    names = _names(images)
+    found = [camera_in(name, options.camera_pattern) for name in names] if options.camera_pattern else [""]
+    if any(found):
+        if not all(found):
+            raise malformed(item.origin.source, f"a camera in each file name by the pattern {options.camera_pattern}", names[found.index("")], "change it")
+        own = found
+    elif all(_camera_field(image) for image in images):
+        own = [_camera_field(image) for image in images]
+    else:
+        own = _folders(images, names)
+    if len(set(own)) <= 1 and not any(found):
+        return {item.camera: images}
+    return {camera: [image for image, its in zip(images, own, strict=True) if its == camera] for camera in dict.fromkeys(own)}
+
+
+def _camera_field(image: dict[str, Any]) -> str:
+    return next((str(image[key]) for key in ("camera", "cam_id", "camera_id", "cam") if isinstance(image.get(key), str | int)), "")
+
+
+def _names(images: list[dict[str, Any]]) -> list[str]:
+    return [image["file_name"] if isinstance(image.get("file_name"), str) else "" for image in images]
+
+
+def _folders(images: list[dict[str, Any]], names: list[str]) -> list[str]:
+    """Each image's camera, where one part of the folders tells images of one number apart; else nothing."""
+    numbers = [frame_number(name) for name in names]
+    if min(numbers) < 0 or len(set(numbers)) == len(numbers):
+        return []
+    parts = [re.split(r"[/\\]", name)[:-1] for name in names]
+    if len({len(part) for part in parts}) != 1:
+        return []
+    for column in zip(*parts, strict=True):
+        if len(set(zip(column, numbers, strict=True))) == len(images):
+            return list(column)
+    return []
 
 
 def _objects(data: dict[str, Any], key: str, source: str) -> list[dict[str, Any]]:
@@ -76,7 +127,7 @@ def _frame_numbers(images: list[dict[str, Any]], source: str) -> Ints:
     The places: the integer at the end of the file name, `frame`, `frame_id`, the first integer of the file name, `id`.
     Images of one name in two folders are not told apart by `id`: they are those of two cameras. Raises FormatError.
     """
-    names = [image["file_name"] if isinstance(image.get("file_name"), str) else "" for image in images]
+    names = _names(images)
     stems = [_stem(name) for name in names if name]
     places = [[frame_number(name) for name in names]]
     places += [[_whole(image.get(key)) for image in images] for key in ("frame", "frame_id")]
@@ -106,28 +157,14 @@ def _whole(value: object) -> int:
     return int(str(value)) if plain else -1
 
 
-def _places(images: list[dict[str, Any]], annotations: list[dict[str, Any]], order: Ints, source: str) -> tuple[Ints, Ints]:
+def _places(rows: list[int]) -> tuple[Ints, Ints]:
     """`[annotation]` row of its frame and `[annotation]` instance within it."""
-    place = {str(images[i].get("id")): row for row, i in enumerate(order)}
-    if len(place) < len(images):
-        raise malformed(source, "each image id once", f"{len(images)} images with {len(place)} ids", "export it again")
-    strangers = [a for a in annotations if str(a.get("image_id")) not in place]
-    if strangers:
-        raise malformed(source, "each annotation's image_id among `images`", strangers[0].get("image_id"), "export images and annotations together")
-    row = np.array([place[str(a["image_id"])] for a in annotations], dtype=np.int64)
+    row = np.array(rows, dtype=np.int64)
     grouped = np.argsort(row, kind="stable")
     start = np.searchsorted(row[grouped], row[grouped])  # where each frame's run of annotations begins
     instance = np.empty_like(row)
     instance[grouped] = np.arange(len(row)) - start
     return row, instance
-
-
-def _most(instance: Ints, source: str) -> int:
-    """Detections in the fullest frame, held to what memory holds: a damaged file may put all into one frame."""
-    most = int(instance.max(initial=-1)) + 1
-    if most > _MOST_INSTANCES:
-        raise malformed(source, f"at most {_MOST_INSTANCES} annotations per image", most, "check the image_id of the annotations")
-    return most
 
 
 def _points(annotations: list[dict[str, Any]], keypoints: int, source: str) -> Floats:
@@ -144,13 +181,6 @@ def _points(annotations: list[dict[str, Any]], keypoints: int, source: str) -> F
     except (ValueError, TypeError, OverflowError) as error:
         raise malformed(source, "`keypoints` to hold numbers", error, "export it again") from None
     return values
-
-
-def _confidence(third: Floats) -> Floats:
-    """COCO's flags (0 not labelled, 1 occluded, 2 visible) as 0, 0.5, 1; anything else is a confidence already."""
-    known = third[third >= 0]
-    flags = bool(np.isin(known, (0, 1, 2)).all() and (known == 2).any())
-    return third / 2 if flags else third
 
 
 def _image_size(images: list[dict[str, Any]], source: str) -> tuple[int, int]:

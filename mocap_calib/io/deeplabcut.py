@@ -1,11 +1,12 @@
 """DeepLabCut's table of labelled columns, whichever file it came from -> detections. Lightning Pose writes the same."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from mocap_calib.io.reading import frame_number, frame_order, malformed, mark_missing
+from mocap_calib.io.reading import NO_SCORE, Origin, blank, frame_number, make_view, malformed
 from mocap_calib.types import Floats, Ints, Keypoints2D
 
 LEVELS = ("scorer", "individuals", "bodyparts", "coords")
@@ -25,18 +26,18 @@ class Table:
     values: Floats
 
 
-def keypoints_from_table(table: Table, camera: str, source: str) -> Keypoints2D:
+def keypoints_from_table(table: Table, origin: Origin) -> Keypoints2D:
     """Detections by label, so that jagged tables come out right.
 
     One instance per individual, in the order of the columns. The pseudo-individual `single`, which holds the
     unique body parts of a scene (corners, levers), is nobody and left out when it shares none with the others.
     Labelled frames have no likelihood: their confidence is 1. Raises FormatError.
     """
+    source = origin.source
     place = _columns_by_label(table, source)
     individuals = _individuals(place)
     keypoints = tuple(dict.fromkeys(part for who, part in place if who in individuals))
-    shape = (len(table.rows), len(individuals), len(keypoints))
-    values = np.full((*shape, 3), np.nan)
+    values = blank(len(table.rows), len(individuals), len(keypoints), source)
     for (who, part), coords in place.items():
         if who in individuals:
             target = values[:, individuals.index(who), keypoints.index(part)]
@@ -44,10 +45,11 @@ def keypoints_from_table(table: Table, camera: str, source: str) -> Keypoints2D:
             for axis, coord in enumerate(("x", "y", "likelihood")):
                 if coord in coords:
                     target[:, axis] = table.values[:, coords[coord]]
-    frames = _frames(table.rows, source)
-    order = frame_order(frames, table.rows, source)
-    positions, confidence = mark_missing(values[order, ..., :2], values[order, ..., 2])
-    return Keypoints2D(camera, keypoints, frames[order], positions, confidence, True, (0, 0), source)
+    unique = sorted({part for who, part in place if who not in individuals})
+    remarks: tuple[str, ...] = (f"unique body parts belong to no individual and are left out: {', '.join(unique)}",) if unique else ()
+    if not any("likelihood" in coords for coords in place.values()):
+        remarks += (NO_SCORE,)
+    return make_view(origin, keypoints, _frames(table.rows, source), values, tracked=not _any_order(individuals), rows=table.rows, remarks=remarks)
 
 
 def _columns_by_label(table: Table, source: str) -> dict[tuple[str, str], dict[str, int]]:
@@ -74,6 +76,11 @@ def _individuals(place: dict[tuple[str, str], dict[str, int]]) -> list[str]:
     shared = {part for who, part in place if who != "single"}
     unique = {part for who, part in place if who == "single"}
     return [who for who in names if who != "single" or not shared or unique & shared]
+
+
+def _any_order(individuals: list[str]) -> bool:
+    """SuperAnimal's `animal0`, `animal1`, ... are detections that nobody follows."""
+    return len(individuals) > 1 and all(re.fullmatch(r"animal[0-9]+", name) for name in individuals)
 
 
 def _frames(rows: Sequence[str], source: str) -> Ints:

@@ -7,18 +7,19 @@ import re
 import numpy as np
 
 from mocap_calib.io.deeplabcut import LEVELS, Table, keypoints_from_table
-from mocap_calib.io.reading import decode, malformed
+from mocap_calib.io.document import Document, Item, ReadOptions
+from mocap_calib.io.reading import malformed
 from mocap_calib.types import Floats, Keypoints2D
 
 
-def sniff(head: bytes) -> bool:
+def sniff(document: Document) -> bool:
     """The first cell names a header row; the wrong separator is recognised too, to be refused in words."""
-    return re.match(rb'(\xef\xbb\xbf)?"?(scorer|individuals|bodyparts|coords)"?[,;\t]', head) is not None
+    return re.match(rb'(\xef\xbb\xbf)?"?(scorer|individuals|bodyparts|coords)"?[,;\t]', document.content[:64]) is not None
 
 
-def load(content: bytes, camera: str, source: str) -> Keypoints2D:
+def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:  # noqa: ARG001 - a reader's signature
     """The detections of a DeepLabCut or Lightning Pose .csv. Raises FormatError."""
-    return keypoints_from_table(_table(decode(content, source), source), camera, source)
+    return (keypoints_from_table(_table(item.document.text, item.origin.source), item.origin),)
 
 
 def _table(text: str, source: str) -> Table:

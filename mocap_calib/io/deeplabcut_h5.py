@@ -8,59 +8,47 @@ import io
 import pickle
 from typing import Any, Never
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_calib.errors import FormatError
 from mocap_calib.io.deeplabcut import LEVELS, Table, keypoints_from_table
+from mocap_calib.io.document import Document, Item, ReadOptions
+from mocap_calib.io.hdf5 import children_attributes, damage_refused, require_filters
+from mocap_calib.io.hdf5 import text as _text
 from mocap_calib.io.reading import malformed
 from mocap_calib.types import Keypoints2D
 
 _CSV_INSTEAD = "use the .csv that DeepLabCut writes next to it"
-# what h5py and numpy raise on files that are cut, damaged or compressed with a filter that is not installed
-_DAMAGE = (OSError, KeyError, IndexError, ValueError, TypeError, AttributeError, RuntimeError, OverflowError, MemoryError)
 
 
-def sniff(head: bytes) -> bool:
-    """HDF5's signature."""
-    return head.startswith(b"\x89HDF\r\n\x1a\n")
+def sniff(document: Document) -> bool:
+    """HDF5 with a pandas table."""
+    return document.hdf5 is not None and any("pandas_type" in attributes for attributes in children_attributes(document))
 
 
-def load(content: bytes, camera: str, source: str) -> Keypoints2D:
+def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:  # noqa: ARG001 - a reader's signature
     """The detections of a DeepLabCut .h5 in the `table` or the `fixed` layout. Raises FormatError."""
-    try:
-        with h5py.File(io.BytesIO(content), "r") as file:
-            table = _table(file, source)
-    except FormatError:
-        raise
-    except _DAMAGE as error:
-        raise malformed(source, "a whole DeepLabCut .h5", f"an error ({error})", _CSV_INSTEAD) from None
-    return keypoints_from_table(table, camera, source)
+    source = item.origin.source
+    with damage_refused(source, "a whole DeepLabCut .h5", _CSV_INSTEAD):
+        table = _table(item.document.hdf5, source)
+    return (keypoints_from_table(table, item.origin),)
 
 
 def _table(file: Any, source: str) -> Table:
     kinds = {key: _text(item.attrs["pandas_type"]) for key, item in file.items() if "pandas_type" in item.attrs}
     if not kinds:
-        raise malformed(source, "a pandas table as DeepLabCut writes it", f"HDF5 with {', '.join(file) or 'nothing'}", "export DeepLabCut .csv or COCO")
+        raise malformed(
+            source, "a pandas table as DeepLabCut writes it", f"HDF5 with {', '.join(map(str, file)) or 'nothing'}", "export DeepLabCut .csv or COCO"
+        )
     if len(kinds) > 1:
         raise malformed(source, "one pandas table", f"{len(kinds)}: {', '.join(kinds)}", "which one? keep that one, or give its .csv")
     key, kind = next(iter(kinds.items()))
-    _require_filters(file[key], source)
+    require_filters(file[key], source, _CSV_INSTEAD)
     if kind == "frame_table":
         return _from_table_layout(file[key], source)
     if kind == "frame":
         return _from_fixed_layout(file[key])
     raise malformed(source, "a pandas DataFrame", f"a {kind}", _CSV_INSTEAD)
-
-
-def _require_filters(group: Any, source: str) -> None:
-    """PyTables can compress with blosc, which h5py does not have; its own words for that are about folders."""
-    for dataset in (item for item in group.values() if isinstance(item, h5py.Dataset)):
-        layout = dataset.id.get_create_plist()
-        for number, _, _, name in map(layout.get_filter, range(layout.get_nfilters())):
-            if not h5py.h5z.filter_avail(number):
-                raise malformed(source, "compression that HDF5 has itself", f"filter {number} ({_text(name) or 'blosc?'})", _CSV_INSTEAD)
 
 
 def _from_table_layout(group: Any, source: str) -> Table:
@@ -112,10 +100,6 @@ def _multi_index(group: Any, name: str) -> tuple[tuple[str, ...], list[tuple[str
 
 def _usual_levels(columns: list[tuple[str, ...]]) -> tuple[str, ...]:
     return LEVELS if columns and len(columns[0]) == len(LEVELS) else ("scorer", "bodyparts", "coords")
-
-
-def _text(value: Any) -> str:
-    return value.decode("utf-8") if isinstance(value, bytes) else str(value)
 
 
 class _PlainUnpickler(pickle.Unpickler):

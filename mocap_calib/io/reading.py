@@ -2,14 +2,18 @@
 
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from mocap_calib.errors import FormatError
-from mocap_calib.types import Bools, Floats, Ints, Reals
+from mocap_calib.types import Bools, Floats, Ints, Keypoints2D
 
 _LARGEST = np.iinfo(np.int64).max
+NO_SCORE = "no scores in the file: every point counts fully"
+MOST_INSTANCES = 1000  # in a frame
+MOST_POINTS = 100_000_000  # in a camera: 2.4 GB
 
 
 def one_line(value: object, width: int = 80) -> str:
@@ -39,9 +43,17 @@ def decode(content: bytes, source: str) -> str:
         raise malformed(source, "UTF-8 text", f"byte {content[error.start]:#04x} at {error.start}", "save it as UTF-8") from None
 
 
+def camera_in(name: str, pattern: str) -> str:
+    """The camera that a pattern finds in a name: its group `camera`, else its first group, else all it finds; "" where it finds none."""
+    found = re.search(pattern, name)
+    if found is None:
+        return ""
+    return str(found.groupdict().get("camera") or next((group for group in found.groups() if group), "") or found[0])
+
+
 def frame_number(name: str) -> int:
     """A whole number as it is, or the integer at the end of a file name's stem (`a/b_007.png` -> 7); -1 for neither."""
-    stem = re.sub(r"\.[A-Za-z]\w*$|\.0+$", "", name.strip())
+    stem = re.sub(r"\.[A-Za-z]\w*$|^(?P<whole>[0-9]+)\.0+$", lambda found: found["whole"] or "", name.strip())
     digits = None if re.fullmatch(r"-[0-9.]+|[0-9]*\.[0-9]+", stem) else re.search(r"[0-9]+$", stem)
     number = int(digits[0]) if digits and len(digits[0]) < 30 else -1
     return number if number <= _LARGEST else -1
@@ -66,14 +78,93 @@ def unique_names(names: Sequence[str], source: str) -> tuple[str, ...]:
     return tuple(names)
 
 
-def mark_missing(positions: Floats, confidence: Floats) -> tuple[Reals, Reals]:
-    """`[..., 2]` positions with NaN and `[...]` confidences with 0 at every point that one of the customs calls missing; float32.
+def mark_missing(positions: Floats, confidence: Floats) -> tuple[Floats, Floats, dict[str, int]]:
+    """`[..., keypoint, 2]` positions with NaN and `[..., keypoint]` confidences with 0 at every point that a custom calls missing.
 
-    The customs: not a number, a confidence of 0 or below, (0, 0) (OpenPose, COCO), (-1, -1) (DeepLabCut 3).
+    The customs, with how many points each marks (the first that holds counts): (0, 0) (OpenPose, COCO), (-1, -1)
+    (DeepLabCut 3), not a number (counted in detections that have any point), a confidence of 0 or below.
     """
-    with np.errstate(over="ignore"):  # what float32 cannot hold is no pixel
-        kept = positions.astype(np.float32), confidence.astype(np.float32)
-    missing: Bools = np.asarray(~(np.isfinite(kept[0]).all(-1) & (kept[1] > 0) & np.isfinite(kept[1])))
-    missing |= (positions == 0).all(-1) | (positions == -1).all(-1)
-    kept[0][missing], kept[1][missing] = np.nan, 0.0
-    return kept
+    customs = {
+        "(0, 0)": (positions == 0).all(-1),
+        "(-1, -1)": (positions == -1).all(-1),
+        "empty or NaN": ~(np.isfinite(positions).all(-1) & np.isfinite(confidence)),
+        "confidence 0": confidence <= 0,
+    }
+    missing: Bools = np.zeros(confidence.shape, dtype=bool)
+    counts = {}
+    there = ~np.logical_or.reduce(list(customs.values()))
+    for name, marked in customs.items():
+        counted = marked & ~missing & (there.any(-1, keepdims=True) if name == "empty or NaN" else True)
+        counts[name] = int(counted.sum())
+        missing |= marked
+    marks = {name: count for name, count in counts.items() if count}
+    return np.where(missing[..., None], np.nan, positions), np.where(missing, 0.0, confidence), marks
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where detections come from: the camera's name, and the file as complaints name it."""
+
+    camera: str
+    source: str
+
+
+def make_view(
+    origin: Origin,
+    names: Sequence[str],
+    frames: Sequence[int] | Ints,
+    values: Floats,
+    *,
+    tracked: bool,
+    image_size: tuple[int, int] = (0, 0),
+    rows: Sequence[object] | None = None,
+    remarks: tuple[str, ...] = (),
+) -> Keypoints2D:
+    """The record of `[frame, instance, keypoint, 3]` values x, y, confidence: frames in order, missing points marked.
+
+    rows: `[frame]` what complaints call the frames. Raises FormatError where a frame number or a name occurs twice.
+    """
+    numbers = np.asarray(frames, dtype=np.int64)
+    order = frame_order(numbers, numbers.tolist() if rows is None else rows, origin.source)
+    positions, confidence, missing = mark_missing(values[order, ..., :2], values[order, ..., 2])
+    keypoints = unique_names(tuple(names), origin.source)
+    return Keypoints2D(origin.camera, keypoints, numbers[order], positions, confidence, tracked, image_size, origin.source, missing, remarks)
+
+
+def blank(frames: int, instances: int, keypoints: int, source: str) -> Floats:
+    """`[frame, instance, keypoint, 3]` NaN, held to what memory holds: a damaged file may ask for anything. Raises FormatError."""
+    if instances > MOST_INSTANCES:
+        raise malformed(source, f"at most {MOST_INSTANCES} detections in a frame", instances, "check its frame numbers and individuals")
+    if frames * instances * keypoints > MOST_POINTS:
+        found = f"{frames} frames x {instances} detections x {keypoints} keypoints"
+        raise malformed(source, f"at most {MOST_POINTS} points in a camera", found, "check its individuals, or split it")
+    return np.full((frames, instances, keypoints, 3), np.nan)
+
+
+def stacked(detections: Sequence[Sequence[Floats]], keypoints: int, source: str) -> Floats:
+    """`[frame, instance, keypoint, 3]` of each frame's `[keypoint, 3]` detections; those of (0, 3) have no point. Raises FormatError."""
+    odd = next((len(points) for found in detections for points in found if len(points) not in (0, keypoints)), None)
+    if odd is not None:
+        raise malformed(source, f"{keypoints} keypoints in every detection", f"{odd} in one", "keep the detections of one model")
+    values = blank(len(detections), max(map(len, detections), default=0), keypoints, source)
+    for row, found in zip(values, detections, strict=True):
+        for target, points in zip(row, found, strict=False):
+            target[: len(points)] = points
+    return values
+
+
+def visibility_as_confidence(third: Floats) -> Floats:
+    """COCO's flags (0 not labelled, 1 occluded, 2 visible) as 0, 0.5, 1; anything else is a confidence already."""
+    known = third[third >= 0]
+    flags = bool(np.isin(known, (0, 1, 2)).all() and (known == 2).any())
+    return third / 2 if flags else third
+
+
+def scored(values: Floats) -> tuple[Floats, tuple[str, ...]]:
+    """`[..., 3]` values with score 1 where there is a point without one, as labelled by hand; and a remark where that is so."""
+    bare = np.isfinite(values[..., :2]).all(-1) & np.isnan(values[..., 2])
+    if not bare.any():
+        return values, ()
+    known = np.isfinite(values[..., 2]).any()
+    remark = f"{int(bare.sum())} points without a score (labelled by hand?) count fully" if known else NO_SCORE
+    return np.concatenate([values[..., :2], np.where(bare, 1.0, values[..., 2])[..., None]], axis=-1), (remark,)

@@ -12,6 +12,7 @@ import h5py
 import numpy as np
 
 from mocap_calib.errors import FormatError, MismatchError
+from mocap_calib.io import hdf5
 from mocap_calib.io.atomic import replacing
 from mocap_calib.io.intrinsics import camera_fields, camera_from_fields, numbers, one_field
 from mocap_calib.io.reading import decode, malformed, one_line, read_bytes
@@ -106,33 +107,54 @@ def _csv_line(cells: Sequence[str]) -> str:
 
 
 def write_poses_h5(path: Path, poses: Poses3D, attributes: Mapping[str, Any]) -> None:
-    """Writes the poses to HDF5, atomically; the same poses and `attributes` (provenance) give the same bytes.
+    """Writes what `poses_to_h5` gives, atomically and without a copy of it in memory."""
+    with replacing(path) as work, h5py.File(work, "w") as file:
+        _fill(file, poses, attributes, {}, ())
+
+
+def poses_to_h5(poses: Poses3D, attributes: Mapping[str, Any], figures: Mapping[str, float] | None = None, individuals: Sequence[str] = ()) -> bytes:
+    """The poses as HDF5; the same poses and `attributes` (provenance) give the same bytes.
 
     Datasets: position `[frame, individual, keypoint, 3]`, error, views, confidence `[frame, individual,
-    keypoint]`, frames `[frame]`, keypoint_names `[keypoint]`.
+    keypoint]`, frames `[frame]`, keypoint_names `[keypoint]`, and individual_names where they are given. `figures` are
+    further attributes (fps); NaN is left out.
     """
+    with h5py.File("poses", "w", driver="core", backing_store=False) as file:
+        _fill(file, poses, attributes, figures or {}, individuals)
+        file.flush()
+        content: bytes = file.id.get_file_image()
+    return content
+
+
+def _fill(file: h5py.File, poses: Poses3D, attributes: Mapping[str, Any], figures: Mapping[str, float], individuals: Sequence[str]) -> None:
+    """No times in the file: they would change its bytes."""
     arrays = {"position": poses.positions, "error": poses.error, "views": poses.views, "confidence": poses.confidence, "frames": poses.frames}
-    with replacing(path) as work, h5py.File(work, "w") as file:
-        for name, array in arrays.items():
-            packed = {"compression": "gzip", "shuffle": True} if array.size else {}
-            # no times in the file: they would change its bytes
-            file.create_dataset(name, data=array, track_times=False, **packed)
-        file.create_dataset("keypoint_names", data=np.array(poses.keypoints, dtype=object), dtype=h5py.string_dtype(), track_times=False)
-        fields = {"format": "mocap-calib poses", "version": VERSION, "unit": poses.unit, "dimensions": "frame, individual, keypoint, coordinate"}
-        for name, value in (fields | {"provenance": json.dumps(attributes, default=str)}).items():
-            file.attrs[name] = value
+    for name, array in arrays.items():
+        packed = {"compression": "gzip", "shuffle": True} if array.size else {}
+        file.create_dataset(name, data=array, track_times=False, **packed)
+    names = {"keypoint_names": poses.keypoints} | ({"individual_names": tuple(individuals)} if individuals else {})
+    for name, texts in names.items():
+        file.create_dataset(name, data=np.array(texts, dtype=object), dtype=h5py.string_dtype(), track_times=False)
+    fields = {"format": "mocap-calib poses", "version": VERSION, "unit": poses.unit, "dimensions": "frame, individual, keypoint, coordinate"}
+    fields |= {name: value for name, value in figures.items() if np.isfinite(value)}
+    for name, value in (fields | {"provenance": json.dumps(attributes, default=str)}).items():
+        file.attrs[name] = value
 
 
 def read_poses_h5(path: Path) -> Poses3D:
     """The inverse of `write_poses_h5`. Raises FormatError."""
-    source, content = str(path), read_bytes(path)
+    return parse_poses_h5(read_bytes(path), str(path))
+
+
+def parse_poses_h5(content: bytes, source: str) -> Poses3D:
+    """The inverse of `poses_to_h5`. Raises FormatError."""
     try:
-        with h5py.File(io.BytesIO(content), "r") as file:
+        with hdf5.opened(content) as file:
             if file.attrs["format"] != "mocap-calib poses" or file.attrs["version"] != VERSION:
                 raise ValueError(f"format {file.attrs['format']}, version {file.attrs['version']}")
-            keypoints = tuple(file["keypoint_names"].asstr()[...])
-            position, error, confidence = (file[name][...].astype(np.float64) for name in ("position", "error", "confidence"))
-            views, frames = (file[name][...].astype(np.int64) for name in ("views", "frames"))
+            keypoints = hdf5.names(file, "keypoint_names", source)
+            position, error, confidence = (hdf5.array(file, name, source).astype(np.float64) for name in ("position", "error", "confidence"))
+            views, frames = (hdf5.integers(file, name, source) for name in ("views", "frames"))
             unit = str(file.attrs["unit"])
         check_shape("position", position, len(frames), None, len(keypoints), 3)
         for name, array in (("error", error), ("views", views), ("confidence", confidence)):

@@ -1,6 +1,7 @@
 """mocap-calib adjust: bundle adjustment."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -9,6 +10,7 @@ from mocap_calib_cli import options
 
 @click.command(name="adjust")
 @options.keypoints
+@options.reading
 @options.rig
 @options.matches
 @options.output_text("adjusted cameras (YAML)")
@@ -18,7 +20,16 @@ from mocap_calib_cli import options
 @options.device
 @options.quiet
 def command(
-    keypoints: tuple[str, ...], rig: str, matches: str, output: str, matches_out: str | None, skeleton: Path | None, model: str | None, device: str, quiet: bool
+    reading: dict[str, Any],
+    keypoints: tuple[str, ...],
+    rig: str,
+    matches: str,
+    output: str,
+    matches_out: str | None,
+    skeleton: Path | None,
+    model: str | None,
+    device: str,
+    quiet: bool,
 ) -> None:
     """Bundle adjustment, matched and adjusted again until no match changes.
 
@@ -39,7 +50,7 @@ def command(
     outputs.check_text(matches_out)
     with Reporter(quiet=quiet) as reporter:
         cameras = inputs.rig_of(rig)
-        recording, network = inputs.read_recording(keypoints, cameras.cameras, skeleton, reporter, model=model, placed=True)
+        recording, network = inputs.read_recording(keypoints, cameras.cameras, skeleton, reporter, reading, model=model, placed=True)
         start, labels = inputs.placed(recording, cameras), inputs.matches_of(matches, recording)
         chosen, some, lifted = inputs.lifted_sample(recording, network, device, reporter)
         found = adjust_to_fixed_point(some, lifted, start, Matches(labels.labels[:, chosen]), Config(), progress=reporter)

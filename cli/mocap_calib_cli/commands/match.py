@@ -1,6 +1,7 @@
 """mocap-calib match: who is who in all cameras."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -9,13 +10,16 @@ from mocap_calib_cli import options
 
 @click.command(name="match")
 @options.keypoints
+@options.reading
 @options.rig
 @options.output_text("matches (CSV)")
 @options.skeleton
 @options.model
 @options.device
 @options.quiet
-def command(keypoints: tuple[str, ...], rig: str, output: str, skeleton: Path | None, model: str | None, device: str, quiet: bool) -> None:
+def command(
+    reading: dict[str, Any], keypoints: tuple[str, ...], rig: str, output: str, skeleton: Path | None, model: str | None, device: str, quiet: bool
+) -> None:
     """Labels every detection with its individual, given the cameras.
 
     \b
@@ -32,7 +36,7 @@ def command(keypoints: tuple[str, ...], rig: str, output: str, skeleton: Path | 
     outputs.check_text(output)
     with Reporter(quiet=quiet) as reporter:
         cameras = inputs.rig_of(rig)
-        recording, network = inputs.read_recording(keypoints, cameras.cameras, skeleton, reporter, model=model, placed=True)
+        recording, network = inputs.read_recording(keypoints, cameras.cameras, skeleton, reporter, reading, model=model, placed=True)
         chosen, some, lifted = inputs.lifted_sample(recording, network, device, reporter)
         start = inputs.placed(recording, cameras)
         within = match(some, lifted, start, Config().matching, Config().pairwise, progress=reporter)

@@ -1,6 +1,7 @@
 """mocap-calib pairwise: relative poses of all pairs of cameras."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -9,6 +10,7 @@ from mocap_calib_cli import options
 
 @click.command(name="pairwise")
 @options.keypoints
+@options.reading
 @options.cameras
 @options.output_text("pairs (JSON)")
 @options.skeleton
@@ -18,7 +20,16 @@ from mocap_calib_cli import options
 @options.device
 @options.quiet
 def command(
-    keypoints: tuple[str, ...], cameras: str, output: str, skeleton: Path | None, model: str | None, solver: str, seed: int, device: str, quiet: bool
+    reading: dict[str, Any],
+    keypoints: tuple[str, ...],
+    cameras: str,
+    output: str,
+    skeleton: Path | None,
+    model: str | None,
+    solver: str,
+    seed: int,
+    device: str,
+    quiet: bool,
 ) -> None:
     """Finds the relative pose of every pair of cameras, and who matches whom.
 
@@ -37,7 +48,7 @@ def command(
 
     outputs.check_text(output)
     with Reporter(quiet=quiet) as reporter:
-        recording, network = inputs.read_recording(keypoints, inputs.cameras_of(cameras), skeleton, reporter, model=model)
+        recording, network = inputs.read_recording(keypoints, inputs.cameras_of(cameras), skeleton, reporter, reading, model=model)
         chosen, some, lifted = inputs.lifted_sample(recording, network, device, reporter)
         solve = inputs.pair_solver(solver, recording, network)
         pairs = calibrate_pairs(some, lifted, PairwiseConfig(), rng=np.random.default_rng(seed), progress=reporter, solve=solve)

@@ -15,8 +15,11 @@ if TYPE_CHECKING:
 
 @click.command(name="run")
 @options.keypoints
+@options.reading
 @options.cameras
 @click.option("-o", "--output", type=click.Path(path_type=Path), required=True, metavar="OUT", help="Folder to write; made when missing.")
+@click.option("--write", "formats", multiple=True, metavar="FORMAT", help="Write this format too (trc, pose2sim, ...: docs/formats.md); may be repeated.")
+@click.option("--fps", type=click.FloatRange(min=0, min_open=True), help="Frames per second, for the formats that need it.")
 @options.skeleton
 @options.model
 @options.solver
@@ -26,9 +29,12 @@ if TYPE_CHECKING:
 @options.as_json("Write the content of run.json to stdout as well.")
 @options.quiet
 def command(
+    reading: dict[str, Any],
     keypoints: tuple[str, ...],
     cameras: str,
     output: Path,
+    formats: tuple[str, ...],
+    fps: float | None,
     skeleton: Path | None,
     model: str | None,
     solver: str,
@@ -40,24 +46,30 @@ def command(
 ) -> None:
     """Calibrates the cameras that saw KEYPOINTS, finds who is who, and triangulates the poses.
 
-    KEYPOINTS: a folder with one file per camera, or files, or name=path pairs. The name of a camera is the stem of its
-    file; it must be a name in INTRINSICS. A run that was killed picks up the pairs of cameras it had finished.
+    KEYPOINTS: a folder with a file or a folder per camera, or files, or name=path pairs, or a file of all cameras. The name
+    of a camera is that of its file or folder; it must be a name in INTRINSICS. docs/formats.md lists the formats. A run that was
+    killed picks up the pairs of cameras it had finished.
 
     \b
     Example:
       mocap-calib run keypoints/ --cameras intrinsics.toml -o out
       mocap-calib run left=a.json right=b.json --cameras intrinsics.toml -o out --json
+      mocap-calib run keypoints/ --cameras intrinsics.toml -o out --write colmap --write movement-3d --fps 60
     """
-    from mocap_calib_cli import jobs, outputs
+    from mocap_calib.io.pose_formats.common import PoseFile
+    from mocap_calib_cli import conversion, jobs, outputs
     from mocap_calib_cli.engine import engine
     from mocap_calib_cli.progress import Reporter
 
     outputs.check_folder(output)
+    conversion.check_formats(formats, fps)
     with Reporter(quiet=quiet) as reporter, engine(reporter, scheduler=scheduler) as there:
-        job = jobs.read(jobs.Order(keypoints, cameras, skeleton, model, solver, seed, device, output), reporter)
+        job = jobs.read(jobs.Order(keypoints, cameras, skeleton, model, solver, seed, device, output, reading), reporter)
         found = jobs.solve_here(job, progress=reporter, mapper=there or map)
     report = jobs.write(job, found)
     _summarise(reporter, found, report, output)
+    poses = PoseFile(found.poses, float("nan") if fps is None else fps)
+    reporter.say(*conversion.write_formats(output, found.rig, poses, formats, outputs.provenance("run", seed=seed)))
     if as_json:
         click.echo(json.dumps(report, indent=1, allow_nan=False))
 

@@ -1,6 +1,7 @@
 """mocap-calib triangulate: 3D poses."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -9,12 +10,13 @@ from mocap_calib_cli import options
 
 @click.command(name="triangulate")
 @options.keypoints
+@options.reading
 @options.rig
 @options.matches
 @options.output_file("Poses: a .h5 file, or a .csv file (further individuals go to NAME_1.csv, NAME_2.csv, ...).")
 @options.skeleton
 @options.quiet
-def command(keypoints: tuple[str, ...], rig: str, matches: str, output: Path, skeleton: Path | None, quiet: bool) -> None:
+def command(reading: dict[str, Any], keypoints: tuple[str, ...], rig: str, matches: str, output: Path, skeleton: Path | None, quiet: bool) -> None:
     """3D poses of all individuals in all frames.
 
     \b
@@ -23,7 +25,7 @@ def command(keypoints: tuple[str, ...], rig: str, matches: str, output: Path, sk
     """
     from mocap_calib.config import TriangulateConfig
     from mocap_calib.errors import MismatchError
-    from mocap_calib.io.atomic import folder, replace_text
+    from mocap_calib.io.atomic import folder, of_individual, replace_text
     from mocap_calib.io.results import poses_csv, write_poses_h5
     from mocap_calib.triangulation import triangulate
     from mocap_calib_cli import inputs, outputs
@@ -34,7 +36,7 @@ def command(keypoints: tuple[str, ...], rig: str, matches: str, output: Path, sk
     outputs.check_file(output)
     with Reporter(quiet=quiet) as reporter:
         cameras = inputs.rig_of(rig)
-        recording, _ = inputs.read_recording(keypoints, cameras.cameras, skeleton, reporter, placed=True)
+        recording, _ = inputs.read_recording(keypoints, cameras.cameras, skeleton, reporter, reading, placed=True)
         labels = inputs.matches_of(matches, recording)
         poses = triangulate(recording, inputs.placed(recording, cameras), labels, TriangulateConfig(), progress=reporter)
     if output.suffix == ".h5":
@@ -42,4 +44,4 @@ def command(keypoints: tuple[str, ...], rig: str, matches: str, output: Path, sk
     else:
         with folder(output.absolute().parent) as work:
             for k in range(labels.individuals):
-                replace_text(work / outputs.of_individual(output, k).name, poses_csv(poses, k))
+                replace_text(work / of_individual(output, k).name, poses_csv(poses, k))

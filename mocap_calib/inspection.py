@@ -1,0 +1,222 @@
+"""What is in keypoint files, before any calibration: numbers per camera and per pair, and what stands in the way of a run."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from mocap_calib.config import InspectConfig
+from mocap_calib.errors import MismatchError
+from mocap_calib.recording import make_recording, name_mapping, of_cameras
+from mocap_calib.skeleton import SHIPPED, choose_skeleton, load_skeleton, match_names, normalise_name
+from mocap_calib.types import Bools, Camera, Ints, Keypoints2D
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something that stands in the way. critical: a run could not work; else it may be worse than it could be. message: one line with the remedy."""
+
+    critical: bool
+    message: str
+
+
+def inspect_views(views: Sequence[Keypoints2D], config: InspectConfig) -> dict[str, Any]:
+    """What the files hold, as plain numbers: `cameras`, `pairs`, and the `model` that knows most of the joints."""
+    names = tuple(dict.fromkeys(name for view in views for name in view.keypoints))
+    skeleton = choose_skeleton(names)
+    known = match_names(names, skeleton) >= 0
+    return {
+        "cameras": [_camera(view, config) for view in views],
+        "pairs": [_pair(a, b) for a, b in combinations(views, 2)],
+        "model": {"name": skeleton.name, "knows": int(known.sum()), "unknown": [n for n, k in zip(names, known, strict=True) if not k]},
+    }
+
+
+def with_sizes(views: Sequence[Keypoints2D], cameras: Sequence[Camera]) -> tuple[Keypoints2D, ...]:
+    """The views, with the image sizes of the cameras of their names where their files have none."""
+    sizes = [next((camera.size for camera in cameras if of_cameras([view], [camera])), (0, 0)) for view in views]
+    return tuple(replace(view, image_size=size) if view.image_size == (0, 0) else view for view, size in zip(views, sizes, strict=True))
+
+
+def _camera(view: Keypoints2D, config: InspectConfig) -> dict[str, Any]:
+    seen = _seen(view)
+    there: Bools = np.asarray(seen.any(-1))
+    named: Bools = np.asarray(seen.any((0, 1)))
+    points, missing = int(seen.sum()), sum(view.missing.values())
+    scores = view.confidence[seen]
+    return {
+        "name": view.camera,
+        "source": view.source,
+        "frames": _frames(view.frames),
+        "detections": int(there.sum()),
+        "most_at_once": int(there.sum(axis=1).max(initial=0)),
+        "followed": view.tracked,
+        "empty_frames": int((~there.any(axis=1)).sum()),
+        "keypoints": list(view.keypoints),
+        "never_seen": [name for name, ever in zip(view.keypoints, named, strict=True) if not ever],
+        "points": points,
+        "missing": {name: {"points": count, "share": count / (points + missing)} for name, count in view.missing.items()},
+        "confidence": {name: float(np.quantile(scores, q)) if points else None for name, q in (("least", 0.0), ("median", 0.5), ("most", 1.0))},
+        "image": _image(view, seen, config),
+        "remarks": list(view.remarks),
+    }
+
+
+def _seen(view: Keypoints2D) -> Bools:
+    return np.asarray(np.isfinite(view.positions[..., 0]))
+
+
+def _frames(frames: Ints) -> dict[str, Any]:
+    first, last = (int(frames[0]), int(frames[-1])) if len(frames) else (None, None)
+    return {"count": len(frames), "first": first, "last": last, "gaps": _gaps(frames)}
+
+
+def _gaps(frames: Ints) -> list[list[int]]:
+    """First and last number of each run of numbers that is not there, between the first and the last that is."""
+    ends = np.flatnonzero(np.diff(frames) > 1)
+    return [[int(frames[k]) + 1, int(frames[k + 1]) - 1] for k in ends]
+
+
+def _image(view: Keypoints2D, seen: Bools, config: InspectConfig) -> dict[str, Any]:
+    """Size, the span of the points, and the share of the cells of a grid over the image, or over the span where it has no size, that have any."""
+    points = view.positions[seen]
+    if not len(points):
+        return {"size": list(view.image_size), "least": None, "most": None, "covered": 0.0, "outside": 0.0}
+    least, most = points.min(axis=0), points.max(axis=0)
+    low, high = (np.zeros(2), np.array(view.image_size, dtype=float)) if view.image_size != (0, 0) else (least, most)
+    place = ((points - low) / np.maximum(high - low, 1e-9) * config.cells).astype(np.int64)
+    inside = ((points >= low) & (points <= high)).all(-1)
+    cells = np.unique(place[inside].clip(0, config.cells - 1), axis=0)
+    covered = len(cells) / config.cells**2
+    return {"size": list(view.image_size), "least": least.tolist(), "most": most.tolist(), "covered": covered, "outside": float((~inside).mean())}
+
+
+def _pair(a: Keypoints2D, b: Keypoints2D) -> dict[str, Any]:
+    """How much two cameras see together: frames that both have, frames in which both see somebody, joints that both name."""
+    frames, in_a, in_b = np.intersect1d(a.frames, b.frames, return_indices=True)
+    in_both = (np.asarray(_seen(view).any((1, 2)))[rows] for view, rows in ((a, in_a), (b, in_b)))
+    both: Bools = np.logical_and(*in_both)
+    joints = {normalise_name(name) for name in a.keypoints} & {normalise_name(name) for name in b.keypoints}
+    return {"a": a.camera, "b": b.camera, "frames": len(frames), "covisible": int(both.sum()), "joints": len(joints)}
+
+
+def findings(
+    views: Sequence[Keypoints2D], report: Mapping[str, Any], cameras: Sequence[Camera], aliases: Mapping[str, str], config: InspectConfig
+) -> tuple[Finding, ...]:
+    """What stands in the way, the critical first. Cameras may be none: then what needs them is not looked at."""
+    usable = [view for view in views if _seen(view).any()]
+    found = [*_few(views, usable), *_scales(usable, config), *_clocks(usable, report, config), *_joints(usable, report), *_copies(usable)]
+    found += [Finding(False, message) for view in views for message in _worse(view, config)]
+    if cameras and not any(each.critical for each in found):
+        found += _with_cameras(views, usable, cameras, aliases)
+    return tuple(sorted(found, key=lambda each: not each.critical))
+
+
+def _few(views: Sequence[Keypoints2D], usable: Sequence[Keypoints2D]) -> list[Finding]:
+    empty = [view for view in views if not any(view is other for other in usable)]
+    found = [Finding(False, f"{view.camera}: no valid point in {view.source}; it will be left out: check the detector's output") for view in empty]
+    if len(usable) < 2:
+        names = ", ".join(view.camera for view in usable) or "none"
+        found.append(Finding(True, f"expected detections of two cameras or more, found those of {len(usable)} ({names}); add the other keypoint files"))
+    return found
+
+
+def _scales(usable: Sequence[Keypoints2D], config: InspectConfig) -> list[Finding]:
+    """Positions that are no pixels, or those of another image."""
+    found = []
+    for view in usable:
+        points = np.abs(view.positions[_seen(view)])
+        outside = (points > np.array(view.image_size)).any(-1).mean() if view.image_size != (0, 0) else 0.0
+        if points.max() <= config.normalised:
+            found.append(Finding(True, f"{view.camera}: positions up to {points.max():.2f} are no pixels; multiply normalised positions by the image size"))
+        elif outside > config.outside:
+            size = f"{view.image_size[0]} x {view.image_size[1]}"
+            found.append(Finding(False, f"{view.camera}: {outside:.0%} of the points lie outside its image of {size}; check its size, or say --crop-offset"))
+    return found
+
+
+def _clocks(usable: Sequence[Keypoints2D], report: Mapping[str, Any], config: InspectConfig) -> list[Finding]:
+    """Frame numbers that do not go together."""
+    pairs = [pair for pair in report["pairs"] if {pair["a"], pair["b"]} <= {view.camera for view in usable}]
+    if not pairs:
+        return []
+    ranges = ", ".join(f"{view.camera} {view.frames[0]}-{view.frames[-1]}" for view in usable)
+    if not any(pair["covisible"] for pair in pairs):
+        remedy = "number the frames of all cameras on one clock (--frame-offset), or check that the files are of one recording"
+        return [Finding(True, f"no two cameras see anything in the same frame ({ranges}); {remedy}")]
+    found = []
+    if max(pair["covisible"] for pair in pairs) < config.enough_frames:
+        found.append(Finding(False, f"no two cameras see something together in {config.enough_frames} frames or more; record longer"))
+    together = {name for pair in pairs if pair["covisible"] for name in (pair["a"], pair["b"])}
+    alone = [view.camera for view in usable if view.camera not in together]
+    found += [Finding(False, f"{name}: sees nothing in a frame in which another camera does, and will be left out; check its frame numbers") for name in alone]
+    starts, lengths = {int(view.frames[0]) for view in usable}, {len(view.frames) for view in usable}
+    if len(starts) == 2 and max(starts) - min(starts) == 1 and len(lengths) == 1:
+        late = next(view.camera for view in usable if view.frames[0] == max(starts))
+        remedy = f"say --frame-offset {late}:-1 for each such camera, if they count from 1"
+        found.append(Finding(False, f"equally long recordings start at frame {min(starts)} and at frame {max(starts)} ({ranges}); {remedy}"))
+    elif len({(int(view.frames[0]), int(view.frames[-1])) for view in usable}) > 1:
+        found.append(Finding(False, f"the cameras' frames differ ({ranges}); only frames that two of them have are used"))
+    return found
+
+
+def _joints(usable: Sequence[Keypoints2D], report: Mapping[str, Any]) -> list[Finding]:
+    """Names that do not go together."""
+    owners: dict[str, list[str]] = {}
+    for view in usable:
+        for name in view.keypoints:
+            owners.setdefault(normalise_name(name), []).append(view.camera)
+    if len(usable) < 2:
+        return []
+    remedy = "rename them, or map them with --skeleton"
+    if all(len(set(cameras)) == 1 for cameras in owners.values()):
+        listed = "; ".join(f"{view.camera}: {', '.join(view.keypoints[:6])}, ..." for view in usable)
+        skeleton_knows = report["model"]["knows"] >= 1
+        return [Finding(not skeleton_knows, f"no two cameras share a keypoint name ({listed}); {remedy}")]
+    single = {name: cameras[0] for name, cameras in owners.items() if len(set(cameras)) == 1}
+    found = []
+    if single:
+        listed = ", ".join(f"{name} ({camera})" for name, camera in list(single.items())[:6]) + (", ..." if len(single) > 6 else "")
+        found.append(Finding(False, f"{len(single)} keypoints that a single camera names are not used: {listed}; {remedy}"))
+    if report["model"]["knows"] < 4:
+        models = ", ".join(SHIPPED)
+        found.append(Finding(False, f"the models ({models}) know {report['model']['knows']} of the joints: calibrated by geometry alone; {remedy}"))
+    return found
+
+
+def _copies(usable: Sequence[Keypoints2D]) -> list[Finding]:
+    """Two cameras with the same detections."""
+    same = [(a, b) for a, b in combinations(usable, 2) if a.positions.shape == b.positions.shape and np.array_equal(a.positions, b.positions, equal_nan=True)]
+    return [Finding(True, f"{a.camera} and {b.camera} have the same detections ({a.source}, {b.source}); give each camera its own file") for a, b in same]
+
+
+def _worse(view: Keypoints2D, config: InspectConfig) -> list[str]:
+    """What makes a camera's detections worth less."""
+    scores = view.confidence[_seen(view)]
+    if not len(scores):
+        return []
+    found = []
+    if np.median(scores) < config.low_confidence:
+        found.append(f"{view.camera}: half of the scores are below {config.low_confidence}; check the detector's output")
+    if scores.max() > 1.0:
+        found.append(f"{view.camera}: scores up to {scores.max():.2f} are no probabilities; they are scaled, which needs nothing if all cameras' are alike")
+    gone = int((np.diff(view.frames) - 1).sum())
+    if gone > config.gaps * (gone + len(view.frames)):
+        found.append(f"{view.camera}: {gone} frame numbers between the first and the last are not there; check that none were lost")
+    return found
+
+
+def _with_cameras(views: Sequence[Keypoints2D], usable: Sequence[Keypoints2D], cameras: Sequence[Camera], aliases: Mapping[str, str]) -> list[Finding]:
+    """What a run would say of the keypoints and cameras together."""
+    skeletons = [load_skeleton(name) for name in SHIPPED]
+    names = tuple(dict.fromkeys(aliases.get(name, name) for view in views for name in view.keypoints))
+    skeleton = max(skeletons, key=lambda each: int((match_names(names, each) >= 0).sum()))
+    try:
+        make_recording(views, cameras, skeleton, aliases)
+        owners = {name for _, name in name_mapping(usable, cameras)}
+    except MismatchError as error:
+        return [Finding(True, str(error))]
+    idle = [camera.name for camera in cameras if camera.name not in owners]
+    return [Finding(False, f"{', '.join(idle)}: no keypoints for these cameras; add their files, or go on without them")] if idle else []

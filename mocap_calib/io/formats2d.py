@@ -1,0 +1,184 @@
+"""The table of keypoint formats: how each is recognised by content, read and written."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from mocap_calib.errors import FormatError, MismatchError, MocapCalibError
+from mocap_calib.io import (
+    caliscope,
+    coco,
+    coco_writer,
+    deeplabcut_csv,
+    deeplabcut_h5,
+    deeplabcut_writer,
+    generic_csv,
+    label3d,
+    mmpose,
+    movement_nc,
+    nwb,
+    openpose,
+    results_json,
+    sleap_csv,
+    sleap_h5,
+    sleap_slp,
+    superanimal,
+    ultralytics,
+)
+from mocap_calib.io.adjust2d import moved, split_views
+from mocap_calib.io.atomic import folder, write_bytes
+from mocap_calib.io.document import Document, Item, ReadOptions, describe
+from mocap_calib.io.items import keypoint_items
+from mocap_calib.io.reading import malformed
+from mocap_calib.types import Keypoints2D
+
+Writer = Callable[[tuple[Keypoints2D, ...]], dict[str, bytes]]
+
+
+@dataclass(frozen=True)
+class KeypointFormat:
+    """One format.
+
+    sniff: whether a file is meant for it, which its reader may still refuse. read: the cameras in a file or folder.
+    write: relative path -> content of what holds these cameras, or None. per_frame: a file holds one frame, a folder
+    one camera.
+    """
+
+    description: str
+    sniff: Callable[[Document], bool]
+    read: Callable[[Item, ReadOptions], tuple[Keypoints2D, ...]]
+    write: Writer | None = None
+    per_frame: bool = False
+
+
+# the first whose sniff says yes reads the file
+KEYPOINT_FORMATS = {
+    "coco": KeypointFormat("COCO annotations .json", coco.sniff, coco.read, coco_writer.write),
+    "openpose": KeypointFormat("OpenPose .json, a folder per camera", openpose.sniff, openpose.read, openpose.write, per_frame=True),
+    "mmpose-images": KeypointFormat("MMPose .json of images, a folder per camera", mmpose.sniff_image, mmpose.read_images, per_frame=True),
+    "mmpose": KeypointFormat("MMPose and RTMPose .json of a video", mmpose.sniff_video, mmpose.read_video),
+    "superanimal": KeypointFormat("DeepLabCut SuperAnimal .json", superanimal.sniff, superanimal.read),
+    "coco-results": KeypointFormat("COCO results .json", results_json.sniff_coco, results_json.read_coco),
+    "alphapose": KeypointFormat("AlphaPose .json", results_json.sniff_alphapose, results_json.read_alphapose),
+    "deeplabcut-h5": KeypointFormat("DeepLabCut .h5", deeplabcut_h5.sniff, deeplabcut_h5.read, deeplabcut_writer.write_h5),
+    "sleap": KeypointFormat("SLEAP analysis .h5", sleap_h5.sniff, sleap_h5.read, sleap_h5.write),
+    "sleap-slp": KeypointFormat("SLEAP .slp", sleap_slp.sniff, sleap_slp.read),
+    "movement": KeypointFormat("movement .nc", movement_nc.sniff, movement_nc.read, movement_nc.write),
+    "nwb": KeypointFormat("NWB ndx-pose .nwb", nwb.sniff, nwb.read),
+    "label3d": KeypointFormat("Label3D .mat", label3d.sniff, label3d.read),
+    "deeplabcut-csv": KeypointFormat("DeepLabCut and Lightning Pose .csv", deeplabcut_csv.sniff, deeplabcut_csv.read, deeplabcut_writer.write_csv),
+    "sleap-csv": KeypointFormat("SLEAP analysis .csv", sleap_csv.sniff, sleap_csv.read),
+    "caliscope": KeypointFormat("caliscope .csv", caliscope.sniff, caliscope.read),
+    "csv": KeypointFormat("csv with a row per point (camera,frame,individual,keypoint,x,y,score)", generic_csv.sniff, generic_csv.read, generic_csv.write),
+    "ultralytics": KeypointFormat("Ultralytics .txt, a folder per camera", ultralytics.sniff, ultralytics.read, per_frame=True),
+}
+
+
+def read_keypoints(paths: Sequence[str | Path], format: str | None = None, options: ReadOptions | None = None) -> tuple[Keypoints2D, ...]:
+    """The detections of each camera in files, folders and `name=path` pairs; x right, y down, in pixels as the files have them.
+
+    format: a name in KEYPOINT_FORMATS; each file's content says where none is given. Raises FormatError, in one line,
+    for whatever is wrong with a file, and MismatchError where two files are of one camera.
+    """
+    views, errors = read_what_can(paths, format, options)
+    if errors:
+        raise errors[0]
+    return views
+
+
+def read_what_can(
+    paths: Sequence[str | Path],
+    format: str | None = None,
+    options: ReadOptions | None = None,
+) -> tuple[tuple[Keypoints2D, ...], list[MocapCalibError]]:
+    """The detections of the files that can be read, and what `read_keypoints` would raise of the others. Raises MismatchError as it does."""
+    options = options or ReadOptions()
+    if format is not None:
+        _known(format)
+    items = keypoint_items(paths, options, lambda item: _per_frame(item, format))
+    _check_once([(item.camera, str(item.path)) for item in items if item.camera])
+    views: list[Keypoints2D] = []
+    errors: list[MocapCalibError] = []
+    for item in items:
+        try:
+            found = _read(item, format, options)
+            views += map(_lean, found) if options.single_precision else found
+        except MocapCalibError as error:
+            errors.append(error)
+    _check_once([(view.camera, view.source) for view in views])
+    return (tuple(views) if errors else moved(views, options)), errors
+
+
+def _lean(view: Keypoints2D) -> Keypoints2D:
+    """The same in single precision."""
+    return replace(view, positions=view.positions.astype(np.float32), confidence=view.confidence.astype(np.float32))
+
+
+def _check_once(found: list[tuple[str, str]]) -> None:
+    """Holds (camera, source) pairs to one of each camera. Raises MismatchError."""
+    cameras = [camera for camera, _ in found]
+    twice = next((camera for camera in cameras if cameras.count(camera) > 1), None)
+    if twice is not None:
+        files = " and ".join(source for camera, source in found if camera == twice)
+        raise MismatchError(f"expected one keypoint file per camera, found {files} for camera {twice}; leave one out, or say name=path")
+
+
+def write_keypoints(path: Path, views: tuple[Keypoints2D, ...], format: str) -> None:
+    """Writes the cameras as `format` has them, whole or not at all.
+
+    A format with one file for all of them writes `path`; others fill the folder `path`. Raises MismatchError where the
+    format has no writer, or no place for what the views hold.
+    """
+    writer = _known(format).write
+    if writer is None:
+        known = ", ".join(name for name, each in KEYPOINT_FORMATS.items() if each.write)
+        raise MismatchError(f"expected a keypoint format that is written ({known}), found {format}; choose one of those")
+    files = writer(views)
+    if len(files) == 1 and path.suffix:
+        write_bytes(path, next(iter(files.values())))
+        return
+    with folder(path) as work:
+        for name, content in files.items():
+            (work / name).parent.mkdir(parents=True, exist_ok=True)
+            (work / name).write_bytes(content)
+
+
+def _known(name: str) -> KeypointFormat:
+    if name not in KEYPOINT_FORMATS:
+        raise MismatchError(f"expected a keypoint format ({', '.join(KEYPOINT_FORMATS)}), found {name}; choose one of those")
+    return KEYPOINT_FORMATS[name]
+
+
+def _format(document: Document, name: str | None) -> KeypointFormat:
+    """The format that is named, or that the content shows. Raises FormatError, also where the content cannot be what is named."""
+    if name is not None:
+        if not KEYPOINT_FORMATS[name].sniff(document):
+            raise malformed(document.source, KEYPOINT_FORMATS[name].description, describe(document), "leave out --format, or choose another")
+        return KEYPOINT_FORMATS[name]
+    for known in KEYPOINT_FORMATS.values():
+        if known.sniff(document):
+            return known
+    raise malformed(document.source, f"one of: {', '.join(KEYPOINT_FORMATS)}", describe(document), "export one of these")
+
+
+def _per_frame(item: Item, name: str | None) -> bool:
+    """Whether the files of a folder are the frames of one camera; a file that cannot be told is complained of when it is read."""
+    try:
+        return _format(item.document, name).per_frame
+    except FormatError:
+        return False
+
+
+def _read(item: Item, name: str | None, options: ReadOptions) -> tuple[Keypoints2D, ...]:
+    """The cameras in one item, moved as the options say. Raises FormatError and MismatchError."""
+    views = _format(item.document, name).read(item, options)
+    if item.named and len(views) > 1:
+        cameras = ", ".join(view.camera for view in views)
+        raise MismatchError(f"{item.path}: expected the one camera {item.camera}, found {cameras}; give the file without a name")
+    if item.named:
+        views = (replace(views[0], camera=item.camera),)
+    if not all(view.camera for view in views):
+        raise malformed(str(item.path), f"a camera in the path by the pattern {options.camera_pattern}", "none", "change --camera-regex")
+    return tuple(view for whole in views for view in split_views(whole, options.views))

@@ -1,0 +1,90 @@
+"""What the HDF5 readers share: text, arrays of a size that memory holds, and damage said in one line."""
+
+import io
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_calib.errors import FormatError
+from mocap_calib.io.document import HDF5_DAMAGE, Document
+from mocap_calib.io.heaps import check_heaps
+from mocap_calib.io.reading import MOST_POINTS, malformed
+from mocap_calib.types import Ints
+
+_MOST_PACKED = 1100  # times that deflate can make bytes of zeros fewer
+
+_REMEDY = "the file is cut or damaged: export it again"
+
+
+@contextmanager
+def damage_refused(source: str, expected: str, remedy: str) -> Iterator[None]:
+    """Turns what h5py and numpy raise on damaged files into a FormatError."""
+    try:
+        yield
+    except FormatError:
+        raise
+    except HDF5_DAMAGE as error:
+        raise malformed(source, expected, f"an error ({error or type(error).__name__})", remedy) from None
+
+
+def opened(content: bytes) -> h5py.File:
+    """The file in memory. Raises what h5py raises on damage, and ValueError where HDF5 would not come back."""
+    check_heaps(content)
+    return h5py.File(io.BytesIO(content), "r")
+
+
+def text(value: Any) -> str:
+    """A string as HDF5 gives it: bytes, text, or an array of one of them."""
+    if isinstance(value, np.ndarray):
+        value = value.reshape(-1)[0] if value.size else ""
+    return value.decode("utf-8", errors="replace") if isinstance(value, bytes) else str(value)
+
+
+def children_attributes(document: Document) -> list[dict[str, Any]]:
+    """The attributes of what lies at the top of an HDF5 file. Raises FormatError."""
+    with damage_refused(document.source, "a whole HDF5 file", _REMEDY):
+        return [dict(item.attrs) for item in document.hdf5.values()]
+
+
+def keys(document: Document) -> set[str]:
+    """The names of what lies at the top of an HDF5 file; nothing for other files."""
+    with damage_refused(document.source, "a whole HDF5 file", _REMEDY):
+        return set() if document.hdf5 is None else set(map(text, document.hdf5))
+
+
+def array(group: Any, name: str, source: str) -> NDArray[Any]:
+    """A dataset of a size that memory holds. Raises FormatError where there is none, and what h5py raises on damage."""
+    dataset = group.get(name)
+    if not isinstance(dataset, h5py.Dataset):
+        raise malformed(source, f"a dataset `{name}`", "none", "export it again")
+    if dataset.size is not None and dataset.size > 4 * MOST_POINTS:
+        raise malformed(source, f"at most {4 * MOST_POINTS} numbers in `{name}`", dataset.size, "the file is damaged: export it again")
+    if dataset.size is not None and dataset.nbytes > _MOST_PACKED * group.file.id.get_filesize():
+        raise malformed(source, f"`{name}` to fit into the file", f"a claim of {dataset.nbytes} bytes", "the file is damaged: export it again")
+    return np.asarray(dataset[...])
+
+
+def integers(group: Any, name: str, source: str) -> Ints:
+    """A dataset of whole numbers. Raises FormatError."""
+    values = array(group, name, source)
+    if values.dtype.kind not in "iu" or (values.size and int(values.max()) > np.iinfo(np.int64).max):
+        raise malformed(source, f"whole numbers in `{name}`", values.dtype, "export it again")
+    return values.astype(np.int64)
+
+
+def names(group: Any, name: str, source: str) -> tuple[str, ...]:
+    """A list of names."""
+    return tuple(text(entry) for entry in array(group, name, source).reshape(-1))
+
+
+def require_filters(group: Any, source: str, remedy: str) -> None:
+    """PyTables can compress with blosc, which h5py does not have; its own words for that are about folders. Raises FormatError."""
+    for dataset in (item for item in group.values() if isinstance(item, h5py.Dataset)):
+        layout = dataset.id.get_create_plist()
+        for number, _, _, name in map(layout.get_filter, range(layout.get_nfilters())):
+            if not h5py.h5z.filter_avail(number):
+                raise malformed(source, "compression that HDF5 has itself", f"filter {number} ({text(name) or 'blosc?'})", remedy)

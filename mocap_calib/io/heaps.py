@@ -1,0 +1,29 @@
+"""A look at the heaps of an HDF5 file, where its texts are, before HDF5 does: it reads a damaged one for ever.
+
+The global heap ("HDF5 File Format Specification", III.E): a signature, a size, then objects with a number and a size; the object
+0 is the free rest, whose size counts its own header. HDF5 steps from one to the next by these sizes, and a rest of size 0
+does not let it get on.
+"""
+
+import re
+import struct
+
+_COLLECTION = re.compile(rb"GCOL\x01\x00\x00\x00")
+_HEAD = 16  # bytes before the objects, and before each object's content
+
+
+def check_heaps(content: bytes) -> None:
+    """Raises ValueError where an object of a heap goes beyond it, or is a rest too small to hold its own header."""
+    for found in _COLLECTION.finditer(content):
+        at = found.start() + _HEAD
+        if at > len(content):
+            raise ValueError("a heap that is cut")
+        end = found.start() + struct.unpack_from("<Q", content, found.start() + 8)[0]
+        if end > len(content):
+            raise ValueError("a heap that is cut")
+        while at + _HEAD <= end:
+            number, size = struct.unpack_from("<H6xQ", content, at)
+            step = size if number == 0 else _HEAD + (size + 7) // 8 * 8
+            if step < _HEAD or at + step > end:
+                raise ValueError("a damaged heap")
+            at += step

@@ -1,0 +1,93 @@
+"""movement's netCDF (HDF5): `position` and `confidence` with named dimensions, singular or, before movement 0.17, plural."""
+
+import io
+from typing import Any
+
+import h5py
+import numpy as np
+
+from mocap_calib.errors import MismatchError
+from mocap_calib.io.document import Document, Item, ReadOptions
+from mocap_calib.io.hdf5 import array, damage_refused, keys, names, text
+from mocap_calib.io.reading import blank, make_view, malformed, scored
+from mocap_calib.types import Floats, Keypoints2D
+
+_REMEDY = "save it from movement again"
+_DIMS = ("time", "individual", "keypoint", "space")
+
+
+def sniff(document: Document) -> bool:
+    """HDF5 with positions over a space."""
+    return {"position", "space"} <= keys(document)
+
+
+def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:  # noqa: ARG001 - a reader's signature
+    """One camera; frames are the times in frames, or seconds times fps. Raises FormatError."""
+    source, file = item.origin.source, item.document.hdf5
+    with damage_refused(source, "a whole netCDF file of movement", _REMEDY):
+        positions = _turned(file, "position", _DIMS, source)
+        axes = names(file, "space", source)
+        if axes != ("x", "y"):
+            raise malformed(source, "2D positions (x, y)", ", ".join(axes), "give the 2D poses of each camera")
+        nodes = names(file, "keypoint" if "keypoint" in file else "keypoints", source)
+        values = blank(positions.shape[0], positions.shape[1], positions.shape[2], source)
+        values[..., :2] = positions
+        if "confidence" in file:
+            values[..., 2] = _turned(file, "confidence", _DIMS[:3], source)
+        frames = _frames(file, source)
+        if (len(frames), len(nodes)) != (len(values), values.shape[2]):
+            raise malformed(source, f"{len(values)} times and {values.shape[2]} keypoints", f"{len(frames)} and {len(nodes)}", _REMEDY)
+    values, remarks = scored(values)
+    return (make_view(item.origin, nodes, frames, values, tracked=True, remarks=remarks),)
+
+
+def _turned(file: Any, name: str, wanted: tuple[str, ...], source: str) -> Floats:
+    """A variable with its dimensions in the wanted order; a dimension that it does not have has length 1."""
+    values = array(file, name, source).astype(np.float64)
+    # not through h5py's `dims`, which ends the process where a scale has gone
+    references = file[name].attrs.get("DIMENSION_LIST", ())
+    dims = [text(file[entry[0]].name).strip("/") if len(entry) else "" for entry in references]
+    found = [dim.removesuffix("s") for dim in dims]
+    if sorted(found) != sorted(wanted):
+        raise malformed(source, f"`{name}` over {', '.join(wanted)}", ", ".join(dims) or "no dimensions", _REMEDY)
+    return values.transpose([found.index(dim) for dim in wanted])
+
+
+def _frames(file: Any, source: str) -> Any:
+    """Frame numbers from the times."""
+    times = array(file, "time", source).astype(np.float64)
+    if text(file.attrs.get("time_unit", "frames")) == "seconds":
+        rate = float(np.asarray(file.attrs.get("fps", np.nan)).reshape(-1)[0])
+        if not rate > 0:
+            raise malformed(source, "frames per second (`fps`) beside times in seconds", rate, _REMEDY)
+        times = times * rate
+    frames = np.rint(times)
+    if not np.isfinite(times).all() or (np.abs(times - frames) > 0.01).any() or (frames < 0).any() or (frames > 2**53).any():
+        raise malformed(source, "times that are whole frames", "others", "save it with time_unit frames")
+    return frames.astype(np.int64)
+
+
+def write(views: tuple[Keypoints2D, ...]) -> dict[str, bytes]:
+    """A file per camera. Raises MismatchError where the instances of a view are not followed: movement's individuals are."""
+    return {f"{view.camera}.nc": _content(view) for view in views}
+
+
+def _content(view: Keypoints2D) -> bytes:
+    if not view.tracked and view.positions.shape[1] > 1:
+        raise MismatchError(f"{view.source}: expected one individual or followed ones, as movement has, found detections in any order; choose csv or coco")
+    buffer = io.BytesIO()
+    with h5py.File(buffer, "w", track_order=True) as file:
+        file.attrs.update({"ds_type": "poses", "time_unit": "frames", "source_software": "mocap-calib", "_NCProperties": "version=2"})
+        labels = {"space": ["x", "y"], "keypoint": list(view.keypoints), "individual": [f"individual_{k}" for k in range(view.positions.shape[1])]}
+        scales = {name: file.create_dataset(name, data=np.array(entries, dtype=h5py.string_dtype())) for name, entries in labels.items()}
+        scales["time"] = file.create_dataset("time", data=view.frames)
+        for name, scale in scales.items():
+            scale.make_scale(name)
+        position = view.positions.transpose(0, 3, 2, 1)
+        confidence = np.where(np.isfinite(position[:, 0]), view.confidence.transpose(0, 2, 1), np.nan)
+        dims = ("time", "space", "keypoint", "individual")
+        for name, values, own in (("position", position, dims), ("confidence", confidence, (dims[0], *dims[2:]))):
+            dataset = file.create_dataset(name, data=values)
+            for axis, dim in enumerate(own):
+                dataset.dims[axis].attach_scale(scales[dim])
+    return buffer.getvalue()

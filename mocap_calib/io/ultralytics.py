@@ -1,0 +1,76 @@
+"""Ultralytics' pose labels and predictions: a .txt file per frame, a line per detection, positions from 0 to 1 of the image."""
+
+import re
+from collections.abc import Iterator
+
+import numpy as np
+
+from mocap_calib.io.document import Document, Item, ReadOptions
+from mocap_calib.io.layouts import layout_for
+from mocap_calib.io.per_frame import frames_of
+from mocap_calib.io.reading import NO_SCORE, make_view, malformed, stacked, visibility_as_confidence
+from mocap_calib.types import Floats, Keypoints2D
+
+_BOX = 5  # class, centre and size
+_PIXELS = 1.5  # a position beyond it is no share of the image
+
+
+def sniff(document: Document) -> bool:
+    """Lines of numbers: a class, then shares of the image."""
+    head = document.content[:65536].decode("utf-8-sig", errors="replace")
+    line = next((line for line in head.splitlines() if line.strip() and not line.lstrip().startswith("#")), "")
+    return re.fullmatch(r"\s*[0-9]+(\s+[-+.0-9eEnaif]+){6,}\s*", line) is not None
+
+
+def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
+    """One camera, in pixels of the image size that the user gives. Raises FormatError."""
+    source = item.origin.source
+    if options.image_size == (0, 0):
+        raise malformed(source, "the size of the images, of which positions are shares", "none", "say --image-size WIDTHxHEIGHT")
+    if not options.layout:
+        layout_for(_guess(item.document), (), source)
+    names, numbers = frames_of(item)
+    frames = [list(_detections(document, len(options.layout))) for document in item.documents()]
+    values = stacked(frames, len(options.layout), source)
+    if np.nanmax(np.abs(values[..., :2]), initial=0.0) > _PIXELS:
+        found = f"{np.nanmax(np.abs(values[..., :2])):.1f}"
+        raise malformed(source, "positions from 0 to 1", found, "these are pixels, of a letterboxed image perhaps: export them again")
+    unscored = np.isnan(values[..., 2]).all()
+    values[..., 2] = np.where(np.isfinite(values[..., 0]), 1.0, np.nan) if unscored else visibility_as_confidence(values[..., 2])
+    missing = (values[..., :2] == 0).all(-1)
+    values[..., :2] = np.where(missing[..., None], 0.0, values[..., :2] * options.image_size)
+    remarks = (NO_SCORE,) if unscored else ()
+    return (make_view(item.origin, options.layout, numbers, values, tracked=False, image_size=options.image_size, rows=names, remarks=remarks),)
+
+
+def _guess(document: Document) -> int:
+    """How many keypoints the first line may have."""
+    return (len(next(_lines(document))[1]) - _BOX) // 3
+
+
+def _lines(document: Document) -> Iterator[tuple[int, list[str]]]:
+    for number, line in enumerate(document.text.splitlines(), start=1):
+        if line.strip() and not line.lstrip().startswith("#"):
+            yield number, line.split()
+
+
+def _detections(document: Document, keypoints: int) -> Iterator[Floats]:
+    """`[keypoint, 3]` of each line, score NaN where there is none."""
+    seen: dict[tuple[str, ...], int] = {}
+    for number, cells in _lines(document):
+        source = f"{document.source}: line {number}"
+        if seen.setdefault(tuple(cells), number) != number:
+            raise malformed(
+                source, "each detection once", f"what line {seen[tuple(cells)]} says", "a second run appended to the files: predict into a new folder"
+            )
+        try:
+            values = np.array([float(cell) for cell in cells[_BOX:]])
+        except ValueError as error:
+            raise malformed(source, "numbers", error, "the file is damaged: export it again") from None
+        if len(values) == 2 * keypoints:
+            yield np.column_stack([values.reshape(-1, 2), np.full(keypoints, np.nan)])
+        elif len(values) - 3 * keypoints in (0, 1, 2):  # a confidence of the box and a number of the track may follow
+            yield values[: 3 * keypoints].reshape(-1, 3)
+        else:
+            expected = f"2 or 3 numbers for each of {keypoints} keypoints after the box"
+            raise malformed(source, expected, f"{len(values)} numbers", "give --layout with as many names as there are keypoints")

@@ -1,0 +1,54 @@
+"""Rigs of all kinds, as a strategy, and when two of them are the same."""
+
+from dataclasses import replace
+
+import numpy as np
+from hypothesis import strategies as st
+
+from mocap_calib.geometry.rotation import matrix_from_vector
+from mocap_calib.types import Camera, CameraRig
+
+LENGTHS = (0, 4, 5, 8)
+PLAIN = st.text("abcxyzABC0123456789_-", min_size=1, max_size=8)
+
+
+@st.composite
+def rigs(draw, lengths=LENGTHS, fisheye=True, names=PLAIN, square=False, units=("m", "mm", "cm", "arbitrary")):
+    """1 to 5 cameras of any rotation, odd intrinsics, distortions of the `lengths` (0: none), some of them fisheyes."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    called = draw(st.lists(names, min_size=1, max_size=5, unique_by=str.lower))
+    cameras = []
+    for name in called:
+        fish = fisheye and draw(st.booleans())
+        count = 4 if fish else draw(st.sampled_from(lengths))
+        fx, fy = 10.0 ** rng.uniform(0, 6, size=2)
+        matrix = np.array([[fx, 0, rng.normal() * 1e3], [0, fx if square else fy, rng.normal() * 1e3], [0, 0, 1]])
+        lens = rng.normal(size=count) * 10.0 ** rng.integers(-9, 3) if count else np.zeros(5)
+        cameras.append(Camera(name, tuple(int(n) for n in rng.integers(1, 10_000, size=2)), matrix, lens, fish))
+    vectors = draw(st.lists(st.sampled_from([(0.0, 0.0, 0.0), (np.pi, 0.0, 0.0), tuple(rng.normal(size=3))]), min_size=len(cameras), max_size=len(cameras)))
+    offsets = rng.normal(size=(len(cameras), 3)) * 10.0 ** rng.integers(-3, 5)
+    return CameraRig(tuple(cameras), matrix_from_vector(np.array(vectors)), offsets, draw(st.sampled_from(units)))
+
+
+def padded(camera):
+    """Its distortion with the zeros that formats add."""
+    return np.concatenate([camera.distortion, np.zeros(8)])[:8]
+
+
+def assert_same(rig, back, *, sizes=True, names=True, scale=1.0):
+    """The rigs are one: exact but for the rounding of a rotation vector, a quaternion, a centre, half a pixel, or a unit."""
+    assert len(rig.cameras) == len(back.cameras)
+    for one, other in zip(rig.cameras, back.cameras, strict=True):
+        assert one.fisheye == other.fisheye
+        assert one.name == other.name or not names
+        assert other.size == (one.size if sizes else (0, 0))
+        np.testing.assert_allclose(other.matrix, one.matrix, rtol=1e-14, atol=1e-12)
+        np.testing.assert_array_equal(padded(other), padded(one))
+    np.testing.assert_allclose(back.rotation, rig.rotation, rtol=0, atol=2e-14)
+    far = np.abs(rig.translation).max() + 1e-300
+    np.testing.assert_allclose(back.translation, rig.translation * scale, rtol=0, atol=4e-15 * far * scale)
+
+
+def with_unit(rig, unit):
+    """The same numbers in another unit."""
+    return replace(rig, unit=unit)

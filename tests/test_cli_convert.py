@@ -1,0 +1,184 @@
+"""The command `convert`, and the formats that `run` writes: real files, real pipes, one line for what cannot be."""
+
+import json
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import TOOL
+from rigs import assert_same
+
+from mocap_calib.io.cameras import load_cameras, make_rig, read_rig
+from mocap_calib.io.formats2d import KEYPOINT_FORMATS, read_keypoints
+from mocap_calib.io.formats_cameras import CAMERA_FORMAT_NAMES, write_cameras
+from mocap_calib.io.formats_poses import POSE_FORMAT_NAMES, read_poses, write_poses
+from mocap_calib.io.pose_formats.common import PoseFile
+from mocap_calib.types import Camera, CameraRig, Poses3D
+
+EXAMPLE = Path(__file__).parents[1] / "examples" / "three_people"
+
+
+def rig():
+    matrix = np.array([[900.0, 0, 640], [0, 900, 360], [0, 0, 1]])
+    cameras = tuple(Camera(name, (1280, 720), matrix, np.array([0.1, -0.01, 0, 0, 0]), False) for name in ("a", "b"))
+    return CameraRig(cameras, np.stack([np.eye(3)] * 2), np.array([[0.0, 0, 2], [1, 0, 2]]), "m")
+
+
+def poses(individuals=2):
+    positions = np.random.default_rng(0).normal(size=(4, individuals, 3, 3))
+    quality = np.ones(positions.shape[:3])
+    return PoseFile(Poses3D(("x", "y", "z"), np.arange(4), positions, quality, quality.astype(np.int64), quality, "m"), 25.0)
+
+
+def test_cameras_go_round_through_files_and_folders(tool, tmp_path):
+    write_cameras(tmp_path / "a.toml", rig(), "anipose")
+    at = tmp_path / "a.toml"
+    for k, name in enumerate(("colmap", "opencv", "easymocap", "multiview-calib", "pose2sim", "nerfstudio")):
+        done = tool("convert", at, tmp_path / f"out{k}", "--to", name)
+        assert (done.returncode, done.stdout) == (0, ""), done.stderr
+        assert f"2 cameras, lengths in m, as {name}" in done.stderr
+        at = tmp_path / f"out{k}"
+    done = tool("convert", at, tmp_path / "back.yaml")
+    assert done.returncode == 0, done.stderr
+    assert_same(rig(), read_rig(tmp_path / "back.yaml"))
+
+
+def test_cameras_go_through_pipes(tmp_path):
+    write_cameras(tmp_path / "a.toml", rig(), "anipose")
+    steps = [["anipose", "nerfstudio"], ["nerfstudio", "openmvg"], ["openmvg", "dannce"], ["dannce", "voxelpose"], ["voxelpose", "mocap-calib"]]
+    content = (tmp_path / "a.toml").read_bytes()
+    for source, target in steps:
+        done = subprocess.run([TOOL, "convert", "-", "-", "--from", source, "--to", target, "-q"], input=content, capture_output=True, check=False)
+        assert (done.returncode, done.stderr) == (0, b"")
+        content = done.stdout
+    (tmp_path / "b.yaml").write_bytes(content)
+    assert_same(rig(), read_rig(tmp_path / "b.yaml"), sizes=False, scale=1000)
+
+
+def test_poses_go_round(tool, tmp_path):
+    write_poses(tmp_path / "a.h5", poses(), "poses-h5")
+    for source, target in (("a.h5", "b.c3d"), ("b.c3d", "c.nc"), ("c.nc", "d/p.trc"), ("d", "e.npz")):
+        done = tool("convert", tmp_path / source, tmp_path / target)
+        assert done.returncode == 0, done.stderr
+    np.testing.assert_allclose(read_poses(tmp_path / "e.npz").poses.positions, poses().poses.positions * 1000, rtol=2e-7)
+    assert "c3d does not hold reprojection errors" in tool("convert", tmp_path / "a.h5", tmp_path / "b.c3d").stderr
+    assert sorted(path.name for path in (tmp_path / "d").iterdir()) == ["p.trc", "p_1.trc"]
+
+
+def test_the_rate_the_unit_and_the_axis_that_points_up_can_be_said(tool, tmp_path):
+    write_poses(tmp_path / "a.csv", poses(1), "anipose-csv")
+    done = tool("convert", tmp_path / "a.csv", tmp_path / "a.trc")
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    assert "--fps" in done.stderr
+    done = tool("convert", tmp_path / "a.csv", tmp_path / "a.trc", "--fps", 25, "--unit", "m", "--up", "z")
+    assert done.returncode == 0, done.stderr
+    found = read_poses(tmp_path / "a.trc")
+    np.testing.assert_array_equal(found.poses.positions, poses(1).poses.positions[..., [1, 2, 0]])  # Pose2Sim's (X, Y, Z) -> (Y, Z, X)
+    assert (found.rate, found.poses.unit) == (25.0, "m")
+
+
+def test_keypoints_go_round(tool, tmp_path):
+    keypoints = EXAMPLE / "keypoints"
+    for source, target, name in ((keypoints, tmp_path / "a", "openpose"), (tmp_path / "a", tmp_path / "b", "coco")):
+        extra = ["--layout", ",".join(read_keypoints([keypoints])[0].keypoints)] if name == "coco" else []
+        done = tool("convert", source, target, "--to", name, *extra)
+        assert done.returncode == 0, done.stderr
+    for before, after in zip(read_keypoints([keypoints]), read_keypoints([tmp_path / "b"]), strict=True):
+        assert before.camera == after.camera
+        assert np.isfinite(before.positions).sum() == np.isfinite(after.positions).sum()
+
+
+def test_keypoints_go_through_pipes():
+    content = next((EXAMPLE / "keypoints").glob("*.json")).read_bytes()
+    done = subprocess.run([TOOL, "convert", "-", "-", "--from", "coco", "--to", "csv"], input=content, capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(b"camera,frame,instance,keypoint,x,y,score")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "reason"),
+    [
+        (["nothing.toml", "b.yaml"], 1, "expected a file or folder, found none"),
+        (["a.toml", "b.what"], 1, "--to"),
+        (["a.toml", "b", "--to", "zip"], 1, "expected a format"),
+        (["a.toml", "b", "--to", "kalibr"], 1, "only read"),
+        (["a.toml", "b", "--from", "anipose", "--to", "trc"], 1, "expected a format of cameras"),
+        (["a.toml", "b", "--to", "trc"], 1, "one of: poses-h5"),
+        (["a.toml", "-", "--to", "colmap"], 1, "one file for stdout"),
+        (["-", "b.toml"], 2, "--from"),
+        (["a.toml", "a.toml", "b.yaml"], 2, "one file or folder of cameras"),
+        (["a.toml", "b.yaml", "--unit", "mm"], 1, "as the file says"),
+        (["broken.json", "b.toml"], 1, "broken.json: expected JSON"),
+        (["intrinsics.toml", "b.yaml"], 1, "extrinsics"),
+        (["empty", "b.yaml"], 1, "empty"),
+        (["twice.toml", "b.yaml"], 1, "twice"),
+    ],
+)
+def test_what_cannot_be_is_one_line(tool, tmp_path, arguments, status, reason):
+    write_cameras(tmp_path / "a.toml", rig(), "anipose")
+    (tmp_path / "broken.json").write_text('{"frames": [')
+    (tmp_path / "empty").write_text("")
+    (tmp_path / "twice.toml").write_text((tmp_path / "a.toml").read_text().replace('"b"', '"a"'))
+    (tmp_path / "intrinsics.toml").write_text("".join(f"{line}\n" for line in (tmp_path / "a.toml").read_text().splitlines() if "ation =" not in line))
+    done = tool("convert", *arguments, cwd=tmp_path)
+    assert done.returncode == status
+    assert done.stdout == ""
+    assert reason in done.stderr
+    assert "Traceback" not in done.stderr
+    assert status == 2 or done.stderr.count("\n") == 1
+    assert not (tmp_path / "b.yaml").exists()
+
+
+def test_a_camera_without_a_place_is_left_out_and_said(tool, tmp_path):
+    write_cameras(tmp_path / "cams", rig(), "easymocap")
+    intri = (tmp_path / "cams/intri.yml").read_text()
+    more = intri[intri.index("K_b") :].replace("_b", "_c")
+    (tmp_path / "cams/intri.yml").write_text(intri.replace('  - "b"', '  - "b"\n  - "c"') + more)
+    done = tool("convert", tmp_path / "cams", tmp_path / "b.yaml")
+    assert done.returncode == 0
+    assert "nothing says where they stand: c" in done.stderr
+    assert read_rig(tmp_path / "b.yaml").names == ("a", "b")
+    assert len(load_cameras(tmp_path / "cams").cameras) == 3
+
+
+def test_an_image_size_can_be_said(tool, tmp_path):
+    write_cameras(tmp_path / "a.mat", rig(), "dannce")
+    assert "expected the image size" in tool("convert", tmp_path / "a.mat", tmp_path / "b", "--to", "pose2sim").stderr
+    assert tool("convert", tmp_path / "a.mat", tmp_path / "b", "--to", "pose2sim", "--image-size", "1280x720").returncode == 0
+    assert_same(rig(), make_rig(load_cameras(tmp_path / "b"), "b"))
+
+
+def test_names_of_formats_are_one_kind_each_but_for_caliscope():
+    """caliscope has both keypoints and cameras of that name; the content tells."""
+    names = [*CAMERA_FORMAT_NAMES, *POSE_FORMAT_NAMES, *KEYPOINT_FORMATS]
+    assert {name for name in names if names.count(name) > 1} <= {"caliscope"}
+
+
+@pytest.mark.slow
+def test_run_writes_what_is_asked_for(tool, small, tmp_path):
+    """The default files stay; what needs a unit of length is refused in a line after they are written."""
+    asked = [argument for name in ("colmap", "nerfstudio", "movement-3d", "sleap-anipose") for argument in ("--write", name)]
+    done = tool("run", small / "keypoints", "--cameras", small / "intrinsics.toml", "-o", tmp_path / "out", "--fps", 30, *asked)
+    assert done.returncode == 0, done.stderr
+    names = {str(path.relative_to(tmp_path / "out")) for path in (tmp_path / "out").rglob("*") if path.is_file()}
+    assert {"cameras.yaml", "calibration.toml", "poses3d.h5", "run.json"} <= names
+    assert {"colmap/images.txt", "nerfstudio/transforms.json", "poses3d.nc", "points3d.h5"} <= names
+    assert_same(read_rig(tmp_path / "out/cameras.yaml"), read_rig(tmp_path / "out/colmap"))
+    assert read_poses(tmp_path / "out/poses3d.nc").rate == 30.0
+    report = json.loads((tmp_path / "out/run.json").read_text())
+    assert report["unit"] == "arbitrary"
+
+
+@pytest.mark.parametrize(("name", "reason"), [("c3d", "--fps"), ("bvh", "expected one of"), ("kalibr", "expected one of")])
+def test_run_knows_before_it_starts_what_it_cannot_write(tool, small, tmp_path, name, reason):
+    done = tool("run", small / "keypoints", "--cameras", small / "intrinsics.toml", "-o", tmp_path / "out", "--write", name)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert reason in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_every_format_is_documented():
+    text = (Path(__file__).parents[1] / "docs" / "formats.md").read_text("utf-8")
+    for name in (*CAMERA_FORMAT_NAMES, *POSE_FORMAT_NAMES):
+        assert f"\n| `{name}` |" in text, name

@@ -1,0 +1,129 @@
+"""The table of keypoint formats: what is written reads equal, one recording reads equal in all of them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import samples2d
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from samples2d import FRAMES, SAMPLES, SIZE, recording, write_sample
+
+from mocap_calib.errors import FormatError, MismatchError
+from mocap_calib.io.document import Document, ReadOptions
+from mocap_calib.io.formats2d import KEYPOINT_FORMATS, read_keypoints, write_keypoints
+from mocap_calib.types import Keypoints2D
+
+NAMES = ("nose", "left eye", "tail,base")
+
+
+def view(camera="cam1", frames=(3, 4, 10), instances=2, missing=0.3, tracked=True, size=(0, 0), seed=0):
+    """Random detections; the first frame has all points, so that nobody is without any."""
+    rng = np.random.default_rng(seed)
+    positions = rng.uniform(1, 400, (len(frames), instances, len(NAMES), 2))
+    confidence = rng.uniform(0.1, 0.99, positions.shape[:3])
+    gone = rng.random(confidence.shape) < missing
+    gone[0] = False
+    positions[gone], confidence[gone] = np.nan, 0.0
+    return Keypoints2D(camera, NAMES, np.array(frames, dtype=np.int64), positions, confidence, tracked, size, "made")
+
+
+def assert_equal(found: Keypoints2D, wanted: Keypoints2D, atol=0.0):
+    assert (found.camera, found.keypoints, found.tracked) == (wanted.camera, wanted.keypoints, wanted.tracked)
+    np.testing.assert_array_equal(found.frames, wanted.frames)
+    np.testing.assert_allclose(found.positions, wanted.positions, rtol=0, atol=atol)
+    np.testing.assert_allclose(found.confidence, wanted.confidence, rtol=0, atol=atol)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 1000), st.booleans(), st.integers(1, 3), st.floats(0, 1))
+def test_csv_reads_what_it_wrote(tmp_path_factory, seed, tracked, instances, missing):
+    path = tmp_path_factory.mktemp("csv") / "keypoints.csv"
+    views = tuple(view(name, frames, instances, missing, tracked, seed=seed) for name, frames in (("left", (0, 5, 6)), ('a "b", c', (2, 3))))
+    write_keypoints(path, views, "csv")
+    for found, wanted in zip(read_keypoints([path]), views, strict=True):
+        assert_equal(found, wanted)
+
+
+WRITTEN = [name for name, known in KEYPOINT_FORMATS.items() if known.write]
+NEEDS_NAMES = ("openpose",)
+ANY_ORDER = ("coco", "openpose")  # which do not say that instances are followed
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.sampled_from(WRITTEN), st.integers(0, 1000), st.integers(1, 3), st.floats(0, 1))
+def test_every_writer_is_read_as_it_was(tmp_path_factory, name, seed, instances, missing):
+    """Values to the last bit; COCO has nine decimals."""
+    folder = tmp_path_factory.mktemp("written")
+    sleap = name == "sleap"  # which counts frames from 0
+    views = tuple(
+        view(camera, frames, instances, missing, name not in ANY_ORDER, seed=seed)
+        for camera, frames in (("left", range(4) if sleap else (0, 5, 6)), ("right", range(2) if sleap else (42150, 42152)))
+    )
+    write_keypoints(folder / "out", views, name)
+    files = list((folder / "out").iterdir())
+    options = ReadOptions(layout=NAMES if name in NEEDS_NAMES else ())
+    found = read_keypoints(files if len(files) == 1 else [folder / "out"], None, options)
+    assert len(found) == 2
+    for each, wanted in zip(found, views, strict=True):
+        assert_equal(each, wanted, atol=1e-9 if name == "coco" else 0.0)
+
+
+def test_one_recording_is_equal_in_all_formats(tmp_path):
+    wanted = view(frames=range(5), instances=1, missing=0.4)
+    for name in WRITTEN:
+        write_keypoints(tmp_path / name, (wanted,), name)
+        path = tmp_path / name
+        found = read_keypoints([path], name, ReadOptions(layout=NAMES if name in NEEDS_NAMES else ()))
+        assert len(found) == 1
+        assert_equal(replace(found[0], tracked=True), wanted, atol=1e-9 if name == "coco" else 0.0)
+
+
+@pytest.mark.parametrize("name", [name for name in WRITTEN if name not in (*ANY_ORDER, "csv", "sleap")])
+def test_detections_in_any_order_are_not_written_as_individuals(tmp_path, name):
+    with pytest.raises(MismatchError, match="any order"):
+        write_keypoints(tmp_path / "out", (view(tracked=False),), name)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_format_that_is_not_known_or_not_written_is_refused(tmp_path):
+    with pytest.raises(MismatchError, match="choose one"):
+        write_keypoints(tmp_path / "out", (view(),), "mmpose")
+    with pytest.raises(MismatchError, match="choose one"):
+        read_keypoints([tmp_path], "word")
+    (tmp_path / "a.json").write_text('{"version": 1}')
+    with pytest.raises(FormatError, match="one of: coco"):
+        read_keypoints([tmp_path / "a.json"])
+
+
+@pytest.mark.parametrize("name", SAMPLES)
+@pytest.mark.parametrize("individuals", [1, 2])
+def test_what_other_programs_write_of_one_recording_is_equal(tmp_path, name, individuals):
+    _, _, options, most, scores, tracked = SAMPLES[name]
+    individuals = min(individuals, most)
+    positions, confidence = recording(individuals, scores=scores)
+    (found,) = read_keypoints(write_sample(name, tmp_path, positions, confidence), None, options)
+    assert (found.camera, found.tracked) == ("cam", tracked)
+    assert found.image_size == (SIZE if name in ("coco", "nwb", "ultralytics") else (0, 0))
+    order = [found.keypoints.index(joint) for joint in samples2d.NAMES]  # tables name joints as they appear
+    np.testing.assert_array_equal(found.frames, FRAMES)
+    np.testing.assert_allclose(found.positions[:, :, order], positions, rtol=1e-12)
+    np.testing.assert_allclose(found.confidence[:, :, order], confidence, rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", SAMPLES)
+def test_a_format_can_be_forced_and_is_the_one_that_is_sniffed(tmp_path, name):
+    known, _, options, _, scores, _ = SAMPLES[name]
+    paths = write_sample(name, tmp_path, *recording(scores=scores))
+    sniffed, forced = (read_keypoints(paths, each, options)[0] for each in (None, known))
+    np.testing.assert_array_equal(sniffed.positions, forced.positions)
+    others = [other for other, each in KEYPOINT_FORMATS.items() if other != known and each.sniff(_document(paths[0]))]
+    assert set(others) <= ({"alphapose"} if known == "coco-results" else set())
+
+
+def _document(path):
+    return Document(path if path.is_file() else min(each for each in path.rglob("*") if each.is_file()))
+
+
+def test_every_format_has_a_sample():
+    assert {known for known, *_ in SAMPLES.values()} == set(KEYPOINT_FORMATS)

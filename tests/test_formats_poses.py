@@ -1,0 +1,281 @@
+"""Formats of 3D poses: what is written comes back, real files load with the right counts, bad ones are refused in a line."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import c3d
+import h5py
+import numpy as np
+import pytest
+from corruption import complaint, corrupted
+from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import strategies as st
+
+from mocap_calib.errors import FormatError, MismatchError, MocapCalibError
+from mocap_calib.io.formats_poses import POSE_FORMATS, format_poses, parse_poses, pose_format, read_poses, together, write_poses
+from mocap_calib.io.pose_formats.common import UP_AXES, PoseFile, turned
+from mocap_calib.types import Poses3D
+
+SAMPLES = Path(__file__).parents[2] / "shared" / "formats" / "samples"
+HERE = [each.name for each in POSE_FORMATS if each.name != "nwb-3d"]
+NAMES = st.text("abcXYZ019_.- ", min_size=1, max_size=8).filter(lambda name: name == name.strip())
+QUALITY = {"poses-h5", "npz", "anipose-csv", "movement-3d"}  # formats that carry errors, views and confidences
+UNIT = {"c3d": "mm", "anipose-csv": "arbitrary"}
+
+
+@st.composite
+def pose_files(draw, individuals=3, gaps=True, named=True):
+    """Up to 3 individuals, 4 keypoints, 6 frames; a third of the points missing; some frames skipped."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    keypoints = tuple(draw(st.lists(NAMES, min_size=1, max_size=4, unique=True)))
+    count = draw(st.integers(1, individuals))
+    frames = np.unique(rng.integers(0, 40 if gaps else 1, size=6)) + draw(st.sampled_from([0, 1, 42150]))
+    positions = rng.normal(size=(len(frames), count, len(keypoints), 3)) * 10.0 ** rng.integers(-2, 4)
+    missing = rng.random(positions.shape[:3]) < 0.3
+    positions[missing] = np.nan
+    error, confidence = (np.where(missing, np.nan, rng.random(missing.shape)) for _ in range(2))
+    views = np.where(missing, 0, rng.integers(2, 6, missing.shape))
+    names = tuple(draw(st.lists(NAMES, min_size=count, max_size=count, unique=True))) if named else ()
+    rate = draw(st.sampled_from([30.0, 29.97, 100.0, 1 / 3]))
+    return PoseFile(Poses3D(keypoints, frames, positions, error, views, confidence, draw(st.sampled_from(["m", "mm"]))), rate, names)
+
+
+def dense(file):
+    """On all frames from the first that has something to the last, as `assert_poses` compares."""
+    seen = np.isfinite(file.poses.positions).any((1, 2, 3))
+    return file.poses.frames[seen], file.poses.positions[seen]
+
+
+def assert_poses(file, back, name):
+    assert back.poses.keypoints == file.poses.keypoints
+    assert back.poses.unit == UNIT.get(name, file.poses.unit)
+    scale = 1000.0 if name == "c3d" and file.poses.unit == "m" else 1.0
+    for (frames, positions), (before, expected) in [(dense(back), dense(file))]:
+        np.testing.assert_array_equal(frames, before)
+        np.testing.assert_allclose(positions, expected * scale, rtol=2e-7 if name == "c3d" else 0, atol=0)  # float32
+    if name in QUALITY:
+        for field in ("error", "views", "confidence"):
+            np.testing.assert_array_equal(getattr(back.poses, field), getattr(file.poses, field))
+
+
+@pytest.mark.parametrize("name", HERE)
+@settings(max_examples=25, deadline=None)
+@given(data=st.data())
+def test_what_is_written_comes_back(name, data):
+    single = pose_format(name).single
+    file = data.draw(pose_files(individuals=1 if single else 3))
+    assume(any(np.isfinite(file.poses.positions).ravel()))
+    files, lost = format_poses(file, name, Path("x"))
+    back = parse_poses(files["x"], "x")
+    assert_poses(file, back, name)
+    if not single:
+        assert back.individuals == file.individuals
+    if name != "anipose-csv":
+        assert back.rate == pytest.approx(file.rate, rel=1e-7)  # c3d has a float32
+    for what in lost:
+        assert "\n" not in what
+    assert (name in QUALITY) == (not any("errors" in what for what in lost) or not np.isfinite(file.poses.error).any())
+
+
+@pytest.mark.parametrize("name", HERE)
+def test_the_same_poses_are_the_same_bytes(name):
+    file = example()
+    assert format_poses(file, name, Path("x")) == format_poses(file, name, Path("x"))
+
+
+def example(individuals=2, keypoints=("nose", "tail")):
+    rng = np.random.default_rng(1)
+    positions = rng.normal(size=(5, individuals, len(keypoints), 3))
+    positions[1, 0, 0] = np.nan
+    quality = np.where(np.isfinite(positions[..., 0]), 0.5, np.nan)
+    poses = Poses3D(keypoints, np.array([3, 4, 5, 7, 8]), positions, quality, np.where(np.isfinite(quality), 3, 0), quality, "m")
+    return PoseFile(poses, 60.0)
+
+
+def test_formats_of_one_individual_write_a_file_each(tmp_path):
+    file = example()
+    lost = write_poses(tmp_path / "p.trc", file, "trc")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["p.trc", "p_1.trc"]
+    assert "reprojection errors" in lost
+    back = together([read_poses(tmp_path / "p.trc"), read_poses(tmp_path / "p_1.trc")], "there")
+    assert_poses(file, back, "trc")
+
+
+def test_a_trc_is_what_opensim_reads(tmp_path):
+    write_poses(tmp_path / "p.trc", example(1), "trc")
+    lines = (tmp_path / "p.trc").read_text().splitlines()
+    assert lines[0] == "PathFileType\t4\t(X/Y/Z)\tp.trc"
+    assert len(lines[1].split("\t")) == 8
+    assert lines[2].split("\t") == ["60.0", "60.0", "6", "2", "m", "60.0", "3", "6"]
+    assert lines[3].rstrip("\t").split("\t") == ["Frame#", "Time", "nose", "", "", "tail"]
+    assert lines[4].strip("\t").split("\t") == ["X1", "Y1", "Z1", "X2", "Y2", "Z2"]
+    second = lines[6].split("\t")
+    assert second[:5] == ["4", repr(4 / 60), "", "", ""]
+    assert "nan" not in "".join(lines[5:])
+    write_poses(tmp_path / "q.trc", example(1, ("nose",)), "trc")
+    # OpenSim 4.6 counts an empty last cell only where a tab follows it
+    assert (tmp_path / "q.trc").read_text().splitlines()[6] == "4\t" + repr(4 / 60) + "\t" * 4
+    assert [line.split("\t")[0] for line in lines[5:]] == ["3", "4", "5", "6", "7", "8"]
+
+
+def test_a_long_c3d_keeps_all_its_frames(tmp_path):
+    """More than a 16-bit header counts: the writer that does not say so is the trap."""
+    frames = np.arange(66_000)
+    positions = np.zeros((len(frames), 1, 1, 3)) + frames[:, None, None, None]
+    nothing = np.full(positions.shape[:3], np.nan)
+    file = PoseFile(Poses3D(("a",), frames, positions, nothing, np.zeros(nothing.shape, dtype=np.int64), nothing, "mm"), 100.0)
+    write_poses(tmp_path / "long.c3d", file, "c3d")
+    back = read_poses(tmp_path / "long.c3d")
+    np.testing.assert_array_equal(back.poses.frames, frames)
+    np.testing.assert_array_equal(back.poses.positions, positions)
+    with open(tmp_path / "long.c3d", "rb") as handle, pytest.warns(UserWarning, match="analog"):
+        assert c3d.Reader(handle).frame_count == len(frames)
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "reason"),
+    [
+        ("trc", {"rate": float("nan")}, "--fps"),
+        ("c3d", {"rate": float("nan")}, "--fps"),
+        ("c3d", {"poses": replace(example().poses, unit="arbitrary")}, "--unit"),
+        ("trc", {"poses": replace(example().poses, unit="arbitrary")}, "--unit"),
+        ("c3d", {"poses": replace(example().poses, frames=np.array([-3, 4, 5, 7, 8]))}, "frames from 0"),
+        ("c3d", {"poses": replace(example().poses, keypoints=("nose", "a:b"))}, "without a colon"),
+        ("trc", {"poses": replace(example().poses, keypoints=("nose", "a\tb"))}, "without tabs"),
+        ("trc", {"poses": replace(example().poses, frames=np.array([3, 4, 5, 7, 10**12]))}, "no gaps"),
+    ],
+)
+def test_what_cannot_be_carried_is_refused_in_a_line(name, change, reason):
+    with pytest.raises(MismatchError, match=reason):
+        format_poses(replace(example(), **change), name, Path("x"))
+
+
+def test_too_many_markers_for_c3d_are_refused():
+    with pytest.raises(MismatchError, match="256"):
+        format_poses(example(2, tuple(f"k{i}" for i in range(128))), "c3d", Path("x"))
+
+
+def test_nwb_says_what_is_missing_or_comes_back():
+    try:
+        import ndx_pose  # noqa: F401
+    except ImportError:
+        with pytest.raises(MismatchError, match=r"mocap-calib\[nwb\]"):
+            format_poses(example(), "nwb-3d", Path("x"))
+        return
+    files, _ = format_poses(example(), "nwb-3d", Path("x"))
+    back = parse_poses(files["x"], "x")
+    assert_poses(example(), back, "nwb-3d")
+    np.testing.assert_array_equal(back.poses.confidence, example().poses.confidence)
+    assert (back.individuals, back.rate) == (example().individuals, 60.0)
+
+
+@pytest.mark.parametrize("up", UP_AXES)
+def test_what_was_up_is_y(up):
+    axis = np.zeros(3)
+    axis["xyz".index(up[-1])] = -1.0 if up.startswith("-") else 1.0
+    file = example()
+    file = replace(file, poses=replace(file.poses, positions=np.broadcast_to(axis, file.poses.positions.shape)))
+    np.testing.assert_array_equal(turned(file, up).poses.positions[0, 0, 0], [0, 1, 0])
+    basis = replace(file, poses=replace(file.poses, positions=np.broadcast_to(np.eye(3)[:, None, None], (3, 1, 1, 3)), frames=np.arange(3)), individuals=("a",))
+    assert np.linalg.det(turned(basis, up).poses.positions[:, 0, 0]) == pytest.approx(1.0)
+
+
+# --- what other programs wrote
+
+REAL = {
+    "trc/S00_P00_T01_BalancingTrial_0-100.trc": ("trc", 100, 1, 21, "m", 60.0),
+    "trc/S00_P00_T01_BalancingTrial_0-100_filt_butterworth.trc": ("trc", 100, 1, 21, "m", 60.0),
+    "trc/S00_P00_T00_StaticTrial_0-12_filt_butterworth_LSTM.trc": ("trc", 12, 1, 64, "m", 60.0),
+    "trc/S00_P01_T02_Participants1-2_P1_0-100.trc": ("trc", 100, 1, 21, "m", 60.0),
+    "anipose_csv/points3d_anipose_layout.csv": ("anipose-csv", 120, 1, 15, "arbitrary", None),
+    "sleap_anipose_session/points3d.h5": ("sleap-anipose", 120, 1, 15, "arbitrary", None),
+    "movement_netcdf/reaching3d_50frames.nc": ("movement-3d", 50, 1, 33, "arbitrary", 30.0),
+    "movement_netcdf/h5netcdf_written_3d.nc": ("movement-3d", 20, 1, 3, "arbitrary", 60.0),
+    "ndx_pose_nwb/generated_3d_ndx0.4.nwb": ("nwb-3d", 20, 1, 2, "mm", 60.0),
+    "generated_out/c3dlib_50.c3d": ("c3d", 50, 1, 4, "mm", 60.0),
+    "generated_out/ezc3d_50.c3d": ("c3d", 50, 1, 4, "mm", 60.0),
+}
+REFUSED = (
+    "movement_netcdf/sleap_back_2d.nc",
+    "ndx_pose_nwb/0.3.0_poseestimation_two_cameras.nwb",
+    "sleap_analysis_h5/predictions.analysis.h5",
+    "dlc_3d_h5/reachingDEMO_3D.h5",
+)
+needs_samples = pytest.mark.skipif(not SAMPLES.is_dir(), reason="the sample files are not here")
+
+
+@needs_samples
+@pytest.mark.parametrize("path", REAL)
+def test_real_files_load(path):
+    name, frames, individuals, keypoints, unit, rate = REAL[path]
+    content = (SAMPLES / path).read_bytes()
+    assert [each.name for each in POSE_FORMATS if each.sniff(content)] == [name]
+    file = parse_poses(content, path)
+    assert file.poses.positions.shape == (frames, individuals, keypoints, 3)
+    assert file.poses.unit == unit
+    assert rate is None or file.rate == rate
+    assert np.isfinite(file.poses.positions).any()
+
+
+@needs_samples
+@pytest.mark.parametrize("path", REFUSED)
+def test_files_without_3d_poses_are_refused(path):
+    with pytest.raises(FormatError, match="one of: poses-h5"):
+        read_poses(SAMPLES / path)
+
+
+@needs_samples
+def test_two_formats_of_one_real_session_agree():
+    """The CSV was made of the h5, with 3 digits less than a double has: 1e-9 of 600 mm."""
+    csv, h5 = (read_poses(SAMPLES / path).poses for path in ("anipose_csv/points3d_anipose_layout.csv", "sleap_anipose_session/points3d.h5"))
+    np.testing.assert_allclose(csv.positions, h5.positions, rtol=0, atol=6e-7)
+
+
+# --- damage
+
+
+@pytest.mark.parametrize("name", HERE)
+@settings(max_examples=60, deadline=10_000, suppress_health_check=[HealthCheck.too_slow])
+@given(data=st.data())
+def test_damaged_files_load_or_are_refused_in_a_line(name, data):
+    files, _ = format_poses(example(1), name, Path("x"))
+    content = data.draw(corrupted(files["x"]))
+    complaint(lambda: parse_poses(content, "there/x"))
+    message = complaint(lambda: parse_poses(content, "there/x", name))
+    assert not message or message.startswith("there/x")
+
+
+@pytest.mark.parametrize("name", [each.name for each in POSE_FORMATS])
+@pytest.mark.parametrize("content", [b"", b"{}", b"hello", b"\x89HDF\r\n\x1a\n", b"PK\x03\x04", b"PathFileType\n", b"\x02\x50" + bytes(600)])
+def test_a_format_that_is_named_refuses_what_is_not_it(name, content):
+    with pytest.raises(MocapCalibError) as caught:
+        parse_poses(content, "somewhere", name)
+    assert "expected" in str(caught.value)
+
+
+def test_an_npz_with_pickles_is_refused(tmp_path):
+    np.savez(tmp_path / "p.npz", positions=np.array([{}], dtype=object))
+    with pytest.raises(FormatError, match="npz of poses"):
+        read_poses(tmp_path / "p.npz")
+
+
+def test_an_h5_of_something_else_is_refused(tmp_path):
+    with h5py.File(tmp_path / "x.h5", "w") as file:
+        file["tracks"] = np.zeros((3, 2))
+    with pytest.raises(FormatError, match="one of"):
+        read_poses(tmp_path / "x.h5")
+
+
+def test_a_heap_that_hdf5_reads_for_ever_is_refused():
+    """The free rest of a heap of texts says it is of size 0 (found by fuzzing; HDF5 does not come back)."""
+    files, _ = format_poses(example(1), "sleap-anipose", Path("x"))
+    content = bytearray(files["x"])
+    at = content.index(b"GCOL") + 16
+    while content[at : at + 2] != b"\x00\x00":
+        at += 16 + (int.from_bytes(content[at + 8 : at + 16], "little") + 7) // 8 * 8
+    content[at + 8 : at + 16] = bytes(8)
+    for name in (None, "sleap-anipose"):
+        with pytest.raises(FormatError):
+            parse_poses(bytes(content), "x", name)
+    with pytest.raises(FormatError, match="heap"):
+        parse_poses(bytes(content), "x", "sleap-anipose")
