@@ -201,7 +201,9 @@ def _worse(view: Keypoints2D, config: InspectConfig) -> list[str]:
     if np.median(scores) < config.low_confidence:
         found.append(f"{view.camera}: half of the scores are below {config.low_confidence}; check the detector's output")
     if scores.max() > 1.0:
-        found.append(f"{view.camera}: scores up to {scores.max():.2f} are no probabilities; they are scaled, which needs nothing if all cameras' are alike")
+        found.append(
+            f"{view.camera}: scores up to {scores.max():.2f} are no probabilities and will be scaled to 0-1; nothing to do if the detector writes such"
+        )
     gone = int((np.diff(view.frames) - 1).sum())
     if gone > config.gaps * (gone + len(view.frames)):
         found.append(f"{view.camera}: {gone} frame numbers between the first and the last are not there; check that none were lost")

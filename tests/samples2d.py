@@ -150,10 +150,12 @@ def _movement(folder, p, c, plural=""):
             file.create_dataset(name, data=np.array(labels, dtype=h5py.string_dtype()))
         file["time"] = np.array(FRAMES) / 25.0
         dims = ["time", "space", f"keypoint{plural}", f"individual{plural}"]
-        for name in dims:
+        for number, name in enumerate(dims):
             file[name].make_scale(name)
+            file[name].attrs["_Netcdf4Dimid"] = np.int32(number)
         file["position"], file["confidence"] = p.transpose(0, 3, 2, 1), c.transpose(0, 2, 1)
         for name, own in (("position", dims), ("confidence", [dims[0], *dims[2:]])):
+            file[name].attrs["_Netcdf4Coordinates"] = np.array([dims.index(dim) for dim in own], dtype=np.int32)
             for axis, dim in enumerate(own):
                 file[name].dims[axis].attach_scale(file[dim])
 

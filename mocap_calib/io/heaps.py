@@ -10,11 +10,18 @@ import struct
 
 _COLLECTION = re.compile(rb"GCOL\x01\x00\x00\x00")
 _HEAD = 16  # bytes before the objects, and before each object's content
+_NONE = 0xFFFFFFFF  # also the upper half of a small negative number, which is no length
+_WORK = 2_000_000_000  # bytes looked at for references; a file with thousands of heaps is left to HDF5
 
 
 def check_heaps(content: bytes) -> None:
-    """Raises ValueError where an object of a heap goes beyond it, or is a rest too small to hold its own header."""
-    for found in _COLLECTION.finditer(content):
+    """Raises ValueError where an object of a heap goes beyond it, or is a rest too small to hold its own header.
+
+    Also where a reference to an object (length, address of the heap, number) claims to be longer than the file: HDF5 takes
+    that much memory before it looks.
+    """
+    heaps = list(_COLLECTION.finditer(content))
+    for found in heaps:
         at = found.start() + _HEAD
         if at > len(content):
             raise ValueError("a heap that is cut")
@@ -27,3 +34,14 @@ def check_heaps(content: bytes) -> None:
             if step < _HEAD or at + step > end:
                 raise ValueError("a damaged heap")
             at += step
+    for found in heaps if len(heaps) * len(content) < _WORK else ():
+        _check_references(content, struct.pack("<Q", found.start()))
+
+
+def _check_references(content: bytes, address: bytes) -> None:
+    at = content.find(address, 4)
+    while 0 <= at <= len(content) - 12:
+        length, number = struct.unpack_from("<I", content, at - 4)[0], struct.unpack_from("<I", content, at + 8)[0]
+        if len(content) < length < _NONE and 0 < number < 65536:
+            raise ValueError("a text that is longer than the file")
+        at = content.find(address, at + 1)

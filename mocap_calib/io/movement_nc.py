@@ -14,6 +14,7 @@ from mocap_calib.types import Floats, Keypoints2D
 
 _REMEDY = "save it from movement again"
 _DIMS = ("time", "individual", "keypoint", "space")
+_USUAL = ("time", "space", "keypoint", "individual")
 
 
 def sniff(document: Document) -> bool:
@@ -42,14 +43,18 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:  # noqa: 
 
 
 def _turned(file: Any, name: str, wanted: tuple[str, ...], source: str) -> Floats:
-    """A variable with its dimensions in the wanted order; a dimension that it does not have has length 1."""
+    """A variable with its dimensions in the wanted order.
+
+    By the numbers that netCDF gives to dimensions, else in the order that movement has them. The references of HDF5's
+    dimension scales would say it too, but reading damaged ones ends the process.
+    """
     values = array(file, name, source).astype(np.float64)
-    # not through h5py's `dims`, which ends the process where a scale has gone
-    references = file[name].attrs.get("DIMENSION_LIST", ())
-    dims = [text(file[entry[0]].name).strip("/") if len(entry) else "" for entry in references]
-    found = [dim.removesuffix("s") for dim in dims]
-    if sorted(found) != sorted(wanted):
-        raise malformed(source, f"`{name}` over {', '.join(wanted)}", ", ".join(dims) or "no dimensions", _REMEDY)
+    numbered = {int(item.attrs["_Netcdf4Dimid"]): text(key).removesuffix("s") for key, item in file.items() if "_Netcdf4Dimid" in item.attrs and item.ndim == 1}
+    numbers = file[name].attrs.get("_Netcdf4Coordinates")
+    usual = [dim for dim in _USUAL if dim in wanted]
+    found = usual if numbers is None else [numbered.get(int(number), "?") for number in np.asarray(numbers).reshape(-1)]
+    if sorted(found) != sorted(wanted) or values.ndim != len(wanted):
+        raise malformed(source, f"`{name}` over {', '.join(usual)}", f"{', '.join(found)} of shape {values.shape}", _REMEDY)
     return values.transpose([found.index(dim) for dim in wanted])
 
 
@@ -81,13 +86,14 @@ def _content(view: Keypoints2D) -> bytes:
         labels = {"space": ["x", "y"], "keypoint": list(view.keypoints), "individual": [f"individual_{k}" for k in range(view.positions.shape[1])]}
         scales = {name: file.create_dataset(name, data=np.array(entries, dtype=h5py.string_dtype())) for name, entries in labels.items()}
         scales["time"] = file.create_dataset("time", data=view.frames)
-        for name, scale in scales.items():
-            scale.make_scale(name)
+        for number, name in enumerate(_USUAL):
+            scales[name].make_scale(name)
+            scales[name].attrs["_Netcdf4Dimid"] = np.int32(number)
         position = view.positions.transpose(0, 3, 2, 1)
         confidence = np.where(np.isfinite(position[:, 0]), view.confidence.transpose(0, 2, 1), np.nan)
-        dims = ("time", "space", "keypoint", "individual")
-        for name, values, own in (("position", position, dims), ("confidence", confidence, (dims[0], *dims[2:]))):
+        for name, values, own in (("position", position, _USUAL), ("confidence", confidence, (_USUAL[0], *_USUAL[2:]))):
             dataset = file.create_dataset(name, data=values)
+            dataset.attrs["_Netcdf4Coordinates"] = np.array([_USUAL.index(dim) for dim in own], dtype=np.int32)
             for axis, dim in enumerate(own):
                 dataset.dims[axis].attach_scale(scales[dim])
     return buffer.getvalue()

@@ -62,7 +62,8 @@ def _text(report: dict[str, Any]) -> list[str]:
     if report["pairs"]:
         lines += ["", "frames in which both see somebody:", *table(["", *(camera["name"] for camera in cameras)], _grid(report))]
     lines += ["", *(click.style(f"{f['level']}: ", fg=_COLOURS[f["level"]], bold=True) + f["message"] for f in report["findings"])]
-    return [*lines, "nothing stands in the way" if not report["findings"] else f"{len(report['findings'])} findings"]
+    count = len(report["findings"])
+    return [*lines, f"{count} finding{'s' if count > 1 else ''}" if count else "nothing stands in the way"]
 
 
 _COLOURS = {"CRITICAL": "red", "WARNING": "yellow"}

@@ -1,0 +1,182 @@
+"""What is particular to one keypoint format: orders of axes, many videos in a file, old versions, several writers of one format."""
+
+import json
+
+import h5py
+import numpy as np
+import pytest
+import samples2d
+from keypoint_files import dlc_columns, dlc_csv, dlc_h5_fixed, dlc_values
+from samples2d import FRAMES, NAMES, recording, triples, write_sample
+
+from mocap_calib.errors import FormatError, MismatchError
+from mocap_calib.io.document import ReadOptions
+from mocap_calib.io.formats2d import read_keypoints, write_keypoints
+from mocap_calib.io.layouts import LAYOUTS, parse_layout
+from mocap_calib.skeleton import load_skeleton, match_names
+
+LAYOUT = ReadOptions(layout=NAMES)
+
+
+def test_layouts_name_each_point_once_and_the_models_know_them():
+    people = load_skeleton("people")
+    for name, names in LAYOUTS.items():
+        assert len(set(names)) == len(names), name
+        if name.rpartition("_")[2].rstrip("b").isdigit():
+            assert len(names) == int(name.rpartition("_")[2].rstrip("b"))
+    for name in ("coco_17", "body_25", "body_25b", "coco_18", "halpe_26", "h36m_17", "mpii_16"):
+        assert (match_names(LAYOUTS[name], people) >= 0).sum() >= len(LAYOUTS[name]) - 2, name
+    assert parse_layout("a, b") == ("a", "b")
+    with pytest.raises(MismatchError, match="coco_17"):
+        parse_layout("body_26")
+
+
+@pytest.mark.parametrize(("people", "points"), [("people", "pose_keypoints_2d"), ("bodies", "joints")])
+def test_alphapose_writes_openpose_with_all_frames_in_one_file(tmp_path, people, points):
+    positions, confidence = recording(2)
+    frames = {
+        f"{f}.jpg": {"version": "AlphaPose v0.3", people: [{points: triples(x, s)} for x, s in zip(positions[k], confidence[k], strict=True)]}
+        for k, f in enumerate(FRAMES)
+    }
+    (tmp_path / "cam.json").write_text(json.dumps(frames))
+    (view,) = read_keypoints([tmp_path / "cam.json"], None, LAYOUT)
+    np.testing.assert_array_equal(view.frames, FRAMES)
+    np.testing.assert_array_equal(view.positions, positions)
+
+
+def test_all_cameras_of_a_slp_are_called_by_their_videos(tmp_path):
+    positions, confidence = recording(2)
+    samples2d._slp(tmp_path, positions, confidence, videos=("left_cam", "right_cam"))
+    views = read_keypoints([tmp_path / "cam.slp"])
+    assert [view.camera for view in views] == ["left_cam", "right_cam"]
+    for view in views:
+        np.testing.assert_array_equal(view.positions, positions)
+    assert [view.camera for view in read_keypoints([tmp_path], None, ReadOptions(camera_pattern="(left|right)_"))] == ["left", "right"]
+
+
+def test_a_slp_before_1_1_is_half_a_pixel_off(tmp_path):
+    positions, confidence = recording(1)
+    samples2d._slp(tmp_path, positions, confidence)
+    with h5py.File(tmp_path / "cam.slp", "a") as file:
+        file["metadata"].attrs["format_id"] = 1.0
+    np.testing.assert_array_equal(read_keypoints([tmp_path])[0].positions, positions - 0.5)
+
+
+def test_a_prediction_that_was_corrected_by_hand_does_not_count(tmp_path):
+    positions, confidence = recording(2, missing=0)
+    samples2d._slp(tmp_path, positions, confidence)
+    with h5py.File(tmp_path / "cam.slp", "a") as file:
+        rows = file["instances"][...]
+        rows["track"] = -1
+        rows[1]["instance_type"], rows[1]["from_predicted"] = 0, 0  # in the first frame, the second corrects the first
+        rows[1]["point_id_start"], rows[1]["point_id_end"] = 0, 3
+        del file["instances"], file["points"]
+        file["instances"] = rows
+        file["points"] = np.array([(7.0, 8.0, True, True)] * 3, dtype=[("x", "<f8"), ("y", "<f8"), ("visible", "?"), ("complete", "?")])
+    (view,) = read_keypoints([tmp_path])
+    assert not view.tracked
+    assert np.isfinite(view.positions[0, :, 0, 0]).tolist() == [True, False]
+    assert view.positions[0, 0].tolist() == [[7.0, 8.0]] * 3
+    assert view.confidence[0, 0].tolist() == [1.0] * 3
+
+
+def test_sleap_s_standard_order_of_axes_is_recognised_and_an_ambiguous_one_refused(tmp_path):
+    positions, confidence = recording(2)
+    write_sample("sleap", tmp_path, positions, confidence)
+    with h5py.File(tmp_path / "cam.analysis.h5", "a") as file:
+        del file["tracks"], file["point_scores"]
+        file["tracks"], file["point_scores"] = positions, confidence
+    np.testing.assert_array_equal(read_keypoints([tmp_path])[0].positions, positions)
+    with h5py.File(tmp_path / "cam.analysis.h5", "w") as file:
+        file["tracks"], file["node_names"] = np.zeros((2, 2, 3, 2)), np.array(NAMES, dtype="S")
+    with pytest.raises(FormatError, match="fits 2 orders"):
+        read_keypoints([tmp_path])
+
+
+def test_sleap_without_names_of_tracks_follows_nobody(tmp_path):
+    write_sample("sleap", tmp_path, *recording(2))
+    with h5py.File(tmp_path / "cam.analysis.h5", "a") as file:
+        del file["track_names"], file["point_scores"]
+        file["track_names"] = np.zeros(0)
+    (view,) = read_keypoints([tmp_path])
+    assert not view.tracked
+    assert set(np.unique(view.confidence)) == {0.0, 1.0}
+
+
+def test_sleap_counts_from_0_and_refuses_to_write_a_clock_that_starts_far_away(tmp_path):
+    (view,) = read_keypoints(write_sample("csv", tmp_path / "in", *recording()))
+    late = read_keypoints([tmp_path / "in"], None, ReadOptions(frame_offset={"cam": 42150}))
+    with pytest.raises(MismatchError, match="near 0"):
+        write_keypoints(tmp_path / "out", late, "sleap")
+    assert not (tmp_path / "out").exists()
+    write_keypoints(tmp_path / "out", (view,), "sleap")
+
+
+def test_superanimal_s_animals_are_detections_in_any_order(tmp_path):
+    positions, confidence = recording(2)
+    columns, values = dlc_columns(NAMES, ("animal0", "animal1")), dlc_values(positions, confidence)
+    dlc_h5_fixed(tmp_path / "a.h5", list(FRAMES), columns, values)
+    (tmp_path / "b.csv").write_text(dlc_csv(FRAMES, columns, values))
+    write_sample("superanimal", tmp_path / "json", positions, confidence)
+    for path in (tmp_path / "a.h5", tmp_path / "b.csv", tmp_path / "json"):
+        (view,) = read_keypoints([path], None, LAYOUT)
+        assert not view.tracked
+        np.testing.assert_array_equal(view.positions, positions)
+
+
+def test_poses_of_several_cameras_in_one_nwb(tmp_path):
+    positions, confidence = recording(1)
+    write_sample("nwb", tmp_path, positions, confidence)
+    with h5py.File(tmp_path / "cam.nwb", "a") as file:
+        file.copy("processing/behavior/PoseEstimation", file["processing/behavior"], name="right")
+    views = read_keypoints([tmp_path])
+    assert [view.camera for view in views] == ["PoseEstimation", "right"]
+    assert all("counted from 0" in view.remarks[0] for view in views)
+
+
+def test_movement_s_times_must_be_whole_frames_and_its_poses_flat(tmp_path):
+    write_sample("movement", tmp_path, *recording())
+    with h5py.File(tmp_path / "cam.nc", "a") as file:
+        file.attrs["fps"] = 30.0  # the times are those of 25
+    with pytest.raises(FormatError, match="whole frames"):
+        read_keypoints([tmp_path])
+    with h5py.File(tmp_path / "cam.nc", "a") as file:
+        file["space"][...] = ["x", "z"]
+    with pytest.raises(FormatError, match="2D positions"):
+        read_keypoints([tmp_path])
+
+
+def test_points_without_names_are_numbered_in_label3d_and_caliscope(tmp_path):
+    positions, confidence = recording(scores=False)
+    write_sample("label3d", tmp_path / "a", positions, confidence)
+    write_sample("caliscope", tmp_path / "b", positions, confidence)
+    assert read_keypoints([tmp_path / "a"])[0].keypoints == ("point_1", "point_2", "point_3")
+    assert set(read_keypoints([tmp_path / "b"])[0].keypoints) == {"0", "1", "2"}
+    with pytest.raises(FormatError, match=r"row 3: .*below 1"):
+        read_keypoints([tmp_path / "b"], None, ReadOptions(layout=("nose",)))
+
+
+def test_coco_results_have_cameras_and_frames_in_their_image_ids(tmp_path):
+    entries = [{"image_id": 10_000_000_000 + 10_000_000 * cam + f, "category_id": 1, "keypoints": [5.0 + f, 6, 1] * 3} for cam in (1, 2) for f in (4, 9)]
+    (tmp_path / "all.json").write_text(json.dumps(entries))
+    views = read_keypoints([tmp_path / "all.json"], None, ReadOptions(layout=NAMES, camera_pattern=r"1(?P<camera>\d{3})(?P<frame>\d{7})"))
+    assert [view.camera for view in views] == ["001", "002"]
+    assert [view.frames.tolist() for view in views] == [[4, 9], [4, 9]]
+
+
+def test_the_plain_table_needs_little(tmp_path):
+    path = tmp_path / "cam.csv"
+    path.write_text("frame,keypoint,x,y\n7,nose,1.5,2.5\n9,,,\n8,tail,3,4\n")
+    (view,) = read_keypoints([path])
+    assert (view.camera, view.keypoints, view.frames.tolist(), view.tracked) == ("cam", ("nose", "tail"), [7, 8, 9], True)
+    for text, reason in (
+        ("frame,keypoint,x,y,z\n7,nose,1,2,3\n", "columns"),
+        ("camera,frame,keypoint,x,y\n,7,nose,1,2\n", "row 2"),
+        ("frame,keypoint,x,y\nseven,nose,1,2\n", "frame number"),
+        ("frame,instance,keypoint,x,y\n7,anna,nose,1,2\n", "call the column individual"),
+        ("frame,instance,keypoint,x,y\n7,999999,nose,1,2\n", "at most 1000"),
+        ("frame,keypoint,x,y\n", "rows below"),
+    ):
+        path.write_text(text)
+        with pytest.raises(FormatError, match=reason):
+            read_keypoints([path])
