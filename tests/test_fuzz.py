@@ -129,10 +129,17 @@ def damaged(path, rng):
     return damage_bytes(content, rng)
 
 
+class Originals(dict):
+    """Short in words, so that a failure can be read."""
+
+    def __repr__(self):
+        return "originals"
+
+
 @pytest.fixture(scope="module")
 def originals(tmp_path_factory):
     """Path -> content of the files of each format."""
-    found = {}
+    found = Originals()
     for name, (_, _, _, most, scores, _) in SAMPLES.items():
         folder = tmp_path_factory.mktemp("fuzz")
         write_sample(name, folder, *recording(most, scores=scores))

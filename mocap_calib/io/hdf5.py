@@ -15,8 +15,6 @@ from mocap_calib.io.heaps import check_heaps
 from mocap_calib.io.reading import MOST_POINTS, malformed
 from mocap_calib.types import Ints
 
-_MOST_PACKED = 1100  # times that deflate can make bytes of zeros fewer
-
 _REMEDY = "the file is cut or damaged: export it again"
 
 
@@ -61,11 +59,15 @@ def array(group: Any, name: str, source: str) -> NDArray[Any]:
     dataset = group.get(name)
     if not isinstance(dataset, h5py.Dataset):
         raise malformed(source, f"a dataset `{name}`", "none", "export it again")
-    if dataset.size is not None and dataset.size > 4 * MOST_POINTS:
-        raise malformed(source, f"at most {4 * MOST_POINTS} numbers in `{name}`", dataset.size, "the file is damaged: export it again")
-    if dataset.size is not None and dataset.nbytes > _MOST_PACKED * group.file.id.get_filesize():
-        raise malformed(source, f"`{name}` to fit into the file", f"a claim of {dataset.nbytes} bytes", "the file is damaged: export it again")
+    _check_size(dataset, source)
     return np.asarray(dataset[...])
+
+
+def _check_size(dataset: Any, source: str) -> None:
+    """Refuses a dataset that claims more than its bytes in the file can unpack to: 1032 times as many by deflate, and some for fill values."""
+    claimed = (dataset.size or 0) * dataset.dtype.itemsize
+    if claimed > 1100 * dataset.id.get_storage_size() + 1_000_000 or (dataset.size or 0) > 4 * MOST_POINTS:
+        raise malformed(source, f"as many numbers in `{dataset.name}` as the file has bytes for", f"{dataset.size}", _REMEDY)
 
 
 def integers(group: Any, name: str, source: str) -> Ints:
@@ -82,8 +84,9 @@ def names(group: Any, name: str, source: str) -> tuple[str, ...]:
 
 
 def require_filters(group: Any, source: str, remedy: str) -> None:
-    """PyTables can compress with blosc, which h5py does not have; its own words for that are about folders. Raises FormatError."""
+    """Refuses blosc, with which PyTables can compress and which h5py does not have, and sizes beyond reason. Raises FormatError."""
     for dataset in (item for item in group.values() if isinstance(item, h5py.Dataset)):
+        _check_size(dataset, source)
         layout = dataset.id.get_create_plist()
         for number, _, _, name in map(layout.get_filter, range(layout.get_nfilters())):
             if not h5py.h5z.filter_avail(number):
