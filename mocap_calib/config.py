@@ -58,6 +58,8 @@ class PairwiseConfig:
     """Relative poses of pairs. Lengths in body sizes; image errors are measured at the body."""
 
     frames: int = 150  # evenly spread; the search does not get better with more
+    all_frames: int = 12_000  # of all pairs together: in large rigs they say the same many times
+    least_frames: int = 40
     candidates: int = 6000  # possible matches looked at; crowds get fewer frames
     hypotheses: int = 400
     modes: int = 8  # kept after the search

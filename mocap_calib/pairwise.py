@@ -18,7 +18,8 @@ from mocap_calib.config import PairwiseConfig
 from mocap_calib.evidence import ViewPair, agreement, epipolar_error, epipolar_fit, match_affinity, pose_variance, reach, steering_error, view_pair
 from mocap_calib.frames import evenly
 from mocap_calib.geometry.epipolar import depths, five_point
-from mocap_calib.geometry.rotation import angle_between, nearest_rotation
+from mocap_calib.geometry.rotation import nearest_rotation
+from mocap_calib.parallel import in_order
 from mocap_calib.posterior import most_probable
 from mocap_calib.two_view import refine_two_view
 from mocap_calib.types import Bools, Floats, Ints, LiftedPoses, PairwiseCalibration, Progress, Sample
@@ -56,9 +57,13 @@ def calibrate_pairs(
     """Calibrates all pairs of views that see something in the same frames; the others are left out."""
     pairs = list(combinations(range(len(recording.cameras)), 2))
     seeds = rng.spawn(len(pairs))
+    config = replace(config, frames=min(config.frames, max(config.least_frames, config.all_frames // max(len(pairs), 1))))
+
+    def work(number: int) -> PairwiseCalibration | None:
+        return calibrate_pair(recording, lifted, *pairs[number], config, seeds[number])
+
     found = []
-    for done, ((a, b), own) in enumerate(zip(pairs, seeds, strict=True)):
-        result = calibrate_pair(recording, lifted, a, b, config, own)
+    for done, result in enumerate(in_order(work, range(len(pairs)))):
         found += [] if result is None else [result]
         progress("pairwise", done + 1, len(pairs))
     return tuple(found)
@@ -149,7 +154,8 @@ def _support(agree: Floats) -> Floats:
 def _separated(rotation: Floats, support: Floats, count: int, gap: float) -> Ints:
     """Indices of the best supported rotations that are at least `gap` radians apart."""
     order = np.argsort(-support, kind="stable")
-    far = angle_between(rotation[order][:, None], rotation[order][None]) >= gap
+    flat = rotation[order].reshape(-1, 9)
+    far = flat @ flat.T <= 1 + 2 * np.cos(gap)  # the trace of one turned back by the other
     keep: list[int] = []
     for k in range(len(order)):
         if len(keep) < count and far[k, keep].all():

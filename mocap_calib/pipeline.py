@@ -14,6 +14,7 @@ from mocap_calib.determinacy import disagreement
 from mocap_calib.frames import informative, sample
 from mocap_calib.matching import body_scale, match, match_everything, same_groups, settle
 from mocap_calib.pairwise import calibrate_pairs, in_recording
+from mocap_calib.parallel import single_threaded_libraries
 from mocap_calib.recording import select_lifted, select_views
 from mocap_calib.steerpose.lift import lift
 from mocap_calib.steerpose.model import Lifter
@@ -36,8 +37,14 @@ class Adjusted:
 def calibrate(recording: Recording, lifter: Lifter, config: Config, *, seed: int, device: str, progress: Progress) -> Calibration:
     """From a recording to cameras, matches and 3D poses. Raises DegenerateError where it does not determine them.
 
-    The rig is found from a sample of the frames, of a size that does not depend on the length of the recording.
+    The rig is found from a sample of the frames, of a size that does not depend on the length of the recording. The result does
+    not depend on the number of threads.
     """
+    with single_threaded_libraries():
+        return _calibrate(recording, lifter, config, seed=seed, device=device, progress=progress)
+
+
+def _calibrate(recording: Recording, lifter: Lifter, config: Config, *, seed: int, device: str, progress: Progress) -> Calibration:
     seconds: dict[str, float] = {}
 
     def timed(stage: str, work: Callable[[], T]) -> T:
