@@ -59,10 +59,9 @@ def main() -> None:
 
 def long(work: Path, lengths: Sequence[int]) -> None:
     """The same rig and people for longer and longer."""
-    print(
-        "| frames | calibration (s) | matching all (s) | triangulation (s) | points | points / s | E_R median / max | whole run (s) | processor (s) | peak memory (GB) |"
-    )
-    print("|---|---|---|---|---|---|---|---|---|---|")
+    columns = ("frames", "calibration (s)", "matching all (s)", "triangulation (s)", "points", "points / s")
+    columns += ("E_R median / max", "whole run (s)", "processor (s)", "peak memory (GB)")
+    print(f"| {' | '.join(columns)} |\n|{'---|' * len(columns)}")
     for frames in lengths:
         folder = work / str(frames)
         reference = write_scene(folder, cameras=8, individuals=4, frames=frames)
@@ -75,11 +74,10 @@ def long(work: Path, lengths: Sequence[int]) -> None:
         error = json.loads(compared.stdout)["rotation_error_deg"]
         seconds, points = report["seconds"], report["points"]["triangulated"]
         calibration = sum(spent for stage, spent in seconds.items() if stage not in ("match all", "triangulate"))
-        print(
-            f"| {frames} | {calibration:.1f} | {seconds['match all']:.1f} | {seconds['triangulate']:.1f} | {points} "
-            f"| {points / seconds['triangulate']:.0f} | {error['median']:.3f} / {error['max']:.3f} | {wall:.1f} | {measured.processor:.1f} | {measured.peak:.2f} |",
-            flush=True,
-        )
+        spent = (calibration, seconds["match all"], seconds["triangulate"])
+        cells = (frames, *(f"{one:.1f}" for one in spent), points, f"{points / seconds['triangulate']:.0f}")
+        used = (f"{error['median']:.3f} / {error['max']:.3f}", *(f"{one:.2f}" for one in (wall, measured.processor, measured.peak)))
+        print(f"| {' | '.join(map(str, (*cells, *used)))} |", flush=True)
 
 
 class Measured:

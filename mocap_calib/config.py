@@ -122,7 +122,7 @@ class MatchingConfig:
 class AdjustConfig:
     """Bundle adjustment. Loss scales are in standard deviations of each view's own error."""
 
-    points: int = 10_000
+    points: int = 15_000
     loss_scales: tuple[float, ...] = (6.0, 3.0, 1.5)
     doubtful: float = 0.3  # share of each view's detections, the least confident, that the rig is not built on,
     enough: int = 500  # as long as so many are left
