@@ -1,10 +1,11 @@
 """Bundle adjustment alone: ours, aniposelib's and scipy's, on the same detections from the same start.
 
-    .venv/bin/python benchmarks/adjustment.py SCRATCH [--cameras 8] [--frames 1000] [--people 1] [--methods ours anipose scipy]
+    .venv/bin/python benchmarks/adjustment.py SCRATCH [--cameras 8] [--frames 1000] [--people 1] [--methods ours ours-all anipose scipy]
 
 One synthetic person, identities known, 2 px of noise, 5 % missing, 1 % gross errors; the cameras start 3 degrees and 3 % of the radius
 off, intrinsics fixed. SCRATCH: a folder in which the others get an environment of their own (aniposelib 0.8.0 from the package index).
-Ours is timed from detections to rig: choice of points, triangulation and all. Of aniposelib, what it compiles is not counted.
+Ours is timed from detections to rig: choice of points, triangulation and all; `ours-all` takes all points and weighs detections by their
+confidence, which knows of the noise here. Of aniposelib, what it compiles is not counted.
 """
 
 import argparse
@@ -27,6 +28,8 @@ from mocap_calib.synthetic import simulate
 from mocap_calib.triangulation import observations
 from mocap_calib.types import CameraRig, Floats, Matches, Sample
 
+METHODS = ("ours", "ours-all", "anipose", "scipy")
+OURS = {"ours": AdjustConfig(), "ours-all": AdjustConfig(points=100_000, doubtful=0.0, trust=1.0)}
 PEERS = Path(__file__).with_name("adjustment_peers.py")
 
 
@@ -37,7 +40,7 @@ def main() -> None:
     parser.add_argument("--cameras", type=int, default=8)
     parser.add_argument("--frames", type=int, default=1000)
     parser.add_argument("--people", type=int, default=1)
-    parser.add_argument("--methods", nargs="*", default=["ours", "anipose", "scipy"], choices=["ours", "anipose", "scipy"])
+    parser.add_argument("--methods", nargs="*", default=list(METHODS), choices=METHODS)
     options = parser.parse_args()
     made = simulate(SimulateConfig(cameras=options.cameras, frames=options.frames, people=options.people, false_detections=0.0))
     recording = sample(make_recording(made.files, made.rig.cameras, load_skeleton("people"), {}), slice(None))
@@ -46,7 +49,7 @@ def main() -> None:
     print("| method | seconds | processor (s) | E_R median / max (deg) | E_t median / max (deg) |\n|---|---|---|---|---|")
     print(f"| start | | | {figures(start, made.rig)} |")
     for method in options.methods:
-        found, wall, processor = ours(recording, start, matches) if method == "ours" else peer(method, options.scratch, recording, start, matches)
+        found, wall, processor = ours(OURS[method], recording, start, matches) if method in OURS else peer(method, options.scratch, recording, start, matches)
         print(f"| {method} | {wall:.2f} | {processor:.2f} | {figures(found, made.rig)} |", flush=True)
 
 
@@ -59,10 +62,10 @@ def moved(rig: CameraRig) -> CameraRig:
     return replace(rig, rotation=rotation, translation=-np.einsum("vij,vj->vi", rotation, centres))
 
 
-def ours(recording: Sample, start: CameraRig, matches: Matches) -> tuple[CameraRig, float, float]:
+def ours(config: AdjustConfig, recording: Sample, start: CameraRig, matches: Matches) -> tuple[CameraRig, float, float]:
     """The rig, seconds and seconds of the processor."""
     wall, processor = time.perf_counter(), time.process_time()
-    found = adjust(recording, start, matches, AdjustConfig(), TriangulateConfig())
+    found = adjust(recording, start, matches, config, TriangulateConfig())
     return found, time.perf_counter() - wall, time.process_time() - processor
 
 

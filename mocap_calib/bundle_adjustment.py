@@ -18,10 +18,11 @@ _ON_THE_WAY = 1e-3  # a loss that is going to be tightened need not be minimised
 
 @dataclass(frozen=True)
 class Points:
-    """What is adjusted. points: `[3, N]`; rays: `[view, 3, N]`; used: `[view, N]`."""
+    """What is adjusted. points: `[3, N]`; rays: `[view, 3, N]`; weight: `[view, N]` precision; used: `[view, N]`."""
 
     points: Floats
     rays: Floats
+    weight: Floats
     used: Bools
 
 
@@ -62,7 +63,7 @@ def _observations(recording: Sample, rig: CameraRig, matches: Matches, noise: Fl
     # wide: the rig is not yet right, and the loss deals with outliers
     points, used = triangulate_rays(rig, found.rays, weight, noise, replace(triangulation, outlier=4 * triangulation.outlier))
     known = np.isfinite(points[0])
-    return Points(points[:, known], found.rays[..., known], used[:, known])
+    return Points(points[:, known], found.rays[..., known], weight[:, known] ** config.trust, used[:, known])
 
 
 def _confident(weight: Floats, config: AdjustConfig) -> Floats:
@@ -99,7 +100,7 @@ def _sightings(rig: CameraRig, seen: Points, noise: Floats) -> Sightings:
     rays = np.where(seen.used[:, None], seen.rays, np.array([0.0, 0.0, 1.0])[:, None])
     metric = np.stack([_pixels_per_ray(camera, own.T) / (sigma * camera.focal) for camera, own, sigma in zip(rig.cameras, rays, noise, strict=True)])
     metric = np.ascontiguousarray(np.moveaxis(metric, 1, -1))
-    return Sightings(rays, np.where(seen.used[:, None, None], np.nan_to_num(metric), 0.0), seen.used.astype(np.float64))
+    return Sightings(rays, np.where(seen.used[:, None, None], np.nan_to_num(metric), 0.0), np.where(seen.used, seen.weight, 0.0))
 
 
 def _pixels_per_ray(camera: Camera, rays: Floats) -> Floats:
