@@ -53,7 +53,7 @@ class _Linear:
     mixed: Floats
 
 
-def minimise(state: State, seen: Sightings, scale: float, *, settled: float = 1e-6) -> State:
+def minimise(state: State, seen: Sightings, scale: float, *, settled: float = 1e-5) -> State:
     """The state of least robust cost (Cauchy's loss at `scale` standard deviations). The first camera stays; the scale is free.
 
     It ends when a step lowers the cost by less than the share `settled`.
