@@ -35,7 +35,7 @@ from mocap_calib.types import CameraRig, Floats, silent
 
 TOOL = Path(sys.executable).with_name("mocap-calib")
 PART = 5000  # frames simulated at a time
-GRID = ((4, 3, 200), (8, 3, 200), (16, 3, 200), (4, 1, 200), (4, 6, 200), (4, 3, 2000), (4, 3, 20_000))  # cameras, people, frames
+GRID = ((4, 3, 200), (8, 3, 200), (16, 3, 200), (4, 1, 200), (4, 6, 200), (4, 3, 2000), (4, 3, 5000))  # cameras, people, frames
 
 
 def main() -> None:
