@@ -213,7 +213,7 @@ class PairwiseCalibration:
 
     rotation: `[3, 3]` and translation: `[3]` of b_from_a; the translation's length is the baseline in body
     sizes. matches: `[match, 3]` rows (frame index, instance in a, instance in b) in the frames that were looked at;
-    frames: how many the views share. in_front: 0..1, share of the matched joints in front of both cameras. score: 0..1,
+    frames: how many of those the views share. in_front: 0..1, share of the matched joints in front of both cameras. score: 0..1,
     share of the detections explained x in_front x agreement of the lifted bodies. residual: median epipolar error in
     radians. source: what proposed it ("lifted" or "five-point").
     """
