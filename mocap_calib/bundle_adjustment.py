@@ -18,7 +18,7 @@ _ON_THE_WAY = 1e-3  # a loss that is going to be tightened need not be minimised
 
 @dataclass(frozen=True)
 class Points:
-    """What is adjusted. points: `[3, N]`; rays: `[view, 3, N]`; weight: `[view, N]` confidence; used: `[view, N]`."""
+    """What is adjusted. points: `[3, N]`; rays: `[view, 3, N]`; weight: `[view, N]` precision; used: `[view, N]`."""
 
     points: Floats
     rays: Floats
@@ -63,7 +63,7 @@ def _observations(recording: Sample, rig: CameraRig, matches: Matches, noise: Fl
     # wide: the rig is not yet right, and the loss deals with outliers
     points, used = triangulate_rays(rig, found.rays, weight, noise, replace(triangulation, outlier=4 * triangulation.outlier))
     known = np.isfinite(points[0])
-    return Points(points[:, known], found.rays[..., known], weight[:, known], used[:, known])
+    return Points(points[:, known], found.rays[..., known], weight[:, known] ** config.trust, used[:, known])
 
 
 def _confident(weight: Floats, config: AdjustConfig) -> Floats:

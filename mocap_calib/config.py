@@ -58,6 +58,8 @@ class PairwiseConfig:
     """Relative poses of pairs. Lengths in body sizes; image errors are measured at the body."""
 
     frames: int = 150  # evenly spread; the search does not get better with more
+    all_frames: int = 12_000  # of all pairs together: in large rigs they say the same many times
+    least_frames: int = 40
     candidates: int = 6000  # possible matches looked at; crowds get fewer frames
     hypotheses: int = 400
     modes: int = 8  # kept after the search
@@ -123,6 +125,7 @@ class AdjustConfig:
 
     points: int = 10_000
     loss_scales: tuple[float, ...] = (6.0, 3.0, 1.5)
+    trust: float = 0.0  # power of the confidence that a detection is weighed by; detectors' own is no measure of their precision
     doubtful: float = 0.3  # share of each view's detections, the least confident, that the rig is not built on,
     enough: int = 500  # as long as so many are left
     least: int = 12  # keypoints that can hold a camera: twice what would do without any noise

@@ -18,6 +18,7 @@ from mocap_calib.config import Config, TriangulateConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.frames import evenly
 from mocap_calib.geometry.rotation import angle_between
+from mocap_calib.parallel import in_order
 from mocap_calib.triangulation import observations, project, triangulate_rays, view_noise
 from mocap_calib.types import Bools, CameraRig, Floats, Matches, Sample
 
@@ -44,8 +45,12 @@ class Fit:
 
 def disagreement(recording: Sample, rig: CameraRig, matches: Matches, config: Config, *, seed: int) -> Floats:
     """`[pair]` radians between the relative rotations of two rigs, each adjusted on half of the joints; pi where a half does not hold it."""
+
+    def work(half: Sample) -> CameraRig:
+        return adjust(half, rig, matches, config.adjust, config.triangulate, near=True)
+
     try:
-        first, second = (adjust(half, rig, matches, config.adjust, config.triangulate, near=True) for half in _halves(recording, seed))
+        first, second = in_order(work, list(_halves(recording, seed)))
     except DegenerateError:
         return np.full(len(rig.cameras) * (len(rig.cameras) - 1) // 2, np.pi)
     a, b = np.array(list(combinations(range(len(rig.cameras)), 2))).T

@@ -94,7 +94,8 @@ def steering_error(pair: ViewPair, rotation: Floats) -> Floats:
 
     One matrix product for all hypotheses: the error is linear in R once the bodies' cross-covariance is known.
     """
-    turned = np.einsum("mij,fabji->mfab", rotation, pair.cross, optimize=True)  # tr(R sum w X_a X_b')
+    transposed = np.swapaxes(pair.cross, -1, -2).reshape(-1, 9)
+    turned = (rotation.reshape(-1, 9) @ transposed.T).reshape(-1, *pair.norm.shape)  # tr(R sum w X_a X_b')
     return np.maximum(pair.norm - 2 * turned, 0.0)
 
 
@@ -105,9 +106,15 @@ def pose_variance(pair: ViewPair, config: PairwiseConfig) -> Floats:
 
 def place_error(pair: ViewPair, rotation: Floats, translation: Floats) -> Floats:
     """|R c_a + t - c_b|^2 of lifted centres relative to their distance, `[M, frame, I, J]`; t in body sizes `[M, 3]`."""
-    moved = np.einsum("mij,faj->mfai", rotation, pair.place_a) + translation[:, None, None]
-    product = np.matmul(moved, np.swapaxes(pair.place_b, 1, 2)[None])  # |m - c|^2 = |m|^2 - 2 m.c + |c|^2
-    gap = (moved**2).sum(-1)[..., None] - 2 * product + (pair.place_b**2).sum(-1)[None, :, None]
+    frames, rows, columns = pair.lifted.shape
+    # |R a + t - b|^2 = |a|^2 + |b|^2 + |t|^2 + 2 t.(R a - b) - 2 b.R a: one matrix product for all hypotheses
+    outer = (pair.place_b[:, None, :, :, None] * pair.place_a[:, :, None, None, :]).reshape(-1, 9)
+    gap = (-2 * rotation.reshape(-1, 9) @ outer.T).reshape(-1, frames, rows, columns)
+    back = np.einsum("mij,mi->mj", rotation, translation)
+    square_a = (pair.place_a**2).sum(-1) + (translation**2).sum(-1)[:, None, None] + 2 * np.tensordot(back, pair.place_a, (1, 2))
+    square_b = (pair.place_b**2).sum(-1) - 2 * np.tensordot(translation, pair.place_b, (1, 2))
+    gap += square_a[..., None]
+    gap += square_b[:, :, None]
     scale = pair.distance_a[:, :, None] ** 2 + pair.distance_b[:, None, :] ** 2
     return np.maximum(gap, 0.0) / scale
 

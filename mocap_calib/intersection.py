@@ -17,6 +17,7 @@ _TIGHTEN = (24.0, 12.0, 6.0, 3.0, 3.0, 3.0)  # scales of the loss, in standard d
 _POLISH = 6
 _SCALE = 3.0  # of the loss in the end
 _OUTLIER = 16.0  # squared error in standard deviations, from which on a ray does not belong
+_DOUBTFUL = 4 / 3  # squared error for each of the rays, from which on a point starts again: of few rays a wrong one bends the point to itself
 _AGREE = 0.6  # share of a point's rays, three at least, that must meet for the rest to be outliers
 
 
@@ -33,7 +34,7 @@ def intersect(rig: CameraRig, world: Floats, precision: Floats) -> Floats:
     for _ in range(_STEPS):
         points = points + _step(centres, points, world, precision, _SCALE)
     points[:, count < 2] = np.nan
-    doubtful = np.flatnonzero((_error(centres, points, world, precision) > _OUTLIER).any(0) & (count > 2))
+    doubtful = np.flatnonzero((_error(centres, points, world, precision) > _DOUBTFUL * count).any(0) & (count > 2))
     if len(doubtful):
         points[:, doubtful] = _among_outliers(centres, points[:, doubtful], world[..., doubtful], precision[:, doubtful])
     return points + middle[:, None]

@@ -59,9 +59,9 @@ def match_everything(recording: Recording, chosen: Ints, matches: Matches, rig: 
         affinity, comparable = by_geometry(sample(recording, block), rig, config.pairwise)
         return _groups(affinity, comparable, len(labels), config.matching)
 
-    for block, group in zip(blocks, in_order(work, blocks), strict=True):
+    for done, (block, group) in enumerate(zip(blocks, in_order(work, blocks), strict=True)):
         labels[:, block] = group
-        progress("match", int(block[-1]) + 1, frames)
+        progress("match all", done + 1, len(blocks))
     return Matches(_through_time(labels, _places(recording, rig, labels) * scale, recording.frames, config.matching))
 
 

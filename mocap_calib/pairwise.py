@@ -19,6 +19,7 @@ from mocap_calib.config import PairwiseConfig
 from mocap_calib.evidence import ViewPair, epipolar_error, epipolar_fit, match_affinity, pose_variance, reach, steering_error, view_pair
 from mocap_calib.frames import evenly
 from mocap_calib.geometry.epipolar import depths
+from mocap_calib.parallel import in_order
 from mocap_calib.posterior import most_probable
 from mocap_calib.proposals import Modes, proposals, separated
 from mocap_calib.two_view import refine_two_view
@@ -56,7 +57,7 @@ PairSolver = Callable[[PairProblem], PairwiseCalibration | None]
 
 
 def calibrate_pairs(
-    recording: Sample, lifted: LiftedPoses, config: PairwiseConfig, *, rng: np.random.Generator, progress: Progress, mapper: Mapper = map,
+    recording: Sample, lifted: LiftedPoses, config: PairwiseConfig, *, rng: np.random.Generator, progress: Progress, mapper: Mapper = in_order,
     solve: PairSolver | None = None,
 ) -> tuple[PairwiseCalibration, ...]:  # fmt: skip
     """Calibrates all pairs of views that see something in the same frames; the others are left out.
@@ -64,6 +65,7 @@ def calibrate_pairs(
     `mapper` may do so elsewhere; `solve` calibrates one, by default `calibrate_pair`.
     """
     pairs = list(combinations(range(len(recording.cameras)), 2))
+    config = replace(config, frames=min(config.frames, max(config.least_frames, config.all_frames // max(len(pairs), 1))))
     problems = (pair_problem(recording, lifted, a, b, config, own) for (a, b), own in zip(pairs, rng.spawn(len(pairs)), strict=True))
     found = []
     for done, result in enumerate(mapper(solve or partial(calibrate_pair, config=config), problems)):

@@ -5,8 +5,9 @@ on the number of threads, are held to one.
 """
 
 import os
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import TypeVar
 
@@ -30,17 +31,17 @@ def single_threaded_libraries() -> Iterator[None]:
         yield
 
 
-def in_order(function: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Result]:
-    """The results for all items, in their order, as they come; a few at a time are under way."""
+def in_order(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+    """The results for all items, in their order, as they come; a few at a time are under way, and no more items are taken."""
     count = threads()
-    if count == 1 or len(items) < 2:
+    if count == 1:
         yield from map(function, items)
         return
     with ThreadPoolExecutor(count) as pool:
-        ahead = [pool.submit(function, item) for item in items[: 2 * count]]
-        for done in range(len(items)):
-            result = ahead[done].result()
-            ahead[done] = None  # type: ignore[call-overload]  # what has been taken need not be kept
-            if len(ahead) < len(items):
-                ahead.append(pool.submit(function, items[len(ahead)]))
-            yield result
+        waiting: deque[Future[Result]] = deque()
+        for item in items:
+            waiting.append(pool.submit(function, item))
+            if len(waiting) > 2 * count:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()

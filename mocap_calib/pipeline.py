@@ -16,6 +16,7 @@ from mocap_calib.frames import informative, sample
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.matching import body_scale, match, match_everything, same_groups, settle
 from mocap_calib.pairwise import PairSolver, calibrate_pairs, in_recording
+from mocap_calib.parallel import in_order, single_threaded_libraries
 from mocap_calib.recording import select_lifted, select_views
 from mocap_calib.steerpose.lift import lift
 from mocap_calib.steerpose.model import Lifter
@@ -37,13 +38,28 @@ class Adjusted:
 
 
 def calibrate(
-    recording: Recording, lifter: Lifter, config: Config, *, seed: int, device: str, progress: Progress, mapper: Mapper = map, solve: PairSolver | None = None
+    recording: Recording,
+    lifter: Lifter,
+    config: Config,
+    *,
+    seed: int,
+    device: str,
+    progress: Progress,
+    mapper: Mapper = in_order,
+    solve: PairSolver | None = None,
 ) -> Calibration:
     """From a recording to cameras, matches and 3D poses; `mapper` has the pairs calibrated, by `solve` or our own search.
 
-    The rig is found from a sample of the frames, of a size that does not depend on the length of the recording.
-    Raises DegenerateError where the recording does not determine them.
+    The rig is found from a sample of the frames, of a size that does not depend on the length of the recording. The result does
+    not depend on the number of threads. Raises DegenerateError where the recording does not determine it.
     """
+    with single_threaded_libraries():
+        return _calibrate(recording, lifter, config, seed=seed, device=device, progress=progress, mapper=mapper, solve=solve)
+
+
+def _calibrate(
+    recording: Recording, lifter: Lifter, config: Config, *, seed: int, device: str, progress: Progress, mapper: Mapper, solve: PairSolver | None
+) -> Calibration:
     seconds: dict[str, float] = {}
 
     def timed(stage: str, work: Callable[[], T]) -> T:

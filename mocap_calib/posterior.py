@@ -12,10 +12,11 @@ import numpy as np
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.evidence import ViewPair
 from mocap_calib.geometry.rotation import matrix_from_vector
+from mocap_calib.two_view import epipolar_system
 from mocap_calib.types import Bools, Floats
 
 _STEPS = 25
-_SETTLED = 1e-5  # of the log posterior
+_SETTLED = 1e-3  # of the log posterior: a thousandth of what is worth a word
 
 
 def most_probable(
@@ -30,6 +31,7 @@ def most_probable(
     if not use.any() or not len(rays[0]):
         return rotation, translation
     share = 1 / (1 + use.sum() / config.lift_independent)
+    rays = [rays[0].T[None].copy(), rays[1].T[None].copy(), *rays[2:]]  # by component
     error = _epipolar(rotation, translation, rays)[0]
     freedom = np.sqrt(len(error) / max(len(error) - 5, 1))
     noise = max(1.4826 * float(np.median(np.abs(error))) * freedom, config.least_noise)
@@ -42,7 +44,7 @@ def most_probable(
         robust = rays[2] / (noise * (1 + square)) ** 2
         on_rays = 0.5 * (width / noise) ** 2 * float((rays[2] * square / (1 + square)).sum())
         parts = [
-            (on_rays, np.einsum("n,ni,nj->ij", robust, jacobian, jacobian), (robust * error) @ jacobian),
+            (on_rays, (jacobian * robust) @ jacobian.T, jacobian @ (robust * error)),
             *((share * e, share * h, share * g) for e, h, g in (_bodies(pair, r, use, config), _places(pair, r, t, use, config))),
         ]
         return sum(e for e, _, _ in parts), sum(h for _, h, _ in parts), sum(g for _, _, g in parts)
@@ -64,17 +66,13 @@ def most_probable(
 
 
 def _epipolar(rotation: Floats, translation: Floats, rays: Sequence[Floats]) -> tuple[Floats, Floats]:
-    """Sampson's errors at the body `[N]` and their slopes `[N, 6]` in a turn (left) and a shift of t."""
+    """Sampson's errors at the body `[N]` and their slopes `[6, N]` in a turn (left) and a shift of t."""
     rays_a, rays_b, _, far = rays
     length = np.linalg.norm(translation)
     direction = translation / length
-    turned = rays_a @ rotation.T
-    normal, across = np.cross(turned, rays_b), np.cross(rays_b, direction)
-    value = normal @ direction
-    slope = (np.cross(direction, turned) ** 2).sum(-1) + (across**2).sum(-1) - 2 * value**2
-    unit = far / np.sqrt(np.maximum(slope, 1e-12))
-    shift = (normal - value[:, None] * direction) / length
-    return value * unit, np.concatenate([np.cross(turned, across), shift], -1) * unit[:, None]
+    across = (np.eye(3) - np.outer(direction, direction)) / length
+    error, jacobian = epipolar_system(rotation[None], direction[None], rays_a, rays_b, across[None])
+    return error[0] * far, jacobian[0] * far
 
 
 def _bodies(pair: ViewPair, rotation: Floats, use: Bools, config: PairwiseConfig) -> tuple[float, Floats, Floats]:

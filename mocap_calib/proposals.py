@@ -9,7 +9,7 @@ from mocap_calib.assignment import mutual_best, sinkhorn
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.evidence import ViewPair, agreement, reach
 from mocap_calib.geometry.epipolar import five_point
-from mocap_calib.geometry.rotation import angle_between, nearest_rotation
+from mocap_calib.geometry.rotation import nearest_rotation
 from mocap_calib.types import Floats, Ints
 
 _TRACKS = 9  # pairs of tracks that are looked at
@@ -83,7 +83,8 @@ def _support(agree: Floats) -> Floats:
 def separated(rotation: Floats, support: Floats, count: int, gap: float) -> Ints:
     """Indices of the best supported rotations that are at least `gap` radians apart."""
     order = np.argsort(-support, kind="stable")
-    far = angle_between(rotation[order][:, None], rotation[order][None]) >= gap
+    flat = rotation[order].reshape(-1, 9)
+    far = flat @ flat.T <= 1 + 2 * np.cos(gap)  # the trace of one turned back by the other
     keep: list[int] = []
     for k in range(len(order)):
         if len(keep) < count and far[k, keep].all():

@@ -11,7 +11,7 @@ from mocap_calib.intersection import intersect
 from mocap_calib.parallel import in_order
 from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Matches, Poses3D, Progress, Recording
 
-_BLOCK = 4096  # points at a time: what is computed of them stays in the cache
+_BLOCK = 8192  # points at a time: enough that calls cost little beside, few enough for the cache
 _SAMPLE = 200  # frames that tell how well each view sees
 _START = 0.01  # radians: error of a keypoint before anything is known of it
 

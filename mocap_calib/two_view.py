@@ -16,24 +16,50 @@ def refine_two_view(
     """
     length = np.linalg.norm(translation, axis=-1, keepdims=True)
     direction = translation / np.maximum(length, 1e-12)
+    first, second = (np.ascontiguousarray(np.swapaxes(rays, 1, 2)) for rays in (rays_a, rays_b))  # by component, `[M, 3, N]`
     for step in range(steps):
         width = scale * max(4.0 * 0.75**step, 1.0)
-        turned = np.einsum("mij,mnj->mni", rotation, rays_a)
-        normal = np.cross(turned, rays_b)
-        value = (normal * direction[:, None]).sum(-1)  # t . (R u_a x u_b) = u_b' [t]x R u_a
-        across = np.cross(rays_b, direction[:, None])
-        slope = (np.cross(direction[:, None], turned) ** 2).sum(-1) + (across**2).sum(-1) - 2 * value**2
-        unit = far / np.sqrt(np.maximum(slope, 1e-12))
-        error = value * unit
         tangent = np.linalg.svd(direction[:, None])[2][:, 1:]  # (M, 2, 3) spans the plane normal to t
-        jacobian = np.concatenate([np.cross(turned, across), np.einsum("mkj,mnj->mnk", tangent, normal)], -1) * unit[..., None]
+        error, jacobian = epipolar_system(rotation, direction, first, second, tangent)
+        error, jacobian = error * far, jacobian * far[:, None]
         robust = weight / (1 + (error / width) ** 2) ** 2
-        hessian = np.einsum("mn,mni,mnj->mij", robust, jacobian, jacobian, optimize=True)
-        gradient = np.einsum("mn,mni,mn->mi", robust, jacobian, error, optimize=True)
+        weighted = jacobian * robust[:, None]
+        hessian = weighted @ np.swapaxes(jacobian, 1, 2)
+        gradient = weighted @ error[..., None]
         damping = 1e-6 * np.trace(hessian, axis1=1, axis2=2)[:, None, None] * np.eye(5) + 1e-12 * np.eye(5)
-        delta = -np.linalg.solve(hessian + damping, gradient[..., None])[..., 0]
+        delta = -np.linalg.solve(hessian + damping, gradient)[..., 0]
         delta *= np.minimum(1.0, 0.3 / np.maximum(np.linalg.norm(delta, axis=1, keepdims=True), 1e-12))
         rotation = matrix_from_vector(delta[:, :3]) @ rotation
         direction = direction + np.einsum("mk,mkj->mj", delta[:, 3:], tangent)
         direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
     return rotation, direction * length
+
+
+def epipolar_system(rotation: Floats, direction: Floats, first: Floats, second: Floats, tangent: Floats) -> tuple[Floats, Floats]:
+    """Sampson's errors in radians `[M, N]` and their slopes `[M, 3 + K, N]` in a turn (left) and in shifts of t along `tangent` `[M, K, 3]`.
+
+    rotation `[M, 3, 3]`, direction `[M, 3]` unit, first and second `[M, 3, N]` unit rays. t . (R u_a x u_b) over the lengths of its
+    gradients.
+    """
+    turned = rotation @ first
+    jacobian = np.empty((len(rotation), 3 + tangent.shape[1], first.shape[2]))
+    normal, across = _cross(turned, second), _cross(second, np.broadcast_to(direction[..., None], second.shape))
+    value = (direction[:, None] @ normal)[:, 0]
+    along = (direction[:, None] @ turned)[:, 0]
+    # |t x R u_a|^2 + |t x u_b|^2 - 2 value^2, with unit t and rays
+    square = np.einsum("min,min->mn", across, across)
+    slope = 1 - along * along + square - 2 * value * value
+    unit = 1 / np.sqrt(np.maximum(slope, 1e-12))
+    jacobian[:, :3] = _cross(turned, across)
+    jacobian[:, 3:] = tangent @ normal
+    jacobian *= unit[:, None]
+    return value * unit, jacobian
+
+
+def _cross(first: Floats, second: Floats) -> Floats:
+    """`[M, 3, N]` cross products."""
+    out = np.empty(np.broadcast_shapes(first.shape, second.shape))
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        out[:, i] = first[:, j] * second[:, k] - first[:, k] * second[:, j]
+    return out

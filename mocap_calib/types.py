@@ -41,7 +41,7 @@ def silent(stage: str, done: int, total: int) -> None:
 
 
 class Mapper(Protocol):
-    """How the library has independent work done: `map`, one after the other, unless the caller knows a better place."""
+    """How the library has independent work done: on the threads of this machine, unless the caller knows a better place."""
 
     def __call__(self, function: Callable[[T], R], items: Iterable[T], /) -> Iterable[R]:
         """`function` of every item, in any order. Both can be pickled, and items may be taken long before their results come."""
@@ -233,7 +233,7 @@ class PairwiseCalibration:
 
     rotation: `[3, 3]` and translation: `[3]` of b_from_a; the translation's length is the baseline in body
     sizes. matches: `[match, 3]` rows (frame index, instance in a, instance in b) in the frames that were looked at;
-    frames: how many the views share. in_front: 0..1, share of the matched joints in front of both cameras. score: 0..1,
+    frames: how many of those the views share. in_front: 0..1, share of the matched joints in front of both cameras. score: 0..1,
     share of the detections explained x in_front x agreement of the lifted bodies. residual: median epipolar error in
     radians. source: what proposed it ("lifted" or "five-point").
     """

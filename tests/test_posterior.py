@@ -66,6 +66,8 @@ def test_slopes():
     for law in (lambda r, _: _bodies(pair, r, use, CONFIG), lambda r, t: _places(pair, r, t, use, replace(CONFIG, place_spread=10.0))):
         energies = [(law(*moved(d))[0] - law(*moved(-d))[0]) / 2e-5 for d in step]
         np.testing.assert_allclose(law(rotation, translation)[2], energies, rtol=5e-2, atol=1e-5)  # places: that the uncertainty turns along is left out
-    errors = [(_epipolar(*moved(d), rays_of(pair))[0] - _epipolar(*moved(-d), rays_of(pair))[0]) / 2e-5 for d in step]
-    slope = _epipolar(rotation, translation, rays_of(pair))[1]
-    assert np.abs(slope - np.stack(errors, -1)).max() < 0.05 * np.abs(slope).max()  # the slope of the slope is left out
+    rays_a, rays_b, *rest = rays_of(pair)
+    rays = [rays_a.T[None], rays_b.T[None], *rest]
+    errors = [(_epipolar(*moved(d), rays)[0] - _epipolar(*moved(-d), rays)[0]) / 2e-5 for d in step]
+    slope = _epipolar(rotation, translation, rays)[1]
+    assert np.abs(slope - np.stack(errors)).max() < 0.05 * np.abs(slope).max()  # the slope of the slope is left out

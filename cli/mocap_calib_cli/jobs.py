@@ -16,6 +16,7 @@ from mocap_calib.io.camera_files import format_calibration_toml, format_cameras_
 from mocap_calib.io.pair_store import remembering
 from mocap_calib.io.results import matches_csv, poses_csv, write_poses_h5
 from mocap_calib.pairwise import PairSolver
+from mocap_calib.parallel import in_order
 from mocap_calib.pipeline import calibrate
 from mocap_calib.report import run_report
 from mocap_calib.steerpose.checkpoint import digest
@@ -77,7 +78,7 @@ def read(order: Order, reporter: Reporter) -> Job:
     return Job(order, hashes, recording, model, load_model("cpu", model), inputs.pair_solver(order.solver, recording, model))
 
 
-def solve(job: Job, *, progress: Progress = silent, mapper: Mapper = map) -> Calibration:
+def solve(job: Job, *, progress: Progress = silent, mapper: Mapper = in_order) -> Calibration:
     """Calibrates a recording; touches no file. Raises MismatchError and DegenerateError."""
     use_threads(1)  # such small networks are slower on more, and one is reproducible
     check_device(job.order.device)
@@ -85,7 +86,7 @@ def solve(job: Job, *, progress: Progress = silent, mapper: Mapper = map) -> Cal
     return calibrate(job.recording, job.lifter, Config(), seed=seed, device=device, progress=progress, mapper=mapper, solve=job.solver)
 
 
-def solve_here(job: Job, *, progress: Progress = silent, mapper: Mapper = map) -> Calibration:
+def solve_here(job: Job, *, progress: Progress = silent, mapper: Mapper = in_order) -> Calibration:
     """`solve`, with the pairs kept beside the results until those are written: a run that is killed need not find them again."""
     try:
         store = remembering(mapper, job.order.output / _UNFINISHED, job.order.method(job.model))

@@ -4,6 +4,7 @@ stdout is data, stderr is talk. Exit status: 0 done, 1 the data or the calibrati
 """
 
 import importlib
+import os
 import sys
 
 import click
@@ -65,6 +66,8 @@ def group() -> None:
 
 def main() -> None:
     """The entry point: runs the command, and turns a user's mistake into one line and an exit status."""
+    for library in ("OPENBLAS", "MKL"):  # read when numpy is imported; sums of theirs depend on the number of threads
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     try:
         # without standalone mode click leaves errors to us
         status = group.main(prog_name="mocap-calib", standalone_mode=False)

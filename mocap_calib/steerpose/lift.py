@@ -5,19 +5,23 @@ that looks straight at it; the lifted body is turned back. Rigs are upright or t
 under which the network is surest is taken for each view.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import numpy as np
 import torch
 
 from mocap_calib.errors import MismatchError
 from mocap_calib.frames import evenly
 from mocap_calib.geometry.rotation import looking_along
+from mocap_calib.parallel import in_order
 from mocap_calib.steerpose.model import Lifter, normalise
 from mocap_calib.types import Bools, Floats, LiftedPoses, Progress, Sample
 
 LEAST_JOINTS = 4
 _DOUBTFUL = 0.4  # of the confidence that a view reaches at its best; the network knows joints that are seen or not
 _BEST = 90.0  # percentile
-_BLOCK = 4096
+_BLOCK = 1024
 _SAMPLE = 128
 _CROWD = 0.2  # share of images with several detections; below it they are false ones
 _DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]])
@@ -41,7 +45,8 @@ def lift(recording: Sample, lifter: Lifter, *, device: str = "cpu", progress: Pr
     body = np.full_like(rays, np.nan)
     centre = np.full((views, frames, instances, 3), np.nan)
     spread = np.full((views, frames, instances, joints), np.nan)
-    for view in range(views):
+
+    def work(view: int) -> None:
         where = np.flatnonzero(enough[view].reshape(-1))
         chosen = rays[view].reshape(-1, joints, 3)[where]
         if len(chosen):
@@ -50,8 +55,22 @@ def lift(recording: Sample, lifter: Lifter, *, device: str = "cpu", progress: Pr
             body[view].reshape(-1, joints, 3)[where] = np.concatenate([b[0] for b in blocks])
             centre[view].reshape(-1, 3)[where] = np.concatenate([b[1] for b in blocks])
             spread[view].reshape(-1, joints)[where] = np.concatenate([b[2] for b in blocks])
-        progress("lift", view + 1, views)
+
+    with _one_thread():
+        for view, _ in enumerate(in_order(work, range(views))):
+            progress("lift", view + 1, views)
     return LiftedPoses(body, centre, spread)
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Torch on one thread for each of ours: such small networks are slower on more, and their last digits differ."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def _check_needed(recording: Sample, known: Bools) -> None:

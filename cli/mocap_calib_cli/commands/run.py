@@ -65,7 +65,7 @@ def command(
     conversion.check_formats(formats, fps)
     with Reporter(quiet=quiet) as reporter, engine(reporter, scheduler=scheduler) as there:
         job = jobs.read(jobs.Order(keypoints, cameras, skeleton, model, solver, seed, device, output, reading), reporter)
-        found = jobs.solve_here(job, progress=reporter, mapper=there or map)
+        found = jobs.solve_here(job, progress=reporter, **({"mapper": there} if there else {}))
     report = jobs.write(job, found)
     _summarise(reporter, found, report, output)
     poses = PoseFile(found.poses, float("nan") if fps is None else fps)
