@@ -102,6 +102,7 @@ class AveragingConfig:
     breaks: float = 0.25  # a pair left with less of its weight than this contradicts the others
     rotation_scale_deg: float = 4.0  # a pair this far from the rig counts half
     translation_scale: float = 0.15  # of its baseline
+    loop_doubt: float = 0.1  # a mode that all its triangles contradict keeps this share of its score squared, against one that they confirm
     iterations: int = 30
 
 
