@@ -9,16 +9,15 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.sparse import csr_array
-from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
+from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 
 from mocap_calib.config import AveragingConfig
-from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.rotation import angle_between, direction_angle, matrix_from_vector, vector_from_matrix
 from mocap_calib.types import Averaged, Camera, CameraRig, Floats, Ints, PairwiseCalibration
 
 
 def average(cameras: tuple[Camera, ...], pairs: tuple[PairwiseCalibration, ...], config: AveragingConfig) -> Averaged:
-    """The rig that agrees best with all pairs, which must connect all cameras (`usable_cameras`)."""
+    """The rig that agrees best with all pairs, which must connect all cameras (`loops.usable_cameras`)."""
     edge = np.array([(p.a, p.b) for p in pairs])
     relative = np.stack([p.rotation for p in pairs])
     baseline = np.stack([p.translation for p in pairs])
@@ -31,28 +30,10 @@ def average(cameras: tuple[Camera, ...], pairs: tuple[PairwiseCalibration, ...],
     return Averaged(rig, angle_between(found, relative), direction_angle(moved, baseline), kept / trust)
 
 
-def usable_cameras(cameras: tuple[Camera, ...], pairs: tuple[PairwiseCalibration, ...], config: AveragingConfig) -> Ints:
-    """Indices of the cameras that pairs worth a name connect; single cameras that none holds are left out.
-
-    Raises DegenerateError where nothing is connected, or groups are connected only within themselves: they are never
-    glued by guess.
-    """
-    edge = np.array([(p.a, p.b) for p in pairs if p.score >= config.least_score], dtype=np.int64).reshape(-1, 2)
-    graph = csr_array((np.ones(len(edge)), (edge[:, 0], edge[:, 1])), shape=(len(cameras), len(cameras)))
-    count, group = connected_components(graph, directed=False)
-    groups = [g for g in (np.flatnonzero(group == k) for k in range(count)) if len(g) > 1]
-    if not groups:
-        raise DegenerateError("expected two cameras that see the same bodies, found none; check that the files belong to these cameras and to the same time")
-    if len(groups) > 1:
-        names = " | ".join(", ".join(cameras[v].name for v in g) for g in groups)
-        raise DegenerateError(f"expected cameras that see the same bodies, found groups that share too little: {names}; calibrate each group by itself")
-    return groups[0]
-
-
 def of_cameras(pairs: tuple[PairwiseCalibration, ...], cameras: Ints) -> tuple[PairwiseCalibration, ...]:
     """The pairs among some cameras, renumbered to their order."""
     place = {int(camera): k for k, camera in enumerate(cameras)}
-    return tuple(replace(p, a=place[p.a], b=place[p.b]) for p in pairs if p.a in place and p.b in place)
+    return tuple(replace(p, a=place[p.a], b=place[p.b], rivals=of_cameras(p.rivals, cameras)) for p in pairs if p.a in place and p.b in place)
 
 
 def _relative(edge: Ints, rotation: Floats) -> Floats:

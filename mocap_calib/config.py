@@ -104,6 +104,7 @@ class AveragingConfig:
     breaks: float = 0.25  # a pair left with less of its weight than this contradicts the others
     rotation_scale_deg: float = 4.0  # a pair this far from the rig counts half
     translation_scale: float = 0.15  # of its baseline
+    loop_doubt: float = 0.1  # a mode that all its triangles contradict keeps this share of its score squared, against one that they confirm
     iterations: int = 30
 
 
@@ -116,6 +117,8 @@ class MatchingConfig:
     reach: float = 0.5  # body sizes that a body may move between frames, or five times its usual step if that is more
     memory: int = 50  # frames after which how far it may have gone does not grow any more
     fleeting_frames: int = 10  # an individual of no more frames than this,
+    tracklet_step: float = 0.3  # of the extent of a pose in the image: how far it may move from a frame to the next and still be followed
+    tracklet_frames: int = 30  # that vote together who one is
     fleeting_share: float = 0.05  # and of no larger share of them, that never three of three or more views agree on, is nobody
 
 

@@ -17,6 +17,7 @@ from mocap_calib.frames import evenly, sample
 from mocap_calib.geometry.epipolar import depths
 from mocap_calib.geometry.projection import rays_from_pixels
 from mocap_calib.parallel import in_order
+from mocap_calib.tracklets import fill_in
 from mocap_calib.triangulation import within_frames
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, LiftedPoses, Matches, Progress, Recording, Sample
 
@@ -232,7 +233,7 @@ def settle(recording: Recording, rig: CameraRig, matches: Matches, config: Match
 
     An individual of a moment that never three views agree on is a false detection that happened to meet another: nobody.
     Of the others, one that appears takes the name of one that has gone, the last seen nearest: a cage or a stage holds so
-    many bodies and no more. Raises DegenerateError where nobody is left.
+    many bodies and no more. Detections that their own frame left unnamed take the name of their tracklet. Raises DegenerateError where nobody is left.
     """
     name, _, views = _appearances(matches.labels)
     few = min(config.fleeting_frames, int(config.fleeting_share * matches.labels.shape[1]))
@@ -243,7 +244,8 @@ def settle(recording: Recording, rig: CameraRig, matches: Matches, config: Match
     if not real.any():
         raise DegenerateError("expected bodies that two views agree on, found none for more than a moment; record longer, or with more overlap")
     labels = np.where(np.append(real, False)[matches.labels], matches.labels, -1)
-    return Matches(_by_presence(_renamed(labels, _places(recording, rig, within_frames(Matches(labels)).labels))))
+    named = _by_presence(_renamed(labels, _places(recording, rig, within_frames(Matches(labels)).labels)))
+    return Matches(fill_in(recording, named, config))
 
 
 def _appearances(labels: Ints) -> tuple[Ints, Ints, Ints]:

@@ -2,7 +2,8 @@
 
 Every candidate match of two lifted bodies proposes a rotation in closed form, and five-point RANSAC proposes more where
 identities are known; all are scored against all frames at once, the best modes are refined by turns of matching
-(Sinkhorn) and robust least squares on rays, and the one with the best evidence is kept. One yardstick for all.
+(Sinkhorn) and robust least squares on rays. One yardstick for all: the one with the best evidence is the answer, the others its
+rivals, which a third view may speak for.
 """
 
 from collections.abc import Callable
@@ -76,7 +77,7 @@ def calibrate_pairs(
 
 def in_recording(pairs: tuple[PairwiseCalibration, ...], chosen: Ints) -> tuple[PairwiseCalibration, ...]:
     """Pairs found in a sample, their matches by the frames of the recording that it was chosen from."""
-    return tuple(replace(p, matches=np.column_stack([chosen[p.matches[:, 0]], p.matches[:, 1:]])) for p in pairs)
+    return tuple(replace(p, matches=np.column_stack([chosen[p.matches[:, 0]], p.matches[:, 1:]]), rivals=in_recording(p.rivals, chosen)) for p in pairs)
 
 
 def pair_problem(recording: Sample, lifted: LiftedPoses, a: int, b: int, config: PairwiseConfig, rng: np.random.Generator) -> PairProblem:
@@ -88,7 +89,7 @@ def pair_problem(recording: Sample, lifted: LiftedPoses, a: int, b: int, config:
 
 
 def calibrate_pair(problem: PairProblem, config: PairwiseConfig) -> PairwiseCalibration | None:
-    """The best supported relative pose of the two views, or None where they share nothing to go by."""
+    """The best supported relative pose of the two views, with its rivals, or None where they share nothing to go by."""
     pair, rng = problem.pair, problem.rng
     if problem.frames == 0:
         return None
@@ -96,9 +97,9 @@ def calibrate_pair(problem: PairProblem, config: PairwiseConfig) -> PairwiseCali
     if len(modes.rotation) == 0:
         return None
     modes, score = _weigh_all(pair, *_refine_modes(pair, modes, config, rng), config, rng)
-    best = int(np.argmax(score.total))
-    translation = _with_baseline(pair, modes.rotation[best], modes.translation[best], score.matched[best])
-    return _calibration(problem, modes.rotation[best], translation, score.matched[best], _take(score, np.array([best])), modes.source[best])
+    apart = separated(modes.rotation, score.total, config.finalists, np.deg2rad(config.mode_separation_deg))
+    best, *rivals = (_mode(problem, modes, score, int(k)) for k in apart)
+    return replace(best, rivals=tuple(rivals))
 
 
 def judge_pair(problem: PairProblem, rotation: Floats, translation: Floats, matched: Bools, source: str, config: PairwiseConfig) -> PairwiseCalibration:
@@ -106,6 +107,13 @@ def judge_pair(problem: PairProblem, rotation: Floats, translation: Floats, matc
     translation = _with_baseline(problem.pair, rotation, translation, matched)
     score = _score(problem.pair, Modes(rotation[None], translation[None], (source,)), config)
     return _calibration(problem, rotation, translation, matched, score, source)
+
+
+def _mode(problem: PairProblem, modes: Modes, score: Score, k: int) -> PairwiseCalibration:
+    """One of the modes, with a baseline in body sizes."""
+    rotation, matched = modes.rotation[k], score.matched[k]
+    translation = _with_baseline(problem.pair, rotation, modes.translation[k], matched)
+    return _calibration(problem, rotation, translation, matched, _take(score, np.array([k])), modes.source[k])
 
 
 def _calibration(problem: PairProblem, rotation: Floats, translation: Floats, matched: Bools, score: Score, source: str) -> PairwiseCalibration:

@@ -1,19 +1,21 @@
-"""The order of the stages and nothing else: pairs -> rig -> matches -> adjust -> triangulate."""
+"""The order of the stages and nothing else: pairs -> loops -> rig -> matches -> adjust -> triangulate."""
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 
-from mocap_calib.averaging import average, of_cameras, usable_cameras
+from mocap_calib.averaging import average, of_cameras
 from mocap_calib.bundle_adjustment import adjust
 from mocap_calib.config import Config
 from mocap_calib.determinacy import alike, disagreement, fit, near_affine
+from mocap_calib.errors import DegenerateError
 from mocap_calib.factorisation import factorise, single_subject
 from mocap_calib.frames import informative, sample
 from mocap_calib.geometry.rotation import angle_between
+from mocap_calib.loops import camera_groups, choose_modes, several_groups
 from mocap_calib.matching import body_scale, match, match_everything, same_groups, settle
 from mocap_calib.pairwise import PairSolver, calibrate_pairs, in_recording
 from mocap_calib.parallel import in_order, single_threaded_libraries
@@ -21,7 +23,7 @@ from mocap_calib.recording import select_lifted, select_views
 from mocap_calib.steerpose.lift import lift
 from mocap_calib.steerpose.model import Lifter
 from mocap_calib.triangulation import triangulate
-from mocap_calib.types import Calibration, CameraRig, Ints, LiftedPoses, Mapper, Matches, Progress, Recording, Sample
+from mocap_calib.types import Calibration, CameraRig, Ints, LiftedPoses, Mapper, Matches, PairwiseCalibration, Progress, Recording, Sample
 
 T = TypeVar("T")
 _SAME_DEG = 10.0
@@ -37,61 +39,100 @@ class Adjusted:
     converged: bool
 
 
-def calibrate(
-    recording: Recording,
-    lifter: Lifter,
-    config: Config,
-    *,
-    seed: int,
-    device: str,
-    progress: Progress,
-    mapper: Mapper = in_order,
-    solve: PairSolver | None = None,
-) -> Calibration:
-    """From a recording to cameras, matches and 3D poses; `mapper` has the pairs calibrated, by `solve` or our own search.
+@dataclass(frozen=True)
+class _Evidence:
+    """What is known of some cameras: their recording, the frames (indices) chosen from it, these lifted, and the pairs."""
 
-    The rig is found from a sample of the frames, of a size that does not depend on the length of the recording. The result does
-    not depend on the number of threads. Raises DegenerateError where the recording does not determine it.
+    recording: Recording
+    chosen: Ints
+    some: Sample
+    lifted: LiftedPoses
+    pairs: tuple[PairwiseCalibration, ...]
+
+    def of(self, views: Ints) -> "_Evidence":
+        """Of these views (indices) alone."""
+        recording, some = select_views(self.recording, views), select_views(self.some, views)
+        return _Evidence(recording, self.chosen, some, select_lifted(self.lifted, views), of_cameras(self.pairs, views))
+
+
+def calibrate(
+    recording: Recording, lifter: Lifter, config: Config, *, seed: int, device: str, progress: Progress, mapper: Mapper = in_order,
+    solve: PairSolver | None = None,
+) -> Calibration:  # fmt: skip
+    """From a recording whose cameras see the same bodies to cameras, matches and 3D poses; as `calibrate_groups`.
+
+    Raises DegenerateError also where the cameras fall into groups.
+    """
+    first, *others = calibrate_groups(recording, lifter, config, seed=seed, device=device, progress=progress, mapper=mapper, solve=solve)
+    if others:
+        raise several_groups(found.rig.names for found in (first, *others))
+    return first
+
+
+def calibrate_groups(
+    recording: Recording, lifter: Lifter, config: Config, *, seed: int, device: str, progress: Progress, mapper: Mapper = in_order,
+    solve: PairSolver | None = None,
+) -> tuple[Calibration, ...]:  # fmt: skip
+    """A calibration of each group of cameras that see the same bodies, the largest first; `mapper` has the pairs calibrated, by `solve` or our own search.
+
+    The rigs are found from a sample of the frames, of a size that does not depend on the length of the recording. The result does not
+    depend on the number of threads. Raises DegenerateError where the recording determines no rig; the cameras of a group that it does not
+    determine are left out.
     """
     with single_threaded_libraries():
-        return _calibrate(recording, lifter, config, seed=seed, device=device, progress=progress, mapper=mapper, solve=solve)
+        return _calibrate_groups(recording, lifter, config, seed=seed, device=device, progress=progress, mapper=mapper, solve=solve)
 
 
-def _calibrate(
+def _calibrate_groups(
     recording: Recording, lifter: Lifter, config: Config, *, seed: int, device: str, progress: Progress, mapper: Mapper, solve: PairSolver | None
-) -> Calibration:
+) -> tuple[Calibration, ...]:
     seconds: dict[str, float] = {}
-
-    def timed(stage: str, work: Callable[[], T]) -> T:
-        start = time.perf_counter()
-        result = work()
-        seconds[stage] = time.perf_counter() - start
-        return result
-
     rng = np.random.default_rng(seed)
-    chosen = timed("choose", lambda: informative(recording, config.sample))
+    chosen = _timed(seconds, "choose", lambda: informative(recording, config.sample))
     some = sample(recording, chosen)
-    lifted = timed("lift", lambda: lift(some, lifter, device=device, progress=progress))
-    pairs = timed("pairwise", lambda: calibrate_pairs(some, lifted, config.pairwise, rng=rng, progress=progress, mapper=mapper, solve=solve))
-    kept = usable_cameras(recording.cameras, pairs, config.averaging)
+    lifted = _timed(seconds, "lift", lambda: lift(some, lifter, device=device, progress=progress))
+    pairs = _timed(seconds, "pairwise", lambda: calibrate_pairs(some, lifted, config.pairwise, rng=rng, progress=progress, mapper=mapper, solve=solve))
+    pairs = _timed(seconds, "loops", lambda: choose_modes(pairs, config.averaging))
+    evidence = _Evidence(recording, chosen, some, lifted, pairs)
+    found: list[Calibration] = []
+    refusals: list[DegenerateError] = []
+    for views in camera_groups(recording.cameras, pairs, config.averaging):
+        try:
+            found.append(_calibrate_group(evidence.of(views), config, dict(seconds), seed=seed, progress=progress))
+        except DegenerateError as error:
+            refusals.append(error)
+    if not found:
+        raise refusals[0]
     names = recording.names
-    left_out = tuple(name for v, name in enumerate(names) if v not in kept)
-    unused = tuple((names[p.a], names[p.b], p.score) for p in pairs if not {p.a, p.b} <= set(kept.tolist()))
-    recording, some = select_views(recording, kept), select_views(some, kept)
-    lifted, pairs = select_lifted(lifted, kept), of_cameras(pairs, kept)
-    averaged = timed("average", lambda: average(recording.cameras, pairs, config.averaging))
-    matches = timed("match", lambda: match(some, lifted, averaged.rig, config.matching, config.pairwise, progress=progress))
-    adjusted, rival = timed("adjust", lambda: _best_start(some, lifted, averaged.rig, matches, config, progress=progress))
-    everyone = timed("match all", lambda: match_all(recording, chosen, some, lifted, adjusted.rig, adjusted.matches, config, progress=progress))
+    home = {name: k for k, group in enumerate(found) for name in group.rig.names}
+    left_out = tuple(name for name in names if name not in home)
+    unused = tuple((names[p.a], names[p.b], p.score) for p in pairs if home.get(names[p.a], -1) != home.get(names[p.b], -2))
+    return tuple(replace(group, left_out=left_out, unused=unused) for group in found)
+
+
+def _calibrate_group(evidence: _Evidence, config: Config, seconds: dict[str, float], *, seed: int, progress: Progress) -> Calibration:
+    """Of cameras that see the same bodies: rig -> matches -> adjust -> triangulate. seconds is filled."""
+    recording, chosen, some, lifted, pairs = evidence.recording, evidence.chosen, evidence.some, evidence.lifted, evidence.pairs
+    averaged = _timed(seconds, "average", lambda: average(recording.cameras, pairs, config.averaging))
+    matches = _timed(seconds, "match", lambda: match(some, lifted, averaged.rig, config.matching, config.pairwise, progress=progress))
+    adjusted, rival = _timed(seconds, "adjust", lambda: _best_start(some, lifted, averaged.rig, matches, config, progress=progress))
+    everyone = _timed(seconds, "match all", lambda: match_all(recording, chosen, some, lifted, adjusted.rig, adjusted.matches, config, progress=progress))
     everyone = settle(recording, adjusted.rig, everyone, config.matching)
     within = Matches(everyone.labels[:, chosen])
-    difference = timed("verdict", lambda: disagreement(some, adjusted.rig, within, config, seed=seed))
-    poses = timed("triangulate", lambda: triangulate(recording, adjusted.rig, everyone, config.triangulate, progress=progress))
+    difference = _timed(seconds, "verdict", lambda: disagreement(some, adjusted.rig, within, config, seed=seed))
+    poses = _timed(seconds, "triangulate", lambda: triangulate(recording, adjusted.rig, everyone, config.triangulate, progress=progress))
     affine = near_affine(fit(some, adjusted.rig, within, config.triangulate))
     return Calibration(
-        recording, left_out, unused, in_recording(pairs, chosen), averaged, adjusted.rig, rival, everyone, difference, affine, poses,
+        recording, (), (), in_recording(pairs, chosen), averaged, adjusted.rig, rival, everyone, difference, affine, poses,
         adjusted.rounds, adjusted.converged, seconds,
     )  # fmt: skip
+
+
+def _timed(seconds: dict[str, float], stage: str, work: Callable[[], T]) -> T:
+    start = time.perf_counter()
+    result = work()
+    seconds[stage] = time.perf_counter() - start
+    return result
 
 
 def _best_start(

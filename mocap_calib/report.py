@@ -14,6 +14,7 @@ from mocap_calib.errors import MismatchError
 from mocap_calib.frames import evenly
 from mocap_calib.geometry.alignment import similarity
 from mocap_calib.geometry.rotation import angle_between, direction_angle
+from mocap_calib.loops import rival_taken
 from mocap_calib.triangulation import observations, project
 from mocap_calib.types import Calibration, CameraRig, Floats, PairwiseCalibration
 
@@ -200,6 +201,8 @@ def _pair_report(found: Calibration, number: int, pair: PairwiseCalibration, err
         "loop_translation_deg": float(np.degrees(averaged.translation_error[number])),
         "weight": float(averaged.weight[number]),
         "breaks_loop": bool(averaged.weight[number] < config.averaging.breaks),
+        "rival_taken": rival_taken(pair),
+        "rivals": [{"score": r.score, "turned_deg": float(np.degrees(angle_between(r.rotation, pair.rotation)))} for r in pair.rivals],
     }
 
 

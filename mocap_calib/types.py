@@ -235,7 +235,7 @@ class PairwiseCalibration:
     sizes. matches: `[match, 3]` rows (frame index, instance in a, instance in b) in the frames that were looked at;
     frames: how many of those the views share. in_front: 0..1, share of the matched joints in front of both cameras. score: 0..1,
     share of the detections explained x in_front x agreement of the lifted bodies. residual: median epipolar error in
-    radians. source: what proposed it ("lifted" or "five-point").
+    radians. source: what proposed it ("lifted", "five-point", "paper"). rivals: other answers, best score first, without rivals of their own.
     """
 
     a: int
@@ -248,6 +248,12 @@ class PairwiseCalibration:
     residual: float
     in_front: float
     source: str
+    rivals: tuple["PairwiseCalibration", ...] = ()
+
+    @property
+    def modes(self) -> tuple["PairwiseCalibration", ...]:
+        """The answer and its rivals."""
+        return (self, *self.rivals)
 
 
 @dataclass(frozen=True)
@@ -299,10 +305,10 @@ class Poses3D:
 
 @dataclass(frozen=True)
 class Calibration:
-    """All that a run finds.
+    """All that a run finds of one group of cameras that see the same bodies.
 
-    recording, and all that follows: of the cameras that were calibrated. left_out: names of those that no pair holds;
-    unused: (name, name, score) of the pairs with one of them. rounds of adjusting and matching were made; converged: no
+    recording, and all that follows: of the cameras of the group. left_out: names of those that no group holds;
+    unused: (name, name, score) of the pairs that are within no group. rounds of adjusting and matching were made; converged: no
     detection changed its group in the last. disagreement: `[pair]` radians between the rigs of two halves of the joints, an
     estimate of the rig's error. rival: a rig that fits as well, reversed in depth: what was seen does not tell them apart. near_affine: `[view]`
     cameras in whose images perspective drowns in noise, whose distance follows from their focal length alone. seconds: wall time per stage.

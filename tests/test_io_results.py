@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+from dataclasses import replace
 
 import h5py
 import numpy as np
@@ -210,16 +211,24 @@ def same_pair(first, second):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
 
 
-def test_pairs_come_back_with_their_cameras():
+def test_pairs_come_back_with_their_cameras_and_rivals():
     cameras = tuple(map(camera, NAMES))
-    pairs = (pair(0, 1, 1), pair(0, 2, 4), pair(1, 2, 7))
+    pairs = (replace(pair(0, 1, 1), rivals=(pair(0, 1, 2), pair(0, 1, 5))), pair(0, 2, 4), pair(1, 2, 7))
     text = pairs_to_json(pairs, cameras)
     json.loads(text, parse_constant=pytest.fail)  # strict JSON: no NaN
     back, back_cameras = pairs_from_json(text, "text")
     assert [c.name for c in back_cameras] == list(NAMES)
     np.testing.assert_array_equal(back_cameras[0].distortion, cameras[0].distortion)
-    for first, second in zip(pairs, back, strict=True):
-        same_pair(first, second)
+    for old, new in zip(pairs, back, strict=True):
+        for first, second in zip(old.modes, new.modes, strict=True):
+            same_pair(first, second)
+
+
+def test_pairs_without_rivals_are_read():
+    """As files from before there were rivals."""
+    back, _ = pairs_from_json(TEXT.replace(', "rivals": []', ""), "text")
+    same_pair(back[0], pair(0, 1, 3))
+    assert back[0].rivals == ()
 
 
 TEXT = pairs_to_json((pair(0, 1, 3),), tuple(map(camera, NAMES)))
@@ -230,6 +239,7 @@ TEXT = pairs_to_json((pair(0, 1, 3),), tuple(map(camera, NAMES)))
     [
         *("", "[]", "{}", "[" * 100_000, TEXT[:-40], TEXT.replace('"version": 1', '"version": 2'), TEXT.replace('"a": "left"', '"a": "nobody"')),
         *(TEXT.replace('"frames": 9', '"frames": "x"'), TEXT.replace('"score"', '"skore"'), TEXT.replace('"rotation": [[', '"rotation": [[[')),
+        TEXT.replace('"rivals": []', '"rivals": [3]'),
         *(TEXT.replace(f'"{key}": [', f'"{key}": [3, ') for key in ("translation", "pairs", "cameras", "matches")),
     ],
 )

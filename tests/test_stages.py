@@ -9,7 +9,7 @@ import pytest
 from scenes import lifted, precision, recording, rotation_errors_deg, scene, truth
 
 from mocap_calib.assignment import mutual_best, sinkhorn
-from mocap_calib.averaging import average, of_cameras, usable_cameras
+from mocap_calib.averaging import average, of_cameras
 from mocap_calib.bundle_adjustment import adjust
 from mocap_calib.config import AdjustConfig, AveragingConfig, MatchingConfig, PairwiseConfig, TriangulateConfig
 from mocap_calib.errors import DegenerateError
@@ -17,6 +17,7 @@ from mocap_calib.evidence import epipolar_error, place_error, reach, steering_er
 from mocap_calib.geometry.epipolar import essential, sampson_angle
 from mocap_calib.geometry.rotation import angle_between, direction_angle, matrix_from_vector
 from mocap_calib.io.results import pairs_to_json
+from mocap_calib.loops import usable_cameras
 from mocap_calib.matching import match
 from mocap_calib.pairwise import calibrate_pair, calibrate_pairs, pair_problem
 from mocap_calib.triangulation import triangulate, triangulate_rays

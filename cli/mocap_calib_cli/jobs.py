@@ -17,7 +17,7 @@ from mocap_calib.io.pair_store import remembering
 from mocap_calib.io.results import matches_csv, poses_csv, write_poses_h5
 from mocap_calib.pairwise import PairSolver
 from mocap_calib.parallel import in_order
-from mocap_calib.pipeline import calibrate
+from mocap_calib.pipeline import calibrate_groups
 from mocap_calib.report import run_report
 from mocap_calib.steerpose.checkpoint import digest
 from mocap_calib.steerpose.model import Lifter
@@ -27,6 +27,7 @@ from mocap_calib_cli.model import NONE, check_device, load_model, use_threads
 from mocap_calib_cli.progress import Reporter
 
 _RIVAL = "calibration_reversed.toml"
+_FILES = ("cameras.yaml", "calibration.toml", _RIVAL, "matches.csv", "poses3d.h5", "run.json")  # of a group; and poses3d*.csv
 _UNFINISHED = ".unfinished"  # in the folder of results: the pairs of a run that is under way or was killed
 
 
@@ -78,15 +79,15 @@ def read(order: Order, reporter: Reporter) -> Job:
     return Job(order, hashes, recording, model, load_model("cpu", model), inputs.pair_solver(order.solver, recording, model))
 
 
-def solve(job: Job, *, progress: Progress = silent, mapper: Mapper = in_order) -> Calibration:
-    """Calibrates a recording; touches no file. Raises MismatchError and DegenerateError."""
+def solve(job: Job, *, progress: Progress = silent, mapper: Mapper = in_order) -> tuple[Calibration, ...]:
+    """Calibrates the groups of cameras of a recording; touches no file. Raises MismatchError and DegenerateError."""
     use_threads(1)  # such small networks are slower on more, and one is reproducible
     check_device(job.order.device)
     seed, device = job.order.seed, job.order.device
-    return calibrate(job.recording, job.lifter, Config(), seed=seed, device=device, progress=progress, mapper=mapper, solve=job.solver)
+    return calibrate_groups(job.recording, job.lifter, Config(), seed=seed, device=device, progress=progress, mapper=mapper, solve=job.solver)
 
 
-def solve_here(job: Job, *, progress: Progress = silent, mapper: Mapper = in_order) -> Calibration:
+def solve_here(job: Job, *, progress: Progress = silent, mapper: Mapper = in_order) -> tuple[Calibration, ...]:
     """`solve`, with the pairs kept beside the results until those are written: a run that is killed need not find them again."""
     try:
         store = remembering(mapper, job.order.output / _UNFINISHED, job.order.method(job.model))
@@ -97,27 +98,41 @@ def solve_here(job: Job, *, progress: Progress = silent, mapper: Mapper = in_ord
         raise
 
 
-def write(job: Job, found: Calibration) -> dict[str, Any]:
-    """Writes all files of a run, together or not at all, and returns what run.json holds.
+def write(job: Job, groups: tuple[Calibration, ...]) -> list[dict[str, Any]]:
+    """Writes all files of a run, together or not at all, and returns what each group's run.json holds.
 
-    What an earlier run found and this one did not, further individuals and a rival rig, is taken away.
+    What an earlier run found and this one did not, further groups and individuals and a rival rig, is taken away.
     """
     order = job.order
-    report = run_report(found, seed=order.seed, config=Config(), inputs=job.hashes) | {"model": job.model, "solver": order.solver}
-    source = outputs.provenance("run", seed=order.seed, inputs=job.hashes)
+    listed = [{"folder": group_folder(k), "cameras": list(found.rig.names)} for k, found in enumerate(groups)]
+    own = {"model": job.model, "solver": order.solver, "groups": listed}
+    reports = [run_report(found, seed=order.seed, config=Config(), inputs=job.hashes) | own for found in groups]
     with folder(order.output) as work:
-        (work / "cameras.yaml").write_text(format_cameras_yaml(found.rig, source), "utf-8")
-        (work / "calibration.toml").write_text(format_calibration_toml(found.rig, source), "utf-8")
-        if found.rival is not None:
-            (work / _RIVAL).write_text(format_calibration_toml(found.rival, source), "utf-8")
-        replace_text(work / "matches.csv", matches_csv(found.recording, found.matches))
-        write_poses_h5(work / "poses3d.h5", found.poses, source)
-        for individual in range(found.matches.individuals):
-            replace_text(of_individual(work / "poses3d.csv", individual), poses_csv(found.poses, individual))
-        report |= {"fingerprint": order.fingerprint(job.hashes, job.model), "outputs": _contents(work)}
-        (work / "run.json").write_text(json.dumps(report, indent=1, allow_nan=False) + "\n", "utf-8")
-    _clear(order.output, report)
-    return report
+        for k in reversed(range(len(groups))):  # the first last: its run.json has the hashes of all other files
+            here = work / group_folder(k)
+            here.mkdir(exist_ok=True)
+            _write_group(here, groups[k], outputs.provenance("run", seed=order.seed, inputs=job.hashes))
+            if k == 0:
+                reports[0] |= {"fingerprint": order.fingerprint(job.hashes, job.model), "outputs": _contents(work)}
+            (here / "run.json").write_text(json.dumps(reports[k], indent=1, allow_nan=False) + "\n", "utf-8")
+    _clear(order.output, reports[0])
+    return reports
+
+
+def group_folder(group: int) -> str:
+    """Where in OUT the files of a group go: those of the largest right there."""
+    return "." if group == 0 else f"group_{group + 1}"
+
+
+def _write_group(work: Path, found: Calibration, source: Mapping[str, Any]) -> None:
+    (work / "cameras.yaml").write_text(format_cameras_yaml(found.rig, source), "utf-8")
+    (work / "calibration.toml").write_text(format_calibration_toml(found.rig, source), "utf-8")
+    if found.rival is not None:
+        (work / _RIVAL).write_text(format_calibration_toml(found.rival, source), "utf-8")
+    replace_text(work / "matches.csv", matches_csv(found.recording, found.matches))
+    write_poses_h5(work / "poses3d.h5", found.poses, source)
+    for individual in range(found.matches.individuals):
+        replace_text(of_individual(work / "poses3d.csv", individual), poses_csv(found.poses, individual))
 
 
 def finished(order: Order) -> dict[str, Any] | None:
@@ -147,10 +162,18 @@ def _digest(file: Path) -> str:
 
 
 def _clear(output: Path, report: Mapping[str, Any]) -> None:
-    """Takes away what earlier runs left that these results do not replace."""
-    outputs.remove_stale(output / "poses3d.csv", len(report["individuals"]))
-    if _RIVAL not in report["outputs"]:
-        (output / _RIVAL).unlink(missing_ok=True)
+    """Takes away what earlier runs left that these results do not replace: their files, and folders of groups where nothing else is."""
+    kept = {"run.json", *report["outputs"]}
+    number = len(report["groups"])
+    while (output / group_folder(number) / "run.json").is_file():
+        number += 1
+    for here in [output / group_folder(k) for k in range(number)]:
+        ours = [here / name for name in _FILES] + sorted(here.glob("poses3d*.csv"))
+        for file in ours:
+            if file.relative_to(output).as_posix() not in kept:
+                file.unlink(missing_ok=True)
+        if not any(here.iterdir()):
+            here.rmdir()
     _forget(output)
 
 

@@ -8,10 +8,10 @@ import hashlib
 import json
 import pickle
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import asdict
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -54,14 +54,21 @@ def _beside(function: Callable[[T], R], named: tuple[Path, T]) -> tuple[Path, R]
 
 def _encoded(pair: PairwiseCalibration | None) -> bytes:
     """JSON, which keeps every digit in Python; NaN and infinity are kept too."""
-    fields = None if pair is None else {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in asdict(pair).items()}
-    return json.dumps(fields).encode()
+    return json.dumps(None if pair is None else _fields(pair)).encode()
+
+
+def _fields(pair: PairwiseCalibration) -> dict[str, Any]:
+    own = {field.name: getattr(pair, field.name) for field in fields(pair) if field.name != "rivals"}
+    return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in own.items()} | {"rivals": [_fields(rival) for rival in pair.rivals]}
 
 
 def _decoded(content: bytes) -> PairwiseCalibration | None:
-    fields = json.loads(content)
-    if fields is None:
-        return None
-    rotation, translation = np.array(fields.pop("rotation"), np.float64), np.array(fields.pop("translation"), np.float64)
-    matches = np.array(fields.pop("matches"), np.int64).reshape(-1, 3)
-    return PairwiseCalibration(**fields, rotation=rotation, translation=translation, matches=matches)
+    stored = json.loads(content)
+    return None if stored is None else _pair(stored)
+
+
+def _pair(stored: dict[str, Any]) -> PairwiseCalibration:
+    rotation, translation = np.array(stored.pop("rotation"), np.float64), np.array(stored.pop("translation"), np.float64)
+    matches = np.array(stored.pop("matches"), np.int64).reshape(-1, 3)
+    rivals = tuple(map(_pair, stored.pop("rivals")))
+    return PairwiseCalibration(**stored, rotation=rotation, translation=translation, matches=matches, rivals=rivals)

@@ -4,7 +4,7 @@ import csv
 import io
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -192,19 +192,22 @@ def _anipose_rows(poses: Poses3D, individual: int, piece: slice) -> Floats:
 
 def pairs_to_json(pairs: Sequence[PairwiseCalibration], cameras: Sequence[Camera]) -> str:
     """The calibrated pairs with their cameras, which is all that averaging needs; NaN is written as null."""
-    entries = []
-    for pair in pairs:
-        fields = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in asdict(pair).items()}
-        fields |= {"a": cameras[pair.a].name, "b": cameras[pair.b].name}
-        entries.append({k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in fields.items()})
+    entries = [_pair_fields(pair, cameras) | {"rivals": [_pair_fields(rival, cameras) for rival in pair.rivals]} for pair in pairs]
     head = {"format": "mocap-calib pairs", "version": VERSION, "transform": "b_from_a, baseline in body sizes"}
     lists = {"cameras": [camera_fields(camera) for camera in cameras], "pairs": entries}
     body = [f"{json.dumps(k)}: [\n  " + ",\n  ".join(json.dumps(e, ensure_ascii=False) for e in v) + "\n]" for k, v in lists.items()]
     return "{\n" + ",\n".join([f"{json.dumps(k)}: {json.dumps(v)}" for k, v in head.items()] + body) + "\n}\n"
 
 
+def _pair_fields(pair: PairwiseCalibration, cameras: Sequence[Camera]) -> dict[str, Any]:
+    """All but the rivals."""
+    fields = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in asdict(replace(pair, rivals=())).items() if k != "rivals"}
+    fields |= {"a": cameras[pair.a].name, "b": cameras[pair.b].name}
+    return {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in fields.items()}
+
+
 def pairs_from_json(text: str, source: str) -> tuple[tuple[PairwiseCalibration, ...], tuple[Camera, ...]]:
-    """The inverse of `pairs_to_json`; `source` names the text in complaints. Raises FormatError."""
+    """The inverse of `pairs_to_json`; pairs may come without rivals. `source` names the text in complaints. Raises FormatError."""
     remedy = "write the file again with the first stage"
     try:
         data = json.loads(text)
@@ -231,4 +234,7 @@ def _pair(fields: Mapping[str, Any], index: Mapping[str, int], source: str) -> P
     matches = np.array(fields["matches"], dtype=np.int64).reshape(-1, 3)
     score, residual, in_front = (np.nan if fields[k] is None else float(fields[k]) for k in ("score", "residual", "in_front"))
     ends = index[fields["a"]], index[fields["b"]]
-    return PairwiseCalibration(*ends, rotation, translation, matches, int(fields["frames"]), score, residual, in_front, str(fields["source"]))
+    rivals = tuple(_pair(rival, index, source) for rival in fields.get("rivals", []))
+    if any({rival.a, rival.b} != set(ends) for rival in rivals):
+        raise malformed(source, "rivals of the same two cameras", "others", "write the file again with the first stage")
+    return PairwiseCalibration(*ends, rotation, translation, matches, int(fields["frames"]), score, residual, in_front, str(fields["source"]), rivals)

@@ -14,7 +14,7 @@ from mocap_calib_cli import options
 def command(pairs: str, output: str, quiet: bool) -> None:
     """One rig from the pairs of `pairwise`; - reads stdin.
 
-    Cameras that no pair holds are left out and named.
+    Of rival answers for a pair the one is taken that the cameras between speak for. Cameras that no pair holds are left out and named.
 
     \b
     Example:
@@ -23,16 +23,18 @@ def command(pairs: str, output: str, quiet: bool) -> None:
     """
     from pathlib import Path
 
-    from mocap_calib.averaging import average, of_cameras, usable_cameras
+    from mocap_calib.averaging import average, of_cameras
     from mocap_calib.config import AveragingConfig
     from mocap_calib.io.camera_files import format_cameras_yaml
     from mocap_calib.io.reading import decode, read_bytes
     from mocap_calib.io.results import pairs_from_json
+    from mocap_calib.loops import choose_modes, usable_cameras
     from mocap_calib_cli import inputs, outputs
 
     outputs.check_text(output)
     text = inputs.read_stdin("PAIRS") if pairs == options.STDIO else decode(read_bytes(Path(pairs)), pairs)
     found, cameras = pairs_from_json(text, "stdin" if pairs == options.STDIO else pairs)
+    found = choose_modes(found, AveragingConfig())
     kept = usable_cameras(cameras, found, AveragingConfig())
     left_out = [camera.name for k, camera in enumerate(cameras) if k not in kept]
     if left_out and not quiet:

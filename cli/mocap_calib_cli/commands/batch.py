@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from mocap_calib_cli.jobs import Job, Order
     from mocap_calib_cli.progress import Reporter
 
+    Groups = tuple[Calibration, ...]
+
 Outcome = dict[str, Any]
 
 
@@ -113,7 +115,7 @@ def _read(order: "Order") -> "Job":
     return jobs.read(order, Reporter(quiet=True))
 
 
-def _one_by_one(function: "Callable[[Job], Calibration]", items: "Iterable[Job]") -> "Iterator[tuple[Job, Callable[[], Calibration]]]":
+def _one_by_one(function: "Callable[[Job], Groups]", items: "Iterable[Job]") -> "Iterator[tuple[Job, Callable[[], Groups]]]":
     """Each item with a call that does its work, here and now."""
     return ((item, partial(function, item)) for item in items)
 
@@ -126,14 +128,14 @@ class _Batch:
         self.total = total
         self.outcomes: dict[str, Outcome] = {}
 
-    def work_off(self, orders: "dict[str, Order]", completed: "Callable[..., Iterator[tuple[Job, Callable[[], Calibration]]]]", *, away: bool) -> None:
+    def work_off(self, orders: "dict[str, Order]", completed: "Callable[..., Iterator[tuple[Job, Callable[[], Groups]]]]", *, away: bool) -> None:
         """Calibrates what is not finished; a failure is one recording's own."""
         from mocap_calib_cli import jobs
 
         self.reporter("batch", 0, self.total)
         for job, result in completed(jobs.solve if away else jobs.solve_here, self._unfinished(orders)):
             try:
-                report = jobs.write(job, result())
+                report = jobs.write(job, result())[0]
             except Exception as error:
                 self._failed(job.order, error)
             else:
@@ -160,7 +162,10 @@ class _Batch:
         difference = verdict["halves_differ_deg"]["median"]
         outcome = {"cameras": cameras, "left_out": report["left_out"], "individuals": individuals, "rig": verdict["rig"], "halves_differ_deg": difference}
         self.reporter.say(f"{order.output.name} {status}: {cameras} cameras, {individuals} individuals, rig {verdict['rig']}")
-        self._note(order, {"status": status, "error": None} | outcome)
+        groups = len(report["groups"])
+        if groups > 1:
+            self.reporter.say(f"{order.output.name}: {groups} groups of cameras that share too little, each calibrated by itself; counted is the largest")
+        self._note(order, {"status": status, "error": None, "groups": groups} | outcome)
 
     def _failed(self, order: "Order", error: Exception) -> None:
         """A line for a mistake of the user; one of the program keeps its traceback, and does not stop the others either."""

@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     from mocap_calib.types import Calibration
     from mocap_calib_cli.progress import Reporter
 
+_FILES = ("cameras.yaml", "calibration.toml", "matches.csv", "poses3d.h5", "run.json")
+_REVERSED = "calibration_reversed.toml"
+
 
 @click.command(name="run")
 @options.keypoints
@@ -50,6 +53,9 @@ def command(
     of a camera is that of its file or folder; it must be a name in INTRINSICS. docs/formats.md lists the formats. A run that was
     killed picks up the pairs of cameras it had finished.
 
+    Groups of cameras that share too little to be placed against each other are calibrated separately: the results of the
+    largest are in OUT, those of the others in OUT/group_2, OUT/group_3, ...
+
     \b
     Example:
       mocap-calib run keypoints/ --cameras intrinsics.toml -o out
@@ -65,13 +71,18 @@ def command(
     conversion.check_formats(formats, fps)
     with Reporter(quiet=quiet) as reporter, engine(reporter, scheduler=scheduler) as there:
         job = jobs.read(jobs.Order(keypoints, cameras, skeleton, model, solver, seed, device, output, reading), reporter)
-        found = jobs.solve_here(job, progress=reporter, **({"mapper": there} if there else {}))
-    report = jobs.write(job, found)
-    _summarise(reporter, found, report, output)
-    poses = PoseFile(found.poses, float("nan") if fps is None else fps)
-    reporter.say(*conversion.write_formats(output, found.rig, poses, formats, outputs.provenance("run", seed=seed)))
+        groups = jobs.solve_here(job, progress=reporter, **({"mapper": there} if there else {}))
+    reports = jobs.write(job, groups)
+    if len(groups) > 1:
+        names = " | ".join(", ".join(found.rig.names) for found in groups)
+        reporter.say("", f"{len(groups)} groups of cameras that share too little to be placed against each other, each calibrated by itself: {names}")
+    for k, (found, report) in enumerate(zip(groups, reports, strict=True)):
+        here = output / jobs.group_folder(k)
+        _summarise(reporter, found, report, here)
+        poses = PoseFile(found.poses, float("nan") if fps is None else fps)
+        reporter.say(*conversion.write_formats(here, found.rig, poses, formats, outputs.provenance("run", seed=seed)))
     if as_json:
-        click.echo(json.dumps(report, indent=1, allow_nan=False))
+        click.echo(json.dumps(reports[0], indent=1, allow_nan=False))
 
 
 def _summarise(reporter: "Reporter", found: "Calibration", report: dict[str, Any], output: Path) -> None:
@@ -85,6 +96,8 @@ def _summarise(reporter: "Reporter", found: "Calibration", report: dict[str, Any
     ]
     reporter.say("", *table(["camera", "detections", "matched", "median px", "95 % px", "support"], rows))
     for pair in report["pairs"]:
+        if pair["rival_taken"]:
+            reporter.say(f"pair {pair['a']}-{pair['b']}: a rival of its own best answer was taken, the one that the cameras between confirm")
         if pair["breaks_loop"]:
             reporter.say(f"pair {pair['a']}-{pair['b']} contradicts the others by {pair['loop_rotation_deg']:.1f} deg and was given little weight")
     weak = [camera["name"] for camera in report["cameras"] if camera["weak"]]
@@ -105,6 +118,6 @@ def _summarise(reporter: "Reporter", found: "Calibration", report: dict[str, Any
             "distances follow from the focal lengths alone"
         )
     if found.rival is not None:
-        reporter.say(f"a rig reversed in depth fits as well, nothing seen tells which is right: it is in {output / 'calibration_reversed.toml'}")
+        reporter.say(f"a rig reversed in depth fits as well, nothing seen tells which is right: it is in {output / _REVERSED}")
     people = report["individuals"]
     reporter.say(f"{len(people)} individuals, {report['points']['triangulated']} points; lengths in {report['unit']} units; results in {output}")

@@ -1,0 +1,112 @@
+"""Tracks in the input: used, and not believed blindly. Scenes with truth."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import PEOPLE, precision, recording, rotation_errors_deg, scene, truth
+
+from mocap_calib.config import Config, MatchingConfig
+from mocap_calib.pipeline import calibrate
+from mocap_calib.recording import make_recording
+from mocap_calib.steerpose.checkpoint import load_lifter
+from mocap_calib.tracklets import fill_in, tracklets
+from mocap_calib.types import Calibration, silent
+
+
+def tracked(people: int, *, swaps: float, seed: int) -> tuple[Calibration, np.ndarray, float]:
+    """A run on tracks whose order is another in each view, and which are exchanged in a share of the frames, in stretches of ten.
+
+    Returns the run, the identity of each detection and the largest error of the rig in degrees.
+    """
+    made, rng = scene(people=people), np.random.default_rng(seed)
+    files, identities = [], []
+    for view, file in enumerate(made.files):
+        frames = len(file.frames)
+        order = np.tile(rng.permutation(people), (frames, 1))
+        for start in range(0, frames, 10):
+            if rng.random() < swaps:
+                order[start : start + 10] = order[start : start + 10, rng.permutation(people)]
+        positions = np.full((frames, people, *file.positions.shape[2:]), np.nan)
+        confidence = np.zeros(positions.shape[:3])
+        identity = np.full((frames, people), -1)
+        for track in range(people):
+            frame, instance = np.nonzero(made.identity[view] == order[:, track, None])
+            positions[frame, track], confidence[frame, track] = file.positions[frame, instance], file.confidence[frame, instance]
+            identity[frame, track] = order[frame, track]
+        files.append(replace(file, positions=positions, confidence=confidence, tracked=True))
+        identities.append(identity)
+    found = make_recording(files, made.rig.cameras, PEOPLE, {})
+    result = calibrate(found, load_lifter()[0], Config(), seed=0, device="cpu", progress=silent)
+    return result, np.stack(identities), float(rotation_errors_deg(result.rig, made.rig).max())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("people", [2, 3])
+@pytest.mark.parametrize("swaps", [0.0, 0.5])
+def test_tracks_in_another_order_in_each_view_and_exchanged(people, swaps):
+    """Identities permuted between the cameras, and exchanged in half of the stretches: measured 0.13 and 0.10 degrees, nobody mistaken, with and without."""
+    result, identity, error = tracked(people, swaps=swaps, seed=people)
+    assert error < 0.5
+    assert precision(result.matches.labels, identity) > 0.99
+    for person in range(people):
+        own = result.matches.labels[identity == person]
+        assert (own == np.bincount(own[own >= 0]).argmax()).mean() > 0.98
+
+
+# tracklets
+
+HARD = {"cameras": 3, "people": 6, "missing": 0.4, "noise_px": 6.0, "false_detections": 0.3, "frames": 90}
+
+
+def named() -> np.ndarray:
+    """The true identities as labels."""
+    return truth(**HARD).labels
+
+
+def test_tracklets_hold_one_person():
+    """Six people who pass each other, shuffled in every frame: measured all detections, in tracklets of 14 frames in the median."""
+    found, identity = recording(**HARD), scene(**HARD).identity
+    for view in range(3):
+        track = tracklets(found, view, MatchingConfig())
+        assert ((track >= 0) == found.seen[view].any(-1)).all()
+        pure = [np.bincount(identity[view][track == k] + 1).max() for k in np.unique(track[track >= 0])]
+        assert sum(pure) / (track >= 0).sum() > 0.98
+        own = track[identity[view] >= 0]
+        assert np.median(np.bincount(own)[own]) > 8
+
+
+def test_what_jumps_is_not_followed():
+    """Tracks exchanged from one frame to the next: no tracklet joins the two people."""
+    made = scene(people=2, shuffle=False, missing=0.0, outliers=0.0, false_detections=0.0)
+    found = make_recording(made.files, made.rig.cameras, PEOPLE, {})
+    positions = found.positions.copy()
+    positions[:, 30:] = positions[:, 30:, ::-1]
+    far = np.linalg.norm(np.nanmean(positions[0, 30, 0] - positions[0, 30, 1], axis=0)) > 50
+    assert far  # or following would be guessing
+    track = tracklets(replace(found, positions=positions), 0, MatchingConfig())
+    assert track[29, 0] == track[30, 1] != track[30, 0] == track[29, 1]
+
+
+def test_the_forgotten_are_named_by_their_tracklet():
+    """A tenth of the detections made nobody: measured 90 % are named again, all rightly; those named keep their name."""
+    right, found = named(), recording(**HARD)
+    gone = np.random.default_rng(0).random(right.shape) < 0.1
+    filled = fill_in(found, np.where(gone, -1, right), MatchingConfig())
+    people = right >= 0
+    assert (filled == right)[people & ~gone].all()
+    back = filled[gone & people]
+    assert (back == right[gone & people])[back >= 0].mean() > 0.99
+    assert (back >= 0).mean() > 0.7
+    for k in range(6):
+        assert ((filled == k).sum(-1) <= 1).all()
+        assert ((filled == k).sum((0, 2)) != 1)[~(((right == k) & ~gone).sum((0, 2)) == 1)].all()  # no name in a view alone
+
+
+def test_the_nameless_stay_nobody():
+    found = recording(**HARD)
+    nobody = np.full(named().shape, -1)
+    np.testing.assert_array_equal(fill_in(found, nobody, MatchingConfig()), nobody)
+    one_view = nobody.copy()
+    one_view[0] = np.where(np.arange(90)[:, None] % 3 == 0, -1, named()[0])  # no other view confirms them
+    np.testing.assert_array_equal(fill_in(found, one_view, MatchingConfig()), one_view)
