@@ -67,6 +67,8 @@ def command(
         reporter.say("", f"{len(groups)} groups of cameras that share too little to be placed against each other, each calibrated by itself: {names}")
     for k, (found, report) in enumerate(zip(groups, reports, strict=True)):
         _summarise(reporter, found, report, output / _folder(k))
+    if groups[0].left_out:
+        reporter.say(f"left out, no other camera confirms what they see: {', '.join(groups[0].left_out)}")
     if as_json:
         click.echo(json.dumps(reports[0], indent=1, allow_nan=False))
 
@@ -141,8 +143,6 @@ def _summarise(reporter: "Reporter", found: "Calibration", report: dict[str, Any
         reporter.say(
             f"weak: {', '.join(weak)} (support below {Config().averaging.weak_score}, good recordings have 0.7 and more): do not trust it without a check"
         )
-    if found.left_out:
-        reporter.say(f"left out, no other camera confirms what they see: {', '.join(found.left_out)}")
     if not found.converged:
         reporter.say(f"matches still changed after {found.rounds} rounds of adjustment; look at matches.csv with care")
     determined = report["verdict"]
