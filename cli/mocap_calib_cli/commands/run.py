@@ -81,6 +81,8 @@ def command(
         _summarise(reporter, found, report, here)
         poses = PoseFile(found.poses, float("nan") if fps is None else fps)
         reporter.say(*conversion.write_formats(here, found.rig, poses, formats, outputs.provenance("run", seed=seed)))
+    if groups[0].left_out:
+        reporter.say(f"left out, no other camera confirms what they see: {', '.join(groups[0].left_out)}")
     if as_json:
         click.echo(json.dumps(reports[0], indent=1, allow_nan=False))
 
@@ -105,8 +107,6 @@ def _summarise(reporter: "Reporter", found: "Calibration", report: dict[str, Any
         reporter.say(
             f"weak: {', '.join(weak)} (support below {Config().averaging.weak_score}, good recordings have 0.7 and more): do not trust it without a check"
         )
-    if found.left_out:
-        reporter.say(f"left out, no other camera confirms what they see: {', '.join(found.left_out)}")
     if not found.converged:
         reporter.say(f"matches still changed after {found.rounds} rounds of adjustment; look at matches.csv with care")
     determined = report["verdict"]
