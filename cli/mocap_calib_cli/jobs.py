@@ -27,7 +27,8 @@ from mocap_calib_cli.model import NONE, check_device, load_model, use_threads
 from mocap_calib_cli.progress import Reporter
 
 _RIVAL = "calibration_reversed.toml"
-_FILES = ("cameras.yaml", "calibration.toml", _RIVAL, "matches.csv", "poses3d.h5", "run.json")  # of a group; and poses3d*.csv
+_FILES = ("cameras.yaml", "calibration.toml", _RIVAL, "matches.csv", "poses3d.h5", "run.json")  # of a group; and _POSES of each individual
+_POSES = "poses3d.csv"
 _UNFINISHED = ".unfinished"  # in the folder of results: the pairs of a run that is under way or was killed
 
 
@@ -132,7 +133,7 @@ def _write_group(work: Path, found: Calibration, source: Mapping[str, Any]) -> N
     replace_text(work / "matches.csv", matches_csv(found.recording, found.matches))
     write_poses_h5(work / "poses3d.h5", found.poses, source)
     for individual in range(found.matches.individuals):
-        replace_text(of_individual(work / "poses3d.csv", individual), poses_csv(found.poses, individual))
+        replace_text(of_individual(work / _POSES, individual), poses_csv(found.poses, individual))
 
 
 def finished(order: Order) -> dict[str, Any] | None:
@@ -168,8 +169,11 @@ def _clear(output: Path, report: Mapping[str, Any]) -> None:
     while (output / group_folder(number) / "run.json").is_file():
         number += 1
     for here in [output / group_folder(k) for k in range(number)]:
-        ours = [here / name for name in _FILES] + sorted(here.glob("poses3d*.csv"))
-        for file in ours:
+        individual = 0
+        while of_individual(here / _POSES, individual).relative_to(output).as_posix() in kept:
+            individual += 1
+        outputs.remove_stale(here / _POSES, individual)
+        for file in (here / name for name in _FILES):
             if file.relative_to(output).as_posix() not in kept:
                 file.unlink(missing_ok=True)
         if not any(here.iterdir()):

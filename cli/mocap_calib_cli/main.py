@@ -24,6 +24,7 @@ COMMANDS = {
     "adjust": ("mocap_calib_cli.commands.adjust:command", "Bundle adjustment of the rig."),
     "triangulate": ("mocap_calib_cli.commands.triangulate:command", "3D poses."),
     "convert": ("mocap_calib_cli.commands.convert:command", "Keypoints, cameras and poses from one format to another."),
+    "complete": ("mocap_calib_cli.commands.complete:command", "Fill keypoints that were not seen; one set of joints for all cameras."),
     "evaluate": ("mocap_calib_cli.commands.evaluate:command", "Compare cameras with a reference calibration."),
     "simulate": ("mocap_calib_cli.commands.simulate:command", "Make a synthetic recording with its truth."),
     "models": ("mocap_calib_cli.commands.models:command", "List the networks that are shipped."),
