@@ -18,7 +18,7 @@ from mocap_calib.steerpose.steer import Model
 from mocap_calib.types import Floats, Ints, Sample, silent
 
 THRESHOLD_PX = 6.0  # of RANSAC: two standard deviations of the noise
-TIMED = 1  # pairs that the paper's solver does alone, to know its seconds; the others go in one batch
+TIMED = 3  # pairs that the paper's solver does alone, to know its seconds; the others go in one batch
 BATCH = 50
 
 
