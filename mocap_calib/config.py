@@ -126,7 +126,7 @@ class MatchingConfig:
 class AdjustConfig:
     """Bundle adjustment. Loss scales are in standard deviations of each view's own error."""
 
-    points: int = 10_000
+    points: int = 20_000
     loss_scales: tuple[float, ...] = (6.0, 3.0, 1.5)
     trust: float = 0.0  # power of the confidence that a detection is weighed by; detectors' own is no measure of their precision
     doubtful: float = 0.3  # share of each view's detections, the least confident, that the rig is not built on,

@@ -1,5 +1,6 @@
 """The table of keypoint formats: how each is recognised by content, read and written."""
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -97,11 +98,12 @@ def read_what_can(
     options = options or ReadOptions()
     if format is not None:
         _known(format)
-    items = keypoint_items(paths, options, lambda item: _per_frame(item, format))
-    _check_once([(item.camera, str(item.path)) for item in items if item.camera])
+    waiting = deque(keypoint_items(paths, options, lambda item: _per_frame(item, format)))
+    _check_once([(item.camera, str(item.path)) for item in waiting if item.camera])
     views: list[Keypoints2D] = []
     errors: list[MocapCalibError] = []
-    for item in items:
+    while waiting:
+        item = waiting.popleft()  # which holds its file: one at a time
         try:
             found = _read(item, format, options)
             views += map(_lean, found) if options.single_precision else found

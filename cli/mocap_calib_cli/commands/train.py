@@ -88,7 +88,7 @@ def command(
         else:
             lifter = train_lifter(training, vocabulary, config, device=device, progress=reporter)
             errors = held_out_error(lifter.cpu(), testing, vocabulary, config)
-    typed = shlex.join(["mocap-calib", *(Path(word).name if Path(word).exists() else word for word in sys.argv[1:])])
+    typed = shlex.join(["mocap-calib", *(Path(word).name if "/" in word or Path(word).exists() else word for word in sys.argv[1:])])
     save_lifter(
         output,
         lifter,
