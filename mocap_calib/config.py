@@ -59,7 +59,7 @@ class PairwiseConfig:
 
     frames: int = 150  # evenly spread; the search does not get better with more
     all_frames: int = 12_000  # of all pairs together: in large rigs they say the same many times
-    least_frames: int = 40
+    least_frames: int = 20
     candidates: int = 6000  # possible matches looked at; crowds get fewer frames
     hypotheses: int = 400
     modes: int = 8  # kept after the search

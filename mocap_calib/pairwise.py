@@ -24,7 +24,9 @@ from mocap_calib.parallel import in_order
 from mocap_calib.posterior import most_probable
 from mocap_calib.proposals import Modes, proposals, separated
 from mocap_calib.two_view import refine_two_view
-from mocap_calib.types import Bools, Floats, Ints, LiftedPoses, Mapper, PairwiseCalibration, Progress, Sample
+from mocap_calib.types import Bools, Floats, Ints, LiftedPoses, Mapper, PairwiseCalibration, Progress, Recording, Sample
+
+_WORTH_A_THREAD = 50_000  # possible matches of joints in a pair
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,7 @@ PairSolver = Callable[[PairProblem], PairwiseCalibration | None]
 
 
 def calibrate_pairs(
-    recording: Sample, lifted: LiftedPoses, config: PairwiseConfig, *, rng: np.random.Generator, progress: Progress, mapper: Mapper = in_order,
+    recording: Sample, lifted: LiftedPoses, config: PairwiseConfig, *, rng: np.random.Generator, progress: Progress, mapper: Mapper | None = None,
     solve: PairSolver | None = None,
 ) -> tuple[PairwiseCalibration, ...]:  # fmt: skip
     """Calibrates all pairs of views that see something in the same frames; the others are left out.
@@ -66,13 +68,26 @@ def calibrate_pairs(
     `mapper` may do so elsewhere; `solve` calibrates one, by default `calibrate_pair`.
     """
     pairs = list(combinations(range(len(recording.cameras)), 2))
-    config = replace(config, frames=min(config.frames, max(config.least_frames, config.all_frames // max(len(pairs), 1))))
+    mapper = mapper or pair_mapper(recording, config)
+    config = replace(config, frames=_frames_each(len(pairs), config))
     problems = (pair_problem(recording, lifted, a, b, config, own) for (a, b), own in zip(pairs, rng.spawn(len(pairs)), strict=True))
     found = []
     for done, result in enumerate(mapper(solve or partial(calibrate_pair, config=config), problems)):
         found += [] if result is None else [result]
         progress("pairwise", done + 1, len(pairs))
     return tuple(sorted(found, key=lambda each: (each.a, each.b)))
+
+
+def pair_mapper(recording: Recording, config: PairwiseConfig) -> Mapper:
+    """Threads where a pair is large enough to keep one busy: on small arrays they wait for the interpreter more than they compute."""
+    views, frames, instances, keypoints = recording.positions.shape[:4]
+    frames = min(frames, _frames_each(views * (views - 1) // 2, config))
+    return in_order if frames * instances**2 * keypoints >= _WORTH_A_THREAD else map
+
+
+def _frames_each(pairs: int, config: PairwiseConfig) -> int:
+    """How many frames of a pair are looked at, where there are so many pairs."""
+    return min(config.frames, max(config.least_frames, config.all_frames // max(pairs, 1)))
 
 
 def in_recording(pairs: tuple[PairwiseCalibration, ...], chosen: Ints) -> tuple[PairwiseCalibration, ...]:

@@ -18,7 +18,7 @@ from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.loops import camera_groups, choose_modes, several_groups
 from mocap_calib.matching import body_scale, match, match_everything, same_groups, settle
 from mocap_calib.pairwise import PairSolver, calibrate_pairs, in_recording
-from mocap_calib.parallel import in_order, single_threaded_libraries
+from mocap_calib.parallel import single_threaded_libraries
 from mocap_calib.recording import select_lifted, select_views
 from mocap_calib.steerpose.lift import lift
 from mocap_calib.steerpose.model import Lifter
@@ -56,7 +56,7 @@ class _Evidence:
 
 
 def calibrate(
-    recording: Recording, lifter: Lifter, config: Config, *, seed: int, device: str, progress: Progress, mapper: Mapper = in_order,
+    recording: Recording, lifter: Lifter, config: Config, *, seed: int, device: str, progress: Progress, mapper: Mapper | None = None,
     solve: PairSolver | None = None,
 ) -> Calibration:  # fmt: skip
     """From a recording whose cameras see the same bodies to cameras, matches and 3D poses; as `calibrate_groups`.
@@ -70,7 +70,7 @@ def calibrate(
 
 
 def calibrate_groups(
-    recording: Recording, lifter: Lifter, config: Config, *, seed: int, device: str, progress: Progress, mapper: Mapper = in_order,
+    recording: Recording, lifter: Lifter, config: Config, *, seed: int, device: str, progress: Progress, mapper: Mapper | None = None,
     solve: PairSolver | None = None,
 ) -> tuple[Calibration, ...]:  # fmt: skip
     """A calibration of each group of cameras that see the same bodies, the largest first; `mapper` has the pairs calibrated, by `solve` or our own search.
@@ -84,7 +84,7 @@ def calibrate_groups(
 
 
 def _calibrate_groups(
-    recording: Recording, lifter: Lifter, config: Config, *, seed: int, device: str, progress: Progress, mapper: Mapper, solve: PairSolver | None
+    recording: Recording, lifter: Lifter, config: Config, *, seed: int, device: str, progress: Progress, mapper: Mapper | None, solve: PairSolver | None
 ) -> tuple[Calibration, ...]:
     seconds: dict[str, float] = {}
     rng = np.random.default_rng(seed)

@@ -55,13 +55,13 @@ def most_probable(
         delta = -np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)) + 1e-9 * np.trace(hessian) * np.eye(6), gradient)
         moved = matrix_from_vector(delta[:3]) @ rotation, translation + delta[3:]
         after = system(*moved)
+        settled = abs(energy - after[0]) < _SETTLED  # a step up by less is as good a sign of the bottom as one down
         if after[0] < energy:
-            settled = energy - after[0] < _SETTLED
             (rotation, translation), (energy, hessian, gradient), damping = moved, after, damping / 5
-            if settled:
-                break
         else:
             damping *= 5
+        if settled:
+            break
     return rotation, translation
 
 

@@ -15,8 +15,7 @@ from mocap_calib.io.atomic import folder, of_individual, replace_text
 from mocap_calib.io.camera_files import format_calibration_toml, format_cameras_yaml
 from mocap_calib.io.pair_store import remembering
 from mocap_calib.io.results import matches_csv, poses_csv, write_poses_h5
-from mocap_calib.pairwise import PairSolver
-from mocap_calib.parallel import in_order
+from mocap_calib.pairwise import PairSolver, pair_mapper
 from mocap_calib.pipeline import calibrate_groups
 from mocap_calib.report import run_report
 from mocap_calib.steerpose.checkpoint import digest
@@ -80,7 +79,7 @@ def read(order: Order, reporter: Reporter) -> Job:
     return Job(order, hashes, recording, model, load_model("cpu", model), inputs.pair_solver(order.solver, recording, model))
 
 
-def solve(job: Job, *, progress: Progress = silent, mapper: Mapper = in_order) -> tuple[Calibration, ...]:
+def solve(job: Job, *, progress: Progress = silent, mapper: Mapper | None = None) -> tuple[Calibration, ...]:
     """Calibrates the groups of cameras of a recording; touches no file. Raises MismatchError and DegenerateError."""
     use_threads(1)  # such small networks are slower on more, and one is reproducible
     check_device(job.order.device)
@@ -88,10 +87,10 @@ def solve(job: Job, *, progress: Progress = silent, mapper: Mapper = in_order) -
     return calibrate_groups(job.recording, job.lifter, Config(), seed=seed, device=device, progress=progress, mapper=mapper, solve=job.solver)
 
 
-def solve_here(job: Job, *, progress: Progress = silent, mapper: Mapper = in_order) -> tuple[Calibration, ...]:
+def solve_here(job: Job, *, progress: Progress = silent, mapper: Mapper | None = None) -> tuple[Calibration, ...]:
     """`solve`, with the pairs kept beside the results until those are written: a run that is killed need not find them again."""
     try:
-        store = remembering(mapper, job.order.output / _UNFINISHED, job.order.method(job.model))
+        store = remembering(mapper or pair_mapper(job.recording, Config().pairwise), job.order.output / _UNFINISHED, job.order.method(job.model))
         return solve(job, progress=progress, mapper=store)
     except MocapCalibError as error:
         if not isinstance(error, ClusterError):  # it would end there again

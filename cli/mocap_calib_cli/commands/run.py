@@ -71,7 +71,7 @@ def command(
     conversion.check_formats(formats, fps)
     with Reporter(quiet=quiet) as reporter, engine(reporter, scheduler=scheduler) as there:
         job = jobs.read(jobs.Order(keypoints, cameras, skeleton, model, solver, seed, device, output, reading), reporter)
-        groups = jobs.solve_here(job, progress=reporter, **({"mapper": there} if there else {}))
+        groups = jobs.solve_here(job, progress=reporter, mapper=there)
     reports = jobs.write(job, groups)
     if len(groups) > 1:
         names = " | ".join(", ".join(found.rig.names) for found in groups)
