@@ -17,7 +17,9 @@ def unit_factor(source: str, target: str, owner: str) -> float:
     for unit in (source, target):
         if unit not in METRES:
             found = "an arbitrary unit" if unit == ARBITRARY else f"the unit {unit!r}"
-            raise MismatchError(f"{owner}: expected lengths in {' or '.join(METRES)}, found {found}; say what a length of 1 is with --unit")
+            raise MismatchError(
+                f"{owner}: expected lengths in {' or '.join(METRES)}, found {found}; say what a length of 1 is with `mocap-calib convert --unit`"
+            )
     # the quotient of the powers of ten is exact this way round
     return METRES[source] / METRES[target] if METRES[source] >= METRES[target] else 1 / round(METRES[target] / METRES[source])
 

@@ -21,7 +21,13 @@ _REVERSED = "calibration_reversed.toml"
 @options.reading
 @options.cameras
 @click.option("-o", "--output", type=click.Path(path_type=Path), required=True, metavar="OUT", help="Folder to write; made when missing.")
-@click.option("--write", "formats", multiple=True, metavar="FORMAT", help="Write this format too (trc, pose2sim, ...: docs/formats.md); may be repeated.")
+@click.option(
+    "--write",
+    "formats",
+    multiple=True,
+    metavar="FORMAT",
+    help="Write this format too (colmap, movement-3d, ...: docs/formats.md); may be repeated. Lengths are arbitrary: see `convert --unit`.",
+)
 @click.option("--fps", type=click.FloatRange(min=0, min_open=True), help="Frames per second, for the formats that need it.")
 @options.skeleton
 @options.model
