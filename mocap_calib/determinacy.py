@@ -16,7 +16,6 @@ import numpy as np
 from mocap_calib.bundle_adjustment import adjust
 from mocap_calib.config import Config, TriangulateConfig
 from mocap_calib.errors import DegenerateError
-from mocap_calib.frames import evenly
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.parallel import in_order
 from mocap_calib.triangulation import observations, project, triangulate_rays, view_noise
@@ -24,7 +23,6 @@ from mocap_calib.types import Bools, CameraRig, Floats, Matches, Sample
 
 Verdict = Literal["well determined", "weak", "not determined"]
 _WELL_DEG, _WEAK_DEG = 3.0, 10.0
-_FRAMES = 1000
 _FAR = 4.0  # usual errors
 _ALIKE = 1.05  # misfits of two rigs that the observations do not tell apart
 
@@ -65,9 +63,8 @@ def verdict(difference: Floats) -> Verdict:
 
 
 def fit(recording: Sample, rig: CameraRig, matches: Matches, config: TriangulateConfig) -> Fit:
-    """Of an even sample of the frames."""
-    frames = evenly(np.flatnonzero((matches.labels >= 0).any((0, 2))), _FRAMES)
-    seen = observations(recording, matches, frames)
+    """Of all frames of the sample."""
+    seen = observations(recording, matches, np.flatnonzero((matches.labels >= 0).any((0, 2))))
     noise = view_noise(recording, rig, matches)
     # wide: what does not fit is to be counted, not left out
     points, _ = triangulate_rays(rig, seen.rays, seen.confidence, noise, replace(config, outlier=np.inf))

@@ -8,7 +8,7 @@ from mocap_calib.config import PairwiseConfig, PaperConfig
 from mocap_calib.evidence import ViewPair
 from mocap_calib.frames import evenly
 from mocap_calib.pairwise import PairProblem, judge_pair
-from mocap_calib.steerpose.paper_solver import TwoViews, seeded, solve_pair
+from mocap_calib.steerpose.paper_solver import TwoViews, by_joint, seeded, solve_pair
 from mocap_calib.steerpose.steer import Model
 from mocap_calib.types import Floats, Ints, PairwiseCalibration
 
@@ -40,11 +40,7 @@ class PaperPairs:
 
     def _views(self, pair: ViewPair, frames: Ints, a: int, b: int) -> TwoViews:
         """The rays of both views in the joints of the model, NaN where it sees none."""
-        known, joints = self.vocabulary >= 0, self.model.config.joints
-        sides = []
-        for rays, weight in ((pair.rays_a, pair.weight_a), (pair.rays_b, pair.weight_b)):
-            seen = np.where(weight[frames][..., None] > 0, rays[frames], np.nan)
-            side = np.full((*seen.shape[:2], joints, 3), np.nan)
-            side[:, :, self.vocabulary[known]] = seen[:, :, known]
-            sides.append(side)
-        return TwoViews(sides[0], sides[1], float(self.focal[[a, b]].mean()))
+        sides = ((pair.rays_a, pair.weight_a), (pair.rays_b, pair.weight_b))
+        seen = (np.where(weight[frames][..., None] > 0, rays[frames], np.nan) for rays, weight in sides)
+        first, second = (by_joint(rays, self.vocabulary, self.model.config.joints) for rays in seen)
+        return TwoViews(first, second, float(self.focal[[a, b]].mean()))

@@ -142,10 +142,11 @@ def _best_start(
 
     With it the rig that fits as well, if there is one: its reversal in depth.
     """
-    found = [adjust_to_fixed_point(some, lifted, rig, matches, config, progress=progress)]
+    averaged = adjust_to_fixed_point(some, lifted, rig, matches, config, progress=progress)
     alone = None if np.isfinite(lifted.centre).any() else single_subject(some)
-    if alone is not None:
-        found += [adjust_to_fixed_point(some, lifted, start, alone, config, progress=progress) for start in factorise(some, alone)]
+    if alone is None:
+        return averaged, None
+    found = [averaged, *(adjust_to_fixed_point(some, lifted, start, alone, config, progress=progress) for start in factorise(some, alone))]
     fits = [fit(some, each.rig, each.matches, config.triangulate) for each in found]
     best, *others = sorted(range(len(found)), key=lambda k: fits[k].misfit)
     rivals = [found[k].rig for k in others if alike(fits[k], fits[best]) and _turned(found[k].rig, found[best].rig) > _SAME_DEG]

@@ -1,6 +1,5 @@
 """What a reader is given: files in memory, parsed once however many formats look at them, and what the user said of them."""
 
-import io
 import json
 import re
 from collections.abc import Iterator, Mapping
@@ -9,9 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import h5py
-
-from mocap_calib.io.heaps import check_heaps
+from mocap_calib.io.heaps import opened
 from mocap_calib.io.reading import Origin, decode, malformed, read_bytes
 
 # what h5py and numpy raise on files that are cut, damaged or compressed with a filter that is not installed
@@ -94,11 +91,8 @@ class Document:
         """The content as an open HDF5 file; None where it is none."""
         if not self.is_hdf5:
             return None
-        if _endless_heap(self.content):
-            raise malformed(self.source, "a whole HDF5 file", "a heap without an end", "the file is damaged: export it again")
         try:
-            check_heaps(self.content)
-            return h5py.File(io.BytesIO(self.content), "r")
+            return opened(self.content)
         except HDF5_DAMAGE as error:
             raise malformed(self.source, "a whole HDF5 file", f"an error ({error})", "the file is cut or damaged: export it again") from None
 
@@ -129,21 +123,6 @@ class Item:
     def documents(self) -> Iterator[Document]:
         """All files, one in memory at a time."""
         return map(Document, self.members) if self.members else iter((self.document,))
-
-
-def _endless_heap(content: bytes) -> bool:
-    """Whether a collection of HDF5's global heap has an object of such a size that libhdf5 (2.0 too) never comes to the next one."""
-    at = content.find(b"GCOL")
-    while at >= 0:
-        end = at + int.from_bytes(content[at + 8 : at + 16], "little")
-        place = at + 16
-        while place + 16 <= min(end, len(content)):
-            index, size = int.from_bytes(content[place : place + 2], "little"), int.from_bytes(content[place + 8 : place + 16], "little")
-            if size >= 2**63 or (index == 0 and size == 0):
-                return True
-            place += size if index == 0 else 16 + (size + 7) // 8 * 8  # free space counts its own header
-        at = content.find(b"GCOL", at + 4)
-    return False
 
 
 def describe(document: Document) -> str:

@@ -1,6 +1,5 @@
 """What the HDF5 readers share: text, arrays of a size that memory holds, and damage said in one line."""
 
-import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -11,7 +10,6 @@ from numpy.typing import NDArray
 
 from mocap_calib.errors import FormatError
 from mocap_calib.io.document import HDF5_DAMAGE, Document
-from mocap_calib.io.heaps import check_heaps
 from mocap_calib.io.reading import MOST_POINTS, malformed
 from mocap_calib.types import Ints
 
@@ -27,12 +25,6 @@ def damage_refused(source: str, expected: str, remedy: str) -> Iterator[None]:
         raise
     except HDF5_DAMAGE as error:
         raise malformed(source, expected, f"an error ({error or type(error).__name__})", remedy) from None
-
-
-def opened(content: bytes) -> h5py.File:
-    """The file in memory. Raises what h5py raises on damage, and ValueError where HDF5 would not come back."""
-    check_heaps(content)
-    return h5py.File(io.BytesIO(content), "r")
 
 
 def text(value: Any) -> str:

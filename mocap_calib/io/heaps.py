@@ -5,13 +5,22 @@ The global heap ("HDF5 File Format Specification", III.E): a signature, a size, 
 does not let it get on.
 """
 
+import io
 import re
 import struct
 
-_COLLECTION = re.compile(rb"GCOL\x01\x00\x00\x00")
+import h5py
+
+_COLLECTION = re.compile(rb"GCOL\x01")  # and three bytes that HDF5 does not look at
 _HEAD = 16  # bytes before the objects, and before each object's content
 _NONE = 0xFFFFFFFF  # also the upper half of a small negative number, which is no length
 _WORK = 2_000_000_000  # bytes looked at for references; a file with thousands of heaps is left to HDF5
+
+
+def opened(content: bytes) -> h5py.File:
+    """The file in memory. Raises what h5py raises on damage, and ValueError where HDF5 would not come back."""
+    check_heaps(content)
+    return h5py.File(io.BytesIO(content), "r")
 
 
 def check_heaps(content: bytes) -> None:

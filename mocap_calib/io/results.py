@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 
 from mocap_calib.errors import FormatError, MismatchError
-from mocap_calib.io import hdf5
+from mocap_calib.io import hdf5, heaps
 from mocap_calib.io.atomic import replacing
 from mocap_calib.io.intrinsics import camera_fields, camera_from_fields, numbers, one_field
 from mocap_calib.io.reading import decode, malformed, one_line, read_bytes
@@ -149,7 +149,7 @@ def read_poses_h5(path: Path) -> Poses3D:
 def parse_poses_h5(content: bytes, source: str) -> Poses3D:
     """The inverse of `poses_to_h5`. Raises FormatError."""
     try:
-        with hdf5.opened(content) as file:
+        with heaps.opened(content) as file:
             if file.attrs["format"] != "mocap-calib poses" or file.attrs["version"] != VERSION:
                 raise ValueError(f"format {file.attrs['format']}, version {file.attrs['version']}")
             keypoints = hdf5.names(file, "keypoint_names", source)

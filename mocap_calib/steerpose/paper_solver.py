@@ -81,11 +81,16 @@ class _Batch:
 
 def two_views(recording: Sample, a: int, b: int, frames: Ints, joints: int) -> TwoViews:
     """The detections of two views in these frames (indices), in the order of the model's joints."""
-    known = recording.vocabulary >= 0
-    rays = np.full((2, len(frames), recording.rays.shape[2], joints, 3), np.nan)
-    for side, view in enumerate((a, b)):
-        rays[side][..., recording.vocabulary[known], :] = recording.rays[view][frames][..., known, :]
-    return TwoViews(rays[0], rays[1], (recording.cameras[a].focal + recording.cameras[b].focal) / 2)
+    first, second = (by_joint(recording.rays[view][frames], recording.vocabulary, joints) for view in (a, b))
+    return TwoViews(first, second, (recording.cameras[a].focal + recording.cameras[b].focal) / 2)
+
+
+def by_joint(rays: Floats, vocabulary: Ints, joints: int) -> Floats:
+    """Rays `[..., keypoint, 3]` in the order of the model's joints, `[..., joint, 3]`; NaN for joints that no keypoint is."""
+    known = vocabulary >= 0
+    out = np.full((*rays.shape[:-2], joints, 3), np.nan)
+    out[..., vocabulary[known], :] = rays[..., known, :]
+    return out
 
 
 def seeded(seed: int) -> torch.Generator:

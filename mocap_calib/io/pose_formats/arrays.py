@@ -1,14 +1,14 @@
 """Arrays in files: our own h5, numpy's npz, and SLEAP-anipose's points3d.h5."""
 
 import io
-import json
 from collections.abc import Mapping
 from typing import Any
 
 import h5py
 import numpy as np
 
-from mocap_calib.io.hdf5 import array, integers, names, opened
+from mocap_calib.io.hdf5 import array, integers, names
+from mocap_calib.io.heaps import opened
 from mocap_calib.io.pose_formats.common import DAMAGE, PoseFile, WrittenPoses, attribute, bare_poses, lost_quality, without_gaps
 from mocap_calib.io.reading import malformed, one_line
 from mocap_calib.io.results import parse_poses_h5, poses_to_h5
@@ -132,8 +132,3 @@ def write_sleap_anipose(file: PoseFile, title: str) -> WrittenPoses:  # noqa: AR
             out.create_dataset(name, data=np.array(values, dtype=object), dtype=h5py.string_dtype(), track_times=False)
         out.attrs["unit"], out.attrs["fps"] = file.poses.unit, file.rate
     return WrittenPoses(content.getvalue(), lost_quality(file))
-
-
-def provenance_title(fields: Mapping[str, Any]) -> str:
-    """What says how a file came about, in a line."""
-    return json.dumps(fields, default=str) if fields else ""

@@ -11,7 +11,8 @@ import h5py
 import numpy as np
 
 from mocap_calib import __version__
-from mocap_calib.io.hdf5 import array, integers, names, opened
+from mocap_calib.io.hdf5 import array, integers, names
+from mocap_calib.io.heaps import opened
 from mocap_calib.io.pose_formats.arrays import looks
 from mocap_calib.io.pose_formats.common import DAMAGE, PoseFile, WrittenPoses, attribute
 from mocap_calib.io.reading import malformed, one_line

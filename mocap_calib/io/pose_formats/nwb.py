@@ -12,7 +12,8 @@ import h5py
 import numpy as np
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.io.hdf5 import array, opened
+from mocap_calib.io.hdf5 import array
+from mocap_calib.io.heaps import opened
 from mocap_calib.io.pose_formats.arrays import looks
 from mocap_calib.io.pose_formats.common import DAMAGE, PoseFile, WrittenPoses, attribute, bare_poses, need_keypoints, need_rate
 from mocap_calib.io.reading import malformed, one_line
