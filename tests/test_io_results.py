@@ -17,9 +17,9 @@ from mocap_calib.io.results import (
     matches_csv,
     pairs_from_json,
     pairs_to_json,
+    parse_poses_h5,
     poses_csv,
     read_matches_csv,
-    read_poses_h5,
     write_poses_h5,
 )
 from mocap_calib.types import Camera, Matches, PairwiseCalibration, Poses3D, Recording
@@ -135,7 +135,7 @@ def poses(frames=5, individuals=2, keypoints=("nose", "tail, base"), seed=0):
 def test_poses_come_back_from_h5(tmp_path, sizes):
     given_ = poses(*sizes)
     write_poses_h5(tmp_path / "poses.h5", given_, {"seed": 0})
-    back = read_poses_h5(tmp_path / "poses.h5")
+    back = parse_poses_h5((tmp_path / "poses.h5").read_bytes(), "poses.h5")
     assert (back.keypoints, back.unit) == (given_.keypoints, given_.unit)
     for name in ("frames", "positions", "error", "views", "confidence"):
         np.testing.assert_array_equal(getattr(back, name), getattr(given_, name))
@@ -162,7 +162,7 @@ def test_a_bad_poses_file_is_refused(tmp_path):
     for size in (0, 100, len(content) // 2):
         bad.write_bytes(content[:size])
         with pytest.raises(FormatError, match="mocap-calib poses"):
-            read_poses_h5(bad)
+            parse_poses_h5(bad.read_bytes(), "bad.h5")
     for name, shape in (("views", None), ("frames", (2,)), ("error", (5, 2, 9)), ("position", (5, 2, 2))):
         bad.write_bytes(content)
         with h5py.File(bad, "a") as file:
@@ -170,7 +170,7 @@ def test_a_bad_poses_file_is_refused(tmp_path):
             if shape:
                 file[name] = np.zeros(shape)
         with pytest.raises(FormatError, match=r"mocap-calib poses|a dataset `views`|whole numbers"):
-            read_poses_h5(bad)
+            parse_poses_h5(bad.read_bytes(), "bad.h5")
 
 
 def test_anipose_columns():

@@ -1,5 +1,6 @@
 """What a reader is given: files in memory, parsed once however many formats look at them, and what the user said of them."""
 
+import io
 import json
 import re
 from collections.abc import Iterator, Mapping
@@ -8,7 +9,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from mocap_calib.io.heaps import opened
+import h5py
+
+from mocap_calib.io.contained import HDF5
 from mocap_calib.io.reading import Origin, decode, malformed, read_bytes
 
 # what h5py and numpy raise on files that are cut, damaged or compressed with a filter that is not installed
@@ -65,7 +68,7 @@ class Document:
     @property
     def is_hdf5(self) -> bool:
         """Whether it has HDF5's signature."""
-        return self.content.startswith(b"\x89HDF\r\n\x1a\n")
+        return self.content.startswith(HDF5)
 
     @cached_property
     def json(self) -> Any:
@@ -92,7 +95,7 @@ class Document:
         if not self.is_hdf5:
             return None
         try:
-            return opened(self.content)
+            return h5py.File(io.BytesIO(self.content), "r")
         except HDF5_DAMAGE as error:
             raise malformed(self.source, "a whole HDF5 file", f"an error ({error})", "the file is cut or damaged: export it again") from None
 

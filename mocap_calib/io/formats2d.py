@@ -30,6 +30,7 @@ from mocap_calib.io import (
 )
 from mocap_calib.io.adjust2d import moved, split_views
 from mocap_calib.io.atomic import folder, write_bytes
+from mocap_calib.io.contained import contained
 from mocap_calib.io.document import Document, Item, ReadOptions, describe
 from mocap_calib.io.items import keypoint_items
 from mocap_calib.io.reading import malformed
@@ -105,8 +106,7 @@ def read_what_can(
     while waiting:
         item = waiting.popleft()  # which holds its file: one at a time
         try:
-            found = _read(item, format, options)
-            views += map(_lean, found) if options.single_precision else found
+            views += contained(item.document.content, str(item.path), _read, item, format, options)
         except MocapCalibError as error:
             errors.append(error)
     _check_once([(view.camera, view.source) for view in views])
@@ -168,13 +168,13 @@ def _format(document: Document, name: str | None) -> KeypointFormat:
 def _per_frame(item: Item, name: str | None) -> bool:
     """Whether the files of a folder are the frames of one camera; a file that cannot be told is complained of when it is read."""
     try:
-        return _format(item.document, name).per_frame
+        return not item.document.is_hdf5 and _format(item.document, name).per_frame
     except FormatError:
         return False
 
 
 def _read(item: Item, name: str | None, options: ReadOptions) -> tuple[Keypoints2D, ...]:
-    """The cameras in one item, moved as the options say. Raises FormatError and MismatchError."""
+    """The cameras in one item. Raises FormatError and MismatchError."""
     views = _format(item.document, name).read(item, options)
     if item.named and len(views) > 1:
         cameras = ", ".join(view.camera for view in views)
@@ -183,4 +183,5 @@ def _read(item: Item, name: str | None, options: ReadOptions) -> tuple[Keypoints
         views = (replace(views[0], camera=item.camera),)
     if not all(view.camera for view in views):
         raise malformed(str(item.path), f"a camera in the path by the pattern {options.camera_pattern}", "none", "change --camera-regex")
-    return tuple(view for whole in views for view in split_views(whole, options.views))
+    split = (view for whole in views for view in split_views(whole, options.views))
+    return tuple(map(_lean, split)) if options.single_precision else tuple(split)

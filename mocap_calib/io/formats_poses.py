@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.errors import MismatchError
+from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.io.atomic import folder, of_individual, write_bytes
+from mocap_calib.io.contained import contained
 from mocap_calib.io.pose_formats import anipose_csv, arrays, c3d_file, movement, nwb, trc
 from mocap_calib.io.pose_formats.common import PoseFile, WrittenPoses, check_poses
 from mocap_calib.io.reading import malformed, read_bytes
@@ -56,19 +57,30 @@ def pose_format(name: str) -> PoseFormat:
 
 def sniff_poses(content: bytes) -> PoseFormat | None:
     """The format that the content is of, if it is of one."""
+    try:
+        return contained(content, "content", _sniffed, content)
+    except FormatError:
+        return None
+
+
+def _sniffed(content: bytes) -> PoseFormat | None:
     return next((each for each in POSE_FORMATS if each.sniff(content)), None)
 
 
 def parse_poses(content: bytes, source: str, name: str | None = None, unit: str | None = None) -> PoseFile:
     """The poses in a file's content; `source` stands for its path. Raises FormatError, and MismatchError where the file states another unit."""
-    form = sniff_poses(content) if name is None else pose_format(name)
-    if form is None:
-        found = f"content that begins with {content[:16]!r}" if content else "an empty file"
-        raise malformed(source, f"one of: {', '.join(POSE_FORMAT_NAMES)}", found, "export one of these, or name it")
-    file = check_poses(form.parse(content, source), source)
+    file = contained(content, source, _parsed, content, source, name)
     if unit is not None and file.poses.unit not in (ARBITRARY, unit):
         raise MismatchError(f"{source}: expected lengths in {file.poses.unit}, as the file says, found --unit {unit}; leave it out")
     return file if unit is None else replace(file, poses=replace(file.poses, unit=unit))
+
+
+def _parsed(content: bytes, source: str, name: str | None) -> PoseFile:
+    form = _sniffed(content) if name is None else pose_format(name)
+    if form is None:
+        found = f"content that begins with {content[:16]!r}" if content else "an empty file"
+        raise malformed(source, f"one of: {', '.join(POSE_FORMAT_NAMES)}", found, "export one of these, or name it")
+    return check_poses(form.parse(content, source), source)
 
 
 def read_poses(path: Path, name: str | None = None, unit: str | None = None) -> PoseFile:

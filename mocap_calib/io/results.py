@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 
 from mocap_calib.errors import FormatError, MismatchError
-from mocap_calib.io import hdf5, heaps
+from mocap_calib.io import hdf5
 from mocap_calib.io.atomic import replacing
 from mocap_calib.io.intrinsics import camera_fields, camera_from_fields, numbers, one_field
 from mocap_calib.io.reading import decode, malformed, one_line, read_bytes
@@ -141,15 +141,10 @@ def _fill(file: h5py.File, poses: Poses3D, attributes: Mapping[str, Any], figure
         file.attrs[name] = value
 
 
-def read_poses_h5(path: Path) -> Poses3D:
-    """The inverse of `write_poses_h5`. Raises FormatError."""
-    return parse_poses_h5(read_bytes(path), str(path))
-
-
 def parse_poses_h5(content: bytes, source: str) -> Poses3D:
-    """The inverse of `poses_to_h5`. Raises FormatError."""
+    """The inverse of `poses_to_h5`. Raises FormatError; call it through `formats_poses.parse_poses`, which contains HDF5."""
     try:
-        with heaps.opened(content) as file:
+        with h5py.File(io.BytesIO(content), "r") as file:
             if file.attrs["format"] != "mocap-calib poses" or file.attrs["version"] != VERSION:
                 raise ValueError(f"format {file.attrs['format']}, version {file.attrs['version']}")
             keypoints = hdf5.names(file, "keypoint_names", source)

@@ -108,25 +108,25 @@ def command(
 
 def _vocabulary(calibrated: Path | None, skeleton: str | None) -> tuple["Skeleton", dict[str, Any]]:
     """The joints to train for, and settings that differ from the defaults. Raises FormatError."""
-    from mocap_calib.io.results import read_poses_h5
+    from mocap_calib.io.formats_poses import read_poses
     from mocap_calib.skeleton import load_section, load_skeleton
     from mocap_calib.steerpose.own import TRAINING, own_skeleton
 
     if calibrated and skeleton is None:
-        return own_skeleton(calibrated.stem, read_poses_h5(calibrated)), TRAINING
+        return own_skeleton(calibrated.stem, read_poses(calibrated, "poses-h5").poses), TRAINING
     return load_skeleton(skeleton or "people"), load_section(skeleton or "people", "training")
 
 
 def _own_poses(calibrated: Path, vocabulary: "Skeleton", up: tuple[str, ...], split: "Split") -> "PoseSet":
     """The poses of a calibrated recording. Raises FormatError and DegenerateError; a usage error where nothing tells what is up."""
     from mocap_calib.io.cameras import read_rig
-    from mocap_calib.io.results import read_poses_h5
+    from mocap_calib.io.formats_poses import read_poses
     from mocap_calib.steerpose.own import axis, own_poses, up_of_rig
 
     rig = calibrated.with_name("cameras.yaml")
     if not up and not rig.is_file():
         raise click.UsageError(f"expected {rig} beside the poses, or --up, found neither")
-    return own_poses(read_poses_h5(calibrated), vocabulary, axis(up[0]) if up else up_of_rig(read_rig(rig)), split)
+    return own_poses(read_poses(calibrated, "poses-h5").poses, vocabulary, axis(up[0]) if up else up_of_rig(read_rig(rig)), split)
 
 
 def _pose_set(poses: tuple[Path, ...], up: tuple[str, ...], skeleton: str, procedural: float | None, split: "Split", config: TrainConfig) -> "PoseSet":

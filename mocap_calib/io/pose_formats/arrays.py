@@ -7,15 +7,14 @@ from typing import Any
 import h5py
 import numpy as np
 
+from mocap_calib.io.contained import HDF5
 from mocap_calib.io.hdf5 import array, integers, names
-from mocap_calib.io.heaps import opened
 from mocap_calib.io.pose_formats.common import DAMAGE, PoseFile, WrittenPoses, attribute, bare_poses, lost_quality, without_gaps
 from mocap_calib.io.reading import malformed, one_line
 from mocap_calib.io.results import parse_poses_h5, poses_to_h5
 from mocap_calib.io.units import known_unit
 from mocap_calib.types import Poses3D, check_shape
 
-HDF5 = b"\x89HDF\r\n\x1a\n"
 _ARRAYS = ("positions", "error", "views", "confidence", "frames")
 _OURS = "mocap-calib poses"
 
@@ -25,7 +24,7 @@ def looks(content: bytes, test: Any) -> bool:
     if not content.startswith(HDF5):
         return False
     try:
-        with opened(content) as file:
+        with h5py.File(io.BytesIO(content), "r") as file:
             return bool(test(file))
     except DAMAGE:
         return False
@@ -43,7 +42,7 @@ def parse_own(content: bytes, source: str) -> PoseFile:
     """`poses3d.h5`. Raises FormatError."""
     poses = parse_poses_h5(content, source)
     try:
-        with opened(content) as file:
+        with h5py.File(io.BytesIO(content), "r") as file:
             called = names(file, "individual_names", source) if "individual_names" in file else ()
             rate = float(file.attrs.get("fps", np.nan))
         return PoseFile(poses, rate, called)
@@ -104,7 +103,7 @@ def sniff_sleap_anipose(content: bytes) -> bool:
 def parse_sleap_anipose(content: bytes, source: str) -> PoseFile:
     """`tracks` (frame, track, node, 3); its own files name no nodes and count frames from 0. Raises FormatError."""
     try:
-        with opened(content) as file:
+        with h5py.File(io.BytesIO(content), "r") as file:
             positions = array(file, "tracks", source).astype(np.float64)
             check_shape("tracks", positions, None, None, None, 3)
             frames = integers(file, "frames", source) if "frames" in file else np.arange(len(positions))

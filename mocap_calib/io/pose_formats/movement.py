@@ -12,7 +12,6 @@ import numpy as np
 
 from mocap_calib import __version__
 from mocap_calib.io.hdf5 import array, integers, names
-from mocap_calib.io.heaps import opened
 from mocap_calib.io.pose_formats.arrays import looks
 from mocap_calib.io.pose_formats.common import DAMAGE, PoseFile, WrittenPoses, attribute
 from mocap_calib.io.reading import malformed, one_line
@@ -31,7 +30,7 @@ def sniff(content: bytes) -> bool:
 def parse(content: bytes, source: str) -> PoseFile:
     """Frame numbers are counted from the times where the file has no numbers. Raises FormatError."""
     try:
-        with opened(content) as file:
+        with h5py.File(io.BytesIO(content), "r") as file:
             return _parse(file, source)
     except DAMAGE as error:
         raise malformed(source, "a 3D data set of movement", f"an error ({one_line(error)})", "save it again with ds.to_netcdf") from None

@@ -3,6 +3,7 @@
 Written through pynwb and ndx-pose (`pip install mocap-calib[nwb]`); read with h5py alone.
 """
 
+import io
 import tempfile
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,7 +14,6 @@ import numpy as np
 
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.hdf5 import array
-from mocap_calib.io.heaps import opened
 from mocap_calib.io.pose_formats.arrays import looks
 from mocap_calib.io.pose_formats.common import DAMAGE, PoseFile, WrittenPoses, attribute, bare_poses, need_keypoints, need_rate
 from mocap_calib.io.reading import malformed, one_line
@@ -45,7 +45,7 @@ def _series(file: h5py.File) -> list[tuple[str, str, Any]]:
 def parse(content: bytes, source: str) -> PoseFile:
     """Every PoseEstimation is an individual; frames are counted from the times. Raises FormatError."""
     try:
-        with opened(content) as file:
+        with h5py.File(io.BytesIO(content), "r") as file:
             return _parse(file, source)
     except DAMAGE as error:
         raise malformed(source, "3D poses of ndx-pose in NWB", f"an error ({one_line(error)})", "write the file again") from None

@@ -1,0 +1,122 @@
+"""HDF5 is parsed in a process of its own: whatever becomes of it, the program goes on, and nothing is mistaken for another answer."""
+
+import os
+import signal
+import time
+
+import numpy as np
+import pytest
+
+from mocap_calib.errors import FormatError
+from mocap_calib.io.contained import HDF5, contained
+
+
+def process(_=None):
+    return os.getpid()
+
+
+def crash():
+    os.kill(os.getpid(), signal.SIGSEGV)
+
+
+def leave():
+    os._exit(3)
+
+
+def loop():
+    while True:
+        pass
+
+
+def much(numbers):
+    return np.ones(numbers).sum()
+
+
+def bad(words):
+    raise FormatError(words)
+
+
+def mistake():
+    return {}["there"]
+
+
+def chatter():
+    os.write(1, b"what a library prints")
+    return 7
+
+
+def echo(values):
+    return values
+
+
+def inside(call, *args, content=HDF5):
+    return contained(content, "there/x.h5", call, *args)
+
+
+def test_only_hdf5_is_read_elsewhere():
+    assert inside(process, content=b"{}") == os.getpid()
+    assert inside(process) != os.getpid()
+    assert inside(process) == inside(process)
+
+
+@pytest.mark.parametrize(("call", "how"), [(crash, "SIGSEGV"), (leave, "status 3"), (loop, "SIGXCPU")])
+def test_what_it_does_not_survive_is_a_line(call, how):
+    begun = time.perf_counter()
+    with pytest.raises(FormatError, match=rf"^there/x.h5: expected a whole HDF5 file, found damage .*\({how}\); copy or export it again$"):
+        inside(call)
+    assert time.perf_counter() - begun < 15
+    assert inside(process) != os.getpid()
+
+
+def test_memory_is_held_to_the_file():
+    """1.6 GB for a file of eight bytes; 1 GB and 1100 times its size are allowed."""
+    with pytest.raises(MemoryError):
+        inside(much, 200_000_000)
+    assert inside(much, 50_000_000) == 5e7
+    assert inside(much, 200_000_000, content=HDF5 + bytes(1_000_000)) == 2e8
+
+
+def test_a_large_files_memory_goes_with_the_process():
+    first = inside(process, content=HDF5 + bytes(11_000_000))
+    assert inside(process) != first
+
+
+def test_errors_and_values_come_back():
+    with pytest.raises(FormatError, match=r"^these words$"):
+        inside(bad, "these words")
+    with pytest.raises(KeyError) as found:
+        inside(mistake)
+    assert "in mistake" in found.value.__notes__[0]
+    assert inside(chatter) == 7
+    values = np.arange(3_000_000.0).reshape(-1, 3)
+    np.testing.assert_array_equal(inside(echo, values), values)
+
+
+def test_an_interrupted_question_has_no_late_answer(monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    inside(process)
+    with monkeypatch.context() as patch:
+        patch.setattr("mocap_calib.io.contained.pickle.load", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            inside(echo, "late")
+    assert inside(echo, "now") == "now"
+
+
+def test_modules_of_the_folder_one_stands_in_are_left_alone(tmp_path, monkeypatch):
+    (tmp_path / "signal.py").write_text("raise SystemExit")
+    monkeypatch.chdir(tmp_path)
+    inside(process, content=HDF5 + bytes(11_000_000))
+    assert inside(process) != os.getpid()
+
+
+def test_a_fork_has_its_own():
+    inside(process)
+    read, write = os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.write(write, str(inside(process)).encode())
+        os._exit(0)
+    assert int(os.read(read, 20)) not in (os.getpid(), inside(process))
+    os.waitpid(child, 0)
