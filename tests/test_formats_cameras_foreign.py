@@ -1,13 +1,19 @@
 """Camera files in the words of the programs that write them, made here after their writers' code or documentation."""
 
 import json
+from dataclasses import replace
 
+import cv2
 import numpy as np
+import pycolmap
 import pytest
+from test_formats_cameras import studio
 
 from mocap_calib.errors import FormatError
+from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.io.cameras import load_cameras, make_rig, parse_content
+from mocap_calib.io.formats_cameras import write_cameras
 
 K = [[500.0, 0.0, 320.0], [0.0, 501.0, 240.0], [0.0, 0.0, 1.0]]
 TURN = matrix_from_vector(np.array([0.3, -0.2, 0.5]))
@@ -176,3 +182,28 @@ def test_voxelpose_of_a_sequence_and_of_two():
     np.testing.assert_allclose(found.extrinsics["0"][1], -TURN @ [1, 2, 3])
     with pytest.raises(FormatError, match="2 sequences"):
         only_many(json.dumps({"a": [fields], "b": [fields]}))
+
+
+@pytest.mark.parametrize("fisheye", [False, True])
+def test_pycolmap_and_opencv_project_our_files_alike(fisheye, tmp_path):
+    """1e-6 px at f = 1000 px (measured 3e-13); COLMAP's pixels are half a pixel more."""
+    rig = studio("colmap")
+    if fisheye:
+        rig = replace(rig, cameras=tuple(replace(camera, distortion=np.array([0.02, -0.01, 2e-3, 1e-3]), fisheye=True) for camera in rig.cameras))
+    points = np.random.default_rng(0).uniform(-0.5, 0.5, size=(20, 3))
+    ours = [pixels_from_points(camera, points @ rig.rotation[v].T + rig.translation[v]) for v, camera in enumerate(rig.cameras)]
+
+    write_cameras(tmp_path / "model", rig, "colmap")
+    model = pycolmap.Reconstruction(str(tmp_path / "model"))
+    for image in model.images.values():
+        moved, camera = image.cam_from_world(), model.cameras[image.camera_id]
+        theirs = [np.ravel(camera.img_from_cam(ray)) for ray in points @ moved.rotation.matrix().T + moved.translation]
+        np.testing.assert_allclose(np.array(theirs) - 0.5, ours[rig.names.index(image.name.removesuffix(".png"))], rtol=0, atol=1e-6)
+
+    write_cameras(tmp_path / "yaml", rig, "opencv")
+    for v, name in enumerate(rig.names):
+        file = cv2.FileStorage(str(tmp_path / "yaml" / f"{name}.yml"), cv2.FILE_STORAGE_READ)
+        K, D, R, T = (file.getNode(key).mat() for key in ("camera_matrix", "distortion_coefficients", "R", "T"))
+        project = cv2.fisheye.projectPoints if fisheye else cv2.projectPoints
+        found, _ = project(points[:, None], cv2.Rodrigues(R)[0], T, K, D)
+        np.testing.assert_allclose(found[:, 0], ours[v], rtol=0, atol=1e-6)

@@ -21,7 +21,7 @@ def engine(reporter: Reporter, *, scheduler: str | None = None, jobs: int = 1) -
 
     From here on SIGTERM, with which batch systems end a job, lets the program take away what is half written.
     """
-    signal.signal(signal.SIGTERM, _terminate)  # here, since pycolmap takes it for a crash once it is imported
+    signal.signal(signal.SIGTERM, _terminate)
     if scheduler is None and jobs == 1:
         yield None
         return
