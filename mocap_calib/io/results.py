@@ -14,6 +14,7 @@ import numpy as np
 from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.io import hdf5
 from mocap_calib.io.atomic import replacing
+from mocap_calib.io.document import HDF5_DAMAGE
 from mocap_calib.io.intrinsics import camera_fields, camera_from_fields, numbers, one_field
 from mocap_calib.io.reading import decode, malformed, one_line, read_bytes
 from mocap_calib.types import Bools, Camera, Floats, Ints, Matches, PairwiseCalibration, Poses3D, Recording, check_shape
@@ -21,7 +22,6 @@ from mocap_calib.types import Bools, Camera, Floats, Ints, Matches, PairwiseCali
 VERSION = 1
 _PIECE = 4096  # frames
 _MATCH_COLUMNS = ["camera", "frame", "instance", "individual"]
-_DAMAGE = (OSError, KeyError, IndexError, ValueError, TypeError, AttributeError, RuntimeError, OverflowError, MemoryError)
 
 
 # --- matches.csv
@@ -154,7 +154,7 @@ def parse_poses_h5(content: bytes, source: str) -> Poses3D:
         check_shape("position", position, len(frames), None, len(keypoints), 3)
         for name, array in (("error", error), ("views", views), ("confidence", confidence)):
             check_shape(name, array, *position.shape[:3])
-    except _DAMAGE as damage:
+    except HDF5_DAMAGE as damage:
         raise malformed(source, f"mocap-calib poses, version {VERSION}", f"an error ({damage})", "write the file again") from None
     return Poses3D(keypoints, frames, position, error, views, confidence, unit)
 
@@ -218,7 +218,7 @@ def pairs_from_json(text: str, source: str) -> tuple[tuple[PairwiseCalibration, 
         pairs = tuple(_pair(fields, index, f"{source}: pair {k}") for k, fields in enumerate(data["pairs"]))
     except FormatError:
         raise
-    except _DAMAGE as error:
+    except (LookupError, ValueError, TypeError, AttributeError, OverflowError) as error:
         raise malformed(source, "pairs of the cameras named", f"an error ({one_line(error)})", remedy) from None
     return pairs, cameras
 
