@@ -1,4 +1,4 @@
-"""The one place where work is spread over threads. What is computed never depends on how many there are.
+"""The one place where work is spread over threads and processes. What is computed never depends on how many there are.
 
 Blocks are cut by their content alone and put together in their order, and each runs on one thread: OpenMP and BLAS, whose sums depend
 on the number of threads, are held to one.
@@ -9,9 +9,12 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from queue import SimpleQueue
 from typing import TypeVar
 
 from threadpoolctl import threadpool_limits
+
+from mocap_calib.child import Child
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -45,3 +48,28 @@ def in_order(function: Callable[[Item], Result], items: Iterable[Item]) -> Itera
                 yield waiting.popleft().result()
         while waiting:
             yield waiting.popleft().result()
+
+
+def in_processes(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+    """As `in_order`, in other processes, for work on small arrays, which holds the interpreter. All that goes and comes is pickled."""
+    idle: SimpleQueue[Child] = SimpleQueue()
+
+    def elsewhere(item: Item) -> Result:
+        child = idle.get()
+        try:
+            return child.ask(function, item)
+        finally:
+            idle.put(child)
+
+    count = threads()
+    if count == 1:
+        yield from map(function, items)
+        return
+    children = [Child() for _ in range(count)]
+    try:
+        for child in children:
+            idle.put(child)
+        yield from in_order(elsewhere, items)
+    finally:
+        for child in children:
+            child.end()

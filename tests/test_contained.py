@@ -98,7 +98,7 @@ def test_an_interrupted_question_has_no_late_answer(monkeypatch):
 
     inside(process)
     with monkeypatch.context() as patch:
-        patch.setattr("mocap_calib.io.contained.pickle.load", interrupt)
+        patch.setattr("mocap_calib.child.pickle.load", interrupt)
         with pytest.raises(KeyboardInterrupt):
             inside(echo, "late")
     assert inside(echo, "now") == "now"

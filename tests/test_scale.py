@@ -18,7 +18,7 @@ from mocap_calib.config import Config, SampleConfig, TriangulateConfig
 from mocap_calib.frames import evenly, informative, sample
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.least_squares import Sightings, State, _cost, _linearise, minimise
-from mocap_calib.parallel import in_order
+from mocap_calib.parallel import in_order, in_processes
 from mocap_calib.pipeline import calibrate
 from mocap_calib.recording import slice_frames
 from mocap_calib.steerpose.checkpoint import load_lifter
@@ -147,6 +147,31 @@ def test_results_come_in_order(monkeypatch):
 
 
 @pytest.mark.slow
+def squared(number):
+    return number * number, os.getpid()
+
+
+def inverse(number):
+    return 1 // number
+
+
+def test_processes_give_results_in_order_and_end(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "2")
+    results = in_processes(squared, range(50))
+    first, there = next(results)
+    assert first == 0
+    os.kill(there, 0)  # it is there
+    values, pids = zip(*results, strict=True)
+    assert list(values) == [k * k for k in range(1, 50)]
+    assert os.getpid() not in pids
+    assert 1 <= len({there, *pids}) <= 2
+    for pid in {there, *pids}:
+        with pytest.raises(ProcessLookupError):
+            os.kill(pid, 0)
+    with pytest.raises(ZeroDivisionError):
+        list(in_processes(inverse, range(3)))
+
+
 def test_threads_change_no_byte(small, tmp_path):
     for threads in ("1", "2"):
         command = [TOOL, "run", small / "keypoints", "--cameras", small / "intrinsics.toml", "-o", tmp_path / threads, "--quiet"]
