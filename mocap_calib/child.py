@@ -41,6 +41,8 @@ class Child:
     def ask_within(self, seconds: float, memory: int, call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
         """The same, held to so many seconds of computing (20 times as many by the clock) and bytes of memory; to the clock alone on Windows."""
         with self._lock:
+            if self._process is not None and self._process.poll() is not None:
+                self.end()  # while nobody asked: not for what is asked now
             process = self._process = self._process or _start()
             clock = threading.Timer(20 * min(seconds, threading.TIMEOUT_MAX / 20), process.kill)
             clock.daemon = True

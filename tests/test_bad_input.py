@@ -338,23 +338,17 @@ class Trap:
         return (os.mkdir, (self.path,))
 
 
-@pytest.mark.parametrize("attribute", ["info", "values_block_0_kind", "name"])
+@pytest.mark.parametrize("attribute", ["info", "values_block_0_kind", "non_index_axes", "index_kind", "of no use"])
 def test_17_a_doctored_h5_runs_nothing(tmp_path, attribute):
-    """pandas.read_hdf runs what stands in `info`. Here no attribute is unpickled into anything but plain values."""
+    """pandas.read_hdf runs what stands in `info` and others. Here no attribute is unpickled into anything but plain values."""
     positions, confidence = recording()
     dlc_h5_table(tmp_path / "a.h5", list(FRAMES), dlc_columns(NAMES), dlc_values(positions, confidence))
     trap = np.bytes_(pickle.dumps(Trap(tmp_path / "trap"), 0))
     with h5py.File(tmp_path / "a.h5", "a") as file:
         group = file["df_with_missing"]
-        if attribute == "name":  # which nothing needs, and nothing reads
-            group["table"].attrs[attribute] = trap
-        else:
-            (group if attribute == "info" else group["table"]).attrs[attribute] = trap
-    if attribute == "name":
+        (group if attribute in ("info", "non_index_axes") else group["table"]).attrs[attribute] = trap
+    with pytest.raises(FormatError, match="do not trust this file"):
         read_keypoints([tmp_path / "a.h5"])
-    else:
-        with pytest.raises(FormatError, match="do not trust this file"):
-            read_keypoints([tmp_path / "a.h5"])
     assert not (tmp_path / "trap").exists()
     pickle.loads(bytes(trap))
     assert (tmp_path / "trap").exists(), "the trap works"

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from keypoint_files import dlc_columns, dlc_csv, dlc_h5_fixed, dlc_values
 
-from mocap_calib.errors import MismatchError
-from mocap_calib.io.formats2d import read_keypoints
+from mocap_calib.errors import FormatError, MismatchError
+from mocap_calib.io.document import ReadOptions
+from mocap_calib.io.formats2d import read_keypoints, write_keypoints
 from mocap_calib.types import Camera
 from mocap_calib_cli.inputs import hashes, read_recording
 from mocap_calib_cli.progress import Reporter
@@ -74,3 +75,67 @@ def test_a_folder_of_frames_has_one_hash_for_its_files_and_names(tmp_path):
     after = hashes([tmp_path])
     assert before[str(tmp_path / "a_json")] != after[str(tmp_path / "a_json")]
     assert before[str(tmp_path / "b_json")] == after[str(tmp_path / "b_json")]
+
+
+# --- folders
+
+
+def touch(path, content):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(content)
+
+
+PLAIN = "frame,individual,keypoint,x,y\n0,anna,nose,3,4\n"
+FRAME = '{"version": 1.3, "people": []}'
+
+
+def cameras(folder):
+    return [view.camera for view in read_keypoints([folder], None, ReadOptions(layout=("a", "b")))]
+
+
+def test_what_is_no_keypoints_beside_camera_folders_is_left_alone(tmp_path):
+    for camera in ("left", "right"):
+        touch(tmp_path / camera / "0.csv", PLAIN)
+    for name in ("notes.txt", "params.json", "points.csv"):
+        touch(tmp_path / name, "[1, 2]")
+    (tmp_path / "videos").mkdir()
+    assert cameras(tmp_path) == ["left", "right"]
+    touch(tmp_path / "top.csv", PLAIN)
+    with pytest.raises(FormatError, match=r"params\.json"):  # now files are meant
+        cameras(tmp_path)
+    for name in ("params.json", "points.csv"):
+        (tmp_path / name).unlink()
+    assert cameras(tmp_path) == ["top", "left", "right"]
+
+
+def test_results_below_the_files_are_left_alone(tmp_path):
+    for camera in ("left", "right"):
+        touch(tmp_path / f"{camera}.csv", PLAIN)
+    touch(tmp_path / "out" / "run.json", "{}")
+    touch(tmp_path / "out" / "poses3d.csv", "nose_x,nose_y\n1,2\n")
+    assert cameras(tmp_path) == ["left", "right"]
+
+
+def test_texts_without_a_number_are_no_frames(tmp_path):
+    for frame in range(2):
+        touch(tmp_path / "left" / f"{frame}.txt", "0 0.5 0.5 0.1 0.1 0.4 0.4 0.6 0.6\n")
+    touch(tmp_path / "left" / "classes.txt", "person\n")
+    (view,) = read_keypoints([tmp_path], None, ReadOptions(layout=("a", "b"), image_size=(100, 100)))
+    assert (view.camera, view.frames.tolist()) == ("left", [0, 1])
+
+
+# --- names that come from inside a file
+
+
+@pytest.mark.parametrize("name", ["../evil", "/evil", "a/../../evil", "..", "a\\b", ""])
+@pytest.mark.parametrize("format_", ["coco", "openpose", "sleap", "deeplabcut-csv"])
+def test_a_camera_s_name_leads_nowhere(tmp_path, name, format_):
+    (view,) = read_keypoints([_plain(tmp_path)])
+    with pytest.raises(MismatchError, match="camera names"):
+        write_keypoints(tmp_path / "a" / "b" / "out", (replace(view, camera=name), replace(view, camera="c")), format_)
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["plain.csv"]
+
+
+def _plain(folder):
+    touch(folder / "plain.csv", PLAIN)
+    return folder / "plain.csv"

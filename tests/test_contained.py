@@ -111,6 +111,12 @@ def test_modules_of_the_folder_one_stands_in_are_left_alone(tmp_path, monkeypatc
     assert inside(process) != os.getpid()
 
 
+def test_what_ended_while_nobody_asked_is_started_again():
+    os.kill(inside(process), signal.SIGKILL)
+    time.sleep(0.1)
+    assert inside(echo, "now") == "now"
+
+
 def test_a_fork_has_its_own():
     inside(process)
     read, write = os.pipe()

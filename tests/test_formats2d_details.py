@@ -131,7 +131,38 @@ def test_poses_of_several_cameras_in_one_nwb(tmp_path):
         file.copy("processing/behavior/PoseEstimation", file["processing/behavior"], name="right")
     views = read_keypoints([tmp_path])
     assert [view.camera for view in views] == ["PoseEstimation", "right"]
-    assert all("counted from 0" in view.remarks[0] for view in views)
+    assert all("NWB has times" in view.remarks[0] for view in views)
+
+
+@pytest.mark.parametrize(
+    ("times", "frames"),
+    [
+        ({"rate": 30.0, "start": 1.0}, range(30, 35)),
+        ({"timestamps": [0.0, 0.0334, 0.0665, 0.2001, 0.2332]}, [0, 1, 2, 6, 7]),  # a gap of three; rounded and jittered
+        ({"timestamps": [10.0, 10.02, 10.04, 10.06, 10.08]}, range(500, 505)),
+        ({"timestamps": [0.0, 0.1, 0.1, 0.2, 0.3]}, None),
+        ({"timestamps": [0.0, 0.1, np.nan, 0.2, 0.3]}, None),
+        ({"rate": 0.0, "start": 1.0}, None),
+    ],
+)
+def test_frames_of_nwb_are_its_times(tmp_path, times, frames):
+    positions, confidence = recording(1)
+    write_sample("nwb", tmp_path, positions[:5], confidence[:5])
+    with h5py.File(tmp_path / "cam.nwb", "a") as file:
+        for series in file["processing/behavior/PoseEstimation"].values():
+            if isinstance(series, h5py.Group):
+                for name in {"timestamps", "starting_time"} & set(series):
+                    del series[name]
+                if "timestamps" in times:
+                    series["timestamps"] = times["timestamps"]
+                else:
+                    series["starting_time"] = times["start"]
+                    series["starting_time"].attrs["rate"] = times["rate"]
+    if frames is None:
+        with pytest.raises(FormatError, match="times that increase"):
+            read_keypoints([tmp_path])
+    else:
+        assert read_keypoints([tmp_path])[0].frames.tolist() == list(frames)
 
 
 def test_movement_s_times_must_be_whole_frames_and_its_poses_flat(tmp_path):

@@ -144,6 +144,46 @@ def test_coco_frame_numbers_that_repeat_come_from_the_next_place(tmp_path, names
     np.testing.assert_array_equal(loaded.positions, positions)
 
 
+@pytest.mark.parametrize(
+    ("names", "expected"),
+    [
+        (("cam1_000.png", "cam1_001.png", "cam2_000.png"), "frame 0 twice, at cam1_000.png and cam2_000.png"),
+        (("000_cam1.png", "001_cam1.png", "000_cam2.png"), "twice, at 000_cam1.png and 001_cam1.png"),
+        (("d1/a/0.png", "d2/b/1.png", "d2/a/2.png"), "folders that tell the cameras"),
+    ],
+)
+def test_images_of_two_cameras_are_not_lined_up_by_id(tmp_path, names, expected):
+    positions, confidence = scene()
+    data = coco(FRAMES, NAMES, positions, confidence)
+    for image, name in zip(data["images"], names, strict=True):
+        image["file_name"] = name
+    (tmp_path / "all.json").write_text(json.dumps(data))
+    with pytest.raises(FormatError, match=expected) as found:
+        read_keypoints([tmp_path / "all.json"])
+    assert "--camera-regex" in str(found.value)
+
+
+def test_folders_are_cameras_also_where_no_number_repeats(tmp_path):
+    positions, confidence = scene()
+    data = coco(FRAMES, NAMES, positions, confidence)
+    for image, name in zip(data["images"], ("left/img3.png", "right/img5.png", "left/img9.png"), strict=True):
+        image["file_name"] = name
+    (tmp_path / "all.json").write_text(json.dumps(data))
+    assert [(view.camera, view.frames.tolist()) for view in read_keypoints([tmp_path / "all.json"])] == [("left", [3, 9]), ("right", [5])]
+    (view,) = read_keypoints([f"cam={tmp_path / 'all.json'}"])  # the user knows better
+    assert (view.camera, view.frames.tolist()) == ("cam", [3, 5, 9])
+
+
+def test_what_roboflow_adds_to_names_is_no_number(tmp_path):
+    positions, confidence = scene()
+    data = coco(FRAMES, NAMES, positions, confidence)
+    for image, name in zip(
+        data["images"], ("a_0003_png.rf.91b7584a2265b1f5.jpg", "a_0004_png.rf.1027c4d1c386bbc4.jpg", "a_0005_jpg.rf.0000000000000002.jpg"), strict=True
+    ):
+        image["file_name"] = name
+    assert read(tmp_path, json.dumps(data)).frames.tolist() == [3, 4, 5]
+
+
 def test_images_without_annotations_are_frames(tmp_path):
     positions, confidence = scene()
     data = coco(FRAMES, NAMES, positions, confidence)

@@ -66,7 +66,7 @@ def _check_ids(images: list[dict[str, Any]], annotations: list[dict[str, Any]], 
 
 
 def _cameras(images: list[dict[str, Any]], item: Item, options: ReadOptions) -> dict[str, list[dict[str, Any]]]:
-    """The images of each camera: by the user's pattern, by a field of the images, by folder where numbers repeat; else all are one's."""
+    """The images of each camera: by the user's pattern, by a field of the images, by their folders; all are one's where the user names it."""
     names = _names(images)
     found = [camera_in(name, options.camera_pattern) for name in names] if options.camera_pattern else [""]
     if any(found):
@@ -76,7 +76,7 @@ def _cameras(images: list[dict[str, Any]], item: Item, options: ReadOptions) -> 
     elif all(_camera_field(image) for image in images):
         own = [_camera_field(image) for image in images]
     else:
-        own = _folders(images, names)
+        own = _folders(names, item.named, item.origin.source)
     if len(set(own)) <= 1 and not any(found):
         return {item.camera: images}
     return {camera: [image for image, its in zip(images, own, strict=True) if its == camera] for camera in dict.fromkeys(own)}
@@ -87,21 +87,27 @@ def _camera_field(image: dict[str, Any]) -> str:
 
 
 def _names(images: list[dict[str, Any]]) -> list[str]:
-    return [image["file_name"] if isinstance(image.get("file_name"), str) else "" for image in images]
+    """The file names; Roboflow's without what it adds (`a_0001_png.rf.<hash>.jpg`)."""
+    names = [image["file_name"] if isinstance(image.get("file_name"), str) else "" for image in images]
+    return [re.sub(r"(_(?:png|jpe?g|bmp))?\.rf\.[0-9a-f]{8,}(?=\.\w+$)", "", name) for name in names]
 
 
-def _folders(images: list[dict[str, Any]], names: list[str]) -> list[str]:
-    """Each image's camera, where one part of the folders tells images of one number apart; else nothing."""
-    numbers = [frame_number(name) for name in names]
-    if min(numbers) < 0 or len(set(numbers)) == len(numbers):
+def _folders(names: list[str], named: bool, source: str) -> list[str]:
+    """Each image's camera: the part of the folders that differs; of several, that which tells images of one number apart.
+
+    Nothing where there is one folder, or where the user has named the camera and the numbers do not contradict. Raises FormatError.
+    """
+    parts, numbers = [re.split(r"[/\\]", name)[:-1] for name in names], [frame_number(name) for name in names]
+    if len(set(map(tuple, parts))) == 1 or (named and len(set(numbers)) == len(numbers)):
         return []
-    parts = [re.split(r"[/\\]", name)[:-1] for name in names]
-    if len({len(part) for part in parts}) != 1:
-        return []
-    for column in zip(*parts, strict=True):
-        if len(set(zip(column, numbers, strict=True))) == len(images):
-            return list(column)
-    return []
+    columns = [list(column) for column in zip(*parts, strict=True) if len(set(column)) > 1] if len(set(map(len, parts))) == 1 else []
+    if len(columns) == 1:
+        return columns[0]
+    for column in columns if len(set(numbers)) < len(numbers) else []:
+        if len(set(zip(column, numbers, strict=True))) == len(names):
+            return column
+    other = next(name for name, part in zip(names, parts, strict=True) if part != parts[0])
+    raise malformed(source, "folders that tell the cameras", f"{names[0]} and {other}", "say which part is the camera with --camera-regex")
 
 
 def _objects(data: dict[str, Any], key: str, source: str) -> list[dict[str, Any]]:
@@ -124,15 +130,15 @@ def _vocabulary(categories: Iterable[dict[str, Any]], source: str) -> tuple[tupl
 def _frame_numbers(images: list[dict[str, Any]], source: str) -> Ints:
     """`[image]` numbers, all from the first place where every image has one of its own, else from the first where all have one.
 
-    The places: the integer at the end of the file name, `frame`, `frame_id`, the first integer of the file name, `id`.
-    Images of one name in two folders are not told apart by `id`: they are those of two cameras. Raises FormatError.
+    The places: the integer at the end of the file name, `frame`, `frame_id`, the first integer of the file name, and `id` where none of
+    these counts: images whose numbers repeat are those of two cameras, which `id` would line up one behind the other. Raises FormatError.
     """
     names = _names(images)
-    stems = [_stem(name) for name in names if name]
     places = [[frame_number(name) for name in names]]
     places += [[_whole(image.get(key)) for image in images] for key in ("frame", "frame_id")]
     places += [[_first_integer(name) for name in names]]
-    places += [[_whole(image.get("id")) for image in images]] if len(set(stems)) == len(stems) else []
+    counting = any(min(numbers) >= 0 and len(set(numbers)) > 1 for numbers in places)
+    places += [] if counting else [[_whole(image.get("id")) for image in images]]
     complete = [numbers for numbers in places if min(numbers) >= 0]
     if not complete:
         worst = images[places[-1].index(min(places[-1]))]

@@ -86,6 +86,9 @@ def _any_order(individuals: list[str]) -> bool:
 def _frames(rows: Sequence[str], source: str) -> Ints:
     if not rows:
         raise malformed(source, "at least one row of data", "none", "export it from DeepLabCut again")
+    folders = list(dict.fromkeys(row.replace("\\", "/").rpartition("/")[0] for row in rows))
+    if len(folders) > 1:
+        raise malformed(source, "images of one folder, which is a video", f"those of {folders[0]} and {folders[1]}", "give one file per camera")
     numbers = [frame_number(row) for row in rows]
     if min(numbers) < 0:
         raise malformed(source, "each row to begin with a frame number or a numbered image", rows[numbers.index(min(numbers))], "mend the first column")

@@ -43,6 +43,7 @@ def _table(file: Any, source: str) -> Table:
     if len(kinds) > 1:
         raise malformed(source, "one pandas table", f"{len(kinds)}: {', '.join(kinds)}", "which one? keep that one, or give its .csv")
     key, kind = next(iter(kinds.items()))
+    _check_pickles(file[key], source)
     require_filters(file[key], source, _CSV_INSTEAD)
     if kind == "frame_table":
         return _from_table_layout(file[key], source)
@@ -106,7 +107,31 @@ class _PlainUnpickler(pickle.Unpickler):
     """Builds lists, tuples, dictionaries, text and numbers; any class or function is refused."""
 
     def find_class(self, module: str, name: str) -> Never:
-        raise pickle.UnpicklingError(f"a pickle that calls {module}.{name}")
+        raise _CallError(f"a pickle that calls {module}.{name}")
+
+
+def _check_pickles(group: Any, source: str) -> None:
+    """Refuses what PyTables, and so pandas, would run: attributes that it takes for pickles, and arrays of pickled objects. Raises FormatError.
+
+    None of it is run here; but who reads the file in the next program should have been told.
+    """
+    found = [group]
+    group.visititems(lambda _, item: found.append(item))
+    for item in found:
+        for name, value in item.attrs.items():
+            if isinstance(value, bytes) and len(value) > 2 and value.endswith(b"."):  # PyTables' own test
+                try:
+                    _PlainUnpickler(io.BytesIO(value), encoding="utf-8").load()
+                except _CallError as error:
+                    raise malformed(source, f"plain labels in `{name}`", error, f"do not trust this file; {_CSV_INSTEAD}") from None
+                except Exception:
+                    continue
+        if _text(item.attrs.get("PSEUDOATOM", "")) == "object":
+            raise malformed(source, "arrays of text and numbers", f"pickled objects in `{item.name}`", f"do not trust this file; {_CSV_INSTEAD}")
+
+
+class _CallError(pickle.UnpicklingError):
+    """A pickle that calls something."""
 
 
 def _unpickle(content: Any, source: str) -> Any:

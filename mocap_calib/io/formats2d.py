@@ -1,5 +1,6 @@
 """The table of keypoint formats: how each is recognised by content, read and written."""
 
+import re
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -30,9 +31,10 @@ from mocap_calib.io import (
 )
 from mocap_calib.io.adjust2d import moved, split_views
 from mocap_calib.io.atomic import folder, write_bytes
+from mocap_calib.io.camera_formats.source import FILE_NAME
 from mocap_calib.io.contained import contained
 from mocap_calib.io.document import Document, Item, ReadOptions, describe
-from mocap_calib.io.items import keypoint_items
+from mocap_calib.io.items import Holds, keypoint_items
 from mocap_calib.io.reading import malformed
 from mocap_calib.types import Keypoints2D
 
@@ -99,7 +101,7 @@ def read_what_can(
     options = options or ReadOptions()
     if format is not None:
         _known(format)
-    waiting = deque(keypoint_items(paths, options, lambda item: _per_frame(item, format)))
+    waiting = deque(keypoint_items(paths, options, lambda item: _holds(item, format)))
     _check_once([(item.camera, str(item.path)) for item in waiting if item.camera])
     views: list[Keypoints2D] = []
     errors: list[MocapCalibError] = []
@@ -141,6 +143,9 @@ def write_keypoints(path: Path, views: tuple[Keypoints2D, ...], format: str) -> 
     if len(files) == 1 and path.suffix:
         write_bytes(path, next(iter(files.values())))
         return
+    for view in views:
+        if not re.fullmatch(FILE_NAME[0], view.camera):  # it may come from inside a file, and lead anywhere
+            raise MismatchError(f"{view.source}: expected camera names of {FILE_NAME[1]}, found {view.camera!r}; rename the camera")
     with folder(path) as work:
         for name, content in files.items():
             (work / name).parent.mkdir(parents=True, exist_ok=True)
@@ -153,24 +158,30 @@ def _known(name: str) -> KeypointFormat:
     return KEYPOINT_FORMATS[name]
 
 
+def _sniffed(document: Document, name: str | None) -> str:
+    """The format that is named, or that the content shows; "" where it shows none. Raises FormatError where it is damaged."""
+    return next((known for known in ([name] if name else KEYPOINT_FORMATS) if KEYPOINT_FORMATS[known].sniff(document)), "")
+
+
 def _format(document: Document, name: str | None) -> KeypointFormat:
     """The format that is named, or that the content shows. Raises FormatError, also where the content cannot be what is named."""
+    found = _sniffed(document, name)
+    if found:
+        return KEYPOINT_FORMATS[found]
     if name is not None:
-        if not KEYPOINT_FORMATS[name].sniff(document):
-            raise malformed(document.source, KEYPOINT_FORMATS[name].description, describe(document), "leave out --format, or choose another")
-        return KEYPOINT_FORMATS[name]
-    for known in KEYPOINT_FORMATS.values():
-        if known.sniff(document):
-            return known
+        raise malformed(document.source, KEYPOINT_FORMATS[name].description, describe(document), "leave out --format, or choose another")
     raise malformed(document.source, f"one of: {', '.join(KEYPOINT_FORMATS)}", describe(document), "export one of these")
 
 
-def _per_frame(item: Item, name: str | None) -> bool:
-    """Whether the files of a folder are the frames of one camera; a file that cannot be told is complained of when it is read."""
+def _holds(item: Item, name: str | None) -> Holds:
+    """What the first file of a folder says of it; a damaged one is complained of when it is read."""
     try:
-        return not item.document.is_hdf5 and _format(item.document, name).per_frame
+        found = contained(item.document.content, str(item.path), _sniffed, item.document, name)
     except FormatError:
-        return False
+        return Holds.A_CAMERA
+    if not found:
+        return Holds.NOTHING
+    return Holds.A_FRAME if KEYPOINT_FORMATS[found].per_frame else Holds.A_CAMERA
 
 
 def _read(item: Item, name: str | None, options: ReadOptions) -> tuple[Keypoints2D, ...]:

@@ -1,23 +1,36 @@
 """From paths to what is read in one go: files, folders with a file per camera, folders with a file per frame."""
 
 from collections.abc import Callable, Sequence
+from enum import Enum, auto
 from pathlib import Path
 
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.document import Item, ReadOptions
-from mocap_calib.io.reading import camera_in
+from mocap_calib.io.reading import camera_in, frame_number
 
 SUFFIXES = (".json", ".csv", ".h5", ".hdf5", ".nc", ".nwb", ".slp", ".mat", ".txt")
 
 
-def keypoint_items(paths: Sequence[str | Path], options: ReadOptions, per_frame: Callable[[Item], bool]) -> list[Item]:
+class Holds(Enum):
+    """What a file shows of itself: keypoints of a camera, of a single frame, or none of any format."""
+
+    A_CAMERA = auto()
+    A_FRAME = auto()
+    NOTHING = auto()
+
+
+Look = Callable[[Item], Holds]
+
+
+def keypoint_items(paths: Sequence[str | Path], options: ReadOptions, look: Look) -> list[Item]:
     """The items in files, folders and `name=path` pairs.
 
-    A folder holds a file per camera, or a folder per camera, or, where `per_frame` says so of its files, the frames of
-    one camera. The camera is what the pattern of the options finds in the path; else what the user says; else the name
-    of the folder that holds the frames or nothing but the file; else the stem. Raises MismatchError.
+    A folder holds a file per camera, or folders of them, or, where `look` says so of its first file, the frames of one camera. Where
+    it has files and folders, and only one of the two shows keypoints, the other is none of our business (notes, 3D poses, results). The
+    camera is what the pattern of the options finds in the path; else what the user says; else the name of the folder that holds the
+    frames or nothing but the file; else the stem. Raises MismatchError.
     """
-    return [item for path in paths for item in _expand(str(path), options, per_frame)]
+    return [item for path in paths for item in _expand(str(path), options, look)]
 
 
 def twins(folder: Path) -> list[Path]:
@@ -27,17 +40,19 @@ def twins(folder: Path) -> list[Path]:
     return [file for file in files if file.suffix.lower() == ".csv" and file.stem in binary]
 
 
-def _expand(argument: str, options: ReadOptions, per_frame: Callable[[Item], bool]) -> list[Item]:
+def _expand(argument: str, options: ReadOptions, look: Look) -> list[Item]:
     path = Path(argument)
     name, equals, rest = argument.partition("=")
     if equals and not path.exists():
         if not name or not rest:
             raise MismatchError(f"expected name=path, found {argument}; say which camera the file is of")
-        inside = _expand(rest, options, per_frame)
+        inside = _expand(rest, options, look)
         if len(inside) != 1:
             raise MismatchError(f"{rest}: expected the keypoints of the one camera {name}, found {len(inside)} files; name each of them")
         return [Item(name, inside[0].path, inside[0].members, named=True)]
-    items = _folder(path, per_frame) if path.is_dir() else [Item(_stem(path), path)]
+    items = _folder(path, look) if path.is_dir() else [Item(_stem(path), path)]
+    if not items:
+        raise MismatchError(f"{path}: expected keypoint files ({', '.join(SUFFIXES)}) in the folder, found none; name the files themselves")
     if not options.camera_pattern:
         return items
     return [Item(_pattern(item, options.camera_pattern), item.path, item.members) for item in items]
@@ -48,20 +63,30 @@ def _pattern(item: Item, pattern: str) -> str:
     return camera_in(str(item.path), pattern)
 
 
-def _folder(path: Path, per_frame: Callable[[Item], bool]) -> list[Item]:
+def _folder(path: Path, look: Look) -> list[Item]:
+    own, inside = _files(path, look), _folders(path, look)
+    if own and inside:
+        shown = [any(look(item) is not Holds.NOTHING for item in items) for items in (own, inside)]
+        if shown[0] != shown[1]:
+            return own if shown[0] else inside
+    return own + inside
+
+
+def _files(path: Path, look: Look) -> list[Item]:
+    """A file per camera, or one item of all that are frames."""
     files = _listed(path)
-    if files:
-        frames = Item(_camera(path), path, tuple(files))
-        if per_frame(frames):
-            return [frames]
-        doubles = twins(path)
-        return [Item(_stem(file), file) for file in files if file not in doubles]
+    frames = Item(_camera(path), path, tuple(files))
+    if files and not frames.document.is_hdf5 and look(frames) is Holds.A_FRAME:
+        return [frames]
+    doubles = twins(path)
+    return [Item(_stem(file), file) for file in files if file not in doubles]
+
+
+def _folders(path: Path, look: Look) -> list[Item]:
     items = []
     for folder in sorted(each for each in path.iterdir() if each.is_dir() and not each.name.startswith(".")):
-        inside = _folder(folder, per_frame)
+        inside = _folder(folder, look)
         items += [Item(_camera(folder), inside[0].path, inside[0].members)] if len(inside) == 1 else inside
-    if not items:
-        raise MismatchError(f"{path}: expected keypoint files ({', '.join(SUFFIXES)}) in the folder, found none; name the files themselves")
     return items
 
 
@@ -71,9 +96,13 @@ def _camera(folder: Path) -> str:
 
 
 def _listed(folder: Path) -> list[Path]:
-    """The files of a folder that may hold keypoints, by name; texts only where there is nothing else, since they mostly are notes."""
+    """The files of a folder that may hold keypoints, by name.
+
+    Texts mostly are notes: they count where there is nothing else, and then those that are numbered, as frames are.
+    """
     files = sorted(file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES and not file.name.startswith(".") and file.is_file())
-    return [file for file in files if file.suffix.lower() != ".txt"] or files
+    numbered = [file for file in files if frame_number(file.name) >= 0]
+    return [file for file in files if file.suffix.lower() != ".txt"] or numbered or files
 
 
 def _stem(path: Path) -> str:

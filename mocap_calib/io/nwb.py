@@ -8,10 +8,9 @@ import numpy as np
 from mocap_calib.io.document import Document, Item, ReadOptions
 from mocap_calib.io.hdf5 import array, damage_refused, keys, names, text
 from mocap_calib.io.reading import Origin, blank, make_view, malformed, scored
-from mocap_calib.types import Keypoints2D
+from mocap_calib.types import Ints, Keypoints2D
 
 _REMEDY = "write it with ndx-pose again"
-_COUNTED = "NWB has times, not frame numbers: frames are counted from 0"
 _DEPTH = 6  # how far below the top poses are looked for
 
 
@@ -59,8 +58,32 @@ def _view(group: Any, origin: Origin) -> Keypoints2D:
         values[:, 0, k, :2] = data[name]
         if "confidence" in series[name]:
             values[:, 0, k, 2] = array(series[name], "confidence", source)
+    frames, rate = frames_of(next(iter(series.values())), source)
+    if len(frames) != len(values):
+        raise malformed(source, f"a time for each of {len(values)} frames", len(frames), _REMEDY)
     values, remarks = scored(values)
-    return make_view(origin, nodes, range(len(values)), values, tracked=True, image_size=_size(group, source), remarks=(_COUNTED, *remarks))
+    counted = f"NWB has times, not frame numbers: a frame is the time x {rate:g} per second"
+    return make_view(origin, nodes, frames, values, tracked=True, image_size=_size(group, source), remarks=(counted, *remarks))
+
+
+def frames_of(series: Any, source: str) -> tuple[Ints, float]:
+    """`[frame]` numbers and the rate (1/s) of a PoseEstimationSeries: 0 is at time 0 of the session, so that cameras stay aligned.
+
+    The rate is the file's, else one frame in the median step of the timestamps; each step is a whole number of frames, so that
+    rounded or jittered times do not add up. Raises FormatError.
+    """
+    if "starting_time" in series:
+        rate = float(series["starting_time"].attrs["rate"])
+        first, steps = float(series["starting_time"][()]), np.ones(max(len(series["data"]) - 1, 0))
+    else:
+        times = array(series, "timestamps", source).astype(np.float64).reshape(-1)
+        first, step = times[0] if len(times) else 0.0, np.median(np.diff(times)) if len(times) > 1 else np.nan
+        rate = float(series.attrs.get("fps", np.round(1 / step, 6) if step > 0 else np.nan if len(times) > 1 else 1.0))
+        steps = np.rint(np.diff(times) * rate)
+    start = np.rint(first * rate)
+    if not (rate > 0 and abs(start) < 2**53 and (steps >= 1).all() and steps.sum() < 2**53):
+        raise malformed(source, "times that increase", "others", _REMEDY)
+    return int(start) + np.concatenate([[0], np.cumsum(steps)])[: len(series["data"])].astype(np.int64), rate
 
 
 def _size(group: Any, source: str) -> tuple[int, int]:

@@ -66,7 +66,9 @@ def frame_order(frames: Ints, names: Sequence[object], source: str) -> Ints:
     if twice.size:
         first, second = (one_line(names[i], 60) for i in order[twice[0] : twice[0] + 2])
         found = f"frame {frames[order[twice[0]]]} twice, at {first} and {second}"
-        raise malformed(source, "each frame number once", found, "give one file per camera and recording")
+        raise malformed(
+            source, "each frame number once", found, "give one file per camera and recording, or say which part of a name is the camera with --camera-regex"
+        )
     return order
 
 

@@ -14,11 +14,11 @@ import numpy as np
 
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.hdf5 import array
+from mocap_calib.io.nwb import frames_of
 from mocap_calib.io.pose_formats.arrays import looks
 from mocap_calib.io.pose_formats.common import DAMAGE, PoseFile, WrittenPoses, attribute, bare_poses, need_keypoints, need_rate
 from mocap_calib.io.reading import malformed, one_line
 from mocap_calib.io.units import known_unit
-from mocap_calib.types import Floats, Ints
 
 _SERIES = "PoseEstimationSeries"
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -56,12 +56,12 @@ def _parse(file: h5py.File, source: str) -> PoseFile:
     groups = list(dict.fromkeys(group for group, _, _ in series))
     keypoints = list(dict.fromkeys(name for _, name, _ in series))
     by_name = {(group, name): item for group, name, item in series}
-    frames, rate = _frames(series[0][2], source)
+    frames, rate = frames_of(series[0][2], source)
     positions = np.full((len(frames), len(groups), len(keypoints), 3), np.nan)
     confidence = np.full(positions.shape[:3], np.nan)
     for (group, name), item in by_name.items():
         place = (slice(None), groups.index(group), keypoints.index(name))
-        if not np.array_equal(_frames(item, source)[0], frames):
+        if not np.array_equal(frames_of(item, source)[0], frames):
             raise ValueError("series of different times")
         factor = float(item["data"].attrs.get("conversion", 1.0))
         values = array(item, "data", source).astype(np.float64) * factor
@@ -71,21 +71,6 @@ def _parse(file: h5py.File, source: str) -> PoseFile:
     unit = known_unit(attribute(series[0][2]["data"].attrs, "unit"), source)
     names = tuple(group.rsplit("/", 1)[-1] for group in groups)
     return PoseFile(bare_poses(keypoints, frames, positions, unit, confidence), rate, names)
-
-
-def _frames(series: Any, source: str) -> tuple[Ints, float]:
-    """`[frame]` numbers at the rate of the series, and the rate; of bare timestamps it is the shortest step between two."""
-    if "starting_time" in series:
-        rate = float(series["starting_time"].attrs["rate"])
-        times: Floats = float(series["starting_time"][()]) + np.arange(len(series["data"])) / rate
-    else:
-        times = array(series, "timestamps", source).astype(np.float64)
-        rate = 1 / float(np.diff(times).min()) if len(times) > 1 else np.nan
-        rate = float(series.attrs.get("fps", round(rate, 6)))
-    frames = np.round(times * rate)
-    if len(frames) != len(series["data"]) or not (np.isfinite(frames) & (np.abs(frames) < 2**53)).all():
-        raise ValueError("times that are no frames")
-    return frames.astype(np.int64), rate
 
 
 def write(file: PoseFile, title: str) -> WrittenPoses:
