@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from mocap_calib.io.deeplabcut import LEVELS, Table, keypoints_from_table
 from mocap_calib.io.document import Document, Item, ReadOptions
-from mocap_calib.io.hdf5 import children_attributes, damage_refused, require_filters
+from mocap_calib.io.hdf5 import damage_refused, marked, require_filters
 from mocap_calib.io.hdf5 import text as _text
 from mocap_calib.io.reading import malformed
 from mocap_calib.types import Keypoints2D
@@ -23,7 +23,7 @@ _CSV_INSTEAD = "use the .csv that DeepLabCut writes next to it"
 
 def sniff(document: Document) -> bool:
     """HDF5 with a pandas table."""
-    return document.hdf5 is not None and any("pandas_type" in attributes for attributes in children_attributes(document))
+    return marked(document, "pandas_type")
 
 
 def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:  # noqa: ARG001 - a reader's signature

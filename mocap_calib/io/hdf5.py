@@ -34,10 +34,10 @@ def text(value: Any) -> str:
     return value.decode("utf-8", errors="replace") if isinstance(value, bytes) else str(value)
 
 
-def children_attributes(document: Document) -> list[dict[str, Any]]:
-    """The attributes of what lies at the top of an HDF5 file. Raises FormatError."""
+def marked(document: Document, name: str) -> bool:
+    """Whether anything at the top of an HDF5 file has the attribute; nothing in other files has. Raises FormatError."""
     with damage_refused(document.source, "a whole HDF5 file", _REMEDY):
-        return [dict(item.attrs) for item in document.hdf5.values()]
+        return document.hdf5 is not None and any(name in item.attrs for item in document.hdf5.values())
 
 
 def keys(document: Document) -> set[str]:
