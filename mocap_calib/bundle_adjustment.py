@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mocap_calib.config import AdjustConfig, TriangulateConfig
-from mocap_calib.errors import DegenerateError
+from mocap_calib.errors import DegenerateError, LooseCameraError
 from mocap_calib.frames import evenly
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.least_squares import Sightings, State, minimise
@@ -30,7 +30,7 @@ def adjust(recording: Sample, rig: CameraRig, matches: Matches, config: AdjustCo
     """The rig that minimises the robust reprojection error; intrinsics stay, and so do the first camera and the size of the rig.
 
     The loss is tightened in steps; `near` says that the rig has been adjusted before and only the last step is needed.
-    Raises DegenerateError where a camera has too few points to hold it.
+    Raises LooseCameraError of the camera that has the fewest points, too few to hold it.
     """
     if matches.individuals == 0:
         raise DegenerateError("expected bodies that two views agree on, found none; check that the files belong to these cameras and to the same time")
@@ -88,11 +88,11 @@ def _spread(labelled: Ints, recording: Sample, matches: Matches, budget: int) ->
 
 
 def _check_enough(rig: CameraRig, seen: Points, least: int) -> None:
-    poor = [camera.name for camera, used in zip(rig.cameras, seen.used, strict=True) if used.sum() < least]
-    if poor:
-        raise DegenerateError(
-            f"camera {', '.join(poor)}: expected at least {least} keypoints that agree with other views, found fewer; leave it out or record longer"
-        )
+    count = seen.used.sum(1)
+    view = int(count.argmin())
+    if count[view] < least:
+        found = f"camera {rig.names[view]}: expected at least {least} keypoints that agree with other views, found {count[view]}"
+        raise LooseCameraError(f"{found}; leave it out or record longer", view)
 
 
 def _sightings(rig: CameraRig, seen: Points, noise: Floats) -> Sightings:

@@ -113,6 +113,7 @@ class MatchingConfig:
     """Who is who."""
 
     least_affinity: float = 0.25  # mean over all pairs of views of one individual
+    lone: float = 0.9  # of the frames show each view no more than one detection: a single subject, whom geometry alone follows
     cells: int = 2_000_000  # pairs of detections looked at in one go: so many frames, or fewer where there is a crowd
     reach: float = 0.5  # body sizes that a body may move between frames, or five times its usual step if that is more
     memory: int = 50  # frames after which how far it may have gone does not grow any more

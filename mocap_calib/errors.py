@@ -4,6 +4,7 @@ MocapCalibError
 ├── FormatError       a file is not what its format says
 ├── MismatchError     two inputs do not belong together
 ├── DegenerateError   the observations do not determine the answer
+│   └── LooseCameraError   not of this camera, but perhaps of the others
 └── ClusterError      the machines that work was sent to cannot do it
 
 Every message is one line: what was expected, what came, what to do. Anything else that is raised
@@ -25,6 +26,14 @@ class MismatchError(MocapCalibError):
 
 class DegenerateError(MocapCalibError):
     """The observations do not determine the answer."""
+
+
+class LooseCameraError(DegenerateError):
+    """A camera sees too little that agrees with others; without it they may be calibrated. view: its index among theirs."""
+
+    def __init__(self, message: str, view: int = -1) -> None:
+        super().__init__(message)
+        self.view = view
 
 
 class ClusterError(MocapCalibError):

@@ -20,15 +20,6 @@ _FAR = 2.5  # median residuals
 _SWEEPS = 50
 
 
-def single_subject(recording: Sample) -> Matches | None:
-    """Who is who where it needs no finding: the only detection of each view; None where half of the frames have more than one."""
-    there = recording.seen.any(-1)
-    alone = (there.sum(-1) <= 1).all(0)
-    if 2 * alone.sum() < len(alone):
-        return None
-    return Matches(np.where(there & alone[:, None], 0, -1))
-
-
 def factorise(recording: Sample, matches: Matches) -> tuple[CameraRig, ...]:
     """Two rigs, reversed in depth from each other, from the points that all views see; none where these are too few.
 

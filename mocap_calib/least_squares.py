@@ -156,7 +156,8 @@ def _step(state: State, linear: _Linear, damping: float) -> State:
         reduced[block, block] += linear.camera[view] + damping * np.diag(np.diag(linear.camera[view]))
     free = slice(6, None)  # the first camera is the frame of the world
     matrix = reduced[free, free]
-    scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    stiff = np.diag(matrix)  # rounding may leave what nothing holds below zero
+    scale = 1 / np.sqrt(np.maximum(stiff, 1e-15 * stiff.max() + 1e-150))
     regular = scale[:, None] * matrix * scale + 1e-12 * np.eye(len(matrix))
     turn = np.zeros(6 * views)
     turn[free] = -scale * np.linalg.solve(regular, scale * side[free])

@@ -5,6 +5,7 @@ two detections of one view. A label per detection is cycle-consistent by constru
 time by where they stand.
 """
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -34,13 +35,21 @@ def match(recording: Sample, lifted: LiftedPoses, rig: CameraRig, config: Matchi
     views, frames, instances = recording.positions.shape[:3]
     labels = np.full((views, frames, instances), -1, dtype=np.int64)
     scale = body_scale(recording, lifted, rig, evidence)
+    lone = single_subject(recording, config.lone) is not None
     step = max(1, config.cells // (views * instances) ** 2)
     for start in range(0, frames, step):
         block = np.arange(start, min(start + step, frames))
-        affinity, comparable = _affinities(recording, lifted, rig, scale, block, evidence)
+        affinity, comparable = _affinities(recording, lifted, rig, scale, block, evidence, lone=lone)
         labels[:, block] = _groups(affinity, comparable, views, config)
         progress("match", int(block[-1]) + 1, frames)
     return Matches(_through_time(labels, _places(recording, rig, labels) * scale, recording.frames, config))
+
+
+def single_subject(recording: Sample, share: float = 0.5) -> Matches | None:
+    """Who is who where it needs no finding: the only detection of each view; None where fewer than this share of the frames show no more."""
+    there = recording.seen.any(-1)
+    alone = (there.sum(-1) <= 1).all(0)
+    return Matches(np.where(there & alone[:, None], 0, -1)) if alone.mean() >= share else None
 
 
 def match_everything(recording: Recording, chosen: Ints, matches: Matches, rig: CameraRig, config: Config, *, scale: float, progress: Progress) -> Matches:
@@ -96,13 +105,19 @@ def _distance_ratios(pair: ViewPair, rotation: Floats, translation: Floats, conf
     return far[good] / (near_a + near_b)[good]
 
 
-def _affinities(recording: Sample, lifted: LiftedPoses, rig: CameraRig, scale: float, frames: Ints, config: PairwiseConfig) -> tuple[Floats, Floats]:
-    """Affinity of all pairs of detections of a frame `[frame, N, N]`, N = views x instances, and 1 where it means something."""
+def _affinities(
+    recording: Sample, lifted: LiftedPoses, rig: CameraRig, scale: float, frames: Ints, config: PairwiseConfig, *, lone: bool
+) -> tuple[Floats, Floats]:
+    """Affinity of all pairs of detections of a frame `[frame, N, N]`, N = views x instances, and 1 where it means something.
+
+    lone: there is one subject, and geometry decides: lifted bodies tell subjects apart, and a bad one must not speak against the only candidate.
+    """
     views, instances = len(rig.cameras), recording.positions.shape[2]
     affinity = np.zeros((len(frames), views, instances, views, instances))
     comparable = np.zeros_like(affinity)
     for a, b in combinations(range(views), 2):
         pair = view_pair(recording, lifted, a, b, frames)
+        pair = replace(pair, lifted=np.zeros_like(pair.lifted)) if lone else pair
         rotation, translation = (part[None] for part in rig.relative(a, b))
         error, weight = epipolar_error(pair, rotation, translation)
         found = match_affinity(pair, rotation, translation * scale, epipolar_fit(error, weight, config), config)[0]

@@ -11,12 +11,12 @@ from mocap_calib.averaging import average, of_cameras
 from mocap_calib.bundle_adjustment import adjust
 from mocap_calib.config import Config
 from mocap_calib.determinacy import alike, disagreement, fit, near_affine
-from mocap_calib.errors import DegenerateError
-from mocap_calib.factorisation import factorise, single_subject
+from mocap_calib.errors import DegenerateError, LooseCameraError
+from mocap_calib.factorisation import factorise
 from mocap_calib.frames import informative, sample
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.loops import camera_groups, choose_modes, several_groups
-from mocap_calib.matching import body_scale, match, match_everything, same_groups, settle
+from mocap_calib.matching import body_scale, match, match_everything, same_groups, settle, single_subject
 from mocap_calib.pairwise import PairSolver, calibrate_pairs, in_recording
 from mocap_calib.parallel import single_threaded_libraries
 from mocap_calib.recording import select_lifted, select_views
@@ -98,7 +98,7 @@ def _calibrate_groups(
     refusals: list[DegenerateError] = []
     for views in camera_groups(recording.cameras, pairs, config.averaging):
         try:
-            found.append(_calibrate_group(evidence.of(views), config, dict(seconds), seed=seed, progress=progress))
+            found.append(_calibrate_held(evidence.of(views), config, seconds, seed=seed, progress=progress))
         except DegenerateError as error:
             refusals.append(error)
     if not found:
@@ -108,6 +108,17 @@ def _calibrate_groups(
     left_out = tuple(name for name in names if name not in home)
     unused = tuple((names[p.a], names[p.b], p.score) for p in pairs if home.get(names[p.a], -1) != home.get(names[p.b], -2))
     return tuple(replace(group, left_out=left_out, unused=unused) for group in found)
+
+
+def _calibrate_held(evidence: _Evidence, config: Config, seconds: dict[str, float], *, seed: int, progress: Progress) -> Calibration:
+    """Of those cameras of a group that can be held: one that too little agrees with must not cost the others theirs."""
+    try:
+        return _calibrate_group(evidence, config, dict(seconds), seed=seed, progress=progress)
+    except LooseCameraError as loose:
+        others = np.delete(np.arange(len(evidence.recording.cameras)), loose.view)
+        if len(others) < 2:
+            raise
+        return _calibrate_held(evidence.of(others), config, seconds, seed=seed, progress=progress)
 
 
 def _calibrate_group(evidence: _Evidence, config: Config, seconds: dict[str, float], *, seed: int, progress: Progress) -> Calibration:
@@ -140,13 +151,21 @@ def _best_start(
 ) -> tuple[Adjusted, CameraRig | None]:
     """The adjustment from the averaged rig; where no model helped, also from rigs found by factorisation, and the one that fits best.
 
-    With it the rig that fits as well, if there is one: its reversal in depth.
+    With it the rig that fits as well, if there is one: its reversal in depth. Raises DegenerateError where none of them can be adjusted.
     """
-    averaged = adjust_to_fixed_point(some, lifted, rig, matches, config, progress=progress)
     alone = None if np.isfinite(lifted.centre).any() else single_subject(some)
-    if alone is None:
-        return averaged, None
-    found = [averaged, *(adjust_to_fixed_point(some, lifted, start, alone, config, progress=progress) for start in factorise(some, alone))]
+    starts = [(rig, matches)]
+    if alone is not None:
+        starts += [(start, alone) for start in factorise(some, alone)]
+    found: list[Adjusted] = []
+    refusals: list[DegenerateError] = []
+    for start, labels in starts:
+        try:
+            found.append(adjust_to_fixed_point(some, lifted, start, labels, config, progress=progress))
+        except DegenerateError as error:
+            refusals.append(error)
+    if not found:
+        raise refusals[0]
     fits = [fit(some, each.rig, each.matches, config.triangulate) for each in found]
     best, *others = sorted(range(len(found)), key=lambda k: fits[k].misfit)
     rivals = [found[k].rig for k in others if alike(fits[k], fits[best]) and _turned(found[k].rig, found[best].rig) > _SAME_DEG]

@@ -8,8 +8,9 @@ from scenes import recording, rotation_errors_deg, scene
 
 from mocap_calib.config import Config
 from mocap_calib.determinacy import fit
-from mocap_calib.factorisation import factorise, single_subject
+from mocap_calib.factorisation import factorise
 from mocap_calib.geometry.projection import pixels_from_points, rays_from_pixels
+from mocap_calib.matching import single_subject
 from mocap_calib.pipeline import calibrate
 from mocap_calib.steerpose.checkpoint import load_lifter
 from mocap_calib.types import Camera, CameraRig, Recording, Sample, silent
