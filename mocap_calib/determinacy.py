@@ -1,9 +1,12 @@
-"""Is the rig determined by what was seen? Adjusted twice, each time on half of the joints, and compared.
+"""Whether the rig is determined by what was seen, and all cameras agree on it.
 
 Reprojection errors are small also where nothing is determined: a subject that stands still, small in the image, leaves errors of its
 joints (of the detector, of the lens model) that all frames share, and the rig bends to fit them. Two halves of the joints share the
-cameras but not these errors, so the angle between their rigs is an honest estimate of the rig's error: measured 0.1-2 deg where the
-true error is 0.03-1.6, and 39 deg for a motionless mouse whose rig is 21 deg wrong at 3.5 px.
+cameras but not these errors: the rig is adjusted on each, and the angle between the two is an estimate of its error. One split
+may agree by chance, so several are made.
+
+What the halves share they do not show: a camera out of step, moved, or with another's intrinsics. Its own errors do, which are several
+times those of the others.
 """
 
 from collections.abc import Iterator
@@ -15,14 +18,17 @@ import numpy as np
 
 from mocap_calib.bundle_adjustment import adjust
 from mocap_calib.config import Config, TriangulateConfig
-from mocap_calib.errors import DegenerateError
+from mocap_calib.errors import DegenerateError, LooseCameraError
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.parallel import in_order
+from mocap_calib.recording import select_views
 from mocap_calib.triangulation import observations, project, triangulate_rays, view_noise
 from mocap_calib.types import Bools, CameraRig, Floats, Matches, Sample
 
 Verdict = Literal["well determined", "weak", "not determined"]
-_WELL_DEG, _WEAK_DEG = 3.0, 10.0
+_WELL_DEG, _WEAK_DEG = 4.0, 10.0  # between halves, which differ by twice the error of the whole: 2 and 5 deg of the rig
+_SPLITS = 4
+_SEVERAL = 4.0  # times the errors of the others: 1 to 2.5 in recordings whose cameras agree
 _FAR = 4.0  # usual errors
 _ALIKE = 1.05  # misfits of two rigs that the observations do not tell apart
 
@@ -31,35 +37,57 @@ _ALIKE = 1.05  # misfits of two rigs that the observations do not tell apart
 class Fit:
     """How a rig fits what was seen, in pixels.
 
-    misfit: RMS distance of all detections from their reprojections, none counted as farther than four usual ones. noise: `[view]` robust
-    standard deviation of a coordinate. perspective: `[view]` RMS of what no affine camera could explain: where it is far below the noise, the
-    view might as well be infinitely far away, and how far it is follows from its focal length alone.
+    misfit: RMS distance of all detections from their reprojections, none counted as farther than four usual ones. error: `[view]` their
+    median. noise: `[view]` robust standard deviation of a coordinate. perspective: `[view]` RMS of what no affine camera could explain:
+    where it is far below the noise, the view might as well be infinitely far away, and how far it is follows from its focal length alone.
     """
 
     misfit: float
+    error: Floats
     noise: Floats
     perspective: Floats
 
 
 def disagreement(recording: Sample, rig: CameraRig, matches: Matches, config: Config, *, seed: int) -> Floats:
-    """`[pair]` radians between the relative rotations of two rigs, each adjusted on half of the joints; pi where a half does not hold it."""
+    """`[pair]` radians between the relative rotations of two rigs, each adjusted on half of the joints; RMS over several splits.
 
-    def work(half: Sample) -> CameraRig:
-        return adjust(half, rig, matches, config.adjust, config.triangulate, near=True)
+    pi where a half does not hold one of the two cameras.
+    """
 
-    try:
-        first, second = in_order(work, list(_halves(recording, seed)))
-    except DegenerateError:
-        return np.full(len(rig.cameras) * (len(rig.cameras) - 1) // 2, np.pi)
+    def work(half: Sample) -> Floats:
+        return _rotations(half, rig, matches, config)
+
+    halves = np.stack(list(in_order(work, _halves(recording, seed))))
     a, b = np.array(list(combinations(range(len(rig.cameras)), 2))).T
-    between = [r.rotation[b] @ np.swapaxes(r.rotation[a], 1, 2) for r in (first, second)]
-    return angle_between(*between)
+    between = halves[:, b] @ np.swapaxes(halves[:, a], -1, -2)
+    angle = np.nan_to_num(angle_between(between[::2], between[1::2]), nan=np.pi)
+    return np.sqrt((angle**2).mean(0))
 
 
-def verdict(difference: Floats) -> Verdict:
-    """What the disagreement of a typical pair of cameras means."""
-    typical = float(np.rad2deg(np.median(difference)))
-    return "well determined" if typical <= _WELL_DEG else "weak" if typical <= _WEAK_DEG else "not determined"
+def _rotations(half: Sample, rig: CameraRig, matches: Matches, config: Config) -> Floats:
+    """`[view, 3, 3]` of the rig adjusted on a part of what was seen; NaN of cameras that the part does not hold."""
+    found = np.full_like(rig.rotation, np.nan)
+    held = np.arange(len(rig.cameras))
+    while len(held) >= 2:
+        part, labels = select_views(half, held), Matches(matches.labels[held])
+        own = CameraRig(tuple(rig.cameras[v] for v in held), rig.rotation[held], rig.translation[held], rig.unit)
+        try:
+            found[held] = adjust(part, own, labels, config.adjust, config.triangulate, near=True).rotation
+            break
+        except LooseCameraError as loose:
+            held = np.delete(held, loose.view)
+        except DegenerateError:
+            break
+    return found
+
+
+def verdict(difference: Floats, inconsistent: Bools) -> Verdict:
+    """What the disagreement `[pair]` means for the camera that is worst off, by its median; none is well determined where a camera contradicts."""
+    a, b = np.array(list(combinations(range(len(inconsistent)), 2))).T
+    worst = max(float(np.median(difference[(a == view) | (b == view)])) for view in range(len(inconsistent)))
+    if np.rad2deg(worst) > _WEAK_DEG or 2 * inconsistent.sum() > len(inconsistent):
+        return "not determined"
+    return "weak" if np.rad2deg(worst) > _WELL_DEG or inconsistent.any() else "well determined"
 
 
 def fit(recording: Sample, rig: CameraRig, matches: Matches, config: TriangulateConfig) -> Fit:
@@ -70,12 +98,24 @@ def fit(recording: Sample, rig: CameraRig, matches: Matches, config: Triangulate
     points, _ = triangulate_rays(rig, seen.rays, seen.confidence, noise, replace(config, outlier=np.inf))
     images = [project(camera, rig.rotation[v], rig.translation[v], points) for v, camera in enumerate(rig.cameras)]
     there = (seen.confidence > 0) & np.isfinite(points[0])
-    error = np.linalg.norm(np.stack(images) - seen.pixels, axis=1)[there]
+    error = np.linalg.norm(np.stack(images) - seen.pixels, axis=1)
+    middle = np.array([np.median(np.nan_to_num(own[use], nan=np.inf)) if use.any() else np.nan for own, use in zip(error, there, strict=True)])
+    error = error[there]
     error = np.minimum(np.nan_to_num(error, nan=np.inf), _FAR * np.nanmedian(error))
     inside = np.matmul(rig.rotation, points) + rig.translation[:, :, None]
     focal = np.array([camera.focal for camera in rig.cameras])
     perspective = np.array([_beyond_affine(points[:, own].T, turned[:, own].T) for own, turned in zip(there, inside, strict=True)])
-    return Fit(float(np.sqrt((error**2).mean())), noise * focal, perspective * focal)
+    return Fit(float(np.sqrt((error**2).mean())), middle, noise * focal, perspective * focal)
+
+
+def inconsistent(found: Fit, focal: Floats) -> Bools:
+    """`[view]` cameras whose errors are several times those of the others, as angles: out of step, moved, or with wrong intrinsics.
+
+    Of two cameras both have the errors. focal: `[view]` in pixels.
+    """
+    angle = found.error / focal
+    others = [np.median(np.delete(angle, view)) for view in range(len(angle))]
+    return angle > _SEVERAL * np.array(others) if len(angle) > 2 else np.zeros(len(angle), dtype=bool)
 
 
 def alike(first: Fit, second: Fit) -> bool:
@@ -97,10 +137,12 @@ def _beyond_affine(points: Floats, turned: Floats) -> float:
 
 
 def _halves(recording: Sample, seed: int) -> Iterator[Sample]:
-    """The recording twice, with joints drawn at random."""
-    order = np.random.default_rng(seed).permutation(len(recording.keypoints))
-    for part in (order[::2], order[1::2]):
-        yield _only(recording, np.isin(np.arange(len(order)), part))
+    """The recording with one half of its joints and with the other, drawn at random, several times."""
+    rng = np.random.default_rng(seed)
+    for _ in range(_SPLITS):
+        order = rng.permutation(len(recording.keypoints))
+        for part in (order[::2], order[1::2]):
+            yield _only(recording, np.isin(np.arange(len(order)), part))
 
 
 def _only(recording: Sample, joints: Bools) -> Sample:

@@ -10,7 +10,7 @@ import numpy as np
 from mocap_calib.averaging import average, of_cameras
 from mocap_calib.bundle_adjustment import adjust
 from mocap_calib.config import Config
-from mocap_calib.determinacy import alike, disagreement, fit, near_affine
+from mocap_calib.determinacy import alike, disagreement, fit, inconsistent, near_affine
 from mocap_calib.errors import DegenerateError, LooseCameraError
 from mocap_calib.factorisation import factorise
 from mocap_calib.frames import informative, sample
@@ -132,9 +132,11 @@ def _calibrate_group(evidence: _Evidence, config: Config, seconds: dict[str, flo
     within = Matches(everyone.labels[:, chosen])
     difference = _timed(seconds, "verdict", lambda: disagreement(some, adjusted.rig, within, config, seed=seed))
     poses = _timed(seconds, "triangulate", lambda: triangulate(recording, adjusted.rig, everyone, config.triangulate, progress=progress))
-    affine = near_affine(fit(some, adjusted.rig, within, config.triangulate))
+    fitted = fit(some, adjusted.rig, within, config.triangulate)
+    focal = np.array([camera.focal for camera in adjusted.rig.cameras])
     return Calibration(
-        recording, (), (), in_recording(pairs, chosen), averaged, adjusted.rig, rival, everyone, difference, affine, poses,
+        recording, (), (), in_recording(pairs, chosen), averaged, adjusted.rig, rival, everyone, difference,
+        inconsistent(fitted, focal), near_affine(fitted), poses,
         adjusted.rounds, adjusted.converged, seconds,
     )  # fmt: skip
 

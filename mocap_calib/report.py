@@ -131,7 +131,7 @@ def run_report(found: Calibration, *, seed: int, config: Config, inputs: Mapping
         "cameras": [_camera_report(found, view, errors[view]) | _verdict(support[view], config) for view in range(len(rig.cameras))],
         "pairs": [_pair_report(found, k, pair, errors[[pair.a, pair.b]], config) for k, pair in enumerate(found.pairs)],
         "verdict": {
-            "rig": verdict(found.disagreement),
+            "rig": verdict(found.disagreement, found.inconsistent),
             "halves_differ_deg": _middle(np.degrees(found.disagreement)),
             "reversal": "observed" if found.rival is None else "not observable",
             "translation": "not observable" if found.near_affine.any() else "observed",
@@ -173,6 +173,7 @@ def _camera_report(found: Calibration, view: int, error: Floats) -> dict[str, An
         "detections": int(there.sum()),
         "matched": int(matched.sum()),
         "unmatched": int((there & ~matched).sum()),
+        "inconsistent": bool(found.inconsistent[view]),
         "near_affine": bool(found.near_affine[view]),
         "reprojection_error_px": _spread(error),
     }

@@ -307,11 +307,12 @@ class Poses3D:
 class Calibration:
     """All that a run finds of one group of cameras that see the same bodies.
 
-    recording, and all that follows: of the cameras of the group. left_out: names of those that no group holds;
-    unused: (name, name, score) of the pairs that are within no group. rounds of adjusting and matching were made; converged: no
-    detection changed its group in the last. disagreement: `[pair]` radians between the rigs of two halves of the joints, an
-    estimate of the rig's error. rival: a rig that fits as well, reversed in depth: what was seen does not tell them apart. near_affine: `[view]`
-    cameras in whose images perspective drowns in noise, whose distance follows from their focal length alone. seconds: wall time per stage.
+    recording, and all that follows: of the cameras of the group. left_out: names of those that no group holds; unused: (name, name, score)
+    of the pairs that are within no group. rounds of adjusting and matching were made; converged: no detection changed its group in the
+    last. disagreement: `[pair]` radians between the rigs of two halves of the joints, an estimate of the rig's error. inconsistent:
+    `[view]` cameras whose errors are several times those of the others. rival: a rig that fits as well, reversed in depth: what was seen
+    does not tell them apart. near_affine: `[view]` cameras in whose images perspective drowns in noise, whose distance follows from their
+    focal length alone. seconds: wall time per stage.
     """
 
     recording: Recording
@@ -323,6 +324,7 @@ class Calibration:
     rival: CameraRig | None
     matches: Matches
     disagreement: Floats
+    inconsistent: Bools
     near_affine: Bools
     poses: Poses3D
     rounds: int

@@ -115,6 +115,12 @@ def _summarise(reporter: "Reporter", found: "Calibration", report: dict[str, Any
         )
     if not found.converged:
         reporter.say(f"matches still changed after {found.rounds} rounds of adjustment; look at matches.csv with care")
+    odd = [camera["name"] for camera in report["cameras"] if camera["inconsistent"]]
+    if odd:
+        reporter.say(
+            f"inconsistent: {', '.join(odd)}: errors several times those of the other cameras; out of step (shift it with --frame-offset), "
+            "moved, or with other intrinsics"
+        )
     determined = report["verdict"]
     reporter.say(f"rig: {determined['rig']}; two halves of the joints give rigs {determined['halves_differ_deg']['median']:.1f} deg apart")
     affine = [camera["name"] for camera in report["cameras"] if camera["near_affine"]]
