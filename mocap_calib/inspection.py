@@ -9,7 +9,7 @@ import numpy as np
 
 from mocap_calib.config import InspectConfig
 from mocap_calib.errors import MismatchError
-from mocap_calib.recording import make_recording, name_mapping, of_cameras
+from mocap_calib.recording import check_pixels, make_recording, name_mapping, of_cameras
 from mocap_calib.skeleton import SHIPPED, choose_skeleton, load_skeleton, match_names, normalise_name
 from mocap_calib.types import Bools, Camera, Ints, Keypoints2D
 
@@ -129,9 +129,12 @@ def _scales(usable: Sequence[Keypoints2D], config: InspectConfig) -> list[Findin
     for view in usable:
         points = np.abs(view.positions[_seen(view)])
         outside = (points > np.array(view.image_size)).any(-1).mean() if view.image_size != (0, 0) else 0.0
-        if points.max() <= config.normalised:
-            found.append(Finding(True, f"{view.camera}: positions up to {points.max():.2f} are no pixels; multiply normalised positions by the image size"))
-        elif outside > config.outside:
+        try:
+            check_pixels(view)
+        except MismatchError as error:
+            found.append(Finding(True, str(error)))
+            continue
+        if outside > config.outside:
             size = f"{view.image_size[0]} x {view.image_size[1]}"
             found.append(Finding(False, f"{view.camera}: {outside:.0%} of the points lie outside its image of {size}; check its size, or say --crop-offset"))
     return found

@@ -6,6 +6,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from mocap_calib.config import ReadConfig
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.projection import rays_from_pixels
 from mocap_calib.skeleton import match_names, normalise_name
@@ -107,12 +108,19 @@ def select_lifted(lifted: LiftedPoses, views: Ints) -> LiftedPoses:
     return LiftedPoses(lifted.body[views], lifted.centre[views], lifted.spread[views])
 
 
+def check_pixels(view: Keypoints2D) -> None:
+    """Raises MismatchError where the positions are shares of the image."""
+    found = view.positions[np.isfinite(view.positions)]
+    limit = ReadConfig().largest_share
+    if len(found) and np.abs(found).max() <= limit:
+        raise MismatchError(f"{view.source}: expected positions in pixels, found none above {limit}; say --image-size WIDTHxHEIGHT if they are shares of it")
+
+
 def _sized(view: Keypoints2D, camera: Camera) -> Camera:
     """The camera, with the image size of the keypoint file where it has none. Raises MismatchError when they differ."""
     remedy = "scale the intrinsics to the images of the keypoints"
     typical = np.nanpercentile(view.positions, _TYPICAL, axis=(0, 1, 2))
-    if np.nanmax(np.abs(view.positions)) <= 1.5:
-        raise MismatchError(f"{view.source}: expected positions in pixels, found none above 1.5; multiply normalised positions by the image size")
+    check_pixels(view)
     if (0, 0) in (view.image_size, camera.size):
         if camera.size != (0, 0) and (typical > _OUTSIDE * np.array(camera.size)).any():
             found = f"detections at ({typical[0]:.0f}, {typical[1]:.0f})"

@@ -184,16 +184,53 @@ def test_10_openpose_s_other_lengths_are_known(tmp_path):
     assert read_keypoints([tmp_path])[0].keypoints[1] == "Neck"
 
 
-def test_11_normalised_positions_are_refused(tmp_path):
+def write_shares(folder, least=0.0):
+    """OpenPose's files with keypoint_scale 3, or 4 where the least is -1."""
     for camera in "ab":
-        (tmp_path / f"{camera}_json").mkdir()
-        people = [{"pose_keypoints_2d": np.random.default_rng(ord(camera)).uniform(0, 1, 54).tolist()}]
-        (tmp_path / f"{camera}_json" / "0.json").write_text(json.dumps({"people": people}))
-    status, report = inspected(tmp_path)
+        (folder / f"{camera}_json").mkdir()
+        people = [{"pose_keypoints_2d": np.random.default_rng(ord(camera)).uniform(least, 1, 54).tolist()}]
+        (folder / f"{camera}_json" / "0.json").write_text(json.dumps({"people": people}))
+    return folder
+
+
+def test_11_normalised_positions_are_refused(tmp_path, tool):
+    status, report = inspected(write_shares(tmp_path))
     assert status == 1
-    assert sum("no pixels" in text for text in said(report, "CRITICAL")) == 2
+    assert sum("expected positions in pixels" in text for text in said(report, "CRITICAL")) == 2
+    done = tool("convert", tmp_path, tmp_path / "out", "--to", "coco")
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    assert "--image-size" in done.stderr
+    assert not (tmp_path / "out").exists()
     with pytest.raises(MismatchError, match="pixels"):
         make_recording(read_keypoints([tmp_path]), (CAMERA, replace(CAMERA, name="b")), load_skeleton("people"), {})
+
+
+def test_11_the_image_size_makes_pixels_of_shares_in_any_format(tmp_path, tool):
+    """The remedy that `run`, `inspect` and `convert` name works in each: they read alike."""
+    shares, pixels = (read_keypoints([path], options=options) for path, options in ((write_shares(tmp_path), None), (tmp_path, ReadOptions(image_size=SIZE))))
+    for share, pixel in zip(shares, pixels, strict=True):
+        np.testing.assert_allclose(pixel.positions, share.positions * SIZE)
+        assert pixel.image_size == SIZE
+    assert not any("pixels" in text for text in said(inspected(tmp_path, "--image-size", "640x480")[1], "CRITICAL"))
+    done = tool("convert", tmp_path, tmp_path / "out", "--to", "coco", "--image-size", "640x480")
+    assert done.returncode == 0, done.stderr
+    np.testing.assert_allclose(read_keypoints([tmp_path / "out"])[0].positions, pixels[0].positions)
+
+
+def test_11_an_image_size_leaves_pixels_alone_and_is_kept_where_the_file_has_none(tmp_path):
+    (tmp_path / "a.csv").write_text("frame,keypoint,x,y\n0,nose,12.5,300\n")
+    (view,) = read_keypoints([tmp_path], options=ReadOptions(image_size=SIZE))
+    assert (view.positions.ravel().tolist(), view.image_size) == ([12.5, 300], SIZE)
+    (view,) = read_keypoints([write_coco(tmp_path, "b") / "b.json"], options=ReadOptions(image_size=(8, 8)))
+    assert view.image_size == SIZE
+
+
+def test_11_another_scale_or_another_image_size_than_the_file_s_is_refused(tmp_path):
+    with pytest.raises(MismatchError, match="from 0 to 1"):
+        read_keypoints([write_shares(tmp_path, least=-1.0)], options=ReadOptions(image_size=SIZE))
+    (tmp_path / "b.json").write_bytes(coco_bytes([0], ["nose"], np.full((1, 1, 1, 2), 0.5), np.ones((1, 1, 1)), SIZE))
+    with pytest.raises(MismatchError, match="expected images of 640x480, as the file says, found --image-size 8x8"):
+        read_keypoints([tmp_path / "b.json"], options=ReadOptions(image_size=(8, 8)))
 
 
 def test_11_shares_of_the_image_need_its_size_and_pixels_are_no_shares(tmp_path):
@@ -404,7 +441,9 @@ def test_20_cameras_without_a_valid_point_are_named_and_stop_a_run_of_two(tmp_pa
 
 
 @pytest.mark.parametrize(
-    "option", [("--image-size", "wide"), ("--frame-offset", "3"), ("--frame-offset", "a:x"), ("--crop-offset", "a:1"), ("--camera-regex", "(")]
+    "option",
+    [("--image-size", text) for text in ("wide", "-640x480", "0x480")]
+    + [("--frame-offset", "3"), ("--frame-offset", "a:x"), ("--crop-offset", "a:1"), ("--camera-regex", "(")],
 )
 def test_options_that_make_no_sense_are_usage_errors(tmp_path, option):
     done = CliRunner().invoke(command, [str(write_coco(tmp_path, "ab")), *option])

@@ -18,6 +18,7 @@ from mocap_calib.io.formats_cameras import CAMERA_FORMAT_NAMES, CAMERA_FORMATS, 
 from mocap_calib.io.formats_poses import POSE_FORMAT_NAMES, POSE_FORMATS, format_poses, parse_poses, pose_format, sniff_poses, together, write_poses
 from mocap_calib.io.pose_formats.common import PoseFile, turned
 from mocap_calib.io.reading import read_bytes
+from mocap_calib.recording import check_pixels
 from mocap_calib.types import CameraRig
 from mocap_calib_cli import inputs as reading_inputs
 from mocap_calib_cli import outputs
@@ -203,6 +204,8 @@ def _keypoints(wish: Wish, target: str, content: bytes | None) -> list[str]:
             path = Path(work) / "stdin"
             path.write_bytes(content)
             views = reading_inputs.read_views([str(path)], given)
+    for view in views:
+        check_pixels(view)
     if wish.output == STDIO:
         with tempfile.TemporaryDirectory() as work:
             write_keypoints(Path(work) / "out", views, target)

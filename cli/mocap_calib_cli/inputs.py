@@ -56,8 +56,12 @@ def read_options(given: Mapping[str, Any]) -> ReadOptions:
 
 
 def image_size(text: str | None) -> tuple[int, int]:
-    """(width, height) of `WxH`, (0, 0) where there is none."""
-    width, height = _numbers((text or "0x0").lower().replace("x", ","), 2, "--image-size")
+    """(width, height) of `WxH`, (0, 0) where there is none. Raises click's BadParameter."""
+    if text is None:
+        return 0, 0
+    width, height = _numbers(text.lower().replace("x", ","), 2, "--image-size")
+    if min(width, height) <= 0:
+        raise click.BadParameter(f"expected a width and a height above 0, as 1280x720, found {text}", param_hint="--image-size")
     return int(width), int(height)
 
 

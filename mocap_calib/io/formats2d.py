@@ -28,7 +28,7 @@ from mocap_calib.io import (
     superanimal,
     ultralytics,
 )
-from mocap_calib.io.adjust2d import moved, split_views
+from mocap_calib.io.adjust2d import in_pixels, moved, split_views
 from mocap_calib.io.atomic import folder, write_bytes
 from mocap_calib.io.contained import contained
 from mocap_calib.io.document import Document, Item, ReadOptions, describe
@@ -183,5 +183,5 @@ def _read(item: Item, name: str | None, options: ReadOptions) -> tuple[Keypoints
         views = (replace(views[0], camera=item.camera),)
     if not all(view.camera for view in views):
         raise malformed(str(item.path), f"a camera in the path by the pattern {options.camera_pattern}", "none", "change --camera-regex")
-    split = (view for whole in views for view in split_views(whole, options.views))
+    split = (in_pixels(view, options.image_size) for whole in views for view in split_views(whole, options.views))
     return tuple(map(_lean, split)) if options.single_precision else tuple(split)
