@@ -14,6 +14,8 @@ from mocap_calib.types import Bools, Camera, Ints, Keypoints2D, LiftedPoses, Rea
 
 Some = TypeVar("Some", bound=Recording)
 
+LEAST_JOINTS = 4  # that show how a body is turned
+_CROWD = 0.2  # share of images with several detections; below it they are false ones
 _OUTSIDE = 1.5  # detections this many image sizes from the corner were made at another resolution
 _BLOCK = 4096  # frames at a time, so that long recordings need no more memory than they hold
 _TYPICAL = 99.0  # percentile that stands for the largest value, so that one wild point does not count
@@ -34,7 +36,7 @@ def make_recording(views: Sequence[Keypoints2D], cameras: Sequence[Camera], skel
         raise MismatchError(f"expected detections of two cameras or more, found those of {len(paired)} ({found}); add the other keypoint files")
     kept = [_sized(view, camera) for view, camera in paired]
     views = [view for view, _ in paired]
-    frames, keys = _shared_frames(views), _keys(views, skeleton, aliases)
+    frames, keys = _shared_frames(views), meanings(views, skeleton, aliases)
     columns = _shared_keypoints(views, keys)
     shape = (len(views), len(frames), max(view.positions.shape[1] for view in views), len(columns))
     positions, confidence = np.full((*shape, 2), np.nan, dtype=np.float32), np.zeros(shape, dtype=np.float32)
@@ -145,8 +147,8 @@ def _shared_frames(views: Sequence[Keypoints2D]) -> Ints:
     return np.asarray(numbers[counts >= 2], dtype=np.int64)
 
 
-def _keys(views: Sequence[Keypoints2D], skeleton: Skeleton, aliases: Mapping[str, str]) -> dict[str, str]:
-    """What each keypoint name means: a joint of the skeleton, else the name itself; both normalised.
+def meanings(views: Sequence[Keypoints2D], skeleton: Skeleton, aliases: Mapping[str, str]) -> dict[str, str]:
+    """Name -> what each keypoint name means: a joint of the skeleton, else the name itself; both normalised.
 
     A name that is not alone in its meaning in one of the files (`thorax` beside `neck`, `l_ear` beside `LeftEar`)
     means only itself, in all files.
@@ -176,6 +178,22 @@ def _shared_keypoints(views: Sequence[Keypoints2D], keys: Mapping[str, str]) -> 
         listed = "; ".join(f"{view.camera}: {', '.join(view.keypoints[:12])}" for view in views)
         raise MismatchError(f"expected keypoint names that two cameras share, found {listed}; rename them, or map them with --skeleton")
     return shared
+
+
+def check_shared(keypoints: Sequence[str]) -> None:
+    """Raises MismatchError where two views have too few keypoints in common for a calibration."""
+    if len(keypoints) < LEAST_JOINTS:
+        raise MismatchError(f"expected at least {LEAST_JOINTS} joints that two views have in common, found {', '.join(keypoints)}; detect more")
+
+
+def check_joints(recording: Recording) -> None:
+    """Raises MismatchError where there are too few keypoints, or where a crowd asks for a model and it knows too few of them."""
+    check_shared(recording.keypoints)
+    known = int((recording.vocabulary >= 0).sum())
+    crowded = (recording.seen.any(-1).sum(-1) > 1).mean() > _CROWD
+    if known < LEAST_JOINTS and crowded and not recording.tracked.all():
+        names = ", ".join(recording.keypoints)
+        raise MismatchError(f"expected at least {LEAST_JOINTS} joint names that the model knows, found {known} among {names}; map them with --skeleton")
 
 
 def _put_on_clock(view: Keypoints2D, camera: Camera, frames: Ints, keys: Sequence[str], columns: Sequence[str], *, positions: Reals, confidence: Reals) -> None:

@@ -21,15 +21,22 @@ from mocap_calib.types import Camera
 from mocap_calib_cli.commands.inspect import command
 
 CAMERA = Camera("a", SIZE, np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]), np.zeros(5), False)
+ENOUGH = (*NAMES, "right_ear")  # for a calibration
 OTHERS = ["run", "pairwise", "match", "adjust", "triangulate"]
+
+
+def detections(keypoints):
+    """`[frame, 1, keypoint, 2]` positions and `[frame, 1, keypoint]` confidences, all there."""
+    positions = np.random.default_rng(0).uniform(5, 400, (len(FRAMES), 1, keypoints, 2))
+    return positions, np.full(positions.shape[:3], 0.8)
 
 
 def write_coco(folder, cameras, frames=FRAMES, **changes):
     """A COCO file per camera, each with its own random detections."""
     for k, name in enumerate(cameras):
         own = frames[name] if isinstance(frames, dict) else frames
-        positions = np.random.default_rng(k).uniform(5, 400, (len(own), 1, len(NAMES), 2))
-        (folder / f"{name}.json").write_bytes(coco_bytes(own, NAMES, positions, np.full(positions.shape[:3], 0.8), SIZE, **changes))
+        positions = np.random.default_rng(k).uniform(5, 400, (len(own), 1, len(ENOUGH), 2))
+        (folder / f"{name}.json").write_bytes(coco_bytes(own, ENOUGH, positions, np.full(positions.shape[:3], 0.8), SIZE, **changes))
     return folder
 
 
@@ -112,9 +119,9 @@ def test_5_files_without_scores_say_so(tmp_path, name):
 
 
 def test_6_scores_beyond_1_are_kept_scaled_and_warned_of(tmp_path):
-    positions, confidence = recording(missing=0)
+    positions, confidence = detections(len(ENOUGH))
     for name in "ab":
-        (tmp_path / f"{name}.json").write_bytes(coco_bytes(FRAMES, NAMES, positions + (name == "b"), 6 * confidence, SIZE))
+        (tmp_path / f"{name}.json").write_bytes(coco_bytes(FRAMES, ENOUGH, positions + (name == "b"), 6 * confidence, SIZE))
     status, report = inspected(tmp_path)
     assert status == 0
     assert report["cameras"][0]["confidence"]["most"] == pytest.approx(6 * confidence.max())
@@ -151,16 +158,16 @@ def test_8_unique_body_parts_are_nobody_and_that_is_said(tmp_path):
 
 
 def test_9_names_are_matched_by_meaning_and_differences_listed(tmp_path):
-    positions, confidence = recording(missing=0)
-    for camera, names in (("a", ("Nose", "LEar", "tail")), ("b", ("nose", "left_ear", "horn"))):
+    positions, confidence = detections(5)
+    for camera, names in (("a", ("Nose", "LEar", "REar", "Neck", "tail")), ("b", ("nose", "left_ear", "right_ear", "neck", "horn"))):
         (tmp_path / f"{camera}.json").write_bytes(coco_bytes(FRAMES, names, positions + len(names[0]), confidence, SIZE))
         positions = positions + 1
     status, report = inspected(tmp_path)
     assert status == 0
-    assert report["pairs"][0]["joints"] == 2
+    assert report["pairs"][0]["joints"] == 4
     assert any("tail (a), horn (b)" in text and "--skeleton" in text for text in said(report, "WARNING"))
-    (tmp_path / "b.json").write_bytes(coco_bytes(FRAMES, ("x1", "x2", "x3"), positions, confidence, SIZE))
-    (tmp_path / "a.json").write_bytes(coco_bytes(FRAMES, ("y1", "y2", "y3"), positions + 2, confidence, SIZE))
+    (tmp_path / "b.json").write_bytes(coco_bytes(FRAMES, ("x1", "x2", "x3", "x4", "x5"), positions, confidence, SIZE))
+    (tmp_path / "a.json").write_bytes(coco_bytes(FRAMES, ("y1", "y2", "y3", "y4", "y5"), positions + 2, confidence, SIZE))
     status, report = inspected(tmp_path)
     assert status == 1
     assert any("no two cameras share" in text for text in said(report, "CRITICAL"))
@@ -427,14 +434,14 @@ def test_18_literals_marks_and_line_ends(tmp_path):
 
 
 def test_20_cameras_without_a_valid_point_are_named_and_stop_a_run_of_two(tmp_path):
-    positions, confidence = recording(missing=0)
+    positions, confidence = detections(len(ENOUGH))
     for name, scores in (("a", confidence), ("b", np.zeros_like(confidence))):
-        (tmp_path / f"{name}.json").write_bytes(coco_bytes(FRAMES, NAMES, positions, scores, SIZE))
+        (tmp_path / f"{name}.json").write_bytes(coco_bytes(FRAMES, ENOUGH, positions, scores, SIZE))
     status, report = inspected(tmp_path)
     assert status == 1
     assert any(text.startswith("b: no valid point") for text in said(report, "WARNING"))
     assert any("found those of 1 (a)" in text for text in said(report, "CRITICAL"))
-    (tmp_path / "b.json").write_bytes(coco_bytes(FRAMES, NAMES, positions + 1, confidence / 100, SIZE))
+    (tmp_path / "b.json").write_bytes(coco_bytes(FRAMES, ENOUGH, positions + 1, confidence / 100, SIZE))
     status, report = inspected(tmp_path)
     assert status == 0
     assert any(text.startswith("b: half of the scores") for text in said(report, "WARNING"))

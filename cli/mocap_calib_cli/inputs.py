@@ -15,6 +15,7 @@ import click
 import numpy as np
 
 from mocap_calib.errors import FormatError
+from mocap_calib.inspection import alone_in_naming, said_of_alone
 from mocap_calib.io.camera_formats.source import CameraFile
 from mocap_calib.io.cameras import load_cameras, make_rig, parse_content
 from mocap_calib.io.document import ReadOptions
@@ -24,7 +25,7 @@ from mocap_calib.io.layouts import parse_layout
 from mocap_calib.io.reading import decode
 from mocap_calib.io.results import read_matches_csv
 from mocap_calib.pairwise import PairSolver
-from mocap_calib.recording import make_recording, name_mapping, of_cameras
+from mocap_calib.recording import make_recording, meanings, name_mapping, of_cameras, usable
 from mocap_calib.skeleton import SHIPPED, choose_skeleton, load_aliases, load_skeleton, match_names
 from mocap_calib.types import Camera, CameraRig, Ints, Keypoints2D, LiftedPoses, Matches, Recording, Sample, Skeleton
 from mocap_calib_cli.options import STDIO
@@ -107,9 +108,10 @@ def read_recording(
     views = read_views(arguments, reading, single_precision=True)
     if placed:
         views = of_cameras(views, cameras) or views
-    vocabulary, aliases = _asked(model, skeleton) if model else _fitting(views, skeleton)
+    vocabulary, aliases = _asked(model, skeleton) if model else fitting(views, skeleton)
     recording = make_recording(views, cameras, vocabulary, aliases)
-    reporter.say(*_mapping(views, cameras, recording, vocabulary.name), *_doubled(arguments))
+    alone = alone_in_naming(usable(views), meanings(usable(views), vocabulary, aliases))
+    reporter.say(*_mapping(views, cameras, recording, vocabulary.name), *([said_of_alone(alone)] if alone else []), *_doubled(arguments))
     return recording, model or vocabulary.name
 
 
@@ -121,7 +123,7 @@ def _asked(model: str, path: Path | None) -> tuple[Skeleton, dict[str, str]]:
     return known, load_aliases(path, known) if path else {}
 
 
-def _fitting(views: Sequence[Keypoints2D], path: Path | None) -> tuple[Skeleton, dict[str, str]]:
+def fitting(views: Sequence[Keypoints2D], path: Path | None) -> tuple[Skeleton, dict[str, str]]:
     """The shipped skeleton that knows most of the joints, by the names they have or a file gives them; and those names.
 
     Raises FormatError where no skeleton has the joints that the file names.
@@ -183,9 +185,14 @@ def rig_of(path: str, option: str = "--rig") -> CameraRig:
     return make_rig(_loaded(path, option), "stdin" if path == STDIO else path)
 
 
+def camera_file(path: str, option: str) -> CameraFile:
+    """What a file or folder, or stdin, says of cameras. Raises FormatError."""
+    return parse_content(read_stdin(option).encode(), "stdin") if path == STDIO else load_cameras(Path(path))
+
+
 def _loaded(path: str, option: str) -> CameraFile:
-    """What a file says of cameras; what it lacks is said on stderr."""
-    found = parse_content(read_stdin(option).encode(), "stdin") if path == STDIO else load_cameras(Path(path))
+    """The same; what it lacks is said on stderr."""
+    found = camera_file(path, option)
     for note in () if click.get_current_context().params.get("quiet") else found.notes:
         click.echo(note, err=True)
     return found
