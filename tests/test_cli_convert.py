@@ -89,6 +89,35 @@ def test_keypoints_go_round(tool, tmp_path):
         assert np.isfinite(before.positions).sum() == np.isfinite(after.positions).sum()
 
 
+def test_what_is_remarked_and_lost_of_keypoints_is_said(tool, tmp_path):
+    for camera in "ab":
+        (tmp_path / f"{camera}.csv").write_text("frame,individual,keypoint,x,y\n0,anna,nose,3,4\n0,bert,nose,5,6\n1,anna,nose,7,8\n")
+    done = tool("convert", tmp_path, tmp_path / "out", "--to", "openpose")
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.splitlines() == [
+        "a, b: no scores in the file: every point counts fully",
+        "2 cameras, 4 frames as openpose",
+        "openpose does not hold the names of keypoints",
+        "openpose does not hold who is who from frame to frame",
+        "openpose does not hold that there are no scores: each point gets 1",
+    ]
+    assert tool("convert", tmp_path, tmp_path / "quiet", "--to", "openpose", "-q").stderr == ""
+
+
+def test_a_file_that_would_pass_for_a_further_individual_is_refused_and_stays(tool, tmp_path):
+    """It may be another recording of that name, or the input itself."""
+    for count in (2, 1):
+        write_poses(tmp_path / f"{count}.npz", poses(count), "npz")
+    assert tool("convert", tmp_path / "2.npz", tmp_path / "st.trc").returncode == 0
+    before = (tmp_path / "st.trc").read_bytes()
+    done = tool("convert", tmp_path / "1.npz", tmp_path / "st.trc")
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    assert "st_1.trc: expected no file of a further individual" in done.stderr
+    assert (tmp_path / "st.trc").read_bytes() == before
+    (tmp_path / "st_1.trc").unlink()
+    assert tool("convert", tmp_path / "1.npz", tmp_path / "st.trc").returncode == 0
+
+
 def test_keypoints_go_through_pipes():
     content = next((EXAMPLE / "keypoints").glob("*.json")).read_bytes()
     done = subprocess.run([TOOL, "convert", "-", "-", "--from", "coco", "--to", "csv"], input=content, capture_output=True, check=False)

@@ -2,7 +2,7 @@
 
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from mocap_calib.io.formats_poses import POSE_FORMAT_NAMES, POSE_FORMATS, format
 from mocap_calib.io.pose_formats.common import PoseFile, turned
 from mocap_calib.io.reading import read_bytes
 from mocap_calib.recording import check_pixels
-from mocap_calib.types import CameraRig
+from mocap_calib.types import CameraRig, Keypoints2D
 from mocap_calib_cli import inputs as reading_inputs
 from mocap_calib_cli import outputs
 from mocap_calib_cli.options import STDIO
@@ -169,6 +169,8 @@ def _poses(wish: Wish, target: str, content: bytes | None) -> list[str]:
         files, lost = format_poses(file, target, Path("stdout"))
         _to_stdout(files, target)
     else:
+        if pose_format(target).single:
+            outputs.check_individuals(Path(wish.output), len(file.individuals))
         lost = write_poses(Path(wish.output), file, target)
     frames, individuals, keypoints = file.poses.positions.shape[:3]
     return _said(f"{frames} frames, {individuals} individuals, {keypoints} keypoints", target, file.notes, lost)
@@ -208,13 +210,23 @@ def _keypoints(wish: Wish, target: str, content: bytes | None) -> list[str]:
         check_pixels(view)
     if wish.output == STDIO:
         with tempfile.TemporaryDirectory() as work:
-            write_keypoints(Path(work) / "out", views, target)
+            lost = write_keypoints(Path(work) / "out", views, target)
             files = {file.name: file.read_bytes() for file in sorted((Path(work) / "out").rglob("*")) if file.is_file()}
         _to_stdout(files, target)
     else:
-        write_keypoints(Path(wish.output), views, target)
+        lost = write_keypoints(Path(wish.output), views, target)
     frames = sum(len(view.frames) for view in views)
-    return _said(f"{len(views)} cameras, {frames} frames", target, (), ())
+    notes = (*reading_inputs.doubled(wish.inputs), *_remarks(views))
+    return _said(f"{len(views)} camera{'s' if len(views) > 1 else ''}, {frames} frames", target, notes, lost)
+
+
+def _remarks(views: Sequence[Keypoints2D]) -> list[str]:
+    """What the readers remark, each line once, with the cameras that it is of."""
+    cameras: dict[str, list[str]] = {}
+    for view in views:
+        for remark in view.remarks:
+            cameras.setdefault(remark, []).append(view.camera)
+    return [f"{', '.join(names)}: {remark}" for remark, names in cameras.items()]
 
 
 # --- for `run`

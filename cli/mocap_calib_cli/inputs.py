@@ -111,7 +111,7 @@ def read_recording(
     vocabulary, aliases = _asked(model, skeleton) if model else fitting(views, skeleton)
     recording = make_recording(views, cameras, vocabulary, aliases)
     alone = alone_in_naming(usable(views), meanings(usable(views), vocabulary, aliases))
-    reporter.say(*_mapping(views, cameras, recording, vocabulary.name), *([said_of_alone(alone)] if alone else []), *_doubled(arguments))
+    reporter.say(*_mapping(views, cameras, recording, vocabulary.name), *([said_of_alone(alone)] if alone else []), *doubled(arguments))
     return recording, model or vocabulary.name
 
 
@@ -164,7 +164,7 @@ def _mapping(views: Sequence[Keypoints2D], cameras: tuple[Camera, ...], recordin
     return lines
 
 
-def _doubled(arguments: Sequence[str]) -> list[str]:
+def doubled(arguments: Sequence[str]) -> list[str]:
     """A line that says which files of the folders are left out for their .h5, if any."""
     doubles = [str(file) for folder in map(Path, arguments) if folder.is_dir() for file in twins(folder)]
     return [f"left out, the .h5 beside it is read: {', '.join(doubles)}"] if doubles else []

@@ -29,10 +29,11 @@ from mocap_calib.io import (
     ultralytics,
 )
 from mocap_calib.io.adjust2d import in_pixels, moved, split_views
-from mocap_calib.io.atomic import folder, write_bytes
+from mocap_calib.io.atomic import check_alone, folder, write_bytes
 from mocap_calib.io.contained import contained
 from mocap_calib.io.document import Document, Item, ReadOptions, describe
-from mocap_calib.io.items import keypoint_items
+from mocap_calib.io.items import FOLDER_SUFFIXES, keypoint_items
+from mocap_calib.io.losses2d import FOLLOWED, GAPS, MIXED, NAMES, SCORES, SIZES, Loss
 from mocap_calib.io.reading import malformed
 from mocap_calib.types import Keypoints2D
 
@@ -45,7 +46,7 @@ class KeypointFormat:
 
     sniff: whether a file is meant for it, which its reader may still refuse. read: the cameras in a file or folder.
     write: relative path -> content of what holds these cameras, or None. per_frame: a file holds one frame, a folder
-    one camera.
+    one camera. ending: of the files that are written. lacks: what a written file has no place for.
     """
 
     description: str
@@ -53,27 +54,46 @@ class KeypointFormat:
     read: Callable[[Item, ReadOptions], tuple[Keypoints2D, ...]]
     write: Writer | None = None
     per_frame: bool = False
+    ending: str = ""
+    lacks: tuple[Loss, ...] = ()
 
 
 # the first whose sniff says yes reads the file
 KEYPOINT_FORMATS = {
-    "coco": KeypointFormat("COCO annotations .json", coco.sniff, coco.read, coco_writer.write),
-    "openpose": KeypointFormat("OpenPose .json, a folder per camera", openpose.sniff, openpose.read, openpose.write, per_frame=True),
+    "coco": KeypointFormat("COCO annotations .json", coco.sniff, coco.read, coco_writer.write, ending=".json", lacks=(FOLLOWED, SCORES)),
+    "openpose": KeypointFormat(
+        "OpenPose .json, a folder per camera",
+        openpose.sniff,
+        openpose.read,
+        openpose.write,
+        per_frame=True,
+        ending=".json",
+        lacks=(NAMES, FOLLOWED, SIZES, SCORES),
+    ),
     "mmpose-images": KeypointFormat("MMPose .json of images, a folder per camera", mmpose.sniff_image, mmpose.read_images, per_frame=True),
     "mmpose": KeypointFormat("MMPose and RTMPose .json of a video", mmpose.sniff_video, mmpose.read_video),
     "superanimal": KeypointFormat("DeepLabCut SuperAnimal .json", superanimal.sniff, superanimal.read),
     "coco-results": KeypointFormat("COCO results .json", results_json.sniff_coco, results_json.read_coco),
     "alphapose": KeypointFormat("AlphaPose .json", results_json.sniff_alphapose, results_json.read_alphapose),
-    "deeplabcut-h5": KeypointFormat("DeepLabCut .h5", deeplabcut_h5.sniff, deeplabcut_h5.read, deeplabcut_writer.write_h5),
-    "sleap": KeypointFormat("SLEAP analysis .h5", sleap_h5.sniff, sleap_h5.read, sleap_h5.write),
+    "deeplabcut-h5": KeypointFormat("DeepLabCut .h5", deeplabcut_h5.sniff, deeplabcut_h5.read, deeplabcut_writer.write_h5, ending=".h5", lacks=(SIZES, SCORES)),
+    "sleap": KeypointFormat("SLEAP analysis .h5", sleap_h5.sniff, sleap_h5.read, sleap_h5.write, ending=".h5", lacks=(SIZES, GAPS, SCORES)),
     "sleap-slp": KeypointFormat("SLEAP .slp", sleap_slp.sniff, sleap_slp.read),
-    "movement": KeypointFormat("movement .nc", movement_nc.sniff, movement_nc.read, movement_nc.write),
+    "movement": KeypointFormat("movement .nc", movement_nc.sniff, movement_nc.read, movement_nc.write, ending=".nc", lacks=(SIZES, SCORES)),
     "nwb": KeypointFormat("NWB ndx-pose .nwb", nwb.sniff, nwb.read),
     "label3d": KeypointFormat("Label3D .mat", label3d.sniff, label3d.read),
-    "deeplabcut-csv": KeypointFormat("DeepLabCut and Lightning Pose .csv", deeplabcut_csv.sniff, deeplabcut_csv.read, deeplabcut_writer.write_csv),
+    "deeplabcut-csv": KeypointFormat(
+        "DeepLabCut and Lightning Pose .csv", deeplabcut_csv.sniff, deeplabcut_csv.read, deeplabcut_writer.write_csv, ending=".csv", lacks=(SIZES, SCORES)
+    ),
     "sleap-csv": KeypointFormat("SLEAP analysis .csv", sleap_csv.sniff, sleap_csv.read),
     "caliscope": KeypointFormat("caliscope .csv", caliscope.sniff, caliscope.read),
-    "csv": KeypointFormat("csv with a row per point (camera,frame,individual,keypoint,x,y,score)", generic_csv.sniff, generic_csv.read, generic_csv.write),
+    "csv": KeypointFormat(
+        "csv with a row per point (camera,frame,individual,keypoint,x,y,score)",
+        generic_csv.sniff,
+        generic_csv.read,
+        generic_csv.write,
+        ending=".csv",
+        lacks=(MIXED, SIZES, SCORES),
+    ),
     "ultralytics": KeypointFormat("Ultralytics .txt, a folder per camera", ultralytics.sniff, ultralytics.read, per_frame=True),
 }
 
@@ -127,24 +147,27 @@ def _check_once(found: list[tuple[str, str]]) -> None:
         raise MismatchError(f"expected one keypoint file per camera, found {files} for camera {twice}; leave one out, or say name=path")
 
 
-def write_keypoints(path: Path, views: tuple[Keypoints2D, ...], format: str) -> None:
-    """Writes the cameras as `format` has them, whole or not at all.
+def write_keypoints(path: Path, views: tuple[Keypoints2D, ...], format: str) -> tuple[str, ...]:
+    """Writes the cameras as `format` has them, whole or not at all, and returns what of the views it does not hold.
 
     A format with one file for all of them writes `path`; others fill the folder `path`. Raises MismatchError where the
-    format has no writer, or no place for what the views hold.
+    format has no writer or cannot hold the detections, and where the folder has files of another recording.
     """
-    writer = _known(format).write
-    if writer is None:
+    known_format = _known(format)
+    if known_format.write is None:
         known = ", ".join(name for name, each in KEYPOINT_FORMATS.items() if each.write)
         raise MismatchError(f"expected a keypoint format that is written ({known}), found {format}; choose one of those")
-    files = writer(views)
+    files = known_format.write(views)
+    lost = tuple(loss.what for loss in known_format.lacks if loss.has(views))
     if len(files) == 1 and path.suffix:
         write_bytes(path, next(iter(files.values())))
-        return
+        return lost
+    check_alone(path, files, FOLDER_SUFFIXES)
     with folder(path) as work:
         for name, content in files.items():
             (work / name).parent.mkdir(parents=True, exist_ok=True)
             (work / name).write_bytes(content)
+    return lost
 
 
 def _known(name: str) -> KeypointFormat:
