@@ -133,6 +133,19 @@ def read_what_can(
     return (tuple(views) if errors else moved(views, options)), errors
 
 
+def looks_like_keypoints(path: Path) -> bool:
+    """Whether the first file, or folder of frames, in a file or folder is of one of the formats."""
+    try:
+        item = keypoint_items([path], ReadOptions(), lambda item: _per_frame(item, None))[0]
+        return contained(item.document.content, str(item.path), _sniffed, item)
+    except MocapCalibError:
+        return False
+
+
+def _sniffed(item: Item) -> bool:
+    return any(known.sniff(item.document) for known in KEYPOINT_FORMATS.values())
+
+
 def _lean(view: Keypoints2D) -> Keypoints2D:
     """The same in single precision."""
     return replace(view, positions=view.positions.astype(np.float32), confidence=view.confidence.astype(np.float32))
@@ -180,7 +193,7 @@ def _format(document: Document, name: str | None) -> KeypointFormat:
     """The format that is named, or that the content shows. Raises FormatError, also where the content cannot be what is named."""
     if name is not None:
         if not KEYPOINT_FORMATS[name].sniff(document):
-            raise malformed(document.source, KEYPOINT_FORMATS[name].description, describe(document), "leave out --format, or choose another")
+            raise malformed(document.source, KEYPOINT_FORMATS[name].description, describe(document), "name another format, or none")
         return KEYPOINT_FORMATS[name]
     for known in KEYPOINT_FORMATS.values():
         if known.sniff(document):
