@@ -112,10 +112,11 @@ def select_lifted(lifted: LiftedPoses, views: Ints) -> LiftedPoses:
 
 def check_pixels(view: Keypoints2D) -> None:
     """Raises MismatchError where the positions are shares of the image."""
-    found = view.positions[np.isfinite(view.positions)]
+    largest = max(np.nanmax(view.positions, initial=0.0), -np.nanmin(view.positions, initial=0.0))
     limit = ReadConfig().largest_share
-    if len(found) and np.abs(found).max() <= limit:
-        raise MismatchError(f"{view.source}: expected positions in pixels, found none above {limit}; say --image-size WIDTHxHEIGHT if they are shares of it")
+    if 0 < largest <= limit:
+        remedy = "say --image-size WIDTHxHEIGHT if they are shares of the image"
+        raise MismatchError(f"{view.source}: expected positions in pixels, found none above {limit}; {remedy}")
 
 
 def _sized(view: Keypoints2D, camera: Camera) -> Camera:

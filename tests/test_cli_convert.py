@@ -10,7 +10,7 @@ from conftest import TOOL
 from rigs import assert_same
 
 from mocap_calib.io.cameras import load_cameras, make_rig, read_rig
-from mocap_calib.io.formats2d import KEYPOINT_FORMATS, read_keypoints
+from mocap_calib.io.formats2d import KEYPOINT_FORMATS, read_keypoints, write_keypoints
 from mocap_calib.io.formats_cameras import CAMERA_FORMAT_NAMES, write_cameras
 from mocap_calib.io.formats_poses import POSE_FORMAT_NAMES, read_poses, write_poses
 from mocap_calib.io.pose_formats.common import PoseFile
@@ -165,6 +165,7 @@ def test_keypoints_go_through_pipes():
         (["dlc.csv", "x.csv"], 1, "say --to deeplabcut-csv or --to csv"),
         (["dlc.csv", "x.h5"], 1, "say --to deeplabcut-h5 or --to sleap"),
         (["dlc.csv", "x.nc", "--from", "coco"], 1, "name another format, or none"),
+        (["frames", "x.toml"], 1, "--to and one of coco, openpose"),
         (["dlc.csv", "x.nc", "--unit", "m"], 2, "--unit"),
         (["dlc.csv", "x.nc", "--fps", "30"], 2, "--fps"),
         (["a.toml", "b.yaml", "--up", "z"], 2, "--up"),
@@ -178,6 +179,7 @@ def test_keypoints_go_through_pipes():
 def test_what_cannot_be_is_one_line(tool, tmp_path, arguments, status, reason):
     write_cameras(tmp_path / "a.toml", rig(), "anipose")
     (tmp_path / "dlc.csv").write_text(DLC)
+    write_keypoints(tmp_path / "frames", read_keypoints([tmp_path / "dlc.csv"]), "openpose")
     write_poses(tmp_path / "p.npz", poses(), "npz")
     (tmp_path / "broken.json").write_text('{"frames": [')
     (tmp_path / "empty").write_text("")

@@ -115,12 +115,14 @@ def _shown(wish: Wish, content: bytes | None, kinds: set[str]) -> str:
 def _looks_like(kind: str, wish: Wish, content: bytes | None) -> bool:
     """Whether the first input shows this kind; a pipe that is named is not read for it. Raises FormatError where its JSON, TOML or YAML is broken."""
     path = Path(reading_inputs.plain_paths(wish.inputs)[0])
+    if kind == "keypoints":
+        return content is None and (path.is_dir() or path.is_file()) and looks_like_keypoints(path)
     first = min((file for file in path.iterdir() if file.is_file()), default=None) if path.is_dir() else path
     if content is None and (first is None or not first.is_file()):
         return False
     if kind == "poses":
         return sniff_poses(read_bytes(first) if content is None and first else content or b"") is not None
-    return looks_like_cameras(path, content) if kind == "cameras" else content is None and looks_like_keypoints(path)
+    return looks_like_cameras(path, content)
 
 
 def _target(wish: Wish, kind: str) -> str:
