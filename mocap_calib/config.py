@@ -158,11 +158,17 @@ class Config:
 
 
 @dataclass(frozen=True)
+class ReadConfig:
+    """What the numbers in keypoint files are taken for."""
+
+    largest_share: float = 1.5  # positions no larger than this are shares of the image, not pixels
+
+
+@dataclass(frozen=True)
 class InspectConfig:
     """What `inspect` calls worth a word."""
 
     cells: int = 10  # of the grid over the image, each way
-    normalised: float = 1.5  # positions no larger than this are shares of the image
     outside: float = 0.01  # share of the points outside the image
     enough_frames: int = 20  # that two cameras see together
     low_confidence: float = 0.1

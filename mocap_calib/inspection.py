@@ -7,11 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.config import InspectConfig
+from mocap_calib.config import InspectConfig, SampleConfig
 from mocap_calib.errors import MismatchError
-from mocap_calib.recording import make_recording, name_mapping, of_cameras
-from mocap_calib.skeleton import SHIPPED, choose_skeleton, load_skeleton, match_names, normalise_name
-from mocap_calib.types import Bools, Camera, Ints, Keypoints2D
+from mocap_calib.frames import informative
+from mocap_calib.recording import LEAST_JOINTS, check_joints, check_pixels, check_shared, make_recording, meanings, name_mapping, of_cameras, slice_frames
+from mocap_calib.skeleton import SHIPPED, normalise_name
+from mocap_calib.types import Bools, Camera, Ints, Keypoints2D, Skeleton
+
+_LISTED = 6  # names in one message
 
 
 @dataclass(frozen=True)
@@ -22,15 +25,18 @@ class Finding:
     message: str
 
 
-def inspect_views(views: Sequence[Keypoints2D], config: InspectConfig) -> dict[str, Any]:
-    """What the files hold, as plain numbers: `cameras`, `pairs`, and the `model` that knows most of the joints."""
-    names = tuple(dict.fromkeys(name for view in views for name in view.keypoints))
-    skeleton = choose_skeleton(names)
-    known = match_names(names, skeleton) >= 0
+def inspect_views(views: Sequence[Keypoints2D], skeleton: Skeleton, aliases: Mapping[str, str], config: InspectConfig) -> dict[str, Any]:
+    """What the files hold, as plain numbers: `cameras`, `pairs`, and how many of the joints the `model` of the skeleton knows by these aliases."""
+    meant = meanings(views, skeleton, aliases)
+    joints = {normalise_name(joint) for joint in skeleton.keypoints}
     return {
         "cameras": [_camera(view, config) for view in views],
-        "pairs": [_pair(a, b) for a, b in combinations(views, 2)],
-        "model": {"name": skeleton.name, "knows": int(known.sum()), "unknown": [n for n, k in zip(names, known, strict=True) if not k]},
+        "pairs": [_pair(a, b, meant) for a, b in combinations(views, 2)],
+        "model": {
+            "name": skeleton.name,
+            "knows": len(joints & set(meant.values())),
+            "unknown": [name for name, meaning in meant.items() if meaning not in joints],
+        },
     }
 
 
@@ -93,24 +99,35 @@ def _image(view: Keypoints2D, seen: Bools, config: InspectConfig) -> dict[str, A
     return {"size": list(view.image_size), "least": least.tolist(), "most": most.tolist(), "covered": covered, "outside": float((~inside).mean())}
 
 
-def _pair(a: Keypoints2D, b: Keypoints2D) -> dict[str, Any]:
+def _pair(a: Keypoints2D, b: Keypoints2D, meant: Mapping[str, str]) -> dict[str, Any]:
     """How much two cameras see together: frames that both have, frames in which both see somebody, joints that both name."""
     frames, in_a, in_b = np.intersect1d(a.frames, b.frames, return_indices=True)
     in_both = (np.asarray(_seen(view).any((1, 2)))[rows] for view, rows in ((a, in_a), (b, in_b)))
     both: Bools = np.logical_and(*in_both)
-    joints = {normalise_name(name) for name in a.keypoints} & {normalise_name(name) for name in b.keypoints}
+    joints = {meant[name] for name in a.keypoints} & {meant[name] for name in b.keypoints}
     return {"a": a.camera, "b": b.camera, "frames": len(frames), "covisible": int(both.sum()), "joints": len(joints)}
 
 
 def findings(
-    views: Sequence[Keypoints2D], report: Mapping[str, Any], cameras: Sequence[Camera], aliases: Mapping[str, str], config: InspectConfig
+    views: Sequence[Keypoints2D],
+    report: Mapping[str, Any],
+    cameras: Sequence[Camera],
+    skeleton: Skeleton,
+    aliases: Mapping[str, str],
+    config: InspectConfig,
 ) -> tuple[Finding, ...]:
     """What stands in the way, the critical first. Cameras may be none: then what needs them is not looked at."""
     usable = [view for view in views if _seen(view).any()]
-    found = [*_few(views, usable), *_scales(usable, config), *_clocks(usable, report, config), *_joints(usable, report), *_copies(usable)]
+    found = [
+        *_few(views, usable),
+        *_scales(usable, config),
+        *_clocks(usable, report, config),
+        *_joints(usable, report, meanings(usable, skeleton, aliases)),
+        *_copies(usable),
+    ]
     found += [Finding(False, message) for view in views for message in _worse(view, config)]
     if cameras and not any(each.critical for each in found):
-        found += _with_cameras(views, usable, cameras, aliases)
+        found += _with_cameras(views, cameras, skeleton, aliases)
     return tuple(sorted(found, key=lambda each: not each.critical))
 
 
@@ -129,9 +146,12 @@ def _scales(usable: Sequence[Keypoints2D], config: InspectConfig) -> list[Findin
     for view in usable:
         points = np.abs(view.positions[_seen(view)])
         outside = (points > np.array(view.image_size)).any(-1).mean() if view.image_size != (0, 0) else 0.0
-        if points.max() <= config.normalised:
-            found.append(Finding(True, f"{view.camera}: positions up to {points.max():.2f} are no pixels; multiply normalised positions by the image size"))
-        elif outside > config.outside:
+        try:
+            check_pixels(view)
+        except MismatchError as error:
+            found.append(Finding(True, str(error)))
+            continue
+        if outside > config.outside:
             size = f"{view.image_size[0]} x {view.image_size[1]}"
             found.append(Finding(False, f"{view.camera}: {outside:.0%} of the points lie outside its image of {size}; check its size, or say --crop-offset"))
     return found
@@ -162,28 +182,41 @@ def _clocks(usable: Sequence[Keypoints2D], report: Mapping[str, Any], config: In
     return found
 
 
-def _joints(usable: Sequence[Keypoints2D], report: Mapping[str, Any]) -> list[Finding]:
+def _joints(usable: Sequence[Keypoints2D], report: Mapping[str, Any], meant: Mapping[str, str]) -> list[Finding]:
     """Names that do not go together."""
-    owners: dict[str, list[str]] = {}
-    for view in usable:
-        for name in view.keypoints:
-            owners.setdefault(normalise_name(name), []).append(view.camera)
     if len(usable) < 2:
         return []
-    remedy = "rename them, or map them with --skeleton"
-    if all(len(set(cameras)) == 1 for cameras in owners.values()):
-        listed = "; ".join(f"{view.camera}: {', '.join(view.keypoints[:6])}, ..." for view in usable)
-        skeleton_knows = report["model"]["knows"] >= 1
-        return [Finding(not skeleton_knows, f"no two cameras share a keypoint name ({listed}); {remedy}")]
-    single = {name: cameras[0] for name, cameras in owners.items() if len(set(cameras)) == 1}
-    found = []
-    if single:
-        listed = ", ".join(f"{name} ({camera})" for name, camera in list(single.items())[:6]) + (", ..." if len(single) > 6 else "")
-        found.append(Finding(False, f"{len(single)} keypoints that a single camera names are not used: {listed}; {remedy}"))
-    if report["model"]["knows"] < 4:
+    remedy = "give them one name in all files, or map them with --skeleton where they are joints of a model (docs/skeletons.md)"
+    alone = alone_in_naming(usable, meant)
+    shared = {meant[name]: name for view in reversed(usable) for name in view.keypoints if name not in alone}
+    if not shared:
+        listed = "; ".join(f"{view.camera}: {', '.join(view.keypoints[:_LISTED])}, ..." for view in usable)
+        return [Finding(True, f"no two cameras share a keypoint name ({listed}); {remedy}")]
+    found = [Finding(False, f"{said_of_alone(alone)}; {remedy}")] if alone else []
+    try:
+        check_shared(tuple(shared.values()))
+    except MismatchError as error:
+        return [Finding(True, str(error)), *found]
+    if report["model"]["knows"] < LEAST_JOINTS:
         models = ", ".join(SHIPPED)
+        remedy = "map those that are joints of a model with --skeleton (docs/skeletons.md)"
         found.append(Finding(False, f"the models ({models}) know {report['model']['knows']} of the joints: calibrated by geometry alone; {remedy}"))
     return found
+
+
+def alone_in_naming(views: Sequence[Keypoints2D], meant: Mapping[str, str]) -> dict[str, str]:
+    """Name -> camera of the keypoints that a single view has; `meant` as by `recording.meanings`."""
+    owners: dict[str, set[str]] = {}
+    for view in views:
+        for name in view.keypoints:
+            owners.setdefault(meant[name], set()).add(view.camera)
+    return {name: view.camera for view in views for name in view.keypoints if len(owners[meant[name]]) == 1}
+
+
+def said_of_alone(alone: Mapping[str, str]) -> str:
+    """A line on these, shortened."""
+    listed = ", ".join(f"{name} ({camera})" for name, camera in list(alone.items())[:_LISTED]) + (", ..." if len(alone) > _LISTED else "")
+    return f"{len(alone)} keypoints that a single camera names are not used: {listed}"
 
 
 def _copies(usable: Sequence[Keypoints2D]) -> list[Finding]:
@@ -210,14 +243,12 @@ def _worse(view: Keypoints2D, config: InspectConfig) -> list[str]:
     return found
 
 
-def _with_cameras(views: Sequence[Keypoints2D], usable: Sequence[Keypoints2D], cameras: Sequence[Camera], aliases: Mapping[str, str]) -> list[Finding]:
+def _with_cameras(views: Sequence[Keypoints2D], cameras: Sequence[Camera], skeleton: Skeleton, aliases: Mapping[str, str]) -> list[Finding]:
     """What a run would say of the keypoints and cameras together."""
-    skeletons = [load_skeleton(name) for name in SHIPPED]
-    names = tuple(dict.fromkeys(aliases.get(name, name) for view in views for name in view.keypoints))
-    skeleton = max(skeletons, key=lambda each: int((match_names(names, each) >= 0).sum()))
     try:
-        make_recording(views, cameras, skeleton, aliases)
-        owners = {name for _, name in name_mapping(usable, cameras)}
+        recording = make_recording(views, cameras, skeleton, aliases)
+        check_joints(slice_frames(recording, informative(recording, SampleConfig())))
+        owners = {name for _, name in name_mapping(views, cameras)}
     except MismatchError as error:
         return [Finding(True, str(error))]
     idle = [camera.name for camera in cameras if camera.name not in owners]

@@ -6,6 +6,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from mocap_calib.config import ReadConfig
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.projection import rays_from_pixels
 from mocap_calib.skeleton import match_names, normalise_name
@@ -13,6 +14,8 @@ from mocap_calib.types import Bools, Camera, Ints, Keypoints2D, LiftedPoses, Rea
 
 Some = TypeVar("Some", bound=Recording)
 
+LEAST_JOINTS = 4  # that show how a body is turned
+_CROWD = 0.2  # share of images with several detections; below it they are false ones
 _OUTSIDE = 1.5  # detections this many image sizes from the corner were made at another resolution
 _BLOCK = 4096  # frames at a time, so that long recordings need no more memory than they hold
 _TYPICAL = 99.0  # percentile that stands for the largest value, so that one wild point does not count
@@ -33,7 +36,7 @@ def make_recording(views: Sequence[Keypoints2D], cameras: Sequence[Camera], skel
         raise MismatchError(f"expected detections of two cameras or more, found those of {len(paired)} ({found}); add the other keypoint files")
     kept = [_sized(view, camera) for view, camera in paired]
     views = [view for view, _ in paired]
-    frames, keys = _shared_frames(views), _keys(views, skeleton, aliases)
+    frames, keys = _shared_frames(views), meanings(views, skeleton, aliases)
     columns = _shared_keypoints(views, keys)
     shape = (len(views), len(frames), max(view.positions.shape[1] for view in views), len(columns))
     positions, confidence = np.full((*shape, 2), np.nan, dtype=np.float32), np.zeros(shape, dtype=np.float32)
@@ -107,12 +110,20 @@ def select_lifted(lifted: LiftedPoses, views: Ints) -> LiftedPoses:
     return LiftedPoses(lifted.body[views], lifted.centre[views], lifted.spread[views])
 
 
+def check_pixels(view: Keypoints2D) -> None:
+    """Raises MismatchError where the positions are shares of the image."""
+    largest = max(np.nanmax(view.positions, initial=0.0), -np.nanmin(view.positions, initial=0.0))
+    limit = ReadConfig().largest_share
+    if 0 < largest <= limit:
+        remedy = "say --image-size WIDTHxHEIGHT if they are shares of the image"
+        raise MismatchError(f"{view.source}: expected positions in pixels, found none above {limit}; {remedy}")
+
+
 def _sized(view: Keypoints2D, camera: Camera) -> Camera:
     """The camera, with the image size of the keypoint file where it has none. Raises MismatchError when they differ."""
     remedy = "scale the intrinsics to the images of the keypoints"
     typical = np.nanpercentile(view.positions, _TYPICAL, axis=(0, 1, 2))
-    if np.nanmax(np.abs(view.positions)) <= 1.5:
-        raise MismatchError(f"{view.source}: expected positions in pixels, found none above 1.5; multiply normalised positions by the image size")
+    check_pixels(view)
     if (0, 0) in (view.image_size, camera.size):
         if camera.size != (0, 0) and (typical > _OUTSIDE * np.array(camera.size)).any():
             found = f"detections at ({typical[0]:.0f}, {typical[1]:.0f})"
@@ -137,8 +148,8 @@ def _shared_frames(views: Sequence[Keypoints2D]) -> Ints:
     return np.asarray(numbers[counts >= 2], dtype=np.int64)
 
 
-def _keys(views: Sequence[Keypoints2D], skeleton: Skeleton, aliases: Mapping[str, str]) -> dict[str, str]:
-    """What each keypoint name means: a joint of the skeleton, else the name itself; both normalised.
+def meanings(views: Sequence[Keypoints2D], skeleton: Skeleton, aliases: Mapping[str, str]) -> dict[str, str]:
+    """Name -> what each keypoint name means: a joint of the skeleton, else the name itself; both normalised.
 
     A name that is not alone in its meaning in one of the files (`thorax` beside `neck`, `l_ear` beside `LeftEar`)
     means only itself, in all files.
@@ -168,6 +179,22 @@ def _shared_keypoints(views: Sequence[Keypoints2D], keys: Mapping[str, str]) -> 
         listed = "; ".join(f"{view.camera}: {', '.join(view.keypoints[:12])}" for view in views)
         raise MismatchError(f"expected keypoint names that two cameras share, found {listed}; rename them, or map them with --skeleton")
     return shared
+
+
+def check_shared(keypoints: Sequence[str]) -> None:
+    """Raises MismatchError where two views have too few keypoints in common for a calibration."""
+    if len(keypoints) < LEAST_JOINTS:
+        raise MismatchError(f"expected at least {LEAST_JOINTS} joints that two views have in common, found {', '.join(keypoints)}; detect more")
+
+
+def check_joints(recording: Recording) -> None:
+    """Raises MismatchError where there are too few keypoints, or where a crowd asks for a model and it knows too few of them."""
+    check_shared(recording.keypoints)
+    known = int((recording.vocabulary >= 0).sum())
+    crowded = (recording.seen.any(-1).sum(-1) > 1).mean() > _CROWD
+    if known < LEAST_JOINTS and crowded and not recording.tracked.all():
+        names = ", ".join(recording.keypoints)
+        raise MismatchError(f"expected at least {LEAST_JOINTS} joint names that the model knows, found {known} among {names}; map them with --skeleton")
 
 
 def _put_on_clock(view: Keypoints2D, camera: Camera, frames: Ints, keys: Sequence[str], columns: Sequence[str], *, positions: Reals, confidence: Reals) -> None:

@@ -1,9 +1,8 @@
 """The nouns of the program: frozen records, checked when made.
 
 Axis names, always in this order: view, frame, instance, individual, keypoint, coordinate.
-An *instance* is a detection in one view; an *individual* is the same body in all views. *Pose* means a
-body's pose; cameras have *extrinsics*. Transforms are named `target_from_source`: x_cam = R x_world + t.
-Missing is NaN in floats and -1 in labels. docs/conventions.md says the rest.
+An *instance* is a detection in one view; an *individual* is the same body in all views. *Pose* means a body's pose; cameras have *extrinsics*.
+Transforms are named `target_from_source`: x_cam = R x_world + t. Missing is NaN in floats and -1 in labels. docs/conventions.md says the rest.
 """
 
 from collections.abc import Callable, Iterable
@@ -307,12 +306,11 @@ class Poses3D:
 class Calibration:
     """All that a run finds of one group of cameras that see the same bodies.
 
-    recording, and all that follows: of the cameras of the group. left_out: names of those that no group holds; unused: (name, name, score)
-    of the pairs that are within no group. rounds of adjusting and matching were made; converged: no detection changed its group in the
-    last. disagreement: `[pair]` radians between the rigs of two halves of the joints, an estimate of the rig's error. inconsistent:
-    `[view]` cameras whose errors are several times those of the others. rival: a rig that fits as well, reversed in depth: what was seen
-    does not tell them apart. near_affine: `[view]` cameras in whose images perspective drowns in noise, whose distance follows from their
-    focal length alone. seconds: wall time per stage.
+    All is of the cameras of the group. left_out: names of those that no group holds; unused: (name, name, score) of the pairs that are within no group. rounds
+    of adjusting and matching were made; converged: no detection changed its group in the last. disagreement: `[pair]` radians between the rigs of halves of
+    the joints, about twice the error of the rig. inconsistent: `[view]` cameras whose errors are several times those of the others. rival: a rig that fits as
+    well, reversed in depth: what was seen does not tell them apart. near_affine: `[view]` cameras in whose images perspective drowns in noise, whose distance
+    follows from their focal length alone. seconds: wall time per stage.
     """
 
     recording: Recording

@@ -21,15 +21,22 @@ from mocap_calib.types import Camera
 from mocap_calib_cli.commands.inspect import command
 
 CAMERA = Camera("a", SIZE, np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]), np.zeros(5), False)
+ENOUGH = (*NAMES, "right_ear")  # for a calibration
 OTHERS = ["run", "pairwise", "match", "adjust", "triangulate"]
+
+
+def detections(keypoints):
+    """`[frame, 1, keypoint, 2]` positions and `[frame, 1, keypoint]` confidences, all there."""
+    positions = np.random.default_rng(0).uniform(5, 400, (len(FRAMES), 1, keypoints, 2))
+    return positions, np.full(positions.shape[:3], 0.8)
 
 
 def write_coco(folder, cameras, frames=FRAMES, **changes):
     """A COCO file per camera, each with its own random detections."""
     for k, name in enumerate(cameras):
         own = frames[name] if isinstance(frames, dict) else frames
-        positions = np.random.default_rng(k).uniform(5, 400, (len(own), 1, len(NAMES), 2))
-        (folder / f"{name}.json").write_bytes(coco_bytes(own, NAMES, positions, np.full(positions.shape[:3], 0.8), SIZE, **changes))
+        positions = np.random.default_rng(k).uniform(5, 400, (len(own), 1, len(ENOUGH), 2))
+        (folder / f"{name}.json").write_bytes(coco_bytes(own, ENOUGH, positions, np.full(positions.shape[:3], 0.8), SIZE, **changes))
     return folder
 
 
@@ -112,9 +119,9 @@ def test_5_files_without_scores_say_so(tmp_path, name):
 
 
 def test_6_scores_beyond_1_are_kept_scaled_and_warned_of(tmp_path):
-    positions, confidence = recording(missing=0)
+    positions, confidence = detections(len(ENOUGH))
     for name in "ab":
-        (tmp_path / f"{name}.json").write_bytes(coco_bytes(FRAMES, NAMES, positions + (name == "b"), 6 * confidence, SIZE))
+        (tmp_path / f"{name}.json").write_bytes(coco_bytes(FRAMES, ENOUGH, positions + (name == "b"), 6 * confidence, SIZE))
     status, report = inspected(tmp_path)
     assert status == 0
     assert report["cameras"][0]["confidence"]["most"] == pytest.approx(6 * confidence.max())
@@ -151,16 +158,16 @@ def test_8_unique_body_parts_are_nobody_and_that_is_said(tmp_path):
 
 
 def test_9_names_are_matched_by_meaning_and_differences_listed(tmp_path):
-    positions, confidence = recording(missing=0)
-    for camera, names in (("a", ("Nose", "LEar", "tail")), ("b", ("nose", "left_ear", "horn"))):
+    positions, confidence = detections(5)
+    for camera, names in (("a", ("Nose", "LEar", "REar", "Neck", "tail")), ("b", ("nose", "left_ear", "right_ear", "neck", "horn"))):
         (tmp_path / f"{camera}.json").write_bytes(coco_bytes(FRAMES, names, positions + len(names[0]), confidence, SIZE))
         positions = positions + 1
     status, report = inspected(tmp_path)
     assert status == 0
-    assert report["pairs"][0]["joints"] == 2
+    assert report["pairs"][0]["joints"] == 4
     assert any("tail (a), horn (b)" in text and "--skeleton" in text for text in said(report, "WARNING"))
-    (tmp_path / "b.json").write_bytes(coco_bytes(FRAMES, ("x1", "x2", "x3"), positions, confidence, SIZE))
-    (tmp_path / "a.json").write_bytes(coco_bytes(FRAMES, ("y1", "y2", "y3"), positions + 2, confidence, SIZE))
+    (tmp_path / "b.json").write_bytes(coco_bytes(FRAMES, ("x1", "x2", "x3", "x4", "x5"), positions, confidence, SIZE))
+    (tmp_path / "a.json").write_bytes(coco_bytes(FRAMES, ("y1", "y2", "y3", "y4", "y5"), positions + 2, confidence, SIZE))
     status, report = inspected(tmp_path)
     assert status == 1
     assert any("no two cameras share" in text for text in said(report, "CRITICAL"))
@@ -184,16 +191,53 @@ def test_10_openpose_s_other_lengths_are_known(tmp_path):
     assert read_keypoints([tmp_path])[0].keypoints[1] == "Neck"
 
 
-def test_11_normalised_positions_are_refused(tmp_path):
+def write_shares(folder, least=0.0):
+    """OpenPose's files with keypoint_scale 3, or 4 where the least is -1."""
     for camera in "ab":
-        (tmp_path / f"{camera}_json").mkdir()
-        people = [{"pose_keypoints_2d": np.random.default_rng(ord(camera)).uniform(0, 1, 54).tolist()}]
-        (tmp_path / f"{camera}_json" / "0.json").write_text(json.dumps({"people": people}))
-    status, report = inspected(tmp_path)
+        (folder / f"{camera}_json").mkdir()
+        people = [{"pose_keypoints_2d": np.random.default_rng(ord(camera)).uniform(least, 1, 54).tolist()}]
+        (folder / f"{camera}_json" / "0.json").write_text(json.dumps({"people": people}))
+    return folder
+
+
+def test_11_normalised_positions_are_refused(tmp_path, tool):
+    status, report = inspected(write_shares(tmp_path))
     assert status == 1
-    assert sum("no pixels" in text for text in said(report, "CRITICAL")) == 2
+    assert sum("expected positions in pixels" in text for text in said(report, "CRITICAL")) == 2
+    done = tool("convert", tmp_path, tmp_path / "out", "--to", "coco")
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    assert "--image-size" in done.stderr
+    assert not (tmp_path / "out").exists()
     with pytest.raises(MismatchError, match="pixels"):
         make_recording(read_keypoints([tmp_path]), (CAMERA, replace(CAMERA, name="b")), load_skeleton("people"), {})
+
+
+def test_11_the_image_size_makes_pixels_of_shares_in_any_format(tmp_path, tool):
+    """The remedy that `run`, `inspect` and `convert` name works in each: they read alike."""
+    shares, pixels = (read_keypoints([path], options=options) for path, options in ((write_shares(tmp_path), None), (tmp_path, ReadOptions(image_size=SIZE))))
+    for share, pixel in zip(shares, pixels, strict=True):
+        np.testing.assert_allclose(pixel.positions, share.positions * SIZE)
+        assert pixel.image_size == SIZE
+    assert not any("pixels" in text for text in said(inspected(tmp_path, "--image-size", "640x480")[1], "CRITICAL"))
+    done = tool("convert", tmp_path, tmp_path / "out", "--to", "coco", "--image-size", "640x480")
+    assert done.returncode == 0, done.stderr
+    np.testing.assert_allclose(read_keypoints([tmp_path / "out"])[0].positions, pixels[0].positions)
+
+
+def test_11_an_image_size_leaves_pixels_alone_and_is_kept_where_the_file_has_none(tmp_path):
+    (tmp_path / "a.csv").write_text("frame,keypoint,x,y\n0,nose,12.5,300\n")
+    (view,) = read_keypoints([tmp_path], options=ReadOptions(image_size=SIZE))
+    assert (view.positions.ravel().tolist(), view.image_size) == ([12.5, 300], SIZE)
+    (view,) = read_keypoints([write_coco(tmp_path, "b") / "b.json"], options=ReadOptions(image_size=(8, 8)))
+    assert view.image_size == SIZE
+
+
+def test_11_another_scale_or_another_image_size_than_the_file_s_is_refused(tmp_path):
+    with pytest.raises(MismatchError, match="from 0 to 1"):
+        read_keypoints([write_shares(tmp_path, least=-1.0)], options=ReadOptions(image_size=SIZE))
+    (tmp_path / "b.json").write_bytes(coco_bytes([0], ["nose"], np.full((1, 1, 1, 2), 0.5), np.ones((1, 1, 1)), SIZE))
+    with pytest.raises(MismatchError, match="expected images of 640x480, as the file says, found --image-size 8x8"):
+        read_keypoints([tmp_path / "b.json"], options=ReadOptions(image_size=(8, 8)))
 
 
 def test_11_shares_of_the_image_need_its_size_and_pixels_are_no_shares(tmp_path):
@@ -384,21 +428,23 @@ def test_18_literals_marks_and_line_ends(tmp_path):
 
 
 def test_20_cameras_without_a_valid_point_are_named_and_stop_a_run_of_two(tmp_path):
-    positions, confidence = recording(missing=0)
+    positions, confidence = detections(len(ENOUGH))
     for name, scores in (("a", confidence), ("b", np.zeros_like(confidence))):
-        (tmp_path / f"{name}.json").write_bytes(coco_bytes(FRAMES, NAMES, positions, scores, SIZE))
+        (tmp_path / f"{name}.json").write_bytes(coco_bytes(FRAMES, ENOUGH, positions, scores, SIZE))
     status, report = inspected(tmp_path)
     assert status == 1
     assert any(text.startswith("b: no valid point") for text in said(report, "WARNING"))
     assert any("found those of 1 (a)" in text for text in said(report, "CRITICAL"))
-    (tmp_path / "b.json").write_bytes(coco_bytes(FRAMES, NAMES, positions + 1, confidence / 100, SIZE))
+    (tmp_path / "b.json").write_bytes(coco_bytes(FRAMES, ENOUGH, positions + 1, confidence / 100, SIZE))
     status, report = inspected(tmp_path)
     assert status == 0
     assert any(text.startswith("b: half of the scores") for text in said(report, "WARNING"))
 
 
 @pytest.mark.parametrize(
-    "option", [("--image-size", "wide"), ("--frame-offset", "3"), ("--frame-offset", "a:x"), ("--crop-offset", "a:1"), ("--camera-regex", "(")]
+    "option",
+    [("--image-size", text) for text in ("wide", "-640x480", "0x480")]
+    + [("--frame-offset", "3"), ("--frame-offset", "a:x"), ("--crop-offset", "a:1"), ("--camera-regex", "(")],
 )
 def test_options_that_make_no_sense_are_usage_errors(tmp_path, option):
     done = CliRunner().invoke(command, [str(write_coco(tmp_path, "ab")), *option])

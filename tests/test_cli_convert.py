@@ -10,13 +10,16 @@ from conftest import TOOL
 from rigs import assert_same
 
 from mocap_calib.io.cameras import load_cameras, make_rig, read_rig
-from mocap_calib.io.formats2d import KEYPOINT_FORMATS, read_keypoints
+from mocap_calib.io.formats2d import KEYPOINT_FORMATS, read_keypoints, write_keypoints
 from mocap_calib.io.formats_cameras import CAMERA_FORMAT_NAMES, write_cameras
 from mocap_calib.io.formats_poses import POSE_FORMAT_NAMES, read_poses, write_poses
 from mocap_calib.io.pose_formats.common import PoseFile
 from mocap_calib.types import Camera, CameraRig, Poses3D
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "three_people"
+
+
+DLC = "scorer,net,net,net\nbodyparts,nose,nose,nose\ncoords,x,y,likelihood\n0,10,20,0.5\n1,11,21,0.5\n"
 
 
 def rig():
@@ -89,6 +92,53 @@ def test_keypoints_go_round(tool, tmp_path):
         assert np.isfinite(before.positions).sum() == np.isfinite(after.positions).sum()
 
 
+def test_what_is_remarked_and_lost_of_keypoints_is_said(tool, tmp_path):
+    (tmp_path / "in").mkdir()
+    for camera in "ab":
+        (tmp_path / "in" / f"{camera}.csv").write_text("frame,individual,keypoint,x,y\n0,anna,nose,3,4\n0,bert,nose,5,6\n1,anna,nose,7,8\n")
+    done = tool("convert", tmp_path / "in", tmp_path / "out", "--to", "openpose")
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.splitlines() == [
+        "a, b: no scores in the file: every point counts fully",
+        "2 cameras, 4 frames as openpose",
+        "openpose does not hold the names of keypoints",
+        "openpose does not hold who is who from frame to frame",
+        "openpose does not hold that there are no scores: each point gets 1",
+    ]
+    assert tool("convert", tmp_path / "in", tmp_path / "quiet", "--to", "openpose", "-q").stderr == ""
+
+
+def test_a_file_that_would_pass_for_a_further_individual_is_refused_and_stays(tool, tmp_path):
+    """It may be another recording of that name, or the input itself."""
+    for count in (2, 1):
+        write_poses(tmp_path / f"{count}.npz", poses(count), "npz")
+    assert tool("convert", tmp_path / "2.npz", tmp_path / "st.trc").returncode == 0
+    before = (tmp_path / "st.trc").read_bytes()
+    done = tool("convert", tmp_path / "1.npz", tmp_path / "st.trc")
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    assert "st_1.trc: expected no file of a further individual" in done.stderr
+    assert (tmp_path / "st.trc").read_bytes() == before
+    (tmp_path / "st_1.trc").unlink()
+    assert tool("convert", tmp_path / "1.npz", tmp_path / "st.trc").returncode == 0
+
+
+def test_the_content_says_the_kind_and_the_remedy_works(tool, tmp_path):
+    """Endings that poses have too; a calibration beside the keypoints; SLEAP's analysis of three frames, which looks like 3D."""
+    (tmp_path / "both").mkdir()
+    (tmp_path / "both" / "a.csv").write_text(DLC)
+    write_cameras(tmp_path / "both" / "calibration.toml", rig(), "anipose")
+    for source, target, more in (("both", "x.json", []), ("both/a.csv", "x.csv", ["--to", "deeplabcut-csv"]), ("both/a.csv", "x.h5", ["--to", "sleap"])):
+        done = tool("convert", tmp_path / source, tmp_path / target, *more)
+        assert done.returncode == 0, done.stderr
+        assert read_keypoints([tmp_path / target])[0].positions[:, 0, 0].tolist() == [[10, 20], [11, 21]]
+    assert tool("convert", tmp_path / "both", tmp_path / "x.yaml").returncode == 0
+    assert read_rig(tmp_path / "x.yaml").names == ("a", "b")
+    (tmp_path / "three.csv").write_text(DLC + "2,12,22,0.5\n")
+    for source, target, more in (("three.csv", "three.h5", ["--to", "sleap"]), ("three.h5", "three.json", [])):
+        done = tool("convert", tmp_path / source, tmp_path / target, *more)
+        assert done.returncode == 0, done.stderr
+
+
 def test_keypoints_go_through_pipes():
     content = next((EXAMPLE / "keypoints").glob("*.json")).read_bytes()
     done = subprocess.run([TOOL, "convert", "-", "-", "--from", "coco", "--to", "csv"], input=content, capture_output=True, check=False)
@@ -113,10 +163,25 @@ def test_keypoints_go_through_pipes():
         (["intrinsics.toml", "b.yaml"], 1, "extrinsics"),
         (["empty", "b.yaml"], 1, "empty"),
         (["twice.toml", "b.yaml"], 1, "twice"),
+        (["dlc.csv", "x.csv"], 1, "say --to deeplabcut-csv or --to csv"),
+        (["dlc.csv", "x.h5"], 1, "say --to deeplabcut-h5 or --to sleap"),
+        (["dlc.csv", "x.nc", "--from", "coco"], 1, "name another format, or none"),
+        (["frames", "x.toml"], 1, "--to and one of coco, openpose"),
+        (["dlc.csv", "x.nc", "--unit", "m"], 2, "--unit"),
+        (["dlc.csv", "x.nc", "--fps", "30"], 2, "--fps"),
+        (["a.toml", "b.yaml", "--up", "z"], 2, "--up"),
+        (["a.toml", "b.yaml", "--layout", "coco_17"], 2, "--layout"),
+        (["p.npz", "x.h5", "--frame-offset", "a:1"], 2, "--frame-offset"),
+        (["p.npz", "x.h5", "--image-size", "8x8"], 2, "--image-size"),
+        (["a.toml", "b.yaml", "--image-size", "8x8"], 1, "leave it out"),
+        (["dlc.csv", "x.nc", "--image-size", "0x8"], 2, "above 0"),
     ],
 )
 def test_what_cannot_be_is_one_line(tool, tmp_path, arguments, status, reason):
     write_cameras(tmp_path / "a.toml", rig(), "anipose")
+    (tmp_path / "dlc.csv").write_text(DLC)
+    write_keypoints(tmp_path / "frames", read_keypoints([tmp_path / "dlc.csv"]), "openpose")
+    write_poses(tmp_path / "p.npz", poses(), "npz")
     (tmp_path / "broken.json").write_text('{"frames": [')
     (tmp_path / "empty").write_text("")
     (tmp_path / "twice.toml").write_text((tmp_path / "a.toml").read_text().replace('"b"', '"a"'))
@@ -127,7 +192,7 @@ def test_what_cannot_be_is_one_line(tool, tmp_path, arguments, status, reason):
     assert reason in done.stderr
     assert "Traceback" not in done.stderr
     assert status == 2 or done.stderr.count("\n") == 1
-    assert not (tmp_path / "b.yaml").exists()
+    assert not any((tmp_path / name).exists() for name in ("b.yaml", "x.csv", "x.h5", "x.nc"))
 
 
 def test_a_camera_without_a_place_is_left_out_and_said(tool, tmp_path):

@@ -59,6 +59,15 @@ def test_detections_of_a_single_camera_are_counted(twins, capsys):
     assert "3 detections in frames of a single camera are left out\n" in capsys.readouterr().err
 
 
+def test_joints_that_a_single_camera_names_are_said(tmp_path, capsys):
+    positions = np.random.default_rng(0).uniform(10, 400, (4, 1, 5, 2))
+    for name, own in (("a", "right_ankle"), ("b", "tail")):
+        columns, values = dlc_columns((*NAMES, own)), dlc_values(positions, np.ones(positions.shape[:3]))
+        (tmp_path / f"{name}.csv").write_text(dlc_csv(range(4), columns, values))
+    read(tmp_path)
+    assert "2 keypoints that a single camera names are not used: right_ankle (a), tail (b)\n" in capsys.readouterr().err
+
+
 def test_nothing_is_said_where_all_frames_are_shared(twins, capsys):
     twins.joinpath("b.h5").write_bytes(twins.joinpath("a.h5").read_bytes())
     read(twins)

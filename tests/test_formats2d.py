@@ -12,6 +12,7 @@ from samples2d import FRAMES, SAMPLES, SIZE, recording, write_sample
 from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.io.document import Document, ReadOptions
 from mocap_calib.io.formats2d import KEYPOINT_FORMATS, read_keypoints, write_keypoints
+from mocap_calib.io.reading import NO_SCORE
 from mocap_calib.types import Keypoints2D
 
 NAMES = ("nose", "left eye", "tail,base")
@@ -67,6 +68,54 @@ def test_every_writer_is_read_as_it_was(tmp_path_factory, name, seed, instances,
     assert len(found) == 2
     for each, wanted in zip(found, views, strict=True):
         assert_equal(each, wanted, atol=1e-9 if name == "coco" else 0.0)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.sampled_from(WRITTEN), st.booleans(), st.booleans(), st.sampled_from([range(3), (0, 2, 3), (1, 2)]), st.integers(1, 2), st.booleans())
+def test_a_writer_says_what_does_not_come_back_and_nothing_else(tmp_path_factory, name, tracked, sized, frames, instances, scored):
+    if not tracked and instances > 1 and name in ("deeplabcut-h5", "deeplabcut-csv", "movement"):
+        return  # refused: see below
+    wanted = view(frames=frames, instances=instances, missing=0, tracked=tracked, size=SIZE if sized else (0, 0))
+    if not scored:
+        wanted = replace(wanted, confidence=np.ones_like(wanted.confidence), remarks=(NO_SCORE,))
+    folder = tmp_path_factory.mktemp("lost")
+    lost = write_keypoints(folder / "out", (wanted,), name)
+    (found,) = read_keypoints([folder / "out"], name, ReadOptions(layout=("x", "y", "z") if name in NEEDS_NAMES else ()))
+    gone = {
+        "the names of keypoints": found.keypoints != wanted.keypoints,
+        "who is who from frame to frame": instances > 1 and wanted.tracked and not found.tracked,
+        "image sizes": found.image_size != wanted.image_size,
+        "which frames are absent: they become empty ones": found.frames.tolist() != wanted.frames.tolist(),
+        "that there are no scores: each point gets 1": NO_SCORE in wanted.remarks and NO_SCORE not in found.remarks,
+    }
+    assert set(lost) == {what for what, is_gone in gone.items() if is_gone}
+
+
+def test_a_table_of_all_cameras_follows_nobody_where_one_does_not(tmp_path):
+    lost = write_keypoints(tmp_path / "all.csv", (view("a"), view("b", tracked=False)), "csv")
+    assert any("who is who" in what for what in lost)
+    assert not any(each.tracked for each in read_keypoints([tmp_path / "all.csv"]))
+
+
+@pytest.mark.parametrize("name", WRITTEN)
+def test_a_folder_with_another_recording_is_refused(tmp_path, name):
+    """One with the same files is written anew; what is not read along may lie there."""
+    whole = (view("a", frames=range(3)), view("b", frames=range(3)))
+    for _ in range(2):
+        write_keypoints(tmp_path / "out", whole, name)
+        (tmp_path / "out" / "notes.txt").write_text("not read")
+    before = {path: path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file()}
+    other = "coco" if name == "csv" else name  # whose one file would be replaced
+    for views in (whole[:1], (replace(view("a", frames=range(2)), camera="c"),)):
+        with pytest.raises(MismatchError, match="expected a new folder or one with the same files, found"):
+            write_keypoints(tmp_path / "out", views, other)
+    assert before == {path: path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file()}
+
+
+def test_frames_of_a_longer_recording_are_refused_too(tmp_path):
+    write_keypoints(tmp_path / "out", (view("a", frames=range(3)),), "openpose")
+    with pytest.raises(MismatchError, match="found a_json/a_000000000002_keypoints"):
+        write_keypoints(tmp_path / "out", (view("a", frames=range(2)),), "openpose")
 
 
 def test_one_recording_is_equal_in_all_formats(tmp_path):

@@ -153,6 +153,9 @@ def test_a_folder_with_another_rig_is_refused(tmp_path):
     other = replace(other, cameras=tuple(replace(camera, name=f"other{k}") for k, camera in enumerate(other.cameras)))
     with pytest.raises(MismatchError, match=r"cam0\.yml"):
         write_cameras(tmp_path / "cams", other, "opencv")
+    for name in ("easymocap", "jarvis", "multiview-calib", "colmap"):  # whose files would be read along, whatever their endings
+        with pytest.raises(MismatchError, match=r"cam0\.yml"):
+            write_cameras(tmp_path / "cams", replace(studio("opencv"), unit="m"), name)
     assert len(load_cameras(tmp_path / "cams").cameras) == 3
 
 

@@ -2,7 +2,7 @@
 
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,22 +13,30 @@ import numpy as np
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.camera_formats.source import CameraFile
 from mocap_calib.io.cameras import load_cameras, looks_like_cameras, make_rig, parse_content
-from mocap_calib.io.formats2d import KEYPOINT_FORMATS, write_keypoints
+from mocap_calib.io.formats2d import KEYPOINT_FORMATS, looks_like_keypoints, write_keypoints
 from mocap_calib.io.formats_cameras import CAMERA_FORMAT_NAMES, CAMERA_FORMATS, camera_format, format_rig, write_cameras
 from mocap_calib.io.formats_poses import POSE_FORMAT_NAMES, POSE_FORMATS, format_poses, parse_poses, pose_format, sniff_poses, together, write_poses
 from mocap_calib.io.pose_formats.common import PoseFile, turned
 from mocap_calib.io.reading import read_bytes
-from mocap_calib.types import CameraRig
+from mocap_calib.recording import check_pixels
+from mocap_calib.types import CameraRig, Keypoints2D
 from mocap_calib_cli import inputs as reading_inputs
 from mocap_calib_cli import outputs
 from mocap_calib_cli.options import STDIO
 
 _NAMES: dict[str, tuple[str, ...]] = {"poses": POSE_FORMAT_NAMES, "cameras": CAMERA_FORMAT_NAMES, "keypoints": tuple(KEYPOINT_FORMATS)}
-_ENDINGS = {
-    "poses": {ending: each.name for each in POSE_FORMATS for ending in each.endings},
-    "cameras": {ending: each.name for each in CAMERA_FORMATS for ending in each.endings},
-    "keypoints": {".json": "coco", ".nc": "movement"},
+_WRITTEN = {
+    "poses": POSE_FORMAT_NAMES,
+    "cameras": tuple(each.name for each in CAMERA_FORMATS if each.write),
+    "keypoints": tuple(name for name, each in KEYPOINT_FORMATS.items() if each.write),
 }
+# of files that are written unnamed; where several formats have one, it is asked for
+_ENDINGS = {
+    "poses": [(ending, each.name) for each in POSE_FORMATS for ending in each.endings],
+    "cameras": [(ending, each.name) for each in CAMERA_FORMATS for ending in each.endings],
+    "keypoints": [(each.ending, name) for name, each in KEYPOINT_FORMATS.items() if each.ending and not each.per_frame],
+}
+_OPTIONS = {"poses": {"unit", "fps", "up"}, "cameras": {"unit", "image_size"}}  # keypoints have those of reading
 
 
 @dataclass(frozen=True)
@@ -50,6 +58,7 @@ def convert(wish: Wish) -> list[str]:
     content = _stdin(wish)
     _check_inputs(wish)
     kind = _kind(wish, content)
+    _check_options(wish, kind)
     target = _target(wish, kind)
     if wish.output != STDIO:
         outputs.check_place(Path(wish.output))
@@ -71,6 +80,15 @@ def _check_inputs(wish: Wish) -> None:
             raise MismatchError(f"{path}: expected a file or folder, found none; check the path")
 
 
+def _check_options(wish: Wish, kind: str) -> None:
+    """Raises click's UsageError for an option that says nothing of this kind of file."""
+    given = {"unit": wish.unit, "fps": wish.fps, "up": wish.up, **wish.reading}
+    known = _OPTIONS.get(kind, set(wish.reading))
+    stray = next((name for name, value in given.items() if value not in (None, ()) and name not in known), None)
+    if stray is not None:
+        raise click.UsageError(f"--{stray.replace('_', '-')}: expected an option of {kind}, which INPUT holds, found one of other files; leave it out")
+
+
 def _kind(wish: Wish, content: bytes | None) -> str:
     """`poses`, `cameras` or `keypoints`: what the formats' names leave, and then what the content shows."""
     kinds = set(_NAMES)
@@ -87,27 +105,39 @@ def _kind(wish: Wish, content: bytes | None) -> str:
 
 
 def _shown(wish: Wish, content: bytes | None, kinds: set[str]) -> str:
-    """The kind that the content of the first input shows; else that of OUTPUT's ending, or keypoints."""
-    path = Path(wish.inputs[0])
-    first = min((file for file in path.iterdir() if file.is_file()), default=None) if path.is_dir() else path
-    readable = content is not None or (first is not None and first.is_file())
-    if readable and "poses" in kinds and sniff_poses(read_bytes(first) if content is None and first else content or b""):
-        return "poses"
-    if readable and "cameras" in kinds and looks_like_cameras(path, content):
-        return "cameras"
+    """The kind that the content of the first input shows, OUTPUT's ending where it shows several; else that of the ending, or keypoints."""
     ending = Path(wish.output).suffix.lower() if wish.target is None else ""
-    return min((kind for kind in kinds if ending in _ENDINGS[kind]), default="keypoints" if "keypoints" in kinds else min(kinds))
+    shown: list[str] = [kind for kind in ("poses", "keypoints", "cameras") if kind in kinds and _looks_like(kind, wish, content)]
+    fitting = [kind for kind in shown or sorted(kinds) if ending in dict(_ENDINGS[kind])]
+    return [*fitting, *shown, *(["keypoints"] if "keypoints" in kinds else sorted(kinds))][0]
+
+
+def _looks_like(kind: str, wish: Wish, content: bytes | None) -> bool:
+    """Whether the first input shows this kind; a pipe that is named is not read for it. Raises FormatError where its JSON, TOML or YAML is broken."""
+    path = Path(reading_inputs.plain_paths(wish.inputs)[0])
+    if kind == "keypoints":
+        return content is None and (path.is_dir() or path.is_file()) and looks_like_keypoints(path)
+    first = min((file for file in path.iterdir() if file.is_file()), default=None) if path.is_dir() else path
+    if content is None and (first is None or not first.is_file()):
+        return False
+    if kind == "poses":
+        return sniff_poses(read_bytes(first) if content is None and first else content or b"") is not None
+    return looks_like_cameras(path, content)
 
 
 def _target(wish: Wish, kind: str) -> str:
     if wish.target is not None:
         return wish.target
     ending = Path(wish.output).suffix.lower()
-    if wish.output == STDIO or ending not in _ENDINGS[kind]:
-        endings = ", ".join(f"{end} ({name})" for end, name in _ENDINGS[kind].items())
-        expected = f"an ending of {endings}, or --to and one of {', '.join(_NAMES[kind])}"
+    names = [name for end, name in _ENDINGS[kind] if end == ending]
+    if len(names) > 1:
+        raise MismatchError(f"{wish.output}: expected the format of {kind} beside the ending, found none; say --to {' or --to '.join(names)}")
+    if wish.output == STDIO or not names:
+        several = [end for end, _ in _ENDINGS[kind]]
+        endings = ", ".join(f"{end} ({name})" for end, name in _ENDINGS[kind] if several.count(end) == 1)
+        expected = f"an ending of {endings}, or --to and one of {', '.join(_WRITTEN[kind])}"
         raise MismatchError(f"{wish.output}: expected {expected}, found neither; name the format")
-    return _ENDINGS[kind][ending]
+    return names[0]
 
 
 def _one(wish: Wish, kind: str) -> Path:
@@ -152,8 +182,10 @@ def _cameras(wish: Wish, target: str, content: bytes | None) -> list[str]:
 
 
 def _sized(found: CameraFile, wish: Wish) -> CameraFile:
-    """With the image size that the user gives, where the file has none."""
+    """With the image size that the user gives, where the file has none. Raises MismatchError where it has all."""
     size = reading_inputs.image_size(wish.reading.get("image_size"))
+    if size != (0, 0) and not any(0 in camera.size for camera in found.cameras):
+        raise MismatchError(f"{wish.inputs[0]}: expected cameras without an image size, for --image-size, found one for each; leave it out")
     return replace(found, cameras=tuple(replace(camera, size=size) if 0 in camera.size else camera for camera in found.cameras))
 
 
@@ -168,6 +200,8 @@ def _poses(wish: Wish, target: str, content: bytes | None) -> list[str]:
         files, lost = format_poses(file, target, Path("stdout"))
         _to_stdout(files, target)
     else:
+        if pose_format(target).single:
+            outputs.check_individuals(Path(wish.output), len(file.individuals))
         lost = write_poses(Path(wish.output), file, target)
     frames, individuals, keypoints = file.poses.positions.shape[:3]
     return _said(f"{frames} frames, {individuals} individuals, {keypoints} keypoints", target, file.notes, lost)
@@ -203,15 +237,27 @@ def _keypoints(wish: Wish, target: str, content: bytes | None) -> list[str]:
             path = Path(work) / "stdin"
             path.write_bytes(content)
             views = reading_inputs.read_views([str(path)], given)
+    for view in views:
+        check_pixels(view)
     if wish.output == STDIO:
         with tempfile.TemporaryDirectory() as work:
-            write_keypoints(Path(work) / "out", views, target)
+            lost = write_keypoints(Path(work) / "out", views, target)
             files = {file.name: file.read_bytes() for file in sorted((Path(work) / "out").rglob("*")) if file.is_file()}
         _to_stdout(files, target)
     else:
-        write_keypoints(Path(wish.output), views, target)
+        lost = write_keypoints(Path(wish.output), views, target)
     frames = sum(len(view.frames) for view in views)
-    return _said(f"{len(views)} cameras, {frames} frames", target, (), ())
+    notes = (*reading_inputs.doubled(wish.inputs), *_remarks(views))
+    return _said(f"{len(views)} camera{'s' if len(views) > 1 else ''}, {frames} frames", target, notes, lost)
+
+
+def _remarks(views: Sequence[Keypoints2D]) -> list[str]:
+    """What the readers remark, each line once, with the cameras that it is of."""
+    cameras: dict[str, list[str]] = {}
+    for view in views:
+        for remark in view.remarks:
+            cameras.setdefault(remark, []).append(view.camera)
+    return [f"{', '.join(names)}: {remark}" for remark, names in cameras.items()]
 
 
 # --- for `run`

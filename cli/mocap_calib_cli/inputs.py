@@ -15,6 +15,7 @@ import click
 import numpy as np
 
 from mocap_calib.errors import FormatError
+from mocap_calib.inspection import alone_in_naming, said_of_alone
 from mocap_calib.io.camera_formats.source import CameraFile
 from mocap_calib.io.cameras import load_cameras, make_rig, parse_content
 from mocap_calib.io.document import ReadOptions
@@ -24,7 +25,7 @@ from mocap_calib.io.layouts import parse_layout
 from mocap_calib.io.reading import decode
 from mocap_calib.io.results import read_matches_csv
 from mocap_calib.pairwise import PairSolver
-from mocap_calib.recording import make_recording, name_mapping, of_cameras
+from mocap_calib.recording import make_recording, meanings, name_mapping, of_cameras, usable
 from mocap_calib.skeleton import SHIPPED, choose_skeleton, load_aliases, load_skeleton, match_names
 from mocap_calib.types import Camera, CameraRig, Ints, Keypoints2D, LiftedPoses, Matches, Recording, Sample, Skeleton
 from mocap_calib_cli.options import STDIO
@@ -56,8 +57,12 @@ def read_options(given: Mapping[str, Any]) -> ReadOptions:
 
 
 def image_size(text: str | None) -> tuple[int, int]:
-    """(width, height) of `WxH`, (0, 0) where there is none."""
-    width, height = _numbers((text or "0x0").lower().replace("x", ","), 2, "--image-size")
+    """(width, height) of `WxH`, (0, 0) where there is none. Raises click's BadParameter."""
+    if text is None:
+        return 0, 0
+    width, height = _numbers(text.lower().replace("x", ","), 2, "--image-size")
+    if min(width, height) <= 0:
+        raise click.BadParameter(f"expected a width and a height above 0, as 1280x720, found {text}", param_hint="--image-size")
     return int(width), int(height)
 
 
@@ -103,9 +108,10 @@ def read_recording(
     views = read_views(arguments, reading, single_precision=True)
     if placed:
         views = of_cameras(views, cameras) or views
-    vocabulary, aliases = _asked(model, skeleton) if model else _fitting(views, skeleton)
+    vocabulary, aliases = _asked(model, skeleton) if model else fitting(views, skeleton)
     recording = make_recording(views, cameras, vocabulary, aliases)
-    reporter.say(*_mapping(views, cameras, recording, vocabulary.name), *_doubled(arguments))
+    alone = alone_in_naming(usable(views), meanings(usable(views), vocabulary, aliases))
+    reporter.say(*_mapping(views, cameras, recording, vocabulary.name), *([said_of_alone(alone)] if alone else []), *doubled(arguments))
     return recording, model or vocabulary.name
 
 
@@ -117,7 +123,7 @@ def _asked(model: str, path: Path | None) -> tuple[Skeleton, dict[str, str]]:
     return known, load_aliases(path, known) if path else {}
 
 
-def _fitting(views: Sequence[Keypoints2D], path: Path | None) -> tuple[Skeleton, dict[str, str]]:
+def fitting(views: Sequence[Keypoints2D], path: Path | None) -> tuple[Skeleton, dict[str, str]]:
     """The shipped skeleton that knows most of the joints, by the names they have or a file gives them; and those names.
 
     Raises FormatError where no skeleton has the joints that the file names.
@@ -158,7 +164,7 @@ def _mapping(views: Sequence[Keypoints2D], cameras: tuple[Camera, ...], recordin
     return lines
 
 
-def _doubled(arguments: Sequence[str]) -> list[str]:
+def doubled(arguments: Sequence[str]) -> list[str]:
     """A line that says which files of the folders are left out for their .h5, if any."""
     doubles = [str(file) for folder in map(Path, arguments) if folder.is_dir() for file in twins(folder)]
     return [f"left out, the .h5 beside it is read: {', '.join(doubles)}"] if doubles else []
@@ -179,9 +185,14 @@ def rig_of(path: str, option: str = "--rig") -> CameraRig:
     return make_rig(_loaded(path, option), "stdin" if path == STDIO else path)
 
 
+def camera_file(path: str, option: str) -> CameraFile:
+    """What a file or folder, or stdin, says of cameras. Raises FormatError."""
+    return parse_content(read_stdin(option).encode(), "stdin") if path == STDIO else load_cameras(Path(path))
+
+
 def _loaded(path: str, option: str) -> CameraFile:
-    """What a file says of cameras; what it lacks is said on stderr."""
-    found = parse_content(read_stdin(option).encode(), "stdin") if path == STDIO else load_cameras(Path(path))
+    """The same; what it lacks is said on stderr."""
+    found = camera_file(path, option)
     for note in () if click.get_current_context().params.get("quiet") else found.notes:
         click.echo(note, err=True)
     return found

@@ -47,7 +47,7 @@ def as_json(what: str) -> Callable[[Command], Command]:
 _READING = {
     "format": ("--format", "NAME", False, "Format of the keypoint files, where their content does not show it (docs/formats.md)."),
     "layout": ("--layout", "NAME", False, "Names of the keypoints in files that do not name them: body_25, body_25b, coco_17, ... or a,b,c."),
-    "image_size": ("--image-size", "WxH", False, "Size of the images in pixels, for positions from 0 to 1."),
+    "image_size": ("--image-size", "WxH", False, "Size of the images in pixels, where the files do not say it; positions from 0 to 1 are multiplied by it."),
     "camera_regex": ("--camera-regex", "REGEX", False, "Finds the camera's name in a path: its group `camera`, its first, or all of it."),
     "frame_offset": ("--frame-offset", "CAM:N", True, "Added to the frame numbers of a camera; may be given for each."),
     "crop_offset": ("--crop-offset", "CAM:X,Y", True, "Corner of the part of the image in which a camera's keypoints were found."),

@@ -61,6 +61,13 @@ def _check_writable(folder: Path) -> None:
         raise MismatchError(f"{folder}: expected a folder that can be written to, found: {error.strerror}; choose another") from None
 
 
+def check_individuals(path: Path, individuals: int) -> None:
+    """Raises MismatchError where a file beside them would pass for a further individual; it may be a recording of that name, so it stays."""
+    further = of_individual(path, individuals)
+    if further.exists():
+        raise MismatchError(f"{further}: expected no file of a further individual beside {path.name}, found one; remove it or choose another name")
+
+
 def remove_stale(path: Path, individuals: int) -> None:
     """Takes away the files of the individuals that an earlier run found beyond those of this one."""
     number = individuals

@@ -1,13 +1,16 @@
-"""What the user says of the detections that were read: views inside one file, clocks that start elsewhere, cropped images."""
+"""What the user says of the detections that were read: views inside one file, shares of images, clocks that start elsewhere, cropped images."""
 
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from mocap_calib.config import ReadConfig
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.document import ReadOptions
 from mocap_calib.types import Keypoints2D
+
+_BEYOND = 0.25  # of the image, that a position may lie before it; more is another scale, such as -1 to 1
 
 
 def split_views(view: Keypoints2D, suffixes: tuple[str, ...]) -> tuple[Keypoints2D, ...]:
@@ -27,6 +30,24 @@ def split_views(view: Keypoints2D, suffixes: tuple[str, ...]) -> tuple[Keypoints
         names = tuple(view.keypoints[k].removesuffix(f"_{suffix}") for k in own)
         parts.append(replace(view, camera=str(suffix), keypoints=names, positions=view.positions[:, :, own], confidence=view.confidence[:, :, own]))
     return tuple(parts)
+
+
+def in_pixels(view: Keypoints2D, size: tuple[int, int]) -> Keypoints2D:
+    """The view with the image size that the user gives, where the file has none; positions that are shares of the image multiplied by it.
+
+    Raises MismatchError where they are shares of something else.
+    """
+    if size == (0, 0):
+        return view
+    if np.nanmax(np.abs(view.positions), initial=0.0) > ReadConfig().largest_share:
+        return replace(view, image_size=size) if view.image_size == (0, 0) else view
+    if view.image_size not in ((0, 0), size):
+        stated, given = (f"{width}x{height}" for width, height in (view.image_size, size))
+        raise MismatchError(f"{view.source}: expected images of {stated}, as the file says, found --image-size {given}; change it")
+    least = np.nanmin(view.positions, initial=0.0)
+    if least < -_BEYOND:
+        raise MismatchError(f"{view.source}: expected pixels, or shares of the image from 0 to 1, found {least:.2f}; export pixels")
+    return replace(view, positions=view.positions * np.array(size, dtype=view.positions.dtype), image_size=size)
 
 
 def moved(views: Sequence[Keypoints2D], options: ReadOptions) -> tuple[Keypoints2D, ...]:

@@ -4,9 +4,11 @@ import errno
 import os
 import shutil
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+from mocap_calib.errors import MismatchError
 
 
 @contextmanager
@@ -56,6 +58,19 @@ def folder(path: Path) -> Iterator[Path]:
     finally:
         shutil.rmtree(work, ignore_errors=True)
         shutil.rmtree(old, ignore_errors=True)
+
+
+def check_alone(path: Path, names: Collection[str], suffixes: Collection[str]) -> None:
+    """Raises MismatchError where the folder has other files than `names` that would be read along with them: those with these suffixes.
+
+    Folders in it count where the names lie in such.
+    """
+    nested = any("/" in name for name in names)
+    files = (file.relative_to(path) for file in (path.rglob("*") if nested else path.glob("*")) if file.suffix.lower() in suffixes and file.is_file())
+    strangers = sorted(file.as_posix() for file in files if not any(part.startswith(".") for part in file.parts))
+    stranger = next((name for name in strangers if name not in names), None)
+    if stranger is not None:
+        raise MismatchError(f"{path}: expected a new folder or one with the same files, found {stranger}: choose another or remove it")
 
 
 def of_individual(path: Path, individual: int) -> Path:

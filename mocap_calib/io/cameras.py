@@ -11,13 +11,10 @@ import numpy as np
 
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.camera_formats.source import CameraFile, Source, both
-from mocap_calib.io.formats_cameras import CAMERA_FORMAT_NAMES, CAMERA_FORMATS, CameraFormat, camera_format
+from mocap_calib.io.formats_cameras import CAMERA_FORMAT_NAMES, CAMERA_FORMATS, FOLDER_SUFFIXES, ONE_CAMERA, CameraFormat, camera_format
 from mocap_calib.io.reading import malformed, read_bytes
 from mocap_calib.io.units import ARBITRARY, known_unit
 from mocap_calib.types import Camera, CameraRig
-
-_ONE_CAMERA = (".yml", ".yaml", ".toml", ".json", ".mat")
-_SUFFIXES = (*_ONE_CAMERA, ".txt", ".bin")  # COLMAP's
 
 
 def read_cameras(path: Path, name: str | None = None) -> tuple[Camera, ...]:
@@ -56,16 +53,16 @@ def load_cameras(path: Path, name: str | None = None, unit: str | None = None) -
     """All that a file or a folder says of cameras; see `read_rig`. Raises FormatError and MismatchError."""
     if not path.is_dir():
         return parse_content(read_bytes(path), str(path), name, unit)
-    files = sorted(file for file in path.iterdir() if file.suffix.lower() in _SUFFIXES and file.is_file() and not file.name.startswith("."))
+    files = sorted(file for file in path.iterdir() if file.suffix.lower() in FOLDER_SUFFIXES and file.is_file() and not file.name.startswith("."))
     if not files:
-        raise malformed(str(path), f"camera files ({', '.join(_SUFFIXES)}) in the folder", "none", "give the file itself")
+        raise malformed(str(path), f"camera files ({', '.join(FOLDER_SUFFIXES)}) in the folder", "none", "give the file itself")
     whole = Source(str(path), {file.name: read_bytes(file) for file in files}, folder=True)
     for each in _candidates(name):
         if each.sniff(whole):
             return _with_unit(each.parse(whole), each, str(path), unit)
-    parts = [parse_content(content, f"{path}/{file}", name, unit) for file, content in whole.files.items() if file.lower().endswith(_ONE_CAMERA)]
+    parts = [parse_content(content, f"{path}/{file}", name, unit) for file, content in whole.files.items() if file.lower().endswith(ONE_CAMERA)]
     if not parts:
-        raise malformed(str(path), f"camera files ({', '.join(_ONE_CAMERA)}) in the folder", ", ".join(whole.files), "give the file itself")
+        raise malformed(str(path), f"camera files ({', '.join(ONE_CAMERA)}) in the folder", ", ".join(whole.files), "give the file itself")
     return reduce(lambda found, more: both(found, more, str(path)), parts)
 
 
@@ -74,8 +71,8 @@ def looks_like_cameras(path: Path, content: bytes | None = None) -> bool:
     if content is not None or not path.is_dir():
         file = Source(str(path), {path.name: read_bytes(path) if content is None else content})
         return any(each.sniff(file) for each in CAMERA_FORMATS)
-    whole = Source(str(path), {file.name: b"" for file in path.iterdir() if file.suffix.lower() in _SUFFIXES}, folder=True)
-    files = sorted(file for file in path.iterdir() if file.suffix.lower() in _ONE_CAMERA and file.is_file() and not file.name.startswith("."))
+    whole = Source(str(path), {file.name: b"" for file in path.iterdir() if file.suffix.lower() in FOLDER_SUFFIXES}, folder=True)
+    files = sorted(file for file in path.iterdir() if file.suffix.lower() in ONE_CAMERA and file.is_file() and not file.name.startswith("."))
     return any(each.sniff(whole) for each in CAMERA_FORMATS if each.folder) or (bool(files) and looks_like_cameras(files[0]))
 
 

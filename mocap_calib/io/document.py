@@ -22,8 +22,8 @@ HDF5_DAMAGE = (OSError, KeyError, IndexError, ValueError, TypeError, AttributeEr
 class ReadOptions:
     """What a file does not say itself.
 
-    layout: names of the keypoints, in the file's order. image_size: (width, height) in pixels, for normalised
-    positions. camera_pattern: regular expression that finds the camera's name in a path (its group `camera`, or its
+    layout: names of the keypoints, in the file's order. image_size: (width, height) in pixels, where the file has none; positions
+    that are shares of it are multiplied by it. camera_pattern: regular expression that finds the camera's name in a path (its group `camera`, or its
     first, or all of it), and perhaps the frame number (group `frame`). frame_offset: camera -> added to its frame
     numbers. crop_offset: camera -> (x, y) added to its positions. views: suffixes of keypoint names that stand for
     views (`paw_top`, `paw_bot`), each of which becomes a camera. single_precision: keep float32, a ten-thousandth of a pixel, of each

@@ -29,12 +29,13 @@ from mocap_calib.io import (
     superanimal,
     ultralytics,
 )
-from mocap_calib.io.adjust2d import moved, split_views
-from mocap_calib.io.atomic import folder, write_bytes
+from mocap_calib.io.adjust2d import in_pixels, moved, split_views
+from mocap_calib.io.atomic import check_alone, folder, write_bytes
 from mocap_calib.io.camera_formats.source import FILE_NAME
 from mocap_calib.io.contained import contained
 from mocap_calib.io.document import Document, Item, ReadOptions, describe
-from mocap_calib.io.items import Holds, keypoint_items
+from mocap_calib.io.items import FOLDER_SUFFIXES, Holds, keypoint_items
+from mocap_calib.io.losses2d import FOLLOWED, GAPS, MIXED, NAMES, SCORES, SIZES, Loss
 from mocap_calib.io.reading import malformed
 from mocap_calib.types import Keypoints2D
 
@@ -47,7 +48,7 @@ class KeypointFormat:
 
     sniff: whether a file is meant for it, which its reader may still refuse. read: the cameras in a file or folder.
     write: relative path -> content of what holds these cameras, or None. per_frame: a file holds one frame, a folder
-    one camera.
+    one camera. ending: of the files that are written. lacks: what a written file has no place for.
     """
 
     description: str
@@ -55,27 +56,46 @@ class KeypointFormat:
     read: Callable[[Item, ReadOptions], tuple[Keypoints2D, ...]]
     write: Writer | None = None
     per_frame: bool = False
+    ending: str = ""
+    lacks: tuple[Loss, ...] = ()
 
 
 # the first whose sniff says yes reads the file
 KEYPOINT_FORMATS = {
-    "coco": KeypointFormat("COCO annotations .json", coco.sniff, coco.read, coco_writer.write),
-    "openpose": KeypointFormat("OpenPose .json, a folder per camera", openpose.sniff, openpose.read, openpose.write, per_frame=True),
+    "coco": KeypointFormat("COCO annotations .json", coco.sniff, coco.read, coco_writer.write, ending=".json", lacks=(FOLLOWED, SCORES)),
+    "openpose": KeypointFormat(
+        "OpenPose .json, a folder per camera",
+        openpose.sniff,
+        openpose.read,
+        openpose.write,
+        per_frame=True,
+        ending=".json",
+        lacks=(NAMES, FOLLOWED, SIZES, SCORES),
+    ),
     "mmpose-images": KeypointFormat("MMPose .json of images, a folder per camera", mmpose.sniff_image, mmpose.read_images, per_frame=True),
     "mmpose": KeypointFormat("MMPose and RTMPose .json of a video", mmpose.sniff_video, mmpose.read_video),
     "superanimal": KeypointFormat("DeepLabCut SuperAnimal .json", superanimal.sniff, superanimal.read),
     "coco-results": KeypointFormat("COCO results .json", results_json.sniff_coco, results_json.read_coco),
     "alphapose": KeypointFormat("AlphaPose .json", results_json.sniff_alphapose, results_json.read_alphapose),
-    "deeplabcut-h5": KeypointFormat("DeepLabCut .h5", deeplabcut_h5.sniff, deeplabcut_h5.read, deeplabcut_writer.write_h5),
-    "sleap": KeypointFormat("SLEAP analysis .h5", sleap_h5.sniff, sleap_h5.read, sleap_h5.write),
+    "deeplabcut-h5": KeypointFormat("DeepLabCut .h5", deeplabcut_h5.sniff, deeplabcut_h5.read, deeplabcut_writer.write_h5, ending=".h5", lacks=(SIZES, SCORES)),
+    "sleap": KeypointFormat("SLEAP analysis .h5", sleap_h5.sniff, sleap_h5.read, sleap_h5.write, ending=".h5", lacks=(SIZES, GAPS, SCORES)),
     "sleap-slp": KeypointFormat("SLEAP .slp", sleap_slp.sniff, sleap_slp.read),
-    "movement": KeypointFormat("movement .nc", movement_nc.sniff, movement_nc.read, movement_nc.write),
+    "movement": KeypointFormat("movement .nc", movement_nc.sniff, movement_nc.read, movement_nc.write, ending=".nc", lacks=(SIZES, SCORES)),
     "nwb": KeypointFormat("NWB ndx-pose .nwb", nwb.sniff, nwb.read),
     "label3d": KeypointFormat("Label3D .mat", label3d.sniff, label3d.read),
-    "deeplabcut-csv": KeypointFormat("DeepLabCut and Lightning Pose .csv", deeplabcut_csv.sniff, deeplabcut_csv.read, deeplabcut_writer.write_csv),
+    "deeplabcut-csv": KeypointFormat(
+        "DeepLabCut and Lightning Pose .csv", deeplabcut_csv.sniff, deeplabcut_csv.read, deeplabcut_writer.write_csv, ending=".csv", lacks=(SIZES, SCORES)
+    ),
     "sleap-csv": KeypointFormat("SLEAP analysis .csv", sleap_csv.sniff, sleap_csv.read),
     "caliscope": KeypointFormat("caliscope .csv", caliscope.sniff, caliscope.read),
-    "csv": KeypointFormat("csv with a row per point (camera,frame,individual,keypoint,x,y,score)", generic_csv.sniff, generic_csv.read, generic_csv.write),
+    "csv": KeypointFormat(
+        "csv with a row per point (camera,frame,individual,keypoint,x,y,score)",
+        generic_csv.sniff,
+        generic_csv.read,
+        generic_csv.write,
+        ending=".csv",
+        lacks=(MIXED, SIZES, SCORES),
+    ),
     "ultralytics": KeypointFormat("Ultralytics .txt, a folder per camera", ultralytics.sniff, ultralytics.read, per_frame=True),
 }
 
@@ -115,6 +135,15 @@ def read_what_can(
     return (tuple(views) if errors else moved(views, options)), errors
 
 
+def looks_like_keypoints(path: Path) -> bool:
+    """Whether the first file, or folder of frames, in a file or folder is of one of the formats."""
+    try:
+        item = keypoint_items([path], ReadOptions(), lambda item: _holds(item, None))[0]
+        return contained(item.document.content, str(item.path), _sniffed, item.document, None) != ""
+    except MocapCalibError:
+        return False
+
+
 def _lean(view: Keypoints2D) -> Keypoints2D:
     """The same in single precision."""
     return replace(view, positions=view.positions.astype(np.float32), confidence=view.confidence.astype(np.float32))
@@ -129,27 +158,30 @@ def _check_once(found: list[tuple[str, str]]) -> None:
         raise MismatchError(f"expected one keypoint file per camera, found {files} for camera {twice}; leave one out, or say name=path")
 
 
-def write_keypoints(path: Path, views: tuple[Keypoints2D, ...], format: str) -> None:
-    """Writes the cameras as `format` has them, whole or not at all.
+def write_keypoints(path: Path, views: tuple[Keypoints2D, ...], format: str) -> tuple[str, ...]:
+    """Writes the cameras as `format` has them, whole or not at all, and returns what of the views it does not hold.
 
     A format with one file for all of them writes `path`; others fill the folder `path`. Raises MismatchError where the
-    format has no writer, or no place for what the views hold.
+    format has no writer or cannot hold the detections, and where the folder has files of another recording.
     """
-    writer = _known(format).write
-    if writer is None:
+    known_format = _known(format)
+    if known_format.write is None:
         known = ", ".join(name for name, each in KEYPOINT_FORMATS.items() if each.write)
         raise MismatchError(f"expected a keypoint format that is written ({known}), found {format}; choose one of those")
-    files = writer(views)
+    files = known_format.write(views)
+    lost = tuple(loss.what for loss in known_format.lacks if loss.has(views))
     if len(files) == 1 and path.suffix:
         write_bytes(path, next(iter(files.values())))
-        return
+        return lost
     for view in views:
         if not re.fullmatch(FILE_NAME[0], view.camera):  # it may come from inside a file, and lead anywhere
             raise MismatchError(f"{view.source}: expected camera names of {FILE_NAME[1]}, found {view.camera!r}; rename the camera")
+    check_alone(path, files, FOLDER_SUFFIXES)
     with folder(path) as work:
         for name, content in files.items():
             (work / name).parent.mkdir(parents=True, exist_ok=True)
             (work / name).write_bytes(content)
+    return lost
 
 
 def _known(name: str) -> KeypointFormat:
@@ -169,7 +201,7 @@ def _format(document: Document, name: str | None) -> KeypointFormat:
     if found:
         return KEYPOINT_FORMATS[found]
     if name is not None:
-        raise malformed(document.source, KEYPOINT_FORMATS[name].description, describe(document), "leave out --format, or choose another")
+        raise malformed(document.source, KEYPOINT_FORMATS[name].description, describe(document), "name another format, or none")
     raise malformed(document.source, f"one of: {', '.join(KEYPOINT_FORMATS)}", describe(document), "export one of these")
 
 
@@ -194,5 +226,5 @@ def _read(item: Item, name: str | None, options: ReadOptions) -> tuple[Keypoints
         views = (replace(views[0], camera=item.camera),)
     if not all(view.camera for view in views):
         raise malformed(str(item.path), f"a camera in the path by the pattern {options.camera_pattern}", "none", "change --camera-regex")
-    split = (view for whole in views for view in split_views(whole, options.views))
+    split = (in_pixels(view, options.image_size) for whole in views for view in split_views(whole, options.views))
     return tuple(map(_lean, split)) if options.single_precision else tuple(split)

@@ -10,11 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.io.atomic import folder, write_bytes
+from mocap_calib.io.atomic import check_alone, folder, write_bytes
 from mocap_calib.io.camera_formats import colmap, dannce, easymocap, json_files, kalibr, nerfstudio, openmvg, toml_files, yaml_files
 from mocap_calib.io.camera_formats.source import CameraFile, Source, Written
 from mocap_calib.io.units import unit_factor
 from mocap_calib.types import CameraRig
+
+ONE_CAMERA = (".yml", ".yaml", ".toml", ".json", ".mat")  # of a file that may be one of several in a folder
+FOLDER_SUFFIXES = (*ONE_CAMERA, ".txt", ".bin")  # COLMAP's
 
 Write = Callable[[CameraRig, Mapping[str, Any]], Written]
 
@@ -92,14 +95,6 @@ def format_rig(rig: CameraRig, name: str, provenance: Mapping[str, Any]) -> Writ
     return target.write(rig, provenance)
 
 
-def _check_strangers(path: Path, written: Written) -> None:
-    """Raises MismatchError where the folder has files of the same kind, which would join the rig or contradict it."""
-    endings = {Path(name).suffix for name in written.files}
-    strangers = sorted(file.name for file in path.glob("*") if file.suffix in endings and file.name not in written.files)
-    if strangers:
-        raise MismatchError(f"{path}: expected a new folder or one with the same files, found {strangers[0]}: choose another or remove it")
-
-
 def write_cameras(path: Path, rig: CameraRig, name: str, provenance: Mapping[str, Any] | None = None) -> tuple[str, ...]:
     """Writes the rig in the format, atomically: to the file `path`, or to the folder where the format is several files.
 
@@ -107,7 +102,7 @@ def write_cameras(path: Path, rig: CameraRig, name: str, provenance: Mapping[str
     """
     written = format_rig(rig, name, provenance or {})
     if camera_format(name).folder:
-        _check_strangers(path, written)
+        check_alone(path, written.files, FOLDER_SUFFIXES)
         with folder(path) as work:
             for file, content in written.files.items():
                 (work / file).write_bytes(content)

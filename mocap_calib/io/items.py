@@ -8,7 +8,8 @@ from mocap_calib.errors import MismatchError
 from mocap_calib.io.document import Item, ReadOptions
 from mocap_calib.io.reading import camera_in, frame_number
 
-SUFFIXES = (".json", ".csv", ".h5", ".hdf5", ".nc", ".nwb", ".slp", ".mat", ".txt")
+FOLDER_SUFFIXES = (".json", ".csv", ".h5", ".hdf5", ".nc", ".nwb", ".slp", ".mat")
+SUFFIXES = (*FOLDER_SUFFIXES, ".txt")  # the last only where there is nothing else
 
 
 class Holds(Enum):

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from mocap_calib.config import ReadConfig
 from mocap_calib.io.document import Document, Item, ReadOptions
 from mocap_calib.io.layouts import layout_for
 from mocap_calib.io.per_frame import frames_of
@@ -12,7 +13,6 @@ from mocap_calib.io.reading import NO_SCORE, make_view, malformed, stacked, visi
 from mocap_calib.types import Floats, Keypoints2D
 
 _BOX = 5  # class, centre and size
-_PIXELS = 1.5  # a position beyond it is no share of the image
 
 
 def sniff(document: Document) -> bool:
@@ -32,7 +32,7 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     names, numbers = frames_of(item)
     frames = [list(_detections(document, len(options.layout))) for document in item.documents()]
     values = stacked(frames, len(options.layout), source)
-    if np.nanmax(np.abs(values[..., :2]), initial=0.0) > _PIXELS:
+    if np.nanmax(np.abs(values[..., :2]), initial=0.0) > ReadConfig().largest_share:
         found = f"{np.nanmax(np.abs(values[..., :2])):.1f}"
         raise malformed(source, "positions from 0 to 1", found, "these are pixels, of a letterboxed image perhaps: export them again")
     unscored = np.isnan(values[..., 2]).all()

@@ -11,19 +11,17 @@ from contextlib import contextmanager
 import numpy as np
 import torch
 
-from mocap_calib.errors import MismatchError
 from mocap_calib.frames import evenly
 from mocap_calib.geometry.rotation import looking_along
 from mocap_calib.parallel import in_order
+from mocap_calib.recording import LEAST_JOINTS, check_joints
 from mocap_calib.steerpose.model import Lifter, normalise
 from mocap_calib.types import Bools, Floats, LiftedPoses, Progress, Sample
 
-LEAST_JOINTS = 4
 _DOUBTFUL = 0.4  # of the confidence that a view reaches at its best; the network knows joints that are seen or not
 _BEST = 90.0  # percentile
 _BLOCK = 1024
 _SAMPLE = 128
-_CROWD = 0.2  # share of images with several detections; below it they are false ones
 _DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]])
 
 
@@ -36,7 +34,7 @@ def lift(recording: Sample, lifter: Lifter, *, device: str = "cpu", progress: Pr
     """
     lifter = lifter.to(device)
     known = recording.vocabulary >= 0
-    _check_needed(recording, known)
+    check_joints(recording)
     views, frames, instances = recording.positions.shape[:3]
     joints = lifter.config.joints
     rays = np.full((views, frames, instances, joints, 3), np.nan)
@@ -71,15 +69,6 @@ def _one_thread() -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(before)
-
-
-def _check_needed(recording: Sample, known: Bools) -> None:
-    if len(known) < LEAST_JOINTS:
-        raise MismatchError(f"expected at least {LEAST_JOINTS} joints that two views have in common, found {', '.join(recording.keypoints)}; detect more")
-    crowded = (recording.seen.any(-1).sum(-1) > 1).mean() > _CROWD
-    if known.sum() < LEAST_JOINTS and crowded and not recording.tracked.all():
-        names = ", ".join(recording.keypoints)
-        raise MismatchError(f"expected at least {LEAST_JOINTS} joint names that the model knows, found {known.sum()} among {names}; map them with --skeleton")
 
 
 def _sure(recording: Sample) -> Bools:

@@ -62,6 +62,6 @@ def command(
             Keypoints2D(camera.name, joints, some.frames, positions[v], confidence[v], bool(some.tracked[v]), camera.size, str(output))
             for v, camera in enumerate(some.cameras)
         )
-        write_keypoints(output, views, target)
+        lost = write_keypoints(output, views, target)
         filled = int(np.isfinite(positions[..., 0]).sum() - some.seen[..., recording.vocabulary >= 0].sum())
-        reporter.say(f"{filled} keypoints filled in; results in {output}")
+        reporter.say(f"{filled} keypoints filled in; results in {output}", *(f"{target} does not hold {what}" for what in lost))

@@ -28,15 +28,15 @@ def command(reading: dict[str, Any], keypoints: tuple[str, ...], cameras: str | 
     from mocap_calib.config import InspectConfig
     from mocap_calib.inspection import Finding, findings, inspect_views, with_sizes
     from mocap_calib.io.formats2d import read_what_can
-    from mocap_calib.skeleton import choose_skeleton, load_aliases
     from mocap_calib_cli import inputs
 
     views, errors = read_what_can(keypoints, reading.get("format"), inputs.read_options(reading))
-    known = inputs.cameras_of(cameras) if cameras else ()
-    names = tuple(dict.fromkeys(name for view in views for name in view.keypoints))
-    aliases = load_aliases(skeleton, choose_skeleton(names)) if skeleton else {}
-    report = inspect_views(with_sizes(views, known), InspectConfig())
-    found = [*(Finding(True, str(error)) for error in errors), *findings(views, report, known, aliases, InspectConfig())]
+    file = inputs.camera_file(cameras, "--cameras") if cameras else None
+    known, notes = (file.cameras, file.notes) if file else ((), ())
+    vocabulary, aliases = inputs.fitting(views, skeleton)
+    report = inspect_views(with_sizes(views, known), vocabulary, aliases, InspectConfig())
+    stands = findings(views, report, known, vocabulary, aliases, InspectConfig())
+    found = [*(Finding(True, str(error)) for error in errors), *stands, *(Finding(False, note) for note in notes)]
     report["findings"] = [{"level": "CRITICAL" if each.critical else "WARNING", "message": each.message} for each in found]
     if as_json:
         click.echo(json.dumps(report, indent=1, allow_nan=False))
@@ -71,7 +71,7 @@ _COLOURS = {"CRITICAL": "red", "WARNING": "yellow"}
 
 def _row(camera: dict[str, Any]) -> list[str]:
     frames, image, score = camera["frames"], camera["image"], camera["confidence"]
-    share = sum(entry["share"] for entry in camera["missing"].values())
+    share = sum(entry["share"] for entry in camera["missing"].values()) if camera["points"] else 1.0
     size = "x".join(map(str, image["size"])) if any(image["size"]) else "?"
     scores = f"{score['least']:.2f}-{score['most']:.2f}" if score["most"] is not None else "-"
     return [

@@ -96,8 +96,8 @@ def write_npz(file: PoseFile, title: str) -> WrittenPoses:
 
 
 def sniff_sleap_anipose(content: bytes) -> bool:
-    """Tracks of 3D points; SLEAP's own 2D analysis has node_names and (track, 2, node, frame)."""
-    return looks(content, lambda file: "tracks" in file and file["tracks"].ndim == 4 and file["tracks"].shape[-1] == 3)
+    """Tracks of 3D points; SLEAP's own 2D analysis, (track, 2, node, frame), has their occupancy, and perhaps three frames."""
+    return looks(content, lambda file: "tracks" in file and file["tracks"].ndim == 4 and file["tracks"].shape[-1] == 3 and "track_occupancy" not in file)
 
 
 def parse_sleap_anipose(content: bytes, source: str) -> PoseFile:
