@@ -3,6 +3,7 @@
 import json
 import os
 import pickle
+import time
 from dataclasses import replace
 
 import h5py
@@ -326,6 +327,28 @@ def test_16_double_lines_and_double_frames_name_both(tmp_path):
     (tmp_path / "a.csv").write_text("camera,frame,individual,keypoint,x,y\n" + "a,1,m,nose,5,6\n" * 2)
     with pytest.raises(FormatError, match="frame 1, individual 0, nose 2 times"):
         read_keypoints([tmp_path / "a.csv"])
+
+
+@pytest.mark.parametrize(("row", "count", "what"), [("c{},0,a,nose,1,2", 201, "200 cameras in a file"), ("c,0,a,k{},1,2", 60_000, "5000 keypoints")])
+def test_another_column_taken_for_cameras_or_keypoints_is_refused_at_once(tmp_path, row, count, what):
+    """Image names among the cameras: two thousand took inspect minutes, sixty thousand keypoints a minute. Measured: 0.4 s."""
+    lines = ["camera,frame,individual,keypoint,x,y", *map(row.format, range(count))]
+    (tmp_path / "a.csv").write_text("\n".join(lines))
+    begun = time.perf_counter()
+    with pytest.raises(FormatError, match=f"at most {what}, found {count}"):
+        read_keypoints([tmp_path / "a.csv"])
+    assert time.perf_counter() - begun < 10
+
+
+def test_an_h5_that_unpacks_to_a_giant_is_refused_before_it_is_read(tmp_path):
+    """A megabyte that is 320 MB of ones, which deflate packs a thousandfold; 800 MB took 1.6 GB of memory."""
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        tracks = file.create_dataset("tracks", (1, 2, 10, 2_000_000), "f8", chunks=(1, 2, 10, 50_000), compression="gzip")
+        for start in range(0, 2_000_000, 50_000):
+            tracks[..., start : start + 50_000] = 1.0
+        file["node_names"], file["track_names"] = np.array([f"n{k}" for k in range(10)], dtype="S"), np.array([b"t"])
+    with pytest.raises(FormatError, match=r"at most 1\d\d MB of `/tracks`.*found 320 MB"):
+        read_keypoints([tmp_path / "a.h5"])
 
 
 class Trap:

@@ -35,7 +35,7 @@ from mocap_calib.io.camera_formats.source import FILE_NAME
 from mocap_calib.io.contained import contained
 from mocap_calib.io.document import Document, Item, ReadOptions, describe
 from mocap_calib.io.items import Holds, keypoint_items
-from mocap_calib.io.reading import malformed
+from mocap_calib.io.reading import check_cameras, malformed
 from mocap_calib.types import Keypoints2D
 
 Writer = Callable[[tuple[Keypoints2D, ...]], dict[str, bytes]]
@@ -187,6 +187,7 @@ def _holds(item: Item, name: str | None) -> Holds:
 def _read(item: Item, name: str | None, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """The cameras in one item. Raises FormatError and MismatchError."""
     views = _format(item.document, name).read(item, options)
+    check_cameras([view.camera for view in views], str(item.path))
     if item.named and len(views) > 1:
         cameras = ", ".join(view.camera for view in views)
         raise MismatchError(f"{item.path}: expected the one camera {item.camera}, found {cameras}; give the file without a name")

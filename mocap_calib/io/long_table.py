@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocap_calib.io.document import Item
-from mocap_calib.io.reading import Origin, blank, frame_number, make_view, malformed, scored
+from mocap_calib.io.reading import Origin, blank, check_cameras, frame_number, make_view, malformed, scored, unique_names
 from mocap_calib.types import Floats, Ints, Keypoints2D
 
 
@@ -88,6 +88,7 @@ def views_of(points: Points, item: Item, tracked: bool, remarks: tuple[str, ...]
     """The cameras in the table, in the order in which they appear. Raises FormatError."""
     source = item.origin.source
     cameras, camera = _coded(points.camera)
+    check_cameras(cameras, source)
     columns = [_coded(column) for column in (points.frame, points.who, points.keypoint)]
     return tuple(_view(Origin(name, source), columns, np.flatnonzero(camera == k), points.values, tracked, remarks) for k, name in enumerate(cameras))
 
@@ -108,7 +109,9 @@ def _view(origin: Origin, columns: list[tuple[list[str], Ints]], rows: Ints, val
     numbers = np.unique(found)
     individuals = _individuals(people, tracked, source)
     keypoints = [name for name in names if name]
-    column = np.array([keypoints.index(name) if name else -1 for name in names], dtype=np.int64)
+    unique_names(keypoints, source)
+    place = {name: k for k, name in enumerate(keypoints)}
+    column = np.array([place.get(name, -1) for name in names], dtype=np.int64)
     content = blank(len(numbers), int(individuals.max()) + 1, len(keypoints), source)
     at = (np.searchsorted(numbers, found)[frame], individuals[who], column[keypoint])
     points = at[2] >= 0

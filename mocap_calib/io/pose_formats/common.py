@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.io.reading import malformed
+from mocap_calib.io.reading import malformed, repeated
 from mocap_calib.io.units import unit_factor
 from mocap_calib.types import Floats, Ints, Poses3D
 
@@ -120,7 +120,7 @@ def lost_names(file: PoseFile) -> tuple[str, ...]:
 def check_poses(file: PoseFile, source: str) -> PoseFile:
     """The file as it is: names and frames each once, frames in order. Raises FormatError."""
     for what, names in (("keypoint", file.poses.keypoints), ("individual", file.individuals)):
-        twice = sorted({name for name in names if names.count(name) > 1})
+        twice = repeated(names)
         if twice:
             raise malformed(source, f"each {what} once", f"{', '.join(twice)} twice", "rename one of them")
     if (np.diff(file.poses.frames) <= 0).any():
