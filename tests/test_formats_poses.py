@@ -103,6 +103,19 @@ def test_formats_of_one_individual_write_a_file_each(tmp_path):
     assert_poses(file, back, "trc")
 
 
+@pytest.mark.parametrize(
+    ("given_", "kept"),
+    [
+        ((("anna",), ("bert",)), ("anna", "bert")),
+        ((("anna",), ("individual_0",)), ("anna", "individual_1")),
+        (((), ()), ("individual_0", "individual_1")),
+        ((("anna",), ("anna",)), ("individual_0", "individual_1")),
+    ],
+)
+def test_joined_files_keep_the_names_that_tell_individuals_apart(given_, kept):
+    assert together([replace(example(1), individuals=names) for names in given_], "there").individuals == kept
+
+
 @pytest.mark.parametrize("said_by", ["numbers", "references", "both"])
 @pytest.mark.parametrize("order", list(itertools.permutations(range(4))), ids=str)
 def test_movement_s_dimensions_come_in_any_order(order, said_by, tmp_path):

@@ -21,6 +21,7 @@ DAMAGE = (
     *(ZeroDivisionError, NotImplementedError, NameError, struct.error, zipfile.BadZipFile, zlib.error),
 )
 _LONGEST = 5_000_000  # frames of a file without gaps: a day and a half at 30 per second
+UNNAMED = re.compile(r"individual_[0-9]+")  # what individuals without a name are called
 _UP = {
     "x": [[0, 0, 1], [1, 0, 0], [0, 1, 0]],
     "y": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
@@ -114,7 +115,7 @@ def lost_quality(file: PoseFile) -> tuple[str, ...]:
 
 def lost_names(file: PoseFile) -> tuple[str, ...]:
     """What is lost by a format that does not name individuals."""
-    return () if all(re.fullmatch(r"individual_\d+", name) for name in file.individuals) else ("the individuals' names",)
+    return () if all(UNNAMED.fullmatch(name) for name in file.individuals) else ("the individuals' names",)
 
 
 def check_poses(file: PoseFile, source: str) -> PoseFile:
