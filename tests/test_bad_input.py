@@ -325,8 +325,12 @@ def test_16_double_lines_and_double_frames_name_both(tmp_path):
     with pytest.raises(FormatError, match=r"one_0001\.json and two_0001\.json"):
         read_keypoints([folder])
     (tmp_path / "a.csv").write_text("camera,frame,individual,keypoint,x,y\n" + "a,1,m,nose,5,6\n" * 2)
-    with pytest.raises(FormatError, match="frame 1, individual 0, nose 2 times"):
+    with pytest.raises(FormatError, match="frame 1, individual 0, nose 2 times, in rows 2, 3"):
         read_keypoints([tmp_path / "a.csv"])
+    positions, confidence = recording()
+    (tmp_path / "b.csv").write_text(dlc_csv([3, 4, 3, 5, 6], dlc_columns(NAMES), dlc_values(positions, confidence)))
+    with pytest.raises(FormatError, match=r"frame 3 twice, at row 4 \(3\) and row 6 \(3\)"):
+        read_keypoints([tmp_path / "b.csv"])
 
 
 @pytest.mark.parametrize(("row", "count", "what"), [("c{},0,a,nose,1,2", 201, "200 cameras in a file"), ("c,0,a,k{},1,2", 60_000, "5000 keypoints")])
@@ -404,6 +408,23 @@ def test_18_literals_marks_and_line_ends(tmp_path):
     (tmp_path / "b.csv").write_text("frame;keypoint;x;y\n3;nose;1,5;2,5\n")
     with pytest.raises(FormatError, match="commas"):
         read_keypoints([tmp_path / "b.csv"])
+    table = dlc_csv(FRAMES, dlc_columns(NAMES), dlc_values(*recording(missing=0)))
+    (tmp_path / "b.csv").write_text(table.replace(".", ","))
+    with pytest.raises(FormatError, match=r"row 4.*commas in its numbers"):
+        read_keypoints([tmp_path / "b.csv"])
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-be"])
+@pytest.mark.parametrize("name", ["coco", "deeplabcut-csv"])
+def test_18_powershell_s_utf_16_is_read(tmp_path, name, encoding):
+    paths = write_sample(name, tmp_path, *recording())
+    (plain,) = read_keypoints(paths)
+    paths[0].write_bytes(("\ufeff" * (encoding == "utf-16-be") + paths[0].read_text()).encode(encoding))
+    (view,) = read_keypoints(paths)
+    np.testing.assert_array_equal(view.positions, plain.positions)
+    paths[0].write_bytes(paths[0].read_bytes()[:-1])
+    with pytest.raises(FormatError):
+        read_keypoints(paths)
 
 
 def test_20_cameras_without_a_valid_point_are_named_and_stop_a_run_of_two(tmp_path):

@@ -1,5 +1,6 @@
 """What the readers share: complaints in one line, frame numbers, the marks of a missing point."""
 
+import codecs
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -31,11 +32,15 @@ def malformed(source: str, expected: str, found: object, remedy: str) -> FormatE
 
 
 def read_bytes(path: Path) -> bytes:
-    """The whole file at once, so that a pipe can be sniffed as well. Raises FormatError."""
+    """The whole file at once, so that a pipe can be sniffed as well; UTF-16, as PowerShell's `>` writes it, as UTF-8. Raises FormatError."""
     try:
-        return path.read_bytes()
+        content = path.read_bytes()
     except (OSError, ValueError) as error:
         raise malformed(str(path), "a readable file", getattr(error, "strerror", None) or error, "check the path") from None
+    try:
+        return content.decode("utf-16").encode() if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else content
+    except UnicodeError:
+        return content
 
 
 def decode(content: bytes, source: str) -> str:
