@@ -9,7 +9,7 @@ import numpy as np
 from scipy.io import savemat
 
 from mocap_calib.io.camera_formats.source import CameraFile, Source, Written, terms, unique, without_sizes
-from mocap_calib.io.intrinsics import make_camera, make_extrinsics, numbers
+from mocap_calib.io.intrinsics import make_camera, make_extrinsics, numbers, skew_in_pixels
 from mocap_calib.io.mat5 import DAMAGE, read_mat
 from mocap_calib.io.reading import malformed, one_line
 from mocap_calib.types import Camera, CameraRig, Floats
@@ -66,10 +66,10 @@ def _without_skew(matrix: Floats, name: str) -> tuple[Floats, list[str]]:
     """The matrix without a skew of noise, and a note of what that does at the edge of the image."""
     if matrix.shape != (3, 3) or not 0 < abs(matrix[0, 1]) < _SKEW * abs(matrix[0, 0]):
         return matrix, []
-    off = abs(matrix[0, 1] * matrix[1, 2] / matrix[1, 1])
     plain = matrix.copy()
     plain[0, 1] = 0.0
-    return plain, [f"camera {name}: the skew {matrix[0, 1]:.2f} is left out, which is up to {off:.1f} pixels at the edge of the image"]
+    off = f"{skew_in_pixels(matrix):.1f} pixels at the edge of the image"
+    return plain, [f"camera {name}: the skew {matrix[0, 1]:.2f} is left out, which is up to {off}"]
 
 
 def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:  # noqa: ARG001 - the writers' signature
