@@ -26,9 +26,33 @@ def test_layouts_name_each_point_once_and_the_models_know_them():
             assert len(names) == int(name.rpartition("_")[2].rstrip("b"))
     for name in ("coco_17", "body_25", "body_25b", "coco_18", "halpe_26", "h36m_17", "mpii_16"):
         assert (match_names(LAYOUTS[name], people) >= 0).sum() >= len(LAYOUTS[name]) - 2, name
+    for whole, body in (("coco_wholebody_133", LAYOUTS["coco_17"]), ("halpe_136", LAYOUTS["halpe_26"])):
+        assert LAYOUTS[whole][: len(body)] == body
+        assert (match_names(LAYOUTS[whole], people) >= 0).sum() >= 23, whole
+        assert LAYOUTS[whole][-42] == "left_hand_root"
+    assert LAYOUTS["coco_wholebody_133"][17:24] == (
+        *("left_big_toe", "left_small_toe", "left_heel"),
+        *("right_big_toe", "right_small_toe", "right_heel"),
+        "face_0",
+    )
     assert parse_layout("a, b") == ("a", "b")
     with pytest.raises(MismatchError, match="coco_17"):
         parse_layout("body_26")
+
+
+@pytest.mark.parametrize("layout", ["coco_wholebody_133", "halpe_136"])
+@pytest.mark.parametrize("program", ["alphapose", "openpose", "mmpose"])
+def test_whole_bodies_are_known_by_their_number_of_points(tmp_path, program, layout):
+    count = len(LAYOUTS[layout])
+    points, scores = np.random.default_rng(0).uniform(5, 400, (count, 2)), np.full(count, 0.5)
+    content = {
+        "alphapose": [{"image_id": "0.jpg", "category_id": 1, "keypoints": triples(points, scores), "score": 2.0, "box": [1, 2, 3, 4], "idx": [0.0]}],
+        "openpose": {"people": [{"pose_keypoints_2d": triples(points, scores)}]},
+        "mmpose": [{"frame_id": 0, "instances": [{"keypoints": points.tolist(), "keypoint_scores": scores.tolist()}]}],
+    }
+    (tmp_path / "0.json").write_text(json.dumps(content[program]))
+    (view,) = read_keypoints([f"cam={tmp_path / '0.json'}"])
+    assert view.keypoints == LAYOUTS[layout]
 
 
 @pytest.mark.parametrize(("people", "points"), [("people", "pose_keypoints_2d"), ("bodies", "joints")])

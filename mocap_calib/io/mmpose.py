@@ -10,6 +10,8 @@ from mocap_calib.io.per_frame import frames_of, numbers_of
 from mocap_calib.io.reading import make_view, malformed, stacked
 from mocap_calib.types import Floats, Keypoints2D
 
+_SURE = ("coco_wholebody_133", "halpe_136")  # its only ones of their length
+
 
 def sniff_image(document: Document) -> bool:
     """A list of instances."""
@@ -53,7 +55,7 @@ def _view(item: Item, options: ReadOptions, numbers: list[int], detections: list
     count = max((len(points) for found in detections for points in found), default=0)
     if count == 0:
         raise malformed(source, "instances in one of its frames", f"none in {len(detections)} frames", "check the detector's output")
-    names = layout_for(count, options.layout or own, source)
+    names = layout_for(count, options.layout or own, source, _SURE)
     return (make_view(item.origin, names, numbers, stacked(detections, count, source), tracked=False, rows=rows),)
 
 

@@ -13,8 +13,8 @@ from mocap_calib.io.per_frame import frame_numbers, frames_of, triples
 from mocap_calib.io.reading import make_view, malformed, stacked
 from mocap_calib.types import Floats, Keypoints2D
 
-# 75 numbers are BODY_25 or BODY_25B, which is not told apart; the others are OpenPose's only ones of their length
-_SURE = ("coco_18", "mpi_15", "body_135")
+# 75 numbers are BODY_25 or BODY_25B, which is not told apart; the others are OpenPose's, or AlphaPose's, only ones of their length
+_SURE = ("coco_18", "mpi_15", "body_135", "halpe_136", "coco_wholebody_133")
 _LISTS = {"people": "pose_keypoints_2d", "bodies": "joints"}  # OpenPose; CMU Panoptic, which AlphaPose also writes
 
 
