@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from keypoint_files import coco, coco_bytes, dlc_columns, dlc_csv, dlc_h5_table, dlc_values
-from samples2d import FRAMES, NAMES, SAMPLES, SIZE, recording, write_sample
+from samples2d import FRAMES, LAYOUT, NAMES, SAMPLES, SIZE, recording, write_sample
 
 from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.io.document import ReadOptions
@@ -310,6 +310,26 @@ def test_15_empty_people_empty_lists_and_null_are_missing(tmp_path):
         (tmp_path / "a_json" / f"{k}.json").write_text(json.dumps({"people": people}))
     (view,) = read_keypoints([tmp_path], None, ReadOptions(layout=NAMES))
     assert np.isfinite(view.positions[..., 0]).sum((1, 2)).tolist() == [0, 0, 2]
+
+
+def test_15_an_empty_file_among_the_frames_is_named(tmp_path):
+    for name in ("openpose", "mmpose-images"):
+        paths = write_sample(name, tmp_path / name, *recording())
+        victim = sorted(path for path in (tmp_path / name).rglob("*.json"))[2]
+        victim.write_bytes(b"")
+        with pytest.raises(FormatError, match="found an empty file") as error:
+            read_keypoints(paths, None, LAYOUT)
+        message(error, victim)
+
+
+@pytest.mark.parametrize(
+    ("start", "words"), [(b"\x1f\x8b\x08", "gunzip"), (b"PK\x03\x04", "unpack"), (b"MATLAB 7.3 MAT-file", "-v7"), (b"CDF\x01\x00", "netCDF 4")]
+)
+def test_15_what_wraps_the_wanted_file_is_named_with_what_to_do(tmp_path, start, words):
+    (tmp_path / "a.bin").write_bytes(start + b"\x00" * 200)
+    for format in (None, "sleap", "csv"):
+        with pytest.raises(FormatError, match=f"; .*{words}"):
+            read_keypoints([tmp_path / "a.bin"], format)
 
 
 def test_16_double_lines_and_double_frames_name_both(tmp_path):

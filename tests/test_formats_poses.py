@@ -153,6 +153,14 @@ def test_movement_s_dimensions_are_as_long_as_their_coordinates(tmp_path):
         read_poses(tmp_path / "p.nc")
 
 
+def test_a_file_where_a_folder_is_is_refused_by_its_name(tmp_path):
+    (tmp_path / "there").mkdir()
+    with pytest.raises(IsADirectoryError) as caught:
+        write_poses(tmp_path / "there", example(), "npz")
+    assert caught.value.filename == str(tmp_path / "there")
+    assert [path.name for path in tmp_path.iterdir()] == ["there"]
+
+
 def test_a_trc_is_what_opensim_reads(tmp_path):
     write_poses(tmp_path / "p.trc", example(1), "trc")
     lines = (tmp_path / "p.trc").read_text().splitlines()

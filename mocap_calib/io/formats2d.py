@@ -165,12 +165,13 @@ def _sniffed(document: Document, name: str | None) -> str:
 
 def _format(document: Document, name: str | None) -> KeypointFormat:
     """The format that is named, or that the content shows. Raises FormatError, also where the content cannot be what is named."""
-    found = _sniffed(document, name)
-    if found:
-        return KEYPOINT_FORMATS[found]
+    known = _sniffed(document, name)
+    if known:
+        return KEYPOINT_FORMATS[known]
+    found, remedy = describe(document)
     if name is not None:
-        raise malformed(document.source, KEYPOINT_FORMATS[name].description, describe(document), "leave out --format, or choose another")
-    raise malformed(document.source, f"one of: {', '.join(KEYPOINT_FORMATS)}", describe(document), "export one of these")
+        raise malformed(document.source, KEYPOINT_FORMATS[name].description, found, remedy or "leave out --format, or choose another")
+    raise malformed(document.source, f"one of: {', '.join(KEYPOINT_FORMATS)}", found, remedy or "export one of these")
 
 
 def _holds(item: Item, name: str | None) -> Holds:

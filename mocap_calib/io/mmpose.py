@@ -6,7 +6,7 @@ import numpy as np
 
 from mocap_calib.io.document import Document, Item, ReadOptions
 from mocap_calib.io.layouts import layout_for
-from mocap_calib.io.per_frame import frames_of, numbers_of
+from mocap_calib.io.per_frame import frames_of, json_frames, numbers_of
 from mocap_calib.io.reading import make_view, malformed, stacked
 from mocap_calib.types import Floats, Keypoints2D
 
@@ -34,8 +34,7 @@ def _frames(content: Any) -> Any:
 def read_images(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """One camera, whose files are its frames. Raises FormatError."""
     names, numbers = frames_of(item)
-    found = [(document.json, document.source) for document in item.documents()]
-    return _view(item, options, numbers, [_instances(instances, source) for instances, source in found], (), rows=names)
+    return _view(item, options, numbers, [_instances(instances, source) for instances, source in json_frames(item)], (), rows=names)
 
 
 def read_video(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:

@@ -9,7 +9,7 @@ import numpy as np
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.document import Document, Item, ReadOptions
 from mocap_calib.io.layouts import layout_for
-from mocap_calib.io.per_frame import frame_numbers, frames_of, triples
+from mocap_calib.io.per_frame import frame_numbers, frames_of, json_frames, triples
 from mocap_calib.io.reading import make_view, malformed, stacked
 from mocap_calib.types import Floats, Keypoints2D
 
@@ -36,7 +36,7 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
         numbers = frame_numbers(names, item.origin.source)
     else:
         names, numbers = frames_of(item)
-        frames = [(document.json, document.source) for document in item.documents()]
+        frames = json_frames(item)
     people = [list(_people(frame, source)) for frame, source in frames]
     count = next((len(points) for found in people for points in found if len(points)), 0)
     if count == 0:
