@@ -94,6 +94,18 @@ def test_a_package_s_cameras_are_called_by_the_videos_its_images_are_of(tmp_path
     assert [view.camera for view in read_keypoints([tmp_path])] == ["left_cam", "right_cam"]
 
 
+def test_a_package_s_cameras_are_called_by_its_session(tmp_path):
+    """The order of cameras and videos is that of a package by SLEAP, whose 3D through its own calibration is then 3 px from its points, not 240."""
+    positions, confidence = recording(2)
+    samples2d._slp(tmp_path, positions, confidence, videos=("left_cam", "right_cam"))
+    session = {"calibration": {"cam_0": {"name": "right"}, "cam_1": {"name": "left"}, "metadata": {}}, "camcorder_to_video_idx_map": {"0": "1", "1": "0"}}
+    with h5py.File(tmp_path / "cam.slp", "a") as file:
+        del file["videos_json"]
+        file["videos_json"] = np.array([json.dumps({"backend": {"filename": "."}})] * 2, dtype="S")
+        file["sessions_json"] = np.array([json.dumps(session)], dtype="S")
+    assert [view.camera for view in read_keypoints([tmp_path])] == ["left", "right"]
+
+
 def test_lightning_pose_says_last_what_a_frame_was_used_for(tmp_path):
     positions, confidence = recording()
     lines = dlc_csv(FRAMES, dlc_columns(NAMES), dlc_values(positions, confidence)).splitlines()
@@ -126,6 +138,15 @@ def test_ultralytics_points_with_and_without_scores_before_what_may_follow(tmp_p
     (view,) = read_keypoints([tmp_path], None, ReadOptions(layout=NAMES, image_size=SIZE))
     np.testing.assert_allclose(view.positions, positions, rtol=0, atol=1e-9)
     assert set(np.unique(view.confidence)) == {0.5 if scores else 1.0}
+
+
+@pytest.mark.parametrize(
+    ("count", "words"), [(2 * 17 + 1, "coco_17"), (3 * 17, "coco_17"), (2 * 25 + 2, "body_25 or"), (500, "with names separated by commas")]
+)
+def test_ultralytics_without_a_layout_asks_for_one_that_fits(tmp_path, count, words):
+    (tmp_path / "0.txt").write_text(" ".join(["0", *["0.5"] * (4 + count)]))
+    with pytest.raises(FormatError, match=f"found {count} numbers after the box; say --layout .*{words}"):
+        read_keypoints([f"cam={tmp_path / '0.txt'}"], None, ReadOptions(image_size=SIZE))
 
 
 def test_a_slp_before_1_1_is_half_a_pixel_off(tmp_path):

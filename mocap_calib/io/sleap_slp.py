@@ -74,10 +74,23 @@ def _cameras(file: Any, videos: list[int], item: Item, options: ReadOptions) -> 
     names = {video: camera_in(path, options.camera_pattern) if options.camera_pattern else stems[video] for video, path in paths.items()}
     if len(videos) == 1 and not names[videos[0]]:
         return {videos[0]: item.camera}
+    if not any(paths.values()):
+        names = _session(file, videos, source) or names
     if len(set(names.values())) < len(videos) or not all(names.values()):
         remedy = "say --camera-regex" if any(paths.values()) else "export an analysis .h5 of each video, which are named as the cameras"
         raise malformed(source, "a camera's name in the path of each video", ", ".join(filter(None, paths.values())) or "none", remedy)
     return names
+
+
+def _session(file: Any, videos: list[int], source: str) -> dict[int, str]:
+    """Video -> camera as the one session of the project has them, if it has all."""
+    sessions = array(file, "sessions_json", source) if "sessions_json" in file else np.empty(0)
+    if len(sessions) != 1:
+        return {}
+    session = json.loads(text(sessions[0]))
+    called = {key.removeprefix("cam_"): str(fields.get("name", "")) for key, fields in session["calibration"].items()}
+    names = {int(video): called.get(camera, "") for camera, video in session["camcorder_to_video_idx_map"].items()}
+    return {video: names.get(video, "") for video in videos}
 
 
 def _path(file: Any, video: dict[str, Any]) -> str:

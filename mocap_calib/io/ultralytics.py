@@ -5,8 +5,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from mocap_calib.errors import FormatError
 from mocap_calib.io.document import Document, Item, ReadOptions
-from mocap_calib.io.layouts import layout_for
+from mocap_calib.io.layouts import LAYOUTS
 from mocap_calib.io.per_frame import frames_of
 from mocap_calib.io.reading import NO_SCORE, make_view, malformed, stacked, visibility_as_confidence
 from mocap_calib.types import Floats, Keypoints2D
@@ -29,7 +30,7 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     if options.image_size == (0, 0):
         raise malformed(source, "the size of the images, of which positions are shares", "none", "say --image-size WIDTHxHEIGHT")
     if not options.layout:
-        layout_for(_guess(item.document), (), source)
+        raise _unnamed(item.document, source)
     names, numbers = frames_of(item)
     frames = _detections([list(_rows(document)) for document in item.documents()], len(options.layout))
     values = stacked(list(frames), len(options.layout), source)
@@ -44,9 +45,12 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     return (make_view(item.origin, options.layout, numbers, values, tracked=False, image_size=options.image_size, rows=names, remarks=remarks),)
 
 
-def _guess(document: Document) -> int:
-    """How many keypoints the first line may have."""
-    return (len(next(_lines(document))[1]) - _BOX) // 3
+def _unnamed(document: Document, source: str) -> FormatError:
+    """The complaint of a file without --layout, with the layouts that the numbers of its first line fit."""
+    count = len(next(_lines(document))[1]) - _BOX
+    fitting = [name for name, names in LAYOUTS.items() if any(count - width * len(names) in _BEHIND for width in (2, 3))]
+    remedy = f"say --layout {' or '.join(fitting)}" if fitting else "say --layout with names separated by commas"
+    return malformed(source, "the names of its keypoints", f"{count} numbers after the box", remedy)
 
 
 def _lines(document: Document) -> Iterator[tuple[int, list[str]]]:
