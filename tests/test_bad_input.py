@@ -3,6 +3,7 @@
 import json
 import os
 import pickle
+import time
 from dataclasses import replace
 
 import h5py
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from keypoint_files import coco, coco_bytes, dlc_columns, dlc_csv, dlc_h5_table, dlc_values
-from samples2d import FRAMES, NAMES, SAMPLES, SIZE, recording, write_sample
+from samples2d import FRAMES, LAYOUT, NAMES, SAMPLES, SIZE, recording, write_sample
 
 from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.io.document import ReadOptions
@@ -355,6 +356,26 @@ def test_15_empty_people_empty_lists_and_null_are_missing(tmp_path):
     assert np.isfinite(view.positions[..., 0]).sum((1, 2)).tolist() == [0, 0, 2]
 
 
+def test_15_an_empty_file_among_the_frames_is_named(tmp_path):
+    for name in ("openpose", "mmpose-images"):
+        paths = write_sample(name, tmp_path / name, *recording())
+        victim = sorted(path for path in (tmp_path / name).rglob("*.json"))[2]
+        victim.write_bytes(b"")
+        with pytest.raises(FormatError, match="found an empty file") as error:
+            read_keypoints(paths, None, LAYOUT)
+        message(error, victim)
+
+
+@pytest.mark.parametrize(
+    ("start", "words"), [(b"\x1f\x8b\x08", "gunzip"), (b"PK\x03\x04", "unpack"), (b"MATLAB 7.3 MAT-file", "-v7"), (b"CDF\x01\x00", "netCDF 4")]
+)
+def test_15_what_wraps_the_wanted_file_is_named_with_what_to_do(tmp_path, start, words):
+    (tmp_path / "a.bin").write_bytes(start + b"\x00" * 200)
+    for format in (None, "sleap", "csv"):
+        with pytest.raises(FormatError, match=f"; .*{words}"):
+            read_keypoints([tmp_path / "a.bin"], format)
+
+
 def test_16_double_lines_and_double_frames_name_both(tmp_path):
     paths = write_sample("ultralytics", tmp_path, *recording(missing=0))
     label = tmp_path / "cam" / "labels" / "video_3.txt"
@@ -368,8 +389,34 @@ def test_16_double_lines_and_double_frames_name_both(tmp_path):
     with pytest.raises(FormatError, match=r"one_0001\.json and two_0001\.json"):
         read_keypoints([folder])
     (tmp_path / "a.csv").write_text("camera,frame,individual,keypoint,x,y\n" + "a,1,m,nose,5,6\n" * 2)
-    with pytest.raises(FormatError, match="frame 1, individual 0, nose 2 times"):
+    with pytest.raises(FormatError, match="frame 1, individual 0, nose 2 times, in rows 2, 3"):
         read_keypoints([tmp_path / "a.csv"])
+    positions, confidence = recording()
+    (tmp_path / "b.csv").write_text(dlc_csv([3, 4, 3, 5, 6], dlc_columns(NAMES), dlc_values(positions, confidence)))
+    with pytest.raises(FormatError, match=r"frame 3 twice, at row 4 \(3\) and row 6 \(3\)"):
+        read_keypoints([tmp_path / "b.csv"])
+
+
+@pytest.mark.parametrize(("row", "count", "what"), [("c{},0,a,nose,1,2", 201, "200 cameras in a file"), ("c,0,a,k{},1,2", 60_000, "5000 keypoints")])
+def test_another_column_taken_for_cameras_or_keypoints_is_refused_at_once(tmp_path, row, count, what):
+    """Image names among the cameras: two thousand took inspect minutes, sixty thousand keypoints a minute. Measured: 0.4 s."""
+    lines = ["camera,frame,individual,keypoint,x,y", *map(row.format, range(count))]
+    (tmp_path / "a.csv").write_text("\n".join(lines))
+    begun = time.perf_counter()
+    with pytest.raises(FormatError, match=f"at most {what}, found {count}"):
+        read_keypoints([tmp_path / "a.csv"])
+    assert time.perf_counter() - begun < 10
+
+
+def test_an_h5_that_unpacks_to_a_giant_is_refused_before_it_is_read(tmp_path):
+    """160 MB are claimed, and a quarter of it is there, in 40 kB; deflate packs a thousandfold. 800 MB took 1.6 GB of memory."""
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        tracks = file.create_dataset("tracks", (1, 2, 10, 1_000_000), "f8", chunks=(1, 2, 10, 50_000), compression="gzip")
+        for start in range(0, 250_000, 50_000):
+            tracks[..., start : start + 50_000] = 1.0
+        file["node_names"], file["track_names"] = np.array([f"n{k}" for k in range(10)], dtype="S"), np.array([b"t"])
+    with pytest.raises(FormatError, match=r"at most 10\d MB of `/tracks`.*found 160 MB"):
+        read_keypoints([tmp_path / "a.h5"])
 
 
 class Trap:
@@ -425,6 +472,23 @@ def test_18_literals_marks_and_line_ends(tmp_path):
     (tmp_path / "b.csv").write_text("frame;keypoint;x;y\n3;nose;1,5;2,5\n")
     with pytest.raises(FormatError, match="commas"):
         read_keypoints([tmp_path / "b.csv"])
+    table = dlc_csv(FRAMES, dlc_columns(NAMES), dlc_values(*recording(missing=0)))
+    (tmp_path / "b.csv").write_text(table.replace(".", ","))
+    with pytest.raises(FormatError, match=r"row 4.*commas in its numbers"):
+        read_keypoints([tmp_path / "b.csv"])
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-be"])
+@pytest.mark.parametrize("name", ["coco", "deeplabcut-csv"])
+def test_18_powershell_s_utf_16_is_read(tmp_path, name, encoding):
+    paths = write_sample(name, tmp_path, *recording())
+    (plain,) = read_keypoints(paths)
+    paths[0].write_bytes(("\ufeff" * (encoding == "utf-16-be") + paths[0].read_text()).encode(encoding))
+    (view,) = read_keypoints(paths)
+    np.testing.assert_array_equal(view.positions, plain.positions)
+    paths[0].write_bytes(paths[0].read_bytes()[:-1])
+    with pytest.raises(FormatError):
+        read_keypoints(paths)
 
 
 def test_20_cameras_without_a_valid_point_are_named_and_stop_a_run_of_two(tmp_path):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import samples2d
 from keypoint_files import dlc_columns, dlc_csv, dlc_h5_fixed, dlc_values
-from samples2d import FRAMES, NAMES, recording, triples, write_sample
+from samples2d import FRAMES, NAMES, SIZE, recording, triples, write_sample
 
 from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.io.document import ReadOptions
@@ -26,9 +26,33 @@ def test_layouts_name_each_point_once_and_the_models_know_them():
             assert len(names) == int(name.rpartition("_")[2].rstrip("b"))
     for name in ("coco_17", "body_25", "body_25b", "coco_18", "halpe_26", "h36m_17", "mpii_16"):
         assert (match_names(LAYOUTS[name], people) >= 0).sum() >= len(LAYOUTS[name]) - 2, name
+    for whole, body in (("coco_wholebody_133", LAYOUTS["coco_17"]), ("halpe_136", LAYOUTS["halpe_26"])):
+        assert LAYOUTS[whole][: len(body)] == body
+        assert (match_names(LAYOUTS[whole], people) >= 0).sum() >= 23, whole
+        assert LAYOUTS[whole][-42] == "left_hand_root"
+    assert LAYOUTS["coco_wholebody_133"][17:24] == (
+        *("left_big_toe", "left_small_toe", "left_heel"),
+        *("right_big_toe", "right_small_toe", "right_heel"),
+        "face_0",
+    )
     assert parse_layout("a, b") == ("a", "b")
     with pytest.raises(MismatchError, match="coco_17"):
         parse_layout("body_26")
+
+
+@pytest.mark.parametrize("layout", ["coco_wholebody_133", "halpe_136"])
+@pytest.mark.parametrize("program", ["alphapose", "openpose", "mmpose"])
+def test_whole_bodies_are_known_by_their_number_of_points(tmp_path, program, layout):
+    count = len(LAYOUTS[layout])
+    points, scores = np.random.default_rng(0).uniform(5, 400, (count, 2)), np.full(count, 0.5)
+    content = {
+        "alphapose": [{"image_id": "0.jpg", "category_id": 1, "keypoints": triples(points, scores), "score": 2.0, "box": [1, 2, 3, 4], "idx": [0.0]}],
+        "openpose": {"people": [{"pose_keypoints_2d": triples(points, scores)}]},
+        "mmpose": [{"frame_id": 0, "instances": [{"keypoints": points.tolist(), "keypoint_scores": scores.tolist()}]}],
+    }
+    (tmp_path / "0.json").write_text(json.dumps(content[program]))
+    (view,) = read_keypoints([f"cam={tmp_path / '0.json'}"])
+    assert view.keypoints == LAYOUTS[layout]
 
 
 @pytest.mark.parametrize(("people", "points"), [("people", "pose_keypoints_2d"), ("bodies", "joints")])
@@ -52,6 +76,77 @@ def test_all_cameras_of_a_slp_are_called_by_their_videos(tmp_path):
     for view in views:
         np.testing.assert_array_equal(view.positions, positions)
     assert [view.camera for view in read_keypoints([tmp_path], None, ReadOptions(camera_pattern="(left|right)_"))] == ["left", "right"]
+
+
+def test_a_package_s_cameras_are_called_by_the_videos_its_images_are_of(tmp_path):
+    positions, confidence = recording(2)
+    samples2d._slp(tmp_path, positions, confidence, videos=("left_cam", "right_cam"))
+    with h5py.File(tmp_path / "cam.slp", "a") as file:
+        listed = [json.loads(entry) for entry in file["videos_json"]]
+        del file["videos_json"]
+        inside = [json.dumps({"backend": {"filename": ".", "dataset": f"video{k}/video"}, "filename": "."}) for k in range(2)]
+        file["videos_json"] = np.array(inside, dtype="S")
+    with pytest.raises(FormatError, match=r"found none; export an analysis \.h5"):
+        read_keypoints([tmp_path])
+    with h5py.File(tmp_path / "cam.slp", "a") as file:
+        for k, video in enumerate(listed):
+            file.create_group(f"video{k}/source_video").attrs["json"] = json.dumps(video)
+    assert [view.camera for view in read_keypoints([tmp_path])] == ["left_cam", "right_cam"]
+
+
+def test_a_package_s_cameras_are_called_by_its_session(tmp_path):
+    """The order of cameras and videos is that of a package by SLEAP, whose 3D through its own calibration is then 3 px from its points, not 240."""
+    positions, confidence = recording(2)
+    samples2d._slp(tmp_path, positions, confidence, videos=("left_cam", "right_cam"))
+    session = {"calibration": {"cam_0": {"name": "right"}, "cam_1": {"name": "left"}, "metadata": {}}, "camcorder_to_video_idx_map": {"0": "1", "1": "0"}}
+    with h5py.File(tmp_path / "cam.slp", "a") as file:
+        del file["videos_json"]
+        file["videos_json"] = np.array([json.dumps({"backend": {"filename": "."}})] * 2, dtype="S")
+        file["sessions_json"] = np.array([json.dumps(session)], dtype="S")
+    assert [view.camera for view in read_keypoints([tmp_path])] == ["left", "right"]
+
+
+def test_lightning_pose_says_last_what_a_frame_was_used_for(tmp_path):
+    positions, confidence = recording()
+    lines = dlc_csv(FRAMES, dlc_columns(NAMES), dlc_values(positions, confidence)).splitlines()
+    used = ["set", "", "", "train", "validation", "unlabeled", "", "test"]
+    (tmp_path / "predictions.csv").write_text("\n".join(f"{line},{last}" for line, last in zip(lines, used, strict=True)))
+    (view,) = read_keypoints([tmp_path / "predictions.csv"])
+    assert view.keypoints == NAMES
+    np.testing.assert_array_equal(view.positions, positions)
+
+
+def test_an_ensemble_kalman_smoother_writes_its_spread_beside(tmp_path):
+    positions, confidence = recording()
+    coords = ("x", "y", "likelihood", "x_ens_median", "y_ens_median", "x_ens_var", "y_ens_var", "x_posterior_var", "y_posterior_var")
+    columns = [("ensemble-kalman_tracker", name, coord) for name in NAMES for coord in coords]
+    values = np.concatenate([positions, confidence[..., None], np.full((*confidence.shape, 6), 7.0)], -1).reshape(len(FRAMES), -1)
+    (tmp_path / "eks.csv").write_text(dlc_csv(FRAMES, columns, values))
+    (view,) = read_keypoints([tmp_path / "eks.csv"])
+    np.testing.assert_array_equal(view.positions, positions)
+    np.testing.assert_array_equal(view.confidence, confidence)
+
+
+@pytest.mark.parametrize("behind", [(), (0.87,), (0.87, 3)], ids=["nothing", "confidence", "confidence and track"])
+@pytest.mark.parametrize("scores", [False, True])
+def test_ultralytics_points_with_and_without_scores_before_what_may_follow(tmp_path, behind, scores):
+    positions, _ = recording(missing=0)
+    (tmp_path / "cam").mkdir()
+    for frame, points in zip(FRAMES, positions[:, 0] / SIZE, strict=True):
+        cells = np.column_stack([points, np.full((len(points), int(scores)), 0.5)]).ravel().tolist()
+        (tmp_path / "cam" / f"{frame}.txt").write_text(" ".join(map(repr, [0, 0.5, 0.5, 0.2, 0.2, *cells, *behind])))
+    (view,) = read_keypoints([tmp_path], None, ReadOptions(layout=NAMES, image_size=SIZE))
+    np.testing.assert_allclose(view.positions, positions, rtol=0, atol=1e-9)
+    assert set(np.unique(view.confidence)) == {0.5 if scores else 1.0}
+
+
+@pytest.mark.parametrize(
+    ("count", "words"), [(2 * 17 + 1, "coco_17"), (3 * 17, "coco_17"), (2 * 25 + 2, "body_25 or"), (500, "with names separated by commas")]
+)
+def test_ultralytics_without_a_layout_asks_for_one_that_fits(tmp_path, count, words):
+    (tmp_path / "0.txt").write_text(" ".join(["0", *["0.5"] * (4 + count)]))
+    with pytest.raises(FormatError, match=f"found {count} numbers after the box; say --layout .*{words}"):
+        read_keypoints([f"cam={tmp_path / '0.txt'}"], None, ReadOptions(image_size=SIZE))
 
 
 def test_a_slp_before_1_1_is_half_a_pixel_off(tmp_path):

@@ -1,9 +1,11 @@
 """Formats of 3D poses: what is written comes back, real files load with the right counts, bad ones are refused in a line."""
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 
 import c3d
+import h5netcdf
 import h5py
 import numpy as np
 import pytest
@@ -99,6 +101,64 @@ def test_formats_of_one_individual_write_a_file_each(tmp_path):
     assert "reprojection errors" in lost
     back = together([read_poses(tmp_path / "p.trc"), read_poses(tmp_path / "p_1.trc")], "there")
     assert_poses(file, back, "trc")
+
+
+@pytest.mark.parametrize(
+    ("given_", "kept"),
+    [
+        ((("anna",), ("bert",)), ("anna", "bert")),
+        ((("anna",), ("individual_0",)), ("anna", "individual_1")),
+        (((), ()), ("individual_0", "individual_1")),
+        ((("anna",), ("anna",)), ("individual_0", "individual_1")),
+    ],
+)
+def test_joined_files_keep_the_names_that_tell_individuals_apart(given_, kept):
+    assert together([replace(example(1), individuals=names) for names in given_], "there").individuals == kept
+
+
+@pytest.mark.parametrize("said_by", ["numbers", "references", "both"])
+@pytest.mark.parametrize("order", list(itertools.permutations(range(4))), ids=str)
+def test_movement_s_dimensions_come_in_any_order(order, said_by, tmp_path):
+    """xarray writes what it is given; three of each, so that no shape tells an order. netCDF-C writes no numbers, old h5netcdf no references."""
+    names = ("time", "space", "keypoints", "individuals")  # as before movement 0.17
+    labels = {"space": ("x", "y", "z"), "keypoints": ("a", "b", "c"), "individuals": ("i", "j", "k")}
+    positions, confidence = np.random.default_rng(0).normal(size=(3, 3, 3, 3)), np.random.default_rng(1).random((3, 3, 3))
+    with h5netcdf.File(tmp_path / "old.nc", "w") as file:
+        file.dimensions = dict.fromkeys((names[k] for k in order), 3)
+        file.create_variable("frame", ("time",), data=np.arange(3))  # a variable that is no dimension
+        file.create_variable("time", ("time",), data=np.arange(3))
+        for name, texts in labels.items():
+            file.create_variable(name, (name,), data=np.array(texts, dtype=object), dtype=h5py.string_dtype())
+        file.create_variable("position", tuple(names[k] for k in order), data=positions.transpose(0, 3, 2, 1).transpose(order))
+        bare = [k for k in order if names[k] != "space"]
+        file.create_variable("confidence", tuple(names[k] for k in bare), data=confidence.transpose([(0, -1, 2, 1)[k] for k in bare]))
+    with h5py.File(tmp_path / "old.nc", "a") as file:
+        gone = {"numbers": "DIMENSION_LIST", "references": "_Netcdf4Coordinates"}.get(said_by)
+        for variable in (file["position"], file["confidence"]) if gone else ():
+            del variable.attrs[gone]
+    back = read_poses(tmp_path / "old.nc")
+    assert (back.poses.keypoints, back.individuals) == (labels["keypoints"], labels["individuals"])
+    np.testing.assert_array_equal(back.poses.positions, positions)
+    np.testing.assert_array_equal(back.poses.confidence, confidence)
+
+
+def test_movement_s_dimensions_are_as_long_as_their_coordinates(tmp_path):
+    """Nothing says which is which: the present order is assumed, and refused where the lengths contradict it."""
+    write_poses(tmp_path / "p.nc", example(2), "movement-3d")
+    with h5py.File(tmp_path / "p.nc", "a") as file:
+        turned_round = file["position"][:].transpose(0, 3, 2, 1)
+        del file["position"]
+        file["position"] = turned_round
+    with pytest.raises(FormatError, match="over time, space, keypoint, individual"):
+        read_poses(tmp_path / "p.nc")
+
+
+def test_a_file_where_a_folder_is_is_refused_by_its_name(tmp_path):
+    (tmp_path / "there").mkdir()
+    with pytest.raises(IsADirectoryError) as caught:
+        write_poses(tmp_path / "there", example(), "npz")
+    assert caught.value.filename == str(tmp_path / "there")
+    assert [path.name for path in tmp_path.iterdir()] == ["there"]
 
 
 def test_a_trc_is_what_opensim_reads(tmp_path):

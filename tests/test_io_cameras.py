@@ -189,6 +189,16 @@ def test_distortion_is_padded_and_cut_knowingly(given_, fisheye, kept):
     np.testing.assert_array_equal(parse_cameras(text, "t")[0].distortion, kept)
 
 
+@pytest.mark.parametrize(("height", "size"), [(480.0, "[640.0, 480.0]"), (2000.0, "[640.0, 2000.0]")])
+def test_a_skew_is_dropped_only_where_nobody_sees_it(height, size):
+    """It moves x by skew (y - cy) / fy, most at the farther edge of the image: fy 501, cy 240 here."""
+    seen = 0.05 * 501 / (height - 240)
+    text = SECTION.format(section="a").replace("[640.0, 480.0]", size)
+    assert parse_cameras(text.replace("[[500.0, 0.0", f"[[500.0, {-0.99 * seen}"), "t")[0].matrix[0, 1] == 0
+    with pytest.raises(FormatError, match=r"without skew, found skew .*moves pixels by up to 0\.05"):
+        parse_cameras(text.replace("[[500.0, 0.0", f"[[500.0, {1.01 * seen}"), "t")
+
+
 # --- bad files
 
 

@@ -14,6 +14,7 @@ from mocap_calib.errors import MismatchError
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """A file to write: it takes the place of `path` in one step when the block ends well; the folder is made when missing."""
+    _not_a_folder(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     os.close(handle)
@@ -78,11 +79,15 @@ def of_individual(path: Path, individual: int) -> Path:
     return path if individual == 0 else path.with_name(f"{path.stem}_{individual}{path.suffix}")
 
 
+def _not_a_folder(path: Path) -> None:
+    if path.is_dir():
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+
+
 def _move(names: list[Path], work: Path, path: Path, old: Path) -> None:
     """Moves files into place; what they replace is kept aside until all are there, and put back if one cannot be."""
-    blocked = [path / name for name in names if (path / name).is_dir()]
-    if blocked:
-        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(blocked[0]))
+    for name in names:
+        _not_a_folder(path / name)
     moved: list[Path] = []
     try:
         for name in names:

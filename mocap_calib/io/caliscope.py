@@ -31,4 +31,4 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
         names = tuple(map(known.__getitem__, names))
     values = np.column_stack([cells.numbers("img_loc_x"), cells.numbers("img_loc_y"), np.full(len(cells), np.nan)])
     who = cells.columns.get("object_id", ("0",) * len(cells))
-    return views_of(Points(cells.columns[camera], cells.columns["sync_index"], who, names, values), item, tracked=True)
+    return views_of(Points(cells.columns[camera], cells.columns["sync_index"], who, names, values, cells.lines), item, tracked=True)

@@ -23,17 +23,20 @@ def contained(content: bytes, source: str, parse: Callable[P, T], *args: P.args,
 
     parse: a function of a module, whose arguments, result and errors can be pickled. Raises what it raises, and FormatError
     where the file ends the process, or takes more than 2 to 3 s of computing and 10 s per MB (20 times that by the clock), or
-    more than 1 GB and 1100 times its size (deflate packs no more).
+    more memory than 1 GB, 100 times its size, and five copies of what deflate may have packed into it, up to 1 GB each.
     """
     if not content.startswith(HDF5):
         return parse(*args, **kwargs)
     child = _child(os.getpid())
+    size = len(content)
     try:
-        return child.ask_within(2 + len(content) / 1e5, 1_000_000_000 + 1100 * len(content), parse, *args, **kwargs)
+        return child.ask_within(2 + size / 1e5, 1_000_000_000 + 100 * size + 5 * min(1032 * size, 1_000_000_000), parse, *args, **kwargs)
+    except MemoryError:
+        raise malformed(source, "HDF5 of a size that memory holds", f"{size} bytes that unpack to more", "check that it is whole, or split it") from None
     except EndedError as end:
         raise malformed(source, "a whole HDF5 file", f"damage that HDF5 does not survive ({end})", "copy or export it again") from None
     finally:
-        if len(content) > _LARGE:
+        if size > _LARGE:
             child.end()
 
 

@@ -10,6 +10,7 @@ from mocap_calib.io.reading import NO_SCORE, Origin, blank, frame_number, make_v
 from mocap_calib.types import Floats, Ints, Keypoints2D
 
 LEVELS = ("scorer", "individuals", "bodyparts", "coords")
+_SPREAD = re.compile(r"[xy]_(ens_median|ens_var|posterior_var|var)|zscore|nll|ensemble_std")  # what ensemble Kalman smoothers write beside
 
 
 @dataclass(frozen=True)
@@ -17,13 +18,15 @@ class Table:
     """What the files hold.
 
     levels: names of the header rows. columns: each column's labels, one per level. rows: frame numbers or image
-    paths, as text. values: `[row, column]`, NaN where a cell is empty.
+    paths, as text. values: `[row, column]`, NaN where a cell is empty. lines: where the rows are in the file, as
+    complaints say it; the rows themselves where it has no lines.
     """
 
     levels: tuple[str, ...]
     columns: tuple[tuple[str, ...], ...]
     rows: Sequence[str]
     values: Floats
+    lines: Sequence[str] = ()
 
 
 def keypoints_from_table(table: Table, origin: Origin) -> Keypoints2D:
@@ -49,7 +52,9 @@ def keypoints_from_table(table: Table, origin: Origin) -> Keypoints2D:
     remarks: tuple[str, ...] = (f"unique body parts belong to no individual and are left out: {', '.join(unique)}",) if unique else ()
     if not any("likelihood" in coords for coords in place.values()):
         remarks += (NO_SCORE,)
-    return make_view(origin, keypoints, _frames(table.rows, source), values, tracked=not _any_order(individuals), rows=table.rows, remarks=remarks)
+    return make_view(
+        origin, keypoints, _frames(table.rows, source), values, tracked=not _any_order(individuals), rows=table.lines or table.rows, remarks=remarks
+    )
 
 
 def _columns_by_label(table: Table, source: str) -> dict[tuple[str, str], dict[str, int]]:
@@ -59,6 +64,8 @@ def _columns_by_label(table: Table, source: str) -> dict[tuple[str, str], dict[s
     place: dict[tuple[str, str], dict[str, int]] = {}
     for column, labels in enumerate(table.columns):
         label = dict(zip(table.levels, labels, strict=True))
+        if _SPREAD.fullmatch(label["coords"]):
+            continue
         coords = place.setdefault((label.get("individuals", ""), label["bodyparts"]), {})
         if label["coords"] in coords:
             raise malformed(source, "each column once", f"{' '.join(labels)} twice", "keep the columns of one scorer")

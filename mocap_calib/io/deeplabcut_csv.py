@@ -35,8 +35,11 @@ def _table(text: str, source: str) -> Table:
     labels = [(header[level] + [""] * end)[first:end] for level in levels]
     if any("" in row for level, row in zip(levels, labels, strict=True) if level != "scorer"):
         raise malformed(source, "header rows of one length", "an empty cell among them", "export it from DeepLabCut again")
+    if header.get("scorer", [])[end:] == ["set"]:  # Lightning Pose's last column: what the frame was used for
+        rows = [(number, row[:end]) for number, row in rows]
     values = np.array([_numbers(row, first, end, f"{source}: row {number}") for number, row in rows]).reshape(len(rows), end - first)
-    return Table(levels, tuple(zip(*labels, strict=True)), ["/".join(row[:first]) for _, row in rows], values)
+    lines = [f"row {number} ({row[first - 1]})" for number, row in rows]
+    return Table(levels, tuple(zip(*labels, strict=True)), ["/".join(row[:first]) for _, row in rows], values, lines)
 
 
 def _split(text: str, source: str) -> tuple[dict[str, list[str]], list[tuple[int, list[str]]]]:
@@ -58,9 +61,11 @@ def _numbers(row: list[str], first: int, end: int, source: str) -> Floats:
     """The cells of one row; empty ones are NaN. A row may be short only if it has nothing to say: else the file is cut."""
     if first < len(row) < end and not any(row[first:]):
         return np.full(end - first, np.nan)
-    if len(row) < end or any(row[end:]):
+    if len(row) < end:
         raise malformed(source, f"{end} cells", len(row), "the file is cut or damaged: export it again")
+    if any(row[end:]):
+        raise malformed(source, f"{end} cells, as many as the header has", len(row), "it has commas in its numbers, perhaps: write numbers like 12.5")
     try:
         return np.array([float(cell) if cell else np.nan for cell in row[first:end]])
     except ValueError as error:
-        raise malformed(source, "numbers", error, "the file is damaged: export it again") from None
+        raise malformed(source, "numbers with a decimal point", error, "write numbers like 12.5") from None

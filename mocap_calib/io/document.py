@@ -18,6 +18,16 @@ from mocap_calib.io.reading import Origin, decode, malformed, read_bytes
 HDF5_DAMAGE = (OSError, KeyError, IndexError, ValueError, TypeError, AttributeError, RuntimeError, OverflowError, MemoryError)
 
 
+# beginnings of files that hold something else around what is wanted
+_FOREIGN = {
+    b"\x1f\x8b": ("a file that gzip compressed", "gunzip it"),
+    b"PK\x03\x04": ("a zip archive", "unpack it"),
+    b"MATLAB 7.3": ("a MATLAB 7.3 file", "save it with -v7"),
+    b"CDF\x01": ("netCDF 3", "save it as netCDF 4"),
+    b"CDF\x02": ("netCDF 3", "save it as netCDF 4"),
+}
+
+
 @dataclass(frozen=True)
 class ReadOptions:
     """What a file does not say itself.
@@ -128,8 +138,12 @@ class Item:
         return map(Document, self.members) if self.members else iter((self.document,))
 
 
-def describe(document: Document) -> str:
-    """What a file of no known format looks like, in a few words."""
+def describe(document: Document) -> tuple[str, str]:
+    """What a file of no known format looks like, in a few words, and what to do with it where that is clear."""
+    return next((words for start, words in _FOREIGN.items() if document.content.startswith(start)), (_look(document), ""))
+
+
+def _look(document: Document) -> str:
     content = document.json
     if document.hdf5 is not None:
         return f"HDF5 with {', '.join(map(str, list(document.hdf5)[:8])) or 'nothing'}"

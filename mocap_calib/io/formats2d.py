@@ -36,7 +36,7 @@ from mocap_calib.io.contained import contained
 from mocap_calib.io.document import Document, Item, ReadOptions, describe
 from mocap_calib.io.items import FOLDER_SUFFIXES, Holds, keypoint_items
 from mocap_calib.io.losses2d import FOLLOWED, GAPS, MIXED, NAMES, SCORES, SIZES, Loss
-from mocap_calib.io.reading import malformed
+from mocap_calib.io.reading import check_cameras, malformed
 from mocap_calib.types import Keypoints2D
 
 Writer = Callable[[tuple[Keypoints2D, ...]], dict[str, bytes]]
@@ -197,12 +197,13 @@ def _sniffed(document: Document, name: str | None) -> str:
 
 def _format(document: Document, name: str | None) -> KeypointFormat:
     """The format that is named, or that the content shows. Raises FormatError, also where the content cannot be what is named."""
-    found = _sniffed(document, name)
-    if found:
-        return KEYPOINT_FORMATS[found]
+    known = _sniffed(document, name)
+    if known:
+        return KEYPOINT_FORMATS[known]
+    found, remedy = describe(document)
     if name is not None:
-        raise malformed(document.source, KEYPOINT_FORMATS[name].description, describe(document), "name another format, or none")
-    raise malformed(document.source, f"one of: {', '.join(KEYPOINT_FORMATS)}", describe(document), "export one of these")
+        raise malformed(document.source, KEYPOINT_FORMATS[name].description, found, remedy or "name another format, or none")
+    raise malformed(document.source, f"one of: {', '.join(KEYPOINT_FORMATS)}", found, remedy or "export one of these")
 
 
 def _holds(item: Item, name: str | None) -> Holds:
@@ -219,6 +220,7 @@ def _holds(item: Item, name: str | None) -> Holds:
 def _read(item: Item, name: str | None, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """The cameras in one item. Raises FormatError and MismatchError."""
     views = _format(item.document, name).read(item, options)
+    check_cameras([view.camera for view in views], str(item.path))
     if item.named and len(views) > 1:
         cameras = ", ".join(view.camera for view in views)
         raise MismatchError(f"{item.path}: expected the one camera {item.camera}, found {cameras}; give the file without a name")

@@ -11,8 +11,8 @@ from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.io.atomic import folder, of_individual, write_bytes
 from mocap_calib.io.contained import contained
 from mocap_calib.io.pose_formats import anipose_csv, arrays, c3d_file, movement, nwb, trc
-from mocap_calib.io.pose_formats.common import PoseFile, WrittenPoses, check_poses
-from mocap_calib.io.reading import malformed, read_bytes
+from mocap_calib.io.pose_formats.common import UNNAMED, PoseFile, WrittenPoses, check_poses
+from mocap_calib.io.reading import malformed, read_bytes, repeated
 from mocap_calib.io.units import ARBITRARY
 
 
@@ -146,4 +146,11 @@ def together(files: list[PoseFile], source: str) -> PoseFile:
             array[rows, at : at + len(each.individuals)] = getattr(each.poses, name)
         at += len(each.individuals)
     notes = tuple(note for each in files for note in each.notes)
-    return PoseFile(replace(first.poses, frames=frames, **poses), first.rate, notes=notes)
+    return PoseFile(replace(first.poses, frames=frames, **poses), first.rate, _called(files), notes)
+
+
+def _called(files: list[PoseFile]) -> tuple[str, ...]:
+    """The individuals' names as the files have them, mere numbers counted on from file to file; nothing where two are alike."""
+    names = [name for each in files for name in each.individuals]
+    names = [f"individual_{k}" if UNNAMED.fullmatch(name) else name for k, name in enumerate(names)]
+    return () if repeated(names) else tuple(names)

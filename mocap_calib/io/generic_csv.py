@@ -40,7 +40,7 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:  # noqa: 
         raise malformed(cells.place(cameras.index("")), "the camera's name", "an empty cell", "fill it, or remove the column")
     who = cells.columns.get("individual", cells.columns.get("instance", ("0",) * len(cells)))
     values = np.column_stack([cells.numbers(name) for name in ("x", "y", "score")])
-    points = Points(cameras, cells.columns["frame"], who, cells.columns["keypoint"], values)
+    points = Points(cameras, cells.columns["frame"], who, cells.columns["keypoint"], values, cells.lines)
     return views_of(points, item, tracked="instance" not in header)
 
 

@@ -13,6 +13,10 @@ from mocap_calib.io.document import HDF5_DAMAGE, Document
 from mocap_calib.io.reading import MOST_POINTS, malformed
 from mocap_calib.types import Ints
 
+_MOST_UNPACKED = 100  # times as much as is stored; tracks of which a fiftieth is there take up to 60
+_SMALL = 100_000_000  # bytes that any file may unpack to,
+_MOST_EMPTY = 1_000_000_000  # and what deflate may have packed as tightly as it can: hundreds of tracks, nearly all of them missing points
+_DEFLATE = 1032
 _REMEDY = "the file is cut or damaged: export it again"
 
 
@@ -56,10 +60,12 @@ def array(group: Any, name: str, source: str) -> NDArray[Any]:
 
 
 def _check_size(dataset: Any, source: str) -> None:
-    """Refuses a dataset that claims more than its bytes in the file can unpack to: 1032 times as many by deflate, and some for fill values."""
-    claimed = (dataset.size or 0) * dataset.dtype.itemsize
-    if claimed > 1100 * dataset.id.get_storage_size() + 1_000_000 or (dataset.size or 0) > 4 * MOST_POINTS:
-        raise malformed(source, f"as many numbers in `{dataset.name}` as the file has bytes for", f"{dataset.size}", _REMEDY)
+    """Refuses a dataset that unpacks to far more than it has in the file: deflate packs 1032 bytes of nothing into one, and some are only claimed."""
+    claimed, stored = (dataset.size or 0) * dataset.dtype.itemsize, dataset.id.get_storage_size()
+    most = max(_MOST_UNPACKED * stored + _SMALL, min(_DEFLATE * stored, _MOST_EMPTY))
+    if claimed > most or (dataset.size or 0) > 4 * MOST_POINTS:
+        expected = f"at most {most / 1e6:.0f} MB of `{dataset.name}` in the {stored / 1e6:.1f} MB stored"
+        raise malformed(source, expected, f"{claimed / 1e6:.0f} MB", "the file is damaged, or nearly all of it is missing points: export it with fewer tracks")
 
 
 def integers(group: Any, name: str, source: str) -> Ints:

@@ -12,6 +12,8 @@ _PINHOLE_LENGTHS = (4, 5, 8)
 _LONG_LENGTHS = (12, 14)  # OpenCV's thin prism and tilt, which bundle adjustment does not have
 _NOT_A_ROTATION = 1e-2  # real files round to three or four digits
 _ROUNDED = 1e-9
+_UNSEEN = 0.05  # pixels, well below what any detector resolves
+_SKEWED = 1e-3  # of the focal length, wherever the principal point may be
 
 
 def numbers(value: Any, expected: str, source: str) -> Floats:
@@ -27,7 +29,14 @@ def numbers(value: Any, expected: str, source: str) -> Floats:
 
 def make_camera(name: str, size: Any, matrix: Any, distortion: Any, fisheye: bool, source: str) -> Camera:
     """A camera from raw fields, checked; `source` names file and camera in the complaint. Raises FormatError."""
-    return Camera(name, _size(size, source), _matrix(matrix, source), _distortion(distortion, fisheye, source), fisheye)
+    known_size = _size(size, source)
+    return Camera(name, known_size, _matrix(matrix, known_size, source), _distortion(distortion, fisheye, source), fisheye)
+
+
+def skew_in_pixels(matrix: Floats, height: int = 0) -> float:
+    """By how much the skew of a `[3, 3]` camera matrix moves what is seen at the edge; without a height the principal point is in the middle."""
+    fy, cy = matrix[1, 1:]
+    return float(abs(matrix[0, 1]) * max(abs(cy), abs(height - cy) if height else 0.0) / fy)
 
 
 def make_extrinsics(rotation: Any, translation: Any, source: str) -> tuple[Floats, Floats]:
@@ -84,8 +93,8 @@ def _size(value: Any, source: str) -> tuple[int, int]:
     return int(size[0]), int(size[1])
 
 
-def _matrix(value: Any, source: str) -> Floats:
-    """`[3, 3]` camera matrix; a skew of rounding is set to 0. Raises FormatError."""
+def _matrix(value: Any, size: tuple[int, int], source: str) -> Floats:
+    """`[3, 3]` camera matrix; a skew that nobody sees is set to 0. Raises FormatError."""
     matrix = numbers(value, "a 3 x 3 camera matrix", source)
     if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
         raise malformed(source, "a finite 3 x 3 camera matrix", f"shape {matrix.shape}", "mend the camera matrix")
@@ -94,8 +103,10 @@ def _matrix(value: Any, source: str) -> Floats:
     if min(matrix[0, 0], matrix[1, 1]) <= 0:
         raise malformed(source, "positive focal lengths", matrix[[0, 1], [0, 1]].tolist(), "mend the camera matrix")
     # OpenCV's pinhole model has no skew and drops it silently; COLMAP's fisheye model has none either
-    if abs(matrix[0, 1]) > 1e-3 * matrix[0, 0]:
-        raise malformed(source, "a camera matrix without skew", f"skew {matrix[0, 1]}", "calibrate without skew")
+    moved = skew_in_pixels(matrix, size[1])
+    if moved > _UNSEEN or abs(matrix[0, 1]) > _SKEWED * matrix[0, 0]:
+        found = f"skew {matrix[0, 1]:.6g}, which moves pixels by up to {moved:.2g}"
+        raise malformed(source, "a camera matrix without skew", found, "calibrate without skew, or write 0 where that is near enough")
     matrix[0, 1] = 0.0
     return matrix
 

@@ -8,6 +8,11 @@ _COCO += "left_knee right_knee left_ankle right_ankle"
 _ARMS = "Nose Neck RShoulder RElbow RWrist LShoulder LElbow LWrist "
 _BODY_25B = "Nose LEye REye LEar REar LShoulder RShoulder LElbow RElbow LWrist RWrist LHip RHip LKnee RKnee LAnkle RAnkle UpperNeck HeadTop "
 _BODY_25B += "LBigToe LSmallToe LHeel RBigToe RSmallToe RHeel"
+_HALPE = _COCO + " head neck hip left_big_toe right_big_toe left_small_toe right_small_toe left_heel right_heel"
+_FEET = " ".join(f"{side}_{part}" for side in ("left", "right") for part in ("big_toe", "small_toe", "heel"))
+_FINGERS = ("thumb", "forefinger", "middle_finger", "ring_finger", "pinky_finger")
+_FACE = " ".join(f"face_{k}" for k in range(68))
+_HANDS = " ".join(f"{side}_{part}" for side in ("left", "right") for part in ("hand_root", *(f"{finger}{k}" for finger in _FINGERS for k in range(1, 5))))
 _TEXTS = {
     "coco_17": _COCO,
     "body_25": _ARMS + "MidHip RHip RKnee RAnkle LHip LKnee LAnkle REye LEye REar LEar LBigToe LSmallToe LHeel RBigToe RSmallToe RHeel",
@@ -17,7 +22,9 @@ _TEXTS = {
     ),
     "coco_18": _ARMS + "RHip RKnee RAnkle LHip LKnee LAnkle REye LEye REar LEar",
     "mpi_15": _ARMS.replace("Nose", "Head") + "RHip RKnee RAnkle LHip LKnee LAnkle Chest",
-    "halpe_26": _COCO + " head neck hip left_big_toe right_big_toe left_small_toe right_small_toe left_heel right_heel",
+    "halpe_26": _HALPE,
+    "halpe_136": f"{_HALPE} {_FACE} {_HANDS}",
+    "coco_wholebody_133": f"{_COCO} {_FEET} {_FACE} {_HANDS}",
     "h36m_17": "pelvis right_hip right_knee right_ankle left_hip left_knee left_ankle spine thorax neck head "
     "left_shoulder left_elbow left_wrist right_shoulder right_elbow right_wrist",
     "mpii_16": "right_ankle right_knee right_hip left_hip left_knee left_ankle pelvis thorax upper_neck head_top "

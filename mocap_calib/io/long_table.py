@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocap_calib.io.document import Item
-from mocap_calib.io.reading import Origin, blank, frame_number, make_view, malformed, scored
+from mocap_calib.io.reading import Origin, blank, check_cameras, frame_number, make_view, malformed, scored, unique_names
 from mocap_calib.types import Floats, Ints, Keypoints2D
 
 
@@ -18,7 +18,7 @@ class Cells:
 
     source: str
     columns: dict[str, tuple[str, ...]]
-    lines: Sequence[int]
+    lines: Ints
 
     def __len__(self) -> int:
         return len(self.lines)
@@ -42,6 +42,7 @@ class Points:
     """`[point]` what each point belongs to, and `[point, 3]` x, y, score.
 
     who: the name of an individual, or the number of an instance. An empty keypoint says only that the frame is there.
+    lines: where in the file each is.
     """
 
     camera: Sequence[str]
@@ -49,6 +50,7 @@ class Points:
     who: Sequence[str]
     keypoint: Sequence[str]
     values: Floats
+    lines: Ints
 
 
 def _is_number(cell: str) -> bool:
@@ -81,15 +83,16 @@ def cells_of(item: Item) -> Cells:
         expected = f"{len(header)} cells, as many as the header has"
         raise malformed(f"{source}: row {lines[odd]}", expected, len(rows[odd]), "the file is cut, or has commas in its numbers")
     columns = {name: tuple(map(str.strip, column)) for name, column in zip(header, zip(*rows, strict=True), strict=True)}
-    return Cells(source, columns, lines)
+    return Cells(source, columns, np.array(lines))
 
 
 def views_of(points: Points, item: Item, tracked: bool, remarks: tuple[str, ...] = ()) -> tuple[Keypoints2D, ...]:
     """The cameras in the table, in the order in which they appear. Raises FormatError."""
     source = item.origin.source
     cameras, camera = _coded(points.camera)
+    check_cameras(cameras, source)
     columns = [_coded(column) for column in (points.frame, points.who, points.keypoint)]
-    return tuple(_view(Origin(name, source), columns, np.flatnonzero(camera == k), points.values, tracked, remarks) for k, name in enumerate(cameras))
+    return tuple(_view(Origin(name, source), columns, np.flatnonzero(camera == k), points, tracked, remarks) for k, name in enumerate(cameras))
 
 
 def _coded(texts: Sequence[str]) -> tuple[list[str], Ints]:
@@ -99,7 +102,7 @@ def _coded(texts: Sequence[str]) -> tuple[list[str], Ints]:
     return unique, np.fromiter(map(place.__getitem__, texts), dtype=np.int64, count=len(texts))
 
 
-def _view(origin: Origin, columns: list[tuple[list[str], Ints]], rows: Ints, values: Floats, tracked: bool, remarks: tuple[str, ...]) -> Keypoints2D:
+def _view(origin: Origin, columns: list[tuple[list[str], Ints]], rows: Ints, points: Points, tracked: bool, remarks: tuple[str, ...]) -> Keypoints2D:
     source = origin.source
     (frames, frame), (people, who), (names, keypoint) = [_within(texts, codes[rows]) for texts, codes in columns]
     found = np.array([frame_number(text) for text in frames], dtype=np.int64)
@@ -108,13 +111,15 @@ def _view(origin: Origin, columns: list[tuple[list[str], Ints]], rows: Ints, val
     numbers = np.unique(found)
     individuals = _individuals(people, tracked, source)
     keypoints = [name for name in names if name]
-    column = np.array([keypoints.index(name) if name else -1 for name in names], dtype=np.int64)
+    unique_names(keypoints, source)
+    place = {name: k for k, name in enumerate(keypoints)}
+    column = np.array([place.get(name, -1) for name in names], dtype=np.int64)
     content = blank(len(numbers), int(individuals.max()) + 1, len(keypoints), source)
     at = (np.searchsorted(numbers, found)[frame], individuals[who], column[keypoint])
-    points = at[2] >= 0
-    at = (at[0][points], at[1][points], at[2][points])
-    _check_once(at, content.shape[:3], numbers, keypoints, source)
-    content[at] = values[rows[points]]
+    there = at[2] >= 0
+    at, rows = (at[0][there], at[1][there], at[2][there]), rows[there]
+    _check_once(at, content.shape[:3], numbers, keypoints, points.lines[rows], source)
+    content[at] = points.values[rows]
     content, more = scored(content)
     return make_view(origin, keypoints, numbers, content, tracked=tracked, remarks=remarks + more)
 
@@ -139,11 +144,14 @@ def _individuals(names: list[str], tracked: bool, source: str) -> Ints:
     return numbers
 
 
-def _check_once(at: tuple[Ints, Ints, Ints], shape: tuple[int, ...], numbers: Ints, keypoints: list[str], source: str) -> None:
+def _check_once(at: tuple[Ints, Ints, Ints], shape: tuple[int, ...], numbers: Ints, keypoints: list[str], lines: Ints, source: str) -> None:
     if not len(at[0]):
         return
-    unique, counts = np.unique(np.ravel_multi_index(at, shape), return_counts=True)
+    place = np.ravel_multi_index(at, shape)
+    unique, counts = np.unique(place, return_counts=True)
     if (counts > 1).any():
-        frame, individual, keypoint = np.unravel_index(unique[counts > 1][0], shape)
-        found = f"frame {numbers[frame]}, individual {individual}, {keypoints[keypoint]} {counts.max()} times"
+        twice = place == unique[counts > 1][0]
+        frame, individual, keypoint = (axis[twice][0] for axis in at)
+        rows = ", ".join(map(str, lines[twice][:3]))
+        found = f"frame {numbers[frame]}, individual {individual}, {keypoints[keypoint]} {twice.sum()} times, in rows {rows}"
         raise malformed(source, "each point once", found, "remove the double rows, or tell individuals apart")

@@ -6,9 +6,11 @@ import numpy as np
 
 from mocap_calib.io.document import Document, Item, ReadOptions
 from mocap_calib.io.layouts import layout_for
-from mocap_calib.io.per_frame import frames_of, numbers_of
+from mocap_calib.io.per_frame import frames_of, json_frames, numbers_of
 from mocap_calib.io.reading import make_view, malformed, stacked
 from mocap_calib.types import Floats, Keypoints2D
+
+_SURE = ("coco_wholebody_133", "halpe_136")  # its only ones of their length
 
 
 def sniff_image(document: Document) -> bool:
@@ -32,8 +34,7 @@ def _frames(content: Any) -> Any:
 def read_images(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """One camera, whose files are its frames. Raises FormatError."""
     names, numbers = frames_of(item)
-    found = [(document.json, document.source) for document in item.documents()]
-    return _view(item, options, numbers, [_instances(instances, source) for instances, source in found], (), rows=names)
+    return _view(item, options, numbers, [_instances(instances, source) for instances, source in json_frames(item)], (), rows=names)
 
 
 def read_video(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
@@ -53,7 +54,7 @@ def _view(item: Item, options: ReadOptions, numbers: list[int], detections: list
     count = max((len(points) for found in detections for points in found), default=0)
     if count == 0:
         raise malformed(source, "instances in one of its frames", f"none in {len(detections)} frames", "check the detector's output")
-    names = layout_for(count, options.layout or own, source)
+    names = layout_for(count, options.layout or own, source, _SURE)
     return (make_view(item.origin, names, numbers, stacked(detections, count, source), tracked=False, rows=rows),)
 
 

@@ -26,7 +26,7 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:  # noqa: 
     """One camera; frames are the times in frames, or seconds times fps. Raises FormatError."""
     source, file = item.origin.source, item.document.hdf5
     with damage_refused(source, "a whole netCDF file of movement", _REMEDY):
-        positions = _turned(file, "position", _DIMS, source)
+        positions = turned(file, "position", _DIMS, source)
         axes = names(file, "space", source)
         if axes != ("x", "y"):
             raise malformed(source, "2D positions (x, y)", ", ".join(axes), "give the 2D poses of each camera")
@@ -34,7 +34,7 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:  # noqa: 
         values = blank(positions.shape[0], positions.shape[1], positions.shape[2], source)
         values[..., :2] = positions
         if "confidence" in file:
-            values[..., 2] = _turned(file, "confidence", _DIMS[:3], source)
+            values[..., 2] = turned(file, "confidence", _DIMS[:3], source)
         frames = _frames(file, source)
         if (len(frames), len(nodes)) != (len(values), values.shape[2]):
             raise malformed(source, f"{len(values)} times and {values.shape[2]} keypoints", f"{len(frames)} and {len(nodes)}", _REMEDY)
@@ -42,20 +42,35 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:  # noqa: 
     return (make_view(item.origin, nodes, frames, values, tracked=True, remarks=remarks),)
 
 
-def _turned(file: Any, name: str, wanted: tuple[str, ...], source: str) -> Floats:
-    """A variable with its dimensions in the wanted order.
+def turned(file: Any, name: str, wanted: tuple[str, ...], source: str) -> Floats:
+    """A variable with its dimensions, named in the singular, in the wanted order. Raises FormatError.
 
-    By the numbers that netCDF gives to dimensions, else in the order that movement has them. The references of HDF5's
-    dimension scales would say it too, but reading damaged ones ends the process.
+    Movement has written more than one order, and whoever transposes writes his own: what the file says counts, and only
+    where it says nothing the order that movement has now.
     """
     values = array(file, name, source).astype(np.float64)
-    numbered = {int(item.attrs["_Netcdf4Dimid"]): text(key).removesuffix("s") for key, item in file.items() if "_Netcdf4Dimid" in item.attrs and item.ndim == 1}
-    numbers = file[name].attrs.get("_Netcdf4Coordinates")
-    usual = [dim for dim in _USUAL if dim in wanted]
-    found = usual if numbers is None else [numbered.get(int(number), "?") for number in np.asarray(numbers).reshape(-1)]
-    if sorted(found) != sorted(wanted) or values.ndim != len(wanted):
-        raise malformed(source, f"`{name}` over {', '.join(usual)}", f"{', '.join(found)} of shape {values.shape}", _REMEDY)
+    usual = tuple(dim for dim in _USUAL if dim in wanted)
+    found = _numbered(file, name) or _referenced(file, name) or usual
+    lengths = {dim: len(file[key]) for dim in found for key in (dim, f"{dim}s") if key in file}
+    fits = sorted(found) == sorted(wanted) and values.ndim == len(wanted)
+    if not fits or any(lengths.get(dim, length) != length for dim, length in zip(found, values.shape, strict=True)):
+        expected = f"`{name}` over {', '.join(usual)}, as long as their coordinates"
+        raise malformed(source, expected, f"{', '.join(found)} of shape {values.shape}", _REMEDY)
     return values.transpose([found.index(dim) for dim in wanted])
+
+
+def _numbered(file: Any, name: str) -> tuple[str, ...]:
+    """The dimensions of a variable by the numbers that netCDF gives them; nothing where it has given none."""
+    own = [key for dim in _USUAL for key in (dim, f"{dim}s") if key in file and "_Netcdf4Dimid" in file[key].attrs]
+    dims = {int(file[key].attrs["_Netcdf4Dimid"]): key.removesuffix("s") for key in own}
+    numbers = np.ravel(file[name].attrs.get("_Netcdf4Coordinates", ())).tolist()
+    return tuple(dims[int(number)] for number in numbers) if dims.keys() >= set(numbers) else ()
+
+
+def _referenced(file: Any, name: str) -> tuple[str, ...]:
+    """The dimensions of a variable by the references of HDF5's dimension scales; nothing where it has none."""
+    references = file[name].attrs.get("DIMENSION_LIST", ())
+    return tuple(file[scales[0]].name.rpartition("/")[2].removesuffix("s") for scales in references)
 
 
 def _frames(file: Any, source: str) -> Any:

@@ -9,12 +9,12 @@ import numpy as np
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.document import Document, Item, ReadOptions
 from mocap_calib.io.layouts import layout_for
-from mocap_calib.io.per_frame import frame_numbers, frames_of, triples
+from mocap_calib.io.per_frame import frame_numbers, frames_of, json_frames, triples
 from mocap_calib.io.reading import make_view, malformed, stacked
 from mocap_calib.types import Floats, Keypoints2D
 
-# 75 numbers are BODY_25 or BODY_25B, which is not told apart; the others are OpenPose's only ones of their length
-_SURE = ("coco_18", "mpi_15", "body_135")
+# 75 numbers are BODY_25 or BODY_25B, which is not told apart; the others are OpenPose's, or AlphaPose's, only ones of their length
+_SURE = ("coco_18", "mpi_15", "body_135", "halpe_136", "coco_wholebody_133")
 _LISTS = {"people": "pose_keypoints_2d", "bodies": "joints"}  # OpenPose; CMU Panoptic, which AlphaPose also writes
 
 
@@ -36,7 +36,7 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
         numbers = frame_numbers(names, item.origin.source)
     else:
         names, numbers = frames_of(item)
-        frames = [(document.json, document.source) for document in item.documents()]
+        frames = json_frames(item)
     people = [list(_people(frame, source)) for frame, source in frames]
     count = next((len(points) for found in people for points in found if len(points)), 0)
     if count == 0:

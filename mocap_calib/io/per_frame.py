@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.io.document import Item
+from mocap_calib.io.document import Item, describe
 from mocap_calib.io.reading import frame_number, malformed
 from mocap_calib.types import Floats
 
@@ -15,6 +15,16 @@ def frames_of(item: Item) -> tuple[list[str], list[int]]:
     """Names and numbers of the frames in a folder with a file per frame. Raises FormatError."""
     names = [path.name for path in item.members or (item.path,)]
     return names, frame_numbers(names, item.origin.source)
+
+
+def json_frames(item: Item) -> list[tuple[Any, str]]:
+    """What each file of a folder with a file per frame says, and the file as complaints name it. Raises FormatError where one is no JSON."""
+    frames = []
+    for document in item.documents():
+        if document.json is None:
+            raise malformed(document.source, "JSON of a frame", describe(document)[0], "export it again, or remove it")
+        frames.append((document.json, document.source))
+    return frames
 
 
 def frame_numbers(names: Sequence[str], source: str) -> list[int]:

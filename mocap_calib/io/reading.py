@@ -1,7 +1,9 @@
 """What the readers share: complaints in one line, frame numbers, the marks of a missing point."""
 
+import codecs
 import re
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +16,8 @@ _LARGEST = np.iinfo(np.int64).max
 NO_SCORE = "no scores in the file: every point counts fully"
 MOST_INSTANCES = 1000  # in a frame
 MOST_POINTS = 100_000_000  # in a camera: 2.4 GB
+_MOST_CAMERAS = 200  # in a file; what compares views takes time with the square of their number
+_MOST_KEYPOINTS = 5000
 
 
 def one_line(value: object, width: int = 80) -> str:
@@ -28,11 +32,15 @@ def malformed(source: str, expected: str, found: object, remedy: str) -> FormatE
 
 
 def read_bytes(path: Path) -> bytes:
-    """The whole file at once, so that a pipe can be sniffed as well. Raises FormatError."""
+    """The whole file at once, so that a pipe can be sniffed as well; UTF-16, as PowerShell's `>` writes it, as UTF-8. Raises FormatError."""
     try:
-        return path.read_bytes()
+        content = path.read_bytes()
     except (OSError, ValueError) as error:
         raise malformed(str(path), "a readable file", getattr(error, "strerror", None) or error, "check the path") from None
+    try:
+        return content.decode("utf-16").encode() if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else content
+    except UnicodeError:
+        return content
 
 
 def decode(content: bytes, source: str) -> str:
@@ -72,9 +80,24 @@ def frame_order(frames: Ints, names: Sequence[object], source: str) -> Ints:
     return order
 
 
+def repeated(names: Iterable[str]) -> list[str]:
+    """The names that occur more than once, sorted."""
+    return sorted(name for name, count in Counter(names).items() if count > 1)
+
+
+def check_cameras(cameras: Sequence[str], source: str) -> None:
+    """Raises FormatError where a file has more cameras than anybody has: another column was taken for them."""
+    if len(cameras) > _MOST_CAMERAS:
+        found = f"{len(cameras)} ({', '.join(cameras[:3])}, ...)"
+        raise malformed(source, f"at most {_MOST_CAMERAS} cameras in a file", found, "check what names the cameras")
+
+
 def unique_names(names: Sequence[str], source: str) -> tuple[str, ...]:
-    """The keypoint names as they are. Raises FormatError when one occurs twice."""
-    twice = sorted({name for name in names if names.count(name) > 1})
+    """The keypoint names as they are. Raises FormatError when one occurs twice, or there are more than anybody has."""
+    if len(names) > _MOST_KEYPOINTS:
+        found = f"{len(names)} ({', '.join(names[:3])}, ...)"
+        raise malformed(source, f"at most {_MOST_KEYPOINTS} keypoints", found, "check what names the keypoints")
+    twice = repeated(names)
     if twice:
         raise malformed(source, "each keypoint name once", f"{', '.join(twice)} twice", "rename one of them")
     return tuple(names)

@@ -11,7 +11,7 @@ from mocap_calib.io.per_frame import frame_numbers, triples
 from mocap_calib.io.reading import Origin, camera_in, make_view, malformed, stacked, visibility_as_confidence
 from mocap_calib.types import Floats, Keypoints2D
 
-_HALPE = ("halpe_26",)  # AlphaPose's only one of its length
+_ALPHAPOSE = ("halpe_26", "halpe_136", "coco_wholebody_133")  # its only ones of their length
 
 
 def _is_list(document: Document) -> bool:
@@ -31,7 +31,7 @@ def sniff_alphapose(document: Document) -> bool:
 
 def read_alphapose(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """The detections of AlphaPose. Frames without any are absent from the file. Raises FormatError."""
-    return _read(item, options, _HALPE)
+    return _read(item, options, _ALPHAPOSE)
 
 
 def read_coco(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:

@@ -27,7 +27,7 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:  # noqa: 
     who = tracks if tracked else tuple(_places(frames))
     values = np.concatenate([np.column_stack([cells.numbers(f"{node}.{part}") for part in ("x", "y", "score")]) for node in nodes])
     names = [node for node in nodes for _ in frames]
-    points = Points((item.camera,) * len(names), frames * len(nodes), who * len(nodes), names, values)
+    points = Points((item.camera,) * len(names), frames * len(nodes), who * len(nodes), names, values, np.tile(cells.lines, len(nodes)))
     return views_of(points, item, tracked, ("frames without a detection are not in the file",))
 
 

@@ -69,14 +69,41 @@ def _cameras(file: Any, videos: list[int], item: Item, options: ReadOptions) -> 
     if len(videos) == 1 and not options.camera_pattern:
         return {videos[0]: item.camera}
     listed = [json.loads(text(entry)) for entry in array(file, "videos_json", source)]
-    paths = {video: str(listed[video].get("backend", listed[video]).get("filename", "")) for video in videos}
+    paths = {video: _path(file, listed[video]) for video in videos}
     stems = {video: re.split(r"[/\\]", path)[-1].rpartition(".")[0] for video, path in paths.items()}
     names = {video: camera_in(path, options.camera_pattern) if options.camera_pattern else stems[video] for video, path in paths.items()}
     if len(videos) == 1 and not names[videos[0]]:
         return {videos[0]: item.camera}
+    if not any(paths.values()):
+        names = _session(file, videos, source) or names
     if len(set(names.values())) < len(videos) or not all(names.values()):
-        raise malformed(source, "a camera's name in the path of each video", ", ".join(paths.values()), "say --camera-regex")
+        remedy = "say --camera-regex" if any(paths.values()) else "export an analysis .h5 of each video, which are named as the cameras"
+        raise malformed(source, "a camera's name in the path of each video", ", ".join(filter(None, paths.values())) or "none", remedy)
     return names
+
+
+def _session(file: Any, videos: list[int], source: str) -> dict[int, str]:
+    """Video -> camera as the one session of the project has them, if it has all."""
+    sessions = array(file, "sessions_json", source) if "sessions_json" in file else np.empty(0)
+    if len(sessions) != 1:
+        return {}
+    session = json.loads(text(sessions[0]))
+    called = {key.removeprefix("cam_"): str(fields.get("name", "")) for key, fields in session["calibration"].items()}
+    names = {int(video): called.get(camera, "") for camera, video in session["camcorder_to_video_idx_map"].items()}
+    return {video: names.get(video, "") for video in videos}
+
+
+def _path(file: Any, video: dict[str, Any]) -> str:
+    """Where the video was; a package, which holds the images, says it beside them; nothing where it does not."""
+    backend = video.get("backend", video)
+    path = str(backend.get("filename", ""))
+    if path != ".":
+        return path
+    kept = file.get(f"{str(backend.get('dataset', '')).partition('/')[0]}/source_video")
+    if kept is None or "json" not in kept.attrs:
+        return ""
+    origin = json.loads(text(kept.attrs["json"]))
+    return str(origin.get("backend", origin).get("filename", ""))
 
 
 def _instances(frame: Any, instances: Any, nodes: int, source: str) -> Any:

@@ -6,13 +6,15 @@ from collections.abc import Iterator
 import numpy as np
 
 from mocap_calib.config import ReadConfig
+from mocap_calib.errors import FormatError
 from mocap_calib.io.document import Document, Item, ReadOptions
-from mocap_calib.io.layouts import layout_for
+from mocap_calib.io.layouts import LAYOUTS
 from mocap_calib.io.per_frame import frames_of
 from mocap_calib.io.reading import NO_SCORE, make_view, malformed, stacked, visibility_as_confidence
 from mocap_calib.types import Floats, Keypoints2D
 
 _BOX = 5  # class, centre and size
+_BEHIND = (0, 1, 2)  # numbers after the points: the box's confidence and the track's number may follow
 
 
 def sniff(document: Document) -> bool:
@@ -28,10 +30,10 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     if options.image_size == (0, 0):
         raise malformed(source, "the size of the images, of which positions are shares", "none", "say --image-size WIDTHxHEIGHT")
     if not options.layout:
-        layout_for(_guess(item.document), (), source)
+        raise _unnamed(item.document, source)
     names, numbers = frames_of(item)
-    frames = [list(_detections(document, len(options.layout))) for document in item.documents()]
-    values = stacked(frames, len(options.layout), source)
+    frames = _detections([list(_rows(document)) for document in item.documents()], len(options.layout))
+    values = stacked(list(frames), len(options.layout), source)
     if np.nanmax(np.abs(values[..., :2]), initial=0.0) > ReadConfig().largest_share:
         found = f"{np.nanmax(np.abs(values[..., :2])):.1f}"
         raise malformed(source, "positions from 0 to 1", found, "these are pixels, of a letterboxed image perhaps: export them again")
@@ -43,9 +45,12 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     return (make_view(item.origin, options.layout, numbers, values, tracked=False, image_size=options.image_size, rows=names, remarks=remarks),)
 
 
-def _guess(document: Document) -> int:
-    """How many keypoints the first line may have."""
-    return (len(next(_lines(document))[1]) - _BOX) // 3
+def _unnamed(document: Document, source: str) -> FormatError:
+    """The complaint of a file without --layout, with the layouts that the numbers of its first line fit."""
+    count = len(next(_lines(document))[1]) - _BOX
+    fitting = [name for name, names in LAYOUTS.items() if any(count - width * len(names) in _BEHIND for width in (2, 3))]
+    remedy = f"say --layout {' or '.join(fitting)}" if fitting else "say --layout with names separated by commas"
+    return malformed(source, "the names of its keypoints", f"{count} numbers after the box", remedy)
 
 
 def _lines(document: Document) -> Iterator[tuple[int, list[str]]]:
@@ -54,8 +59,8 @@ def _lines(document: Document) -> Iterator[tuple[int, list[str]]]:
             yield number, line.split()
 
 
-def _detections(document: Document, keypoints: int) -> Iterator[Floats]:
-    """`[keypoint, 3]` of each line, score NaN where there is none."""
+def _rows(document: Document) -> Iterator[tuple[str, Floats]]:
+    """Place and numbers of each line, the box left out."""
     seen: dict[tuple[str, ...], int] = {}
     for number, cells in _lines(document):
         source = f"{document.source}: line {number}"
@@ -64,13 +69,19 @@ def _detections(document: Document, keypoints: int) -> Iterator[Floats]:
                 source, "each detection once", f"what line {seen[tuple(cells)]} says", "a second run appended to the files: predict into a new folder"
             )
         try:
-            values = np.array([float(cell) for cell in cells[_BOX:]])
+            yield source, np.array([float(cell) for cell in cells[_BOX:]])
         except ValueError as error:
             raise malformed(source, "numbers", error, "the file is damaged: export it again") from None
-        if len(values) == 2 * keypoints:
-            yield np.column_stack([values.reshape(-1, 2), np.full(keypoints, np.nan)])
-        elif len(values) - 3 * keypoints in (0, 1, 2):  # a confidence of the box and a number of the track may follow
-            yield values[: 3 * keypoints].reshape(-1, 3)
-        else:
-            expected = f"2 or 3 numbers for each of {keypoints} keypoints after the box"
-            raise malformed(source, expected, f"{len(values)} numbers", "give --layout with as many names as there are keypoints")
+
+
+def _detections(rows: list[list[tuple[str, Floats]]], keypoints: int) -> Iterator[list[Floats]]:
+    """`[keypoint, 3]` of each line of each file, score NaN where the model has none: two numbers a point or three, whichever more lines fit."""
+    lengths = np.array([len(values) for lines in rows for _, values in lines], dtype=np.int64)
+    width = max((3, 2), key=lambda width: int(np.isin(lengths - width * keypoints, _BEHIND).sum()))
+    for lines in rows:
+        for source, values in lines:
+            if len(values) - width * keypoints not in _BEHIND:
+                expected = f"2 or 3 numbers for each of {keypoints} keypoints after the box, as in the other lines"
+                raise malformed(source, expected, f"{len(values)} numbers", "give --layout with as many names as there are keypoints")
+        points = [values[: width * keypoints].reshape(keypoints, width) for _, values in lines]
+        yield [np.column_stack([each, np.full((keypoints, 3 - width), np.nan)]) for each in points]

@@ -1,4 +1,4 @@
-"""Label3D's and DANNCE's .mat: K and rotation for row vectors, as MATLAB has them."""
+"""Label3D's and DANNCE's .mat, all cameras in one or a file for each: K and rotation for row vectors, as MATLAB has them."""
 
 import io
 import re
@@ -9,7 +9,7 @@ import numpy as np
 from scipy.io import savemat
 
 from mocap_calib.io.camera_formats.source import CameraFile, Source, Written, terms, unique, without_sizes
-from mocap_calib.io.intrinsics import make_camera, make_extrinsics, numbers
+from mocap_calib.io.intrinsics import make_camera, make_extrinsics, numbers, skew_in_pixels
 from mocap_calib.io.mat5 import DAMAGE, read_mat
 from mocap_calib.io.reading import malformed, one_line
 from mocap_calib.types import Camera, CameraRig, Floats
@@ -17,6 +17,7 @@ from mocap_calib.types import Camera, CameraRig, Floats
 _FIELDS = ("K", "RDistort", "TDistort", "r", "t")
 _SKEW = 1e-2  # of the focal length: MATLAB estimates it where it is noise
 _REMEDY = "save params and camnames with `save -v7`"
+_PER_CAMERA = r"(?:hires_)?(?P<camera>.+?)(?:_params)?"  # hires_cam1_params.mat
 
 
 def sniff(source: Source) -> bool:
@@ -25,7 +26,7 @@ def sniff(source: Source) -> bool:
 
 
 def parse(source: Source) -> CameraFile:
-    """The cells `params`, and `camnames` where there are any. Raises FormatError."""
+    """The cells `params`, and `camnames` where there are any; or the fields of one camera, which the file's name names. Raises FormatError."""
     params, names = _load(source)
     cameras, extrinsics, notes = [], {}, []
     for number, fields in enumerate(params):
@@ -50,15 +51,19 @@ def _load(source: Source) -> tuple[list[dict[str, Any]], list[str]]:
     if source.content.startswith(b"MATLAB 7.3"):
         raise malformed(source.path, "a .mat file of version 7 or below", "version 7.3", _REMEDY)
     try:
-        found = read_mat(source.content, ("params", "camnames"))
+        found = read_mat(source.content, ("params", "camnames", *_FIELDS))
     except DAMAGE as error:
         raise malformed(source.path, "a .mat file of Label3D or DANNCE", f"an error ({one_line(error) or type(error).__name__})", _REMEDY) from None
+    if "params" not in found and found.keys() >= set(_FIELDS):
+        name = re.fullmatch(_PER_CAMERA, source.stem)
+        return [found], [name["camera"] if name else source.stem]
     cells, called = found.get("params"), found.get("camnames", [])
     structs = [cell[0] if isinstance(cell, list) and len(cell) == 1 else cell for cell in cells] if isinstance(cells, list) else []
     params = [fields for fields in structs if isinstance(fields, dict)]
     names = [str(name).strip() for name in called] if isinstance(called, list) else []
     if not params or len(params) < len(structs) or len(names) not in (0, len(params)):
-        raise malformed(source.path, "cells params, a camera each, and as many camnames", f"{len(params)} and {len(names)}", _REMEDY)
+        expected = f"cells params, a camera each, and as many camnames; or {', '.join(_FIELDS)} of one camera"
+        raise malformed(source.path, expected, f"{len(params)} and {len(names)}", "give the file that has the cameras")
     return params, names
 
 
@@ -66,10 +71,10 @@ def _without_skew(matrix: Floats, name: str) -> tuple[Floats, list[str]]:
     """The matrix without a skew of noise, and a note of what that does at the edge of the image."""
     if matrix.shape != (3, 3) or not 0 < abs(matrix[0, 1]) < _SKEW * abs(matrix[0, 0]):
         return matrix, []
-    off = abs(matrix[0, 1] * matrix[1, 2] / matrix[1, 1])
     plain = matrix.copy()
     plain[0, 1] = 0.0
-    return plain, [f"camera {name}: the skew {matrix[0, 1]:.2f} is left out, which is up to {off:.1f} pixels at the edge of the image"]
+    off = f"{skew_in_pixels(matrix):.1f} pixels at the edge of the image"
+    return plain, [f"camera {name}: the skew {matrix[0, 1]:.2f} is left out, which is up to {off}"]
 
 
 def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:  # noqa: ARG001 - the writers' signature

@@ -37,7 +37,9 @@ def _parse(intri: Source, where: str, extri: Mapping[str, Any], extri_path: str)
     cameras, extrinsics = [], {}
     for name in map(str, names):
         if f"K_{name}" not in data:
-            remedy = f"give the folder with both {_INTRI} and {_EXTRI}" if any(key.startswith("R_") for key in map(str, data)) else "mend the list"
+            remedy = (
+                f"give a folder in which it is called {_EXTRI}, beside its {_INTRI}" if any(key.startswith("R_") for key in map(str, data)) else "mend the list"
+            )
             raise malformed(where, f"the matrix K_{name} of the camera {name} in names", "none", remedy)
         size = [data[f"W_{name}"], data[f"H_{name}"]] if {f"W_{name}", f"H_{name}"} <= data.keys() else None
         distortion = data.get(f"dist_{name}", data.get(f"D_{name}"))

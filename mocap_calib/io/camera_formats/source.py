@@ -16,10 +16,11 @@ import numpy as np
 import yaml
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.io.reading import decode, malformed
+from mocap_calib.io.reading import decode, malformed, repeated
 from mocap_calib.types import Camera, CameraRig, Floats
 
-_YAML_ROOM = 4_000_000  # bytes; PyYAML reads a megabyte in seconds, and a camera takes a kilobyte
+# PyYAML reads a megabyte of text, or 20 000 values, in a second; a camera takes a kilobyte, and fifty values
+_YAML_ROOM, _YAML_VALUES = 2_000_000, 50_000
 _YAML_LEVELS = 50
 _TOML = r"^[ \t]*\[\[?[\w .\"'-]+\]\]?\s*(#.*)?$|^[\w\"' .-]+="
 _BINARY = (b"MATLAB", b"\x89HDF", b"\x00")
@@ -119,24 +120,28 @@ def parse_toml(text: str, source: str) -> Any:
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML with OpenCV's matrices as plain mappings; each key once, no aliases, which could stand for a giant, no abyss."""
+    """YAML with OpenCV's matrices as plain mappings; each key once, no aliases, which could stand for a giant, no abyss, no crowd."""
 
     level = 0
+    values = 0
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         if self.check_event(yaml.AliasEvent):
             raise yaml.YAMLError("an alias (*name), which camera files do not need")
         if self.level > _YAML_LEVELS:  # PyYAML takes seconds for thousands
             raise yaml.YAMLError(f"more than {_YAML_LEVELS} levels of nesting")
+        if self.values > _YAML_VALUES:
+            raise yaml.YAMLError(f"more than {_YAML_VALUES} values; cameras have some fifty each")
+        self.values += 1
         self.level += 1
         node = super().compose_node(parent, index)
         self.level -= 1
         return node
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
-        if len(set(keys)) < len(keys):
-            raise yaml.YAMLError(f"the key {next(key for key in keys if keys.count(key) > 1)} twice")
+        twice = repeated(key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode))
+        if twice:
+            raise yaml.YAMLError(f"the key {twice[0]} twice")
         return super().construct_mapping(node, deep)
 
 
@@ -162,16 +167,14 @@ def parse_yaml(text: str, source: str) -> Any:
 def _once(pairs: list[tuple[str, Any]], source: str) -> dict[str, Any]:
     found = dict(pairs)
     if len(found) < len(pairs):
-        names = [name for name, _ in pairs]
-        raise malformed(source, "each key once", f"{next(n for n in names if names.count(n) > 1)} twice", "rename one of them")
+        raise malformed(source, "each key once", f"{repeated(name for name, _ in pairs)[0]} twice", "rename one of them")
     return found
 
 
 def unique(cameras: Iterable[Camera], source: str) -> tuple[Camera, ...]:
     """The cameras as they are. Raises FormatError where there is none, or one name is two cameras'."""
     kept = tuple(cameras)
-    names = [camera.name for camera in kept]
-    twice = sorted({name for name in names if names.count(name) > 1})
+    twice = repeated(camera.name for camera in kept)
     if twice:
         raise malformed(source, "each camera name once", f"{', '.join(twice)} twice", "rename one of them")
     if not kept:

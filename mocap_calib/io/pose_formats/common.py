@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.io.reading import malformed
+from mocap_calib.io.reading import malformed, repeated
 from mocap_calib.io.units import unit_factor
 from mocap_calib.types import Floats, Ints, Poses3D
 
@@ -21,6 +21,7 @@ DAMAGE = (
     *(ZeroDivisionError, NotImplementedError, NameError, struct.error, zipfile.BadZipFile, zlib.error),
 )
 _LONGEST = 5_000_000  # frames of a file without gaps: a day and a half at 30 per second
+UNNAMED = re.compile(r"individual_[0-9]+")  # what individuals without a name are called
 _UP = {
     "x": [[0, 0, 1], [1, 0, 0], [0, 1, 0]],
     "y": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
@@ -114,13 +115,13 @@ def lost_quality(file: PoseFile) -> tuple[str, ...]:
 
 def lost_names(file: PoseFile) -> tuple[str, ...]:
     """What is lost by a format that does not name individuals."""
-    return () if all(re.fullmatch(r"individual_\d+", name) for name in file.individuals) else ("the individuals' names",)
+    return () if all(UNNAMED.fullmatch(name) for name in file.individuals) else ("the individuals' names",)
 
 
 def check_poses(file: PoseFile, source: str) -> PoseFile:
     """The file as it is: names and frames each once, frames in order. Raises FormatError."""
     for what, names in (("keypoint", file.poses.keypoints), ("individual", file.individuals)):
-        twice = sorted({name for name in names if names.count(name) > 1})
+        twice = repeated(names)
         if twice:
             raise malformed(source, f"each {what} once", f"{', '.join(twice)} twice", "rename one of them")
     if (np.diff(file.poses.frames) <= 0).any():

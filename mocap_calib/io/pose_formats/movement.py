@@ -1,4 +1,4 @@
-"""netCDF of `movement`: position (time, space, keypoint, individual) and confidence, netCDF4 on HDF5.
+"""netCDF of `movement`: position (time, space, keypoint, individual; older files have other orders) and confidence, netCDF4 on HDF5.
 
 Dimensions were plural (`keypoints`, `individuals`) before movement 0.17. Reading needs h5py alone; h5netcdf writes what
 makes HDF5 a netCDF4.
@@ -12,11 +12,12 @@ import numpy as np
 
 from mocap_calib import __version__
 from mocap_calib.io.hdf5 import array, integers, names
+from mocap_calib.io.movement_nc import turned
 from mocap_calib.io.pose_formats.arrays import looks
 from mocap_calib.io.pose_formats.common import DAMAGE, PoseFile, WrittenPoses, attribute
 from mocap_calib.io.reading import malformed, one_line
 from mocap_calib.io.units import known_unit
-from mocap_calib.types import Floats, Ints, Poses3D, check_shape
+from mocap_calib.types import Floats, Ints, Poses3D
 
 _DIMENSIONS = ("time", "space", "keypoint", "individual")
 _SPACE = ("x", "y", "z")
@@ -40,9 +41,7 @@ def _parse(file: h5py.File, source: str) -> PoseFile:
     keypoints, individuals = (names(file, name if name in file else f"{name}s", source) for name in _DIMENSIONS[2:])
     if names(file, "space", source) != _SPACE:
         raise ValueError("space that is not x, y, z")
-    positions = array(file, "position", source).astype(np.float64)
-    check_shape("position", positions, None, 3, len(keypoints), len(individuals))
-    positions = positions.transpose(0, 3, 2, 1)
+    positions = turned(file, "position", ("time", "individual", "keypoint", "space"), source)
     shape = positions.shape[:3]
     rate = float(np.ravel(file.attrs["fps"])[0]) if "fps" in file.attrs else np.nan
     found = {name: _optional(file, name, shape, source) for name in ("confidence", "reprojection_error", "views")}
@@ -54,12 +53,10 @@ def _parse(file: h5py.File, source: str) -> PoseFile:
 
 
 def _optional(file: h5py.File, name: str, shape: tuple[int, ...], source: str) -> Floats:
-    """`[frame, individual, keypoint]` of a variable (time, keypoint, individual), NaN where it is not there."""
+    """`[frame, individual, keypoint]` of a variable, NaN where it is not there."""
     if name not in file:
         return np.full(shape, np.nan)
-    values: Floats = array(file, name, source).astype(np.float64).transpose(0, 2, 1)
-    check_shape(name, values, *shape)
-    return values
+    return turned(file, name, ("time", "individual", "keypoint"), source)
 
 
 def _frames(file: h5py.File, rate: float, source: str) -> Ints:
