@@ -20,13 +20,14 @@ from mocap_calib.config import PairwiseConfig
 from mocap_calib.evidence import ViewPair, epipolar_error, epipolar_fit, match_affinity, pose_variance, reach, steering_error, view_pair
 from mocap_calib.frames import evenly
 from mocap_calib.geometry.epipolar import depths
-from mocap_calib.parallel import in_order
+from mocap_calib.parallel import in_order, in_processes
 from mocap_calib.posterior import most_probable
 from mocap_calib.proposals import Modes, proposals, separated
 from mocap_calib.two_view import refine_two_view
 from mocap_calib.types import Bools, Floats, Ints, LiftedPoses, Mapper, PairwiseCalibration, Progress, Recording, Sample
 
-_WORTH_A_THREAD = 50_000  # possible matches of joints in a pair
+_WORTH_A_THREAD = 50_000  # possible matches of joints in a pair,
+_WORTH_PROCESSES = 800_000  # and in all of them: two seconds of work, where starting a process costs a third of one
 
 
 @dataclass(frozen=True)
@@ -79,10 +80,13 @@ def calibrate_pairs(
 
 
 def pair_mapper(recording: Recording, config: PairwiseConfig) -> Mapper:
-    """Threads where a pair is large enough to keep one busy: on small arrays they wait for the interpreter more than they compute."""
+    """Threads where a pair keeps one busy; on small arrays they wait for the interpreter: processes where there are many pairs, else neither."""
     views, frames, instances, keypoints = recording.positions.shape[:4]
-    frames = min(frames, _frames_each(views * (views - 1) // 2, config))
-    return in_order if frames * instances**2 * keypoints >= _WORTH_A_THREAD else map
+    pairs = views * (views - 1) // 2
+    work = min(frames, _frames_each(pairs, config)) * instances**2 * keypoints
+    if work >= _WORTH_A_THREAD:
+        return in_order
+    return in_processes if pairs * work >= _WORTH_PROCESSES else map
 
 
 def _frames_each(pairs: int, config: PairwiseConfig) -> int:

@@ -306,3 +306,10 @@ def test_the_plain_table_needs_little(tmp_path):
         path.write_text(text)
         with pytest.raises(FormatError, match=reason):
             read_keypoints([path])
+
+
+def test_a_header_without_a_single_column_is_refused(tmp_path):
+    """Found by fuzzing: the row `coords` with nothing but its name."""
+    (tmp_path / "a.csv").write_text("scorer,,s\nbodyparts,,nose\ncoords,,\n0,1,2\n")
+    with pytest.raises(FormatError, match="a header row `coords`"):
+        read_keypoints([tmp_path / "a.csv"])

@@ -25,11 +25,11 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:  # noqa: 
 def _table(text: str, source: str) -> Table:
     header, rows = _split(text, source)
     coords = header.get("coords", [])
-    if not coords:
+    if not any(coords[1:]):
         raise malformed(source, "commas between cells and a header row `coords`", text.splitlines()[0][:60], "export it with commas")
     # the index takes one column, or three (folder, video, image), the latter two without a heading
-    first = next((k for k, cell in enumerate(coords) if k and cell), len(coords))
-    end = max((k + 1 for k, cell in enumerate(coords) if cell), default=first)
+    named = [k for k, cell in enumerate(coords) if k and cell]
+    first, end = named[0], named[-1] + 1
     levels = tuple(level for level in LEVELS if level in header)
     # the row `scorer` is shorter than the others in some files, and nobody needs it
     labels = [(header[level] + [""] * end)[first:end] for level in levels]
