@@ -1,4 +1,4 @@
-"""Which frames of a recording are worked on: all of a short one, and of a long one a fixed number that shows everything.
+"""Which frames of a recording are worked on: all of a short one but the overcrowded, and of a long one a fixed number that shows everything.
 
 Cameras stand where they stand however long the recording is, so calibration looks at a sample whose size does not grow; only
 labels and 3D poses are made of all frames, and those in blocks.
@@ -14,6 +14,7 @@ from mocap_calib.recording import slice_frames
 from mocap_calib.types import Bools, Floats, Ints, Recording, Sample
 
 _CANDIDATES = 4  # frames looked at for each that is chosen
+_CROWD = 2  # times as many detections, and two, as nine tenths of the frames have
 _GRID = 6  # cells of the image along each side
 _SIZES = 8  # classes of size, which is nearness, by half powers of two
 _POSTURES = 16  # classes of posture in each view
@@ -25,20 +26,24 @@ def evenly(values: Ints, count: int) -> Ints:
 
 
 def sample(recording: Recording, index: Ints | slice) -> Sample:
-    """The frames with these indices, in double precision and with their rays."""
+    """The frames with these indices, in double precision and with their rays; as many instances as these frames show."""
     part = slice_frames(recording, index)
-    rays = np.stack([rays_from_pixels(camera, seen) for camera, seen in zip(part.cameras, part.positions, strict=True)])
-    exact = part.positions.astype(np.float64), part.confidence.astype(np.float64)
+    shown = np.flatnonzero(np.isfinite(part.positions).any((0, 1, 3, 4))).max(initial=0) + 1
+    positions, confidence = part.positions[:, :, :shown], part.confidence[:, :, :shown]
+    rays = np.stack([rays_from_pixels(camera, seen) for camera, seen in zip(part.cameras, positions, strict=True)])
+    exact = positions.astype(np.float64), confidence.astype(np.float64)
     return Sample(part.cameras, part.keypoints, part.frames, *exact, part.tracked, part.vocabulary, rays)
 
 
 def informative(recording: Recording, config: SampleConfig) -> Ints:
-    """Indices of the frames that calibration looks at, ascending: all, or as many as the budget allows.
+    """Indices of the frames that calibration looks at, ascending: all that are not overcrowded, or as many as the budget allows.
 
     Chosen one by one, each the one that adds most to what the others show: places in each image, sizes of bodies (near and
-    far), postures, and what pairs of views see together. What has been seen often counts less and less.
+    far), postures, and what pairs of views see together. What has been seen often counts less and less. Frames with several times the usual
+    number of detections are left to the end: all arrays would be as large as theirs, and most of what they show is false.
     """
-    every = np.arange(len(recording.frames))
+    crowd = np.isfinite(recording.positions[..., 0]).any(-1).sum(-1).max(0)  # (frame)
+    every = np.flatnonzero(crowd <= _CROWD * np.quantile(crowd, 0.9) + _CROWD)
     candidates = evenly(every, _CANDIDATES * config.frames)
     shown = _shown(slice_frames(recording, candidates))
     detections = np.isfinite(recording.positions[:, candidates, :, :, 0]).any(-1).sum() / len(candidates)

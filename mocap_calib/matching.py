@@ -60,7 +60,7 @@ def match_everything(recording: Recording, chosen: Ints, matches: Matches, rig: 
     """
     frames = len(recording.frames)
     labels = np.full(recording.positions.shape[:3], -1, dtype=np.int64)
-    labels[:, chosen] = within_frames(matches).labels
+    labels[:, chosen, : matches.labels.shape[2]] = within_frames(matches).labels
     rest = np.setdiff1d(np.arange(frames), chosen)
     step = max(1, _CELLS // labels[:, 0].size ** 2)
     blocks = [rest[start : start + step] for start in range(0, len(rest), step)]
@@ -70,7 +70,7 @@ def match_everything(recording: Recording, chosen: Ints, matches: Matches, rig: 
         return _groups(affinity, comparable, len(labels), config.matching)
 
     for done, (block, group) in enumerate(zip(blocks, in_order(work, blocks), strict=True)):
-        labels[:, block] = group
+        labels[:, block, : group.shape[2]] = group
         progress("match all", done + 1, len(blocks))
     return Matches(_through_time(labels, _places(recording, rig, labels) * scale, recording.frames, config.matching))
 

@@ -129,7 +129,7 @@ def _calibrate_group(evidence: _Evidence, config: Config, seconds: dict[str, flo
     adjusted, rival = _timed(seconds, "adjust", lambda: _best_start(some, lifted, averaged.rig, matches, config, progress=progress))
     everyone = _timed(seconds, "match all", lambda: match_all(recording, chosen, some, lifted, adjusted.rig, adjusted.matches, config, progress=progress))
     everyone = settle(recording, adjusted.rig, everyone, config.matching)
-    within = Matches(everyone.labels[:, chosen])
+    within = Matches(everyone.labels[:, chosen, : some.positions.shape[2]])
     difference = _timed(seconds, "verdict", lambda: disagreement(some, adjusted.rig, within, config, seed=seed))
     poses = _timed(seconds, "triangulate", lambda: triangulate(recording, adjusted.rig, everyone, config.triangulate, progress=progress))
     fitted = fit(some, adjusted.rig, within, config.triangulate)

@@ -25,7 +25,7 @@ def test_moving_people_determine_the_rig_and_a_statue_with_faults_does_not():
     count = len(found.recording.frames)
     confidence = np.repeat(found.recording.confidence[:, :1], count, 1)
     statue = sample(replace(found.recording, positions=np.repeat(still, count, 1), confidence=confidence), slice(None))
-    labels = replace(found.matches, labels=np.repeat(found.matches.labels[:, :1], count, 1))
+    labels = replace(found.matches, labels=np.repeat(found.matches.labels[:, :1], count, 1)[..., : statue.positions.shape[2]])
     assert np.median(disagreement(statue, found.rig, labels, Config(), seed=0)) > 5 * np.median(moving)
 
 

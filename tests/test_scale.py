@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from scenes import precision, recording, rotation_errors_deg, scene, truth
+from scenes import PEOPLE, precision, recording, rotation_errors_deg, scene, truth
 from test_geometry import CAMERAS
 from test_stages import turned
 
@@ -20,7 +20,7 @@ from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.least_squares import Sightings, State, _cost, _linearise, minimise
 from mocap_calib.parallel import in_order, in_processes
 from mocap_calib.pipeline import calibrate
-from mocap_calib.recording import slice_frames
+from mocap_calib.recording import make_recording, slice_frames
 from mocap_calib.steerpose.checkpoint import load_lifter
 from mocap_calib.steerpose.lift import lift
 from mocap_calib.triangulation import observations, triangulate_rays
@@ -187,3 +187,25 @@ def test_lifting_on_a_gpu_is_lifting():
     found = sample(recording(), slice(0, 5))
     first, second = (lift(found, load_lifter()[0], device=device, progress=silent) for device in ("cpu", "cuda"))
     np.testing.assert_allclose(second.body, first.body, atol=1e-3)
+
+
+def test_one_overcrowded_frame_costs_no_more_than_itself():
+    """30 false detections in one frame of one camera: that frame is not in the sample, whose arrays stay small, and is labelled all the same."""
+    made = scene(frames=60)
+    files = list(made.files)
+    rng = np.random.default_rng(0)
+    wide = np.full((60, 34, *files[1].positions.shape[2:]), np.nan)
+    wide[:, : files[1].positions.shape[1]] = files[1].positions
+    wide[20, 4:] = rng.uniform(0, 700, (30, *wide.shape[2:]))
+    sure = np.zeros(wide.shape[:3])
+    sure[:, : files[1].positions.shape[1]] = files[1].confidence
+    sure[20, 4:] = 0.5
+    files[1] = replace(files[1], positions=wide, confidence=sure)
+    found = make_recording(files, made.rig.cameras, PEOPLE, {})
+    chosen = informative(found, SampleConfig())
+    assert 20 not in chosen
+    assert len(chosen) == 59
+    assert sample(found, chosen).positions.shape[2] <= 5
+    calibrated = calibrate(found, load_lifter()[0], Config(), seed=0, device="cpu", progress=silent)
+    assert rotation_errors_deg(calibrated.rig, made.rig).max() < 0.15
+    assert (calibrated.matches.labels[:, 20] >= 0).sum() >= 8
