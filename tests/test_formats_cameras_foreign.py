@@ -14,6 +14,7 @@ from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.io.cameras import load_cameras, make_rig, parse_content
 from mocap_calib.io.formats_cameras import write_cameras
+from mocap_calib.io.intrinsics import make_camera
 
 K = [[500.0, 0.0, 320.0], [0.0, 501.0, 240.0], [0.0, 0.0, 1.0]]
 TURN = matrix_from_vector(np.array([0.3, -0.2, 0.5]))
@@ -207,3 +208,11 @@ def test_pycolmap_and_opencv_project_our_files_alike(fisheye, tmp_path):
         project = cv2.fisheye.projectPoints if fisheye else cv2.projectPoints
         found, _ = project(points[:, None], cv2.Rodrigues(R)[0], T, K, D)
         np.testing.assert_allclose(found[:, 0], ours[v], rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("skew", [1e308, -1e308, 0.5])
+def test_a_skew_of_any_size_is_refused_in_a_line(skew):
+    """Found by fuzzing: what it moves overflows."""
+    cell = [[500.0, skew, 320.0], [0.0, 501.0, 1e300], [0.0, 0.0, 1.0]]
+    with pytest.raises(FormatError, match="without skew"):
+        make_camera("a", (640, 480), cell, None, False, "x")

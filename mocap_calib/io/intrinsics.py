@@ -36,7 +36,8 @@ def make_camera(name: str, size: Any, matrix: Any, distortion: Any, fisheye: boo
 def skew_in_pixels(matrix: Floats, height: int = 0) -> float:
     """By how much the skew of a `[3, 3]` camera matrix moves what is seen at the edge; without a height the principal point is in the middle."""
     fy, cy = matrix[1, 1:]
-    return float(abs(matrix[0, 1]) * max(abs(cy), abs(height - cy) if height else 0.0) / fy)
+    with np.errstate(all="ignore"):  # numbers of a damaged file
+        return float(abs(matrix[0, 1]) * max(abs(cy), abs(height - cy) if height else 0.0) / fy)
 
 
 def make_extrinsics(rotation: Any, translation: Any, source: str) -> tuple[Floats, Floats]:

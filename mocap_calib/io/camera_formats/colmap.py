@@ -3,6 +3,7 @@
 An image is a camera here: a rig that stands still has one image a camera.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -105,7 +106,7 @@ def stem(name: str) -> str:
 
 def _rotation(q: Floats, where: str) -> Floats:
     """`[3, 3]` of a quaternion (w, x, y, z), of any length but none. Raises FormatError."""
-    length = float(np.linalg.norm(q))
+    length = math.hypot(*q)  # which large numbers do not overflow
     if not 0.5 < length < 2:  # rounded digits; also NaN
         raise malformed(where, "a unit quaternion QW QX QY QZ", q.tolist(), _REMEDY)
     w, v = q[0] / length, q[1:] / length
