@@ -32,7 +32,6 @@ class Child:
     def __init__(self) -> None:
         self._lock = threading.RLock()
         self._process: subprocess.Popen[bytes] | None = None
-        atexit.register(self.end)
 
     def ask(self, call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
         """What the call returns or raises. `call`: a function of a module; it, its arguments and its answer can be pickled. Raises EndedError."""
@@ -43,7 +42,10 @@ class Child:
         with self._lock:
             if self._process is not None and self._process.poll() is not None:
                 self.end()  # while nobody asked: not for what is asked now
-            process = self._process = self._process or _start()
+            if self._process is None:
+                self._process = _start()
+                atexit.register(self.end)
+            process = self._process
             clock = threading.Timer(20 * min(seconds, threading.TIMEOUT_MAX / 20), process.kill)
             clock.daemon = True
             clock.start()
@@ -67,6 +69,7 @@ class Child:
         """Ends the process, and says how it ended."""
         with self._lock:
             process, self._process = self._process, None
+            atexit.unregister(self.end)
             if process is None:
                 return "it was not there"
             for pipe in (process.stdin, process.stdout):

@@ -133,7 +133,7 @@ def run_report(found: Calibration, *, seed: int, config: Config, inputs: Mapping
         "verdict": {
             "rig": verdict(found.disagreement, found.inconsistent),
             "halves_differ_deg": _middle(np.degrees(found.disagreement)),
-            "reversal": "observed" if found.rival is None else "not observable",
+            "reversal": "none found" if found.rival is None else "not observable",
             "translation": "not observable" if found.near_affine.any() else "observed",
         },
         "adjust": {"rounds": found.rounds, "converged": found.converged},
