@@ -122,7 +122,8 @@ def _summarise(reporter: "Reporter", found: "Calibration", report: dict[str, Any
             "moved, or with other intrinsics"
         )
     determined = report["verdict"]
-    reporter.say(f"rig: {determined['rig']}; two halves of the joints give rigs {determined['halves_differ_deg']['median']:.1f} deg apart")
+    apart = determined["halves_differ_deg"]
+    reporter.say(f"rig: {determined['rig']}; halves of the joints give rigs {apart['median']:.1f} deg apart, {apart['max']:.1f} at most")
     affine = [camera["name"] for camera in report["cameras"] if camera["near_affine"]]
     if affine:
         reporter.say(
