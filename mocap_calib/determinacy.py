@@ -67,12 +67,13 @@ def disagreement(recording: Sample, rig: CameraRig, matches: Matches, config: Co
 def _rotations(half: Sample, rig: CameraRig, matches: Matches, config: Config) -> Floats:
     """`[view, 3, 3]` of the rig adjusted on a part of what was seen; NaN of cameras that the part does not hold."""
     found = np.full_like(rig.rotation, np.nan)
+    fewer = replace(config.adjust, points=config.adjust.points // _SPLITS)  # joints differ by more than chance: more frames do not show it better
     held = np.arange(len(rig.cameras))
     while len(held) >= 2:
         part, labels = select_views(half, held), Matches(matches.labels[held])
         own = CameraRig(tuple(rig.cameras[v] for v in held), rig.rotation[held], rig.translation[held], rig.unit)
         try:
-            found[held] = adjust(part, own, labels, config.adjust, config.triangulate, near=True).rotation
+            found[held] = adjust(part, own, labels, fewer, config.triangulate, near=True).rotation
             break
         except LooseCameraError as loose:
             held = np.delete(held, loose.view)
