@@ -21,7 +21,7 @@ from mocap_calib.config import Config, TriangulateConfig
 from mocap_calib.errors import DegenerateError, LooseCameraError
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.parallel import in_order
-from mocap_calib.recording import select_views
+from mocap_calib.recording import select_rig, select_views
 from mocap_calib.triangulation import observations, project, triangulate_rays, view_noise
 from mocap_calib.types import Bools, CameraRig, Floats, Matches, Sample
 
@@ -37,13 +37,13 @@ _ALIKE = 1.05  # misfits of two rigs that the observations do not tell apart
 class Fit:
     """How a rig fits what was seen, in pixels.
 
-    misfit: RMS distance of all detections from their reprojections, none counted as farther than four usual ones. error: `[view]` their
-    median. noise: `[view]` robust standard deviation of a coordinate. perspective: `[view]` RMS of what no affine camera could explain:
+    misfit: RMS distance of all detections from their reprojections, none counted as farther than four usual ones. angle: `[view]` their
+    median, in radians. noise: `[view]` robust standard deviation of a coordinate. perspective: `[view]` RMS of what no affine camera could explain:
     where it is far below the noise, the view might as well be infinitely far away, and how far it is follows from its focal length alone.
     """
 
     misfit: float
-    error: Floats
+    angle: Floats
     noise: Floats
     perspective: Floats
 
@@ -70,10 +70,9 @@ def _rotations(half: Sample, rig: CameraRig, matches: Matches, config: Config) -
     fewer = replace(config.adjust, points=config.adjust.points // _SPLITS)  # joints differ by more than chance: more frames do not show it better
     held = np.arange(len(rig.cameras))
     while len(held) >= 2:
-        part, labels = select_views(half, held), Matches(matches.labels[held])
-        own = CameraRig(tuple(rig.cameras[v] for v in held), rig.rotation[held], rig.translation[held], rig.unit)
+        labels = Matches(matches.labels[held])
         try:
-            found[held] = adjust(part, own, labels, fewer, config.triangulate, near=True).rotation
+            found[held] = adjust(select_views(half, held), select_rig(rig, held), labels, fewer, config.triangulate, near=True).rotation
             break
         except LooseCameraError as loose:
             held = np.delete(held, loose.view)
@@ -106,17 +105,17 @@ def fit(recording: Sample, rig: CameraRig, matches: Matches, config: Triangulate
     inside = np.matmul(rig.rotation, points) + rig.translation[:, :, None]
     focal = np.array([camera.focal for camera in rig.cameras])
     perspective = np.array([_beyond_affine(points[:, own].T, turned[:, own].T) for own, turned in zip(there, inside, strict=True)])
-    return Fit(float(np.sqrt((error**2).mean())), middle, noise * focal, perspective * focal)
+    return Fit(float(np.sqrt((error**2).mean())), middle / focal, noise * focal, perspective * focal)
 
 
-def inconsistent(found: Fit, focal: Floats) -> Bools:
-    """`[view]` cameras whose errors are several times those of the others, as angles: out of step, moved, or with wrong intrinsics.
+def inconsistent(found: Fit) -> Bools:
+    """`[view]` cameras whose errors are several times those of the others: out of step, moved, or with wrong intrinsics.
 
-    Of two cameras both have the errors. focal: `[view]` in pixels.
+    Of two cameras both have the errors.
     """
-    angle = found.error / focal
-    others = [np.median(np.delete(angle, view)) for view in range(len(angle))]
-    return angle > _SEVERAL * np.array(others) if len(angle) > 2 else np.zeros(len(angle), dtype=bool)
+    views = len(found.angle)
+    others = [np.median(np.delete(found.angle, view)) for view in range(views)]
+    return found.angle > _SEVERAL * np.array(others) if views > 2 else np.zeros(views, dtype=bool)
 
 
 def alike(first: Fit, second: Fit) -> bool:

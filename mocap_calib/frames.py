@@ -40,7 +40,7 @@ def informative(recording: Recording, config: SampleConfig) -> Ints:
 
     Chosen one by one, each the one that adds most to what the others show: places in each image, sizes of bodies (near and
     far), postures, and what pairs of views see together. What has been seen often counts less and less. Frames with several times the usual
-    number of detections are left to the end: all arrays would be as large as theirs, and most of what they show is false.
+    number of detections are left out: all arrays would be as large as theirs, and most of what they show is false.
     """
     crowd = np.isfinite(recording.positions[..., 0]).any(-1).sum(-1).max(0)  # (frame)
     every = np.flatnonzero(crowd <= _CROWD * np.quantile(crowd, 0.9) + _CROWD)

@@ -133,10 +133,9 @@ def _calibrate_group(evidence: _Evidence, config: Config, seconds: dict[str, flo
     difference = _timed(seconds, "verdict", lambda: disagreement(some, adjusted.rig, within, config, seed=seed))
     poses = _timed(seconds, "triangulate", lambda: triangulate(recording, adjusted.rig, everyone, config.triangulate, progress=progress))
     fitted = fit(some, adjusted.rig, within, config.triangulate)
-    focal = np.array([camera.focal for camera in adjusted.rig.cameras])
     return Calibration(
         recording, (), (), in_recording(pairs, chosen), averaged, adjusted.rig, rival, everyone, difference,
-        inconsistent(fitted, focal), near_affine(fitted), poses,
+        inconsistent(fitted), near_affine(fitted), poses,
         adjusted.rounds, adjusted.converged, seconds,
     )  # fmt: skip
 

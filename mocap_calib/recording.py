@@ -10,7 +10,7 @@ from mocap_calib.config import ReadConfig
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.projection import rays_from_pixels
 from mocap_calib.skeleton import match_names, normalise_name
-from mocap_calib.types import Bools, Camera, Ints, Keypoints2D, LiftedPoses, Reals, Recording, Skeleton
+from mocap_calib.types import Bools, Camera, CameraRig, Ints, Keypoints2D, LiftedPoses, Reals, Recording, Skeleton
 
 Some = TypeVar("Some", bound=Recording)
 
@@ -103,6 +103,11 @@ def select_views(recording: Some, views: Ints) -> Some:
         return recording  # a long one is not copied
     parts = {name: getattr(recording, name)[views] for name in ("positions", "confidence", "rays", "tracked") if hasattr(recording, name)}
     return replace(recording, cameras=tuple(recording.cameras[v] for v in views), **parts)
+
+
+def select_rig(rig: CameraRig, views: Ints) -> CameraRig:
+    """The rig of these cameras (indices) alone, in this order."""
+    return CameraRig(tuple(rig.cameras[v] for v in views), rig.rotation[views], rig.translation[views], rig.unit)
 
 
 def select_lifted(lifted: LiftedPoses, views: Ints) -> LiftedPoses:

@@ -15,6 +15,7 @@ from mocap_calib.frames import evenly
 from mocap_calib.geometry.alignment import similarity
 from mocap_calib.geometry.rotation import angle_between, direction_angle
 from mocap_calib.loops import rival_taken
+from mocap_calib.recording import select_rig
 from mocap_calib.triangulation import observations, project
 from mocap_calib.types import Calibration, CameraRig, Floats, PairwiseCalibration
 
@@ -49,7 +50,7 @@ def evaluate_rig(rig: CameraRig, reference: CameraRig) -> Evaluation:
         raise MismatchError(f"expected at least two cameras of the reference ({', '.join(reference.names)}), found {', '.join(rig.names)}; match their names")
     pairs = tuple(combinations(sorted(reference.names), 2))
     errors = [_pair_error(rig, reference, *pair) if set(pair) <= set(names) else (np.pi, np.pi) for pair in pairs]
-    found, true = _select(rig, names), _select(reference, names)
+    found, true = (select_rig(each, np.array([each.names.index(name) for name in names])) for each in (rig, reference))
     scale, turn, shift = similarity(_with_axes(found), _with_axes(true))
     centre = np.linalg.norm(scale * found.centres @ turn.T + shift - true.centres, axis=1)
     rotation = angle_between(found.rotation @ turn.T, true.rotation)
@@ -65,11 +66,6 @@ def _with_axes(rig: CameraRig) -> Floats:
     axes = 1e-3 * spread * rig.rotation.reshape(-1, 3)  # rows of cam_from_world are the camera's axes in the world
     near = np.repeat(rig.centres, 3, axis=0)
     return np.concatenate([rig.centres, near + axes, near - axes])
-
-
-def _select(rig: CameraRig, names: tuple[str, ...]) -> CameraRig:
-    index = [rig.names.index(name) for name in names]
-    return CameraRig(tuple(rig.cameras[k] for k in index), rig.rotation[index], rig.translation[index], rig.unit)
 
 
 def _pair_error(rig: CameraRig, reference: CameraRig, a: str, b: str) -> tuple[float, float]:

@@ -1,6 +1,5 @@
 """The table of keypoint formats: how each is recognised by content, read and written."""
 
-import re
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -31,7 +30,7 @@ from mocap_calib.io import (
 )
 from mocap_calib.io.adjust2d import in_pixels, moved, split_views
 from mocap_calib.io.atomic import check_alone, folder, write_bytes
-from mocap_calib.io.camera_formats.source import FILE_NAME
+from mocap_calib.io.camera_formats.source import FILE_NAME, need_names
 from mocap_calib.io.contained import contained
 from mocap_calib.io.document import Document, Item, ReadOptions, describe
 from mocap_calib.io.items import FOLDER_SUFFIXES, Holds, keypoint_items
@@ -174,8 +173,7 @@ def write_keypoints(path: Path, views: tuple[Keypoints2D, ...], format: str) -> 
         write_bytes(path, next(iter(files.values())))
         return lost
     for view in views:
-        if not re.fullmatch(FILE_NAME[0], view.camera):  # it may come from inside a file, and lead anywhere
-            raise MismatchError(f"{view.source}: expected camera names of {FILE_NAME[1]}, found {view.camera!r}; rename the camera")
+        need_names((view.camera,), *FILE_NAME, view.source)  # it may come from inside a file, and lead anywhere
     check_alone(path, files, FOLDER_SUFFIXES)
     with folder(path) as work:
         for name, content in files.items():

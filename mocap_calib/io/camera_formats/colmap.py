@@ -123,7 +123,7 @@ def _floats(cells: list[str], where: str) -> Floats:
 def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:  # noqa: ARG001 - the writers' signature
     """All three files, the points empty; an image is called NAME.png. Raises MismatchError."""
     need_sizes(rig, "colmap")
-    need_names(rig, r"[^\s\x00-\x1f\x7f-\xa0\ud800-\udfff]+", "no spaces", "colmap")
+    need_names(rig.names, r"[^\s\x00-\x1f\x7f-\xa0\ud800-\udfff]+", "no spaces", "colmap")
     cameras = ["# Camera list: CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]", f"# unit: {rig.unit}"]
     images = ["# Image list, two lines each: IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME", "#   POINTS2D[] as (X, Y, POINT3D_ID)"]
     for v, camera in enumerate(rig.cameras):

@@ -52,7 +52,7 @@ def _parse(intri: Source, where: str, extri: Mapping[str, Any], extri_path: str)
 
 def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:  # noqa: ARG001 - the writers' signature
     """Both files. Raises MismatchError."""
-    need_names(rig, r"[A-Za-z0-9_-]{1,80}", "letters, digits, - and _", "easymocap")
+    need_names(rig.names, r"[A-Za-z0-9_-]{1,80}", "letters, digits, - and _", "easymocap")
     names = ["names:", *(f'  - "{name}"' for name in rig.names)]
     intri, extri = list(names), list(names)
     for v, camera in enumerate(rig.cameras):

@@ -193,7 +193,7 @@ def parse_multiview_calib(source: Source) -> CameraFile:
 
 def write_multiview_calib(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:  # noqa: ARG001 - the writers' signature
     """intrinsics.json and global_poses.json. Raises MismatchError."""
-    need_names(rig, r"[^\ud800-\udfff]+", "text", "multiview-calib")
+    need_names(rig.names, r"[^\ud800-\udfff]+", "text", "multiview-calib")
     intrinsics, poses = {}, {}
     for v, camera in enumerate(rig.cameras):
         lens = {"K": camera.matrix.tolist(), "dist": (camera.distortion if terms(camera, 8, "multiview-calib").any() else np.zeros(5)).tolist()}

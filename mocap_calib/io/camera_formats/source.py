@@ -226,11 +226,11 @@ def terms(camera: Camera, count: int, name: str, remedy: str = "write another fo
     return padded[:count]
 
 
-def need_names(rig: CameraRig, pattern: str, words: str, name: str) -> None:
+def need_names(cameras: Iterable[str], pattern: str, words: str, owner: str) -> None:
     """Raises MismatchError where a camera's name does not match the pattern, which `words` describe."""
-    for camera in rig.names:
+    for camera in cameras:
         if not re.fullmatch(pattern, camera):
-            raise MismatchError(f"{name}: expected camera names of {words}, found {camera!r}; rename the camera")
+            raise MismatchError(f"{owner}: expected camera names of {words}, found {camera!r}; rename the camera")
 
 
 def need_sizes(rig: CameraRig, name: str) -> None:

@@ -93,7 +93,7 @@ def _parse(source: Source, placed: bool) -> CameraFile:
 
 def write_opencv(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:  # noqa: ARG001 - the writers' signature
     """A file a camera, which cv2.FileStorage reads; carries all. Raises MismatchError."""
-    need_names(rig, *FILE_NAME, "opencv")
+    need_names(rig.names, *FILE_NAME, "opencv")
     files = {}
     for v, camera in enumerate(rig.cameras):
         lines = [f'camera_name: "{camera.name}"', f"image_width: {camera.size[0]}", f"image_height: {camera.size[1]}"]
@@ -129,7 +129,7 @@ def parse_jarvis(source: Source) -> CameraFile:
 
 def write_jarvis(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:  # noqa: ARG001 - the writers' signature
     """A file a camera, named after it. JARVIS' own projection takes k1 and k2 alone. Raises MismatchError."""
-    need_names(rig, *FILE_NAME, "jarvis")
+    need_names(rig.names, *FILE_NAME, "jarvis")
     files, beyond = {}, []
     for v, camera in enumerate(rig.cameras):
         distortion = terms(camera, 5, "jarvis")
