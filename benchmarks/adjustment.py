@@ -18,14 +18,19 @@ from pathlib import Path
 
 import numpy as np
 
-from mocap_calib.bundle_adjustment import adjust
 from mocap_calib.config import AdjustConfig, SimulateConfig, TriangulateConfig
-from mocap_calib.frames import sample
-from mocap_calib.geometry.rotation import angle_between, direction_angle, matrix_from_vector, vector_from_matrix
-from mocap_calib.recording import make_recording
-from mocap_calib.skeleton import load_skeleton
+from mocap_calib.geometry.rotation import (
+    angle_between,
+    direction_angle,
+    matrix_from_vector,
+    vector_from_matrix,
+)
+from mocap_calib.multi_view.bundle_adjustment import adjust
+from mocap_calib.multi_view.triangulation import observations
+from mocap_calib.recording.joints import load_skeleton
+from mocap_calib.recording.sampling import sample
+from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.synthetic import simulate
-from mocap_calib.triangulation import observations
 from mocap_calib.types import CameraRig, Floats, Matches, Sample
 
 METHODS = ("ours", "ours-all", "anipose", "scipy")
@@ -35,46 +40,76 @@ PEERS = Path(__file__).with_name("adjustment_peers.py")
 
 def main() -> None:
     """Markdown on stdout."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("scratch", type=Path)
     parser.add_argument("--cameras", type=int, default=8)
     parser.add_argument("--frames", type=int, default=1000)
     parser.add_argument("--people", type=int, default=1)
     parser.add_argument("--methods", nargs="*", default=list(METHODS), choices=METHODS)
     options = parser.parse_args()
-    made = simulate(SimulateConfig(cameras=options.cameras, frames=options.frames, people=options.people, false_detections=0.0))
-    recording = sample(make_recording(made.files, made.rig.cameras, load_skeleton("people"), {}), slice(None))
+    made = simulate(
+        SimulateConfig(
+            cameras=options.cameras,
+            frames=options.frames,
+            people=options.people,
+            false_detections=0.0,
+        )
+    )
+    recording = sample(
+        make_recording(made.files, made.rig.cameras, load_skeleton("people"), {}), slice(None)
+    )
     matches = Matches(made.identity.astype(np.int64))
     start = moved(made.rig)
-    print("| method | seconds | processor (s) | E_R median / max (deg) | E_t median / max (deg) |\n|---|---|---|---|---|")
+    print(
+        "| method | seconds | processor (s) | E_R median / max (deg) | E_t median / max (deg) |\n|---|---|---|---|---|"
+    )
     print(f"| start | | | {figures(start, made.rig)} |")
     for method in options.methods:
-        found, wall, processor = ours(OURS[method], recording, start, matches) if method in OURS else peer(method, options.scratch, recording, start, matches)
-        print(f"| {method} | {wall:.2f} | {processor:.2f} | {figures(found, made.rig)} |", flush=True)
+        found, wall, processor = (
+            ours(OURS[method], recording, start, matches)
+            if method in OURS
+            else peer(method, options.scratch, recording, start, matches)
+        )
+        print(
+            f"| {method} | {wall:.2f} | {processor:.2f} | {figures(found, made.rig)} |", flush=True
+        )
 
 
 def moved(rig: CameraRig) -> CameraRig:
     """Every camera turned by 3 degrees and moved by 3 % of its distance from the origin."""
     rng = np.random.default_rng(0)
-    turn, shift = (axis / np.linalg.norm(axis, axis=1, keepdims=True) for axis in rng.normal(size=(2, len(rig.cameras), 3)))
+    turn, shift = (
+        axis / np.linalg.norm(axis, axis=1, keepdims=True)
+        for axis in rng.normal(size=(2, len(rig.cameras), 3))
+    )
     rotation = matrix_from_vector(np.radians(3.0) * turn) @ rig.rotation
     centres = rig.centres + 0.03 * np.linalg.norm(rig.centres, axis=1, keepdims=True) * shift
     return replace(rig, rotation=rotation, translation=-np.einsum("vij,vj->vi", rotation, centres))
 
 
-def ours(config: AdjustConfig, recording: Sample, start: CameraRig, matches: Matches) -> tuple[CameraRig, float, float]:
+def ours(
+    config: AdjustConfig, recording: Sample, start: CameraRig, matches: Matches
+) -> tuple[CameraRig, float, float]:
     """The rig, seconds and seconds of the processor."""
     wall, processor = time.perf_counter(), time.process_time()
     found = adjust(recording, start, matches, config, TriangulateConfig())
     return found, time.perf_counter() - wall, time.process_time() - processor
 
 
-def peer(method: str, scratch: Path, recording: Sample, start: CameraRig, matches: Matches) -> tuple[CameraRig, float, float]:
+def peer(
+    method: str, scratch: Path, recording: Sample, start: CameraRig, matches: Matches
+) -> tuple[CameraRig, float, float]:
     """The same, by a process of another environment."""
     python = scratch / "peers" / "bin" / "python"
     if not python.exists():
         subprocess.run([sys.executable, "-m", "venv", scratch / "peers"], check=True)
-        subprocess.run([python, "-m", "pip", "install", "--quiet", "aniposelib==0.8.0"], check=True, stdout=sys.stderr)
+        subprocess.run(
+            [python, "-m", "pip", "install", "--quiet", "aniposelib==0.8.0"],
+            check=True,
+            stdout=sys.stderr,
+        )
     seen = observations(recording, matches, np.arange(len(recording.frames)))
     problem = {
         "pixels": np.moveaxis(seen.pixels, 1, 2),
@@ -85,9 +120,17 @@ def peer(method: str, scratch: Path, recording: Sample, start: CameraRig, matche
         "translation": start.translation,
     }
     np.savez(scratch / "problem.npz", **problem)
-    subprocess.run([python, PEERS, method, scratch / "problem.npz", scratch / "result.npz"], check=True, stdout=sys.stderr)
+    subprocess.run(
+        [python, PEERS, method, scratch / "problem.npz", scratch / "result.npz"],
+        check=True,
+        stdout=sys.stderr,
+    )
     with np.load(scratch / "result.npz") as result:
-        found = replace(start, rotation=matrix_from_vector(result["rotation"]), translation=result["translation"])
+        found = replace(
+            start,
+            rotation=matrix_from_vector(result["rotation"]),
+            translation=result["translation"],
+        )
         return found, float(result["seconds"]), float(result["processor"])
 
 

@@ -17,12 +17,30 @@ def anipose(problem):
     from aniposelib.cameras import Camera, CameraGroup
 
     def group():
-        rows = zip(problem["matrix"], problem["distortion"], problem["size"], problem["rotation"], problem["translation"], strict=True)
-        return CameraGroup([Camera(m, d, tuple(s), r, t, name=str(k)) for k, (m, d, s, r, t) in enumerate(rows)])
+        rows = zip(
+            problem["matrix"],
+            problem["distortion"],
+            problem["size"],
+            problem["rotation"],
+            problem["translation"],
+            strict=True,
+        )
+        return CameraGroup(
+            [Camera(m, d, tuple(s), r, t, name=str(k)) for k, (m, d, s, r, t) in enumerate(rows)]
+        )
 
-    settings = {"only_extrinsics": True, "n_iters": 10, "n_samp_iter": 300, "n_samp_full": 1000, "max_nfev": 500, "verbose": False}
+    settings = {
+        "only_extrinsics": True,
+        "n_iters": 10,
+        "n_samp_iter": 300,
+        "n_samp_full": 1000,
+        "max_nfev": 500,
+        "verbose": False,
+    }
     # what it compiles on first use is not counted
-    group().bundle_adjust_iter(problem["pixels"][:, :2000], **settings | {"n_iters": 2, "max_nfev": 5})
+    group().bundle_adjust_iter(
+        problem["pixels"][:, :2000], **settings | {"n_iters": 2, "max_nfev": 5}
+    )
     cameras = group()
     start = time.perf_counter(), time.process_time()
     np.random.seed(0)  # noqa: NPY002 - the generator that aniposelib draws from
@@ -47,7 +65,9 @@ def scipy(problem):
     view, point = np.nonzero(seen)
     rotations = np.stack([cv2.Rodrigues(r)[0] for r in problem["rotation"]])
     rows = zip(problem["matrix"], problem["distortion"], pixels, strict=True)
-    plane = np.stack([cv2.undistortPoints(np.nan_to_num(p)[:, None], m, d)[:, 0] for m, d, p in rows])
+    plane = np.stack(
+        [cv2.undistortPoints(np.nan_to_num(p)[:, None], m, d)[:, 0] for m, d, p in rows]
+    )
     projection = np.concatenate([rotations, problem["translation"][..., None]], axis=2)
     system = plane[..., None] * projection[:, None, 2:] - projection[:, None, :2]  # (view, N, 2, 4)
     system = np.moveaxis(system * seen[..., None, None], 0, 1).reshape(count, -1, 4)
@@ -58,7 +78,16 @@ def scipy(problem):
         cameras, where = x[: 6 * views].reshape(views, 6), x[6 * views :].reshape(count, 3)
         out = np.zeros((views, count, 2))
         for v in range(views):
-            out[v] = cv2.projectPoints(where, cameras[v, :3], cameras[v, 3:], problem["matrix"][v], problem["distortion"][v])[0][:, 0] - pixels[v]
+            out[v] = (
+                cv2.projectPoints(
+                    where,
+                    cameras[v, :3],
+                    cameras[v, 3:],
+                    problem["matrix"][v],
+                    problem["distortion"][v],
+                )[0][:, 0]
+                - pixels[v]
+            )
         return out[view, point].ravel()
 
     pattern = lil_matrix((2 * len(view), 6 * views + 3 * count), dtype=int)
@@ -67,14 +96,36 @@ def scipy(problem):
         pattern[row, np.repeat(6 * view + k, 2)] = 1
     for k in range(3):
         pattern[row, np.repeat(6 * views + 3 * point + k, 2)] = 1
-    x = np.concatenate([np.concatenate([problem["rotation"], problem["translation"]], axis=1).ravel(), points.ravel()])
+    x = np.concatenate(
+        [
+            np.concatenate([problem["rotation"], problem["translation"]], axis=1).ravel(),
+            points.ravel(),
+        ]
+    )
     for scale in (50.0, 10.0, 3.0):
-        x = least_squares(residuals, x, jac_sparsity=pattern, loss="soft_l1", f_scale=scale, x_scale="jac", method="trf", max_nfev=30).x
+        x = least_squares(
+            residuals,
+            x,
+            jac_sparsity=pattern,
+            loss="soft_l1",
+            f_scale=scale,
+            x_scale="jac",
+            method="trf",
+            max_nfev=30,
+        ).x
     cameras = x[: 6 * views].reshape(views, 6)
-    return cameras[:, :3], cameras[:, 3:], time.perf_counter() - start[0], time.process_time() - start[1]
+    return (
+        cameras[:, :3],
+        cameras[:, 3:],
+        time.perf_counter() - start[0],
+        time.process_time() - start[1],
+    )
 
 
 if __name__ == "__main__":
     with np.load(sys.argv[2]) as file:
         found = {"anipose": anipose, "scipy": scipy}[sys.argv[1]](dict(file))
-    np.savez(sys.argv[3], **dict(zip(("rotation", "translation", "seconds", "processor"), found, strict=True)))
+    np.savez(
+        sys.argv[3],
+        **dict(zip(("rotation", "translation", "seconds", "processor"), found, strict=True)),
+    )

@@ -16,27 +16,60 @@ from pathlib import Path
 import numpy as np
 from protocol_scenes import Kind, Subjects, scene
 
-from mocap_calib.io.camera_files import format_calibration_toml
-from mocap_calib.io.coco_writer import format_coco
+from mocap_calib.io.cameras.own import format_calibration_toml
+from mocap_calib.io.keypoints.coco_writer import format_coco
 
 TOOL = [str(Path(sys.executable).with_name("mocap-calib"))]
 
 
 def main() -> None:
     """The four commands, and what they reach."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("out", type=Path)
     parser.add_argument("--shared", type=Path, default=Path("../shared"))
     parser.add_argument("--steps", type=int, default=2000)
     options = parser.parse_args()
     out, two = options.out, options.shared / "recordings" / "dannce_two_mice_projected"
     one_mouse(options.shared / "poses3d", out / "one")
-    run("run", out / "one/keypoints", "--cameras", out / "one/intrinsics.toml", "--model", "none", "-o", out / "alone")
+    run(
+        "run",
+        out / "one/keypoints",
+        "--cameras",
+        out / "one/intrinsics.toml",
+        "--model",
+        "none",
+        "-o",
+        out / "alone",
+    )
     report("one mouse, geometry alone", out / "alone", out / "one/reference.toml")
-    run("train", "--from", out / "alone/poses3d.h5", "--steps", options.steps, "--batch", 128, "-o", out / "mouse.safetensors")
-    for name, model in (("two mice, geometry alone", "none"), ("two mice, own model", out / "mouse.safetensors")):
+    run(
+        "train",
+        "--from",
+        out / "alone/poses3d.h5",
+        "--steps",
+        options.steps,
+        "--batch",
+        128,
+        "-o",
+        out / "mouse.safetensors",
+    )
+    for name, model in (
+        ("two mice, geometry alone", "none"),
+        ("two mice, own model", out / "mouse.safetensors"),
+    ):
         try:
-            run("run", two / "keypoints", "--cameras", two / "intrinsics.toml", "--model", model, "-o", out / "two")
+            run(
+                "run",
+                two / "keypoints",
+                "--cameras",
+                two / "intrinsics.toml",
+                "--model",
+                model,
+                "-o",
+                out / "two",
+            )
             report(name, out / "two", two / "reference.toml")
         except subprocess.CalledProcessError as error:
             print(f"{name}: refused: {error.stderr.strip().splitlines()[-1]}")
@@ -45,19 +78,35 @@ def main() -> None:
 def one_mouse(poses: Path, out: Path) -> None:
     """Six cameras, one mouse; the files are those a detector would write."""
     subjects = Subjects(poses, Kind("train_mouse22", "rodent", "+z", "first clip"))
-    recording, truth = scene(subjects, np.random.default_rng(0), count=1, frames=400, views=6, noise_px=3.0, joints=subjects.joints)
+    recording, truth = scene(
+        subjects,
+        np.random.default_rng(0),
+        count=1,
+        frames=400,
+        views=6,
+        noise_px=3.0,
+        joints=subjects.joints,
+    )
     (out / "keypoints").mkdir(parents=True, exist_ok=True)
-    for camera, positions, confidence in zip(recording.cameras, recording.positions, recording.confidence, strict=True):
-        text = format_coco(camera.name, camera.size, recording.frames, subjects.own_names, positions, confidence)
+    for camera, positions, confidence in zip(
+        recording.cameras, recording.positions, recording.confidence, strict=True
+    ):
+        text = format_coco(
+            camera.name, camera.size, recording.frames, subjects.own_names, positions, confidence
+        )
         (out / "keypoints" / f"{camera.name}.json").write_text(text)
     (out / "reference.toml").write_text(format_calibration_toml(truth.rig, {}))
-    nowhere = replace(truth.rig, rotation=np.tile(np.eye(3), (6, 1, 1)), translation=np.zeros((6, 3)))
+    nowhere = replace(
+        truth.rig, rotation=np.tile(np.eye(3), (6, 1, 1)), translation=np.zeros((6, 3))
+    )
     (out / "intrinsics.toml").write_text(format_calibration_toml(nowhere, {}))
 
 
 def run(*words: object) -> str:
     """A command of the program; its stdout."""
-    return subprocess.run([*TOOL, *map(str, words)], check=True, capture_output=True, text=True).stdout
+    return subprocess.run(
+        [*TOOL, *map(str, words)], check=True, capture_output=True, text=True
+    ).stdout
 
 
 def report(name: str, found: Path, reference: Path) -> None:
@@ -65,7 +114,10 @@ def report(name: str, found: Path, reference: Path) -> None:
     errors = json.loads(run("evaluate", found / "cameras.yaml", "--reference", reference, "--json"))
     r, t = errors["rotation_error_deg"], errors["translation_error_deg"]
     individuals = len(json.loads((found / "run.json").read_text())["individuals"])
-    print(f"{name}: E_R {r['median']:.2f} / {r['max']:.2f} deg, E_t {t['median']:.2f} deg, {individuals} individuals", flush=True)
+    print(
+        f"{name}: E_R {r['median']:.2f} / {r['max']:.2f} deg, E_t {t['median']:.2f} deg, {individuals} individuals",
+        flush=True,
+    )
 
 
 if __name__ == "__main__":

@@ -8,17 +8,19 @@ import numpy as np
 import torch
 
 from mocap_calib.config import PairwiseConfig, PaperConfig
-from mocap_calib.geometry.baselines import all_pairs_magsac, five_point_over_matches
-from mocap_calib.pairwise import calibrate_pair, pair_problem
 from mocap_calib.steerpose.checkpoint import load_steerer
 from mocap_calib.steerpose.lift import lift
 from mocap_calib.steerpose.model import Lifter
-from mocap_calib.steerpose.paper_solver import solve_pair, solve_pairs, two_views
+from mocap_calib.steerpose.paper.solver import solve_pair, solve_pairs, two_views
 from mocap_calib.steerpose.steer import Model
+from mocap_calib.two_view.five_point import all_pairs_magsac, five_point_over_matches
+from mocap_calib.two_view.solve import calibrate_pair, pair_problem
 from mocap_calib.types import Floats, Ints, Sample, silent
 
 THRESHOLD_PX = 6.0  # of RANSAC: two standard deviations of the noise
-TIMED = 3  # pairs that the paper's solver does alone, to know its seconds; the others go in one batch
+TIMED = (
+    3  # pairs that the paper's solver does alone, to know its seconds; the others go in one batch
+)
 BATCH = 50
 
 
@@ -46,7 +48,11 @@ Method = Callable[[Sequence[Problem], dict[str, Model]], Answers]
 
 def load_models(methods: Sequence[str], skeleton: str = "people") -> dict[str, Model]:
     """The shipped networks that these methods need; a rotation token is shipped for people alone."""
-    token = {"token": load_steerer(skeleton, architecture="token")[0]} if any("token" in method for method in methods) else {}
+    token = (
+        {"token": load_steerer(skeleton, architecture="token")[0]}
+        if any("token" in method for method in methods)
+        else {}
+    )
     return {"factorised": load_steerer(skeleton)[0], **token}
 
 
@@ -57,7 +63,9 @@ def _each(problems: Sequence[Problem], solve: Callable[[Problem], Found | None])
 
 
 def _threshold(problem: Problem) -> float:
-    return THRESHOLD_PX / float(np.mean([problem.recording.cameras[v].focal for v in (problem.a, problem.b)]))
+    return THRESHOLD_PX / float(
+        np.mean([problem.recording.cameras[v].focal for v in (problem.a, problem.b)])
+    )
 
 
 def five_point(problems: Sequence[Problem], _: dict[str, Model]) -> Answers:
@@ -65,7 +73,9 @@ def five_point(problems: Sequence[Problem], _: dict[str, Model]) -> Answers:
 
     def solve(problem: Problem) -> Found | None:
         rays = problem.recording.rays
-        found = five_point_over_matches(rays[problem.a], rays[problem.b], _threshold(problem), np.random.default_rng(0))
+        found = five_point_over_matches(
+            rays[problem.a], rays[problem.b], _threshold(problem), np.random.default_rng(0)
+        )
         return None if found is None else Found(*found)
 
     return _each(problems, solve)
@@ -75,7 +85,11 @@ def magsac(problems: Sequence[Problem], _: dict[str, Model]) -> Answers:
     """All cross pairs of detections as correspondences."""
 
     def solve(problem: Problem) -> Found | None:
-        found = all_pairs_magsac(problem.recording.rays[problem.a], problem.recording.rays[problem.b], _threshold(problem))
+        found = all_pairs_magsac(
+            problem.recording.rays[problem.a],
+            problem.recording.rays[problem.b],
+            _threshold(problem),
+        )
         return None if found is None else Found(*found)
 
     return _each(problems, solve)
@@ -90,8 +104,20 @@ def ours(config: PairwiseConfig) -> Method:
 
         def solve(problem: Problem) -> Found | None:
             lifted = lift(problem.recording, lifter, progress=silent)
-            found = calibrate_pair(pair_problem(problem.recording, lifted, problem.a, problem.b, config, np.random.default_rng(0)), config)
-            return None if found is None else Found(found.rotation, found.translation, found.matches)
+            found = calibrate_pair(
+                pair_problem(
+                    problem.recording,
+                    lifted,
+                    problem.a,
+                    problem.b,
+                    config,
+                    np.random.default_rng(0),
+                ),
+                config,
+            )
+            return (
+                None if found is None else Found(found.rotation, found.translation, found.matches)
+            )
 
         return _each(problems, solve)
 
@@ -103,13 +129,22 @@ def paper(architecture: str, config: PaperConfig) -> Method:
 
     def method(problems: Sequence[Problem], models: dict[str, Model]) -> Answers:
         model = models[architecture]
-        views = [two_views(p.recording, p.a, p.b, np.arange(len(p.recording.frames)), model.config.joints) for p in problems]
+        views = [
+            two_views(
+                p.recording, p.a, p.b, np.arange(len(p.recording.frames)), model.config.joints
+            )
+            for p in problems
+        ]
         start = time.perf_counter()
         for k in range(min(TIMED, len(views))):
             solve_pair(views[k], model, config, torch.Generator().manual_seed(k))
         seconds = (time.perf_counter() - start) / max(min(TIMED, len(views)), 1)
         generator = torch.Generator().manual_seed(0)
-        found = [s for k in range(0, len(views), BATCH) for s in solve_pairs(views[k : k + BATCH], model, config, generator)]
+        found = [
+            s
+            for k in range(0, len(views), BATCH)
+            for s in solve_pairs(views[k : k + BATCH], model, config, generator)
+        ]
         return [Found(s.rotation, s.translation, s.matches) for s in found], seconds
 
     return method

@@ -9,7 +9,7 @@ import numpy as np
 
 from mocap_calib.geometry.projection import pixels_from_points, rays_from_pixels
 from mocap_calib.geometry.rotation import looking_along, matrix_from_vector
-from mocap_calib.skeleton import load_skeleton, match_names
+from mocap_calib.recording.joints import load_skeleton, match_names
 from mocap_calib.types import Camera, CameraRig, Floats, Ints, Sample
 
 SIZE = (1920, 1080)
@@ -59,8 +59,15 @@ class Subjects:
         self.skeleton = load_skeleton(kind.model)
         path = folder / kind.file
         with np.load(path if path.is_file() else path / "poses3d.npz") as file:
-            fields = {{"poses3d": "poses", "clip": "sequence"}.get(name, name): file[name] for name in file.files}
-        names = fields["joints"] if "joints" in fields else json.loads((path / "joints.json").read_text())["names"]
+            fields = {
+                {"poses3d": "poses", "clip": "sequence"}.get(name, name): file[name]
+                for name in file.files
+            }
+        names = (
+            fields["joints"]
+            if "joints" in fields
+            else json.loads((path / "joints.json").read_text())["names"]
+        )
         poses, sequence = fields["poses"].astype(np.float64), fields["sequence"]
         keep = {
             "split": lambda: fields["split"] == "test",
@@ -114,21 +121,41 @@ def random_rig(rng: np.random.Generator, views: int) -> CameraRig:
     """Cameras at the height of people, at azimuths anywhere, that look into the room."""
     while True:
         azimuth, out = rng.uniform(0, 2 * np.pi, views), rng.uniform(*RADIUS, views)
-        centre = np.stack([out * np.cos(azimuth), out * np.sin(azimuth), rng.uniform(*HEIGHT, views)], axis=-1)
+        centre = np.stack(
+            [out * np.cos(azimuth), out * np.sin(azimuth), rng.uniform(*HEIGHT, views)], axis=-1
+        )
         gaps = np.linalg.norm(centre[:, None] - centre[None], axis=-1) + 99 * np.eye(views)
         if gaps.min() > LEAST:
             break
     aim = np.array([0.0, 0.0, 0.9]) + rng.normal(0, 0.3, (views, 3))
-    roll = matrix_from_vector(np.deg2rad(rng.normal(0, 3.0, views))[:, None] * np.array([0.0, 0.0, 1.0]))
+    roll = matrix_from_vector(
+        np.deg2rad(rng.normal(0, 3.0, views))[:, None] * np.array([0.0, 0.0, 1.0])
+    )
     rotation = roll @ looking_along(aim - centre, np.array([0.0, 0.0, -1.0]))
     focal = rng.uniform(1000, 1400, views)
     middle = ((SIZE[0] - 1) / 2, (SIZE[1] - 1) / 2)
-    cameras = [Camera(f"cam{v}", SIZE, np.array([[f, 0, middle[0]], [0, f, middle[1]], [0, 0, 1]]), np.zeros(5), False) for v, f in enumerate(focal)]
+    cameras = [
+        Camera(
+            f"cam{v}",
+            SIZE,
+            np.array([[f, 0, middle[0]], [0, f, middle[1]], [0, 0, 1]]),
+            np.zeros(5),
+            False,
+        )
+        for v, f in enumerate(focal)
+    ]
     return CameraRig(tuple(cameras), rotation, -np.einsum("vij,vj->vi", rotation, centre), "m")
 
 
 def scene(
-    subjects: Subjects, rng: np.random.Generator, *, count: int, frames: int, views: int, noise_px: float, joints: tuple[str, ...]
+    subjects: Subjects,
+    rng: np.random.Generator,
+    *,
+    count: int,
+    frames: int,
+    views: int,
+    noise_px: float,
+    joints: tuple[str, ...],
 ) -> tuple[Sample, Truth]:
     """A recording of `count` subjects in their first `frames` moments, detections in random order, and its truth.
 
@@ -148,8 +175,15 @@ def scene(
         inside &= inside.sum(-1, keepdims=True) >= 4
         positions[view] = np.where(inside[..., None], pixels, np.nan)
         ids[view] = np.where(inside.any(-1), order, -1)
-    rays = np.stack([rays_from_pixels(camera, seen) for camera, seen in zip(rig.cameras, positions, strict=True)])
+    rays = np.stack(
+        [
+            rays_from_pixels(camera, seen)
+            for camera, seen in zip(rig.cameras, positions, strict=True)
+        ]
+    )
     confidence = np.isfinite(positions[..., 0]).astype(np.float64)
     tracked = np.zeros(views, dtype=bool)
     vocabulary = np.array([subjects.skeleton.keypoints.index(name) for name in joints])
-    return Sample(rig.cameras, joints, np.arange(frames), positions, confidence, tracked, vocabulary, rays), Truth(rig, ids)
+    return Sample(
+        rig.cameras, joints, np.arange(frames), positions, confidence, tracked, vocabulary, rays
+    ), Truth(rig, ids)

@@ -38,11 +38,15 @@ NAMES = (
 
 def main() -> None:
     """One row a recording, as Markdown on stdout."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("names", nargs="*", default=NAMES, metavar="NAME")
     parser.add_argument("--recordings", type=Path, default=Path("../shared/recordings"))
     options = parser.parse_args()
-    print("| recording | E_R median / max (deg) | E_t median (deg) | precision | recall | wall (s) |")
+    print(
+        "| recording | E_R median / max (deg) | E_t median (deg) | precision | recall | wall (s) |"
+    )
     print("|---|---|---|---|---|---|")
     for name in options.names:
         print(row(options.recordings / name), flush=True)
@@ -53,14 +57,30 @@ def row(recording: Path) -> str:
     with tempfile.TemporaryDirectory() as work:
         out = Path(work) / "out"
         start = time.perf_counter()
-        run("run", str(recording / "keypoints"), "--cameras", str(recording / "intrinsics.toml"), "-o", str(out), "--seed", "0", "--quiet")
+        run(
+            "run",
+            str(recording / "keypoints"),
+            "--cameras",
+            str(recording / "intrinsics.toml"),
+            "-o",
+            str(out),
+            "--seed",
+            "0",
+            "--quiet",
+        )
         wall = time.perf_counter() - start
-        found = json.loads(run("evaluate", str(out / "cameras.yaml"), "--reference", str(recording / "reference.toml"), "--json"))
+        found = json.loads(
+            run(
+                "evaluate",
+                str(out / "cameras.yaml"),
+                "--reference",
+                str(recording / "reference.toml"),
+                "--json",
+            )
+        )
         precision, recall = identities(recording, out / "matches.csv")
     rotation, translation = found["rotation_error_deg"], found["translation_error_deg"]
-    return (
-        f"| {recording.name} | {rotation['median']:.2f} / {rotation['max']:.2f} | {translation['median']:.2f} | {precision:.3f} | {recall:.3f} | {wall:.1f} |"
-    )
+    return f"| {recording.name} | {rotation['median']:.2f} / {rotation['max']:.2f} | {translation['median']:.2f} | {precision:.3f} | {recall:.3f} | {wall:.1f} |"
 
 
 def run(*arguments: str) -> str:
@@ -71,7 +91,10 @@ def run(*arguments: str) -> str:
 def identities(recording: Path, matches: Path) -> tuple[float, float]:
     """Precision and recall of matches between views, over detections of known identity in all pairs of views."""
     ids = np.load(recording / "truth.npz")["ids"]
-    names = [entry["name"] for entry in tomllib.loads((recording / "reference.toml").read_text()).values()]
+    names = [
+        entry["name"]
+        for entry in tomllib.loads((recording / "reference.toml").read_text()).values()
+    ]
     labels = np.full(ids.shape, -1)
     with matches.open(newline="") as file:
         for line in csv.DictReader(file):
@@ -82,8 +105,14 @@ def identities(recording: Path, matches: Path) -> tuple[float, float]:
     for a, b in combinations(range(len(ids)), 2):
         known = (ids[a][:, :, None] >= 0) & (ids[b][:, None] >= 0)
         same = known & (ids[a][:, :, None] == ids[b][:, None])
-        joined = known & (labels[a][:, :, None] >= 0) & (labels[a][:, :, None] == labels[b][:, None])
-        good, matched, possible = good + int((same & joined).sum()), matched + int(joined.sum()), possible + int(same.sum())
+        joined = (
+            known & (labels[a][:, :, None] >= 0) & (labels[a][:, :, None] == labels[b][:, None])
+        )
+        good, matched, possible = (
+            good + int((same & joined).sum()),
+            matched + int(joined.sum()),
+            possible + int(same.sum()),
+        )
     return good / max(matched, 1), good / max(possible, 1)
 
 

@@ -25,25 +25,45 @@ import numpy as np
 
 from mocap_calib.config import Config, SimulateConfig
 from mocap_calib.geometry.rotation import angle_between
-from mocap_calib.io.camera_files import format_calibration_toml
+from mocap_calib.io.cameras.own import format_calibration_toml
 from mocap_calib.pipeline import calibrate
-from mocap_calib.recording import make_recording
-from mocap_calib.skeleton import load_skeleton
+from mocap_calib.recording.joints import load_skeleton
+from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.steerpose.checkpoint import load_lifter
 from mocap_calib.synthetic import LAYOUTS, detect, people, ring_rig, simulate
 from mocap_calib.types import CameraRig, Floats, silent
 
 TOOL = Path(sys.executable).with_name("mocap-calib")
 PART = 5000  # frames simulated at a time
-GRID = ((4, 3, 200), (8, 3, 200), (16, 3, 200), (4, 1, 200), (4, 6, 200), (4, 3, 2000), (4, 3, 5000))  # cameras, people, frames
+GRID = (
+    (4, 3, 200),
+    (8, 3, 200),
+    (16, 3, 200),
+    (4, 1, 200),
+    (4, 6, 200),
+    (4, 3, 2000),
+    (4, 3, 5000),
+)  # cameras, people, frames
 
 
 def main() -> None:
     """Markdown on stdout."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("what", choices=["long", "ring", "stages", "child"])
-    parser.add_argument("numbers", nargs="*", type=int, metavar="N", help="long: other numbers of frames; ring, child: cameras, people, frames")
-    parser.add_argument("--scratch", type=Path, help="folder for the files of `long`; made again when they are there")
+    parser.add_argument(
+        "numbers",
+        nargs="*",
+        type=int,
+        metavar="N",
+        help="long: other numbers of frames; ring, child: cameras, people, frames",
+    )
+    parser.add_argument(
+        "--scratch",
+        type=Path,
+        help="folder for the files of `long`; made again when they are there",
+    )
     options = parser.parse_args()
     if options.what == "long":
         with tempfile.TemporaryDirectory(dir=options.scratch) as work:
@@ -59,7 +79,14 @@ def main() -> None:
 
 def long(work: Path, lengths: Sequence[int]) -> None:
     """The same rig and people for longer and longer."""
-    columns = ("frames", "calibration (s)", "matching all (s)", "triangulation (s)", "points", "points / s")
+    columns = (
+        "frames",
+        "calibration (s)",
+        "matching all (s)",
+        "triangulation (s)",
+        "points",
+        "points / s",
+    )
     columns += ("E_R median / max", "whole run (s)", "processor (s)", "peak memory (GB)")
     print(f"| {' | '.join(columns)} |\n|{'---|' * len(columns)}")
     for frames in lengths:
@@ -67,16 +94,41 @@ def long(work: Path, lengths: Sequence[int]) -> None:
         reference = write_scene(folder, cameras=8, individuals=4, frames=frames)
         start = time.perf_counter()
         with Measured() as measured:
-            measured.run(TOOL, "run", folder / "keypoints", "--cameras", folder / "intrinsics.toml", "-o", folder / "out", "--seed", "0", "--quiet")
+            measured.run(
+                TOOL,
+                "run",
+                folder / "keypoints",
+                "--cameras",
+                folder / "intrinsics.toml",
+                "-o",
+                folder / "out",
+                "--seed",
+                "0",
+                "--quiet",
+            )
         wall = time.perf_counter() - start
         report = json.loads((folder / "out" / "run.json").read_text())
-        compared = subprocess.run([TOOL, "evaluate", folder / "out" / "cameras.yaml", "--reference", reference, "--json"], check=True, stdout=subprocess.PIPE)
+        compared = subprocess.run(
+            [TOOL, "evaluate", folder / "out" / "cameras.yaml", "--reference", reference, "--json"],
+            check=True,
+            stdout=subprocess.PIPE,
+        )
         error = json.loads(compared.stdout)["rotation_error_deg"]
         seconds, points = report["seconds"], report["points"]["triangulated"]
-        calibration = sum(spent for stage, spent in seconds.items() if stage not in ("match all", "triangulate"))
+        calibration = sum(
+            spent for stage, spent in seconds.items() if stage not in ("match all", "triangulate")
+        )
         spent = (calibration, seconds["match all"], seconds["triangulate"])
-        cells = (frames, *(f"{one:.1f}" for one in spent), points, f"{points / seconds['triangulate']:.0f}")
-        used = (f"{error['median']:.3f} / {error['max']:.3f}", *(f"{one:.2f}" for one in (wall, measured.processor, measured.peak)))
+        cells = (
+            frames,
+            *(f"{one:.1f}" for one in spent),
+            points,
+            f"{points / seconds['triangulate']:.0f}",
+        )
+        used = (
+            f"{error['median']:.3f} / {error['max']:.3f}",
+            *(f"{one:.2f}" for one in (wall, measured.processor, measured.peak)),
+        )
         print(f"| {' | '.join(map(str, (*cells, *used)))} |", flush=True)
 
 
@@ -109,8 +161,16 @@ def write_scene(folder: Path, *, cameras: int, individuals: int, frames: int) ->
     usual = SimulateConfig()
     of_people, of_rig, of_detector = np.random.default_rng(0).spawn(3)
     side = 0.9 * usual.radius
-    bodies = people(of_people, individuals=individuals, frames=min(PART, frames), fps=usual.fps, room=(side, side))
-    rig = ring_rig(of_rig, cameras=cameras, radius=usual.radius, height=2.2, size=usual.size, distortion="none")
+    bodies = people(
+        of_people,
+        individuals=individuals,
+        frames=min(PART, frames),
+        fps=usual.fps,
+        room=(side, side),
+    )
+    rig = ring_rig(
+        of_rig, cameras=cameras, radius=usual.radius, height=2.2, size=usual.size, distortion="none"
+    )
     names = LAYOUTS["coco17"]
     keypoints = folder / "keypoints"
     keypoints.mkdir(parents=True)
@@ -119,31 +179,59 @@ def write_scene(folder: Path, *, cameras: int, individuals: int, frames: int) ->
     tables = [dlc_table(file, individuals, names, frames) for file in files]
     for start in range(0, frames, PART):
         there = (bodies if start // PART % 2 == 0 else bodies[::-1])[: frames - start]
-        found = detect(of_detector, rig, there, noise_px=usual.noise_px, missing=usual.missing, outliers=usual.outliers, shuffle=False)
+        found = detect(
+            of_detector,
+            rig,
+            there,
+            noise_px=usual.noise_px,
+            missing=usual.missing,
+            outliers=usual.outliers,
+            shuffle=False,
+        )
         for view, table in enumerate(tables):
             own = np.full((found.identity.shape[1], individuals, len(names), 3), np.nan)
             frame, instance = np.nonzero(found.identity[view] >= 0)
             place = frame, order[view][found.identity[view, frame, instance]]
-            own[..., :2][place], own[..., 2][place] = found.positions[view, frame, instance], found.confidence[view, frame, instance]
+            own[..., :2][place], own[..., 2][place] = (
+                found.positions[view, frame, instance],
+                found.confidence[view, frame, instance],
+            )
             table[start : start + PART] = own.reshape(len(own), -1)
     for file in files:
         file.close()
-    (folder / "intrinsics.toml").write_text(format_calibration_toml(CameraRig(rig.cameras, 0 * rig.rotation + np.eye(3), 0 * rig.translation, "m"), {}))
+    (folder / "intrinsics.toml").write_text(
+        format_calibration_toml(
+            CameraRig(rig.cameras, 0 * rig.rotation + np.eye(3), 0 * rig.translation, "m"), {}
+        )
+    )
     (folder / "reference.toml").write_text(format_calibration_toml(rig, {}))
     return folder / "reference.toml"
 
 
 def dlc_table(file: h5py.File, individuals: int, names: Sequence[str], frames: int) -> h5py.Dataset:
     """Pandas' layout `fixed` of a DeepLabCut table; returns the dataset `[frame, column]` of its values."""
-    columns = [("s", f"animal{who}", name, coord) for who in range(individuals) for name in names for coord in ("x", "y", "likelihood")]
+    columns = [
+        ("s", f"animal{who}", name, coord)
+        for who in range(individuals)
+        for name in names
+        for coord in ("x", "y", "likelihood")
+    ]
     group = file.create_group("predictions")
     group.attrs["pandas_type"] = np.bytes_(b"frame")
-    for level, (title, labels) in enumerate(zip(("scorer", "individuals", "bodyparts", "coords"), zip(*columns, strict=True), strict=True)):
+    for level, (title, labels) in enumerate(
+        zip(
+            ("scorer", "individuals", "bodyparts", "coords"),
+            zip(*columns, strict=True),
+            strict=True,
+        )
+    ):
         known = sorted(set(labels))
         for axis in ("axis0", "block0_items"):
             group[f"{axis}_level{level}"] = np.array(known, dtype="S")
             group[f"{axis}_level{level}"].attrs["name"] = np.bytes_(title.encode())
-            group[f"{axis}_label{level}"] = np.array([known.index(label) for label in labels], dtype=np.int8)
+            group[f"{axis}_label{level}"] = np.array(
+                [known.index(label) for label in labels], dtype=np.int8
+            )
     group["axis1"] = np.arange(frames)
     values = group.create_dataset("block0_values", (frames, len(columns)), np.float64)
     values.attrs["transposed"] = 1
@@ -155,14 +243,37 @@ def dlc_table(file: h5py.File, individuals: int, names: Sequence[str], frames: i
 
 def table(grid: Sequence[tuple[int, ...]]) -> None:
     """Stage times of whole calibrations."""
-    stages = ("lift", "pairwise", "average", "match", "adjust", "match all", "verdict", "triangulate")
-    print(f"| cameras | people | frames | {' | '.join(stages)} | all (s) | processor (s) | E_R median / max | peak memory (GB) |")
+    stages = (
+        "lift",
+        "pairwise",
+        "average",
+        "match",
+        "adjust",
+        "match all",
+        "verdict",
+        "triangulate",
+    )
+    print(
+        f"| cameras | people | frames | {' | '.join(stages)} | all (s) | processor (s) | E_R median / max | peak memory (GB) |"
+    )
     print("|" + "---|" * (len(stages) + 7))
     for numbers in grid:
-        done = subprocess.run([sys.executable, __file__, "child", *map(str, numbers)], check=True, stdout=subprocess.PIPE, text=True)
+        done = subprocess.run(
+            [sys.executable, __file__, "child", *map(str, numbers)],
+            check=True,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
         found = json.loads(done.stdout)
         spent = " | ".join(f"{found['seconds'][stage]:.2f}" for stage in stages)
-        cells = (*numbers, spent, f"{found['all']:.1f}", f"{found['processor']:.1f}", f"{found['median']:.3f} / {found['max']:.3f}", f"{found['peak']:.2f}")
+        cells = (
+            *numbers,
+            spent,
+            f"{found['all']:.1f}",
+            f"{found['processor']:.1f}",
+            f"{found['median']:.3f} / {found['max']:.3f}",
+            f"{found['peak']:.2f}",
+        )
         print(f"| {' | '.join(map(str, cells))} |", flush=True)
 
 
@@ -176,7 +287,14 @@ def child(cameras: int, individuals: int, frames: int) -> dict[str, Any]:
     wall, processor = time.perf_counter() - start, time.process_time() - before
     error = np.degrees(errors(found.rig, made.rig))
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9
-    return {"seconds": found.seconds, "all": wall, "processor": processor, "median": float(np.median(error)), "max": float(error.max()), "peak": peak}
+    return {
+        "seconds": found.seconds,
+        "all": wall,
+        "processor": processor,
+        "median": float(np.median(error)),
+        "max": float(error.max()),
+        "peak": peak,
+    }
 
 
 def errors(rig: CameraRig, true: CameraRig) -> Floats:

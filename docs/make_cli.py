@@ -13,7 +13,9 @@ def page() -> str:
     """The whole page."""
     parts = ["# Command line", "", "Made by `make cli-docs` from `--help`.", ""]
     for name in COMMANDS:
-        said = subprocess.run([TOOL, name, "--help"], check=True, capture_output=True, text=True).stdout
+        said = subprocess.run(
+            [TOOL, name, "--help"], check=True, capture_output=True, text=True
+        ).stdout
         parts += [f"## mocap-calib {name}", "", "```text", said.rstrip(), "```", ""]
     return "\n".join(parts)
 

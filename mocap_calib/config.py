@@ -16,14 +16,21 @@ class TrainConfig:
     width: int = 64
     layers: int = 4
     learning_rate: float = 2e-3
-    roll_deg: float = 10.0  # most rigs stand upright; rolled cameras are turned upright before lifting
+    roll_deg: float = (
+        10.0  # most rigs stand upright; rolled cameras are turned upright before lifting
+    )
     elevation_deg: tuple[float, float] = (-15.0, 65.0)
     elevation_skew: float = 0.5  # 0: all elevations alike; more: the lower ones likelier
     distance: tuple[float, float] = (3.0, 40.0)
-    noise: tuple[float, float] = (0.005, 0.06)  # of the visible pose's RMS radius, log-uniform per pose
+    noise: tuple[float, float] = (
+        0.005,
+        0.06,
+    )  # of the visible pose's RMS radius, log-uniform per pose
     outliers: float = 0.02  # share of joints that the detector puts somewhere else
     length_spread: float = 0.12  # log-normal, a limb; children and adults
-    straighten: float = 0.7  # knees of fitted skeletons are too bent: up to this share of the way to straight
+    straighten: float = (
+        0.7  # knees of fitted skeletons are too bent: up to this share of the way to straight
+    )
     joint_spread: float = 0.03  # detectors disagree where a joint is
     joint_dropout: float = 0.6  # up to this share of joints belongs to other layouts
     occlusion: float = 0.25  # up to this share of the remaining joints is missing
@@ -40,7 +47,9 @@ class PairsConfig:
     pairs: int = 3000  # of views, split 7:2:1
     noise: float = 0.03  # of the visible pose's RMS radius
     masked: tuple[float, float] = (0.1, 0.3)  # share of joints
-    layouts: float = 0.5  # share of poses that lack further joints, as detectors' layouts do; not in the paper
+    layouts: float = (
+        0.5  # share of poses that lack further joints, as detectors' layouts do; not in the paper
+    )
     seed: int = 0
 
 
@@ -72,7 +81,9 @@ class PairwiseConfig:
     least_noise: float = 0.01  # of a joint, at the body; no detector is better
     lift_spread: float = 0.12  # RMS joint distance of two right lifts of one body
     place_spread: float = 0.06  # of the distance: how well two views agree how far one body is
-    lift_independent: float = 2.0  # lifted bodies err alike: any number of them knows no more than this many
+    lift_independent: float = (
+        2.0  # lifted bodies err alike: any number of them knows no more than this many
+    )
     points: int = 4000  # joints a refinement looks at
     rounds: int = 3  # of matching and refining
 
@@ -99,7 +110,9 @@ class PaperConfig:
 class AveragingConfig:
     """From pairs to a rig."""
 
-    least_score: float = 0.12  # a pair below it is no evidence; a camera that only such pairs hold is left out
+    least_score: float = (
+        0.12  # a pair below it is no evidence; a camera that only such pairs hold is left out
+    )
     weak_score: float = 0.55  # simulated views of different times reach 0.53, of one time 0.8 and more; below it the user is warned
     breaks: float = 0.25  # a pair left with less of its weight than this contradicts the others
     rotation_scale_deg: float = 4.0  # a pair this far from the rig counts half
@@ -130,7 +143,9 @@ class AdjustConfig:
     points: int = 20_000
     loss_scales: tuple[float, ...] = (6.0, 3.0, 1.5)
     trust: float = 0.0  # power of the confidence that a detection is weighed by; detectors' own is no measure of their precision
-    doubtful: float = 0.3  # share of each view's detections, the least confident, that the rig is not built on,
+    doubtful: float = (
+        0.3  # share of each view's detections, the least confident, that the rig is not built on,
+    )
     enough: int = 500  # as long as so many are left
     least: int = 12  # keypoints that can hold a camera: twice what would do without any noise
     rounds: int = 6  # of adjusting and matching; it stops when no label changes

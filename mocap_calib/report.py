@@ -9,14 +9,14 @@ import numpy as np
 
 from mocap_calib import __version__
 from mocap_calib.config import Config
-from mocap_calib.determinacy import verdict
 from mocap_calib.errors import MismatchError
-from mocap_calib.frames import evenly
 from mocap_calib.geometry.alignment import similarity
 from mocap_calib.geometry.rotation import angle_between, direction_angle
-from mocap_calib.loops import rival_taken
-from mocap_calib.recording import select_rig
-from mocap_calib.triangulation import observations, project
+from mocap_calib.multi_view.triangulation import observations, project
+from mocap_calib.multi_view.uncertainty import verdict
+from mocap_calib.multi_view.view_graph import rival_taken
+from mocap_calib.recording.sampling import evenly
+from mocap_calib.recording.synchronise import select_rig
 from mocap_calib.types import Calibration, CameraRig, Floats, PairwiseCalibration
 
 THRESHOLDS = (5, 10, 20, 30)
@@ -47,14 +47,31 @@ def evaluate_rig(rig: CameraRig, reference: CameraRig) -> Evaluation:
     names = tuple(sorted(name for name in reference.names if name in rig.names))
     missing = tuple(sorted(set(reference.names) - set(names)))
     if len(names) < 2:
-        raise MismatchError(f"expected at least two cameras of the reference ({', '.join(reference.names)}), found {', '.join(rig.names)}; match their names")
+        raise MismatchError(
+            f"expected at least two cameras of the reference ({', '.join(reference.names)}), found {', '.join(rig.names)}; match their names"
+        )
     pairs = tuple(combinations(sorted(reference.names), 2))
-    errors = [_pair_error(rig, reference, *pair) if set(pair) <= set(names) else (np.pi, np.pi) for pair in pairs]
-    found, true = (select_rig(each, np.array([each.names.index(name) for name in names])) for each in (rig, reference))
+    errors = [
+        _pair_error(rig, reference, *pair) if set(pair) <= set(names) else (np.pi, np.pi)
+        for pair in pairs
+    ]
+    found, true = (
+        select_rig(each, np.array([each.names.index(name) for name in names]))
+        for each in (rig, reference)
+    )
     scale, turn, shift = similarity(_with_axes(found), _with_axes(true))
     centre = np.linalg.norm(scale * found.centres @ turn.T + shift - true.centres, axis=1)
     rotation = angle_between(found.rotation @ turn.T, true.rotation)
-    return Evaluation(names, missing, pairs, np.array([e[0] for e in errors]), np.array([e[1] for e in errors]), rotation, centre, reference.unit)
+    return Evaluation(
+        names,
+        missing,
+        pairs,
+        np.array([e[0] for e in errors]),
+        np.array([e[1] for e in errors]),
+        rotation,
+        centre,
+        reference.unit,
+    )
 
 
 def _with_axes(rig: CameraRig) -> Floats:
@@ -63,14 +80,18 @@ def _with_axes(rig: CameraRig) -> Floats:
     Centres on a line, those of two cameras for instance, leave the turn about it open.
     """
     spread = np.sqrt(((rig.centres - rig.centres.mean(0)) ** 2).sum(1).mean())
-    axes = 1e-3 * spread * rig.rotation.reshape(-1, 3)  # rows of cam_from_world are the camera's axes in the world
+    axes = (
+        1e-3 * spread * rig.rotation.reshape(-1, 3)
+    )  # rows of cam_from_world are the camera's axes in the world
     near = np.repeat(rig.centres, 3, axis=0)
     return np.concatenate([rig.centres, near + axes, near - axes])
 
 
 def _pair_error(rig: CameraRig, reference: CameraRig, a: str, b: str) -> tuple[float, float]:
     """Angles in radians between the rotations and between the directions of translation of b_from_a."""
-    (found, moved), (true, shift) = (each.relative(each.names.index(a), each.names.index(b)) for each in (rig, reference))
+    (found, moved), (true, shift) = (
+        each.relative(each.names.index(a), each.names.index(b)) for each in (rig, reference)
+    )
     return float(angle_between(found, true)), float(direction_angle(moved, shift))
 
 
@@ -81,7 +102,14 @@ def accuracy(error: Floats, degrees: float) -> float:
 
 def area_under_curve(rotation_error: Floats, translation_error: Floats, degrees: int) -> float:
     """AUC@tau: mean over the thresholds 1, 2, ..., tau of min(RRA, RTA), as in DUSt3R (Wang et al. 2024)."""
-    return float(np.mean([min(accuracy(rotation_error, t), accuracy(translation_error, t)) for t in range(1, degrees + 1)]))
+    return float(
+        np.mean(
+            [
+                min(accuracy(rotation_error, t), accuracy(translation_error, t))
+                for t in range(1, degrees + 1)
+            ]
+        )
+    )
 
 
 def evaluation_to_dict(found: Evaluation) -> dict[str, Any]:
@@ -89,12 +117,18 @@ def evaluation_to_dict(found: Evaluation) -> dict[str, Any]:
     rotation, translation = np.degrees(found.rotation_error), np.degrees(found.translation_error)
     rows = zip(found.pairs, rotation.tolist(), translation.tolist(), strict=True)
     return {
-        "pairs": [{"a": a, "b": b, "rotation_error_deg": r, "translation_error_deg": t} for (a, b), r, t in rows],
+        "pairs": [
+            {"a": a, "b": b, "rotation_error_deg": r, "translation_error_deg": t}
+            for (a, b), r, t in rows
+        ],
         "rotation_error_deg": _middle(rotation),
         "translation_error_deg": _middle(translation),
         "rra": {str(t): accuracy(found.rotation_error, t) for t in THRESHOLDS},
         "rta": {str(t): accuracy(found.translation_error, t) for t in THRESHOLDS},
-        "auc": {str(t): area_under_curve(found.rotation_error, found.translation_error, t) for t in THRESHOLDS},
+        "auc": {
+            str(t): area_under_curve(found.rotation_error, found.translation_error, t)
+            for t in THRESHOLDS
+        },
         "camera_rotation_error_deg": _middle(np.degrees(found.camera_rotation)),
         "centre_error": _middle(found.centre_error),
         "unit": found.unit,
@@ -107,7 +141,9 @@ def _middle(values: Floats) -> dict[str, float]:
     return {"median": float(np.median(values)), "max": float(np.max(values))}
 
 
-def run_report(found: Calibration, *, seed: int, config: Config, inputs: Mapping[str, str]) -> dict[str, Any]:
+def run_report(
+    found: Calibration, *, seed: int, config: Config, inputs: Mapping[str, str]
+) -> dict[str, Any]:
     """All numbers of a run, as run.json holds them. inputs: path -> SHA-256. What is not known is None."""
     recording, rig, labels = found.recording, found.rig, found.matches.labels
     points = np.isfinite(found.poses.error)
@@ -120,12 +156,22 @@ def run_report(found: Calibration, *, seed: int, config: Config, inputs: Mapping
         "inputs": dict(inputs),
         "seconds": {stage: round(seconds, 3) for stage, seconds in found.seconds.items()},
         "unit": rig.unit,
-        "frames": {"first": int(recording.frames[0]), "last": int(recording.frames[-1]), "count": len(recording.frames)},
+        "frames": {
+            "first": int(recording.frames[0]),
+            "last": int(recording.frames[-1]),
+            "count": len(recording.frames),
+        },
         "keypoints": list(recording.keypoints),
         "left_out": list(found.left_out),
         "unused_pairs": [{"a": a, "b": b, "score": score} for a, b, score in found.unused],
-        "cameras": [_camera_report(found, view, errors[view]) | _verdict(support[view], config) for view in range(len(rig.cameras))],
-        "pairs": [_pair_report(found, k, pair, errors[[pair.a, pair.b]], config) for k, pair in enumerate(found.pairs)],
+        "cameras": [
+            _camera_report(found, view, errors[view]) | _verdict(support[view], config)
+            for view in range(len(rig.cameras))
+        ],
+        "pairs": [
+            _pair_report(found, k, pair, errors[[pair.a, pair.b]], config)
+            for k, pair in enumerate(found.pairs)
+        ],
         "verdict": {
             "rig": verdict(found.disagreement, found.inconsistent),
             "halves_differ_deg": _middle(np.degrees(found.disagreement)),
@@ -133,8 +179,14 @@ def run_report(found: Calibration, *, seed: int, config: Config, inputs: Mapping
             "translation": "not observable" if found.near_affine.any() else "observed",
         },
         "adjust": {"rounds": found.rounds, "converged": found.converged},
-        "individuals": [{"individual": k, "frames": int((labels == k).any((0, 2)).sum())} for k in range(found.matches.individuals)],
-        "points": {"triangulated": int(points.sum()), "reprojection_error_px": _spread(found.poses.error[points])},
+        "individuals": [
+            {"individual": k, "frames": int((labels == k).any((0, 2)).sum())}
+            for k in range(found.matches.individuals)
+        ],
+        "points": {
+            "triangulated": int(points.sum()),
+            "reprojection_error_px": _spread(found.poses.error[points]),
+        },
     }
 
 
@@ -147,13 +199,19 @@ def _errors(found: Calibration) -> Floats:
     frames = evenly(np.arange(len(recording.frames)), _SAMPLE)
     pixels = observations(recording, found.matches, frames).pixels
     points = found.poses.positions[frames]
-    images = [project(camera, rig.rotation[v], rig.translation[v], points.reshape(-1, 3).T) for v, camera in enumerate(rig.cameras)]
+    images = [
+        project(camera, rig.rotation[v], rig.translation[v], points.reshape(-1, 3).T)
+        for v, camera in enumerate(rig.cameras)
+    ]
     return np.linalg.norm(np.stack(images) - pixels, axis=1).reshape(len(images), *points.shape[:3])
 
 
 def _support(found: Calibration) -> list[float]:
     """The score of each camera's best pair: what it stands on."""
-    return [max(p.score for p in found.pairs if view in (p.a, p.b)) for view in range(len(found.rig.cameras))]
+    return [
+        max(p.score for p in found.pairs if view in (p.a, p.b))
+        for view in range(len(found.rig.cameras))
+    ]
 
 
 def _verdict(support: float, config: Config) -> dict[str, Any]:
@@ -175,11 +233,15 @@ def _camera_report(found: Calibration, view: int, error: Floats) -> dict[str, An
     }
 
 
-def _pair_report(found: Calibration, number: int, pair: PairwiseCalibration, error: Floats, config: Config) -> dict[str, Any]:
+def _pair_report(
+    found: Calibration, number: int, pair: PairwiseCalibration, error: Floats, config: Config
+) -> dict[str, Any]:
     """What the pair by itself said, how far it is from the rig, and, last, what the rig makes of the points that both views see."""
     cameras, averaged, labels = found.rig.cameras, found.averaged, found.matches.labels
     focal = (cameras[pair.a].focal + cameras[pair.b].focal) / 2
-    together = (labels[pair.a][:, :, None] == labels[pair.b][:, None]) & (labels[pair.a][:, :, None] >= 0)
+    together = (labels[pair.a][:, :, None] == labels[pair.b][:, None]) & (
+        labels[pair.a][:, :, None] >= 0
+    )
     both = np.isfinite(error).all(0)
     return {
         "a": cameras[pair.a].name,
@@ -199,7 +261,13 @@ def _pair_report(found: Calibration, number: int, pair: PairwiseCalibration, err
         "weight": float(averaged.weight[number]),
         "breaks_loop": bool(averaged.weight[number] < config.averaging.breaks),
         "rival_taken": rival_taken(pair),
-        "rivals": [{"score": r.score, "turned_deg": float(np.degrees(angle_between(r.rotation, pair.rotation)))} for r in pair.rivals],
+        "rivals": [
+            {
+                "score": r.score,
+                "turned_deg": float(np.degrees(angle_between(r.rotation, pair.rotation))),
+            }
+            for r in pair.rivals
+        ],
     }
 
 

@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
-Reals = NDArray[np.floating[Any]]  # float32 where whole recordings are kept, which is a ten-thousandth of a pixel
+Reals = NDArray[
+    np.floating[Any]
+]  # float32 where whole recordings are kept, which is a ten-thousandth of a pixel
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -23,7 +25,9 @@ R = TypeVar("R")
 
 def check_shape(owner: str, array: NDArray[np.generic], *shape: int | None) -> None:
     """Holds an array to its documented shape; None stands for any length."""
-    if array.ndim != len(shape) or any(s is not None and s != n for s, n in zip(shape, array.shape, strict=True)):
+    if array.ndim != len(shape) or any(
+        s is not None and s != n for s, n in zip(shape, array.shape, strict=True)
+    ):
         expected = tuple("any" if s is None else s for s in shape)
         raise ValueError(f"{owner}: expected shape {expected}, got {array.shape}")
 
@@ -172,7 +176,9 @@ class Recording:
     def __post_init__(self) -> None:
         views, frames, instances, keypoints = self.positions.shape[:4]
         if (views, keypoints) != (len(self.cameras), len(self.keypoints)):
-            raise ValueError(f"recording: {views} views, {keypoints} keypoints in positions for {len(self.cameras)} cameras, {len(self.keypoints)} names")
+            raise ValueError(
+                f"recording: {views} views, {keypoints} keypoints in positions for {len(self.cameras)} cameras, {len(self.keypoints)} names"
+            )
         check_shape("recording: frames", self.frames, frames)
         check_shape("recording: confidence", self.confidence, views, frames, instances, keypoints)
         check_shape("recording: tracked", self.tracked, views)

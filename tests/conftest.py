@@ -9,7 +9,7 @@ import pytest
 import torch
 from scenes import scene
 
-from mocap_calib.io.scene import write_scene
+from mocap_calib.io.results.scene import write_scene
 
 torch.set_num_threads(1)  # as the commands do: two threads spin when the machine has other work
 
@@ -21,8 +21,17 @@ Run = Callable[..., subprocess.CompletedProcess[str]]
 def tool() -> Run:
     """Runs the command in a process of its own."""
 
-    def run(*arguments: object, stdin: str | None = None, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-        return subprocess.run([TOOL, *map(str, arguments)], input=stdin, capture_output=True, text=True, check=False, cwd=cwd)
+    def run(
+        *arguments: object, stdin: str | None = None, cwd: Path | None = None
+    ) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [TOOL, *map(str, arguments)],
+            input=stdin,
+            capture_output=True,
+            text=True,
+            check=False,
+            cwd=cwd,
+        )
 
     return run
 
@@ -39,4 +48,6 @@ def small(tmp_path_factory) -> Path:
 def done(small, tool, tmp_path_factory) -> tuple[Path, subprocess.CompletedProcess[str]]:
     """The folder that `run --json` wrote, and what it said."""
     out = tmp_path_factory.mktemp("done") / "out"
-    return out, tool("run", small / "keypoints", "--cameras", small / "intrinsics.toml", "-o", out, "--json")
+    return out, tool(
+        "run", small / "keypoints", "--cameras", small / "intrinsics.toml", "-o", out, "--json"
+    )

@@ -11,7 +11,29 @@ from hypothesis import strategies as st
 
 from mocap_calib.errors import MocapCalibError
 
-JUNK = ["", "null", "[", "]", "{", "}", '"', "nan", "inf", "-1", "1e999", "-1e308", "9" * 5000, "0", "true", "&a ", "*a", ": ", ",", "\n", "\t"]
+JUNK = [
+    "",
+    "null",
+    "[",
+    "]",
+    "{",
+    "}",
+    '"',
+    "nan",
+    "inf",
+    "-1",
+    "1e999",
+    "-1e308",
+    "9" * 5000,
+    "0",
+    "true",
+    "&a ",
+    "*a",
+    ": ",
+    ",",
+    "\n",
+    "\t",
+]
 JUNK += ["\ufeff", "\x00", "é", "[" * 3000]
 ENCODINGS = ["utf-16", "latin-1", "utf-8-sig", "utf-32"]
 _NUMBER = re.compile(rb"-?\d+\.?\d*(?:[eE][-+]?\d+)?")
@@ -25,11 +47,19 @@ def corrupted(draw: st.DrawFn, content: bytes) -> bytes:
     k = place % len(lines)
     damages = {
         "cut": lambda: content[:place],
-        "replace": lambda: content[:place] + draw(st.sampled_from(JUNK)).encode() + content[place + length :],
+        "replace": lambda: (
+            content[:place] + draw(st.sampled_from(JUNK)).encode() + content[place + length :]
+        ),
         "double": lambda: content[: place + length] + content[place:],
         "number": lambda: _replaced(draw, content),
-        "flip": lambda: content[:place] + bytes([content[place] ^ draw(st.integers(1, 255))]) + content[place + 1 :],
-        "encode": lambda: content.decode("utf-8", "replace").encode(draw(st.sampled_from(ENCODINGS)), "replace"),
+        "flip": lambda: (
+            content[:place]
+            + bytes([content[place] ^ draw(st.integers(1, 255))])
+            + content[place + 1 :]
+        ),
+        "encode": lambda: content.decode("utf-8", "replace").encode(
+            draw(st.sampled_from(ENCODINGS)), "replace"
+        ),
         "remove line": lambda: b"".join(lines[:k] + lines[k + 1 :]),
         "repeat line": lambda: b"".join(lines[: k + 1] + lines[k:]),
     }

@@ -13,7 +13,14 @@ PLAIN = st.text("abcxyzABC0123456789_-", min_size=1, max_size=8)
 
 
 @st.composite
-def rigs(draw, lengths=LENGTHS, fisheye=True, names=PLAIN, square=False, units=("m", "mm", "cm", "arbitrary")):
+def rigs(
+    draw,
+    lengths=LENGTHS,
+    fisheye=True,
+    names=PLAIN,
+    square=False,
+    units=("m", "mm", "cm", "arbitrary"),
+):
     """1 to 5 cameras of any rotation, odd intrinsics, distortions of the `lengths` (0: none), some of them fisheyes."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     called = draw(st.lists(names, min_size=1, max_size=5, unique_by=str.lower))
@@ -22,12 +29,24 @@ def rigs(draw, lengths=LENGTHS, fisheye=True, names=PLAIN, square=False, units=(
         fish = fisheye and draw(st.booleans())
         count = 4 if fish else draw(st.sampled_from(lengths))
         fx, fy = 10.0 ** rng.uniform(0, 6, size=2)
-        matrix = np.array([[fx, 0, rng.normal() * 1e3], [0, fx if square else fy, rng.normal() * 1e3], [0, 0, 1]])
+        matrix = np.array(
+            [[fx, 0, rng.normal() * 1e3], [0, fx if square else fy, rng.normal() * 1e3], [0, 0, 1]]
+        )
         lens = rng.normal(size=count) * 10.0 ** rng.integers(-9, 3) if count else np.zeros(5)
-        cameras.append(Camera(name, tuple(int(n) for n in rng.integers(1, 10_000, size=2)), matrix, lens, fish))
-    vectors = draw(st.lists(st.sampled_from([(0.0, 0.0, 0.0), (np.pi, 0.0, 0.0), tuple(rng.normal(size=3))]), min_size=len(cameras), max_size=len(cameras)))
+        cameras.append(
+            Camera(name, tuple(int(n) for n in rng.integers(1, 10_000, size=2)), matrix, lens, fish)
+        )
+    vectors = draw(
+        st.lists(
+            st.sampled_from([(0.0, 0.0, 0.0), (np.pi, 0.0, 0.0), tuple(rng.normal(size=3))]),
+            min_size=len(cameras),
+            max_size=len(cameras),
+        )
+    )
     offsets = rng.normal(size=(len(cameras), 3)) * 10.0 ** rng.integers(-3, 5)
-    return CameraRig(tuple(cameras), matrix_from_vector(np.array(vectors)), offsets, draw(st.sampled_from(units)))
+    return CameraRig(
+        tuple(cameras), matrix_from_vector(np.array(vectors)), offsets, draw(st.sampled_from(units))
+    )
 
 
 def padded(camera):
@@ -46,7 +65,9 @@ def assert_same(rig, back, *, sizes=True, names=True, scale=1.0):
         np.testing.assert_array_equal(padded(other), padded(one))
     np.testing.assert_allclose(back.rotation, rig.rotation, rtol=0, atol=2e-14)
     far = np.abs(rig.translation).max() + 1e-300
-    np.testing.assert_allclose(back.translation, rig.translation * scale, rtol=0, atol=4e-15 * far * scale)
+    np.testing.assert_allclose(
+        back.translation, rig.translation * scale, rtol=0, atol=4e-15 * far * scale
+    )
 
 
 def with_unit(rig, unit):

@@ -8,7 +8,7 @@ import numpy as np
 from keypoint_files import coco_bytes, dlc_columns, dlc_csv, dlc_h5_fixed, dlc_h5_table, dlc_values
 from scipy.io import savemat
 
-from mocap_calib.io.document import ReadOptions
+from mocap_calib.io.keypoints.document import ReadOptions
 
 NAMES = ("nose", "left_ear", "tail")
 FRAMES = tuple(range(5))
@@ -19,7 +19,11 @@ def recording(individuals=1, missing=0.3, seed=0, scores=True):
     """`[frame, individual, keypoint, 2]` positions and `[frame, individual, keypoint]` confidences; everybody has a point in every frame."""
     rng = np.random.default_rng(seed)
     positions = rng.uniform(2, 470, (len(FRAMES), individuals, len(NAMES), 2)).round(3)
-    confidence = rng.uniform(0.1, 0.99, positions.shape[:3]).round(3) if scores else np.ones(positions.shape[:3])
+    confidence = (
+        rng.uniform(0.1, 0.99, positions.shape[:3]).round(3)
+        if scores
+        else np.ones(positions.shape[:3])
+    )
     gone = rng.random(confidence.shape) < missing
     gone[..., 0] = False
     positions[gone], confidence[gone] = np.nan, 0.0
@@ -42,13 +46,24 @@ def _coco(folder, p, c):
 
 
 def _coco_results(folder, p, c):
-    entries = [{"image_id": frame, "category_id": 1, "keypoints": triples(x, s), "score": 7.5} for frame, x, s in _detections(p, c)]
+    entries = [
+        {"image_id": frame, "category_id": 1, "keypoints": triples(x, s), "score": 7.5}
+        for frame, x, s in _detections(p, c)
+    ]
     (folder / "cam.json").write_text(json.dumps(entries))
 
 
 def _alphapose(folder, p, c):
     rows = [
-        {"image_id": f"{f}.jpg", "category_id": 1, "keypoints": triples(x, s), "score": 2.9, "box": [1, 2, 3, 4], "idx": [0.0]} for f, x, s in _detections(p, c)
+        {
+            "image_id": f"{f}.jpg",
+            "category_id": 1,
+            "keypoints": triples(x, s),
+            "score": 2.9,
+            "box": [1, 2, 3, 4],
+            "idx": [0.0],
+        }
+        for f, x, s in _detections(p, c)
     ]
     (folder / "cam.json").write_text(json.dumps(rows))
 
@@ -56,21 +71,35 @@ def _alphapose(folder, p, c):
 def _openpose(folder, p, c):
     (folder / "cam_json").mkdir()
     for k, frame in enumerate(FRAMES):
-        people = [{"person_id": [-1], "pose_keypoints_2d": triples(x, s), "face_keypoints_2d": []} for x, s in zip(p[k], c[k], strict=True)]
-        (folder / "cam_json" / f"cam_{frame:012d}_keypoints.json").write_text(json.dumps({"version": 1.3, "people": people}))
+        people = [
+            {"person_id": [-1], "pose_keypoints_2d": triples(x, s), "face_keypoints_2d": []}
+            for x, s in zip(p[k], c[k], strict=True)
+        ]
+        (folder / "cam_json" / f"cam_{frame:012d}_keypoints.json").write_text(
+            json.dumps({"version": 1.3, "people": people})
+        )
 
 
 def _instances(p, c):
     return [
-        {"keypoints": x, "keypoint_scores": s.tolist(), "bbox": [[1.0, 2.0, 3.0, 4.0]], "bbox_score": 0.9}
+        {
+            "keypoints": x,
+            "keypoint_scores": s.tolist(),
+            "bbox": [[1.0, 2.0, 3.0, 4.0]],
+            "bbox_score": 0.9,
+        }
         for x, s in zip(np.nan_to_num(p).tolist(), c, strict=True)
     ]
 
 
 def _mmpose(folder, p, c):
-    frames = [{"frame_id": frame, "instances": _instances(p[k], c[k])} for k, frame in enumerate(FRAMES)]
+    frames = [
+        {"frame_id": frame, "instances": _instances(p[k], c[k])} for k, frame in enumerate(FRAMES)
+    ]
     names = {str(k): name for k, name in enumerate(NAMES)}
-    (folder / "cam.json").write_text(json.dumps({"meta_info": {"keypoint_id2name": names}, "instance_info": frames}))
+    (folder / "cam.json").write_text(
+        json.dumps({"meta_info": {"keypoint_id2name": names}, "instance_info": frames})
+    )
 
 
 def _mmpose_images(folder, p, c):
@@ -80,7 +109,9 @@ def _mmpose_images(folder, p, c):
 
 
 def _superanimal(folder, p, c):
-    padded = np.where(np.isnan(p[..., :1]), -1.0, np.concatenate([np.nan_to_num(p), c[..., None]], -1))
+    padded = np.where(
+        np.isnan(p[..., :1]), -1.0, np.concatenate([np.nan_to_num(p), c[..., None]], -1)
+    )
     frames = [{"bodyparts": frame, "bboxes": [], "bbox_scores": []} for frame in padded.tolist()]
     (folder / "cam.json").write_text(json.dumps(frames))
 
@@ -111,41 +142,82 @@ def _sleap(folder, p, c):
 
 
 def _sleap_csv(folder, p, c):
-    lines = ["track,frame_idx,instance.score," + ",".join(f"{name}.{part}" for name in NAMES for part in ("x", "y", "score"))]
+    lines = [
+        "track,frame_idx,instance.score,"
+        + ",".join(f"{name}.{part}" for name in NAMES for part in ("x", "y", "score"))
+    ]
     for k, frame in enumerate(FRAMES):
         for i, (x, s) in enumerate(zip(p[k], c[k], strict=True)):
-            cells = ["" if np.isnan(v) else repr(float(v)) for v in np.where(np.isnan(x[:, :1]), np.nan, np.column_stack([x, s])).ravel()]
+            cells = [
+                "" if np.isnan(v) else repr(float(v))
+                for v in np.where(np.isnan(x[:, :1]), np.nan, np.column_stack([x, s])).ravel()
+            ]
             lines.append(",".join([f"track_{i}", str(frame), "0.9", *cells]))
     (folder / "cam.analysis.csv").write_text("\n".join(lines) + "\n")
 
 
 def _slp(folder, p, c, videos=("cam",), path="cam.slp"):
     frames, individuals, keypoints = c.shape
-    frame = [("frame_id", "<u8"), ("video", "<u4"), ("frame_idx", "<u8"), ("instance_id_start", "<u8"), ("instance_id_end", "<u8")]
-    instance = [("instance_id", "<i8"), ("instance_type", "u1"), ("frame_id", "<u8"), ("skeleton", "<u4"), ("track", "<i4"), ("from_predicted", "<i8")]
+    frame = [
+        ("frame_id", "<u8"),
+        ("video", "<u4"),
+        ("frame_idx", "<u8"),
+        ("instance_id_start", "<u8"),
+        ("instance_id_end", "<u8"),
+    ]
+    instance = [
+        ("instance_id", "<i8"),
+        ("instance_type", "u1"),
+        ("frame_id", "<u8"),
+        ("skeleton", "<u4"),
+        ("track", "<i4"),
+        ("from_predicted", "<i8"),
+    ]
     instance += [("score", "<f4"), ("point_id_start", "<u8"), ("point_id_end", "<u8")]
     point = [("x", "<f8"), ("y", "<f8"), ("visible", "?"), ("complete", "?"), ("score", "<f8")]
     nodes = [{"id": k} for k in range(keypoints)[::-1]]
-    metadata = {"skeletons": [{"graph": {}, "links": [], "nodes": nodes}], "nodes": [{"name": name, "weight": 1.0} for name in NAMES[::-1]]}
+    metadata = {
+        "skeletons": [{"graph": {}, "links": [], "nodes": nodes}],
+        "nodes": [{"name": name, "weight": 1.0} for name in NAMES[::-1]],
+    }
     count = frames * individuals
-    rows = [(k, 1, k // individuals, 0, k % individuals, -1, 0.9, k * keypoints, (k + 1) * keypoints) for k in range(count)]
+    rows = [
+        (k, 1, k // individuals, 0, k % individuals, -1, 0.9, k * keypoints, (k + 1) * keypoints)
+        for k in range(count)
+    ]
     seen = np.isfinite(p[..., 0]).ravel()
-    points = [(x, y, bool(v), True, s) for (x, y), s, v in zip(p.reshape(-1, 2), c.ravel(), seen, strict=True)]
+    points = [
+        (x, y, bool(v), True, s)
+        for (x, y), s, v in zip(p.reshape(-1, 2), c.ravel(), seen, strict=True)
+    ]
     with h5py.File(folder / path, "w") as file:
-        file.create_group("metadata").attrs.update({"format_id": 1.2, "json": np.bytes_(json.dumps(metadata).encode())})
-        made = [(v * frames + k, v, FRAMES[k], k * individuals, (k + 1) * individuals) for v in range(len(videos)) for k in range(frames)]
+        file.create_group("metadata").attrs.update(
+            {"format_id": 1.2, "json": np.bytes_(json.dumps(metadata).encode())}
+        )
+        made = [
+            (v * frames + k, v, FRAMES[k], k * individuals, (k + 1) * individuals)
+            for v in range(len(videos))
+            for k in range(frames)
+        ]
         file["frames"] = np.array(made, dtype=frame)
         file["instances"] = np.array(rows, dtype=instance)
         file["pred_points"] = np.array(points, dtype=point)
         file["points"] = np.zeros(0, dtype=point[:4])
-        file["videos_json"] = np.array([json.dumps({"backend": {"filename": f"D:\\data\\{name}.mp4"}}) for name in videos], dtype="S")
+        file["videos_json"] = np.array(
+            [json.dumps({"backend": {"filename": f"D:\\data\\{name}.mp4"}}) for name in videos],
+            dtype="S",
+        )
         file["tracks_json"] = np.array([f'[0,"track_{k}"]' for k in range(individuals)], dtype="S")
 
 
 def _movement(folder, p, c, plural=""):
     with h5py.File(folder / "cam.nc", "w") as file:
         file.attrs.update({"ds_type": "poses", "time_unit": "seconds", "fps": 25.0})
-        scales = {"space": ["x", "y"], f"keypoint{plural}": list(NAMES), f"individual{plural}": [f"id_{k}" for k in range(p.shape[1])]}
+        scales = {
+            "space": ["x", "y"],
+            f"keypoint{plural}": list(NAMES),
+            f"individual{plural}": [f"id_{k}" for k in range(p.shape[1])],
+        }
         for name, labels in scales.items():
             file.create_dataset(name, data=np.array(labels, dtype=h5py.string_dtype()))
         file["time"] = np.array(FRAMES) / 25.0
@@ -155,7 +227,9 @@ def _movement(folder, p, c, plural=""):
             file[name].attrs["_Netcdf4Dimid"] = np.int32(number)
         file["position"], file["confidence"] = p.transpose(0, 3, 2, 1), c.transpose(0, 2, 1)
         for name, own in (("position", dims), ("confidence", [dims[0], *dims[2:]])):
-            file[name].attrs["_Netcdf4Coordinates"] = np.array([dims.index(dim) for dim in own], dtype=np.int32)
+            file[name].attrs["_Netcdf4Coordinates"] = np.array(
+                [dims.index(dim) for dim in own], dtype=np.int32
+            )
             for axis, dim in enumerate(own):
                 file[name].dims[axis].attach_scale(file[dim])
 
@@ -173,21 +247,33 @@ def _nwb(folder, p, c):
         for k, name in enumerate(NAMES):
             series = poses.create_group(name)
             series.attrs["neurodata_type"] = "PoseEstimationSeries"
-            series["data"], series["confidence"], series["timestamps"] = p[:, 0, k], c[:, 0, k], np.array(FRAMES) / 30
+            series["data"], series["confidence"], series["timestamps"] = (
+                p[:, 0, k],
+                c[:, 0, k],
+                np.array(FRAMES) / 30,
+            )
 
 
 def _label3d(folder, p, c):  # noqa: ARG001 - no scores
-    label = {"data_2d": p[:, 0].reshape(len(FRAMES), -1), "data_frame": np.array([FRAMES]), "data_sampleID": np.array([FRAMES])}
+    label = {
+        "data_2d": p[:, 0].reshape(len(FRAMES), -1),
+        "data_frame": np.array([FRAMES]),
+        "data_sampleID": np.array([FRAMES]),
+    }
     labels, names = np.empty((1, 1), dtype=object), np.empty((1, 1), dtype=object)
     labels[0, 0], names[0, 0] = label, "cam"
     savemat(folder / "labels.mat", {"labelData": labels, "camnames": names})
 
 
 def _caliscope(folder, p, c):  # noqa: ARG001 - no scores
-    lines = ["sync_index,cam_id,frame_index,frame_time,object_id,keypoint_id,img_loc_x,img_loc_y,obj_loc_x,obj_loc_y"]
+    lines = [
+        "sync_index,cam_id,frame_index,frame_time,object_id,keypoint_id,img_loc_x,img_loc_y,obj_loc_x,obj_loc_y"
+    ]
     for frame, i, j in np.ndindex(p.shape[:3]):
         if np.isfinite(p[frame, i, j, 0]):
-            lines.append(f"{FRAMES[frame]},cam,{frame},0.5,{i},{j},{p[frame, i, j, 0]},{p[frame, i, j, 1]},,")
+            lines.append(
+                f"{FRAMES[frame]},cam,{frame},0.5,{i},{j},{p[frame, i, j, 0]},{p[frame, i, j, 1]},,"
+            )
     (folder / "xy.csv").write_text("\n".join(lines) + "\n")
 
 
@@ -195,7 +281,9 @@ def _csv(folder, p, c):
     lines = ["camera,frame,individual,keypoint,x,y,score"]
     for frame, i, j in np.ndindex(c.shape):
         if np.isfinite(p[frame, i, j, 0]):
-            lines.append(f"cam,{FRAMES[frame]},mouse {i},{NAMES[j]},{p[frame, i, j, 0]},{p[frame, i, j, 1]},{c[frame, i, j]}")
+            lines.append(
+                f"cam,{FRAMES[frame]},mouse {i},{NAMES[j]},{p[frame, i, j, 0]},{p[frame, i, j, 1]},{c[frame, i, j]}"
+            )
     (folder / "all.csv").write_text("\r\n".join(lines) + "\r\n")
 
 
@@ -205,7 +293,14 @@ def _ultralytics(folder, p, c):
         lines = ["# class box keypoints"]
         for i in range(p.shape[1]):
             shares = np.nan_to_num(p[k, i] / SIZE)
-            lines.append("0 0.5 0.5 0.2 0.2 " + " ".join(f"{x!r} {y!r} {s!r}" for (x, y), s in zip(shares.tolist(), c[k, i].tolist(), strict=True)) + " 0.87")
+            lines.append(
+                "0 0.5 0.5 0.2 0.2 "
+                + " ".join(
+                    f"{x!r} {y!r} {s!r}"
+                    for (x, y), s in zip(shares.tolist(), c[k, i].tolist(), strict=True)
+                )
+                + " 0.87"
+            )
         (folder / "cam" / "labels" / f"video_{frame}.txt").write_text("\n".join(lines))
 
 
@@ -231,7 +326,14 @@ SAMPLES = {
     "label3d": ("label3d", _label3d, LAYOUT, 1, False, True),
     "caliscope": ("caliscope", _caliscope, LAYOUT, 2, False, True),
     "csv": ("csv", _csv, ReadOptions(), 2, True, True),
-    "ultralytics": ("ultralytics", _ultralytics, ReadOptions(layout=NAMES, image_size=SIZE), 2, True, False),
+    "ultralytics": (
+        "ultralytics",
+        _ultralytics,
+        ReadOptions(layout=NAMES, image_size=SIZE),
+        2,
+        True,
+        False,
+    ),
 }
 
 

@@ -6,10 +6,10 @@ from functools import lru_cache
 import numpy as np
 
 from mocap_calib.config import Config, SimulateConfig
-from mocap_calib.frames import sample
 from mocap_calib.pipeline import calibrate
-from mocap_calib.recording import make_recording
-from mocap_calib.skeleton import load_skeleton
+from mocap_calib.recording.joints import load_skeleton
+from mocap_calib.recording.sampling import sample
+from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.steerpose.checkpoint import load_lifter
 from mocap_calib.steerpose.lift import lift
 from mocap_calib.synthetic import Scene, simulate
@@ -35,7 +35,9 @@ def lifted(**changes) -> LiftedPoses:
 
 
 def calibrated(seed: int = 0, **changes) -> Calibration:
-    return calibrate(recording(**changes), load_lifter()[0], Config(), seed=seed, device="cpu", progress=silent)
+    return calibrate(
+        recording(**changes), load_lifter()[0], Config(), seed=seed, device="cpu", progress=silent
+    )
 
 
 def truth(**changes) -> Matches:
@@ -58,7 +60,9 @@ def precision(labels: np.ndarray, identity: np.ndarray) -> float:
     good = wrong = 0
     for a in range(len(labels)):
         for b in range(a):
-            same_label = (labels[a][:, :, None] == labels[b][:, None]) & (labels[a][:, :, None] >= 0)
+            same_label = (labels[a][:, :, None] == labels[b][:, None]) & (
+                labels[a][:, :, None] >= 0
+            )
             known = (identity[a][:, :, None] >= 0) & (identity[b][:, None] >= 0)
             same = identity[a][:, :, None] == identity[b][:, None]
             good += int((same_label & known & same).sum())

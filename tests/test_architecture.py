@@ -14,12 +14,21 @@ SOURCES = sorted([*(ROOT / "mocap_calib").rglob("*.py"), *(ROOT / "cli").rglob("
 
 
 def run(*command: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-m", *command], cwd=ROOT, capture_output=True, text=True, check=False)
+    return subprocess.run(
+        [sys.executable, "-m", *command], cwd=ROOT, capture_output=True, text=True, check=False
+    )
 
 
 def test_imports_go_one_way():
     tool = Path(sys.executable).with_name("lint-imports")
-    done = subprocess.run([tool], cwd=ROOT, capture_output=True, text=True, check=False, env={**os.environ, "PYTHONPATH": f"{ROOT}:{ROOT / 'cli'}"})
+    done = subprocess.run(
+        [tool],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "PYTHONPATH": f"{ROOT}:{ROOT / 'cli'}"},
+    )
     assert done.returncode == 0, done.stdout + done.stderr
 
 
@@ -39,7 +48,11 @@ def test_packages_are_listed():
     setup = ConfigParser()
     setup.read(ROOT / "setup.cfg")
     listed = set(setup["options"]["packages"].split())
-    there = {".".join(p.parent.relative_to(ROOT).parts).removeprefix("cli.") for p in SOURCES if p.name == "__init__.py"}
+    there = {
+        ".".join(p.parent.relative_to(ROOT).parts).removeprefix("cli.")
+        for p in SOURCES
+        if p.name == "__init__.py"
+    }
     assert listed == there
 
 
@@ -69,13 +82,19 @@ def test_one_door_for_each_heavy_dependency():
         "pynwb": ("io",),
         "click": ("cli",),
         "rich": ("cli",),
-        "distributed": ("mocap_calib/distributed.py",),
-        "dask": ("mocap_calib/distributed.py",),
+        "distributed": ("mocap_calib/compute/cluster.py",),
+        "dask": ("mocap_calib/compute/cluster.py",),
     }
     for path in SOURCES:
         inside = str(path.relative_to(ROOT))
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-            names = [a.name for a in node.names] if isinstance(node, ast.Import) else [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            names = (
+                [a.name for a in node.names]
+                if isinstance(node, ast.Import)
+                else [node.module or ""]
+                if isinstance(node, ast.ImportFrom)
+                else []
+            )
             for name in names:
                 door = doors.get(name.split(".")[0])
                 assert door is None or any(d in inside for d in door), f"{inside} imports {name}"

@@ -16,17 +16,21 @@ from scenes import lifted, recording, scene
 
 from mocap_calib import config
 from mocap_calib.config import PairwiseConfig
-from mocap_calib.io.pair_store import remembering
-from mocap_calib.io.results import pairs_to_json
-from mocap_calib.io.scene import write_scene
-from mocap_calib.pairwise import calibrate_pairs
+from mocap_calib.io.results.pair_store import remembering
+from mocap_calib.io.results.results import pairs_to_json
+from mocap_calib.io.results.scene import write_scene
+from mocap_calib.two_view.solve import calibrate_pairs
 from mocap_calib.types import silent
 from mocap_calib_cli import jobs
 
 
 def contents(folder: Path) -> dict[str, bytes]:
     """The files of a folder of results; of run.json all but the times."""
-    found = {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    found = {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
     for name in [name for name in found if name.endswith("run.json")]:
         report = json.loads(found[name])
         assert report.pop("seconds") != {}
@@ -46,7 +50,9 @@ def sessions(tmp_path_factory, small) -> Path:
     """Three recordings: two in folders of their own, one a bare folder of keypoints whose intrinsics lie elsewhere."""
     folder = tmp_path_factory.mktemp("sessions")
     for seed, name in enumerate(("jump", "walk")):
-        write_scene(folder / name, scene(cameras=3, people=1, frames=30, seed=seed), "made by a test")
+        write_scene(
+            folder / name, scene(cameras=3, people=1, frames=30, seed=seed), "made by a test"
+        )
     shutil.copytree(small / "keypoints", folder / "small")
     shutil.copy(small / "intrinsics.toml", folder)
     return folder
@@ -61,14 +67,24 @@ def once(sessions, tool, tmp_path_factory) -> Path:
     return out
 
 
-def batch(tool, sessions: Path, out: Path, *options: object, names=("jump", "small", "walk")) -> subprocess.CompletedProcess[str]:
+def batch(
+    tool, sessions: Path, out: Path, *options: object, names=("jump", "small", "walk")
+) -> subprocess.CompletedProcess[str]:
     return tool("batch", *names, "--cameras", "intrinsics.toml", "-o", out, *options, cwd=sessions)
 
 
 @pytest.mark.slow
 def test_batch_is_a_run_of_each(sessions, once, tool, tmp_path):
-    for name, keypoints, cameras in (("small", "small", "intrinsics.toml"), ("walk", "walk/keypoints", "walk/intrinsics.toml")):
-        assert tool("run", keypoints, "--cameras", cameras, "-o", tmp_path / name, "-q", cwd=sessions).returncode == 0
+    for name, keypoints, cameras in (
+        ("small", "small", "intrinsics.toml"),
+        ("walk", "walk/keypoints", "walk/intrinsics.toml"),
+    ):
+        assert (
+            tool(
+                "run", keypoints, "--cameras", cameras, "-o", tmp_path / name, "-q", cwd=sessions
+            ).returncode
+            == 0
+        )
         assert contents(once / name) == contents(tmp_path / name)
 
 
@@ -76,7 +92,11 @@ def test_what_is_finished_is_kept(sessions, once, tool):
     before = {path: path.stat().st_mtime_ns for path in once.rglob("*")}
     said = batch(tool, sessions, once, "--json")
     assert said.returncode == 0, said.stderr
-    assert [(r["name"], r["status"]) for r in json.loads(said.stdout)["recordings"]] == [("jump", "kept"), ("small", "kept"), ("walk", "kept")]
+    assert [(r["name"], r["status"]) for r in json.loads(said.stdout)["recordings"]] == [
+        ("jump", "kept"),
+        ("small", "kept"),
+        ("walk", "kept"),
+    ]
     assert {path: path.stat().st_mtime_ns for path in once.rglob("*")} == before
     assert "3 of 3 recordings" in said.stderr
 
@@ -85,7 +105,9 @@ def test_a_recording_that_fails_does_not_stop_the_others(sessions, once, tool, t
     shutil.copytree(sessions, tmp_path / "in")
     shutil.copytree(once, tmp_path / "out")
     (tmp_path / "in" / "jump" / "keypoints" / "cam2.json").write_text("this is no JSON at all")
-    said = batch(tool, tmp_path / "in", tmp_path / "out", "--json", "-q", names=("jump", "nobody", "small"))
+    said = batch(
+        tool, tmp_path / "in", tmp_path / "out", "--json", "-q", names=("jump", "nobody", "small")
+    )
     assert said.returncode == 1
     summary = json.loads(said.stdout)
     assert summary["failed"] == 2
@@ -93,7 +115,10 @@ def test_a_recording_that_fails_does_not_stop_the_others(sessions, once, tool, t
     lines = said.stderr.splitlines()
     assert len(lines) == 2
     assert lines[0].startswith("mocap-calib: jump: jump/keypoints/cam2.json: expected")
-    assert lines[1] == "mocap-calib: nobody: nobody: expected the folder of a recording, found none; check the path"
+    assert (
+        lines[1]
+        == "mocap-calib: nobody: nobody: expected the folder of a recording, found none; check the path"
+    )
 
 
 @pytest.mark.parametrize("arguments", [("a/walk", "b/walk"), ("walk", "walk/")])
@@ -111,7 +136,16 @@ def test_recordings_of_one_name_are_refused(arguments, tool, tmp_path):
 def order(done, small, tmp_path) -> jobs.Order:
     """What the run `done` was asked for, with copies of its files and results to spoil."""
     shutil.copytree(done[0], tmp_path / "out")
-    return jobs.Order((str(small / "keypoints"),), str(small / "intrinsics.toml"), None, None, "search", 0, "cpu", tmp_path / "out")
+    return jobs.Order(
+        (str(small / "keypoints"),),
+        str(small / "intrinsics.toml"),
+        None,
+        None,
+        "search",
+        0,
+        "cpu",
+        tmp_path / "out",
+    )
 
 
 def damage(name: str):
@@ -138,9 +172,13 @@ def other_input(order: jobs.Order, _) -> jobs.Order:
     report = order.output / "run.json"
     folder = order.output.parent / "in"
     shutil.copytree(Path(order.keypoints[0]).parent, folder)
-    moved = replace(order, keypoints=(str(folder / "keypoints"),), cameras=str(folder / "intrinsics.toml"))
+    moved = replace(
+        order, keypoints=(str(folder / "keypoints"),), cameras=str(folder / "intrinsics.toml")
+    )
     found = json.loads(report.read_text())
-    report.write_text(json.dumps(found | {"fingerprint": moved.fingerprint(moved.hashes(), "people")}))
+    report.write_text(
+        json.dumps(found | {"fingerprint": moved.fingerprint(moved.hashes(), "people")})
+    )
     assert jobs.finished(moved)
     with (folder / "keypoints" / "cam1.json").open("a") as file:
         file.write("\n")
@@ -148,7 +186,9 @@ def other_input(order: jobs.Order, _) -> jobs.Order:
 
 
 def other_config(order: jobs.Order, monkeypatch) -> jobs.Order:
-    monkeypatch.setattr(jobs, "Config", lambda: config.Config(pairwise=PairwiseConfig(hypotheses=401)))
+    monkeypatch.setattr(
+        jobs, "Config", lambda: config.Config(pairwise=PairwiseConfig(hypotheses=401))
+    )
     return order
 
 
@@ -185,20 +225,38 @@ def test_finished_is_told_by_content(change, order, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("way", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT], ids=lambda s: s.name)
-@pytest.mark.parametrize("moment", ["small/.unfinished/*.json", "jump/run.json"], ids=["between", "writing"])
+@pytest.mark.parametrize(
+    "way", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT], ids=lambda s: s.name
+)
+@pytest.mark.parametrize(
+    "moment", ["small/.unfinished/*.json", "jump/run.json"], ids=["between", "writing"]
+)
 def test_a_batch_goes_on_where_it_was_killed(way, moment, sessions, once, tool, tmp_path):
     """Killed amid the second recording, or while the first one's results appear: the second call leaves the same bytes."""
     out = tmp_path / "out"
     names = ("jump", "small", "walk")
-    process = subprocess.Popen([TOOL, "batch", *names, "--cameras", "intrinsics.toml", "-o", out], cwd=sessions, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [TOOL, "batch", *names, "--cameras", "intrinsics.toml", "-o", out],
+        cwd=sessions,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     wait_for(out, moment, 1, process)
     process.send_signal(way)
     _, said = process.communicate()
-    assert process.returncode == {signal.SIGKILL: -signal.SIGKILL, signal.SIGTERM: 128 + signal.SIGTERM, signal.SIGINT: 130}[way]
+    assert (
+        process.returncode
+        == {
+            signal.SIGKILL: -signal.SIGKILL,
+            signal.SIGTERM: 128 + signal.SIGTERM,
+            signal.SIGINT: 130,
+        }[way]
+    )
     assert "Traceback" not in said
     if way != signal.SIGKILL:
-        assert [path.name for path in out.iterdir() if path.name.startswith(".")] == [] or moment == "jump/run.json"  # amid taking it away
+        assert [
+            path.name for path in out.iterdir() if path.name.startswith(".")
+        ] == [] or moment == "jump/run.json"  # amid taking it away
     said = batch(tool, sessions, out, "--json")
     assert said.returncode == 0, said.stderr
     status = {r["name"]: r["status"] for r in json.loads(said.stdout)["recordings"]}
@@ -220,7 +278,9 @@ def test_a_run_goes_on_where_it_was_killed(tool, tmp_path):
     assert not (tmp_path / "out" / "run.json").exists()
     for out in ("out", "whole"):
         assert tool(*command, tmp_path / out).returncode == 0
-    assert contents(tmp_path / "out") == contents(tmp_path / "whole")  # and nothing is left of the first attempt
+    assert contents(tmp_path / "out") == contents(
+        tmp_path / "whole"
+    )  # and nothing is left of the first attempt
 
 
 def test_pairs_found_before_are_not_made_again(tmp_path):
@@ -234,7 +294,14 @@ def test_pairs_found_before_are_not_made_again(tmp_path):
     def pairs(seed: int = 0, method: str = "") -> str:
         made.clear()
         mapper = remembering(counting, tmp_path, method)
-        found = calibrate_pairs(recording(), lifted(), PairwiseConfig(), rng=np.random.default_rng(seed), progress=silent, mapper=mapper)
+        found = calibrate_pairs(
+            recording(),
+            lifted(),
+            PairwiseConfig(),
+            rng=np.random.default_rng(seed),
+            progress=silent,
+            mapper=mapper,
+        )
         return pairs_to_json(found, recording().cameras)
 
     first = pairs()
@@ -255,7 +322,16 @@ def test_pairs_found_before_are_not_made_again(tmp_path):
 def test_the_number_of_threads_does_not_change_a_byte(small, tmp_path):
     for threads in ("1", "2"):
         said = subprocess.run(
-            [TOOL, "run", small / "keypoints", "--cameras", small / "intrinsics.toml", "-o", tmp_path / threads, "-q"],
+            [
+                TOOL,
+                "run",
+                small / "keypoints",
+                "--cameras",
+                small / "intrinsics.toml",
+                "-o",
+                tmp_path / threads,
+                "-q",
+            ],
             env=os.environ | {"OMP_NUM_THREADS": threads, "OPENBLAS_NUM_THREADS": threads},
             check=False,
         )

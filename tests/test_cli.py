@@ -15,7 +15,7 @@ import yaml
 from conftest import TOOL
 from scenes import rotation_errors_deg
 
-from mocap_calib.io.cameras import read_rig
+from mocap_calib.io.cameras.load import read_rig
 from mocap_calib_cli.main import COMMANDS
 
 HEAVY = ("torch", "pycolmap", "scipy", "cv2", "h5py", "numpy", "rich")
@@ -41,7 +41,9 @@ try:
 except SystemExit:
     print([m for m in {HEAVY} if m in sys.modules])
 """
-    said = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
+    said = subprocess.run(
+        [sys.executable, "-c", code], check=True, capture_output=True, text=True
+    ).stdout
     assert said.splitlines()[-1] == "[]"
 
 
@@ -54,10 +56,14 @@ def test_every_command_has_help_with_an_example(name, tool):
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_is_documented(name):
-    assert f"## mocap-calib {name}" in (Path(__file__).parents[1] / "docs" / "cli.md").read_text("utf-8")
+    assert f"## mocap-calib {name}" in (Path(__file__).parents[1] / "docs" / "cli.md").read_text(
+        "utf-8"
+    )
 
 
-@pytest.mark.parametrize("arguments", [("frobnicate",), ("run",), ("run", "x", "--nonsense"), ("evaluate", "x")])
+@pytest.mark.parametrize(
+    "arguments", [("frobnicate",), ("run",), ("run", "x", "--nonsense"), ("evaluate", "x")]
+)
 def test_usage_errors_exit_2(arguments, tool):
     said = tool(*arguments)
     assert said.returncode == 2
@@ -69,7 +75,18 @@ def test_run_says_only_data_on_stdout(done):
     _, said = done
     assert said.returncode == 0, said.stderr
     report = json.loads(said.stdout)
-    assert {"version", "seed", "config", "inputs", "seconds", "cameras", "pairs", "adjust", "individuals", "points"} <= set(report)
+    assert {
+        "version",
+        "seed",
+        "config",
+        "inputs",
+        "seconds",
+        "cameras",
+        "pairs",
+        "adjust",
+        "individuals",
+        "points",
+    } <= set(report)
     assert "cam1" in said.stderr
     assert all(len(digest) == 64 for digest in report["inputs"].values())
     assert len(report["pairs"]) == 3
@@ -78,12 +95,21 @@ def test_run_says_only_data_on_stdout(done):
 def test_run_calibrates_and_evaluate_says_so(done, small, tool):
     """Measured 0.1 degrees."""
     out, _ = done
-    figures = json.loads(tool("evaluate", out / "cameras.yaml", "--reference", small / "reference.toml", "--json").stdout)
+    figures = json.loads(
+        tool(
+            "evaluate", out / "cameras.yaml", "--reference", small / "reference.toml", "--json"
+        ).stdout
+    )
     assert figures["rotation_error_deg"]["max"] < 0.5
     assert figures["centre_error"]["max"] < 0.05
     truth, found = read_rig(small / "reference.toml"), read_rig(out / "calibration.toml")
-    assert figures["rotation_error_deg"]["max"] == pytest.approx(rotation_errors_deg(found, truth).max(), abs=1e-6)
-    assert "median" in tool("evaluate", out / "cameras.yaml", "--reference", small / "reference.toml").stdout
+    assert figures["rotation_error_deg"]["max"] == pytest.approx(
+        rotation_errors_deg(found, truth).max(), abs=1e-6
+    )
+    assert (
+        "median"
+        in tool("evaluate", out / "cameras.yaml", "--reference", small / "reference.toml").stdout
+    )
 
 
 def test_outputs_are_what_they_should_be(done):
@@ -92,9 +118,13 @@ def test_outputs_are_what_they_should_be(done):
     assert [c["name"] for c in cameras["cameras"]] == ["cam1", "cam2", "cam3"]
     for camera in cameras["cameras"]:
         assert {"size", "model", "K", "distortion", "R", "t", "centre"} <= set(camera)
-        np.testing.assert_allclose(np.array(camera["R"]) @ camera["centre"] + camera["t"], 0, atol=1e-9)
+        np.testing.assert_allclose(
+            np.array(camera["R"]) @ camera["centre"] + camera["t"], 0, atol=1e-9
+        )
     anipose = tomllib.loads((out / "calibration.toml").read_text())
-    assert {"name", "size", "matrix", "distortions", "rotation", "translation"} <= set(anipose["cam_0"])
+    assert {"name", "size", "matrix", "distortions", "rotation", "translation"} <= set(
+        anipose["cam_0"]
+    )
     with h5py.File(out / "poses3d.h5") as file:
         assert file["position"].shape == (30, 2, 17, 3)
         assert file.attrs["unit"] == "arbitrary"
@@ -117,7 +147,18 @@ def test_the_stages_through_pipes_are_the_run(done, small, tool, tmp_path):
     pairs = tool("pairwise", keypoints, "--cameras", small / "intrinsics.toml", "-q").stdout
     (tmp_path / "rig.yaml").write_text(tool("average", "-", stdin=pairs).stdout)
     labels = tool("match", keypoints, "--rig", tmp_path / "rig.yaml", "-q").stdout
-    adjusted = tool("adjust", keypoints, "--rig", tmp_path / "rig.yaml", "--matches", "-", "--matches-out", tmp_path / "a.csv", "-q", stdin=labels)
+    adjusted = tool(
+        "adjust",
+        keypoints,
+        "--rig",
+        tmp_path / "rig.yaml",
+        "--matches",
+        "-",
+        "--matches-out",
+        tmp_path / "a.csv",
+        "-q",
+        stdin=labels,
+    )
     assert adjusted.returncode == 0, adjusted.stderr
     (tmp_path / "cameras.yaml").write_text(adjusted.stdout)
     one, other = read_rig(tmp_path / "cameras.yaml"), read_rig(out / "cameras.yaml")
@@ -125,7 +166,18 @@ def test_the_stages_through_pipes_are_the_run(done, small, tool, tmp_path):
     assert one.translation.tobytes() == other.translation.tobytes()
     assert (tmp_path / "a.csv").read_text() == (out / "matches.csv").read_text()
     for name in ("p.h5", "p.csv"):
-        said = tool("triangulate", keypoints, "--rig", "-", "--matches", tmp_path / "a.csv", "-o", tmp_path / name, "-q", stdin=adjusted.stdout)
+        said = tool(
+            "triangulate",
+            keypoints,
+            "--rig",
+            "-",
+            "--matches",
+            tmp_path / "a.csv",
+            "-o",
+            tmp_path / name,
+            "-q",
+            stdin=adjusted.stdout,
+        )
         assert said.returncode == 0, said.stderr
     assert (tmp_path / "p.csv").read_text() == (out / "poses3d.csv").read_text()
     with h5py.File(tmp_path / "p.h5") as first, h5py.File(out / "poses3d.h5") as second:
@@ -139,7 +191,9 @@ def test_same_seed_same_bytes_and_a_rerun_replaces(done, small, tool, tmp_path):
     again.mkdir()
     for stale in ("poses3d_2.csv", "poses3d_3.csv", "poses3d_2024.csv", "notes.txt"):
         (again / stale).write_text("mine")
-    said = tool("run", small / "keypoints", "--cameras", small / "intrinsics.toml", "-o", again, "--quiet")
+    said = tool(
+        "run", small / "keypoints", "--cameras", small / "intrinsics.toml", "-o", again, "--quiet"
+    )
     assert (said.returncode, said.stdout, said.stderr) == (0, "", "")
     for file in first.iterdir():
         if file.name != "run.json":
@@ -148,13 +202,18 @@ def test_same_seed_same_bytes_and_a_rerun_replaces(done, small, tool, tmp_path):
     assert reports[0].pop("seconds") != {}
     reports[1].pop("seconds")
     assert reports[0] == reports[1]
-    assert sorted(file.name for file in again.glob("poses3d_*.csv")) == ["poses3d_1.csv", "poses3d_2024.csv"]
+    assert sorted(file.name for file in again.glob("poses3d_*.csv")) == [
+        "poses3d_1.csv",
+        "poses3d_2024.csv",
+    ]
     assert (again / "notes.txt").read_text() == "mine"
 
 
 def test_cameras_are_matched_by_name_not_by_place(small, tool, tmp_path):
     files = [f"{name}={small / 'keypoints' / (name + '.json')}" for name in ("cam3", "cam1")]
-    said = tool("pairwise", *files, "--cameras", small / "intrinsics.toml", "-o", tmp_path / "pairs.json")
+    said = tool(
+        "pairwise", *files, "--cameras", small / "intrinsics.toml", "-o", tmp_path / "pairs.json"
+    )
     assert said.returncode == 0, said.stderr
     assert [line.split()[:2] for line in said.stderr.splitlines() if "keypoints/" in line] == [
         ["cam1", str(small / "keypoints" / "cam1.json")],
@@ -165,13 +224,48 @@ def test_cameras_are_matched_by_name_not_by_place(small, tool, tmp_path):
 @pytest.mark.slow
 def test_simulate_then_train(tool, tmp_path):
     """The tools around the main job work on small things; the error is reported as data."""
-    assert tool("simulate", "-o", tmp_path / "s", "--frames", 5, "--cameras", 2, "--quiet").returncode == 0
+    assert (
+        tool("simulate", "-o", tmp_path / "s", "--frames", 5, "--cameras", 2, "--quiet").returncode
+        == 0
+    )
     truth = np.load(tmp_path / "s" / "truth.npz")
-    np.savez(tmp_path / "p.npz", poses=np.repeat(truth["poses3d"].reshape(-1, 29, 3), 10, axis=0), joints=truth["joints"])
-    said = tool("train", tmp_path / "p.npz", "-o", tmp_path / "w.safetensors", "--steps", 3, "--batch", 8, "--width", 16, "--layers", 1, "--json", "-q")
+    np.savez(
+        tmp_path / "p.npz",
+        poses=np.repeat(truth["poses3d"].reshape(-1, 29, 3), 10, axis=0),
+        joints=truth["joints"],
+    )
+    said = tool(
+        "train",
+        tmp_path / "p.npz",
+        "-o",
+        tmp_path / "w.safetensors",
+        "--steps",
+        3,
+        "--batch",
+        8,
+        "--width",
+        16,
+        "--layers",
+        1,
+        "--json",
+        "-q",
+    )
     assert said.returncode == 0, said.stderr
     assert set(json.loads(said.stdout)) == {"joint_3d", "steered_2d", "completed_2d"}
     assert (tmp_path / "w.safetensors").stat().st_size > 1000
-    said = tool("train", tmp_path / "p.npz", "--architecture", "token", "-o", tmp_path / "t.safetensors", "--steps", 3, "--batch", 8, "--json", "-q")
+    said = tool(
+        "train",
+        tmp_path / "p.npz",
+        "--architecture",
+        "token",
+        "-o",
+        tmp_path / "t.safetensors",
+        "--steps",
+        3,
+        "--batch",
+        8,
+        "--json",
+        "-q",
+    )
     assert said.returncode == 0, said.stderr
     assert set(json.loads(said.stdout)) == {"steered_2d", "identity_2d"}

@@ -9,11 +9,11 @@ import pytest
 from conftest import TOOL
 from rigs import assert_same
 
-from mocap_calib.io.cameras import load_cameras, make_rig, read_rig
-from mocap_calib.io.formats2d import KEYPOINT_FORMATS, read_keypoints, write_keypoints
-from mocap_calib.io.formats_cameras import CAMERA_FORMAT_NAMES, write_cameras
-from mocap_calib.io.formats_poses import POSE_FORMAT_NAMES, read_poses, write_poses
-from mocap_calib.io.pose_formats.common import PoseFile
+from mocap_calib.io.cameras.formats import CAMERA_FORMAT_NAMES, write_cameras
+from mocap_calib.io.cameras.load import load_cameras, make_rig, read_rig
+from mocap_calib.io.keypoints.formats import KEYPOINT_FORMATS, read_keypoints, write_keypoints
+from mocap_calib.io.poses.common import PoseFile
+from mocap_calib.io.poses.formats import POSE_FORMAT_NAMES, read_poses, write_poses
 from mocap_calib.types import Camera, CameraRig, Poses3D
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "three_people"
@@ -24,20 +24,36 @@ DLC = "scorer,net,net,net\nbodyparts,nose,nose,nose\ncoords,x,y,likelihood\n0,10
 
 def rig():
     matrix = np.array([[900.0, 0, 640], [0, 900, 360], [0, 0, 1]])
-    cameras = tuple(Camera(name, (1280, 720), matrix, np.array([0.1, -0.01, 0, 0, 0]), False) for name in ("a", "b"))
+    cameras = tuple(
+        Camera(name, (1280, 720), matrix, np.array([0.1, -0.01, 0, 0, 0]), False)
+        for name in ("a", "b")
+    )
     return CameraRig(cameras, np.stack([np.eye(3)] * 2), np.array([[0.0, 0, 2], [1, 0, 2]]), "m")
 
 
 def poses(individuals=2):
     positions = np.random.default_rng(0).normal(size=(4, individuals, 3, 3))
     quality = np.ones(positions.shape[:3])
-    return PoseFile(Poses3D(("x", "y", "z"), np.arange(4), positions, quality, quality.astype(np.int64), quality, "m"), 25.0)
+    return PoseFile(
+        Poses3D(
+            ("x", "y", "z"),
+            np.arange(4),
+            positions,
+            quality,
+            quality.astype(np.int64),
+            quality,
+            "m",
+        ),
+        25.0,
+    )
 
 
 def test_cameras_go_round_through_files_and_folders(tool, tmp_path):
     write_cameras(tmp_path / "a.toml", rig(), "anipose")
     at = tmp_path / "a.toml"
-    for k, name in enumerate(("colmap", "opencv", "easymocap", "multiview-calib", "pose2sim", "nerfstudio")):
+    for k, name in enumerate(
+        ("colmap", "opencv", "easymocap", "multiview-calib", "pose2sim", "nerfstudio")
+    ):
         done = tool("convert", at, tmp_path / f"out{k}", "--to", name)
         assert (done.returncode, done.stdout) == (0, ""), done.stderr
         assert f"2 cameras, lengths in m, as {name}" in done.stderr
@@ -49,10 +65,21 @@ def test_cameras_go_round_through_files_and_folders(tool, tmp_path):
 
 def test_cameras_go_through_pipes(tmp_path):
     write_cameras(tmp_path / "a.toml", rig(), "anipose")
-    steps = [["anipose", "nerfstudio"], ["nerfstudio", "openmvg"], ["openmvg", "dannce"], ["dannce", "voxelpose"], ["voxelpose", "mocap-calib"]]
+    steps = [
+        ["anipose", "nerfstudio"],
+        ["nerfstudio", "openmvg"],
+        ["openmvg", "dannce"],
+        ["dannce", "voxelpose"],
+        ["voxelpose", "mocap-calib"],
+    ]
     content = (tmp_path / "a.toml").read_bytes()
     for source, target in steps:
-        done = subprocess.run([TOOL, "convert", "-", "-", "--from", source, "--to", target, "-q"], input=content, capture_output=True, check=False)
+        done = subprocess.run(
+            [TOOL, "convert", "-", "-", "--from", source, "--to", target, "-q"],
+            input=content,
+            capture_output=True,
+            check=False,
+        )
         assert (done.returncode, done.stderr) == (0, b"")
         content = done.stdout
     (tmp_path / "b.yaml").write_bytes(content)
@@ -61,11 +88,21 @@ def test_cameras_go_through_pipes(tmp_path):
 
 def test_poses_go_round(tool, tmp_path):
     write_poses(tmp_path / "a.h5", poses(), "poses-h5")
-    for source, target in (("a.h5", "b.c3d"), ("b.c3d", "c.nc"), ("c.nc", "d/p.trc"), ("d", "e.npz")):
+    for source, target in (
+        ("a.h5", "b.c3d"),
+        ("b.c3d", "c.nc"),
+        ("c.nc", "d/p.trc"),
+        ("d", "e.npz"),
+    ):
         done = tool("convert", tmp_path / source, tmp_path / target)
         assert done.returncode == 0, done.stderr
-    np.testing.assert_allclose(read_poses(tmp_path / "e.npz").poses.positions, poses().poses.positions * 1000, rtol=2e-7)
-    assert "c3d does not hold reprojection errors" in tool("convert", tmp_path / "a.h5", tmp_path / "b.c3d").stderr
+    np.testing.assert_allclose(
+        read_poses(tmp_path / "e.npz").poses.positions, poses().poses.positions * 1000, rtol=2e-7
+    )
+    assert (
+        "c3d does not hold reprojection errors"
+        in tool("convert", tmp_path / "a.h5", tmp_path / "b.c3d").stderr
+    )
     assert sorted(path.name for path in (tmp_path / "d").iterdir()) == ["p.trc", "p_1.trc"]
 
 
@@ -74,20 +111,33 @@ def test_the_rate_the_unit_and_the_axis_that_points_up_can_be_said(tool, tmp_pat
     done = tool("convert", tmp_path / "a.csv", tmp_path / "a.trc")
     assert (done.returncode, done.stderr.count("\n")) == (1, 1)
     assert "--fps" in done.stderr
-    done = tool("convert", tmp_path / "a.csv", tmp_path / "a.trc", "--fps", 25, "--unit", "m", "--up", "z")
+    done = tool(
+        "convert", tmp_path / "a.csv", tmp_path / "a.trc", "--fps", 25, "--unit", "m", "--up", "z"
+    )
     assert done.returncode == 0, done.stderr
     found = read_poses(tmp_path / "a.trc")
-    np.testing.assert_array_equal(found.poses.positions, poses(1).poses.positions[..., [1, 2, 0]])  # Pose2Sim's (X, Y, Z) -> (Y, Z, X)
+    np.testing.assert_array_equal(
+        found.poses.positions, poses(1).poses.positions[..., [1, 2, 0]]
+    )  # Pose2Sim's (X, Y, Z) -> (Y, Z, X)
     assert (found.rate, found.poses.unit) == (25.0, "m")
 
 
 def test_keypoints_go_round(tool, tmp_path):
     keypoints = EXAMPLE / "keypoints"
-    for source, target, name in ((keypoints, tmp_path / "a", "openpose"), (tmp_path / "a", tmp_path / "b", "coco")):
-        extra = ["--layout", ",".join(read_keypoints([keypoints])[0].keypoints)] if name == "coco" else []
+    for source, target, name in (
+        (keypoints, tmp_path / "a", "openpose"),
+        (tmp_path / "a", tmp_path / "b", "coco"),
+    ):
+        extra = (
+            ["--layout", ",".join(read_keypoints([keypoints])[0].keypoints)]
+            if name == "coco"
+            else []
+        )
         done = tool("convert", source, target, "--to", name, *extra)
         assert done.returncode == 0, done.stderr
-    for before, after in zip(read_keypoints([keypoints]), read_keypoints([tmp_path / "b"]), strict=True):
+    for before, after in zip(
+        read_keypoints([keypoints]), read_keypoints([tmp_path / "b"]), strict=True
+    ):
         assert before.camera == after.camera
         assert np.isfinite(before.positions).sum() == np.isfinite(after.positions).sum()
 
@@ -95,7 +145,9 @@ def test_keypoints_go_round(tool, tmp_path):
 def test_what_is_remarked_and_lost_of_keypoints_is_said(tool, tmp_path):
     (tmp_path / "in").mkdir()
     for camera in "ab":
-        (tmp_path / "in" / f"{camera}.csv").write_text("frame,individual,keypoint,x,y\n0,anna,nose,3,4\n0,bert,nose,5,6\n1,anna,nose,7,8\n")
+        (tmp_path / "in" / f"{camera}.csv").write_text(
+            "frame,individual,keypoint,x,y\n0,anna,nose,3,4\n0,bert,nose,5,6\n1,anna,nose,7,8\n"
+        )
     done = tool("convert", tmp_path / "in", tmp_path / "out", "--to", "openpose")
     assert done.returncode == 0, done.stderr
     assert done.stderr.splitlines() == [
@@ -105,7 +157,9 @@ def test_what_is_remarked_and_lost_of_keypoints_is_said(tool, tmp_path):
         "openpose does not hold who is who from frame to frame",
         "openpose does not hold that there are no scores: each point gets 1",
     ]
-    assert tool("convert", tmp_path / "in", tmp_path / "quiet", "--to", "openpose", "-q").stderr == ""
+    assert (
+        tool("convert", tmp_path / "in", tmp_path / "quiet", "--to", "openpose", "-q").stderr == ""
+    )
 
 
 def test_a_file_that_would_pass_for_a_further_individual_is_refused_and_stays(tool, tmp_path):
@@ -127,21 +181,36 @@ def test_the_content_says_the_kind_and_the_remedy_works(tool, tmp_path):
     (tmp_path / "both").mkdir()
     (tmp_path / "both" / "a.csv").write_text(DLC)
     write_cameras(tmp_path / "both" / "calibration.toml", rig(), "anipose")
-    for source, target, more in (("both", "x.json", []), ("both/a.csv", "x.csv", ["--to", "deeplabcut-csv"]), ("both/a.csv", "x.h5", ["--to", "sleap"])):
+    for source, target, more in (
+        ("both", "x.json", []),
+        ("both/a.csv", "x.csv", ["--to", "deeplabcut-csv"]),
+        ("both/a.csv", "x.h5", ["--to", "sleap"]),
+    ):
         done = tool("convert", tmp_path / source, tmp_path / target, *more)
         assert done.returncode == 0, done.stderr
-        assert read_keypoints([tmp_path / target])[0].positions[:, 0, 0].tolist() == [[10, 20], [11, 21]]
+        assert read_keypoints([tmp_path / target])[0].positions[:, 0, 0].tolist() == [
+            [10, 20],
+            [11, 21],
+        ]
     assert tool("convert", tmp_path / "both", tmp_path / "x.yaml").returncode == 0
     assert read_rig(tmp_path / "x.yaml").names == ("a", "b")
     (tmp_path / "three.csv").write_text(DLC + "2,12,22,0.5\n")
-    for source, target, more in (("three.csv", "three.h5", ["--to", "sleap"]), ("three.h5", "three.json", [])):
+    for source, target, more in (
+        ("three.csv", "three.h5", ["--to", "sleap"]),
+        ("three.h5", "three.json", []),
+    ):
         done = tool("convert", tmp_path / source, tmp_path / target, *more)
         assert done.returncode == 0, done.stderr
 
 
 def test_keypoints_go_through_pipes():
     content = next((EXAMPLE / "keypoints").glob("*.json")).read_bytes()
-    done = subprocess.run([TOOL, "convert", "-", "-", "--from", "coco", "--to", "csv"], input=content, capture_output=True, check=False)
+    done = subprocess.run(
+        [TOOL, "convert", "-", "-", "--from", "coco", "--to", "csv"],
+        input=content,
+        capture_output=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith(b"camera,frame,instance,keypoint,x,y,score")
 
@@ -185,7 +254,13 @@ def test_what_cannot_be_is_one_line(tool, tmp_path, arguments, status, reason):
     (tmp_path / "broken.json").write_text('{"frames": [')
     (tmp_path / "empty").write_text("")
     (tmp_path / "twice.toml").write_text((tmp_path / "a.toml").read_text().replace('"b"', '"a"'))
-    (tmp_path / "intrinsics.toml").write_text("".join(f"{line}\n" for line in (tmp_path / "a.toml").read_text().splitlines() if "ation =" not in line))
+    (tmp_path / "intrinsics.toml").write_text(
+        "".join(
+            f"{line}\n"
+            for line in (tmp_path / "a.toml").read_text().splitlines()
+            if "ation =" not in line
+        )
+    )
     done = tool("convert", *arguments, cwd=tmp_path)
     assert done.returncode == status
     assert done.stdout == ""
@@ -209,8 +284,22 @@ def test_a_camera_without_a_place_is_left_out_and_said(tool, tmp_path):
 
 def test_an_image_size_can_be_said(tool, tmp_path):
     write_cameras(tmp_path / "a.mat", rig(), "dannce")
-    assert "expected the image size" in tool("convert", tmp_path / "a.mat", tmp_path / "b", "--to", "pose2sim").stderr
-    assert tool("convert", tmp_path / "a.mat", tmp_path / "b", "--to", "pose2sim", "--image-size", "1280x720").returncode == 0
+    assert (
+        "expected the image size"
+        in tool("convert", tmp_path / "a.mat", tmp_path / "b", "--to", "pose2sim").stderr
+    )
+    assert (
+        tool(
+            "convert",
+            tmp_path / "a.mat",
+            tmp_path / "b",
+            "--to",
+            "pose2sim",
+            "--image-size",
+            "1280x720",
+        ).returncode
+        == 0
+    )
     assert_same(rig(), make_rig(load_cameras(tmp_path / "b"), "b"))
 
 
@@ -223,10 +312,28 @@ def test_names_of_formats_are_one_kind_each_but_for_caliscope():
 @pytest.mark.slow
 def test_run_writes_what_is_asked_for(tool, small, tmp_path):
     """The default files stay; what needs a unit of length is refused in a line after they are written."""
-    asked = [argument for name in ("colmap", "nerfstudio", "movement-3d", "sleap-anipose") for argument in ("--write", name)]
-    done = tool("run", small / "keypoints", "--cameras", small / "intrinsics.toml", "-o", tmp_path / "out", "--fps", 30, *asked)
+    asked = [
+        argument
+        for name in ("colmap", "nerfstudio", "movement-3d", "sleap-anipose")
+        for argument in ("--write", name)
+    ]
+    done = tool(
+        "run",
+        small / "keypoints",
+        "--cameras",
+        small / "intrinsics.toml",
+        "-o",
+        tmp_path / "out",
+        "--fps",
+        30,
+        *asked,
+    )
     assert done.returncode == 0, done.stderr
-    names = {str(path.relative_to(tmp_path / "out")) for path in (tmp_path / "out").rglob("*") if path.is_file()}
+    names = {
+        str(path.relative_to(tmp_path / "out"))
+        for path in (tmp_path / "out").rglob("*")
+        if path.is_file()
+    }
     assert {"cameras.yaml", "calibration.toml", "poses3d.h5", "run.json"} <= names
     assert {"colmap/images.txt", "nerfstudio/transforms.json", "poses3d.nc", "points3d.h5"} <= names
     assert_same(read_rig(tmp_path / "out/cameras.yaml"), read_rig(tmp_path / "out/colmap"))
@@ -235,9 +342,21 @@ def test_run_writes_what_is_asked_for(tool, small, tmp_path):
     assert report["unit"] == "arbitrary"
 
 
-@pytest.mark.parametrize(("name", "reason"), [("c3d", "--fps"), ("bvh", "expected one of"), ("kalibr", "expected one of")])
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [("c3d", "--fps"), ("bvh", "expected one of"), ("kalibr", "expected one of")],
+)
 def test_run_knows_before_it_starts_what_it_cannot_write(tool, small, tmp_path, name, reason):
-    done = tool("run", small / "keypoints", "--cameras", small / "intrinsics.toml", "-o", tmp_path / "out", "--write", name)
+    done = tool(
+        "run",
+        small / "keypoints",
+        "--cameras",
+        small / "intrinsics.toml",
+        "-o",
+        tmp_path / "out",
+        "--write",
+        name,
+    )
     assert (done.returncode, done.stdout) == (1, "")
     assert reason in done.stderr
     assert not (tmp_path / "out").exists()

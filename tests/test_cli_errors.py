@@ -35,12 +35,20 @@ def cut_file(folder: Path) -> None:
 
 def no_common_joints(folder: Path) -> None:
     for k in (1, 2, 3):
-        edit(folder / "keypoints" / f"cam{k}.json", lambda c, k=k: c["categories"][0].update(keypoints=[f"joint{j}of{k}" for j in range(17)]))
+        edit(
+            folder / "keypoints" / f"cam{k}.json",
+            lambda c, k=k: c["categories"][0].update(
+                keypoints=[f"joint{j}of{k}" for j in range(17)]
+            ),
+        )
 
 
 def unknown_joints(folder: Path) -> None:
     for k in (1, 2, 3):
-        edit(folder / "keypoints" / f"cam{k}.json", lambda c: c["categories"][0].update(keypoints=[f"x{j}" for j in range(17)]))
+        edit(
+            folder / "keypoints" / f"cam{k}.json",
+            lambda c: c["categories"][0].update(keypoints=[f"x{j}" for j in range(17)]),
+        )
 
 
 def intrinsics_missing(folder: Path) -> None:
@@ -55,16 +63,29 @@ def one_camera(folder: Path) -> None:
 
 def no_overlap(folder: Path) -> None:
     for k in (1, 2, 3):
-        edit(folder / "keypoints" / f"cam{k}.json", lambda c, k=k: [i.update(file_name=f"frame_{1000 * k + i['id']:06d}.jpg") for i in c["images"]])
+        edit(
+            folder / "keypoints" / f"cam{k}.json",
+            lambda c, k=k: [
+                i.update(file_name=f"frame_{1000 * k + i['id']:06d}.jpg") for i in c["images"]
+            ],
+        )
 
 
 def never_together(folder: Path) -> None:
     for k in (1, 2, 3):
-        edit(folder / "keypoints" / f"cam{k}.json", lambda c, k=k: c.update(annotations=[a for a in c["annotations"] if a["image_id"] % 3 == k - 1]))
+        edit(
+            folder / "keypoints" / f"cam{k}.json",
+            lambda c, k=k: c.update(
+                annotations=[a for a in c["annotations"] if a["image_id"] % 3 == k - 1]
+            ),
+        )
 
 
 def other_image_size(folder: Path) -> None:
-    edit(folder / "keypoints" / "cam1.json", lambda c: [i.update(width=1920, height=1080) for i in c["images"]])
+    edit(
+        folder / "keypoints" / "cam1.json",
+        lambda c: [i.update(width=1920, height=1080) for i in c["images"]],
+    )
 
 
 def intrinsics_no_toml(folder: Path) -> None:
@@ -95,7 +116,15 @@ MISTAKES = [
 def test_mistake(spoil, names, folder, tool):
     spoil(folder)
     before = {p: p.read_bytes() for p in folder.rglob("*") if p.is_file()}
-    said = tool("run", folder / "keypoints", "--cameras", folder / "intrinsics.toml", "-o", folder / "out", "--quiet")
+    said = tool(
+        "run",
+        folder / "keypoints",
+        "--cameras",
+        folder / "intrinsics.toml",
+        "-o",
+        folder / "out",
+        "--quiet",
+    )
     assert said.returncode == 1, said.stderr
     assert said.stdout == ""
     assert len(said.stderr.splitlines()) == 1, said.stderr
@@ -109,14 +138,34 @@ def test_a_failing_run_leaves_earlier_results_alone(folder, tool):
     (folder / "out").mkdir()
     (folder / "out" / "cameras.yaml").write_text("earlier")
     cut_file(folder)
-    assert tool("run", folder / "keypoints", "--cameras", folder / "intrinsics.toml", "-o", folder / "out").returncode == 1
+    assert (
+        tool(
+            "run",
+            folder / "keypoints",
+            "--cameras",
+            folder / "intrinsics.toml",
+            "-o",
+            folder / "out",
+        ).returncode
+        == 1
+    )
     assert [p.name for p in (folder / "out").iterdir()] == ["cameras.yaml"]
     assert (folder / "out" / "cameras.yaml").read_text() == "earlier"
 
 
 def test_matches_of_another_recording(folder, tool):
     (folder / "m.csv").write_text("camera,frame,instance,individual\ncam9,0,0,0\n")
-    said = tool("triangulate", folder / "keypoints", "--rig", folder / "reference.toml", "--matches", folder / "m.csv", "-o", folder / "p.h5", "-q")
+    said = tool(
+        "triangulate",
+        folder / "keypoints",
+        "--rig",
+        folder / "reference.toml",
+        "--matches",
+        folder / "m.csv",
+        "-o",
+        folder / "p.h5",
+        "-q",
+    )
     assert said.returncode == 1
     assert "cam9" in said.stderr
     assert not (folder / "p.h5").exists()
@@ -129,11 +178,29 @@ def test_names_of_ones_own(folder, tool, tmp_path):
         path = folder / "keypoints" / f"cam{k}.json"
         names = json.loads(path.read_text())["categories"][0]["keypoints"]
         edit(path, lambda c: c["categories"][0].update(keypoints=[f"p{j}" for j in range(17)]))
-    (tmp_path / "mine.yaml").write_text("aliases:\n" + "".join(f"  p{j}: {name}\n" for j, name in enumerate(names)))
-    said = tool("pairwise", folder / "keypoints", "--cameras", folder / "intrinsics.toml", "--skeleton", tmp_path / "mine.yaml", "-o", tmp_path / "pairs.json")
+    (tmp_path / "mine.yaml").write_text(
+        "aliases:\n" + "".join(f"  p{j}: {name}\n" for j, name in enumerate(names))
+    )
+    said = tool(
+        "pairwise",
+        folder / "keypoints",
+        "--cameras",
+        folder / "intrinsics.toml",
+        "--skeleton",
+        tmp_path / "mine.yaml",
+        "-o",
+        tmp_path / "pairs.json",
+    )
     assert said.returncode == 0, said.stderr
     assert "the model of people knows 17" in said.stderr
     (tmp_path / "mine.yaml").write_text("aliases: {p0: proboscis}")
-    said = tool("pairwise", folder / "keypoints", "--cameras", folder / "intrinsics.toml", "--skeleton", tmp_path / "mine.yaml")
+    said = tool(
+        "pairwise",
+        folder / "keypoints",
+        "--cameras",
+        folder / "intrinsics.toml",
+        "--skeleton",
+        tmp_path / "mine.yaml",
+    )
     assert said.returncode == 1
     assert "proboscis" in said.stderr

@@ -7,8 +7,8 @@ import pytest
 from keypoint_files import dlc_columns, dlc_csv, dlc_h5_fixed, dlc_values
 
 from mocap_calib.errors import FormatError, MismatchError
-from mocap_calib.io.document import ReadOptions
-from mocap_calib.io.formats2d import read_keypoints, write_keypoints
+from mocap_calib.io.keypoints.document import ReadOptions
+from mocap_calib.io.keypoints.formats import read_keypoints, write_keypoints
 from mocap_calib.types import Camera
 from mocap_calib_cli.inputs import hashes, read_recording
 from mocap_calib_cli.progress import Reporter
@@ -29,12 +29,21 @@ def twins(tmp_path):
 
 
 def read(folder, *arguments):
-    camera = Camera("a", (640, 480), np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]), np.zeros(5), False)
-    return read_recording([str(a) for a in arguments] or [str(folder)], (camera, replace(camera, name="b")), None, Reporter(quiet=False))
+    camera = Camera(
+        "a", (640, 480), np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]), np.zeros(5), False
+    )
+    return read_recording(
+        [str(a) for a in arguments] or [str(folder)],
+        (camera, replace(camera, name="b")),
+        None,
+        Reporter(quiet=False),
+    )
 
 
 def test_an_h5_is_preferred_to_the_csv_beside_it_and_that_is_said(twins, capsys):
-    assert [(view.camera, view.source) for view in read_keypoints([twins])] == [(name, str(twins / f"{name}.h5")) for name in "ab"]
+    assert [(view.camera, view.source) for view in read_keypoints([twins])] == [
+        (name, str(twins / f"{name}.h5")) for name in "ab"
+    ]
     assert read(twins)[0].names == ("a", "b")
     said = capsys.readouterr()
     assert said.out == ""
@@ -62,10 +71,16 @@ def test_detections_of_a_single_camera_are_counted(twins, capsys):
 def test_joints_that_a_single_camera_names_are_said(tmp_path, capsys):
     positions = np.random.default_rng(0).uniform(10, 400, (4, 1, 5, 2))
     for name, own in (("a", "right_ankle"), ("b", "tail")):
-        columns, values = dlc_columns((*NAMES, own)), dlc_values(positions, np.ones(positions.shape[:3]))
+        columns, values = (
+            dlc_columns((*NAMES, own)),
+            dlc_values(positions, np.ones(positions.shape[:3])),
+        )
         (tmp_path / f"{name}.csv").write_text(dlc_csv(range(4), columns, values))
     read(tmp_path)
-    assert "2 keypoints that a single camera names are not used: right_ankle (a), tail (b)\n" in capsys.readouterr().err
+    assert (
+        "2 keypoints that a single camera names are not used: right_ankle (a), tail (b)\n"
+        in capsys.readouterr().err
+    )
 
 
 def test_nothing_is_said_where_all_frames_are_shared(twins, capsys):
@@ -129,7 +144,9 @@ def test_texts_without_a_number_are_no_frames(tmp_path):
     for frame in range(2):
         touch(tmp_path / "left" / f"{frame}.txt", "0 0.5 0.5 0.1 0.1 0.4 0.4 0.6 0.6\n")
     touch(tmp_path / "left" / "classes.txt", "person\n")
-    (view,) = read_keypoints([tmp_path], None, ReadOptions(layout=("a", "b"), image_size=(100, 100)))
+    (view,) = read_keypoints(
+        [tmp_path], None, ReadOptions(layout=("a", "b"), image_size=(100, 100))
+    )
     assert (view.camera, view.frames.tolist()) == ("left", [0, 1])
 
 
@@ -141,7 +158,11 @@ def test_texts_without_a_number_are_no_frames(tmp_path):
 def test_a_camera_s_name_leads_nowhere(tmp_path, name, format_):
     (view,) = read_keypoints([_plain(tmp_path)])
     with pytest.raises(MismatchError, match="camera names"):
-        write_keypoints(tmp_path / "a" / "b" / "out", (replace(view, camera=name), replace(view, camera="c")), format_)
+        write_keypoints(
+            tmp_path / "a" / "b" / "out",
+            (replace(view, camera=name), replace(view, camera="c")),
+            format_,
+        )
     assert sorted(path.name for path in tmp_path.rglob("*")) == ["plain.csv"]
 
 

@@ -7,7 +7,7 @@ import torch
 from scenes import PEOPLE, lifted, recording, scene
 
 from mocap_calib.geometry.projection import pixels_from_points
-from mocap_calib.io.formats2d import read_keypoints
+from mocap_calib.io.keypoints.formats import read_keypoints
 from mocap_calib.steerpose.checkpoint import load_lifter
 from mocap_calib.steerpose.completion import complete, completed
 from mocap_calib.steerpose.lift import lift
@@ -30,13 +30,20 @@ def test_hidden_limbs_are_found_to_a_third_of_a_body():
     whole = recording(**PLAIN)
     hidden = np.isin(whole.keypoints, ["left_elbow", "left_wrist", "right_knee", "right_ankle"])
     part = replace(
-        whole, positions=np.where(hidden[:, None], np.nan, whole.positions), confidence=np.where(hidden, 0, whole.confidence),
+        whole,
+        positions=np.where(hidden[:, None], np.nan, whole.positions),
+        confidence=np.where(hidden, 0, whole.confidence),
         rays=np.where(hidden[:, None], np.nan, whole.rays),
-    )  # fmt: skip
+    )
     positions, confidence = completed(part, lift(part, load_lifter()[0], progress=silent))
     columns = whole.vocabulary[hidden]
     gap = np.linalg.norm(positions[..., columns, :] - whole.positions[..., hidden, :], axis=-1)
-    radius = np.sqrt(np.nanmean(((whole.positions - np.nanmean(whole.positions, axis=3, keepdims=True)) ** 2).sum(-1), axis=3))
+    radius = np.sqrt(
+        np.nanmean(
+            ((whole.positions - np.nanmean(whole.positions, axis=3, keepdims=True)) ** 2).sum(-1),
+            axis=3,
+        )
+    )
     assert np.nanmedian(gap / radius[..., None]) < 0.42
     assert np.nanmax(confidence[..., columns]) <= 0.5
     kept = whole.vocabulary[~hidden]
@@ -55,17 +62,35 @@ def test_joints_of_another_skeleton_are_near_the_true_ones():
         bodies = made.poses[frames, 0][:, [made.joints.index(name) for name in toes]]
         true = pixels_from_points(camera, bodies @ made.rig.rotation[k].T + made.rig.translation[k])
         found = positions[view, :, 0][:, [PEOPLE.keypoints.index(name) for name in toes]]
-        extent = np.nanmax(some.positions[view, :, 0, :, 1], 1) - np.nanmin(some.positions[view, :, 0, :, 1], 1)
+        extent = np.nanmax(some.positions[view, :, 0, :, 1], 1) - np.nanmin(
+            some.positions[view, :, 0, :, 1], 1
+        )
         assert np.nanmedian(np.linalg.norm(found - true, axis=-1) / extent[:, None]) < 0.1
 
 
 def test_complete_on_the_command_line(tmp_path, small, tool):
-    done = tool("complete", small / "keypoints", "--cameras", small / "intrinsics.toml", "-o", tmp_path / "out")
+    done = tool(
+        "complete",
+        small / "keypoints",
+        "--cameras",
+        small / "intrinsics.toml",
+        "-o",
+        tmp_path / "out",
+    )
     assert done.returncode == 0, done.stderr
     assert "keypoints filled in" in done.stderr
     views = read_keypoints([tmp_path / "out"])
     assert [view.keypoints for view in views] == [PEOPLE.keypoints] * 3
     assert all(len(view.frames) == 30 for view in views)
-    refused = tool("complete", small / "keypoints", "--cameras", small / "intrinsics.toml", "-o", tmp_path / "none", "--model", "none")
+    refused = tool(
+        "complete",
+        small / "keypoints",
+        "--cameras",
+        small / "intrinsics.toml",
+        "-o",
+        tmp_path / "none",
+        "--model",
+        "none",
+    )
     assert refused.returncode == 1
     assert "expected at least 4 joints that a model knows" in refused.stderr

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mocap_calib.errors import FormatError
-from mocap_calib.io.contained import HDF5, contained
+from mocap_calib.io.sandbox import HDF5, contained
 
 
 def process(_=None):
@@ -59,10 +59,15 @@ def test_only_hdf5_is_read_elsewhere():
     assert inside(process) == inside(process)
 
 
-@pytest.mark.parametrize(("call", "how"), [(crash, "SIGSEGV"), (leave, "status 3"), (loop, "SIGXCPU")])
+@pytest.mark.parametrize(
+    ("call", "how"), [(crash, "SIGSEGV"), (leave, "status 3"), (loop, "SIGXCPU")]
+)
 def test_what_it_does_not_survive_is_a_line(call, how):
     begun = time.perf_counter()
-    with pytest.raises(FormatError, match=rf"^there/x.h5: expected a whole HDF5 file, found damage .*\({how}\); copy or export it again$"):
+    with pytest.raises(
+        FormatError,
+        match=rf"^there/x.h5: expected a whole HDF5 file, found damage .*\({how}\); copy or export it again$",
+    ):
         inside(call)
     assert time.perf_counter() - begun < 15
     assert inside(process) != os.getpid()
@@ -70,7 +75,9 @@ def test_what_it_does_not_survive_is_a_line(call, how):
 
 def test_memory_is_held_to_the_file():
     """1.6 GB for a file of eight bytes, to which 1 GB is allowed; six for a megabyte."""
-    with pytest.raises(FormatError, match=r"^there/x.h5: expected HDF5 of a size that memory holds"):
+    with pytest.raises(
+        FormatError, match=r"^there/x.h5: expected HDF5 of a size that memory holds"
+    ):
         inside(much, 200_000_000)
     assert inside(much, 50_000_000) == 5e7
     assert inside(much, 200_000_000, content=HDF5 + bytes(1_000_000)) == 2e8
@@ -98,7 +105,7 @@ def test_an_interrupted_question_has_no_late_answer(monkeypatch):
 
     inside(process)
     with monkeypatch.context() as patch:
-        patch.setattr("mocap_calib.child.pickle.load", interrupt)
+        patch.setattr("mocap_calib.compute.worker.pickle.load", interrupt)
         with pytest.raises(KeyboardInterrupt):
             inside(echo, "late")
     assert inside(echo, "now") == "now"

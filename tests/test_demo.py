@@ -11,17 +11,30 @@ ROOT = Path(__file__).parents[1]
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not (ROOT / ".venv" / "installed").exists() or not shutil.which("make"), reason="not the environment that make makes")
+@pytest.mark.skipif(
+    not (ROOT / ".venv" / "installed").exists() or not shutil.which("make"),
+    reason="not the environment that make makes",
+)
 def test_demo():
     said = subprocess.run(["make", "demo"], cwd=ROOT, capture_output=True, text=True, check=False)
     assert said.returncode == 0, said.stderr
-    median, largest = (float(re.search(rf"^{name} +(\S+)", said.stdout, re.M).group(1)) for name in ("median", "max"))
+    median, largest = (
+        float(re.search(rf"^{name} +(\S+)", said.stdout, re.M).group(1))
+        for name in ("median", "max")
+    )
     assert median < 0.1  # measured 0.02 degrees
     assert largest < 0.2  # 0.04
     assert "3 individuals" in said.stderr
     assert "the results are in out/demo" in said.stdout
     listed = said.stdout.split("the results are in out/demo")[1]
-    for name in ("cameras.yaml", "calibration.toml", "poses3d.h5", "poses3d.csv", "matches.csv", "run.json"):
+    for name in (
+        "cameras.yaml",
+        "calibration.toml",
+        "poses3d.h5",
+        "poses3d.csv",
+        "matches.csv",
+        "run.json",
+    ):
         assert name in listed
 
 

@@ -7,10 +7,10 @@ import pytest
 from scenes import PEOPLE, calibrated, scene
 
 from mocap_calib.config import Config
-from mocap_calib.determinacy import disagreement, verdict
-from mocap_calib.frames import sample
+from mocap_calib.multi_view.uncertainty import disagreement, verdict
 from mocap_calib.pipeline import calibrate
-from mocap_calib.recording import make_recording
+from mocap_calib.recording.sampling import sample
+from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.steerpose.checkpoint import load_lifter
 from mocap_calib.types import silent
 
@@ -18,15 +18,27 @@ from mocap_calib.types import silent
 def test_moving_people_determine_the_rig_and_a_statue_with_faults_does_not():
     """Measured: 0.3 deg for the scene; far more for one frame of it, repeated with the same errors of 15 px."""
     found = calibrated()
-    moving = disagreement(sample(found.recording, slice(None)), found.rig, found.matches, Config(), seed=0)
+    moving = disagreement(
+        sample(found.recording, slice(None)), found.rig, found.matches, Config(), seed=0
+    )
     assert verdict(moving, np.zeros(len(found.rig.cameras), dtype=bool)) == "well determined"
-    faults = np.random.default_rng(0).normal(scale=15.0, size=found.recording.positions[:, :1].shape)
+    faults = np.random.default_rng(0).normal(
+        scale=15.0, size=found.recording.positions[:, :1].shape
+    )
     still = found.recording.positions[:, :1] + faults
     count = len(found.recording.frames)
     confidence = np.repeat(found.recording.confidence[:, :1], count, 1)
-    statue = sample(replace(found.recording, positions=np.repeat(still, count, 1), confidence=confidence), slice(None))
-    labels = replace(found.matches, labels=np.repeat(found.matches.labels[:, :1], count, 1)[..., : statue.positions.shape[2]])
-    assert np.median(disagreement(statue, found.rig, labels, Config(), seed=0)) > 5 * np.median(moving)
+    statue = sample(
+        replace(found.recording, positions=np.repeat(still, count, 1), confidence=confidence),
+        slice(None),
+    )
+    labels = replace(
+        found.matches,
+        labels=np.repeat(found.matches.labels[:, :1], count, 1)[..., : statue.positions.shape[2]],
+    )
+    assert np.median(disagreement(statue, found.rig, labels, Config(), seed=0)) > 5 * np.median(
+        moving
+    )
 
 
 @pytest.mark.parametrize(
@@ -51,7 +63,9 @@ def test_a_camera_out_of_step_is_inconsistent_and_no_other():
     found = []
     for views in (made.files, files):
         some = make_recording(views, made.rig.cameras, PEOPLE, {})
-        found.append(calibrate(some, load_lifter()[0], Config(), seed=0, device="cpu", progress=silent))
+        found.append(
+            calibrate(some, load_lifter()[0], Config(), seed=0, device="cpu", progress=silent)
+        )
     right, late = found
     assert not right.inconsistent.any()
     assert late.inconsistent.tolist() == [False, True, False, False]
@@ -65,8 +79,15 @@ def test_what_a_half_does_not_hold_does_not_speak_against_the_others():
     positions = some.positions.copy()
     positions[3, :, :, 1:] = np.nan
     confidence = np.where(np.isfinite(positions[..., 0]), some.confidence, 0.0)
-    poor = replace(some, positions=positions, confidence=confidence, rays=np.where(np.isfinite(positions[..., :1]), some.rays, np.nan))
+    poor = replace(
+        some,
+        positions=positions,
+        confidence=confidence,
+        rays=np.where(np.isfinite(positions[..., :1]), some.rays, np.nan),
+    )
     difference = np.rad2deg(disagreement(poor, found.rig, found.matches, Config(), seed=0))
-    held = np.array([True, True, False, True, False, False])  # of the pairs of four cameras, those without the last
+    held = np.array(
+        [True, True, False, True, False, False]
+    )  # of the pairs of four cameras, those without the last
     assert difference[held].max() < 3
     assert difference[~held].min() > 100

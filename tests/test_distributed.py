@@ -15,9 +15,9 @@ from conftest import TOOL
 from scenes import scene
 from test_batch import contents
 
-from mocap_calib.distributed import _same_version
+from mocap_calib.compute.cluster import _same_version
 from mocap_calib.errors import ClusterError
-from mocap_calib.io.scene import write_scene
+from mocap_calib.io.results.scene import write_scene
 
 DASK = Path(sys.executable).with_name("dask")
 
@@ -47,7 +47,9 @@ class Machines:
 
     def __init__(self, folder: Path) -> None:
         self.file = folder / "scheduler.json"
-        self.processes = [self._start("scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard")]
+        self.processes = [
+            self._start("scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard")
+        ]
         while not self.file.exists():
             assert self.processes[0].poll() is None
             time.sleep(0.05)
@@ -55,10 +57,16 @@ class Machines:
         self.processes += [self.victim, self._worker("other")]
 
     def _start(self, *what: str) -> subprocess.Popen:
-        return subprocess.Popen([DASK, *what, "--scheduler-file", self.file], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        return subprocess.Popen(
+            [DASK, *what, "--scheduler-file", self.file],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
 
     def _worker(self, name: str) -> subprocess.Popen:
-        return self._start("worker", "--name", name, "--nthreads", "1", "--no-nanny", "--no-dashboard")
+        return self._start(
+            "worker", "--name", name, "--nthreads", "1", "--no-nanny", "--no-dashboard"
+        )
 
     @property
     def address(self) -> str:
@@ -67,7 +75,11 @@ class Machines:
     @contextmanager
     def killing(self) -> Iterator[None]:
         """Kills a worker amid the block, and sees to it that it held work and was gone before the block's end."""
-        killer = subprocess.Popen([sys.executable, "-c", KILLER, self.file, str(self.victim.pid)], stdout=subprocess.PIPE, text=True)
+        killer = subprocess.Popen(
+            [sys.executable, "-c", KILLER, self.file, str(self.victim.pid)],
+            stdout=subprocess.PIPE,
+            text=True,
+        )
         try:
             assert killer.stdout.readline() == "ready\n"
             yield
@@ -96,7 +108,13 @@ def machines(tmp_path) -> Iterator[Machines]:
 def test_pairs_of_a_rig_survive_a_worker(machines, tool, tmp_path):
     """Fifteen pairs; the same bytes as on one machine."""
     write_scene(tmp_path / "rig", scene(cameras=6, people=3, frames=60), "made by a test")
-    command = ["run", tmp_path / "rig" / "keypoints", "--cameras", tmp_path / "rig" / "intrinsics.toml", "-o"]
+    command = [
+        "run",
+        tmp_path / "rig" / "keypoints",
+        "--cameras",
+        tmp_path / "rig" / "intrinsics.toml",
+        "-o",
+    ]
     with machines.killing():
         said = tool(*command, tmp_path / "there", "--scheduler", machines.address)
     assert said.returncode == 0, said.stderr
@@ -110,18 +128,35 @@ def test_pairs_of_a_rig_survive_a_worker(machines, tool, tmp_path):
 def test_recordings_survive_a_worker(machines, tool, tmp_path):
     """One of the recordings fails there as it does here; the others have the same bytes."""
     for seed in range(4):
-        write_scene(tmp_path / f"s{seed}", scene(cameras=3, people=1, frames=30, seed=seed), "made by a test")
+        write_scene(
+            tmp_path / f"s{seed}",
+            scene(cameras=3, people=1, frames=30, seed=seed),
+            "made by a test",
+        )
     spoilt = tmp_path / "s2" / "keypoints"
     for view, other in (("cam1", "nose"), ("cam2", "left_ear")):  # no joint in common
         content = json.loads((spoilt / f"{view}.json").read_text())
         content["categories"][0]["keypoints"] = [other, *(f"{view}_{k}" for k in range(1, 17))]
         (spoilt / f"{view}.json").write_text(json.dumps(content))
     (spoilt / "cam3.json").unlink()
-    command = ["batch", *(f"s{k}" for k in range(4)), "--cameras", "intrinsics.toml", "--json", "-q", "-o"]
+    command = [
+        "batch",
+        *(f"s{k}" for k in range(4)),
+        "--cameras",
+        "intrinsics.toml",
+        "--json",
+        "-q",
+        "-o",
+    ]
     with machines.killing():
         there = tool(*command, "there", "--scheduler", machines.address, cwd=tmp_path)
     here = tool(*command, "here", cwd=tmp_path)
-    assert [r["status"] for r in json.loads(there.stdout)["recordings"]] == ["done", "done", "failed", "done"]
+    assert [r["status"] for r in json.loads(there.stdout)["recordings"]] == [
+        "done",
+        "done",
+        "failed",
+        "done",
+    ]
     assert (there.returncode, there.stderr) == (1, here.stderr)
     assert json.loads(there.stdout.replace("there", "here")) == json.loads(here.stdout)
     assert contents(tmp_path / "there") == contents(tmp_path / "here")
@@ -131,7 +166,11 @@ def test_recordings_survive_a_worker(machines, tool, tmp_path):
 def test_processes_of_this_machine(tool, tmp_path):
     """`--jobs`: the same bytes; and the processes do not outlive a command that is killed."""
     for seed in range(2):
-        write_scene(tmp_path / f"s{seed}", scene(cameras=3, people=1, frames=30, seed=seed), "made by a test")
+        write_scene(
+            tmp_path / f"s{seed}",
+            scene(cameras=3, people=1, frames=30, seed=seed),
+            "made by a test",
+        )
     command = ["batch", "s0", "s1", "--cameras", "intrinsics.toml", "-q", "-o"]
     for jobs in ("1", "2"):
         said = tool(*command, jobs, "--jobs", jobs, cwd=tmp_path)
@@ -151,8 +190,18 @@ def test_processes_of_this_machine(tool, tmp_path):
 @pytest.mark.slow
 def test_a_scheduler_that_goes_is_one_line(machines, tmp_path):
     write_scene(tmp_path / "rig", scene(cameras=6, people=3, frames=60), "made by a test")
-    command = ["run", tmp_path / "rig" / "keypoints", "--cameras", tmp_path / "rig" / "intrinsics.toml", "-q", "-o", tmp_path / "out"]
-    process = subprocess.Popen([TOOL, *command, "--scheduler", machines.address], stderr=subprocess.PIPE, text=True)
+    command = [
+        "run",
+        tmp_path / "rig" / "keypoints",
+        "--cameras",
+        tmp_path / "rig" / "intrinsics.toml",
+        "-q",
+        "-o",
+        tmp_path / "out",
+    ]
+    process = subprocess.Popen(
+        [TOOL, *command, "--scheduler", machines.address], stderr=subprocess.PIPE, text=True
+    )
     while not list((tmp_path / "out" / ".unfinished").glob("*")):
         assert process.poll() is None
         time.sleep(0.01)
@@ -166,9 +215,22 @@ def test_a_scheduler_that_goes_is_one_line(machines, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("address", "said"), [("tcp://127.0.0.1:1", "found none that answers"), ("node1", "(tcp://HOST:PORT), found node1")])
+@pytest.mark.parametrize(
+    ("address", "said"),
+    [("tcp://127.0.0.1:1", "found none that answers"), ("node1", "(tcp://HOST:PORT), found node1")],
+)
 def test_no_scheduler_is_one_line(address, said, small, tool, tmp_path):
-    done = tool("run", small / "keypoints", "--cameras", small / "intrinsics.toml", "-o", tmp_path / "out", "-q", "--scheduler", address)
+    done = tool(
+        "run",
+        small / "keypoints",
+        "--cameras",
+        small / "intrinsics.toml",
+        "-o",
+        tmp_path / "out",
+        "-q",
+        "--scheduler",
+        address,
+    )
     assert done.returncode == 1
     assert done.stdout == ""
     assert len(done.stderr.splitlines()) == 1
@@ -181,7 +243,7 @@ def test_work_that_kills_its_workers_is_one_line():
     """As too little memory does; what else there is to do is done."""
     code = """
 import os
-from mocap_calib.distributed import processes
+from mocap_calib.compute.cluster import processes
 from mocap_calib.errors import ClusterError
 def outcome(result):
     try:
@@ -193,8 +255,13 @@ if __name__ == "__main__":
         print(sorted((item, outcome(result)) for item, result in cluster.completed(os._exit, [1])))
         print(sorted((item, outcome(result)) for item, result in cluster.completed(abs, [-2, -3])))
 """
-    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.splitlines()
-    assert said == ["[(1, 'expected workers that survive the work, found 4 killed by the same piece; give them more memory')]", "[(-3, 3), (-2, 2)]"]
+    said = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout.splitlines()
+    assert said == [
+        "[(1, 'expected workers that survive the work, found 4 killed by the same piece; give them more memory')]",
+        "[(-3, 3), (-2, 2)]",
+    ]
 
 
 def test_workers_of_another_version_are_refused():

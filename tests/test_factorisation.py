@@ -7,10 +7,10 @@ import pytest
 from scenes import recording, rotation_errors_deg, scene
 
 from mocap_calib.config import Config
-from mocap_calib.determinacy import fit
-from mocap_calib.factorisation import factorise
 from mocap_calib.geometry.projection import pixels_from_points, rays_from_pixels
-from mocap_calib.matching import single_subject
+from mocap_calib.multi_view.association import single_subject
+from mocap_calib.multi_view.factorization import factorise
+from mocap_calib.multi_view.uncertainty import fit
 from mocap_calib.pipeline import calibrate
 from mocap_calib.steerpose.checkpoint import load_lifter
 from mocap_calib.types import Camera, CameraRig, Recording, Sample, silent
@@ -21,7 +21,11 @@ ALONE = {"people": 1, "false_detections": 0.0, "outliers": 0.0}
 
 def strangers(found: Recording) -> Recording:
     """The same, with joints that no model knows."""
-    return replace(found, keypoints=tuple(f"marker{k}" for k in range(len(found.keypoints))), vocabulary=np.full(len(found.keypoints), -1))
+    return replace(
+        found,
+        keypoints=tuple(f"marker{k}" for k in range(len(found.keypoints))),
+        vocabulary=np.full(len(found.keypoints), -1),
+    )
 
 
 def telescopes(noise: float, focal: float = 40_000.0) -> tuple[Sample, CameraRig]:
@@ -33,20 +37,47 @@ def telescopes(noise: float, focal: float = 40_000.0) -> tuple[Sample, CameraRig
     tilt = np.array([[1, 0, 0], [0, np.cos(0.4), -np.sin(0.4)], [0, np.sin(0.4), np.cos(0.4)]])
     turn = np.stack([c, zero, s, zero, one, zero, -s, zero, c], axis=1).reshape(-1, 3, 3)
     rotation = np.stack([turn[0], tilt @ turn[1], turn[2] @ tilt])
-    cameras = tuple(Camera(f"c{k}", (800, 600), np.array([[focal, 0, 400], [0, focal, 300], [0, 0, 1.0]]), np.zeros(5), False) for k in range(3))
+    cameras = tuple(
+        Camera(
+            f"c{k}",
+            (800, 600),
+            np.array([[focal, 0, 400], [0, focal, 300], [0, 0, 1.0]]),
+            np.zeros(5),
+            False,
+        )
+        for k in range(3)
+    )
     rig = CameraRig(cameras, rotation, np.array([[0.0, 0.0, 1000.0]] * 3), "arbitrary")
-    images = np.stack([pixels_from_points(camera, points @ r.T + t) for camera, r, t in zip(cameras, rotation, rig.translation, strict=True)])
+    images = np.stack(
+        [
+            pixels_from_points(camera, points @ r.T + t)
+            for camera, r, t in zip(cameras, rotation, rig.translation, strict=True)
+        ]
+    )
     images = (images + noise * rng.normal(size=images.shape))[:, :, None]
-    rays = np.stack([rays_from_pixels(camera, seen) for camera, seen in zip(cameras, images, strict=True)])
+    rays = np.stack(
+        [rays_from_pixels(camera, seen) for camera, seen in zip(cameras, images, strict=True)]
+    )
     names = tuple(f"marker{k}" for k in range(12))
-    made = Sample(cameras, names, np.arange(200), images, np.ones(images.shape[:-1]), np.ones(3, dtype=bool), np.full(12, -1), rays)
+    made = Sample(
+        cameras,
+        names,
+        np.arange(200),
+        images,
+        np.ones(images.shape[:-1]),
+        np.ones(3, dtype=bool),
+        np.full(12, -1),
+        rays,
+    )
     return made, rig
 
 
 def test_factorisation_is_exact_up_to_a_reversal():
     """No noise, 1 / 1000 of perspective: measured 0.02 deg in one of the two, tens of degrees in the other."""
     seen, rig = telescopes(0.0)
-    errors = [rotation_errors_deg(found, rig).max() for found in factorise(seen, single_subject(seen))]
+    errors = [
+        rotation_errors_deg(found, rig).max() for found in factorise(seen, single_subject(seen))
+    ]
     assert min(errors) < 0.1
     assert max(errors) > 10.0
 
@@ -60,7 +91,13 @@ def test_the_two_rigs_are_reversals_of_each_other():
 
 def test_two_views_are_not_factorised():
     seen, _ = telescopes(0.0)
-    two = replace(seen, cameras=seen.cameras[:2], **{name: getattr(seen, name)[:2] for name in ("positions", "confidence", "rays", "tracked")})
+    two = replace(
+        seen,
+        cameras=seen.cameras[:2],
+        **{
+            name: getattr(seen, name)[:2] for name in ("positions", "confidence", "rays", "tracked")
+        },
+    )
     assert factorise(two, single_subject(two)) == ()
 
 
@@ -73,7 +110,14 @@ def test_a_single_subject_is_known_without_finding():
 
 def test_strangers_are_calibrated_by_geometry_alone():
     """One person whose joints have names nobody knows: measured 0.38 deg."""
-    found = calibrate(strangers(recording(**ALONE)), load_lifter()[0], Config(), seed=0, device="cpu", progress=silent)
+    found = calibrate(
+        strangers(recording(**ALONE)),
+        load_lifter()[0],
+        Config(),
+        seed=0,
+        device="cpu",
+        progress=silent,
+    )
     assert rotation_errors_deg(found.rig, scene(**ALONE).rig).max() < 0.8
     assert found.rival is None
     assert not found.near_affine.any()
@@ -92,4 +136,6 @@ def test_telescopes_are_calibrated_up_to_a_reversal_and_say_so():
 def test_the_misfit_is_the_noise(noise):
     """Three views of a point: 6 numbers, 3 unknowns, so an RMS residual of sqrt(2) noise / sqrt(2); margin 15 %."""
     seen, rig = telescopes(noise)
-    assert fit(seen, rig, single_subject(seen), Config().triangulate).misfit == pytest.approx(noise, rel=0.15)
+    assert fit(seen, rig, single_subject(seen), Config().triangulate).misfit == pytest.approx(
+        noise, rel=0.15
+    )

@@ -10,15 +10,17 @@ from hypothesis import strategies as st
 from samples2d import FRAMES, SAMPLES, SIZE, recording, write_sample
 
 from mocap_calib.errors import FormatError, MismatchError
-from mocap_calib.io.document import Document, ReadOptions
-from mocap_calib.io.formats2d import KEYPOINT_FORMATS, read_keypoints, write_keypoints
-from mocap_calib.io.reading import NO_SCORE
+from mocap_calib.io.file import NO_SCORE
+from mocap_calib.io.keypoints.document import Document, ReadOptions
+from mocap_calib.io.keypoints.formats import KEYPOINT_FORMATS, read_keypoints, write_keypoints
 from mocap_calib.types import Keypoints2D
 
 NAMES = ("nose", "left eye", "tail,base")
 
 
-def view(camera="cam1", frames=(3, 4, 10), instances=2, missing=0.3, tracked=True, size=(0, 0), seed=0):
+def view(
+    camera="cam1", frames=(3, 4, 10), instances=2, missing=0.3, tracked=True, size=(0, 0), seed=0
+):
     """Random detections; the first frame has all points, so that nobody is without any."""
     rng = np.random.default_rng(seed)
     positions = rng.uniform(1, 400, (len(frames), instances, len(NAMES), 2))
@@ -26,11 +28,24 @@ def view(camera="cam1", frames=(3, 4, 10), instances=2, missing=0.3, tracked=Tru
     gone = rng.random(confidence.shape) < missing
     gone[0] = False
     positions[gone], confidence[gone] = np.nan, 0.0
-    return Keypoints2D(camera, NAMES, np.array(frames, dtype=np.int64), positions, confidence, tracked, size, "made")
+    return Keypoints2D(
+        camera,
+        NAMES,
+        np.array(frames, dtype=np.int64),
+        positions,
+        confidence,
+        tracked,
+        size,
+        "made",
+    )
 
 
 def assert_equal(found: Keypoints2D, wanted: Keypoints2D, atol=0.0):
-    assert (found.camera, found.keypoints, found.tracked) == (wanted.camera, wanted.keypoints, wanted.tracked)
+    assert (found.camera, found.keypoints, found.tracked) == (
+        wanted.camera,
+        wanted.keypoints,
+        wanted.tracked,
+    )
     np.testing.assert_array_equal(found.frames, wanted.frames)
     np.testing.assert_allclose(found.positions, wanted.positions, rtol=0, atol=atol)
     np.testing.assert_allclose(found.confidence, wanted.confidence, rtol=0, atol=atol)
@@ -40,7 +55,10 @@ def assert_equal(found: Keypoints2D, wanted: Keypoints2D, atol=0.0):
 @given(st.integers(0, 1000), st.booleans(), st.integers(1, 3), st.floats(0, 1))
 def test_csv_reads_what_it_wrote(tmp_path_factory, seed, tracked, instances, missing):
     path = tmp_path_factory.mktemp("csv") / "keypoints.csv"
-    views = tuple(view(name, frames, instances, missing, tracked, seed=seed) for name, frames in (("left", (0, 5, 6)), ('a "b", c', (2, 3))))
+    views = tuple(
+        view(name, frames, instances, missing, tracked, seed=seed)
+        for name, frames in (("left", (0, 5, 6)), ('a "b", c', (2, 3)))
+    )
     write_keypoints(path, views, "csv")
     for found, wanted in zip(read_keypoints([path]), views, strict=True):
         assert_equal(found, wanted)
@@ -59,7 +77,10 @@ def test_every_writer_is_read_as_it_was(tmp_path_factory, name, seed, instances,
     sleap = name == "sleap"  # which counts frames from 0
     views = tuple(
         view(camera, frames, instances, missing, name not in ANY_ORDER, seed=seed)
-        for camera, frames in (("left", range(4) if sleap else (0, 5, 6)), ("right", range(2) if sleap else (42150, 42152)))
+        for camera, frames in (
+            ("left", range(4) if sleap else (0, 5, 6)),
+            ("right", range(2) if sleap else (42150, 42152)),
+        )
     )
     write_keypoints(folder / "out", views, name)
     files = list((folder / "out").iterdir())
@@ -71,22 +92,41 @@ def test_every_writer_is_read_as_it_was(tmp_path_factory, name, seed, instances,
 
 
 @settings(max_examples=40, deadline=None)
-@given(st.sampled_from(WRITTEN), st.booleans(), st.booleans(), st.sampled_from([range(3), (0, 2, 3), (1, 2)]), st.integers(1, 2), st.booleans())
-def test_a_writer_says_what_does_not_come_back_and_nothing_else(tmp_path_factory, name, tracked, sized, frames, instances, scored):
+@given(
+    st.sampled_from(WRITTEN),
+    st.booleans(),
+    st.booleans(),
+    st.sampled_from([range(3), (0, 2, 3), (1, 2)]),
+    st.integers(1, 2),
+    st.booleans(),
+)
+def test_a_writer_says_what_does_not_come_back_and_nothing_else(
+    tmp_path_factory, name, tracked, sized, frames, instances, scored
+):
     if not tracked and instances > 1 and name in ("deeplabcut-h5", "deeplabcut-csv", "movement"):
         return  # refused: see below
-    wanted = view(frames=frames, instances=instances, missing=0, tracked=tracked, size=SIZE if sized else (0, 0))
+    wanted = view(
+        frames=frames,
+        instances=instances,
+        missing=0,
+        tracked=tracked,
+        size=SIZE if sized else (0, 0),
+    )
     if not scored:
         wanted = replace(wanted, confidence=np.ones_like(wanted.confidence), remarks=(NO_SCORE,))
     folder = tmp_path_factory.mktemp("lost")
     lost = write_keypoints(folder / "out", (wanted,), name)
-    (found,) = read_keypoints([folder / "out"], name, ReadOptions(layout=("x", "y", "z") if name in NEEDS_NAMES else ()))
+    (found,) = read_keypoints(
+        [folder / "out"], name, ReadOptions(layout=("x", "y", "z") if name in NEEDS_NAMES else ())
+    )
     gone = {
         "the names of keypoints": found.keypoints != wanted.keypoints,
         "who is who from frame to frame": instances > 1 and wanted.tracked and not found.tracked,
         "image sizes": found.image_size != wanted.image_size,
-        "which frames are absent: they become empty ones": found.frames.tolist() != wanted.frames.tolist(),
-        "that there are no scores: each point gets 1": NO_SCORE in wanted.remarks and NO_SCORE not in found.remarks,
+        "which frames are absent: they become empty ones": found.frames.tolist()
+        != wanted.frames.tolist(),
+        "that there are no scores: each point gets 1": NO_SCORE in wanted.remarks
+        and NO_SCORE not in found.remarks,
     }
     assert set(lost) == {what for what, is_gone in gone.items() if is_gone}
 
@@ -107,9 +147,13 @@ def test_a_folder_with_another_recording_is_refused(tmp_path, name):
     before = {path: path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file()}
     other = "coco" if name == "csv" else name  # whose one file would be replaced
     for views in (whole[:1], (replace(view("a", frames=range(2)), camera="c"),)):
-        with pytest.raises(MismatchError, match="expected a new folder or one with the same files, found"):
+        with pytest.raises(
+            MismatchError, match="expected a new folder or one with the same files, found"
+        ):
             write_keypoints(tmp_path / "out", views, other)
-    assert before == {path: path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file()}
+    assert before == {
+        path: path.read_bytes() for path in (tmp_path / "out").rglob("*") if path.is_file()
+    }
 
 
 def test_frames_of_a_longer_recording_are_refused_too(tmp_path):
@@ -123,12 +167,16 @@ def test_one_recording_is_equal_in_all_formats(tmp_path):
     for name in WRITTEN:
         write_keypoints(tmp_path / name, (wanted,), name)
         path = tmp_path / name
-        found = read_keypoints([path], name, ReadOptions(layout=NAMES if name in NEEDS_NAMES else ()))
+        found = read_keypoints(
+            [path], name, ReadOptions(layout=NAMES if name in NEEDS_NAMES else ())
+        )
         assert len(found) == 1
         assert_equal(replace(found[0], tracked=True), wanted, atol=1e-9 if name == "coco" else 0.0)
 
 
-@pytest.mark.parametrize("name", [name for name in WRITTEN if name not in (*ANY_ORDER, "csv", "sleap")])
+@pytest.mark.parametrize(
+    "name", [name for name in WRITTEN if name not in (*ANY_ORDER, "csv", "sleap")]
+)
 def test_detections_in_any_order_are_not_written_as_individuals(tmp_path, name):
     with pytest.raises(MismatchError, match="any order"):
         write_keypoints(tmp_path / "out", (view(tracked=False),), name)
@@ -154,7 +202,9 @@ def test_what_other_programs_write_of_one_recording_is_equal(tmp_path, name, ind
     (found,) = read_keypoints(write_sample(name, tmp_path, positions, confidence), None, options)
     assert (found.camera, found.tracked) == ("cam", tracked)
     assert found.image_size == (SIZE if name in ("coco", "nwb", "ultralytics") else (0, 0))
-    order = [found.keypoints.index(joint) for joint in samples2d.NAMES]  # tables name joints as they appear
+    order = [
+        found.keypoints.index(joint) for joint in samples2d.NAMES
+    ]  # tables name joints as they appear
     np.testing.assert_array_equal(found.frames, FRAMES)
     np.testing.assert_allclose(found.positions[:, :, order], positions, rtol=1e-12)
     np.testing.assert_allclose(found.confidence[:, :, order], confidence, rtol=1e-12)
@@ -166,12 +216,18 @@ def test_a_format_can_be_forced_and_is_the_one_that_is_sniffed(tmp_path, name):
     paths = write_sample(name, tmp_path, *recording(scores=scores))
     sniffed, forced = (read_keypoints(paths, each, options)[0] for each in (None, known))
     np.testing.assert_array_equal(sniffed.positions, forced.positions)
-    others = [other for other, each in KEYPOINT_FORMATS.items() if other != known and each.sniff(_document(paths[0]))]
+    others = [
+        other
+        for other, each in KEYPOINT_FORMATS.items()
+        if other != known and each.sniff(_document(paths[0]))
+    ]
     assert set(others) <= ({"alphapose"} if known == "coco-results" else set())
 
 
 def _document(path):
-    return Document(path if path.is_file() else min(each for each in path.rglob("*") if each.is_file()))
+    return Document(
+        path if path.is_file() else min(each for each in path.rglob("*") if each.is_file())
+    )
 
 
 def test_every_format_has_a_sample():

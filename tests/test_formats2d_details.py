@@ -10,10 +10,10 @@ from keypoint_files import dlc_columns, dlc_csv, dlc_h5_fixed, dlc_values
 from samples2d import FRAMES, NAMES, SIZE, recording, triples, write_sample
 
 from mocap_calib.errors import FormatError, MismatchError
-from mocap_calib.io.document import ReadOptions
-from mocap_calib.io.formats2d import read_keypoints, write_keypoints
-from mocap_calib.io.layouts import LAYOUTS, parse_layout
-from mocap_calib.skeleton import load_skeleton, match_names
+from mocap_calib.io.keypoints.document import ReadOptions
+from mocap_calib.io.keypoints.formats import read_keypoints, write_keypoints
+from mocap_calib.io.keypoints.layouts import LAYOUTS, parse_layout
+from mocap_calib.recording.joints import load_skeleton, match_names
 
 LAYOUT = ReadOptions(layout=NAMES)
 
@@ -26,7 +26,10 @@ def test_layouts_name_each_point_once_and_the_models_know_them():
             assert len(names) == int(name.rpartition("_")[2].rstrip("b"))
     for name in ("coco_17", "body_25", "body_25b", "coco_18", "halpe_26", "h36m_17", "mpii_16"):
         assert (match_names(LAYOUTS[name], people) >= 0).sum() >= len(LAYOUTS[name]) - 2, name
-    for whole, body in (("coco_wholebody_133", LAYOUTS["coco_17"]), ("halpe_136", LAYOUTS["halpe_26"])):
+    for whole, body in (
+        ("coco_wholebody_133", LAYOUTS["coco_17"]),
+        ("halpe_136", LAYOUTS["halpe_26"]),
+    ):
         assert LAYOUTS[whole][: len(body)] == body
         assert (match_names(LAYOUTS[whole], people) >= 0).sum() >= 23, whole
         assert LAYOUTS[whole][-42] == "left_hand_root"
@@ -46,20 +49,41 @@ def test_whole_bodies_are_known_by_their_number_of_points(tmp_path, program, lay
     count = len(LAYOUTS[layout])
     points, scores = np.random.default_rng(0).uniform(5, 400, (count, 2)), np.full(count, 0.5)
     content = {
-        "alphapose": [{"image_id": "0.jpg", "category_id": 1, "keypoints": triples(points, scores), "score": 2.0, "box": [1, 2, 3, 4], "idx": [0.0]}],
+        "alphapose": [
+            {
+                "image_id": "0.jpg",
+                "category_id": 1,
+                "keypoints": triples(points, scores),
+                "score": 2.0,
+                "box": [1, 2, 3, 4],
+                "idx": [0.0],
+            }
+        ],
         "openpose": {"people": [{"pose_keypoints_2d": triples(points, scores)}]},
-        "mmpose": [{"frame_id": 0, "instances": [{"keypoints": points.tolist(), "keypoint_scores": scores.tolist()}]}],
+        "mmpose": [
+            {
+                "frame_id": 0,
+                "instances": [{"keypoints": points.tolist(), "keypoint_scores": scores.tolist()}],
+            }
+        ],
     }
     (tmp_path / "0.json").write_text(json.dumps(content[program]))
     (view,) = read_keypoints([f"cam={tmp_path / '0.json'}"])
     assert view.keypoints == LAYOUTS[layout]
 
 
-@pytest.mark.parametrize(("people", "points"), [("people", "pose_keypoints_2d"), ("bodies", "joints")])
+@pytest.mark.parametrize(
+    ("people", "points"), [("people", "pose_keypoints_2d"), ("bodies", "joints")]
+)
 def test_alphapose_writes_openpose_with_all_frames_in_one_file(tmp_path, people, points):
     positions, confidence = recording(2)
     frames = {
-        f"{f}.jpg": {"version": "AlphaPose v0.3", people: [{points: triples(x, s)} for x, s in zip(positions[k], confidence[k], strict=True)]}
+        f"{f}.jpg": {
+            "version": "AlphaPose v0.3",
+            people: [
+                {points: triples(x, s)} for x, s in zip(positions[k], confidence[k], strict=True)
+            ],
+        }
         for k, f in enumerate(FRAMES)
     }
     (tmp_path / "cam.json").write_text(json.dumps(frames))
@@ -75,7 +99,10 @@ def test_all_cameras_of_a_slp_are_called_by_their_videos(tmp_path):
     assert [view.camera for view in views] == ["left_cam", "right_cam"]
     for view in views:
         np.testing.assert_array_equal(view.positions, positions)
-    assert [view.camera for view in read_keypoints([tmp_path], None, ReadOptions(camera_pattern="(left|right)_"))] == ["left", "right"]
+    assert [
+        view.camera
+        for view in read_keypoints([tmp_path], None, ReadOptions(camera_pattern="(left|right)_"))
+    ] == ["left", "right"]
 
 
 def test_a_package_s_cameras_are_called_by_the_videos_its_images_are_of(tmp_path):
@@ -84,7 +111,12 @@ def test_a_package_s_cameras_are_called_by_the_videos_its_images_are_of(tmp_path
     with h5py.File(tmp_path / "cam.slp", "a") as file:
         listed = [json.loads(entry) for entry in file["videos_json"]]
         del file["videos_json"]
-        inside = [json.dumps({"backend": {"filename": ".", "dataset": f"video{k}/video"}, "filename": "."}) for k in range(2)]
+        inside = [
+            json.dumps(
+                {"backend": {"filename": ".", "dataset": f"video{k}/video"}, "filename": "."}
+            )
+            for k in range(2)
+        ]
         file["videos_json"] = np.array(inside, dtype="S")
     with pytest.raises(FormatError, match=r"found none; export an analysis \.h5"):
         read_keypoints([tmp_path])
@@ -98,7 +130,10 @@ def test_a_package_s_cameras_are_called_by_its_session(tmp_path):
     """The order of cameras and videos is that of a package by SLEAP, whose 3D through its own calibration is then 3 px from its points, not 240."""
     positions, confidence = recording(2)
     samples2d._slp(tmp_path, positions, confidence, videos=("left_cam", "right_cam"))
-    session = {"calibration": {"cam_0": {"name": "right"}, "cam_1": {"name": "left"}, "metadata": {}}, "camcorder_to_video_idx_map": {"0": "1", "1": "0"}}
+    session = {
+        "calibration": {"cam_0": {"name": "right"}, "cam_1": {"name": "left"}, "metadata": {}},
+        "camcorder_to_video_idx_map": {"0": "1", "1": "0"},
+    }
     with h5py.File(tmp_path / "cam.slp", "a") as file:
         del file["videos_json"]
         file["videos_json"] = np.array([json.dumps({"backend": {"filename": "."}})] * 2, dtype="S")
@@ -110,7 +145,9 @@ def test_lightning_pose_says_last_what_a_frame_was_used_for(tmp_path):
     positions, confidence = recording()
     lines = dlc_csv(FRAMES, dlc_columns(NAMES), dlc_values(positions, confidence)).splitlines()
     used = ["set", "", "", "train", "validation", "unlabeled", "", "test"]
-    (tmp_path / "predictions.csv").write_text("\n".join(f"{line},{last}" for line, last in zip(lines, used, strict=True)))
+    (tmp_path / "predictions.csv").write_text(
+        "\n".join(f"{line},{last}" for line, last in zip(lines, used, strict=True))
+    )
     (view,) = read_keypoints([tmp_path / "predictions.csv"])
     assert view.keypoints == NAMES
     np.testing.assert_array_equal(view.positions, positions)
@@ -118,34 +155,60 @@ def test_lightning_pose_says_last_what_a_frame_was_used_for(tmp_path):
 
 def test_an_ensemble_kalman_smoother_writes_its_spread_beside(tmp_path):
     positions, confidence = recording()
-    coords = ("x", "y", "likelihood", "x_ens_median", "y_ens_median", "x_ens_var", "y_ens_var", "x_posterior_var", "y_posterior_var")
+    coords = (
+        "x",
+        "y",
+        "likelihood",
+        "x_ens_median",
+        "y_ens_median",
+        "x_ens_var",
+        "y_ens_var",
+        "x_posterior_var",
+        "y_posterior_var",
+    )
     columns = [("ensemble-kalman_tracker", name, coord) for name in NAMES for coord in coords]
-    values = np.concatenate([positions, confidence[..., None], np.full((*confidence.shape, 6), 7.0)], -1).reshape(len(FRAMES), -1)
+    values = np.concatenate(
+        [positions, confidence[..., None], np.full((*confidence.shape, 6), 7.0)], -1
+    ).reshape(len(FRAMES), -1)
     (tmp_path / "eks.csv").write_text(dlc_csv(FRAMES, columns, values))
     (view,) = read_keypoints([tmp_path / "eks.csv"])
     np.testing.assert_array_equal(view.positions, positions)
     np.testing.assert_array_equal(view.confidence, confidence)
 
 
-@pytest.mark.parametrize("behind", [(), (0.87,), (0.87, 3)], ids=["nothing", "confidence", "confidence and track"])
+@pytest.mark.parametrize(
+    "behind", [(), (0.87,), (0.87, 3)], ids=["nothing", "confidence", "confidence and track"]
+)
 @pytest.mark.parametrize("scores", [False, True])
-def test_ultralytics_points_with_and_without_scores_before_what_may_follow(tmp_path, behind, scores):
+def test_ultralytics_points_with_and_without_scores_before_what_may_follow(
+    tmp_path, behind, scores
+):
     positions, _ = recording(missing=0)
     (tmp_path / "cam").mkdir()
     for frame, points in zip(FRAMES, positions[:, 0] / SIZE, strict=True):
         cells = np.column_stack([points, np.full((len(points), int(scores)), 0.5)]).ravel().tolist()
-        (tmp_path / "cam" / f"{frame}.txt").write_text(" ".join(map(repr, [0, 0.5, 0.5, 0.2, 0.2, *cells, *behind])))
+        (tmp_path / "cam" / f"{frame}.txt").write_text(
+            " ".join(map(repr, [0, 0.5, 0.5, 0.2, 0.2, *cells, *behind]))
+        )
     (view,) = read_keypoints([tmp_path], None, ReadOptions(layout=NAMES, image_size=SIZE))
     np.testing.assert_allclose(view.positions, positions, rtol=0, atol=1e-9)
     assert set(np.unique(view.confidence)) == {0.5 if scores else 1.0}
 
 
 @pytest.mark.parametrize(
-    ("count", "words"), [(2 * 17 + 1, "coco_17"), (3 * 17, "coco_17"), (2 * 25 + 2, "body_25 or"), (500, "with names separated by commas")]
+    ("count", "words"),
+    [
+        (2 * 17 + 1, "coco_17"),
+        (3 * 17, "coco_17"),
+        (2 * 25 + 2, "body_25 or"),
+        (500, "with names separated by commas"),
+    ],
 )
 def test_ultralytics_without_a_layout_asks_for_one_that_fits(tmp_path, count, words):
     (tmp_path / "0.txt").write_text(" ".join(["0", *["0.5"] * (4 + count)]))
-    with pytest.raises(FormatError, match=f"found {count} numbers after the box; say --layout .*{words}"):
+    with pytest.raises(
+        FormatError, match=f"found {count} numbers after the box; say --layout .*{words}"
+    ):
         read_keypoints([f"cam={tmp_path / '0.txt'}"], None, ReadOptions(image_size=SIZE))
 
 
@@ -163,11 +226,17 @@ def test_a_prediction_that_was_corrected_by_hand_does_not_count(tmp_path):
     with h5py.File(tmp_path / "cam.slp", "a") as file:
         rows = file["instances"][...]
         rows["track"] = -1
-        rows[1]["instance_type"], rows[1]["from_predicted"] = 0, 0  # in the first frame, the second corrects the first
+        rows[1]["instance_type"], rows[1]["from_predicted"] = (
+            0,
+            0,
+        )  # in the first frame, the second corrects the first
         rows[1]["point_id_start"], rows[1]["point_id_end"] = 0, 3
         del file["instances"], file["points"]
         file["instances"] = rows
-        file["points"] = np.array([(7.0, 8.0, True, True)] * 3, dtype=[("x", "<f8"), ("y", "<f8"), ("visible", "?"), ("complete", "?")])
+        file["points"] = np.array(
+            [(7.0, 8.0, True, True)] * 3,
+            dtype=[("x", "<f8"), ("y", "<f8"), ("visible", "?"), ("complete", "?")],
+        )
     (view,) = read_keypoints([tmp_path])
     assert not view.tracked
     assert np.isfinite(view.positions[0, :, 0, 0]).tolist() == [True, False]
@@ -233,7 +302,10 @@ def test_poses_of_several_cameras_in_one_nwb(tmp_path):
     ("times", "frames"),
     [
         ({"rate": 30.0, "start": 1.0}, range(30, 35)),
-        ({"timestamps": [0.0, 0.0334, 0.0665, 0.2001, 0.2332]}, [0, 1, 2, 6, 7]),  # a gap of three; rounded and jittered
+        (
+            {"timestamps": [0.0, 0.0334, 0.0665, 0.2001, 0.2332]},
+            [0, 1, 2, 6, 7],
+        ),  # a gap of three; rounded and jittered
         ({"timestamps": [10.0, 10.02, 10.04, 10.06, 10.08]}, range(500, 505)),
         ({"timestamps": [0.0, 0.1, 0.1, 0.2, 0.3]}, None),
         ({"timestamps": [0.0, 0.1, np.nan, 0.2, 0.3]}, None),
@@ -283,9 +355,21 @@ def test_points_without_names_are_numbered_in_label3d_and_caliscope(tmp_path):
 
 
 def test_coco_results_have_cameras_and_frames_in_their_image_ids(tmp_path):
-    entries = [{"image_id": 10_000_000_000 + 10_000_000 * cam + f, "category_id": 1, "keypoints": [5.0 + f, 6, 1] * 3} for cam in (1, 2) for f in (4, 9)]
+    entries = [
+        {
+            "image_id": 10_000_000_000 + 10_000_000 * cam + f,
+            "category_id": 1,
+            "keypoints": [5.0 + f, 6, 1] * 3,
+        }
+        for cam in (1, 2)
+        for f in (4, 9)
+    ]
     (tmp_path / "all.json").write_text(json.dumps(entries))
-    views = read_keypoints([tmp_path / "all.json"], None, ReadOptions(layout=NAMES, camera_pattern=r"1(?P<camera>\d{3})(?P<frame>\d{7})"))
+    views = read_keypoints(
+        [tmp_path / "all.json"],
+        None,
+        ReadOptions(layout=NAMES, camera_pattern=r"1(?P<camera>\d{3})(?P<frame>\d{7})"),
+    )
     assert [view.camera for view in views] == ["001", "002"]
     assert [view.frames.tolist() for view in views] == [[4, 9], [4, 9]]
 
@@ -294,7 +378,12 @@ def test_the_plain_table_needs_little(tmp_path):
     path = tmp_path / "cam.csv"
     path.write_text("frame,keypoint,x,y\n7,nose,1.5,2.5\n9,,,\n8,tail,3,4\n")
     (view,) = read_keypoints([path])
-    assert (view.camera, view.keypoints, view.frames.tolist(), view.tracked) == ("cam", ("nose", "tail"), [7, 8, 9], True)
+    assert (view.camera, view.keypoints, view.frames.tolist(), view.tracked) == (
+        "cam",
+        ("nose", "tail"),
+        [7, 8, 9],
+        True,
+    )
     for text, reason in (
         ("frame,keypoint,x,y,z\n7,nose,1,2,3\n", "columns"),
         ("camera,frame,keypoint,x,y\n,7,nose,1,2\n", "row 2"),

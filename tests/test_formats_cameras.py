@@ -15,9 +15,9 @@ from scipy.io import savemat
 from mocap_calib.errors import FormatError, MismatchError, MocapCalibError
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.io.camera_formats.source import Source
-from mocap_calib.io.cameras import load_cameras, make_rig, parse_content, read_rig
-from mocap_calib.io.formats_cameras import CAMERA_FORMATS, camera_format, format_rig, write_cameras
+from mocap_calib.io.cameras.formats import CAMERA_FORMATS, camera_format, format_rig, write_cameras
+from mocap_calib.io.cameras.load import load_cameras, make_rig, parse_content, read_rig
+from mocap_calib.io.cameras.source import Source
 from mocap_calib.io.mat5 import read_mat
 from mocap_calib.io.units import METRES
 from mocap_calib.types import Camera, CameraRig
@@ -62,7 +62,10 @@ def _from_folder(files, name):
         return make_rig(replace(found, unit=found.unit or form.unit), "folder")
     parts = [make_rig(parse_content(content, file), file) for file, content in files.items()]
     return CameraRig(
-        sum((p.cameras for p in parts), ()), np.concatenate([p.rotation for p in parts]), np.concatenate([p.translation for p in parts]), parts[0].unit
+        sum((p.cameras for p in parts), ()),
+        np.concatenate([p.rotation for p in parts]),
+        np.concatenate([p.translation for p in parts]),
+        parts[0].unit,
     )
 
 
@@ -76,7 +79,14 @@ def test_every_written_format_is_in_the_table_here():
 def test_what_is_written_comes_back(name, data):
     lengths, fisheye, sizes, square = CARRIES[name]
     unit = camera_format(name).unit
-    rig = data.draw(rigs(lengths, fisheye, square=square, units=tuple(METRES) if unit else ("m", "mm", "arbitrary")))
+    rig = data.draw(
+        rigs(
+            lengths,
+            fisheye,
+            square=square,
+            units=tuple(METRES) if unit else ("m", "mm", "arbitrary"),
+        )
+    )
     found = back(rig, name, {"seed": 0, "path": "a b", "none": None})
     assert found.unit == (unit or rig.unit)
     scale = METRES[rig.unit] / METRES[unit] if unit else 1.0
@@ -89,11 +99,19 @@ def test_what_is_written_comes_back(name, data):
 def test_what_cannot_be_carried_is_refused_in_a_line(name, data):
     lengths, fisheye, _, square = CARRIES[name]
     rig = data.draw(rigs(units=("m",)))
-    kept = all((camera.fisheye and fisheye) or (not camera.fisheye and not padded(camera)[max(lengths) :].any()) for camera in rig.cameras)
+    kept = all(
+        (camera.fisheye and fisheye)
+        or (not camera.fisheye and not padded(camera)[max(lengths) :].any())
+        for camera in rig.cameras
+    )
     kept &= not square or all(abs(c.matrix[0, 0] / c.matrix[1, 1] - 1) < 1e-4 for c in rig.cameras)
     message = complaint(lambda: format_rig(rig, name, {}))
     assert (message == "") == kept
-    assert kept or ("expected" in message and "found" in message and any(f"camera {n}" in message for n in rig.names))
+    assert kept or (
+        "expected" in message
+        and "found" in message
+        and any(f"camera {n}" in message for n in rig.names)
+    )
 
 
 @pytest.mark.parametrize("name", WRITTEN)
@@ -105,7 +123,9 @@ def test_the_same_rig_in_two_formats_projects_alike(name):
     scale = METRES[rig.unit] / METRES[found.unit] if found.unit in METRES else 1.0
     for v in range(len(rig.cameras)):
         before = pixels_from_points(rig.cameras[v], points @ rig.rotation[v].T + rig.translation[v])
-        after = pixels_from_points(found.cameras[v], points * scale @ found.rotation[v].T + found.translation[v])
+        after = pixels_from_points(
+            found.cameras[v], points * scale @ found.rotation[v].T + found.translation[v]
+        )
         assert np.isfinite(before).all()
         np.testing.assert_allclose(after, before, rtol=0, atol=1e-6)
 
@@ -142,7 +162,10 @@ def test_files_are_recognised_and_written_the_same_twice(name, tmp_path):
     rig = studio(name)
     for k in range(2):
         write_cameras(tmp_path / f"{k}", rig, name)
-    one, two = ({f.name: f.read_bytes() for f in ([p] if p.is_file() else p.iterdir())} for p in (tmp_path / "0", tmp_path / "1"))
+    one, two = (
+        {f.name: f.read_bytes() for f in ([p] if p.is_file() else p.iterdir())}
+        for p in (tmp_path / "0", tmp_path / "1")
+    )
     assert sorted(one.values()) == sorted(two.values())
     assert len(load_cameras(tmp_path / "0").cameras) == 3
 
@@ -151,16 +174,26 @@ def test_a_folder_with_another_rig_is_refused(tmp_path):
     write_cameras(tmp_path / "cams", studio("opencv"), "opencv")
     write_cameras(tmp_path / "cams", studio("opencv"), "opencv")
     other = studio("opencv")
-    other = replace(other, cameras=tuple(replace(camera, name=f"other{k}") for k, camera in enumerate(other.cameras)))
+    other = replace(
+        other,
+        cameras=tuple(replace(camera, name=f"other{k}") for k, camera in enumerate(other.cameras)),
+    )
     with pytest.raises(MismatchError, match=r"cam0\.yml"):
         write_cameras(tmp_path / "cams", other, "opencv")
-    for name in ("easymocap", "jarvis", "multiview-calib", "colmap"):  # whose files would be read along, whatever their endings
+    for name in (
+        "easymocap",
+        "jarvis",
+        "multiview-calib",
+        "colmap",
+    ):  # whose files would be read along, whatever their endings
         with pytest.raises(MismatchError, match=r"cam0\.yml"):
             write_cameras(tmp_path / "cams", replace(studio("opencv"), unit="m"), name)
     assert len(load_cameras(tmp_path / "cams").cameras) == 3
 
 
-@pytest.mark.parametrize("text", ["\n" * 200_000, " \n" * 100_000, "[" * 200_000, "a" * 1_000_000, "a:\n" * 100_000])
+@pytest.mark.parametrize(
+    "text", ["\n" * 200_000, " \n" * 100_000, "[" * 200_000, "a" * 1_000_000, "a:\n" * 100_000]
+)
 def test_long_nothings_are_refused_at_once(text):
     begun = time.perf_counter()
     assert complaint(lambda: parse_content(text.encode(), "x"))
@@ -171,9 +204,17 @@ def test_dannce_s_files_of_one_camera_each_are_its_file_of_all(tmp_path):
     rig = studio("dannce")
     write_cameras(tmp_path / "all.mat", rig, "dannce")
     (tmp_path / "each").mkdir()
-    for camera, rotation, translation in zip(rig.cameras, rig.rotation, rig.translation, strict=True):
+    for camera, rotation, translation in zip(
+        rig.cameras, rig.rotation, rig.translation, strict=True
+    ):
         k1, k2, p1, p2, k3 = [*camera.distortion, *[0.0] * 5][:5]
-        fields = {"K": camera.matrix.T, "RDistort": [k1, k2, k3], "TDistort": [p1, p2], "r": rotation.T, "t": 1000 * translation[None]}
+        fields = {
+            "K": camera.matrix.T,
+            "RDistort": [k1, k2, k3],
+            "TDistort": [p1, p2],
+            "r": rotation.T,
+            "t": 1000 * translation[None],
+        }
         savemat(tmp_path / "each" / f"hires_{camera.name}_params.mat", fields)
     one, other = read_rig(tmp_path / "all.mat"), read_rig(tmp_path / "each")
     assert (other.names, other.unit) == (one.names, one.unit)
@@ -185,7 +226,9 @@ def test_dannce_s_files_of_one_camera_each_are_its_file_of_all(tmp_path):
 
 def test_a_crowd_of_values_is_refused_before_all_are_read():
     """Camera files are small; a megabyte of numbers took PyYAML 20 s and 400 MB, fifty thousand take it 2 s."""
-    assert "50000 values" in complaint(lambda: parse_content(b"camera_matrix: [" + b"1," * 500_000 + b"1]\n", "x"))
+    assert "50000 values" in complaint(
+        lambda: parse_content(b"camera_matrix: [" + b"1," * 500_000 + b"1]\n", "x")
+    )
 
 
 # --- what other programs wrote
@@ -250,11 +293,17 @@ def test_one_real_rig_in_six_formats_is_one_rig():
     first = load_cameras(SAMPLES / "pose2sim_toml/Calib_qualisys.toml")
     name = "cam_01"
     rotation, translation = first.extrinsics[name]
-    for path, scale, called in (("nerfstudio/transforms.json", 1, name), ("openmvg/sfm_data.json", 1, name), ("colmap/txt", 1, name)):
+    for path, scale, called in (
+        ("nerfstudio/transforms.json", 1, name),
+        ("openmvg/sfm_data.json", 1, name),
+        ("colmap/txt", 1, name),
+    ):
         found = load_cameras(SAMPLES / path)
         np.testing.assert_allclose(found.extrinsics[called][0], rotation, atol=1e-9)
         np.testing.assert_allclose(found.extrinsics[called][1], translation * scale, atol=1e-9)
-        np.testing.assert_allclose(found.cameras[0].matrix[:2, 2], first.cameras[0].matrix[:2, 2], atol=1e-9)
+        np.testing.assert_allclose(
+            found.cameras[0].matrix[:2, 2], first.cameras[0].matrix[:2, 2], atol=1e-9
+        )
     for path, scale in (("jarvis_yaml/cam_01.yaml", 1000), ("opencv_yaml/cam_01_cv5.yml", 1)):
         (pose,) = load_cameras(SAMPLES / path).extrinsics.values()
         np.testing.assert_allclose(pose[0], rotation, atol=1e-9)
@@ -264,7 +313,10 @@ def test_one_real_rig_in_six_formats_is_one_rig():
 @needs_samples
 def test_voxelpose_and_4d_association_agree_on_the_shelf():
     """Two data sets' files of one rig, rounded to 6 digits: centres within 1 mm (measured 0.02)."""
-    voxel, four = (make_rig(load_cameras(SAMPLES / "panoptic_calib" / f), f) for f in ("calibration_shelf.json", "4da_shelf_calibration.json"))
+    voxel, four = (
+        make_rig(load_cameras(SAMPLES / "panoptic_calib" / f), f)
+        for f in ("calibration_shelf.json", "4da_shelf_calibration.json")
+    )
     np.testing.assert_allclose(voxel.centres, four.centres * 1000, atol=1.0)
 
 
@@ -275,21 +327,46 @@ def test_real_points_are_seen_where_they_were_clicked():
     rig = make_rig(load_cameras(path), "x")
     labels = read_mat(path.read_bytes(), ("labelData",))["labelData"]
     for v, camera in enumerate(rig.cameras):
-        points, clicked = (np.asarray(labels[v][0][name]).reshape(81, 22, -1) for name in ("data_3d", "data_2d"))
-        apart = np.linalg.norm(pixels_from_points(camera, points @ rig.rotation[v].T + rig.translation[v]) - clicked, axis=-1)
+        points, clicked = (
+            np.asarray(labels[v][0][name]).reshape(81, 22, -1) for name in ("data_3d", "data_2d")
+        )
+        apart = np.linalg.norm(
+            pixels_from_points(camera, points @ rig.rotation[v].T + rig.translation[v]) - clicked,
+            axis=-1,
+        )
         assert np.nanmedian(apart) < 1.5
 
 
 @needs_samples
 def test_what_is_odd_is_said():
-    assert any("side and top" in note for note in load_cameras(SAMPLES / "sleap_anipose_session/calibration.toml").notes)
-    assert any("camera 0 has no intrinsics" in note for note in load_cameras(SAMPLES / "caliscope/base_data_camera_array.toml").notes)
-    assert any("skew" in note for note in load_cameras(SAMPLES / "dannce_mat/label3d_dannce.mat").notes)
+    assert any(
+        "side and top" in note
+        for note in load_cameras(SAMPLES / "sleap_anipose_session/calibration.toml").notes
+    )
+    assert any(
+        "camera 0 has no intrinsics" in note
+        for note in load_cameras(SAMPLES / "caliscope/base_data_camera_array.toml").notes
+    )
+    assert any(
+        "skew" in note for note in load_cameras(SAMPLES / "dannce_mat/label3d_dannce.mat").notes
+    )
 
 
 # --- damage
 
-OTHERS = [b"", b"{}", b"[]", b"[cameras]", b"null", b"- 1\n", b"a: 1\n", b"%YAML:1.0\n---\n", b"MATLAB 5.0", b"\x89HDF\r\n", b"\x00" * 600]
+OTHERS = [
+    b"",
+    b"{}",
+    b"[]",
+    b"[cameras]",
+    b"null",
+    b"- 1\n",
+    b"a: 1\n",
+    b"%YAML:1.0\n---\n",
+    b"MATLAB 5.0",
+    b"\x89HDF\r\n",
+    b"\x00" * 600,
+]
 
 
 @pytest.mark.parametrize("name", WRITTEN)
@@ -309,7 +386,20 @@ def test_damaged_files_load_or_are_refused_in_a_line(name, data):
 
 @pytest.mark.parametrize("name", [each.name for each in CAMERA_FORMATS])
 @pytest.mark.parametrize(
-    "content", [b"", b"{}", b"[]", b"[cameras]", b"null", b"- 1\n", b"a: 1\n", b"%YAML:1.0\n---\n", b"MATLAB 5.0", b"\x89HDF\r\n", b"\x00" * 600]
+    "content",
+    [
+        b"",
+        b"{}",
+        b"[]",
+        b"[cameras]",
+        b"null",
+        b"- 1\n",
+        b"a: 1\n",
+        b"%YAML:1.0\n---\n",
+        b"MATLAB 5.0",
+        b"\x89HDF\r\n",
+        b"\x00" * 600,
+    ],
 )
 def test_a_format_that_is_named_refuses_what_is_not_it(name, content):
     with pytest.raises(MocapCalibError) as caught:
@@ -318,7 +408,15 @@ def test_a_format_that_is_named_refuses_what_is_not_it(name, content):
 
 
 def test_what_cannot_be_camera_yaml():
-    bomb = "a: &a [1, 1]\n" + "".join(f"{c}: &{c} [*{p}, *{p}]\n" for p, c in zip("abcdefg", "bcdefgh", strict=True)) + "K: *h\n"
-    for text, reason in ((bomb, "alias"), ("K: 1\nK: 2\n", "twice"), ("K: " + "[1]," * 1_100_000, "below 2 MB")):
+    bomb = (
+        "a: &a [1, 1]\n"
+        + "".join(f"{c}: &{c} [*{p}, *{p}]\n" for p, c in zip("abcdefg", "bcdefgh", strict=True))
+        + "K: *h\n"
+    )
+    for text, reason in (
+        (bomb, "alias"),
+        ("K: 1\nK: 2\n", "twice"),
+        ("K: " + "[1]," * 1_100_000, "below 2 MB"),
+    ):
         with pytest.raises(FormatError, match=reason):
             parse_content(text.encode(), "x.yaml")

@@ -14,14 +14,27 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from mocap_calib.errors import FormatError, MismatchError, MocapCalibError
-from mocap_calib.io.formats_poses import POSE_FORMATS, format_poses, parse_poses, pose_format, read_poses, together, write_poses
-from mocap_calib.io.pose_formats.common import UP_AXES, PoseFile, turned
+from mocap_calib.io.poses.common import UP_AXES, PoseFile, turned
+from mocap_calib.io.poses.formats import (
+    POSE_FORMATS,
+    format_poses,
+    parse_poses,
+    pose_format,
+    read_poses,
+    together,
+    write_poses,
+)
 from mocap_calib.types import Poses3D
 
 SAMPLES = Path(__file__).parents[2] / "shared" / "formats" / "samples"
 HERE = [each.name for each in POSE_FORMATS if each.name != "nwb-3d"]
 NAMES = st.text("abcXYZ019_.- ", min_size=1, max_size=8).filter(lambda name: name == name.strip())
-QUALITY = {"poses-h5", "npz", "anipose-csv", "movement-3d"}  # formats that carry errors, views and confidences
+QUALITY = {
+    "poses-h5",
+    "npz",
+    "anipose-csv",
+    "movement-3d",
+}  # formats that carry errors, views and confidences
 UNIT = {"c3d": "mm", "anipose-csv": "arbitrary"}
 
 
@@ -31,15 +44,33 @@ def pose_files(draw, individuals=3, gaps=True, named=True):
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     keypoints = tuple(draw(st.lists(NAMES, min_size=1, max_size=4, unique=True)))
     count = draw(st.integers(1, individuals))
-    frames = np.unique(rng.integers(0, 40 if gaps else 1, size=6)) + draw(st.sampled_from([0, 1, 42150]))
-    positions = rng.normal(size=(len(frames), count, len(keypoints), 3)) * 10.0 ** rng.integers(-2, 4)
+    frames = np.unique(rng.integers(0, 40 if gaps else 1, size=6)) + draw(
+        st.sampled_from([0, 1, 42150])
+    )
+    positions = rng.normal(size=(len(frames), count, len(keypoints), 3)) * 10.0 ** rng.integers(
+        -2, 4
+    )
     missing = rng.random(positions.shape[:3]) < 0.3
     positions[missing] = np.nan
     error, confidence = (np.where(missing, np.nan, rng.random(missing.shape)) for _ in range(2))
     views = np.where(missing, 0, rng.integers(2, 6, missing.shape))
-    names = tuple(draw(st.lists(NAMES, min_size=count, max_size=count, unique=True))) if named else ()
+    names = (
+        tuple(draw(st.lists(NAMES, min_size=count, max_size=count, unique=True))) if named else ()
+    )
     rate = draw(st.sampled_from([30.0, 29.97, 100.0, 1 / 3]))
-    return PoseFile(Poses3D(keypoints, frames, positions, error, views, confidence, draw(st.sampled_from(["m", "mm"]))), rate, names)
+    return PoseFile(
+        Poses3D(
+            keypoints,
+            frames,
+            positions,
+            error,
+            views,
+            confidence,
+            draw(st.sampled_from(["m", "mm"])),
+        ),
+        rate,
+        names,
+    )
 
 
 def dense(file):
@@ -54,7 +85,9 @@ def assert_poses(file, back, name):
     scale = 1000.0 if name == "c3d" and file.poses.unit == "m" else 1.0
     for (frames, positions), (before, expected) in [(dense(back), dense(file))]:
         np.testing.assert_array_equal(frames, before)
-        np.testing.assert_allclose(positions, expected * scale, rtol=2e-7 if name == "c3d" else 0, atol=0)  # float32
+        np.testing.assert_allclose(
+            positions, expected * scale, rtol=2e-7 if name == "c3d" else 0, atol=0
+        )  # float32
     if name in QUALITY:
         for field in ("error", "views", "confidence"):
             np.testing.assert_array_equal(getattr(back.poses, field), getattr(file.poses, field))
@@ -76,7 +109,9 @@ def test_what_is_written_comes_back(name, data):
         assert back.rate == pytest.approx(file.rate, rel=1e-7)  # c3d has a float32
     for what in lost:
         assert "\n" not in what
-    assert (name in QUALITY) == (not any("errors" in what for what in lost) or not np.isfinite(file.poses.error).any())
+    assert (name in QUALITY) == (
+        not any("errors" in what for what in lost) or not np.isfinite(file.poses.error).any()
+    )
 
 
 @pytest.mark.parametrize("name", HERE)
@@ -90,7 +125,15 @@ def example(individuals=2, keypoints=("nose", "tail")):
     positions = rng.normal(size=(5, individuals, len(keypoints), 3))
     positions[1, 0, 0] = np.nan
     quality = np.where(np.isfinite(positions[..., 0]), 0.5, np.nan)
-    poses = Poses3D(keypoints, np.array([3, 4, 5, 7, 8]), positions, quality, np.where(np.isfinite(quality), 3, 0), quality, "m")
+    poses = Poses3D(
+        keypoints,
+        np.array([3, 4, 5, 7, 8]),
+        positions,
+        quality,
+        np.where(np.isfinite(quality), 3, 0),
+        quality,
+        "m",
+    )
     return PoseFile(poses, 60.0)
 
 
@@ -113,7 +156,10 @@ def test_formats_of_one_individual_write_a_file_each(tmp_path):
     ],
 )
 def test_joined_files_keep_the_names_that_tell_individuals_apart(given_, kept):
-    assert together([replace(example(1), individuals=names) for names in given_], "there").individuals == kept
+    assert (
+        together([replace(example(1), individuals=names) for names in given_], "there").individuals
+        == kept
+    )
 
 
 @pytest.mark.parametrize("said_by", ["numbers", "references", "both"])
@@ -121,17 +167,36 @@ def test_joined_files_keep_the_names_that_tell_individuals_apart(given_, kept):
 def test_movement_s_dimensions_come_in_any_order(order, said_by, tmp_path):
     """xarray writes what it is given; three of each, so that no shape tells an order. netCDF-C writes no numbers, old h5netcdf no references."""
     names = ("time", "space", "keypoints", "individuals")  # as before movement 0.17
-    labels = {"space": ("x", "y", "z"), "keypoints": ("a", "b", "c"), "individuals": ("i", "j", "k")}
-    positions, confidence = np.random.default_rng(0).normal(size=(3, 3, 3, 3)), np.random.default_rng(1).random((3, 3, 3))
+    labels = {
+        "space": ("x", "y", "z"),
+        "keypoints": ("a", "b", "c"),
+        "individuals": ("i", "j", "k"),
+    }
+    positions, confidence = (
+        np.random.default_rng(0).normal(size=(3, 3, 3, 3)),
+        np.random.default_rng(1).random((3, 3, 3)),
+    )
     with h5netcdf.File(tmp_path / "old.nc", "w") as file:
         file.dimensions = dict.fromkeys((names[k] for k in order), 3)
-        file.create_variable("frame", ("time",), data=np.arange(3))  # a variable that is no dimension
+        file.create_variable(
+            "frame", ("time",), data=np.arange(3)
+        )  # a variable that is no dimension
         file.create_variable("time", ("time",), data=np.arange(3))
         for name, texts in labels.items():
-            file.create_variable(name, (name,), data=np.array(texts, dtype=object), dtype=h5py.string_dtype())
-        file.create_variable("position", tuple(names[k] for k in order), data=positions.transpose(0, 3, 2, 1).transpose(order))
+            file.create_variable(
+                name, (name,), data=np.array(texts, dtype=object), dtype=h5py.string_dtype()
+            )
+        file.create_variable(
+            "position",
+            tuple(names[k] for k in order),
+            data=positions.transpose(0, 3, 2, 1).transpose(order),
+        )
         bare = [k for k in order if names[k] != "space"]
-        file.create_variable("confidence", tuple(names[k] for k in bare), data=confidence.transpose([(0, -1, 2, 1)[k] for k in bare]))
+        file.create_variable(
+            "confidence",
+            tuple(names[k] for k in bare),
+            data=confidence.transpose([(0, -1, 2, 1)[k] for k in bare]),
+        )
     with h5py.File(tmp_path / "old.nc", "a") as file:
         gone = {"numbers": "DIMENSION_LIST", "references": "_Netcdf4Coordinates"}.get(said_by)
         for variable in (file["position"], file["confidence"]) if gone else ():
@@ -183,7 +248,18 @@ def test_a_long_c3d_keeps_all_its_frames(tmp_path):
     frames = np.arange(66_000)
     positions = np.zeros((len(frames), 1, 1, 3)) + frames[:, None, None, None]
     nothing = np.full(positions.shape[:3], np.nan)
-    file = PoseFile(Poses3D(("a",), frames, positions, nothing, np.zeros(nothing.shape, dtype=np.int64), nothing, "mm"), 100.0)
+    file = PoseFile(
+        Poses3D(
+            ("a",),
+            frames,
+            positions,
+            nothing,
+            np.zeros(nothing.shape, dtype=np.int64),
+            nothing,
+            "mm",
+        ),
+        100.0,
+    )
     write_poses(tmp_path / "long.c3d", file, "c3d")
     back = read_poses(tmp_path / "long.c3d")
     np.testing.assert_array_equal(back.poses.frames, frames)
@@ -199,10 +275,18 @@ def test_a_long_c3d_keeps_all_its_frames(tmp_path):
         ("c3d", {"rate": float("nan")}, "--fps"),
         ("c3d", {"poses": replace(example().poses, unit="arbitrary")}, "--unit"),
         ("trc", {"poses": replace(example().poses, unit="arbitrary")}, "--unit"),
-        ("c3d", {"poses": replace(example().poses, frames=np.array([-3, 4, 5, 7, 8]))}, "frames from 0"),
+        (
+            "c3d",
+            {"poses": replace(example().poses, frames=np.array([-3, 4, 5, 7, 8]))},
+            "frames from 0",
+        ),
         ("c3d", {"poses": replace(example().poses, keypoints=("nose", "a:b"))}, "without a colon"),
         ("trc", {"poses": replace(example().poses, keypoints=("nose", "a\tb"))}, "without tabs"),
-        ("trc", {"poses": replace(example().poses, frames=np.array([3, 4, 5, 7, 10**12]))}, "no gaps"),
+        (
+            "trc",
+            {"poses": replace(example().poses, frames=np.array([3, 4, 5, 7, 10**12]))},
+            "no gaps",
+        ),
     ],
 )
 def test_what_cannot_be_carried_is_refused_in_a_line(name, change, reason):
@@ -234,9 +318,19 @@ def test_what_was_up_is_y(up):
     axis = np.zeros(3)
     axis["xyz".index(up[-1])] = -1.0 if up.startswith("-") else 1.0
     file = example()
-    file = replace(file, poses=replace(file.poses, positions=np.broadcast_to(axis, file.poses.positions.shape)))
+    file = replace(
+        file, poses=replace(file.poses, positions=np.broadcast_to(axis, file.poses.positions.shape))
+    )
     np.testing.assert_array_equal(turned(file, up).poses.positions[0, 0, 0], [0, 1, 0])
-    basis = replace(file, poses=replace(file.poses, positions=np.broadcast_to(np.eye(3)[:, None, None], (3, 1, 1, 3)), frames=np.arange(3)), individuals=("a",))
+    basis = replace(
+        file,
+        poses=replace(
+            file.poses,
+            positions=np.broadcast_to(np.eye(3)[:, None, None], (3, 1, 1, 3)),
+            frames=np.arange(3),
+        ),
+        individuals=("a",),
+    )
     assert np.linalg.det(turned(basis, up).poses.positions[:, 0, 0]) == pytest.approx(1.0)
 
 
@@ -287,7 +381,10 @@ def test_files_without_3d_poses_are_refused(path):
 @needs_samples
 def test_two_formats_of_one_real_session_agree():
     """The CSV was made of the h5, with 3 digits less than a double has: 1e-9 of 600 mm."""
-    csv, h5 = (read_poses(SAMPLES / path).poses for path in ("anipose_csv/points3d_anipose_layout.csv", "sleap_anipose_session/points3d.h5"))
+    csv, h5 = (
+        read_poses(SAMPLES / path).poses
+        for path in ("anipose_csv/points3d_anipose_layout.csv", "sleap_anipose_session/points3d.h5")
+    )
     np.testing.assert_allclose(csv.positions, h5.positions, rtol=0, atol=6e-7)
 
 
@@ -306,7 +403,18 @@ def test_damaged_files_load_or_are_refused_in_a_line(name, data):
 
 
 @pytest.mark.parametrize("name", [each.name for each in POSE_FORMATS])
-@pytest.mark.parametrize("content", [b"", b"{}", b"hello", b"\x89HDF\r\n\x1a\n", b"PK\x03\x04", b"PathFileType\n", b"\x02\x50" + bytes(600)])
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"{}",
+        b"hello",
+        b"\x89HDF\r\n\x1a\n",
+        b"PK\x03\x04",
+        b"PathFileType\n",
+        b"\x02\x50" + bytes(600),
+    ],
+)
 def test_a_format_that_is_named_refuses_what_is_not_it(name, content):
     with pytest.raises(MocapCalibError) as caught:
         parse_poses(content, "somewhere", name)

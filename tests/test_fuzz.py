@@ -17,17 +17,71 @@ from hypothesis import strategies as st
 from samples2d import SAMPLES, recording, write_sample
 
 from mocap_calib.errors import MocapCalibError
-from mocap_calib.io.formats2d import read_keypoints
+from mocap_calib.io.keypoints.formats import read_keypoints
 
 EXAMPLES = int(os.environ.get("FUZZ_EXAMPLES", "25"))
 SECONDS = 5.0  # of computing for a file of some kilobytes
 CLOCK = 60.0  # for what waits, on a busy machine; HDF5 is given 3 s of computing by itself
 MEMORY = 1_000_000  # kB that one file may add to the peak
 ODD = [
-    *(None, True, False, "", "x", "null", "1,5", "NaN", [], {}, [[]], {"a": 1}, 0, -1, 1, 2.5, 1e308, -1e308, 10**400, -(10**400)),
-    *(2**63, -(2**63), float("nan"), float("inf"), -float("inf"), "\u0000", "ä", "9" * 5000, "1e999", [1, [2, [3]]], [[1, 2], [3]]),
+    *(
+        None,
+        True,
+        False,
+        "",
+        "x",
+        "null",
+        "1,5",
+        "NaN",
+        [],
+        {},
+        [[]],
+        {"a": 1},
+        0,
+        -1,
+        1,
+        2.5,
+        1e308,
+        -1e308,
+        10**400,
+        -(10**400),
+    ),
+    *(
+        2**63,
+        -(2**63),
+        float("nan"),
+        float("inf"),
+        -float("inf"),
+        "\u0000",
+        "ä",
+        "9" * 5000,
+        "1e999",
+        [1, [2, [3]]],
+        [[1, 2], [3]],
+    ),
 ]
-CELLS = ["", " ", "x", "nan", "inf", "-1", "1e999", "9" * 400, '"', "1;2", "1,5", "\t", "0x10", "1_0", "\u0000", "-0", "1e5", "²", "scorer", "x,y"]
+CELLS = [
+    "",
+    " ",
+    "x",
+    "nan",
+    "inf",
+    "-1",
+    "1e999",
+    "9" * 400,
+    '"',
+    "1;2",
+    "1,5",
+    "\t",
+    "0x10",
+    "1_0",
+    "\u0000",
+    "-0",
+    "1e5",
+    "²",
+    "scorer",
+    "x,y",
+]
 
 
 def damage_json(value, rng):
@@ -66,7 +120,14 @@ def damage_text(text, rng):
         mark = "," if "," in lines[k] else " "
         cells = lines[k].split(mark)
         cells[rng.randrange(len(cells))] = rng.choice(CELLS)
-        changed = {0: [mark.join(cells)], 1: [mark.join(cells)], 2: [lines[k]] * 2, 3: [], 4: [lines[k] + mark + "1"], 5: [lines[k][: len(lines[k]) // 2]]}
+        changed = {
+            0: [mark.join(cells)],
+            1: [mark.join(cells)],
+            2: [lines[k]] * 2,
+            3: [],
+            4: [lines[k] + mark + "1"],
+            5: [lines[k][: len(lines[k]) // 2]],
+        }
         lines[k : k + 1] = changed[kind]
         lines = lines or [""]
     return "\n".join(lines)
@@ -82,9 +143,13 @@ def damage_bytes(content, rng):
     if kind == 2:
         return content.decode("latin-1").encode("utf-16")
     changed = bytearray(content)
-    places = np.flatnonzero(np.frombuffer(content, np.uint8)) if kind > 5 else np.arange(len(content))
+    places = (
+        np.flatnonzero(np.frombuffer(content, np.uint8)) if kind > 5 else np.arange(len(content))
+    )
     for _ in range(rng.randrange(1, 20) if len(places) else 0):
-        changed[min(int(rng.choice(places)) + rng.randrange(-4, 5), len(content) - 1)] = rng.choice([0, 1, 255, rng.randrange(256)])
+        changed[min(int(rng.choice(places)) + rng.randrange(-4, 5), len(content) - 1)] = rng.choice(
+            [0, 1, 255, rng.randrange(256)]
+        )
     return bytes(changed)
 
 
@@ -99,17 +164,35 @@ def damage_hdf5(path, rng):
             del file[name]
         elif kind == 1 and item.attrs:
             attribute = rng.choice(list(item.attrs))
-            item.attrs[attribute] = rng.choice([b"x", 3.5, np.zeros(0), b"(lp0\n.", "json", b"{" * 5000, b"[" * 50_000, np.nan])
+            item.attrs[attribute] = rng.choice(
+                [b"x", 3.5, np.zeros(0), b"(lp0\n.", "json", b"{" * 5000, b"[" * 50_000, np.nan]
+            )
         elif isinstance(item, h5py.Dataset):
             value = item[...]
             del file[name]
             if kind == 2:
-                file[name] = rng.choice([np.zeros(0), np.zeros((2, 2)), np.array([b"x"]), np.float64(1), np.full((3, 4, 5, 6), np.nan), np.zeros(3, "i1")])
+                file[name] = rng.choice(
+                    [
+                        np.zeros(0),
+                        np.zeros((2, 2)),
+                        np.array([b"x"]),
+                        np.float64(1),
+                        np.full((3, 4, 5, 6), np.nan),
+                        np.zeros(3, "i1"),
+                    ]
+                )
             elif kind == 3:
-                file.create_dataset(name, shape=rng.choice([(2**40,), (2**31, 2), (0, 0), (10**5, 10**5)]), dtype="f8", chunks=True)
+                file.create_dataset(
+                    name,
+                    shape=rng.choice([(2**40,), (2**31, 2), (0, 0), (10**5, 10**5)]),
+                    dtype="f8",
+                    chunks=True,
+                )
             elif value.dtype.names:
                 field = rng.choice(value.dtype.names)
-                value[field] = np.array([rng.choice([0, 1, 2, 255, 2**31])]).astype(value[field].dtype)
+                value[field] = np.array([rng.choice([0, 1, 2, 255, 2**31])]).astype(
+                    value[field].dtype
+                )
                 file[name] = value
             else:
                 file[name] = value[: len(value) // 2] if value.ndim else value
@@ -149,12 +232,26 @@ def originals(tmp_path_factory):
     for name, (_, _, _, most, scores, _) in SAMPLES.items():
         folder = tmp_path_factory.mktemp("fuzz")
         write_sample(name, folder, *recording(most, scores=scores))
-        found[name] = (folder, {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()})
+        found[name] = (
+            folder,
+            {
+                path.relative_to(folder): path.read_bytes()
+                for path in folder.rglob("*")
+                if path.is_file()
+            },
+        )
     return found
 
 
 @pytest.mark.parametrize("name", SAMPLES)
-@settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck), phases=[Phase.generate], derandomize=EXAMPLES < 100, database=None)
+@settings(
+    max_examples=EXAMPLES,
+    deadline=None,
+    suppress_health_check=list(HealthCheck),
+    phases=[Phase.generate],
+    derandomize=EXAMPLES < 100,
+    database=None,
+)
 @given(seed=st.integers(0, 2**63))
 def test_damage_is_read_or_refused(originals, name, seed):
     rng = random.Random(seed)
@@ -164,8 +261,13 @@ def test_damage_is_read_or_refused(originals, name, seed):
     begun, peak = spent(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     said = "expected"
     try:
-        views = read_keypoints(sorted(folder.iterdir()), rng.choice([None, SAMPLES[name][0]]), SAMPLES[name][2])
-        assert all(np.isfinite(view.confidence).all() and (np.diff(view.frames) > 0).all() for view in views)
+        views = read_keypoints(
+            sorted(folder.iterdir()), rng.choice([None, SAMPLES[name][0]]), SAMPLES[name][2]
+        )
+        assert all(
+            np.isfinite(view.confidence).all() and (np.diff(view.frames) > 0).all()
+            for view in views
+        )
     except MocapCalibError as error:
         said = str(error)
     finally:

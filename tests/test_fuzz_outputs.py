@@ -11,17 +11,31 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 from test_formats_cameras import WRITTEN, studio
 from test_formats_poses import HERE, example
-from test_fuzz import CLOCK, EXAMPLES, MEMORY, SECONDS, damage_bytes, damage_hdf5, damage_json, spent
+from test_fuzz import (
+    CLOCK,
+    EXAMPLES,
+    MEMORY,
+    SECONDS,
+    damage_bytes,
+    damage_hdf5,
+    damage_json,
+    spent,
+)
 
 from mocap_calib.errors import MocapCalibError
-from mocap_calib.io.camera_formats.source import Source
-from mocap_calib.io.cameras import parse_content
-from mocap_calib.io.formats_cameras import camera_format, format_rig
-from mocap_calib.io.formats_poses import format_poses, parse_poses
+from mocap_calib.io.cameras.formats import camera_format, format_rig
+from mocap_calib.io.cameras.load import parse_content
+from mocap_calib.io.cameras.source import Source
+from mocap_calib.io.poses.formats import format_poses, parse_poses
 
 HDF5 = b"\x89HDF"
 LONGER = settings(
-    max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck), phases=[Phase.generate], derandomize=EXAMPLES < 100, database=None
+    max_examples=EXAMPLES,
+    deadline=None,
+    suppress_health_check=list(HealthCheck),
+    phases=[Phase.generate],
+    derandomize=EXAMPLES < 100,
+    database=None,
 )
 
 
@@ -66,7 +80,11 @@ def test_damaged_cameras_are_read_or_refused(folder, name, data):
     files[victim] = damaged(data, files[victim], folder)
     whole, form = Source("folder", files, folder=True), camera_format(name)
     together = form.folder and len(files) > 1 and form.sniff(whole)
-    held(lambda: parse_content(files[victim], victim), lambda: parse_content(files[victim], victim, name), *([lambda: form.parse(whole)] if together else []))
+    held(
+        lambda: parse_content(files[victim], victim),
+        lambda: parse_content(files[victim], victim, name),
+        *([lambda: form.parse(whole)] if together else []),
+    )
 
 
 @pytest.mark.parametrize("name", HERE)

@@ -5,7 +5,13 @@ import pytest
 
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.alignment import similarity
-from mocap_calib.geometry.epipolar import depths, essential, five_point, sampson_angle, translation_system
+from mocap_calib.geometry.epipolar import (
+    depths,
+    essential,
+    five_point,
+    sampson_angle,
+    translation_system,
+)
 from mocap_calib.geometry.projection import pixels_from_points, rays_from_pixels
 from mocap_calib.geometry.rotation import (
     angle_between,
@@ -22,9 +28,23 @@ from mocap_calib.types import Camera
 MATRIX = np.array([[1100.0, 0.0, 640.0], [0.0, 1105.0, 355.0], [0.0, 0.0, 1.0]])
 CAMERAS = {
     "plain": Camera("plain", (1280, 720), MATRIX, np.zeros(5), False),
-    "brown": Camera("brown", (1280, 720), MATRIX, np.array([-0.2, 0.15, 0.001, -0.002, -0.02]), False),
-    "rational": Camera("rational", (1280, 720), MATRIX, np.array([0.3, 0.1, 0.001, 0.0, 0.02, 0.5, 0.2, 0.01]), False),
-    "fisheye": Camera("fisheye", (1280, 720), MATRIX * [[0.4], [0.4], [1]] + [[0, 0, 384], [0, 0, 213], [0, 0, 0]], np.array([0.03, 0.02, -0.01, 0.002]), True),
+    "brown": Camera(
+        "brown", (1280, 720), MATRIX, np.array([-0.2, 0.15, 0.001, -0.002, -0.02]), False
+    ),
+    "rational": Camera(
+        "rational",
+        (1280, 720),
+        MATRIX,
+        np.array([0.3, 0.1, 0.001, 0.0, 0.02, 0.5, 0.2, 0.01]),
+        False,
+    ),
+    "fisheye": Camera(
+        "fisheye",
+        (1280, 720),
+        MATRIX * [[0.4], [0.4], [1]] + [[0, 0, 384], [0, 0, 213], [0, 0, 0]],
+        np.array([0.03, 0.02, -0.01, 0.002]),
+        True,
+    ),
 }
 
 
@@ -34,14 +54,21 @@ def rotations(rng: np.random.Generator, count: int, largest: float = np.pi) -> n
     return matrix_from_vector(axis * rng.uniform(0, largest, (count, 1)))
 
 
-def two_views(rng: np.random.Generator, points: int = 200) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def two_views(
+    rng: np.random.Generator, points: int = 200
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """R, t of b_from_a and exact rays of points in front of both."""
     rotation, translation = rotations(rng, 1, 1.0)[0], rng.normal(size=3)
     in_a = rng.uniform(-1, 1, (points, 3)) + [0, 0, 6.0]
     in_b = in_a @ rotation.T + translation
     in_front = in_b[:, 2] > 0.1
     in_a, in_b = in_a[in_front], in_b[in_front]
-    return rotation, translation, in_a / np.linalg.norm(in_a, axis=1, keepdims=True), in_b / np.linalg.norm(in_b, axis=1, keepdims=True)
+    return (
+        rotation,
+        translation,
+        in_a / np.linalg.norm(in_a, axis=1, keepdims=True),
+        in_b / np.linalg.norm(in_b, axis=1, keepdims=True),
+    )
 
 
 @pytest.mark.parametrize("size", [1e-12, 1e-7, 1e-3, 1.0, 3.0, np.pi - 1e-6])
@@ -50,7 +77,9 @@ def test_rotation_vector_round_trip(size):
     axis = np.random.default_rng(0).normal(size=(50, 3))
     vector = size * axis / np.linalg.norm(axis, axis=1, keepdims=True)
     matrix = matrix_from_vector(vector)
-    np.testing.assert_allclose(matrix @ np.swapaxes(matrix, 1, 2), np.broadcast_to(np.eye(3), matrix.shape), atol=1e-14)
+    np.testing.assert_allclose(
+        matrix @ np.swapaxes(matrix, 1, 2), np.broadcast_to(np.eye(3), matrix.shape), atol=1e-14
+    )
     np.testing.assert_allclose(vector_from_matrix(matrix), vector, atol=1e-9 * max(size, 1e-3))
 
 
@@ -63,7 +92,9 @@ def test_quaternion_reproduces_the_rotation_of_every_octant():
 
 
 def test_angle_is_exact_for_tiny_rotations():
-    assert angle_between(np.eye(3), matrix_from_vector(np.array([0, 0, 1e-9]))) == pytest.approx(1e-9, rel=1e-6)
+    assert angle_between(np.eye(3), matrix_from_vector(np.array([0, 0, 1e-9]))) == pytest.approx(
+        1e-9, rel=1e-6
+    )
 
 
 def test_angle_is_invariant_to_the_frame():
@@ -92,7 +123,9 @@ def test_nearest_rotation_is_proper_and_optimal():
 
 
 def test_looking_along_is_a_rotation_that_looks_along():
-    direction = np.concatenate([np.random.default_rng(4).normal(size=(100, 3)), [[0, 1.0, 0], [0, -1.0, 0]]])
+    direction = np.concatenate(
+        [np.random.default_rng(4).normal(size=(100, 3)), [[0, 1.0, 0], [0, -1.0, 0]]]
+    )
     turn = looking_along(direction, np.array([0.0, 1.0, 0.0]))
     np.testing.assert_allclose(np.linalg.det(turn), 1, atol=1e-12)
     ahead = (turn @ direction[..., None])[..., 0]
@@ -114,19 +147,35 @@ def test_pixel_ray_pixel_round_trip(name):
 
 @pytest.mark.parametrize(
     ("k", "fisheye", "pixel"),
-    [([-0.3, 0, 0, 0], False, (1200.0, 400.0)), ([-0.1, 0, 0, 0], True, (3000.0, 3000.0)), ([0.0, 0, 0, 0], True, (3000.0, 360.0))],
+    [
+        ([-0.3, 0, 0, 0], False, (1200.0, 400.0)),
+        ([-0.1, 0, 0, 0], True, (3000.0, 3000.0)),
+        ([0.0, 0, 0, 0], True, (3000.0, 360.0)),
+    ],
 )
 def test_a_pixel_that_no_ray_has_is_nan_and_its_neighbours_are_not(k, fisheye, pixel):
     """Past the fold of the polynomial, or past 180 degrees."""
-    camera = Camera("fold", (1280, 720), np.array([[600.0, 0, 640], [0, 600, 360], [0, 0, 1]]), np.array(k), fisheye)
-    rays = rays_from_pixels(camera, np.array([[pixel, (700.0, 400.0)], [(np.nan, 1.0), (900.0, 200.0)]]))
+    camera = Camera(
+        "fold",
+        (1280, 720),
+        np.array([[600.0, 0, 640], [0, 600, 360], [0, 0, 1]]),
+        np.array(k),
+        fisheye,
+    )
+    rays = rays_from_pixels(
+        camera, np.array([[pixel, (700.0, 400.0)], [(np.nan, 1.0), (900.0, 200.0)]])
+    )
     np.testing.assert_array_equal(np.isnan(rays).all(-1), [[True, False], [True, False]])
-    np.testing.assert_allclose(pixels_from_points(camera, rays[:, 1]), [[700, 400], [900, 200]], atol=1e-6)
+    np.testing.assert_allclose(
+        pixels_from_points(camera, rays[:, 1]), [[700, 400], [900, 200]], atol=1e-6
+    )
 
 
 @pytest.mark.parametrize("name", CAMERAS)
 def test_wild_pixels_have_true_rays_or_none(name):
-    pixels = np.random.default_rng(6).normal(size=(300, 2)) * 10.0 ** np.random.default_rng(7).uniform(2, 9, (300, 1))
+    pixels = np.random.default_rng(6).normal(size=(300, 2)) * 10.0 ** np.random.default_rng(
+        7
+    ).uniform(2, 9, (300, 1))
     rays = rays_from_pixels(CAMERAS[name], pixels)
     back = pixels_from_points(CAMERAS[name], rays)
     ahead = np.isfinite(back).all(1)
@@ -136,27 +185,49 @@ def test_wild_pixels_have_true_rays_or_none(name):
 
 def test_fisheye_sees_behind_itself():
     """Equidistant: 100 degrees off the axis are f * 1.745 pixels."""
-    camera = Camera("wide", (1280, 720), np.array([[300.0, 0, 640], [0, 300, 360], [0, 0, 1]]), np.zeros(4), True)
+    camera = Camera(
+        "wide",
+        (1280, 720),
+        np.array([[300.0, 0, 640], [0, 300, 360], [0, 0, 1]]),
+        np.zeros(4),
+        True,
+    )
     angle = np.radians(100)
-    np.testing.assert_allclose(rays_from_pixels(camera, np.array([640 + 300 * angle, 360])), [np.sin(angle), 0, np.cos(angle)], atol=1e-12)
+    np.testing.assert_allclose(
+        rays_from_pixels(camera, np.array([640 + 300 * angle, 360])),
+        [np.sin(angle), 0, np.cos(angle)],
+        atol=1e-12,
+    )
 
 
 def test_a_point_behind_the_camera_has_no_pixel():
-    assert np.isnan(pixels_from_points(CAMERAS["plain"], np.array([[0, 0, -1.0], [0, 0, 0.0]]))).all()
+    assert np.isnan(
+        pixels_from_points(CAMERAS["plain"], np.array([[0, 0, -1.0], [0, 0, 0.0]]))
+    ).all()
 
 
 def test_fisheye_sees_past_the_image_plane():
     """Kannala-Brandt has no tangent: rays near 90 degrees are as good as any."""
     ray = np.array([np.sin(1.5), 0, np.cos(1.5)])
-    np.testing.assert_allclose(rays_from_pixels(CAMERAS["fisheye"], pixels_from_points(CAMERAS["fisheye"], ray[None])), ray[None], atol=1e-9)
+    np.testing.assert_allclose(
+        rays_from_pixels(CAMERAS["fisheye"], pixels_from_points(CAMERAS["fisheye"], ray[None])),
+        ray[None],
+        atol=1e-9,
+    )
 
 
 def test_exact_matches_have_no_epipolar_error_and_positive_depths():
     for seed in range(5):
         rotation, translation, a, b = two_views(np.random.default_rng(seed))
-        np.testing.assert_allclose(sampson_angle(essential(rotation, translation), a, b), 0, atol=1e-12)
+        np.testing.assert_allclose(
+            sampson_angle(essential(rotation, translation), a, b), 0, atol=1e-12
+        )
         near_a, near_b = depths(rotation, translation, a, b)
-        np.testing.assert_allclose(near_b[:, None] * b - near_a[:, None] * (a @ rotation.T), np.broadcast_to(translation, a.shape), atol=1e-9)
+        np.testing.assert_allclose(
+            near_b[:, None] * b - near_a[:, None] * (a @ rotation.T),
+            np.broadcast_to(translation, a.shape),
+            atol=1e-9,
+        )
         assert (near_a > 0).all()
         assert (near_b > 0).all()
 
@@ -167,9 +238,14 @@ def test_sampson_error_is_the_angle_to_the_epipolar_plane():
     plane = np.cross(translation, a @ rotation.T)
     plane /= np.linalg.norm(plane, axis=1, keepdims=True)
     moved = np.cos(1e-4) * b + np.sin(1e-4) * plane
-    slope_a, slope_b = (np.linalg.norm(x, axis=1) for x in (moved @ essential(rotation, translation), a @ essential(rotation, translation).T))
+    slope_a, slope_b = (
+        np.linalg.norm(x, axis=1)
+        for x in (moved @ essential(rotation, translation), a @ essential(rotation, translation).T)
+    )
     expected = 1e-4 * slope_b / np.hypot(slope_a, slope_b)
-    np.testing.assert_allclose(np.abs(sampson_angle(essential(rotation, translation), a, moved)), expected, rtol=1e-3)
+    np.testing.assert_allclose(
+        np.abs(sampson_angle(essential(rotation, translation), a, moved)), expected, rtol=1e-3
+    )
 
 
 def test_translation_system_agrees_with_the_full_collinearity_and_coplanarity_system():
@@ -218,8 +294,16 @@ def test_similarity_of_one_place_is_degenerate():
 
 def test_a_strong_lens_is_undone_up_to_its_fold():
     """k1 = -0.44 as wide lenses have it: every ray short of the fold comes back, though cv2's iteration diverges before."""
-    camera = Camera("wide", (2048, 1536), np.array([[1290.0, 0, 1024], [0, 1290, 768], [0, 0, 1]]), np.array([-0.44, 0.21, 0, 0, -0.05]), False)
+    camera = Camera(
+        "wide",
+        (2048, 1536),
+        np.array([[1290.0, 0, 1024], [0, 1290, 768], [0, 0, 1]]),
+        np.array([-0.44, 0.21, 0, 0, -0.05]),
+        False,
+    )
     angle, radius = np.random.default_rng(12).uniform([0, 0], [2 * np.pi, 0.85], (500, 2)).T
     points = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.ones(500)], axis=1)
     rays = rays_from_pixels(camera, pixels_from_points(camera, points))
-    np.testing.assert_allclose(rays, points / np.linalg.norm(points, axis=1, keepdims=True), atol=1e-5)
+    np.testing.assert_allclose(
+        rays, points / np.linalg.norm(points, axis=1, keepdims=True), atol=1e-5
+    )

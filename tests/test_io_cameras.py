@@ -11,21 +11,50 @@ from hypothesis import strategies as st
 
 from mocap_calib.errors import FormatError
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.io.camera_files import format_calibration_toml, format_cameras_yaml, write_calibration_toml, write_cameras_yaml
-from mocap_calib.io.cameras import parse_cameras, parse_rig, read_cameras, read_rig
+from mocap_calib.io.cameras.load import parse_cameras, parse_rig, read_cameras, read_rig
+from mocap_calib.io.cameras.own import (
+    format_calibration_toml,
+    format_cameras_yaml,
+    write_calibration_toml,
+    write_cameras_yaml,
+)
 from mocap_calib.types import Camera, CameraRig
 
-PROVENANCE = {"seed": 0, "inputs": {"a b.json": "0f"}, "list": [1, 2.5, "x"], "none": None, "quick": True}
+PROVENANCE = {
+    "seed": 0,
+    "inputs": {"a b.json": "0f"},
+    "list": [1, 2.5, "x"],
+    "none": None,
+    "quick": True,
+}
 
 
 def make_rig(seed=0, names=("cam_10", "cam_2"), vectors=None, fisheye=False):
     rng = np.random.default_rng(seed)
     cameras = []
     for k, name in enumerate(names):
-        matrix = np.array([[rng.uniform(1e-5, 1e5), 0, rng.normal() * 1e3], [0, rng.uniform(100, 2000), rng.normal()], [0, 0, 1]])
-        cameras.append(Camera(name, (640 + k, 480), matrix, rng.normal(size=4 if fisheye else (4, 5, 8)[k % 3]) * 10.0 ** rng.integers(-8, 3), fisheye))
-    vectors = rng.normal(size=(len(names), 3)) if vectors is None else np.asarray(vectors, dtype=float)
-    return CameraRig(tuple(cameras), matrix_from_vector(vectors), rng.normal(size=(len(names), 3)), "m")
+        matrix = np.array(
+            [
+                [rng.uniform(1e-5, 1e5), 0, rng.normal() * 1e3],
+                [0, rng.uniform(100, 2000), rng.normal()],
+                [0, 0, 1],
+            ]
+        )
+        cameras.append(
+            Camera(
+                name,
+                (640 + k, 480),
+                matrix,
+                rng.normal(size=4 if fisheye else (4, 5, 8)[k % 3]) * 10.0 ** rng.integers(-8, 3),
+                fisheye,
+            )
+        )
+    vectors = (
+        rng.normal(size=(len(names), 3)) if vectors is None else np.asarray(vectors, dtype=float)
+    )
+    return CameraRig(
+        tuple(cameras), matrix_from_vector(vectors), rng.normal(size=(len(names), 3)), "m"
+    )
 
 
 def same_cameras(first, second):
@@ -64,10 +93,24 @@ def test_anipose_toml_comes_back(seed, names, fisheye):
     assert back.unit == rig.unit
 
 
-@pytest.mark.parametrize("vector", [(0, 0, 0), (np.pi, 0, 0), (0, -np.pi, 0), (1e-9, 0, 0), (np.pi / np.sqrt(2), -np.pi / np.sqrt(2), 0)])
+@pytest.mark.parametrize(
+    "vector",
+    [
+        (0, 0, 0),
+        (np.pi, 0, 0),
+        (0, -np.pi, 0),
+        (1e-9, 0, 0),
+        (np.pi / np.sqrt(2), -np.pi / np.sqrt(2), 0),
+    ],
+)
 def test_anipose_toml_keeps_no_turn_and_half_a_turn(vector):
     rig = make_rig(vectors=[vector, vector])
-    np.testing.assert_allclose(parse_rig(format_calibration_toml(rig, {}), "text").rotation, rig.rotation, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(
+        parse_rig(format_calibration_toml(rig, {}), "text").rotation,
+        rig.rotation,
+        rtol=0,
+        atol=1e-14,
+    )
 
 
 def test_our_yaml_is_plain_and_says_its_convention():
@@ -75,7 +118,16 @@ def test_our_yaml_is_plain_and_says_its_convention():
     text = format_cameras_yaml(rig, PROVENANCE)
     data = yaml.safe_load(text)
     assert list(data) == ["format", "version", "unit", "convention", "provenance", "cameras"]
-    assert list(data["cameras"][0]) == ["name", "size", "model", "K", "distortion", "R", "t", "centre"]
+    assert list(data["cameras"][0]) == [
+        "name",
+        "size",
+        "model",
+        "K",
+        "distortion",
+        "R",
+        "t",
+        "centre",
+    ]
     np.testing.assert_allclose(data["cameras"][1]["centre"], rig.centres[1])
     assert data["provenance"] == PROVENANCE
     assert "- [0.0, 0.0, 1.0]" in text
@@ -85,10 +137,24 @@ def test_anipose_toml_has_the_keys_that_others_read():
     rig = make_rig()
     data = tomllib.loads(format_calibration_toml(rig, PROVENANCE))
     assert list(data) == ["cam_0", "cam_1", "metadata"]
-    assert list(data["cam_0"]) == ["name", "size", "matrix", "distortions", "rotation", "translation"]
-    assert {k: data["metadata"][k] for k in ("adjusted", "error", "unit")} == {"adjusted": False, "error": 0.0, "unit": "m"}
+    assert list(data["cam_0"]) == [
+        "name",
+        "size",
+        "matrix",
+        "distortions",
+        "rotation",
+        "translation",
+    ]
+    assert {k: data["metadata"][k] for k in ("adjusted", "error", "unit")} == {
+        "adjusted": False,
+        "error": 0.0,
+        "unit": "m",
+    }
     assert data["metadata"]["provenance"] == {k: v for k, v in PROVENANCE.items() if v is not None}
-    assert tomllib.loads(format_calibration_toml(make_rig(fisheye=True), {}))["cam_0"]["fisheye"] is True
+    assert (
+        tomllib.loads(format_calibration_toml(make_rig(fisheye=True), {}))["cam_0"]["fisheye"]
+        is True
+    )
 
 
 def test_files_are_the_same_bytes_every_time(tmp_path):
@@ -112,7 +178,11 @@ POSED = SECTION + "rotation = [0.0, 0.0, {angle}]\ntranslation = [1.0, 2.0, 3.0]
 
 
 def test_a_section_may_have_any_name_and_lie_below_another():
-    text = POSED.format(section="left", angle=0.0) + POSED.format(section="cameras.7", angle=0.0) + "[board]\nkind = 'charuco'\n[metadata]\nunit = 'mm'\n"
+    text = (
+        POSED.format(section="left", angle=0.0)
+        + POSED.format(section="cameras.7", angle=0.0)
+        + "[board]\nkind = 'charuco'\n[metadata]\nunit = 'mm'\n"
+    )
     rig = parse_rig(text, "text")
     assert rig.names == ("left", "7")
     assert rig.unit == "mm"
@@ -120,12 +190,21 @@ def test_a_section_may_have_any_name_and_lie_below_another():
 
 
 def test_a_rotation_may_be_a_matrix():
-    turned = SECTION.format(section="a") + "rotation = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]\ntranslation = [0.0, 0.0, 0.0]\n"
-    np.testing.assert_allclose(parse_rig(turned, "t").rotation, parse_rig(POSED.format(section="a", angle=np.pi / 2), "t").rotation, atol=1e-15)
+    turned = (
+        SECTION.format(section="a")
+        + "rotation = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]\ntranslation = [0.0, 0.0, 0.0]\n"
+    )
+    np.testing.assert_allclose(
+        parse_rig(turned, "t").rotation,
+        parse_rig(POSED.format(section="a", angle=np.pi / 2), "t").rotation,
+        atol=1e-15,
+    )
 
 
 def test_intrinsics_alone_are_no_rig():
-    text = POSED.format(section="a", angle=0.0) + SECTION.format(section="b") + 'rotation = "null"\n'
+    text = (
+        POSED.format(section="a", angle=0.0) + SECTION.format(section="b") + 'rotation = "null"\n'
+    )
     assert len(parse_cameras(text, "t")) == 2
     with pytest.raises(FormatError, match=r"extrinsics .* none of b"):
         parse_rig(text, "t")
@@ -134,10 +213,18 @@ def test_intrinsics_alone_are_no_rig():
 def opencv(name="K", header="%YAML:1.0\n---\n", extra="", distortion="[ 0.1, -0.2, 0., 1e-3, 0. ]"):
     size = "image_width: 640\nimage_height: 480\n"
     matrix = f"{name}: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   data: [ 500., 0., 320., 0., 501., 240., 0., 0., 1. ]\n"
-    return header + size + matrix + f"D: !!opencv-matrix\n   rows: 1\n   cols: 5\n   dt: d\n   data: {distortion}\n" + extra
+    return (
+        header
+        + size
+        + matrix
+        + f"D: !!opencv-matrix\n   rows: 1\n   cols: 5\n   dt: d\n   data: {distortion}\n"
+        + extra
+    )
 
 
-@pytest.mark.parametrize("header", ["%YAML:1.0\n---\n", "%YAML 1.2\n---\n", "%YAML:1.0\r\n---\r\n", ""])
+@pytest.mark.parametrize(
+    "header", ["%YAML:1.0\n---\n", "%YAML 1.2\n---\n", "%YAML:1.0\r\n---\r\n", ""]
+)
 @pytest.mark.parametrize("name", ["camera_matrix", "K", "M1"])
 def test_opencv_yaml_of_every_header_and_name(header, name, tmp_path):
     path = tmp_path / "left.yml"
@@ -151,11 +238,15 @@ def test_opencv_yaml_of_every_header_and_name(header, name, tmp_path):
 def test_a_folder_of_opencv_files_is_a_rig(tmp_path):
     pose = "{k}: !!opencv-matrix\n   rows: 3\n   cols: 1\n   dt: d\n   data: [ 0., {v}, 0. ]\n"
     for name, angle in (("b", 0.5), ("a", -0.5)):
-        (tmp_path / f"{name}.yaml").write_text(opencv(extra=pose.format(k="rvec", v=angle) + pose.format(k="tvec", v=2.0)))
+        (tmp_path / f"{name}.yaml").write_text(
+            opencv(extra=pose.format(k="rvec", v=angle) + pose.format(k="tvec", v=2.0))
+        )
     (tmp_path / "notes.txt").write_text("not a camera")
     rig = read_rig(tmp_path)
     assert rig.names == ("a", "b")
-    np.testing.assert_allclose(rig.rotation, matrix_from_vector(np.array([[0, -0.5, 0], [0, 0.5, 0]])), atol=1e-15)
+    np.testing.assert_allclose(
+        rig.rotation, matrix_from_vector(np.array([[0, -0.5, 0], [0, 0.5, 0]])), atol=1e-15
+    )
     (tmp_path / "c.yaml").write_text(opencv(extra="camera_name: a\n"))
     with pytest.raises(FormatError, match="each camera name once"):
         read_cameras(tmp_path)
@@ -169,7 +260,10 @@ def test_ros_camera_info_is_read():
 
 
 def test_what_a_file_leaves_out():
-    text = "%YAML:1.0\n---\n" + opencv(header="").split("K:")[1].join(["K:", ""]).split("D:", maxsplit=1)[0]
+    text = (
+        "%YAML:1.0\n---\n"
+        + opencv(header="").split("K:")[1].join(["K:", ""]).split("D:", maxsplit=1)[0]
+    )
     (camera,) = parse_cameras(text, "x.yml")
     assert camera.size == (0, 0)
     np.testing.assert_array_equal(camera.distortion, np.zeros(5))
@@ -178,24 +272,45 @@ def test_what_a_file_leaves_out():
 @pytest.mark.parametrize(
     ("given_", "fisheye", "kept"),
     [
-        *(([], False, [0] * 5), ([0.1], False, [0.1, 0, 0, 0, 0]), ([0.1, 0.2], False, [0.1, 0.2, 0, 0, 0]), ([1, 2, 3, 4], False, [1, 2, 3, 4])),
-        *(([1, 2, 3, 4, 5, 0], False, [1, 2, 3, 4, 5]), ([[1, 2, 3, 4, 5]], False, [1, 2, 3, 4, 5])),
-        *(([*range(1, 9), 0, 0, 0, 0], False, range(1, 9)), ([1, 2, 3, 4, 5] + [0] * 9, False, [1, 2, 3, 4, 5, 0, 0, 0])),
+        *(
+            ([], False, [0] * 5),
+            ([0.1], False, [0.1, 0, 0, 0, 0]),
+            ([0.1, 0.2], False, [0.1, 0.2, 0, 0, 0]),
+            ([1, 2, 3, 4], False, [1, 2, 3, 4]),
+        ),
+        *(
+            ([1, 2, 3, 4, 5, 0], False, [1, 2, 3, 4, 5]),
+            ([[1, 2, 3, 4, 5]], False, [1, 2, 3, 4, 5]),
+        ),
+        *(
+            ([*range(1, 9), 0, 0, 0, 0], False, range(1, 9)),
+            ([1, 2, 3, 4, 5] + [0] * 9, False, [1, 2, 3, 4, 5, 0, 0, 0]),
+        ),
         *(([0.1, 0, 0, 0, 0], True, [0.1, 0, 0, 0]), ([1, 2, 3], True, [1, 2, 3, 0])),
     ],
 )
 def test_distortion_is_padded_and_cut_knowingly(given_, fisheye, kept):
-    text = SECTION.format(section="a").replace("[0.1, -0.2, 0.0, 0.0]", json.dumps(given_)) + f"fisheye = {json.dumps(fisheye)}\n"
+    text = (
+        SECTION.format(section="a").replace("[0.1, -0.2, 0.0, 0.0]", json.dumps(given_))
+        + f"fisheye = {json.dumps(fisheye)}\n"
+    )
     np.testing.assert_array_equal(parse_cameras(text, "t")[0].distortion, kept)
 
 
-@pytest.mark.parametrize(("height", "size"), [(480.0, "[640.0, 480.0]"), (2000.0, "[640.0, 2000.0]")])
+@pytest.mark.parametrize(
+    ("height", "size"), [(480.0, "[640.0, 480.0]"), (2000.0, "[640.0, 2000.0]")]
+)
 def test_a_skew_is_dropped_only_where_nobody_sees_it(height, size):
     """It moves x by skew (y - cy) / fy, most at the farther edge of the image: fy 501, cy 240 here."""
     seen = 0.05 * 501 / (height - 240)
     text = SECTION.format(section="a").replace("[640.0, 480.0]", size)
-    assert parse_cameras(text.replace("[[500.0, 0.0", f"[[500.0, {-0.99 * seen}"), "t")[0].matrix[0, 1] == 0
-    with pytest.raises(FormatError, match=r"without skew, found skew .*moves pixels by up to 0\.05"):
+    assert (
+        parse_cameras(text.replace("[[500.0, 0.0", f"[[500.0, {-0.99 * seen}"), "t")[0].matrix[0, 1]
+        == 0
+    )
+    with pytest.raises(
+        FormatError, match=r"without skew, found skew .*moves pixels by up to 0\.05"
+    ):
         parse_cameras(text.replace("[[500.0, 0.0", f"[[500.0, {1.01 * seen}"), "t")
 
 
@@ -216,15 +331,22 @@ BROKEN = {
     "list": "- 1\n- 2\n",
     "no camera": "[metadata]\nunit = 'm'\n",
     "toml cut": edited("translation = [1.0, 2.0, 3.0]", "translation = [1.0, 2."),
-    "two names": POSED.format(section="a", angle=0) + POSED.format(section="b", angle=0) + "name = 'a'\n",
+    "two names": POSED.format(section="a", angle=0)
+    + POSED.format(section="b", angle=0)
+    + "name = 'a'\n",
     "matrix 2 x 3": edited(", [0.0, 0.0, 1.0]]", "]"),
     "matrix ragged": edited("[0.0, 0.0, 1.0]]", "[0.0, 1.0]]"),
     "matrix of text": edited("[[500.0", "[['wide'"),
-    "matrix transposed": edited("[[500.0, 0.0, 320.0], [0.0, 501.0, 240.0], [0.0, 0.0, 1.0]]", "[[500.0, 0.0, 0.0], [0.0, 501.0, 0.0], [320.0, 240.0, 1.0]]"),
+    "matrix transposed": edited(
+        "[[500.0, 0.0, 320.0], [0.0, 501.0, 240.0], [0.0, 0.0, 1.0]]",
+        "[[500.0, 0.0, 0.0], [0.0, 501.0, 0.0], [320.0, 240.0, 1.0]]",
+    ),
     "matrix with NaN": edited("500.0", "nan"),
     "negative focal length": edited("500.0", "-500.0"),
     "skew": edited("[[500.0, 0.0", "[[500.0, 9.0"),
-    "skew of a fisheye": edited("[[500.0, 0.0", "[[500.0, 9.0").replace("[0.1, -0.2, 0.0, 0.0]", "[0.1, -0.2, 0.0, 0.0]\nfisheye = true"),
+    "skew of a fisheye": edited("[[500.0, 0.0", "[[500.0, 9.0").replace(
+        "[0.1, -0.2, 0.0, 0.0]", "[0.1, -0.2, 0.0, 0.0]\nfisheye = true"
+    ),
     "thin prism": edited("[0.1, -0.2, 0.0, 0.0]", "[1, 2, 3, 4, 5, 6, 7, 8, 0, 0.1, 0, 0]"),
     "tilt": edited("[0.1, -0.2, 0.0, 0.0]", "[1, 2, 3, 4, 5, 0, 0, 0, 0, 0, 0, 0, 0, 0.1]"),
     "3 coefficients": edited("[0.1, -0.2, 0.0, 0.0]", "[0.1, 0.2, 0.3]"),

@@ -10,11 +10,19 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from keypoint_files import coco, coco_bytes, dlc_columns, dlc_csv, dlc_h5_fixed, dlc_h5_table, dlc_values
+from keypoint_files import (
+    coco,
+    coco_bytes,
+    dlc_columns,
+    dlc_csv,
+    dlc_h5_fixed,
+    dlc_h5_table,
+    dlc_values,
+)
 
 from mocap_calib.errors import FormatError, MismatchError
-from mocap_calib.io.formats2d import read_keypoints
-from mocap_calib.io.reading import frame_number
+from mocap_calib.io.file import frame_number
+from mocap_calib.io.keypoints.formats import read_keypoints
 
 SHARED = Path(__file__).parents[2] / "shared"
 NAMES = ("nose", "tail base", "left_ear")
@@ -23,7 +31,11 @@ FRAMES = [3, 4, 10]
 
 def scene(individuals=1, seed=0, missing=0.0):
     rng = np.random.default_rng(seed)
-    positions = rng.uniform(1, 400, (len(FRAMES), individuals, len(NAMES), 2)).astype(np.float32).astype(np.float64)
+    positions = (
+        rng.uniform(1, 400, (len(FRAMES), individuals, len(NAMES), 2))
+        .astype(np.float32)
+        .astype(np.float64)
+    )
     confidence = rng.uniform(0.1, 0.99, positions.shape[:3]).astype(np.float32).astype(np.float64)
     gone = rng.random(confidence.shape) < missing
     positions[gone], confidence[gone] = np.nan, 0.0
@@ -101,8 +113,24 @@ def test_instances_follow_the_order_of_annotations(tmp_path_factory, order):
 @pytest.mark.parametrize(
     ("name", "number"),
     [
-        *(("a/b_007.png", 7), ("000017", 17), ("42150", 42150), ("3.0", 3), ("frame.0012.jpg", 12), ("C:\\x9\\img4.mp4", 4), ("img-5.png", 5)),
-        *(("clip.mp4", -1), ("a7b.png", -1), ("-5", -1), ("1.5", -1), ("", -1), ("x" + "9" * 25, -1), ("9" * 40, -1)),
+        *(
+            ("a/b_007.png", 7),
+            ("000017", 17),
+            ("42150", 42150),
+            ("3.0", 3),
+            ("frame.0012.jpg", 12),
+            ("C:\\x9\\img4.mp4", 4),
+            ("img-5.png", 5),
+        ),
+        *(
+            ("clip.mp4", -1),
+            ("a7b.png", -1),
+            ("-5", -1),
+            ("1.5", -1),
+            ("", -1),
+            ("x" + "9" * 25, -1),
+            ("9" * 40, -1),
+        ),
     ],
 )
 def test_frame_number(name, number):
@@ -127,8 +155,16 @@ def test_coco_frame_numbers_come_from_where_all_images_have_one(tmp_path):
     ("names", "fields", "numbers"),
     [
         (("a7/000005_cam1.jpg", "a7/000006_cam1.jpg", "a7/000009_cam1.jpg"), {}, [5, 6, 9]),
-        (("000005_cam1.jpg", "000006_cam1.jpg", "000009_cam1.jpg"), {"frame": (31, 32, 33)}, [31, 32, 33]),
-        (("5_cam1.jpg", "6_cam1.jpg", "9_cam1.jpg"), {"frame": (3, 3, 3), "frame_id": (7, 8, 9)}, [7, 8, 9]),
+        (
+            ("000005_cam1.jpg", "000006_cam1.jpg", "000009_cam1.jpg"),
+            {"frame": (31, 32, 33)},
+            [31, 32, 33],
+        ),
+        (
+            ("5_cam1.jpg", "6_cam1.jpg", "9_cam1.jpg"),
+            {"frame": (3, 3, 3), "frame_id": (7, 8, 9)},
+            [7, 8, 9],
+        ),
         (("5_left.jpg", "6_left.jpg", "9_left.jpg"), {}, [5, 6, 9]),
         (("day1_x_cam1.jpg", "day1_y_cam1.jpg", "day1_z_cam1.jpg"), {}, [0, 1, 2]),
     ],
@@ -147,8 +183,14 @@ def test_coco_frame_numbers_that_repeat_come_from_the_next_place(tmp_path, names
 @pytest.mark.parametrize(
     ("names", "expected"),
     [
-        (("cam1_000.png", "cam1_001.png", "cam2_000.png"), "frame 0 twice, at cam1_000.png and cam2_000.png"),
-        (("000_cam1.png", "001_cam1.png", "000_cam2.png"), "twice, at 000_cam1.png and 001_cam1.png"),
+        (
+            ("cam1_000.png", "cam1_001.png", "cam2_000.png"),
+            "frame 0 twice, at cam1_000.png and cam2_000.png",
+        ),
+        (
+            ("000_cam1.png", "001_cam1.png", "000_cam2.png"),
+            "twice, at 000_cam1.png and 001_cam1.png",
+        ),
         (("d1/a/0.png", "d2/b/1.png", "d2/a/2.png"), "folders that tell the cameras"),
     ],
 )
@@ -166,10 +208,14 @@ def test_images_of_two_cameras_are_not_lined_up_by_id(tmp_path, names, expected)
 def test_folders_are_cameras_also_where_no_number_repeats(tmp_path):
     positions, confidence = scene()
     data = coco(FRAMES, NAMES, positions, confidence)
-    for image, name in zip(data["images"], ("left/img3.png", "right/img5.png", "left/img9.png"), strict=True):
+    for image, name in zip(
+        data["images"], ("left/img3.png", "right/img5.png", "left/img9.png"), strict=True
+    ):
         image["file_name"] = name
     (tmp_path / "all.json").write_text(json.dumps(data))
-    assert [(view.camera, view.frames.tolist()) for view in read_keypoints([tmp_path / "all.json"])] == [("left", [3, 9]), ("right", [5])]
+    assert [
+        (view.camera, view.frames.tolist()) for view in read_keypoints([tmp_path / "all.json"])
+    ] == [("left", [3, 9]), ("right", [5])]
     (view,) = read_keypoints([f"cam={tmp_path / 'all.json'}"])  # the user knows better
     assert (view.camera, view.frames.tolist()) == ("cam", [3, 5, 9])
 
@@ -178,7 +224,13 @@ def test_what_roboflow_adds_to_names_is_no_number(tmp_path):
     positions, confidence = scene()
     data = coco(FRAMES, NAMES, positions, confidence)
     for image, name in zip(
-        data["images"], ("a_0003_png.rf.91b7584a2265b1f5.jpg", "a_0004_png.rf.1027c4d1c386bbc4.jpg", "a_0005_jpg.rf.0000000000000002.jpg"), strict=True
+        data["images"],
+        (
+            "a_0003_png.rf.91b7584a2265b1f5.jpg",
+            "a_0004_png.rf.1027c4d1c386bbc4.jpg",
+            "a_0005_jpg.rf.0000000000000002.jpg",
+        ),
+        strict=True,
     ):
         image["file_name"] = name
     assert read(tmp_path, json.dumps(data)).frames.tolist() == [3, 4, 5]
@@ -196,7 +248,10 @@ def test_dlc_rows_may_be_image_paths_in_one_or_three_columns(tmp_path):
     positions, confidence = scene()
     columns, values = dlc_columns(NAMES), dlc_values(positions, confidence)
     paths = [("labeled-data", "clip", f"img{frame:04d}.png") for frame in FRAMES]
-    contents = [dlc_csv(["/".join(p) for p in paths], columns, values), dlc_csv([",".join(p) for p in paths], columns, values, index_columns=3)]
+    contents = [
+        dlc_csv(["/".join(p) for p in paths], columns, values),
+        dlc_csv([",".join(p) for p in paths], columns, values, index_columns=3),
+    ]
     dlc_h5_fixed(tmp_path / "levels.h5", paths, columns, values)
     dlc_h5_fixed(tmp_path / "paths.h5", ["/".join(p) for p in paths], columns, values)
     dlc_h5_table(tmp_path / "table.h5", ["/".join(p) for p in paths], columns, values)
@@ -209,7 +264,18 @@ def test_dlc_rows_may_be_image_paths_in_one_or_three_columns(tmp_path):
 # --- customs
 
 
-@pytest.mark.parametrize("triple", [(0, 0, 0), (0, 0, 0.9), (12, 8, 0), (-1, -1, -1), (float("nan"), 3, 0.5), (4, 3, float("nan")), (4, None, 0.5)])
+@pytest.mark.parametrize(
+    "triple",
+    [
+        (0, 0, 0),
+        (0, 0, 0.9),
+        (12, 8, 0),
+        (-1, -1, -1),
+        (float("nan"), 3, 0.5),
+        (4, 3, float("nan")),
+        (4, None, 0.5),
+    ],
+)
 def test_every_custom_of_a_missing_point(tmp_path, triple):
     positions, confidence = scene()
     data = coco(FRAMES, NAMES, positions, confidence)
@@ -220,17 +286,30 @@ def test_every_custom_of_a_missing_point(tmp_path, triple):
     np.testing.assert_array_equal(loaded.positions[0, 0, 1:], positions[0, 0, 1:])
 
 
-@pytest.mark.parametrize(("third", "expected"), [((0, 1, 2), (0, 0.5, 1)), ((0, 1, 1), (0, 1, 1)), ((0.5, 1, 2), (0.5, 1, 2)), ((1, 2, -1), (0.5, 1, 0))])
+@pytest.mark.parametrize(
+    ("third", "expected"),
+    [
+        ((0, 1, 2), (0, 0.5, 1)),
+        ((0, 1, 1), (0, 1, 1)),
+        ((0.5, 1, 2), (0.5, 1, 2)),
+        ((1, 2, -1), (0.5, 1, 0)),
+    ],
+)
 def test_visibility_flags_are_told_from_confidences(tmp_path, third, expected):
     positions, confidence = scene()
     confidence[:] = third
-    np.testing.assert_array_equal(read(tmp_path, coco_bytes(FRAMES, NAMES, positions, confidence)).confidence[:, 0], [expected] * len(FRAMES))
+    np.testing.assert_array_equal(
+        read(tmp_path, coco_bytes(FRAMES, NAMES, positions, confidence)).confidence[:, 0],
+        [expected] * len(FRAMES),
+    )
 
 
 def test_an_empty_keypoint_list_keeps_its_place(tmp_path):
     positions, confidence = scene(2)
     positions[0, 0], confidence[0, 0] = np.nan, 0.0
-    np.testing.assert_array_equal(read(tmp_path, coco_bytes(FRAMES, NAMES, positions, confidence)).positions, positions)
+    np.testing.assert_array_equal(
+        read(tmp_path, coco_bytes(FRAMES, NAMES, positions, confidence)).positions, positions
+    )
 
 
 def test_ids_may_be_text_and_other_categories_do_not_count(tmp_path):
@@ -245,7 +324,14 @@ def test_ids_may_be_text_and_other_categories_do_not_count(tmp_path):
 
 def test_labels_without_likelihood_have_confidence_1(tmp_path):
     positions, confidence = scene(missing=0.4)
-    loaded = read(tmp_path, dlc_csv(FRAMES, dlc_columns(NAMES, likelihood=False), dlc_values(positions, confidence, likelihood=False)))
+    loaded = read(
+        tmp_path,
+        dlc_csv(
+            FRAMES,
+            dlc_columns(NAMES, likelihood=False),
+            dlc_values(positions, confidence, likelihood=False),
+        ),
+    )
     np.testing.assert_array_equal(loaded.positions, positions)
     np.testing.assert_array_equal(loaded.confidence, confidence > 0)
 
@@ -261,12 +347,17 @@ def test_unique_body_parts_are_nobody(tmp_path, layout):
     if layout == "csv":
         (tmp_path / layout).write_text(dlc_csv(FRAMES, columns, values))
     else:
-        (dlc_h5_table if layout == "table" else dlc_h5_fixed)(tmp_path / layout, FRAMES, columns, values)
+        (dlc_h5_table if layout == "table" else dlc_h5_fixed)(
+            tmp_path / layout, FRAMES, columns, values
+        )
     loaded = read_keypoints([f"cam={tmp_path / layout}"])[0]
     individuals = list(dict.fromkeys(labels[1] for labels in columns if labels[1] != "single"))
     order = [["m1", "m2"].index(who) for who in individuals]
     assert set(loaded.keypoints) == set(NAMES)
-    np.testing.assert_array_equal(loaded.positions[:, :, [loaded.keypoints.index(name) for name in NAMES]], positions[:, order])
+    np.testing.assert_array_equal(
+        loaded.positions[:, :, [loaded.keypoints.index(name) for name in NAMES]],
+        positions[:, order],
+    )
 
 
 def test_csv_may_have_a_mark_carriage_returns_short_scorers_and_short_empty_rows(tmp_path):
@@ -294,7 +385,9 @@ def broken_coco():
         "images of numbers": changed(images=[1, 2]),
         "no categories": changed(categories=[]),
         "category without names": changed(categories=[{"id": 1}]),
-        "two vocabularies": changed(categories=[{"id": 1, "keypoints": ["a"]}, {"id": 2, "keypoints": ["b"]}]),
+        "two vocabularies": changed(
+            categories=[{"id": 1, "keypoints": ["a"]}, {"id": 2, "keypoints": ["b"]}]
+        ),
         "a name twice": changed(categories=[{"id": 1, "keypoints": ["a", "b", "a"]}]),
         "wrong length": changed(annotations=[annotation | {"keypoints": [1, 2, 1]}]),
         "text for numbers": changed(annotations=[annotation | {"keypoints": ["null"] * 9}]),
@@ -302,7 +395,9 @@ def broken_coco():
         "keypoints an object": changed(annotations=[annotation | {"keypoints": {"x": 1}}]),
         "huge numbers": changed(annotations=[annotation | {"keypoints": [10**400] * 9}]),
         "stranger image": changed(annotations=[annotation | {"image_id": 77}]),
-        "image id twice": changed(images=[data["images"][0] | {"file_name": f"{k}.png"} for k in range(2)]),
+        "image id twice": changed(
+            images=[data["images"][0] | {"file_name": f"{k}.png"} for k in range(2)]
+        ),
         "two sizes": changed(images=[data["images"][0], data["images"][1] | {"width": 12}]),
         "size of text": changed(images=[data["images"][0] | {"width": "wide"}]),
         "all in one image": changed(annotations=[annotation] * 1001),
@@ -318,7 +413,9 @@ def broken_csv():
     columns, values = dlc_columns(NAMES), dlc_values(*scene())
     good = dlc_csv(FRAMES, columns, values)
     lines = good.splitlines()
-    three_d = [tuple("z" if label == "likelihood" else label for label in labels) for labels in columns]
+    three_d = [
+        tuple("z" if label == "likelihood" else label for label in labels) for labels in columns
+    ]
     return {
         "cut": good[: -len(lines[-1]) // 2],
         "3D": dlc_csv(FRAMES, three_d, values),
@@ -333,13 +430,27 @@ def broken_csv():
         "no frame number": good.replace(f"\n{FRAMES[0]},", "\nfirst,", 1),
         "frame twice": good.replace(f"\n{FRAMES[0]},", f"\n{FRAMES[1]},", 1),
         "quote without end": good + '"' + "x," * 200_000,
-        "x without y": dlc_csv(FRAMES, [labels for labels in columns if labels[-1] == "x"], values[:, ::3]),
-        "other coordinate": dlc_csv(FRAMES, [(*labels[:-1], labels[-1] * 2) for labels in columns], values),
+        "x without y": dlc_csv(
+            FRAMES, [labels for labels in columns if labels[-1] == "x"], values[:, ::3]
+        ),
+        "other coordinate": dlc_csv(
+            FRAMES, [(*labels[:-1], labels[-1] * 2) for labels in columns], values
+        ),
     }
 
 
-ANYTHING = {"empty": b"", "blank": b" \n", "binary": bytes(range(256)), "words": b"hello, world", "null": b"null"}
-BROKEN = {f"{kind}: {name}": content for kind, files in (("COCO", broken_coco()), ("csv", broken_csv()), ("any", ANYTHING)) for name, content in files.items()}
+ANYTHING = {
+    "empty": b"",
+    "blank": b" \n",
+    "binary": bytes(range(256)),
+    "words": b"hello, world",
+    "null": b"null",
+}
+BROKEN = {
+    f"{kind}: {name}": content
+    for kind, files in (("COCO", broken_coco()), ("csv", broken_csv()), ("any", ANYTHING))
+    for name, content in files.items()
+}
 
 
 @pytest.mark.parametrize("name", BROKEN)
@@ -377,7 +488,9 @@ class Malicious:
 def test_a_pickle_that_runs_code_is_refused_and_not_run(tmp_path):
     columns, values = dlc_columns(NAMES), dlc_values(*scene())
     trap = tmp_path / "trap"
-    dlc_h5_table(tmp_path / "bad.h5", FRAMES, columns, values, labels=pickle.dumps(Malicious(str(trap)), 0))
+    dlc_h5_table(
+        tmp_path / "bad.h5", FRAMES, columns, values, labels=pickle.dumps(Malicious(str(trap)), 0)
+    )
     assert "mkdir" in refused(tmp_path, (tmp_path / "bad.h5").read_bytes())
     assert not trap.exists()
 
@@ -413,7 +526,9 @@ def test_compression_that_is_not_installed_is_refused(tmp_path):
         plist = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
         plist.set_chunk((3, 9))
         plist.set_filter(32001, h5py.h5z.FLAG_OPTIONAL, ())
-        values = h5py.h5d.create(group.id, b"block0_values", h5py.h5t.IEEE_F64LE, h5py.h5s.create_simple((3, 9)), plist)
+        values = h5py.h5d.create(
+            group.id, b"block0_values", h5py.h5t.IEEE_F64LE, h5py.h5s.create_simple((3, 9)), plist
+        )
         values.write_direct_chunk((0, 0), b"\0" * 40)
     assert "32001" in refused(tmp_path, path.read_bytes())
 
@@ -437,7 +552,13 @@ def test_damaged_files_load_or_are_refused(tmp_path, name):
 
 # --- the project's own recordings and samples, where they lie beside the checkout
 
-FOLDERS = ["recordings/*/keypoints", *(f"formats/samples/{name}" for name in ("dlc_csv", "dlc_h5_single", "dlc_h5_generated", "dlc_labels"))]
+FOLDERS = [
+    "recordings/*/keypoints",
+    *(
+        f"formats/samples/{name}"
+        for name in ("dlc_csv", "dlc_h5_single", "dlc_h5_generated", "dlc_labels")
+    ),
+]
 OTHERS = sorted(path for folder in FOLDERS for path in SHARED.glob(f"{folder}/*"))
 
 
@@ -450,13 +571,21 @@ def test_real_files_load_or_are_refused():
             assert np.isfinite(loaded.positions).any()
         except FormatError as error:
             refusals.append((path.name, str(error)))
-    assert sorted({name for name, _ in refusals}) == ["SOURCE.txt", "wide_table_pd135.h5", "wide_table_pd3.h5"]
+    assert sorted({name for name, _ in refusals}) == [
+        "SOURCE.txt",
+        "wide_table_pd135.h5",
+        "wide_table_pd3.h5",
+    ]
 
 
 @pytest.mark.skipif(not OTHERS, reason="no ../shared here")
 def test_real_csv_and_h5_of_one_recording_agree():
     for path in (p for p in OTHERS if p.suffix == ".csv"):
-        for twin in (p for p in OTHERS if p.suffix == ".h5" and p.parent == path.parent and p.stem == path.stem):
+        for twin in (
+            p
+            for p in OTHERS
+            if p.suffix == ".h5" and p.parent == path.parent and p.stem == path.stem
+        ):
             first, second = read_keypoints([f"cam={path}"])[0], read_keypoints([f"cam={twin}"])[0]
             assert first.keypoints == second.keypoints
             np.testing.assert_array_equal(first.frames, second.frames)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.io.atomic import replace_text
-from mocap_calib.io.results import (
+from mocap_calib.io.results.results import (
     matches_csv,
     pairs_from_json,
     pairs_to_json,
@@ -29,7 +29,13 @@ FRAMES = np.array([2, 5, 40, 41])
 
 
 def camera(name):
-    return Camera(name, (640, 480), np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]), np.array([0.1, 0, 0, 0, 1e-7]), False)
+    return Camera(
+        name,
+        (640, 480),
+        np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]),
+        np.array([0.1, 0, 0, 0, 1e-7]),
+        False,
+    )
 
 
 def recording(seed=0, instances=3, keypoints=2):
@@ -39,7 +45,15 @@ def recording(seed=0, instances=3, keypoints=2):
     positions[rng.random(positions.shape[:4]) < 0.2] = np.nan
     confidence = np.isfinite(positions[..., 0]).astype(float)
     cameras = tuple(map(camera, NAMES))
-    return Recording(cameras, tuple("ab"[:keypoints]), FRAMES, positions, confidence, np.zeros(len(NAMES), bool), np.full(keypoints, -1))
+    return Recording(
+        cameras,
+        tuple("ab"[:keypoints]),
+        FRAMES,
+        positions,
+        confidence,
+        np.zeros(len(NAMES), bool),
+        np.full(keypoints, -1),
+    )
 
 
 def matches(of, seed=0):
@@ -66,7 +80,9 @@ def poses_text(given_, individual):
 def test_matches_come_back(seed):
     of = recording(seed)
     labels = matches(of, seed)
-    np.testing.assert_array_equal(read_matches_csv(matches_text(of, labels), of).labels, labels.labels)
+    np.testing.assert_array_equal(
+        read_matches_csv(matches_text(of, labels), of).labels, labels.labels
+    )
 
 
 def test_matches_have_a_row_per_detection(tmp_path):
@@ -77,29 +93,51 @@ def test_matches_have_a_row_per_detection(tmp_path):
     assert list(rows[0]) == ["camera", "frame", "instance", "individual"]
     assert len(rows) == of.seen.any(-1).sum()
     for row in rows:
-        v, f, i = of.names.index(row["camera"]), FRAMES.tolist().index(int(row["frame"])), int(row["instance"])
+        v, f, i = (
+            of.names.index(row["camera"]),
+            FRAMES.tolist().index(int(row["frame"])),
+            int(row["instance"]),
+        )
         assert matches(of).labels[v, f, i] == int(row["individual"])
-    np.testing.assert_array_equal(read_matches_csv(tmp_path / "matches.csv", of).labels, matches(of).labels)
+    np.testing.assert_array_equal(
+        read_matches_csv(tmp_path / "matches.csv", of).labels, matches(of).labels
+    )
 
 
 def test_matches_in_any_order_with_any_line_end_and_gaps(tmp_path):
     of = recording()
     head, *rows = matches_text(of, matches(of)).splitlines()
-    (tmp_path / "m.csv").write_bytes(b"\xef\xbb\xbf" + "\r\n".join([head, *rows[::-1], ""]).encode())
-    np.testing.assert_array_equal(read_matches_csv(tmp_path / "m.csv", of).labels, matches(of).labels)
+    (tmp_path / "m.csv").write_bytes(
+        b"\xef\xbb\xbf" + "\r\n".join([head, *rows[::-1], ""]).encode()
+    )
+    np.testing.assert_array_equal(
+        read_matches_csv(tmp_path / "m.csv", of).labels, matches(of).labels
+    )
     assert (read_matches_csv(head + "\n", of).labels == -1).all()
 
 
 HEAD = "camera,frame,instance,individual\n"
 
 
-@pytest.mark.parametrize("row", ["middle,2,0,0", "left,3,0,0", "left,99,0,0", "left,2,9,0", "left,2,-1,0", "left,-5,0,0"])
+@pytest.mark.parametrize(
+    "row", ["middle,2,0,0", "left,3,0,0", "left,99,0,0", "left,2,9,0", "left,2,-1,0", "left,-5,0,0"]
+)
 def test_matches_of_another_recording_are_refused(row):
     with pytest.raises(MismatchError, match=r"expected .* found"):
         read_matches_csv(f"{HEAD}{row}\n", recording())
 
 
-@pytest.mark.parametrize("text", ["", "a,b\n1,2\n", *(f"{HEAD}left,2,{rest}\n" for rest in ("0", "0,x", "0,-2", "0,999", "0,1,2", "0," + "9" * 40))])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "a,b\n1,2\n",
+        *(
+            f"{HEAD}left,2,{rest}\n"
+            for rest in ("0", "0,x", "0,-2", "0,999", "0,1,2", "0," + "9" * 40)
+        ),
+    ],
+)
 def test_bad_matches_are_refused(text):
     with pytest.raises(FormatError) as caught:
         read_matches_csv(text, recording())
@@ -128,7 +166,15 @@ def poses(frames=5, individuals=2, keypoints=("nose", "tail, base"), seed=0):
     positions[missing] = np.nan
     error = np.where(missing, np.nan, rng.random(missing.shape))
     views = np.where(missing, 0, rng.integers(2, 6, missing.shape))
-    return Poses3D(keypoints, np.arange(frames) * 3 + 7, positions, error, views, np.where(missing, np.nan, rng.random(missing.shape)), "mm")
+    return Poses3D(
+        keypoints,
+        np.arange(frames) * 3 + 7,
+        positions,
+        error,
+        views,
+        np.where(missing, np.nan, rng.random(missing.shape)),
+        "mm",
+    )
 
 
 @pytest.mark.parametrize("sizes", [(5, 2), (1, 1), (0, 2), (4, 0)])
@@ -163,7 +209,12 @@ def test_a_bad_poses_file_is_refused(tmp_path):
         bad.write_bytes(content[:size])
         with pytest.raises(FormatError, match="mocap-calib poses"):
             parse_poses_h5(bad.read_bytes(), "bad.h5")
-    for name, shape in (("views", None), ("frames", (2,)), ("error", (5, 2, 9)), ("position", (5, 2, 2))):
+    for name, shape in (
+        ("views", None),
+        ("frames", (2,)),
+        ("error", (5, 2, 9)),
+        ("position", (5, 2, 2)),
+    ):
         bad.write_bytes(content)
         with h5py.File(bad, "a") as file:
             del file[name]
@@ -176,11 +227,30 @@ def test_a_bad_poses_file_is_refused(tmp_path):
 def test_anipose_columns():
     given_ = poses(9000)  # more than one piece
     rows = list(csv.DictReader(io.StringIO(poses_text(given_, 1))))
-    assert list(rows[0])[:7] == ["nose_x", "nose_y", "nose_z", "nose_error", "nose_ncams", "nose_score", "tail, base_x"]
-    assert list(rows[0])[12:] == [f"M_{i}{j}" for i in range(3) for j in range(3)] + ["center_0", "center_1", "center_2", "fnum"]
+    assert list(rows[0])[:7] == [
+        "nose_x",
+        "nose_y",
+        "nose_z",
+        "nose_error",
+        "nose_ncams",
+        "nose_score",
+        "tail, base_x",
+    ]
+    assert list(rows[0])[12:] == [f"M_{i}{j}" for i in range(3) for j in range(3)] + [
+        "center_0",
+        "center_1",
+        "center_2",
+        "fnum",
+    ]
     assert [int(row["fnum"]) for row in rows] == given_.frames.tolist()
     assert [[float(rows[0][f"M_{i}{j}"]) for j in range(3)] for i in range(3)] == np.eye(3).tolist()
-    columns = {"x": given_.positions[..., 0], "z": given_.positions[..., 2], "error": given_.error, "ncams": given_.views, "score": given_.confidence}
+    columns = {
+        "x": given_.positions[..., 0],
+        "z": given_.positions[..., 2],
+        "error": given_.error,
+        "ncams": given_.views,
+        "score": given_.confidence,
+    }
     for k, name in enumerate(given_.keypoints):
         for field, array in columns.items():
             cells = [float(row[f"{name}_{field}"] or "nan") for row in rows]
@@ -200,7 +270,18 @@ def test_missing_poses_are_empty_cells_also_of_a_keypoint_named_nan():
 def pair(a, b, seed):
     rng = np.random.default_rng(seed)
     matched = rng.integers(0, 9, (seed % 4, 3))
-    return PairwiseCalibration(a, b, rng.normal(size=(3, 3)), rng.normal(size=3), matched, 9, rng.random(), rng.random(), float("nan"), "lifted")
+    return PairwiseCalibration(
+        a,
+        b,
+        rng.normal(size=(3, 3)),
+        rng.normal(size=3),
+        matched,
+        9,
+        rng.random(),
+        rng.random(),
+        float("nan"),
+        "lifted",
+    )
 
 
 def same_pair(first, second):
@@ -213,7 +294,11 @@ def same_pair(first, second):
 
 def test_pairs_come_back_with_their_cameras_and_rivals():
     cameras = tuple(map(camera, NAMES))
-    pairs = (replace(pair(0, 1, 1), rivals=(pair(0, 1, 2), pair(0, 1, 5))), pair(0, 2, 4), pair(1, 2, 7))
+    pairs = (
+        replace(pair(0, 1, 1), rivals=(pair(0, 1, 2), pair(0, 1, 5))),
+        pair(0, 2, 4),
+        pair(1, 2, 7),
+    )
     text = pairs_to_json(pairs, cameras)
     json.loads(text, parse_constant=pytest.fail)  # strict JSON: no NaN
     back, back_cameras = pairs_from_json(text, "text")
@@ -237,10 +322,25 @@ TEXT = pairs_to_json((pair(0, 1, 3),), tuple(map(camera, NAMES)))
 @pytest.mark.parametrize(
     "text",
     [
-        *("", "[]", "{}", "[" * 100_000, TEXT[:-40], TEXT.replace('"version": 1', '"version": 2'), TEXT.replace('"a": "left"', '"a": "nobody"')),
-        *(TEXT.replace('"frames": 9', '"frames": "x"'), TEXT.replace('"score"', '"skore"'), TEXT.replace('"rotation": [[', '"rotation": [[[')),
+        *(
+            "",
+            "[]",
+            "{}",
+            "[" * 100_000,
+            TEXT[:-40],
+            TEXT.replace('"version": 1', '"version": 2'),
+            TEXT.replace('"a": "left"', '"a": "nobody"'),
+        ),
+        *(
+            TEXT.replace('"frames": 9', '"frames": "x"'),
+            TEXT.replace('"score"', '"skore"'),
+            TEXT.replace('"rotation": [[', '"rotation": [[['),
+        ),
         TEXT.replace('"rivals": []', '"rivals": [3]'),
-        *(TEXT.replace(f'"{key}": [', f'"{key}": [3, ') for key in ("translation", "pairs", "cameras", "matches")),
+        *(
+            TEXT.replace(f'"{key}": [', f'"{key}": [3, ')
+            for key in ("translation", "pairs", "cameras", "matches")
+        ),
     ],
 )
 def test_bad_pairs_are_refused_in_one_line(text):

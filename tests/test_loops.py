@@ -10,43 +10,69 @@ import numpy as np
 import pytest
 from scenes import PEOPLE, lifted, precision, recording, rotation_errors_deg, scene
 
-from mocap_calib.averaging import average, of_cameras
 from mocap_calib.config import AveragingConfig, Config, PairwiseConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.rotation import angle_between, matrix_from_vector
-from mocap_calib.io.camera_files import format_cameras_yaml
-from mocap_calib.io.coco_writer import format_coco
-from mocap_calib.loops import camera_groups, choose_modes, rival_taken, usable_cameras
-from mocap_calib.pairwise import calibrate_pairs
+from mocap_calib.io.cameras.own import format_cameras_yaml
+from mocap_calib.io.keypoints.coco_writer import format_coco
+from mocap_calib.multi_view.averaging import average, of_cameras
+from mocap_calib.multi_view.view_graph import (
+    camera_groups,
+    choose_modes,
+    rival_taken,
+    usable_cameras,
+)
 from mocap_calib.pipeline import calibrate, calibrate_groups
-from mocap_calib.recording import make_recording
+from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.steerpose.checkpoint import load_lifter
+from mocap_calib.two_view.solve import calibrate_pairs
 from mocap_calib.types import Camera, CameraRig, Keypoints2D, PairwiseCalibration, silent
 
 CONFIG = AveragingConfig()
 
 
-def mode(rig: CameraRig, a: int, b: int, score: float, wrong: np.random.Generator | None = None) -> PairwiseCalibration:
+def mode(
+    rig: CameraRig, a: int, b: int, score: float, wrong: np.random.Generator | None = None
+) -> PairwiseCalibration:
     """What a rig says of a pair, or something else."""
     rotation = rig.rotation[b] @ rig.rotation[a].T
     translation = rig.translation[b] - rotation @ rig.translation[a]
     if wrong is not None:
-        rotation, translation = matrix_from_vector(wrong.uniform(-2, 2, 3)) @ rotation, wrong.normal(size=3) * 4
-    return PairwiseCalibration(a, b, rotation, translation, np.zeros((0, 3), int), 10, score, 0.0, 1.0, "lifted")
+        rotation, translation = (
+            matrix_from_vector(wrong.uniform(-2, 2, 3)) @ rotation,
+            wrong.normal(size=3) * 4,
+        )
+    return PairwiseCalibration(
+        a, b, rotation, translation, np.zeros((0, 3), int), 10, score, 0.0, 1.0, "lifted"
+    )
 
 
-def pairs_of(rig: CameraRig, wrong: set[tuple[int, int]], seed: int = 0) -> tuple[PairwiseCalibration, ...]:
+def pairs_of(
+    rig: CameraRig, wrong: set[tuple[int, int]], seed: int = 0
+) -> tuple[PairwiseCalibration, ...]:
     """Pairs with a rival each; the best mode of the `wrong` ones is nonsense and the rival right, of the others the other way round."""
     rng = np.random.default_rng(seed)
     pairs = []
     for a, b in combinations(range(len(rig.cameras)), 2):
-        right, nonsense = (mode(rig, a, b, 0.7 if (a, b) in wrong else 0.8), mode(rig, a, b, 0.8 if (a, b) in wrong else 0.7, rng))
-        pairs.append(replace(nonsense, rivals=(right,)) if (a, b) in wrong else replace(right, rivals=(nonsense,)))
+        right, nonsense = (
+            mode(rig, a, b, 0.7 if (a, b) in wrong else 0.8),
+            mode(rig, a, b, 0.8 if (a, b) in wrong else 0.7, rng),
+        )
+        pairs.append(
+            replace(nonsense, rivals=(right,))
+            if (a, b) in wrong
+            else replace(right, rivals=(nonsense,))
+        )
     return tuple(pairs)
 
 
 def errors_deg(pairs: tuple[PairwiseCalibration, ...], rig: CameraRig) -> np.ndarray:
-    return np.array([np.degrees(angle_between(p.rotation, rig.rotation[p.b] @ rig.rotation[p.a].T)) for p in pairs])
+    return np.array(
+        [
+            np.degrees(angle_between(p.rotation, rig.rotation[p.b] @ rig.rotation[p.a].T))
+            for p in pairs
+        ]
+    )
 
 
 # which mode
@@ -76,19 +102,32 @@ def test_no_mode_is_lost_or_changed():
     before = pairs_of(rig, {(0, 2)})
     after = choose_modes(before, CONFIG)
     for old, new in zip(before, after, strict=True):
-        assert sorted(m.rotation.tobytes() for m in old.modes) == sorted(m.rotation.tobytes() for m in new.modes)
+        assert sorted(m.rotation.tobytes() for m in old.modes) == sorted(
+            m.rotation.tobytes() for m in new.modes
+        )
         assert all(not m.rivals for m in new.rivals)
-    assert [p.rotation.tobytes() for p in choose_modes(after, CONFIG)] == [p.rotation.tobytes() for p in after]
+    assert [p.rotation.tobytes() for p in choose_modes(after, CONFIG)] == [
+        p.rotation.tobytes() for p in after
+    ]
 
 
 def test_the_order_of_pairs_and_of_views_does_not_matter():
     rig = scene(cameras=5).rig
     pairs = pairs_of(rig, {(0, 3), (1, 2)})
     forward = choose_modes(pairs, CONFIG)
-    assert [p.rotation.tobytes() for p in reversed(choose_modes(pairs[::-1], CONFIG))] == [p.rotation.tobytes() for p in forward]
+    assert [p.rotation.tobytes() for p in reversed(choose_modes(pairs[::-1], CONFIG))] == [
+        p.rotation.tobytes() for p in forward
+    ]
 
     def back(p: PairwiseCalibration) -> PairwiseCalibration:
-        return replace(p, a=p.b, b=p.a, rotation=p.rotation.T, translation=-p.rotation.T @ p.translation, rivals=tuple(map(back, p.rivals)))
+        return replace(
+            p,
+            a=p.b,
+            b=p.a,
+            rotation=p.rotation.T,
+            translation=-p.rotation.T @ p.translation,
+            rivals=tuple(map(back, p.rivals)),
+        )
 
     turned = choose_modes(tuple(map(back, pairs)), CONFIG)
     assert [rival_taken(p) for p in turned] == [rival_taken(p) for p in forward]
@@ -98,13 +137,18 @@ def test_the_order_of_pairs_and_of_views_does_not_matter():
 def test_without_a_loop_the_score_decides():
     """Two views, and a chain of three."""
     for cameras, absent in ((2, ()), (3, ((0, 2),))):
-        pairs = tuple(p for p in pairs_of(scene(cameras=cameras).rig, {(0, 1)}) if (p.a, p.b) not in absent)
+        pairs = tuple(
+            p for p in pairs_of(scene(cameras=cameras).rig, {(0, 1)}) if (p.a, p.b) not in absent
+        )
         assert [p.score for p in choose_modes(pairs, CONFIG)] == [0.8] * len(pairs)
 
 
 def test_a_mode_that_is_no_evidence_is_not_taken():
     rig = scene(cameras=4).rig
-    pairs = tuple(replace(p, rivals=tuple(replace(r, score=0.5 * CONFIG.least_score) for r in p.rivals)) for p in pairs_of(rig, {(0, 1)}))
+    pairs = tuple(
+        replace(p, rivals=tuple(replace(r, score=0.5 * CONFIG.least_score) for r in p.rivals))
+        for p in pairs_of(rig, {(0, 1)})
+    )
     assert not any(map(rival_taken, choose_modes(pairs, CONFIG)))
 
 
@@ -125,12 +169,20 @@ def test_modes_of_a_moment():
     """
     changes = {"people": 1, "frames": 1, "cameras": 6, "seed": 2}
     rig = scene(**changes).rig
-    pairs = calibrate_pairs(recording(**changes), lifted(**changes), PairwiseConfig(), rng=np.random.default_rng(0), progress=silent)
+    pairs = calibrate_pairs(
+        recording(**changes),
+        lifted(**changes),
+        PairwiseConfig(),
+        rng=np.random.default_rng(0),
+        progress=silent,
+    )
     found = choose_modes(pairs, CONFIG)
     assert errors_deg(pairs, rig).max() > 90
     assert errors_deg(found, rig).max() < 60
     assert any(map(rival_taken, found))
-    before, after = (rotation_errors_deg(average(rig.cameras, p, CONFIG).rig, rig).max() for p in (pairs, found))
+    before, after = (
+        rotation_errors_deg(average(rig.cameras, p, CONFIG).rig, rig).max() for p in (pairs, found)
+    )
     assert after < 45 < before
 
 
@@ -145,10 +197,18 @@ def test_rivals_are_renumbered_with_their_pair():
 def bridged(score: float, *, right: bool) -> tuple[CameraRig, tuple[PairwiseCalibration, ...]]:
     """Two pairs of cameras that are sure, and pairs between them of some score."""
     rig, rng = scene(cameras=4).rig, np.random.default_rng(1)
-    return rig, tuple(mode(rig, a, b, 0.9) if (a < 2) == (b < 2) else mode(rig, a, b, score, None if right else rng) for a, b in combinations(range(4), 2))
+    return rig, tuple(
+        mode(rig, a, b, 0.9)
+        if (a < 2) == (b < 2)
+        else mode(rig, a, b, score, None if right else rng)
+        for a, b in combinations(range(4), 2)
+    )
 
 
-@pytest.mark.parametrize(("score", "right", "groups"), [(0.3, False, 2), (0.3, True, 1), (0.7, False, 1), (0.05, True, 2)])
+@pytest.mark.parametrize(
+    ("score", "right", "groups"),
+    [(0.3, False, 2), (0.3, True, 1), (0.7, False, 1), (0.05, True, 2)],
+)
 def test_sure_groups_are_joined_by_sure_pairs_or_by_loops(score, right, groups):
     """Never by a weak pair that nothing confirms; a pair below the least score is no evidence at all."""
     rig, pairs = bridged(score, right=right)
@@ -169,9 +229,15 @@ def test_a_single_camera_goes_where_its_best_pair_is():
 def rooms() -> tuple[tuple[Keypoints2D, ...], tuple[Camera, ...]]:
     """Three cameras in one room and two in another, with other people."""
     parts = [(scene(cameras=4, people=2, seed=1), 3), (scene(cameras=4, people=2, seed=2), 2)]
-    cameras = [replace(c, name=f"{c.name}{'ab'[k]}") for k, (made, count) in enumerate(parts) for c in made.rig.cameras[:count]]
+    cameras = [
+        replace(c, name=f"{c.name}{'ab'[k]}")
+        for k, (made, count) in enumerate(parts)
+        for c in made.rig.cameras[:count]
+    ]
     files = [file for made, count in parts for file in made.files[:count]]
-    return tuple(replace(f, camera=c.name) for f, c in zip(files, cameras, strict=True)), tuple(cameras)
+    return tuple(replace(f, camera=c.name) for f, c in zip(files, cameras, strict=True)), tuple(
+        cameras
+    )
 
 
 @pytest.mark.slow
@@ -179,11 +245,15 @@ def test_two_rooms_are_calibrated_separately():
     """The same people walk like others in another room, and pairs between rooms score up to 0.32. Measured: 0.1 degrees in each."""
     files, cameras = rooms()
     found = make_recording(files, cameras, PEOPLE, {})
-    groups = calibrate_groups(found, load_lifter()[0], Config(), seed=0, device="cpu", progress=silent)
+    groups = calibrate_groups(
+        found, load_lifter()[0], Config(), seed=0, device="cpu", progress=silent
+    )
     assert [g.rig.names for g in groups] == [("cam1a", "cam2a", "cam3a"), ("cam1b", "cam2b")]
     for group, seed, count in zip(groups, (1, 2), (3, 2), strict=True):
         made = scene(cameras=4, people=2, seed=seed)
-        rig = CameraRig(made.rig.cameras[:count], made.rig.rotation[:count], made.rig.translation[:count], "m")
+        rig = CameraRig(
+            made.rig.cameras[:count], made.rig.rotation[:count], made.rig.translation[:count], "m"
+        )
         assert rotation_errors_deg(group.rig, rig).max() < 0.5
         assert precision(group.matches.labels, made.identity[:count]) > 0.99
         assert group.left_out == ()
@@ -196,12 +266,29 @@ def test_two_rooms_are_calibrated_separately():
 def test_run_writes_each_group_and_says_so(tool, tmp_path):
     """And takes away what an earlier run with more groups has left, but nobody else's files."""
     files, cameras = rooms()
-    keypoints, intrinsics, out = tmp_path / "keypoints", tmp_path / "intrinsics.yaml", tmp_path / "out"
+    keypoints, intrinsics, out = (
+        tmp_path / "keypoints",
+        tmp_path / "intrinsics.yaml",
+        tmp_path / "out",
+    )
     keypoints.mkdir()
     for file in files:
-        (keypoints / f"{file.camera}.json").write_text(format_coco(file.camera, file.image_size, file.frames, file.keypoints, file.positions, file.confidence))
+        (keypoints / f"{file.camera}.json").write_text(
+            format_coco(
+                file.camera,
+                file.image_size,
+                file.frames,
+                file.keypoints,
+                file.positions,
+                file.confidence,
+            )
+        )
     count = len(cameras)
-    intrinsics.write_text(format_cameras_yaml(CameraRig(cameras, np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3)), "m"), {}))
+    intrinsics.write_text(
+        format_cameras_yaml(
+            CameraRig(cameras, np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3)), "m"), {}
+        )
+    )
     (out / "group_3").mkdir(parents=True)
     for stale in ("group_3/run.json", "group_3/poses3d.csv", "notes.txt"):
         (out / stale).write_text("{}")
@@ -209,7 +296,15 @@ def test_run_writes_each_group_and_says_so(tool, tmp_path):
     assert said.returncode == 0, said.stderr
     assert "2 groups of cameras" in said.stderr
     assert "cam1a, cam2a, cam3a | cam1b, cam2b" in said.stderr
-    plain = {"cameras.yaml", "calibration.toml", "matches.csv", "poses3d.h5", "poses3d.csv", "poses3d_1.csv", "run.json"}
+    plain = {
+        "cameras.yaml",
+        "calibration.toml",
+        "matches.csv",
+        "poses3d.h5",
+        "poses3d.csv",
+        "poses3d_1.csv",
+        "run.json",
+    }
     assert {file.name for file in out.iterdir()} == plain | {"group_2", "notes.txt"}
     assert {file.name for file in (out / "group_2").iterdir()} == plain
     reports = [json.loads((folder / "run.json").read_text()) for folder in (out, out / "group_2")]

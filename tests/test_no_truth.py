@@ -5,8 +5,11 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-WRITERS = {"mocap_calib/io/scene.py"}  # what `simulate` writes
-JUDGES = {"cli/mocap_calib_cli/main.py", "cli/mocap_calib_cli/commands/evaluate.py"}  # examples in help texts
+WRITERS = {"mocap_calib/io/results/scene.py"}  # what `simulate` writes
+JUDGES = {
+    "cli/mocap_calib_cli/main.py",
+    "cli/mocap_calib_cli/commands/evaluate.py",
+}  # examples in help texts
 
 WATCHED = """
 import sys
@@ -35,8 +38,21 @@ def test_a_run_opens_neither(small, tmp_path):
     """Watched by an audit hook: every file that Python opens during a run. Both files stand beside the keypoints."""
     assert (small / "truth.npz").exists()
     assert (small / "reference.toml").exists()
-    command = ["run", small / "keypoints", "--cameras", small / "intrinsics.toml", "-o", tmp_path / "out", "--quiet"]
-    said = subprocess.run([sys.executable, "-c", WATCHED, *map(str, command)], capture_output=True, text=True, check=False)
+    command = [
+        "run",
+        small / "keypoints",
+        "--cameras",
+        small / "intrinsics.toml",
+        "-o",
+        tmp_path / "out",
+        "--quiet",
+    ]
+    said = subprocess.run(
+        [sys.executable, "-c", WATCHED, *map(str, command)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert said.returncode == 0, said.stderr
     opened = said.stdout.splitlines()
     assert any("cam1.json" in name for name in opened)  # the hook does see

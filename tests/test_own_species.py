@@ -8,10 +8,10 @@ from scenes import calibrated, recording, rotation_errors_deg, scene
 
 from mocap_calib.config import Config, PairwiseConfig, PaperConfig
 from mocap_calib.errors import DegenerateError
-from mocap_calib.paper_pairs import PaperPairs
 from mocap_calib.pipeline import calibrate
 from mocap_calib.steerpose.checkpoint import load_lifter
-from mocap_calib.steerpose.own import own_poses, own_skeleton, up_of_rig
+from mocap_calib.steerpose.training.own_species import own_poses, own_skeleton, up_of_rig
+from mocap_calib.two_view.paper_pairs import PaperPairs
 from mocap_calib.types import CameraRig, silent
 
 ALONE = {"people": 1, "false_detections": 0.0, "outliers": 0.0}
@@ -22,9 +22,16 @@ def test_the_own_skeleton_joins_what_is_rigid():
     skeleton = own_skeleton("own", calibrated().poses)
     joined = {frozenset((skeleton.keypoints[a], skeleton.keypoints[b])) for a, b in skeleton.edges}
     assert len(joined) == len(skeleton.keypoints) - 1
-    bones = [(f"{side}_{a}", f"{side}_{b}") for side in ("left", "right") for a, b in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"))]
+    bones = [
+        (f"{side}_{a}", f"{side}_{b}")
+        for side in ("left", "right")
+        for a, b in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"))
+    ]
     assert sum(frozenset(bone) in joined for bone in bones) >= 5
-    assert (skeleton.keypoints.index("left_knee"), skeleton.keypoints.index("right_knee")) in skeleton.symmetries
+    assert (
+        skeleton.keypoints.index("left_knee"),
+        skeleton.keypoints.index("right_knee"),
+    ) in skeleton.symmetries
 
 
 def test_own_poses_stand_upright():
@@ -46,7 +53,13 @@ def test_up_of_a_rig():
 
 def test_too_few_poses_are_refused():
     found = calibrated()
-    few = replace(found.poses, **{name: getattr(found.poses, name)[:20] for name in ("frames", "positions", "error", "views", "confidence")})
+    few = replace(
+        found.poses,
+        **{
+            name: getattr(found.poses, name)[:20]
+            for name in ("frames", "positions", "error", "views", "confidence")
+        },
+    )
     with pytest.raises(DegenerateError, match="at least 20 whole 3D poses to test on"):
         own_poses(few, own_skeleton("own", found.poses), np.array([0.0, 0, 1]), "test")
 
@@ -57,7 +70,9 @@ def test_the_papers_solver_calibrates_pairs_of_the_pipeline():
     alone = ALONE | {"cameras": 2, "frames": 30}
     seen, (lifter, _) = recording(**alone), load_lifter()
     focal = np.array([camera.focal for camera in seen.cameras])
-    solve = PaperPairs(lifter, seen.vocabulary, focal, PairwiseConfig(), replace(PaperConfig(), iterations=300))
+    solve = PaperPairs(
+        lifter, seen.vocabulary, focal, PairwiseConfig(), replace(PaperConfig(), iterations=300)
+    )
     found = calibrate(seen, lifter, Config(), seed=0, device="cpu", progress=silent, solve=solve)
     assert found.pairs[0].source == "paper"
     assert rotation_errors_deg(found.rig, scene(**alone).rig).max() < 2.5
@@ -69,7 +84,17 @@ def test_the_loop_on_the_command_line(tmp_path, tool):
     tool("simulate", "--people", "1", "--frames", "240", "-o", tmp_path / "one")
     files = [tmp_path / "one/keypoints", "--cameras", tmp_path / "one/intrinsics.toml"]
     tool("run", *files, "--model", "none", "-o", tmp_path / "alone")
-    tool("train", "--from", tmp_path / "alone/poses3d.h5", "--steps", "3", "--batch", "8", "-o", tmp_path / "own.safetensors")
+    tool(
+        "train",
+        "--from",
+        tmp_path / "alone/poses3d.h5",
+        "--steps",
+        "3",
+        "--batch",
+        "8",
+        "-o",
+        tmp_path / "own.safetensors",
+    )
     done = tool("run", *files, "--model", tmp_path / "own.safetensors", "-o", tmp_path / "own")
     assert "the model of poses3d knows 17" in done.stderr
     missing = tool("run", *files, "--model", "horse", "-o", tmp_path / "no")

@@ -5,12 +5,17 @@ import pytest
 import torch
 
 from mocap_calib.config import PairsConfig, PaperConfig, TrainConfig
-from mocap_calib.geometry.baselines import all_pairs_magsac, five_point_over_matches
-from mocap_calib.geometry.rotation import angle_between, direction_angle, looking_along, vector_from_matrix
+from mocap_calib.geometry.rotation import (
+    angle_between,
+    direction_angle,
+    looking_along,
+    vector_from_matrix,
+)
 from mocap_calib.geometry.rotation import matrix_from_vector as matrix_numpy
-from mocap_calib.skeleton import load_skeleton
+from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.steerpose.checkpoint import load_lifter, load_steerer, save_lifter
-from mocap_calib.steerpose.losses import (
+from mocap_calib.steerpose.model import Lifter, ModelConfig
+from mocap_calib.steerpose.paper.losses import (
     geometric_loss,
     geometric_loss_full,
     keypoint_distance,
@@ -20,14 +25,18 @@ from mocap_calib.steerpose.losses import (
     translation_direction,
     with_dummies,
 )
-from mocap_calib.steerpose.model import Lifter, ModelConfig
-from mocap_calib.steerpose.pairs import PairSynthesiser, fibonacci_hemisphere, hemisphere_views
-from mocap_calib.steerpose.paper_solver import TwoViews, random_rotations, solve_pair
-from mocap_calib.steerpose.poses import PoseSet
+from mocap_calib.steerpose.paper.solver import TwoViews, random_rotations, solve_pair
 from mocap_calib.steerpose.steer import matrix_from_vector, shortest, steer
 from mocap_calib.steerpose.token import TokenConfig, TokenSteerer
-from mocap_calib.steerpose.train import train_steerer
+from mocap_calib.steerpose.training.pairs import (
+    PairSynthesiser,
+    fibonacci_hemisphere,
+    hemisphere_views,
+)
+from mocap_calib.steerpose.training.poses import PoseSet
+from mocap_calib.steerpose.training.train import train_steerer
 from mocap_calib.synthetic import people
+from mocap_calib.two_view.five_point import all_pairs_magsac, five_point_over_matches
 from mocap_calib.types import silent
 
 PEOPLE = load_skeleton("people")
@@ -37,17 +46,26 @@ def random(*shape: int, seed: int = 0) -> torch.Tensor:
     return torch.randn(*shape, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
 
 
-def two_views(count: int, seed: int = 0) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+def two_views(
+    count: int, seed: int = 0
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     """True rotation vector, unit t, and rays of `count` points a few metres away."""
     points = random(count, 3, seed=seed) + torch.tensor([0.0, 0.0, 6.0])
     vector, t = torch.tensor([0.1, 0.7, -0.2]).double(), torch.tensor([-3.0, 0.3, 1.5]).double()
     seen = points @ matrix_from_vector(vector).T + t
-    return vector, t / t.norm(), torch.nn.functional.normalize(points, dim=-1), torch.nn.functional.normalize(seen, dim=-1)
+    return (
+        vector,
+        t / t.norm(),
+        torch.nn.functional.normalize(points, dim=-1),
+        torch.nn.functional.normalize(seen, dim=-1),
+    )
 
 
 @pytest.fixture(scope="module")
 def poses() -> PoseSet:
-    found = people(np.random.default_rng(0), individuals=2, frames=20, fps=10.0, room=(3.0, 3.0)).reshape(-1, 29, 3)
+    found = people(
+        np.random.default_rng(0), individuals=2, frames=20, fps=10.0, room=(3.0, 3.0)
+    ).reshape(-1, 29, 3)
     return PoseSet(found - found.mean(1, keepdims=True), np.full(len(found), 1 / len(found)))
 
 
@@ -68,7 +86,9 @@ def test_fibonacci_covers_the_hemisphere_evenly():
 def test_views_look_at_the_origin():
     views = hemisphere_views(100, 20)
     assert views.shape == (2000, 3, 3)
-    np.testing.assert_allclose(views @ np.swapaxes(views, 1, 2), np.broadcast_to(np.eye(3), views.shape), atol=1e-12)
+    np.testing.assert_allclose(
+        views @ np.swapaxes(views, 1, 2), np.broadcast_to(np.eye(3), views.shape), atol=1e-12
+    )
     assert (views[:, 2, 2] < 0).all()  # all look down from the upper hemisphere
 
 
@@ -84,7 +104,10 @@ def test_pairs_are_one_body_seen_twice(poses):
 
 
 def test_splits_share_no_pair_of_views(poses):
-    vectors = [PairSynthesiser(poses, PEOPLE, PairsConfig(), split, seed=0).vector for split in ("train", "val", "test")]
+    vectors = [
+        PairSynthesiser(poses, PEOPLE, PairsConfig(), split, seed=0).vector
+        for split in ("train", "val", "test")
+    ]
     assert [len(v) for v in vectors] == [2100, 600, 300]
 
 
@@ -104,28 +127,43 @@ def test_token_model_has_the_paper_s_shape_and_is_deterministic():
 
 def test_factorised_steering_is_lift_rotate_project():
     model = Lifter(ModelConfig(29, 16, 1)).eval()
-    pose, seen, vector = torch.randn(3, 29, 2), torch.ones(3, 29, dtype=torch.bool), torch.randn(3, 3)
+    pose, seen, vector = (
+        torch.randn(3, 29, 2),
+        torch.ones(3, 29, dtype=torch.bool),
+        torch.randn(3, 3),
+    )
     body = model(pose, seen)[0].detach().double().numpy()
     turned = body @ np.swapaxes(matrix_numpy(vector.double().numpy()), 1, 2)
-    np.testing.assert_allclose(steer(model, pose, seen, vector).detach().numpy(), turned[..., :2], atol=1e-5)
+    np.testing.assert_allclose(
+        steer(model, pose, seen, vector).detach().numpy(), turned[..., :2], atol=1e-5
+    )
 
 
 def test_rotation_vectors():
     vector = random(50, 3) * 3
-    torch.testing.assert_close(matrix_from_vector(vector), torch.from_numpy(matrix_numpy(vector.numpy())))
+    torch.testing.assert_close(
+        matrix_from_vector(vector), torch.from_numpy(matrix_numpy(vector.numpy()))
+    )
     torch.testing.assert_close(matrix_from_vector(shortest(vector)), matrix_from_vector(vector))
     assert (shortest(vector).norm(dim=-1) <= np.pi + 1e-9).all()
-    assert torch.autograd.gradcheck(matrix_from_vector, (torch.zeros(2, 3, dtype=torch.float64, requires_grad=True),))
+    assert torch.autograd.gradcheck(
+        matrix_from_vector, (torch.zeros(2, 3, dtype=torch.float64, requires_grad=True),)
+    )
 
 
 def test_training_and_checkpoint_of_the_token_model(poses, tmp_path):
     config = TrainConfig(steps=3, batch=8, width=8, layers=1)
-    first, second = (train_steerer(poses, PEOPLE, config, PairsConfig(), progress=silent) for _ in range(2))
+    first, second = (
+        train_steerer(poses, PEOPLE, config, PairsConfig(), progress=silent) for _ in range(2)
+    )
     save_lifter(tmp_path / "w.safetensors", first, PEOPLE, {"data": "none"})
     found, skeleton = load_steerer(tmp_path / "w.safetensors")
     assert isinstance(found, TokenSteerer)
     assert skeleton == PEOPLE
-    assert all(torch.equal(a, b) for a, b in zip(found.state_dict().values(), second.state_dict().values(), strict=True))
+    assert all(
+        torch.equal(a, b)
+        for a, b in zip(found.state_dict().values(), second.state_dict().values(), strict=True)
+    )
     with pytest.raises(Exception, match="rotation token"):
         load_lifter(tmp_path / "w.safetensors")
 
@@ -149,8 +187,15 @@ def test_keypoint_distance_forgets_place_size_and_hidden_joints():
 
 @pytest.mark.parametrize(("rows", "columns"), [(4, 4), (2, 5), (5, 3)])
 def test_sinkhorn_marginals(rows, columns):
-    there_a, there_b = torch.ones(7, rows, dtype=torch.bool), torch.ones(7, columns, dtype=torch.bool)
-    score = with_dummies(torch.rand(7, rows, columns, generator=torch.Generator().manual_seed(0)).double(), there_a, there_b)
+    there_a, there_b = (
+        torch.ones(7, rows, dtype=torch.bool),
+        torch.ones(7, columns, dtype=torch.bool),
+    )
+    score = with_dummies(
+        torch.rand(7, rows, columns, generator=torch.Generator().manual_seed(0)).double(),
+        there_a,
+        there_b,
+    )
     weight = sinkhorn(score, sweeps=1000)
     size = max(rows, columns)
     torch.testing.assert_close(weight.sum(-1), torch.ones(7, size).double(), atol=1e-5, rtol=0)
@@ -170,7 +215,9 @@ def test_gradient_of_the_matching_loss():
     there = torch.ones(3, dtype=torch.bool)
 
     def loss(score: torch.Tensor) -> torch.Tensor:
-        return matching_loss(sinkhorn(with_dummies(score, there, there), sweeps=5), score, there, there)
+        return matching_loss(
+            sinkhorn(with_dummies(score, there, there), sweeps=5), score, there, there
+        )
 
     assert torch.autograd.gradcheck(loss, (random(3, 3).sigmoid().requires_grad_(),))
 
@@ -179,17 +226,26 @@ def test_gradients_of_both_geometric_losses():
     vector, _, rays_a, rays_b = two_views(6)
     near = (vector + 0.1 * random(3)).requires_grad_()
     weight = torch.ones(6).double()
-    assert torch.autograd.gradcheck(lambda v: geometric_loss(matrix_from_vector(v), rays_a, rays_b, weight), (near,))
-    assert torch.autograd.gradcheck(lambda v: geometric_loss_full(matrix_from_vector(v), rays_a, rays_b), (near,))
+    assert torch.autograd.gradcheck(
+        lambda v: geometric_loss(matrix_from_vector(v), rays_a, rays_b, weight), (near,)
+    )
+    assert torch.autograd.gradcheck(
+        lambda v: geometric_loss_full(matrix_from_vector(v), rays_a, rays_b), (near,)
+    )
 
 
 def test_geometric_losses_agree_on_the_minimiser():
     """Both are zero at the truth, and descent from the same start ends there with either."""
     vector, _, rays_a, rays_b = two_views(7)
     weight = torch.ones(7).double()
-    forms = (lambda r: geometric_loss(r, rays_a, rays_b, weight), lambda r: geometric_loss_full(r, rays_a, rays_b))
+    forms = (
+        lambda r: geometric_loss(r, rays_a, rays_b, weight),
+        lambda r: geometric_loss_full(r, rays_a, rays_b),
+    )
     for form in forms:
-        assert form(matrix_from_vector(vector)) < 2e-4  # measured 8e-5, the floor of the reduced form
+        assert (
+            form(matrix_from_vector(vector)) < 2e-4
+        )  # measured 8e-5, the floor of the reduced form
         found = (vector + torch.tensor([0.05, -0.04, 0.06])).requires_grad_()
         optimiser = torch.optim.Adam([found], lr=0.01)
         schedule = torch.optim.lr_scheduler.LinearLR(optimiser, 1.0, 0.005, 100)
@@ -203,7 +259,9 @@ def test_geometric_losses_agree_on_the_minimiser():
 
 def test_translation_and_cheirality():
     vector, t, rays_a, rays_b = two_views(10)
-    found, ahead = translation_direction(matrix_from_vector(vector), rays_a, rays_b, torch.ones(10).double())
+    found, ahead = translation_direction(
+        matrix_from_vector(vector), rays_a, rays_b, torch.ones(10).double()
+    )
     torch.testing.assert_close(found, t)
     assert ahead == 1
 
@@ -219,15 +277,23 @@ def steered_scene() -> tuple[TwoViews, torch.Tensor, torch.Tensor]:
         rays.append(seen / np.linalg.norm(seen, axis=-1, keepdims=True))
     relative = rotation[1] @ rotation[0].T
     t = rotation[1] @ (centre[0] - centre[1])
-    return TwoViews(rays[0], rays[1][:, ::-1], 1200.0), torch.from_numpy(vector_from_matrix(relative)).float(), torch.from_numpy(t / np.linalg.norm(t))
+    return (
+        TwoViews(rays[0], rays[1][:, ::-1], 1200.0),
+        torch.from_numpy(vector_from_matrix(relative)).float(),
+        torch.from_numpy(t / np.linalg.norm(t)),
+    )
 
 
 def test_solver_finds_rotation_and_matches_from_a_close_start():
     """60 iterations from 10 degrees away; measured 2.3 degrees from the truth."""
     views, vector, t = steered_scene()
     config = PaperConfig(iterations=60, tries=1)
-    found = solve_pair(views, load_lifter()[0], config, torch.Generator().manual_seed(0), start=vector + 0.1)
-    assert {tuple(m) for m in found.matches.tolist()} == {(f, i, 1 - i) for f in range(3) for i in range(2)}
+    found = solve_pair(
+        views, load_lifter()[0], config, torch.Generator().manual_seed(0), start=vector + 0.1
+    )
+    assert {tuple(m) for m in found.matches.tolist()} == {
+        (f, i, 1 - i) for f in range(3) for i in range(2)
+    }
     assert np.degrees(angle_between(found.rotation, matrix_numpy(vector.numpy()))) < 5
     assert np.degrees(direction_angle(found.translation, t.numpy())) < 8
     assert found.error < 10
@@ -238,7 +304,9 @@ def test_solver_tries_again_and_is_deterministic():
     torch.manual_seed(0)
     model = TokenSteerer(TokenConfig(29, 8, 1)).eval()  # knows nothing: every try fails
     config = PaperConfig(iterations=3, tries=2, success_px=1e-9)
-    first, second = (solve_pair(views, model, config, torch.Generator().manual_seed(1)) for _ in range(2))
+    first, second = (
+        solve_pair(views, model, config, torch.Generator().manual_seed(1)) for _ in range(2)
+    )
     assert first.tries == 2
     np.testing.assert_array_equal(first.rotation, second.rotation)
 
@@ -254,11 +322,17 @@ def test_baselines_on_an_easy_pair(method):
     views, vector, t = steered_scene()
     threshold = 2.0 / views.focal
     rays = views.rays_a, views.rays_b
-    found = all_pairs_magsac(*rays, threshold) if method == "magsac" else five_point_over_matches(*rays, threshold, np.random.default_rng(0))
+    found = (
+        all_pairs_magsac(*rays, threshold)
+        if method == "magsac"
+        else five_point_over_matches(*rays, threshold, np.random.default_rng(0))
+    )
     assert found is not None
     assert np.degrees(angle_between(found[0], matrix_numpy(vector.double().numpy()))) < 0.1
     assert np.degrees(direction_angle(found[1], t.numpy())) < 0.1
-    assert {tuple(m) for m in found[2].tolist()} == {(f, i, 1 - i) for f in range(3) for i in range(2)}
+    assert {tuple(m) for m in found[2].tolist()} == {
+        (f, i, 1 - i) for f in range(3) for i in range(2)
+    }
 
 
 def test_baselines_without_enough_joints():

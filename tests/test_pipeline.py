@@ -8,9 +8,9 @@ from scenes import PEOPLE, calibrated, lifted, precision, recording, rotation_er
 
 from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError, LooseCameraError
-from mocap_calib.matching import match
+from mocap_calib.multi_view.association import match
 from mocap_calib.pipeline import calibrate
-from mocap_calib.recording import make_recording, slice_frames
+from mocap_calib.recording.synchronise import make_recording, slice_frames
 from mocap_calib.steerpose.checkpoint import load_lifter
 from mocap_calib.types import Sample, silent
 
@@ -40,7 +40,11 @@ def test_scene(changes, bound):
 def test_an_empty_view_is_left_out():
     made = scene()
     files = list(made.files)
-    files[1] = replace(files[1], positions=np.full_like(files[1].positions, np.nan), confidence=np.zeros_like(files[1].confidence))
+    files[1] = replace(
+        files[1],
+        positions=np.full_like(files[1].positions, np.nan),
+        confidence=np.zeros_like(files[1].confidence),
+    )
     found = make_recording(files, made.rig.cameras, PEOPLE, {})
     assert found.names == ("cam1", "cam3", "cam4")
 
@@ -74,7 +78,9 @@ def test_equivariant_to_the_order_of_cameras():
     """Another order is another search and another gauge, but the same rig: 0.02 degrees measured."""
     order = [2, 0, 3, 1]
     first, second = run(recording(**SMALL)), run(permuted(recording(**SMALL), views=order))
-    back = replace(second.rig, rotation=second.rig.rotation[np.argsort(order)], cameras=first.rig.cameras)
+    back = replace(
+        second.rig, rotation=second.rig.rotation[np.argsort(order)], cameras=first.rig.cameras
+    )
     assert rotation_errors_deg(first.rig, back).max() < 0.1
     assert precision(second.matches.labels, scene(**SMALL).identity[order]) == 1.0
 
@@ -121,7 +127,10 @@ def weak(result) -> bool:
 def test_views_of_different_times_are_no_confident_calibration(seeds):
     """Each view from a recording of its own: refused, or called weak. Scores measured: 0.2 to 0.43; of one recording 0.85."""
     cameras = scene(cameras=len(seeds), people=2).rig.cameras
-    files = [replace(scene(cameras=len(seeds), people=2, seed=seed).files[k], camera=cameras[k].name) for k, seed in enumerate(seeds)]
+    files = [
+        replace(scene(cameras=len(seeds), people=2, seed=seed).files[k], camera=cameras[k].name)
+        for k, seed in enumerate(seeds)
+    ]
     try:
         assert weak(run(make_recording(files, cameras, PEOPLE, {})))
     except DegenerateError:
@@ -152,7 +161,14 @@ def test_noise_alone_is_not_a_calibration():
     found = recording(**SMALL)
     rng = np.random.default_rng(0)
     size = np.array(found.cameras[0].size)
-    files = [replace(f, positions=rng.uniform(0, size, f.positions.shape), confidence=np.ones_like(f.confidence)) for f in scene(**SMALL).files]
+    files = [
+        replace(
+            f,
+            positions=rng.uniform(0, size, f.positions.shape),
+            confidence=np.ones_like(f.confidence),
+        )
+        for f in scene(**SMALL).files
+    ]
     try:
         assert weak(run(make_recording(files, found.cameras, PEOPLE, {})))
     except DegenerateError:
@@ -165,10 +181,22 @@ def test_a_camera_that_nothing_holds_costs_the_others_nothing():
     files = list(made.files)
     rng = np.random.default_rng(0)
     files[2] = replace(files[2], positions=rng.uniform(0, 700, files[2].positions.shape))
-    found = calibrate(make_recording(files, made.rig.cameras, PEOPLE, {}), load_lifter()[0], Config(), seed=0, device="cpu", progress=silent)
+    found = calibrate(
+        make_recording(files, made.rig.cameras, PEOPLE, {}),
+        load_lifter()[0],
+        Config(),
+        seed=0,
+        device="cpu",
+        progress=silent,
+    )
     assert found.left_out == (made.rig.names[2],)
     others = [0, 1, 3]
-    reference = replace(made.rig, cameras=found.rig.cameras, rotation=made.rig.rotation[others], translation=made.rig.translation[others])
+    reference = replace(
+        made.rig,
+        cameras=found.rig.cameras,
+        rotation=made.rig.rotation[others],
+        translation=made.rig.translation[others],
+    )
     assert rotation_errors_deg(found.rig, reference).max() < 0.3
 
 
@@ -183,7 +211,9 @@ def test_a_loose_camera_is_named_and_the_rest_is_tried(monkeypatch):
         return rig
 
     monkeypatch.setattr("mocap_calib.pipeline.adjust", refusing)
-    found = calibrate(recording(), load_lifter()[0], Config(), seed=0, device="cpu", progress=silent)
+    found = calibrate(
+        recording(), load_lifter()[0], Config(), seed=0, device="cpu", progress=silent
+    )
     assert (found.rig.names, found.left_out) == (("cam1", "cam2", "cam4"), ("cam3",))
     assert tried[0] == ("cam1", "cam2", "cam3", "cam4")
 

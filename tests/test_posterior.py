@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from mocap_calib.config import PairwiseConfig
-from mocap_calib.evidence import ViewPair
 from mocap_calib.geometry.rotation import angle_between, direction_angle, matrix_from_vector
-from mocap_calib.posterior import _bodies, _epipolar, _places, most_probable
+from mocap_calib.two_view.affinity import ViewPair
+from mocap_calib.two_view.posterior import _bodies, _epipolar, _places, most_probable
 from mocap_calib.types import Floats
 
 CONFIG = PairwiseConfig()
@@ -19,7 +19,9 @@ TRANSLATION = np.array([-8.0, 0.5, 4.0])
 def exact_pair(bodies: int) -> ViewPair:
     """Bodies of 12 joints in one frame, as far as 10 body sizes, seen and lifted without any error."""
     rng = np.random.default_rng(0)
-    points = rng.normal(0, 0.6, (1, bodies, 12, 3)) + rng.normal([0, 0, 10], [2, 0.2, 2], (1, bodies, 1, 3))
+    points = rng.normal(0, 0.6, (1, bodies, 12, 3)) + rng.normal(
+        [0, 0, 10], [2, 0.2, 2], (1, bodies, 1, 3)
+    )
     moved = points @ ROTATION.T + TRANSLATION
     centres = [x.mean(2) for x in (points, moved)]
     inside = [x - c[:, :, None] for x, c in zip((points, moved), centres, strict=True)]
@@ -28,7 +30,18 @@ def exact_pair(bodies: int) -> ViewPair:
     rays = [x / np.linalg.norm(x, axis=-1, keepdims=True) for x in (points, moved)]
     one, distance = np.ones((1, bodies, 12)), [np.linalg.norm(c, axis=-1) for c in centres]
     norm = square[0][:, :, None] + square[1][:, None]
-    return ViewPair(np.array([0]), *rays, one, one, *centres, *distance, cross, norm, np.zeros((1, bodies, bodies)), np.ones((1, bodies, bodies)))
+    return ViewPair(
+        np.array([0]),
+        *rays,
+        one,
+        one,
+        *centres,
+        *distance,
+        cross,
+        norm,
+        np.zeros((1, bodies, bodies)),
+        np.ones((1, bodies, bodies)),
+    )
 
 
 def rays_of(pair: ViewPair) -> tuple[Floats, Floats, Floats, Floats]:
@@ -40,7 +53,10 @@ def rays_of(pair: ViewPair) -> tuple[Floats, Floats, Floats, Floats]:
 def test_the_truth_is_found_from_nearby(bodies):
     pair = exact_pair(bodies)
     matched = np.eye(bodies, dtype=bool)[None]
-    start = matrix_from_vector(np.array([0.1, -0.1, 0.15])) @ ROTATION, TRANSLATION + np.array([1.0, 0.5, -1.0])
+    start = (
+        matrix_from_vector(np.array([0.1, -0.1, 0.15])) @ ROTATION,
+        TRANSLATION + np.array([1.0, 0.5, -1.0]),
+    )
     rotation, translation = most_probable(pair, *start, matched, rays_of(pair), CONFIG)
     assert np.degrees(angle_between(rotation, ROTATION)) < 0.1
     assert np.degrees(direction_angle(translation, TRANSLATION)) < 0.1
@@ -49,7 +65,9 @@ def test_the_truth_is_found_from_nearby(bodies):
 
 def test_without_lifted_bodies_nothing_changes():
     pair = replace(exact_pair(2), lifted=np.zeros((1, 2, 2)))
-    found = most_probable(pair, ROTATION, TRANSLATION, np.eye(2, dtype=bool)[None], rays_of(pair), CONFIG)
+    found = most_probable(
+        pair, ROTATION, TRANSLATION, np.eye(2, dtype=bool)[None], rays_of(pair), CONFIG
+    )
     assert found[0] is ROTATION
     assert found[1] is TRANSLATION
 
@@ -57,17 +75,27 @@ def test_without_lifted_bodies_nothing_changes():
 def test_slopes():
     """Gradients against differences of the energies, away from the truth."""
     pair, use = exact_pair(2), np.eye(2, dtype=bool)[None]
-    rotation, translation = matrix_from_vector(np.array([0.02, -0.03, 0.04])) @ ROTATION, TRANSLATION + 0.1
+    rotation, translation = (
+        matrix_from_vector(np.array([0.02, -0.03, 0.04])) @ ROTATION,
+        TRANSLATION + 0.1,
+    )
 
     def moved(delta: Floats) -> tuple[Floats, Floats]:
         return matrix_from_vector(delta[:3]) @ rotation, translation + delta[3:]
 
     step = 1e-5 * np.eye(6)
-    for law in (lambda r, _: _bodies(pair, r, use, CONFIG), lambda r, t: _places(pair, r, t, use, replace(CONFIG, place_spread=10.0))):
+    for law in (
+        lambda r, _: _bodies(pair, r, use, CONFIG),
+        lambda r, t: _places(pair, r, t, use, replace(CONFIG, place_spread=10.0)),
+    ):
         energies = [(law(*moved(d))[0] - law(*moved(-d))[0]) / 2e-5 for d in step]
-        np.testing.assert_allclose(law(rotation, translation)[2], energies, rtol=5e-2, atol=1e-5)  # places: that the uncertainty turns along is left out
+        np.testing.assert_allclose(
+            law(rotation, translation)[2], energies, rtol=5e-2, atol=1e-5
+        )  # places: that the uncertainty turns along is left out
     rays_a, rays_b, *rest = rays_of(pair)
     rays = [rays_a.T[None], rays_b.T[None], *rest]
     errors = [(_epipolar(*moved(d), rays)[0] - _epipolar(*moved(-d), rays)[0]) / 2e-5 for d in step]
     slope = _epipolar(rotation, translation, rays)[1]
-    assert np.abs(slope - np.stack(errors)).max() < 0.05 * np.abs(slope).max()  # the slope of the slope is left out
+    assert (
+        np.abs(slope - np.stack(errors)).max() < 0.05 * np.abs(slope).max()
+    )  # the slope of the slope is left out

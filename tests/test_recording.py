@@ -10,31 +10,48 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.frames import sample
 from mocap_calib.geometry.projection import pixels_from_points
-from mocap_calib.io.cameras import read_cameras
-from mocap_calib.io.formats2d import read_keypoints
-from mocap_calib.recording import make_recording, name_mapping, slice_frames, usable
-from mocap_calib.skeleton import load_skeleton
+from mocap_calib.io.cameras.load import read_cameras
+from mocap_calib.io.keypoints.formats import read_keypoints
+from mocap_calib.recording.joints import load_skeleton
+from mocap_calib.recording.sampling import sample
+from mocap_calib.recording.synchronise import make_recording, name_mapping, slice_frames, usable
 from mocap_calib.types import Camera, Keypoints2D, Skeleton
 
 SHARED = Path(__file__).parents[2] / "shared"
-SKELETON = Skeleton("test", ("nose", "neck", "left_ear", "right_ear"), (), (), {"thorax": "neck", "sternum": "neck"})
+SKELETON = Skeleton(
+    "test", ("nose", "neck", "left_ear", "right_ear"), (), (), {"thorax": "neck", "sternum": "neck"}
+)
 
 
 def camera(name, size=(640, 480)):
-    return Camera(name, size, np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]), np.array([-0.1, 0.01, 0, 0, 0]), False)
+    return Camera(
+        name,
+        size,
+        np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]),
+        np.array([-0.1, 0.01, 0, 0, 0]),
+        False,
+    )
 
 
 def view(name, frames=(0, 1, 2), keypoints=("nose", "neck"), instances=1, seed=0, size=(640, 480)):
     rng = np.random.default_rng([seed, *name.encode()])
-    positions = rng.uniform(100, 400, (len(frames), instances, len(keypoints), 2)).astype(np.float32)
+    positions = rng.uniform(100, 400, (len(frames), instances, len(keypoints), 2)).astype(
+        np.float32
+    )
     confidence = rng.uniform(0.2, 1.0, positions.shape[:3])
-    return Keypoints2D(name, tuple(keypoints), np.array(frames), positions, confidence, False, size, f"{name}.json")
+    return Keypoints2D(
+        name, tuple(keypoints), np.array(frames), positions, confidence, False, size, f"{name}.json"
+    )
 
 
 def record(*views, cameras=None, aliases=None):
-    return sample(make_recording(views, cameras or [camera(v.camera) for v in views], SKELETON, aliases or {}), slice(None))
+    return sample(
+        make_recording(
+            views, cameras or [camera(v.camera) for v in views], SKELETON, aliases or {}
+        ),
+        slice(None),
+    )
 
 
 def refused(*args, **kwargs):
@@ -55,7 +72,10 @@ def refused(*args, **kwargs):
 def test_the_order_of_files_does_not_matter(order, seed):
     views = [view("abc"[k], instances=k + 1, seed=seed) for k in range(3)]
     cameras = [camera(name) for name in "abc"]
-    first, second = record(*views, cameras=cameras), record(*(views[k] for k in order), cameras=cameras)
+    first, second = (
+        record(*views, cameras=cameras),
+        record(*(views[k] for k in order), cameras=cameras),
+    )
     assert first.names == second.names
     for name in ("frames", "positions", "confidence", "rays", "tracked", "vocabulary"):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
@@ -75,7 +95,12 @@ def test_the_order_of_cameras_is_the_order_of_views(order):
 def test_the_order_of_keypoints_in_one_file_does_not_matter(order):
     names = ("nose", "neck", "whisker")
     a, b = view("a", keypoints=names), view("b", keypoints=names)
-    turned = replace(b, keypoints=tuple(names[k] for k in order), positions=b.positions[:, :, order], confidence=b.confidence[:, :, order])
+    turned = replace(
+        b,
+        keypoints=tuple(names[k] for k in order),
+        positions=b.positions[:, :, order],
+        confidence=b.confidence[:, :, order],
+    )
     first, second = record(a, b), record(a, turned)
     assert first.keypoints == second.keypoints == names
     np.testing.assert_array_equal(first.positions, second.positions)
@@ -95,7 +120,9 @@ def test_frames_are_those_of_two_views_by_number(sets):
     for v, one in enumerate(views):
         for row, number in enumerate(shared):
             if number in sets[v]:
-                np.testing.assert_array_equal(recording.positions[v, row], one.positions[one.frames.tolist().index(number)])
+                np.testing.assert_array_equal(
+                    recording.positions[v, row], one.positions[one.frames.tolist().index(number)]
+                )
             else:
                 assert not recording.seen[v, row].any()
 
@@ -104,7 +131,9 @@ def test_rays_project_back_to_the_positions():
     recording = record(view("a"), view("b"))
     for v, one in enumerate(recording.cameras):
         # measured 1e-12 px at this mild distortion, which cv2 inverts by iteration
-        np.testing.assert_allclose(pixels_from_points(one, recording.rays[v]), recording.positions[v], atol=1e-9)
+        np.testing.assert_allclose(
+            pixels_from_points(one, recording.rays[v]), recording.positions[v], atol=1e-9
+        )
 
 
 def test_what_the_lens_model_cannot_undo_is_no_detection():
@@ -147,25 +176,35 @@ def test_slicing_frames(index):
 
 
 def test_names_of_one_joint_are_one_keypoint():
-    recording = record(view("a", keypoints=("thorax", "LEar")), view("b", keypoints=("left ear", "neck")))
+    recording = record(
+        view("a", keypoints=("thorax", "LEar")), view("b", keypoints=("left ear", "neck"))
+    )
     assert recording.keypoints == ("thorax", "LEar")
     assert recording.vocabulary.tolist() == [1, 2]
     assert recording.seen.all()
 
 
 def test_names_beyond_the_vocabulary_are_matched_as_they_are_spelled():
-    recording = record(view("a", keypoints=("TailTip", "nose")), view("b", keypoints=("nose", "tail_tip")))
+    recording = record(
+        view("a", keypoints=("TailTip", "nose")), view("b", keypoints=("nose", "tail_tip"))
+    )
     assert recording.keypoints == ("TailTip", "nose")
     assert recording.vocabulary.tolist() == [-1, 0]
 
 
 def test_keypoints_of_one_view_only_are_left_out():
-    recording = record(view("a", keypoints=("nose", "neck", "x")), view("b", keypoints=("y", "nose", "neck")))
+    recording = record(
+        view("a", keypoints=("nose", "neck", "x")), view("b", keypoints=("y", "nose", "neck"))
+    )
     assert recording.keypoints == ("nose", "neck")
 
 
 def test_a_joint_and_its_alias_side_by_side_stay_apart():
-    views = [view("a", keypoints=("neck", "thorax")), view("b", keypoints=("thorax", "neck")), view("c", keypoints=("thorax",))]
+    views = [
+        view("a", keypoints=("neck", "thorax")),
+        view("b", keypoints=("thorax", "neck")),
+        view("c", keypoints=("thorax",)),
+    ]
     recording = record(*views)
     assert recording.keypoints == ("neck", "thorax")
     assert recording.vocabulary.tolist() == [1, -1]
@@ -174,13 +213,20 @@ def test_a_joint_and_its_alias_side_by_side_stay_apart():
 
 
 def test_names_that_mean_the_same_stay_apart():
-    recording = record(view("a", keypoints=("LEar", "left_ear", "nose")), view("b", keypoints=("LEar", "left_ear", "nose")))
+    recording = record(
+        view("a", keypoints=("LEar", "left_ear", "nose")),
+        view("b", keypoints=("LEar", "left_ear", "nose")),
+    )
     assert recording.keypoints == ("LEar", "left_ear", "nose")
     assert sorted(recording.vocabulary.tolist()) == [-1, 0, 2]
 
 
 def test_own_aliases_come_first():
-    recording = record(view("a", keypoints=("Gola", "nose")), view("b", keypoints=("neck", "nose")), aliases={"gola": "neck"})
+    recording = record(
+        view("a", keypoints=("Gola", "nose")),
+        view("b", keypoints=("neck", "nose")),
+        aliases={"gola": "neck"},
+    )
     assert recording.keypoints == ("Gola", "nose")
     assert recording.vocabulary.tolist() == [1, 0]
 
@@ -191,7 +237,9 @@ def test_own_aliases_come_first():
 @pytest.mark.parametrize("scale", [0.5, 1.0])
 def test_confidence_up_to_1_is_kept(scale):
     views = [replace(v, confidence=v.confidence * scale) for v in (view("a"), view("b"))]
-    np.testing.assert_array_equal(record(*views).confidence, np.stack([v.confidence for v in views]).astype(np.float32))
+    np.testing.assert_array_equal(
+        record(*views).confidence, np.stack([v.confidence for v in views]).astype(np.float32)
+    )
 
 
 def test_confidence_beyond_1_is_scaled_by_view():
@@ -199,7 +247,11 @@ def test_confidence_beyond_1_is_scaled_by_view():
     recording = record(replace(a, confidence=a.confidence * 6), b)
     np.testing.assert_array_equal(recording.confidence[1], b.confidence.astype(np.float32))
     assert recording.confidence[0].max() == 1.0
-    np.testing.assert_allclose(recording.confidence[0], (a.confidence / np.percentile(a.confidence, 99)).clip(max=1), rtol=1e-6)
+    np.testing.assert_allclose(
+        recording.confidence[0],
+        (a.confidence / np.percentile(a.confidence, 99)).clip(max=1),
+        rtol=1e-6,
+    )
 
 
 # --- what does not belong together
@@ -228,7 +280,9 @@ def test_one_camera_is_too_few():
 
 
 def test_a_view_without_detections_is_dropped_and_two_must_remain():
-    empty = replace(view("c"), positions=np.full((3, 1, 2, 2), np.nan), confidence=np.zeros((3, 1, 2)))
+    empty = replace(
+        view("c"), positions=np.full((3, 1, 2, 2), np.nan), confidence=np.zeros((3, 1, 2))
+    )
     none = replace(view("d"), positions=np.zeros((3, 0, 2, 2)), confidence=np.zeros((3, 0, 2)))
     recording = record(view("a"), empty, none, view("b"))
     assert recording.names == ("a", "b")
@@ -274,7 +328,9 @@ def test_normalised_positions_are_refused():
 
 
 def test_an_unknown_size_is_taken_from_the_keypoints():
-    recording = record(view("a"), view("b", size=(0, 0)), cameras=[camera("a", (0, 0)), camera("b", (0, 0))])
+    recording = record(
+        view("a"), view("b", size=(0, 0)), cameras=[camera("a", (0, 0)), camera("b", (0, 0))]
+    )
     assert [c.size for c in recording.cameras] == [(640, 480), (0, 0)]
 
 
@@ -288,13 +344,18 @@ def test_two_files_without_a_source_are_two_files():
 def test_real_recordings_are_recordings(folder):
     start = time.perf_counter()
     views = read_keypoints([folder / "keypoints"])
-    recording = make_recording(views, read_cameras(folder / "intrinsics.toml"), load_skeleton("people"), {})
+    recording = make_recording(
+        views, read_cameras(folder / "intrinsics.toml"), load_skeleton("people"), {}
+    )
     assert len(recording.cameras) == len(views)
     assert recording.keypoints == views[0].keypoints
     order = [[v.camera for v in views].index(name) for name in recording.names]
     for v, k in enumerate(order):
         kept = recording.seen[v, :, : views[k].positions.shape[1]]
-        np.testing.assert_array_equal(recording.positions[v, :, : views[k].positions.shape[1]][kept], views[k].positions[kept].astype(np.float32))
+        np.testing.assert_array_equal(
+            recording.positions[v, :, : views[k].positions.shape[1]][kept],
+            views[k].positions[kept].astype(np.float32),
+        )
         # measured 1.06 %: noise beyond the fold of one lens near the corners, which no ray projects to
         assert kept.sum() >= 0.98 * np.isfinite(views[k].positions[..., 0]).sum()
     # measured 0.25 s for the largest

@@ -12,15 +12,18 @@ from scenes import PEOPLE, precision, rotation_errors_deg
 
 from mocap_calib.config import Config
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.io.cameras import read_cameras
-from mocap_calib.io.formats2d import read_keypoints
+from mocap_calib.io.cameras.load import read_cameras
+from mocap_calib.io.keypoints.formats import read_keypoints
 from mocap_calib.pipeline import calibrate
-from mocap_calib.recording import make_recording
+from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.steerpose.checkpoint import load_lifter
 from mocap_calib.types import CameraRig, silent
 
 RECORDINGS = Path(__file__).parents[2] / "shared" / "recordings"
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(not RECORDINGS.is_dir(), reason="the recordings are not at hand")]
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not RECORDINGS.is_dir(), reason="the recordings are not at hand"),
+]
 
 # name, bounds of median and largest rotation error (degrees), bound of the matching precision
 FIGURES = [
@@ -35,7 +38,9 @@ FIGURES = [
 ]
 
 
-@pytest.mark.parametrize(("name", "median", "largest", "least_precision"), FIGURES, ids=[f[0] for f in FIGURES])
+@pytest.mark.parametrize(
+    ("name", "median", "largest", "least_precision"), FIGURES, ids=[f[0] for f in FIGURES]
+)
 def test_recording(name, median, largest, least_precision):
     folder = RECORDINGS / name
     views = read_keypoints([folder / "keypoints"])

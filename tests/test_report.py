@@ -16,19 +16,31 @@ def elsewhere(rig: CameraRig, scale: float = 3.0) -> CameraRig:
     """The same rig in another world."""
     turn, shift = matrix_from_vector(np.array([0.3, -1.0, 0.5])), np.array([4.0, 5.0, -6.0])
     rotation = rig.rotation @ turn.T
-    return replace(rig, rotation=rotation, translation=scale * rig.translation - np.einsum("vij,j->vi", rotation, shift), unit="arbitrary")
+    return replace(
+        rig,
+        rotation=rotation,
+        translation=scale * rig.translation - np.einsum("vij,j->vi", rotation, shift),
+        unit="arbitrary",
+    )
 
 
 def without(rig: CameraRig, name: str) -> CameraRig:
     keep = [k for k, n in enumerate(rig.names) if n != name]
-    return CameraRig(tuple(rig.cameras[k] for k in keep), rig.rotation[keep], rig.translation[keep], rig.unit)
+    return CameraRig(
+        tuple(rig.cameras[k] for k in keep), rig.rotation[keep], rig.translation[keep], rig.unit
+    )
 
 
 @pytest.mark.parametrize("cameras", [2, 3, 5])
 def test_the_same_rig_in_any_world_has_no_error(cameras):
     rig = scene(cameras=cameras).rig
     figures = evaluation_to_dict(evaluate_rig(elsewhere(rig), rig))
-    for key in ("rotation_error_deg", "translation_error_deg", "camera_rotation_error_deg", "centre_error"):
+    for key in (
+        "rotation_error_deg",
+        "translation_error_deg",
+        "camera_rotation_error_deg",
+        "centre_error",
+    ):
         assert figures[key]["max"] == pytest.approx(0, abs=1e-6)
     assert figures["rra"] == figures["rta"] == {"5": 1, "10": 1, "20": 1, "30": 1}
     assert figures["auc"]["5"] == 1
@@ -49,12 +61,18 @@ def test_a_known_turn_is_the_error_of_its_pairs():
     rig = scene(cameras=4).rig
     rotation = rig.rotation.copy()
     rotation[2] = matrix_from_vector(np.radians([0, 7.0, 0])) @ rotation[2]
-    found = replace(rig, rotation=rotation, translation=-np.einsum("vij,vj->vi", rotation, rig.centres))
+    found = replace(
+        rig, rotation=rotation, translation=-np.einsum("vij,vj->vi", rotation, rig.centres)
+    )
     figures = evaluation_to_dict(evaluate_rig(found, rig))
     for pair in figures["pairs"]:
-        assert pair["rotation_error_deg"] == pytest.approx(7.0 if "cam3" in (pair["a"], pair["b"]) else 0.0, abs=1e-6)
+        assert pair["rotation_error_deg"] == pytest.approx(
+            7.0 if "cam3" in (pair["a"], pair["b"]) else 0.0, abs=1e-6
+        )
     assert figures["rra"] == {"5": 0.5, "10": 1, "20": 1, "30": 1}
-    assert figures["centre_error"]["max"] == pytest.approx(0, abs=1e-6)  # metres; the cameras' axes weigh a millionth
+    assert figures["centre_error"]["max"] == pytest.approx(
+        0, abs=1e-6
+    )  # metres; the cameras' axes weigh a millionth
 
 
 def test_a_known_shift_is_the_error_of_the_centre():
@@ -62,7 +80,9 @@ def test_a_known_shift_is_the_error_of_the_centre():
     centres = rig.centres.copy()
     centres[0] += [0.3, 0.0, 0.0]
     found = replace(rig, translation=-np.einsum("vij,vj->vi", rig.rotation, centres))
-    assert evaluate_rig(found, rig).centre_error.max() == pytest.approx(0.25, abs=0.06)  # the alignment spreads the rest
+    assert evaluate_rig(found, rig).centre_error.max() == pytest.approx(
+        0.25, abs=0.06
+    )  # the alignment spreads the rest
 
 
 def test_a_missing_camera_counts_as_wrong_as_can_be():
@@ -76,7 +96,11 @@ def test_a_missing_camera_counts_as_wrong_as_can_be():
 def test_agrees_with_an_independent_computation():
     rig, rng = scene(cameras=5).rig, np.random.default_rng(0)
     found = replace(rig, rotation=matrix_from_vector(rng.normal(0, 0.2, (5, 3))) @ rig.rotation)
-    np.testing.assert_allclose(np.sort(np.degrees(evaluate_rig(found, rig).rotation_error)), np.sort(rotation_errors_deg(found, rig)), atol=1e-6)
+    np.testing.assert_allclose(
+        np.sort(np.degrees(evaluate_rig(found, rig).rotation_error)),
+        np.sort(rotation_errors_deg(found, rig)),
+        atol=1e-6,
+    )
 
 
 def test_area_under_the_curve():

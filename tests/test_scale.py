@@ -14,16 +14,16 @@ from scenes import PEOPLE, precision, recording, rotation_errors_deg, scene, tru
 from test_geometry import CAMERAS
 from test_stages import turned
 
+from mocap_calib.compute.parallel import in_order, in_processes
 from mocap_calib.config import Config, SampleConfig, TriangulateConfig
-from mocap_calib.frames import evenly, informative, sample
 from mocap_calib.geometry.projection import pixels_from_points
-from mocap_calib.least_squares import Sightings, State, _cost, _linearise, minimise
-from mocap_calib.parallel import in_order, in_processes
+from mocap_calib.multi_view.schur import Sightings, State, _cost, _linearise, minimise
+from mocap_calib.multi_view.triangulation import observations, triangulate_rays
 from mocap_calib.pipeline import calibrate
-from mocap_calib.recording import make_recording, slice_frames
+from mocap_calib.recording.sampling import evenly, informative, sample
+from mocap_calib.recording.synchronise import make_recording, slice_frames
 from mocap_calib.steerpose.checkpoint import load_lifter
 from mocap_calib.steerpose.lift import lift
-from mocap_calib.triangulation import observations, triangulate_rays
 from mocap_calib.types import silent
 
 TOOL = Path(sys.executable).with_name("mocap-calib")
@@ -78,9 +78,15 @@ def test_a_long_recording_is_calibrated_by_its_sample_and_labelled_throughout():
 
 def test_triangulation_is_a_function_of_blocks():
     """A point comes out the same whatever points it is triangulated with: measured to the last digit."""
-    rig, found, noise = scene().rig, observations(recording(), truth(), np.arange(60)), np.full(4, 2e-3)
+    rig, found, noise = (
+        scene().rig,
+        observations(recording(), truth(), np.arange(60)),
+        np.full(4, 2e-3),
+    )
     whole, used = triangulate_rays(rig, found.rays, found.confidence, noise, TriangulateConfig())
-    part, of_part = triangulate_rays(rig, found.rays[..., 700:901], found.confidence[:, 700:901], noise, TriangulateConfig())
+    part, of_part = triangulate_rays(
+        rig, found.rays[..., 700:901], found.confidence[:, 700:901], noise, TriangulateConfig()
+    )
     np.testing.assert_allclose(part, whole[:, 700:901], rtol=1e-12, atol=1e-12)
     np.testing.assert_array_equal(of_part, used[:, 700:901])
 
@@ -98,7 +104,9 @@ def problem() -> tuple[State, Sightings]:
     rays = inside / np.linalg.norm(inside, axis=1, keepdims=True)
     basis = np.linalg.svd(np.moveaxis(rays, 1, 2)[..., None, :])[2][..., 1:, :]  # (view, N, 2, 3)
     weight = rng.uniform(0, 1, (3, 100)) * (rng.random((3, 100)) > 0.1)
-    return State(rig.rotation, rig.translation, points), Sightings(rays, 300 * np.moveaxis(basis, 1, 3), weight)
+    return State(rig.rotation, rig.translation, points), Sightings(
+        rays, 300 * np.moveaxis(basis, 1, 3), weight
+    )
 
 
 def test_the_gradient_is_the_slope_of_the_cost():
@@ -107,11 +115,24 @@ def test_the_gradient_is_the_slope_of_the_cost():
     linear = _linearise(state, seen, 3.0)
     nudge = 1e-6
     for axis in range(3):
-        moved = [replace(state, translation=state.translation + sign * nudge * np.eye(3)[axis] * np.array([[0], [1], [0]])) for sign in (1, -1)]
+        moved = [
+            replace(
+                state,
+                translation=state.translation
+                + sign * nudge * np.eye(3)[axis] * np.array([[0], [1], [0]]),
+            )
+            for sign in (1, -1)
+        ]
         slope = (_cost(moved[0], seen, 3.0) - _cost(moved[1], seen, 3.0)) / (2 * nudge)
         assert 2 * linear.camera_side[1, 3 + axis] == pytest.approx(slope, rel=1e-5)
-        points = [state.points + sign * nudge * np.outer(np.eye(3)[axis], np.arange(100) == 7) for sign in (1, -1)]
-        slope = (_cost(replace(state, points=points[0]), seen, 3.0) - _cost(replace(state, points=points[1]), seen, 3.0)) / (2 * nudge)
+        points = [
+            state.points + sign * nudge * np.outer(np.eye(3)[axis], np.arange(100) == 7)
+            for sign in (1, -1)
+        ]
+        slope = (
+            _cost(replace(state, points=points[0]), seen, 3.0)
+            - _cost(replace(state, points=points[1]), seen, 3.0)
+        ) / (2 * nudge)
         assert 2 * linear.point_side[axis, 7] == pytest.approx(slope, rel=1e-4, abs=1e-4)
 
 
@@ -132,7 +153,9 @@ def test_lenses_are_those_of_opencv(name):
     camera = CAMERAS[name]
     points = np.random.default_rng(0).uniform([-0.5, -0.3, 1.0], [0.5, 0.3, 1.5], (200, 3))
     project = cv2.fisheye.projectPoints if camera.fisheye else cv2.projectPoints
-    expected = project(points[:, None], np.zeros(3), np.zeros(3), camera.matrix, camera.distortion)[0][:, 0]
+    expected = project(points[:, None], np.zeros(3), np.zeros(3), camera.matrix, camera.distortion)[
+        0
+    ][:, 0]
     np.testing.assert_allclose(pixels_from_points(camera, points), expected, atol=1e-9)
 
 
@@ -174,9 +197,20 @@ def test_processes_give_results_in_order_and_end(monkeypatch):
 
 def test_threads_change_no_byte(small, tmp_path):
     for threads in ("1", "2"):
-        command = [TOOL, "run", small / "keypoints", "--cameras", small / "intrinsics.toml", "-o", tmp_path / threads, "--quiet"]
+        command = [
+            TOOL,
+            "run",
+            small / "keypoints",
+            "--cameras",
+            small / "intrinsics.toml",
+            "-o",
+            tmp_path / threads,
+            "--quiet",
+        ]
         subprocess.run(command, check=True, env={**os.environ, "OMP_NUM_THREADS": threads})
-    files = {path.name for path in (tmp_path / "1").iterdir()} - {"run.json"}  # which tells the time
+    files = {path.name for path in (tmp_path / "1").iterdir()} - {
+        "run.json"
+    }  # which tells the time
     assert len(files) >= 5
     for name in files:
         assert (tmp_path / "1" / name).read_bytes() == (tmp_path / "2" / name).read_bytes(), name
@@ -185,7 +219,9 @@ def test_threads_change_no_byte(small, tmp_path):
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
 def test_lifting_on_a_gpu_is_lifting():
     found = sample(recording(), slice(0, 5))
-    first, second = (lift(found, load_lifter()[0], device=device, progress=silent) for device in ("cpu", "cuda"))
+    first, second = (
+        lift(found, load_lifter()[0], device=device, progress=silent) for device in ("cpu", "cuda")
+    )
     np.testing.assert_allclose(second.body, first.body, atol=1e-3)
 
 

@@ -9,14 +9,25 @@ from click.testing import CliRunner
 
 from mocap_calib.config import SimulateConfig
 from mocap_calib.errors import MismatchError
-from mocap_calib.io.cameras import read_cameras, read_rig
-from mocap_calib.io.coco_writer import format_coco
-from mocap_calib.io.formats2d import read_keypoints
+from mocap_calib.io.cameras.load import read_cameras, read_rig
+from mocap_calib.io.keypoints.coco_writer import format_coco
+from mocap_calib.io.keypoints.formats import read_keypoints
 from mocap_calib.synthetic import JOINTS, LAYOUTS, simulate
 from mocap_calib_cli.commands.simulate import command, repeat
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "three_people"
-FEW = ["--frames", "12", "--people", "2", "--cameras", "3", "--distortion", "fisheye", "--seed", "7"]
+FEW = [
+    "--frames",
+    "12",
+    "--people",
+    "2",
+    "--cameras",
+    "3",
+    "--distortion",
+    "fisheye",
+    "--seed",
+    "7",
+]
 SCENE = SimulateConfig(frames=12, people=2, cameras=3, distortion="fisheye", seed=7)
 
 
@@ -25,7 +36,11 @@ def run(output, *options):
 
 
 def content(folder):
-    return {str(file.relative_to(folder)): file.read_bytes() for file in sorted(folder.rglob("*")) if file.is_file()}
+    return {
+        str(file.relative_to(folder)): file.read_bytes()
+        for file in sorted(folder.rglob("*"))
+        if file.is_file()
+    }
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +63,9 @@ def check_scene(folder, scene):
     assert (rig.names, rig.unit) == (scene.rig.names, "m")
     np.testing.assert_allclose(rig.rotation, scene.rig.rotation, atol=1e-12)
     np.testing.assert_allclose(rig.translation, scene.rig.translation, atol=1e-12)
-    for camera, known, file in zip(read_cameras(folder / "intrinsics.toml"), scene.rig.cameras, scene.files, strict=True):
+    for camera, known, file in zip(
+        read_cameras(folder / "intrinsics.toml"), scene.rig.cameras, scene.files, strict=True
+    ):
         assert (camera.name, camera.size, camera.fisheye) == (known.name, known.size, known.fisheye)
         np.testing.assert_allclose(camera.matrix, known.matrix, atol=1e-9)
         np.testing.assert_allclose(camera.distortion, known.distortion, atol=1e-12)
@@ -62,7 +79,13 @@ def check_scene(folder, scene):
 
 
 def test_the_files_are_the_scene(written):
-    assert set(content(written)) == {"README.md", "intrinsics.toml", "reference.toml", "truth.npz", *(f"keypoints/cam{k}.json" for k in (1, 2, 3))}
+    assert set(content(written)) == {
+        "README.md",
+        "intrinsics.toml",
+        "reference.toml",
+        "truth.npz",
+        *(f"keypoints/cam{k}.json" for k in (1, 2, 3)),
+    }
     check_scene(written, simulate(SCENE))
     assert "rotation" not in (written / "intrinsics.toml").read_text()
 
@@ -89,7 +112,16 @@ def test_keypoints_of_other_cameras_are_not_mixed_in(tmp_path):
     assert content(tmp_path) == before
 
 
-@pytest.mark.parametrize("wrong", [["--cameras", "0"], ["--missing", "2"], ["--distortion", "thick"], ["--fps", "0"], ["--seed", "-1"]])
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        ["--cameras", "0"],
+        ["--missing", "2"],
+        ["--distortion", "thick"],
+        ["--fps", "0"],
+        ["--seed", "-1"],
+    ],
+)
 def test_wrong_usage(tmp_path, wrong):
     assert run(tmp_path / "new", *wrong).exit_code == 2
     assert not (tmp_path / "new").exists()
@@ -97,7 +129,10 @@ def test_wrong_usage(tmp_path, wrong):
 
 def test_repeat_gives_only_what_is_unusual():
     assert repeat(SimulateConfig()) == "mocap-calib simulate -o OUT --seed 0"
-    assert repeat(SimulateConfig(noise_px=1.0, arc_deg=90.0, shuffle=False)) == "mocap-calib simulate -o OUT --arc 90.0 --noise 1.0 --no-shuffle --seed 0"
+    assert (
+        repeat(SimulateConfig(noise_px=1.0, arc_deg=90.0, shuffle=False))
+        == "mocap-calib simulate -o OUT --arc 90.0 --noise 1.0 --no-shuffle --seed 0"
+    )
 
 
 def test_help_has_an_example():
@@ -106,9 +141,22 @@ def test_help_has_an_example():
 
 def test_coco_keeps_the_place_of_empty_instances_before_others():
     positions = np.array([[[[1.26, 2.0]], [[np.nan, np.nan]], [[3.0, 4.04]], [[np.nan, np.nan]]]])
-    data = json.loads(format_coco("c", (64, 48), np.array([5]), ("nose",), positions, np.array([[[0.126, 0.0, 0.001, 0.0]]]).reshape(1, 4, 1)))
+    data = json.loads(
+        format_coco(
+            "c",
+            (64, 48),
+            np.array([5]),
+            ("nose",),
+            positions,
+            np.array([[[0.126, 0.0, 0.001, 0.0]]]).reshape(1, 4, 1),
+        )
+    )
     assert data["images"] == [{"id": 5, "file_name": "frame_000005.jpg", "width": 64, "height": 48}]
-    assert [entry["keypoints"] for entry in data["annotations"]] == [[1.3, 2, 0.13], [0, 0, 0], [3, 4, 0.01]]
+    assert [entry["keypoints"] for entry in data["annotations"]] == [
+        [1.3, 2, 0.13],
+        [0, 0, 0],
+        [3, 4, 0.01],
+    ]
     assert [entry["id"] for entry in data["annotations"]] == [1, 2, 3]
 
 

@@ -8,20 +8,32 @@ import numpy as np
 import pytest
 from scenes import lifted, precision, recording, rotation_errors_deg, scene, truth
 
-from mocap_calib.assignment import mutual_best, sinkhorn
-from mocap_calib.averaging import average, of_cameras
-from mocap_calib.bundle_adjustment import adjust
-from mocap_calib.config import AdjustConfig, AveragingConfig, MatchingConfig, PairwiseConfig, TriangulateConfig
+from mocap_calib.config import (
+    AdjustConfig,
+    AveragingConfig,
+    MatchingConfig,
+    PairwiseConfig,
+    TriangulateConfig,
+)
 from mocap_calib.errors import DegenerateError
-from mocap_calib.evidence import epipolar_error, place_error, reach, steering_error, view_pair
 from mocap_calib.geometry.epipolar import essential, sampson_angle
 from mocap_calib.geometry.rotation import angle_between, direction_angle, matrix_from_vector
-from mocap_calib.io.results import pairs_to_json
-from mocap_calib.loops import usable_cameras
-from mocap_calib.matching import match
-from mocap_calib.pairwise import calibrate_pair, calibrate_pairs, pair_problem
-from mocap_calib.triangulation import triangulate, triangulate_rays
-from mocap_calib.two_view import refine_two_view
+from mocap_calib.io.results.results import pairs_to_json
+from mocap_calib.multi_view.association import match
+from mocap_calib.multi_view.averaging import average, of_cameras
+from mocap_calib.multi_view.bundle_adjustment import adjust
+from mocap_calib.multi_view.triangulation import triangulate, triangulate_rays
+from mocap_calib.multi_view.view_graph import usable_cameras
+from mocap_calib.two_view.affinity import (
+    epipolar_error,
+    place_error,
+    reach,
+    steering_error,
+    view_pair,
+)
+from mocap_calib.two_view.assignment import mutual_best, sinkhorn
+from mocap_calib.two_view.refine import refine_two_view
+from mocap_calib.two_view.solve import calibrate_pair, calibrate_pairs, pair_problem
 from mocap_calib.types import Camera, CameraRig, Matches, PairwiseCalibration, Recording, silent
 
 
@@ -35,7 +47,9 @@ def turned(rig: CameraRig, degrees: float, seed: int = 0) -> CameraRig:
     axis *= np.radians(degrees) / np.linalg.norm(axis, axis=1, keepdims=True)
     axis[0] = 0
     rotation = matrix_from_vector(axis) @ rig.rotation
-    return replace(rig, rotation=rotation, translation=-np.einsum("vij,vj->vi", rotation, rig.centres))
+    return replace(
+        rig, rotation=rotation, translation=-np.einsum("vij,vj->vi", rotation, rig.centres)
+    )
 
 
 # assignment
@@ -50,12 +64,19 @@ def test_sinkhorn_rows_and_columns_hold_at_most_one():
 def test_sinkhorn_is_equivariant_to_order():
     affinity = np.random.default_rng(1).uniform(size=(4, 5))
     rows, columns = [2, 0, 3, 1], [4, 1, 0, 3, 2]
-    np.testing.assert_allclose(sinkhorn(affinity[rows][:, columns], dummy=0.2), sinkhorn(affinity, dummy=0.2)[rows][:, columns], atol=1e-12)
+    np.testing.assert_allclose(
+        sinkhorn(affinity[rows][:, columns], dummy=0.2),
+        sinkhorn(affinity, dummy=0.2)[rows][:, columns],
+        atol=1e-12,
+    )
 
 
 def test_the_unlike_stay_alone():
     affinity = np.array([[0.9, 0.0], [0.0, 0.01]])
-    assert mutual_best(sinkhorn(affinity, dummy=0.2), least=0.2).tolist() == [[True, False], [False, False]]
+    assert mutual_best(sinkhorn(affinity, dummy=0.2), least=0.2).tolist() == [
+        [True, False],
+        [False, False],
+    ]
 
 
 # evidence
@@ -67,7 +88,9 @@ def test_steering_error_is_the_weighted_distance_of_turned_bodies():
     fast = steering_error(pair, rotation)[0]
     weight = np.nan_to_num([1 / (bodies.spread[v, :10] ** 2 + 0.05**2) for v in (0, 1)])
     w = weight[0][:, :, None] * weight[1][:, None]
-    gap = (np.nan_to_num(bodies.body[0, :10]) @ rotation[0].T)[:, :, None] - np.nan_to_num(bodies.body[1, :10])[:, None]
+    gap = (np.nan_to_num(bodies.body[0, :10]) @ rotation[0].T)[:, :, None] - np.nan_to_num(
+        bodies.body[1, :10]
+    )[:, None]
     slow = (w * (gap**2).sum(-1)).sum(-1) / np.maximum(w.sum(-1), 1e-12)
     np.testing.assert_allclose(fast, slow, atol=1e-10)
 
@@ -77,14 +100,21 @@ def test_place_error_is_the_distance_over_the_distances():
     rotation, translation = matrix_from_vector(np.array([0.1, 0.5, 0.0])), np.array([1.0, 2.0, 3.0])
     gap = (pair.place_a @ rotation.T + translation)[:, :, None] - pair.place_b[:, None]
     slow = (gap**2).sum(-1) / (pair.distance_a[:, :, None] ** 2 + pair.distance_b[:, None] ** 2)
-    np.testing.assert_allclose(place_error(pair, rotation[None], translation[None])[0], slow, atol=1e-10)
+    np.testing.assert_allclose(
+        place_error(pair, rotation[None], translation[None])[0], slow, atol=1e-10
+    )
 
 
 def test_epipolar_error_is_sampsons_at_the_body():
     pair = some_pair()
     rotation, translation = matrix_from_vector(np.array([0.1, 0.5, 0.0])), np.array([0.6, 0.0, 0.8])
     error, weight = epipolar_error(pair, rotation[None], translation[None])
-    slow = np.abs(sampson_angle(essential(rotation, translation), pair.rays_a[3, 1], pair.rays_b[3, 2])) * reach(pair)[3, 1, 2]
+    slow = (
+        np.abs(
+            sampson_angle(essential(rotation, translation), pair.rays_a[3, 1], pair.rays_b[3, 2])
+        )
+        * reach(pair)[3, 1, 2]
+    )
     known = weight[3, 1, 2] > 0
     assert known.any()
     np.testing.assert_allclose(error[0, 3, 1, 2][known], slow[known], atol=1e-12)
@@ -96,15 +126,22 @@ def test_epipolar_error_is_sampsons_at_the_body():
 def test_refinement_finds_the_pose_among_gross_outliers():
     """From 6 degrees off, with 20 % outliers and 1 mrad of noise: measured 0.02 degrees."""
     rng = np.random.default_rng(0)
-    rotation, translation = matrix_from_vector(np.array([0.2, 1.0, -0.1])), np.array([-3.0, 0.2, 2.0])
+    rotation, translation = (
+        matrix_from_vector(np.array([0.2, 1.0, -0.1])),
+        np.array([-3.0, 0.2, 2.0]),
+    )
     in_a = rng.uniform(-1.5, 1.5, (2000, 3)) + [0, 0, 5.0]
     a, b = in_a, in_a @ rotation.T + translation
-    a, b = (x / np.linalg.norm(x, axis=1, keepdims=True) + rng.normal(0, 1e-3, x.shape) for x in (a, b))
+    a, b = (
+        x / np.linalg.norm(x, axis=1, keepdims=True) + rng.normal(0, 1e-3, x.shape) for x in (a, b)
+    )
     b[:400] = rng.permutation(b[:400])
     a, b = (x / np.linalg.norm(x, axis=1, keepdims=True) for x in (a, b))
     start = matrix_from_vector(np.radians([[3.0, -4.0, 3.0]])) @ rotation
     weight, far = np.ones((1, 2000)), np.full((1, 2000), 5.0)
-    found, direction = refine_two_view(start, translation[None] + 0.3, a[None], b[None], weight, far, scale=0.05)
+    found, direction = refine_two_view(
+        start, translation[None] + 0.3, a[None], b[None], weight, far, scale=0.05
+    )
     assert np.degrees(angle_between(found[0], rotation)) < 0.1
     assert np.degrees(direction_angle(direction[0], translation)) < 0.2
     assert np.linalg.norm(direction) == pytest.approx(np.linalg.norm(translation + 0.3))
@@ -113,7 +150,9 @@ def test_refinement_finds_the_pose_among_gross_outliers():
 def test_pairs_of_a_ring_of_strangers():
     """Three people, order shuffled: measured 0.1 to 0.4 degrees, no wrong match."""
     made = scene()
-    pairs = calibrate_pairs(recording(), lifted(), PairwiseConfig(), rng=np.random.default_rng(0), progress=silent)
+    pairs = calibrate_pairs(
+        recording(), lifted(), PairwiseConfig(), rng=np.random.default_rng(0), progress=silent
+    )
     assert [(p.a, p.b) for p in pairs] == list(combinations(range(4), 2))
     for pair in pairs:
         rotation, translation = made.rig.relative(pair.a, pair.b)
@@ -128,23 +167,49 @@ def test_pairs_of_a_ring_of_strangers():
 def test_baselines_come_in_one_unit():
     """Baselines in body sizes over baselines in metres: within 6 % of each other (measured 3 %), known without any length."""
     made = scene()
-    pairs = calibrate_pairs(recording(), lifted(), PairwiseConfig(), rng=np.random.default_rng(0), progress=silent)
-    ratio = np.array([np.linalg.norm(p.translation) / np.linalg.norm(made.rig.relative(p.a, p.b)[1]) for p in pairs])
+    pairs = calibrate_pairs(
+        recording(), lifted(), PairwiseConfig(), rng=np.random.default_rng(0), progress=silent
+    )
+    ratio = np.array(
+        [
+            np.linalg.norm(p.translation) / np.linalg.norm(made.rig.relative(p.a, p.b)[1])
+            for p in pairs
+        ]
+    )
     assert np.ptp(ratio) / ratio.mean() < 0.12
 
 
-def pair_of(found: Recording, a: int, b: int, config: PairwiseConfig | None = None) -> PairwiseCalibration | None:
+def pair_of(
+    found: Recording, a: int, b: int, config: PairwiseConfig | None = None
+) -> PairwiseCalibration | None:
     config = config or PairwiseConfig()
-    return calibrate_pair(pair_problem(found, lifted(), a, b, config, np.random.default_rng(0)), config)
+    return calibrate_pair(
+        pair_problem(found, lifted(), a, b, config, np.random.default_rng(0)), config
+    )
 
 
 def test_pairs_may_be_calibrated_elsewhere_and_in_any_order():
     """A mapper that pickles and turns the order round: the same bytes as `map`."""
 
     def away(function, items):
-        return reversed([pickle.loads(pickle.dumps(function))(pickle.loads(pickle.dumps(item))) for item in items])
+        return reversed(
+            [
+                pickle.loads(pickle.dumps(function))(pickle.loads(pickle.dumps(item)))
+                for item in items
+            ]
+        )
 
-    here, there = (calibrate_pairs(recording(), lifted(), PairwiseConfig(), rng=np.random.default_rng(0), progress=silent, mapper=m) for m in (map, away))
+    here, there = (
+        calibrate_pairs(
+            recording(),
+            lifted(),
+            PairwiseConfig(),
+            rng=np.random.default_rng(0),
+            progress=silent,
+            mapper=m,
+        )
+        for m in (map, away)
+    )
     assert pairs_to_json(here, recording().cameras) == pairs_to_json(there, recording().cameras)
 
 
@@ -165,8 +230,18 @@ def test_refinement_is_guarded():
 def test_views_that_share_no_frame_make_no_pair():
     found = recording()
     positions, rays = found.positions.copy(), found.rays.copy()
-    positions[0, ::2], rays[0, ::2], positions[1, 1::2], rays[1, 1::2] = np.nan, np.nan, np.nan, np.nan
-    apart = replace(found, positions=positions, rays=rays, confidence=np.where(np.isnan(positions[..., 0]), 0.0, found.confidence))
+    positions[0, ::2], rays[0, ::2], positions[1, 1::2], rays[1, 1::2] = (
+        np.nan,
+        np.nan,
+        np.nan,
+        np.nan,
+    )
+    apart = replace(
+        found,
+        positions=positions,
+        rays=rays,
+        confidence=np.where(np.isnan(positions[..., 0]), 0.0, found.confidence),
+    )
     assert pair_of(apart, 0, 1) is None
 
 
@@ -181,7 +256,20 @@ def exact_pairs(rig: CameraRig, *, wrong: tuple[int, ...] = ()) -> tuple[Pairwis
         if k in wrong:
             rotation = matrix_from_vector(np.radians([0.0, 40.0, 0.0])) @ rotation
             translation = np.roll(translation, 1)
-        pairs.append(PairwiseCalibration(a, b, rotation, translation, np.zeros((0, 3), int), 10, 0.5 if k in wrong else 0.8, 0.0, 1.0, "lifted"))
+        pairs.append(
+            PairwiseCalibration(
+                a,
+                b,
+                rotation,
+                translation,
+                np.zeros((0, 3), int),
+                10,
+                0.5 if k in wrong else 0.8,
+                0.0,
+                1.0,
+                "lifted",
+            )
+        )
     return tuple(pairs)
 
 
@@ -191,7 +279,11 @@ def test_consistent_pairs_give_their_rig():
     found = average(rig.cameras, exact_pairs(rig), AveragingConfig()).rig
     np.testing.assert_allclose(found.rotation[0], np.eye(3), atol=1e-12)
     for a, b in combinations(range(6), 2):
-        np.testing.assert_allclose(np.concatenate(found.relative(a, b), None), np.concatenate(rig.relative(a, b), None), atol=1e-8)
+        np.testing.assert_allclose(
+            np.concatenate(found.relative(a, b), None),
+            np.concatenate(rig.relative(a, b), None),
+            atol=1e-8,
+        )
 
 
 def test_a_pair_that_breaks_the_loops_is_named_and_loses_its_weight():
@@ -223,7 +315,9 @@ def test_a_camera_that_no_pair_holds_is_left_out():
 
 def test_matching_with_the_true_rig_finds_everybody():
     made = scene()
-    found = match(recording(), lifted(), made.rig, MatchingConfig(), PairwiseConfig(), progress=silent)
+    found = match(
+        recording(), lifted(), made.rig, MatchingConfig(), PairwiseConfig(), progress=silent
+    )
     assert precision(found.labels, made.identity) > 0.995
     people = made.identity >= 0
     assert (found.labels[people] >= 0).mean() > 0.97
@@ -231,7 +325,9 @@ def test_matching_with_the_true_rig_finds_everybody():
 
 
 def test_a_label_is_given_once_a_view_and_frame():
-    labels = match(recording(), lifted(), scene().rig, MatchingConfig(), PairwiseConfig(), progress=silent).labels
+    labels = match(
+        recording(), lifted(), scene().rig, MatchingConfig(), PairwiseConfig(), progress=silent
+    ).labels
     for k in range(labels.max() + 1):
         assert ((labels == k).sum(-1) <= 1).all()
         assert ((labels == k).sum((0, 2)) != 1).all()  # never in a single view
@@ -239,7 +335,9 @@ def test_a_label_is_given_once_a_view_and_frame():
 
 def test_individuals_keep_their_label_through_time():
     made = scene()
-    labels = match(recording(), lifted(), made.rig, MatchingConfig(), PairwiseConfig(), progress=silent).labels
+    labels = match(
+        recording(), lifted(), made.rig, MatchingConfig(), PairwiseConfig(), progress=silent
+    ).labels
     for person in range(3):
         own = labels[made.identity == person]
         own = own[own >= 0]
@@ -249,7 +347,10 @@ def test_individuals_keep_their_label_through_time():
 def test_matching_does_not_depend_on_the_unit_of_the_rig():
     rig = scene().rig
     in_mm = replace(rig, translation=1000 * rig.translation, unit="mm")
-    first, second = (match(recording(), lifted(), r, MatchingConfig(), PairwiseConfig(), progress=silent) for r in (rig, in_mm))
+    first, second = (
+        match(recording(), lifted(), r, MatchingConfig(), PairwiseConfig(), progress=silent)
+        for r in (rig, in_mm)
+    )
     np.testing.assert_array_equal(first.labels, second.labels)
 
 
@@ -269,18 +370,39 @@ def test_adjustment_does_not_depend_on_the_gauge():
     start = turned(made.rig, 1.0)
     turn, shift = matrix_from_vector(np.array([0.4, -0.2, 0.9])), np.array([5.0, -3.0, 1.0])
     rotation = start.rotation @ turn.T
-    elsewhere = replace(start, rotation=rotation, translation=2.0 * start.translation - np.einsum("vij,j->vi", rotation, shift))
-    first, second = (adjust(recording(), rig, truth(), AdjustConfig(), TriangulateConfig()) for rig in (start, elsewhere))
+    elsewhere = replace(
+        start,
+        rotation=rotation,
+        translation=2.0 * start.translation - np.einsum("vij,j->vi", rotation, shift),
+    )
+    first, second = (
+        adjust(recording(), rig, truth(), AdjustConfig(), TriangulateConfig())
+        for rig in (start, elsewhere)
+    )
     assert rotation_errors_deg(first, second).max() < 0.01
 
 
 @pytest.mark.parametrize("distortion", ["brown", "fisheye"])
 def test_adjustment_and_opencv_mean_the_same_camera(distortion):
     """Noise-free detections of distorted cameras: the half pixel and the lens models agree, or the rig would be bent."""
-    clean = {"distortion": distortion, "noise_px": 0.0, "outliers": 0.0, "missing": 0.0, "false_detections": 0.0}
+    clean = {
+        "distortion": distortion,
+        "noise_px": 0.0,
+        "outliers": 0.0,
+        "missing": 0.0,
+        "false_detections": 0.0,
+    }
     made = scene(**clean)
-    found = adjust(recording(**clean), turned(made.rig, 1.0), truth(**clean), AdjustConfig(), TriangulateConfig())
-    assert rotation_errors_deg(found, made.rig).max() < 1e-3  # measured 1e-5; half a pixel would be 0.03
+    found = adjust(
+        recording(**clean),
+        turned(made.rig, 1.0),
+        truth(**clean),
+        AdjustConfig(),
+        TriangulateConfig(),
+    )
+    assert (
+        rotation_errors_deg(found, made.rig).max() < 1e-3
+    )  # measured 1e-5; half a pixel would be 0.03
 
 
 def test_a_camera_without_matches_is_named():
@@ -295,7 +417,10 @@ def test_a_camera_without_matches_is_named():
 
 def ring(views: int) -> CameraRig:
     rig = scene(cameras=views).rig
-    return replace(rig, cameras=tuple(Camera(c.name, c.size, c.matrix, np.zeros(5), False) for c in rig.cameras))
+    return replace(
+        rig,
+        cameras=tuple(Camera(c.name, c.size, c.matrix, np.zeros(5), False) for c in rig.cameras),
+    )
 
 
 def rays_to(rig: CameraRig, points: np.ndarray) -> np.ndarray:
@@ -308,7 +433,9 @@ def rays_to(rig: CameraRig, points: np.ndarray) -> np.ndarray:
 def test_exact_rays_meet_in_their_point(views):
     rig, points = ring(views), np.random.default_rng(0).uniform(-1, 1, (300, 3)) + [0, 0, 1]
     rays = rays_to(rig, points)
-    found, used = triangulate_rays(rig, rays, np.ones((views, 300)), np.full(views, 1e-3), TriangulateConfig())
+    found, used = triangulate_rays(
+        rig, rays, np.ones((views, 300)), np.full(views, 1e-3), TriangulateConfig()
+    )
     np.testing.assert_allclose(found.T, points, atol=1e-6)
     assert used.all()
 
@@ -323,15 +450,21 @@ def test_any_two_or_three_views_of_a_large_rig_will_do(views):
         weight[list(some), n] = 1.0
     rays = np.repeat(rays_to(rig, point), len(seen), axis=2)
     found, _ = triangulate_rays(rig, rays, weight, np.full(views, 1e-3), TriangulateConfig())
-    np.testing.assert_allclose(found.T, np.broadcast_to(point, (len(seen), 3)), atol=1e-4)  # two views may face each other
+    np.testing.assert_allclose(
+        found.T, np.broadcast_to(point, (len(seen), 3)), atol=1e-4
+    )  # two views may face each other
 
 
 def test_one_outlying_view_is_found_and_left_out():
     rig, points = ring(4), np.random.default_rng(1).uniform(-1, 1, (300, 3)) + [0, 0, 1]
     rays = rays_to(rig, points)
     bad = np.random.default_rng(2).integers(4, size=300)
-    rays[bad, :, np.arange(300)] = rays[bad, :, np.arange(300)] @ matrix_from_vector(np.array([0.1, 0.05, 0.0])).T
-    found, used = triangulate_rays(rig, rays, np.ones((4, 300)), np.full(4, 2e-3), TriangulateConfig())
+    rays[bad, :, np.arange(300)] = (
+        rays[bad, :, np.arange(300)] @ matrix_from_vector(np.array([0.1, 0.05, 0.0])).T
+    )
+    found, used = triangulate_rays(
+        rig, rays, np.ones((4, 300)), np.full(4, 2e-3), TriangulateConfig()
+    )
     assert np.median(np.linalg.norm(found.T - points, axis=1)) < 2e-3
     assert not used[bad, np.arange(300)].any()
     assert (used.sum(0) == 3).mean() > 0.99
@@ -346,7 +479,9 @@ def test_two_views_that_disagree_or_look_alike_give_nothing():
     off[0] /= np.linalg.norm(off[0])
     weight, noise = np.ones((2, 1)), np.full(2, 1e-3)
     assert np.isnan(triangulate_rays(rig, off, weight, noise, TriangulateConfig())[0]).all()
-    assert np.isnan(triangulate_rays(rig, rays, weight, noise, TriangulateConfig(least_angle_deg=179.0))[0]).all()
+    assert np.isnan(
+        triangulate_rays(rig, rays, weight, noise, TriangulateConfig(least_angle_deg=179.0))[0]
+    ).all()
     assert np.isfinite(triangulate_rays(rig, rays, weight, noise, TriangulateConfig())[0]).all()
 
 

@@ -10,13 +10,13 @@ from scenes import recording, scene
 from mocap_calib.config import TrainConfig
 from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.skeleton import load_skeleton, match_names, normalise_name
+from mocap_calib.recording.joints import load_skeleton, match_names, normalise_name
 from mocap_calib.steerpose.checkpoint import load_lifter, save_lifter
-from mocap_calib.steerpose.dataset import Batch, Synthesiser
 from mocap_calib.steerpose.lift import lift
 from mocap_calib.steerpose.model import Lifter, ModelConfig, normalise
-from mocap_calib.steerpose.poses import PoseSet, load_poses
-from mocap_calib.steerpose.train import lifting_loss, train_lifter
+from mocap_calib.steerpose.training.dataset import Batch, Synthesiser
+from mocap_calib.steerpose.training.poses import PoseSet, load_poses
+from mocap_calib.steerpose.training.train import lifting_loss, train_lifter
 from mocap_calib.synthetic import people
 from mocap_calib.types import silent
 
@@ -26,11 +26,25 @@ SMALL = TrainConfig(steps=3, batch=8, width=16, layers=1)
 
 @pytest.fixture(scope="module")
 def poses() -> PoseSet:
-    found = people(np.random.default_rng(0), individuals=2, frames=40, fps=10.0, room=(3.0, 3.0)).reshape(-1, 29, 3)
+    found = people(
+        np.random.default_rng(0), individuals=2, frames=40, fps=10.0, room=(3.0, 3.0)
+    ).reshape(-1, 29, 3)
     return PoseSet(found, np.full(len(found), 1 / len(found)))
 
 
-@pytest.mark.parametrize("name", ["left_shoulder", "LShoulder", "l_shoulder", "shoulder_left", "ShoulderL", "Left Shoulder", "leftShoulder", "left-shoulder"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "left_shoulder",
+        "LShoulder",
+        "l_shoulder",
+        "shoulder_left",
+        "ShoulderL",
+        "Left Shoulder",
+        "leftShoulder",
+        "left-shoulder",
+    ],
+)
 def test_spellings_of_one_joint(name):
     assert normalise_name(name) == "left_shoulder"
 
@@ -65,7 +79,9 @@ def test_normalise_forgets_place_and_size_and_hidden_joints():
     pose[~seen] = float("nan")
     second, centre, scale = normalise(3 * pose + 7, seen)
     torch.testing.assert_close(first[seen], second[seen], atol=1e-5, rtol=1e-5)
-    torch.testing.assert_close((second * scale[:, None, None] + centre[:, None])[seen], (3 * pose + 7)[seen])
+    torch.testing.assert_close(
+        (second * scale[:, None, None] + centre[:, None])[seen], (3 * pose + 7)[seen]
+    )
 
 
 def test_lifter_does_not_look_at_hidden_joints():
@@ -82,7 +98,11 @@ def test_gradient_of_the_loss():
     """Against finite differences, in double precision, through the whole network."""
     torch.manual_seed(0)
     lifter = Lifter(ModelConfig(5, 4, 1, 1)).double()
-    batch = Batch(torch.randn(2, 5, 2).double(), torch.ones(2, 5, dtype=torch.bool), torch.randn(2, 5, 3).double())
+    batch = Batch(
+        torch.randn(2, 5, 2).double(),
+        torch.ones(2, 5, dtype=torch.bool),
+        torch.randn(2, 5, 3).double(),
+    )
     weight = lifter.head.weight
 
     def loss_of(head: torch.Tensor) -> torch.Tensor:
@@ -98,25 +118,39 @@ def test_targets_are_what_is_seen(poses):
     """Without noise, outliers and perspective, the visible part of the target is the input."""
     config = replace(SMALL, noise=(1e-9, 1e-9), outliers=0.0, distance=(1e4, 1e4), joint_spread=0.0)
     batch = Synthesiser(poses, PEOPLE, config, seed=1).batch(64)
-    torch.testing.assert_close(batch.target[..., :2][batch.seen], batch.pose[batch.seen], atol=2e-3, rtol=0)
+    torch.testing.assert_close(
+        batch.target[..., :2][batch.seen], batch.pose[batch.seen], atol=2e-3, rtol=0
+    )
 
 
 def test_views_are_upright_rotations(poses):
     views = Synthesiser(poses, PEOPLE, replace(SMALL, roll_deg=0.0), seed=2)._views(200)
-    torch.testing.assert_close(views @ views.transpose(1, 2), torch.eye(3).expand_as(views), atol=1e-5, rtol=0)
+    torch.testing.assert_close(
+        views @ views.transpose(1, 2), torch.eye(3).expand_as(views), atol=1e-5, rtol=0
+    )
     assert (views[:, 1, 2] < 0).all()  # the image's down is the world's down
 
 
 def test_same_seed_same_weights(poses):
-    first, second, other = (train_lifter(poses, PEOPLE, replace(SMALL, seed=s), progress=silent) for s in (0, 0, 1))
-    same = [torch.equal(a, b) for a, b in zip(first.state_dict().values(), second.state_dict().values(), strict=True)]
+    first, second, other = (
+        train_lifter(poses, PEOPLE, replace(SMALL, seed=s), progress=silent) for s in (0, 0, 1)
+    )
+    same = [
+        torch.equal(a, b)
+        for a, b in zip(first.state_dict().values(), second.state_dict().values(), strict=True)
+    ]
     assert all(same)
     assert not torch.equal(first.head.weight, other.head.weight)
 
 
 def test_training_lowers_the_loss(poses):
     losses = []
-    train_lifter(poses, PEOPLE, replace(SMALL, steps=60, batch=32), progress=lambda stage, *_: losses.append(float(stage.split()[-1].rstrip(")"))))
+    train_lifter(
+        poses,
+        PEOPLE,
+        replace(SMALL, steps=60, batch=32),
+        progress=lambda stage, *_: losses.append(float(stage.split()[-1].rstrip(")"))),
+    )
     assert np.mean(losses[-10:]) < 0.9 * np.mean(losses[:5])  # measured 0.6
 
 
@@ -126,7 +160,10 @@ def test_checkpoint_round_trip(tmp_path):
     found, skeleton = load_lifter(tmp_path / "w.safetensors")
     assert skeleton == PEOPLE
     assert found.config == lifter.config
-    assert all(torch.equal(a, b) for a, b in zip(lifter.state_dict().values(), found.state_dict().values(), strict=True))
+    assert all(
+        torch.equal(a, b)
+        for a, b in zip(lifter.state_dict().values(), found.state_dict().values(), strict=True)
+    )
 
 
 def test_shipped_weights_are_small_and_speak_for_themselves():
@@ -158,14 +195,19 @@ def test_poses_of_other_joints_are_refused(tmp_path):
 
 def test_lifted_bodies_are_where_and_how_they_are():
     """Against the truth of a scene: median joint error 0.16 and median distance error 4 % of measured; bounds at twice that."""
-    made, found = scene(noise_px=1.0, missing=0.0, outliers=0.0), recording(noise_px=1.0, missing=0.0, outliers=0.0)
+    made, found = (
+        scene(noise_px=1.0, missing=0.0, outliers=0.0),
+        recording(noise_px=1.0, missing=0.0, outliers=0.0),
+    )
     bodies = lift(found, load_lifter()[0], progress=silent)
     error, distance = [], []
     for view in range(len(made.rig.cameras)):
         true = made.poses @ made.rig.rotation[view].T + made.rig.translation[view]
         middle = true.mean(2, keepdims=True)
         size = np.sqrt(((true - middle) ** 2).sum(-1).mean(-1))[..., None]
-        frame, instance = np.nonzero((made.identity[view] >= 0) & np.isfinite(bodies.centre[view, ..., 0]))
+        frame, instance = np.nonzero(
+            (made.identity[view] >= 0) & np.isfinite(bodies.centre[view, ..., 0])
+        )
         who = made.identity[view, frame, instance]
         body = (true - middle)[frame, who] / size[frame, who][..., None]
         error.append(np.linalg.norm(bodies.body[view, frame, instance] - body, axis=-1).mean(-1))

@@ -8,7 +8,7 @@ import pytest
 from mocap_calib.config import SimulateConfig
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.projection import pixels_from_points, rays_from_pixels
-from mocap_calib.skeleton import load_skeleton
+from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.synthetic import JOINTS, LAYOUTS, detect, people, ring_rig, simulate
 from mocap_calib.types import CameraRig
 
@@ -18,7 +18,9 @@ RING = {"cameras": 4, "radius": 4.5, "height": 2.2, "size": (1280, 720)}
 
 
 def bodies(seed=0, individuals=4, frames=240, fps=30.0):
-    return people(np.random.default_rng(seed), individuals=individuals, frames=frames, fps=fps, room=ROOM)
+    return people(
+        np.random.default_rng(seed), individuals=individuals, frames=frames, fps=fps, room=ROOM
+    )
 
 
 def ring(seed=0, distortion="brown", **changes):
@@ -56,7 +58,10 @@ def ahead(joint):
 
 class TestBodies:
     def test_bones_keep_their_lengths_and_left_equals_right(self, poses):
-        lengths = np.stack([np.linalg.norm(poses[:, :, b] - poses[:, :, a], axis=-1) for a, b in SKELETON.edges], axis=-1)
+        lengths = np.stack(
+            [np.linalg.norm(poses[:, :, b] - poses[:, :, a], axis=-1) for a, b in SKELETON.edges],
+            axis=-1,
+        )
         np.testing.assert_allclose(lengths, np.broadcast_to(lengths[:1], lengths.shape), atol=1e-9)
         edges = [(SKELETON.keypoints[a], SKELETON.keypoints[b]) for a, b in SKELETON.edges]
         for k, (a, b) in enumerate(edges):
@@ -65,42 +70,75 @@ class TestBodies:
                 np.testing.assert_allclose(lengths[:, :, k], lengths[:, :, twin], atol=1e-9)
 
     def test_people_have_different_human_bodies(self, poses):
-        leg = np.linalg.norm(poses[0, :, JOINTS.index("left_hip")] - poses[0, :, JOINTS.index("left_knee")], axis=-1)
+        leg = np.linalg.norm(
+            poses[0, :, JOINTS.index("left_hip")] - poses[0, :, JOINTS.index("left_knee")], axis=-1
+        )
         assert len(np.unique(leg.round(6))) == len(leg)
         assert (leg > 0.27).all()
         assert (leg < 0.55).all()
 
     def test_midpoints_are_in_the_middle(self, joint):
-        np.testing.assert_allclose(joint("neck"), (joint("left_shoulder") + joint("right_shoulder")) / 2, atol=1e-9)
-        np.testing.assert_allclose(joint("mid_hip"), (joint("left_hip") + joint("right_hip")) / 2, atol=1e-9)
+        np.testing.assert_allclose(
+            joint("neck"), (joint("left_shoulder") + joint("right_shoulder")) / 2, atol=1e-9
+        )
+        np.testing.assert_allclose(
+            joint("mid_hip"), (joint("left_hip") + joint("right_hip")) / 2, atol=1e-9
+        )
         middle = (joint("mid_hip") + joint("neck")) / 2
-        assert np.linalg.norm(joint("spine") - middle, axis=-1).max() < 0.05  # measured 0.03: trunks curve
+        assert (
+            np.linalg.norm(joint("spine") - middle, axis=-1).max() < 0.05
+        )  # measured 0.03: trunks curve
 
     @pytest.mark.parametrize("side", ["left", "right"])
     def test_knees_bend_backward_only(self, joint, ahead, side):
         hip, knee, ankle = (joint(f"{side}_{name}") for name in ("hip", "knee", "ankle"))
         bend = beside(knee - hip, unit(ankle - hip))
-        assert ((bend * ahead).sum(-1) / np.linalg.norm(bend, axis=-1)).min() > 0.4  # cosine; measured 0.66
+        assert (
+            (bend * ahead).sum(-1) / np.linalg.norm(bend, axis=-1)
+        ).min() > 0.4  # cosine; measured 0.66
 
     @pytest.mark.parametrize("side", ["left", "right"])
     def test_elbows_of_hanging_arms_bend_forward_only(self, joint, side):
-        shoulder, elbow, wrist = (joint(f"{side}_{name}") for name in ("shoulder", "elbow", "wrist"))
+        shoulder, elbow, wrist = (
+            joint(f"{side}_{name}") for name in ("shoulder", "elbow", "wrist")
+        )
         up = unit(joint("neck") - joint("spine"))
         chest = np.cross(unit(joint("left_shoulder") - joint("right_shoulder")), up)
         upper = unit(elbow - shoulder)
         hanging = (upper * up).sum(-1) < -0.8
         assert hanging.any()
-        assert (beside(wrist - elbow, upper) * chest).sum(-1)[hanging].min() > 0.01  # metres; measured 0.02
+        assert (beside(wrist - elbow, upper) * chest).sum(-1)[
+            hanging
+        ].min() > 0.01  # metres; measured 0.02
 
     def test_feet_are_on_the_floor(self, poses):
-        feet = poses[:, :, [JOINTS.index(f"{s}_{name}") for s in ("left", "right") for name in ("heel", "big_toe", "small_toe")], 2]
+        feet = poses[
+            :,
+            :,
+            [
+                JOINTS.index(f"{s}_{name}")
+                for s in ("left", "right")
+                for name in ("heel", "big_toe", "small_toe")
+            ],
+            2,
+        ]
         assert feet.min() > 0.005  # measured 0.013
         assert feet.min(-1).max() < 0.035  # in every frame one foot stands; measured 0.021
         assert poses[..., 2].min() > 0
 
     def test_standing_feet_stay_where_they_are(self, joint):
-        speed = np.stack([np.linalg.norm(np.diff(joint(f"{s}_ankle")[..., :2], axis=0), axis=-1) for s in ("left", "right")]) * 30
-        assert np.percentile(speed.min(0), 90) < 0.25  # m/s, an ankle rolls over its toes; measured 0.13
+        speed = (
+            np.stack(
+                [
+                    np.linalg.norm(np.diff(joint(f"{s}_ankle")[..., :2], axis=0), axis=-1)
+                    for s in ("left", "right")
+                ]
+            )
+            * 30
+        )
+        assert (
+            np.percentile(speed.min(0), 90) < 0.25
+        )  # m/s, an ankle rolls over its toes; measured 0.13
 
     def test_people_face_where_they_walk(self, joint, ahead):
         velocity = np.gradient(joint("mid_hip"), 1 / 30, axis=0) * [1, 1, 0]
@@ -127,11 +165,15 @@ class TestBodies:
     def test_people_stay_in_the_room_and_apart(self, joint):
         place = joint("mid_hip")[..., :2]
         assert (np.abs(place) < np.array(ROOM) / 2 + 0.3).all()  # hips sway beyond the path
-        distance = np.linalg.norm(place[:, :, None] - place[:, None], axis=-1) + 10 * np.eye(place.shape[1])
+        distance = np.linalg.norm(place[:, :, None] - place[:, None], axis=-1) + 10 * np.eye(
+            place.shape[1]
+        )
         assert (distance.min((1, 2)) > 0.5).mean() > 0.95  # measured 1.0
 
     def test_motion_is_smooth(self, poses):
-        assert (np.linalg.norm(np.diff(poses, axis=0), axis=-1) * 30).max() < 10  # m/s; measured 7.7, a hand
+        assert (
+            np.linalg.norm(np.diff(poses, axis=0), axis=-1) * 30
+        ).max() < 10  # m/s; measured 7.7, a hand
 
     @pytest.mark.parametrize("fps", [7.5, 25.0, 120.0])
     def test_any_frame_rate(self, fps):
@@ -151,9 +193,13 @@ class TestRig:
     @pytest.mark.parametrize("distortion", ["none", "brown", "fisheye"])
     def test_cameras_look_into_the_room(self, distortion):
         rig = ring(distortion=distortion)
-        for camera, rotation, translation in zip(rig.cameras, rig.rotation, rig.translation, strict=True):
+        for camera, rotation, translation in zip(
+            rig.cameras, rig.rotation, rig.translation, strict=True
+        ):
             pixel = pixels_from_points(camera, rotation @ [0.0, 0.0, 1.0] + translation)
-            assert np.abs(pixel - np.array(camera.size) / 2).max() < 200  # aims differ by decimetres
+            assert (
+                np.abs(pixel - np.array(camera.size) / 2).max() < 200
+            )  # aims differ by decimetres
             assert camera.fisheye == (distortion == "fisheye")
         assert rig.names == ("cam1", "cam2", "cam3", "cam4")
         np.testing.assert_allclose(np.linalg.det(rig.rotation), 1)
@@ -165,7 +211,9 @@ class TestRig:
         camera = ring(distortion=distortion).cameras[0]
         x, y = np.meshgrid(np.linspace(0, 1279, 9), np.linspace(0, 719, 9))
         pixels = np.stack([x, y], axis=-1)
-        np.testing.assert_allclose(pixels_from_points(camera, rays_from_pixels(camera, pixels)), pixels, atol=1e-6)
+        np.testing.assert_allclose(
+            pixels_from_points(camera, rays_from_pixels(camera, pixels)), pixels, atol=1e-6
+        )
 
     def test_arc(self):
         assert self._widest(ring(arc_deg=20.0)) < 30
@@ -196,14 +244,22 @@ class TestDetections:
         seen = found(rig, poses, layout=layout, shuffle=False)
         assert seen.keypoints == LAYOUTS[layout]
         for v, camera in enumerate(rig.cameras):
-            pixels = pixels_from_points(camera, poses[:, :, : len(seen.keypoints)] @ rig.rotation[v].T + rig.translation[v])
+            pixels = pixels_from_points(
+                camera, poses[:, :, : len(seen.keypoints)] @ rig.rotation[v].T + rig.translation[v]
+            )
             inside = ((pixels >= -0.5) & (pixels <= np.array(camera.size) - 0.5)).all(-1)
             for f in range(30):
                 for i, who in enumerate(seen.identity[v, f]):
                     if who >= 0:
-                        np.testing.assert_array_equal(np.isfinite(seen.positions[v, f, i, :, 0]), inside[f, who])
-                        np.testing.assert_array_equal(seen.positions[v, f, i][inside[f, who]], pixels[f, who][inside[f, who]])
-                assert set(seen.identity[v, f]) - {-1} == set(np.flatnonzero(inside[f].sum(-1) >= 4))
+                        np.testing.assert_array_equal(
+                            np.isfinite(seen.positions[v, f, i, :, 0]), inside[f, who]
+                        )
+                        np.testing.assert_array_equal(
+                            seen.positions[v, f, i][inside[f, who]], pixels[f, who][inside[f, who]]
+                        )
+                assert set(seen.identity[v, f]) - {-1} == set(
+                    np.flatnonzero(inside[f].sum(-1) >= 4)
+                )
 
     def test_true_identities_triangulate_to_the_truth(self):
         poses, rig = bodies(frames=20), ring(distortion="brown")
@@ -224,7 +280,10 @@ class TestDetections:
 
     def test_noise_is_as_large_as_said_and_confidence_knows_of_it(self):
         poses, rig = bodies(frames=100), ring()
-        true, seen = found(rig, poses, shuffle=False), found(rig, poses, noise_px=2.0, shuffle=False)
+        true, seen = (
+            found(rig, poses, shuffle=False),
+            found(rig, poses, noise_px=2.0, shuffle=False),
+        )
         error = (seen.positions - true.positions)[np.isfinite(true.positions[..., 0])]
         assert np.sqrt((error**2).mean()) == pytest.approx(2.0, rel=0.03)  # 1 % at this many joints
         confidence = seen.confidence[np.isfinite(true.positions[..., 0])]
@@ -232,19 +291,27 @@ class TestDetections:
 
     def test_missing_share(self):
         poses, rig = bodies(frames=100), ring()
-        whole, gaps = (np.isfinite(found(rig, poses, missing=m).positions[..., 0]).sum() for m in (0.0, 0.2))
+        whole, gaps = (
+            np.isfinite(found(rig, poses, missing=m).positions[..., 0]).sum() for m in (0.0, 0.2)
+        )
         assert gaps / whole == pytest.approx(0.8, abs=0.02)
 
     def test_outlier_share_and_their_confidence(self):
         poses, rig = bodies(frames=100), ring()
-        true, seen = found(rig, poses, shuffle=False), found(rig, poses, outliers=0.05, shuffle=False)
+        true, seen = (
+            found(rig, poses, shuffle=False),
+            found(rig, poses, outliers=0.05, shuffle=False),
+        )
         ok = np.isfinite(true.positions[..., 0])
         far = np.linalg.norm(seen.positions - true.positions, axis=-1)[ok] > 10
         assert far.mean() == pytest.approx(0.05, abs=0.01)
         assert seen.confidence[ok][far].mean() < seen.confidence[ok][~far].mean() - 0.1
 
     def test_false_detections(self):
-        poses, rig = bodies(frames=200, individuals=2), ring(size=(4000, 3000))  # so wide that all is seen
+        poses, rig = (
+            bodies(frames=200, individuals=2),
+            ring(size=(4000, 3000)),
+        )  # so wide that all is seen
         seen = found(rig, poses, false_detections=0.3)
         there = np.isfinite(seen.positions[..., 0]).any(-1)
         false = there & (seen.identity < 0)
@@ -255,11 +322,22 @@ class TestDetections:
     def test_swaps_exchange_left_and_right(self):
         poses, rig = bodies(frames=20), ring()
         true, seen = found(rig, poses, shuffle=False), found(rig, poses, swaps=1.0, shuffle=False)
-        twin = [JOINTS.index(n) for n in (j.replace("left", "?").replace("right", "left").replace("?", "right") for j in LAYOUTS["coco17"])]
+        twin = [
+            JOINTS.index(n)
+            for n in (
+                j.replace("left", "?").replace("right", "left").replace("?", "right")
+                for j in LAYOUTS["coco17"]
+            )
+        ]
         np.testing.assert_array_equal(seen.positions, true.positions[..., twin, :])
 
     def test_detections_come_first_and_have_four_joints(self):
-        seen = found(ring(distortion="none", radius=2.5), bodies(frames=100), missing=0.5, false_detections=0.5)
+        seen = found(
+            ring(distortion="none", radius=2.5),
+            bodies(frames=100),
+            missing=0.5,
+            false_detections=0.5,
+        )
         joints = np.isfinite(seen.positions[..., 0]).sum(-1)
         assert ((joints == 0) | (joints >= 4)).all()
         assert (np.diff((joints > 0).astype(int), axis=2) <= 0).all()
@@ -268,7 +346,9 @@ class TestDetections:
         assert (seen.identity[joints == 0] == -1).all()
 
     def test_nothing_is_seen_behind_the_camera(self):
-        assert not np.isfinite(found(backward(ring(distortion="none")), bodies(frames=10)).positions).any()
+        assert not np.isfinite(
+            found(backward(ring(distortion="none")), bodies(frames=10)).positions
+        ).any()
 
     def test_shares_are_checked(self):
         with pytest.raises(MismatchError, match=r"missing 1\.5"):
@@ -290,7 +370,10 @@ class TestScene:
         assert not np.allclose(first.rig.rotation, second.rig.rotation)
 
     def test_another_detector_sees_the_same_scene(self):
-        first, second = simulate(self.CONFIG), simulate(dataclasses.replace(self.CONFIG, noise_px=9.0, layout="all"))
+        first, second = (
+            simulate(self.CONFIG),
+            simulate(dataclasses.replace(self.CONFIG, noise_px=9.0, layout="all")),
+        )
         np.testing.assert_array_equal(first.poses, second.poses)
         np.testing.assert_array_equal(first.rig.translation, second.rig.translation)
 

@@ -7,10 +7,10 @@ import pytest
 from scenes import PEOPLE, precision, recording, rotation_errors_deg, scene, truth
 
 from mocap_calib.config import Config, MatchingConfig
+from mocap_calib.multi_view.tracklets import fill_in, tracklets
 from mocap_calib.pipeline import calibrate
-from mocap_calib.recording import make_recording
+from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.steerpose.checkpoint import load_lifter
-from mocap_calib.tracklets import fill_in, tracklets
 from mocap_calib.types import Calibration, silent
 
 
@@ -32,7 +32,10 @@ def tracked(people: int, *, swaps: float, seed: int) -> tuple[Calibration, np.nd
         identity = np.full((frames, people), -1)
         for track in range(people):
             frame, instance = np.nonzero(made.identity[view] == order[:, track, None])
-            positions[frame, track], confidence[frame, track] = file.positions[frame, instance], file.confidence[frame, instance]
+            positions[frame, track], confidence[frame, track] = (
+                file.positions[frame, instance],
+                file.confidence[frame, instance],
+            )
             identity[frame, track] = order[frame, track]
         files.append(replace(file, positions=positions, confidence=confidence, tracked=True))
         identities.append(identity)
@@ -56,7 +59,14 @@ def test_tracks_in_another_order_in_each_view_and_exchanged(people, swaps):
 
 # tracklets
 
-HARD = {"cameras": 3, "people": 6, "missing": 0.4, "noise_px": 6.0, "false_detections": 0.3, "frames": 90}
+HARD = {
+    "cameras": 3,
+    "people": 6,
+    "missing": 0.4,
+    "noise_px": 6.0,
+    "false_detections": 0.3,
+    "frames": 90,
+}
 
 
 def named() -> np.ndarray:
@@ -70,7 +80,9 @@ def test_tracklets_hold_one_person():
     for view in range(3):
         track = tracklets(found, view, MatchingConfig())
         assert ((track >= 0) == found.seen[view].any(-1)).all()
-        pure = [np.bincount(identity[view][track == k] + 1).max() for k in np.unique(track[track >= 0])]
+        pure = [
+            np.bincount(identity[view][track == k] + 1).max() for k in np.unique(track[track >= 0])
+        ]
         assert sum(pure) / (track >= 0).sum() > 0.98
         own = track[identity[view] >= 0]
         assert np.median(np.bincount(own)[own]) > 8
@@ -100,7 +112,9 @@ def test_the_forgotten_are_named_by_their_tracklet():
     assert (back >= 0).mean() > 0.7
     for k in range(6):
         assert ((filled == k).sum(-1) <= 1).all()
-        assert ((filled == k).sum((0, 2)) != 1)[~(((right == k) & ~gone).sum((0, 2)) == 1)].all()  # no name in a view alone
+        assert ((filled == k).sum((0, 2)) != 1)[
+            ~(((right == k) & ~gone).sum((0, 2)) == 1)
+        ].all()  # no name in a view alone
 
 
 def test_the_nameless_stay_nobody():
@@ -108,5 +122,7 @@ def test_the_nameless_stay_nobody():
     nobody = np.full(named().shape, -1)
     np.testing.assert_array_equal(fill_in(found, nobody, MatchingConfig()), nobody)
     one_view = nobody.copy()
-    one_view[0] = np.where(np.arange(90)[:, None] % 3 == 0, -1, named()[0])  # no other view confirms them
+    one_view[0] = np.where(
+        np.arange(90)[:, None] % 3 == 0, -1, named()[0]
+    )  # no other view confirms them
     np.testing.assert_array_equal(fill_in(found, one_view, MatchingConfig()), one_view)

@@ -16,26 +16,57 @@ import numpy as np
 
 from mocap_calib.errors import FormatError
 from mocap_calib.inspection import alone_in_naming, said_of_alone
-from mocap_calib.io.camera_formats.source import CameraFile
-from mocap_calib.io.cameras import load_cameras, make_rig, parse_content
-from mocap_calib.io.document import ReadOptions
-from mocap_calib.io.formats2d import read_keypoints
-from mocap_calib.io.items import twins
-from mocap_calib.io.layouts import parse_layout
-from mocap_calib.io.reading import decode
-from mocap_calib.io.results import read_matches_csv
-from mocap_calib.pairwise import PairSolver
-from mocap_calib.recording import make_recording, meanings, name_mapping, of_cameras, usable
-from mocap_calib.skeleton import SHIPPED, choose_skeleton, load_aliases, load_skeleton, match_names
-from mocap_calib.types import Camera, CameraRig, Ints, Keypoints2D, LiftedPoses, Matches, Recording, Sample, Skeleton
+from mocap_calib.io.cameras.load import load_cameras, make_rig, parse_content
+from mocap_calib.io.cameras.source import CameraFile
+from mocap_calib.io.file import decode
+from mocap_calib.io.keypoints.document import ReadOptions
+from mocap_calib.io.keypoints.formats import read_keypoints
+from mocap_calib.io.keypoints.items import twins
+from mocap_calib.io.keypoints.layouts import parse_layout
+from mocap_calib.io.results.results import read_matches_csv
+from mocap_calib.recording.joints import (
+    SHIPPED,
+    choose_skeleton,
+    load_aliases,
+    load_skeleton,
+    match_names,
+)
+from mocap_calib.recording.synchronise import (
+    make_recording,
+    meanings,
+    name_mapping,
+    of_cameras,
+    usable,
+)
+from mocap_calib.two_view.solve import PairSolver
+from mocap_calib.types import (
+    Camera,
+    CameraRig,
+    Ints,
+    Keypoints2D,
+    LiftedPoses,
+    Matches,
+    Recording,
+    Sample,
+    Skeleton,
+)
 from mocap_calib_cli.options import STDIO
 from mocap_calib_cli.progress import Reporter, table
 
 
-def read_views(arguments: Sequence[str], reading: Mapping[str, Any] | None = None, *, single_precision: bool = False) -> tuple[Keypoints2D, ...]:
+def read_views(
+    arguments: Sequence[str],
+    reading: Mapping[str, Any] | None = None,
+    *,
+    single_precision: bool = False,
+) -> tuple[Keypoints2D, ...]:
     """The detections of each camera; `reading` is what options.reading gives. Raises FormatError and MismatchError."""
     given = reading or {}
-    return read_keypoints(arguments, given.get("format"), replace(read_options(given), single_precision=single_precision))
+    return read_keypoints(
+        arguments,
+        given.get("format"),
+        replace(read_options(given), single_precision=single_precision),
+    )
 
 
 def read_options(given: Mapping[str, Any]) -> ReadOptions:
@@ -45,13 +76,21 @@ def read_options(given: Mapping[str, Any]) -> ReadOptions:
     try:
         re.compile(pattern)
     except re.error as error:
-        raise click.BadParameter(f"expected a regular expression, found {pattern} ({error})", param_hint="--camera-regex") from None
+        raise click.BadParameter(
+            f"expected a regular expression, found {pattern} ({error})", param_hint="--camera-regex"
+        ) from None
     return ReadOptions(
         layout=parse_layout(layout) if layout else (),
         image_size=image_size(given.get("image_size")),
         camera_pattern=pattern,
-        frame_offset={camera: int(_numbers(text, 1, "--frame-offset")[0]) for camera, text in _by_camera(given.get("frame_offset", ()), "--frame-offset")},
-        crop_offset={camera: _pair(text, "--crop-offset") for camera, text in _by_camera(given.get("crop_offset", ()), "--crop-offset")},
+        frame_offset={
+            camera: int(_numbers(text, 1, "--frame-offset")[0])
+            for camera, text in _by_camera(given.get("frame_offset", ()), "--frame-offset")
+        },
+        crop_offset={
+            camera: _pair(text, "--crop-offset")
+            for camera, text in _by_camera(given.get("crop_offset", ()), "--crop-offset")
+        },
         views=tuple(views.split(",")) if views else (),
     )
 
@@ -62,7 +101,10 @@ def image_size(text: str | None) -> tuple[int, int]:
         return 0, 0
     width, height = _numbers(text.lower().replace("x", ","), 2, "--image-size")
     if min(width, height) <= 0:
-        raise click.BadParameter(f"expected a width and a height above 0, as 1280x720, found {text}", param_hint="--image-size")
+        raise click.BadParameter(
+            f"expected a width and a height above 0, as 1280x720, found {text}",
+            param_hint="--image-size",
+        )
     return int(width), int(height)
 
 
@@ -70,7 +112,9 @@ def _by_camera(texts: Sequence[str], option: str) -> list[tuple[str, str]]:
     """(camera, what is said of it)."""
     pairs = [text.rpartition(":") for text in texts]
     if not all(camera for camera, _, _ in pairs):
-        raise click.BadParameter(f"expected camera:value, found {', '.join(texts)}", param_hint=option)
+        raise click.BadParameter(
+            f"expected camera:value, found {', '.join(texts)}", param_hint=option
+        )
     return [(camera, value) for camera, _, value in pairs]
 
 
@@ -80,8 +124,15 @@ def _numbers(text: str, count: int, option: str) -> list[float]:
         values = [float(part) for part in text.split(",")]
     except ValueError:
         values = []
-    if len(values) != count or not all(abs(value) < 2**53 for value in values) or (option != "--crop-offset" and any(value % 1 for value in values)):
-        raise click.BadParameter(f"expected {'a whole number' if count == 1 else 'two numbers'}, found {text}", param_hint=option)
+    if (
+        len(values) != count
+        or not all(abs(value) < 2**53 for value in values)
+        or (option != "--crop-offset" and any(value % 1 for value in values))
+    ):
+        raise click.BadParameter(
+            f"expected {'a whole number' if count == 1 else 'two numbers'}, found {text}",
+            param_hint=option,
+        )
     return values
 
 
@@ -111,7 +162,11 @@ def read_recording(
     vocabulary, aliases = _asked(model, skeleton) if model else fitting(views, skeleton)
     recording = make_recording(views, cameras, vocabulary, aliases)
     alone = alone_in_naming(usable(views), meanings(usable(views), vocabulary, aliases))
-    reporter.say(*_mapping(views, cameras, recording, vocabulary.name), *([said_of_alone(alone)] if alone else []), *doubled(arguments))
+    reporter.say(
+        *_mapping(views, cameras, recording, vocabulary.name),
+        *([said_of_alone(alone)] if alone else []),
+        *doubled(arguments),
+    )
     return recording, model or vocabulary.name
 
 
@@ -139,40 +194,71 @@ def fitting(views: Sequence[Keypoints2D], path: Path | None) -> tuple[Skeleton, 
             refusals.append(error)
     if not tried:
         raise refusals[0]
-    return max(tried, key=lambda each: int((match_names(tuple(each[1].get(name, name) for name in names), each[0]) >= 0).sum()))
+    return max(
+        tried,
+        key=lambda each: int(
+            (match_names(tuple(each[1].get(name, name) for name in names), each[0]) >= 0).sum()
+        ),
+    )
 
 
-def _mapping(views: Sequence[Keypoints2D], cameras: tuple[Camera, ...], recording: Recording, model: str) -> list[str]:
+def _mapping(
+    views: Sequence[Keypoints2D], cameras: tuple[Camera, ...], recording: Recording, model: str
+) -> list[str]:
     """Lines that say which file belongs to which camera, which cameras are left out, and which joints the model knows."""
     rows = {}
     for view, (source, name) in zip(views, name_mapping(views, cameras), strict=True):
         detections = int(np.isfinite(view.positions[..., 0]).any(-1).sum())
         rows[name] = [name, source, str(len(view.frames)), str(detections)]
-    nothing = [[camera.name, "(no keypoint file)", "-", "-"] for camera in cameras if camera.name not in rows]
-    lines = table(["camera", "keypoints", "frames", "detections"], [*(rows[c.name] for c in cameras if c.name in rows), *nothing])
+    nothing = [
+        [camera.name, "(no keypoint file)", "-", "-"]
+        for camera in cameras
+        if camera.name not in rows
+    ]
+    lines = table(
+        ["camera", "keypoints", "frames", "detections"],
+        [*(rows[c.name] for c in cameras if c.name in rows), *nothing],
+    )
     left = [camera.name for camera in cameras if camera.name not in recording.names]
     lines += [f"left out, nothing detected: {', '.join(left)}"] if left else []
     alone = _detections_alone(views, recording)
     lines += [f"{alone} detections in frames of a single camera are left out"] if alone else []
-    strangers = [name for name, joint in zip(recording.keypoints, recording.vocabulary, strict=True) if joint < 0]
+    strangers = [
+        name
+        for name, joint in zip(recording.keypoints, recording.vocabulary, strict=True)
+        if joint < 0
+    ]
     known = len(recording.keypoints) - len(strangers)
     lines += [
         f"{len(recording.frames)} frames; {len(recording.keypoints)} joints, the model of {model} knows {known}"
         + (f", not: {', '.join(strangers)}" if strangers else "")
     ]
-    lines += ["the model knows too few joints to help: calibrated by geometry alone"] if known < 4 else []
+    lines += (
+        ["the model knows too few joints to help: calibrated by geometry alone"]
+        if known < 4
+        else []
+    )
     return lines
 
 
 def doubled(arguments: Sequence[str]) -> list[str]:
     """A line that says which files of the folders are left out for their .h5, if any."""
-    doubles = [str(file) for folder in map(Path, arguments) if folder.is_dir() for file in twins(folder)]
+    doubles = [
+        str(file) for folder in map(Path, arguments) if folder.is_dir() for file in twins(folder)
+    ]
     return [f"left out, the .h5 beside it is read: {', '.join(doubles)}"] if doubles else []
 
 
 def _detections_alone(views: Sequence[Keypoints2D], recording: Recording) -> int:
     """How many detections are in frames that no second camera has."""
-    return sum(int(np.isfinite(view.positions[~np.isin(view.frames, recording.frames), ..., 0]).any(-1).sum()) for view in views)
+    return sum(
+        int(
+            np.isfinite(view.positions[~np.isin(view.frames, recording.frames), ..., 0])
+            .any(-1)
+            .sum()
+        )
+        for view in views
+    )
 
 
 def cameras_of(path: str) -> tuple[Camera, ...]:
@@ -187,7 +273,11 @@ def rig_of(path: str, option: str = "--rig") -> CameraRig:
 
 def camera_file(path: str, option: str) -> CameraFile:
     """What a file or folder, or stdin, says of cameras. Raises FormatError."""
-    return parse_content(read_stdin(option).encode(), "stdin") if path == STDIO else load_cameras(Path(path))
+    return (
+        parse_content(read_stdin(option).encode(), "stdin")
+        if path == STDIO
+        else load_cameras(Path(path))
+    )
 
 
 def _loaded(path: str, option: str) -> CameraFile:
@@ -209,10 +299,12 @@ def placed(recording: Recording, rig: CameraRig) -> CameraRig:
     return CameraRig(recording.cameras, rig.rotation[index], rig.translation[index], rig.unit)
 
 
-def lifted_sample(recording: Recording, model: str, device: str, reporter: Reporter) -> tuple[Ints, Sample, LiftedPoses]:
+def lifted_sample(
+    recording: Recording, model: str, device: str, reporter: Reporter
+) -> tuple[Ints, Sample, LiftedPoses]:
     """The frames (indices) that calibration looks at, and their detections, lifted. Raises MismatchError where there is no such device."""
     from mocap_calib.config import SampleConfig
-    from mocap_calib.frames import informative, sample
+    from mocap_calib.recording.sampling import informative, sample
     from mocap_calib.steerpose.lift import lift
     from mocap_calib_cli.model import load_model
 
@@ -226,25 +318,32 @@ def pair_solver(solver: str, recording: Recording, model: str) -> PairSolver | N
     if solver == "search":
         return None
     from mocap_calib.config import PairwiseConfig, PaperConfig
-    from mocap_calib.paper_pairs import PaperPairs
+    from mocap_calib.two_view.paper_pairs import PaperPairs
     from mocap_calib_cli.model import load_model
 
     focal = np.array([camera.focal for camera in recording.cameras])
-    return PaperPairs(load_model("cpu", model), recording.vocabulary, focal, PairwiseConfig(), PaperConfig())
+    return PaperPairs(
+        load_model("cpu", model), recording.vocabulary, focal, PairwiseConfig(), PaperConfig()
+    )
 
 
 def read_stdin(what: str) -> str:
     """All of stdin, for one input of the command."""
     meta = click.get_current_context().meta
     if "stdin" in meta:
-        raise click.UsageError(f"{meta['stdin']} and {what} cannot both come from stdin; give a file for one of them")
+        raise click.UsageError(
+            f"{meta['stdin']} and {what} cannot both come from stdin; give a file for one of them"
+        )
     meta["stdin"] = what
     return decode(sys.stdin.buffer.read(), "stdin")
 
 
 def plain_paths(arguments: Iterable[str]) -> list[str]:
     """The paths of files, folders and name=path pairs."""
-    return [argument if "=" not in argument or Path(argument).exists() else argument.partition("=")[2] for argument in arguments]
+    return [
+        argument if "=" not in argument or Path(argument).exists() else argument.partition("=")[2]
+        for argument in arguments
+    ]
 
 
 def hashes(paths: Iterable[str | Path]) -> dict[str, str]:
@@ -252,7 +351,11 @@ def hashes(paths: Iterable[str | Path]) -> dict[str, str]:
 
     A folder within a folder, such as that of a camera's frames, has one for all its files and their names.
     """
-    found = [each for path in map(Path, paths) for each in (sorted(path.iterdir()) if path.is_dir() else [path])]
+    found = [
+        each
+        for path in map(Path, paths)
+        for each in (sorted(path.iterdir()) if path.is_dir() else [path])
+    ]
     return {str(path): _hash(path) for path in found if path.is_file() or path.is_dir()}
 
 
@@ -260,5 +363,9 @@ def _hash(path: Path) -> str:
     if path.is_file():
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
-    files = [f"{file.relative_to(path)} {_hash(file)}" for file in sorted(path.rglob("*")) if file.is_file()]
+    files = [
+        f"{file.relative_to(path)} {_hash(file)}"
+        for file in sorted(path.rglob("*"))
+        if file.is_file()
+    ]
     return hashlib.sha256("\n".join(files).encode()).hexdigest()

@@ -12,23 +12,32 @@ from mocap_calib import __version__
 from mocap_calib.config import Config
 from mocap_calib.errors import ClusterError, MocapCalibError
 from mocap_calib.io.atomic import folder, of_individual, replace_text
-from mocap_calib.io.camera_files import format_calibration_toml, format_cameras_yaml
-from mocap_calib.io.pair_store import remembering
-from mocap_calib.io.results import matches_csv, poses_csv, write_poses_h5
-from mocap_calib.pairwise import PairSolver, pair_mapper
+from mocap_calib.io.cameras.own import format_calibration_toml, format_cameras_yaml
+from mocap_calib.io.results.pair_store import remembering
+from mocap_calib.io.results.results import matches_csv, poses_csv, write_poses_h5
 from mocap_calib.pipeline import calibrate_groups
 from mocap_calib.report import run_report
 from mocap_calib.steerpose.checkpoint import digest
 from mocap_calib.steerpose.model import Lifter
+from mocap_calib.two_view.solve import PairSolver, pair_mapper
 from mocap_calib.types import Calibration, Mapper, Progress, Recording, silent
 from mocap_calib_cli import inputs, outputs
 from mocap_calib_cli.model import NONE, check_device, load_model, use_threads
 from mocap_calib_cli.progress import Reporter
 
 _RIVAL = "calibration_reversed.toml"
-_FILES = ("cameras.yaml", "calibration.toml", _RIVAL, "matches.csv", "poses3d.h5", "run.json")  # of a group; and _POSES of each individual
+_FILES = (
+    "cameras.yaml",
+    "calibration.toml",
+    _RIVAL,
+    "matches.csv",
+    "poses3d.h5",
+    "run.json",
+)  # of a group; and _POSES of each individual
 _POSES = "poses3d.csv"
-_UNFINISHED = ".unfinished"  # in the folder of results: the pairs of a run that is under way or was killed
+_UNFINISHED = (
+    ".unfinished"  # in the folder of results: the pairs of a run that is under way or was killed
+)
 
 
 @dataclass(frozen=True)
@@ -47,17 +56,39 @@ class Order:
 
     def hashes(self) -> dict[str, str]:
         """Path -> SHA-256 of all files that the results follow from."""
-        return inputs.hashes([*inputs.plain_paths(self.keypoints), self.cameras, *([self.skeleton] if self.skeleton else [])])
+        return inputs.hashes(
+            [
+                *inputs.plain_paths(self.keypoints),
+                self.cameras,
+                *([self.skeleton] if self.skeleton else []),
+            ]
+        )
 
     def fingerprint(self, hashes: Mapping[str, str], model: str) -> str:
         """SHA-256 of all that the results follow from: what was typed, the files, the configuration, the weights and the version."""
         reading = {name: value for name, value in (self.reading or {}).items() if value}
-        typed = [self.keypoints, self.cameras, str(self.skeleton), self.model, self.seed, self.device, reading]
+        typed = [
+            self.keypoints,
+            self.cameras,
+            str(self.skeleton),
+            self.model,
+            self.seed,
+            self.device,
+            reading,
+        ]
         return hashlib.sha256(json.dumps([typed, hashes, self.method(model)]).encode()).hexdigest()
 
     def method(self, model: str) -> str:
         """How any recording is calibrated: solver, configuration, weights and version."""
-        return json.dumps([self.solver, asdict(Config()), model, NONE if model == NONE else digest(model), __version__])
+        return json.dumps(
+            [
+                self.solver,
+                asdict(Config()),
+                model,
+                NONE if model == NONE else digest(model),
+                __version__,
+            ]
+        )
 
 
 @dataclass(frozen=True)
@@ -75,22 +106,53 @@ class Job:
 def read(order: Order, reporter: Reporter) -> Job:
     """Raises FormatError and MismatchError."""
     hashes = order.hashes()  # first: what changes from now on makes another fingerprint
-    recording, model = inputs.read_recording(order.keypoints, inputs.cameras_of(order.cameras), order.skeleton, reporter, order.reading, model=order.model)
-    return Job(order, hashes, recording, model, load_model("cpu", model), inputs.pair_solver(order.solver, recording, model))
+    recording, model = inputs.read_recording(
+        order.keypoints,
+        inputs.cameras_of(order.cameras),
+        order.skeleton,
+        reporter,
+        order.reading,
+        model=order.model,
+    )
+    return Job(
+        order,
+        hashes,
+        recording,
+        model,
+        load_model("cpu", model),
+        inputs.pair_solver(order.solver, recording, model),
+    )
 
 
-def solve(job: Job, *, progress: Progress = silent, mapper: Mapper | None = None) -> tuple[Calibration, ...]:
+def solve(
+    job: Job, *, progress: Progress = silent, mapper: Mapper | None = None
+) -> tuple[Calibration, ...]:
     """Calibrates the groups of cameras of a recording; touches no file. Raises MismatchError and DegenerateError."""
     use_threads(1)  # such small networks are slower on more, and one is reproducible
     check_device(job.order.device)
     seed, device = job.order.seed, job.order.device
-    return calibrate_groups(job.recording, job.lifter, Config(), seed=seed, device=device, progress=progress, mapper=mapper, solve=job.solver)
+    return calibrate_groups(
+        job.recording,
+        job.lifter,
+        Config(),
+        seed=seed,
+        device=device,
+        progress=progress,
+        mapper=mapper,
+        solve=job.solver,
+    )
 
 
-def solve_here(job: Job, *, progress: Progress = silent, mapper: Mapper | None = None) -> tuple[Calibration, ...]:
+def solve_here(
+    job: Job, *, progress: Progress = silent, mapper: Mapper | None = None
+) -> tuple[Calibration, ...]:
     """`solve`, with the pairs kept beside the results until those are written: a run that is killed need not find them again."""
     try:
-        store = remembering(mapper or pair_mapper(job.recording, Config().pairwise), job.order.output / _UNFINISHED, job.order.method(job.model))
+        store = remembering(
+            mapper or pair_mapper(job.recording, Config().pairwise),
+            job.order.output / _UNFINISHED,
+            job.order.method(job.model),
+        )
         return solve(job, progress=progress, mapper=store)
     except MocapCalibError as error:
         if not isinstance(error, ClusterError):  # it would end there again
@@ -104,17 +166,32 @@ def write(job: Job, groups: tuple[Calibration, ...]) -> list[dict[str, Any]]:
     What an earlier run found and this one did not, further groups and individuals and a rival rig, is taken away.
     """
     order = job.order
-    listed = [{"folder": group_folder(k), "cameras": list(found.rig.names)} for k, found in enumerate(groups)]
+    listed = [
+        {"folder": group_folder(k), "cameras": list(found.rig.names)}
+        for k, found in enumerate(groups)
+    ]
     own = {"model": job.model, "solver": order.solver, "groups": listed}
-    reports = [run_report(found, seed=order.seed, config=Config(), inputs=job.hashes) | own for found in groups]
+    reports = [
+        run_report(found, seed=order.seed, config=Config(), inputs=job.hashes) | own
+        for found in groups
+    ]
     with folder(order.output) as work:
-        for k in reversed(range(len(groups))):  # the first last: its run.json has the hashes of all other files
+        for k in reversed(
+            range(len(groups))
+        ):  # the first last: its run.json has the hashes of all other files
             here = work / group_folder(k)
             here.mkdir(exist_ok=True)
-            _write_group(here, groups[k], outputs.provenance("run", seed=order.seed, inputs=job.hashes))
+            _write_group(
+                here, groups[k], outputs.provenance("run", seed=order.seed, inputs=job.hashes)
+            )
             if k == 0:
-                reports[0] |= {"fingerprint": order.fingerprint(job.hashes, job.model), "outputs": _contents(work)}
-            (here / "run.json").write_text(json.dumps(reports[k], indent=1, allow_nan=False) + "\n", "utf-8")
+                reports[0] |= {
+                    "fingerprint": order.fingerprint(job.hashes, job.model),
+                    "outputs": _contents(work),
+                }
+            (here / "run.json").write_text(
+                json.dumps(reports[k], indent=1, allow_nan=False) + "\n", "utf-8"
+            )
     _clear(order.output, reports[0])
     return reports
 
@@ -143,7 +220,9 @@ def finished(order: Order) -> dict[str, Any] | None:
     try:
         report = json.loads((order.output / "run.json").read_bytes())
         same = report["fingerprint"] == order.fingerprint(order.hashes(), report["model"])
-        whole = same and all(_digest(order.output / name) == content for name, content in report["outputs"].items())
+        whole = same and all(
+            _digest(order.output / name) == content for name, content in report["outputs"].items()
+        )
     except (OSError, ValueError, LookupError, TypeError, AttributeError):
         return None
     if not whole:
@@ -153,7 +232,11 @@ def finished(order: Order) -> dict[str, Any] | None:
 
 
 def _contents(work: Path) -> dict[str, str]:
-    return {file.relative_to(work).as_posix(): _digest(file) for file in sorted(work.rglob("*")) if file.is_file()}
+    return {
+        file.relative_to(work).as_posix(): _digest(file)
+        for file in sorted(work.rglob("*"))
+        if file.is_file()
+    }
 
 
 def _digest(file: Path) -> str:

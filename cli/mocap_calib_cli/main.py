@@ -15,18 +15,42 @@ from mocap_calib_cli.mistakes import explained
 
 # name: (module:attribute, what the list of commands says of it); kept here so that the list imports no command
 COMMANDS = {
-    "run": ("mocap_calib_cli.commands.run:command", "Keypoints to cameras and 3D poses: all stages in one."),
-    "batch": ("mocap_calib_cli.commands.batch:command", "Many recordings, here or on a cluster; what is finished is kept."),
-    "inspect": ("mocap_calib_cli.commands.inspect:command", "What is in keypoint files, and what stands in the way of a run."),
-    "pairwise": ("mocap_calib_cli.commands.pairwise:command", "Relative positions of all pairs of cameras."),
+    "run": (
+        "mocap_calib_cli.commands.run:command",
+        "Keypoints to cameras and 3D poses: all stages in one.",
+    ),
+    "batch": (
+        "mocap_calib_cli.commands.batch:command",
+        "Many recordings, here or on a cluster; what is finished is kept.",
+    ),
+    "inspect": (
+        "mocap_calib_cli.commands.inspect:command",
+        "What is in keypoint files, and what stands in the way of a run.",
+    ),
+    "pairwise": (
+        "mocap_calib_cli.commands.pairwise:command",
+        "Relative positions of all pairs of cameras.",
+    ),
     "average": ("mocap_calib_cli.commands.average:command", "Pairs to one rig."),
     "match": ("mocap_calib_cli.commands.match:command", "Who is who in all cameras."),
     "adjust": ("mocap_calib_cli.commands.adjust:command", "Bundle adjustment of the rig."),
     "triangulate": ("mocap_calib_cli.commands.triangulate:command", "3D poses."),
-    "convert": ("mocap_calib_cli.commands.convert:command", "Keypoints, cameras and poses from one format to another."),
-    "complete": ("mocap_calib_cli.commands.complete:command", "Fill keypoints that were not seen; one set of joints for all cameras."),
-    "evaluate": ("mocap_calib_cli.commands.evaluate:command", "Compare cameras with a reference calibration."),
-    "simulate": ("mocap_calib_cli.commands.simulate:command", "Make a synthetic recording with its truth."),
+    "convert": (
+        "mocap_calib_cli.commands.convert:command",
+        "Keypoints, cameras and poses from one format to another.",
+    ),
+    "complete": (
+        "mocap_calib_cli.commands.complete:command",
+        "Fill keypoints that were not seen; one set of joints for all cameras.",
+    ),
+    "evaluate": (
+        "mocap_calib_cli.commands.evaluate:command",
+        "Compare cameras with a reference calibration.",
+    ),
+    "simulate": (
+        "mocap_calib_cli.commands.simulate:command",
+        "Make a synthetic recording with its truth.",
+    ),
     "models": ("mocap_calib_cli.commands.models:command", "List the networks that are shipped."),
     "train": ("mocap_calib_cli.commands.train:command", "Train the network that lifts 2D poses."),
 }
@@ -53,7 +77,14 @@ class LazyGroup(click.Group):
             formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
 
 
-@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "show_default": True, "max_content_width": 100})
+@click.group(
+    cls=LazyGroup,
+    context_settings={
+        "help_option_names": ["-h", "--help"],
+        "show_default": True,
+        "max_content_width": 100,
+    },
+)
 @click.version_option(__version__, prog_name="mocap-calib", message="%(prog)s %(version)s")
 def group() -> None:
     """Calibrates cameras from the 2D keypoints of moving people and animals, and triangulates them.
@@ -67,7 +98,10 @@ def group() -> None:
 
 def main() -> None:
     """The entry point: runs the command, and turns a user's mistake into one line and an exit status."""
-    for library in ("OPENBLAS", "MKL"):  # read when numpy is imported; sums of theirs depend on the number of threads
+    for library in (
+        "OPENBLAS",
+        "MKL",
+    ):  # read when numpy is imported; sums of theirs depend on the number of threads
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     try:
         # without standalone mode click leaves errors to us

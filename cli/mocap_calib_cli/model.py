@@ -30,4 +30,6 @@ def use_threads(count: int) -> None:
 def check_device(device: str) -> None:
     """Raises MismatchError where there is no such device."""
     if device == "cuda" and not torch.cuda.is_available():
-        raise MismatchError("--device cuda: expected a CUDA device and a torch built for it, found none; use --device cpu")
+        raise MismatchError(
+            "--device cuda: expected a CUDA device and a torch built for it, found none; use --device cpu"
+        )

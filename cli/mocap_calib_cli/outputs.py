@@ -30,14 +30,18 @@ def check_text(output: str | None) -> None:
 def check_file(path: Path) -> None:
     """Raises MismatchError or OSError where a file could not be written."""
     if path.is_dir():
-        raise MismatchError(f"{path}: expected a file to write, found a folder; give a name within it")
+        raise MismatchError(
+            f"{path}: expected a file to write, found a folder; give a name within it"
+        )
     _check_writable(path.absolute().parent)
 
 
 def check_folder(path: Path) -> None:
     """Raises MismatchError or OSError where a folder could not be made and filled."""
     if path.exists() and not path.is_dir():
-        raise MismatchError(f"{path}: expected a folder to write, or a new name, found a file; choose another")
+        raise MismatchError(
+            f"{path}: expected a folder to write, or a new name, found a file; choose another"
+        )
     _check_writable(path.absolute().parent)
     if path.exists():
         _check_writable(path)
@@ -58,14 +62,18 @@ def _check_writable(folder: Path) -> None:
         with tempfile.TemporaryDirectory(dir=folder, prefix=".mocap-calib."):
             pass
     except OSError as error:
-        raise MismatchError(f"{folder}: expected a folder that can be written to, found: {error.strerror}; choose another") from None
+        raise MismatchError(
+            f"{folder}: expected a folder that can be written to, found: {error.strerror}; choose another"
+        ) from None
 
 
 def check_individuals(path: Path, individuals: int) -> None:
     """Raises MismatchError where a file beside them would pass for a further individual; it may be a recording of that name, so it stays."""
     further = of_individual(path, individuals)
     if further.exists():
-        raise MismatchError(f"{further}: expected no file of a further individual beside {path.name}, found one; remove it or choose another name")
+        raise MismatchError(
+            f"{further}: expected no file of a further individual beside {path.name}, found one; remove it or choose another name"
+        )
 
 
 def remove_stale(path: Path, individuals: int) -> None:

@@ -51,7 +51,9 @@ class Reporter:
             self.bars = self.bars or _bars()
             self.bar = self.bars.add_task(self.stage)
         if self.bars is not None and self.bar is not None:
-            self.bars.update(self.bar, description=self.stage, completed=self.done, total=self.total)
+            self.bars.update(
+                self.bar, description=self.stage, completed=self.done, total=self.total
+            )
 
     def _show_line(self) -> None:
         if time.monotonic() - max(self.since, self.spoken) > _SILENCE and self.done < self.total:
@@ -71,7 +73,12 @@ class Reporter:
         self.since = time.monotonic()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         if kind is None:
             self._finish()
         if self.bars is not None:
@@ -83,7 +90,13 @@ def _bars() -> "Progress":
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-    bars = Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), console=Console(stderr=True))
+    bars = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        console=Console(stderr=True),
+    )
     bars.start()
     return bars
 
@@ -92,7 +105,15 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
     """Lines of aligned columns: the first to the left, the others to the right. The same in a terminal, a pipe and a log."""
     cells = [list(header), *map(list, rows)]
     widths = [max(len(row[k]) for row in cells) for k in range(len(header))]
-    return ["  ".join([row[0].ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True))]).rstrip() for row in cells]
+    return [
+        "  ".join(
+            [
+                row[0].ljust(widths[0]),
+                *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True)),
+            ]
+        ).rstrip()
+        for row in cells
+    ]
 
 
 def figure(value: float | None, digits: int = 2) -> str:

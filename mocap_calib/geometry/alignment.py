@@ -17,6 +17,8 @@ def similarity(source: Floats, target: Floats) -> tuple[float, Floats, Floats]:
     rotation = nearest_rotation(y.T @ x)
     variance = (x**2).sum()
     if variance < 1e-18:
-        raise DegenerateError("alignment: expected points in different places, all of them coincide")
+        raise DegenerateError(
+            "alignment: expected points in different places, all of them coincide"
+        )
     scale = float(np.trace(rotation @ x.T @ y) / variance)
     return scale, rotation, mean_y - scale * rotation @ mean_x

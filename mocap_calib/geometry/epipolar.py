@@ -37,7 +37,9 @@ def translation_system(rotation: Floats, rays_a: Floats, rays_b: Floats, weight:
     return np.einsum("...n,...ni,...nj->...ij", weight, normal, normal)
 
 
-def depths(rotation: Floats, translation: Floats, rays_a: Floats, rays_b: Floats) -> tuple[Floats, Floats]:
+def depths(
+    rotation: Floats, translation: Floats, rays_a: Floats, rays_b: Floats
+) -> tuple[Floats, Floats]:
     """Distances along both rays to the midpoint of their common normal, `[..., N]` each.
 
     Solves d_b u_b - d_a R u_a = t in the least-squares sense; positive means in front of the camera.
@@ -61,10 +63,14 @@ def five_point(rays_a: Floats, rays_b: Floats, threshold: float) -> list[tuple[F
     if len(rays_a) < 8:
         return []
     image_a, image_b = rays_a[:, :2] / rays_a[:, 2:], rays_b[:, :2] / rays_b[:, 2:]
-    model, _ = cv2.findEssentialMat(image_a, image_b, np.eye(3), method=cv2.USAC_ACCURATE, prob=0.999, threshold=threshold)
+    model, _ = cv2.findEssentialMat(
+        image_a, image_b, np.eye(3), method=cv2.USAC_ACCURATE, prob=0.999, threshold=threshold
+    )
     if model is None or model.shape != (3, 3):
         return []
-    first, second, t = (np.asarray(part, dtype=np.float64) for part in cv2.decomposeEssentialMat(model))
+    first, second, t = (
+        np.asarray(part, dtype=np.float64) for part in cv2.decomposeEssentialMat(model)
+    )
     candidates = [(r, s * t[:, 0]) for r in (first, second) for s in (1.0, -1.0)]
     ahead = [np.mean([(d > 0) for d in depths(r, t, rays_a, rays_b)]) for r, t in candidates]
     return [candidates[int(np.argmax(ahead))]]

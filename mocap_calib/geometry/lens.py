@@ -77,14 +77,20 @@ def _correction(k: tuple[float, ...], image: Floats, target: Floats) -> tuple[Fl
     above = 1 + square * (k1 + square * (k2 + square * k3))
     below = 1 + square * (k4 + square * (k5 + square * k6))
     radial = above / below
-    slope = (k1 + square * (2 * k2 + 3 * square * k3) - radial * (k4 + square * (2 * k5 + 3 * square * k6))) / below  # d radial / d r^2
+    slope = (
+        k1
+        + square * (2 * k2 + 3 * square * k3)
+        - radial * (k4 + square * (2 * k5 + 3 * square * k6))
+    ) / below  # d radial / d r^2
     short = target - _brown(k, image)
     xx = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
     yy = radial + 2 * y * y * slope + 2 * p2 * x + 6 * p1 * y
     xy = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
     determinant = xx * yy - xy * xy
     determinant = np.where(np.abs(determinant) > 1e-9, determinant, 1e-9)
-    return np.stack([yy * short[0] - xy * short[1], xx * short[1] - xy * short[0]]) / determinant, short
+    return np.stack(
+        [yy * short[0] - xy * short[1], xx * short[1] - xy * short[0]]
+    ) / determinant, short
 
 
 def _undistorted(k: tuple[float, ...], seen: Floats, miss: float) -> Floats:
@@ -97,7 +103,9 @@ def _undistorted(k: tuple[float, ...], seen: Floats, miss: float) -> Floats:
             break
     short = np.abs(seen - _brown(k, image)).max(0)
     # past the first fold lie further solutions, which mean nothing
-    doubtful: Bools = ~((short <= 1e-12 + 1e-9 * miss) & ((image**2).sum(0) < _fold(k))) & np.isfinite(seen).all(0)
+    doubtful: Bools = ~(
+        (short <= 1e-12 + 1e-9 * miss) & ((image**2).sum(0) < _fold(k))
+    ) & np.isfinite(seen).all(0)
     if doubtful.any():
         image[:, doubtful] = _careful(k, seen[:, doubtful], miss)
     return image
@@ -119,7 +127,14 @@ def _fold(k: tuple[float, ...]) -> float:
     k1, k2, _, _, k3, k4, k5, k6 = k
     square = radius**2
     below = 1 + square * (k4 + square * (k5 + square * k6))
-    grows = np.diff(radius * (1 + square * (k1 + square * (k2 + square * k3))) / np.where(below > 0, below, np.nan)) > 0
+    grows = (
+        np.diff(
+            radius
+            * (1 + square * (k1 + square * (k2 + square * k3)))
+            / np.where(below > 0, below, np.nan)
+        )
+        > 0
+    )
     return np.inf if grows.all() else float(square[np.argmin(grows)])
 
 

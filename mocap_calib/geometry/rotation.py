@@ -55,7 +55,9 @@ def skew(vector: Floats) -> Floats:
     """The cross product as a matrix, `[..., 3]` -> `[..., 3, 3]`: [a]x b = a x b."""
     x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
     zero = np.zeros_like(x)
-    return np.stack([np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1), np.stack([-y, x, zero], -1)], -2)
+    return np.stack(
+        [np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1), np.stack([-y, x, zero], -1)], -2
+    )
 
 
 def angle_between(first: Floats, second: Floats) -> Floats:

@@ -55,7 +55,12 @@ def folder(path: Path) -> Iterator[Path]:
     try:
         yield work
         path.mkdir(exist_ok=True)
-        _move([file.relative_to(work) for file in sorted(work.rglob("*")) if file.is_file()], work, path, old)
+        _move(
+            [file.relative_to(work) for file in sorted(work.rglob("*")) if file.is_file()],
+            work,
+            path,
+            old,
+        )
     finally:
         shutil.rmtree(work, ignore_errors=True)
         shutil.rmtree(old, ignore_errors=True)
@@ -67,11 +72,19 @@ def check_alone(path: Path, names: Collection[str], suffixes: Collection[str]) -
     Folders in it count where the names lie in such.
     """
     nested = any("/" in name for name in names)
-    files = (file.relative_to(path) for file in (path.rglob("*") if nested else path.glob("*")) if file.suffix.lower() in suffixes and file.is_file())
-    strangers = sorted(file.as_posix() for file in files if not any(part.startswith(".") for part in file.parts))
+    files = (
+        file.relative_to(path)
+        for file in (path.rglob("*") if nested else path.glob("*"))
+        if file.suffix.lower() in suffixes and file.is_file()
+    )
+    strangers = sorted(
+        file.as_posix() for file in files if not any(part.startswith(".") for part in file.parts)
+    )
     stranger = next((name for name in strangers if name not in names), None)
     if stranger is not None:
-        raise MismatchError(f"{path}: expected a new folder or one with the same files, found {stranger}: choose another or remove it")
+        raise MismatchError(
+            f"{path}: expected a new folder or one with the same files, found {stranger}: choose another or remove it"
+        )
 
 
 def of_individual(path: Path, individual: int) -> Path:

@@ -7,13 +7,37 @@ from typing import Any
 
 import numpy as np
 
-_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8", 16: "u1", 17: "u2", 18: "u4"}
+_TYPES = {
+    1: "i1",
+    2: "u1",
+    3: "i2",
+    4: "u2",
+    5: "i4",
+    6: "u4",
+    7: "f4",
+    9: "f8",
+    12: "i8",
+    13: "u8",
+    16: "u1",
+    17: "u2",
+    18: "u4",
+}
 _MATRIX, _COMPRESSED = 14, 15
 _CELL, _STRUCT, _CHAR = 1, 2, 4
 _NUMBERS = range(6, 16)  # classes: double, single, and integers of all sizes
 _MOST = 1 << 29  # bytes that one variable may unpack to
 # what a damaged file makes of the reading
-DAMAGE = (struct.error, zlib.error, ValueError, IndexError, KeyError, StopIteration, RecursionError, OverflowError, MemoryError)
+DAMAGE = (
+    struct.error,
+    zlib.error,
+    ValueError,
+    IndexError,
+    KeyError,
+    StopIteration,
+    RecursionError,
+    OverflowError,
+    MemoryError,
+)
 
 
 def read_mat(content: bytes, wanted: tuple[str, ...]) -> dict[str, Any]:
@@ -25,7 +49,11 @@ def read_mat(content: bytes, wanted: tuple[str, ...]) -> dict[str, Any]:
     found = {}
     for element in _elements(content[128:], order):
         compressed = element[0] == _COMPRESSED
-        kind, data = next(_elements(zlib.decompressobj().decompress(element[1], _MOST), order)) if compressed else element
+        kind, data = (
+            next(_elements(zlib.decompressobj().decompress(element[1], _MOST), order))
+            if compressed
+            else element
+        )
         if kind == _MATRIX:
             name, value = _matrix(data, order, wanted)
             if name in wanted:
@@ -65,15 +93,23 @@ def _matrix(data: bytes, order: str, wanted: tuple[str, ...] | None) -> tuple[st
     return name, _value(kind, shape, count, parts, order)
 
 
-def _value(kind: int, shape: tuple[int, ...], count: int, parts: Iterator[tuple[int, bytes]], order: str) -> Any:
+def _value(
+    kind: int, shape: tuple[int, ...], count: int, parts: Iterator[tuple[int, bytes]], order: str
+) -> Any:
     """What a matrix of this class holds; None for functions and objects, which nothing asks for."""
     if kind == _CELL:
         return [_matrix(next(parts)[1], order, None)[1] for _ in range(count)]
     if kind == _STRUCT:
         width = int(_numbers(next(parts), order)[0])
         text = next(parts)[1]
-        fields = [text[k : k + width].split(b"\0")[0].decode("latin-1") for k in range(0, len(text), width)]
-        return [{field: _matrix(next(parts)[1], order, None)[1] for field in fields} for _ in range(count)]
+        fields = [
+            text[k : k + width].split(b"\0")[0].decode("latin-1")
+            for k in range(0, len(text), width)
+        ]
+        return [
+            {field: _matrix(next(parts)[1], order, None)[1] for field in fields}
+            for _ in range(count)
+        ]
     if kind == _CHAR:
         return "".join(map(chr, _numbers(next(parts), order).tolist()))
     if kind in _NUMBERS:

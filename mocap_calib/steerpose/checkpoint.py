@@ -13,7 +13,7 @@ from safetensors.torch import save
 
 from mocap_calib.errors import FormatError
 from mocap_calib.io.atomic import write_bytes
-from mocap_calib.skeleton import SHIPPED, parse_skeleton
+from mocap_calib.recording.joints import SHIPPED, parse_skeleton
 from mocap_calib.steerpose.model import Lifter, ModelConfig
 from mocap_calib.steerpose.steer import Architecture, Model
 from mocap_calib.steerpose.token import TokenConfig, TokenSteerer
@@ -36,7 +36,9 @@ def save_lifter(path: Path, lifter: Model, skeleton: Skeleton, card: dict[str, o
         },
         "card": card,
     }
-    tensors = {name: value.detach().cpu().contiguous() for name, value in lifter.state_dict().items()}
+    tensors = {
+        name: value.detach().cpu().contiguous() for name, value in lifter.state_dict().items()
+    }
     write_bytes(path, save(tensors, metadata={_KEY: json.dumps(description, sort_keys=True)}))
 
 
@@ -44,14 +46,20 @@ def load_lifter(name_or_path: str | Path = "people") -> tuple[Lifter, Skeleton]:
     """The factorised network and its vocabulary: shipped ones by name (`models`), or from a file. Raises FormatError."""
     model, skeleton = load_steerer(name_or_path)
     if not isinstance(model, Lifter):
-        raise FormatError(f"{name_or_path}: expected weights of the factorised architecture, found those of the rotation token")
+        raise FormatError(
+            f"{name_or_path}: expected weights of the factorised architecture, found those of the rotation token"
+        )
     return model, skeleton
 
 
-def load_steerer(name_or_path: str | Path = "people", *, architecture: Architecture = "factorised") -> tuple[Model, Skeleton]:
+def load_steerer(
+    name_or_path: str | Path = "people", *, architecture: Architecture = "factorised"
+) -> tuple[Model, Skeleton]:
     """A network of either architecture: shipped ones by the name of their skeleton, or from a file. Raises FormatError."""
     if isinstance(name_or_path, str) and (name := name_or_path) in SHIPPED:
-        with resources.as_file(_shipped(name if architecture == "factorised" else f"{name}_token")) as path:
+        with resources.as_file(
+            _shipped(name if architecture == "factorised" else f"{name}_token")
+        ) as path:
             return _read(path)
     return _read(Path(name_or_path))
 
@@ -68,7 +76,9 @@ def models() -> dict[str, dict[str, Any]]:
 
 def digest(name_or_path: str) -> str:
     """SHA-256 of the weights of a lifter: a shipped one, or one in a file."""
-    return hashlib.sha256((_shipped(name_or_path) if name_or_path in SHIPPED else Path(name_or_path)).read_bytes()).hexdigest()
+    return hashlib.sha256(
+        (_shipped(name_or_path) if name_or_path in SHIPPED else Path(name_or_path)).read_bytes()
+    ).hexdigest()
 
 
 def _shipped(name: str) -> Traversable:
@@ -81,9 +91,13 @@ def _description(path: Path) -> dict[str, Any]:
         with safe_open(path, framework="pt") as file:
             return json.loads((file.metadata() or {})[_KEY])
     except FileNotFoundError:
-        raise FormatError(f"{path}: expected a weights file, or a shipped model ({', '.join(SHIPPED)}), found neither") from None
+        raise FormatError(
+            f"{path}: expected a weights file, or a shipped model ({', '.join(SHIPPED)}), found neither"
+        ) from None
     except (SafetensorError, KeyError, ValueError) as error:
-        raise FormatError(f"{path}: not weights of mocap-calib: {str(error).splitlines()[0]}") from None
+        raise FormatError(
+            f"{path}: not weights of mocap-calib: {str(error).splitlines()[0]}"
+        ) from None
 
 
 def _read(path: Path) -> tuple[Model, Skeleton]:
@@ -91,6 +105,10 @@ def _read(path: Path) -> tuple[Model, Skeleton]:
     with safe_open(path, framework="pt") as file:
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (not a dictionary)
     token = description.get("architecture") == "token"
-    model: Model = TokenSteerer(TokenConfig(**description["model"])) if token else Lifter(ModelConfig(**description["model"]))
+    model: Model = (
+        TokenSteerer(TokenConfig(**description["model"]))
+        if token
+        else Lifter(ModelConfig(**description["model"]))
+    )
     model.load_state_dict(tensors)
     return model.eval(), parse_skeleton(description["skeleton"], str(path))

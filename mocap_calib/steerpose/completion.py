@@ -15,7 +15,9 @@ _MOST = 0.5  # what is guessed never counts more than half of what was seen
 @torch.no_grad()
 def complete(model: Model, pose: Tensor, seen: Tensor) -> Tensor:
     """`[B, J, 2]` poses (centred and scaled by `model.normalise`) with the joints that are not seen where the network puts them."""
-    still = steer(model, pose, seen, torch.zeros(len(pose), 3, dtype=pose.dtype, device=pose.device))
+    still = steer(
+        model, pose, seen, torch.zeros(len(pose), 3, dtype=pose.dtype, device=pose.device)
+    )
     return torch.where(seen[..., None], pose, still)
 
 
@@ -27,12 +29,16 @@ def completed(some: Sample, lifted: LiftedPoses) -> tuple[Floats, Floats]:
     is less sure. Detections that were not lifted keep what they have.
     """
     points = lifted.body + lifted.centre[..., None, :]
-    positions = np.stack([pixels_from_points(camera, own) for camera, own in zip(some.cameras, points, strict=True)])
+    positions = np.stack(
+        [pixels_from_points(camera, own) for camera, own in zip(some.cameras, points, strict=True)]
+    )
     confidence = _MOST * _mean_confidence(some)[..., None] * np.exp(-lifted.spread / _SURE)
     known = some.vocabulary >= 0
     joints = some.vocabulary[known]
     seen: Bools = some.seen[..., known]
-    positions[..., joints, :] = np.where(seen[..., None], some.positions[..., known, :], positions[..., joints, :])
+    positions[..., joints, :] = np.where(
+        seen[..., None], some.positions[..., known, :], positions[..., joints, :]
+    )
     confidence[..., joints] = np.where(seen, some.confidence[..., known], confidence[..., joints])
     there = np.isfinite(positions).all(-1) & (confidence > 0)
     return np.where(there[..., None], positions, np.nan), np.where(there, confidence, 0.0)

@@ -34,8 +34,18 @@ class Lifter(nn.Module):
         self.position = nn.Linear(2, config.width)
         self.missing = nn.Parameter(0.02 * torch.randn(config.width))
         self.joint = nn.Parameter(0.5 * torch.randn(config.joints, config.width))
-        layer = nn.TransformerEncoderLayer(config.width, config.heads, 2 * config.width, dropout=0.0, activation="gelu", batch_first=True, norm_first=True)
-        self.encoder = nn.TransformerEncoder(layer, config.layers, norm=nn.LayerNorm(config.width), enable_nested_tensor=False)
+        layer = nn.TransformerEncoderLayer(
+            config.width,
+            config.heads,
+            2 * config.width,
+            dropout=0.0,
+            activation="gelu",
+            batch_first=True,
+            norm_first=True,
+        )
+        self.encoder = nn.TransformerEncoder(
+            layer, config.layers, norm=nn.LayerNorm(config.width), enable_nested_tensor=False
+        )
         self.head = nn.Linear(config.width, 5)
 
     def forward(self, pose: Tensor, seen: Tensor) -> tuple[Tensor, Tensor]:
@@ -46,7 +56,9 @@ class Lifter(nn.Module):
         log standard deviations: across the ray, and along it.
         """
         known = torch.where(seen[..., None], pose, torch.zeros_like(pose))
-        token = torch.where(seen[..., None], self.position(known), self.missing) + self.joint  # (B, J, C)
+        token = (
+            torch.where(seen[..., None], self.position(known), self.missing) + self.joint
+        )  # (B, J, C)
         out = self.head(self.encoder(token))  # (B, J, 5)
         joints = torch.cat([known + out[..., :2], out[..., 2:3]], dim=-1)
         return joints, out[..., 3:].clamp(-6.0, 3.0)

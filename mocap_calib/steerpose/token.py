@@ -35,8 +35,18 @@ class TokenSteerer(nn.Module):
         self.rotation = _mlp(3, width, width)
         self.missing = nn.Parameter(0.02 * torch.randn(width))
         self.embedding = nn.Parameter(0.5 * torch.randn(config.joints + 1, width))
-        layer = nn.TransformerEncoderLayer(width, config.heads, 2 * width, dropout=0.0, activation="gelu", batch_first=True, norm_first=True)
-        self.encoder = nn.TransformerEncoder(layer, config.layers, norm=nn.LayerNorm(width), enable_nested_tensor=False)
+        layer = nn.TransformerEncoderLayer(
+            width,
+            config.heads,
+            2 * width,
+            dropout=0.0,
+            activation="gelu",
+            batch_first=True,
+            norm_first=True,
+        )
+        self.encoder = nn.TransformerEncoder(
+            layer, config.layers, norm=nn.LayerNorm(width), enable_nested_tensor=False
+        )
         self.head = _mlp(width, 4 * width, 2 * config.joints)
 
     def forward(self, pose: Tensor, seen: Tensor, vector: Tensor) -> Tensor:
@@ -47,7 +57,9 @@ class TokenSteerer(nn.Module):
         """
         known = torch.where(seen[..., None], pose, torch.zeros_like(pose))
         joints = torch.where(seen[..., None], self.position(known), self.missing)
-        token = torch.cat([joints, self.rotation(vector)[:, None]], dim=1) + self.embedding  # (B, J + 1, C)
+        token = (
+            torch.cat([joints, self.rotation(vector)[:, None]], dim=1) + self.embedding
+        )  # (B, J + 1, C)
         return self.head(self.encoder(token).mean(1)).view(len(pose), -1, 2)
 
 

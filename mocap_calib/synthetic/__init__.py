@@ -5,4 +5,14 @@ from mocap_calib.synthetic.detections import LAYOUTS, Detections, detect, keypoi
 from mocap_calib.synthetic.rigs import ring_rig
 from mocap_calib.synthetic.scene import Scene, simulate
 
-__all__ = ["JOINTS", "LAYOUTS", "Detections", "Scene", "detect", "keypoint_files", "people", "ring_rig", "simulate"]
+__all__ = [
+    "JOINTS",
+    "LAYOUTS",
+    "Detections",
+    "Scene",
+    "detect",
+    "keypoint_files",
+    "people",
+    "ring_rig",
+    "simulate",
+]

@@ -33,8 +33,18 @@ class Detections:
 
     def __post_init__(self) -> None:
         views, frames, instances = self.identity.shape
-        check_shape("detections: positions", self.positions, views, frames, instances, len(self.keypoints), 2)
-        check_shape("detections: confidence", self.confidence, views, frames, instances, len(self.keypoints))
+        check_shape(
+            "detections: positions",
+            self.positions,
+            views,
+            frames,
+            instances,
+            len(self.keypoints),
+            2,
+        )
+        check_shape(
+            "detections: confidence", self.confidence, views, frames, instances, len(self.keypoints)
+        )
 
 
 def detect(  # noqa: PLR0913 - each is one plain number of the detector
@@ -58,10 +68,17 @@ def detect(  # noqa: PLR0913 - each is one plain number of the detector
     it is that of the individuals. Behind the camera or outside the image nothing is found, and four joints at
     least make a detection. Raises MismatchError.
     """
-    shares = {"missing": missing, "outliers": outliers, "false detections": false_detections, "swaps": swaps}
+    shares = {
+        "missing": missing,
+        "outliers": outliers,
+        "false detections": false_detections,
+        "swaps": swaps,
+    }
     wrong = [f"{name} {share}" for name, share in shares.items() if not 0 <= share <= 1]
     if wrong or layout not in LAYOUTS or noise_px < 0:
-        raise MismatchError(f"detect: expected shares in 0..1, noise >= 0 and layout {' or '.join(LAYOUTS)}, got {', '.join(wrong) or f'{noise_px}, {layout}'}")
+        raise MismatchError(
+            f"detect: expected shares in 0..1, noise >= 0 and layout {' or '.join(LAYOUTS)}, got {', '.join(wrong) or f'{noise_px}, {layout}'}"
+        )
     joints = LAYOUTS[layout]
     poses = poses[:, :, : len(joints)]
     bodies = np.concatenate([poses, _strangers(rng, poses)[:, None]], axis=1)
@@ -80,15 +97,31 @@ def keypoint_files(rig: CameraRig, detections: Detections) -> tuple[Keypoints2D,
     """What the files of the views hold."""
     frames = np.arange(detections.identity.shape[1])
     return tuple(
-        Keypoints2D(camera.name, detections.keypoints, frames, positions, confidence, False, camera.size, f"synthetic {camera.name}")
-        for camera, positions, confidence in zip(rig.cameras, detections.positions, detections.confidence, strict=True)
+        Keypoints2D(
+            camera.name,
+            detections.keypoints,
+            frames,
+            positions,
+            confidence,
+            False,
+            camera.size,
+            f"synthetic {camera.name}",
+        )
+        for camera, positions, confidence in zip(
+            rig.cameras, detections.positions, detections.confidence, strict=True
+        )
     )
 
 
 def _images(rig: CameraRig, bodies: Floats) -> Floats:
     """`[view, frame, body, joint, 2]` pixels; NaN behind the camera."""
     views = zip(rig.cameras, rig.rotation, rig.translation, strict=True)
-    return np.stack([pixels_from_points(camera, bodies @ rotation.T + translation) for camera, rotation, translation in views])
+    return np.stack(
+        [
+            pixels_from_points(camera, bodies @ rotation.T + translation)
+            for camera, rotation, translation in views
+        ]
+    )
 
 
 def _inside(rig: CameraRig, image: Floats) -> Bools:
@@ -116,7 +149,9 @@ def _with_copies(rng: np.random.Generator, image: Floats) -> Floats:
     whose = rng.integers(bodies - 1, size=(views, frames))
     original = np.take_along_axis(image, whose[:, :, None, None, None], axis=2)[:, :, 0]
     size = _size(original)[..., None, None]
-    copy = original + size * (0.3 * rng.normal(size=(views, frames, 1, 2)) + 0.06 * rng.normal(size=original.shape))
+    copy = original + size * (
+        0.3 * rng.normal(size=(views, frames, 1, 2)) + 0.06 * rng.normal(size=original.shape)
+    )
     false = np.where(rng.random((views, frames, 1, 1)) < 0.5, copy, image[:, :, -1])
     return np.concatenate([image[:, :, :-1], false[:, :, None]], axis=2)
 
@@ -128,10 +163,14 @@ def _size(image: Floats) -> Floats:
     return np.asarray(np.linalg.norm(np.where(seen.any(-2), box, 0.0), axis=-1))
 
 
-def _blurred(rng: np.random.Generator, image: Floats, noise_px: float, outliers: float) -> tuple[Floats, Floats]:
+def _blurred(
+    rng: np.random.Generator, image: Floats, noise_px: float, outliers: float
+) -> tuple[Floats, Floats]:
     """Positions with noise and gross errors, and `[view, frame, body, joint]` a confidence that knows of them, not too well."""
     doubt = rng.beta(2.0, 4.0, image.shape[:-1])
-    spread = (0.4 + 2 * doubt) / np.sqrt(0.16 + 1.6 / 3 + 4 / 7)  # E[doubt] = 1/3, E[doubt^2] = 1/7: RMS 1
+    spread = (0.4 + 2 * doubt) / np.sqrt(
+        0.16 + 1.6 / 3 + 4 / 7
+    )  # E[doubt] = 1/3, E[doubt^2] = 1/7: RMS 1
     noisy = image + noise_px * spread[..., None] * rng.normal(size=image.shape)
     quality = 1.0 - 0.75 * doubt + 0.05 * rng.normal(size=doubt.shape)
     gross = rng.random(doubt.shape) < outliers
@@ -141,7 +180,9 @@ def _blurred(rng: np.random.Generator, image: Floats, noise_px: float, outliers:
     return noisy, np.where(gross, quality * rng.uniform(0.3, 1.0, doubt.shape), quality)
 
 
-def _swapped(rng: np.random.Generator, positions: Floats, joints: tuple[str, ...], swaps: float) -> Floats:
+def _swapped(
+    rng: np.random.Generator, positions: Floats, joints: tuple[str, ...], swaps: float
+) -> Floats:
     """Some detections with left and right exchanged."""
     twin = [joints.index(_other_side(joint)) for joint in joints]
     chosen = rng.random(positions.shape[:3]) < swaps
@@ -150,16 +191,28 @@ def _swapped(rng: np.random.Generator, positions: Floats, joints: tuple[str, ...
 
 def _other_side(joint: str) -> str:
     """`left_hip` <-> `right_hip`; the others are their own twins."""
-    return joint.replace("left_", "right_") if joint.startswith("left_") else joint.replace("right_", "left_")
+    return (
+        joint.replace("left_", "right_")
+        if joint.startswith("left_")
+        else joint.replace("right_", "left_")
+    )
 
 
 def _ordered(rng: np.random.Generator, found: Detections, seen: Bools, shuffle: bool) -> Detections:
     """Blanks out what is not seen and puts the detections that are there first, in an order that tells nothing if shuffled."""
     present = seen.any(-1)
-    order = np.argsort(np.where(present, rng.random(present.shape) if shuffle else np.arange(present.shape[2]), np.inf), axis=2, kind="stable")
+    order = np.argsort(
+        np.where(
+            present, rng.random(present.shape) if shuffle else np.arange(present.shape[2]), np.inf
+        ),
+        axis=2,
+        kind="stable",
+    )
     most = max(int(present.sum(2).max(initial=0)), 1)
     order = order[:, :, :most]
-    positions = np.take_along_axis(np.where(seen[..., None], found.positions, np.nan), order[..., None, None], axis=2)
+    positions = np.take_along_axis(
+        np.where(seen[..., None], found.positions, np.nan), order[..., None, None], axis=2
+    )
     confidence = np.take_along_axis(np.where(seen, found.confidence, 0.0), order[..., None], axis=2)
     identity = np.take_along_axis(np.where(present, found.identity, -1), order, axis=2)
     return Detections(found.keypoints, positions, confidence, identity)

@@ -17,7 +17,10 @@ _STANCE = 0.62
 _PASSING = 0.31  # phase at which the pelvis is above the foot
 _BOTH_DOWN = 0.06  # a phase at which both feet stand, half-way through double support
 # pitch of the foot in degrees over its cycle, heel up positive: heel strike, flat, heel off, toe off, swing
-_PITCH = PchipInterpolator([0.0, 0.09, 0.36, 0.50, 0.62, 0.74, 0.90, 1.0], [-16.0, 0.0, 0.0, 14.0, 42.0, 30.0, -10.0, -16.0])
+_PITCH = PchipInterpolator(
+    [0.0, 0.09, 0.36, 0.50, 0.62, 0.74, 0.90, 1.0],
+    [-16.0, 0.0, 0.0, 14.0, 42.0, 30.0, -10.0, -16.0],
+)
 
 
 @dataclass(frozen=True)
@@ -33,7 +36,14 @@ def phase(time: Floats, walk: Walk, stature: float) -> Floats:
     """`[time]` gait cycles since the start; all pauses fall where both feet are on the floor."""
     stride = (0.5 + 0.62 * np.maximum(walk.speed, 0.0)) * stature / 1.7  # longer when faster
     # who turns on the spot steps as well, about 70 degrees a step
-    raw: Floats = np.concatenate([[0.0], np.cumsum((walk.speed / stride)[1:] * np.diff(time) + np.abs(np.diff(walk.heading)) / 2.4)])
+    raw: Floats = np.concatenate(
+        [
+            [0.0],
+            np.cumsum(
+                (walk.speed / stride)[1:] * np.diff(time) + np.abs(np.diff(walk.heading)) / 2.4
+            ),
+        ]
+    )
     if not walk.pauses:
         return raw
     at: Floats = np.interp(np.array([(a + b) / 2 for a, b in walk.pauses]), time, raw)
@@ -42,7 +52,9 @@ def phase(time: Floats, walk: Walk, stature: float) -> Floats:
     # between pauses the phase is stretched a little, outside of them only shifted
     far = raw[-1] + 1.0
     knots = np.concatenate([[at[0] - far], at, [at[-1] + far]])
-    return np.asarray(np.interp(raw, knots, np.concatenate([[wanted[0] - far], wanted, [wanted[-1] + far]])))
+    return np.asarray(
+        np.interp(raw, knots, np.concatenate([[wanted[0] - far], wanted, [wanted[-1] + far]]))
+    )
 
 
 def vigour(walk: Walk) -> Floats:
@@ -68,9 +80,13 @@ def foot(walk: Walk, cycles: Floats, side: float, offsets: Floats) -> Foot:
     roll = np.where(within < _STANCE, _roll(pitch, offsets), lift + swing * (land - lift))
     ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
     level = now[0] + swing[:, None] * (following[0] - now[0]) + roll[:, None] * ahead
-    clearance = (0.02 + 0.04 * strength) * np.sin(np.pi * np.clip((within - _STANCE) / (1 - _STANCE), 0, 1)) ** 2
+    clearance = (0.02 + 0.04 * strength) * np.sin(
+        np.pi * np.clip((within - _STANCE) / (1 - _STANCE), 0, 1)
+    ) ** 2
     # the lowest point of the turned foot is what stands on the floor
-    lowest = (-np.sin(pitch)[:, None] * offsets[:, 0] + np.cos(pitch)[:, None] * offsets[:, 2]).min(1)
+    lowest = (-np.sin(pitch)[:, None] * offsets[:, 0] + np.cos(pitch)[:, None] * offsets[:, 2]).min(
+        1
+    )
     height = clearance - lowest + _skin(offsets)
     return Foot(np.concatenate([level, height[:, None]], axis=1), yaw, pitch)
 
@@ -83,7 +99,9 @@ def _skin(offsets: Floats) -> float:
 def _roll(pitch: Floats, offsets: Floats) -> Floats:
     """`[time]` metres that the ankle goes ahead when the foot rolls over its toe, or stands back on its heel."""
     pivot = np.where(np.asarray(pitch)[..., None] > 0, offsets[1], offsets[0])
-    return np.asarray(pivot[..., 0] - (np.cos(pitch) * pivot[..., 0] + np.sin(pitch) * pivot[..., 2]))
+    return np.asarray(
+        pivot[..., 0] - (np.cos(pitch) * pivot[..., 0] + np.sin(pitch) * pivot[..., 2])
+    )
 
 
 def _foothold(walk: Walk, own: Floats, number: Floats, side: float) -> tuple[Floats, Floats]:

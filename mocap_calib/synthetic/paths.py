@@ -27,7 +27,9 @@ class Walk:
     pauses: tuple[tuple[float, float], ...]
 
 
-def walks(rng: np.random.Generator, time: Floats, individuals: int, room: tuple[float, float]) -> list[Walk]:
+def walks(
+    rng: np.random.Generator, time: Floats, individuals: int, room: tuple[float, float]
+) -> list[Walk]:
     """One walk an individual; of several candidates the one that keeps most away from those already there."""
     chosen: list[Walk] = []
     for _ in range(individuals):
@@ -44,7 +46,9 @@ def _elbow_room(candidate: Walk, others: list[Walk]) -> float:
     """1 where the candidate always keeps its distance, else less."""
     if not others:
         return 1.0
-    distance = np.min([np.linalg.norm(candidate.position - other.position, axis=1) for other in others], axis=0)
+    distance = np.min(
+        [np.linalg.norm(candidate.position - other.position, axis=1) for other in others], axis=0
+    )
     return float(1.0 - (np.maximum(1.0 - distance / _APART, 0.0) ** 2).mean())
 
 
@@ -56,11 +60,15 @@ def _walk(rng: np.random.Generator, time: Floats, room: tuple[float, float]) -> 
     tangent = np.gradient(path, _STEP, axis=0)
     heading = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
     curvature = np.abs(gaussian_filter1d(np.gradient(heading, _STEP), 5))
-    speed = np.minimum(usual * np.exp(0.15 * wander(rng, arc, 3.0)), 1.2 / np.maximum(curvature, 0.1))  # at most 1.2 rad/s
+    speed = np.minimum(
+        usual * np.exp(0.15 * wander(rng, arc, 3.0)), 1.2 / np.maximum(curvature, 0.1)
+    )  # at most 1.2 rad/s
     at = np.cumsum(rng.uniform(2.0, 7.0, int(arc[-1] // 2) + 1)) - rng.uniform(0.0, 5.0)
     at = at[(at > 0.5) & (at < arc[-1] - 0.5)]
     for stop in at:
-        speed = np.minimum(speed, np.sqrt(2 * 0.7 * np.abs(arc - stop)) + 0.02)  # braking at 0.7 m/s^2
+        speed = np.minimum(
+            speed, np.sqrt(2 * 0.7 * np.abs(arc - stop)) + 0.02
+        )  # braking at 0.7 m/s^2
     arrival = time[0] + np.concatenate([[0.0], np.cumsum(_STEP / speed[1:])])
     pauses = []
     for stop in at:
@@ -71,7 +79,14 @@ def _walk(rng: np.random.Generator, time: Floats, room: tuple[float, float]) -> 
     return _timed(time, arrival=arrival, path=path, heading=heading, pauses=tuple(pauses))
 
 
-def _timed(time: Floats, *, arrival: Floats, path: Floats, heading: Floats, pauses: tuple[tuple[float, float], ...]) -> Walk:
+def _timed(
+    time: Floats,
+    *,
+    arrival: Floats,
+    path: Floats,
+    heading: Floats,
+    pauses: tuple[tuple[float, float], ...],
+) -> Walk:
     """The path as a function of time; the smoothing takes the kinks out of starting and stopping."""
     arc, interval = np.linspace(0.0, _STEP * (len(path) - 1), len(path)), time[1] - time[0]
     along = gaussian_filter1d(np.interp(time, arrival, arc), 0.12 / interval, mode="nearest")

@@ -48,19 +48,38 @@ def posture(rng: np.random.Generator, time: Floats, walk: Walk, cycles: Floats) 
     """One person's posture; arms and shoulders swing against the legs."""
     strength, cycle = vigour(walk), 2 * np.pi * cycles
     crouch = _crouching(rng, time, walk)
-    bend = sum((rng.uniform(0.4, 1.0) * pulse(time, *spell, 0.7) for spell in spells(rng, time, 12.0, (1.6, 4.0))), np.zeros_like(time))
+    bend = sum(
+        (
+            rng.uniform(0.4, 1.0) * pulse(time, *spell, 0.7)
+            for spell in spells(rng, time, 12.0, (1.6, 4.0))
+        ),
+        np.zeros_like(time),
+    )
     lean = 1 + 2 * wander(rng, time, 3.0) + 2 * strength + 28 * bend * (1 - crouch) + 33 * crouch
     side = 2.0 * wander(rng, time, 3.0) + 1.5 * strength * np.sin(cycle)
     pelvis_twist = -5 * strength * np.cos(cycle)  # the left hip goes ahead with the left leg
     twist = 5 * strength * np.cos(cycle) + 8 * wander(rng, time, 4.0)
     turn = 22 * wander(rng, time, 3.0)
-    nod = 6 * wander(rng, time, 2.0) + 4 - 0.5 * lean  # most look where they go, also when they bend
-    head = np.stack([np.clip(turn, -60, 60), np.clip(nod, -25, 30), 4 * wander(rng, time, 3.0)], axis=-1)
+    nod = (
+        6 * wander(rng, time, 2.0) + 4 - 0.5 * lean
+    )  # most look where they go, also when they bend
+    head = np.stack(
+        [np.clip(turn, -60, 60), np.clip(nod, -25, 30), 4 * wander(rng, time, 3.0)], axis=-1
+    )
     swing = strength * np.cos(cycle)
     pelvis_tilt = 3 * strength * np.sin(cycle)
     arms = _arms(rng, time, np.stack([-swing, swing], axis=1), crouch + bend)
     rad = np.radians
-    return Posture(rad(lean), rad(side), rad(twist), rad(pelvis_twist), rad(pelvis_tilt), rad(head), rad(arms), crouch)
+    return Posture(
+        rad(lean),
+        rad(side),
+        rad(twist),
+        rad(pelvis_twist),
+        rad(pelvis_tilt),
+        rad(head),
+        rad(arms),
+        crouch,
+    )
 
 
 def _crouching(rng: np.random.Generator, time: Floats, walk: Walk) -> Floats:
@@ -84,7 +103,9 @@ def _arms(rng: np.random.Generator, time: Floats, swing: Floats, stoop: Floats) 
     for start, end in both:
         goal, beat = _gesture(rng, time)
         _blend(arms[:, 0], pulse(time, start, end, 0.8), goal, beat)
-        _blend(arms[:, 1], pulse(time, start + 0.1, end + 0.1, 0.8), goal + rng.normal(0, 5, 4), beat)
+        _blend(
+            arms[:, 1], pulse(time, start + 0.1, end + 0.1, 0.8), goal + rng.normal(0, 5, 4), beat
+        )
     for arm in (0, 1):
         for start, end in spells(rng, time, liveliness, (1.6, 4.5)):
             goal, beat = _gesture(rng, time)
@@ -97,7 +118,11 @@ def _arms(rng: np.random.Generator, time: Floats, swing: Floats, stoop: Floats) 
 def _gesture(rng: np.random.Generator, time: Floats) -> tuple[Floats, Floats]:
     """`[4]` degrees that a gesture goes to, and `[time, 4]` how it beats the air."""
     low, high = _GESTURES[rng.choice(len(_GESTURES), p=_FREQUENT)].T
-    beat = np.array([4.0, 3.0, 12.0, 10.0]) * rng.uniform(0, 1) * np.sin(2 * np.pi * rng.uniform(0.7, 1.6) * time)[:, None]
+    beat = (
+        np.array([4.0, 3.0, 12.0, 10.0])
+        * rng.uniform(0, 1)
+        * np.sin(2 * np.pi * rng.uniform(0.7, 1.6) * time)[:, None]
+    )
     return rng.uniform(low, high), beat
 
 

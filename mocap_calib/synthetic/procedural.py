@@ -73,12 +73,30 @@ def parse_body(fields: Mapping[str, Any], skeleton: Skeleton) -> Body:
             lacking.append(name)
     strangers = sorted(set(bones) - set(index))
     if lacking or strangers:
-        raise FormatError(f"skeleton {skeleton.name}: body: expected a bone to each joint, lacking {lacking or 'none'}, unknown {strangers or 'none'}")
-    plans = np.stack([_factors(plan or {}, skeleton) for plan in (fields.get("plans") or {"only": {}}).values()])
+        raise FormatError(
+            f"skeleton {skeleton.name}: body: expected a bone to each joint, lacking {lacking or 'none'}, unknown {strangers or 'none'}"
+        )
+    plans = np.stack(
+        [_factors(plan or {}, skeleton) for plan in (fields.get("plans") or {"only": {}}).values()]
+    )
     always = _angles(fields.get("always") or {}, skeleton)
-    postures = tuple(_posture(posture or {}, always, skeleton) for posture in (fields.get("postures") or {"only": {}}).values())
+    postures = tuple(
+        _posture(posture or {}, always, skeleton)
+        for posture in (fields.get("postures") or {"only": {}}).values()
+    )
     right = (twin != np.arange(len(index))).astype(np.float64)
-    return Body(skeleton.keypoints, parent, order, rest, twin, right, plans, float(fields.get("spread", 0.1)), float(fields.get("direction", 0.0)), postures)
+    return Body(
+        skeleton.keypoints,
+        parent,
+        order,
+        rest,
+        twin,
+        right,
+        plans,
+        float(fields.get("spread", 0.1)),
+        float(fields.get("direction", 0.0)),
+        postures,
+    )
 
 
 def _tree(skeleton: Skeleton) -> tuple[Ints, Ints]:
@@ -92,7 +110,9 @@ def _tree(skeleton: Skeleton) -> tuple[Ints, Ints]:
         order += np.flatnonzero(parent == k).tolist()
     if len(roots) != 1 or len(order) != len(parent):
         names = ", ".join(skeleton.keypoints[k] for k in roots)
-        raise FormatError(f"skeleton {skeleton.name}: body: expected edges that are one tree over all joints, found {len(roots)} roots: {names}")
+        raise FormatError(
+            f"skeleton {skeleton.name}: body: expected edges that are one tree over all joints, found {len(roots)} roots: {names}"
+        )
     return parent, np.array(order)
 
 
@@ -104,12 +124,18 @@ def sideless(name: str) -> str:
 def _factors(plan: Mapping[str, Any], skeleton: Skeleton) -> Floats:
     """`[joint]` factors of a body plan. Raises FormatError."""
     _check_names(plan, skeleton)
-    return np.array([float(plan.get(name, plan.get(sideless(name), 1.0))) for name in skeleton.keypoints])
+    return np.array(
+        [float(plan.get(name, plan.get(sideless(name), 1.0))) for name in skeleton.keypoints]
+    )
 
 
 def _posture(fields: Mapping[str, Any], always: Angles, skeleton: Skeleton) -> Posture:
     least, most = fields.get("opposed") or (0.0, 0.0)
-    return Posture(float(fields.get("weight", 1.0)), (float(least), float(most)), {**always, **_angles(fields.get("angles") or {}, skeleton)})
+    return Posture(
+        float(fields.get("weight", 1.0)),
+        (float(least), float(most)),
+        {**always, **_angles(fields.get("angles") or {}, skeleton)},
+    )
 
 
 def _angles(fields: Mapping[str, Any], skeleton: Skeleton) -> Angles:
@@ -118,7 +144,9 @@ def _angles(fields: Mapping[str, Any], skeleton: Skeleton) -> Angles:
     for key, numbers in fields.items():
         bone, _, axis = str(key).partition(".")
         if axis not in AXES or not isinstance(numbers, list) or len(numbers) not in (2, 3):
-            raise FormatError(f"skeleton {skeleton.name}: body: {key}: expected bone.(roll|pitch|yaw): [least, most] or [middle, amplitude, phase]")
+            raise FormatError(
+                f"skeleton {skeleton.name}: body: {key}: expected bone.(roll|pitch|yaw): [least, most] or [middle, amplitude, phase]"
+            )
         found[bone, axis] = tuple(float(number) for number in numbers)
     _check_names({bone: 0 for bone, _ in found}, skeleton)
     return found
@@ -127,7 +155,9 @@ def _angles(fields: Mapping[str, Any], skeleton: Skeleton) -> Angles:
 def _check_names(names: Mapping[str, Any], skeleton: Skeleton) -> None:
     known = {_ROOT, *skeleton.keypoints, *map(sideless, skeleton.keypoints)}
     if strangers := sorted(set(names) - known):
-        raise FormatError(f"skeleton {skeleton.name}: body: expected names of its joints, found {', '.join(strangers)}")
+        raise FormatError(
+            f"skeleton {skeleton.name}: body: expected names of its joints, found {', '.join(strangers)}"
+        )
 
 
 def sample_bodies(rng: np.random.Generator, body: Body, count: int) -> Floats:
@@ -144,7 +174,10 @@ def sample_bones(rng: np.random.Generator, body: Body, count: int) -> Floats:
     bend = np.deg2rad(body.direction) * rng.normal(size=(*plan.shape, 3))
     rest = body.rest[body.twin] * length[:, body.twin, None]
     rest = np.einsum("pkij,pkj->pki", _matrix(bend[:, body.twin]), rest)
-    middle = ~np.isin(np.arange(len(body.joints)), np.concatenate([np.flatnonzero(body.right), body.twin[body.right > 0]]))
+    middle = ~np.isin(
+        np.arange(len(body.joints)),
+        np.concatenate([np.flatnonzero(body.right), body.twin[body.right > 0]]),
+    )
     rest[:, middle, 1] = body.rest[middle, 1]  # what has no twin stays in the plane of symmetry
     rest[:, body.right > 0, 1] *= -1
     return rest
@@ -165,7 +198,9 @@ def sample_turns(rng: np.random.Generator, body: Body, count: int) -> tuple[Floa
             if bone == _ROOT:
                 facing[mine, column] = _draw(rng, numbers, stride, vigour)
             for joint in _named(body, bone):
-                turn[mine, joint, column] = _draw(rng, numbers, stride + after * body.right[joint], vigour)
+                turn[mine, joint, column] = _draw(
+                    rng, numbers, stride + after * body.right[joint], vigour
+                )
     return np.deg2rad(turn), np.deg2rad(facing)
 
 
@@ -174,13 +209,17 @@ def _named(body: Body, bone: str) -> list[int]:
     return [k for k, name in enumerate(body.joints) if bone in (name, sideless(name))]
 
 
-def _draw(rng: np.random.Generator, numbers: tuple[float, ...], stride: Floats, vigour: Floats) -> Floats:
+def _draw(
+    rng: np.random.Generator, numbers: tuple[float, ...], stride: Floats, vigour: Floats
+) -> Floats:
     """Degrees: within a range, the middle likelier; or at a place in the stride."""
     if len(numbers) == 2:
         return numbers[0] + (numbers[1] - numbers[0]) * rng.random((2, len(stride))).mean(0)
     middle, amplitude, phase = numbers
     jitter = _PHASE_JITTER_DEG * rng.normal(size=len(stride))
-    return vigour * (middle + amplitude * np.cos(np.deg2rad(stride + phase + jitter))) + 0.15 * amplitude * rng.normal(size=len(stride))
+    return vigour * (
+        middle + amplitude * np.cos(np.deg2rad(stride + phase + jitter))
+    ) + 0.15 * amplitude * rng.normal(size=len(stride))
 
 
 def assemble(body: Body, bones: Floats, turn: Floats, facing: Floats) -> Floats:
@@ -200,7 +239,10 @@ def assemble(body: Body, bones: Floats, turn: Floats, facing: Floats) -> Floats:
 
 def _matrix(angles: Floats) -> Floats:
     """`[..., 3, 3]` yaw about z after pitch about -y after roll about x, of `[..., 3]` angles (roll, pitch, yaw)."""
-    (cr, cp, cy), (sr, sp, sy) = np.moveaxis(np.cos(angles), -1, 0), np.moveaxis(np.sin(angles), -1, 0)
+    (cr, cp, cy), (sr, sp, sy) = (
+        np.moveaxis(np.cos(angles), -1, 0),
+        np.moveaxis(np.sin(angles), -1, 0),
+    )
     rows = [
         [cy * cp, -sy * cr - cy * sp * sr, sy * sr - cy * sp * cr],
         [sy * cp, cy * cr - sy * sp * sr, -cy * sr - sy * sp * cr],

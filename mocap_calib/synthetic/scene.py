@@ -46,7 +46,13 @@ def simulate(config: SimulateConfig) -> Scene:
     """
     of_people, of_rig, of_detector = np.random.default_rng(config.seed).spawn(3)
     side = _ROOM * config.radius
-    poses = people(of_people, individuals=config.people, frames=config.frames, fps=config.fps, room=(side, side))
+    poses = people(
+        of_people,
+        individuals=config.people,
+        frames=config.frames,
+        fps=config.fps,
+        room=(side, side),
+    )
     rig = ring_rig(
         of_rig,
         cameras=config.cameras,

@@ -25,7 +25,9 @@ def pulse(time: Floats, start: float, end: float, ramp: float) -> Floats:
     return ease((time - start) / ramp) * ease((end - time) / ramp)
 
 
-def spells(rng: np.random.Generator, time: Floats, gap: float, hold: tuple[float, float]) -> list[tuple[float, float]]:
+def spells(
+    rng: np.random.Generator, time: Floats, gap: float, hold: tuple[float, float]
+) -> list[tuple[float, float]]:
     """(start, end) of spells that do not overlap: lengths in `hold`, exponential gaps of mean `gap`, all in seconds."""
     found = []
     start = time[0] - rng.uniform(0.0, hold[1])

@@ -12,5 +12,13 @@ for file, key in (("caliscope", "pixels"), ("caliscope-fisheye", "pixels_fisheye
     found = []
     for camera in array.posed_cameras.values():
         project = cv2.fisheye.projectPoints if camera.fisheye else cv2.projectPoints
-        found.append(project(POINTS[:, None], cv2.Rodrigues(camera.rotation)[0], camera.translation, camera.matrix, camera.distortions)[0][:, 0])
+        found.append(
+            project(
+                POINTS[:, None],
+                cv2.Rodrigues(camera.rotation)[0],
+                camera.translation,
+                camera.matrix,
+                camera.distortions,
+            )[0][:, 0]
+        )
     near(f"caliscope {version('caliscope')} {file} (px)", found, list(pixels(key).values()), 1e-6)

@@ -10,4 +10,9 @@ from movement.validators.datasets import ValidPosesInputs
 data = xarray.open_dataset(FILES / "poses-movement-3d.nc").load()
 ValidPosesInputs.validate(data)
 assert compute_velocity(data.position).shape == data.position.shape
-near(f"movement {version('movement')} (m)", data.position.values, POSITIONS.transpose(0, 3, 2, 1), 0.0)
+near(
+    f"movement {version('movement')} (m)",
+    data.position.values,
+    POSITIONS.transpose(0, 3, 2, 1),
+    0.0,
+)

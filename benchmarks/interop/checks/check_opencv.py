@@ -12,20 +12,38 @@ def storage(path):
     return file.getNode
 
 
-for folder, key, project in (("opencv", "pixels", cv2.projectPoints), ("opencv-fisheye", "pixels_fisheye", cv2.fisheye.projectPoints)):
+for folder, key, project in (
+    ("opencv", "pixels", cv2.projectPoints),
+    ("opencv-fisheye", "pixels_fisheye", cv2.fisheye.projectPoints),
+):
     found, expected = [], pixels(key)
     for name in expected:
         node = storage(FILES / folder / f"{name}.yml")
         assert node("camera_name").string() == name
         assert node("image_width").real() == 1280
         vector = cv2.Rodrigues(node("R").mat())[0]
-        image = project(POINTS[:, None], vector, node("T").mat(), node("camera_matrix").mat(), node("distortion_coefficients").mat())[0]
+        image = project(
+            POINTS[:, None],
+            vector,
+            node("T").mat(),
+            node("camera_matrix").mat(),
+            node("distortion_coefficients").mat(),
+        )[0]
         found.append(image[:, 0])
     near(f"OpenCV {cv2.__version__} {folder} (px)", found, list(expected.values()), 1e-6)
 
 intri, extri = (storage(FILES / "easymocap" / name) for name in ("intri.yml", "extri.yml"))
 names = [intri("names").at(k).string() for k in range(intri("names").size())]
-found = [cv2.projectPoints(POINTS, extri(f"R_{n}").mat(), extri(f"T_{n}").mat(), intri(f"K_{n}").mat(), intri(f"dist_{n}").mat())[0][:, 0] for n in names]
+found = [
+    cv2.projectPoints(
+        POINTS,
+        extri(f"R_{n}").mat(),
+        extri(f"T_{n}").mat(),
+        intri(f"K_{n}").mat(),
+        intri(f"dist_{n}").mat(),
+    )[0][:, 0]
+    for n in names
+]
 assert [int(intri(f"W_{n}").real()) for n in names] == [1280] * len(names)
 near("EasyMocap pair (px)", found, list(pixels().values()), 1e-6)
 

@@ -12,5 +12,8 @@ for folder, key in (("colmap", "pixels"), ("colmap-fisheye", "pixels_fisheye")):
         image = images[name]
         moved = image.cam_from_world() if callable(image.cam_from_world) else image.cam_from_world
         rays = POINTS @ moved.rotation.matrix().T + moved.translation
-        found.append(np.array([np.ravel(model.cameras[image.camera_id].img_from_cam(ray)) for ray in rays]) - 0.5)
+        found.append(
+            np.array([np.ravel(model.cameras[image.camera_id].img_from_cam(ray)) for ray in rays])
+            - 0.5
+        )
     near(f"pycolmap {pycolmap.__version__} {folder} (px)", found, list(pixels(key).values()), 1e-6)

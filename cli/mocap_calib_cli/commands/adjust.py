@@ -14,7 +14,11 @@ from mocap_calib_cli import options
 @options.rig
 @options.matches
 @options.output_text("adjusted cameras (YAML)")
-@click.option("--matches-out", metavar="FILE", help="Where to write the matches that the adjusted cameras imply.")
+@click.option(
+    "--matches-out",
+    metavar="FILE",
+    help="Where to write the matches that the adjusted cameras imply.",
+)
 @options.skeleton
 @options.model
 @options.device
@@ -38,9 +42,9 @@ def command(
       mocap-calib adjust keypoints/ --rig rig.yaml --matches matches.csv -o cameras.yaml --matches-out adjusted.csv
     """
     from mocap_calib.config import Config
-    from mocap_calib.io.camera_files import format_cameras_yaml
-    from mocap_calib.io.results import matches_csv
-    from mocap_calib.matching import settle
+    from mocap_calib.io.cameras.own import format_cameras_yaml
+    from mocap_calib.io.results.results import matches_csv
+    from mocap_calib.multi_view.association import settle
     from mocap_calib.pipeline import adjust_to_fixed_point, match_all
     from mocap_calib.types import Matches
     from mocap_calib_cli import inputs, outputs
@@ -50,11 +54,27 @@ def command(
     outputs.check_text(matches_out)
     with Reporter(quiet=quiet) as reporter:
         cameras = inputs.rig_of(rig)
-        recording, network = inputs.read_recording(keypoints, cameras.cameras, skeleton, reporter, reading, model=model, placed=True)
+        recording, network = inputs.read_recording(
+            keypoints, cameras.cameras, skeleton, reporter, reading, model=model, placed=True
+        )
         start, labels = inputs.placed(recording, cameras), inputs.matches_of(matches, recording)
         chosen, some, lifted = inputs.lifted_sample(recording, network, device, reporter)
-        found = adjust_to_fixed_point(some, lifted, start, Matches(labels.labels[:, chosen]), Config(), progress=reporter)
+        found = adjust_to_fixed_point(
+            some, lifted, start, Matches(labels.labels[:, chosen]), Config(), progress=reporter
+        )
         if matches_out is not None:
-            everyone = match_all(recording, chosen, some, lifted, found.rig, found.matches, Config(), progress=reporter)
-            outputs.write_text(matches_out, matches_csv(recording, settle(recording, found.rig, everyone, Config().matching)))
+            everyone = match_all(
+                recording,
+                chosen,
+                some,
+                lifted,
+                found.rig,
+                found.matches,
+                Config(),
+                progress=reporter,
+            )
+            outputs.write_text(
+                matches_out,
+                matches_csv(recording, settle(recording, found.rig, everyone, Config().matching)),
+            )
     outputs.write_text(output, [format_cameras_yaml(found.rig, outputs.provenance("adjust"))])

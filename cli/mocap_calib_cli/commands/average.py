@@ -23,21 +23,28 @@ def command(pairs: str, output: str, quiet: bool) -> None:
     """
     from pathlib import Path
 
-    from mocap_calib.averaging import average, of_cameras
     from mocap_calib.config import AveragingConfig
-    from mocap_calib.io.camera_files import format_cameras_yaml
-    from mocap_calib.io.reading import decode, read_bytes
-    from mocap_calib.io.results import pairs_from_json
-    from mocap_calib.loops import choose_modes, usable_cameras
+    from mocap_calib.io.cameras.own import format_cameras_yaml
+    from mocap_calib.io.file import decode, read_bytes
+    from mocap_calib.io.results.results import pairs_from_json
+    from mocap_calib.multi_view.averaging import average, of_cameras
+    from mocap_calib.multi_view.view_graph import choose_modes, usable_cameras
     from mocap_calib_cli import inputs, outputs
 
     outputs.check_text(output)
-    text = inputs.read_stdin("PAIRS") if pairs == options.STDIO else decode(read_bytes(Path(pairs)), pairs)
+    text = (
+        inputs.read_stdin("PAIRS")
+        if pairs == options.STDIO
+        else decode(read_bytes(Path(pairs)), pairs)
+    )
     found, cameras = pairs_from_json(text, "stdin" if pairs == options.STDIO else pairs)
     found = choose_modes(found, AveragingConfig())
     kept = usable_cameras(cameras, found, AveragingConfig())
     left_out = [camera.name for k, camera in enumerate(cameras) if k not in kept]
     if left_out and not quiet:
-        print(f"left out, no other camera confirms what they see: {', '.join(left_out)}", file=sys.stderr)  # noqa: T201
+        print(
+            f"left out, no other camera confirms what they see: {', '.join(left_out)}",
+            file=sys.stderr,
+        )  # noqa: T201
     averaged = average(tuple(cameras[k] for k in kept), of_cameras(found, kept), AveragingConfig())
     outputs.write_text(output, [format_cameras_yaml(averaged.rig, outputs.provenance("average"))])

@@ -23,15 +23,29 @@ Outcome = dict[str, Any]
 
 @click.command(name="batch")
 @click.argument("recordings", nargs=-1, required=True, metavar="RECORDINGS...")
-@click.option("--cameras", required=True, metavar="INTRINSICS", help="As for `run`; first looked for in each recording's folder, then as a path for all.")
-@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, metavar="OUT", help="Folder to write: OUT/NAME of recording NAME.")
+@click.option(
+    "--cameras",
+    required=True,
+    metavar="INTRINSICS",
+    help="As for `run`; first looked for in each recording's folder, then as a path for all.",
+)
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    required=True,
+    metavar="OUT",
+    help="Folder to write: OUT/NAME of recording NAME.",
+)
 @options.skeleton
 @options.model
 @options.solver
 @options.seed
 @options.device
 @options.scheduler
-@click.option("--jobs", type=click.IntRange(min=1), default=1, help="Recordings at a time on this machine.")
+@click.option(
+    "--jobs", type=click.IntRange(min=1), default=1, help="Recordings at a time on this machine."
+)
 @options.as_json("Write the summary to stdout.")
 @options.quiet
 @click.pass_context
@@ -67,18 +81,41 @@ def command(
     from mocap_calib_cli.progress import Reporter
 
     if scheduler and jobs > 1:
-        raise click.UsageError("--jobs is for this machine, --scheduler for others; give one of them")
+        raise click.UsageError(
+            "--jobs is for this machine, --scheduler for others; give one of them"
+        )
     outputs.check_folder(output)
     folders = _by_name(recordings)
-    orders = {name: Order((_keypoints(path),), _cameras(path, cameras), skeleton, model, solver, seed, device, output / name) for name, path in folders.items()}
-    with Reporter(quiet=quiet) as reporter, engine(reporter, scheduler=scheduler, jobs=min(jobs, len(orders))) as there:
+    orders = {
+        name: Order(
+            (_keypoints(path),),
+            _cameras(path, cameras),
+            skeleton,
+            model,
+            solver,
+            seed,
+            device,
+            output / name,
+        )
+        for name, path in folders.items()
+    }
+    with (
+        Reporter(quiet=quiet) as reporter,
+        engine(reporter, scheduler=scheduler, jobs=min(jobs, len(orders))) as there,
+    ):
         batch = _Batch(reporter, len(orders))
         batch.work_off(orders, there.completed if there else _one_by_one, away=there is not None)
     outcomes = [batch.outcomes[name] for name in orders]
     failed = sum(outcome["status"] == "failed" for outcome in outcomes)
-    reporter.say("", *_table(outcomes), f"{len(outcomes) - failed} of {len(outcomes)} recordings calibrated; results in {output}")
+    reporter.say(
+        "",
+        *_table(outcomes),
+        f"{len(outcomes) - failed} of {len(outcomes)} recordings calibrated; results in {output}",
+    )
     if as_json:
-        click.echo(json.dumps({"recordings": outcomes, "failed": failed}, indent=1, allow_nan=False))
+        click.echo(
+            json.dumps({"recordings": outcomes, "failed": failed}, indent=1, allow_nan=False)
+        )
     context.exit(1 if failed else 0)
 
 
@@ -90,7 +127,9 @@ def _by_name(recordings: Iterable[str]) -> dict[str, Path]:
     for path in map(Path, recordings):
         name = path.resolve().name
         if name in found:
-            raise MismatchError(f"expected recordings of different names, found {found[name]} and {path}; rename one, or call batch for each")
+            raise MismatchError(
+                f"expected recordings of different names, found {found[name]} and {path}; rename one, or call batch for each"
+            )
         found[name] = path
     return found
 
@@ -111,11 +150,15 @@ def _read(order: "Order") -> "Job":
     from mocap_calib_cli.progress import Reporter
 
     if not Path(order.keypoints[0]).is_dir():
-        raise MismatchError(f"{order.keypoints[0]}: expected the folder of a recording, found none; check the path")
+        raise MismatchError(
+            f"{order.keypoints[0]}: expected the folder of a recording, found none; check the path"
+        )
     return jobs.read(order, Reporter(quiet=True))
 
 
-def _one_by_one(function: "Callable[[Job], Groups]", items: "Iterable[Job]") -> "Iterator[tuple[Job, Callable[[], Groups]]]":
+def _one_by_one(
+    function: "Callable[[Job], Groups]", items: "Iterable[Job]"
+) -> "Iterator[tuple[Job, Callable[[], Groups]]]":
     """Each item with a call that does its work, here and now."""
     return ((item, partial(function, item)) for item in items)
 
@@ -128,12 +171,20 @@ class _Batch:
         self.total = total
         self.outcomes: dict[str, Outcome] = {}
 
-    def work_off(self, orders: "dict[str, Order]", completed: "Callable[..., Iterator[tuple[Job, Callable[[], Groups]]]]", *, away: bool) -> None:
+    def work_off(
+        self,
+        orders: "dict[str, Order]",
+        completed: "Callable[..., Iterator[tuple[Job, Callable[[], Groups]]]]",
+        *,
+        away: bool,
+    ) -> None:
         """Calibrates what is not finished; a failure is one recording's own."""
         from mocap_calib_cli import jobs
 
         self.reporter("batch", 0, self.total)
-        for job, result in completed(jobs.solve if away else jobs.solve_here, self._unfinished(orders)):
+        for job, result in completed(
+            jobs.solve if away else jobs.solve_here, self._unfinished(orders)
+        ):
             try:
                 report = jobs.write(job, result())[0]
             except Exception as error:
@@ -158,13 +209,27 @@ class _Batch:
                 yield job
 
     def _done(self, order: "Order", status: str, report: dict[str, Any]) -> None:
-        cameras, individuals, verdict = len(report["cameras"]), len(report["individuals"]), report["verdict"]
+        cameras, individuals, verdict = (
+            len(report["cameras"]),
+            len(report["individuals"]),
+            report["verdict"],
+        )
         difference = verdict["halves_differ_deg"]["median"]
-        outcome = {"cameras": cameras, "left_out": report["left_out"], "individuals": individuals, "rig": verdict["rig"], "halves_differ_deg": difference}
-        self.reporter.say(f"{order.output.name} {status}: {cameras} cameras, {individuals} individuals, rig {verdict['rig']}")
+        outcome = {
+            "cameras": cameras,
+            "left_out": report["left_out"],
+            "individuals": individuals,
+            "rig": verdict["rig"],
+            "halves_differ_deg": difference,
+        }
+        self.reporter.say(
+            f"{order.output.name} {status}: {cameras} cameras, {individuals} individuals, rig {verdict['rig']}"
+        )
         groups = len(report["groups"])
         if groups > 1:
-            self.reporter.say(f"{order.output.name}: {groups} groups of cameras that share too little, each calibrated by itself; counted is the largest")
+            self.reporter.say(
+                f"{order.output.name}: {groups} groups of cameras that share too little, each calibrated by itself; counted is the largest"
+            )
         self._note(order, {"status": status, "error": None, "groups": groups} | outcome)
 
     def _failed(self, order: "Order", error: Exception) -> None:
@@ -179,7 +244,10 @@ class _Batch:
         self._note(order, {"status": "failed", "error": line})
 
     def _note(self, order: "Order", outcome: Outcome) -> None:
-        self.outcomes[order.output.name] = {"name": order.output.name, "output": str(order.output)} | outcome
+        self.outcomes[order.output.name] = {
+            "name": order.output.name,
+            "output": str(order.output),
+        } | outcome
         self.reporter("batch", len(self.outcomes), self.total)
 
 
@@ -189,4 +257,17 @@ def _table(outcomes: Iterable[Outcome]) -> list[str]:
     none: Outcome = {"cameras": "-", "individuals": "-", "rig": "-", "halves_differ_deg": None}
     rows = [none | outcome for outcome in outcomes]
     header = ["recording", "status", "cameras", "individuals", "halves deg", "rig"]
-    return table(header, [[r["name"], r["status"], str(r["cameras"]), str(r["individuals"]), figure(r["halves_differ_deg"]), r["rig"]] for r in rows])
+    return table(
+        header,
+        [
+            [
+                r["name"],
+                r["status"],
+                str(r["cameras"]),
+                str(r["individuals"]),
+                figure(r["halves_differ_deg"]),
+                r["rig"],
+            ]
+            for r in rows
+        ],
+    )

@@ -12,8 +12,17 @@ from mocap_calib_cli import options
 @options.keypoints
 @options.reading
 @options.cameras
-@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, metavar="OUT", help="Folder to write a keypoint file per camera to.")
-@click.option("--to", "target", default="coco", metavar="FORMAT", help="Format to write (docs/formats.md).")
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    required=True,
+    metavar="OUT",
+    help="Folder to write a keypoint file per camera to.",
+)
+@click.option(
+    "--to", "target", default="coco", metavar="FORMAT", help="Format to write (docs/formats.md)."
+)
 @options.skeleton
 @options.model
 @options.device
@@ -41,8 +50,8 @@ def command(
     import numpy as np
 
     from mocap_calib.errors import MismatchError
-    from mocap_calib.frames import sample
-    from mocap_calib.io.formats2d import write_keypoints
+    from mocap_calib.io.keypoints.formats import write_keypoints
+    from mocap_calib.recording.sampling import sample
     from mocap_calib.steerpose.completion import completed
     from mocap_calib.steerpose.lift import lift
     from mocap_calib.types import Keypoints2D
@@ -52,16 +61,36 @@ def command(
 
     outputs.check_folder(output)
     with Reporter(quiet=quiet) as reporter:
-        recording, network = inputs.read_recording(keypoints, inputs.cameras_of(cameras), skeleton, reporter, reading, model=model)
+        recording, network = inputs.read_recording(
+            keypoints, inputs.cameras_of(cameras), skeleton, reporter, reading, model=model
+        )
         if (recording.vocabulary >= 0).sum() < 4:
-            raise MismatchError(f"expected at least 4 joints that a model knows, found {', '.join(recording.keypoints)}; map them with --skeleton")
+            raise MismatchError(
+                f"expected at least 4 joints that a model knows, found {', '.join(recording.keypoints)}; map them with --skeleton"
+            )
         some = sample(recording, slice(None))
-        positions, confidence = completed(some, lift(some, load_model(device, network), device=device, progress=reporter))
+        positions, confidence = completed(
+            some, lift(some, load_model(device, network), device=device, progress=reporter)
+        )
         joints = vocabulary(network).keypoints
         views = tuple(
-            Keypoints2D(camera.name, joints, some.frames, positions[v], confidence[v], bool(some.tracked[v]), camera.size, str(output))
+            Keypoints2D(
+                camera.name,
+                joints,
+                some.frames,
+                positions[v],
+                confidence[v],
+                bool(some.tracked[v]),
+                camera.size,
+                str(output),
+            )
             for v, camera in enumerate(some.cameras)
         )
         lost = write_keypoints(output, views, target)
-        filled = int(np.isfinite(positions[..., 0]).sum() - some.seen[..., recording.vocabulary >= 0].sum())
-        reporter.say(f"{filled} keypoints filled in; results in {output}", *(f"{target} does not hold {what}" for what in lost))
+        filled = int(
+            np.isfinite(positions[..., 0]).sum() - some.seen[..., recording.vocabulary >= 0].sum()
+        )
+        reporter.say(
+            f"{filled} keypoints filled in; results in {output}",
+            *(f"{target} does not hold {what}" for what in lost),
+        )

@@ -10,11 +10,33 @@ from mocap_calib_cli import options
 @click.command(name="convert")
 @click.argument("inputs", nargs=-1, required=True, metavar="INPUT...")
 @click.argument("output", metavar="OUTPUT")
-@click.option("--from", "source", metavar="FORMAT", help="Format of INPUT, where its content does not show it; needed for stdin.")
-@click.option("--to", "target", metavar="FORMAT", help="Format of OUTPUT, where the ending of its name does not say it.")
-@click.option("--unit", type=click.Choice(["m", "cm", "mm"]), help="What a length of 1 is in INPUT, where the file does not say.")
-@click.option("--fps", type=click.FloatRange(min=0, min_open=True), help="Frames per second of poses, where the file does not say.")
-@click.option("--up", type=click.Choice(["x", "y", "z", "-x", "-y", "-z"]), help="The axis of INPUT's world that points up: poses are turned so that it is y.")
+@click.option(
+    "--from",
+    "source",
+    metavar="FORMAT",
+    help="Format of INPUT, where its content does not show it; needed for stdin.",
+)
+@click.option(
+    "--to",
+    "target",
+    metavar="FORMAT",
+    help="Format of OUTPUT, where the ending of its name does not say it.",
+)
+@click.option(
+    "--unit",
+    type=click.Choice(["m", "cm", "mm"]),
+    help="What a length of 1 is in INPUT, where the file does not say.",
+)
+@click.option(
+    "--fps",
+    type=click.FloatRange(min=0, min_open=True),
+    help="Frames per second of poses, where the file does not say.",
+)
+@click.option(
+    "--up",
+    type=click.Choice(["x", "y", "z", "-x", "-y", "-z"]),
+    help="The axis of INPUT's world that points up: poses are turned so that it is y.",
+)
 @options.reading_but_format
 @options.quiet
 def command(

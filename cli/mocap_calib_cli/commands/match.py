@@ -18,7 +18,14 @@ from mocap_calib_cli import options
 @options.device
 @options.quiet
 def command(
-    reading: dict[str, Any], keypoints: tuple[str, ...], rig: str, output: str, skeleton: Path | None, model: str | None, device: str, quiet: bool
+    reading: dict[str, Any],
+    keypoints: tuple[str, ...],
+    rig: str,
+    output: str,
+    skeleton: Path | None,
+    model: str | None,
+    device: str,
+    quiet: bool,
 ) -> None:
     """Labels every detection with its individual, given the cameras.
 
@@ -27,8 +34,8 @@ def command(
       mocap-calib match keypoints/ --rig rig.yaml -o matches.csv
     """
     from mocap_calib.config import Config
-    from mocap_calib.io.results import matches_csv
-    from mocap_calib.matching import match
+    from mocap_calib.io.results.results import matches_csv
+    from mocap_calib.multi_view.association import match
     from mocap_calib.pipeline import match_all
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.progress import Reporter
@@ -36,9 +43,13 @@ def command(
     outputs.check_text(output)
     with Reporter(quiet=quiet) as reporter:
         cameras = inputs.rig_of(rig)
-        recording, network = inputs.read_recording(keypoints, cameras.cameras, skeleton, reporter, reading, model=model, placed=True)
+        recording, network = inputs.read_recording(
+            keypoints, cameras.cameras, skeleton, reporter, reading, model=model, placed=True
+        )
         chosen, some, lifted = inputs.lifted_sample(recording, network, device, reporter)
         start = inputs.placed(recording, cameras)
         within = match(some, lifted, start, Config().matching, Config().pairwise, progress=reporter)
-        found = match_all(recording, chosen, some, lifted, start, within, Config(), progress=reporter)
+        found = match_all(
+            recording, chosen, some, lifted, start, within, Config(), progress=reporter
+        )
     outputs.write_text(output, matches_csv(recording, found))

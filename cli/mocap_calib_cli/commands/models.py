@@ -18,7 +18,7 @@ def command(as_json: bool) -> None:
     Example:
       mocap-calib models
     """
-    from mocap_calib.skeleton import load_skeleton
+    from mocap_calib.recording.joints import load_skeleton
     from mocap_calib.steerpose.checkpoint import models
     from mocap_calib_cli.progress import figure, table
 
@@ -26,10 +26,23 @@ def command(as_json: bool) -> None:
     if as_json:
         click.echo(json.dumps(cards, indent=1))
         return
-    rows = [[name, str(len(load_skeleton(name).keypoints)), *(figure(card["held_out_error"][key], 3) for key in _ERRORS)] for name, card in cards.items()]
+    rows = [
+        [
+            name,
+            str(len(load_skeleton(name).keypoints)),
+            *(figure(card["held_out_error"][key], 3) for key in _ERRORS),
+        ]
+        for name, card in cards.items()
+    ]
     click.echo("\n".join(table(["model", "joints", *_ERRORS.values()], rows)))
     for name, card in cards.items():
-        click.echo(f"\n{name}\n  data: {card['data']}\n  terms: {card['terms']}\n  command: {card['command']}")
+        click.echo(
+            f"\n{name}\n  data: {card['data']}\n  terms: {card['terms']}\n  command: {card['command']}"
+        )
 
 
-_ERRORS = {"joint_3d": "3D error", "steered_2d": "steered", "completed_2d": "completed"}  # of the RMS radius of the visible pose
+_ERRORS = {
+    "joint_3d": "3D error",
+    "steered_2d": "steered",
+    "completed_2d": "completed",
+}  # of the RMS radius of the visible pose

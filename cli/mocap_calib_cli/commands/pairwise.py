@@ -41,15 +41,24 @@ def command(
     import numpy as np
 
     from mocap_calib.config import PairwiseConfig
-    from mocap_calib.io.results import pairs_to_json
-    from mocap_calib.pairwise import calibrate_pairs, in_recording
+    from mocap_calib.io.results.results import pairs_to_json
+    from mocap_calib.two_view.solve import calibrate_pairs, in_recording
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.progress import Reporter
 
     outputs.check_text(output)
     with Reporter(quiet=quiet) as reporter:
-        recording, network = inputs.read_recording(keypoints, inputs.cameras_of(cameras), skeleton, reporter, reading, model=model)
+        recording, network = inputs.read_recording(
+            keypoints, inputs.cameras_of(cameras), skeleton, reporter, reading, model=model
+        )
         chosen, some, lifted = inputs.lifted_sample(recording, network, device, reporter)
         solve = inputs.pair_solver(solver, recording, network)
-        pairs = calibrate_pairs(some, lifted, PairwiseConfig(), rng=np.random.default_rng(seed), progress=reporter, solve=solve)
+        pairs = calibrate_pairs(
+            some,
+            lifted,
+            PairwiseConfig(),
+            rng=np.random.default_rng(seed),
+            progress=reporter,
+            solve=solve,
+        )
     outputs.write_text(output, [pairs_to_json(in_recording(pairs, chosen), recording.cameras)])

@@ -20,7 +20,14 @@ _REVERSED = "calibration_reversed.toml"
 @options.keypoints
 @options.reading
 @options.cameras
-@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, metavar="OUT", help="Folder to write; made when missing.")
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    required=True,
+    metavar="OUT",
+    help="Folder to write; made when missing.",
+)
 @click.option(
     "--write",
     "formats",
@@ -28,7 +35,11 @@ _REVERSED = "calibration_reversed.toml"
     metavar="FORMAT",
     help="Write this format too (colmap, movement-3d, ...: docs/formats.md); may be repeated. Lengths are arbitrary: see `convert --unit`.",
 )
-@click.option("--fps", type=click.FloatRange(min=0, min_open=True), help="Frames per second, for the formats that need it.")
+@click.option(
+    "--fps",
+    type=click.FloatRange(min=0, min_open=True),
+    help="Frames per second, for the formats that need it.",
+)
 @options.skeleton
 @options.model
 @options.solver
@@ -68,7 +79,7 @@ def command(
       mocap-calib run left=a.json right=b.json --cameras intrinsics.toml -o out --json
       mocap-calib run keypoints/ --cameras intrinsics.toml -o out --write colmap --write movement-3d --fps 60
     """
-    from mocap_calib.io.pose_formats.common import PoseFile
+    from mocap_calib.io.poses.common import PoseFile
     from mocap_calib_cli import conversion, jobs, outputs
     from mocap_calib_cli.engine import engine
     from mocap_calib_cli.progress import Reporter
@@ -76,45 +87,73 @@ def command(
     outputs.check_folder(output)
     conversion.check_formats(formats, fps)
     with Reporter(quiet=quiet) as reporter, engine(reporter, scheduler=scheduler) as there:
-        job = jobs.read(jobs.Order(keypoints, cameras, skeleton, model, solver, seed, device, output, reading), reporter)
+        job = jobs.read(
+            jobs.Order(keypoints, cameras, skeleton, model, solver, seed, device, output, reading),
+            reporter,
+        )
         groups = jobs.solve_here(job, progress=reporter, mapper=there)
     reports = jobs.write(job, groups)
     if len(groups) > 1:
         names = " | ".join(", ".join(found.rig.names) for found in groups)
-        reporter.say("", f"{len(groups)} groups of cameras that share too little to be placed against each other, each calibrated by itself: {names}")
+        reporter.say(
+            "",
+            f"{len(groups)} groups of cameras that share too little to be placed against each other, each calibrated by itself: {names}",
+        )
     for k, (found, report) in enumerate(zip(groups, reports, strict=True)):
         here = output / jobs.group_folder(k)
         _summarise(reporter, found, report, here)
         poses = PoseFile(found.poses, float("nan") if fps is None else fps)
-        reporter.say(*conversion.write_formats(here, found.rig, poses, formats, outputs.provenance("run", seed=seed)))
+        reporter.say(
+            *conversion.write_formats(
+                here, found.rig, poses, formats, outputs.provenance("run", seed=seed)
+            )
+        )
     if groups[0].left_out:
-        reporter.say(f"left out, no other camera confirms what they see: {', '.join(groups[0].left_out)}")
+        reporter.say(
+            f"left out, no other camera confirms what they see: {', '.join(groups[0].left_out)}"
+        )
     if as_json:
         click.echo(json.dumps(reports[0], indent=1, allow_nan=False))
 
 
-def _summarise(reporter: "Reporter", found: "Calibration", report: dict[str, Any], output: Path) -> None:
+def _summarise(
+    reporter: "Reporter", found: "Calibration", report: dict[str, Any], output: Path
+) -> None:
     """What a person wants to see at the end, on stderr."""
     from mocap_calib.config import Config
     from mocap_calib_cli.progress import figure, table
 
     rows = [
-        [c["name"], str(c["detections"]), str(c["matched"]), *(figure(c["reprojection_error_px"][k]) for k in ("median", "p95")), figure(c["support"])]
+        [
+            c["name"],
+            str(c["detections"]),
+            str(c["matched"]),
+            *(figure(c["reprojection_error_px"][k]) for k in ("median", "p95")),
+            figure(c["support"]),
+        ]
         for c in report["cameras"]
     ]
-    reporter.say("", *table(["camera", "detections", "matched", "median px", "95 % px", "support"], rows))
+    reporter.say(
+        "", *table(["camera", "detections", "matched", "median px", "95 % px", "support"], rows)
+    )
     for pair in report["pairs"]:
         if pair["rival_taken"]:
-            reporter.say(f"pair {pair['a']}-{pair['b']}: a rival of its own best answer was taken, the one that the cameras between confirm")
+            reporter.say(
+                f"pair {pair['a']}-{pair['b']}: a rival of its own best answer was taken, the one that the cameras between confirm"
+            )
         if pair["breaks_loop"]:
-            reporter.say(f"pair {pair['a']}-{pair['b']} contradicts the others by {pair['loop_rotation_deg']:.1f} deg and was given little weight")
+            reporter.say(
+                f"pair {pair['a']}-{pair['b']} contradicts the others by {pair['loop_rotation_deg']:.1f} deg and was given little weight"
+            )
     weak = [camera["name"] for camera in report["cameras"] if camera["weak"]]
     if weak:
         reporter.say(
             f"weak: {', '.join(weak)} (support below {Config().averaging.weak_score}, good recordings have 0.7 and more): do not trust it without a check"
         )
     if not found.converged:
-        reporter.say(f"matches still changed after {found.rounds} rounds of adjustment; look at matches.csv with care")
+        reporter.say(
+            f"matches still changed after {found.rounds} rounds of adjustment; look at matches.csv with care"
+        )
     odd = [camera["name"] for camera in report["cameras"] if camera["inconsistent"]]
     if odd:
         reporter.say(
@@ -123,7 +162,9 @@ def _summarise(reporter: "Reporter", found: "Calibration", report: dict[str, Any
         )
     determined = report["verdict"]
     apart = determined["halves_differ_deg"]
-    reporter.say(f"rig: {determined['rig']}; halves of the joints give rigs {apart['median']:.1f} deg apart, {apart['max']:.1f} at most")
+    reporter.say(
+        f"rig: {determined['rig']}; halves of the joints give rigs {apart['median']:.1f} deg apart, {apart['max']:.1f} at most"
+    )
     affine = [camera["name"] for camera in report["cameras"] if camera["near_affine"]]
     if affine:
         reporter.say(
@@ -131,6 +172,10 @@ def _summarise(reporter: "Reporter", found: "Calibration", report: dict[str, Any
             "distances follow from the focal lengths alone"
         )
     if found.rival is not None:
-        reporter.say(f"a rig reversed in depth fits as well, nothing seen tells which is right: it is in {output / _REVERSED}")
+        reporter.say(
+            f"a rig reversed in depth fits as well, nothing seen tells which is right: it is in {output / _REVERSED}"
+        )
     people = report["individuals"]
-    reporter.say(f"{len(people)} individuals, {report['points']['triangulated']} points; lengths in {report['unit']} units; results in {output}")
+    reporter.say(
+        f"{len(people)} individuals, {report['points']['triangulated']} points; lengths in {report['unit']} units; results in {output}"
+    )

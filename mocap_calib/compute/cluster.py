@@ -1,0 +1,153 @@
+"""Work spread over the machines of a Dask cluster: the one door to dask.distributed, which is an extra.
+
+What is sent is sent once: a piece of work carries its own data, so a worker that dies takes nothing along that others
+need. Results are those of `map` to the last digit where the processors are of one kind.
+"""
+
+import logging
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import CancelledError
+from contextlib import contextmanager
+from functools import partial
+from itertools import islice
+from typing import TypeVar
+
+import dask
+from dask.typing import Key
+from distributed import Client, Future, KilledWorker, LocalCluster, as_completed
+from distributed.comm.addressing import get_address_host_port
+
+from mocap_calib import __version__
+from mocap_calib.errors import ClusterError
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+_PATIENCE = "10s"  # until a scheduler answers
+_GONE = "expected a scheduler that answers to the end, found it gone; start it again, and then this command: what is finished is kept"
+_AHEAD = 8  # pieces under way at least, so that a growing cluster finds work; else twice as many as there are threads
+
+
+class Cluster:
+    """Implements `types.Mapper` by the workers of a Dask cluster."""
+
+    def __init__(self, client: Client) -> None:
+        self.client = client
+
+    @property
+    def threads(self) -> int:
+        """How many pieces of work can be done at a time, now."""
+        with _answering():
+            return sum(self.client.nthreads().values())
+
+    def __call__(self, function: Callable[[T], R], items: Iterable[T], /) -> Iterator[R]:
+        """`function` of every item, in the order in which they are done. Raises ClusterError."""
+        for _, result in self.completed(function, items):
+            yield result()
+
+    def completed(
+        self, function: Callable[[T], R], items: Iterable[T]
+    ) -> Iterator[tuple[T, Callable[[], R]]]:
+        """Each item, when it is done, with a call that gives `function` of it or raises what it raised.
+
+        Only so many items are taken that no worker waits. Raises ClusterError when the scheduler is gone; the call raises
+        it when the item has killed its workers.
+        """
+        waiting = iter(items)
+        under_way: dict[Key, T] = {}
+        queue = as_completed(loop=self.client.loop)
+
+        def refill() -> None:
+            for item in islice(waiting, max(0, max(_AHEAD, 2 * self.threads) - len(under_way))):
+                future = self._submit(function, item)
+                under_way[future.key] = item
+                queue.add(future)
+
+        refill()
+        for future in queue:
+            if future.cancelled():
+                raise ClusterError(_GONE)
+            yield under_way.pop(future.key), partial(_result, future)
+            refill()
+
+    def _submit(self, function: Callable[[T], R], item: T) -> "Future[R]":
+        with _answering():
+            return self.client.submit(_same_version, __version__, function, item, pure=False)
+
+
+@contextmanager
+def cluster(address: str) -> Iterator[Cluster]:
+    """The cluster of the Dask scheduler at `address` (tcp://...). Raises ClusterError where there is none."""
+    with _large_pieces():
+        try:
+            get_address_host_port(address, strict=True)
+        except ValueError as error:
+            raise ClusterError(
+                f"expected the address of a Dask scheduler (tcp://HOST:PORT), found {address} ({error}); it says it when it starts"
+            ) from None
+        try:
+            client = Client(address, timeout=_PATIENCE, set_as_default=False)
+        except OSError as error:
+            raise ClusterError(
+                f"{address}: expected a Dask scheduler, found none that answers ({error}); start it with `dask scheduler`"
+            ) from None
+        with client:
+            yield Cluster(client)
+
+
+@contextmanager
+def processes(count: int) -> Iterator[Cluster]:
+    """A cluster of `count` processes on this machine, which end with this one."""
+    with (
+        _large_pieces(),
+        LocalCluster(
+            n_workers=count,
+            threads_per_worker=1,
+            memory_limit=0,
+            dashboard_address=None,
+            silence_logs=logging.ERROR,
+        ) as local,
+        Client(local, set_as_default=False) as client,
+    ):
+        yield Cluster(client)
+
+
+@contextmanager
+def _answering() -> Iterator[None]:
+    """Whatever goes wrong with the connection."""
+    try:
+        yield
+    except OSError:
+        raise ClusterError(_GONE) from None
+
+
+def _large_pieces() -> dask.config.set:
+    """Dask warns of pieces of more than 10 MB, which are cheaper kept elsewhere; here each is used once."""
+    return dask.config.set({"distributed.admin.large-graph-warning-threshold": "100 GB"})
+
+
+def _same_version(version: str, function: Callable[[T], R], item: T) -> R:
+    """Done by a worker."""
+    if version != __version__:
+        raise ClusterError(
+            f"expected mocap-calib {version} on every worker, found {__version__}; install the same version"
+        )
+    return function(item)
+
+
+def _result(future: "Future[R]") -> R:
+    try:
+        return future.result()
+    except KilledWorker as error:
+        raise ClusterError(
+            f"expected workers that survive the work, found {error.allowed_failures + 1} killed by the same piece; give them more memory"
+        ) from None
+    except CancelledError:
+        raise ClusterError(_GONE) from None
+    except (ModuleNotFoundError, RuntimeError) as error:
+        missing = error.__cause__ or error  # the scheduler tells of it in its own words
+        if not isinstance(missing, ModuleNotFoundError):
+            raise
+        raise ClusterError(
+            f"expected the same packages where the scheduler and the workers are as here, found {missing}; install mocap-calib there"
+        ) from None

@@ -1,0 +1,1 @@
+"""Camera files, a module a family of formats."""

@@ -1,0 +1,1 @@
+"""Keypoint files, a module a format."""

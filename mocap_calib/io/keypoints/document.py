@@ -1,0 +1,195 @@
+"""What a reader is given: files in memory, parsed once however many formats look at them, and what the user said of them."""
+
+import io
+import json
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import h5py
+
+from mocap_calib.io.file import Origin, decode, malformed, read_bytes
+from mocap_calib.io.sandbox import HDF5
+
+# what h5py and numpy raise on files that are cut, damaged or compressed with a filter that is not installed
+HDF5_DAMAGE = (
+    OSError,
+    KeyError,
+    IndexError,
+    ValueError,
+    TypeError,
+    AttributeError,
+    RuntimeError,
+    OverflowError,
+    MemoryError,
+)
+
+
+# beginnings of files that hold something else around what is wanted
+_FOREIGN = {
+    b"\x1f\x8b": ("a file that gzip compressed", "gunzip it"),
+    b"PK\x03\x04": ("a zip archive", "unpack it"),
+    b"MATLAB 7.3": ("a MATLAB 7.3 file", "save it with -v7"),
+    b"CDF\x01": ("netCDF 3", "save it as netCDF 4"),
+    b"CDF\x02": ("netCDF 3", "save it as netCDF 4"),
+}
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """What a file does not say itself.
+
+    layout: names of the keypoints, in the file's order. image_size: (width, height) in pixels, where the file has none; positions
+    that are shares of it are multiplied by it. camera_pattern: regular expression that finds the camera's name in a path (its group `camera`, or its
+    first, or all of it), and perhaps the frame number (group `frame`). frame_offset: camera -> added to its frame
+    numbers. crop_offset: camera -> (x, y) added to its positions. views: suffixes of keypoint names that stand for
+    views (`paw_top`, `paw_bot`), each of which becomes a camera. single_precision: keep float32, a ten-thousandth of a pixel, of each
+    file: long recordings need half the memory.
+    """
+
+    layout: tuple[str, ...] = ()
+    image_size: tuple[int, int] = (0, 0)
+    camera_pattern: str = ""
+    frame_offset: Mapping[str, int] = field(default_factory=dict)
+    crop_offset: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    views: tuple[str, ...] = ()
+    single_precision: bool = False
+
+
+@dataclass(frozen=True)
+class Document:
+    """One file, read when it is first looked at. Everything here raises FormatError."""
+
+    path: Path
+
+    @property
+    def source(self) -> str:
+        """The file, as complaints name it."""
+        return str(self.path)
+
+    @cached_property
+    def content(self) -> bytes:
+        """The whole file, so that a pipe can be sniffed as well."""
+        return read_bytes(self.path)
+
+    @cached_property
+    def text(self) -> str:
+        """The content as UTF-8 text."""
+        return decode(self.content, self.source)
+
+    @property
+    def is_json(self) -> bool:
+        """Whether it begins as a JSON array or object does."""
+        return re.match(rb"(\xef\xbb\xbf)?\s*[\[{]", self.content[:4096]) is not None
+
+    @property
+    def is_hdf5(self) -> bool:
+        """Whether it has HDF5's signature."""
+        return self.content.startswith(HDF5)
+
+    @cached_property
+    def json(self) -> Any:
+        """The content as JSON; None where it does not begin like it."""
+        if not self.is_json:
+            return None
+        try:
+            return json.loads(self.text)
+        except RecursionError:
+            raise malformed(
+                self.source, "JSON of keypoints", "JSON nested too deeply", "export it again"
+            ) from None
+        except ValueError as error:
+            raise malformed(
+                self.source,
+                "complete JSON",
+                f"an error ({error})",
+                "the file is cut or damaged: export it again",
+            ) from None
+
+    @cached_property
+    def header(self) -> tuple[str, ...]:
+        """The cells of the first line that is not blank, of text without control characters; else nothing."""
+        head = self.content[:65536].decode("utf-8-sig", errors="replace")
+        line = next((line for line in head.splitlines() if line.strip()), "")
+        return (
+            tuple(cell.strip().strip('"') for cell in line.split(","))
+            if line.isprintable() or "\t" in line
+            else ()
+        )
+
+    @cached_property
+    def hdf5(self) -> Any:
+        """The content as an open HDF5 file; None where it is none."""
+        if not self.is_hdf5:
+            return None
+        try:
+            return h5py.File(io.BytesIO(self.content), "r")
+        except HDF5_DAMAGE as error:
+            raise malformed(
+                self.source,
+                "a whole HDF5 file",
+                f"an error ({error})",
+                "the file is cut or damaged: export it again",
+            ) from None
+
+
+@dataclass(frozen=True)
+class Item:
+    """What is read in one go: a file, or a folder with a file per frame.
+
+    camera: the name that the path gives, or the user (`named`). members: the files of a folder.
+    """
+
+    camera: str
+    path: Path
+    members: tuple[Path, ...] = ()
+    named: bool = False
+
+    @cached_property
+    def document(self) -> Document:
+        """The file, or the first file of the folder that says anything."""
+        documents = [Document(path) for path in self.members or (self.path,)]
+        return next(
+            (document for document in documents if document.content.strip() not in (b"", b"[]")),
+            documents[0],
+        )
+
+    @property
+    def origin(self) -> Origin:
+        """Camera and path."""
+        return Origin(self.camera, str(self.path))
+
+    def documents(self) -> Iterator[Document]:
+        """All files, one in memory at a time."""
+        return map(Document, self.members) if self.members else iter((self.document,))
+
+
+def describe(document: Document) -> tuple[str, str]:
+    """What a file of no known format looks like, in a few words, and what to do with it where that is clear."""
+    return next(
+        (words for start, words in _FOREIGN.items() if document.content.startswith(start)),
+        (_look(document), ""),
+    )
+
+
+def _look(document: Document) -> str:
+    content = document.json
+    if document.hdf5 is not None:
+        return f"HDF5 with {', '.join(map(str, list(document.hdf5)[:8])) or 'nothing'}"
+    if isinstance(content, dict):
+        return f"a JSON object with {', '.join(list(content)[:8]) or 'nothing'}"
+    if isinstance(content, list):
+        first = content[0] if content else None
+        return (
+            f"a JSON list of objects with {', '.join(list(first)[:8])}"
+            if isinstance(first, dict)
+            else f"a JSON list of {len(content)}"
+        )
+    return (
+        f"content that begins with {document.content[:16]!r}"
+        if document.content
+        else "an empty file"
+    )

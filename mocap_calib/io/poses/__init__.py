@@ -1,0 +1,1 @@
+"""Files of 3D poses, a module a format."""

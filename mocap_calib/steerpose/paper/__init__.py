@@ -1,0 +1,1 @@
+"""The solver and the losses of the paper."""

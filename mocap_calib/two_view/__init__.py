@@ -1,0 +1,1 @@
+"""The relative pose of two views, and who is who in them."""
