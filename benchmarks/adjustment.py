@@ -28,7 +28,7 @@ from mocap_calib.geometry.rotation import (
 from mocap_calib.multi_view.bundle_adjustment import adjust
 from mocap_calib.multi_view.triangulation import observations
 from mocap_calib.recording.joints import load_skeleton
-from mocap_calib.recording.sampling import sample
+from mocap_calib.recording.sampling import take_sample
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.synthetic import simulate
 from mocap_calib.types import CameraRig, Floats, Matches, Sample
@@ -57,7 +57,7 @@ def main() -> None:
             false_detections=0.0,
         )
     )
-    recording = sample(
+    recording = take_sample(
         make_recording(made.files, made.rig.cameras, load_skeleton("people"), {}), slice(None)
     )
     matches = Matches(made.identity.astype(np.int64))

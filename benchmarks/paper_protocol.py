@@ -25,7 +25,7 @@ from mocap_calib.io.keypoints.formats import read_keypoints
 from mocap_calib.multi_view.triangulation import triangulate
 from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.joints import load_skeleton
-from mocap_calib.recording.synchronise import make_recording, select_views, slice_frames
+from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.steerpose.checkpoint import load_lifter
 from mocap_calib.types import CameraRig, silent
 
@@ -214,7 +214,7 @@ def multi_view(options: argparse.Namespace) -> None:
         for problem, truth in zip(problems, truths, strict=True):
             done = calibrate(
                 problem.recording, lifter, config, seed=0, device="cpu", progress=silent
-            )
+            ).groups[0]
             before = triangulate(
                 done.recording, done.averaged.rig, done.matches, config.triangulate, progress=silent
             )
@@ -279,7 +279,7 @@ def _real_pairs(folder: Path, count: int, seed: int) -> tuple[list[Problem], lis
     problems, truths = [], []
     for k in rng.permutation(len(choices))[:count]:
         a, b, f = choices[k]
-        one = select_views(slice_frames(recording, np.array([f])), np.array([a, b]))
+        one = recording.select(frames=np.array([f])).select(views=np.array([a, b]))
         problems.append(Problem(one, 0, 1))
         views = [order[a], order[b]]
         truths.append(

@@ -283,7 +283,8 @@ def child(cameras: int, individuals: int, frames: int) -> dict[str, Any]:
     recording = make_recording(made.files, made.rig.cameras, load_skeleton("people"), {})
     lifter = load_lifter()[0]
     start, before = time.perf_counter(), time.process_time()
-    found = calibrate(recording, lifter, Config(), seed=0, device="cpu", progress=silent)
+    result = calibrate(recording, lifter, Config(), seed=0, device="cpu", progress=silent)
+    found = result.groups[0]
     wall, processor = time.perf_counter() - start, time.process_time() - before
     error = np.degrees(errors(found.rig, made.rig))
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9

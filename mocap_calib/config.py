@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from typing import Literal
 
+SAME_RIG_DEG = 10.0  # two rigs whose cameras turn by no more than this are one answer
+
 
 @dataclass(frozen=True)
 class TrainConfig:

@@ -4,7 +4,7 @@ MocapCalibError
 ├── FormatError       a file is not what its format says
 ├── MismatchError     two inputs do not belong together
 ├── DegenerateError   the observations do not determine the answer
-│   └── LooseCameraError   not of this camera, but perhaps of the others
+│   └── UnderconstrainedCameraError   not of this camera, but perhaps of the others
 └── ClusterError      the machines that work was sent to cannot do it
 
 Every message is one line: what was expected, what came, what to do. Anything else that is raised
@@ -28,12 +28,15 @@ class DegenerateError(MocapCalibError):
     """The observations do not determine the answer."""
 
 
-class LooseCameraError(DegenerateError):
-    """A camera sees too little that agrees with others; without it they may be calibrated. view: its index among theirs."""
+class UnderconstrainedCameraError(DegenerateError):
+    """A camera sees too little that agrees with others; without it they may be calibrated.
 
-    def __init__(self, message: str, view: int = -1) -> None:
+    camera: its name.
+    """
+
+    def __init__(self, message: str, camera: str) -> None:
         super().__init__(message)
-        self.view = view
+        self.camera = camera
 
 
 class ClusterError(MocapCalibError):

@@ -10,7 +10,7 @@ import numpy as np
 from mocap_calib.config import InspectConfig, SampleConfig
 from mocap_calib.errors import MismatchError
 from mocap_calib.recording.joints import SHIPPED, normalise_name
-from mocap_calib.recording.sampling import informative
+from mocap_calib.recording.sampling import choose_sample_frames
 from mocap_calib.recording.synchronise import (
     LEAST_JOINTS,
     check_joints,
@@ -19,8 +19,7 @@ from mocap_calib.recording.synchronise import (
     make_recording,
     meanings,
     name_mapping,
-    of_cameras,
-    slice_frames,
+    views_named,
 )
 from mocap_calib.types import Bools, Camera, Ints, Keypoints2D, Skeleton
 
@@ -58,7 +57,7 @@ def inspect_views(
 def with_sizes(views: Sequence[Keypoints2D], cameras: Sequence[Camera]) -> tuple[Keypoints2D, ...]:
     """The views, with the image sizes of the cameras of their names where their files have none."""
     sizes = [
-        next((camera.size for camera in cameras if of_cameras([view], [camera])), (0, 0))
+        next((camera.size for camera in cameras if views_named([view], [camera])), (0, 0))
         for view in views
     ]
     return tuple(
@@ -389,7 +388,7 @@ def _with_cameras(
     """What a run would say of the keypoints and cameras together."""
     try:
         recording = make_recording(views, cameras, skeleton, aliases)
-        check_joints(slice_frames(recording, informative(recording, SampleConfig())))
+        check_joints(recording.select(frames=choose_sample_frames(recording, SampleConfig())))
         owners = {name for _, name in name_mapping(views, cameras)}
     except MismatchError as error:
         return [Finding(True, str(error))]

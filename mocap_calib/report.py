@@ -14,10 +14,9 @@ from mocap_calib.geometry.alignment import similarity
 from mocap_calib.geometry.rotation import angle_between, direction_angle
 from mocap_calib.multi_view.triangulation import observations, project
 from mocap_calib.multi_view.uncertainty import verdict
-from mocap_calib.multi_view.view_graph import rival_taken
+from mocap_calib.multi_view.view_graph import alternative_taken
 from mocap_calib.recording.sampling import evenly
-from mocap_calib.recording.synchronise import select_rig
-from mocap_calib.types import Calibration, CameraRig, Floats, PairwiseCalibration
+from mocap_calib.types import CalibrationResult, CameraRig, Floats, GroupResult, PairwiseCalibration
 
 THRESHOLDS = (5, 10, 20, 30)
 _SAMPLE = 2000  # frames whose reprojection errors are reported
@@ -56,7 +55,7 @@ def evaluate_rig(rig: CameraRig, reference: CameraRig) -> Evaluation:
         for pair in pairs
     ]
     found, true = (
-        select_rig(each, np.array([each.names.index(name) for name in names]))
+        each.select(np.array([each.names.index(name) for name in names]))
         for each in (rig, reference)
     )
     scale, turn, shift = similarity(_with_axes(found), _with_axes(true))
@@ -142,7 +141,12 @@ def _middle(values: Floats) -> dict[str, float]:
 
 
 def run_report(
-    found: Calibration, *, seed: int, config: Config, inputs: Mapping[str, str]
+    found: GroupResult,
+    result: CalibrationResult,
+    *,
+    seed: int,
+    config: Config,
+    inputs: Mapping[str, str],
 ) -> dict[str, Any]:
     """All numbers of a run, as run.json holds them. inputs: path -> SHA-256. What is not known is None."""
     recording, rig, labels = found.recording, found.rig, found.matches.labels
@@ -162,8 +166,8 @@ def run_report(
             "count": len(recording.frames),
         },
         "keypoints": list(recording.keypoints),
-        "left_out": list(found.left_out),
-        "unused_pairs": [{"a": a, "b": b, "score": score} for a, b, score in found.unused],
+        "left_out": list(result.left_out),
+        "unused_pairs": [asdict(pair) for pair in result.unused_pairs],
         "cameras": [
             _camera_report(found, view, errors[view]) | _verdict(support[view], config)
             for view in range(len(rig.cameras))
@@ -173,12 +177,16 @@ def run_report(
             for k, pair in enumerate(found.pairs)
         ],
         "verdict": {
-            "rig": verdict(found.disagreement, found.inconsistent),
-            "halves_differ_deg": _middle(np.degrees(found.disagreement)),
-            "reversal": "none found" if found.rival is None else "not observable",
-            "translation": "not observable" if found.near_affine.any() else "observed",
+            "rig": verdict(found.uncertainty.split_half_angle, found.uncertainty.outlier_cameras),
+            "halves_differ_deg": _middle(np.degrees(found.uncertainty.split_half_angle)),
+            "reversal": "none found"
+            if found.adjusted.depth_reversed_rig is None
+            else "not observable",
+            "translation": "not observable"
+            if found.uncertainty.weak_perspective.any()
+            else "observed",
         },
-        "adjust": {"rounds": found.rounds, "converged": found.converged},
+        "adjust": {"rounds": found.adjusted.rounds, "converged": found.adjusted.converged},
         "individuals": [
             {"individual": k, "frames": int((labels == k).any((0, 2)).sum())}
             for k in range(found.matches.individuals)
@@ -190,7 +198,7 @@ def run_report(
     }
 
 
-def _errors(found: Calibration) -> Floats:
+def _errors(found: GroupResult) -> Floats:
     """`[view, frame, individual, keypoint]` distance in pixels of the labelled detections from the triangulated points.
 
     Of an even sample of the frames: a report of a long recording need not cost its length in memory.
@@ -206,7 +214,7 @@ def _errors(found: Calibration) -> Floats:
     return np.linalg.norm(np.stack(images) - pixels, axis=1).reshape(len(images), *points.shape[:3])
 
 
-def _support(found: Calibration) -> list[float]:
+def _support(found: GroupResult) -> list[float]:
     """The score of each camera's best pair: what it stands on."""
     return [
         max(p.score for p in found.pairs if view in (p.a, p.b))
@@ -218,7 +226,7 @@ def _verdict(support: float, config: Config) -> dict[str, Any]:
     return {"support": support, "weak": support < config.averaging.weak_score}
 
 
-def _camera_report(found: Calibration, view: int, error: Floats) -> dict[str, Any]:
+def _camera_report(found: GroupResult, view: int, error: Floats) -> dict[str, Any]:
     there = found.recording.seen[view].any(-1)
     matched = there & (found.matches.labels[view] >= 0)
     return {
@@ -227,14 +235,14 @@ def _camera_report(found: Calibration, view: int, error: Floats) -> dict[str, An
         "detections": int(there.sum()),
         "matched": int(matched.sum()),
         "unmatched": int((there & ~matched).sum()),
-        "inconsistent": bool(found.inconsistent[view]),
-        "near_affine": bool(found.near_affine[view]),
+        "inconsistent": bool(found.uncertainty.outlier_cameras[view]),
+        "near_affine": bool(found.uncertainty.weak_perspective[view]),
         "reprojection_error_px": _spread(error),
     }
 
 
 def _pair_report(
-    found: Calibration, number: int, pair: PairwiseCalibration, error: Floats, config: Config
+    found: GroupResult, number: int, pair: PairwiseCalibration, error: Floats, config: Config
 ) -> dict[str, Any]:
     """What the pair by itself said, how far it is from the rig, and, last, what the rig makes of the points that both views see."""
     cameras, averaged, labels = found.rig.cameras, found.averaged, found.matches.labels
@@ -260,13 +268,13 @@ def _pair_report(
         "loop_translation_deg": float(np.degrees(averaged.translation_error[number])),
         "weight": float(averaged.weight[number]),
         "breaks_loop": bool(averaged.weight[number] < config.averaging.breaks),
-        "rival_taken": rival_taken(pair),
-        "rivals": [
+        "alternative_taken": alternative_taken(pair),
+        "alternatives": [
             {
                 "score": r.score,
                 "turned_deg": float(np.degrees(angle_between(r.rotation, pair.rotation))),
             }
-            for r in pair.rivals
+            for r in pair.alternatives
         ],
     }
 

@@ -1,13 +1,15 @@
-"""The nouns of the program: frozen records, checked when made.
+"""The nouns of the program: frozen records, checked when they are made.
 
 Axis names, always in this order: view, frame, instance, individual, keypoint, coordinate.
-An *instance* is a detection in one view; an *individual* is the same body in all views. *Pose* means a body's pose; cameras have *extrinsics*.
-Transforms are named `target_from_source`: x_cam = R x_world + t. Missing is NaN in floats and -1 in labels. docs/conventions.md says the rest.
+An *instance* is a detection in one view; an *individual* is the same body in all views.
+*Pose* means the pose of a body; cameras have *extrinsics*. Transforms are named
+`target_from_source`: x_cam = R x_world + t. Missing is NaN in floats and -1 in labels.
+docs/conventions.md has the rest.
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
-from typing import Any, Protocol, TypeVar
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,20 +17,23 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
-Reals = NDArray[
-    np.floating[Any]
-]  # float32 where whole recordings are kept, which is a ten-thousandth of a pixel
+# float32 where whole recordings are kept: that is a ten-thousandth of a pixel
+Reals = NDArray[np.floating[Any]]
 
 T = TypeVar("T")
 R = TypeVar("R")
 
 
 def check_shape(owner: str, array: NDArray[np.generic], *shape: int | None) -> None:
-    """Holds an array to its documented shape; None stands for any length."""
-    if array.ndim != len(shape) or any(
-        s is not None and s != n for s, n in zip(shape, array.shape, strict=True)
-    ):
-        expected = tuple("any" if s is None else s for s in shape)
+    """Hold an array to its documented shape; None stands for any length.
+
+    Raises ValueError, which names the owner and both shapes.
+    """
+    fits = array.ndim == len(shape) and all(
+        expected in (None, found) for expected, found in zip(shape, array.shape, strict=True)
+    )
+    if not fits:
+        expected = tuple("any" if length is None else length for length in shape)
         raise ValueError(f"{owner}: expected shape {expected}, got {array.shape}")
 
 
@@ -36,27 +41,34 @@ class Progress(Protocol):
     """How the library tells of its progress; it never prints."""
 
     def __call__(self, stage: str, done: int, total: int) -> None:
-        """`done` of `total` steps of `stage` are finished."""
+        """Tell that `done` of `total` steps of `stage` are finished."""
 
 
 def silent(stage: str, done: int, total: int) -> None:
-    """The progress nobody listens to."""
+    """Ignore progress: the default where nobody listens."""
 
 
 class Mapper(Protocol):
-    """How the library has independent work done: on the threads of this machine, unless the caller knows a better place."""
+    """Where the library has independent work done: threads, processes or other machines."""
 
     def __call__(self, function: Callable[[T], R], items: Iterable[T], /) -> Iterable[R]:
-        """`function` of every item, in any order. Both can be pickled, and items may be taken long before their results come."""
+        """Return `function` of every item, in any order.
+
+        The function and the items can be pickled. Items may be taken long before their results
+        come.
+        """
 
 
 @dataclass(frozen=True)
 class Skeleton:
     """The vocabulary of one kind of body.
 
-    keypoints: `[keypoint]` names; edges: pairs (parent, child) of indices into them; symmetries: pairs
-    (left, right); aliases: other spellings, normalised name -> keypoint name; layouts: what names mean where all of
-    a layout occur together (a dog's `shoulder` beside its `arm`), normalised name -> keypoint name.
+    keypoints: `[keypoint]` names.
+    edges: pairs (parent, child) of indices into the names.
+    symmetries: pairs (left, right) of indices.
+    aliases: other spellings, normalised name -> keypoint name.
+    layouts: what names mean where all names of a layout occur together (a dog's `shoulder` beside
+        its `arm`), normalised name -> keypoint name.
     """
 
     name: str
@@ -69,10 +81,12 @@ class Skeleton:
 
 @dataclass(frozen=True)
 class Camera:
-    """Intrinsics of one camera.
+    """The intrinsics of one camera.
 
-    size: (width, height) in pixels. matrix: `[3, 3]`, pixel centres are integers (OpenCV). distortion:
-    `[4 | 5 | 8]` OpenCV's k1 k2 p1 p2 k3 k4 k5 k6, or `[4]` of cv2.fisheye when `fisheye` is set.
+    size: (width, height) in pixels.
+    matrix: `[3, 3]`; pixel centres are integers (OpenCV).
+    distortion: `[4 | 5 | 8]` OpenCV's k1 k2 p1 p2 k3 k4 k5 k6, or `[4]` of cv2.fisheye when
+        `fisheye` is set.
     """
 
     name: str
@@ -95,8 +109,8 @@ class Camera:
 class CameraRig:
     """Cameras and where they stand.
 
-    rotation: `[view, 3, 3]` and translation: `[view, 3]` of cam_from_world; unit: what a length of 1 is
-    ("m", "mm", ... or "arbitrary").
+    rotation: `[view, 3, 3]` and translation: `[view, 3]` of cam_from_world.
+    unit: what a length of 1 is ("m", "mm", ... or "arbitrary").
     """
 
     cameras: tuple[Camera, ...]
@@ -119,22 +133,34 @@ class CameraRig:
         return -np.einsum("vji,vj->vi", self.rotation, self.translation)
 
     def relative(self, a: int, b: int) -> tuple[Floats, Floats]:
-        """R `[3, 3]` and t `[3]` of b_from_a, for the views a and b: x_b = R x_a + t."""
+        """Return R `[3, 3]` and t `[3]` of b_from_a, for the views a and b: x_b = R x_a + t."""
         rotation = self.rotation[b] @ self.rotation[a].T
         return rotation, self.translation[b] - rotation @ self.translation[a]
+
+    def select(self, views: Ints) -> "CameraRig":
+        """Return the rig of these views (indices) alone, in this order."""
+        return CameraRig(
+            cameras=tuple(self.cameras[view] for view in views),
+            rotation=self.rotation[views],
+            translation=self.translation[views],
+            unit=self.unit,
+        )
 
 
 @dataclass(frozen=True)
 class Keypoints2D:
     """What one keypoint file holds: the detections of one camera.
 
-    frames: `[frame]` numbers as the file has them, ascending, each once. positions: `[frame, instance,
-    keypoint, 2]` pixels, NaN = missing; the instance index is the detection's position within its frame in
-    file order (for files with one column per individual: the column's position). confidence: `[frame,
-    instance, keypoint]`, as the file has it, 0 = missing. tracked: the instance index names the same
-    individual in all frames of this file. image_size: (width, height), (0, 0) where the file does not say.
-    missing: how many points each custom of the file ("(0, 0)", "empty or NaN", ...) marks as missing; remarks: what a
-    person should know of the file, a line each. The latter two are for `inspect`; no stage looks at them.
+    frames: `[frame]` numbers as the file has them, ascending, each once.
+    positions: `[frame, instance, keypoint, 2]` pixels, NaN = missing. The instance index is the
+        detection's position within its frame in file order (for files with one column per
+        individual: the column's position).
+    confidence: `[frame, instance, keypoint]`, as the file has it, 0 = missing.
+    tracked: the instance index names the same individual in all frames of this file.
+    image_size: (width, height), (0, 0) where the file does not say.
+    missing: how many points each custom of the file ("(0, 0)", "empty or NaN", ...) marks as
+        missing; remarks: what a person should know of the file, a line each. Both are for
+        `inspect`; no stage looks at them.
     """
 
     camera: str
@@ -150,8 +176,9 @@ class Keypoints2D:
 
     def __post_init__(self) -> None:
         frames, instances, keypoints = self.positions.shape[:3]
+        names = len(self.keypoints)
         check_shape(f"{self.source}: frames", self.frames, frames)
-        check_shape(f"{self.source}: positions", self.positions, None, None, len(self.keypoints), 2)
+        check_shape(f"{self.source}: positions", self.positions, None, None, names, 2)
         check_shape(f"{self.source}: confidence", self.confidence, frames, instances, keypoints)
 
 
@@ -159,10 +186,12 @@ class Keypoints2D:
 class Recording:
     """All views on one clock.
 
-    frames: `[frame]` numbers that at least two views have. positions: `[view, frame, instance, keypoint, 2]`
-    pixels, NaN = missing. confidence: `[view, frame, instance, keypoint]` in 0..1 of each view's own scale,
-    0 = missing. tracked: `[view]` the instance index names the same individual in all frames.
-    vocabulary: `[keypoint]` index of each keypoint in the model's skeleton, -1 = the model has no such joint.
+    frames: `[frame]` numbers that at least two views have.
+    positions: `[view, frame, instance, keypoint, 2]` pixels, NaN = missing.
+    confidence: `[view, frame, instance, keypoint]` in 0..1 of each view's own scale, 0 = missing.
+    tracked: `[view]` the instance index names the same individual in all frames.
+    vocabulary: `[keypoint]` index of each keypoint in the model's skeleton, -1 = the model has no
+        such joint.
     """
 
     cameras: tuple[Camera, ...]
@@ -174,13 +203,12 @@ class Recording:
     vocabulary: Ints
 
     def __post_init__(self) -> None:
-        views, frames, instances, keypoints = self.positions.shape[:4]
-        if (views, keypoints) != (len(self.cameras), len(self.keypoints)):
-            raise ValueError(
-                f"recording: {views} views, {keypoints} keypoints in positions for {len(self.cameras)} cameras, {len(self.keypoints)} names"
-            )
+        views, keypoints = len(self.cameras), len(self.keypoints)
+        frames, instances = self.positions.shape[1:3]
+        detections = (views, frames, instances, keypoints)
+        check_shape("recording: positions", self.positions, *detections, 2)
         check_shape("recording: frames", self.frames, frames)
-        check_shape("recording: confidence", self.confidence, views, frames, instances, keypoints)
+        check_shape("recording: confidence", self.confidence, *detections)
         check_shape("recording: tracked", self.tracked, views)
         check_shape("recording: vocabulary", self.vocabulary, keypoints)
 
@@ -194,12 +222,38 @@ class Recording:
         """`[view, frame, instance, keypoint]` where there is a detection."""
         return np.isfinite(self.positions[..., 0])
 
+    def select(
+        self, *, views: Ints | None = None, frames: Ints | Bools | slice | None = None
+    ) -> Self:
+        """Return the recording with these views and these frames alone, in this order.
+
+        views: indices. frames: indices (not numbers), a slice, or a mask of the frames. What is
+        not given stays whole and is not copied.
+        """
+        found = self
+        if frames is not None:
+            parts = {name: getattr(found, name)[:, frames] for name in self._by_view_and_frame}
+            found = replace(found, frames=found.frames[frames], **parts)
+        if views is not None and not np.array_equal(views, np.arange(len(self.cameras))):
+            parts = {name: getattr(found, name)[views] for name in self._by_view_and_frame}
+            cameras = tuple(self.cameras[view] for view in views)
+            found = replace(found, cameras=cameras, tracked=found.tracked[views], **parts)
+        return found
+
+    @property
+    def _by_view_and_frame(self) -> tuple[str, ...]:
+        """Names of the arrays whose first axes are view and frame."""
+        return ("positions", "confidence")
+
 
 @dataclass(frozen=True)
 class Sample(Recording):
-    """Some frames of a recording in double precision, with the rays of their detections; made by `frames.sample`.
+    """Some frames of a recording in double precision, with the rays of their detections.
 
-    rays: `[view, frame, instance, keypoint, 3]` unit vectors in each camera's frame (distortion taken out), NaN = missing.
+    Made by `recording.sampling.take_sample`.
+
+    rays: `[view, frame, instance, keypoint, 3]` unit vectors in each camera's frame (distortion
+        taken out), NaN = missing.
     """
 
     positions: Floats
@@ -210,15 +264,22 @@ class Sample(Recording):
         super().__post_init__()
         check_shape("sample: rays", self.rays, *self.positions.shape[:4], 3)
 
+    @property
+    def _by_view_and_frame(self) -> tuple[str, ...]:
+        return ("positions", "confidence", "rays")
+
 
 @dataclass(frozen=True)
 class LiftedPoses:
-    """Every detection lifted by itself to a 3D body, in units of body size (RMS joint distance from the centroid).
+    """Every detection lifted by itself to a 3D body.
 
-    body: `[view, frame, instance, joint, 3]` joints about their centroid, in the axes of the view's camera
-    (instance virtual camera taken out), NaN where nothing was detected. centre: `[view, frame, instance, 3]`
-    the centroid in the camera's frame. spread: `[view, frame, instance, joint]` standard deviation of a joint.
-    Joints are those of the model's skeleton; absent ones are completed.
+    Lengths are in body sizes (RMS distance of the joints from their centroid). Joints are those
+    of the model's skeleton; absent ones are completed.
+
+    body: `[view, frame, instance, joint, 3]` joints about their centroid, in the axes of the
+        view's camera (the virtual camera of the instance taken out), NaN where nothing was lifted.
+    centre: `[view, frame, instance, 3]` the centroid in the camera's frame.
+    spread: `[view, frame, instance, joint]` standard deviation of a joint.
     """
 
     body: Floats
@@ -231,16 +292,25 @@ class LiftedPoses:
         check_shape("lifted: centre", self.centre, views, frames, instances, 3)
         check_shape("lifted: spread", self.spread, views, frames, instances, joints)
 
+    def select(self, views: Ints) -> "LiftedPoses":
+        """Return the lifted poses of these views (indices) alone, in this order."""
+        return LiftedPoses(self.body[views], self.centre[views], self.spread[views])
+
 
 @dataclass(frozen=True)
 class PairwiseCalibration:
     """What is found of the views a and b.
 
-    rotation: `[3, 3]` and translation: `[3]` of b_from_a; the translation's length is the baseline in body
-    sizes. matches: `[match, 3]` rows (frame index, instance in a, instance in b) in the frames that were looked at;
-    frames: how many of those the views share. in_front: 0..1, share of the matched joints in front of both cameras. score: 0..1,
-    share of the detections explained x in_front x agreement of the lifted bodies. residual: median epipolar error in
-    radians. source: what proposed it ("lifted", "five-point", "paper"). rivals: other answers, best score first, without rivals of their own.
+    rotation: `[3, 3]` and translation: `[3]` of b_from_a; the length of the translation is the
+        baseline in body sizes.
+    matches: `[match, 3]` rows (frame index, instance in a, instance in b) in the frames that were
+        looked at.
+    frames: how many of the frames both views share.
+    score: 0..1, share of the detections explained x in_front x agreement of the lifted bodies.
+    residual: median epipolar error in radians.
+    in_front: 0..1, share of the matched joints in front of both cameras.
+    source: what proposed it ("lifted", "five-point", "paper").
+    alternatives: other answers, best score first, without alternatives of their own.
     """
 
     a: int
@@ -253,20 +323,21 @@ class PairwiseCalibration:
     residual: float
     in_front: float
     source: str
-    rivals: tuple["PairwiseCalibration", ...] = ()
+    alternatives: tuple["PairwiseCalibration", ...] = ()
 
     @property
-    def modes(self) -> tuple["PairwiseCalibration", ...]:
-        """The answer and its rivals."""
-        return (self, *self.rivals)
+    def hypotheses(self) -> tuple["PairwiseCalibration", ...]:
+        """The answer and its alternatives."""
+        return (self, *self.alternatives)
 
 
 @dataclass(frozen=True)
 class Averaged:
     """The rig, and how well each pair agrees with it.
 
-    loop_error: `[pair]` angle in radians between a pair's rotation and the rig's; translation_error: `[pair]`
-    angle between the directions of translation; weight: `[pair]` 0..1, what the pair counted for in the end.
+    loop_error: `[pair]` angle in radians between a pair's rotation and the rig's.
+    translation_error: `[pair]` angle in radians between the directions of translation.
+    weight: `[pair]` 0..1, what the pair counted for in the end.
     """
 
     rig: CameraRig
@@ -291,12 +362,49 @@ class Matches:
 
 
 @dataclass(frozen=True)
+class Adjusted:
+    """A rig after rounds of adjusting and matching, and the labels that it implies.
+
+    matches: labels in the frames that were adjusted.
+    depth_reversed_rig: a rig that fits as well, reversed in depth: what was seen does not tell
+        the two apart. None where there is no such rig.
+    rounds: rounds of adjusting and matching that were made.
+    converged: no detection changed its group, and no camera turned, in the last round.
+    """
+
+    rig: CameraRig
+    matches: Matches
+    depth_reversed_rig: CameraRig | None
+    rounds: int
+    converged: bool
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """How well a rig is determined by what was seen.
+
+    split_half_angle: `[pair]` radians between the relative rotations of rigs that were adjusted
+        to halves of the joints; about twice the error of the rig.
+    outlier_cameras: `[view]` cameras whose errors are several times those of the others.
+    weak_perspective: `[view]` cameras in whose images perspective drowns in noise: their distance
+        follows from their focal length alone.
+    """
+
+    split_half_angle: Floats
+    outlier_cameras: Bools
+    weak_perspective: Bools
+
+
+@dataclass(frozen=True)
 class Poses3D:
     """Triangulated bodies.
 
-    frames: `[frame]` numbers. positions: `[frame, individual, keypoint, 3]` in the rig's unit, NaN = missing.
-    error: `[frame, individual, keypoint]` RMS reprojection error in pixels over the views used. views: number of
-    views used. confidence: mean confidence of the detections used.
+    frames: `[frame]` numbers.
+    positions: `[frame, individual, keypoint, 3]` in the rig's unit, NaN = missing.
+    error: `[frame, individual, keypoint]` RMS reprojection error in pixels over the views used.
+    views: `[frame, individual, keypoint]` number of views used.
+    confidence: `[frame, individual, keypoint]` mean confidence of the detections used.
+    unit: of the positions, as the rig's.
     """
 
     keypoints: tuple[str, ...]
@@ -309,28 +417,44 @@ class Poses3D:
 
 
 @dataclass(frozen=True)
-class Calibration:
-    """All that a run finds of one group of cameras that see the same bodies.
+class GroupResult:
+    """All that is found of one group of cameras that see the same bodies.
 
-    All is of the cameras of the group. left_out: names of those that no group holds; unused: (name, name, score) of the pairs that are within no group. rounds
-    of adjusting and matching were made; converged: no detection changed its group in the last. disagreement: `[pair]` radians between the rigs of halves of
-    the joints, about twice the error of the rig. inconsistent: `[view]` cameras whose errors are several times those of the others. rival: a rig that fits as
-    well, reversed in depth: what was seen does not tell them apart. near_affine: `[view]` cameras in whose images perspective drowns in noise, whose distance
-    follows from their focal length alone. seconds: wall time per stage.
+    recording: of the cameras of the group alone; everything else is in their order.
+    matches: labels in all frames. seconds: wall time by stage.
     """
 
     recording: Recording
-    left_out: tuple[str, ...]
-    unused: tuple[tuple[str, str, float], ...]
     pairs: tuple[PairwiseCalibration, ...]
     averaged: Averaged
-    rig: CameraRig
-    rival: CameraRig | None
+    adjusted: Adjusted
     matches: Matches
-    disagreement: Floats
-    inconsistent: Bools
-    near_affine: Bools
+    uncertainty: Uncertainty
     poses: Poses3D
-    rounds: int
-    converged: bool
     seconds: dict[str, float]
+
+    @property
+    def rig(self) -> CameraRig:
+        """The adjusted rig."""
+        return self.adjusted.rig
+
+
+@dataclass(frozen=True)
+class UnusedPair:
+    """A pair of cameras (names) that are not in one group, and the score of the pair."""
+
+    a: str
+    b: str
+    score: float
+
+
+@dataclass(frozen=True)
+class CalibrationResult:
+    """All that a run finds: a result for each group of cameras, the largest group first.
+
+    left_out: names of the cameras that no group holds.
+    """
+
+    groups: tuple[GroupResult, ...]
+    left_out: tuple[str, ...]
+    unused_pairs: tuple[UnusedPair, ...]

@@ -8,12 +8,21 @@ import numpy as np
 from mocap_calib.config import Config, SimulateConfig
 from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.joints import load_skeleton
-from mocap_calib.recording.sampling import sample
+from mocap_calib.recording.sampling import take_sample
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.steerpose.checkpoint import load_lifter
 from mocap_calib.steerpose.lift import lift
 from mocap_calib.synthetic import Scene, simulate
-from mocap_calib.types import Calibration, CameraRig, LiftedPoses, Matches, Sample, silent
+from mocap_calib.types import (
+    CalibrationResult,
+    CameraRig,
+    GroupResult,
+    LiftedPoses,
+    Matches,
+    Recording,
+    Sample,
+    silent,
+)
 
 PEOPLE = load_skeleton("people")
 
@@ -26,7 +35,7 @@ def scene(**changes) -> Scene:
 @lru_cache
 def recording(**changes) -> Sample:
     made = scene(**changes)
-    return sample(make_recording(made.files, made.rig.cameras, PEOPLE, {}), slice(None))
+    return take_sample(make_recording(made.files, made.rig.cameras, PEOPLE, {}), slice(None))
 
 
 @lru_cache
@@ -34,10 +43,21 @@ def lifted(**changes) -> LiftedPoses:
     return lift(recording(**changes), load_lifter()[0], progress=silent)
 
 
-def calibrated(seed: int = 0, **changes) -> Calibration:
-    return calibrate(
-        recording(**changes), load_lifter()[0], Config(), seed=seed, device="cpu", progress=silent
-    )
+def calibrate_all(recording: Recording, *, seed: int = 0, **options) -> CalibrationResult:
+    """Calibrate all groups of a recording's cameras."""
+    lifter = options.pop("lifter", None) or load_lifter()[0]
+    config = options.pop("config", Config())
+    return calibrate(recording, lifter, config, seed=seed, device="cpu", progress=silent, **options)
+
+
+def calibrate_group(recording: Recording, *, seed: int = 0, **options) -> GroupResult:
+    """Calibrate a recording whose cameras all see the same bodies."""
+    (group,) = calibrate_all(recording, seed=seed, **options).groups
+    return group
+
+
+def calibrated(seed: int = 0, **changes) -> GroupResult:
+    return calibrate_group(recording(**changes), seed=seed)
 
 
 def truth(**changes) -> Matches:

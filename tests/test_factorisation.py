@@ -4,16 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import recording, rotation_errors_deg, scene
+from scenes import calibrate_group, recording, rotation_errors_deg, scene
 
 from mocap_calib.config import Config
 from mocap_calib.geometry.projection import pixels_from_points, rays_from_pixels
 from mocap_calib.multi_view.association import single_subject
 from mocap_calib.multi_view.factorization import factorise
 from mocap_calib.multi_view.uncertainty import fit
-from mocap_calib.pipeline import calibrate
-from mocap_calib.steerpose.checkpoint import load_lifter
-from mocap_calib.types import Camera, CameraRig, Recording, Sample, silent
+from mocap_calib.types import Camera, CameraRig, Recording, Sample
 
 REVERSE = np.diag([1.0, 1.0, -1.0])
 ALONE = {"people": 1, "false_detections": 0.0, "outliers": 0.0}
@@ -110,26 +108,25 @@ def test_a_single_subject_is_known_without_finding():
 
 def test_strangers_are_calibrated_by_geometry_alone():
     """One person whose joints have names nobody knows: measured 0.38 deg."""
-    found = calibrate(
-        strangers(recording(**ALONE)),
-        load_lifter()[0],
-        Config(),
-        seed=0,
-        device="cpu",
-        progress=silent,
-    )
+    found = calibrate_group(strangers(recording(**ALONE)))
     assert rotation_errors_deg(found.rig, scene(**ALONE).rig).max() < 0.8
-    assert found.rival is None
-    assert not found.near_affine.any()
+    assert found.adjusted.depth_reversed_rig is None
+    assert not found.uncertainty.weak_perspective.any()
 
 
 def test_telescopes_are_calibrated_up_to_a_reversal_and_say_so():
     """One pixel of noise, a twentieth of a pixel of perspective: measured 0.17 deg for the better of both rigs."""
     seen, rig = telescopes(1.0)
-    found = calibrate(seen, load_lifter()[0], Config(), seed=0, device="cpu", progress=silent)
-    assert found.rival is not None
-    assert min(rotation_errors_deg(one, rig).max() for one in (found.rig, found.rival)) < 1.0
-    assert found.near_affine.all()
+    found = calibrate_group(seen)
+    assert found.adjusted.depth_reversed_rig is not None
+    assert (
+        min(
+            rotation_errors_deg(one, rig).max()
+            for one in (found.rig, found.adjusted.depth_reversed_rig)
+        )
+        < 1.0
+    )
+    assert found.uncertainty.weak_perspective.all()
 
 
 @pytest.mark.parametrize("noise", [0.5, 2.0])

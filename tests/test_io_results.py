@@ -295,7 +295,7 @@ def same_pair(first, second):
 def test_pairs_come_back_with_their_cameras_and_rivals():
     cameras = tuple(map(camera, NAMES))
     pairs = (
-        replace(pair(0, 1, 1), rivals=(pair(0, 1, 2), pair(0, 1, 5))),
+        replace(pair(0, 1, 1), alternatives=(pair(0, 1, 2), pair(0, 1, 5))),
         pair(0, 2, 4),
         pair(1, 2, 7),
     )
@@ -311,9 +311,9 @@ def test_pairs_come_back_with_their_cameras_and_rivals():
 
 def test_pairs_without_rivals_are_read():
     """As files from before there were rivals."""
-    back, _ = pairs_from_json(TEXT.replace(', "rivals": []', ""), "text")
+    back, _ = pairs_from_json(TEXT.replace(', "alternatives": []', ""), "text")
     same_pair(back[0], pair(0, 1, 3))
-    assert back[0].rivals == ()
+    assert back[0].alternatives == ()
 
 
 TEXT = pairs_to_json((pair(0, 1, 3),), tuple(map(camera, NAMES)))
@@ -336,7 +336,7 @@ TEXT = pairs_to_json((pair(0, 1, 3),), tuple(map(camera, NAMES)))
             TEXT.replace('"score"', '"skore"'),
             TEXT.replace('"rotation": [[', '"rotation": [[['),
         ),
-        TEXT.replace('"rivals": []', '"rivals": [3]'),
+        TEXT.replace('"alternatives": []', '"alternatives": [3]'),
         *(
             TEXT.replace(f'"{key}": [', f'"{key}": [3, ')
             for key in ("translation", "pairs", "cameras", "matches")

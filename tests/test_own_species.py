@@ -4,15 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import calibrated, recording, rotation_errors_deg, scene
+from scenes import calibrate_group, calibrated, recording, rotation_errors_deg, scene
 
-from mocap_calib.config import Config, PairwiseConfig, PaperConfig
+from mocap_calib.config import PairwiseConfig, PaperConfig
 from mocap_calib.errors import DegenerateError
-from mocap_calib.pipeline import calibrate
 from mocap_calib.steerpose.checkpoint import load_lifter
 from mocap_calib.steerpose.training.own_species import own_poses, own_skeleton, up_of_rig
 from mocap_calib.two_view.paper_pairs import PaperPairs
-from mocap_calib.types import CameraRig, silent
+from mocap_calib.types import CameraRig
 
 ALONE = {"people": 1, "false_detections": 0.0, "outliers": 0.0}
 
@@ -73,7 +72,7 @@ def test_the_papers_solver_calibrates_pairs_of_the_pipeline():
     solve = PaperPairs(
         lifter, seen.vocabulary, focal, PairwiseConfig(), replace(PaperConfig(), iterations=300)
     )
-    found = calibrate(seen, lifter, Config(), seed=0, device="cpu", progress=silent, solve=solve)
+    found = calibrate_group(seen, lifter=lifter, pair_solver=solve)
     assert found.pairs[0].source == "paper"
     assert rotation_errors_deg(found.rig, scene(**alone).rig).max() < 2.5
 

@@ -14,8 +14,8 @@ from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.io.cameras.load import read_cameras
 from mocap_calib.io.keypoints.formats import read_keypoints
 from mocap_calib.recording.joints import load_skeleton
-from mocap_calib.recording.sampling import sample
-from mocap_calib.recording.synchronise import make_recording, name_mapping, slice_frames, usable
+from mocap_calib.recording.sampling import take_sample
+from mocap_calib.recording.synchronise import make_recording, name_mapping, usable
 from mocap_calib.types import Camera, Keypoints2D, Skeleton
 
 SHARED = Path(__file__).parents[2] / "shared"
@@ -46,7 +46,7 @@ def view(name, frames=(0, 1, 2), keypoints=("nose", "neck"), instances=1, seed=0
 
 
 def record(*views, cameras=None, aliases=None):
-    return sample(
+    return take_sample(
         make_recording(
             views, cameras or [camera(v.camera) for v in views], SKELETON, aliases or {}
         ),
@@ -165,11 +165,11 @@ def test_missing_stays_missing_and_instances_are_padded():
 def test_slicing_frames(index):
     recording = record(view("a", frames=range(10)), view("b", frames=range(10)))
     index = np.array(sorted(index))
-    part = slice_frames(recording, index)
+    part = recording.select(frames=index)
     np.testing.assert_array_equal(part.frames, recording.frames[index])
     np.testing.assert_array_equal(part.rays, recording.rays[:, index])
     mask = np.isin(np.arange(10), index)
-    np.testing.assert_array_equal(slice_frames(recording, mask).positions, part.positions)
+    np.testing.assert_array_equal(recording.select(frames=mask).positions, part.positions)
 
 
 # --- names of keypoints

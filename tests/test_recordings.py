@@ -8,16 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes import PEOPLE, precision, rotation_errors_deg
+from scenes import PEOPLE, calibrate_group, precision, rotation_errors_deg
 
-from mocap_calib.config import Config
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.io.cameras.load import read_cameras
 from mocap_calib.io.keypoints.formats import read_keypoints
-from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.synchronise import make_recording
-from mocap_calib.steerpose.checkpoint import load_lifter
-from mocap_calib.types import CameraRig, silent
+from mocap_calib.types import CameraRig
 
 RECORDINGS = Path(__file__).parents[2] / "shared" / "recordings"
 pytestmark = [
@@ -45,7 +42,7 @@ def test_recording(name, median, largest, least_precision):
     folder = RECORDINGS / name
     views = read_keypoints([folder / "keypoints"])
     found = make_recording(views, read_cameras(folder / "intrinsics.toml"), PEOPLE, {})
-    result = calibrate(found, load_lifter()[0], Config(), seed=0, device="cpu", progress=silent)
+    result = calibrate_group(found)
     reference, names = read_reference(folder / "reference.toml", result.rig)
     errors = rotation_errors_deg(result.rig, reference)
     assert np.median(errors) <= median

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from scenes import PEOPLE, precision, recording, rotation_errors_deg, scene, truth
+from scenes import PEOPLE, calibrate_group, precision, recording, rotation_errors_deg, scene, truth
 from test_geometry import CAMERAS
 from test_stages import turned
 
@@ -19,9 +19,8 @@ from mocap_calib.config import Config, SampleConfig, TriangulateConfig
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.multi_view.schur import Sightings, State, _cost, _linearise, minimise
 from mocap_calib.multi_view.triangulation import observations, triangulate_rays
-from mocap_calib.pipeline import calibrate
-from mocap_calib.recording.sampling import evenly, informative, sample
-from mocap_calib.recording.synchronise import make_recording, slice_frames
+from mocap_calib.recording.sampling import choose_sample_frames, evenly, take_sample
+from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.steerpose.checkpoint import load_lifter
 from mocap_calib.steerpose.lift import lift
 from mocap_calib.types import silent
@@ -40,24 +39,24 @@ def test_an_even_choice_has_both_ends_and_no_more_than_there_are():
 
 
 def test_a_short_recording_is_its_own_sample():
-    np.testing.assert_array_equal(informative(recording(), SampleConfig()), np.arange(60))
+    np.testing.assert_array_equal(choose_sample_frames(recording(), SampleConfig()), np.arange(60))
 
 
 def test_the_sample_is_ascending_and_as_large_as_the_budget_allows():
     found = recording(**LONG)
     config = SampleConfig(detections=600, least_frames=10)
-    chosen = informative(found, config)
+    chosen = choose_sample_frames(found, config)
     assert (np.diff(chosen) > 0).all()
     assert len(chosen) == pytest.approx(600 / found.seen.any(-1).sum((0, 2)).mean(), rel=0.1)
 
 
 def test_rare_moments_are_chosen():
     """A person in a corner of one image for one frame of a hundred, who otherwise stands: that frame is in a sample of ten."""
-    found = slice_frames(recording(**LONG), np.zeros(100, dtype=int))
+    found = recording(**LONG).select(frames=np.zeros(100, dtype=int))
     positions = found.positions.copy()
     positions[0, 57] += 300.0
     rare = replace(found, positions=positions, frames=np.arange(100))
-    assert 57 in informative(rare, SampleConfig(detections=1, least_frames=10))
+    assert 57 in choose_sample_frames(rare, SampleConfig(detections=1, least_frames=10))
 
 
 @pytest.mark.slow
@@ -65,7 +64,7 @@ def test_a_long_recording_is_calibrated_by_its_sample_and_labelled_throughout():
     """60 of 400 frames are lifted. Measured: 0.08 deg at most, precision 1.000, 99.6 % of the detections; each person keeps one name."""
     made, found = scene(**LONG), recording(**LONG)
     config = replace(Config(), sample=SampleConfig(detections=450, least_frames=60))
-    result = calibrate(found, load_lifter()[0], config, seed=0, device="cpu", progress=silent)
+    result = calibrate_group(found, config=config)
     assert len(np.unique(np.concatenate([pair.matches[:, 0] for pair in result.pairs]))) <= 60
     assert rotation_errors_deg(result.rig, made.rig).max() < 0.3
     labels = result.matches.labels
@@ -218,7 +217,7 @@ def test_threads_change_no_byte(small, tmp_path):
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
 def test_lifting_on_a_gpu_is_lifting():
-    found = sample(recording(), slice(0, 5))
+    found = take_sample(recording(), slice(0, 5))
     first, second = (
         lift(found, load_lifter()[0], device=device, progress=silent) for device in ("cpu", "cuda")
     )
@@ -238,10 +237,10 @@ def test_one_overcrowded_frame_costs_no_more_than_itself():
     sure[20, 4:] = 0.5
     files[1] = replace(files[1], positions=wide, confidence=sure)
     found = make_recording(files, made.rig.cameras, PEOPLE, {})
-    chosen = informative(found, SampleConfig())
+    chosen = choose_sample_frames(found, SampleConfig())
     assert 20 not in chosen
     assert len(chosen) == 59
-    assert sample(found, chosen).positions.shape[2] <= 5
-    calibrated = calibrate(found, load_lifter()[0], Config(), seed=0, device="cpu", progress=silent)
+    assert take_sample(found, chosen).positions.shape[2] <= 5
+    calibrated = calibrate_group(found)
     assert rotation_errors_deg(calibrated.rig, made.rig).max() < 0.15
     assert (calibrated.matches.labels[:, 20] >= 0).sum() >= 8

@@ -11,7 +11,7 @@ from scenes import lifted, precision, recording, rotation_errors_deg, scene, tru
 from mocap_calib.config import (
     AdjustConfig,
     AveragingConfig,
-    MatchingConfig,
+    Config,
     PairwiseConfig,
     TriangulateConfig,
 )
@@ -19,11 +19,11 @@ from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.epipolar import essential, sampson_angle
 from mocap_calib.geometry.rotation import angle_between, direction_angle, matrix_from_vector
 from mocap_calib.io.results.results import pairs_to_json
-from mocap_calib.multi_view.association import match
-from mocap_calib.multi_view.averaging import average, of_cameras
+from mocap_calib.multi_view.association import associate
+from mocap_calib.multi_view.averaging import average
 from mocap_calib.multi_view.bundle_adjustment import adjust
 from mocap_calib.multi_view.triangulation import triangulate, triangulate_rays
-from mocap_calib.multi_view.view_graph import usable_cameras
+from mocap_calib.multi_view.view_graph import pairs_among, usable_cameras
 from mocap_calib.two_view.affinity import (
     epipolar_error,
     place_error,
@@ -307,7 +307,7 @@ def test_a_camera_that_no_pair_holds_is_left_out():
     pairs = tuple(replace(p, score=0.02) if 1 in (p.a, p.b) else p for p in exact_pairs(rig))
     kept = usable_cameras(rig.cameras, pairs, AveragingConfig())
     assert kept.tolist() == [0, 2, 3]
-    assert [(p.a, p.b) for p in of_cameras(pairs, kept)] == [(0, 1), (0, 2), (1, 2)]
+    assert [(p.a, p.b) for p in pairs_among(pairs, kept)] == [(0, 1), (0, 2), (1, 2)]
 
 
 # matching
@@ -315,9 +315,7 @@ def test_a_camera_that_no_pair_holds_is_left_out():
 
 def test_matching_with_the_true_rig_finds_everybody():
     made = scene()
-    found = match(
-        recording(), lifted(), made.rig, MatchingConfig(), PairwiseConfig(), progress=silent
-    )
+    found = associate(recording(), lifted(), made.rig, Config(), progress=silent)
     assert precision(found.labels, made.identity) > 0.995
     people = made.identity >= 0
     assert (found.labels[people] >= 0).mean() > 0.97
@@ -325,9 +323,7 @@ def test_matching_with_the_true_rig_finds_everybody():
 
 
 def test_a_label_is_given_once_a_view_and_frame():
-    labels = match(
-        recording(), lifted(), scene().rig, MatchingConfig(), PairwiseConfig(), progress=silent
-    ).labels
+    labels = associate(recording(), lifted(), scene().rig, Config(), progress=silent).labels
     for k in range(labels.max() + 1):
         assert ((labels == k).sum(-1) <= 1).all()
         assert ((labels == k).sum((0, 2)) != 1).all()  # never in a single view
@@ -335,9 +331,7 @@ def test_a_label_is_given_once_a_view_and_frame():
 
 def test_individuals_keep_their_label_through_time():
     made = scene()
-    labels = match(
-        recording(), lifted(), made.rig, MatchingConfig(), PairwiseConfig(), progress=silent
-    ).labels
+    labels = associate(recording(), lifted(), made.rig, Config(), progress=silent).labels
     for person in range(3):
         own = labels[made.identity == person]
         own = own[own >= 0]
@@ -348,8 +342,7 @@ def test_matching_does_not_depend_on_the_unit_of_the_rig():
     rig = scene().rig
     in_mm = replace(rig, translation=1000 * rig.translation, unit="mm")
     first, second = (
-        match(recording(), lifted(), r, MatchingConfig(), PairwiseConfig(), progress=silent)
-        for r in (rig, in_mm)
+        associate(recording(), lifted(), r, Config(), progress=silent) for r in (rig, in_mm)
     )
     np.testing.assert_array_equal(first.labels, second.labels)
 

@@ -4,17 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import PEOPLE, precision, recording, rotation_errors_deg, scene, truth
+from scenes import PEOPLE, calibrate_group, precision, recording, rotation_errors_deg, scene, truth
 
-from mocap_calib.config import Config, MatchingConfig
+from mocap_calib.config import MatchingConfig
 from mocap_calib.multi_view.tracklets import fill_in, tracklets
-from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.synchronise import make_recording
-from mocap_calib.steerpose.checkpoint import load_lifter
-from mocap_calib.types import Calibration, silent
+from mocap_calib.types import GroupResult
 
 
-def tracked(people: int, *, swaps: float, seed: int) -> tuple[Calibration, np.ndarray, float]:
+def tracked(people: int, *, swaps: float, seed: int) -> tuple[GroupResult, np.ndarray, float]:
     """A run on tracks whose order is another in each view, and which are exchanged in a share of the frames, in stretches of ten.
 
     Returns the run, the identity of each detection and the largest error of the rig in degrees.
@@ -40,7 +38,7 @@ def tracked(people: int, *, swaps: float, seed: int) -> tuple[Calibration, np.nd
         files.append(replace(file, positions=positions, confidence=confidence, tracked=True))
         identities.append(identity)
     found = make_recording(files, made.rig.cameras, PEOPLE, {})
-    result = calibrate(found, load_lifter()[0], Config(), seed=0, device="cpu", progress=silent)
+    result = calibrate_group(found)
     return result, np.stack(identities), float(rotation_errors_deg(result.rig, made.rig).max())
 
 

@@ -35,8 +35,8 @@ from mocap_calib.recording.synchronise import (
     make_recording,
     meanings,
     name_mapping,
-    of_cameras,
     usable,
+    views_named,
 )
 from mocap_calib.two_view.solve import PairSolver
 from mocap_calib.types import (
@@ -158,7 +158,7 @@ def read_recording(
     """
     views = read_views(arguments, reading, single_precision=True)
     if placed:
-        views = of_cameras(views, cameras) or views
+        views = views_named(views, cameras) or views
     vocabulary, aliases = _asked(model, skeleton) if model else fitting(views, skeleton)
     recording = make_recording(views, cameras, vocabulary, aliases)
     alone = alone_in_naming(usable(views), meanings(usable(views), vocabulary, aliases))
@@ -295,8 +295,8 @@ def matches_of(path: str, recording: Recording) -> Matches:
 
 def placed(recording: Recording, rig: CameraRig) -> CameraRig:
     """The rig with the cameras of the recording alone, in their order."""
-    index = [rig.names.index(name) for name in recording.names]
-    return CameraRig(recording.cameras, rig.rotation[index], rig.translation[index], rig.unit)
+    found = rig.select(np.array([rig.names.index(name) for name in recording.names]))
+    return replace(found, cameras=recording.cameras)
 
 
 def lifted_sample(
@@ -304,12 +304,12 @@ def lifted_sample(
 ) -> tuple[Ints, Sample, LiftedPoses]:
     """The frames (indices) that calibration looks at, and their detections, lifted. Raises MismatchError where there is no such device."""
     from mocap_calib.config import SampleConfig
-    from mocap_calib.recording.sampling import informative, sample
+    from mocap_calib.recording.sampling import choose_sample_frames, take_sample
     from mocap_calib.steerpose.lift import lift
     from mocap_calib_cli.model import load_model
 
-    chosen = informative(recording, SampleConfig())
-    some = sample(recording, chosen)
+    chosen = choose_sample_frames(recording, SampleConfig())
+    some = take_sample(recording, chosen)
     return chosen, some, lift(some, load_model(device, model), device=device, progress=reporter)
 
 

@@ -15,12 +15,12 @@ from mocap_calib.io.atomic import folder, of_individual, replace_text
 from mocap_calib.io.cameras.own import format_calibration_toml, format_cameras_yaml
 from mocap_calib.io.results.pair_store import remembering
 from mocap_calib.io.results.results import matches_csv, poses_csv, write_poses_h5
-from mocap_calib.pipeline import calibrate_groups
+from mocap_calib.pipeline import calibrate
 from mocap_calib.report import run_report
 from mocap_calib.steerpose.checkpoint import digest
 from mocap_calib.steerpose.model import Lifter
 from mocap_calib.two_view.solve import PairSolver, pair_mapper
-from mocap_calib.types import Calibration, Mapper, Progress, Recording, silent
+from mocap_calib.types import CalibrationResult, GroupResult, Mapper, Progress, Recording, silent
 from mocap_calib_cli import inputs, outputs
 from mocap_calib_cli.model import NONE, check_device, load_model, use_threads
 from mocap_calib_cli.progress import Reporter
@@ -126,12 +126,12 @@ def read(order: Order, reporter: Reporter) -> Job:
 
 def solve(
     job: Job, *, progress: Progress = silent, mapper: Mapper | None = None
-) -> tuple[Calibration, ...]:
+) -> CalibrationResult:
     """Calibrates the groups of cameras of a recording; touches no file. Raises MismatchError and DegenerateError."""
     use_threads(1)  # such small networks are slower on more, and one is reproducible
     check_device(job.order.device)
     seed, device = job.order.seed, job.order.device
-    return calibrate_groups(
+    return calibrate(
         job.recording,
         job.lifter,
         Config(),
@@ -139,13 +139,13 @@ def solve(
         device=device,
         progress=progress,
         mapper=mapper,
-        solve=job.solver,
+        pair_solver=job.solver,
     )
 
 
 def solve_here(
     job: Job, *, progress: Progress = silent, mapper: Mapper | None = None
-) -> tuple[Calibration, ...]:
+) -> CalibrationResult:
     """`solve`, with the pairs kept beside the results until those are written: a run that is killed need not find them again."""
     try:
         store = remembering(
@@ -160,19 +160,19 @@ def solve_here(
         raise
 
 
-def write(job: Job, groups: tuple[Calibration, ...]) -> list[dict[str, Any]]:
+def write(job: Job, result: CalibrationResult) -> list[dict[str, Any]]:
     """Writes all files of a run, together or not at all, and returns what each group's run.json holds.
 
     What an earlier run found and this one did not, further groups and individuals and a rival rig, is taken away.
     """
-    order = job.order
+    order, groups = job.order, result.groups
     listed = [
         {"folder": group_folder(k), "cameras": list(found.rig.names)}
         for k, found in enumerate(groups)
     ]
     own = {"model": job.model, "solver": order.solver, "groups": listed}
     reports = [
-        run_report(found, seed=order.seed, config=Config(), inputs=job.hashes) | own
+        run_report(found, result, seed=order.seed, config=Config(), inputs=job.hashes) | own
         for found in groups
     ]
     with folder(order.output) as work:
@@ -201,11 +201,13 @@ def group_folder(group: int) -> str:
     return "." if group == 0 else f"group_{group + 1}"
 
 
-def _write_group(work: Path, found: Calibration, source: Mapping[str, Any]) -> None:
+def _write_group(work: Path, found: GroupResult, source: Mapping[str, Any]) -> None:
     (work / "cameras.yaml").write_text(format_cameras_yaml(found.rig, source), "utf-8")
     (work / "calibration.toml").write_text(format_calibration_toml(found.rig, source), "utf-8")
-    if found.rival is not None:
-        (work / _RIVAL).write_text(format_calibration_toml(found.rival, source), "utf-8")
+    if found.adjusted.depth_reversed_rig is not None:
+        (work / _RIVAL).write_text(
+            format_calibration_toml(found.adjusted.depth_reversed_rig, source), "utf-8"
+        )
     replace_text(work / "matches.csv", matches_csv(found.recording, found.matches))
     write_poses_h5(work / "poses3d.h5", found.poses, source)
     for individual in range(found.matches.individuals):

@@ -17,11 +17,11 @@ from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.epipolar import depths
 from mocap_calib.geometry.projection import rays_from_pixels
 from mocap_calib.multi_view.tracklets import fill_in
-from mocap_calib.multi_view.triangulation import within_frames
-from mocap_calib.recording.sampling import evenly, sample
+from mocap_calib.multi_view.triangulation import per_frame_labels
+from mocap_calib.recording.sampling import evenly, take_sample
 from mocap_calib.two_view.affinity import (
     ViewPair,
-    by_geometry,
+    epipolar_affinity,
     epipolar_error,
     epipolar_fit,
     match_affinity,
@@ -44,14 +44,8 @@ _CELLS = 200_000  # pairs of detections grouped at a time, so that they stay in 
 _FRAMES = 512  # placed at a time
 
 
-def match(
-    recording: Sample,
-    lifted: LiftedPoses,
-    rig: CameraRig,
-    config: MatchingConfig,
-    evidence: PairwiseConfig,
-    *,
-    progress: Progress,
+def associate(
+    recording: Sample, lifted: LiftedPoses, rig: CameraRig, config: Config, *, progress: Progress
 ) -> Matches:
     """Labels every detection with its individual, -1 where no second view confirms it.
 
@@ -59,18 +53,20 @@ def match(
     """
     views, frames, instances = recording.positions.shape[:3]
     labels = np.full((views, frames, instances), -1, dtype=np.int64)
-    scale = body_scale(recording, lifted, rig, evidence)
-    lone = single_subject(recording, config.lone) is not None
-    step = max(1, config.cells // (views * instances) ** 2)
+    scale = body_scale(recording, lifted, rig, config.pairwise)
+    lone = single_subject(recording, config.matching.lone) is not None
+    step = max(1, config.matching.cells // (views * instances) ** 2)
     for start in range(0, frames, step):
         block = np.arange(start, min(start + step, frames))
         affinity, comparable = _affinities(
-            recording, lifted, rig, scale, block, evidence, lone=lone
+            recording, lifted, rig, scale, block, config.pairwise, lone=lone
         )
-        labels[:, block] = _groups(affinity, comparable, views, config)
+        labels[:, block] = _groups(affinity, comparable, views, config.matching)
         progress("match", int(block[-1]) + 1, frames)
     return Matches(
-        _through_time(labels, _places(recording, rig, labels) * scale, recording.frames, config)
+        _through_time(
+            labels, _places(recording, rig, labels) * scale, recording.frames, config.matching
+        )
     )
 
 
@@ -81,7 +77,7 @@ def single_subject(recording: Sample, share: float = 0.5) -> Matches | None:
     return Matches(np.where(there & alone[:, None], 0, -1)) if alone.mean() >= share else None
 
 
-def match_everything(
+def label_all_frames(
     recording: Recording,
     chosen: Ints,
     matches: Matches,
@@ -98,13 +94,15 @@ def match_everything(
     """
     frames = len(recording.frames)
     labels = np.full(recording.positions.shape[:3], -1, dtype=np.int64)
-    labels[:, chosen, : matches.labels.shape[2]] = within_frames(matches).labels
+    labels[:, chosen, : matches.labels.shape[2]] = per_frame_labels(matches).labels
     rest = np.setdiff1d(np.arange(frames), chosen)
     step = max(1, _CELLS // labels[:, 0].size ** 2)
     blocks = [rest[start : start + step] for start in range(0, len(rest), step)]
 
     def work(block: Ints) -> Ints:
-        affinity, comparable = by_geometry(sample(recording, block), rig, config.pairwise)
+        affinity, comparable = epipolar_affinity(
+            take_sample(recording, block), rig, config.pairwise
+        )
         return _groups(affinity, comparable, len(labels), config.matching)
 
     for done, (block, group) in enumerate(zip(blocks, in_order(work, blocks), strict=True)):
@@ -308,10 +306,10 @@ def _presence(labels: Ints) -> Ints:
 
 def same_groups(first: Matches, second: Matches) -> bool:
     """Whether two labellings join the same detections in every frame, whatever they call them."""
-    return np.array_equal(within_frames(first).labels, within_frames(second).labels)
+    return np.array_equal(per_frame_labels(first).labels, per_frame_labels(second).labels)
 
 
-def settle(
+def finalise_identities(
     recording: Recording, rig: CameraRig, matches: Matches, config: MatchingConfig
 ) -> Matches:
     """The final names: no individuals of a moment, and as few as the recording needs.
@@ -332,7 +330,7 @@ def settle(
         )
     labels = np.where(np.append(real, False)[matches.labels], matches.labels, -1)
     named = _by_presence(
-        _renamed(labels, _places(recording, rig, within_frames(Matches(labels)).labels))
+        _renamed(labels, _places(recording, rig, per_frame_labels(Matches(labels)).labels))
     )
     return Matches(fill_in(recording, named, config))
 
@@ -351,7 +349,7 @@ def _renamed(labels: Ints, places: Floats) -> Ints:
     places: `[frame, group, 3]` of the groups numbered within their frames.
     """
     names, frames, _ = _appearances(labels)
-    group = within_frames(Matches(labels)).labels
+    group = per_frame_labels(Matches(labels)).labels
     where = np.zeros(
         (int(labels.max(initial=-1)) + 1, 2, 3)
     )  # first and last place of each individual

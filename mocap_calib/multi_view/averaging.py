@@ -5,8 +5,6 @@ Positions: all pairs see the same bodies, so each baseline comes with its length
 not one of directions; reweighted in the same way. A pair that breaks the loops loses its weight and is named.
 """
 
-from dataclasses import replace
-
 import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
@@ -38,18 +36,6 @@ def average(
     )
     return Averaged(
         rig, angle_between(found, relative), direction_angle(moved, baseline), kept / trust
-    )
-
-
-def of_cameras(
-    pairs: tuple[PairwiseCalibration, ...], cameras: Ints
-) -> tuple[PairwiseCalibration, ...]:
-    """The pairs among some cameras, renumbered to their order."""
-    place = {int(camera): k for k, camera in enumerate(cameras)}
-    return tuple(
-        replace(p, a=place[p.a], b=place[p.b], rivals=of_cameras(p.rivals, cameras))
-        for p in pairs
-        if p.a in place and p.b in place
     )
 
 

@@ -5,14 +5,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mocap_calib.config import AdjustConfig, TriangulateConfig
-from mocap_calib.errors import DegenerateError, LooseCameraError
+from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.multi_view.schur import Sightings, State, minimise
 from mocap_calib.multi_view.triangulation import (
     observations,
+    per_frame_labels,
     triangulate_rays,
     view_noise,
-    within_frames,
 )
 from mocap_calib.recording.sampling import evenly
 from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Matches, Sample
@@ -38,24 +38,24 @@ def adjust(
     config: AdjustConfig,
     triangulation: TriangulateConfig,
     *,
-    near: bool = False,
+    already_close: bool = False,
 ) -> CameraRig:
     """The rig that minimises the robust reprojection error; intrinsics stay, and so do the first camera and the size of the rig.
 
-    The loss is tightened in steps; `near` says that the rig has been adjusted before and only the last step is needed.
+    The loss is tightened in steps; `already_close` says that the rig has been adjusted before and only the last step is needed.
     Raises LooseCameraError of the camera that has the fewest points, too few to hold it.
     """
     if matches.individuals == 0:
         raise DegenerateError(
             "expected bodies that two views agree on, found none; check that the files belong to these cameras and to the same time"
         )
-    matches = within_frames(matches)  # who it is in other frames does not matter here
+    matches = per_frame_labels(matches)  # who it is in other frames does not matter here
     noise = view_noise(recording, rig, matches)
     seen = _observations(recording, rig, matches, noise, config, triangulation)
     _check_enough(rig, seen, config.least)
     sightings = _sightings(rig, seen, noise)
     state = State(rig.rotation, rig.translation, seen.points)
-    for loss_scale in () if near else config.loss_scales[:-1]:
+    for loss_scale in () if already_close else config.loss_scales[:-1]:
         state = minimise(state, sightings, loss_scale, settled=_ON_THE_WAY)
     state = minimise(state, sightings, config.loss_scales[-1])
     return _of_size(replace(rig, rotation=state.rotation, translation=state.translation), rig)
@@ -120,7 +120,9 @@ def _check_enough(rig: CameraRig, seen: Points, least: int) -> None:
     view = int(count.argmin())
     if count[view] < least:
         found = f"camera {rig.names[view]}: expected at least {least} keypoints that agree with other views, found {count[view]}"
-        raise LooseCameraError(f"{found}; leave it out or record longer", view)
+        raise UnderconstrainedCameraError(
+            f"{found}; leave it out or record longer", rig.names[view]
+        )
 
 
 def _sightings(rig: CameraRig, seen: Points, noise: Floats) -> Sightings:

@@ -50,7 +50,7 @@ def observations(recording: Recording, matches: Matches, frames: Ints) -> Observ
     return Observations(columns, rays, confidence.reshape(len(confidence), -1))
 
 
-def within_frames(matches: Matches) -> Matches:
+def per_frame_labels(matches: Matches) -> Matches:
     """The same groups, numbered from 0 in each frame by their first detection: what they are called elsewhere is forgotten."""
     labels = matches.labels
     flat = np.swapaxes(labels, 0, 1).reshape(labels.shape[1], -1)

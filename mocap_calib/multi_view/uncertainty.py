@@ -18,12 +18,11 @@ import numpy as np
 
 from mocap_calib.compute.parallel import in_order
 from mocap_calib.config import Config, TriangulateConfig
-from mocap_calib.errors import DegenerateError, LooseCameraError
+from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.multi_view.bundle_adjustment import adjust
 from mocap_calib.multi_view.triangulation import observations, project, triangulate_rays, view_noise
-from mocap_calib.recording.synchronise import select_rig, select_views
-from mocap_calib.types import Bools, CameraRig, Floats, Matches, Sample
+from mocap_calib.types import Bools, CameraRig, Floats, Matches, Sample, Uncertainty
 
 Verdict = Literal["well determined", "weak", "not determined"]
 _WELL_DEG, _WEAK_DEG = (
@@ -51,7 +50,19 @@ class Fit:
     perspective: Floats
 
 
-def disagreement(
+def assess_uncertainty(
+    sample: Sample, rig: CameraRig, matches: Matches, config: Config, *, seed: int
+) -> Uncertainty:
+    """Return how well the rig is determined by the sample, and which cameras stand out."""
+    fit = measure_fit(sample, rig, matches, config.triangulate)
+    return Uncertainty(
+        split_half_angle=split_half_angle(sample, rig, matches, config, seed=seed),
+        outlier_cameras=outlier_cameras(fit),
+        weak_perspective=weak_perspective(fit),
+    )
+
+
+def split_half_angle(
     recording: Sample, rig: CameraRig, matches: Matches, config: Config, *, seed: int
 ) -> Floats:
     """`[pair]` radians between the relative rotations of two rigs, each adjusted on half of the joints; RMS over several splits.
@@ -80,33 +91,36 @@ def _rotations(half: Sample, rig: CameraRig, matches: Matches, config: Config) -
         labels = Matches(matches.labels[held])
         try:
             found[held] = adjust(
-                select_views(half, held),
-                select_rig(rig, held),
+                half.select(views=held),
+                rig.select(held),
                 labels,
                 fewer,
                 config.triangulate,
-                near=True,
+                already_close=True,
             ).rotation
             break
-        except LooseCameraError as loose:
-            held = np.delete(held, loose.view)
+        except UnderconstrainedCameraError as loose:
+            held = np.array([v for v in held if rig.names[v] != loose.camera])
         except DegenerateError:
             break
     return found
 
 
-def verdict(difference: Floats, inconsistent: Bools) -> Verdict:
-    """What the disagreement `[pair]` means for the camera that is worst off, by its median; none is well determined where a camera contradicts."""
-    a, b = np.array(list(combinations(range(len(inconsistent)), 2))).T
+def verdict(split_half_angle: Floats, outlier_cameras: Bools) -> Verdict:
+    """What the split-half angle `[pair]` means for the camera that is worst off, by its median; none is well determined where a camera contradicts."""
+    a, b = np.array(list(combinations(range(len(outlier_cameras)), 2))).T
     worst = max(
-        float(np.median(difference[(a == view) | (b == view)])) for view in range(len(inconsistent))
+        float(np.median(split_half_angle[(a == view) | (b == view)]))
+        for view in range(len(outlier_cameras))
     )
-    if np.rad2deg(worst) > _WEAK_DEG or 2 * inconsistent.sum() > len(inconsistent):
+    if np.rad2deg(worst) > _WEAK_DEG or 2 * outlier_cameras.sum() > len(outlier_cameras):
         return "not determined"
-    return "weak" if np.rad2deg(worst) > _WELL_DEG or inconsistent.any() else "well determined"
+    return "weak" if np.rad2deg(worst) > _WELL_DEG or outlier_cameras.any() else "well determined"
 
 
-def fit(recording: Sample, rig: CameraRig, matches: Matches, config: TriangulateConfig) -> Fit:
+def measure_fit(
+    recording: Sample, rig: CameraRig, matches: Matches, config: TriangulateConfig
+) -> Fit:
     """Of all frames of the sample."""
     seen = observations(recording, matches, np.flatnonzero((matches.labels >= 0).any((0, 2))))
     noise = view_noise(recording, rig, matches)
@@ -141,7 +155,7 @@ def fit(recording: Sample, rig: CameraRig, matches: Matches, config: Triangulate
     )
 
 
-def inconsistent(found: Fit) -> Bools:
+def outlier_cameras(found: Fit) -> Bools:
     """`[view]` cameras whose errors are several times those of the others: out of step, moved, or with wrong intrinsics.
 
     Of two cameras both have the errors.
@@ -151,12 +165,12 @@ def inconsistent(found: Fit) -> Bools:
     return found.angle > _SEVERAL * np.array(others) if views > 2 else np.zeros(views, dtype=bool)
 
 
-def alike(first: Fit, second: Fit) -> bool:
+def fit_equally_well(first: Fit, second: Fit) -> bool:
     """Two rigs that fit as well: what was seen does not tell which one is right."""
     return max(first.misfit, second.misfit) <= _ALIKE * min(first.misfit, second.misfit)
 
 
-def near_affine(found: Fit) -> Bools:
+def weak_perspective(found: Fit) -> Bools:
     """`[view]` cameras so far away, for the size of what they see, that perspective drowns in the noise."""
     return found.perspective < found.noise
 

@@ -33,12 +33,12 @@ class _Modes:
     prior: Floats
 
 
-def choose_modes(
+def select_hypotheses(
     pairs: tuple[PairwiseCalibration, ...], config: AveragingConfig
 ) -> tuple[PairwiseCalibration, ...]:
     """Each pair with the mode that it and its loops support best, the others as its rivals; a mode too poor to be evidence is not taken."""
     triangles = _triangles(pairs)
-    if not len(triangles) or not any(pair.rivals for pair in pairs):
+    if not len(triangles) or not any(pair.alternatives for pair in pairs):
         return pairs
     modes = _gather(pairs, config.least_score)
     closure = _closure(modes, triangles, config)
@@ -51,9 +51,9 @@ def choose_modes(
     )
 
 
-def rival_taken(pair: PairwiseCalibration) -> bool:
+def alternative_taken(pair: PairwiseCalibration) -> bool:
     """Whether the loops overruled the score of the pair itself."""
-    return any(rival.score > pair.score for rival in pair.rivals)
+    return any(rival.score > pair.score for rival in pair.alternatives)
 
 
 def usable_cameras(
@@ -106,6 +106,18 @@ def camera_groups(
     return tuple(sorted(groups, key=lambda members: (-len(members), members[0])))
 
 
+def pairs_among(
+    pairs: tuple[PairwiseCalibration, ...], cameras: Ints
+) -> tuple[PairwiseCalibration, ...]:
+    """The pairs among some cameras, renumbered to their order."""
+    place = {int(camera): k for k, camera in enumerate(cameras)}
+    return tuple(
+        replace(p, a=place[p.a], b=place[p.b], alternatives=pairs_among(p.alternatives, cameras))
+        for p in pairs
+        if p.a in place and p.b in place
+    )
+
+
 def _closes(pairs: tuple[PairwiseCalibration, ...], config: AveragingConfig) -> Bools:
     """`[pair]` whether it closes a triangle with two others that are evidence."""
     closes = np.zeros(len(pairs), dtype=bool)
@@ -114,16 +126,16 @@ def _closes(pairs: tuple[PairwiseCalibration, ...], config: AveragingConfig) -> 
     if len(triangles):
         triangles = triangles[evidence[triangles].all(1)]
         closure = _closure(
-            _gather(tuple(replace(p, rivals=()) for p in pairs), 0.0), triangles, config
+            _gather(tuple(replace(p, alternatives=()) for p in pairs), 0.0), triangles, config
         )[:, 0, 0, 0]
         closes[triangles[closure >= _CLOSED].ravel()] = True
     return closes
 
 
 def _with_mode(pair: PairwiseCalibration, chosen: int) -> PairwiseCalibration:
-    modes = pair.modes
-    others = (replace(mode, rivals=()) for k, mode in enumerate(modes) if k != chosen)
-    return replace(modes[chosen], rivals=tuple(sorted(others, key=lambda mode: -mode.score)))
+    modes = pair.hypotheses
+    others = (replace(mode, alternatives=()) for k, mode in enumerate(modes) if k != chosen)
+    return replace(modes[chosen], alternatives=tuple(sorted(others, key=lambda mode: -mode.score)))
 
 
 def _triangles(pairs: tuple[PairwiseCalibration, ...]) -> Ints:
@@ -139,12 +151,12 @@ def _triangles(pairs: tuple[PairwiseCalibration, ...]) -> Ints:
 
 
 def _gather(pairs: tuple[PairwiseCalibration, ...], least: float) -> _Modes:
-    count = max(len(pair.modes) for pair in pairs)
+    count = max(len(pair.hypotheses) for pair in pairs)
     rotation = np.tile(np.eye(3), (len(pairs), count, 1, 1))
     translation, score = np.zeros((len(pairs), count, 3)), np.zeros((len(pairs), count))
     for k, pair in enumerate(pairs):
-        best = max(mode.score for mode in pair.modes)
-        for m, mode in enumerate(pair.modes):
+        best = max(mode.score for mode in pair.hypotheses)
+        for m, mode in enumerate(pair.hypotheses):
             forward = mode.a < mode.b
             rotation[k, m] = mode.rotation if forward else mode.rotation.T
             translation[k, m] = mode.translation if forward else -mode.rotation.T @ mode.translation

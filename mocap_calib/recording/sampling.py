@@ -10,7 +10,6 @@ import numpy as np
 
 from mocap_calib.config import SampleConfig
 from mocap_calib.geometry.projection import rays_from_pixels
-from mocap_calib.recording.synchronise import slice_frames
 from mocap_calib.types import Bools, Floats, Ints, Recording, Sample
 
 _CANDIDATES = 4  # frames looked at for each that is chosen
@@ -25,9 +24,9 @@ def evenly(values: Ints, count: int) -> Ints:
     return values[np.linspace(0, len(values) - 1, min(len(values), count)).astype(int)]
 
 
-def sample(recording: Recording, index: Ints | slice) -> Sample:
+def take_sample(recording: Recording, index: Ints | slice) -> Sample:
     """The frames with these indices, in double precision and with their rays; as many instances as these frames show."""
-    part = slice_frames(recording, index)
+    part = recording.select(frames=index)
     shown = np.flatnonzero(np.isfinite(part.positions).any((0, 1, 3, 4))).max(initial=0) + 1
     positions, confidence = part.positions[:, :, :shown], part.confidence[:, :, :shown]
     rays = np.stack(
@@ -42,7 +41,7 @@ def sample(recording: Recording, index: Ints | slice) -> Sample:
     )
 
 
-def informative(recording: Recording, config: SampleConfig) -> Ints:
+def choose_sample_frames(recording: Recording, config: SampleConfig) -> Ints:
     """Indices of the frames that calibration looks at, ascending: all that are not overcrowded, or as many as the budget allows.
 
     Chosen one by one, each the one that adds most to what the others show: places in each image, sizes of bodies (near and
@@ -52,7 +51,7 @@ def informative(recording: Recording, config: SampleConfig) -> Ints:
     crowd = np.isfinite(recording.positions[..., 0]).any(-1).sum(-1).max(0)  # (frame)
     every = np.flatnonzero(crowd <= _CROWD * np.quantile(crowd, 0.9) + _CROWD)
     candidates = evenly(every, _CANDIDATES * config.frames)
-    shown = _shown(slice_frames(recording, candidates))
+    shown = _shown(recording.select(frames=candidates))
     detections = np.isfinite(recording.positions[:, candidates, :, :, 0]).any(-1).sum() / len(
         candidates
     )

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TypeVar
 
 import numpy as np
 
@@ -13,16 +12,12 @@ from mocap_calib.recording.joints import match_names, normalise_name
 from mocap_calib.types import (
     Bools,
     Camera,
-    CameraRig,
     Ints,
     Keypoints2D,
-    LiftedPoses,
     Reals,
     Recording,
     Skeleton,
 )
-
-Some = TypeVar("Some", bound=Recording)
 
 LEAST_JOINTS = 4  # that show how a body is turned
 _CROWD = 0.2  # share of images with several detections; below it they are false ones
@@ -125,7 +120,7 @@ def name_mapping(views: Sequence[Keypoints2D], cameras: Sequence[Camera]) -> lis
     return pairs
 
 
-def of_cameras(views: Sequence[Keypoints2D], cameras: Sequence[Camera]) -> tuple[Keypoints2D, ...]:
+def views_named(views: Sequence[Keypoints2D], cameras: Sequence[Camera]) -> tuple[Keypoints2D, ...]:
     """The views whose name is one of the cameras', as `name_mapping` compares them."""
     known = {_folded(camera.name) for camera in cameras}
     return tuple(view for view in views if _folded(view.camera) in known)
@@ -139,40 +134,6 @@ def _folded(name: str) -> str:
 def usable(views: Sequence[Keypoints2D]) -> tuple[Keypoints2D, ...]:
     """The views that have any detection; the others take no part in a recording."""
     return tuple(view for view in views if np.isfinite(view.positions).any())
-
-
-def slice_frames(recording: Some, index: Ints | slice) -> Some:
-    """The recording at the frames with these indices (not numbers), or where a mask of frames is true."""
-    parts = {
-        name: getattr(recording, name)[:, index]
-        for name in ("positions", "confidence", "rays")
-        if hasattr(recording, name)
-    }
-    return replace(recording, frames=recording.frames[index], **parts)
-
-
-def select_views(recording: Some, views: Ints) -> Some:
-    """The recording with these views (indices) alone, in this order."""
-    if np.array_equal(views, np.arange(len(recording.cameras))):
-        return recording  # a long one is not copied
-    parts = {
-        name: getattr(recording, name)[views]
-        for name in ("positions", "confidence", "rays", "tracked")
-        if hasattr(recording, name)
-    }
-    return replace(recording, cameras=tuple(recording.cameras[v] for v in views), **parts)
-
-
-def select_rig(rig: CameraRig, views: Ints) -> CameraRig:
-    """The rig of these cameras (indices) alone, in this order."""
-    return CameraRig(
-        tuple(rig.cameras[v] for v in views), rig.rotation[views], rig.translation[views], rig.unit
-    )
-
-
-def select_lifted(lifted: LiftedPoses, views: Ints) -> LiftedPoses:
-    """The lifted poses of these views (indices) alone, in this order."""
-    return LiftedPoses(lifted.body[views], lifted.centre[views], lifted.spread[views])
 
 
 def check_pixels(view: Keypoints2D) -> None:

@@ -184,7 +184,9 @@ def match_affinity(
     return epipolar * np.where(pair.lifted > 0, bodies, 0.3 if pair.lifted.any() else 1.0)
 
 
-def by_geometry(some: Sample, rig: CameraRig, config: PairwiseConfig) -> tuple[Floats, Floats]:
+def epipolar_affinity(
+    some: Sample, rig: CameraRig, config: PairwiseConfig
+) -> tuple[Floats, Floats]:
     """Affinity of all pairs of detections of a frame `[frame, N, N]`, N = views x instances, by the rig alone; and 1 where it means something.
 
     `epipolar_fit` written out for one rig and many frames: by component, and nothing is kept by keypoint.

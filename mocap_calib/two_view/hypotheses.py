@@ -17,22 +17,22 @@ _CELLS = 2_000_000  # hypotheses x possible matches scored at a time
 
 
 @dataclass(frozen=True)
-class Modes:
+class Hypotheses:
     """Rival relative poses of one pair. rotation: `[M, 3, 3]`, translation: `[M, 3]` in body sizes, source: `[M]`."""
 
     rotation: Floats
     translation: Floats
     source: tuple[str, ...]
 
-    def __getitem__(self, index: Ints) -> "Modes":
-        return Modes(
+    def __getitem__(self, index: Ints) -> "Hypotheses":
+        return Hypotheses(
             self.rotation[index], self.translation[index], tuple(self.source[k] for k in index)
         )
 
 
-def proposals(
+def generate_hypotheses(
     pair: ViewPair, tracked: bool, config: PairwiseConfig, rng: np.random.Generator
-) -> Modes:
+) -> Hypotheses:
     """Modes of the search over lifted poses, and of five-point RANSAC where it is known who is who."""
     modes = _search(pair, config, rng)
     for frame, i, j in _known_identities(pair, tracked):
@@ -53,14 +53,14 @@ def _known_identities(pair: ViewPair, tracked: bool) -> list[tuple[Ints, Ints, I
     return [(single, there_a[single].argmax(1), there_b[single].argmax(1))]
 
 
-def _search(pair: ViewPair, config: PairwiseConfig, rng: np.random.Generator) -> Modes:
+def _search(pair: ViewPair, config: PairwiseConfig, rng: np.random.Generator) -> Hypotheses:
     """Closed-form rotations of candidate matches, scored against all frames; the best well-separated modes.
 
     Half of the hypotheses are the candidates whose bodies agree best, half are drawn at random.
     """
     frame, i, j = np.nonzero(pair.lifted)
     if len(frame) == 0:
-        return Modes(np.zeros((0, 3, 3)), np.zeros((0, 3)), ())
+        return Hypotheses(np.zeros((0, 3, 3)), np.zeros((0, 3)), ())
     rotation = nearest_rotation(np.swapaxes(pair.cross[frame, i, j], -1, -2))
     own = pair.norm[frame, i, j] - 2 * np.einsum("nij,nji->n", rotation, pair.cross[frame, i, j])
     half = config.hypotheses // 2
@@ -77,7 +77,7 @@ def _search(pair: ViewPair, config: PairwiseConfig, rng: np.random.Generator) ->
         [_support(agreement(pair, rotation[p], translation[p], config)) for p in parts]
     )
     keep = separated(rotation, support, config.modes, np.deg2rad(config.mode_separation_deg))
-    modes = Modes(rotation[keep], translation[keep], ("lifted",) * len(keep))
+    modes = Hypotheses(rotation[keep], translation[keep], ("lifted",) * len(keep))
     for _ in range(config.rounds):
         modes = _procrustes(pair, modes, config)
     return modes[
@@ -107,7 +107,7 @@ def separated(rotation: Floats, support: Floats, count: int, gap: float) -> Ints
     return order[keep]
 
 
-def _procrustes(pair: ViewPair, modes: Modes, config: PairwiseConfig) -> Modes:
+def _procrustes(pair: ViewPair, modes: Hypotheses, config: PairwiseConfig) -> Hypotheses:
     """One turn of matching and of weighted Procrustes on the matched bodies, all modes at once."""
     agree = agreement(pair, modes.rotation, modes.translation, config)
     weight = agree * mutual_best(sinkhorn(agree, dummy=0.1), least=0.05)
@@ -128,7 +128,7 @@ def _procrustes(pair: ViewPair, modes: Modes, config: PairwiseConfig) -> Modes:
 
 def _from_five_points(
     pair: ViewPair, frame: Ints, i: Ints, j: Ints, rng: np.random.Generator
-) -> Modes:
+) -> Hypotheses:
     """Five-point RANSAC (Nister 2004) on subsets of matches that are known to be right."""
     rotations, translations = [], []
     for _ in range(3):
@@ -141,15 +141,15 @@ def _from_five_points(
         ):
             rotations.append(rotation)
             translations.append(translation)
-    return Modes(
+    return Hypotheses(
         np.reshape(rotations, (-1, 3, 3)),
         np.reshape(translations, (-1, 3)),
         ("five-point",) * len(rotations),
     )
 
 
-def _join(first: Modes, second: Modes) -> Modes:
-    return Modes(
+def _join(first: Hypotheses, second: Hypotheses) -> Hypotheses:
+    return Hypotheses(
         np.concatenate([first.rotation, second.rotation]),
         np.concatenate([first.translation, second.translation]),
         first.source + second.source,

@@ -30,7 +30,7 @@ from mocap_calib.two_view.affinity import (
     view_pair,
 )
 from mocap_calib.two_view.assignment import mutual_best, sinkhorn
-from mocap_calib.two_view.hypotheses import Modes, proposals, separated
+from mocap_calib.two_view.hypotheses import Hypotheses, generate_hypotheses, separated
 from mocap_calib.two_view.posterior import most_probable
 from mocap_calib.two_view.refine import refine_two_view
 from mocap_calib.types import (
@@ -132,7 +132,7 @@ def in_recording(
         replace(
             p,
             matches=np.column_stack([chosen[p.matches[:, 0]], p.matches[:, 1:]]),
-            rivals=in_recording(p.rivals, chosen),
+            alternatives=in_recording(p.alternatives, chosen),
         )
         for p in pairs
     )
@@ -160,15 +160,15 @@ def calibrate_pair(problem: PairProblem, config: PairwiseConfig) -> PairwiseCali
     pair, rng = problem.pair, problem.rng
     if problem.frames == 0:
         return None
-    modes = proposals(pair, problem.tracked, config, rng)
+    modes = generate_hypotheses(pair, problem.tracked, config, rng)
     if len(modes.rotation) == 0:
         return None
     modes, score = _weigh_all(pair, *_refine_modes(pair, modes, config, rng), config, rng)
     apart = separated(
         modes.rotation, score.total, config.finalists, np.deg2rad(config.mode_separation_deg)
     )
-    best, *rivals = (_mode(problem, modes, score, int(k)) for k in apart)
-    return replace(best, rivals=tuple(rivals))
+    best, *alternatives = (_mode(problem, modes, score, int(k)) for k in apart)
+    return replace(best, alternatives=tuple(alternatives))
 
 
 def judge_pair(
@@ -181,11 +181,11 @@ def judge_pair(
 ) -> PairwiseCalibration:
     """A relative pose and matches `[frame, I, J]` that were found in another way, with a baseline in body sizes and judged by the same yardstick."""
     translation = _with_baseline(problem.pair, rotation, translation, matched)
-    score = _score(problem.pair, Modes(rotation[None], translation[None], (source,)), config)
+    score = _score(problem.pair, Hypotheses(rotation[None], translation[None], (source,)), config)
     return _calibration(problem, rotation, translation, matched, score, source)
 
 
-def _mode(problem: PairProblem, modes: Modes, score: Score, k: int) -> PairwiseCalibration:
+def _mode(problem: PairProblem, modes: Hypotheses, score: Score, k: int) -> PairwiseCalibration:
     """One of the modes, with a baseline in body sizes."""
     rotation, matched = modes.rotation[k], score.matched[k]
     translation = _with_baseline(problem.pair, rotation, modes.translation[k], matched)
@@ -224,8 +224,8 @@ def _shared_frames(recording: Sample, a: int, b: int) -> Ints:
 
 
 def _refine_modes(
-    pair: ViewPair, modes: Modes, config: PairwiseConfig, rng: np.random.Generator
-) -> tuple[Modes, Score]:
+    pair: ViewPair, modes: Hypotheses, config: PairwiseConfig, rng: np.random.Generator
+) -> tuple[Hypotheses, Score]:
     """Turns of matching and robust refinement; a mode keeps its last state that its own evidence did not contradict."""
     score = _score(pair, modes, config)
     for turn in range(config.rounds):
@@ -238,8 +238,12 @@ def _refine_modes(
 
 
 def _weigh_all(
-    pair: ViewPair, modes: Modes, score: Score, config: PairwiseConfig, rng: np.random.Generator
-) -> tuple[Modes, Score]:
+    pair: ViewPair,
+    modes: Hypotheses,
+    score: Score,
+    config: PairwiseConfig,
+    rng: np.random.Generator,
+) -> tuple[Hypotheses, Score]:
     """The modes where rays and lifted bodies together put them."""
     rotation, translation = modes.rotation.copy(), modes.translation.copy()
     for m, matched in enumerate(score.matched):
@@ -254,8 +258,8 @@ def _weigh_all(
 
 
 def _better(
-    pair: ViewPair, after: Modes, before: Modes, score: Score, config: PairwiseConfig
-) -> tuple[Modes, Score]:
+    pair: ViewPair, after: Hypotheses, before: Hypotheses, score: Score, config: PairwiseConfig
+) -> tuple[Hypotheses, Score]:
     """Each mode as it is after a step, or as it was before where the step lowers its score."""
     scored = _score(pair, after, config)
     better = scored.total >= score.total
@@ -284,7 +288,7 @@ def _choose(better: Bools, after: Score, before: Score) -> Score:
     return _map(pick, after, before)
 
 
-def _score(pair: ViewPair, modes: Modes, config: PairwiseConfig) -> Score:
+def _score(pair: ViewPair, modes: Hypotheses, config: PairwiseConfig) -> Score:
     """Matches each mode's detections by all the evidence, and says how much of what could be matched it explains.
 
     total = share of detections matched x share of joints that fit the epipolar geometry x share of joints in front of both cameras x
@@ -314,7 +318,7 @@ def _score(pair: ViewPair, modes: Modes, config: PairwiseConfig) -> Score:
     return Score(matched, explained * ahead * lifted, explained, ahead, residual)
 
 
-def _in_front(pair: ViewPair, modes: Modes, matched: Bools) -> Floats:
+def _in_front(pair: ViewPair, modes: Hypotheses, matched: Bools) -> Floats:
     """`[M]` share of the matched joints that lie in front of both cameras."""
     share = np.zeros(len(matched))
     for m, (rotation, translation) in enumerate(
@@ -337,8 +341,12 @@ def _matched_rays(pair: ViewPair, matched: Bools) -> tuple[Floats, Floats, Float
 
 
 def _on_rays(
-    pair: ViewPair, modes: Modes, matched: Bools, config: PairwiseConfig, rng: np.random.Generator
-) -> Modes:
+    pair: ViewPair,
+    modes: Hypotheses,
+    matched: Bools,
+    config: PairwiseConfig,
+    rng: np.random.Generator,
+) -> Hypotheses:
     """Robust refinement of each mode on the rays of its own matches, all modes in one batch of equal size."""
     own = [_matched_rays(pair, one) for one in matched]
     count, size = len(own), min(config.points, max(len(rays[0]) for rays in own))

@@ -44,8 +44,8 @@ def command(
     from mocap_calib.config import Config
     from mocap_calib.io.cameras.own import format_cameras_yaml
     from mocap_calib.io.results.results import matches_csv
-    from mocap_calib.multi_view.association import settle
-    from mocap_calib.pipeline import adjust_to_fixed_point, match_all
+    from mocap_calib.multi_view.association import body_scale, finalise_identities, label_all_frames
+    from mocap_calib.multi_view.refinement import adjust_until_stable
     from mocap_calib.types import Matches
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.progress import Reporter
@@ -59,22 +59,24 @@ def command(
         )
         start, labels = inputs.placed(recording, cameras), inputs.matches_of(matches, recording)
         chosen, some, lifted = inputs.lifted_sample(recording, network, device, reporter)
-        found = adjust_to_fixed_point(
+        found = adjust_until_stable(
             some, lifted, start, Matches(labels.labels[:, chosen]), Config(), progress=reporter
         )
         if matches_out is not None:
-            everyone = match_all(
+            everyone = label_all_frames(
                 recording,
                 chosen,
-                some,
-                lifted,
-                found.rig,
                 found.matches,
+                found.rig,
                 Config(),
+                scale=body_scale(some, lifted, found.rig, Config().pairwise),
                 progress=reporter,
             )
             outputs.write_text(
                 matches_out,
-                matches_csv(recording, settle(recording, found.rig, everyone, Config().matching)),
+                matches_csv(
+                    recording,
+                    finalise_identities(recording, found.rig, everyone, Config().matching),
+                ),
             )
     outputs.write_text(output, [format_cameras_yaml(found.rig, outputs.provenance("adjust"))])

@@ -1,7 +1,5 @@
 """mocap-calib average: pairs to one rig."""
 
-import sys
-
 import click
 
 from mocap_calib_cli import options
@@ -27,8 +25,8 @@ def command(pairs: str, output: str, quiet: bool) -> None:
     from mocap_calib.io.cameras.own import format_cameras_yaml
     from mocap_calib.io.file import decode, read_bytes
     from mocap_calib.io.results.results import pairs_from_json
-    from mocap_calib.multi_view.averaging import average, of_cameras
-    from mocap_calib.multi_view.view_graph import choose_modes, usable_cameras
+    from mocap_calib.multi_view.averaging import average
+    from mocap_calib.multi_view.view_graph import pairs_among, select_hypotheses, usable_cameras
     from mocap_calib_cli import inputs, outputs
 
     outputs.check_text(output)
@@ -38,13 +36,12 @@ def command(pairs: str, output: str, quiet: bool) -> None:
         else decode(read_bytes(Path(pairs)), pairs)
     )
     found, cameras = pairs_from_json(text, "stdin" if pairs == options.STDIO else pairs)
-    found = choose_modes(found, AveragingConfig())
+    found = select_hypotheses(found, AveragingConfig())
     kept = usable_cameras(cameras, found, AveragingConfig())
     left_out = [camera.name for k, camera in enumerate(cameras) if k not in kept]
     if left_out and not quiet:
-        print(
-            f"left out, no other camera confirms what they see: {', '.join(left_out)}",
-            file=sys.stderr,
-        )  # noqa: T201
-    averaged = average(tuple(cameras[k] for k in kept), of_cameras(found, kept), AveragingConfig())
+        click.echo(
+            f"left out, no other camera confirms what they see: {', '.join(left_out)}", err=True
+        )
+    averaged = average(tuple(cameras[k] for k in kept), pairs_among(found, kept), AveragingConfig())
     outputs.write_text(output, [format_cameras_yaml(averaged.rig, outputs.provenance("average"))])

@@ -12,11 +12,11 @@ import click
 from mocap_calib_cli import options
 
 if TYPE_CHECKING:
-    from mocap_calib.types import Calibration
+    from mocap_calib.types import CalibrationResult
     from mocap_calib_cli.jobs import Job, Order
     from mocap_calib_cli.progress import Reporter
 
-    Groups = tuple[Calibration, ...]
+    Groups = CalibrationResult
 
 Outcome = dict[str, Any]
 

@@ -51,7 +51,7 @@ def command(
 
     from mocap_calib.errors import MismatchError
     from mocap_calib.io.keypoints.formats import write_keypoints
-    from mocap_calib.recording.sampling import sample
+    from mocap_calib.recording.sampling import take_sample
     from mocap_calib.steerpose.completion import completed
     from mocap_calib.steerpose.lift import lift
     from mocap_calib.types import Keypoints2D
@@ -68,7 +68,7 @@ def command(
             raise MismatchError(
                 f"expected at least 4 joints that a model knows, found {', '.join(recording.keypoints)}; map them with --skeleton"
             )
-        some = sample(recording, slice(None))
+        some = take_sample(recording, slice(None))
         positions, confidence = completed(
             some, lift(some, load_model(device, network), device=device, progress=reporter)
         )

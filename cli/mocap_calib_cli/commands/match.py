@@ -35,8 +35,7 @@ def command(
     """
     from mocap_calib.config import Config
     from mocap_calib.io.results.results import matches_csv
-    from mocap_calib.multi_view.association import match
-    from mocap_calib.pipeline import match_all
+    from mocap_calib.multi_view.association import associate, body_scale, label_all_frames
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.progress import Reporter
 
@@ -48,8 +47,14 @@ def command(
         )
         chosen, some, lifted = inputs.lifted_sample(recording, network, device, reporter)
         start = inputs.placed(recording, cameras)
-        within = match(some, lifted, start, Config().matching, Config().pairwise, progress=reporter)
-        found = match_all(
-            recording, chosen, some, lifted, start, within, Config(), progress=reporter
+        within = associate(some, lifted, start, Config(), progress=reporter)
+        found = label_all_frames(
+            recording,
+            chosen,
+            within,
+            start,
+            Config(),
+            scale=body_scale(some, lifted, start, Config().pairwise),
+            progress=reporter,
         )
     outputs.write_text(output, matches_csv(recording, found))

@@ -9,7 +9,7 @@ import click
 from mocap_calib_cli import options
 
 if TYPE_CHECKING:
-    from mocap_calib.types import Calibration
+    from mocap_calib.types import GroupResult
     from mocap_calib_cli.progress import Reporter
 
 _FILES = ("cameras.yaml", "calibration.toml", "matches.csv", "poses3d.h5", "run.json")
@@ -91,8 +91,9 @@ def command(
             jobs.Order(keypoints, cameras, skeleton, model, solver, seed, device, output, reading),
             reporter,
         )
-        groups = jobs.solve_here(job, progress=reporter, mapper=there)
-    reports = jobs.write(job, groups)
+        result = jobs.solve_here(job, progress=reporter, mapper=there)
+    reports = jobs.write(job, result)
+    groups = result.groups
     if len(groups) > 1:
         names = " | ".join(", ".join(found.rig.names) for found in groups)
         reporter.say(
@@ -108,16 +109,16 @@ def command(
                 here, found.rig, poses, formats, outputs.provenance("run", seed=seed)
             )
         )
-    if groups[0].left_out:
+    if result.left_out:
         reporter.say(
-            f"left out, no other camera confirms what they see: {', '.join(groups[0].left_out)}"
+            f"left out, no other camera confirms what they see: {', '.join(result.left_out)}"
         )
     if as_json:
         click.echo(json.dumps(reports[0], indent=1, allow_nan=False))
 
 
 def _summarise(
-    reporter: "Reporter", found: "Calibration", report: dict[str, Any], output: Path
+    reporter: "Reporter", found: "GroupResult", report: dict[str, Any], output: Path
 ) -> None:
     """What a person wants to see at the end, on stderr."""
     from mocap_calib.config import Config
@@ -137,7 +138,7 @@ def _summarise(
         "", *table(["camera", "detections", "matched", "median px", "95 % px", "support"], rows)
     )
     for pair in report["pairs"]:
-        if pair["rival_taken"]:
+        if pair["alternative_taken"]:
             reporter.say(
                 f"pair {pair['a']}-{pair['b']}: a rival of its own best answer was taken, the one that the cameras between confirm"
             )
@@ -150,9 +151,9 @@ def _summarise(
         reporter.say(
             f"weak: {', '.join(weak)} (support below {Config().averaging.weak_score}, good recordings have 0.7 and more): do not trust it without a check"
         )
-    if not found.converged:
+    if not found.adjusted.converged:
         reporter.say(
-            f"matches still changed after {found.rounds} rounds of adjustment; look at matches.csv with care"
+            f"matches still changed after {found.adjusted.rounds} rounds of adjustment; look at matches.csv with care"
         )
     odd = [camera["name"] for camera in report["cameras"] if camera["inconsistent"]]
     if odd:
@@ -171,7 +172,7 @@ def _summarise(
             f"translation not observable: {', '.join(affine)} so far away or of such long focal length that images show no perspective; "
             "distances follow from the focal lengths alone"
         )
-    if found.rival is not None:
+    if found.adjusted.depth_reversed_rig is not None:
         reporter.say(
             f"a rig reversed in depth fits as well, nothing seen tells which is right: it is in {output / _REVERSED}"
         )

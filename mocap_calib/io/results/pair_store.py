@@ -59,10 +59,12 @@ def _encoded(pair: PairwiseCalibration | None) -> bytes:
 
 def _fields(pair: PairwiseCalibration) -> dict[str, Any]:
     own = {
-        field.name: getattr(pair, field.name) for field in fields(pair) if field.name != "rivals"
+        field.name: getattr(pair, field.name)
+        for field in fields(pair)
+        if field.name != "alternatives"
     }
     return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in own.items()} | {
-        "rivals": [_fields(rival) for rival in pair.rivals]
+        "alternatives": [_fields(rival) for rival in pair.alternatives]
     }
 
 
@@ -77,7 +79,11 @@ def _pair(stored: dict[str, Any]) -> PairwiseCalibration:
         np.array(stored.pop("translation"), np.float64),
     )
     matches = np.array(stored.pop("matches"), np.int64).reshape(-1, 3)
-    rivals = tuple(map(_pair, stored.pop("rivals")))
+    alternatives = tuple(map(_pair, stored.pop("alternatives")))
     return PairwiseCalibration(
-        **stored, rotation=rotation, translation=translation, matches=matches, rivals=rivals
+        **stored,
+        rotation=rotation,
+        translation=translation,
+        matches=matches,
+        alternatives=alternatives,
     )

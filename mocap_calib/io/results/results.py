@@ -275,7 +275,7 @@ def pairs_to_json(pairs: Sequence[PairwiseCalibration], cameras: Sequence[Camera
     """The calibrated pairs with their cameras, which is all that averaging needs; NaN is written as null."""
     entries = [
         _pair_fields(pair, cameras)
-        | {"rivals": [_pair_fields(rival, cameras) for rival in pair.rivals]}
+        | {"alternatives": [_pair_fields(rival, cameras) for rival in pair.alternatives]}
         for pair in pairs
     ]
     head = {
@@ -301,8 +301,8 @@ def _pair_fields(pair: PairwiseCalibration, cameras: Sequence[Camera]) -> dict[s
     """All but the rivals."""
     fields = {
         k: v.tolist() if isinstance(v, np.ndarray) else v
-        for k, v in asdict(replace(pair, rivals=())).items()
-        if k != "rivals"
+        for k, v in asdict(replace(pair, alternatives=())).items()
+        if k != "alternatives"
     }
     fields |= {"a": cameras[pair.a].name, "b": cameras[pair.b].name}
     return {
@@ -350,8 +350,8 @@ def _pair(fields: Mapping[str, Any], index: Mapping[str, int], source: str) -> P
         np.nan if fields[k] is None else float(fields[k]) for k in ("score", "residual", "in_front")
     )
     ends = index[fields["a"]], index[fields["b"]]
-    rivals = tuple(_pair(rival, index, source) for rival in fields.get("rivals", []))
-    if any({rival.a, rival.b} != set(ends) for rival in rivals):
+    alternatives = tuple(_pair(rival, index, source) for rival in fields.get("alternatives", []))
+    if any({rival.a, rival.b} != set(ends) for rival in alternatives):
         raise malformed(
             source,
             "rivals of the same two cameras",
@@ -368,5 +368,5 @@ def _pair(fields: Mapping[str, Any], index: Mapping[str, int], source: str) -> P
         residual,
         in_front,
         str(fields["source"]),
-        rivals,
+        alternatives,
     )

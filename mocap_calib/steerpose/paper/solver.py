@@ -7,7 +7,7 @@ as if it were alone.
 
 import copy
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -143,13 +143,7 @@ def solve_pairs(
         ):
             before = best[k]
             better = before is None or found.error < before.error
-            best[k] = (
-                found
-                if better
-                else PaperSolution(
-                    before.rotation, before.translation, before.matches, before.error, number
-                )
-            )  # type: ignore[union-attr]
+            best[k] = found if better else replace(before, tries=number)
     return [found for found in best if found is not None]
 
 
