@@ -305,7 +305,7 @@ def test_pairs_come_back_with_their_cameras_and_rivals():
     assert [c.name for c in back_cameras] == list(NAMES)
     np.testing.assert_array_equal(back_cameras[0].distortion, cameras[0].distortion)
     for old, new in zip(pairs, back, strict=True):
-        for first, second in zip(old.modes, new.modes, strict=True):
+        for first, second in zip(old.hypotheses, new.hypotheses, strict=True):
             same_pair(first, second)
 
 

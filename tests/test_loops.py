@@ -102,7 +102,7 @@ def test_no_mode_is_lost_or_changed():
     after = select_hypotheses(before, CONFIG)
     for old, new in zip(before, after, strict=True):
         assert sorted(m.rotation.tobytes() for m in old.hypotheses) == sorted(
-            m.rotation.tobytes() for m in new.modes
+            m.rotation.tobytes() for m in new.hypotheses
         )
         assert all(not m.alternatives for m in new.alternatives)
     assert [p.rotation.tobytes() for p in select_hypotheses(after, CONFIG)] == [

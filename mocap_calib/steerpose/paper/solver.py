@@ -143,7 +143,7 @@ def solve_pairs(
         ):
             before = best[k]
             better = before is None or found.error < before.error
-            best[k] = found if better else replace(before, tries=number)
+            best[k] = found if better else replace(before, tries=number)  # type: ignore[type-var]
     return [found for found in best if found is not None]
 
 
