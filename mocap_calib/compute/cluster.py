@@ -117,6 +117,8 @@ def processes(count: int) -> Iterator[Cluster]:
             threads_per_worker=1,
             memory_limit=0,
             dashboard_address=None,
+            # its HTTP server takes any free port: the usual one may be another cluster's
+            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
             silence_logs=logging.ERROR,
         ) as local,
         Client(local, set_as_default=False) as client,
