@@ -1,4 +1,4 @@
-"""The methods of the paper's protocol behind one signature: problems -> answers and seconds a pair."""
+"""The methods of the paper's protocol: problems -> answers and seconds a pair."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -47,7 +47,7 @@ Method = Callable[[Sequence[Problem], dict[str, Model]], Answers]
 
 
 def load_models(methods: Sequence[str], skeleton: str = "people") -> dict[str, Model]:
-    """The shipped networks that these methods need; a rotation token is shipped for people alone."""
+    """Load the networks that these methods need; a rotation token is shipped for people alone."""
     token = (
         {"token": load_steerer(skeleton, architecture="token")[0]}
         if any("token" in method for method in methods)
@@ -96,7 +96,7 @@ def magsac(problems: Sequence[Problem], _: dict[str, Model]) -> Answers:
 
 
 def ours(config: PairwiseConfig) -> Method:
-    """Lifting and the pairwise search, as `mocap-calib pairwise` does; the seconds include the lifting."""
+    """Lift and search as `mocap-calib pairwise` does; the seconds include the lifting."""
 
     def method(problems: Sequence[Problem], models: dict[str, Model]) -> Answers:
         lifter = models["factorised"]

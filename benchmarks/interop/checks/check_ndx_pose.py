@@ -1,4 +1,4 @@
-"""pynwb and ndx-pose: the NWB is written here, by mocap_calib with its extra, and read by pynwb itself."""
+"""Read NWB by pynwb and ndx-pose, written here by mocap_calib with its extra."""
 
 import sys
 from importlib.metadata import version
