@@ -10,7 +10,6 @@ from mocap_calib.geometry.epipolar import (
     essential,
     five_point,
     sampson_angle,
-    translation_system,
 )
 from mocap_calib.geometry.projection import pixels_from_points, rays_from_pixels
 from mocap_calib.geometry.rotation import (
@@ -248,10 +247,23 @@ def test_sampson_error_is_the_angle_to_the_epipolar_plane():
     )
 
 
+def translation_system(rotation: np.ndarray, rays_a: np.ndarray, rays_b: np.ndarray) -> np.ndarray:
+    """M(R) = sum n n', n = (R u_a) x u_b: its smallest eigenvector is the direction of t.
+
+    The paper's stacked collinearity and coplanarity system with the points eliminated (the matrix
+    of Kneip and Lynen 2013). rotation: `[3, 3]`; rays: `[N, 3]`. Returns `[3, 3]`.
+    """
+    normal = np.cross(rays_a @ rotation.T, rays_b)
+    return normal.T @ normal
+
+
 def test_translation_system_agrees_with_the_full_collinearity_and_coplanarity_system():
-    """The paper's A [x_1 .. x_N t] = 0: both have t as the vector of their smallest singular value, at the true rotation."""
+    """The paper's A [x_1 .. x_N t] = 0 and the small system agree at the true rotation.
+
+    Both have t as the vector of their smallest singular value.
+    """
     rotation, translation, a, b = two_views(np.random.default_rng(8), points=12)
-    _, vectors = np.linalg.eigh(translation_system(rotation, a, b, np.ones(len(a))))
+    _, vectors = np.linalg.eigh(translation_system(rotation, a, b))
     n = len(a)
     rows = np.zeros((6 * n, 3 * n + 3))
     for k in range(n):  # u_a x x = 0 and u_b x (R x + t) = 0
@@ -293,7 +305,10 @@ def test_similarity_of_one_place_is_degenerate():
 
 
 def test_a_strong_lens_is_undone_up_to_its_fold():
-    """k1 = -0.44 as wide lenses have it: every ray short of the fold comes back, though cv2's iteration diverges before."""
+    """k1 = -0.44 as wide lenses have it: every ray short of the fold comes back.
+
+    cv2's iteration diverges before.
+    """
     camera = Camera(
         "wide",
         (2048, 1536),

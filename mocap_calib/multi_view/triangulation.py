@@ -45,7 +45,7 @@ def observations(recording: Recording, matches: Matches, frames: Ints) -> Observ
     pixels[target], confidence[target] = recording.positions[source], recording.confidence[source]
     columns = np.ascontiguousarray(np.moveaxis(pixels.reshape(len(pixels), -1, 2), -1, 1))
     rays = np.stack(
-        [lens.rays(camera, seen) for camera, seen in zip(recording.cameras, columns, strict=True)]
+        [lens.unproject(camera, seen) for camera, seen in zip(recording.cameras, columns, strict=True)]
     )
     return Observations(columns, rays, confidence.reshape(len(confidence), -1))
 
@@ -167,4 +167,4 @@ def reprojection_error(rig: CameraRig, points: Floats, seen: Floats, used: Bools
 
 def project(camera: Camera, rotation: Floats, translation: Floats, points: Floats) -> Floats:
     """`[2, N]` pixels of points `[3, N]` of the world."""
-    return lens.pixels(camera, rotation @ points + translation[:, None])
+    return lens.project(camera, rotation @ points + translation[:, None])
