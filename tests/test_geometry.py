@@ -232,7 +232,7 @@ def test_exact_matches_have_no_epipolar_error_and_positive_depths():
 
 
 def test_sampson_error_is_the_angle_to_the_epipolar_plane():
-    """A ray turned out of its plane by e has an error of e shared between two views: e / sqrt(2)."""
+    """A ray turned out of its plane by e has an error of e shared by two views: e / sqrt(2)."""
     rotation, translation, a, b = two_views(np.random.default_rng(7))
     plane = np.cross(translation, a @ rotation.T)
     plane /= np.linalg.norm(plane, axis=1, keepdims=True)

@@ -8,7 +8,7 @@ import pytest
 from keypoint_files import coco_bytes
 
 from mocap_calib.config import InspectConfig
-from mocap_calib.inspection import findings, inspect_views, with_sizes
+from mocap_calib.inspection import fill_image_sizes, find_problems, inspect_views
 from mocap_calib.io.cameras.formats import write_cameras
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.types import Camera, CameraRig, Keypoints2D
@@ -43,8 +43,13 @@ def report_of(*views, aliases=None):
 
 
 def found_in(views, cameras=(), aliases=None):
-    return findings(
-        views, report_of(*views, aliases=aliases), cameras, PEOPLE, aliases or {}, InspectConfig()
+    return find_problems(
+        views,
+        report_of(*views, aliases=aliases),
+        cameras=cameras,
+        skeleton=PEOPLE,
+        aliases=aliases or {},
+        config=InspectConfig(),
     )
 
 
@@ -76,7 +81,7 @@ def test_coverage_is_that_of_the_image():
 
 
 def test_the_cameras_say_the_size_of_images_that_the_files_do_not():
-    views = with_sizes(
+    views = fill_image_sizes(
         [view("a", size=(0, 0)), view("b", size=(0, 0)), view("Cam_1")],
         (camera("A"), camera("cam1", (8, 8))),
     )

@@ -12,9 +12,10 @@ import numpy as np
 import torch
 
 from mocap_calib.compute.parallel import in_order
+from mocap_calib.config import LEAST_JOINTS
 from mocap_calib.geometry.rotation import looking_along
 from mocap_calib.recording.sampling import evenly
-from mocap_calib.recording.synchronise import LEAST_JOINTS, check_joints
+from mocap_calib.recording.synchronise import check_joints
 from mocap_calib.steerpose.model import Lifter, normalise
 from mocap_calib.types import Bools, Floats, LiftedPoses, Progress, Sample
 
