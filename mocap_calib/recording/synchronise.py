@@ -45,24 +45,11 @@ def make_recording(
     frames = _shared_frames(views)
     meanings = keypoint_meanings(views, skeleton, aliases)
     shared = shared_keypoints(views, meanings)
-
-    instances = max(view.positions.shape[1] for view in views)
-    shape = (len(views), len(frames), instances, len(shared))
-    positions = np.full((*shape, 2), np.nan, dtype=np.float32)
-    confidence = np.zeros(shape, dtype=np.float32)
-    column_of = {meaning: column for column, meaning in enumerate(shared)}
-    for v, (view, camera) in enumerate(zip(views, cameras, strict=True)):
-        columns = [column_of.get(meanings[name], -1) for name in view.keypoints]
-        _fill_view(
-            view,
-            camera,
-            frames=frames,
-            columns=np.array(columns, dtype=np.int64),
-            positions=positions[v],
-            confidence=confidence[v],
-        )
+    positions, confidence = _fill_arrays(
+        views, cameras, frames=frames, meanings=meanings, shared=shared
+    )
     _check_covisible(confidence)
-    joint_index = {normalise_name(joint): k for k, joint in enumerate(skeleton.keypoints)}
+    joint_of = {normalise_name(joint): k for k, joint in enumerate(skeleton.keypoints)}
     return Recording(
         cameras=cameras,
         keypoints=tuple(shared.values()),
@@ -70,7 +57,7 @@ def make_recording(
         positions=positions,
         confidence=confidence,
         tracked=np.array([view.tracked for view in views]),
-        vocabulary=np.array([joint_index.get(key, -1) for key in shared], dtype=np.int64),
+        vocabulary=np.array([joint_of.get(meaning, -1) for meaning in shared], dtype=np.int64),
     )
 
 
@@ -113,6 +100,38 @@ def _shared_frames(views: Sequence[Keypoints2D]) -> Ints:
             "number the frames of all cameras on one clock"
         )
     return np.asarray(unique[counts >= 2], dtype=np.int64)
+
+
+def _fill_arrays(
+    views: Sequence[Keypoints2D],
+    cameras: Sequence[Camera],
+    *,
+    frames: Ints,
+    meanings: Mapping[str, str],
+    shared: Mapping[str, str],
+) -> tuple[Reals, Reals]:
+    """Return the positions and the confidences of all views in the frames and keypoints they share.
+
+    `[view, frame, instance, keypoint, 2]` and `[view, frame, instance, keypoint]`.
+
+    meanings: of the names of the views. shared: by meaning, in the order of the keypoints.
+    """
+    instances = max(view.positions.shape[1] for view in views)
+    shape = (len(views), len(frames), instances, len(shared))
+    positions = np.full((*shape, 2), np.nan, dtype=np.float32)
+    confidence = np.zeros(shape, dtype=np.float32)
+    column_of = {meaning: column for column, meaning in enumerate(shared)}
+    for v, (view, camera) in enumerate(zip(views, cameras, strict=True)):
+        columns = [column_of.get(meanings[name], -1) for name in view.keypoints]
+        _fill_view(
+            view,
+            camera,
+            frames=frames,
+            columns=np.array(columns, dtype=np.int64),
+            positions=positions[v],
+            confidence=confidence[v],
+        )
+    return positions, confidence
 
 
 def _fill_view(
