@@ -357,7 +357,7 @@ def test_real_recordings_are_recordings(folder):
             recording.positions[v, :, : views[k].positions.shape[1]][kept],
             views[k].positions[kept].astype(np.float32),
         )
-        # measured 1.06 %: noise beyond the fold of one lens near the corners, which no ray projects to
+        # measured 1.06 %: noise beyond the fold of one lens near the corners, which has no ray
         assert kept.sum() >= 0.98 * np.isfinite(views[k].positions[..., 0]).sum()
     # measured 0.25 s for the largest
     assert time.perf_counter() - start < 5
