@@ -20,10 +20,12 @@ def inspect_views(
     aliases: Mapping[str, str],
     config: InspectConfig,
 ) -> dict[str, Any]:
-    """Return what the files hold: the sections `cameras`, `pairs` and `model`.
+    """Return what the files hold, in three sections.
 
-    `model` says how many of its joints are among the keypoints, and which keypoints it does not
-    know, after `aliases` (own name -> joint) were applied. docs/cli.md describes the sections.
+    `cameras`: what each file has (frames, detections, keypoints, missing points, scores, image).
+    `pairs`: how much each two cameras see together.
+    `model`: how many of the skeleton's joints are among the keypoints, and which keypoints it does
+    not know, after `aliases` (own name -> joint) were applied.
     """
     meanings = keypoint_meanings(views, skeleton, aliases)
     joints = {normalise_name(joint) for joint in skeleton.keypoints}

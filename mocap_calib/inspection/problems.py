@@ -230,10 +230,10 @@ def _find_camera_problems(
 ) -> list[Finding]:
     """Say what a run would say of the keypoints and the cameras together."""
     try:
+        matched = match_cameras(views, cameras)
         recording = make_recording(views, cameras, skeleton, aliases)
         sample_frames = choose_sample_frames(recording, SampleConfig())
         check_joints(recording.select(frames=sample_frames))
-        matched = match_cameras(views, cameras)
     except MismatchError as error:
         return [critical(str(error))]
     idle = [camera.name for camera in cameras if camera.name not in matched]

@@ -53,15 +53,7 @@ def match_cameras(views: Sequence[Keypoints2D], cameras: Sequence[Camera]) -> tu
             f"found keypoints of {found} and cameras {', '.join(known) or 'none'}; rename one side"
         )
     matched = tuple(name for names in alike for name in names)
-    sources: dict[str, list[str]] = {}
-    for view, name in zip(views, matched, strict=True):
-        sources.setdefault(name, []).append(view.source)
-    for name, files in sources.items():
-        if len(files) > 1:
-            raise MismatchError(
-                "expected one keypoint file per camera, "
-                f"found {' and '.join(files[:2])} for camera {name}; remove or rename one"
-            )
+    _check_one_file_each(views, matched)
     return matched
 
 
@@ -86,6 +78,19 @@ def check_pixels(view: Keypoints2D) -> None:
             f"{view.source}: expected positions in pixels, found none above {limit}; "
             "say --image-size WIDTHxHEIGHT if they are shares of the image"
         )
+
+
+def _check_one_file_each(views: Sequence[Keypoints2D], matched: Sequence[str]) -> None:
+    """Raise MismatchError where two views belong to one camera, whose name `matched` has."""
+    sources: dict[str, list[str]] = {}
+    for view, name in zip(views, matched, strict=True):
+        sources.setdefault(name, []).append(view.source)
+    for name, files in sources.items():
+        if len(files) > 1:
+            raise MismatchError(
+                "expected one keypoint file per camera, "
+                f"found {' and '.join(files[:2])} for camera {name}; remove or rename one"
+            )
 
 
 def _has_detections(view: Keypoints2D) -> bool:
