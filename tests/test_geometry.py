@@ -8,7 +8,7 @@ from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.alignment import similarity
 from mocap_calib.geometry.epipolar import (
     depths,
-    essential,
+    essential_matrix,
     five_point,
     sampson_angle,
 )
@@ -231,7 +231,7 @@ def test_exact_matches_have_no_epipolar_error_and_positive_depths():
     for seed in range(5):
         rotation, translation, a, b = two_views(np.random.default_rng(seed))
         np.testing.assert_allclose(
-            sampson_angle(essential(rotation, translation), a, b), 0, atol=1e-12
+            sampson_angle(essential_matrix(rotation, translation), a, b), 0, atol=1e-12
         )
         near_a, near_b = depths(rotation, translation, a, b)
         np.testing.assert_allclose(
@@ -249,14 +249,11 @@ def test_sampson_error_is_the_angle_to_the_epipolar_plane():
     plane = np.cross(translation, a @ rotation.T)
     plane /= np.linalg.norm(plane, axis=1, keepdims=True)
     moved = np.cos(1e-4) * b + np.sin(1e-4) * plane
-    slope_a, slope_b = (
-        np.linalg.norm(x, axis=1)
-        for x in (moved @ essential(rotation, translation), a @ essential(rotation, translation).T)
-    )
+    matrix = essential_matrix(rotation, translation)
+    slope_a = np.linalg.norm(moved @ matrix, axis=1)
+    slope_b = np.linalg.norm(a @ matrix.T, axis=1)
     expected = 1e-4 * slope_b / np.hypot(slope_a, slope_b)
-    np.testing.assert_allclose(
-        np.abs(sampson_angle(essential(rotation, translation), a, moved)), expected, rtol=1e-3
-    )
+    np.testing.assert_allclose(np.abs(sampson_angle(matrix, a, moved)), expected, rtol=1e-3)
 
 
 def translation_system(rotation: np.ndarray, rays_a: np.ndarray, rays_b: np.ndarray) -> np.ndarray:

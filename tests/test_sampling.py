@@ -7,16 +7,16 @@ import pytest
 from scenes import PEOPLE, calibrate_group, recording, rotation_errors_deg, scene
 
 from mocap_calib.config import SampleConfig
-from mocap_calib.recording.sampling import choose_sample_frames, evenly, take_sample
+from mocap_calib.recording.sampling import choose_sample_frames, evenly_spaced, take_sample
 from mocap_calib.recording.synchronise import make_recording
 
 LONG = {"frames": 400, "people": 2, "cameras": 4, "seed": 2}
 
 
 def test_an_even_choice_has_both_ends_and_no_more_than_there_are():
-    assert evenly(np.arange(10, 110), 5).tolist() == [10, 34, 59, 84, 109]
-    assert evenly(np.arange(3), 5).tolist() == [0, 1, 2]
-    assert evenly(np.arange(0), 5).tolist() == []
+    assert evenly_spaced(np.arange(10, 110), 5).tolist() == [10, 34, 59, 84, 109]
+    assert evenly_spaced(np.arange(3), 5).tolist() == [0, 1, 2]
+    assert evenly_spaced(np.arange(0), 5).tolist() == []
 
 
 def test_a_short_recording_is_its_own_sample():

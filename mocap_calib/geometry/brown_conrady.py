@@ -69,7 +69,7 @@ def undistort(k: Coefficients, distorted: Floats, *, miss: float) -> Floats:
 
 
 def _undistort_carefully(k: Coefficients, distorted: Floats, *, miss: float) -> Floats:
-    """Return the same, from the middle of the image outwards in small steps."""
+    """Return the same `[2, N]`, from the middle of the image outwards in small steps."""
     image = np.zeros_like(distorted)
     for _ in range(_CAREFUL_STEPS):
         step = _newton_step(k, image, distorted)

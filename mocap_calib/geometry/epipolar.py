@@ -14,7 +14,7 @@ from mocap_calib.geometry.rotation import skew
 from mocap_calib.types import Floats
 
 
-def essential(rotation: Floats, translation: Floats) -> Floats:
+def essential_matrix(rotation: Floats, translation: Floats) -> Floats:
     """Return the essential matrix E = [t]x R `[..., 3, 3]` of b_from_a: u_b' E u_a = 0.
 
     rotation: `[..., 3, 3]`. translation: `[..., 3]`. (Hartley and Zisserman 2004, section 9.6.)

@@ -46,7 +46,7 @@ class _Rays:
         return self.precision > 0
 
     def of_points(self, points: Ints) -> "_Rays":
-        """Return the rays of these points (indices) alone."""
+        """Return the rays of the points with these indices `[point]` alone."""
         return _Rays(self.centres, self.direction[..., points], self.precision[:, points])
 
     def of_views(self, views: list[int]) -> "_Rays":

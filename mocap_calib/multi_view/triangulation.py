@@ -8,7 +8,7 @@ from mocap_calib.compute.parallel import in_order
 from mocap_calib.config import TriangulateConfig
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.intersection import intersect
-from mocap_calib.recording.sampling import evenly
+from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import (
     Bools,
     Camera,
@@ -101,7 +101,7 @@ def triangulate(
 def view_noise(recording: Recording, rig: CameraRig, matches: Matches) -> Floats:
     """`[view]` robust standard deviation of the angular error, in radians, from an even sample of the frames."""
     seen = observations(
-        recording, matches, evenly(np.flatnonzero((matches.labels >= 0).any((0, 2))), _SAMPLE)
+        recording, matches, evenly_spaced(np.flatnonzero((matches.labels >= 0).any((0, 2))), _SAMPLE)
     )
     weight = seen.confidence
     points = intersect(rig, _world(rig, seen.rays), weight / _START**2)

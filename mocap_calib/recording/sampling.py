@@ -15,16 +15,18 @@ from mocap_calib.geometry.projection import rays_from_pixels
 from mocap_calib.types import Bools, Floats, Ints, Recording, Sample
 
 
-def evenly(values: Ints, count: int) -> Ints:
+def evenly_spaced(values: Ints, count: int) -> Ints:
     """Return at most `count` of the values `[N]`, evenly spaced, first and last among them."""
     positions = np.linspace(0, len(values) - 1, min(len(values), count))
     return values[positions.astype(int)]
 
 
 def take_sample(recording: Recording, index: Ints | slice) -> Sample:
-    """Return the frames with these indices in double precision, with their rays.
+    """Return some frames in double precision, with their rays.
 
     The sample has as many instances as these frames show.
+
+    index: `[frame]` indices of the frames (not numbers), or a slice.
     """
     part = recording.select(frames=index)
     shown = np.flatnonzero(np.isfinite(part.positions).any((0, 1, 3, 4)))
@@ -57,7 +59,7 @@ def choose_sample_frames(recording: Recording, config: SampleConfig) -> Ints:
     large as theirs, and most of what they show is false.
     """
     uncrowded = _uncrowded_frames(recording, config)
-    candidates = evenly(uncrowded, config.candidates * config.frames)
+    candidates = evenly_spaced(uncrowded, config.candidates * config.frames)
     candidate_recording = recording.select(frames=candidates)
     budget = _frame_budget(candidate_recording, config)
     if len(uncrowded) <= budget:
@@ -171,7 +173,7 @@ def _classify_postures(shape: Floats, classes: int) -> tuple[int, Ints]:
 
     shape: `[N, coordinate]` poses of equal place and size, of which some are the typical ones.
     """
-    typical = shape[evenly(np.arange(len(shape)), classes)]
+    typical = shape[evenly_spaced(np.arange(len(shape)), classes)]
     # squared distances, less the square of the shape itself, which is the same for all
     distance = (typical**2).sum(1) - 2 * shape @ typical.T
     return len(typical), distance.argmin(1)
