@@ -16,7 +16,7 @@ from mocap_calib.config import (
     TriangulateConfig,
 )
 from mocap_calib.errors import DegenerateError
-from mocap_calib.geometry.epipolar import essential, sampson_angle
+from mocap_calib.geometry.epipolar import essential_matrix, sampson_angle
 from mocap_calib.geometry.rotation import angle_between, direction_angle, matrix_from_vector
 from mocap_calib.io.results.results import pairs_to_json
 from mocap_calib.multi_view.association import associate
@@ -111,7 +111,7 @@ def test_epipolar_error_is_sampsons_at_the_body():
     error, weight = epipolar_error(pair, rotation[None], translation[None])
     slow = (
         np.abs(
-            sampson_angle(essential(rotation, translation), pair.rays_a[3, 1], pair.rays_b[3, 2])
+            sampson_angle(essential_matrix(rotation, translation), pair.rays_a[3, 1], pair.rays_b[3, 2])
         )
         * reach(pair)[3, 1, 2]
     )

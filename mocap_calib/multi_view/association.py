@@ -18,7 +18,7 @@ from mocap_calib.geometry.epipolar import depths
 from mocap_calib.geometry.projection import rays_from_pixels
 from mocap_calib.multi_view.tracklets import fill_in
 from mocap_calib.multi_view.triangulation import per_frame_labels
-from mocap_calib.recording.sampling import evenly, take_sample
+from mocap_calib.recording.sampling import evenly_spaced, take_sample
 from mocap_calib.two_view.affinity import (
     ViewPair,
     epipolar_affinity,
@@ -130,7 +130,7 @@ def body_scale(
     for a, b in combinations(range(len(rig.cameras)), 2):
         shared = np.flatnonzero(seen[a] & seen[b])
         if len(shared):
-            pair = view_pair(recording, lifted, a, b, evenly(shared, _SCALE_FRAMES))
+            pair = view_pair(recording, lifted, a, b, evenly_spaced(shared, _SCALE_FRAMES))
             ratios.append(_distance_ratios(pair, *rig.relative(a, b), config))
     found = np.concatenate(ratios) if ratios else np.zeros(0)
     return float(np.median(found)) if len(found) else 1.0

@@ -10,7 +10,7 @@ from itertools import combinations
 import numpy as np
 
 from mocap_calib.config import PairwiseConfig
-from mocap_calib.geometry.epipolar import essential
+from mocap_calib.geometry.epipolar import essential_matrix
 from mocap_calib.types import CameraRig, Floats, Ints, LiftedPoses, Sample
 
 
@@ -143,7 +143,7 @@ def epipolar_error(pair: ViewPair, rotation: Floats, translation: Floats) -> tup
     rotation `[M, 3, 3]`, translation `[M, 3]`. Returns errors `[M, frame, I, J, keypoint]` in body sizes (unsigned) and
     weights `[frame, I, J, keypoint]`.
     """
-    matrix = essential(rotation, translation / np.linalg.norm(translation, axis=-1, keepdims=True))
+    matrix = essential_matrix(rotation, translation / np.linalg.norm(translation, axis=-1, keepdims=True))
     from_a = np.einsum("mxy,faky->mfakx", matrix, pair.rays_a, optimize=True)
     from_b = np.einsum("myx,fbky->mfbkx", matrix, pair.rays_b, optimize=True)
     value = np.einsum("mfakx,fbkx->mfabk", from_a, pair.rays_b, optimize=True)
@@ -201,7 +201,7 @@ def epipolar_affinity(
     for a, b in combinations(range(views), 2):
         rotation = rig.rotation[b] @ rig.rotation[a].T
         translation = rig.translation[b] - rotation @ rig.translation[a]
-        matrix = essential(rotation, translation / np.linalg.norm(translation))
+        matrix = essential_matrix(rotation, translation / np.linalg.norm(translation))
         from_a, from_b = (matrix @ rays[a]).reshape(shape), (matrix.T @ rays[b]).reshape(shape)
         value = np.einsum("cfik,cfjk->fijk", from_a, rays[b].reshape(shape)) ** 2
         slope = (from_a**2).sum(0)[:, :, None] + (from_b**2).sum(0)[:, None]

@@ -9,7 +9,7 @@ from itertools import product
 import cv2
 import numpy as np
 
-from mocap_calib.geometry.epipolar import depths, essential, sampson_angle
+from mocap_calib.geometry.epipolar import depths, essential_matrix, sampson_angle
 from mocap_calib.types import Bools, Floats, Ints
 
 Found = tuple[Floats, Floats, Ints]
@@ -121,7 +121,7 @@ def _support(
         np.broadcast_to(rays_b[:, None], shape),
     )
     error = np.abs(
-        sampson_angle(essential(rotation, translation), first.reshape(-1, 3), second.reshape(-1, 3))
+        sampson_angle(essential_matrix(rotation, translation), first.reshape(-1, 3), second.reshape(-1, 3))
     ).reshape(shape[:-1])
     both = np.isfinite(error)
     ahead = [

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocap_calib.config import PairwiseConfig, PaperConfig
-from mocap_calib.recording.sampling import evenly
+from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.steerpose.paper.solver import TwoViews, by_joint, seeded, solve_pair
 from mocap_calib.steerpose.steer import Model
 from mocap_calib.two_view.affinity import ViewPair
@@ -28,7 +28,7 @@ class PaperPairs:
         pair = problem.pair
         if problem.frames == 0:
             return None
-        chosen = evenly(np.arange(len(pair.frames)), self.config.frames)
+        chosen = evenly_spaced(np.arange(len(pair.frames)), self.config.frames)
         generator = seeded(int(problem.rng.integers(2**62)))
         found = solve_pair(
             self._views(pair, chosen, problem.a, problem.b), self.model, self.config, generator

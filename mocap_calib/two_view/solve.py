@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from mocap_calib.compute.parallel import in_order, in_processes
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.epipolar import depths
-from mocap_calib.recording.sampling import evenly
+from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.two_view.affinity import (
     ViewPair,
     epipolar_error,
@@ -148,7 +148,7 @@ def pair_problem(
 ) -> PairProblem:
     """Gathers what the views a and b show in an even sample of the frames they share."""
     frames = _shared_frames(recording, a, b)
-    chosen = evenly(
+    chosen = evenly_spaced(
         frames, min(config.frames, max(20, config.candidates // recording.positions.shape[2] ** 2))
     )
     tracked = bool(recording.tracked[a] and recording.tracked[b])
