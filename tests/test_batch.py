@@ -17,7 +17,7 @@ from scenes import lifted, recording, scene
 from mocap_calib import config
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.io.results.pair_store import remembering
-from mocap_calib.io.results.results import pairs_to_json
+from mocap_calib.io.results.pairs_json import pairs_to_json
 from mocap_calib.io.results.scene import write_scene
 from mocap_calib.two_view.solve import calibrate_pairs
 from mocap_calib.types import silent

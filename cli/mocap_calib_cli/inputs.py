@@ -15,14 +15,14 @@ import click
 import numpy as np
 
 from mocap_calib.errors import FormatError
-from mocap_calib.io.cameras.load import load_cameras, make_rig, parse_content
+from mocap_calib.io.cameras.read import load_cameras, make_rig, parse_content
 from mocap_calib.io.cameras.source import CameraFile
-from mocap_calib.io.file import decode
+from mocap_calib.io.file import decode, plain_path
 from mocap_calib.io.keypoints.document import ReadOptions
-from mocap_calib.io.keypoints.formats import read_keypoints
 from mocap_calib.io.keypoints.items import twins
 from mocap_calib.io.keypoints.layouts import parse_layout
-from mocap_calib.io.results.results import read_matches_csv
+from mocap_calib.io.keypoints.read import read_keypoints
+from mocap_calib.io.results.matches_csv import read_matches_csv
 from mocap_calib.recording.joints import (
     SHIPPED,
     choose_skeleton,
@@ -340,10 +340,7 @@ def read_stdin(what: str) -> str:
 
 def plain_paths(arguments: Iterable[str]) -> list[str]:
     """The paths of files, folders and name=path pairs."""
-    return [
-        argument if "=" not in argument or Path(argument).exists() else argument.partition("=")[2]
-        for argument in arguments
-    ]
+    return [str(plain_path(argument)) for argument in arguments]
 
 
 def hashes(paths: Iterable[str | Path]) -> dict[str, str]:

@@ -50,7 +50,7 @@ def command(
     import numpy as np
 
     from mocap_calib.errors import MismatchError
-    from mocap_calib.io.keypoints.formats import write_keypoints
+    from mocap_calib.io.keypoints.write import write_keypoints
     from mocap_calib.recording.sampling import take_sample
     from mocap_calib.steerpose.completion import completed
     from mocap_calib.steerpose.lift import lift

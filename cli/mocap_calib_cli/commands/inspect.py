@@ -37,7 +37,7 @@ def command(
     """
     from mocap_calib.config import InspectConfig
     from mocap_calib.inspection import Finding, fill_image_sizes, find_problems, inspect_views
-    from mocap_calib.io.keypoints.formats import read_what_can
+    from mocap_calib.io.keypoints.read import read_what_can
     from mocap_calib_cli import inputs
 
     views, errors = read_what_can(keypoints, reading.get("format"), inputs.read_options(reading))

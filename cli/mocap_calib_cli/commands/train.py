@@ -193,7 +193,7 @@ def command(
 
 def _vocabulary(calibrated: Path | None, skeleton: str | None) -> tuple["Skeleton", dict[str, Any]]:
     """The joints to train for, and settings that differ from the defaults. Raises FormatError."""
-    from mocap_calib.io.poses.formats import read_poses
+    from mocap_calib.io.poses.read import read_poses
     from mocap_calib.recording.joints import load_section, load_skeleton
     from mocap_calib.steerpose.training.own_species import TRAINING, own_skeleton
 
@@ -206,8 +206,8 @@ def _own_poses(
     calibrated: Path, vocabulary: "Skeleton", up: tuple[str, ...], split: "Split"
 ) -> "PoseSet":
     """The poses of a calibrated recording. Raises FormatError and DegenerateError; a usage error where nothing tells what is up."""
-    from mocap_calib.io.cameras.load import read_rig
-    from mocap_calib.io.poses.formats import read_poses
+    from mocap_calib.io.cameras.read import read_rig
+    from mocap_calib.io.poses.read import read_poses
     from mocap_calib.steerpose.training.own_species import axis, own_poses, up_of_rig
 
     rig = calibrated.with_name("cameras.yaml")
