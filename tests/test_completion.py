@@ -9,7 +9,7 @@ from scenes import PEOPLE, lifted, recording, scene
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.io.keypoints.formats import read_keypoints
 from mocap_calib.steerpose.checkpoint import load_lifter
-from mocap_calib.steerpose.completion import complete, completed
+from mocap_calib.steerpose.completion import complete, complete_sample
 from mocap_calib.steerpose.lift import lift
 from mocap_calib.types import silent
 
@@ -35,7 +35,7 @@ def test_hidden_limbs_are_found_to_a_third_of_a_body():
         confidence=np.where(hidden, 0, whole.confidence),
         rays=np.where(hidden[:, None], np.nan, whole.rays),
     )
-    positions, confidence = completed(part, lift(part, load_lifter()[0], progress=silent))
+    positions, confidence = complete_sample(part, lift(part, load_lifter()[0], progress=silent))
     columns = whole.vocabulary[hidden]
     gap = np.linalg.norm(positions[..., columns, :] - whole.positions[..., hidden, :], axis=-1)
     radius = np.sqrt(
@@ -53,7 +53,7 @@ def test_hidden_limbs_are_found_to_a_third_of_a_body():
 def test_joints_of_another_skeleton_are_near_the_true_ones():
     """COCO has no foot; the big toes of the model are put where those of the walker are. Measured below a tenth of the height."""
     made, some = scene(**PLAIN), recording(**PLAIN)
-    positions, _ = completed(some, lifted(**PLAIN))
+    positions, _ = complete_sample(some, lifted(**PLAIN))
     toes = [name for name in PEOPLE.keypoints if name in made.joints and name.endswith("big_toe")]
     assert len(toes) == 2
     frames = some.frames - some.frames[0]

@@ -15,9 +15,9 @@ from mocap_calib.geometry.rotation import matrix_from_vector as matrix_numpy
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.steerpose.checkpoint import load_lifter, load_steerer, save_lifter
 from mocap_calib.steerpose.model import Lifter, ModelConfig
+from mocap_calib.steerpose.paper.batch import TwoViews
 from mocap_calib.steerpose.paper.losses import (
     geometric_loss,
-    geometric_loss_full,
     keypoint_distance,
     matching_loss,
     similarity,
@@ -25,8 +25,8 @@ from mocap_calib.steerpose.paper.losses import (
     translation_direction,
     with_dummies,
 )
-from mocap_calib.steerpose.paper.solver import TwoViews, random_rotations, solve_pair
-from mocap_calib.steerpose.steer import matrix_from_vector, shortest, steer
+from mocap_calib.steerpose.paper.solver import random_rotations, solve_pair
+from mocap_calib.steerpose.steer import matrix_from_vector, shortest, skew, steer
 from mocap_calib.steerpose.token import TokenConfig, TokenSteerer
 from mocap_calib.steerpose.training.pairs import (
     PairSynthesiser,
@@ -59,6 +59,33 @@ def two_views(
         torch.nn.functional.normalize(points, dim=-1),
         torch.nn.functional.normalize(seen, dim=-1),
     )
+
+
+def geometric_system(
+    rotation: torch.Tensor, points_a: torch.Tensor, points_b: torch.Tensor
+) -> torch.Tensor:
+    """A of A [x_1 .. x_N t]' = 0 (section 3.2): collinearity and coplanarity, `[7 N, 3 N + 3]`.
+
+    rotation: `[3, 3]` b_from_a; points: `[N, 3]` rays u of the matches. With X_k in the axes of a:
+    u_a x X_k = 0 and u_b x (R X_k + t) = 0 (collinearity), and t . (R u_a x u_b) = 0 (coplanarity).
+    """
+    count = len(points_a)
+    cross_a, cross_b = skew(points_a), skew(points_b)  # (N, 3, 3)
+    normal = torch.linalg.cross(points_a @ rotation.T, points_b)  # (N, 3)
+    zero = torch.zeros(3 * count, 3, dtype=points_a.dtype)
+    seen_by_a = torch.cat([torch.block_diag(*cross_a), zero], -1)
+    seen_by_b = torch.cat([torch.block_diag(*(cross_b @ rotation)), cross_b.reshape(-1, 3)], -1)
+    empty = torch.zeros(count, 3 * count, dtype=points_a.dtype)
+    coplanar = torch.cat([empty, normal], -1)
+    return torch.cat([seen_by_a, seen_by_b, coplanar], -2)
+
+
+def geometric_loss_full(
+    rotation: torch.Tensor, points_a: torch.Tensor, points_b: torch.Tensor
+) -> torch.Tensor:
+    """L_geom = sigma_1 / sigma_2 of the paper's full system: what the reduced form must agree with."""
+    values = torch.linalg.svdvals(geometric_system(rotation, points_a, points_b))
+    return values[-1] / values[-2]
 
 
 @pytest.fixture(scope="module")
