@@ -28,13 +28,10 @@ from mocap_calib.steerpose.paper.losses import (
 from mocap_calib.steerpose.paper.solver import random_rotations, solve_pair
 from mocap_calib.steerpose.steer import matrix_from_vector, shortest, skew, steer
 from mocap_calib.steerpose.token import TokenConfig, TokenSteerer
-from mocap_calib.steerpose.training.pairs import (
-    PairSynthesiser,
-    fibonacci_hemisphere,
-    hemisphere_views,
-)
+from mocap_calib.steerpose.training.pairs import PairSynthesiser
 from mocap_calib.steerpose.training.poses import PoseSet
 from mocap_calib.steerpose.training.train import train_steerer
+from mocap_calib.steerpose.training.views import fibonacci_hemisphere, hemisphere_views
 from mocap_calib.synthetic import people
 from mocap_calib.two_view.five_point import all_pairs_magsac, five_point_over_matches
 from mocap_calib.types import silent
@@ -121,7 +118,7 @@ def test_views_look_at_the_origin():
 
 def test_pairs_are_one_body_seen_twice(poses):
     """Without noise, steering by an identity is the input, and the target is the orthographic view of the turned body."""
-    source = PairSynthesiser(poses, PEOPLE, PairsConfig(noise=1e-9), "train", seed=1)
+    source = PairSynthesiser(poses, PEOPLE, PairsConfig(noise=1e-9), split="train", seed=1)
     source.vector = torch.zeros_like(source.vector)
     source.rotation = torch.eye(3).expand_as(source.rotation)
     batch = source.batch(32)
@@ -132,7 +129,7 @@ def test_pairs_are_one_body_seen_twice(poses):
 
 def test_splits_share_no_pair_of_views(poses):
     vectors = [
-        PairSynthesiser(poses, PEOPLE, PairsConfig(), split, seed=0).vector
+        PairSynthesiser(poses, PEOPLE, PairsConfig(), split=split, seed=0).vector
         for split in ("train", "val", "test")
     ]
     assert [len(v) for v in vectors] == [2100, 600, 300]

@@ -15,8 +15,9 @@ from mocap_calib.steerpose.checkpoint import load_lifter, save_lifter
 from mocap_calib.steerpose.lift import lift
 from mocap_calib.steerpose.model import Lifter, ModelConfig, normalise
 from mocap_calib.steerpose.training.dataset import Batch, Synthesiser
+from mocap_calib.steerpose.training.losses import lifting_loss
 from mocap_calib.steerpose.training.poses import PoseSet, load_poses
-from mocap_calib.steerpose.training.train import lifting_loss, train_lifter
+from mocap_calib.steerpose.training.train import train_lifter
 from mocap_calib.synthetic import people
 from mocap_calib.types import silent
 
