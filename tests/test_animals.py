@@ -23,9 +23,9 @@ from mocap_calib.steerpose.training.evaluation import held_out_error
 from mocap_calib.steerpose.training.losses import lifting_loss
 from mocap_calib.steerpose.training.poses import PoseSet, load_poses, mix, procedural_poses
 from mocap_calib.steerpose.training.train import train_lifter, training_config
+from mocap_calib.synthetic.body_plan import parse_body
 from mocap_calib.synthetic.procedural import (
     assemble,
-    parse_body,
     sample_bodies,
     sample_bones,
     sample_turns,

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from mocap_calib.config import TRAINING_JOINTS
 from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.recording.joints import match_names
-from mocap_calib.synthetic.procedural import parse_body, sample_bodies
+from mocap_calib.synthetic.body_plan import parse_body
+from mocap_calib.synthetic.procedural import sample_bodies
 from mocap_calib.types import Bools, Floats, Skeleton
 
 Split = Literal["train", "val", "test"]
