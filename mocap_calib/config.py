@@ -53,6 +53,8 @@ WEIGHT_DECAY = 1e-4
 WARM_UP = 0.05  # share of the training steps in which the learning rate rises
 LARGEST_GRADIENT = 1.0
 UNCERTAINTY_WEIGHT = 0.1  # of the Laplace likelihood in the loss of a lifter
+EVALUATION_SEED = 12345  # all networks are measured on the same examples
+EVALUATION_SEED_OF_ANGLES = 54321
 
 OWN_SPECIES_LEAST_POSES = 20  # 3D poses of a calibrated recording that can be learnt from
 OWN_SPECIES_LARGEST_ERROR = 3.0  # median reprojection errors: joints beyond it are left out
@@ -243,3 +245,7 @@ CAMERA_AIM = (0.0, 0.0, 0.9)  # metres: the middle of the people in the room
 ROOM_SIDE = 0.9  # side of the square that people walk in, in radii of the ring
 PEOPLE_APART = 0.8  # metres that people keep between them
 LEAST_DETECTED_JOINTS = 4  # that make a detection
+FALSE_COPIES = 0.5  # share of the false detections that are a distorted copy of a real one
+FALSE_CONFIDENCE = 0.7  # of the confidence of a real detection
+WALK_CANDIDATES = 60  # walks tried for each person, until one keeps away from the others
+MOTION_RATE = 60.0  # inner frames a second: steps must not depend on how often somebody looks

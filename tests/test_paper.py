@@ -80,7 +80,7 @@ def geometric_system(
 def geometric_loss_full(
     rotation: torch.Tensor, points_a: torch.Tensor, points_b: torch.Tensor
 ) -> torch.Tensor:
-    """L_geom = sigma_1 / sigma_2 of the paper's full system: what the reduced form must agree with."""
+    """L_geom = sigma_1 / sigma_2 of the full system, which the reduced form must agree with."""
     values = torch.linalg.svdvals(geometric_system(rotation, points_a, points_b))
     return values[-1] / values[-2]
 
@@ -117,7 +117,7 @@ def test_views_look_at_the_origin():
 
 
 def test_pairs_are_one_body_seen_twice(poses):
-    """Without noise, steering by an identity is the input, and the target is the orthographic view of the turned body."""
+    """Without noise, the target of an identity rotation is the input."""
     source = PairSynthesiser(poses, PEOPLE, PairsConfig(noise=1e-9), split="train", seed=1)
     source.vector = torch.zeros_like(source.vector)
     source.rotation = torch.eye(3).expand_as(source.rotation)
@@ -267,9 +267,8 @@ def test_geometric_losses_agree_on_the_minimiser():
         lambda r: geometric_loss_full(r, rays_a, rays_b),
     )
     for form in forms:
-        assert (
-            form(matrix_from_vector(vector)) < 2e-4
-        )  # measured 8e-5, the floor of the reduced form
+        at_truth = form(matrix_from_vector(vector))
+        assert at_truth < 2e-4  # measured 8e-5, the floor of the reduced form
         found = (vector + torch.tensor([0.05, -0.04, 0.06])).requires_grad_()
         optimiser = torch.optim.Adam([found], lr=0.01)
         schedule = torch.optim.lr_scheduler.LinearLR(optimiser, 1.0, 0.005, 100)
@@ -291,7 +290,10 @@ def test_translation_and_cheirality():
 
 
 def steered_scene() -> tuple[TwoViews, torch.Tensor, torch.Tensor]:
-    """Two people seen by two cameras, the second view's order turned round; true rotation vector and t."""
+    """Two people seen by two cameras, with the true rotation vector and t.
+
+    The order of the people in the second view is reversed.
+    """
     made = people(np.random.default_rng(3), individuals=2, frames=3, fps=1.0, room=(2.0, 2.0))
     centre = np.array([[4.0, -4.0, 1.4], [5.5, 1.0, 1.6]])
     rotation = looking_along(np.array([0.0, 0.0, 0.9]) - centre, np.array([0.0, 0.0, -1.0]))
@@ -336,7 +338,7 @@ def test_solver_tries_again_and_is_deterministic():
 
 
 def test_random_rotations_are_uniform():
-    """The angle of a uniform rotation has the density (1 - cos) / pi: its mean is pi / 2 + 2 / pi."""
+    """The angle of a uniform rotation has the density (1 - cos) / pi and mean pi / 2 + 2 / pi."""
     angle = random_rotations(20_000, torch.Generator().manual_seed(0)).norm(dim=1)
     assert angle.mean().item() == pytest.approx(np.pi / 2 + 2 / np.pi, abs=0.02)
 

@@ -60,6 +60,7 @@ def lift(sample: Sample, lifter: Lifter, *, device: str = "cpu", progress: Progr
     views = len(rays)
 
     def lift_view(view: int) -> _Bodies:
+        """Lift the detections of one view (index)."""
         return _lift_view(rays[view], lifter, device)
 
     lifted: list[_Bodies] = []
@@ -182,7 +183,8 @@ def _apply_network(
     seen_tensor = torch.from_numpy(seen).to(device)
     pose, _, _ = normalise(torch.from_numpy(image).float().to(device), seen_tensor)
     joints, log_deviation = lifter(pose, seen_tensor)
-    return joints.double().cpu().numpy(), np.exp(log_deviation.double().cpu().numpy())
+    deviation = np.exp(log_deviation.double().cpu().numpy())
+    return joints.double().cpu().numpy(), deviation
 
 
 def _centre(body: Floats, image: Floats, seen: Bools) -> Floats:

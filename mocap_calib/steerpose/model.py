@@ -49,7 +49,8 @@ class Lifter(nn.Module):
         token = torch.where(seen[..., None], self.position(known), self.missing)  # (B, J, C)
         token = token + self.joint  # (B, J, C)
         out = self.head(self.encoder(token))  # (B, J, 5)
-        joints = torch.cat([known + out[..., :2], out[..., 2:3]], dim=-1)  # (B, J, 3)
+        across, along = out[..., :2], out[..., 2:3]
+        joints = torch.cat([known + across, along], dim=-1)  # (B, J, 3)
         log_deviation = out[..., 3:].clamp(-6.0, 3.0)  # (B, J, 2)
         return joints, log_deviation
 
@@ -81,5 +82,6 @@ def normalise(pose: Tensor, seen: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     known = torch.where(seen[..., None], pose, torch.zeros_like(pose))
     centre = known.sum(1) / count
     offset = (known - centre[:, None]) * weight  # (B, J, 2)
-    scale = (offset.square().sum((1, 2)) / count[:, 0]).sqrt().clamp_min(1e-9)
+    square = offset.square().sum((1, 2)) / count[:, 0]  # (B,)
+    scale = square.sqrt().clamp_min(1e-9)
     return offset / scale[:, None, None], centre, scale

@@ -39,6 +39,7 @@ def prepare_steering(model: Model, pose: Tensor, seen: Tensor) -> Callable[[Tens
     body, _ = model(pose, seen)  # (B, J, 3)
 
     def rotate_and_project(vector: Tensor) -> Tensor:
+        """Return P R X `[B, J, 2]` of rotation vectors `[B, 3]`."""
         projection = matrix_from_vector(vector)[:, :2]  # (B, 2, 3)
         return torch.einsum("bij,bkj->bki", projection, body)  # (B, J, 2)
 

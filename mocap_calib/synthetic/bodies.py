@@ -7,6 +7,7 @@ and feet that stand on the floor. Body axes: x ahead, y to the body's left, z up
 import numpy as np
 from scipy.ndimage import gaussian_filter1d, minimum_filter1d
 
+from mocap_calib.config import MOTION_RATE
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.recording.joints import load_skeleton
@@ -22,12 +23,12 @@ from mocap_calib.synthetic.anatomy import (
 from mocap_calib.synthetic.gait import Foot, gait_cycles, place_foot
 from mocap_calib.synthetic.paths import Walk, plan_walks
 from mocap_calib.synthetic.postures import Posture, hold_posture
+from mocap_calib.synthetic.signals import direction, left_of
 from mocap_calib.types import Floats
 
 JOINTS = load_skeleton("people").keypoints
 
 _STRAIGHT = 0.99  # share of a leg's length that is used at most: nobody walks with locked knees
-_RATE = 60.0  # inner frames a second: steps must not depend on how often somebody looks
 _HAND_BEND_DEG = -12.0  # hands at ease bend in a little
 _ALONG_LIMB = np.array([0.0, 0.0, -1.0])  # the direction of a hanging arm in its own axes
 
@@ -53,7 +54,7 @@ def people(
             f"people: expected positive numbers, got {individuals} individuals, {frames} frames, "
             f"{fps} fps, room {room}"
         )
-    finer = int(np.ceil(_RATE / fps))
+    finer = int(np.ceil(MOTION_RATE / fps))
     margin = 4 * int(np.ceil(fps))  # the steps at both ends need where people come from and go to
     time = np.arange((frames + 2 * margin) * finer) / (fps * finer)
     walks = plan_walks(rng, time, individuals, room)
@@ -117,13 +118,12 @@ def _lower_body(
 
 def _level_of_pelvis(walk: Walk, cycles: Floats, posture: Posture) -> Floats:
     """Return where the pelvis is on the floor plan, `[time, 2]` metres."""
-    ahead = np.stack([np.cos(walk.heading), np.sin(walk.heading)], axis=-1)
-    left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=-1)
+    ahead = direction(walk.heading)
     # hips go back when the trunk leans, to stay in balance
     back = -0.2 * posture.crouch - 0.15 * np.maximum(posture.lean - 0.1, 0)
     # over the standing foot: to the left in the first half of the cycle
     sway = 0.018 * np.sin(2 * np.pi * (cycles - 0.06))
-    return walk.position + back[:, None] * ahead + sway[:, None] * left
+    return walk.position + back[:, None] * ahead + sway[:, None] * left_of(ahead)
 
 
 def _reachable_height(
@@ -164,7 +164,8 @@ def _leg(side: str, body: Body, *, hip: Floats, facing: Floats, foot: Foot) -> d
     down = line / length
     ahead = _knee_direction(down, facing, foot)
     along = (body.thigh**2 - body.shin**2 + reach**2) / (2 * reach)
-    knee = hip + along * down + np.sqrt(np.maximum(body.thigh**2 - along**2, 0)) * ahead
+    across = np.sqrt(np.maximum(body.thigh**2 - along**2, 0))
+    knee = hip + along * down + across * ahead
     ankle = hip + reach * down
     axes = _turn(foot.yaw, 2) @ _turn(foot.pitch, 1)
     size = mirror(side) * body.foot

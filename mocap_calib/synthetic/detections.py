@@ -5,18 +5,16 @@ from typing import Literal
 
 import numpy as np
 
-from mocap_calib.config import LEAST_DETECTED_JOINTS
+from mocap_calib.config import FALSE_CONFIDENCE, FALSE_COPIES, LEAST_DETECTED_JOINTS
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.synthetic.bodies import JOINTS
+from mocap_calib.synthetic.signals import direction
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Keypoints2D, check_shape
 
 Layout = Literal["coco17", "all"]
 
 LAYOUTS: dict[str, tuple[str, ...]] = {"coco17": JOINTS[:17], "all": JOINTS}
-
-_COPIES = 0.5  # share of the false detections that are a distorted copy of a real one
-_FALSE_CONFIDENCE = 0.7  # of the confidence of a real one
 
 
 @dataclass(frozen=True)
@@ -86,9 +84,10 @@ def detect(  # noqa: PLR0913 - each is one plain number of the detector
     seen = _inside(rig, image) & present[..., None] & found
     seen &= seen.sum(-1, keepdims=True) >= LEAST_DETECTED_JOINTS
     positions, quality = _blur(rng, image, noise_px, outliers)
-    trust = np.where(real, 1.0, _FALSE_CONFIDENCE)[:, None]
+    trust = np.where(real, 1.0, FALSE_CONFIDENCE)[:, None]
     confidence = np.clip(quality * trust, 0.05, 1.0)
-    identity = np.broadcast_to(np.where(real, np.arange(len(real)), -1), seen.shape[:3])
+    individual = np.where(real, np.arange(len(real)), -1)  # [body]
+    identity = np.broadcast_to(individual, seen.shape[:3])
     detections = Detections(joints, positions, confidence, identity)
     return _arrange(rng, detections, seen, shuffle=shuffle)
 
@@ -150,8 +149,8 @@ def _strangers(rng: np.random.Generator, poses: Floats) -> Floats:
     frames, individuals = poses.shape[:2]
     body = poses[rng.integers(frames, size=frames), rng.integers(individuals, size=frames)]
     middle = body.mean(1, keepdims=True) * [1, 1, 0]
-    low, high = poses.min((0, 1, 2))[:2], poses.max((0, 1, 2))[:2]
-    level = rng.uniform(low, high, (frames, 2))
+    low, high = poses.min((0, 1, 2)), poses.max((0, 1, 2))
+    level = rng.uniform(low[:2], high[:2], (frames, 2))
     place = np.concatenate([level, np.zeros((frames, 1))], axis=1)
     turn = _rotation_about_z(np.asarray(rng.uniform(0, 2 * np.pi, frames)))
     return np.asarray((body - middle) @ np.swapaxes(turn, 1, 2) + place[:, None])
@@ -172,11 +171,12 @@ def _replace_by_copies(rng: np.random.Generator, image: Floats) -> Floats:
     """
     views, frames, bodies = image.shape[:3]
     whose = rng.integers(bodies - 1, size=(views, frames))
-    original = np.take_along_axis(image, whose[:, :, None, None, None], axis=2)[:, :, 0]
+    index = whose[:, :, None, None, None]
+    original = np.take_along_axis(image, index, axis=2)[:, :, 0]
     shift = 0.3 * rng.normal(size=(views, frames, 1, 2))
     distortion = 0.06 * rng.normal(size=original.shape)
     copy = original + _size(original)[..., None, None] * (shift + distortion)
-    copied = rng.random((views, frames, 1, 1)) < _COPIES
+    copied = rng.random((views, frames, 1, 1)) < FALSE_COPIES
     false = np.where(copied, copy, image[:, :, -1])
     return np.concatenate([image[:, :, :-1], false[:, :, None]], axis=2)
 
@@ -210,8 +210,7 @@ def _blur(
     gross = rng.random(shape) < outliers
     angle = rng.uniform(0, 2 * np.pi, shape)
     distance = rng.uniform(0.15, 0.8, shape) * _size(image)[..., None]
-    direction = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    blurred += (gross * distance)[..., None] * direction
+    blurred += (gross * distance)[..., None] * direction(angle)
     return blurred, np.where(gross, quality * rng.uniform(0.3, 1.0, shape), quality)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from mocap_calib.synthetic.paths import Walk
-from mocap_calib.synthetic.signals import ease
+from mocap_calib.synthetic.signals import direction, ease, interpolate, left_of
 from mocap_calib.types import Floats
 
 _STANCE = 0.62  # share of the cycle that a foot stands
@@ -80,7 +80,9 @@ def _pause_on_both_feet(cycles: Floats, time: Floats, walk: Walk) -> Floats:
 
 def vigour(walk: Walk) -> Floats:
     """Return how large the swings of legs and arms are `[time]`: 0 standing .. 1 brisk."""
-    return np.asarray(ease(0.15 + 0.7 * walk.speed / 1.1) * ease(walk.speed / 0.4))
+    brisk = ease(0.15 + 0.7 * walk.speed / 1.1)
+    moving = ease(walk.speed / 0.4)
+    return np.asarray(brisk * moving)
 
 
 def place_foot(walk: Walk, cycles: Floats, side: float, offsets: Floats) -> Foot:
@@ -100,10 +102,10 @@ def place_foot(walk: Walk, cycles: Floats, side: float, offsets: Floats) -> Foot
     yaw = here.yaw + swing * (following.yaw - here.yaw)
     pitch = strength * np.radians(_PITCH(within))
     rolled = _roll_over(within, swing, strength, offsets)
-    ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
     moved = swing[:, None] * (following.place - here.place)
-    level = here.place + moved + rolled[:, None] * ahead
-    clearance = (0.02 + 0.04 * strength) * np.sin(np.pi * np.clip(swing_phase, 0, 1)) ** 2
+    level = here.place + moved + rolled[:, None] * direction(yaw)
+    arch = np.sin(np.pi * np.clip(swing_phase, 0, 1)) ** 2
+    clearance = (0.02 + 0.04 * strength) * arch
     # the lowest point of the turned foot is what stands on the floor
     height = clearance - _lowest_point(pitch, offsets) + _skin(offsets)
     return Foot(np.concatenate([level, height[:, None]], axis=1), yaw, pitch)
@@ -147,8 +149,8 @@ def _foothold(walk: Walk, own_cycles: Floats, step: Floats, side: float) -> _Foo
     # a slight slope makes the phase strictly increasing, also while somebody stands
     index = np.arange(len(own_cycles), dtype=np.float64)
     passing = np.interp(step + _PASSING, own_cycles + 1e-9 * index, index)
-    place = np.stack([np.interp(passing, index, walk.position[:, k]) for k in (0, 1)], axis=-1)
+    place = interpolate(passing, index, walk.position)
     heading = np.interp(passing, index, walk.heading)
-    left = np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
+    left = left_of(direction(heading))
     yaw = heading + side * np.radians(_TOES_OUT_DEG)
     return _Footholds(place + _STEP_WIDTH * side * left, yaw)

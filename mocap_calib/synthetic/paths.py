@@ -5,12 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from mocap_calib.config import PEOPLE_APART
-from mocap_calib.synthetic.signals import wander
+from mocap_calib.config import PEOPLE_APART, WALK_CANDIDATES
+from mocap_calib.synthetic.signals import interpolate, wander
 from mocap_calib.types import Floats
 
 _STEP = 0.02  # metres between the points of a path
-_CANDIDATES = 60  # walks looked at for each person
 _TURN_RATE = 1.2  # radians a second at most
 _BRAKING = 0.7  # metres a second squared
 _LEAST_SPEED = 0.02  # metres a second, where somebody stops
@@ -46,7 +45,7 @@ def plan_walks(
     for _ in range(individuals):
         best = _plan_walk(rng, time, room)
         best_room = _elbow_room(best, walks)
-        for _ in range(_CANDIDATES):
+        for _ in range(WALK_CANDIDATES):
             if best_room >= 1.0:
                 break
             candidate = _plan_walk(rng, time, room)
@@ -69,18 +68,25 @@ def _elbow_room(candidate: Walk, others: list[Walk]) -> float:
 def _plan_walk(rng: np.random.Generator, time: Floats, room: tuple[float, float]) -> Walk:
     """Lay out speeds and pauses along a random path, then find the time at each point of it."""
     usual_speed = rng.uniform(0.55, 1.35)
-    path = _random_path(rng, room, 1.6 * usual_speed * (time[-1] - time[0]) + 3.0)
+    enough = 1.6 * usual_speed * (time[-1] - time[0]) + 3.0
+    path = _random_path(rng, room, enough)
     arc = _arc_length(path)
     heading = _heading_along(path)
     speed = _speed_in_turns(usual_speed * np.exp(0.15 * wander(rng, arc, 3.0)), heading)
-    stops = np.cumsum(rng.uniform(2.0, 7.0, int(arc[-1] // 2) + 1)) - rng.uniform(0.0, 5.0)
-    stops = stops[(stops > 0.5) & (stops < arc[-1] - 0.5)]
+    stops = _random_stops(rng, arc[-1])
     for stop in stops:
         braking = np.sqrt(2 * _BRAKING * np.abs(arc - stop)) + _LEAST_SPEED
         speed = np.minimum(speed, braking)
-    arrival = time[0] + np.concatenate([[0.0], np.cumsum(_STEP / speed[1:])])
-    arrival, pauses = _pause(rng, arrival, arc, stops)
+    duration = np.concatenate([[0.0], np.cumsum(_STEP / speed[1:])])
+    arrival, pauses = _pause(rng, time[0] + duration, arc, stops)
     return _walk_in_time(time, arrival=arrival, path=path, heading=heading, pauses=pauses)
+
+
+def _random_stops(rng: np.random.Generator, length: float) -> Floats:
+    """Return where on a path of this length somebody stops, `[stop]` metres."""
+    gaps = rng.uniform(2.0, 7.0, int(length // 2) + 1)
+    stops = np.cumsum(gaps) - rng.uniform(0.0, 5.0)
+    return stops[(stops > 0.5) & (stops < length - 0.5)]
 
 
 def _arc_length(path: Floats) -> Floats:
@@ -124,7 +130,7 @@ def _walk_in_time(
     arc = _arc_length(path)
     interval = time[1] - time[0]
     along = gaussian_filter1d(np.interp(time, arrival, arc), 0.12 / interval, mode="nearest")
-    position = np.stack([np.interp(along, arc, path[:, k]) for k in (0, 1)], axis=-1)
+    position = interpolate(along, arc, path)
     turned = gaussian_filter1d(np.interp(along, arc, heading), 0.15 / interval, mode="nearest")
     return Walk(position, turned, np.gradient(along, interval), pauses)
 
@@ -157,4 +163,4 @@ def _resample(points: Floats) -> Floats:
     legs = np.linalg.norm(np.diff(points, axis=0), axis=1)
     arc = np.concatenate([[0.0], np.cumsum(legs)])
     even = np.arange(0.0, arc[-1], _STEP)
-    return np.stack([np.interp(even, arc, points[:, k]) for k in (0, 1)], axis=-1)
+    return interpolate(even, arc, points)

@@ -105,7 +105,9 @@ def _head(rng: np.random.Generator, time: Floats, lean: Floats) -> Floats:
     # most look where they go, also when they bend
     nod = 6 * wander(rng, time, 2.0) + 4 - 0.5 * lean
     tilt = 4 * wander(rng, time, 3.0)
-    return np.stack([np.clip(turn, -60, 60), np.clip(nod, -25, 30), tilt], axis=-1)
+    turn = np.clip(turn, -60, 60)
+    nod = np.clip(nod, -25, 30)
+    return np.stack([turn, nod, tilt], axis=-1)
 
 
 def _arms(rng: np.random.Generator, time: Floats, swing: Floats, stoop: Floats) -> Floats:

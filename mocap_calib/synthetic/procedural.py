@@ -99,7 +99,8 @@ def _draw_angles(
     """
     if len(numbers) == 2:
         least, most = numbers
-        return least + (most - least) * rng.random((2, len(stride))).mean(0)
+        share = rng.random((2, len(stride))).mean(0)
+        return least + (most - least) * share
     middle, amplitude, phase = numbers
     jitter = _PHASE_JITTER_DEG * rng.normal(size=len(stride))
     angle = middle + amplitude * np.cos(np.deg2rad(stride + phase + jitter))
@@ -121,7 +122,8 @@ def assemble(body: BodyPlan, bones: Floats, turn: Floats, facing: Floats) -> Flo
     for k in others:
         parent = int(body.parent[k])
         axes[:, k] = axes[:, parent] @ turned[:, k]
-        place[:, k] = place[:, parent] + np.einsum("pij,pj->pi", axes[:, k], bones[:, k])
+        bone = np.einsum("pij,pj->pi", axes[:, k], bones[:, k])
+        place[:, k] = place[:, parent] + bone
     return place
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from mocap_calib.config import CAMERA_AIM
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.rotation import looking_along, matrix_from_vector
+from mocap_calib.synthetic.signals import direction
 from mocap_calib.types import Camera, CameraRig, Floats
 
 Distortion = Literal["none", "brown", "fisheye"]
@@ -42,7 +43,8 @@ def ring_rig(
     azimuth = _azimuths(rng, cameras, arc_deg)
     distance = radius * (1 + rng.uniform(-0.08, 0.08, cameras))
     up = height * (1 + rng.uniform(-0.15, 0.15, cameras))
-    centres = np.stack([distance * np.cos(azimuth), distance * np.sin(azimuth), up], axis=-1)
+    level = distance[:, None] * direction(azimuth)
+    centres = np.concatenate([level, up[:, None]], axis=-1)
     aims = np.array(CAMERA_AIM) + rng.normal(0, [0.25, 0.25, 0.1], (cameras, 3))
     roll = np.radians(rng.normal(0, 2.0, cameras))
     rolled = matrix_from_vector(roll[:, None] * np.array([0.0, 0.0, 1.0]))

@@ -1,4 +1,4 @@
-"""Smooth signals of time, from which everything that moves is made."""
+"""Smooth signals of time, from which everything that moves is made, and directions in the plane."""
 
 import numpy as np
 
@@ -51,3 +51,22 @@ def spells(
         found.append((float(start), float(end)))
         start = end
     return found
+
+
+def interpolate(x: Floats, known: Floats, values: Floats) -> Floats:
+    """Return the points `[..., 2]` at x `[...]` of a curve in the plane.
+
+    known: `[point]` ascending, where its points `values` `[point, 2]` are.
+    """
+    first, second = (np.interp(x, known, values[:, column]) for column in (0, 1))
+    return np.stack([first, second], axis=-1)
+
+
+def direction(angle: Floats) -> Floats:
+    """Return the unit vectors `[..., 2]` of angles `[...]` in radians, counter-clockwise from x."""
+    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
+def left_of(ahead: Floats) -> Floats:
+    """Return vectors `[..., 2]` turned by a quarter to the left."""
+    return np.stack([-ahead[..., 1], ahead[..., 0]], axis=-1)

@@ -84,7 +84,8 @@ def matching_loss(weight: Tensor, score: Tensor, present_a: Tensor, present_b: T
     """
     rows, columns = score.shape[-2:]
     possible = possible_matches(present_a, present_b)
-    return (weight[..., :rows, :columns] * (1 - score) * possible).sum((-1, -2))
+    weight = weight[..., :rows, :columns]
+    return (weight * (1 - score) * possible).sum((-1, -2))
 
 
 def translation_matrix(rotation: Tensor, rays_a: Tensor, rays_b: Tensor, weight: Tensor) -> Tensor:
@@ -107,7 +108,8 @@ def geometric_loss(rotation: Tensor, rays_a: Tensor, rays_b: Tensor, weight: Ten
     trace = matrix.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
     values = torch.linalg.eigvalsh(matrix / (trace + _EPSILON))  # (..., 3) ascending
     # The root has no slope at zero: an angle of 1e-5 is below what any image resolves.
-    return torch.sqrt((values[..., 0].clamp_min(0) + 1e-10) / (values[..., 1] + 1e-10))
+    smallest, second = values[..., 0].clamp_min(0), values[..., 1]
+    return torch.sqrt((smallest + 1e-10) / (second + 1e-10))
 
 
 def translation_direction(
@@ -122,8 +124,10 @@ def translation_direction(
     direction = torch.linalg.eigh(matrix)[1][..., 0]
     depth_a, depth_b = depths(rotation, direction, rays_a, rays_b)
     total = weight.sum(-1).clamp_min(_EPSILON)
-    in_front = (((depth_a > 0) & (depth_b > 0)) * weight).sum(-1) / total
-    behind = (((depth_a < 0) & (depth_b < 0)) * weight).sum(-1) / total
+    before_both = (depth_a > 0) & (depth_b > 0)
+    behind_both = (depth_a < 0) & (depth_b < 0)
+    in_front = (before_both * weight).sum(-1) / total
+    behind = (behind_both * weight).sum(-1) / total
     reverse = (behind > in_front)[..., None]
     return torch.where(reverse, -direction, direction), torch.maximum(in_front, behind)
 

@@ -155,6 +155,7 @@ def _prepare_steering_both_ways(batch: Batch, model: Model) -> SteerBoth:
     bodies_a = shape_a[:3].numel()
 
     def steer_both(vector: Tensor) -> tuple[Tensor, Tensor]:
+        """Steer by rotation vectors `[B, 3]` of b_from_a."""
         b_from_a = vector[:, None, None].expand(*shape_a[:3], 3).flatten(0, 2)  # (B F I, 3)
         a_from_b = -vector[:, None, None].expand(*shape_b[:3], 3).flatten(0, 2)  # (B F J, 3)
         steered = steer(torch.cat([b_from_a, a_from_b]))  # (M, N, 2)

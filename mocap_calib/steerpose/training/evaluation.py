@@ -5,7 +5,12 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from mocap_calib.config import PairsConfig, TrainConfig
+from mocap_calib.config import (
+    EVALUATION_SEED,
+    EVALUATION_SEED_OF_ANGLES,
+    PairsConfig,
+    TrainConfig,
+)
 from mocap_calib.steerpose.model import Lifter
 from mocap_calib.steerpose.steer import Model, steer
 from mocap_calib.steerpose.training.dataset import Synthesiser
@@ -13,9 +18,6 @@ from mocap_calib.steerpose.training.losses import displacement
 from mocap_calib.steerpose.training.pairs import PairSynthesiser
 from mocap_calib.steerpose.training.poses import PoseSet
 from mocap_calib.types import Skeleton
-
-_SEED = 12345  # of the examples: all networks are measured on the same ones
-_SEED_OF_ANGLES = 54321
 
 
 @torch.no_grad()
@@ -29,7 +31,7 @@ def held_out_error(
         drawn uniformly.
     completed_2d: the same without rotation, over the joints that were not seen.
     """
-    batch = Synthesiser(poses, skeleton, config, seed=_SEED).batch(examples)
+    batch = Synthesiser(poses, skeleton, config, seed=EVALUATION_SEED).batch(examples)
     joints, _ = lifter(batch.pose, batch.seen)
     error = joints - batch.target  # (B, J, 3)
     steered = _project_turned(error)
@@ -52,10 +54,14 @@ def steering_error(
     steered_2d: L_kp (eq. 1).
     identity_2d: the displacement of the seen joints when nothing is turned, without noise.
     """
-    batch = PairSynthesiser(poses, skeleton, config, split="test", seed=_SEED).batch(examples)
+    batch = PairSynthesiser(poses, skeleton, config, split="test", seed=EVALUATION_SEED).batch(
+        examples
+    )
     steered = steer(model, batch.pose, batch.seen, batch.vector)
     exact = replace(config, noise=1e-6)
-    still = PairSynthesiser(poses, skeleton, exact, split="test", seed=_SEED).batch(examples)
+    still = PairSynthesiser(poses, skeleton, exact, split="test", seed=EVALUATION_SEED).batch(
+        examples
+    )
     unturned = steer(model, still.pose, still.seen, torch.zeros_like(still.vector))
     seen = still.seen[..., None]
     square = torch.where(seen, (unturned - still.pose).square(), torch.zeros_like(unturned))
@@ -68,7 +74,7 @@ def steering_error(
 
 def _project_turned(error: Tensor) -> Tensor:
     """Return errors `[B, J, 3]` in the image `[B, J, 2]` after random turns about the vertical."""
-    generator = torch.Generator().manual_seed(_SEED_OF_ANGLES)
+    generator = torch.Generator().manual_seed(EVALUATION_SEED_OF_ANGLES)
     angle = 2 * torch.pi * torch.rand(len(error), 1, generator=generator)
     across = error[..., 0] * angle.cos() + error[..., 2] * angle.sin()
     return torch.stack([across, error[..., 1]], -1)

@@ -15,11 +15,12 @@ def displacement(steered: Tensor, target: Tensor) -> Tensor:
 
     steered and target: poses `[B, J, 2]`.
     """
-    return torch.sqrt((steered - target).square().sum(-1) + _EPSILON).mean(-1)
+    square = (steered - target).square().sum(-1)  # (B, J)
+    return torch.sqrt(square + _EPSILON).mean(-1)
 
 
 def lifting_loss(lifter: Lifter, batch: Batch) -> Tensor:
-    """Return the loss `[]` of a lifter on a batch, over the joints with a target.
+    """Return the loss (a scalar tensor) of a lifter on a batch, over the joints with a target.
 
     The mean joint distance (the paper's eq. 1 in 3D, which bounds it for every R), plus the
     Laplace likelihood of the errors that remain across the ray and along it.
@@ -28,7 +29,8 @@ def lifting_loss(lifter: Lifter, batch: Batch) -> Tensor:
     known = torch.isfinite(batch.target[..., 0])
     error = torch.where(known[..., None], joints - batch.target.nan_to_num(), 0.0)
     distance = torch.sqrt(error.square().sum(-1) + _EPSILON)  # (B, J)
-    across, along = error[..., :2].detach().norm(dim=-1), error[..., 2].detach().abs()
+    across = error[..., :2].detach().norm(dim=-1)
+    along = error[..., 2].detach().abs()
     remaining = torch.stack([across, along], -1)  # (B, J, 2)
     likelihood = (remaining * torch.exp(-log_deviation) + log_deviation).mean(-1)
     return ((distance + UNCERTAINTY_WEIGHT * likelihood) * known).sum() / known.sum()
