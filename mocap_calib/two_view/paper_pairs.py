@@ -6,7 +6,9 @@ import numpy as np
 
 from mocap_calib.config import PairwiseConfig, PaperConfig
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.steerpose.paper.solver import TwoViews, by_joint, seeded, solve_pair
+from mocap_calib.steerpose.paper.batch import TwoViews
+from mocap_calib.steerpose.paper.solver import seeded_generator, solve_pair
+from mocap_calib.steerpose.rays import rays_by_joint
 from mocap_calib.steerpose.steer import Model
 from mocap_calib.two_view.affinity import ViewPair
 from mocap_calib.two_view.solve import PairProblem, judge_pair
@@ -29,7 +31,7 @@ class PaperPairs:
         if problem.frames == 0:
             return None
         chosen = evenly_spaced(np.arange(len(pair.frames)), self.config.frames)
-        generator = seeded(int(problem.rng.integers(2**62)))
+        generator = seeded_generator(int(problem.rng.integers(2**62)))
         found = solve_pair(
             self._views(pair, chosen, problem.a, problem.b), self.model, self.config, generator
         )
@@ -48,5 +50,6 @@ class PaperPairs:
         seen = (
             np.where(weight[frames][..., None] > 0, rays[frames], np.nan) for rays, weight in sides
         )
-        first, second = (by_joint(rays, self.vocabulary, self.model.config.joints) for rays in seen)
+        joints = self.model.config.joints
+        first, second = (rays_by_joint(rays, self.vocabulary, joints) for rays in seen)
         return TwoViews(first, second, float(self.focal[[a, b]].mean()))
