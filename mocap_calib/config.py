@@ -110,32 +110,88 @@ class PaperConfig:
 
 @dataclass(frozen=True)
 class AveragingConfig:
-    """From pairs to a rig."""
+    """From the pairs to groups of cameras, and to a rig.
 
-    least_score: float = (
-        0.12  # a pair below it is no evidence; a camera that only such pairs hold is left out
-    )
-    weak_score: float = 0.55  # simulated views of different times reach 0.53, of one time 0.8 and more; below it the user is warned
-    breaks: float = 0.25  # a pair left with less of its weight than this contradicts the others
-    rotation_scale_deg: float = 4.0  # a pair this far from the rig counts half
-    translation_scale: float = 0.15  # of its baseline
-    loop_doubt: float = 0.1  # a mode that all its triangles contradict keeps this share of its score squared, against one that they confirm
+    least_score: a pair below it is not used; a camera that has only such pairs is left out.
+    weak_score: below it the user is warned. Simulated views of different times reach 0.53, views
+        of one time 0.8 and more.
+    breaks: a pair left with less of its weight than this contradicts the others.
+    rotation_scale_deg, translation_scale: a pair this far from the rig counts half; the
+        translation as a share of the pair's baseline.
+    loop_doubt: a hypothesis that all its triangles contradict keeps this share of its score
+        squared, against one that they confirm.
+    closed_triangle: 0..1, a triangle closes from this on: to within both scales.
+    iterations: of reweighting, and of passing messages between the pairs of triangles.
+    """
+
+    least_score: float = 0.12
+    weak_score: float = 0.55
+    breaks: float = 0.25
+    rotation_scale_deg: float = 4.0
+    translation_scale: float = 0.15
+    loop_doubt: float = 0.1
+    closed_triangle: float = 0.5
     iterations: int = 30
 
 
 @dataclass(frozen=True)
 class MatchingConfig:
-    """Who is who."""
+    """Who is who: in a frame, through time, and in the end.
 
-    least_affinity: float = 0.25  # mean over all pairs of views of one individual
-    lone: float = 0.9  # of the frames show each view no more than one detection: a single subject, whom geometry alone follows
-    cells: int = 2_000_000  # pairs of detections looked at in one go: so many frames, or fewer where there is a crowd
-    reach: float = 0.5  # body sizes that a body may move between frames, or five times its usual step if that is more
-    memory: int = 50  # frames after which how far it may have gone does not grow any more
-    fleeting_frames: int = 10  # an individual of no more frames than this,
-    tracklet_step: float = 0.3  # of the extent of a pose in the image: how far it may move from a frame to the next and still be followed
-    tracklet_frames: int = 30  # that vote together who one is
-    fleeting_share: float = 0.05  # and of no larger share of them, that never three of three or more views agree on, is nobody
+    In a frame:
+    least_affinity: 0..1, the mean affinity down to which two groups of detections are joined.
+    single_subject: share of the frames which show each view no more than one detection; from it
+        on there is one subject, whom geometry alone follows.
+    cells: pairs of detections looked at in one go: so many frames, or fewer in a crowd.
+
+    Through time:
+    reach: body sizes that a body may move between frames; or `usual_steps` times its usual step,
+        if that is more.
+    memory: frames after which the distance that a body may have gone does not grow any more.
+
+    In the end:
+    fleeting_frames, fleeting_share: an individual that is seen in no more frames than this, and in
+        no larger share of them, is nobody, unless `sure_views` views of one frame agree on it.
+
+    Tracklets of one view:
+    tracklet_step: how far a pose may move from a frame to the next and still be followed, as a
+        share of its extent in the image.
+    tracklet_joints: joints that two detections need in common to be compared.
+    tracklet_frames: so many frames vote together on who a tracklet is.
+    """
+
+    least_affinity: float = 0.25
+    single_subject: float = 0.9
+    cells: int = 2_000_000
+    reach: float = 0.5
+    usual_steps: float = 5.0
+    memory: int = 50
+    fleeting_frames: int = 10
+    fleeting_share: float = 0.05
+    sure_views: int = 3
+    tracklet_step: float = 0.3
+    tracklet_joints: int = 3
+    tracklet_frames: int = 30
+
+
+# the scale of a rig follows from detections with so many joints, in so many frames of each pair,
+# of matches that fit the epipolar geometry so well (0..1)
+SCALE_JOINTS = 4
+SCALE_FRAMES = 40
+SCALE_LEAST_FIT = 0.7
+
+# a recording of which this share of frames shows one detection a view may be of one subject
+SINGLE_SUBJECT_SHARE = 0.5
+
+# factorization: views and points that it needs
+FACTORIZATION_VIEWS = 3
+FACTORIZATION_POINTS = 24
+# rounds of leaving out the points whose residual is so many times the median, and that in pixels
+FACTORIZATION_ROUNDS = 5
+FACTORIZATION_OUTLIER = 2.5
+FACTORIZATION_LEAST_PX = 1.0
+# alternations between the points and the scale of each view
+FACTORIZATION_SWEEPS = 50
 
 
 @dataclass(frozen=True)
