@@ -78,16 +78,21 @@ class PairwiseConfig:
     mode_separation_deg: float = 15.0
     pose_tolerance: float = 0.35  # RMS joint distance of two lifts of one body ...
     pose_doubt: float = 2.5  # ... or this many times what the network expects, where that is more
-    place_tolerance: float = 0.15  # of the distance: how well one view tells how far a body is
+    centre_tolerance: float = 0.15  # of the distance: how well one view tells how far a body is
     inlier: float = 0.08  # epipolar error of a good joint
+    least_common_joints: int = 3  # of two detections that are compared
+    unlifted_affinity: float = 0.3  # how well a body agrees that was not lifted, beside others
     least_noise: float = 0.01  # of a joint, at the body; no detector is better
     lift_spread: float = 0.12  # RMS joint distance of two right lifts of one body
-    place_spread: float = 0.06  # of the distance: how well two views agree how far one body is
+    centre_spread: float = 0.06  # of the distance: how well two views agree how far one body is
     lift_independent: float = (
         2.0  # lifted bodies err alike: any number of them knows no more than this many
     )
     points: int = 4000  # joints a refinement looks at
     rounds: int = 3  # of matching and refining
+
+
+LEAST_LIFT_SPREAD = 0.05  # body sizes: no lifted joint is more certain
 
 
 @dataclass(frozen=True)

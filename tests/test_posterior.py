@@ -7,8 +7,8 @@ import pytest
 
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.rotation import angle_between, direction_angle, matrix_from_vector
-from mocap_calib.two_view.affinity import ViewPair
 from mocap_calib.two_view.posterior import _bodies, _epipolar, _places, most_probable
+from mocap_calib.two_view.view_pair import Detections, Overlap, ViewPair
 from mocap_calib.types import Floats
 
 CONFIG = PairwiseConfig()
@@ -28,24 +28,18 @@ def exact_pair(bodies: int) -> ViewPair:
     cross = np.einsum("fikx,fjky->fijxy", inside[0], inside[1]) / 12
     square = [(x**2).sum((-1, -2)) / 12 for x in inside]
     rays = [x / np.linalg.norm(x, axis=-1, keepdims=True) for x in (points, moved)]
-    one, distance = np.ones((1, bodies, 12)), [np.linalg.norm(c, axis=-1) for c in centres]
     norm = square[0][:, :, None] + square[1][:, None]
-    return ViewPair(
-        np.array([0]),
-        *rays,
-        one,
-        one,
-        *centres,
-        *distance,
-        cross,
-        norm,
-        np.zeros((1, bodies, bodies)),
-        np.ones((1, bodies, bodies)),
+    a, b = (
+        Detections(rays[k], np.ones((1, bodies, 12)), c, np.linalg.norm(c, axis=-1))
+        for k, c in enumerate(centres)
     )
+    all_pairs = (1, bodies, bodies)
+    overlap = Overlap(cross, norm, doubt=np.zeros(all_pairs), lifted=np.ones(all_pairs))
+    return ViewPair(np.array([0]), a, b, overlap)
 
 
 def rays_of(pair: ViewPair) -> tuple[Floats, Floats, Floats, Floats]:
-    rays_a, rays_b = pair.rays_a.reshape(-1, 3), pair.rays_b.reshape(-1, 3)
+    rays_a, rays_b = pair.a.rays.reshape(-1, 3), pair.b.rays.reshape(-1, 3)
     return rays_a, rays_b, np.ones(len(rays_a)), np.full(len(rays_a), 10.0)
 
 
@@ -64,7 +58,8 @@ def test_the_truth_is_found_from_nearby(bodies):
 
 
 def test_without_lifted_bodies_nothing_changes():
-    pair = replace(exact_pair(2), lifted=np.zeros((1, 2, 2)))
+    pair = exact_pair(2)
+    pair = replace(pair, overlap=replace(pair.overlap, lifted=np.zeros((1, 2, 2))))
     found = most_probable(
         pair, ROTATION, TRANSLATION, np.eye(2, dtype=bool)[None], rays_of(pair), CONFIG
     )
@@ -86,7 +81,7 @@ def test_slopes():
     step = 1e-5 * np.eye(6)
     for law in (
         lambda r, _: _bodies(pair, r, use, CONFIG),
-        lambda r, t: _places(pair, r, t, use, replace(CONFIG, place_spread=10.0)),
+        lambda r, t: _places(pair, r, t, use, replace(CONFIG, centre_spread=10.0)),
     ):
         energies = [(law(*moved(d))[0] - law(*moved(-d))[0]) / 2e-5 for d in step]
         np.testing.assert_allclose(

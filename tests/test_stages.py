@@ -25,15 +25,16 @@ from mocap_calib.multi_view.bundle_adjustment import adjust
 from mocap_calib.multi_view.triangulation import triangulate, triangulate_rays
 from mocap_calib.multi_view.view_graph import pairs_among, usable_cameras
 from mocap_calib.two_view.affinity import (
+    centre_error,
+    epipolar_affinity,
     epipolar_error,
-    place_error,
-    reach,
+    epipolar_fit,
     steering_error,
-    view_pair,
 )
 from mocap_calib.two_view.assignment import mutual_best, sinkhorn
 from mocap_calib.two_view.refine import refine_two_view
 from mocap_calib.two_view.solve import calibrate_pair, calibrate_pairs, pair_problem
+from mocap_calib.two_view.view_pair import distances, reach, view_pair
 from mocap_calib.types import Camera, CameraRig, Matches, PairwiseCalibration, Recording, silent
 
 
@@ -79,7 +80,7 @@ def test_the_unlike_stay_alone():
     ]
 
 
-# evidence
+# affinity
 
 
 def test_steering_error_is_the_weighted_distance_of_turned_bodies():
@@ -95,13 +96,13 @@ def test_steering_error_is_the_weighted_distance_of_turned_bodies():
     np.testing.assert_allclose(fast, slow, atol=1e-10)
 
 
-def test_place_error_is_the_distance_over_the_distances():
+def test_centre_error_is_the_distance_over_the_distances():
     pair = some_pair()
     rotation, translation = matrix_from_vector(np.array([0.1, 0.5, 0.0])), np.array([1.0, 2.0, 3.0])
-    gap = (pair.place_a @ rotation.T + translation)[:, :, None] - pair.place_b[:, None]
-    slow = (gap**2).sum(-1) / (pair.distance_a[:, :, None] ** 2 + pair.distance_b[:, None] ** 2)
+    gap = (pair.a.centre @ rotation.T + translation)[:, :, None] - pair.b.centre[:, None]
+    slow = (gap**2).sum(-1) / (pair.a.distance[:, :, None] ** 2 + pair.b.distance[:, None] ** 2)
     np.testing.assert_allclose(
-        place_error(pair, rotation[None], translation[None])[0], slow, atol=1e-10
+        centre_error(pair, rotation[None], translation[None])[0], slow, atol=1e-10
     )
 
 
@@ -111,13 +112,29 @@ def test_epipolar_error_is_sampsons_at_the_body():
     error, weight = epipolar_error(pair, rotation[None], translation[None])
     slow = (
         np.abs(
-            sampson_angle(essential(rotation, translation), pair.rays_a[3, 1], pair.rays_b[3, 2])
+            sampson_angle(essential(rotation, translation), pair.a.rays[3, 1], pair.b.rays[3, 2])
         )
         * reach(pair)[3, 1, 2]
     )
     known = weight[3, 1, 2] > 0
     assert known.any()
     np.testing.assert_allclose(error[0, 3, 1, 2][known], slow[known], atol=1e-12)
+
+
+def test_the_affinity_by_a_rig_is_the_epipolar_fit_of_its_pairs():
+    """Both say the same of a pair of views, given the same distances of the bodies."""
+    sample, rig, config = recording(), scene().rig, PairwiseConfig()
+    every = np.arange(len(sample.frames))
+    pair = view_pair(sample, lifted(), 0, 2, every)
+    error, weight = epipolar_error(pair, *(part[None] for part in rig.relative(0, 2)))
+    distance = distances(lifted().centre, sample.rays)
+    affinity, comparable = epipolar_affinity(sample, rig, distance, config)
+    instances = sample.positions.shape[2]
+    rows, columns = slice(0, instances), slice(2 * instances, 3 * instances)
+    fit = epipolar_fit(error, weight, config)[0]
+    np.testing.assert_allclose(affinity[:, rows, columns], fit, atol=1e-9)
+    assert ((comparable[:, rows, columns] > 0) | (fit == 0)).all()
+    np.testing.assert_array_equal(affinity, np.swapaxes(affinity, 1, 2))
 
 
 # pairwise

@@ -5,7 +5,6 @@ cycle-consistent by construction. Groups are then carried through time by where 
 """
 
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import partial
 from itertools import combinations
 
@@ -21,17 +20,20 @@ from mocap_calib.config import (
     MatchingConfig,
     PairwiseConfig,
 )
-from mocap_calib.geometry.epipolar import depths
 from mocap_calib.multi_view.clustering import cluster_detections
 from mocap_calib.multi_view.labels import per_frame_labels
 from mocap_calib.multi_view.tracking import link_through_time, locate_groups
 from mocap_calib.recording.sampling import evenly, take_sample
 from mocap_calib.two_view.affinity import (
-    ViewPair,
     epipolar_affinity,
     epipolar_error,
     epipolar_fit,
     match_affinity,
+)
+from mocap_calib.two_view.view_pair import (
+    distance_ratios,
+    distances,
+    distances_by_size,
     view_pair,
 )
 from mocap_calib.types import (
@@ -61,8 +63,7 @@ def associate(
     scale = body_scale(sample, lifted, rig, config.pairwise)
     geometry_alone = single_subject(sample, config.matching.single_subject) is not None
     step = max(1, config.matching.cells // (views * instances) ** 2)
-    for start in range(0, frames, step):
-        block = np.arange(start, min(start + step, frames))
+    for block in _cut_into_blocks(np.arange(frames), step):
         affinity, comparable = _affinities(
             sample,
             lifted,
@@ -101,11 +102,11 @@ def label_all_frames(
 
     others = np.setdiff1d(np.arange(frames), sample_frames)
     step = max(1, _CELLS // (views * instances) ** 2)
-    blocks = [others[start : start + step] for start in range(0, len(others), step)]
-    label = partial(_label_by_geometry, recording, rig, config)
-    for done, (block, found) in enumerate(zip(blocks, in_order(label, blocks), strict=True)):
-        labels[:, block, : found.shape[2]] = found
-        progress("match all", done + 1, len(blocks))
+    blocks = _cut_into_blocks(others, step)
+    found = in_order(partial(_label_by_geometry, recording, rig, config), blocks)
+    for done, (block, groups) in enumerate(zip(blocks, found, strict=True), start=1):
+        labels[:, block, : groups.shape[2]] = groups
+        progress("match all", done, len(blocks))
     return _link_groups(recording, rig, labels, config.matching, scale=scale)
 
 
@@ -143,33 +144,17 @@ def body_scale(
 def _scales_of_pairs(
     sample: Sample, lifted: LiftedPoses, rig: CameraRig, config: PairwiseConfig
 ) -> Iterator[Floats]:
-    """Yield `[joint]` lifted over triangulated distances of each pair of views."""
+    """Yield `[joint]` body sizes per unit of the rig, by the matches of each pair of views."""
     large = sample.seen.sum(-1) >= SCALE_JOINTS
     shows = large.sum(-1) > 0
     for a, b in combinations(range(len(rig.cameras)), 2):
         shared = np.flatnonzero(shows[a] & shows[b])
         if len(shared):
             pair = view_pair(sample, lifted, a, b, evenly(shared, SCALE_FRAMES))
-            yield _distance_ratios(pair, *rig.relative(a, b), config)
-
-
-def _distance_ratios(
-    pair: ViewPair, rotation: Floats, translation: Floats, config: PairwiseConfig
-) -> Floats:
-    """Return `[joint]` lifted over triangulated distances, of matches that fit well.
-
-    rotation `[3, 3]` and translation `[3]` of b_from_a.
-    """
-    error, weight = epipolar_error(pair, rotation[None], translation[None])
-    frame, i, j = np.nonzero(epipolar_fit(error, weight, config)[0] > SCALE_LEAST_FIT)
-    seen = (pair.weight_a[frame, i] > 0) & (pair.weight_b[frame, j] > 0)
-    rays_a = pair.rays_a[frame, i][seen]
-    rays_b = pair.rays_b[frame, j][seen]
-    depth_a, depth_b = depths(rotation, translation, rays_a, rays_b)
-    distance = pair.distance_a[frame, i] + pair.distance_b[frame, j]
-    lifted = np.broadcast_to(distance[:, None], seen.shape)[seen]
-    in_front = (depth_a > 0) & (depth_b > 0)
-    return lifted[in_front] / (depth_a + depth_b)[in_front]
+            rotation, translation = rig.relative(a, b)
+            error, weight = epipolar_error(pair, rotation[None], translation[None])
+            matched = epipolar_fit(error, weight, config)[0] > SCALE_LEAST_FIT
+            yield distance_ratios(pair, rotation, translation, matched)
 
 
 def _affinities(
@@ -190,31 +175,30 @@ def _affinities(
     Returns `[frame, N, N]` affinities of the N = views x instances detections, and 1 where two
     detections can be compared.
     """
-    views, instances = len(rig.cameras), sample.positions.shape[2]
-    shape = (len(frames), views, instances, views, instances)
-    affinity = np.zeros(shape)
-    comparable = np.zeros(shape)
+    block = sample.select(frames=frames)
+    distance = distances(lifted.centre[:, frames], block.rays)
+    affinity, comparable = epipolar_affinity(block, rig, distance, config)
+    if geometry_alone:
+        return affinity, comparable
+    views, count, instances = distance.shape
+    by_views = affinity.reshape(count, views, instances, views, instances)
     for a, b in combinations(range(views), 2):
         pair = view_pair(sample, lifted, a, b, frames)
-        if geometry_alone:
-            pair = replace(pair, lifted=np.zeros_like(pair.lifted))
         rotation, translation = rig.relative(a, b)
-        error, weight = epipolar_error(pair, rotation[None], translation[None])
-        fit = epipolar_fit(error, weight, config)
-        found = match_affinity(pair, rotation[None], translation[None] * scale, fit, config)[0]
-        common = (weight > 0).sum(-1) >= 3
-        affinity[:, a, :, b] = found
-        affinity[:, b, :, a] = np.swapaxes(found, 1, 2)
-        comparable[:, a, :, b] = common
-        comparable[:, b, :, a] = np.swapaxes(common, 1, 2)
-    detections = (len(frames), views * instances, views * instances)
-    return affinity.reshape(detections), comparable.reshape(detections)
+        epipolar = by_views[:, a, :, b]
+        found = match_affinity(
+            pair, rotation[None], scale * translation[None], epipolar[None], config
+        )
+        by_views[:, a, :, b] = found[0]
+        by_views[:, b, :, a] = np.swapaxes(found[0], 1, 2)
+    return affinity, comparable
 
 
 def _label_by_geometry(recording: Recording, rig: CameraRig, config: Config, frames: Ints) -> Ints:
     """Return `[view, frame, instance]` groups within some frames (indices), by the rig alone."""
     sample = take_sample(recording, frames)
-    affinity, comparable = epipolar_affinity(sample, rig, config.pairwise)
+    distance = distances_by_size(sample.rays)
+    affinity, comparable = epipolar_affinity(sample, rig, distance, config.pairwise)
     return _group_detections(affinity, comparable, len(rig.cameras), config.matching)
 
 
@@ -234,3 +218,8 @@ def _link_groups(
     """Return the groups of each frame as individuals of the recording."""
     places = locate_groups(recording, rig, labels) * scale
     return Matches(link_through_time(labels, places, recording.frames, config))
+
+
+def _cut_into_blocks(frames: Ints, size: int) -> list[Ints]:
+    """Return the frames `[frame]` in blocks of at most `size`."""
+    return [frames[start : start + size] for start in range(0, len(frames), size)]

@@ -8,8 +8,9 @@ import numpy as np
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.epipolar import five_point
 from mocap_calib.geometry.rotation import nearest_rotation
-from mocap_calib.two_view.affinity import ViewPair, agreement, reach
+from mocap_calib.two_view.affinity import body_agreement
 from mocap_calib.two_view.assignment import mutual_best, sinkhorn
+from mocap_calib.two_view.view_pair import ViewPair, reach
 from mocap_calib.types import Floats, Ints
 
 _TRACKS = 9  # pairs of tracks that are looked at
@@ -42,7 +43,7 @@ def generate_hypotheses(
 
 def _known_identities(pair: ViewPair, tracked: bool) -> list[tuple[Ints, Ints, Ints]]:
     """Sets of matches (frame, i, j) that hold one individual a view: the frames with one subject, or each pair of tracks."""
-    there_a, there_b = (pair.weight_a > 0).sum(-1) > 0, (pair.weight_b > 0).sum(-1) > 0
+    there_a, there_b = (pair.a.weight > 0).sum(-1) > 0, (pair.b.weight > 0).sum(-1) > 0
     if tracked:
         tracks = product(range(there_a.shape[1]), range(there_b.shape[1]))
         sets = [(np.flatnonzero(there_a[:, i] & there_b[:, j]), i, j) for i, j in tracks]
@@ -58,23 +59,25 @@ def _search(pair: ViewPair, config: PairwiseConfig, rng: np.random.Generator) ->
 
     Half of the hypotheses are the candidates whose bodies agree best, half are drawn at random.
     """
-    frame, i, j = np.nonzero(pair.lifted)
+    frame, i, j = np.nonzero(pair.overlap.lifted)
     if len(frame) == 0:
         return Hypotheses(np.zeros((0, 3, 3)), np.zeros((0, 3)), ())
-    rotation = nearest_rotation(np.swapaxes(pair.cross[frame, i, j], -1, -2))
-    own = pair.norm[frame, i, j] - 2 * np.einsum("nij,nji->n", rotation, pair.cross[frame, i, j])
+    rotation = nearest_rotation(np.swapaxes(pair.overlap.cross[frame, i, j], -1, -2))
+    own = pair.overlap.norm[frame, i, j] - 2 * np.einsum(
+        "nij,nji->n", rotation, pair.overlap.cross[frame, i, j]
+    )
     half = config.hypotheses // 2
     order = np.argsort(own, kind="stable")
     index = np.concatenate([order[:half], rng.permutation(order[half:])[:half]])
     rotation = rotation[index]
-    translation = pair.place_b[frame, j][index] - np.einsum(
-        "nij,nj->ni", rotation, pair.place_a[frame, i][index]
+    translation = pair.b.centre[frame, j][index] - np.einsum(
+        "nij,nj->ni", rotation, pair.a.centre[frame, i][index]
     )
     # in blocks: a single crowded frame multiplies the matches that each hypothesis is scored on
-    block = max(1, _CELLS // pair.lifted.size)
+    block = max(1, _CELLS // pair.overlap.lifted.size)
     parts = [slice(k, k + block) for k in range(0, len(rotation), block)]
     support = np.concatenate(
-        [_support(agreement(pair, rotation[p], translation[p], config)) for p in parts]
+        [_support(body_agreement(pair, rotation[p], translation[p], config)) for p in parts]
     )
     keep = separated(rotation, support, config.modes, np.deg2rad(config.mode_separation_deg))
     modes = Hypotheses(rotation[keep], translation[keep], ("lifted",) * len(keep))
@@ -83,7 +86,7 @@ def _search(pair: ViewPair, config: PairwiseConfig, rng: np.random.Generator) ->
     return modes[
         separated(
             modes.rotation,
-            _support(agreement(pair, modes.rotation, modes.translation, config)),
+            _support(body_agreement(pair, modes.rotation, modes.translation, config)),
             config.modes,
             np.deg2rad(2.0),
         )
@@ -109,16 +112,17 @@ def separated(rotation: Floats, support: Floats, count: int, gap: float) -> Ints
 
 def _procrustes(pair: ViewPair, modes: Hypotheses, config: PairwiseConfig) -> Hypotheses:
     """One turn of matching and of weighted Procrustes on the matched bodies, all modes at once."""
-    agree = agreement(pair, modes.rotation, modes.translation, config)
+    agree = body_agreement(pair, modes.rotation, modes.translation, config)
     weight = agree * mutual_best(sinkhorn(agree, dummy=0.1), least=0.05)
     rotation = nearest_rotation(
-        np.einsum("mfab,fabij->mji", weight, pair.cross, optimize=True) + 1e-9 * modes.rotation
+        np.einsum("mfab,fabij->mji", weight, pair.overlap.cross, optimize=True)
+        + 1e-9 * modes.rotation
     )
     gap = (
-        pair.place_b[None, :, None]
-        - np.einsum("mij,faj->mfai", rotation, pair.place_a)[:, :, :, None]
+        pair.b.centre[None, :, None]
+        - np.einsum("mij,faj->mfai", rotation, pair.a.centre)[:, :, :, None]
     )
-    near = weight / (pair.distance_a[:, :, None] ** 2 + pair.distance_b[:, None] ** 2)
+    near = weight / (pair.a.distance[:, :, None] ** 2 + pair.b.distance[:, None] ** 2)
     total = near.sum((1, 2, 3))[:, None]
     mean = (near[..., None] * gap).sum((1, 2, 3)) / np.maximum(total, 1e-12)
     return replace(
@@ -134,10 +138,10 @@ def _from_five_points(
     for _ in range(3):
         part = np.sort(rng.permutation(len(frame))[:40])
         f, m, n = frame[part], i[part], j[part]
-        both = (pair.weight_a[f, m] > 0) & (pair.weight_b[f, n] > 0)
+        both = (pair.a.weight[f, m] > 0) & (pair.b.weight[f, n] > 0)
         threshold = 0.05 / float(np.median(reach(pair)[f, m, n]))
         for rotation, translation in five_point(
-            pair.rays_a[f, m][both], pair.rays_b[f, n][both], threshold
+            pair.a.rays[f, m][both], pair.b.rays[f, n][both], threshold
         ):
             rotations.append(rotation)
             translations.append(translation)

@@ -8,8 +8,8 @@ from mocap_calib.config import PairwiseConfig, PaperConfig
 from mocap_calib.recording.sampling import evenly
 from mocap_calib.steerpose.paper.solver import TwoViews, by_joint, seeded, solve_pair
 from mocap_calib.steerpose.steer import Model
-from mocap_calib.two_view.affinity import ViewPair
 from mocap_calib.two_view.solve import PairProblem, judge_pair
+from mocap_calib.two_view.view_pair import ViewPair
 from mocap_calib.types import Floats, Ints, PairwiseCalibration
 
 
@@ -35,7 +35,7 @@ class PaperPairs:
         )
         if not len(found.matches):
             return None
-        matched = np.zeros(pair.lifted.shape, dtype=bool)
+        matched = np.zeros(pair.overlap.lifted.shape, dtype=bool)
         frame, i, j = found.matches.T
         matched[chosen[frame], i, j] = True
         return judge_pair(
@@ -44,7 +44,7 @@ class PaperPairs:
 
     def _views(self, pair: ViewPair, frames: Ints, a: int, b: int) -> TwoViews:
         """The rays of both views in the joints of the model, NaN where it sees none."""
-        sides = ((pair.rays_a, pair.weight_a), (pair.rays_b, pair.weight_b))
+        sides = ((pair.a.rays, pair.a.weight), (pair.b.rays, pair.b.weight))
         seen = (
             np.where(weight[frames][..., None] > 0, rays[frames], np.nan) for rays, weight in sides
         )

@@ -11,8 +11,8 @@ import numpy as np
 
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.two_view.affinity import ViewPair
 from mocap_calib.two_view.refine import epipolar_system
+from mocap_calib.two_view.view_pair import ViewPair
 from mocap_calib.types import Bools, Floats
 
 _STEPS = 25
@@ -32,7 +32,7 @@ def most_probable(
     rotation `[3, 3]`, translation `[3]` in body sizes; matched: `[frame, I, J]`; rays: both unit rays `[N, 3]` of all joints
     of the matches, their weight and reach `[N]`. Returned unchanged where nothing matched is lifted, or no ray is left.
     """
-    use = matched & (pair.lifted > 0)
+    use = matched & (pair.overlap.lifted > 0)
     if not use.any() or not len(rays[0]):
         return rotation, translation
     share = 1 / (1 + use.sum() / config.lift_independent)
@@ -100,7 +100,7 @@ def _bodies(
     pair: ViewPair, rotation: Floats, use: Bools, config: PairwiseConfig
 ) -> tuple[float, Floats, Floats]:
     """Energy, Hessian `[6, 6]` and gradient `[6]` of sum |R X_a - X_b|^2 / 2 sigma^2; all joints of a body are as wrong as one."""
-    turned = rotation @ pair.cross[use].sum(0)  # sum w (R X_a) X_b'
+    turned = rotation @ pair.overlap.cross[use].sum(0)  # sum w (R X_a) X_b'
     precision = 3 / config.lift_spread**2
     hessian, gradient = np.zeros((6, 6)), np.zeros(6)
     hessian[:3, :3] = precision * (np.trace(turned) * np.eye(3) - (turned + turned.T) / 2)
@@ -111,7 +111,7 @@ def _bodies(
         hessian[:3, :3]
     )  # far from the minimum it may curve the other way
     hessian[:3, :3] = (axes * np.maximum(values, 0.0)) @ axes.T
-    return precision * float(pair.norm[use].sum() / 2 - np.trace(turned)), hessian, gradient
+    return precision * float(pair.overlap.norm[use].sum() / 2 - np.trace(turned)), hessian, gradient
 
 
 def _places(
@@ -119,9 +119,9 @@ def _places(
 ) -> tuple[float, Floats, Floats]:
     """The same of the gaps R c_a + t - c_b of the bodies' places: uncertain along the two rays, good to a part of a body across."""
     frame, i, j = np.nonzero(use)
-    moved, seen = pair.place_a[frame, i] @ rotation.T, pair.place_b[frame, j]
+    moved, seen = pair.a.centre[frame, i] @ rotation.T, pair.b.centre[frame, j]
     gap = moved + translation - seen
-    spread = config.place_spread**2 * (
+    spread = config.centre_spread**2 * (
         moved[:, :, None] * moved[:, None] + seen[:, :, None] * seen[:, None]
     )
     information = np.linalg.inv(spread + config.lift_spread**2 * np.eye(3))

@@ -20,19 +20,17 @@ from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.epipolar import depths
 from mocap_calib.recording.sampling import evenly
 from mocap_calib.two_view.affinity import (
-    ViewPair,
     epipolar_error,
     epipolar_fit,
     match_affinity,
-    pose_variance,
-    reach,
     steering_error,
-    view_pair,
+    steering_variance,
 )
 from mocap_calib.two_view.assignment import mutual_best, sinkhorn
 from mocap_calib.two_view.hypotheses import Hypotheses, generate_hypotheses, separated
 from mocap_calib.two_view.posterior import most_probable
 from mocap_calib.two_view.refine import refine_two_view
+from mocap_calib.two_view.view_pair import ViewPair, distance_ratios, reach, view_pair
 from mocap_calib.types import (
     Bools,
     Floats,
@@ -301,11 +299,12 @@ def _score(pair: ViewPair, modes: Hypotheses, config: PairwiseConfig) -> Score:
     ahead = _in_front(pair, modes, matched)
     count = np.maximum(matched.sum((1, 2, 3)), 1)
     possible = np.minimum(
-        (pair.weight_a > 0).any(-1).sum(-1), (pair.weight_b > 0).any(-1).sum(-1)
+        (pair.a.weight > 0).any(-1).sum(-1), (pair.b.weight > 0).any(-1).sum(-1)
     ).sum()
     explained = (matched * epipolar).sum((1, 2, 3)) / max(possible, 1)
     steered = (
-        matched * np.exp(-0.5 * steering_error(pair, modes.rotation) / pose_variance(pair, config))
+        matched
+        * np.exp(-0.5 * steering_error(pair, modes.rotation) / steering_variance(pair, config))
     ).sum((1, 2, 3)) / count
     used = matched[..., None] & (weight > 0)[None]
     residual = np.array(
@@ -314,7 +313,7 @@ def _score(pair: ViewPair, modes: Hypotheses, config: PairwiseConfig) -> Score:
             for e, u in zip(error / reach(pair)[None, ..., None], used, strict=True)
         ]
     )
-    lifted = steered if pair.lifted.any() else 1.0
+    lifted = steered if pair.overlap.lifted.any() else 1.0
     return Score(matched, explained * ahead * lifted, explained, ahead, residual)
 
 
@@ -334,10 +333,10 @@ def _in_front(pair: ViewPair, modes: Hypotheses, matched: Bools) -> Floats:
 def _matched_rays(pair: ViewPair, matched: Bools) -> tuple[Floats, Floats, Floats, Floats]:
     """Rays `[N, 3]` of all joints of one mode's matches, their weight and their reach `[N]`."""
     frame, i, j = np.nonzero(matched)
-    weight = pair.weight_a[frame, i] * pair.weight_b[frame, j]
+    weight = pair.a.weight[frame, i] * pair.b.weight[frame, j]
     use = weight > 0
     far = np.broadcast_to(reach(pair)[frame, i, j][:, None], use.shape)
-    return pair.rays_a[frame, i][use], pair.rays_b[frame, j][use], weight[use], far[use]
+    return pair.a.rays[frame, i][use], pair.b.rays[frame, j][use], weight[use], far[use]
 
 
 def _on_rays(
@@ -364,18 +363,7 @@ def _on_rays(
 
 
 def _with_baseline(pair: ViewPair, rotation: Floats, translation: Floats, matched: Bools) -> Floats:
-    """The translation at the length that makes the triangulated bodies as far away as they were lifted."""
-    frame, i, j = np.nonzero(matched)
+    """Return the translation at the length that makes bodies as far away as they were lifted."""
     direction = translation / np.linalg.norm(translation)
-    weight = (pair.weight_a[frame, i] > 0) & (pair.weight_b[frame, j] > 0)
-    if not weight.any():
-        return direction
-    near_a, near_b = depths(
-        rotation, direction, pair.rays_a[frame, i][weight], pair.rays_b[frame, j][weight]
-    )
-    lifted = np.broadcast_to(
-        (pair.distance_a[frame, i] + pair.distance_b[frame, j])[:, None], weight.shape
-    )[weight]
-    total = near_a + near_b
-    good = (near_a > 0) & (near_b > 0)
-    return direction * float(np.median(lifted[good] / total[good])) if good.any() else direction
+    ratios = distance_ratios(pair, rotation, direction, matched)
+    return direction * float(np.median(ratios)) if len(ratios) else direction
