@@ -103,7 +103,8 @@ def label_all_frames(
     others = np.setdiff1d(np.arange(frames), sample_frames)
     step = max(1, _CELLS // (views * instances) ** 2)
     blocks = _cut_into_blocks(others, step)
-    found = in_order(partial(_label_by_geometry, recording, rig, config), blocks)
+    label = partial(_label_by_geometry, recording=recording, rig=rig, config=config)
+    found = in_order(label, blocks)
     for done, (block, groups) in enumerate(zip(blocks, found, strict=True), start=1):
         labels[:, block, : groups.shape[2]] = groups
         progress("match all", done, len(blocks))
@@ -194,7 +195,9 @@ def _affinities(
     return affinity, comparable
 
 
-def _label_by_geometry(recording: Recording, rig: CameraRig, config: Config, frames: Ints) -> Ints:
+def _label_by_geometry(
+    frames: Ints, *, recording: Recording, rig: CameraRig, config: Config
+) -> Ints:
     """Return `[view, frame, instance]` groups within some frames (indices), by the rig alone."""
     sample = take_sample(recording, frames)
     distance = distances_by_size(sample.rays)

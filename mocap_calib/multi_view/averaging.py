@@ -81,7 +81,8 @@ def _average_rotations(edges: _Edges, views: int, config: AveragingConfig) -> tu
         # error in the world's frame: with R_v <- R_v exp(d_v), d_b - d_a should equal it
         world_from_b = np.swapaxes(rotation[edges.b], 1, 2)
         error = vector_from_matrix(world_from_b @ edges.rotation @ rotation[edges.a])
-        weight = edges.trust / (1 + ((error / scale) ** 2).sum(1)) ** 2
+        error2 = ((error / scale) ** 2).sum(1)
+        weight = edges.trust / (1 + error2) ** 2
         step = _solve_differences(incidence, weight, error)
         rotation = rotation @ matrix_from_vector(step)
         if np.abs(step).max() < 1e-10:
@@ -94,7 +95,8 @@ def _rotations_along_tree(edges: _Edges, views: int) -> Floats:
     cost = 1e-6 + np.max(edges.trust) - edges.trust  # above zero: a zero would be no edge
     graph = csr_array((cost, (edges.a, edges.b)), shape=(views, views))
     order, parent = breadth_first_order(minimum_spanning_tree(graph), 0, directed=False)
-    edge_of = {(a, b): k for k, (a, b) in enumerate(zip(edges.a, edges.b, strict=True))}
+    views_of_edges = zip(edges.a, edges.b, strict=True)
+    edge_of = {views_of_edge: edge for edge, views_of_edge in enumerate(views_of_edges)}
     rotation = np.tile(np.eye(3), (views, 1, 1))
     for view in order[1:]:
         before = parent[view]
@@ -139,5 +141,6 @@ def _solve_differences(incidence: Floats, weight: Floats, target: Floats) -> Flo
     incidence: `[edge, view]`; weight: `[edge]`; target: `[edge, 3]`.
     """
     root = np.sqrt(weight)[:, None]
-    solution = np.linalg.lstsq(incidence[:, 1:] * root, target * root, rcond=None)[0]
+    rows = incidence[:, 1:] * root
+    solution, *_ = np.linalg.lstsq(rows, target * root, rcond=None)
     return np.concatenate([np.zeros((1, 3)), solution])

@@ -83,7 +83,8 @@ def _factorise_affine(pixels: Floats) -> tuple[Floats, Floats]:
     left, size, right = np.linalg.svd(measurements, full_matrices=False)
     motion = left[:, :3] * size[:3]
     residual = measurements - motion @ right[:3]
-    return motion.reshape(-1, 2, 3), np.sqrt((residual**2).sum(0))
+    length = np.sqrt((residual**2).sum(0))
+    return motion.reshape(-1, 2, 3), length
 
 
 def _upgrade_to_rotations(affine: Floats) -> Floats | None:
@@ -94,17 +95,19 @@ def _upgrade_to_rotations(affine: Floats) -> Floats | None:
     orthography).
     """
     m, n = affine[:, 0], affine[:, 1]
-    size = ((m**2).sum(1) + (n**2).sum(1))[:, None]
-    same_length = (_quadratic_terms(m, m) - _quadratic_terms(n, n)) / size
-    right_angle = 2 * _quadratic_terms(m, n) / size
+    size = (m**2).sum(1) + (n**2).sum(1)
+    same_length = (_quadratic_terms(m, m) - _quadratic_terms(n, n)) / size[:, None]
+    right_angle = 2 * _quadratic_terms(m, n) / size[:, None]
     constraints = np.concatenate([same_length, right_angle])
-    xx, xy, xz, yy, yz, zz = np.linalg.svd(constraints)[2][-1]
+    _, _, right = np.linalg.svd(constraints)
+    xx, xy, xz, yy, yz, zz = right[-1]
     q = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     values, vectors = np.linalg.eigh(q * np.sign(np.trace(q)))
     # one negative value is noise along the direction that is seen least
     if values[-1] <= 0 or values[1] <= 0:
         return None
-    upgraded = affine @ (vectors * np.sqrt(np.maximum(values, 1e-6 * values[-1])))
+    values = np.maximum(values, 1e-6 * values[-1])
+    upgraded = affine @ (vectors * np.sqrt(values))
     rows = upgraded / np.linalg.norm(upgraded, axis=-1, keepdims=True)
     third = np.cross(rows[:, :1], rows[:, 1:])
     return nearest_rotation(np.concatenate([rows, third], axis=1))
@@ -117,7 +120,13 @@ def _quadratic_terms(m: Floats, n: Floats) -> Floats:
     """
     x, y, z = m.T
     u, v, w = n.T
-    return np.stack([x * u, x * v + y * u, x * w + z * u, y * v, y * w + z * v, z * w], axis=1)
+    xx = x * u
+    xy = x * v + y * u
+    xz = x * w + z * u
+    yy = y * v
+    yz = y * w + z * v
+    zz = z * w
+    return np.stack([xx, xy, xz, yy, yz, zz], axis=1)
 
 
 def _place_cameras(cameras: tuple[Camera, ...], rotation: Floats, image: Floats) -> CameraRig:
@@ -147,5 +156,6 @@ def _scales(rows: Floats, centred: Floats) -> Floats:
         points = np.linalg.lstsq(motion, measurements, rcond=None)[0]
         points /= np.sqrt((points**2).sum(0).mean())
         projected = rows @ points
-        scale = (centred * projected).sum((1, 2)) / (projected**2).sum((1, 2))
+        product = (centred * projected).sum((1, 2))
+        scale = product / (projected**2).sum((1, 2))
     return scale

@@ -30,12 +30,12 @@ def locate_groups(recording: Recording, rig: CameraRig, labels: Ints) -> Floats:
     groups = int(labels.max(initial=-1)) + 1
     starts = range(0, labels.shape[1], _FRAMES)
     blocks = [slice(start, start + _FRAMES) for start in starts]
-    locate = partial(_locate_in_block, recording, rig, labels, groups)
+    locate = partial(_locate_in_block, recording=recording, rig=rig, labels=labels, groups=groups)
     return np.concatenate(list(in_order(locate, blocks)))
 
 
 def _locate_in_block(
-    recording: Recording, rig: CameraRig, labels: Ints, groups: int, block: slice
+    block: slice, *, recording: Recording, rig: CameraRig, labels: Ints, groups: int
 ) -> Floats:
     """Return `[frame, group, 3]` places in one block of frames.
 
@@ -49,15 +49,16 @@ def _locate_in_block(
     rays = _central_rays(recording.cameras, view, pixels)
     rays = np.einsum("nji,nj->ni", rig.rotation[view], rays)
     across = np.eye(3) - rays[:, :, None] * rays[:, None]
+    offset = np.einsum("nij,nj->ni", across, rig.centres[view])
 
     matrix = np.zeros((labels.shape[1], groups, 3, 3))
-    vector = np.zeros((labels.shape[1], groups, 3))
+    vector = np.zeros((labels.shape[1], groups, 3, 1))
     np.add.at(matrix, (frame, group), across)
-    np.add.at(vector, (frame, group), np.einsum("nij,nj->ni", across, rig.centres[view]))
+    np.add.at(vector, (frame, group), offset[..., None])
 
     present = np.abs(matrix).sum((-1, -2)) > 0
-    points = np.linalg.solve(matrix + 1e-9 * np.eye(3), vector[..., None])[..., 0]
-    return np.where(present[..., None], points, np.nan)
+    points = np.linalg.solve(matrix + 1e-9 * np.eye(3), vector)
+    return np.where(present[..., None], points[..., 0], np.nan)
 
 
 def _central_rays(cameras: tuple[Camera, ...], view: Ints, pixels: Floats) -> Floats:
@@ -128,8 +129,9 @@ def _nearest_individuals(last_place: Floats, here: Floats, limit: Floats) -> Int
 
 def _reach(places: Floats, frames: Ints, config: MatchingConfig) -> float:
     """Return how far a body may be from where it was one frame number ago, in body sizes."""
-    gap = np.linalg.norm(places[:-1, :, None] - places[1:, None], axis=-1)
-    speed = gap / np.diff(frames)[:, None, None]
+    step = places[:-1, :, None] - places[1:, None]
+    elapsed = np.diff(frames)[:, None, None]
+    speed = np.linalg.norm(step, axis=-1) / elapsed
     speed = np.where(np.isfinite(speed), speed, np.inf)
     nearest = np.nanmin(speed, axis=-1, initial=np.inf)  # group of the next frame
     steps = nearest[np.isfinite(nearest)]
@@ -157,7 +159,8 @@ def finalise_identities(
             "expected bodies that two views agree on, found none for more than a moment; "
             "record longer, or with more overlap"
         )
-    labels = np.where(np.append(real, False)[matches.labels], matches.labels, -1)
+    kept = np.where(real, np.arange(len(real)), -1)
+    labels = replace_labels(matches.labels, kept)
     groups = per_frame_labels(Matches(labels)).labels
     stays = _stays(labels, groups, locate_groups(recording, rig, groups))
     names = _reuse_names(stays, individuals=matches.individuals, frames=labels.shape[1])
@@ -238,9 +241,10 @@ def _reuse_names(stays: list[_Stay], *, individuals: int, frames: int) -> Ints:
     busy: list[Bools] = []  # of each name: the frames it is seen in
     last_place: list[Floats] = []  # of each name: where it was last seen so far
     for stay in sorted(stays, key=lambda stay: stay.frames[0]):
-        free = [name for name, seen in enumerate(busy) if not seen[stay.frames].any()]
+        free = [name for name, frames_of in enumerate(busy) if not frames_of[stay.frames].any()]
         if free:
-            distances = [float(np.linalg.norm(last_place[n] - stay.first_place)) for n in free]
+            gaps = [last_place[name] - stay.first_place for name in free]
+            distances = [float(np.linalg.norm(gap)) for gap in gaps]
             name = free[distances.index(min(distances))]
         else:
             name = len(busy)
@@ -254,15 +258,8 @@ def _reuse_names(stays: list[_Stay], *, individuals: int, frames: int) -> Ints:
 
 def _sort_by_presence(labels: Ints) -> Ints:
     """Renumber individuals by the number of frames they are seen in, most first."""
-    by_presence = np.argsort(-_presence(labels), kind="stable")
+    presence = np.bincount(_appearances(labels).individual)
+    by_presence = np.argsort(-presence, kind="stable")
     names = np.zeros(len(by_presence), dtype=np.int64)
     names[by_presence] = np.arange(len(by_presence))
     return replace_labels(labels, names)
-
-
-def _presence(labels: Ints) -> Ints:
-    """Return `[individual]` number of frames in which each is seen."""
-    frames, individuals = labels.shape[1], int(labels.max(initial=-1)) + 1
-    seen = np.zeros((frames, individuals + 1), dtype=bool)  # the last column is nobody's
-    seen[np.arange(frames)[:, None], np.swapaxes(labels, 0, 1).reshape(frames, -1)] = True
-    return seen[:, :individuals].sum(0)

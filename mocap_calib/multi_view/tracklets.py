@@ -49,7 +49,8 @@ def tracklets(recording: Recording, view: int, config: MatchingConfig) -> Ints:
     later = (frame + 1) * instances + j
 
     detections = frames * instances
-    graph = coo_array((np.ones(len(earlier)), (earlier, later)), shape=(detections, detections))
+    edges = (np.ones(len(earlier)), (earlier, later))
+    graph = coo_array(edges, shape=(detections, detections))
     _, number = connected_components(graph, directed=False)
     detected = np.isfinite(positions[..., 0]).any(-1)
     return np.where(detected, number.reshape(frames, instances), -1)
@@ -86,8 +87,8 @@ def _squared_gaps(before: Reals, after: Reals, config: MatchingConfig) -> tuple[
     `[frame, I, J]` mean squared distance of the joints that both have (infinite where these are
     too few), and mean squared distance of the earlier's joints from their centroid.
     """
-    seen_a, seen_b = np.isfinite(before[..., 0]), np.isfinite(after[..., 0])
-    seen_a, seen_b = seen_a.astype(np.float64), seen_b.astype(np.float64)
+    seen_a = np.isfinite(before[..., 0]).astype(np.float64)
+    seen_b = np.isfinite(after[..., 0]).astype(np.float64)
     a = np.nan_to_num(before.astype(np.float64))
     b = np.nan_to_num(after.astype(np.float64))
 
@@ -97,8 +98,10 @@ def _squared_gaps(before: Reals, after: Reals, config: MatchingConfig) -> tuple[
     square_b = np.einsum("fik,fjk->fij", seen_a, (b**2).sum(-1))
     product = np.einsum("fikx,fjkx->fij", a, b, optimize=True)
     gap2 = (square_a + square_b - 2 * product) / np.maximum(common, 1)
-    gap2 = np.where(common >= config.tracklet_joints, np.maximum(gap2, 0.0), np.inf)
-    return gap2, np.broadcast_to(_squared_extent(a, seen_a)[:, :, None], gap2.shape)
+    comparable = common >= config.tracklet_joints
+    gap2 = np.where(comparable, np.maximum(gap2, 0.0), np.inf)
+    extent2 = _squared_extent(a, seen_a)
+    return gap2, np.broadcast_to(extent2[:, :, None], gap2.shape)
 
 
 def _squared_extent(positions: Floats, seen: Floats) -> Floats:
@@ -108,7 +111,8 @@ def _squared_extent(positions: Floats, seen: Floats) -> Floats:
     """
     joints = np.maximum(seen.sum(-1), 1)
     centroid = positions.sum(-2) / joints[..., None]
-    return (positions**2).sum((-1, -2)) / joints - (centroid**2).sum(-1)
+    mean_square = (positions**2).sum((-1, -2)) / joints
+    return mean_square - (centroid**2).sum(-1)
 
 
 def _majority(track: Ints, labels: Ints, config: MatchingConfig) -> Ints:
@@ -143,10 +147,11 @@ def _parts(track: Ints, length: int) -> Ints:
 
 def _is_among(names: Ints, others: Ints) -> Bools:
     """Return whether a name `[frame, I]` is one of the others `[frame, J]` of the frame."""
-    return np.asarray((names[:, :, None] == others[:, None]).any(-1))
+    same = names[:, :, None] == others[:, None]
+    return np.asarray(same.any(-1))
 
 
 def _repeated(names: Ints) -> Bools:
     """Return `[frame, instance]` whether another detection of the frame has the same name."""
-    same = (names[:, :, None] == names[:, None]) & (names >= 0)[:, :, None]
-    return np.asarray(same.sum(-1) > 1)
+    same = names[:, :, None] == names[:, None]
+    return np.asarray((names >= 0) & (same.sum(-1) > 1))

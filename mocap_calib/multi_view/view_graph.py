@@ -55,7 +55,7 @@ def select_hypotheses(
         posterior = posterior / posterior.sum(1, keepdims=True)
         belief = (belief + posterior) / 2  # halfway, so that beliefs do not oscillate
     chosen = belief.argmax(1).tolist()
-    return tuple(_take_hypothesis(pair, k) for pair, k in zip(pairs, chosen, strict=True))
+    return tuple(map(_take_hypothesis, pairs, chosen))
 
 
 def alternative_taken(pair: PairwiseCalibration) -> bool:
@@ -172,13 +172,13 @@ def _triangles(pairs: tuple[PairwiseCalibration, ...]) -> Ints:
 
     They are those of all views a < b < c that three pairs connect.
     """
-    index = {(min(pair.a, pair.b), max(pair.a, pair.b)): k for k, pair in enumerate(pairs)}
-    views = sorted({view for edge in index for view in edge})
-    found = [
-        (index[a, b], index[b, c], index[a, c])
-        for a, b, c in combinations(views, 3)
-        if {(a, b), (b, c), (a, c)} <= index.keys()
-    ]
+    edges = [(min(pair.a, pair.b), max(pair.a, pair.b)) for pair in pairs]
+    index = {edge: k for k, edge in enumerate(edges)}
+    views = sorted({view for edge in edges for view in edge})
+    found = []
+    for a, b, c in combinations(views, 3):
+        if (a, b) in index and (b, c) in index and (a, c) in index:
+            found.append((index[a, b], index[b, c], index[a, c]))
     return np.array(found, dtype=np.int64).reshape(-1, 3)
 
 
