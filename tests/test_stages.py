@@ -266,27 +266,26 @@ def test_views_that_share_no_frame_make_no_pair():
 
 
 def exact_pairs(rig: CameraRig, *, wrong: tuple[int, ...] = ()) -> tuple[PairwiseCalibration, ...]:
-    """Pairs that agree with a rig, but for some that are 40 degrees off and score less."""
+    """Return pairs that agree with a rig, but for some that are 40 degrees off and score less."""
     pairs = []
     for k, (a, b) in enumerate(combinations(range(len(rig.cameras)), 2)):
         rotation, translation = rig.relative(a, b)
         if k in wrong:
             rotation = matrix_from_vector(np.radians([0.0, 40.0, 0.0])) @ rotation
             translation = np.roll(translation, 1)
-        pairs.append(
-            PairwiseCalibration(
-                a,
-                b,
-                rotation,
-                translation,
-                np.zeros((0, 3), int),
-                10,
-                0.5 if k in wrong else 0.8,
-                0.0,
-                1.0,
-                "lifted",
-            )
+        pair = PairwiseCalibration(
+            a=a,
+            b=b,
+            rotation=rotation,
+            translation=translation,
+            matches=np.zeros((0, 3), int),
+            frames=10,
+            score=0.5 if k in wrong else 0.8,
+            residual=0.0,
+            in_front=1.0,
+            source="lifted",
         )
+        pairs.append(pair)
     return tuple(pairs)
 
 
@@ -296,11 +295,8 @@ def test_consistent_pairs_give_their_rig():
     found = average(rig.cameras, exact_pairs(rig), AveragingConfig()).rig
     np.testing.assert_allclose(found.rotation[0], np.eye(3), atol=1e-12)
     for a, b in combinations(range(6), 2):
-        np.testing.assert_allclose(
-            np.concatenate(found.relative(a, b), None),
-            np.concatenate(rig.relative(a, b), None),
-            atol=1e-8,
-        )
+        for value, expected in zip(found.relative(a, b), rig.relative(a, b), strict=True):
+            np.testing.assert_allclose(value, expected, atol=1e-8)
 
 
 def test_a_pair_that_breaks_the_loops_is_named_and_loses_its_weight():
