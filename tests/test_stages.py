@@ -12,6 +12,7 @@ from mocap_calib.config import (
     AdjustConfig,
     AveragingConfig,
     Config,
+    FivePointConfig,
     PairwiseConfig,
     TriangulateConfig,
 )
@@ -32,9 +33,10 @@ from mocap_calib.two_view.affinity import (
     steering_error,
 )
 from mocap_calib.two_view.assignment import mutual_best, sinkhorn
+from mocap_calib.two_view.five_point_pairs import FivePointPairs
 from mocap_calib.two_view.refine import refine_two_view
 from mocap_calib.two_view.solve import calibrate_pair, calibrate_pairs, pair_problem
-from mocap_calib.two_view.view_pair import distances, reach, view_pair
+from mocap_calib.two_view.view_pair import MatchedRays, distances, reach, view_pair
 from mocap_calib.types import Camera, CameraRig, Matches, PairwiseCalibration, Recording, silent
 
 
@@ -155,10 +157,9 @@ def test_refinement_finds_the_pose_among_gross_outliers():
     b[:400] = rng.permutation(b[:400])
     a, b = (x / np.linalg.norm(x, axis=1, keepdims=True) for x in (a, b))
     start = matrix_from_vector(np.radians([[3.0, -4.0, 3.0]])) @ rotation
-    weight, far = np.ones((1, 2000)), np.full((1, 2000), 5.0)
-    found, direction = refine_two_view(
-        start, translation[None] + 0.3, a[None], b[None], weight, far, scale=0.05
-    )
+    rays = MatchedRays(a[None], b[None], np.ones((1, 2000)), np.full((1, 2000), 5.0))
+    config = PairwiseConfig(inlier=0.05)
+    found, direction = refine_two_view(start, translation[None] + 0.3, rays, config)
     assert np.degrees(angle_between(found[0], rotation)) < 0.1
     assert np.degrees(direction_angle(direction[0], translation)) < 0.2
     assert np.linalg.norm(direction) == pytest.approx(np.linalg.norm(translation + 0.3))
@@ -200,9 +201,8 @@ def pair_of(
     found: Recording, a: int, b: int, config: PairwiseConfig | None = None
 ) -> PairwiseCalibration | None:
     config = config or PairwiseConfig()
-    return calibrate_pair(
-        pair_problem(found, lifted(), a, b, config, np.random.default_rng(0)), config
-    )
+    rng = np.random.default_rng(0)
+    return calibrate_pair(pair_problem(found, lifted(), a, b, config=config, rng=rng), config)
 
 
 def test_pairs_may_be_calibrated_elsewhere_and_in_any_order():
@@ -260,6 +260,24 @@ def test_views_that_share_no_frame_make_no_pair():
         confidence=np.where(np.isnan(positions[..., 0]), 0.0, found.confidence),
     )
     assert pair_of(apart, 0, 1) is None
+
+
+def test_the_five_point_baseline_is_judged_as_any_other_pair():
+    """Ten frames, no lifted bodies in the search: measured 0.7 degrees, and the same score."""
+    sample, rig = recording(), scene().rig
+    focal = np.array([camera.focal for camera in sample.cameras])
+    config = PairwiseConfig(frames=10)
+    solve = FivePointPairs(focal, config, FivePointConfig(candidates=20))
+    rng = np.random.default_rng(0)
+    found = solve(pair_problem(sample, lifted(), 1, 3, config=config, rng=rng))
+    searched = pair_of(sample, 1, 3)
+    rotation, translation = rig.relative(1, 3)
+    assert found.source == "five-point"
+    assert np.degrees(angle_between(found.rotation, rotation)) < 2.0
+    assert np.degrees(direction_angle(found.translation, translation)) < 2.0
+    assert found.score == pytest.approx(searched.score, abs=0.05)
+    baselines = [np.linalg.norm(pair.translation) for pair in (found, searched)]
+    assert baselines[0] == pytest.approx(baselines[1], rel=0.05)
 
 
 # averaging

@@ -32,6 +32,11 @@ class Detections:
         """`[frame, instance]` where there is a detection."""
         return np.asarray((self.weight > 0).any(-1))
 
+    @property
+    def rays_or_nan(self) -> Floats:
+        """`[frame, instance, keypoint, 3]` the rays, NaN = missing."""
+        return np.where(self.weight[..., None] > 0, self.rays, np.nan)
+
 
 @dataclass(frozen=True)
 class Overlap:
@@ -69,6 +74,8 @@ class ViewPair:
 @dataclass(frozen=True)
 class MatchedRays:
     """The joints that both detections of a match show, of all matches: N correspondences.
+
+    Batches of equal size have more axes in front.
 
     a and b: `[N, 3]` unit rays of the two views.
     weight: `[N]` product of the confidences.
