@@ -217,9 +217,8 @@ class MatchingConfig:
     tracklet_frames: int = 30
 
 
-# the scale of a rig follows from detections with so many joints, in so many frames of each pair,
-# of matches that fit the epipolar geometry so well (0..1)
-SCALE_JOINTS = 4
+# the scale of a rig follows from so many frames of each pair of views, and from the matches there
+# that fit the epipolar geometry so well (0..1)
 SCALE_FRAMES = 40
 SCALE_LEAST_FIT = 0.7
 

@@ -13,7 +13,6 @@ import numpy as np
 from mocap_calib.compute.parallel import in_order
 from mocap_calib.config import (
     SCALE_FRAMES,
-    SCALE_JOINTS,
     SCALE_LEAST_FIT,
     SINGLE_SUBJECT_SHARE,
     Config,
@@ -34,6 +33,7 @@ from mocap_calib.two_view.view_pair import (
     distance_ratios,
     distances,
     distances_by_size,
+    shared_frames,
     view_pair,
 )
 from mocap_calib.types import (
@@ -146,10 +146,8 @@ def _scales_of_pairs(
     sample: Sample, lifted: LiftedPoses, rig: CameraRig, config: PairwiseConfig
 ) -> Iterator[Floats]:
     """Yield `[joint]` body sizes per unit of the rig, by the matches of each pair of views."""
-    large = sample.seen.sum(-1) >= SCALE_JOINTS
-    shows = large.sum(-1) > 0
     for a, b in combinations(range(len(rig.cameras)), 2):
-        shared = np.flatnonzero(shows[a] & shows[b])
+        shared = shared_frames(sample, a, b, config)
         if len(shared):
             pair = view_pair(sample, lifted, a, b, evenly(shared, SCALE_FRAMES))
             rotation, translation = rig.relative(a, b)

@@ -20,7 +20,13 @@ from mocap_calib.two_view.hypotheses import Hypotheses, generate_hypotheses, wel
 from mocap_calib.two_view.posterior import most_probable
 from mocap_calib.two_view.refine import refine_on_rays
 from mocap_calib.two_view.scoring import Scored, keep_better, score_hypotheses
-from mocap_calib.two_view.view_pair import ViewPair, distance_ratios, matched_rays, view_pair
+from mocap_calib.two_view.view_pair import (
+    ViewPair,
+    distance_ratios,
+    matched_rays,
+    shared_frames,
+    view_pair,
+)
 from mocap_calib.types import (
     Bools,
     Floats,
@@ -146,7 +152,7 @@ def pair_problem(
     rng: np.random.Generator,
 ) -> PairProblem:
     """Gather what the views a and b show in an even choice of the frames they share."""
-    shared = _shared_frames(sample, a, b, config)
+    shared = shared_frames(sample, a, b, config)
     instances = sample.positions.shape[2]
     affordable = max(config.least_frames, config.possible_matches // instances**2)
     frames = evenly(shared, min(config.frames, affordable))
@@ -158,12 +164,6 @@ def pair_problem(
         tracked=bool(sample.tracked[a] and sample.tracked[b]),
         rng=rng,
     )
-
-
-def _shared_frames(sample: Sample, a: int, b: int, config: PairwiseConfig) -> Ints:
-    """Return the indices of the frames in which both views show a body with enough joints."""
-    joints = sample.seen[[a, b]].sum(-1)
-    return np.flatnonzero((joints >= config.least_joints).any(-1).all(0))
 
 
 def calibrate_pair(problem: PairProblem, config: PairwiseConfig) -> PairwiseCalibration | None:

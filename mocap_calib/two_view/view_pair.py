@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mocap_calib.config import LEAST_LIFT_SPREAD
+from mocap_calib.config import LEAST_LIFT_SPREAD, PairwiseConfig
 from mocap_calib.geometry.epipolar import depths
 from mocap_calib.types import Bools, Floats, Ints, LiftedPoses, Sample
 
@@ -104,6 +104,13 @@ class _Bodies:
     joints: Floats
     precision: Floats
     variance: Floats
+
+
+def shared_frames(sample: Sample, a: int, b: int, config: PairwiseConfig) -> Ints:
+    """Return the indices `[frame]` of the frames in which both views show enough of a body."""
+    seen = np.isfinite(sample.positions[..., 0][[a, b]])
+    joints = seen.sum(-1)
+    return np.flatnonzero((joints >= config.least_joints).any(-1).all(0))
 
 
 def view_pair(sample: Sample, lifted: LiftedPoses, a: int, b: int, frames: Ints) -> ViewPair:
