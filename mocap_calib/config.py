@@ -98,26 +98,69 @@ class SampleConfig:
 class PairwiseConfig:
     """Relative poses of pairs. Lengths in body sizes; image errors are measured at the body."""
 
+    # what is looked at
     frames: int = 150  # evenly spread; the search does not get better with more
     all_frames: int = 12_000  # of all pairs together: in large rigs they say the same many times
     least_frames: int = 20
-    candidates: int = 6000  # possible matches looked at; crowds get fewer frames
-    hypotheses: int = 400
-    modes: int = 8  # kept after the search
-    finalists: int = 3  # refined to the end
-    mode_separation_deg: float = 15.0
+    least_joints: int = 4  # of a detection, for its frame to be looked at
+    possible_matches: int = 6000  # in all frames; crowds get fewer frames
+    # the search
+    candidates_searched: int = 400  # rotations that are scored on all frames
+    hypotheses_kept: int = 8  # of the search
+    hypotheses_refined: int = 3  # to the end
+    hypothesis_separation_deg: float = 15.0  # between those that are kept
+    same_hypothesis_deg: float = 2.0  # nearer than this two have come to the same answer
+    search_dummy: float = 0.1  # affinity at which staying unmatched is as good, in the search,
+    search_match: float = 0.05  # and the least weight of a match there
+    # five-point RANSAC where identities are known
+    track_pairs: int = 9  # at most; of tracks in both views
+    five_point_draws: int = 3  # subsets of the matches of one individual,
+    five_point_matches: int = 40  # so many matches each
+    five_point_inlier: float = 0.05
+    # affinity
     pose_tolerance: float = 0.35  # RMS joint distance of two lifts of one body ...
     pose_doubt: float = 2.5  # ... or this many times what the network expects, where that is more
-    place_tolerance: float = 0.15  # of the distance: how well one view tells how far a body is
+    centre_tolerance: float = 0.15  # of the distance: how well one view tells how far a body is
     inlier: float = 0.08  # epipolar error of a good joint
-    least_noise: float = 0.01  # of a joint, at the body; no detector is better
-    lift_spread: float = 0.12  # RMS joint distance of two right lifts of one body
-    place_spread: float = 0.06  # of the distance: how well two views agree how far one body is
-    lift_independent: float = (
-        2.0  # lifted bodies err alike: any number of them knows no more than this many
-    )
-    points: int = 4000  # joints a refinement looks at
+    least_common_joints: int = 3  # of two detections that are compared
+    unlifted_affinity: float = 0.3  # how well a body agrees that was not lifted, beside others
+    dummy: float = 0.15  # affinity at which staying unmatched is as good,
+    least_match: float = 0.1  # and the least weight of a match
+    # refinement on rays
+    points: int = 4000  # joints it looks at
     rounds: int = 3  # of matching and refining
+    refine_steps: int = 12  # of Gauss-Newton,
+    refine_widest: float = 4.0  # the first under a loss of this times `inlier`,
+    refine_narrowing: float = 0.75  # and each next one under so much of it, down to `inlier`
+    refine_largest_step: float = 0.3  # radians
+    # rays and lifted bodies together
+    least_noise: float = 0.01  # of a joint, at the body; no detector is better
+    loss_noises: float = 3.0  # a ray of so many times the noise is an outlier, if above `inlier`
+    lift_spread: float = 0.12  # RMS joint distance of two right lifts of one body
+    centre_spread: float = 0.06  # of the distance: how well two views agree how far one body is
+    centre_outlier: float = 3.0  # standard deviations
+    lift_independent: float = 2.0  # lifts err alike: many know no more than so many
+    posterior_steps: int = 25  # of Levenberg-Marquardt, at most,
+    posterior_damping: float = 1e-3  # damped so much at first,
+    posterior_damping_factor: float = 5.0  # and so much less after a good step, more after a bad
+    posterior_settled: float = 1e-3  # of the log posterior: a thousandth of what is worth a word
+
+
+LEAST_LIFT_SPREAD = 0.05  # body sizes: no lifted joint is more certain
+SINKHORN_SWEEPS = 12  # of rows and columns
+SINKHORN_SHARPNESS = 8.0  # of the affinity in the exponent
+
+
+@dataclass(frozen=True)
+class FivePointConfig:
+    """The baseline that calibrates a pair of views without lifted bodies."""
+
+    candidates: int = 60  # sets of matches that RANSAC draws
+    inlier_px: float = 6.0
+    least_fit: float = 0.6  # share of the joints of a right match that are inliers
+    forward: float = 0.1  # least cosine of a ray with the optical axis: it has an image point
+    ransac_iterations: int = 300
+    ransac_confidence: float = 0.999
 
 
 @dataclass(frozen=True)
@@ -145,32 +188,87 @@ PAPER_LEAST_RAY_DEPTH = 0.05  # z of a unit ray that has an image point
 
 @dataclass(frozen=True)
 class AveragingConfig:
-    """From pairs to a rig."""
+    """From the pairs to groups of cameras, and to a rig.
 
-    least_score: float = (
-        0.12  # a pair below it is no evidence; a camera that only such pairs hold is left out
-    )
-    weak_score: float = 0.55  # simulated views of different times reach 0.53, of one time 0.8 and more; below it the user is warned
-    breaks: float = 0.25  # a pair left with less of its weight than this contradicts the others
-    rotation_scale_deg: float = 4.0  # a pair this far from the rig counts half
-    translation_scale: float = 0.15  # of its baseline
-    loop_doubt: float = 0.1  # a mode that all its triangles contradict keeps this share of its score squared, against one that they confirm
+    least_score: a pair below it is not used; a camera that has only such pairs is left out.
+    weak_score: below it the user is warned. Simulated views of different times reach 0.53, views
+        of one time 0.8 and more.
+    breaks: a pair left with less of its weight than this contradicts the others.
+    rotation_scale_deg, translation_scale: a pair this far from the rig counts half; the
+        translation as a share of the pair's baseline.
+    loop_doubt: a hypothesis that all its triangles contradict keeps this share of its score
+        squared, against one that they confirm.
+    closed_triangle: 0..1, a triangle closes from this on: to within both scales.
+    iterations: of reweighting, and of passing messages between the pairs of triangles.
+    """
+
+    least_score: float = 0.12
+    weak_score: float = 0.55
+    breaks: float = 0.25
+    rotation_scale_deg: float = 4.0
+    translation_scale: float = 0.15
+    loop_doubt: float = 0.1
+    closed_triangle: float = 0.5
     iterations: int = 30
 
 
 @dataclass(frozen=True)
 class MatchingConfig:
-    """Who is who."""
+    """Who is who: in a frame, through time, and in the end.
 
-    least_affinity: float = 0.25  # mean over all pairs of views of one individual
-    lone: float = 0.9  # of the frames show each view no more than one detection: a single subject, whom geometry alone follows
-    cells: int = 2_000_000  # pairs of detections looked at in one go: so many frames, or fewer where there is a crowd
-    reach: float = 0.5  # body sizes that a body may move between frames, or five times its usual step if that is more
-    memory: int = 50  # frames after which how far it may have gone does not grow any more
-    fleeting_frames: int = 10  # an individual of no more frames than this,
-    tracklet_step: float = 0.3  # of the extent of a pose in the image: how far it may move from a frame to the next and still be followed
-    tracklet_frames: int = 30  # that vote together who one is
-    fleeting_share: float = 0.05  # and of no larger share of them, that never three of three or more views agree on, is nobody
+    In a frame:
+    least_affinity: 0..1, the mean affinity down to which two groups of detections are joined.
+    single_subject: share of the frames which show each view no more than one detection; from it
+        on there is one subject, whom geometry alone follows.
+    cells: pairs of detections looked at in one go: so many frames, or fewer in a crowd.
+
+    Through time:
+    reach: body sizes that a body may move between frames; or `usual_steps` times its usual step,
+        if that is more.
+    memory: frames after which the distance that a body may have gone does not grow any more.
+
+    In the end:
+    fleeting_frames, fleeting_share: an individual that is seen in no more frames than this, and in
+        no larger share of them, is nobody, unless `sure_views` views of one frame agree on it.
+
+    Tracklets of one view:
+    tracklet_step: how far a pose may move from a frame to the next and still be followed, as a
+        share of its extent in the image.
+    tracklet_joints: joints that two detections need in common to be compared.
+    tracklet_frames: so many frames vote together on who a tracklet is.
+    """
+
+    least_affinity: float = 0.25
+    single_subject: float = 0.9
+    cells: int = 2_000_000
+    reach: float = 0.5
+    usual_steps: float = 5.0
+    memory: int = 50
+    fleeting_frames: int = 10
+    fleeting_share: float = 0.05
+    sure_views: int = 3
+    tracklet_step: float = 0.3
+    tracklet_joints: int = 3
+    tracklet_frames: int = 30
+
+
+# the scale of a rig follows from so many frames of each pair of views, and from the matches there
+# that fit the epipolar geometry so well (0..1)
+SCALE_FRAMES = 40
+SCALE_LEAST_FIT = 0.7
+
+# a recording of which this share of frames shows one detection a view may be of one subject
+SINGLE_SUBJECT_SHARE = 0.5
+
+# factorization: views and points that it needs
+FACTORIZATION_VIEWS = 3
+FACTORIZATION_POINTS = 24
+# rounds of leaving out the points whose residual is so many times the median, and that in pixels
+FACTORIZATION_ROUNDS = 5
+FACTORIZATION_OUTLIER = 2.5
+FACTORIZATION_LEAST_PX = 1.0
+# alternations between the points and the scale of each view
+FACTORIZATION_SWEEPS = 50
 
 
 @dataclass(frozen=True)

@@ -187,7 +187,7 @@ def other_input(order: jobs.Order, _) -> jobs.Order:
 
 def other_config(order: jobs.Order, monkeypatch) -> jobs.Order:
     monkeypatch.setattr(
-        jobs, "Config", lambda: config.Config(pairwise=PairwiseConfig(hypotheses=401))
+        jobs, "Config", lambda: config.Config(pairwise=PairwiseConfig(candidates_searched=401))
     )
     return order
 

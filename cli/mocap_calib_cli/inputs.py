@@ -314,14 +314,17 @@ def lifted_sample(
 
 
 def pair_solver(solver: str, recording: Recording, model: str) -> PairSolver | None:
-    """The paper's way to calibrate a pair, or None for ours. Raises FormatError."""
+    """The paper's way or the five-point way to calibrate a pair, or None for ours. Raises FormatError."""
     if solver == "search":
         return None
-    from mocap_calib.config import PairwiseConfig, PaperConfig
+    from mocap_calib.config import FivePointConfig, PairwiseConfig, PaperConfig
+    from mocap_calib.two_view.five_point_pairs import FivePointPairs
     from mocap_calib.two_view.paper_pairs import PaperPairs
     from mocap_calib_cli.model import load_model
 
     focal = np.array([camera.focal for camera in recording.cameras])
+    if solver == "five-point":
+        return FivePointPairs(focal, PairwiseConfig(), FivePointConfig())
     return PaperPairs(
         load_model("cpu", model), recording.vocabulary, focal, PairwiseConfig(), PaperConfig()
     )

@@ -7,10 +7,10 @@ import numpy as np
 from mocap_calib.config import AdjustConfig, TriangulateConfig
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
 from mocap_calib.geometry.projection import pixels_from_points
+from mocap_calib.multi_view.labels import per_frame_labels
 from mocap_calib.multi_view.schur import Sightings, State, minimise
 from mocap_calib.multi_view.triangulation import (
     observations,
-    per_frame_labels,
     triangulate_rays,
     view_noise,
 )

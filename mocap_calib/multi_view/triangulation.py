@@ -50,17 +50,6 @@ def observations(recording: Recording, matches: Matches, frames: Ints) -> Observ
     return Observations(columns, rays, confidence.reshape(len(confidence), -1))
 
 
-def per_frame_labels(matches: Matches) -> Matches:
-    """The same groups, numbered from 0 in each frame by their first detection: what they are called elsewhere is forgotten."""
-    labels = matches.labels
-    flat = np.swapaxes(labels, 0, 1).reshape(labels.shape[1], -1)
-    first = (flat[:, :, None] == flat[:, None]).argmax(-1)
-    begins = (first == np.arange(flat.shape[1])) & (flat >= 0)
-    number = np.take_along_axis(begins.cumsum(1) - 1, first, axis=1)
-    named = np.where(flat >= 0, number, -1)
-    return Matches(np.swapaxes(named.reshape(labels.shape[1], labels.shape[0], -1), 0, 1))
-
-
 def triangulate(
     recording: Recording,
     rig: CameraRig,
