@@ -114,7 +114,9 @@ def test_epipolar_error_is_sampsons_at_the_body():
     error, weight = epipolar_error(pair, rotation[None], translation[None])
     slow = (
         np.abs(
-            sampson_angle(essential_matrix(rotation, translation), pair.a.rays[3, 1], pair.b.rays[3, 2])
+            sampson_angle(
+                essential_matrix(rotation, translation), pair.a.rays[3, 1], pair.b.rays[3, 2]
+            )
         )
         * reach(pair)[3, 1, 2]
     )

@@ -45,7 +45,10 @@ def observations(recording: Recording, matches: Matches, frames: Ints) -> Observ
     pixels[target], confidence[target] = recording.positions[source], recording.confidence[source]
     columns = np.ascontiguousarray(np.moveaxis(pixels.reshape(len(pixels), -1, 2), -1, 1))
     rays = np.stack(
-        [lens.unproject(camera, seen) for camera, seen in zip(recording.cameras, columns, strict=True)]
+        [
+            lens.unproject(camera, seen)
+            for camera, seen in zip(recording.cameras, columns, strict=True)
+        ]
     )
     return Observations(columns, rays, confidence.reshape(len(confidence), -1))
 
@@ -90,7 +93,9 @@ def triangulate(
 def view_noise(recording: Recording, rig: CameraRig, matches: Matches) -> Floats:
     """`[view]` robust standard deviation of the angular error, in radians, from an even sample of the frames."""
     seen = observations(
-        recording, matches, evenly_spaced(np.flatnonzero((matches.labels >= 0).any((0, 2))), _SAMPLE)
+        recording,
+        matches,
+        evenly_spaced(np.flatnonzero((matches.labels >= 0).any((0, 2))), _SAMPLE),
     )
     weight = seen.confidence
     points = intersect(rig, _world(rig, seen.rays), weight / _START**2)
