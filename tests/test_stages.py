@@ -17,7 +17,7 @@ from mocap_calib.config import (
     TriangulateConfig,
 )
 from mocap_calib.errors import DegenerateError
-from mocap_calib.geometry.epipolar import essential, sampson_angle
+from mocap_calib.geometry.epipolar import essential_matrix, sampson_angle
 from mocap_calib.geometry.rotation import angle_between, direction_angle, matrix_from_vector
 from mocap_calib.io.results.results import pairs_to_json
 from mocap_calib.multi_view.association import associate
@@ -112,7 +112,7 @@ def test_epipolar_error_is_sampsons_at_the_body():
     pair = ten_frames_of_two_views()
     rotation, translation = matrix_from_vector(np.array([0.1, 0.5, 0.0])), np.array([0.6, 0.0, 0.8])
     error, weight = epipolar_error(pair, rotation[None], translation[None])
-    matrix = essential(rotation, translation)
+    matrix = essential_matrix(rotation, translation)
     angle = sampson_angle(matrix, pair.a.rays[3, 1], pair.b.rays[3, 2])
     slow = np.abs(angle) * reach(pair)[3, 1, 2]
     known = weight[3, 1, 2] > 0

@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 
 from mocap_calib.config import PairwiseConfig
-from mocap_calib.geometry.epipolar import essential
+from mocap_calib.geometry.epipolar import essential_matrix
 from mocap_calib.two_view.view_pair import ViewPair, reach
 from mocap_calib.types import Bools, CameraRig, Floats, Sample
 
@@ -79,7 +79,7 @@ def epipolar_error(pair: ViewPair, rotation: Floats, translation: Floats) -> tup
     `[frame, I, J, keypoint]`.
     """
     direction = translation / np.linalg.norm(translation, axis=-1, keepdims=True)
-    matrix = essential(rotation, direction)
+    matrix = essential_matrix(rotation, direction)
     from_a = np.einsum("mxy,faky->mfakx", matrix, pair.a.rays, optimize=True)
     from_b = np.einsum("myx,fbky->mfbkx", matrix, pair.b.rays, optimize=True)
     value = np.einsum("mfakx,fbkx->mfabk", from_a, pair.b.rays, optimize=True)
@@ -141,7 +141,7 @@ def epipolar_affinity(
     comparable = np.zeros_like(affinity)
     for a, b in combinations(range(views), 2):
         rotation, translation = rig.relative(a, b)
-        matrix = essential(rotation, translation / np.linalg.norm(translation))
+        matrix = essential_matrix(rotation, translation / np.linalg.norm(translation))
         reach_squared = 2 / (closeness[a][:, :, None] + closeness[b][:, None])
         weight = _weight_of_matches(sample.confidence[a], sample.confidence[b])
         common = _comparable(weight, config)
