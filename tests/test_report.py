@@ -1,6 +1,11 @@
 """Laws of the evaluation, and that the content of run.json is described."""
 
+import json
+import re
+from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -116,3 +121,44 @@ def test_rigs_without_common_names_are_refused():
     other = replace(rig, cameras=tuple(replace(c, name=f"x{k}") for k, c in enumerate(rig.cameras)))
     with pytest.raises(MismatchError, match="cam1, cam2, cam3"):
         evaluate_rig(other, rig)
+
+
+# run.json
+
+DESCRIPTION = Path(__file__).parents[1] / "docs" / "run-json.md"
+BY_NAME = {"config", "inputs", "outputs", "seconds"}  # their keys are files, stages or constants
+STATISTIC = {"median", "max", "p95"}
+
+
+def described() -> set[str]:
+    """Return the fields that the page describes, as cameras[].name: a section has a table."""
+    fields, prefix = set(), ""
+    for line in DESCRIPTION.read_text("utf-8").splitlines():
+        if heading := re.match(r"## (?:`(.+)`)?", line):
+            prefix = f"{heading[1]}." if heading[1] else ""
+        elif row := re.match(r"\| `(\w+)` \|.*\|.*\|$", line):
+            fields.add(prefix + row[1])
+    return fields
+
+
+def fields_of(report: dict[str, Any], prefix: str = "") -> Iterator[str]:
+    """Return the fields of a report that hold values, those of lists as cameras[].name."""
+    for key, value in report.items():
+        path = prefix + key
+        if isinstance(value, list) and value and isinstance(value[0], dict):
+            for entry in value:
+                yield from fields_of(entry, f"{path}[].")
+        elif isinstance(value, dict) and key not in BY_NAME and not set(value) <= STATISTIC:
+            yield from fields_of(value, f"{path}.")
+        elif value != []:
+            yield path
+
+
+def test_every_field_of_run_json_is_described_and_nothing_else(done):
+    """Lists that are empty in this run have no fields."""
+    report = json.loads((done[0] / "run.json").read_text("utf-8"))
+    empty = ("unused_pairs", "pairs[].alternatives", "left_out", "cameras[].faults")
+    expected = {field for field in described() if not field.startswith(empty)}
+    found = {field for field in fields_of(report) if not field.startswith(empty)}
+    assert len(found) > 40
+    assert found == expected
