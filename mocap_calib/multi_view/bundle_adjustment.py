@@ -7,7 +7,8 @@ import numpy as np
 from mocap_calib.config import AdjustConfig, Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
 from mocap_calib.geometry.projection import pixels_from_points
-from mocap_calib.multi_view.schur import RayObservations, State, minimise
+from mocap_calib.multi_view.ray_residuals import RayObservations, State
+from mocap_calib.multi_view.schur import minimise
 from mocap_calib.multi_view.triangulation import (
     labelled_frames,
     observations,

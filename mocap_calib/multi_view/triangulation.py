@@ -42,7 +42,7 @@ class Observations:
 
 
 def observations(recording: Recording, matches: Matches, frames: Ints) -> Observations:
-    """Return the detections of all individuals in the frames with these indices.
+    """Return the detections of all individuals in the frames with these indices `[frame]`.
 
     N = frames x individuals x keypoints, in that order.
     """
