@@ -3,8 +3,6 @@
 from dataclasses import dataclass
 from typing import Literal
 
-SAME_RIG_DEG = 10.0  # two rigs whose cameras turn by no more than this are one answer
-
 
 @dataclass(frozen=True)
 class TrainConfig:
@@ -194,6 +192,7 @@ class UncertaintyConfig:
     outlier_factor: float = 4.0
     misfit_limit: float = 4.0  # usual errors: no error counts for more in the misfit of a rig
     same_misfit: float = 1.05  # ratio of the misfits of two rigs that fit equally well
+    same_rig_deg: float = 10.0  # two rigs whose cameras turn by no more than this are one answer
 
 
 REPORT_FRAMES = 2000  # whose reprojection errors run.json tells

@@ -32,6 +32,7 @@ def run_report(
     inputs: path -> SHA-256. What is not known is None.
     """
     error = _reprojection_errors(found)
+    views = range(len(found.rig.cameras))
     return {
         "schema": SCHEMA,
         "version": __version__,
@@ -40,20 +41,16 @@ def run_report(
         "inputs": dict(inputs),
         "seconds": {stage: round(seconds, 3) for stage, seconds in found.seconds.items()},
         "unit": found.rig.unit,
-        "frames": _frames(found),
+        "frames": _describe_frames(found),
         "keypoints": list(found.recording.keypoints),
         "left_out": list(result.left_out),
         "unused_pairs": [asdict(pair) for pair in result.unused_pairs],
-        "cameras": [
-            _camera(found, view, error[view], config) for view in range(len(found.rig.cameras))
-        ],
-        "pairs": [
-            _pair(found, k, error[[pair.a, pair.b]], config) for k, pair in enumerate(found.pairs)
-        ],
-        "verdict": _verdict(found, config),
+        "cameras": [_describe_camera(found, view, error[view], config) for view in views],
+        "pairs": [_describe_pair(found, k, error, config) for k in range(len(found.pairs))],
+        "verdict": _describe_verdict(found, config),
         "adjust": {"rounds": found.adjusted.rounds, "converged": found.adjusted.converged},
-        "individuals": _individuals(found),
-        "points": _points(found),
+        "individuals": _describe_individuals(found),
+        "points": _describe_points(found),
     }
 
 
@@ -67,16 +64,19 @@ def _reprojection_errors(found: GroupResult) -> Floats:
     pixels = observations(found.recording, found.matches, frames).pixels
     points = found.poses.positions[frames]
     images = project(found.rig, points.reshape(-1, 3).T)
-    return np.linalg.norm(images - pixels, axis=1).reshape(len(images), *points.shape[:3])
+    error = np.linalg.norm(images - pixels, axis=1)
+    return error.reshape(len(error), *points.shape[:3])
 
 
-def _frames(found: GroupResult) -> dict[str, int]:
+def _describe_frames(found: GroupResult) -> dict[str, int]:
     """Return which frames the recording has."""
     frames = found.recording.frames
     return {"first": int(frames[0]), "last": int(frames[-1]), "count": len(frames)}
 
 
-def _camera(found: GroupResult, view: int, error: Floats, config: Config) -> dict[str, Any]:
+def _describe_camera(
+    found: GroupResult, view: int, error: Floats, config: Config
+) -> dict[str, Any]:
     """Return what is known of one camera.
 
     error: `[frame, individual, keypoint]` reprojection errors in pixels.
@@ -90,14 +90,14 @@ def _camera(found: GroupResult, view: int, error: Floats, config: Config) -> dic
         "detections": int(detected.sum()),
         "matched": int(matched.sum()),
         "unmatched": int((detected & ~matched).sum()),
-        "faults": _faults(found, view),
+        "faults": _name_faults(found, view),
         "reprojection_error_px": _median_and_p95(error),
         "pair_score": score,
         "weak": score < config.averaging.weak_score,
     }
 
 
-def _faults(found: GroupResult, view: int) -> list[str]:
+def _name_faults(found: GroupResult, view: int) -> list[str]:
     """Return the names of what is wrong with a camera."""
     faults = {
         "inconsistent": found.uncertainty.outlier_cameras[view],
@@ -111,15 +111,16 @@ def _pair_score(found: GroupResult, view: int) -> float:
     return max(pair.score for pair in found.pairs if view in (pair.a, pair.b))
 
 
-def _pair(found: GroupResult, index: int, error: Floats, config: Config) -> dict[str, Any]:
+def _describe_pair(found: GroupResult, index: int, error: Floats, config: Config) -> dict[str, Any]:
     """Return what is known of one pair of cameras.
 
     First what the rig makes of the points that both views see, then what the pair by itself
     found, then how far that is from the rig.
 
-    error: `[2, frame, individual, keypoint]` reprojection errors in pixels.
+    error: `[view, frame, individual, keypoint]` reprojection errors in pixels.
     """
     pair = found.pairs[index]
+    error = error[[pair.a, pair.b]]
     first, second = found.rig.cameras[pair.a], found.rig.cameras[pair.b]
     focal = (first.focal + second.focal) / 2
     in_both = np.isfinite(error).all(0)
@@ -127,7 +128,7 @@ def _pair(found: GroupResult, index: int, error: Floats, config: Config) -> dict
         "a": first.name,
         "b": second.name,
         "frames": pair.frames,
-        "matches": _matches_of_pair(found, pair),
+        "matches": _count_matches(found, pair),
         "reprojection_error_px": _median_and_p95(error[:, in_both].ravel()),
         "sampled_matches": len(pair.matches),
         "score": pair.score,
@@ -136,20 +137,21 @@ def _pair(found: GroupResult, index: int, error: Floats, config: Config) -> dict
         "epipolar_error_deg": _finite_or_none(np.degrees(pair.residual)),
         "epipolar_error_px": _finite_or_none(pair.residual * focal),
         "baseline_body_sizes": float(np.linalg.norm(pair.translation)),
-        **_loops(found, index, config),
+        **_describe_loops(found, index, config),
         "alternative_taken": alternative_taken(pair),
-        "alternatives": [_alternative(other, pair) for other in pair.alternatives],
+        "alternatives": [_describe_alternative(other, pair) for other in pair.alternatives],
     }
 
 
-def _matches_of_pair(found: GroupResult, pair: PairwiseCalibration) -> int:
+def _count_matches(found: GroupResult, pair: PairwiseCalibration) -> int:
     """Return how many detections of both views are the same individual in a frame."""
     labels = found.matches.labels
-    a, b = labels[pair.a][:, :, None], labels[pair.b][:, None]
-    return int(((a == b) & (a >= 0)).sum())
+    in_a = labels[pair.a][:, :, None]
+    in_b = labels[pair.b][:, None]
+    return int(((in_a == in_b) & (in_a >= 0)).sum())
 
 
-def _loops(found: GroupResult, index: int, config: Config) -> dict[str, Any]:
+def _describe_loops(found: GroupResult, index: int, config: Config) -> dict[str, Any]:
     """Return how well a pair agrees with the rig that the pairs were averaged to."""
     averaged = found.averaged
     weight = float(averaged.weight[index])
@@ -161,13 +163,15 @@ def _loops(found: GroupResult, index: int, config: Config) -> dict[str, Any]:
     }
 
 
-def _alternative(other: PairwiseCalibration, pair: PairwiseCalibration) -> dict[str, float]:
+def _describe_alternative(
+    other: PairwiseCalibration, pair: PairwiseCalibration
+) -> dict[str, float]:
     """Return the score of another answer of a pair, and how far it is from the one taken."""
     turn = angle_between(other.rotation, pair.rotation)
     return {"score": other.score, "turned_deg": float(np.degrees(turn))}
 
 
-def _verdict(found: GroupResult, config: Config) -> dict[str, Any]:
+def _describe_verdict(found: GroupResult, config: Config) -> dict[str, Any]:
     """Return whether the recording determines the rig, and what it leaves open."""
     uncertainty = found.uncertainty
     angle, outliers = uncertainty.split_half_angle, uncertainty.outlier_cameras
@@ -180,7 +184,7 @@ def _verdict(found: GroupResult, config: Config) -> dict[str, Any]:
     }
 
 
-def _individuals(found: GroupResult) -> list[dict[str, int]]:
+def _describe_individuals(found: GroupResult) -> list[dict[str, int]]:
     """Return in how many frames each individual was matched."""
     labels = found.matches.labels
     return [
@@ -189,7 +193,7 @@ def _individuals(found: GroupResult) -> list[dict[str, int]]:
     ]
 
 
-def _points(found: GroupResult) -> dict[str, Any]:
+def _describe_points(found: GroupResult) -> dict[str, Any]:
     """Return how many points were triangulated, and how well they fit."""
     error = found.poses.error[np.isfinite(found.poses.error)]
     return {"triangulated": len(error), "reprojection_error_px": _median_and_p95(error)}

@@ -83,7 +83,8 @@ def _with_axes(rig: CameraRig) -> Floats:
     Where the centres are on a line, those of two cameras for instance, they leave the rotation
     about it open, and the axes decide.
     """
-    spread = np.sqrt(((rig.centres - rig.centres.mean(0)) ** 2).sum(1).mean())
+    offset = rig.centres - rig.centres.mean(0)
+    spread = np.sqrt((offset**2).sum(1).mean())
     # rows of cam_from_world are the camera's axes in world coordinates
     axes = _AXIS_LENGTH * spread * rig.rotation.reshape(-1, 3)
     origins = np.repeat(rig.centres, 3, axis=0)
@@ -97,14 +98,16 @@ def _pair_error(rig: CameraRig, reference: CameraRig, a: str, b: str) -> tuple[f
     """
     if not {a, b} <= set(rig.names):
         return np.pi, np.pi
-    rotation, translation = rig.relative(rig.names.index(a), rig.names.index(b))
-    true_rotation, true_translation = reference.relative(
-        reference.names.index(a), reference.names.index(b)
-    )
-    return (
-        float(angle_between(rotation, true_rotation)),
-        float(direction_angle(translation, true_translation)),
-    )
+    rotation, translation = _relative_named(rig, a, b)
+    true_rotation, true_translation = _relative_named(reference, a, b)
+    rotation_error = angle_between(rotation, true_rotation)
+    translation_error = direction_angle(translation, true_translation)
+    return float(rotation_error), float(translation_error)
+
+
+def _relative_named(rig: CameraRig, a: str, b: str) -> tuple[Floats, Floats]:
+    """Return R `[3, 3]` and t `[3]` of b_from_a, for the cameras named a and b."""
+    return rig.relative(rig.names.index(a), rig.names.index(b))
 
 
 def accuracy(error: Floats, degrees: float) -> float:

@@ -8,6 +8,7 @@ from mocap_calib.config import Config, UncertaintyConfig
 from mocap_calib.multi_view.triangulation import (
     labelled_frames,
     observations,
+    points_in_cameras,
     project,
     triangulate_rays,
     view_noise,
@@ -98,7 +99,8 @@ def _medians(error: Floats, counted: Bools) -> Floats:
     """
     medians = np.full(len(error), np.nan)
     for view in np.flatnonzero(counted.any(1)):
-        medians[view] = np.median(np.nan_to_num(error[view, counted[view]], nan=np.inf))
+        in_view = error[view, counted[view]]
+        medians[view] = np.median(np.nan_to_num(in_view, nan=np.inf))
     return medians
 
 
@@ -107,7 +109,7 @@ def _perspective(rig: CameraRig, points: Floats, counted: Bools) -> Floats:
 
     points: `[3, N]` in world coordinates; counted: `[view, N]`.
     """
-    in_camera = np.matmul(rig.rotation, points) + rig.translation[:, :, None]
+    in_camera = points_in_cameras(rig, points)
     return np.array(
         [
             _beyond_affine(points[:, seen].T, in_view[:, seen].T)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mocap_calib.config import SAME_RIG_DEG, Config
+from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.multi_view.association import associate, same_groups, single_subject
@@ -97,11 +97,11 @@ def _starts_without_model(sample: Sample, lifted: LiftedPoses) -> list[tuple[Cam
 def _best_fit(sample: Sample, found: list[Adjusted], config: Config) -> Adjusted:
     """Return the rig that fits best, with another that fits as well, if there is one."""
     fits = [measure_fit(sample, each.rig, each.matches, config) for each in found]
-    ranking = sorted(range(len(found)), key=lambda k: fits[k].misfit)
-    best = ranking[0]
-    for k in ranking[1:]:
-        another = _largest_turn_deg(found[k].rig, found[best].rig) > SAME_RIG_DEG
-        if another and fit_equally_well(fits[k], fits[best], config.uncertainty):
+    best, *others = sorted(range(len(found)), key=lambda k: fits[k].misfit)
+    for k in others:
+        turn_deg = _largest_turn_deg(found[k].rig, found[best].rig)
+        another_rig = turn_deg > config.uncertainty.same_rig_deg
+        if another_rig and fit_equally_well(fits[k], fits[best], config.uncertainty):
             return replace(found[best], depth_reversed_rig=found[k].rig)
     return found[best]
 

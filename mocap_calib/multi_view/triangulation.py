@@ -234,7 +234,7 @@ def _ray_angles(rig: CameraRig, points: Floats, rays: Floats) -> tuple[Floats, B
     points: `[3, N]`; rays: `[view, 3, N]`. Angles `[view, N]` in radians, pi where something is
     missing; in front `[view, N]`.
     """
-    in_camera = np.matmul(rig.rotation, points) + rig.translation[:, :, None]
+    in_camera = points_in_cameras(rig, points)
     along = np.einsum("vin,vin->vn", in_camera, rays)
     z, x, y = (_cross(in_camera, rays, i) for i in range(3))
     across = np.sqrt(z * z + x * x + y * y)
@@ -261,6 +261,11 @@ def reprojection_error(rig: CameraRig, points: Floats, *, pixels: Floats, used: 
     total = np.where(used & np.isfinite(square), square, 0.0).sum(0)
     count = used.sum(0)
     return np.where(count > 0, np.sqrt(total / np.maximum(count, 1)), np.nan)
+
+
+def points_in_cameras(rig: CameraRig, points: Floats) -> Floats:
+    """Return points `[3, N]` in world coordinates in each camera's frame, `[view, 3, N]`."""
+    return np.matmul(rig.rotation, points) + rig.translation[:, :, None]
 
 
 def project(rig: CameraRig, points: Floats) -> Floats:
