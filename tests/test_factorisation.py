@@ -11,7 +11,7 @@ from mocap_calib.geometry.projection import pixels_from_points, rays_from_pixels
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.multi_view.association import single_subject
 from mocap_calib.multi_view.factorization import factorise
-from mocap_calib.multi_view.uncertainty import measure_fit
+from mocap_calib.multi_view.fit import measure_fit
 from mocap_calib.types import Camera, CameraRig, Recording, Sample
 
 REVERSE = np.diag([1.0, 1.0, -1.0])
@@ -120,5 +120,5 @@ def test_the_misfit_is_the_noise(noise):
     The margin is 15 %.
     """
     seen, rig = telescopes(noise)
-    fit = measure_fit(seen, rig, single_subject(seen), Config().triangulate)
+    fit = measure_fit(seen, rig, single_subject(seen), Config())
     assert fit.misfit == pytest.approx(noise, rel=0.15)

@@ -214,13 +214,13 @@ class _Batch:
             len(report["individuals"]),
             report["verdict"],
         )
-        difference = verdict["halves_differ_deg"]["median"]
+        difference = verdict["split_half_angle_deg"]["median"]
         outcome = {
             "cameras": cameras,
             "left_out": report["left_out"],
             "individuals": individuals,
             "rig": verdict["rig"],
-            "halves_differ_deg": difference,
+            "split_half_angle_deg": difference,
         }
         self.reporter.say(
             f"{order.output.name} {status}: {cameras} cameras, {individuals} individuals, rig {verdict['rig']}"
@@ -254,7 +254,7 @@ class _Batch:
 def _table(outcomes: Iterable[Outcome]) -> list[str]:
     from mocap_calib_cli.progress import figure, table
 
-    none: Outcome = {"cameras": "-", "individuals": "-", "rig": "-", "halves_differ_deg": None}
+    none: Outcome = {"cameras": "-", "individuals": "-", "rig": "-", "split_half_angle_deg": None}
     rows = [none | outcome for outcome in outcomes]
     header = ["recording", "status", "cameras", "individuals", "halves deg", "rig"]
     return table(
@@ -265,7 +265,7 @@ def _table(outcomes: Iterable[Outcome]) -> list[str]:
                 r["status"],
                 str(r["cameras"]),
                 str(r["individuals"]),
-                figure(r["halves_differ_deg"]),
+                figure(r["split_half_angle_deg"]),
                 r["rig"],
             ]
             for r in rows

@@ -129,12 +129,12 @@ def _summarise(
             str(c["detections"]),
             str(c["matched"]),
             *(figure(c["reprojection_error_px"][k]) for k in ("median", "p95")),
-            figure(c["support"]),
+            figure(c["pair_score"]),
         ]
         for c in report["cameras"]
     ]
     reporter.say(
-        "", *table(["camera", "detections", "matched", "median px", "95 % px", "support"], rows)
+        "", *table(["camera", "detections", "matched", "median px", "95 % px", "pair score"], rows)
     )
     for pair in report["pairs"]:
         if pair["alternative_taken"]:
@@ -148,24 +148,24 @@ def _summarise(
     weak = [camera["name"] for camera in report["cameras"] if camera["weak"]]
     if weak:
         reporter.say(
-            f"weak: {', '.join(weak)} (support below {Config().averaging.weak_score}, good recordings have 0.7 and more): do not trust it without a check"
+            f"weak: {', '.join(weak)} (pair score below {Config().averaging.weak_score}, good recordings have 0.7 and more): do not trust it without a check"
         )
     if not found.adjusted.converged:
         reporter.say(
             f"matches still changed after {found.adjusted.rounds} rounds of adjustment; look at matches.csv with care"
         )
-    odd = [camera["name"] for camera in report["cameras"] if camera["inconsistent"]]
+    odd = [camera["name"] for camera in report["cameras"] if "inconsistent" in camera["faults"]]
     if odd:
         reporter.say(
             f"inconsistent: {', '.join(odd)}: errors several times those of the other cameras; out of step (shift it with --frame-offset), "
             "moved, or with other intrinsics"
         )
     determined = report["verdict"]
-    apart = determined["halves_differ_deg"]
+    apart = determined["split_half_angle_deg"]
     reporter.say(
         f"rig: {determined['rig']}; halves of the joints give rigs {apart['median']:.1f} deg apart, {apart['max']:.1f} at most"
     )
-    affine = [camera["name"] for camera in report["cameras"] if camera["near_affine"]]
+    affine = [camera["name"] for camera in report["cameras"] if camera["weak_perspective"]]
     if affine:
         reporter.say(
             f"translation not observable: {', '.join(affine)} so far away or of such long focal length that images show no perspective; "
