@@ -75,7 +75,7 @@ class Observed:
     pairs: tuple[PairwiseCalibration, ...]
 
     def select(self, views: Ints) -> "Observed":
-        """Return what is known of these views (indices) alone."""
+        """Return what is known of these views (`[view]` indices) alone."""
         return Observed(
             recording=self.recording.select(views=views),
             sample_frames=self.sample_frames,
