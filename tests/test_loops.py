@@ -272,16 +272,7 @@ def test_run_writes_each_group_and_says_so(tool, tmp_path):
     )
     keypoints.mkdir()
     for file in files:
-        (keypoints / f"{file.camera}.json").write_text(
-            format_coco(
-                file.camera,
-                file.image_size,
-                file.frames,
-                file.keypoints,
-                file.positions,
-                file.confidence,
-            )
-        )
+        (keypoints / f"{file.camera}.json").write_text(format_coco(file))
     count = len(cameras)
     intrinsics.write_text(
         format_cameras_yaml(

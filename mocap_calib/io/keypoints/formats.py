@@ -31,7 +31,7 @@ from mocap_calib.io.keypoints import (
 )
 from mocap_calib.io.keypoints import flat_json as results_json
 from mocap_calib.io.keypoints import movement as movement_nc
-from mocap_calib.io.keypoints.adjust import in_pixels, moved, split_views
+from mocap_calib.io.keypoints.adjust import apply_offsets, in_pixels, split_views
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions, describe
 from mocap_calib.io.keypoints.items import FOLDER_SUFFIXES, Holds, keypoint_items
 from mocap_calib.io.keypoints.losses import FOLLOWED, GAPS, MIXED, NAMES, SCORES, SIZES, Loss
@@ -181,7 +181,7 @@ def read_what_can(
         except MocapCalibError as error:
             errors.append(error)
     _check_once([(view.camera, view.source) for view in views])
-    return (tuple(views) if errors else moved(views, options)), errors
+    return (tuple(views) if errors else apply_offsets(views, options)), errors
 
 
 def looks_like_keypoints(path: Path) -> bool:

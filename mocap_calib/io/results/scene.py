@@ -68,19 +68,13 @@ def write_scene(path: Path, scene: SceneLike, command: str) -> None:
 
 def scene_files(scene: SceneLike, command: str) -> dict[str, bytes]:
     """Relative path -> content."""
-    texts = {f"keypoints/{file.camera}.json": _keypoints(file) for file in scene.files}
+    texts = {f"keypoints/{file.camera}.json": format_coco(file) for file in scene.files}
     texts["intrinsics.toml"] = _intrinsics_toml(scene.rig.cameras)
     texts["reference.toml"] = format_calibration_toml(scene.rig, {"command": command})
     texts["README.md"] = (
         f"A synthetic recording of people: keypoints and cameras, and the truth: where cameras stand, who is who, 3D.\nMade by `{command}`.\n"
     )
     return {name: text.encode() for name, text in texts.items()} | {"truth.npz": _truth(scene)}
-
-
-def _keypoints(file: Keypoints2D) -> str:
-    return format_coco(
-        file.camera, file.image_size, file.frames, file.keypoints, file.positions, file.confidence
-    )
 
 
 def _intrinsics_toml(cameras: tuple[Camera, ...]) -> str:
