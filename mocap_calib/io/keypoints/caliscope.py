@@ -9,7 +9,8 @@ import numpy as np
 
 from mocap_calib.io.file import malformed
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
-from mocap_calib.io.keypoints.long_table import Cells, Points, read_cells, views_from_points
+from mocap_calib.io.keypoints.long_table import Points, views_from_points
+from mocap_calib.io.keypoints.table_cells import Cells, read_cells
 from mocap_calib.types import Keypoints2D
 
 

@@ -3,8 +3,6 @@
 The columns may be called anything. Work goes column by column, since there are many rows.
 """
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -22,43 +20,6 @@ from mocap_calib.io.file import (
 )
 from mocap_calib.io.keypoints.document import Item
 from mocap_calib.types import Floats, Ints, Keypoints2D
-
-
-@dataclass(frozen=True)
-class Cells:
-    """The rows below the header.
-
-    columns: name -> `[row]` text without spaces around it.
-    lines: `[row]` line numbers in the file.
-    """
-
-    source: str
-    columns: dict[str, tuple[str, ...]]
-    lines: Ints
-
-    def __len__(self) -> int:
-        return len(self.lines)
-
-    def place(self, row: int) -> str:
-        """Return the row, as messages name it."""
-        return f"{self.source}: row {self.lines[row]}"
-
-    def numbers(self, name: str) -> Floats:
-        """Return the `[row]` numbers of a column, NaN where it is empty or not there.
-
-        Raises FormatError.
-        """
-        column = self.columns.get(name, ("",) * len(self))
-        try:
-            return np.array([float(cell) if cell else np.nan for cell in column], dtype=np.float64)
-        except ValueError:
-            row = next(k for k, cell in enumerate(column) if cell and not _is_number(cell))
-            raise malformed(
-                self.place(row),
-                "a number with a decimal point",
-                column[row],
-                "write numbers like 12.5",
-            ) from None
 
 
 @dataclass(frozen=True)
@@ -102,52 +63,25 @@ class _Coded:
         return _Coded(texts, code_by_appearance[codes])
 
 
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
+@dataclass(frozen=True)
+class _Table:
+    """Points with coded columns; `values` is `[row, 3]`, `lines` is `[row]`."""
 
+    frame: _Coded
+    identity: _Coded
+    keypoint: _Coded
+    values: Floats
+    lines: Ints
 
-def read_cells(item: Item) -> Cells:
-    """Read all cells of a table. Raises FormatError, also where there is no row."""
-    source, header = item.origin.source, item.document.header
-    if len(set(header)) < len(header):
-        raise malformed(source, "each column once", ",".join(header), "rename or remove columns")
-    rows, lines = _read_rows(item)
-    rows, lines = rows[1:], lines[1:]
-    if not rows:
-        raise malformed(source, "rows below the header", "none", "export it again")
-    for cells, line in zip(rows, lines, strict=True):
-        if len(cells) != len(header):
-            raise malformed(
-                f"{source}: row {line}",
-                f"{len(header)} cells, as many as the header has",
-                len(cells),
-                "the file is cut, or has commas in its numbers",
-            )
-    columns = {
-        name: tuple(map(str.strip, column))
-        for name, column in zip(header, zip(*rows, strict=True), strict=True)
-    }
-    return Cells(source, columns, np.array(lines))
-
-
-def _read_rows(item: Item) -> tuple[list[list[str]], list[int]]:
-    """Return the rows of a table that are not empty, and their line numbers. Raises FormatError."""
-    reader = csv.reader(io.StringIO(item.document.text, newline=""))
-    rows, lines = [], []
-    try:
-        for cells in reader:
-            if any(cells):
-                rows.append(cells)
-                lines.append(reader.line_num)
-    except csv.Error as error:
-        raise malformed(
-            item.origin.source, "comma-separated values", error, "export it again"
-        ) from None
-    return rows, lines
+    def select(self, rows: Ints) -> "_Table":
+        """Return these rows (indices) of the table."""
+        return _Table(
+            frame=self.frame.select(rows),
+            identity=self.identity.select(rows),
+            keypoint=self.keypoint.select(rows),
+            values=self.values[rows],
+            lines=self.lines[rows],
+        )
 
 
 def views_from_points(
@@ -178,27 +112,6 @@ def views_from_points(
     return tuple(views)
 
 
-@dataclass(frozen=True)
-class _Table:
-    """Points with coded columns; `values` is `[row, 3]`, `lines` is `[row]`."""
-
-    frame: _Coded
-    identity: _Coded
-    keypoint: _Coded
-    values: Floats
-    lines: Ints
-
-    def select(self, rows: Ints) -> "_Table":
-        """Return these rows (indices) of the table."""
-        return _Table(
-            frame=self.frame.select(rows),
-            identity=self.identity.select(rows),
-            keypoint=self.keypoint.select(rows),
-            values=self.values[rows],
-            lines=self.lines[rows],
-        )
-
-
 def _code(column: Sequence[str]) -> _Coded:
     """Return a column as its different texts and the index of each row's text."""
     texts = list(dict.fromkeys(column))
@@ -214,15 +127,11 @@ def _view(table: _Table, origin: Origin, *, tracked: bool, remarks: tuple[str, .
     frames = np.unique(number_of_text)
     instance_of_text = _instances(table.identity.texts, tracked=tracked, source=source)
     keypoints = unique_names([name for name in table.keypoint.texts if name], source)
-    column_of = {name: column for column, name in enumerate(keypoints)}
-    column_of_text = np.array(
-        [column_of.get(name, -1) for name in table.keypoint.texts], dtype=np.int64
-    )
     values = blank(len(frames), int(instance_of_text.max()) + 1, len(keypoints), source)
 
     frame = np.searchsorted(frames, number_of_text)[table.frame.codes]
     instance = instance_of_text[table.identity.codes]
-    keypoint = column_of_text[table.keypoint.codes]
+    keypoint = _keypoint_indices(table.keypoint.texts, keypoints)[table.keypoint.codes]
     named = keypoint >= 0
     cells = (frame[named], instance[named], keypoint[named])
     _check_each_point_once(
@@ -268,6 +177,12 @@ def _instances(names: list[str], *, tracked: bool, source: str) -> Ints:
             "call the column individual, if it names them",
         )
     return numbers
+
+
+def _keypoint_indices(texts: list[str], keypoints: Sequence[str]) -> Ints:
+    """Return the `[text]` index of each text among the keypoints; -1 for an empty one."""
+    index_of = {name: index for index, name in enumerate(keypoints)}
+    return np.array([index_of.get(text, -1) for text in texts], dtype=np.int64)
 
 
 def _small_number(name: str) -> int:
