@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.io.file import camera_in, frame_number, malformed
+from mocap_calib.io.file import frame_number, malformed
 from mocap_calib.io.keypoints.document import Item, ReadOptions
+from mocap_calib.io.keypoints.per_frame import cameras_by_pattern
 from mocap_calib.types import Ints
 
 _CAMERA_FIELDS = ("camera", "cam_id", "camera_id", "cam")
@@ -29,7 +30,9 @@ def images_by_camera(
     The user's pattern tells it, else a field of the images, else their folders; all images are of
     the file's camera where none of them tells.
     """
-    by_pattern = _cameras_by_pattern(images, item, options)
+    by_pattern = cameras_by_pattern(
+        _file_names(images), options.camera_pattern, named="file name", source=item.origin.source
+    )
     cameras = by_pattern or _cameras_by_field(images) or _cameras_by_folder(images, item)
     if len(set(cameras)) <= 1 and not by_pattern:
         return {item.camera: images}
@@ -37,27 +40,6 @@ def images_by_camera(
     for image, camera in zip(images, cameras, strict=True):
         images_of.setdefault(camera, []).append(image)
     return images_of
-
-
-def _cameras_by_pattern(images: list[Entry], item: Item, options: ReadOptions) -> list[str]:
-    """Return each image's camera as the user's pattern finds it; nothing where it finds none.
-
-    Raises FormatError where it finds some only.
-    """
-    if not options.camera_pattern:
-        return []
-    names = _file_names(images)
-    cameras = [camera_in(name, options.camera_pattern) for name in names]
-    if not any(cameras):
-        return []
-    if not all(cameras):
-        raise malformed(
-            item.origin.source,
-            f"a camera in each file name by the pattern {options.camera_pattern}",
-            names[cameras.index("")],
-            "change it",
-        )
-    return cameras
 
 
 def _cameras_by_field(images: list[Entry]) -> list[str]:

@@ -10,8 +10,8 @@ from typing import Any
 import h5py
 import numpy as np
 
-from mocap_calib.errors import MismatchError
 from mocap_calib.io.keypoints.deeplabcut import COORDS, LEVELS, LEVELS_OF_ONE, Table
+from mocap_calib.io.keypoints.losses import require_followed
 from mocap_calib.types import Keypoints2D
 
 _SCORER = "mocap-calib"
@@ -49,12 +49,8 @@ def write_h5(views: tuple[Keypoints2D, ...]) -> dict[str, bytes]:
 
 def _table(view: Keypoints2D) -> Table:
     """Return the labelled columns of a camera. Raises MismatchError."""
+    require_followed(view, "DeepLabCut")
     frames, instances, keypoints = view.confidence.shape
-    if not view.tracked and instances > 1:
-        raise MismatchError(
-            f"{view.source}: expected one individual or followed ones, as DeepLabCut has, "
-            "found detections in any order; choose csv or coco"
-        )
     seen = np.isfinite(view.positions[..., :1])
     triples = np.concatenate([view.positions, view.confidence[..., None]], axis=-1)
     values = np.where(seen, triples, np.nan).reshape(frames, instances * keypoints * 3)

@@ -11,7 +11,6 @@ import numpy as np
 
 from mocap_calib.io.file import (
     Origin,
-    camera_in,
     make_view,
     malformed,
     stacked,
@@ -19,7 +18,12 @@ from mocap_calib.io.file import (
 )
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.io.keypoints.layouts import choose_layout
-from mocap_calib.io.keypoints.per_frame import frame_numbers, is_list_of, triples
+from mocap_calib.io.keypoints.per_frame import (
+    cameras_by_pattern,
+    frame_numbers,
+    is_list_of,
+    triples,
+)
 from mocap_calib.types import Floats, Keypoints2D
 
 # AlphaPose's only layouts of their length
@@ -104,24 +108,15 @@ def _entries_by_camera(images: list[str], item: Item, options: ReadOptions) -> d
     All are of the file's camera where the pattern finds none. Raises FormatError where it finds
     some only.
     """
-    cameras = _cameras_by_pattern(images, options.camera_pattern)
-    if not any(cameras):
+    cameras = cameras_by_pattern(
+        images, options.camera_pattern, named="image_id", source=item.origin.source
+    )
+    if not cameras:
         return {item.camera: list(range(len(images)))}
-    if not all(cameras):
-        raise malformed(
-            item.origin.source,
-            f"a camera in each image_id by the pattern {options.camera_pattern}",
-            images[cameras.index("")],
-            "change it",
-        )
     entries_of: dict[str, list[int]] = {}
     for entry, camera in enumerate(cameras):
         entries_of.setdefault(camera, []).append(entry)
     return entries_of
-
-
-def _cameras_by_pattern(images: list[str], pattern: str) -> list[str]:
-    return [camera_in(image, pattern) for image in images] if pattern else []
 
 
 def _view(

@@ -1,11 +1,12 @@
 """Name what a keypoint format may have no place for, and which views have it.
 
-A writer says with these what it loses.
+A writer says with these what it loses, or refuses it.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from mocap_calib.errors import MismatchError
 from mocap_calib.io.file import NO_SCORE
 from mocap_calib.types import Keypoints2D
 
@@ -58,3 +59,15 @@ MIXED = Loss(
 SIZES = Loss("image sizes", _have_sizes)
 GAPS = Loss("which frames are absent: they become empty ones", _have_gaps)
 SCORES = Loss("that there are no scores: each point gets 1", _lack_scores)
+
+
+def require_followed(view: Keypoints2D, program: str) -> None:
+    """Raise MismatchError where a view has several instances that are not followed.
+
+    program: whose individuals are followed by definition.
+    """
+    if not view.tracked and view.positions.shape[1] > 1:
+        raise MismatchError(
+            f"{view.source}: expected one individual or followed ones, as {program} has, "
+            "found detections in any order; choose csv or coco"
+        )

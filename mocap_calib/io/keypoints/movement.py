@@ -13,10 +13,10 @@ import h5netcdf
 import h5py
 import numpy as np
 
-from mocap_calib.errors import MismatchError
 from mocap_calib.io.file import blank, make_view, malformed, scored
 from mocap_calib.io.hdf5 import array, damage_refused, keys, names, text
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
+from mocap_calib.io.keypoints.losses import require_followed
 from mocap_calib.types import Floats, Ints, Keypoints2D
 
 _REMEDY = "save it from movement again"
@@ -157,19 +157,14 @@ def write(views: tuple[Keypoints2D, ...]) -> dict[str, bytes]:
 
 
 def _format_netcdf(view: Keypoints2D) -> bytes:
-    individuals = view.positions.shape[1]
-    if not view.tracked and individuals > 1:
-        raise MismatchError(
-            f"{view.source}: expected one individual or followed ones, as movement has, "
-            "found detections in any order; choose csv or coco"
-        )
+    require_followed(view, "movement")
     position = view.positions.transpose(0, 3, 2, 1)
     confidence = view.confidence.transpose(0, 2, 1)
     confidence = np.where(np.isfinite(position[:, 0]), confidence, np.nan)
     labels = {
         "space": ("x", "y"),
         "keypoint": view.keypoints,
-        "individual": tuple(f"individual_{k}" for k in range(individuals)),
+        "individual": tuple(f"individual_{k}" for k in range(view.positions.shape[1])),
     }
     buffer = io.BytesIO()
     with h5netcdf.File(buffer, "w") as file:

@@ -1,4 +1,7 @@
-"""Hold what formats with an entry per frame share: numbers from names, points from lists."""
+"""Hold what formats with an entry per frame or per image share.
+
+Frame numbers and cameras from names, points from lists.
+"""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -6,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.io.file import frame_number, malformed
+from mocap_calib.io.file import camera_in, frame_number, malformed
 from mocap_calib.io.keypoints.document import Item, describe
 from mocap_calib.types import Floats
 
@@ -64,6 +67,25 @@ def _without_addition(name: str) -> str:
 def _last_integer(name: str) -> int:
     integers = re.findall(r"[0-9]+", name)
     return frame_number(integers[-1]) if integers else -1
+
+
+def cameras_by_pattern(names: Sequence[str], pattern: str, *, named: str, source: str) -> list[str]:
+    """Return the camera of each name as the user's pattern finds it.
+
+    named: what the format calls a name. Nothing is returned where there is no pattern, or where it
+    finds no camera at all; FormatError is raised where it finds some only.
+    """
+    cameras = [camera_in(name, pattern) for name in names] if pattern else []
+    if not any(cameras):
+        return []
+    if not all(cameras):
+        raise malformed(
+            source,
+            f"a camera in each {named} by the pattern {pattern}",
+            names[cameras.index("")],
+            "change it",
+        )
+    return cameras
 
 
 def most_keypoints(detections: Sequence[Sequence[Floats]], *, named: str, source: str) -> int:
