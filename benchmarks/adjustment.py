@@ -1,11 +1,14 @@
-"""Bundle adjustment alone: ours, aniposelib's and scipy's, on the same detections from the same start.
+"""Measure bundle adjustment alone: ours, aniposelib's and scipy's, from the same start.
 
-    .venv/bin/python benchmarks/adjustment.py SCRATCH [--cameras 8] [--frames 1000] [--people 1] [--methods ours ours-all anipose scipy]
+    .venv/bin/python benchmarks/adjustment.py SCRATCH [--cameras 8] [--frames 1000]
+        [--people 1] [--methods ours ours-all anipose scipy]
 
-One synthetic person, identities known, 2 px of noise, 5 % missing, 1 % gross errors; the cameras start 3 degrees and 3 % of the radius
-off, intrinsics fixed. SCRATCH: a folder in which the others get an environment of their own (aniposelib 0.8.0 from the package index).
-Ours is timed from detections to rig: choice of points, triangulation and all; `ours-all` takes all points and weighs detections by their
-confidence, which knows of the noise here. Of aniposelib, what it compiles is not counted.
+One synthetic person, identities known, 2 px of noise, 5 % missing, 1 % gross errors; the cameras
+start 3 degrees and 3 % of the radius off, intrinsics fixed. SCRATCH: a folder in which the others
+get an environment of their own (aniposelib 0.8.0 from the package index). Ours is timed from
+detections to rig: choice of points, triangulation and all; `ours-all` takes all points and weighs
+detections by their confidence, which knows of the noise here. Of aniposelib, what it compiles is
+not counted.
 """
 
 import argparse
@@ -63,7 +66,8 @@ def main() -> None:
     matches = Matches(made.identity.astype(np.int64))
     start = moved(made.rig)
     print(
-        "| method | seconds | processor (s) | E_R median / max (deg) | E_t median / max (deg) |\n|---|---|---|---|---|"
+        "| method | seconds | processor (s) | E_R median / max (deg) | E_t median / max (deg) |\n"
+        "|---|---|---|---|---|"
     )
     print(f"| start | | | {figures(start, made.rig)} |")
     for method in options.methods:

@@ -1,9 +1,10 @@
-"""Other people's bundle adjustments, run by adjustment.py with the Python of an environment of their own.
+"""Run other people's bundle adjustments; called by adjustment.py in an environment of their own.
 
     python adjustment_peers.py METHOD problem.npz result.npz
 
-problem.npz: pixels `[view, N, 2]` (NaN = missing), matrix `[view, 3, 3]`, distortion `[view, 5]`, size `[view, 2]`, rotation `[view, 3]`
-(rotation vectors of cam_from_world) and translation `[view, 3]` to start from. result.npz: rotation, translation, seconds, processor.
+problem.npz: pixels `[view, N, 2]` (NaN = missing), matrix `[view, 3, 3]`, distortion `[view, 5]`,
+size `[view, 2]`, rotation `[view, 3]` (rotation vectors of cam_from_world) and translation `[view,
+3]` to start from. result.npz: rotation, translation, seconds, processor.
 """
 
 import sys
@@ -13,7 +14,10 @@ import numpy as np
 
 
 def anipose(problem):
-    """The `bundle_adjust_iter` of aniposelib with the settings of anipose's calibration from animals, intrinsics fixed."""
+    """Adjust with aniposelib's `bundle_adjust_iter`.
+
+    Settings as in anipose's calibration from animals; intrinsics fixed.
+    """
     from aniposelib.cameras import Camera, CameraGroup
 
     def group():
@@ -50,7 +54,10 @@ def anipose(problem):
 
 
 def scipy(problem):
-    """The `least_squares` of scipy on cameras and points, sparse differences, soft_l1 tightened as ours is (50, 10, 3 px); 5,000 points."""
+    """Adjust with scipy's `least_squares` on cameras and 5,000 points.
+
+    Sparse differences; soft_l1 tightened as ours is (50, 10, 3 px).
+    """
     import cv2
     from scipy.optimize import least_squares
     from scipy.sparse import lil_matrix

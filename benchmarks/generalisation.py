@@ -1,10 +1,14 @@
-"""One network for a species against one for all four-legged animals, with and without keypoint completion (the paper's Table 4).
+"""Compare a network for one species with one for all quadrupeds (the paper's Table 4).
+
+With and without keypoint completion.
 
     .venv/bin/python benchmarks/generalisation.py [--poses ../shared/poses3d] [--steps 1500]
 
-Mean keypoint displacement (the paper's eq. 1) after a rotation about the vertical, in units of the visible pose's RMS radius, on the last tenth of
-each set; 10-30 % of the joints masked, 3 % noise. The networks for one species are trained here, on the first 70 % of its set, and thrown
-away: the sets are for evaluation only. The one for all is the shipped model, which has seen no recorded animal.
+Mean keypoint displacement (the paper's eq. 1) after a rotation about the vertical, in units of the
+visible pose's RMS radius, on the last tenth of each set; 10-30 % of the joints masked, 3 % noise.
+The networks for one species are trained here, on the first 70 % of its set, and thrown away: the
+sets are for evaluation only. The one for all is the shipped model, which has seen no recorded
+animal.
 """
 
 import argparse
@@ -50,7 +54,8 @@ def main() -> None:
         occlusion=0.4,
     )
     print(
-        "| target | class-specific | class-agnostic, no completion | class-agnostic, with completion |"
+        "| target | class-specific | class-agnostic, no completion "
+        "| class-agnostic, with completion |"
     )
     print("|---|---|---|---|")
     for name, (file, up) in SETS.items():

@@ -1,9 +1,12 @@
-"""The loop that needs no model: one animal -> rig by geometry alone -> a model of its species -> two animals, identities unknown.
+"""Measure the loop that needs no model to begin with.
+
+One animal -> rig by geometry alone -> a model of its species -> two animals, identities unknown.
 
     .venv/bin/python benchmarks/own_species.py OUT [--steps 2000]
 
-One mouse (DANNCE demo, clip 0; 400 moments at random places, random cameras, 3 px noise) is calibrated with `--model none`; its 3D poses train
-a model; with it the recording of two mice is calibrated, and judged. No shipped weights take part.
+One mouse (DANNCE demo, clip 0; 400 moments at random places, random cameras, 3 px noise) is
+calibrated with `--model none`; its 3D poses train a model; with it the recording of two mice is
+calibrated, and judged. No shipped weights take part.
 """
 
 import argparse
@@ -123,7 +126,8 @@ def report(name: str, found: Path, reference: Path) -> None:
     r, t = errors["rotation_error_deg"], errors["translation_error_deg"]
     individuals = len(json.loads((found / "run.json").read_text())["individuals"])
     print(
-        f"{name}: E_R {r['median']:.2f} / {r['max']:.2f} deg, E_t {t['median']:.2f} deg, {individuals} individuals",
+        f"{name}: E_R {r['median']:.2f} / {r['max']:.2f} deg, E_t {t['median']:.2f} deg, "
+        f"{individuals} individuals",
         flush=True,
     )
 

@@ -1,6 +1,7 @@
-"""The paper's protocol on people: two views, single frames, identities unknown; its tables with our rows beside.
+"""Run the paper's protocol: two views, single frames, identities unknown.
 
-    .venv/bin/python benchmarks/paper_protocol.py two-view --poses ../shared/poses3d/human_body29.npz
+    .venv/bin/python benchmarks/paper_protocol.py two-view
+        --poses ../shared/poses3d/human_body29.npz
     .venv/bin/python benchmarks/paper_protocol.py ablation | multi-view --poses ...
     .venv/bin/python benchmarks/paper_protocol.py detectors --recordings ../shared/recordings
 
@@ -20,8 +21,8 @@ from protocol_scenes import KINDS, Subjects, Truth, scene
 
 from mocap_calib.config import Config
 from mocap_calib.geometry.rotation import angle_between, direction_angle
-from mocap_calib.io.cameras.load import read_cameras, read_rig
-from mocap_calib.io.keypoints.formats import read_keypoints
+from mocap_calib.io.cameras.read import read_cameras, read_rig
+from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.multi_view.triangulation import triangulate
 from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.joints import load_skeleton
@@ -83,7 +84,10 @@ def two_view(options: argparse.Namespace) -> None:
 
 
 def ablation(options: argparse.Namespace) -> None:
-    """The paper's Table 3: with and without the geometric loss; ours with and without the refinement on rays."""
+    """Print the paper's Table 3: with and without the geometric loss.
+
+    Ours with and without the refinement on rays.
+    """
     methods = options.methods or [
         "paper-factorised-nogeom",
         "paper-factorised",
@@ -135,7 +139,8 @@ def _scenes(
 def header() -> None:
     """Of the two-view tables."""
     print(
-        "| scenario | method | pairs | RRA@20 | RTA@20 | AUC@20 | RRA@30 | RTA@30 | AUC@30 | median E_R | median E_t | P | s / pair |"
+        "| scenario | method | pairs | RRA@20 | RTA@20 | AUC@20 | RRA@30 | RTA@30 | AUC@30 "
+        "| median E_R | median E_t | P | s / pair |"
     )
     print("|---|---|---|---|---|---|---|---|---|---|---|---|---|")
 
@@ -197,11 +202,15 @@ def figures(judged: Judged) -> str:
         f"{(r < tau).mean():.2f} | {(t < tau).mean():.2f} | {auc(r, t, tau):.3f}"
         for tau in (20, 30)
     ]
-    return f"{' | '.join(shares)} | {np.median(r):.2f} | {np.median(t):.2f} | {judged.precision:.3f} | {judged.seconds:.3g}"
+    errors = f"{np.median(r):.2f} | {np.median(t):.2f}"
+    return f"{' | '.join(shares)} | {errors} | {judged.precision:.3f} | {judged.seconds:.3g}"
 
 
 def multi_view(options: argparse.Namespace) -> None:
-    """The paper's Table 5: four cameras, after averaging and after adjustment. 20 frames a scene."""
+    """The paper's Table 5: four cameras, after averaging and after adjustment.
+
+    20 frames a scene.
+    """
     lifter, _ = load_lifter()
     config = Config()
     print("| people | scenes | stage | E_R | E_t | E_2D (px) |")
@@ -227,7 +236,8 @@ def multi_view(options: argparse.Namespace) -> None:
         for stage, found in stages.items():
             middle = np.median(np.array(found), axis=0)
             print(
-                f"| {people} | {len(found)} | {stage} | {middle[0]:.2f} | {middle[1]:.2f} | {middle[2]:.2f} |",
+                f"| {people} | {len(found)} | {stage} "
+                f"| {middle[0]:.2f} | {middle[1]:.2f} | {middle[2]:.2f} |",
                 flush=True,
             )
 
@@ -243,7 +253,10 @@ def rig_errors(found: CameraRig, truth: CameraRig) -> tuple[float, float]:
 
 
 def detectors(options: argparse.Namespace) -> None:
-    """Single frames of real recordings, two views at a time; frames where two people or all there are share both views."""
+    """Judge single frames of real recordings, two views at a time.
+
+    Frames where two people, or all there are, share both views.
+    """
     header()
     for name in ("shelf", "h36m_S5_multi3", "mvor_openpose"):
         problems, truths = _real_pairs(options.recordings / name, options.pairs, options.seed)
@@ -257,7 +270,10 @@ def detectors(options: argparse.Namespace) -> None:
 
 
 def _real_pairs(folder: Path, count: int, seed: int) -> tuple[list[Problem], list[Truth]]:
-    """Pairs of views and frames in which at least two known people, or one where no frame has more, are in both views."""
+    """Return pairs of views and frames in which at least two known people are in both views.
+
+    One person where no frame has more.
+    """
     files = read_keypoints([folder / "keypoints"])
     recording = make_recording(
         files, read_cameras(folder / "intrinsics.toml"), load_skeleton("people"), {}

@@ -1,4 +1,7 @@
-"""Scenes of the paper's protocol: held-out people and animals placed at random in a room, seen by random cameras, 3 px noise."""
+"""Make scenes of the paper's protocol.
+
+Held-out people and animals placed at random in a room, seen by random cameras, 3 px noise.
+"""
 
 import json
 from dataclasses import dataclass
@@ -32,7 +35,10 @@ class Truth:
 
 @dataclass(frozen=True)
 class Kind:
-    """A set of 3D poses of the protocol. model: the shipped network; up: the axis that points up; keep: what was held out of training."""
+    """A set of 3D poses of the protocol.
+
+    model: the shipped network; up: the axis that points up; keep: what was held out of training.
+    """
 
     file: str
     model: str
@@ -53,7 +59,10 @@ KINDS = {
 
 
 class Subjects:
-    """Held-out poses of one kind by sequence, +z up; all kinds are as large as people, so that 3 px are as much to each."""
+    """Return held-out poses of one kind by sequence, +z up.
+
+    All kinds are as large as people, so that 3 px are as much to each.
+    """
 
     def __init__(self, folder: Path, kind: Kind) -> None:
         self.skeleton = load_skeleton(kind.model)
@@ -84,7 +93,10 @@ class Subjects:
         self.poses, self.sequence = _standing(poses[whole][:, known], kind), sequence[whole]
 
     def draw(self, rng: np.random.Generator, count: int, frames: int) -> Floats:
-        """`[frame, subject, joint, 3]`: each subject is of one sequence, every frame another moment, place and heading."""
+        """Return `[frame, subject, joint, 3]` positions.
+
+        Each subject is of one sequence, every frame another moment, place and heading.
+        """
         out = np.zeros((frames, count, *self.poses.shape[1:]))
         for subject in range(count):
             sequence = rng.choice(np.unique(self.sequence))
@@ -157,7 +169,9 @@ def scene(
     noise_px: float,
     joints: tuple[str, ...],
 ) -> tuple[Sample, Truth]:
-    """A recording of `count` subjects in their first `frames` moments, detections in random order, and its truth.
+    """Return a recording of `count` subjects in their first `frames` moments, and its truth.
+
+    Detections are in random order.
 
     joints: those that the detector gives; detections outside of the image are missing.
     """

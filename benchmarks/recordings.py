@@ -2,8 +2,8 @@
 
     .venv/bin/python benchmarks/recordings.py [--recordings ../shared/recordings] [NAME ...]
 
-Each run is a process of its own that sees the keypoints and the intrinsics alone; rotation and translation errors come
-from `mocap-calib evaluate`, precision and recall from the known identities.
+Each run is a process of its own that sees the keypoints and the intrinsics alone; rotation and
+translation errors come from `mocap-calib evaluate`, precision and recall from the known identities.
 """
 
 import argparse
@@ -80,7 +80,8 @@ def row(recording: Path) -> str:
         )
         precision, recall = identities(recording, out / "matches.csv")
     rotation, translation = found["rotation_error_deg"], found["translation_error_deg"]
-    return f"| {recording.name} | {rotation['median']:.2f} / {rotation['max']:.2f} | {translation['median']:.2f} | {precision:.3f} | {recall:.3f} | {wall:.1f} |"
+    errors = f"{rotation['median']:.2f} / {rotation['max']:.2f} | {translation['median']:.2f}"
+    return f"| {recording.name} | {errors} | {precision:.3f} | {recall:.3f} | {wall:.1f} |"
 
 
 def run(*arguments: str) -> str:
@@ -89,7 +90,10 @@ def run(*arguments: str) -> str:
 
 
 def identities(recording: Path, matches: Path) -> tuple[float, float]:
-    """Precision and recall of matches between views, over detections of known identity in all pairs of views."""
+    """Return precision and recall of matches between views.
+
+    Over detections of known identity in all pairs of views.
+    """
     ids = np.load(recording / "truth.npz")["ids"]
     names = [
         entry["name"]

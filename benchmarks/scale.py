@@ -1,11 +1,14 @@
-"""How time and memory grow with the recording; every run is a process of its own, so that its peak memory is its own.
+"""Measure how time and memory grow with the recording.
 
-    .venv/bin/python benchmarks/scale.py long      # 8 cameras, 4 people: 2,000 and 100,000 frames, files to files (DeepLabCut .h5)
+Every run is a process of its own, so that its peak memory is its own.
+
+    .venv/bin/python benchmarks/scale.py long      # 8 cameras, 4 people: 2,000 and 100,000 frames
     .venv/bin/python benchmarks/scale.py ring      # 31 cameras (465 pairs), 3 people, 100 frames
-    .venv/bin/python benchmarks/scale.py stages    # seconds of each stage against cameras, frames and people
+    .venv/bin/python benchmarks/scale.py stages    # seconds of each stage
 
-Synthetic people with 2 px of noise, 5 % missing and 1 % gross errors, seed 0. Of `long`, each camera numbers its tracks in an order
-of its own; of the others, detections come in random order and some are false.
+Synthetic people with 2 px of noise, 5 % missing and 1 % gross errors, seed 0. Of `long`, each
+camera numbers its tracks in an order of its own; of the others, detections come in random order and
+some are false.
 """
 
 import argparse
@@ -143,7 +146,10 @@ class Measured:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """The largest of all children so far: call it for the largest last, or in a process of its own."""
+        """Return the largest of all children so far.
+
+        Call it for the largest last, or in a process of its own.
+        """
         used = resource.getrusage(resource.RUSAGE_CHILDREN)
         self.peak = used.ru_maxrss * 1024 / 1e9
         self.processor = used.ru_utime + used.ru_stime - self.before
@@ -154,7 +160,9 @@ class Measured:
 
 
 def write_scene(folder: Path, *, cameras: int, individuals: int, frames: int) -> Path:
-    """Keypoints as DeepLabCut .h5, intrinsics, and the reference; people walk forth and back along the way of the first part.
+    """Write keypoints as DeepLabCut .h5, intrinsics, and the reference.
+
+    People walk forth and back along the way of the first part.
 
     Detections are made in parts, because that needs more memory than the run may have.
     """
@@ -209,7 +217,10 @@ def write_scene(folder: Path, *, cameras: int, individuals: int, frames: int) ->
 
 
 def dlc_table(file: h5py.File, individuals: int, names: Sequence[str], frames: int) -> h5py.Dataset:
-    """Pandas' layout `fixed` of a DeepLabCut table; returns the dataset `[frame, column]` of its values."""
+    """Write pandas' layout `fixed` of a DeepLabCut table.
+
+    Returns the dataset `[frame, column]` of its values.
+    """
     columns = [
         ("s", f"animal{who}", name, coord)
         for who in range(individuals)
@@ -254,7 +265,8 @@ def table(grid: Sequence[tuple[int, ...]]) -> None:
         "triangulate",
     )
     print(
-        f"| cameras | people | frames | {' | '.join(stages)} | all (s) | processor (s) | E_R median / max | peak memory (GB) |"
+        f"| cameras | people | frames | {' | '.join(stages)} | all (s) | processor (s) "
+        "| E_R median / max | peak memory (GB) |"
     )
     print("|" + "---|" * (len(stages) + 7))
     for numbers in grid:

@@ -8,10 +8,13 @@ from pathlib import Path
 import pytest
 import torch
 from scenes import scene
+from threadpoolctl import threadpool_limits
 
 from mocap_calib.io.results.scene import write_scene
 
-torch.set_num_threads(1)  # as the commands do: two threads spin when the machine has other work
+# as the commands do: further threads of the libraries only spin when the machine has other work
+torch.set_num_threads(1)
+threadpool_limits(1)
 
 TOOL = Path(sys.executable).with_name("mocap-calib")
 Run = Callable[..., subprocess.CompletedProcess[str]]

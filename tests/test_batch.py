@@ -17,7 +17,7 @@ from scenes import lifted, recording, scene
 from mocap_calib import config
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.io.results.pair_store import remembering
-from mocap_calib.io.results.results import pairs_to_json
+from mocap_calib.io.results.pairs_json import pairs_to_json
 from mocap_calib.io.results.scene import write_scene
 from mocap_calib.two_view.solve import calibrate_pairs
 from mocap_calib.types import silent
@@ -187,7 +187,7 @@ def other_input(order: jobs.Order, _) -> jobs.Order:
 
 def other_config(order: jobs.Order, monkeypatch) -> jobs.Order:
     monkeypatch.setattr(
-        jobs, "Config", lambda: config.Config(pairwise=PairwiseConfig(hypotheses=401))
+        jobs, "Config", lambda: config.Config(pairwise=PairwiseConfig(candidates_searched=401))
     )
     return order
 

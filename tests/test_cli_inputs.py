@@ -8,7 +8,8 @@ from keypoint_files import dlc_columns, dlc_csv, dlc_h5_fixed, dlc_values
 
 from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.io.keypoints.document import ReadOptions
-from mocap_calib.io.keypoints.formats import read_keypoints, write_keypoints
+from mocap_calib.io.keypoints.read import read_keypoints
+from mocap_calib.io.keypoints.write import write_keypoints
 from mocap_calib.types import Camera
 from mocap_calib_cli.inputs import hashes, read_recording
 from mocap_calib_cli.progress import Reporter

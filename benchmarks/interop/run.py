@@ -1,10 +1,13 @@
-"""Do the programs that our files are for read them? Each consumer is installed in an environment of its own and asked.
+"""Check that the programs that our files are for read them.
+
+Each consumer is installed in an environment of its own.
 
     .venv/bin/python benchmarks/interop/run.py SCRATCH [consumer ...]
 
-Writes one rig and one set of poses in every format to SCRATCH/files, with the pixels and positions that must come out in
-expected.json; makes SCRATCH/env-CONSUMER with pip (nothing is installed twice), runs checks/check_CONSUMER.py there, and
-prints a table: what was read, by what, and the largest difference. docs/formats.md holds the last run.
+Writes one rig and one set of poses in every format to SCRATCH/files, with the pixels and positions
+that must come out in expected.json; makes SCRATCH/env-CONSUMER with pip (nothing is installed
+twice), runs checks/check_CONSUMER.py there, and prints a table: what was read, by what, and the
+largest difference. docs/formats.md holds the last run.
 """
 
 import json
@@ -18,16 +21,19 @@ import numpy as np
 
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.io.cameras.formats import CAMERA_FORMATS, write_cameras
+from mocap_calib.io.cameras.formats import CAMERA_FORMATS
+from mocap_calib.io.cameras.write import write_cameras
 from mocap_calib.io.poses.common import PoseFile
-from mocap_calib.io.poses.formats import POSE_FORMATS, write_poses
+from mocap_calib.io.poses.formats import POSE_FORMATS
+from mocap_calib.io.poses.write import write_poses
 from mocap_calib.types import Camera, CameraRig, Poses3D
 
 HERE = Path(__file__).parent
 CONSTRAINTS = (
     HERE.parents[1] / "constraints.txt"
 )  # pins torch to what is no gigabyte of CUDA, should anything ask for it
-# python: version, where the consumer needs another; alone: installed without its dependencies, most of which its readers do not use
+# python: version, where the consumer needs another; alone: installed without its dependencies, most
+# of which its readers do not use
 CONSUMERS: dict[str, dict[str, list[str]]] = {
     "opencv": {"pip": ["opencv-python-headless", "numpy"]},
     "aniposelib": {
@@ -119,7 +125,10 @@ def run(scratch: Path, name: str) -> tuple[str, str, bool]:
 
 
 def environment(path: Path, needs: dict[str, list[str]]) -> Path | None:
-    """The interpreter of an environment with what a consumer needs, or None where pip cannot make it."""
+    """Return the interpreter of an environment with what a consumer needs.
+
+    None where pip cannot make it.
+    """
     python = path / "bin" / "python"
     if (path / "done").exists():
         return python
@@ -228,7 +237,7 @@ def make_rig() -> CameraRig:
 
 
 def make_poses() -> PoseFile:
-    """Two individuals, three keypoints, frames 5 to 24, some points missing, metres, 60 per second."""
+    """Two individuals, three keypoints, frames 5 to 24, some points missing, metres, 60 Hz."""
     rng = np.random.default_rng(0)
     positions = rng.normal(size=(20, 2, 3, 3))
     positions[3, 0, 1] = np.nan

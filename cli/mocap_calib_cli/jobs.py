@@ -11,10 +11,17 @@ from typing import Any
 from mocap_calib import __version__
 from mocap_calib.config import Config
 from mocap_calib.errors import ClusterError, MocapCalibError
-from mocap_calib.io.atomic import folder, of_individual, replace_text
+from mocap_calib.io.atomic import (
+    folder,
+    individual_file,
+    remove_further_individuals,
+    replace_text,
+)
 from mocap_calib.io.cameras.own import format_calibration_toml, format_cameras_yaml
+from mocap_calib.io.results.matches_csv import matches_csv
 from mocap_calib.io.results.pair_store import remembering
-from mocap_calib.io.results.results import matches_csv, poses_csv, write_poses_h5
+from mocap_calib.io.results.poses_csv import poses_csv
+from mocap_calib.io.results.poses_h5 import write_poses_h5
 from mocap_calib.pipeline import calibrate
 from mocap_calib.report import run_report
 from mocap_calib.steerpose.checkpoint import digest
@@ -211,7 +218,7 @@ def _write_group(work: Path, found: GroupResult, source: Mapping[str, Any]) -> N
     replace_text(work / "matches.csv", matches_csv(found.recording, found.matches))
     write_poses_h5(work / "poses3d.h5", found.poses, source)
     for individual in range(found.matches.individuals):
-        replace_text(of_individual(work / _POSES, individual), poses_csv(found.poses, individual))
+        replace_text(individual_file(work / _POSES, individual), poses_csv(found.poses, individual))
 
 
 def finished(order: Order) -> dict[str, Any] | None:
@@ -254,9 +261,9 @@ def _clear(output: Path, report: Mapping[str, Any]) -> None:
         number += 1
     for here in [output / group_folder(k) for k in range(number)]:
         individual = 0
-        while of_individual(here / _POSES, individual).relative_to(output).as_posix() in kept:
+        while individual_file(here / _POSES, individual).relative_to(output).as_posix() in kept:
             individual += 1
-        outputs.remove_stale(here / _POSES, individual)
+        remove_further_individuals(here / _POSES, individual)
         for file in (here / name for name in _FILES):
             if file.relative_to(output).as_posix() not in kept:
                 file.unlink(missing_ok=True)

@@ -44,9 +44,9 @@ model = click.option(
 )
 solver = click.option(
     "--solver",
-    type=click.Choice(["search", "paper"]),
+    type=click.Choice(["search", "paper", "five-point"]),
     default="search",
-    help="Of pairs: ours, or the paper's gradient descent (slow).",
+    help="Of pairs: ours, the paper's gradient descent (slow), or its five-point baseline.",
 )
 seed = click.option(
     "--seed", type=click.IntRange(min=0), default=0, help="The same seed gives the same results."

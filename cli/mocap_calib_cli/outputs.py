@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.io.atomic import of_individual, replace_text
+from mocap_calib.io.atomic import replace_text
 from mocap_calib_cli.options import STDIO
 
 
@@ -65,23 +65,6 @@ def _check_writable(folder: Path) -> None:
         raise MismatchError(
             f"{folder}: expected a folder that can be written to, found: {error.strerror}; choose another"
         ) from None
-
-
-def check_individuals(path: Path, individuals: int) -> None:
-    """Raises MismatchError where a file beside them would pass for a further individual; it may be a recording of that name, so it stays."""
-    further = of_individual(path, individuals)
-    if further.exists():
-        raise MismatchError(
-            f"{further}: expected no file of a further individual beside {path.name}, found one; remove it or choose another name"
-        )
-
-
-def remove_stale(path: Path, individuals: int) -> None:
-    """Takes away the files of the individuals that an earlier run found beyond those of this one."""
-    number = individuals
-    while (stale := of_individual(path, number)).is_file():
-        stale.unlink()
-        number += 1
 
 
 def provenance(command: str, **fields: Any) -> Mapping[str, Any]:

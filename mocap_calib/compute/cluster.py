@@ -1,7 +1,8 @@
-"""Work spread over the machines of a Dask cluster: the one door to dask.distributed, which is an extra.
+"""Spread work over the machines of a Dask cluster: the one door to dask.distributed, an extra.
 
-What is sent is sent once: a piece of work carries its own data, so a worker that dies takes nothing along that others
-need. Results are those of `map` to the last digit where the processors are of one kind.
+A piece of work carries its own data and is sent once, so that a worker that dies takes nothing
+along that others need. Results are those of `map` to the last digit where all processors are of
+one kind.
 """
 
 import logging
@@ -24,8 +25,12 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 _PATIENCE = "10s"  # until a scheduler answers
-_GONE = "expected a scheduler that answers to the end, found it gone; start it again, and then this command: what is finished is kept"
-_AHEAD = 8  # pieces under way at least, so that a growing cluster finds work; else twice as many as there are threads
+_GONE = (
+    "expected a scheduler that answers to the end, found it gone; "
+    "start it again, and then this command: what is finished is kept"
+)
+# pieces under way at least, so that a growing cluster finds work; else two for each thread
+_LEAST_UNDER_WAY = 8
 
 
 class Cluster:
@@ -36,29 +41,31 @@ class Cluster:
 
     @property
     def threads(self) -> int:
-        """How many pieces of work can be done at a time, now."""
+        """Number of pieces of work that can be done at a time, now."""
         with _answering():
             return sum(self.client.nthreads().values())
 
     def __call__(self, function: Callable[[T], R], items: Iterable[T], /) -> Iterator[R]:
-        """`function` of every item, in the order in which they are done. Raises ClusterError."""
+        """Yield `function` of every item as it is done. Raises ClusterError."""
         for _, result in self.completed(function, items):
             yield result()
 
     def completed(
         self, function: Callable[[T], R], items: Iterable[T]
     ) -> Iterator[tuple[T, Callable[[], R]]]:
-        """Each item, when it is done, with a call that gives `function` of it or raises what it raised.
+        """Yield each item when it is done, with a call that returns `function` of it.
 
-        Only so many items are taken that no worker waits. Raises ClusterError when the scheduler is gone; the call raises
-        it when the item has killed its workers.
+        The call raises what the function raised, and ClusterError when the item has killed its
+        workers. Only so many items are taken that no worker waits. Raises ClusterError when the
+        scheduler is gone.
         """
         waiting = iter(items)
         under_way: dict[Key, T] = {}
         queue = as_completed(loop=self.client.loop)
 
         def refill() -> None:
-            for item in islice(waiting, max(0, max(_AHEAD, 2 * self.threads) - len(under_way))):
+            wanted = max(_LEAST_UNDER_WAY, 2 * self.threads) - len(under_way)
+            for item in islice(waiting, max(0, wanted)):
                 future = self._submit(function, item)
                 under_way[future.key] = item
                 queue.add(future)
@@ -77,19 +84,24 @@ class Cluster:
 
 @contextmanager
 def cluster(address: str) -> Iterator[Cluster]:
-    """The cluster of the Dask scheduler at `address` (tcp://...). Raises ClusterError where there is none."""
+    """Connect to the Dask scheduler at `address` (tcp://...).
+
+    Raises ClusterError where there is none.
+    """
     with _large_pieces():
         try:
             get_address_host_port(address, strict=True)
         except ValueError as error:
             raise ClusterError(
-                f"expected the address of a Dask scheduler (tcp://HOST:PORT), found {address} ({error}); it says it when it starts"
+                f"expected the address of a Dask scheduler (tcp://HOST:PORT), found {address} "
+                f"({error}); it says it when it starts"
             ) from None
         try:
             client = Client(address, timeout=_PATIENCE, set_as_default=False)
         except OSError as error:
             raise ClusterError(
-                f"{address}: expected a Dask scheduler, found none that answers ({error}); start it with `dask scheduler`"
+                f"{address}: expected a Dask scheduler, found none that answers ({error}); "
+                "start it with `dask scheduler`"
             ) from None
         with client:
             yield Cluster(client)
@@ -97,7 +109,7 @@ def cluster(address: str) -> Iterator[Cluster]:
 
 @contextmanager
 def processes(count: int) -> Iterator[Cluster]:
-    """A cluster of `count` processes on this machine, which end with this one."""
+    """Start a cluster of `count` processes on this machine, which end with this one."""
     with (
         _large_pieces(),
         LocalCluster(
@@ -105,6 +117,8 @@ def processes(count: int) -> Iterator[Cluster]:
             threads_per_worker=1,
             memory_limit=0,
             dashboard_address=None,
+            # its HTTP server takes any free port: the usual one may be another cluster's
+            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
             silence_logs=logging.ERROR,
         ) as local,
         Client(local, set_as_default=False) as client,
@@ -114,7 +128,7 @@ def processes(count: int) -> Iterator[Cluster]:
 
 @contextmanager
 def _answering() -> Iterator[None]:
-    """Whatever goes wrong with the connection."""
+    """Turn whatever goes wrong with the connection into ClusterError."""
     try:
         yield
     except OSError:
@@ -122,15 +136,16 @@ def _answering() -> Iterator[None]:
 
 
 def _large_pieces() -> dask.config.set:
-    """Dask warns of pieces of more than 10 MB, which are cheaper kept elsewhere; here each is used once."""
+    """Silence Dask's warning of pieces of more than 10 MB: here each is used once."""
     return dask.config.set({"distributed.admin.large-graph-warning-threshold": "100 GB"})
 
 
 def _same_version(version: str, function: Callable[[T], R], item: T) -> R:
-    """Done by a worker."""
+    """Compute on a worker, which must have the version of the sender."""
     if version != __version__:
         raise ClusterError(
-            f"expected mocap-calib {version} on every worker, found {__version__}; install the same version"
+            f"expected mocap-calib {version} on every worker, found {__version__}; "
+            "install the same version"
         )
     return function(item)
 
@@ -140,7 +155,8 @@ def _result(future: "Future[R]") -> R:
         return future.result()
     except KilledWorker as error:
         raise ClusterError(
-            f"expected workers that survive the work, found {error.allowed_failures + 1} killed by the same piece; give them more memory"
+            f"expected workers that survive the work, found {error.allowed_failures + 1} "
+            "killed by the same piece; give them more memory"
         ) from None
     except CancelledError:
         raise ClusterError(_GONE) from None
@@ -149,5 +165,6 @@ def _result(future: "Future[R]") -> R:
         if not isinstance(missing, ModuleNotFoundError):
             raise
         raise ClusterError(
-            f"expected the same packages where the scheduler and the workers are as here, found {missing}; install mocap-calib there"
+            "expected the same packages where the scheduler and the workers are as here, "
+            f"found {missing}; install mocap-calib there"
         ) from None

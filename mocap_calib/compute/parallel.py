@@ -1,7 +1,8 @@
-"""The one place where work is spread over threads and processes. What is computed never depends on how many there are.
+"""Spread independent work over threads and processes of this machine.
 
-Blocks are cut by their content alone and put together in their order, and each runs on one thread: OpenMP and BLAS, whose sums depend
-on the number of threads, are held to one.
+What is computed never depends on how many there are: blocks are cut by their content alone, put
+together in their order, and each runs on one thread. OpenMP and BLAS, whose sums depend on the
+number of threads, are held to one.
 """
 
 import os
@@ -14,31 +15,37 @@ from typing import TypeVar
 
 from threadpoolctl import threadpool_limits
 
-from mocap_calib.compute.worker import Child
+from mocap_calib.compute.worker import Worker
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
-def threads() -> int:
-    """The processors at hand, or fewer where OMP_NUM_THREADS says so."""
+def thread_count() -> int:
+    """Return the number of processors at hand, or fewer where OMP_NUM_THREADS says so."""
+    if hasattr(os, "sched_getaffinity"):
+        at_hand = len(os.sched_getaffinity(0))
+    else:
+        at_hand = os.cpu_count() or 1
     wanted = os.environ.get("OMP_NUM_THREADS", "")
-    at_hand = (
-        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    )
-    return min(at_hand, int(wanted)) if wanted.isdigit() and int(wanted) else at_hand
+    if wanted.isdigit() and int(wanted) > 0:
+        return min(at_hand, int(wanted))
+    return at_hand
 
 
 @contextmanager
 def single_threaded_libraries() -> Iterator[None]:
-    """BLAS and OpenMP on one thread each: ours are enough."""
+    """Hold BLAS and OpenMP to one thread each: the threads of this module are enough."""
     with threadpool_limits(1):
         yield
 
 
 def in_order(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-    """The results for all items, in their order, as they come; a few at a time are under way, and no more items are taken."""
-    count = threads()
+    """Yield `function` of every item in order, computed on threads.
+
+    A few items at a time are under way, and no more are taken from `items`.
+    """
+    count = thread_count()
     if count == 1:
         yield from map(function, items)
         return
@@ -53,25 +60,29 @@ def in_order(function: Callable[[Item], Result], items: Iterable[Item]) -> Itera
 
 
 def in_processes(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-    """As `in_order`, in other processes, for work on small arrays, which holds the interpreter. All that goes and comes is pickled."""
-    idle: SimpleQueue[Child] = SimpleQueue()
+    """Yield `function` of every item in order, computed in other processes.
 
-    def elsewhere(item: Item) -> Result:
-        child = idle.get()
-        try:
-            return child.ask(function, item)
-        finally:
-            idle.put(child)
-
-    count = threads()
+    For work on small arrays, where threads wait for the interpreter. The function, the items and
+    the results are pickled.
+    """
+    count = thread_count()
     if count == 1:
         yield from map(function, items)
         return
-    children = [Child() for _ in range(count)]
+    workers = [Worker() for _ in range(count)]
+    idle: SimpleQueue[Worker] = SimpleQueue()
+    for worker in workers:
+        idle.put(worker)
+
+    def call_idle_worker(item: Item) -> Result:
+        worker = idle.get()
+        try:
+            return worker.call(function, item)
+        finally:
+            idle.put(worker)
+
     try:
-        for child in children:
-            idle.put(child)
-        yield from in_order(elsewhere, items)
+        yield from in_order(call_idle_worker, items)
     finally:
-        for child in children:
-            child.end()
+        for worker in workers:
+            worker.end()

@@ -1,7 +1,8 @@
-"""A process that computes for this one, and may end without it.
+"""A process that computes for this one, and may end without ending it.
 
-It is started with nothing of the program that asks (multiprocessing would import its main module again, which scripts and notebooks do not
-expect), serves one question after the other, and ends with this process at the latest.
+It is started with nothing of the program that calls it (multiprocessing would import the main
+module again, which scripts and notebooks do not expect), serves one call after the other, and ends
+with this process at the latest.
 """
 
 import atexit
@@ -14,67 +15,73 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable, Iterator
-from typing import Any, BinaryIO, ParamSpec, TypeVar, cast
+from typing import Any, BinaryIO, TypeVar, TypeVarTuple, cast
 
 from mocap_calib.errors import MocapCalibError
 
-P = ParamSpec("P")
-T = TypeVar("T")
+Arguments = TypeVarTuple("Arguments")
+Result = TypeVar("Result")
+
+UNLIMITED = float("inf")
+_CLOCK_PER_CPU_SECOND = 20  # other programs may hold the processors
 
 
-class EndedError(Exception):
-    """The process ended before it answered; says how."""
+class WorkerEndedError(Exception):
+    """The process ended before it answered; the message says how."""
 
 
-class Child:
-    """The other process; started when it is first asked, and anew after it has ended."""
+class Worker:
+    """The other process; started at the first call, and anew after it has ended."""
 
     def __init__(self) -> None:
         self._lock = threading.RLock()
         self._process: subprocess.Popen[bytes] | None = None
 
-    def ask(self, call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
-        """What the call returns or raises. `call`: a function of a module; it, its arguments and its answer can be pickled. Raises EndedError."""
-        return self.ask_within(float("inf"), 0, call, *args, **kwargs)
+    def call(
+        self,
+        function: Callable[[*Arguments], Result],
+        *arguments: *Arguments,
+        cpu_seconds: float = UNLIMITED,
+        memory_bytes: int = 0,
+    ) -> Result:
+        """Return what the function returns in the other process, or raise what it raises.
 
-    def ask_within(
-        self, seconds: float, memory: int, call: Callable[P, T], *args: P.args, **kwargs: P.kwargs
-    ) -> T:
-        """The same, held to so many seconds of computing (20 times as many by the clock) and bytes of memory; to the clock alone on Windows."""
+        function: of a module; it, its arguments and its result can be pickled.
+        cpu_seconds: computing time allowed, and 20 times as much by the clock; memory_bytes:
+        memory allowed. On Windows the clock alone is held.
+
+        Raises WorkerEndedError where the process ends before it answers.
+        """
         with self._lock:
-            if self._process is not None and self._process.poll() is not None:
-                self.end()  # while nobody asked: not for what is asked now
-            if self._process is None:
-                self._process = _start()
-                atexit.register(self.end)
-            process = self._process
-            clock = threading.Timer(20 * min(seconds, threading.TIMEOUT_MAX / 20), process.kill)
-            clock.daemon = True
-            clock.start()
+            process = self._running()
+            timer = _kill_later(process, cpu_seconds)
             try:
-                pickle.dump(
-                    (seconds, memory, call, args, kwargs), cast(BinaryIO, process.stdin), protocol=5
-                )
-                cast(BinaryIO, process.stdin).flush()
-                answer = pickle.load(
-                    cast(BinaryIO, process.stdout)
-                )  # of our own process: nobody else's pickle
+                _send(process, (cpu_seconds, memory_bytes, function, arguments))
+                answer = _receive(process)
             except (EOFError, OSError, pickle.UnpicklingError):
-                raise EndedError(self.end()) from None
-            except (
-                BaseException
-            ):  # Ctrl-C: what it answers later would be taken for the next answer
+                raise WorkerEndedError(self.end()) from None
+            except BaseException:
+                # Ctrl-C: what it answers later would be taken for the answer to the next call
                 process.kill()
                 self.end()
                 raise
             finally:
-                clock.cancel()
+                timer.cancel()
         if isinstance(answer, Exception):
             raise answer
-        return cast(T, answer)
+        return cast(Result, answer)
+
+    def _running(self) -> "subprocess.Popen[bytes]":
+        """Return the process, started if there is none."""
+        if self._process is not None and self._process.poll() is not None:
+            self.end()  # it ended between two calls: no reason to refuse this one
+        if self._process is None:
+            self._process = _start()
+            atexit.register(self.end)
+        return self._process
 
     def end(self) -> str:
-        """Ends the process, and says how it ended."""
+        """End the process, and return how it ended."""
         with self._lock:
             process, self._process = self._process, None
             atexit.unregister(self.end)
@@ -88,46 +95,70 @@ class Child:
 
 
 def _start() -> "subprocess.Popen[bytes]":
-    """`-P`: no module of the folder one stands in. One thread of BLAS and OpenMP, as everywhere here (parallel.py)."""
-    surroundings = {
+    """Start the process: this module as a program, with BLAS and OpenMP on one thread."""
+    environment = {
         **os.environ,
         "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
         "OPENBLAS_NUM_THREADS": "1",
         "OMP_NUM_THREADS": "1",
     }
     return subprocess.Popen(
-        [sys.executable, "-P", "-m", __name__],
-        env=surroundings,
+        [sys.executable, "-P", "-m", __name__],  # -P: no module of the working folder
+        env=environment,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
     )
 
 
-def _serve(questions: BinaryIO, answers: BinaryIO) -> None:
-    """Answers one question after the other, until nobody asks."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the one who asks
+def _kill_later(process: "subprocess.Popen[bytes]", cpu_seconds: float) -> threading.Timer:
+    """Start a timer that kills the process when its call takes too long by the clock."""
+    longest = threading.TIMEOUT_MAX / _CLOCK_PER_CPU_SECOND
+    timer = threading.Timer(_CLOCK_PER_CPU_SECOND * min(cpu_seconds, longest), process.kill)
+    timer.daemon = True
+    timer.start()
+    return timer
+
+
+def _send(process: "subprocess.Popen[bytes]", call: Any) -> None:
+    pipe = cast(BinaryIO, process.stdin)
+    pickle.dump(call, pipe, protocol=5)
+    pipe.flush()
+
+
+def _receive(process: "subprocess.Popen[bytes]") -> Any:
+    return pickle.load(cast(BinaryIO, process.stdout))  # of our own process: nobody else's pickle
+
+
+def _serve(calls: BinaryIO, answers: BinaryIO) -> None:
+    """Answer one call after the other, until the pipe is closed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that calls
     while True:
         try:
-            seconds, memory, call, args, kwargs = pickle.load(questions)
+            call = pickle.load(calls)
         except EOFError:
             return
-        answer: Any
-        try:
-            with _limited(seconds, memory):
-                answer = call(*args, **kwargs)
-        except Exception as error:  # raised where it was asked
-            if not isinstance(error, MocapCalibError):
-                error.add_note(traceback.format_exc())
-            answer = error
-        pickle.dump(answer, answers, protocol=5)
+        pickle.dump(_answer(*call), answers, protocol=5)
         answers.flush()
 
 
+def _answer(
+    cpu_seconds: float, memory_bytes: int, function: Callable[..., Any], arguments: Any
+) -> Any:
+    """Return what the function returns, or the error that it raises."""
+    try:
+        with _limits(cpu_seconds, memory_bytes):
+            return function(*arguments)
+    except Exception as error:
+        if not isinstance(error, MocapCalibError):
+            error.add_note(traceback.format_exc())
+        return error
+
+
 @contextlib.contextmanager
-def _limited(seconds: float, memory: int) -> Iterator[None]:
-    """Holds this process to so much more computing time, and to so much memory."""
-    if sys.platform == "win32" or seconds == float("inf"):
+def _limits(cpu_seconds: float, memory_bytes: int) -> Iterator[None]:
+    """Hold this process to so much more computing time, and to so much memory."""
+    if sys.platform == "win32" or cpu_seconds == UNLIMITED:
         yield
         return
     import resource  # noqa: PLC0415 - not on Windows
@@ -135,15 +166,14 @@ def _limited(seconds: float, memory: int) -> Iterator[None]:
     used = resource.getrusage(resource.RUSAGE_SELF)
     limits = {
         resource.RLIMIT_CORE: 0,
-        resource.RLIMIT_CPU: int(used.ru_utime + used.ru_stime + seconds) + 1,
-        resource.RLIMIT_DATA: memory,
+        resource.RLIMIT_CPU: int(used.ru_utime + used.ru_stime + cpu_seconds) + 1,
+        resource.RLIMIT_DATA: memory_bytes,
     }
     before = {kind: resource.getrlimit(kind) for kind in limits}
     for kind, most in limits.items():
         hard = before[kind][1]
-        resource.setrlimit(
-            kind, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard)
-        )
+        soft = most if hard == resource.RLIM_INFINITY else min(most, hard)
+        resource.setrlimit(kind, (soft, hard))
     try:
         yield
     finally:

@@ -1,4 +1,4 @@
-"""What must come out, for the scripts that run in the consumers' environments: no mocap_calib there."""
+"""Say what must come out, for scripts in the consumers' environments, without mocap_calib."""
 
 import json
 import sys
@@ -20,7 +20,10 @@ def pixels(key: str = "pixels") -> dict[str, np.ndarray]:
 
 
 def near(what: str, found: np.ndarray, expected: np.ndarray, most: float) -> None:
-    """Says how far two arrays are apart; a mistake where they miss different points or are further apart than `most`."""
+    """Return how far two arrays are apart.
+
+    A mistake where they miss different points or are further apart than `most`.
+    """
     found, expected = np.asarray(found, dtype=float), np.asarray(expected, dtype=float)
     assert found.shape == expected.shape, f"{what}: {found.shape} instead of {expected.shape}"
     assert (np.isnan(found) == np.isnan(expected)).all(), f"{what}: other points are missing"

@@ -50,9 +50,9 @@ def command(
     import numpy as np
 
     from mocap_calib.errors import MismatchError
-    from mocap_calib.io.keypoints.formats import write_keypoints
+    from mocap_calib.io.keypoints.write import write_keypoints
     from mocap_calib.recording.sampling import take_sample
-    from mocap_calib.steerpose.completion import completed
+    from mocap_calib.steerpose.completion import complete_sample
     from mocap_calib.steerpose.lift import lift
     from mocap_calib.types import Keypoints2D
     from mocap_calib_cli import inputs, outputs
@@ -69,7 +69,7 @@ def command(
                 f"expected at least 4 joints that a model knows, found {', '.join(recording.keypoints)}; map them with --skeleton"
             )
         some = take_sample(recording, slice(None))
-        positions, confidence = completed(
+        positions, confidence = complete_sample(
             some, lift(some, load_model(device, network), device=device, progress=reporter)
         )
         joints = vocabulary(network).keypoints

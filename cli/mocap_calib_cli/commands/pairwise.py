@@ -41,7 +41,7 @@ def command(
     import numpy as np
 
     from mocap_calib.config import PairwiseConfig
-    from mocap_calib.io.results.results import pairs_to_json
+    from mocap_calib.io.results.pairs_json import pairs_to_json
     from mocap_calib.two_view.solve import calibrate_pairs, in_recording
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.progress import Reporter

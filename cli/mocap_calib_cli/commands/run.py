@@ -80,12 +80,13 @@ def command(
       mocap-calib run keypoints/ --cameras intrinsics.toml -o out --write colmap --write movement-3d --fps 60
     """
     from mocap_calib.io.poses.common import PoseFile
-    from mocap_calib_cli import conversion, jobs, outputs
+    from mocap_calib.io.results.further_formats import check_formats, write_formats
+    from mocap_calib_cli import jobs, outputs
     from mocap_calib_cli.engine import engine
     from mocap_calib_cli.progress import Reporter
 
     outputs.check_folder(output)
-    conversion.check_formats(formats, fps)
+    check_formats(formats, fps)
     with Reporter(quiet=quiet) as reporter, engine(reporter, scheduler=scheduler) as there:
         job = jobs.read(
             jobs.Order(keypoints, cameras, skeleton, model, solver, seed, device, output, reading),
@@ -105,9 +106,7 @@ def command(
         _summarise(reporter, found, report, here)
         poses = PoseFile(found.poses, float("nan") if fps is None else fps)
         reporter.say(
-            *conversion.write_formats(
-                here, found.rig, poses, formats, outputs.provenance("run", seed=seed)
-            )
+            *write_formats(here, found.rig, poses, formats, outputs.provenance("run", seed=seed))
         )
     if result.left_out:
         reporter.say(

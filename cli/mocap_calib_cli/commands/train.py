@@ -114,10 +114,9 @@ def command(
       mocap-calib train --from out/poses3d.h5 -o beetle.safetensors --steps 2000
     """
     from mocap_calib.steerpose.checkpoint import save_lifter
+    from mocap_calib.steerpose.training.evaluation import held_out_error, steering_error
     from mocap_calib.steerpose.training.train import (
-        held_out_error,
         model_card,
-        steering_error,
         train_lifter,
         train_steerer,
         training_config,
@@ -193,7 +192,7 @@ def command(
 
 def _vocabulary(calibrated: Path | None, skeleton: str | None) -> tuple["Skeleton", dict[str, Any]]:
     """The joints to train for, and settings that differ from the defaults. Raises FormatError."""
-    from mocap_calib.io.poses.formats import read_poses
+    from mocap_calib.io.poses.read import read_poses
     from mocap_calib.recording.joints import load_section, load_skeleton
     from mocap_calib.steerpose.training.own_species import TRAINING, own_skeleton
 
@@ -206,9 +205,9 @@ def _own_poses(
     calibrated: Path, vocabulary: "Skeleton", up: tuple[str, ...], split: "Split"
 ) -> "PoseSet":
     """The poses of a calibrated recording. Raises FormatError and DegenerateError; a usage error where nothing tells what is up."""
-    from mocap_calib.io.cameras.load import read_rig
-    from mocap_calib.io.poses.formats import read_poses
-    from mocap_calib.steerpose.training.own_species import axis, own_poses, up_of_rig
+    from mocap_calib.io.cameras.read import read_rig
+    from mocap_calib.io.poses.read import read_poses
+    from mocap_calib.steerpose.training.own_species import own_poses, up_direction, up_of_rig
 
     rig = calibrated.with_name("cameras.yaml")
     if not up and not rig.is_file():
@@ -216,7 +215,7 @@ def _own_poses(
     return own_poses(
         read_poses(calibrated, "poses-h5").poses,
         vocabulary,
-        axis(up[0]) if up else up_of_rig(read_rig(rig)),
+        up_direction(up[0]) if up else up_of_rig(read_rig(rig)),
         split,
     )
 
@@ -231,7 +230,12 @@ def _pose_set(
 ) -> "PoseSet":
     """What to train or test on. Raises FormatError and MismatchError; a usage error where there is nothing."""
     from mocap_calib.recording.joints import load_section, load_skeleton
-    from mocap_calib.steerpose.training.poses import by_size, load_poses, mix, procedural_poses
+    from mocap_calib.steerpose.training.poses import (
+        load_poses,
+        mix,
+        procedural_poses,
+        shares_by_size,
+    )
 
     if len(up) not in (0, 1, len(poses)):
         raise click.UsageError(
@@ -248,9 +252,9 @@ def _pose_set(
             f"expected POSES, or a skeleton with a section `body` to make some from, found neither in {skeleton}; see docs/skeletons.md"
         )
     if not share:
-        return sets[0] if len(sets) == 1 else mix(sets, by_size(sets))
+        return sets[0] if len(sets) == 1 else mix(sets, shares_by_size(sets))
     made = procedural_poses(vocabulary, body, config.bodies, seed=config.seed + (split == "test"))
-    sizes = by_size(sets)
+    sizes = shares_by_size(sets)
     return (
         mix([*sets, made], [*(size / sum(sizes) * (1 - share) for size in sizes), share])
         if sets

@@ -35,8 +35,9 @@ def command(
     """
     from mocap_calib.config import TriangulateConfig
     from mocap_calib.errors import MismatchError
-    from mocap_calib.io.atomic import folder, of_individual, replace_text
-    from mocap_calib.io.results.results import poses_csv, write_poses_h5
+    from mocap_calib.io.atomic import folder, individual_file, replace_text
+    from mocap_calib.io.results.poses_csv import poses_csv
+    from mocap_calib.io.results.poses_h5 import write_poses_h5
     from mocap_calib.multi_view.triangulation import triangulate
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.progress import Reporter
@@ -64,4 +65,4 @@ def command(
     else:
         with folder(output.absolute().parent) as work:
             for k in range(labels.individuals):
-                replace_text(work / of_individual(output, k).name, poses_csv(poses, k))
+                replace_text(work / individual_file(output, k).name, poses_csv(poses, k))
