@@ -346,6 +346,7 @@ class ReadConfig:
     """What the numbers in keypoint files are taken for."""
 
     largest_share: float = 1.5  # positions no larger than this are shares of the image, not pixels
+    least_share: float = -0.25  # a share below this is on another scale, such as -1 to 1
 
 
 # Files and cameras that make a recording (recording/synchronise.py)

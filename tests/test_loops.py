@@ -268,16 +268,7 @@ def test_run_writes_each_group_and_says_so(tool, tmp_path):
     out = tmp_path / "out"
     keypoints.mkdir()
     for file in files:
-        (keypoints / f"{file.camera}.json").write_text(
-            format_coco(
-                file.camera,
-                file.image_size,
-                file.frames,
-                file.keypoints,
-                file.positions,
-                file.confidence,
-            )
-        )
+        (keypoints / f"{file.camera}.json").write_text(format_coco(file))
     count = len(cameras)
     rig = CameraRig(cameras, np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3)), "m")
     intrinsics.write_text(format_cameras_yaml(rig, {}))

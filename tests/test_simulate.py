@@ -13,6 +13,7 @@ from mocap_calib.io.cameras.read import read_cameras, read_rig
 from mocap_calib.io.keypoints.coco_writer import format_coco
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.synthetic import JOINTS, LAYOUTS, simulate
+from mocap_calib.types import Keypoints2D
 from mocap_calib_cli.commands.simulate import command, repeat
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "three_people"
@@ -141,16 +142,17 @@ def test_help_has_an_example():
 
 def test_coco_keeps_the_place_of_empty_instances_before_others():
     positions = np.array([[[[1.26, 2.0]], [[np.nan, np.nan]], [[3.0, 4.04]], [[np.nan, np.nan]]]])
-    data = json.loads(
-        format_coco(
-            "c",
-            (64, 48),
-            np.array([5]),
-            ("nose",),
-            positions,
-            np.array([[[0.126, 0.0, 0.001, 0.0]]]).reshape(1, 4, 1),
-        )
+    view = Keypoints2D(
+        camera="c",
+        keypoints=("nose",),
+        frames=np.array([5]),
+        positions=positions,
+        confidence=np.array([0.126, 0.0, 0.001, 0.0]).reshape(1, 4, 1),
+        tracked=False,
+        image_size=(64, 48),
+        source="made",
     )
+    data = json.loads(format_coco(view))
     assert data["images"] == [{"id": 5, "file_name": "frame_000005.jpg", "width": 64, "height": 48}]
     assert [entry["keypoints"] for entry in data["annotations"]] == [
         [1.3, 2, 0.13],

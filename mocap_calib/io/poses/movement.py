@@ -13,7 +13,7 @@ import numpy as np
 from mocap_calib import __version__
 from mocap_calib.io.file import malformed, one_line
 from mocap_calib.io.hdf5 import array, integers, names
-from mocap_calib.io.keypoints.movement import turned
+from mocap_calib.io.keypoints.movement import read_variable
 from mocap_calib.io.poses.arrays import looks
 from mocap_calib.io.poses.common import DAMAGE, PoseFile, WrittenPoses, attribute
 from mocap_calib.io.units import known_unit
@@ -50,7 +50,7 @@ def _parse(file: h5py.File, source: str) -> PoseFile:
     )
     if names(file, "space", source) != _SPACE:
         raise ValueError("space that is not x, y, z")
-    positions = turned(file, "position", ("time", "individual", "keypoint", "space"), source)
+    positions = read_variable(file, "position", ("time", "individual", "keypoint", "space"), source)
     shape = positions.shape[:3]
     rate = float(np.ravel(file.attrs["fps"])[0]) if "fps" in file.attrs else np.nan
     found = {
@@ -80,7 +80,7 @@ def _optional(file: h5py.File, name: str, shape: tuple[int, ...], source: str) -
     """`[frame, individual, keypoint]` of a variable, NaN where it is not there."""
     if name not in file:
         return np.full(shape, np.nan)
-    return turned(file, name, ("time", "individual", "keypoint"), source)
+    return read_variable(file, name, ("time", "individual", "keypoint"), source)
 
 
 def _frames(file: h5py.File, rate: float, source: str) -> Ints:

@@ -15,7 +15,7 @@ import numpy as np
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.file import malformed, one_line
 from mocap_calib.io.hdf5 import array
-from mocap_calib.io.keypoints.nwb import frames_of
+from mocap_calib.io.keypoints.nwb import frame_numbers_and_rate
 from mocap_calib.io.poses.arrays import looks
 from mocap_calib.io.poses.common import (
     DAMAGE,
@@ -79,12 +79,12 @@ def _parse(file: h5py.File, source: str) -> PoseFile:
     groups = list(dict.fromkeys(group for group, _, _ in series))
     keypoints = list(dict.fromkeys(name for _, name, _ in series))
     by_name = {(group, name): item for group, name, item in series}
-    frames, rate = frames_of(series[0][2], source)
+    frames, rate = frame_numbers_and_rate(series[0][2], source)
     positions = np.full((len(frames), len(groups), len(keypoints), 3), np.nan)
     confidence = np.full(positions.shape[:3], np.nan)
     for (group, name), item in by_name.items():
         place = (slice(None), groups.index(group), keypoints.index(name))
-        if not np.array_equal(frames_of(item, source)[0], frames):
+        if not np.array_equal(frame_numbers_and_rate(item, source)[0], frames):
             raise ValueError("series of different times")
         factor = float(item["data"].attrs.get("conversion", 1.0))
         values = array(item, "data", source).astype(np.float64) * factor
