@@ -14,7 +14,7 @@ from typing import Any, Never
 import numpy as np
 
 from mocap_calib.io.file import malformed
-from mocap_calib.io.hdf5 import damage_refused, marked, require_filters, text
+from mocap_calib.io.hdf5 import damage_refused, has_attribute, require_filters, text
 from mocap_calib.io.keypoints.deeplabcut import LEVELS, LEVELS_OF_ONE, Table, keypoints_from_table
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.types import Floats, Keypoints2D
@@ -27,7 +27,7 @@ Labels = tuple[str, ...]  # of a column, one per level
 
 def sniff(document: Document) -> bool:
     """Return whether the file is HDF5 with a pandas table."""
-    return marked(document, "pandas_type")
+    return has_attribute(document, "pandas_type")
 
 
 def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:  # noqa: ARG001 - a reader's signature

@@ -13,7 +13,7 @@ from mocap_calib.io.file import (
     Origin,
     make_view,
     malformed,
-    stacked,
+    stack_detections,
     visibility_as_confidence,
 )
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
@@ -130,7 +130,7 @@ def _view(
     detections_of: image -> its `[keypoint, 3]` detections.
     """
     images = list(detections_of)
-    values = stacked(list(detections_of.values()), len(names), origin.source)
+    values = stack_detections(list(detections_of.values()), len(names), origin.source)
     values[..., 2] = visibility_as_confidence(values[..., 2])
     texts = [_frame_text(image, options.camera_pattern) for image in images]
     frames = np.array(frame_numbers(texts, origin.source), dtype=np.int64)

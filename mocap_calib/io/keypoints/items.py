@@ -8,7 +8,7 @@ from enum import Enum, auto
 from pathlib import Path
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.io.file import camera_in, frame_number
+from mocap_calib.io.file import find_camera, frame_number
 from mocap_calib.io.keypoints.document import Item, ReadOptions
 
 FOLDER_SUFFIXES = (".json", ".csv", ".h5", ".hdf5", ".nc", ".nwb", ".slp", ".mat")
@@ -84,7 +84,7 @@ def _items_of_path(path: Path, options: ReadOptions, look: Look) -> list[Item]:
         return items
     # a camera that the pattern does not find in the path may be found by the reader in the file
     return [
-        Item(camera_in(str(item.path), options.camera_pattern), item.path, item.members)
+        Item(find_camera(str(item.path), options.camera_pattern), item.path, item.members)
         for item in items
     ]
 

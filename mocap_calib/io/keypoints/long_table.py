@@ -15,7 +15,7 @@ from mocap_calib.io.file import (
     frame_number,
     make_view,
     malformed,
-    scored,
+    fill_missing_scores,
     unique_names,
 )
 from mocap_calib.io.keypoints.document import Item
@@ -138,7 +138,7 @@ def _view(table: _Table, origin: Origin, *, tracked: bool, remarks: tuple[str, .
         cells, frames=frames, keypoints=keypoints, lines=table.lines[named], source=source
     )
     values[cells] = table.values[named]
-    values, score_remarks = scored(values)
+    values, score_remarks = fill_missing_scores(values)
     return make_view(
         origin, keypoints, frames, values, tracked=tracked, remarks=remarks + score_remarks
     )

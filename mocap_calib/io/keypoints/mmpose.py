@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.io.file import make_view, malformed, stacked
+from mocap_calib.io.file import make_view, malformed, stack_detections
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.io.keypoints.layouts import choose_layout
 from mocap_calib.io.keypoints.per_frame import (
@@ -78,7 +78,7 @@ def _view(
     source = item.origin.source
     count = most_keypoints(detections, named="instances", source=source)
     names = choose_layout(count, given=layout, source=source, unambiguous=_LAYOUTS)
-    values = stacked(detections, count, source)
+    values = stack_detections(detections, count, source)
     return make_view(item.origin, names, frames, values, tracked=False, rows=rows)
 
 

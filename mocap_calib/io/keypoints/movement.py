@@ -13,7 +13,7 @@ import h5netcdf
 import h5py
 import numpy as np
 
-from mocap_calib.io.file import blank, make_view, malformed, scored
+from mocap_calib.io.file import blank, make_view, malformed, fill_missing_scores
 from mocap_calib.io.hdf5 import array, damage_refused, keys, names, text
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.io.keypoints.losses import require_followed
@@ -46,7 +46,7 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:  # noqa: 
                 f"{len(frames)} and {len(keypoints)}",
                 _REMEDY,
             )
-    values, remarks = scored(values)
+    values, remarks = fill_missing_scores(values)
     return (make_view(item.origin, keypoints, frames, values, tracked=True, remarks=remarks),)
 
 

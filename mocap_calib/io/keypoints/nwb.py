@@ -10,7 +10,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from mocap_calib.io.file import Origin, blank, make_view, malformed, scored
+from mocap_calib.io.file import Origin, blank, make_view, malformed, fill_missing_scores
 from mocap_calib.io.hdf5 import array, damage_refused, keys, names, text
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.types import Floats, Ints, Keypoints2D
@@ -83,7 +83,7 @@ def _view(group: Any, origin: Origin) -> Keypoints2D:
     frames, rate = frame_numbers_and_rate(next(iter(series_of.values())), source)
     if len(frames) != len(values):
         raise malformed(source, f"a time for each of {len(values)} frames", len(frames), _REMEDY)
-    values, remarks = scored(values)
+    values, remarks = fill_missing_scores(values)
     counted = f"NWB has times, not frame numbers: a frame is the time x {rate:g} per second"
     return make_view(
         origin,

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.io.file import make_view, malformed, stacked
+from mocap_calib.io.file import make_view, malformed, stack_detections
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.io.keypoints.layouts import choose_layout
 from mocap_calib.io.keypoints.per_frame import frame_numbers, frames_of, json_frames, triples
@@ -45,7 +45,7 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     people = [_people(frame, frame_source) for frame, frame_source in frames]
     count = _count_keypoints(people, source)
     keypoints = choose_layout(count, given=options.layout, source=source, unambiguous=_LAYOUTS)
-    values = stacked(people, count, source)
+    values = stack_detections(people, count, source)
     return (make_view(item.origin, keypoints, numbers, values, tracked=False, rows=file_names),)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.io.file import camera_in, frame_number, malformed
+from mocap_calib.io.file import find_camera, frame_number, malformed
 from mocap_calib.io.keypoints.document import Item, describe
 from mocap_calib.types import Floats
 
@@ -75,7 +75,7 @@ def cameras_by_pattern(names: Sequence[str], pattern: str, *, named: str, source
     named: what the format calls a name. Nothing is returned where there is no pattern, or where it
     finds no camera at all; FormatError is raised where it finds some only.
     """
-    cameras = [camera_in(name, pattern) for name in names] if pattern else []
+    cameras = [find_camera(name, pattern) for name in names] if pattern else []
     if not any(cameras):
         return []
     if not all(cameras):

@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.io.file import blank, make_view, malformed, scored
+from mocap_calib.io.file import blank, make_view, malformed, fill_missing_scores
 from mocap_calib.io.hdf5 import array, damage_refused, keys, names
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.types import Floats, Keypoints2D
@@ -39,7 +39,7 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:  # noqa: 
         nodes = names(file, "node_names", source)
         individuals = names(file, "track_names", source) if "track_names" in file else ()
         values = _values(file, len(nodes), len(individuals), source)
-    values, remarks = scored(values)
+    values, remarks = fill_missing_scores(values)
     frames = range(len(values))
     tracked = bool(individuals)
     return (make_view(item.origin, nodes, frames, values, tracked=tracked, remarks=remarks),)

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.io.file import Origin, blank, camera_in, make_view, malformed, scored
+from mocap_calib.io.file import Origin, blank, find_camera, make_view, malformed, fill_missing_scores
 from mocap_calib.io.hdf5 import array, damage_refused, keys, text
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.types import Floats, Keypoints2D
@@ -119,7 +119,7 @@ def _cameras(file: Any, videos: list[int], item: Item, options: ReadOptions) -> 
         return {videos[0]: item.camera}
     paths = _video_paths(file, videos, source)
     cameras = {
-        video: camera_in(path, pattern) if pattern else _stem(path) for video, path in paths.items()
+        video: find_camera(path, pattern) if pattern else _stem(path) for video, path in paths.items()
     }
     if len(videos) == 1 and not cameras[videos[0]]:
         return {videos[0]: item.camera}
@@ -210,7 +210,7 @@ def _view(tables: _Tables, video: int, origin: Origin) -> Keypoints2D:
             )
         for place, row in zip(places, rows, strict=True):
             values_of_frame[place] = _points_of_instance(row, tables)
-    values, remarks = scored(values)
+    values, remarks = fill_missing_scores(values)
     numbers = frames["frame_idx"].astype(np.int64)
     return make_view(origin, tables.nodes, numbers, values, tracked=tracked, remarks=remarks)
 

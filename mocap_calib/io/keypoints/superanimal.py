@@ -6,7 +6,7 @@ frame number is the place in the list.
 
 from typing import Any
 
-from mocap_calib.io.file import make_view, malformed, stacked
+from mocap_calib.io.file import make_view, malformed, stack_detections
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.io.keypoints.layouts import choose_layout
 from mocap_calib.io.keypoints.per_frame import is_list_of, most_keypoints, numbers_of
@@ -27,7 +27,7 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     ]
     count = most_keypoints(detections, named="individuals", source=source)
     names = choose_layout(count, given=options.layout, source=source)
-    values = stacked(detections, count, source)
+    values = stack_detections(detections, count, source)
     return (make_view(item.origin, names, range(len(detections)), values, tracked=False),)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from mocap_calib.config import ReadConfig
 from mocap_calib.errors import FormatError
-from mocap_calib.io.file import NO_SCORE, make_view, malformed, stacked, visibility_as_confidence
+from mocap_calib.io.file import NO_SCORE, make_view, malformed, stack_detections, visibility_as_confidence
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.io.keypoints.layouts import LAYOUTS, layout_remedy
 from mocap_calib.io.keypoints.per_frame import frames_of
@@ -46,7 +46,7 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
         raise _names_wanted(item.document, source)
     file_names, numbers = frames_of(item)
     rows = [list(_rows(document)) for document in item.documents()]
-    values = stacked(_detections(rows, len(options.layout)), len(options.layout), source)
+    values = stack_detections(_detections(rows, len(options.layout)), len(options.layout), source)
     _check_shares(values, source)
     is_unscored = bool(np.isnan(values[..., 2]).all())
     view = make_view(
