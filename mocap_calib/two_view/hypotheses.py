@@ -112,12 +112,12 @@ def _candidates(pair: ViewPair, config: PairwiseConfig, rng: np.random.Generator
     error = pair.overlap.norm[frame, i, j] - 2 * np.einsum("nij,nji->n", rotation, cross)
     ranked = np.argsort(error, kind="stable")
     half = config.candidates_searched // 2
-    chosen = np.concatenate([ranked[:half], rng.permutation(ranked[half:])[:half]])
-    rotation = rotation[chosen]
-    centre_a = pair.a.centre[frame, i][chosen]
-    centre_b = pair.b.centre[frame, j][chosen]
+    picked = np.concatenate([ranked[:half], rng.permutation(ranked[half:])[:half]])
+    rotation = rotation[picked]
+    centre_a = pair.a.centre[frame, i][picked]
+    centre_b = pair.b.centre[frame, j][picked]
     translation = centre_b - np.einsum("nij,nj->ni", rotation, centre_a)
-    return Hypotheses(rotation, translation, ("lifted",) * len(chosen))
+    return Hypotheses(rotation, translation, ("lifted",) * len(picked))
 
 
 def _total_agreement_in_blocks(
