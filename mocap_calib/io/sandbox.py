@@ -26,9 +26,7 @@ Ts = TypeVarTuple("Ts")
 T = TypeVar("T")
 
 
-def call_contained(
-    content: bytes, source: str, parse: Callable[[*Ts], T], *args: *Ts
-) -> T:
+def call_contained(content: bytes, source: str, parse: Callable[[*Ts], T], *args: *Ts) -> T:
     """Return `parse(*args)`, from the other process where `content` is HDF5.
 
     parse: a function of a module, whose arguments, result and errors can be pickled.

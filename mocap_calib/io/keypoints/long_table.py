@@ -12,10 +12,10 @@ from mocap_calib.io.file import (
     Origin,
     blank,
     check_cameras,
+    fill_missing_scores,
     frame_number,
     make_view,
     malformed,
-    fill_missing_scores,
     unique_names,
 )
 from mocap_calib.io.keypoints.document import Item

@@ -13,7 +13,7 @@ import h5netcdf
 import h5py
 import numpy as np
 
-from mocap_calib.io.file import blank, make_view, malformed, fill_missing_scores
+from mocap_calib.io.file import blank, fill_missing_scores, make_view, malformed
 from mocap_calib.io.hdf5 import array, damage_refused, keys, names, text
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.io.keypoints.losses import require_followed

@@ -10,7 +10,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from mocap_calib.io.file import Origin, blank, make_view, malformed, fill_missing_scores
+from mocap_calib.io.file import Origin, blank, fill_missing_scores, make_view, malformed
 from mocap_calib.io.hdf5 import array, damage_refused, keys, names, text
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.types import Floats, Ints, Keypoints2D

@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.io.file import blank, make_view, malformed, fill_missing_scores
+from mocap_calib.io.file import blank, fill_missing_scores, make_view, malformed
 from mocap_calib.io.hdf5 import array, damage_refused, keys, names
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.types import Floats, Keypoints2D

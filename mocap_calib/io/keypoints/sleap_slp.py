@@ -14,7 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.io.file import Origin, blank, find_camera, make_view, malformed, fill_missing_scores
+from mocap_calib.io.file import (
+    Origin,
+    blank,
+    fill_missing_scores,
+    find_camera,
+    make_view,
+    malformed,
+)
 from mocap_calib.io.hdf5 import array, damage_refused, keys, text
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.types import Floats, Keypoints2D
@@ -119,7 +126,8 @@ def _cameras(file: Any, videos: list[int], item: Item, options: ReadOptions) -> 
         return {videos[0]: item.camera}
     paths = _video_paths(file, videos, source)
     cameras = {
-        video: find_camera(path, pattern) if pattern else _stem(path) for video, path in paths.items()
+        video: find_camera(path, pattern) if pattern else _stem(path)
+        for video, path in paths.items()
     }
     if len(videos) == 1 and not cameras[videos[0]]:
         return {videos[0]: item.camera}

@@ -13,7 +13,13 @@ import numpy as np
 
 from mocap_calib.config import ReadConfig
 from mocap_calib.errors import FormatError
-from mocap_calib.io.file import NO_SCORE, make_view, malformed, stack_detections, visibility_as_confidence
+from mocap_calib.io.file import (
+    NO_SCORE,
+    make_view,
+    malformed,
+    stack_detections,
+    visibility_as_confidence,
+)
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.io.keypoints.layouts import LAYOUTS, layout_remedy
 from mocap_calib.io.keypoints.per_frame import frames_of
