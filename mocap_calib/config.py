@@ -211,3 +211,6 @@ class SimulateConfig:
     false_detections: float = 0.05  # share of frames, in each view
     shuffle: bool = True
     seed: int = 0
+
+
+PAIR_SOLVERS = ("search", "paper")  # ways to calibrate a pair of views; the first is the default

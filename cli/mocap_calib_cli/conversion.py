@@ -21,7 +21,13 @@ from mocap_calib.io.cameras.formats import (
 from mocap_calib.io.cameras.load import load_cameras, looks_like_cameras, make_rig, parse_content
 from mocap_calib.io.cameras.source import CameraFile
 from mocap_calib.io.file import read_bytes
-from mocap_calib.io.keypoints.formats import KEYPOINT_FORMATS, looks_like_keypoints, write_keypoints
+from mocap_calib.io.hashing import hash_inputs, plain_paths
+from mocap_calib.io.keypoints.formats import (
+    KEYPOINT_FORMATS,
+    looks_like_keypoints,
+    read_keypoints,
+    write_keypoints,
+)
 from mocap_calib.io.poses.common import PoseFile, turned
 from mocap_calib.io.poses.formats import (
     POSE_FORMAT_NAMES,
@@ -33,11 +39,15 @@ from mocap_calib.io.poses.formats import (
     together,
     write_poses,
 )
+from mocap_calib.io.provenance import provenance
+from mocap_calib.io.results.group import remove_further_individuals
+from mocap_calib.job import find_ignored_files
 from mocap_calib.recording.synchronise import check_pixels
 from mocap_calib.types import CameraRig, Keypoints2D
 from mocap_calib_cli import inputs as reading_inputs
 from mocap_calib_cli import outputs
-from mocap_calib_cli.options import STDIO
+from mocap_calib_cli.describe import describe_ignored_files
+from mocap_calib_cli.options import STDIO, SharedOptions
 
 _NAMES: dict[str, tuple[str, ...]] = {
     "poses": POSE_FORMAT_NAMES,
@@ -103,7 +113,7 @@ def _stdin(wish: Wish) -> bytes | None:
 
 def _check_inputs(wish: Wish) -> None:
     """Raises MismatchError where a file or folder that is named is not there."""
-    for path in reading_inputs.plain_paths(wish.inputs):
+    for path in plain_paths(wish.inputs):
         if path != STDIO and not Path(path).exists():
             raise MismatchError(f"{path}: expected a file or folder, found none; check the path")
 
@@ -155,7 +165,7 @@ def _shown(wish: Wish, content: bytes | None, kinds: set[str]) -> str:
 
 def _looks_like(kind: str, wish: Wish, content: bytes | None) -> bool:
     """Whether the first input shows this kind; a pipe that is named is not read for it. Raises FormatError where its JSON, TOML or YAML is broken."""
-    path = Path(reading_inputs.plain_paths(wish.inputs)[0])
+    path = Path(plain_paths(wish.inputs)[0])
     if kind == "keypoints":
         return content is None and (path.is_dir() or path.is_file()) and looks_like_keypoints(path)
     first = (
@@ -232,7 +242,7 @@ def _cameras(wish: Wish, target: str, content: bytes | None) -> list[str]:
             found, cameras=tuple(camera for camera in found.cameras if camera.name not in bare)
         )
     rig = make_rig(_sized(found, wish), "stdin" if content is not None else str(path))
-    source = outputs.provenance("convert", inputs=reading_inputs.hashes(wish.inputs))
+    source = provenance("convert", inputs=hash_inputs(wish.inputs))
     if wish.output == STDIO:
         written = format_rig(rig, target, source)
         _to_stdout(written.files, target)
@@ -245,7 +255,7 @@ def _cameras(wish: Wish, target: str, content: bytes | None) -> list[str]:
 
 def _sized(found: CameraFile, wish: Wish) -> CameraFile:
     """With the image size that the user gives, where the file has none. Raises MismatchError where it has all."""
-    size = reading_inputs.image_size(wish.reading.get("image_size"))
+    size = reading_inputs.parse_image_size(wish.reading.get("image_size"))
     if size != (0, 0) and not any(0 in camera.size for camera in found.cameras):
         raise MismatchError(
             f"{wish.inputs[0]}: expected cameras without an image size, for --image-size, found one for each; leave it out"
@@ -318,14 +328,14 @@ def _read_poses(wish: Wish, content: bytes | None) -> PoseFile:
 
 
 def _keypoints(wish: Wish, target: str, content: bytes | None) -> list[str]:
-    given = {**wish.reading, "format": wish.source}
+    options = reading_inputs.read_options(SharedOptions(**wish.reading))
     if content is None:
-        views = reading_inputs.read_views(wish.inputs, given)
+        views = read_keypoints(wish.inputs, wish.source, options)
     else:
         with tempfile.TemporaryDirectory() as work:
             path = Path(work) / "stdin"
             path.write_bytes(content)
-            views = reading_inputs.read_views([str(path)], given)
+            views = read_keypoints([str(path)], wish.source, options)
     for view in views:
         check_pixels(view)
     if wish.output == STDIO:
@@ -340,7 +350,7 @@ def _keypoints(wish: Wish, target: str, content: bytes | None) -> list[str]:
     else:
         lost = write_keypoints(Path(wish.output), views, target)
     frames = sum(len(view.frames) for view in views)
-    notes = (*reading_inputs.doubled(wish.inputs), *_remarks(views))
+    notes = (*describe_ignored_files(find_ignored_files(wish.inputs)), *_remarks(views))
     return _said(
         f"{len(views)} camera{'s' if len(views) > 1 else ''}, {frames} frames", target, notes, lost
     )
@@ -395,6 +405,6 @@ def write_formats(
             )
             lost = write_poses(path, file, name)
             if pose_format(name).single:
-                outputs.remove_stale(path, len(file.individuals))
+                remove_further_individuals(path, len(file.individuals))
         said += _said("written", name, (), lost)[1:]
     return said

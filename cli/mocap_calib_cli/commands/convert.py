@@ -1,7 +1,5 @@
 """mocap-calib convert: keypoints, cameras and poses from one format to another."""
 
-from typing import Any
-
 import click
 
 from mocap_calib_cli import options
@@ -37,9 +35,9 @@ from mocap_calib_cli import options
     type=click.Choice(["x", "y", "z", "-x", "-y", "-z"]),
     help="The axis of INPUT's world that points up: poses are turned so that it is y.",
 )
-@options.reading_but_format
-@options.quiet
+@options.shared_options(*options.READING[1:], "quiet")
 def command(
+    shared: options.SharedOptions,
     inputs: tuple[str, ...],
     output: str,
     source: str | None,
@@ -47,8 +45,6 @@ def command(
     unit: str | None,
     fps: float | None,
     up: str | None,
-    reading: dict[str, Any],
-    quiet: bool,
 ) -> None:
     """Converts INPUT to OUTPUT: between two formats of keypoints, of cameras, or of 3D poses.
 
@@ -65,5 +61,6 @@ def command(
     from mocap_calib_cli import conversion
     from mocap_calib_cli.progress import Reporter
 
+    reading = {name: getattr(shared, name) for name in options.READING[1:]}
     wish = conversion.Wish(inputs, output, source, target, unit, fps, up, reading)
-    Reporter(quiet=quiet).say(*conversion.convert(wish))
+    Reporter(quiet=shared.quiet).say(*conversion.convert(wish))
