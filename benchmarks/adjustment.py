@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mocap_calib.config import AdjustConfig, SimulateConfig, TriangulateConfig
+from mocap_calib.config import AdjustConfig, Config, SimulateConfig
 from mocap_calib.geometry.rotation import (
     angle_between,
     direction_angle,
@@ -34,7 +34,10 @@ from mocap_calib.synthetic import simulate
 from mocap_calib.types import CameraRig, Floats, Matches, Sample
 
 METHODS = ("ours", "ours-all", "anipose", "scipy")
-OURS = {"ours": AdjustConfig(), "ours-all": AdjustConfig(points=100_000, doubtful=0.0, trust=1.0)}
+OURS = {
+    "ours": AdjustConfig(),
+    "ours-all": AdjustConfig(points=100_000, doubtful_share=0.0, confidence_power=1.0),
+}
 PEERS = Path(__file__).with_name("adjustment_peers.py")
 
 
@@ -94,7 +97,7 @@ def ours(
 ) -> tuple[CameraRig, float, float]:
     """The rig, seconds and seconds of the processor."""
     wall, processor = time.perf_counter(), time.process_time()
-    found = adjust(recording, start, matches, config, TriangulateConfig())
+    found = adjust(recording, start, matches, Config(adjust=config))
     return found, time.perf_counter() - wall, time.process_time() - processor
 
 

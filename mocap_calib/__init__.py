@@ -28,11 +28,11 @@ if TYPE_CHECKING:
         read_job,
         write_results,
     )
+    from mocap_calib.multi_view.evaluation import Evaluation, evaluate_rig
     from mocap_calib.multi_view.triangulation import triangulate
     from mocap_calib.pipeline import calibrate
     from mocap_calib.recording.joints import fit_vocabulary, load_skeleton
     from mocap_calib.recording.synchronise import make_recording
-    from mocap_calib.report import Evaluation, evaluate_rig
     from mocap_calib.steerpose.checkpoint import load_model
     from mocap_calib.synthetic import simulate
     from mocap_calib.types import (
@@ -70,11 +70,11 @@ _NAMES = {
         "read_job",
         "write_results",
     ),
+    "multi_view.evaluation": ("Evaluation", "evaluate_rig"),
     "multi_view.triangulation": ("triangulate",),
     "pipeline": ("calibrate",),
     "recording.joints": ("fit_vocabulary", "load_skeleton"),
     "recording.synchronise": ("make_recording",),
-    "report": ("Evaluation", "evaluate_rig"),
     "steerpose.checkpoint": ("load_model",),
     "synthetic": ("simulate",),
     "types": (

@@ -143,15 +143,30 @@ class AdjustConfig:
     """Bundle adjustment. Loss scales are in standard deviations of each view's own error."""
 
     points: int = 20_000
-    loss_scales: tuple[float, ...] = (6.0, 3.0, 1.5)
-    trust: float = 0.0  # power of the confidence that a detection is weighed by; detectors' own is no measure of their precision
-    doubtful: float = (
-        0.3  # share of each view's detections, the least confident, that the rig is not built on,
-    )
-    enough: int = 500  # as long as so many are left
-    least: int = 12  # keypoints that can hold a camera: twice what would do without any noise
+    # Rays this many times farther off than an outlier of triangulation may still hold a point: the
+    # rig is not yet right, and the robust loss deals with outliers.
+    outlier_tolerance: float = 4.0
+    loss_scales: tuple[float, ...] = (6.0, 3.0, 1.5)  # one after the other, to tighten the loss
+    # Share of the cost: a step that lowers it by less is the last one at the last loss scale ...
+    tolerance: float = 1e-5
+    rough_tolerance: float = 1e-3  # ... and at those before, which need not be minimised to the end
+    # Detections are weighed by this power of their confidence: detectors' own confidence is no
+    # measure of their precision.
+    confidence_power: float = 0.0
+    # This share of each view's detections, the least confident, is left out of the adjustment ...
+    doubtful_share: float = 0.3
+    enough_detections: int = 500  # ... as long as so many are left.
+    least_keypoints: int = 12  # that hold a camera: twice what would do without any noise
     rounds: int = 6  # of adjusting and matching; it stops when no label changes
     still_deg: float = 0.05  # and no camera turns by more than this
+
+
+# Levenberg and Marquardt's iteration: steps at most, and the damping of the first step
+LM_STEPS = 50
+LM_FIRST_DAMPING = 1e-4
+LM_DAMPING_FACTOR = 10.0  # more damping after a step that raised the cost, less after another
+LM_LEAST_DAMPING = 1e-10
+LM_MOST_DAMPING = 1e8  # beyond it no step lowers the cost
 
 
 @dataclass(frozen=True)
@@ -160,6 +175,28 @@ class TriangulateConfig:
 
     outlier: float = 4.0
     least_angle_deg: float = 2.0  # between the rays of a point
+    noise_frames: int = 200  # that tell how large each view's error is
+    unknown_noise: float = 0.01  # radians: error of a keypoint before anything is known of it
+    least_noise_px: float = 0.25
+
+
+@dataclass(frozen=True)
+class UncertaintyConfig:
+    """Whether a recording determines its rig, and whether all cameras agree on it."""
+
+    splits: int = 4  # of the joints into halves: those of one split may agree by chance
+    # Between rigs of halves of the joints, which differ by about twice the error of the whole rig:
+    # the rig is good to about 2 deg, to 5 deg, or not determined.
+    well_determined_deg: float = 4.0
+    weak_deg: float = 10.0
+    # An outlier camera has so many times the errors of the others. Measured: 1 to 2.6 where the
+    # cameras agree, 3.8 between telescopes, 5 to 18 where one is out of step.
+    outlier_factor: float = 4.0
+    misfit_limit: float = 4.0  # usual errors: no error counts for more in the misfit of a rig
+    same_misfit: float = 1.05  # ratio of the misfits of two rigs that fit equally well
+
+
+REPORT_FRAMES = 2000  # whose reprojection errors run.json tells
 
 
 @dataclass(frozen=True)
@@ -172,6 +209,7 @@ class Config:
     matching: MatchingConfig = MatchingConfig()
     adjust: AdjustConfig = AdjustConfig()
     triangulate: TriangulateConfig = TriangulateConfig()
+    uncertainty: UncertaintyConfig = UncertaintyConfig()
 
 
 @dataclass(frozen=True)

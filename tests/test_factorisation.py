@@ -10,7 +10,7 @@ from mocap_calib.config import Config
 from mocap_calib.geometry.projection import pixels_from_points, rays_from_pixels
 from mocap_calib.multi_view.association import single_subject
 from mocap_calib.multi_view.factorization import factorise
-from mocap_calib.multi_view.uncertainty import measure_fit
+from mocap_calib.multi_view.fit import measure_fit
 from mocap_calib.types import Camera, CameraRig, Recording, Sample
 
 REVERSE = np.diag([1.0, 1.0, -1.0])
@@ -133,6 +133,5 @@ def test_telescopes_are_calibrated_up_to_a_reversal_and_say_so():
 def test_the_misfit_is_the_noise(noise):
     """Three views of a point: 6 numbers, 3 unknowns, so an RMS residual of sqrt(2) noise / sqrt(2); margin 15 %."""
     seen, rig = telescopes(noise)
-    assert measure_fit(
-        seen, rig, single_subject(seen), Config().triangulate
-    ).misfit == pytest.approx(noise, rel=0.15)
+    fit = measure_fit(seen, rig, single_subject(seen), Config())
+    assert fit.misfit == pytest.approx(noise, rel=0.15)

@@ -1,6 +1,11 @@
-"""Laws of the evaluation."""
+"""Laws of the evaluation, and that the content of run.json is described."""
 
+import json
+import re
+from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,13 +13,19 @@ from scenes import rotation_errors_deg, scene
 
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.report import accuracy, area_under_curve, evaluate_rig, evaluation_to_dict
+from mocap_calib.multi_view.evaluation import (
+    accuracy,
+    area_under_curve,
+    evaluate_rig,
+    evaluation_to_dict,
+)
 from mocap_calib.types import CameraRig
 
 
 def elsewhere(rig: CameraRig, scale: float = 3.0) -> CameraRig:
-    """The same rig in another world."""
-    turn, shift = matrix_from_vector(np.array([0.3, -1.0, 0.5])), np.array([4.0, 5.0, -6.0])
+    """Return the same rig in another world."""
+    turn = matrix_from_vector(np.array([0.3, -1.0, 0.5]))
+    shift = np.array([4.0, 5.0, -6.0])
     rotation = rig.rotation @ turn.T
     return replace(
         rig,
@@ -25,10 +36,8 @@ def elsewhere(rig: CameraRig, scale: float = 3.0) -> CameraRig:
 
 
 def without(rig: CameraRig, name: str) -> CameraRig:
-    keep = [k for k, n in enumerate(rig.names) if n != name]
-    return CameraRig(
-        tuple(rig.cameras[k] for k in keep), rig.rotation[keep], rig.translation[keep], rig.unit
-    )
+    """Return the rig of all cameras but this one."""
+    return rig.select(np.array([k for k, other in enumerate(rig.names) if other != name]))
 
 
 @pytest.mark.parametrize("cameras", [2, 3, 5])
@@ -61,28 +70,24 @@ def test_a_known_turn_is_the_error_of_its_pairs():
     rig = scene(cameras=4).rig
     rotation = rig.rotation.copy()
     rotation[2] = matrix_from_vector(np.radians([0, 7.0, 0])) @ rotation[2]
-    found = replace(
-        rig, rotation=rotation, translation=-np.einsum("vij,vj->vi", rotation, rig.centres)
-    )
+    translation = -np.einsum("vij,vj->vi", rotation, rig.centres)
+    found = replace(rig, rotation=rotation, translation=translation)
     figures = evaluation_to_dict(evaluate_rig(found, rig))
     for pair in figures["pairs"]:
-        assert pair["rotation_error_deg"] == pytest.approx(
-            7.0 if "cam3" in (pair["a"], pair["b"]) else 0.0, abs=1e-6
-        )
+        expected = 7.0 if "cam3" in (pair["a"], pair["b"]) else 0.0
+        assert pair["rotation_error_deg"] == pytest.approx(expected, abs=1e-6)
     assert figures["rra"] == {"5": 0.5, "10": 1, "20": 1, "30": 1}
-    assert figures["centre_error"]["max"] == pytest.approx(
-        0, abs=1e-6
-    )  # metres; the cameras' axes weigh a millionth
+    # metres; in the alignment the cameras' axes weigh a millionth of their centres
+    assert figures["centre_error"]["max"] == pytest.approx(0, abs=1e-6)
 
 
 def test_a_known_shift_is_the_error_of_the_centre():
+    """0.3 m; the alignment spreads a part of it over the other cameras (measured 0.25)."""
     rig = scene(cameras=6).rig
     centres = rig.centres.copy()
     centres[0] += [0.3, 0.0, 0.0]
     found = replace(rig, translation=-np.einsum("vij,vj->vi", rig.rotation, centres))
-    assert evaluate_rig(found, rig).centre_error.max() == pytest.approx(
-        0.25, abs=0.06
-    )  # the alignment spreads the rest
+    assert evaluate_rig(found, rig).centre_error.max() == pytest.approx(0.25, abs=0.06)
 
 
 def test_a_missing_camera_counts_as_wrong_as_can_be():
@@ -116,3 +121,44 @@ def test_rigs_without_common_names_are_refused():
     other = replace(rig, cameras=tuple(replace(c, name=f"x{k}") for k, c in enumerate(rig.cameras)))
     with pytest.raises(MismatchError, match="cam1, cam2, cam3"):
         evaluate_rig(other, rig)
+
+
+# run.json
+
+DESCRIPTION = Path(__file__).parents[1] / "docs" / "run-json.md"
+BY_NAME = {"config", "inputs", "outputs", "seconds"}  # their keys are files, stages or constants
+STATISTIC = {"median", "max", "p95"}
+
+
+def described() -> set[str]:
+    """Return the fields that the page describes, as cameras[].name: a section has a table."""
+    fields, prefix = set(), ""
+    for line in DESCRIPTION.read_text("utf-8").splitlines():
+        if heading := re.match(r"## (?:`(.+)`)?", line):
+            prefix = f"{heading[1]}." if heading[1] else ""
+        elif row := re.match(r"\| `(\w+)` \|.*\|.*\|$", line):
+            fields.add(prefix + row[1])
+    return fields
+
+
+def fields_of(report: dict[str, Any], prefix: str = "") -> Iterator[str]:
+    """Return the fields of a report that hold values, those of lists as cameras[].name."""
+    for key, value in report.items():
+        path = prefix + key
+        if isinstance(value, list) and value and isinstance(value[0], dict):
+            for entry in value:
+                yield from fields_of(entry, f"{path}[].")
+        elif isinstance(value, dict) and key not in BY_NAME and not set(value) <= STATISTIC:
+            yield from fields_of(value, f"{path}.")
+        elif value != []:
+            yield path
+
+
+def test_every_field_of_run_json_is_described_and_nothing_else(done):
+    """Lists that are empty in this run have no fields."""
+    report = json.loads((done[0] / "run.json").read_text("utf-8"))
+    empty = ("unused_pairs", "pairs[].alternatives", "left_out", "cameras[].faults")
+    expected = {field for field in described() if not field.startswith(empty)}
+    found = {field for field in fields_of(report) if not field.startswith(empty)}
+    assert len(found) > 40
+    assert found == expected

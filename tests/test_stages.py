@@ -9,7 +9,6 @@ import pytest
 from scenes import lifted, precision, recording, rotation_errors_deg, scene, truth
 
 from mocap_calib.config import (
-    AdjustConfig,
     AveragingConfig,
     Config,
     PairwiseConfig,
@@ -22,7 +21,12 @@ from mocap_calib.io.results.results import pairs_to_json
 from mocap_calib.multi_view.association import associate
 from mocap_calib.multi_view.averaging import average
 from mocap_calib.multi_view.bundle_adjustment import adjust
-from mocap_calib.multi_view.triangulation import triangulate, triangulate_rays
+from mocap_calib.multi_view.triangulation import (
+    project,
+    reprojection_error,
+    triangulate,
+    triangulate_rays,
+)
 from mocap_calib.multi_view.view_graph import pairs_among, usable_cameras
 from mocap_calib.two_view.affinity import (
     epipolar_error,
@@ -34,7 +38,7 @@ from mocap_calib.two_view.affinity import (
 from mocap_calib.two_view.assignment import mutual_best, sinkhorn
 from mocap_calib.two_view.refine import refine_two_view
 from mocap_calib.two_view.solve import calibrate_pair, calibrate_pairs, pair_problem
-from mocap_calib.types import Camera, CameraRig, Matches, PairwiseCalibration, Recording, silent
+from mocap_calib.types import CameraRig, Matches, PairwiseCalibration, Recording, silent
 
 
 def some_pair():
@@ -353,7 +357,7 @@ def test_matching_does_not_depend_on_the_unit_of_the_rig():
 def test_adjustment_comes_home_from_three_degrees():
     """With true matches: from 3 degrees off to below a tenth (measured 0.03)."""
     made = scene()
-    found = adjust(recording(), turned(made.rig, 3.0), truth(), AdjustConfig(), TriangulateConfig())
+    found = adjust(recording(), turned(made.rig, 3.0), truth(), Config())
     assert rotation_errors_deg(found, made.rig).max() < 0.1
 
 
@@ -368,16 +372,16 @@ def test_adjustment_does_not_depend_on_the_gauge():
         rotation=rotation,
         translation=2.0 * start.translation - np.einsum("vij,j->vi", rotation, shift),
     )
-    first, second = (
-        adjust(recording(), rig, truth(), AdjustConfig(), TriangulateConfig())
-        for rig in (start, elsewhere)
-    )
+    first, second = (adjust(recording(), rig, truth(), Config()) for rig in (start, elsewhere))
     assert rotation_errors_deg(first, second).max() < 0.01
 
 
 @pytest.mark.parametrize("distortion", ["brown", "fisheye"])
 def test_adjustment_and_opencv_mean_the_same_camera(distortion):
-    """Noise-free detections of distorted cameras: the half pixel and the lens models agree, or the rig would be bent."""
+    """Noise-free detections of distorted cameras: the rig is exact (measured 1e-5 degrees).
+
+    Half a pixel or another lens model would bend it: half a pixel by 0.03 degrees.
+    """
     clean = {
         "distortion": distortion,
         "noise_px": 0.0,
@@ -386,80 +390,76 @@ def test_adjustment_and_opencv_mean_the_same_camera(distortion):
         "false_detections": 0.0,
     }
     made = scene(**clean)
-    found = adjust(
-        recording(**clean),
-        turned(made.rig, 1.0),
-        truth(**clean),
-        AdjustConfig(),
-        TriangulateConfig(),
-    )
-    assert (
-        rotation_errors_deg(found, made.rig).max() < 1e-3
-    )  # measured 1e-5; half a pixel would be 0.03
+    found = adjust(recording(**clean), turned(made.rig, 1.0), truth(**clean), Config())
+    assert rotation_errors_deg(found, made.rig).max() < 1e-3
 
 
 def test_a_camera_without_matches_is_named():
     labels = truth().labels.copy()
     labels[2] = -1
     with pytest.raises(DegenerateError, match="camera cam3"):
-        adjust(recording(), scene().rig, Matches(labels), AdjustConfig(), TriangulateConfig())
+        adjust(recording(), scene().rig, Matches(labels), Config())
 
 
 # triangulation
 
 
 def ring(views: int) -> CameraRig:
+    """Return cameras on a ring, without distortion."""
     rig = scene(cameras=views).rig
-    return replace(
-        rig,
-        cameras=tuple(Camera(c.name, c.size, c.matrix, np.zeros(5), False) for c in rig.cameras),
-    )
+    cameras = tuple(replace(camera, distortion=np.zeros(5)) for camera in rig.cameras)
+    return replace(rig, cameras=cameras)
 
 
 def rays_to(rig: CameraRig, points: np.ndarray) -> np.ndarray:
-    """`[view, 3, N]` to points `[N, 3]`."""
-    inside = rig.rotation @ points.T + rig.translation[:, :, None]
-    return inside / np.linalg.norm(inside, axis=1, keepdims=True)
+    """Return the rays `[view, 3, N]` to points `[N, 3]`."""
+    in_camera = rig.rotation @ points.T + rig.translation[:, :, None]
+    return in_camera / np.linalg.norm(in_camera, axis=1, keepdims=True)
+
+
+def meet(
+    rig: CameraRig, rays: np.ndarray, *, weight=None, noise: float = 1e-3, **changes: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Triangulate rays `[view, 3, N]` that all weigh the same."""
+    views, _, count = rays.shape
+    return triangulate_rays(
+        rig,
+        rays,
+        weight=np.ones((views, count)) if weight is None else weight,
+        noise=np.full(views, noise),
+        config=TriangulateConfig(**changes),
+    )
 
 
 @pytest.mark.parametrize("views", [2, 4, 9])
 def test_exact_rays_meet_in_their_point(views):
     rig, points = ring(views), np.random.default_rng(0).uniform(-1, 1, (300, 3)) + [0, 0, 1]
-    rays = rays_to(rig, points)
-    found, used = triangulate_rays(
-        rig, rays, np.ones((views, 300)), np.full(views, 1e-3), TriangulateConfig()
-    )
+    found, used = meet(rig, rays_to(rig, points))
     np.testing.assert_allclose(found.T, points, atol=1e-6)
     assert used.all()
 
 
 @pytest.mark.parametrize("views", [8, 10, 13])
 def test_any_two_or_three_views_of_a_large_rig_will_do(views):
-    """Not only those that are neighbours."""
+    """Not only those that are neighbours; two views may face each other, so 0.1 mm."""
     rig, point = ring(views), np.array([[0.1, -0.2, 1.1]])
-    seen = [*combinations(range(views), 2), *combinations(range(views), 3)]
-    weight = np.zeros((views, len(seen)))
-    for n, some in enumerate(seen):
-        weight[list(some), n] = 1.0
-    rays = np.repeat(rays_to(rig, point), len(seen), axis=2)
-    found, _ = triangulate_rays(rig, rays, weight, np.full(views, 1e-3), TriangulateConfig())
-    np.testing.assert_allclose(
-        found.T, np.broadcast_to(point, (len(seen), 3)), atol=1e-4
-    )  # two views may face each other
+    subsets = [*combinations(range(views), 2), *combinations(range(views), 3)]
+    weight = np.zeros((views, len(subsets)))
+    for n, subset in enumerate(subsets):
+        weight[list(subset), n] = 1.0
+    rays = np.repeat(rays_to(rig, point), len(subsets), axis=2)
+    found, _ = meet(rig, rays, weight=weight)
+    np.testing.assert_allclose(found.T, np.broadcast_to(point, (len(subsets), 3)), atol=1e-4)
 
 
 def test_one_outlying_view_is_found_and_left_out():
     rig, points = ring(4), np.random.default_rng(1).uniform(-1, 1, (300, 3)) + [0, 0, 1]
     rays = rays_to(rig, points)
-    bad = np.random.default_rng(2).integers(4, size=300)
-    rays[bad, :, np.arange(300)] = (
-        rays[bad, :, np.arange(300)] @ matrix_from_vector(np.array([0.1, 0.05, 0.0])).T
-    )
-    found, used = triangulate_rays(
-        rig, rays, np.ones((4, 300)), np.full(4, 2e-3), TriangulateConfig()
-    )
+    bad, each = np.random.default_rng(2).integers(4, size=300), np.arange(300)
+    rays[bad, :, each] = rays[bad, :, each] @ matrix_from_vector(np.array([0.1, 0.05, 0.0])).T
+    found, used = meet(rig, rays, noise=2e-3)
     assert np.median(np.linalg.norm(found.T - points, axis=1)) < 2e-3
-    assert not used[bad, np.arange(300)].any()
+    assert not used[bad, each].any()
     assert (used.sum(0) == 3).mean() > 0.99
 
 
@@ -470,12 +470,19 @@ def test_two_views_that_disagree_or_look_alike_give_nothing():
     normal = np.cross(rig.rotation[0] @ (rig.centres[1] - rig.centres[0]), rays[0, :, 0])
     off[0, :, 0] += 0.1 * normal / np.linalg.norm(normal)
     off[0] /= np.linalg.norm(off[0])
-    weight, noise = np.ones((2, 1)), np.full(2, 1e-3)
-    assert np.isnan(triangulate_rays(rig, off, weight, noise, TriangulateConfig())[0]).all()
-    assert np.isnan(
-        triangulate_rays(rig, rays, weight, noise, TriangulateConfig(least_angle_deg=179.0))[0]
-    ).all()
-    assert np.isfinite(triangulate_rays(rig, rays, weight, noise, TriangulateConfig())[0]).all()
+    assert np.isnan(meet(rig, off)[0]).all()
+    assert np.isnan(meet(rig, rays, least_angle_deg=179.0)[0]).all()
+    assert np.isfinite(meet(rig, rays)[0]).all()
+
+
+def test_reprojection_error_is_the_rms_over_the_used_views():
+    """Detections 3, 4 and 300 pixels off, the last not used: sqrt((9 + 16) / 2)."""
+    rig, points = ring(3), np.array([[0.1, 0.2, 1.0]]).T
+    pixels = project(rig, points)
+    pixels[:, 0, 0] += [3.0, 4.0, 300.0]
+    used = np.array([[True], [True], [False]])
+    error = reprojection_error(rig, points, pixels=pixels, used=used)
+    assert error == pytest.approx([np.sqrt(12.5)])
 
 
 def test_poses_of_true_rig_and_labels_are_the_truth():

@@ -114,7 +114,7 @@ def _describe_errors(report: dict[str, Any]) -> list[str]:
     for camera in report["cameras"]:
         error = camera["reprojection_error_px"]
         counts = [str(camera["detections"]), str(camera["matched"])]
-        figures = [error["median"], error["p95"], camera["support"]]
+        figures = [error["median"], error["p95"], camera["pair_score"]]
         rows.append([camera["name"], *counts, *map(format_number, figures)])
     header = ["camera", "detections", "matched", "median px", "95 % px", "pair score"]
     return format_table(header, rows)
@@ -162,7 +162,7 @@ def _describe_rounds(group: GroupResult) -> list[str]:
 
 def _describe_outlier_cameras(report: dict[str, Any]) -> list[str]:
     """Say which cameras are inconsistent with the others."""
-    names = [camera["name"] for camera in report["cameras"] if camera["inconsistent"]]
+    names = _cameras_with_fault(report, "inconsistent")
     if not names:
         return []
     return [
@@ -174,7 +174,7 @@ def _describe_outlier_cameras(report: dict[str, Any]) -> list[str]:
 def _describe_rig(report: dict[str, Any]) -> list[str]:
     """Say the verdict on the rig, and the split-half angle that it rests on."""
     verdict = report["verdict"]
-    angle = verdict["halves_differ_deg"]
+    angle = verdict["split_half_angle_deg"]
     return [
         f"rig: {verdict['rig']}; split-half angle {angle['median']:.1f} deg "
         f"({angle['max']:.1f} at most): so far apart are the rigs that halves of the joints give"
@@ -183,7 +183,7 @@ def _describe_rig(report: dict[str, Any]) -> list[str]:
 
 def _describe_weak_perspective(report: dict[str, Any]) -> list[str]:
     """Say of which cameras the images show no perspective."""
-    names = [camera["name"] for camera in report["cameras"] if camera["near_affine"]]
+    names = _cameras_with_fault(report, "weak_perspective")
     if not names:
         return []
     return [
@@ -191,6 +191,11 @@ def _describe_weak_perspective(report: dict[str, Any]) -> list[str]:
         "long focal length that images show no perspective; distances follow from the focal "
         "lengths alone"
     ]
+
+
+def _cameras_with_fault(report: dict[str, Any], fault: str) -> list[str]:
+    """Return the names of the cameras that have a fault."""
+    return [camera["name"] for camera in report["cameras"] if fault in camera["faults"]]
 
 
 def _describe_reversal(group: GroupResult, folder: Path) -> list[str]:

@@ -1,29 +1,44 @@
-"""Robust bundle adjustment of cameras and points by Levenberg and Marquardt, the points eliminated (Schur; Triggs et al. 2000).
+"""Robust bundle adjustment of cameras and points, with the points eliminated.
 
-Arrays are kept by component, `[view, component, N]`, so that every step runs along all points at once. Residuals are taken in
-the plane that touches the unit sphere at the observed ray, to first order in pixels: any lens will do, without its derivatives.
+Levenberg and Marquardt's iteration on the reduced camera system (Triggs, McLauchlan, Hartley and
+Fitzgibbon 2000: "Bundle Adjustment - A Modern Synthesis", section 6.1).
+
+Arrays are kept by component, `[view, component, N]`, so that every step runs along all points at
+once. Residuals are taken in the plane that touches the unit sphere at the observed ray, to first
+order in pixels: any lens will do, without its derivatives.
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from mocap_calib.compute.parallel import in_order
+from mocap_calib.config import (
+    LM_DAMPING_FACTOR,
+    LM_FIRST_DAMPING,
+    LM_LEAST_DAMPING,
+    LM_MOST_DAMPING,
+    LM_STEPS,
+)
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.types import Floats
+from mocap_calib.types import Bools, Floats
 
-_STEPS = 50
-_MOST_DAMPING = 1e8
-_BEHIND = 1e-6  # cosine between ray and point that stands for all that is behind: it fits nothing, and pulls at nothing
 _BLOCK = 1024  # points at a time: what is computed of them stays in the cache
+
+# Cosine between ray and point that stands for all points behind the camera: such a point fits
+# nothing, and moves nothing.
+_BEHIND = 1e-6
 
 
 @dataclass(frozen=True)
-class Sightings:
-    """What was seen.
+class RayObservations:
+    """What the cameras saw of N points.
 
-    rays: `[view, 3, N]` unit vectors in the camera's axes; metric: `[view, 2, 3, N]` turns a direction into the residual at its
-    ray, in standard deviations; weight: `[view, N]`, 0 = not seen.
+    rays: `[view, 3, N]` unit vectors in each camera's frame.
+    metric: `[view, 2, 3, N]` turns a direction into the residual at its ray, in standard
+        deviations.
+    weight: `[view, N]`, 0 = not seen.
     """
 
     rays: Floats
@@ -33,7 +48,11 @@ class Sightings:
 
 @dataclass(frozen=True)
 class State:
-    """Cameras (cam_from_world `[view, 3, 3]`, `[view, 3]`) and points `[3, N]`."""
+    """What is adjusted.
+
+    rotation: `[view, 3, 3]` and translation: `[view, 3]` of cam_from_world.
+    points: `[3, N]` in world coordinates.
+    """
 
     rotation: Floats
     translation: Floats
@@ -41,162 +60,288 @@ class State:
 
 
 @dataclass(frozen=True)
-class _Linear:
-    """The normal equations about a state.
+class _Residuals:
+    """Points about a state as the cameras see them.
 
-    camera: `[view, 6, 6]`, camera_side: `[view, 6]`; point: `[3, 3, N]`, point_side: `[3, N]`; mixed: `[view, 6, 3, N]`.
+    in_camera: `[view, 3, n]` the points in each camera's frame.
+    depth: `[view, n]` distance along the observed ray, never zero or below.
+    residual: `[view, 2, n]` in standard deviations.
+    behind: `[view, n]` the point is behind the camera.
+    """
+
+    in_camera: Floats
+    depth: Floats
+    residual: Floats
+    behind: Bools
+
+
+@dataclass(frozen=True)
+class _Jacobian:
+    """Derivatives of the residuals, and the residuals, both weighed by the robust loss.
+
+    camera: `[view, 2, 6, n]` by a rotation of the camera's frame (3) and a translation (3).
+    point: `[view, 2, 3, n]` by the point in world coordinates.
+    residual: `[view, 2, n]`.
     """
 
     camera: Floats
-    camera_side: Floats
     point: Floats
-    point_side: Floats
+    residual: Floats
+
+
+@dataclass(frozen=True)
+class _NormalEquations:
+    """The Gauss-Newton system about a state, with A and B the Jacobians of cameras and points.
+
+    camera: `[view, 6, 6]` the blocks U = A'A of the cameras.
+    camera_gradient: `[view, 6]` a = A'r.
+    point: `[3, 3, N]` the blocks V = B'B of the points.
+    point_gradient: `[3, N]` b = B'r.
+    mixed: `[view, 6, 3, N]` the blocks W = A'B of a camera and a point.
+    """
+
+    camera: Floats
+    camera_gradient: Floats
+    point: Floats
+    point_gradient: Floats
     mixed: Floats
 
 
-def minimise(state: State, seen: Sightings, scale: float, *, settled: float = 1e-5) -> State:
-    """The state of least robust cost (Cauchy's loss at `scale` standard deviations). The first camera stays; the scale is free.
+def minimise(state: State, seen: RayObservations, *, loss_scale: float, tolerance: float) -> State:
+    """Return the state of least robust cost: Cauchy's loss at `loss_scale` standard deviations.
 
-    It ends when a step lowers the cost by less than the share `settled`.
+    The first camera stays where it is; the scale of the rig is free. It ends when a step lowers
+    the cost by no more than the share `tolerance`.
     """
-    damping = 1e-4
-    cost = _cost(state, seen, scale)
-    linear = _linearise(state, seen, scale)
-    for _ in range(_STEPS):
-        moved = _step(state, linear, damping)
-        after = _cost(moved, seen, scale)
-        if not after < cost:
-            damping *= 10
-            if damping > _MOST_DAMPING:
+    damping = LM_FIRST_DAMPING
+    cost = _cost(state, seen, loss_scale)
+    equations = _linearise(state, seen, loss_scale)
+    for _ in range(LM_STEPS):
+        candidate = _step(state, equations, damping)
+        candidate_cost = _cost(candidate, seen, loss_scale)
+        if not candidate_cost < cost:
+            damping *= LM_DAMPING_FACTOR
+            if damping > LM_MOST_DAMPING:
                 break
             continue
-        last = cost - after <= settled * cost
-        state, cost, damping = moved, after, max(damping / 10, 1e-10)
-        if last:
+        converged = cost - candidate_cost <= tolerance * cost
+        state = candidate
+        cost = candidate_cost
+        damping = max(damping / LM_DAMPING_FACTOR, LM_LEAST_DAMPING)
+        if converged:
             break
-        linear = _linearise(state, seen, scale)
+        equations = _linearise(state, seen, loss_scale)
     return state
 
 
-def _residuals(state: State, seen: Sightings, part: slice) -> tuple[Floats, Floats, Floats]:
-    """Points in the cameras' axes `[view, 3, n]`, their distance along the ray `[view, n]` and the residuals `[view, 2, n]`."""
-    inside = np.matmul(state.rotation, state.points[:, part]) + state.translation[:, :, None]
-    along = np.einsum("vin,vin->vn", seen.rays[..., part], inside)
-    along = np.maximum(along, _BEHIND * np.abs(inside).max(1))
-    return (
-        inside,
-        along,
-        np.einsum("vkin,vin->vkn", seen.metric[..., part], inside) / along[:, None],
-    )
+def _blocks(points: Floats) -> list[slice]:
+    """Return the blocks of points `[3, N]` that are worked on at a time."""
+    return [slice(start, start + _BLOCK) for start in range(0, points.shape[1], _BLOCK)]
 
 
-def _cost(state: State, seen: Sightings, scale: float) -> float:
-    def work(part: slice) -> float:
-        residual = _residuals(state, seen, part)[2]
-        square = np.einsum("vkn,vkn->vn", residual, residual)
-        return float((seen.weight[:, part] * np.log1p(square / scale**2)).sum())
-
-    return sum(in_order(work, _blocks(state))) * scale**2
+# The cost and its derivatives
 
 
-def _linearise(state: State, seen: Sightings, scale: float) -> _Linear:
-    views, count = seen.weight.shape
-    made = _Linear(
-        np.zeros((views, 6, 6)),
-        np.zeros((views, 6)),
-        np.empty((3, 3, count)),
-        np.empty((3, count)),
-        np.empty((views, 6, 3, count)),
-    )
-
-    def work(part: slice) -> tuple[Floats, Floats]:
-        camera, point, residual = _slopes(state, seen, part, scale)
-        made.point[..., part] = np.einsum("vkin,vkjn->ijn", point, point)
-        made.point_side[:, part] = np.einsum("vkin,vkn->in", point, residual)
-        made.mixed[..., part] = np.einsum("vkin,vkjn->vijn", camera, point)
-        return np.einsum("vkin,vkjn->vij", camera, camera, optimize=True), np.einsum(
-            "vkin,vkn->vi", camera, residual
-        )
-
-    for matrix, side in in_order(work, _blocks(state)):
-        made.camera[:] += matrix
-        made.camera_side[:] += side
-    return made
+def _cost(state: State, seen: RayObservations, loss_scale: float) -> float:
+    """Return the robust cost: the sum of w s^2 log(1 + r'r / s^2)."""
+    work = partial(_cost_of_block, state=state, seen=seen, loss_scale=loss_scale)
+    return sum(in_order(work, _blocks(state.points))) * loss_scale**2
 
 
-def _slopes(
-    state: State, seen: Sightings, part: slice, scale: float
-) -> tuple[Floats, Floats, Floats]:
-    """Robustly weighted slopes of the residuals in cameras and points, and the residuals.
+def _cost_of_block(
+    block: slice, *, state: State, seen: RayObservations, loss_scale: float
+) -> float:
+    """Return what a block of points adds to the cost, divided by s^2."""
+    residual = _residuals(block, state, seen).residual
+    square = np.einsum("vkn,vkn->vn", residual, residual)
+    loss = np.log1p(square / loss_scale**2)
+    return float((seen.weight[:, block] * loss).sum())
 
-    Cameras: `[view, 2, 6, n]`, a turn about the camera, then a shift; points: `[view, 2, 3, n]`; residuals: `[view, 2, n]`.
+
+def _residuals(block: slice, state: State, seen: RayObservations) -> _Residuals:
+    """Return a block of points as the cameras see them: r = M x / (u'x), x in the camera's frame.
+
+    u is the observed ray and M its metric.
     """
-    inside, along, residual = _residuals(state, seen, part)
-    behind = along <= 2 * _BEHIND * np.abs(inside).max(1)
-    robust = np.sqrt(
-        np.where(behind, 0.0, seen.weight[:, part])
-        / (1 + np.einsum("vkn,vkn->vn", residual, residual) / scale**2)
+    rotated = np.matmul(state.rotation, state.points[:, block])
+    in_camera = rotated + state.translation[:, :, None]
+    size = np.abs(in_camera).max(1)
+    depth = np.einsum("vin,vin->vn", seen.rays[..., block], in_camera)
+    depth = np.maximum(depth, _BEHIND * size)
+    offset = np.einsum("vkin,vin->vkn", seen.metric[..., block], in_camera)
+    return _Residuals(
+        in_camera=in_camera,
+        depth=depth,
+        residual=offset / depth[:, None],
+        behind=depth <= 2 * _BEHIND * size,
     )
-    slope = (seen.metric[..., part] - residual[:, :, None] * seen.rays[:, None, :, part]) * (
-        robust / along
-    )[:, None, None]
-    camera = np.empty((*residual.shape[:2], 6, residual.shape[2]))
+
+
+def _jacobian(block: slice, state: State, seen: RayObservations, loss_scale: float) -> _Jacobian:
+    """Return the derivatives of the residuals of a block of points.
+
+    With r = M x / (u'x): dr/dx = (M - r u') / (u'x). A rotation w about the camera's centre and a
+    translation t move x by w x x + t; the point p moves it by R p.
+    """
+    found = _residuals(block, state, seen)
+    robust = _robust_weight(found, seen.weight[:, block], loss_scale)
+    rays = seen.rays[:, None, :, block]
+    slope = seen.metric[..., block] - found.residual[:, :, None] * rays
+    slope = slope * (robust / found.depth)[:, None, None]
+    return _Jacobian(
+        camera=_camera_derivatives(slope, found.in_camera),
+        point=np.einsum("vkin,vij->vkjn", slope, state.rotation),
+        residual=found.residual * robust[:, None],
+    )
+
+
+def _robust_weight(found: _Residuals, weight: Floats, loss_scale: float) -> Floats:
+    """Return the square root of Cauchy's weight, w / (1 + r'r / s^2), `[view, n]`."""
+    square = np.einsum("vkn,vkn->vn", found.residual, found.residual)
+    weight = np.where(found.behind, 0.0, weight)
+    return np.sqrt(weight / (1 + square / loss_scale**2))
+
+
+def _camera_derivatives(slope: Floats, in_camera: Floats) -> Floats:
+    """Return `[view, 2, 6, n]` derivatives by a rotation and a translation of the cameras.
+
+    slope: `[view, 2, 3, n]` derivatives by the points in_camera `[view, 3, n]`.
+    """
+    views, rows, _, count = slope.shape
+    camera = np.empty((views, rows, 6, count))
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
-        camera[:, :, i] = slope[:, :, k] * inside[:, None, j] - slope[:, :, j] * inside[:, None, k]
-    camera[:, :, 3:] = slope
-    return camera, np.einsum("vkin,vij->vkjn", slope, state.rotation), residual * robust[:, None]
-
-
-def _step(state: State, linear: _Linear, damping: float) -> State:
-    """The damped Gauss-Newton step: the reduced system of the cameras, then each point by itself."""
-    views, count = len(linear.camera), linear.point_side.shape[1]
-    inverse = np.empty((3, 3, count))
-    mixed = linear.mixed.reshape(6 * views, 3, count)
-
-    def work(part: slice) -> tuple[Floats, Floats]:
-        """What the points of a block take from the cameras' matrix and side."""
-        square = linear.point[..., part].transpose(2, 0, 1).copy()  # (n, 3, 3)
-        diagonal = np.einsum("nii->ni", square)
-        diagonal *= 1 + damping
-        largest = diagonal.max(1, keepdims=True)
-        diagonal += np.where(
-            largest > 0, 1e-12 * largest, 1.0
-        )  # a point that no view holds stays where it is
-        own = inverse[..., part] = np.linalg.inv(square).transpose(1, 2, 0).copy()
-        # explicit: einsum has no fast way for it
-        solved = np.stack(
-            [sum(mixed[:, j, part] * own[j, k] for j in range(3)) for k in range(3)], axis=1
-        ).reshape(6 * views, -1)
-        return solved @ mixed[..., part].reshape(6 * views, -1).T, solved @ linear.point_side[
-            :, part
-        ].reshape(-1)
-
-    reduced, side = np.zeros((6 * views, 6 * views)), linear.camera_side.reshape(-1).copy()
-    for matrix, taken in in_order(work, _blocks(state)):
-        reduced -= matrix
-        side -= taken
-    for view in range(views):
-        block = slice(6 * view, 6 * view + 6)
-        reduced[block, block] += linear.camera[view] + damping * np.diag(
-            np.diag(linear.camera[view])
+        camera[:, :, i] = (
+            slope[:, :, k] * in_camera[:, None, j] - slope[:, :, j] * in_camera[:, None, k]
         )
-    free = slice(6, None)  # the first camera is the frame of the world
-    matrix = reduced[free, free]
-    stiff = np.diag(matrix)  # rounding may leave what nothing holds below zero
-    scale = 1 / np.sqrt(np.maximum(stiff, 1e-15 * stiff.max() + 1e-150))
-    regular = scale[:, None] * matrix * scale + 1e-12 * np.eye(len(matrix))
-    turn = np.zeros(6 * views)
-    turn[free] = -scale * np.linalg.solve(regular, scale * side[free])
-    shift = -np.einsum(
-        "ijn,jn->in",
-        inverse,
-        linear.point_side + (turn @ mixed.reshape(6 * views, -1)).reshape(3, count),
+    camera[:, :, 3:] = slope
+    return camera
+
+
+# The normal equations
+
+
+def _linearise(state: State, seen: RayObservations, loss_scale: float) -> _NormalEquations:
+    """Return the normal equations about a state."""
+    views, count = seen.weight.shape
+    equations = _NormalEquations(
+        camera=np.zeros((views, 6, 6)),
+        camera_gradient=np.zeros((views, 6)),
+        point=np.empty((3, 3, count)),
+        point_gradient=np.empty((3, count)),
+        mixed=np.empty((views, 6, 3, count)),
     )
-    small = matrix_from_vector(turn.reshape(views, 6)[:, :3])
-    translation = np.einsum("vij,vj->vi", small, state.translation) + turn.reshape(views, 6)[:, 3:]
-    return State(small @ state.rotation, translation, state.points + shift)
+    work = partial(
+        _linearise_block, state=state, seen=seen, loss_scale=loss_scale, equations=equations
+    )
+    for camera, camera_gradient in in_order(work, _blocks(state.points)):
+        equations.camera[:] += camera
+        equations.camera_gradient[:] += camera_gradient
+    return equations
 
 
-def _blocks(state: State) -> list[slice]:
-    return [slice(k, k + _BLOCK) for k in range(0, state.points.shape[1], _BLOCK)]
+def _linearise_block(
+    block: slice,
+    *,
+    state: State,
+    seen: RayObservations,
+    loss_scale: float,
+    equations: _NormalEquations,
+) -> tuple[Floats, Floats]:
+    """Fill in the equations of a block of points.
+
+    Returns what the block adds to the cameras' blocks `[view, 6, 6]` and gradient `[view, 6]`.
+    """
+    found = _jacobian(block, state, seen, loss_scale)
+    equations.point[..., block] = np.einsum("vkin,vkjn->ijn", found.point, found.point)
+    equations.point_gradient[:, block] = np.einsum("vkin,vkn->in", found.point, found.residual)
+    equations.mixed[..., block] = np.einsum("vkin,vkjn->vijn", found.camera, found.point)
+    camera = np.einsum("vkin,vkjn->vij", found.camera, found.camera, optimize=True)
+    camera_gradient = np.einsum("vkin,vkn->vi", found.camera, found.residual)
+    return camera, camera_gradient
+
+
+# The step
+
+
+def _step(state: State, equations: _NormalEquations, damping: float) -> State:
+    """Return the state after a damped Gauss-Newton step of cameras and points.
+
+    First the reduced camera system S dc = -(a - W V^-1 b), where S = U - W V^-1 W' is the Schur
+    complement of V; then each point by itself, dp = -V^-1 (b + W' dc).
+    """
+    inverse, schur, gradient = _eliminate_points(equations, damping)
+    cameras = _solve_cameras(schur, gradient)
+    from_cameras = cameras @ equations.mixed.reshape(len(cameras), -1)  # W' dc
+    gradient = equations.point_gradient + from_cameras.reshape(state.points.shape)
+    points = -np.einsum("ijn,jn->in", inverse, gradient)
+    return _move(state, cameras.reshape(-1, 6), points)
+
+
+def _eliminate_points(equations: _NormalEquations, damping: float) -> tuple[Floats, Floats, Floats]:
+    """Return V^-1 `[3, 3, N]`, S `[6 view, 6 view]` and a - W V^-1 b `[6 view]`."""
+    views, count = len(equations.camera), equations.point_gradient.shape[1]
+    blocks = _blocks(equations.point_gradient)
+    work = partial(_eliminate_block, equations=equations, damping=damping)
+    inverse = np.empty((3, 3, count))
+    schur = np.zeros((6 * views, 6 * views))
+    gradient = equations.camera_gradient.reshape(-1).copy()
+    for block, (of_block, matrix, side) in zip(blocks, in_order(work, blocks), strict=True):
+        inverse[..., block] = of_block
+        schur -= matrix
+        gradient -= side
+    for view, camera in enumerate(equations.camera):
+        own = slice(6 * view, 6 * view + 6)
+        schur[own, own] += camera + damping * np.diag(np.diag(camera))
+    return inverse, schur, gradient
+
+
+def _eliminate_block(
+    block: slice, *, equations: _NormalEquations, damping: float
+) -> tuple[Floats, Floats, Floats]:
+    """Return V^-1 `[3, 3, n]`, W V^-1 W' `[6 view, 6 view]` and W V^-1 b `[6 view]` of a block."""
+    inverse = _damped_inverse(equations.point[..., block], damping)
+    mixed = equations.mixed.reshape(-1, *equations.point_gradient.shape)[..., block]
+    rows = len(mixed)
+    # written out: einsum has no fast way for it
+    columns = [sum(mixed[:, j] * inverse[j, k] for j in range(3)) for k in range(3)]
+    product = np.stack(columns, axis=1).reshape(rows, -1)
+    matrix = product @ mixed.reshape(rows, -1).T
+    side = product @ equations.point_gradient[:, block].reshape(-1)
+    return inverse, matrix, side
+
+
+def _damped_inverse(matrix: Floats, damping: float) -> Floats:
+    """Return the inverses of matrices `[3, 3, n]` whose diagonals are damped."""
+    damped = matrix.transpose(2, 0, 1).copy()  # [n, 3, 3]
+    diagonal = np.einsum("nii->ni", damped)  # a view: what is added to it is added to `damped`
+    diagonal *= 1 + damping
+    largest = diagonal.max(1, keepdims=True)
+    # a point that no view sees stays where it is
+    diagonal += np.where(largest > 0, 1e-12 * largest, 1.0)
+    inverse = np.linalg.inv(damped).transpose(1, 2, 0)
+    return np.ascontiguousarray(inverse, dtype=np.float64)
+
+
+def _solve_cameras(schur: Floats, gradient: Floats) -> Floats:
+    """Return the step of the cameras `[6 view]`, S dc = -gradient; that of the first is zero."""
+    free = slice(6, None)  # the first camera is the frame of the world
+    matrix = schur[free, free]
+    stiffness = np.diag(matrix)
+    # rounding may leave what nothing holds below zero
+    scale = 1 / np.sqrt(np.maximum(stiffness, 1e-15 * stiffness.max() + 1e-150))
+    scaled = scale[:, None] * matrix * scale + 1e-12 * np.eye(len(matrix))
+    step = np.zeros(len(gradient))
+    step[free] = -scale * np.linalg.solve(scaled, scale * gradient[free])
+    return step
+
+
+def _move(state: State, cameras: Floats, points: Floats) -> State:
+    """Return the state after steps of the cameras `[view, 6]` and of the points `[3, N]`."""
+    rotation = matrix_from_vector(cameras[:, :3])
+    translation = np.einsum("vij,vj->vi", rotation, state.translation) + cameras[:, 3:]
+    return State(
+        rotation=rotation @ state.rotation,
+        translation=translation,
+        points=state.points + points,
+    )

@@ -204,7 +204,7 @@ class _Batch:
             "left_out": report["left_out"],
             "individuals": len(report["individuals"]),
             "rig": verdict["rig"],
-            "halves_differ_deg": verdict["halves_differ_deg"]["median"],
+            "split_half_angle_deg": verdict["split_half_angle_deg"]["median"],
         }
         self.reporter.say(
             f"{name} {status}: {outcome['cameras']} cameras, "
@@ -264,6 +264,6 @@ def _format_outcomes(outcomes: Iterable[Outcome]) -> list[str]:
     rows = []
     for outcome in outcomes:
         counts = [str(outcome.get(name, "-")) for name in ("cameras", "individuals")]
-        angle = format_number(outcome.get("halves_differ_deg"))
+        angle = format_number(outcome.get("split_half_angle_deg"))
         rows.append([outcome["name"], outcome["status"], *counts, angle, outcome.get("rig", "-")])
     return format_table(header, rows)
