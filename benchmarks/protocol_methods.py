@@ -104,17 +104,15 @@ def ours(config: PairwiseConfig) -> Method:
 
         def solve(problem: Problem) -> Found | None:
             lifted = lift(problem.recording, lifter, progress=silent)
-            found = calibrate_pair(
-                pair_problem(
-                    problem.recording,
-                    lifted,
-                    problem.a,
-                    problem.b,
-                    config,
-                    np.random.default_rng(0),
-                ),
-                config,
+            gathered = pair_problem(
+                problem.recording,
+                lifted,
+                problem.a,
+                problem.b,
+                config=config,
+                rng=np.random.default_rng(0),
             )
+            found = calibrate_pair(gathered, config)
             return (
                 None if found is None else Found(found.rotation, found.translation, found.matches)
             )

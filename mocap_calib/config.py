@@ -68,26 +68,69 @@ class SampleConfig:
 class PairwiseConfig:
     """Relative poses of pairs. Lengths in body sizes; image errors are measured at the body."""
 
+    # what is looked at
     frames: int = 150  # evenly spread; the search does not get better with more
     all_frames: int = 12_000  # of all pairs together: in large rigs they say the same many times
     least_frames: int = 20
-    candidates: int = 6000  # possible matches looked at; crowds get fewer frames
-    hypotheses: int = 400
-    modes: int = 8  # kept after the search
-    finalists: int = 3  # refined to the end
-    mode_separation_deg: float = 15.0
+    least_joints: int = 4  # of a detection, for its frame to be looked at
+    possible_matches: int = 6000  # in all frames; crowds get fewer frames
+    # the search
+    candidates_searched: int = 400  # rotations that are scored on all frames
+    hypotheses_kept: int = 8  # of the search
+    hypotheses_refined: int = 3  # to the end
+    hypothesis_separation_deg: float = 15.0  # between those that are kept
+    same_hypothesis_deg: float = 2.0  # nearer than this two have come to the same answer
+    search_dummy: float = 0.1  # affinity at which staying unmatched is as good, in the search,
+    search_match: float = 0.05  # and the least weight of a match there
+    # five-point RANSAC where identities are known
+    track_pairs: int = 9  # at most; of tracks in both views
+    five_point_draws: int = 3  # subsets of the matches of one individual,
+    five_point_matches: int = 40  # so many matches each
+    five_point_inlier: float = 0.05
+    # affinity
     pose_tolerance: float = 0.35  # RMS joint distance of two lifts of one body ...
     pose_doubt: float = 2.5  # ... or this many times what the network expects, where that is more
-    place_tolerance: float = 0.15  # of the distance: how well one view tells how far a body is
+    centre_tolerance: float = 0.15  # of the distance: how well one view tells how far a body is
     inlier: float = 0.08  # epipolar error of a good joint
-    least_noise: float = 0.01  # of a joint, at the body; no detector is better
-    lift_spread: float = 0.12  # RMS joint distance of two right lifts of one body
-    place_spread: float = 0.06  # of the distance: how well two views agree how far one body is
-    lift_independent: float = (
-        2.0  # lifted bodies err alike: any number of them knows no more than this many
-    )
-    points: int = 4000  # joints a refinement looks at
+    least_common_joints: int = 3  # of two detections that are compared
+    unlifted_affinity: float = 0.3  # how well a body agrees that was not lifted, beside others
+    dummy: float = 0.15  # affinity at which staying unmatched is as good,
+    least_match: float = 0.1  # and the least weight of a match
+    # refinement on rays
+    points: int = 4000  # joints it looks at
     rounds: int = 3  # of matching and refining
+    refine_steps: int = 12  # of Gauss-Newton,
+    refine_widest: float = 4.0  # the first under a loss of this times `inlier`,
+    refine_narrowing: float = 0.75  # and each next one under so much of it, down to `inlier`
+    refine_largest_step: float = 0.3  # radians
+    # rays and lifted bodies together
+    least_noise: float = 0.01  # of a joint, at the body; no detector is better
+    loss_noises: float = 3.0  # a ray of so many times the noise is an outlier, if above `inlier`
+    lift_spread: float = 0.12  # RMS joint distance of two right lifts of one body
+    centre_spread: float = 0.06  # of the distance: how well two views agree how far one body is
+    centre_outlier: float = 3.0  # standard deviations
+    lift_independent: float = 2.0  # lifts err alike: many know no more than so many
+    posterior_steps: int = 25  # of Levenberg-Marquardt, at most,
+    posterior_damping: float = 1e-3  # damped so much at first,
+    posterior_damping_factor: float = 5.0  # and so much less after a good step, more after a bad
+    posterior_settled: float = 1e-3  # of the log posterior: a thousandth of what is worth a word
+
+
+LEAST_LIFT_SPREAD = 0.05  # body sizes: no lifted joint is more certain
+SINKHORN_SWEEPS = 12  # of rows and columns
+SINKHORN_SHARPNESS = 8.0  # of the affinity in the exponent
+
+
+@dataclass(frozen=True)
+class FivePointConfig:
+    """The baseline that calibrates a pair of views without lifted bodies."""
+
+    candidates: int = 60  # sets of matches that RANSAC draws
+    inlier_px: float = 6.0
+    least_fit: float = 0.6  # share of the joints of a right match that are inliers
+    forward: float = 0.1  # least cosine of a ray with the optical axis: it has an image point
+    ransac_iterations: int = 300
+    ransac_confidence: float = 0.999
 
 
 @dataclass(frozen=True)
@@ -251,4 +294,4 @@ class SimulateConfig:
     seed: int = 0
 
 
-PAIR_SOLVERS = ("search", "paper")  # ways to calibrate a pair of views; the first is the default
+PAIR_SOLVERS = ("search", "paper", "five-point")  # ways to calibrate a pair of views; the first is the default

@@ -181,7 +181,7 @@ def other_input(asked: CalibrationRequest, _) -> CalibrationRequest:
 
 
 def other_config(asked: CalibrationRequest, _) -> CalibrationRequest:
-    return replace(asked, config=Config(pairwise=PairwiseConfig(hypotheses=401)))
+    return replace(asked, config=Config(pairwise=PairwiseConfig(candidates_searched=401)))
 
 
 def other_weights(asked: CalibrationRequest, monkeypatch) -> CalibrationRequest:

@@ -145,8 +145,8 @@ _OPTIONS = {
         "--solver",
         type=click.Choice(PAIR_SOLVERS),
         default=SharedOptions.solver,
-        help="How pairs of cameras are calibrated: our search, or the gradient descent of the "
-        "paper (slow).",
+        help="How pairs of cameras are calibrated: our search, the gradient descent of the paper "
+        "(slow), or its five-point baseline.",
     ),
     "seed": click.option(
         "--seed",

@@ -14,19 +14,17 @@ from scipy.optimize import linear_sum_assignment
 from mocap_calib.compute.parallel import in_order
 from mocap_calib.config import Config, MatchingConfig, PairwiseConfig
 from mocap_calib.errors import DegenerateError
-from mocap_calib.geometry.epipolar import depths
 from mocap_calib.geometry.projection import rays_from_pixels
 from mocap_calib.multi_view.tracklets import fill_in
 from mocap_calib.multi_view.triangulation import per_frame_labels
 from mocap_calib.recording.sampling import evenly, take_sample
 from mocap_calib.two_view.affinity import (
-    ViewPair,
     epipolar_affinity,
     epipolar_error,
     epipolar_fit,
     match_affinity,
-    view_pair,
 )
+from mocap_calib.two_view.view_pair import distance_ratios, distances_by_size, view_pair
 from mocap_calib.types import (
     Bools,
     CameraRig,
@@ -100,9 +98,9 @@ def label_all_frames(
     blocks = [rest[start : start + step] for start in range(0, len(rest), step)]
 
     def work(block: Ints) -> Ints:
-        affinity, comparable = epipolar_affinity(
-            take_sample(recording, block), rig, config.pairwise
-        )
+        sample = take_sample(recording, block)
+        distance = distances_by_size(sample.rays)
+        affinity, comparable = epipolar_affinity(sample, rig, distance, config.pairwise)
         return _groups(affinity, comparable, len(labels), config.matching)
 
     for done, (block, group) in enumerate(zip(blocks, in_order(work, blocks), strict=True)):
@@ -131,26 +129,12 @@ def body_scale(
         shared = np.flatnonzero(seen[a] & seen[b])
         if len(shared):
             pair = view_pair(recording, lifted, a, b, evenly(shared, _SCALE_FRAMES))
-            ratios.append(_distance_ratios(pair, *rig.relative(a, b), config))
+            rotation, translation = rig.relative(a, b)
+            error, weight = epipolar_error(pair, rotation[None], translation[None])
+            matched = epipolar_fit(error, weight, config)[0] > 0.7
+            ratios.append(distance_ratios(pair, rotation, translation, matched))
     found = np.concatenate(ratios) if ratios else np.zeros(0)
     return float(np.median(found)) if len(found) else 1.0
-
-
-def _distance_ratios(
-    pair: ViewPair, rotation: Floats, translation: Floats, config: PairwiseConfig
-) -> Floats:
-    """Lifted over triangulated distances of the joints of well-fitting candidate matches."""
-    error, weight = epipolar_error(pair, rotation[None], translation[None])
-    frame, i, j = np.nonzero(epipolar_fit(error, weight, config)[0] > 0.7)
-    use = (pair.weight_a[frame, i] > 0) & (pair.weight_b[frame, j] > 0)
-    near_a, near_b = depths(
-        rotation, translation, pair.rays_a[frame, i][use], pair.rays_b[frame, j][use]
-    )
-    far = np.broadcast_to(
-        (pair.distance_a[frame, i] + pair.distance_b[frame, j])[:, None], use.shape
-    )[use]
-    good = (near_a > 0) & (near_b > 0)
-    return far[good] / (near_a + near_b)[good]
 
 
 def _affinities(
@@ -172,7 +156,9 @@ def _affinities(
     comparable = np.zeros_like(affinity)
     for a, b in combinations(range(views), 2):
         pair = view_pair(recording, lifted, a, b, frames)
-        pair = replace(pair, lifted=np.zeros_like(pair.lifted)) if lone else pair
+        if lone:
+            nobody = replace(pair.overlap, lifted=np.zeros_like(pair.overlap.lifted))
+            pair = replace(pair, overlap=nobody)
         rotation, translation = (part[None] for part in rig.relative(a, b))
         error, weight = epipolar_error(pair, rotation, translation)
         found = match_affinity(
