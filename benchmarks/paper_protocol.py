@@ -20,8 +20,8 @@ from protocol_scenes import KINDS, Subjects, Truth, scene
 
 from mocap_calib.config import Config
 from mocap_calib.geometry.rotation import angle_between, direction_angle
-from mocap_calib.io.cameras.load import read_cameras, read_rig
-from mocap_calib.io.keypoints.formats import read_keypoints
+from mocap_calib.io.cameras.read import read_cameras, read_rig
+from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.multi_view.triangulation import triangulate
 from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.joints import load_skeleton

@@ -17,10 +17,12 @@ if TYPE_CHECKING:
         MocapCalibError,
         UnderconstrainedCameraError,
     )
-    from mocap_calib.io.cameras.formats import write_cameras
-    from mocap_calib.io.cameras.load import read_cameras, read_rig
-    from mocap_calib.io.keypoints.formats import read_keypoints, write_keypoints
-    from mocap_calib.io.poses.formats import read_poses, write_poses
+    from mocap_calib.io.cameras.read import read_cameras, read_rig
+    from mocap_calib.io.cameras.write import write_cameras
+    from mocap_calib.io.keypoints.read import read_keypoints
+    from mocap_calib.io.keypoints.write import write_keypoints
+    from mocap_calib.io.poses.read import read_poses
+    from mocap_calib.io.poses.write import write_poses
     from mocap_calib.job import (
         CalibrationRequest,
         KeypointSource,
@@ -59,10 +61,12 @@ _NAMES = {
         "MocapCalibError",
         "UnderconstrainedCameraError",
     ),
-    "io.cameras.formats": ("write_cameras",),
-    "io.cameras.load": ("read_cameras", "read_rig"),
-    "io.keypoints.formats": ("read_keypoints", "write_keypoints"),
-    "io.poses.formats": ("read_poses", "write_poses"),
+    "io.cameras.read": ("read_cameras", "read_rig"),
+    "io.cameras.write": ("write_cameras",),
+    "io.keypoints.read": ("read_keypoints",),
+    "io.keypoints.write": ("write_keypoints",),
+    "io.poses.read": ("read_poses",),
+    "io.poses.write": ("write_poses",),
     "job": (
         "CalibrationRequest",
         "KeypointSource",

@@ -15,7 +15,8 @@ from samples2d import FRAMES, LAYOUT, NAMES, SAMPLES, SIZE, recording, write_sam
 
 from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.io.keypoints.document import ReadOptions
-from mocap_calib.io.keypoints.formats import read_keypoints, write_keypoints
+from mocap_calib.io.keypoints.read import read_keypoints
+from mocap_calib.io.keypoints.write import write_keypoints
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.types import Camera

@@ -16,7 +16,7 @@ from scenes import lifted, recording, scene
 
 from mocap_calib.config import Config, PairwiseConfig
 from mocap_calib.io.results.pair_store import remembering
-from mocap_calib.io.results.results import pairs_to_json
+from mocap_calib.io.results.pairs_json import pairs_to_json
 from mocap_calib.io.results.scene import write_scene
 from mocap_calib.job import CalibrationRequest, KeypointSource, find_finished, request
 from mocap_calib.two_view.solve import calibrate_pairs

@@ -15,7 +15,7 @@ import yaml
 from conftest import TOOL
 from scenes import rotation_errors_deg
 
-from mocap_calib.io.cameras.load import read_rig
+from mocap_calib.io.cameras.read import read_rig
 from mocap_calib_cli.main import COMMANDS
 
 HEAVY = ("torch", "pycolmap", "scipy", "cv2", "h5py", "numpy", "rich")

@@ -1,6 +1,7 @@
 """The command `convert`, and the formats that `run` writes: real files, real pipes, one line for what cannot be."""
 
 import json
+import re
 import subprocess
 from pathlib import Path
 
@@ -9,11 +10,15 @@ import pytest
 from conftest import TOOL
 from rigs import assert_same
 
-from mocap_calib.io.cameras.formats import CAMERA_FORMAT_NAMES, write_cameras
-from mocap_calib.io.cameras.load import load_cameras, make_rig, read_rig
-from mocap_calib.io.keypoints.formats import KEYPOINT_FORMATS, read_keypoints, write_keypoints
+from mocap_calib.io.cameras.read import load_cameras, make_rig, read_rig
+from mocap_calib.io.cameras.write import write_cameras
+from mocap_calib.io.conversion import FORMATS
+from mocap_calib.io.keypoints.read import read_keypoints
+from mocap_calib.io.keypoints.write import write_keypoints
 from mocap_calib.io.poses.common import PoseFile
-from mocap_calib.io.poses.formats import POSE_FORMAT_NAMES, read_poses, write_poses
+from mocap_calib.io.poses.read import read_poses
+from mocap_calib.io.poses.write import write_poses
+from mocap_calib.io.registry import format_names
 from mocap_calib.types import Camera, CameraRig, Poses3D
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "three_people"
@@ -305,7 +310,7 @@ def test_an_image_size_can_be_said(tool, tmp_path):
 
 def test_names_of_formats_are_one_kind_each_but_for_caliscope():
     """caliscope has both keypoints and cameras of that name; the content tells."""
-    names = [*CAMERA_FORMAT_NAMES, *POSE_FORMAT_NAMES, *KEYPOINT_FORMATS]
+    names = [name for formats in FORMATS.values() for name in format_names(formats)]
     assert {name for name in names if names.count(name) > 1} <= {"caliscope"}
 
 
@@ -364,5 +369,11 @@ def test_run_knows_before_it_starts_what_it_cannot_write(tool, small, tmp_path, 
 
 def test_every_format_is_documented():
     text = (Path(__file__).parents[1] / "docs" / "formats.md").read_text("utf-8")
-    for name in (*CAMERA_FORMAT_NAMES, *POSE_FORMAT_NAMES):
-        assert f"\n| `{name}` |" in text, name
+    for kind, title in (
+        ("keypoints", "Keypoint files"),
+        ("cameras", "Camera files"),
+        ("poses", "3D files"),
+    ):
+        section = text.split(f"\n## {title}\n")[1].split("\n## ")[0]
+        rows = re.findall(r"^\| `(?!--)([^`]+)` \|", section, re.M)
+        assert sorted(rows) == sorted(format_names(FORMATS[kind]))

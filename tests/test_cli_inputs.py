@@ -10,7 +10,8 @@ from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.io.cameras.source import CameraFile
 from mocap_calib.io.hashing import hash_inputs
 from mocap_calib.io.keypoints.document import ReadOptions
-from mocap_calib.io.keypoints.formats import read_keypoints, write_keypoints
+from mocap_calib.io.keypoints.read import read_keypoints
+from mocap_calib.io.keypoints.write import write_keypoints
 from mocap_calib.types import Camera
 from mocap_calib_cli.inputs import read_recording
 from mocap_calib_cli.options import SharedOptions

@@ -7,7 +7,7 @@ import torch
 from scenes import PEOPLE, lifted, recording, scene
 
 from mocap_calib.geometry.projection import pixels_from_points
-from mocap_calib.io.keypoints.formats import read_keypoints
+from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.steerpose.checkpoint import load_lifter
 from mocap_calib.steerpose.completion import complete, completed
 from mocap_calib.steerpose.lift import lift

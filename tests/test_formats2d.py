@@ -12,7 +12,10 @@ from samples2d import FRAMES, SAMPLES, SIZE, recording, write_sample
 from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.io.file import NO_SCORE
 from mocap_calib.io.keypoints.document import Document, ReadOptions
-from mocap_calib.io.keypoints.formats import KEYPOINT_FORMATS, read_keypoints, write_keypoints
+from mocap_calib.io.keypoints.formats import KEYPOINT_FORMATS
+from mocap_calib.io.keypoints.read import read_keypoints
+from mocap_calib.io.keypoints.write import write_keypoints
+from mocap_calib.io.registry import format_names, written_names
 from mocap_calib.types import Keypoints2D
 
 NAMES = ("nose", "left eye", "tail,base")
@@ -64,7 +67,7 @@ def test_csv_reads_what_it_wrote(tmp_path_factory, seed, tracked, instances, mis
         assert_equal(found, wanted)
 
 
-WRITTEN = [name for name, known in KEYPOINT_FORMATS.items() if known.write]
+WRITTEN = written_names(KEYPOINT_FORMATS)
 NEEDS_NAMES = ("openpose",)
 ANY_ORDER = ("coco", "openpose")  # which do not say that instances are followed
 
@@ -217,9 +220,9 @@ def test_a_format_can_be_forced_and_is_the_one_that_is_sniffed(tmp_path, name):
     sniffed, forced = (read_keypoints(paths, each, options)[0] for each in (None, known))
     np.testing.assert_array_equal(sniffed.positions, forced.positions)
     others = [
-        other
-        for other, each in KEYPOINT_FORMATS.items()
-        if other != known and each.sniff(_document(paths[0]))
+        each.name
+        for each in KEYPOINT_FORMATS
+        if each.name != known and each.sniff(_document(paths[0]))
     ]
     assert set(others) <= ({"alphapose"} if known == "coco-results" else set())
 
@@ -231,4 +234,4 @@ def _document(path):
 
 
 def test_every_format_has_a_sample():
-    assert {known for known, *_ in SAMPLES.values()} == set(KEYPOINT_FORMATS)
+    assert {known for known, *_ in SAMPLES.values()} == set(format_names(KEYPOINT_FORMATS))

@@ -11,8 +11,9 @@ from samples2d import FRAMES, NAMES, SIZE, recording, triples, write_sample
 
 from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.io.keypoints.document import ReadOptions
-from mocap_calib.io.keypoints.formats import read_keypoints, write_keypoints
 from mocap_calib.io.keypoints.layouts import LAYOUTS, parse_layout
+from mocap_calib.io.keypoints.read import read_keypoints
+from mocap_calib.io.keypoints.write import write_keypoints
 from mocap_calib.recording.joints import load_skeleton, match_names
 
 LAYOUT = ReadOptions(layout=NAMES)

@@ -15,10 +15,12 @@ from scipy.io import savemat
 from mocap_calib.errors import FormatError, MismatchError, MocapCalibError
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.io.cameras.formats import CAMERA_FORMATS, camera_format, format_rig, write_cameras
-from mocap_calib.io.cameras.load import load_cameras, make_rig, parse_content, read_rig
+from mocap_calib.io.cameras.formats import CAMERA_FORMATS
+from mocap_calib.io.cameras.read import load_cameras, make_rig, parse_content, read_rig
 from mocap_calib.io.cameras.source import Source
+from mocap_calib.io.cameras.write import format_rig, write_cameras
 from mocap_calib.io.mat5 import read_mat
+from mocap_calib.io.registry import find_format
 from mocap_calib.io.units import METRES
 from mocap_calib.types import Camera, CameraRig
 
@@ -48,7 +50,7 @@ CARRIES = {
 def back(rig, name, provenance=None):
     """Written, and read again by what it looks like (files that JARVIS names its cameras by keep their names)."""
     files = format_rig(rig, name, provenance or {}).files
-    if not camera_format(name).folder:
+    if not find_format(CAMERA_FORMATS, name).folder:
         return make_rig(parse_content(next(iter(files.values())), "file"), "file")
     return _from_folder(files, name)
 
@@ -58,7 +60,7 @@ def _from_folder(files, name):
     form = next((each for each in CAMERA_FORMATS if each.sniff(whole)), None)
     if form is not None:
         assert form.name == name
-        found = form.parse(whole)
+        found = form.read(whole)
         return make_rig(replace(found, unit=found.unit or form.unit), "folder")
     parts = [make_rig(parse_content(content, file), file) for file, content in files.items()]
     return CameraRig(
@@ -78,7 +80,7 @@ def test_every_written_format_is_in_the_table_here():
 @given(data=st.data())
 def test_what_is_written_comes_back(name, data):
     lengths, fisheye, sizes, square = CARRIES[name]
-    unit = camera_format(name).unit
+    unit = find_format(CAMERA_FORMATS, name).unit
     rig = data.draw(
         rigs(
             lengths,
@@ -141,7 +143,7 @@ def studio(name):
 def test_a_unit_is_never_assumed():
     rig = replace(studio("anipose"), unit="arbitrary")
     for name in WRITTEN:
-        if camera_format(name).unit:
+        if find_format(CAMERA_FORMATS, name).unit:
             with pytest.raises(MismatchError, match="--unit"):
                 format_rig(rig, name, {})
         else:
@@ -376,9 +378,9 @@ def test_damaged_files_load_or_are_refused_in_a_line(name, data):
     files = dict(format_rig(studio(name), name, {"seed": 1}).files)
     victim = data.draw(st.sampled_from(sorted(files)))
     files[victim] = data.draw(corrupted(files[victim]))
-    form = camera_format(name)
+    form = find_format(CAMERA_FORMATS, name)
     if form.folder and len(files) > 1 and form.sniff(Source("folder", files, folder=True)):
-        complaint(lambda: form.parse(Source("folder", files, folder=True)))
+        complaint(lambda: form.read(Source("folder", files, folder=True)))
     complaint(lambda: parse_content(files[victim], f"there/{victim}"))
     message = complaint(lambda: parse_content(files[victim], f"there/{victim}", name))
     assert not message or message.startswith(f"there/{victim}")

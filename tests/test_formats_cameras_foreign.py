@@ -12,9 +12,9 @@ from test_formats_cameras import studio
 from mocap_calib.errors import FormatError
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.io.cameras.formats import write_cameras
 from mocap_calib.io.cameras.intrinsics import make_camera
-from mocap_calib.io.cameras.load import load_cameras, make_rig, parse_content
+from mocap_calib.io.cameras.read import load_cameras, make_rig, parse_content
+from mocap_calib.io.cameras.write import write_cameras
 
 K = [[500.0, 0.0, 320.0], [0.0, 501.0, 240.0], [0.0, 0.0, 1.0]]
 TURN = matrix_from_vector(np.array([0.3, -0.2, 0.5]))

@@ -14,16 +14,11 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from mocap_calib.errors import FormatError, MismatchError, MocapCalibError
-from mocap_calib.io.poses.common import UP_AXES, PoseFile, turned
-from mocap_calib.io.poses.formats import (
-    POSE_FORMATS,
-    format_poses,
-    parse_poses,
-    pose_format,
-    read_poses,
-    together,
-    write_poses,
-)
+from mocap_calib.io.poses.common import UP_AXES, PoseFile, turn_up_axis
+from mocap_calib.io.poses.formats import POSE_FORMATS
+from mocap_calib.io.poses.read import join_individuals, parse_poses, read_poses
+from mocap_calib.io.poses.write import format_poses, write_poses
+from mocap_calib.io.registry import find_format
 from mocap_calib.types import Poses3D
 
 SAMPLES = Path(__file__).parents[2] / "shared" / "formats" / "samples"
@@ -97,10 +92,11 @@ def assert_poses(file, back, name):
 @settings(max_examples=25, deadline=None)
 @given(data=st.data())
 def test_what_is_written_comes_back(name, data):
-    single = pose_format(name).single
+    single = find_format(POSE_FORMATS, name).single
     file = data.draw(pose_files(individuals=1 if single else 3))
     assume(any(np.isfinite(file.poses.positions).ravel()))
-    files, lost = format_poses(file, name, Path("x"))
+    written = format_poses(file, name, Path("x"))
+    files, lost = written.files, written.lost
     back = parse_poses(files["x"], "x")
     assert_poses(file, back, name)
     if not single:
@@ -142,7 +138,9 @@ def test_formats_of_one_individual_write_a_file_each(tmp_path):
     lost = write_poses(tmp_path / "p.trc", file, "trc")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["p.trc", "p_1.trc"]
     assert "reprojection errors" in lost
-    back = together([read_poses(tmp_path / "p.trc"), read_poses(tmp_path / "p_1.trc")], "there")
+    back = join_individuals(
+        [read_poses(tmp_path / "p.trc"), read_poses(tmp_path / "p_1.trc")], "there"
+    )
     assert_poses(file, back, "trc")
 
 
@@ -157,7 +155,9 @@ def test_formats_of_one_individual_write_a_file_each(tmp_path):
 )
 def test_joined_files_keep_the_names_that_tell_individuals_apart(given_, kept):
     assert (
-        together([replace(example(1), individuals=names) for names in given_], "there").individuals
+        join_individuals(
+            [replace(example(1), individuals=names) for names in given_], "there"
+        ).individuals
         == kept
     )
 
@@ -306,7 +306,7 @@ def test_nwb_says_what_is_missing_or_comes_back():
         with pytest.raises(MismatchError, match=r"mocap-calib\[nwb\]"):
             format_poses(example(), "nwb-3d", Path("x"))
         return
-    files, _ = format_poses(example(), "nwb-3d", Path("x"))
+    files = format_poses(example(), "nwb-3d", Path("x")).files
     back = parse_poses(files["x"], "x")
     assert_poses(example(), back, "nwb-3d")
     np.testing.assert_array_equal(back.poses.confidence, example().poses.confidence)
@@ -321,7 +321,7 @@ def test_what_was_up_is_y(up):
     file = replace(
         file, poses=replace(file.poses, positions=np.broadcast_to(axis, file.poses.positions.shape))
     )
-    np.testing.assert_array_equal(turned(file, up).poses.positions[0, 0, 0], [0, 1, 0])
+    np.testing.assert_array_equal(turn_up_axis(file, up).poses.positions[0, 0, 0], [0, 1, 0])
     basis = replace(
         file,
         poses=replace(
@@ -331,7 +331,7 @@ def test_what_was_up_is_y(up):
         ),
         individuals=("a",),
     )
-    assert np.linalg.det(turned(basis, up).poses.positions[:, 0, 0]) == pytest.approx(1.0)
+    assert np.linalg.det(turn_up_axis(basis, up).poses.positions[:, 0, 0]) == pytest.approx(1.0)
 
 
 # --- what other programs wrote
@@ -395,7 +395,7 @@ def test_two_formats_of_one_real_session_agree():
 @settings(max_examples=60, deadline=10_000, suppress_health_check=[HealthCheck.too_slow])
 @given(data=st.data())
 def test_damaged_files_load_or_are_refused_in_a_line(name, data):
-    files, _ = format_poses(example(1), name, Path("x"))
+    files = format_poses(example(1), name, Path("x")).files
     content = data.draw(corrupted(files["x"]))
     complaint(lambda: parse_poses(content, "there/x"))
     message = complaint(lambda: parse_poses(content, "there/x", name))
@@ -436,7 +436,7 @@ def test_an_h5_of_something_else_is_refused(tmp_path):
 
 def test_a_heap_that_hdf5_reads_for_ever_is_refused():
     """The free rest of a heap of texts says it is of size 0 (found by fuzzing; HDF5 does not come back)."""
-    files, _ = format_poses(example(1), "sleap-anipose", Path("x"))
+    files = format_poses(example(1), "sleap-anipose", Path("x")).files
     content = bytearray(files["x"])
     at = content.index(b"GCOL") + 16
     while content[at : at + 2] != b"\x00\x00":

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from samples2d import SAMPLES, recording, write_sample
 
 from mocap_calib.errors import MocapCalibError
-from mocap_calib.io.keypoints.formats import read_keypoints
+from mocap_calib.io.keypoints.read import read_keypoints
 
 EXAMPLES = int(os.environ.get("FUZZ_EXAMPLES", "25"))
 SECONDS = 5.0  # of computing for a file of some kilobytes

@@ -23,10 +23,13 @@ from test_fuzz import (
 )
 
 from mocap_calib.errors import MocapCalibError
-from mocap_calib.io.cameras.formats import camera_format, format_rig
-from mocap_calib.io.cameras.load import parse_content
+from mocap_calib.io.cameras.formats import CAMERA_FORMATS
+from mocap_calib.io.cameras.read import parse_content
 from mocap_calib.io.cameras.source import Source
-from mocap_calib.io.poses.formats import format_poses, parse_poses
+from mocap_calib.io.cameras.write import format_rig
+from mocap_calib.io.poses.read import parse_poses
+from mocap_calib.io.poses.write import format_poses
+from mocap_calib.io.registry import find_format
 
 HDF5 = b"\x89HDF"
 LONGER = settings(
@@ -78,12 +81,12 @@ def test_damaged_cameras_are_read_or_refused(folder, name, data):
     files = dict(format_rig(studio(name), name, {"seed": 1}).files)
     victim = data.draw(st.sampled_from(sorted(files)))
     files[victim] = damaged(data, files[victim], folder)
-    whole, form = Source("folder", files, folder=True), camera_format(name)
+    whole, form = Source("folder", files, folder=True), find_format(CAMERA_FORMATS, name)
     together = form.folder and len(files) > 1 and form.sniff(whole)
     held(
         lambda: parse_content(files[victim], victim),
         lambda: parse_content(files[victim], victim, name),
-        *([lambda: form.parse(whole)] if together else []),
+        *([lambda: form.read(whole)] if together else []),
     )
 
 
@@ -91,6 +94,6 @@ def test_damaged_cameras_are_read_or_refused(folder, name, data):
 @LONGER
 @given(data=st.data())
 def test_damaged_poses_are_read_or_refused(folder, name, data):
-    files, _ = format_poses(example(1), name, Path("x"))
+    files = format_poses(example(1), name, Path("x")).files
     content = damaged(data, files["x"], folder)
     held(lambda: parse_poses(content, "x"), lambda: parse_poses(content, "x", name))

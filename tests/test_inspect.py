@@ -9,7 +9,7 @@ from keypoint_files import coco_bytes
 
 from mocap_calib.config import InspectConfig
 from mocap_calib.inspection import findings, inspect_views, with_sizes
-from mocap_calib.io.cameras.formats import write_cameras
+from mocap_calib.io.cameras.write import write_cameras
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.types import Camera, CameraRig, Keypoints2D
 

@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 
 from mocap_calib.errors import FormatError
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.io.cameras.load import parse_cameras, parse_rig, read_cameras, read_rig
+from mocap_calib.io.cameras import read
 from mocap_calib.io.cameras.own import (
     format_calibration_toml,
     format_cameras_yaml,
-    write_calibration_toml,
-    write_cameras_yaml,
 )
+from mocap_calib.io.cameras.read import read_cameras, read_rig
+from mocap_calib.io.cameras.write import write_cameras
 from mocap_calib.types import Camera, CameraRig
 
 PROVENANCE = {
@@ -55,6 +55,16 @@ def make_rig(seed=0, names=("cam_10", "cam_2"), vectors=None, fisheye=False):
     return CameraRig(
         tuple(cameras), matrix_from_vector(vectors), rng.normal(size=(len(names), 3)), "m"
     )
+
+
+def parse_cameras(text, source):
+    """`read_cameras` on text; `source` stands for the file's path."""
+    return read.parse_content(text.encode(), source).cameras
+
+
+def parse_rig(text, source):
+    """`read_rig` on text; `source` stands for the file's path."""
+    return read.make_rig(read.parse_content(text.encode(), source), source)
 
 
 def same_cameras(first, second):
@@ -159,8 +169,8 @@ def test_anipose_toml_has_the_keys_that_others_read():
 
 def test_files_are_the_same_bytes_every_time(tmp_path):
     for k in range(2):
-        write_cameras_yaml(tmp_path / f"{k}.yaml", make_rig(), PROVENANCE)
-        write_calibration_toml(tmp_path / f"{k}.toml", make_rig(), PROVENANCE)
+        write_cameras(tmp_path / f"{k}.yaml", make_rig(), "mocap-calib", PROVENANCE)
+        write_cameras(tmp_path / f"{k}.toml", make_rig(), "anipose", PROVENANCE)
     assert (tmp_path / "0.yaml").read_bytes() == (tmp_path / "1.yaml").read_bytes()
     assert (tmp_path / "0.toml").read_bytes() == (tmp_path / "1.toml").read_bytes()
     same_cameras(read_cameras(tmp_path / "0.yaml"), read_rig(tmp_path / "0.toml").cameras)

@@ -22,7 +22,7 @@ from keypoint_files import (
 
 from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.io.file import frame_number
-from mocap_calib.io.keypoints.formats import read_keypoints
+from mocap_calib.io.keypoints.read import read_keypoints
 
 SHARED = Path(__file__).parents[2] / "shared"
 NAMES = ("nose", "tail base", "left_ear")

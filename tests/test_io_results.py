@@ -13,15 +13,10 @@ from hypothesis import strategies as st
 
 from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.io.atomic import replace_text
-from mocap_calib.io.results.results import (
-    matches_csv,
-    pairs_from_json,
-    pairs_to_json,
-    parse_poses_h5,
-    poses_csv,
-    read_matches_csv,
-    write_poses_h5,
-)
+from mocap_calib.io.results.matches_csv import matches_csv, read_matches_csv
+from mocap_calib.io.results.pairs_json import pairs_from_json, pairs_to_json
+from mocap_calib.io.results.poses_csv import poses_csv
+from mocap_calib.io.results.poses_h5 import parse_poses_h5, write_poses_h5
 from mocap_calib.types import Camera, Matches, PairwiseCalibration, Poses3D, Recording
 
 NAMES = ("left", "right, far", "3")

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.projection import pixels_from_points
-from mocap_calib.io.cameras.load import read_cameras
-from mocap_calib.io.keypoints.formats import read_keypoints
+from mocap_calib.io.cameras.read import read_cameras
+from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.recording.sampling import take_sample
 from mocap_calib.recording.synchronise import make_recording, name_mapping, usable

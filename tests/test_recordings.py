@@ -11,8 +11,8 @@ import pytest
 from scenes import PEOPLE, calibrate_group, precision, rotation_errors_deg
 
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.io.cameras.load import read_cameras
-from mocap_calib.io.keypoints.formats import read_keypoints
+from mocap_calib.io.cameras.read import read_cameras
+from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.types import CameraRig
 

@@ -7,8 +7,8 @@ import pytest
 
 from mocap_calib.errors import FormatError
 from mocap_calib.io.keypoints.document import ReadOptions
-from mocap_calib.io.keypoints.formats import read_keypoints
 from mocap_calib.io.keypoints.layouts import LAYOUTS
+from mocap_calib.io.keypoints.read import read_keypoints
 
 SAMPLES = Path(__file__).parents[2] / "shared" / "formats" / "samples"
 pytestmark = pytest.mark.skipif(not SAMPLES.is_dir(), reason="no ../shared here")

@@ -18,7 +18,7 @@ from mocap_calib.config import (
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.epipolar import essential, sampson_angle
 from mocap_calib.geometry.rotation import angle_between, direction_angle, matrix_from_vector
-from mocap_calib.io.results.results import pairs_to_json
+from mocap_calib.io.results.pairs_json import pairs_to_json
 from mocap_calib.multi_view.association import associate
 from mocap_calib.multi_view.averaging import average
 from mocap_calib.multi_view.bundle_adjustment import adjust

@@ -18,9 +18,11 @@ import numpy as np
 
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.io.cameras.formats import CAMERA_FORMATS, write_cameras
+from mocap_calib.io.cameras.formats import CAMERA_FORMATS
+from mocap_calib.io.cameras.write import write_cameras
 from mocap_calib.io.poses.common import PoseFile
-from mocap_calib.io.poses.formats import POSE_FORMATS, write_poses
+from mocap_calib.io.poses.formats import POSE_FORMATS
+from mocap_calib.io.poses.write import write_poses
 from mocap_calib.types import Camera, CameraRig, Poses3D
 
 HERE = Path(__file__).parent

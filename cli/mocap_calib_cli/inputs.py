@@ -13,12 +13,12 @@ import click
 import numpy as np
 
 from mocap_calib.config import SampleConfig
-from mocap_calib.io.cameras.load import load_cameras, make_rig, parse_content
+from mocap_calib.io.cameras.read import load_cameras, make_rig, parse_content
 from mocap_calib.io.cameras.source import CameraFile
 from mocap_calib.io.file import decode, read_bytes
 from mocap_calib.io.keypoints.document import ReadOptions
 from mocap_calib.io.keypoints.layouts import parse_layout
-from mocap_calib.io.results.results import read_matches_csv
+from mocap_calib.io.results.matches_csv import read_matches_csv
 from mocap_calib.job import CalibrationRequest, KeypointSource, LoadedRecording, load_recording
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
 from mocap_calib.steerpose.checkpoint import load_model

@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.io.atomic import of_individual, replace_text
+from mocap_calib.io.atomic import replace_text
 from mocap_calib_cli.options import STDIO
 
 
@@ -52,19 +52,6 @@ def check_folder(path: Path) -> None:
 def check_place(path: Path) -> None:
     """Raise MismatchError or OSError where neither a file nor a folder could be written."""
     _check_writable(path.absolute().parent)
-
-
-def check_individuals(path: Path, individuals: int) -> None:
-    """Raise MismatchError where a file beside `path` would pass for a further individual.
-
-    It may be a recording of that name, so it is not removed.
-    """
-    further = of_individual(path, individuals)
-    if further.exists():
-        raise MismatchError(
-            f"{further}: expected no file of a further individual beside {path.name}, found one; "
-            "remove it or choose another name"
-        )
 
 
 def _check_writable(folder: Path) -> None:

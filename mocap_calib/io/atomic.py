@@ -1,10 +1,10 @@
-"""Files and folders that are written whole or not at all."""
+"""Write files and folders whole or not at all."""
 
 import errno
 import os
 import shutil
 import tempfile
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -13,106 +13,144 @@ from mocap_calib.errors import MismatchError
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A file to write: it takes the place of `path` in one step when the block ends well; the folder is made when missing."""
-    _not_a_folder(path)
+    """Give a file to write that takes the place of `path` in one step when the block ends well.
+
+    The folder is made when missing.
+    """
+    _check_no_folder(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     os.close(handle)
+    work = Path(name)
     try:
-        yield Path(name)
-        with open(name, "rb+") as file:
+        yield work
+        with work.open("rb+") as file:
             os.fsync(file.fileno())
-        umask = os.umask(0)
-        os.umask(umask)
-        os.chmod(name, 0o666 & ~umask)
-        os.replace(name, path)
+        _set_usual_mode(work)
+        os.replace(work, path)
     except BaseException:
-        Path(name).unlink(missing_ok=True)
+        work.unlink(missing_ok=True)
         raise
 
 
 def replace_text(path: Path, pieces: Iterable[str]) -> None:
-    """Replaces `path` by text that comes in pieces, in one step."""
+    """Replace `path` by text that comes in pieces, in one step."""
     with replacing(path) as work, work.open("w", encoding="utf-8", newline="") as file:
         file.writelines(pieces)
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Replaces `path` by `content` in one step; the folder is made when missing."""
+    """Replace `path` by `content` in one step; the folder is made when missing."""
     with replacing(path) as work:
         work.write_bytes(content)
 
 
 @contextmanager
 def folder(path: Path) -> Iterator[Path]:
-    """A folder to fill: its files appear in `path` together when the block ends well, none when it fails.
+    """Give a folder to fill, whose files appear in `path` together when the block ends well.
 
-    Files of the same names in `path` and its subfolders are replaced; others are left alone.
+    Files of the same names in `path` and its subfolders are replaced; others are left alone. No
+    file appears when the block fails.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     work = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}."))
-    old = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}.old."))
+    replaced = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}.old."))
     try:
         yield work
         path.mkdir(exist_ok=True)
-        _move(
-            [file.relative_to(work) for file in sorted(work.rglob("*")) if file.is_file()],
-            work,
-            path,
-            old,
-        )
+        files = [file.relative_to(work) for file in sorted(work.rglob("*")) if file.is_file()]
+        _move(files, work, path, replaced)
     finally:
         shutil.rmtree(work, ignore_errors=True)
-        shutil.rmtree(old, ignore_errors=True)
+        shutil.rmtree(replaced, ignore_errors=True)
 
 
-def check_alone(path: Path, names: Collection[str], suffixes: Collection[str]) -> None:
-    """Raises MismatchError where the folder has other files than `names` that would be read along with them: those with these suffixes.
+def write_files(path: Path, files: Mapping[str, bytes]) -> None:
+    """Write files (relative path -> content) into the folder `path`, all or none."""
+    with folder(path) as work:
+        for name, content in files.items():
+            (work / name).parent.mkdir(parents=True, exist_ok=True)
+            (work / name).write_bytes(content)
 
-    Folders in it count where the names lie in such.
+
+def check_no_other_files(path: Path, names: Collection[str], suffixes: Collection[str]) -> None:
+    """Raise MismatchError where a folder has other files than `names` that would be read with them.
+
+    names: of the files that are written, relative to the folder `path`; folders in it are looked
+        at where some of the names lie in such.
+    suffixes: of files that would be read.
     """
     nested = any("/" in name for name in names)
-    files = (
-        file.relative_to(path)
-        for file in (path.rglob("*") if nested else path.glob("*"))
-        if file.suffix.lower() in suffixes and file.is_file()
-    )
-    strangers = sorted(
-        file.as_posix() for file in files if not any(part.startswith(".") for part in file.parts)
-    )
-    stranger = next((name for name in strangers if name not in names), None)
-    if stranger is not None:
+    for file in sorted(path.rglob("*") if nested else path.glob("*")):
+        inside = file.relative_to(path)
+        hidden = any(part.startswith(".") for part in inside.parts)
+        is_read = file.suffix.lower() in suffixes and file.is_file()
+        if is_read and not hidden and inside.as_posix() not in names:
+            raise MismatchError(
+                f"{path}: expected a new folder or one with the same files, "
+                f"found {inside.as_posix()}: choose another or remove it"
+            )
+
+
+def individual_file(path: Path, individual: int) -> Path:
+    """Return the file of an individual where each has its own: NAME, NAME_1, NAME_2, ..."""
+    if individual == 0:
+        return path
+    return path.with_name(f"{path.stem}_{individual}{path.suffix}")
+
+
+def check_no_further_individual(path: Path, individuals: int) -> None:
+    """Raise MismatchError where a file beside those written passes for a further individual.
+
+    It may be a recording of that name, so it is not removed.
+    """
+    further = individual_file(path, individuals)
+    if further.exists():
         raise MismatchError(
-            f"{path}: expected a new folder or one with the same files, found {stranger}: choose another or remove it"
+            f"{further}: expected no file of a further individual beside {path.name}, found one; "
+            "remove it or choose another name"
         )
 
 
-def of_individual(path: Path, individual: int) -> Path:
-    """The file of an individual where each has its own: the first has the plain name, the next NAME_1, NAME_2, ..."""
-    return path if individual == 0 else path.with_name(f"{path.stem}_{individual}{path.suffix}")
+def remove_further_individuals(path: Path, individuals: int) -> None:
+    """Remove the files of individuals that an earlier run found beyond those of this one."""
+    number = individuals
+    while (further := individual_file(path, number)).is_file():
+        further.unlink()
+        number += 1
 
 
-def _not_a_folder(path: Path) -> None:
+def _check_no_folder(path: Path) -> None:
     if path.is_dir():
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
 
 
-def _move(names: list[Path], work: Path, path: Path, old: Path) -> None:
-    """Moves files into place; what they replace is kept aside until all are there, and put back if one cannot be."""
+def _set_usual_mode(path: Path) -> None:
+    """Give a temporary file, which is its owner's alone, the mode that new files have."""
+    umask = os.umask(0)
+    os.umask(umask)
+    os.chmod(path, 0o666 & ~umask)
+
+
+def _move(names: list[Path], work: Path, path: Path, replaced: Path) -> None:
+    """Move files from the folder `work` to `path`, all or none.
+
+    What they replace is kept in `replaced` until all are there, and put back if one cannot be.
+    """
     for name in names:
-        _not_a_folder(path / name)
+        _check_no_folder(path / name)
     moved: list[Path] = []
     try:
         for name in names:
             (path / name).parent.mkdir(parents=True, exist_ok=True)
             if (path / name).exists():
-                (old / name).parent.mkdir(parents=True, exist_ok=True)
-                os.replace(path / name, old / name)
+                (replaced / name).parent.mkdir(parents=True, exist_ok=True)
+                os.replace(path / name, replaced / name)
             moved.append(name)
             os.replace(work / name, path / name)
     except BaseException:
         for name in moved:
             (path / name).unlink(missing_ok=True)
-            if (old / name).exists():
-                os.replace(old / name, path / name)
+            if (replaced / name).exists():
+                os.replace(replaced / name, path / name)
         raise

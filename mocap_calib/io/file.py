@@ -54,6 +54,13 @@ def read_bytes(path: Path) -> bytes:
         return content
 
 
+def plain_path(argument: str | Path) -> Path:
+    """Return the path of a file, a folder or a `name=path` pair."""
+    path = Path(argument)
+    _, equals, rest = str(argument).partition("=")
+    return Path(rest) if equals and not path.exists() else path
+
+
 def decode(content: bytes, source: str) -> str:
     """UTF-8 text without its byte order mark. Raises FormatError."""
     try:

@@ -36,18 +36,6 @@ def hash_inputs(paths: Iterable[str | Path]) -> dict[str, str]:
     return hashes
 
 
-def plain_paths(arguments: Iterable[str]) -> list[str]:
-    """Return the paths in arguments that are files, folders, or name=path pairs."""
-    return [_plain_path(argument) for argument in arguments]
-
-
-def _plain_path(argument: str) -> str:
-    """Return the path of a name=path pair, unless a file has that whole name."""
-    if "=" not in argument or Path(argument).exists():
-        return argument
-    return argument.partition("=")[2]
-
-
 def _entries(path: Path) -> list[Path]:
     """Return the entries of a folder, or the path itself where it is none."""
     return sorted(path.iterdir()) if path.is_dir() else [path]

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from mocap_calib.inspection import alone_in_naming
 from mocap_calib.io.cameras.source import CameraFile
-from mocap_calib.io.keypoints.formats import read_keypoints
 from mocap_calib.io.keypoints.items import twins
+from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.job.request import KeypointSource
 from mocap_calib.recording.joints import fit_vocabulary, load_aliases
 from mocap_calib.recording.summary import RecordingSummary, summarise_recording

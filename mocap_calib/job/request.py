@@ -8,7 +8,8 @@ from pathlib import Path
 
 from mocap_calib import __version__
 from mocap_calib.config import PAIR_SOLVERS, Config
-from mocap_calib.io.hashing import hash_inputs, plain_paths
+from mocap_calib.io.file import plain_path
+from mocap_calib.io.hashing import hash_inputs
 from mocap_calib.io.keypoints.document import ReadOptions
 from mocap_calib.steerpose.checkpoint import identify_model
 
@@ -52,7 +53,7 @@ class CalibrationRequest:
 
     def hash_inputs(self) -> dict[str, str]:
         """Return the SHA-256 of all files that the results follow from, by path."""
-        paths: list[str | Path] = [*plain_paths(self.keypoints.paths)]
+        paths = [plain_path(argument) for argument in self.keypoints.paths]
         if isinstance(self.cameras, Path):
             paths.append(self.cameras)
         if self.keypoints.aliases is not None:

@@ -12,7 +12,7 @@ from typing import Any
 
 from mocap_calib.errors import ClusterError, MocapCalibError
 from mocap_calib.io.atomic import folder
-from mocap_calib.io.cameras.load import load_cameras, parse_content
+from mocap_calib.io.cameras.read import load_cameras, parse_content
 from mocap_calib.io.cameras.source import CameraFile
 from mocap_calib.io.hashing import hash_file, hash_files
 from mocap_calib.io.provenance import provenance

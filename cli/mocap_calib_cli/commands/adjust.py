@@ -24,7 +24,7 @@ def command(shared: options.SharedOptions, output: str, matches_out: str | None)
     from mocap_calib.config import Config
     from mocap_calib.io.cameras.own import format_cameras_yaml
     from mocap_calib.io.provenance import provenance
-    from mocap_calib.io.results.results import matches_csv
+    from mocap_calib.io.results.matches_csv import matches_csv
     from mocap_calib.multi_view.association import body_scale, finalise_identities, label_all_frames
     from mocap_calib.multi_view.refinement import adjust_until_stable
     from mocap_calib.types import Matches

@@ -23,7 +23,7 @@ def command(shared: options.SharedOptions, pairs: str, output: str) -> None:
     from mocap_calib.config import AveragingConfig
     from mocap_calib.io.cameras.own import format_cameras_yaml
     from mocap_calib.io.provenance import provenance
-    from mocap_calib.io.results.results import pairs_from_json
+    from mocap_calib.io.results.pairs_json import pairs_from_json
     from mocap_calib.multi_view.averaging import average
     from mocap_calib.multi_view.view_graph import pairs_among, select_hypotheses, usable_cameras
     from mocap_calib_cli import inputs, outputs

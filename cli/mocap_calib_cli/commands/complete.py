@@ -30,7 +30,7 @@ def command(shared: options.SharedOptions, output: Path, target: str) -> None:
     """
     import numpy as np
 
-    from mocap_calib.io.keypoints.formats import write_keypoints
+    from mocap_calib.io.keypoints.write import write_keypoints
     from mocap_calib.recording.sampling import take_sample
     from mocap_calib.steerpose.checkpoint import load_vocabulary
     from mocap_calib.steerpose.completion import completed

@@ -64,7 +64,7 @@ def _inspect(shared: options.SharedOptions) -> dict[str, Any]:
     """Return what the files hold, and the findings."""
     from mocap_calib.config import InspectConfig
     from mocap_calib.inspection import Finding, findings, inspect_views, with_sizes
-    from mocap_calib.io.keypoints.formats import read_what_can
+    from mocap_calib.io.keypoints.read import read_what_can
     from mocap_calib.recording.joints import fit_vocabulary
     from mocap_calib_cli import inputs
 

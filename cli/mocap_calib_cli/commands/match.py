@@ -16,7 +16,7 @@ def command(shared: options.SharedOptions, output: str) -> None:
       mocap-calib match keypoints/ --rig rig.yaml -o matches.csv
     """
     from mocap_calib.config import Config
-    from mocap_calib.io.results.results import matches_csv
+    from mocap_calib.io.results.matches_csv import matches_csv
     from mocap_calib.multi_view.association import associate, body_scale, label_all_frames
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.progress import Reporter

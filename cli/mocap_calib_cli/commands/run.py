@@ -54,14 +54,15 @@ def command(
     """
     from mocap_calib.io.poses.common import PoseFile
     from mocap_calib.io.provenance import provenance
+    from mocap_calib.io.results.further_formats import check_formats, write_formats
     from mocap_calib.io.results.group import group_folder
     from mocap_calib.job import calibrate_job_resumably, read_job, write_results
-    from mocap_calib_cli import conversion, describe, inputs, outputs
+    from mocap_calib_cli import describe, inputs, outputs
     from mocap_calib_cli.progress import Reporter
     from mocap_calib_cli.workers import open_workers
 
     outputs.check_folder(output)
-    conversion.check_formats(formats, fps)
+    check_formats(formats, fps)
     with (
         Reporter(quiet=shared.quiet) as reporter,
         open_workers(reporter, scheduler=shared.scheduler) as workers,
@@ -77,7 +78,7 @@ def command(
         folder = output / group_folder(number)
         reporter.say(*describe.describe_group(group, reports[number], folder))
         poses = PoseFile(group.poses, float("nan") if fps is None else fps)
-        reporter.say(*conversion.write_formats(folder, group.rig, poses, formats, source))
+        reporter.say(*write_formats(folder, group.rig, poses, formats, source))
     reporter.say(*describe.describe_unused_cameras(result.left_out))
     if as_json:
         click.echo(json.dumps(reports[0], indent=1, allow_nan=False))

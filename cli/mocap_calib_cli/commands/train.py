@@ -227,7 +227,7 @@ def _train_steerer(
 
 def _load_vocabulary(source: _Source) -> tuple["Skeleton", dict[str, Any]]:
     """Return the joints to train for, and settings other than the defaults. Raises FormatError."""
-    from mocap_calib.io.poses.formats import read_poses
+    from mocap_calib.io.poses.read import read_poses
     from mocap_calib.recording.joints import load_section, load_skeleton
     from mocap_calib.steerpose.training.own_species import TRAINING, own_skeleton
 
@@ -261,8 +261,8 @@ def _poses_of_run(
     calibrated: Path, vocabulary: "Skeleton", up: tuple[str, ...], split: "Split"
 ) -> "PoseSet":
     """Return the poses that a run found; nothing may tell what is up but --up or its cameras."""
-    from mocap_calib.io.cameras.load import read_rig
-    from mocap_calib.io.poses.formats import read_poses
+    from mocap_calib.io.cameras.read import read_rig
+    from mocap_calib.io.poses.read import read_poses
     from mocap_calib.steerpose.training.own_species import axis, own_poses, up_of_rig
 
     rig_file = calibrated.with_name("cameras.yaml")

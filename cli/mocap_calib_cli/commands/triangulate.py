@@ -21,9 +21,10 @@ def command(shared: options.SharedOptions, output: Path) -> None:
     """
     from mocap_calib.config import TriangulateConfig
     from mocap_calib.errors import MismatchError
-    from mocap_calib.io.atomic import folder, of_individual, replace_text
+    from mocap_calib.io.atomic import folder, individual_file, replace_text
     from mocap_calib.io.provenance import provenance
-    from mocap_calib.io.results.results import poses_csv, write_poses_h5
+    from mocap_calib.io.results.poses_csv import poses_csv
+    from mocap_calib.io.results.poses_h5 import write_poses_h5
     from mocap_calib.multi_view.triangulation import triangulate
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.progress import Reporter
@@ -45,5 +46,5 @@ def command(shared: options.SharedOptions, output: Path) -> None:
     else:
         with folder(output.absolute().parent) as work:
             for individual in range(matches.individuals):
-                path = work / of_individual(output, individual).name
+                path = work / individual_file(output, individual).name
                 replace_text(path, poses_csv(poses, individual))

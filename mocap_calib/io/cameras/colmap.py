@@ -15,7 +15,6 @@ from mocap_calib.io.cameras.intrinsics import make_camera, make_extrinsics
 from mocap_calib.io.cameras.source import (
     CameraFile,
     Source,
-    Written,
     need_names,
     need_sizes,
     terms,
@@ -23,6 +22,7 @@ from mocap_calib.io.cameras.source import (
     whole,
 )
 from mocap_calib.io.file import malformed
+from mocap_calib.io.registry import Written
 from mocap_calib.types import Camera, CameraRig, Floats
 
 HALF = 0.5

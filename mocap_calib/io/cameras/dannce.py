@@ -9,9 +9,10 @@ import numpy as np
 from scipy.io import savemat
 
 from mocap_calib.io.cameras.intrinsics import make_camera, make_extrinsics, numbers, skew_in_pixels
-from mocap_calib.io.cameras.source import CameraFile, Source, Written, terms, unique, without_sizes
+from mocap_calib.io.cameras.source import CameraFile, Source, terms, unique, without_sizes
 from mocap_calib.io.file import malformed, one_line
 from mocap_calib.io.mat5 import DAMAGE, read_mat
+from mocap_calib.io.registry import Written
 from mocap_calib.types import Camera, CameraRig, Floats
 
 _FIELDS = ("K", "RDistort", "TDistort", "r", "t")

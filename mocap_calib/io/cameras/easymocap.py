@@ -6,9 +6,10 @@ from typing import Any
 
 from mocap_calib.geometry.rotation import vector_from_matrix
 from mocap_calib.io.cameras.intrinsics import make_camera, make_extrinsics
-from mocap_calib.io.cameras.source import CameraFile, Source, Written, need_names, terms, unique
+from mocap_calib.io.cameras.source import CameraFile, Source, need_names, terms, unique
 from mocap_calib.io.cameras.yaml_files import file_storage, opencv_matrix
 from mocap_calib.io.file import malformed
+from mocap_calib.io.registry import Written
 from mocap_calib.types import CameraRig
 
 _INTRI, _EXTRI = "intri.yml", "extri.yml"

@@ -96,7 +96,7 @@ def camera_from_fields(fields: Any, source: str) -> Camera:
         raise malformed(
             source,
             "cameras with name, size, model, K, distortion",
-            one_field(fields),
+            describe_keys(fields),
             "write the file again",
         )
     model = fields.get("model", "opencv")
@@ -121,7 +121,7 @@ def camera_from_fields(fields: Any, source: str) -> Camera:
     )
 
 
-def one_field(fields: Any) -> str:
+def describe_keys(fields: Any) -> str:
     """What came instead of a mapping with the right keys."""
     return (
         ", ".join(map(str, list(fields)[:8])) if isinstance(fields, dict) else type(fields).__name__

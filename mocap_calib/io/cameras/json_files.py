@@ -9,7 +9,6 @@ from mocap_calib.io.cameras.intrinsics import make_camera, make_extrinsics, numb
 from mocap_calib.io.cameras.source import (
     CameraFile,
     Source,
-    Written,
     cannot,
     entries,
     need,
@@ -21,6 +20,7 @@ from mocap_calib.io.cameras.source import (
     without_sizes,
 )
 from mocap_calib.io.file import malformed
+from mocap_calib.io.registry import Written
 from mocap_calib.types import Camera, CameraRig, Floats
 
 Found = list[tuple[Camera, tuple[Floats, Floats] | None]]

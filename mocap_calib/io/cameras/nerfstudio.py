@@ -10,7 +10,6 @@ from mocap_calib.io.cameras.intrinsics import make_camera, make_extrinsics, numb
 from mocap_calib.io.cameras.source import (
     CameraFile,
     Source,
-    Written,
     entries,
     need,
     need_sizes,
@@ -19,6 +18,7 @@ from mocap_calib.io.cameras.source import (
     unique,
 )
 from mocap_calib.io.file import malformed
+from mocap_calib.io.registry import Written
 from mocap_calib.types import Camera, CameraRig
 
 _FLIP = np.array([1.0, -1.0, -1.0])

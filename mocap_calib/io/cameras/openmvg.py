@@ -8,7 +8,6 @@ from mocap_calib.io.cameras.intrinsics import make_camera, make_extrinsics, numb
 from mocap_calib.io.cameras.source import (
     CameraFile,
     Source,
-    Written,
     cannot,
     entries,
     need,
@@ -18,6 +17,7 @@ from mocap_calib.io.cameras.source import (
     unique,
 )
 from mocap_calib.io.file import malformed
+from mocap_calib.io.registry import Written
 from mocap_calib.types import Camera, CameraRig
 
 # model -> (the key of its distortion, where k1 k2 p1 p2 k3 stand in it)

@@ -1,4 +1,4 @@
-"""Writing cameras: our own cameras.yaml, and the calibration.toml that anipose, Pose2Sim and their tools read.
+"""Write cameras.yaml, our own file, and calibration.toml, which anipose and its descendants read.
 
 Every float is written with as many digits as bring it back exactly.
 """
@@ -6,122 +6,102 @@ Every float is written with as many digits as bring it back exactly.
 import json
 import re
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import yaml
 
 from mocap_calib import __version__
 from mocap_calib.geometry.rotation import vector_from_matrix
-from mocap_calib.io.atomic import write_bytes
 from mocap_calib.io.cameras.intrinsics import camera_fields
-from mocap_calib.types import CameraRig
+from mocap_calib.io.cameras.toml_text import dump_toml
+from mocap_calib.types import Camera, CameraRig
 
 VERSION = 1
 CONVENTION = "x_camera = R x_world + t; x right, y down, z forward; pixel centres are integers"
-
-
-def write_cameras_yaml(path: Path, rig: CameraRig, provenance: Mapping[str, Any]) -> None:
-    """Writes `format_cameras_yaml` atomically."""
-    write_bytes(path, format_cameras_yaml(rig, provenance).encode())
-
-
-def write_calibration_toml(path: Path, rig: CameraRig, provenance: Mapping[str, Any]) -> None:
-    """Writes `format_calibration_toml` atomically."""
-    write_bytes(path, format_calibration_toml(rig, provenance).encode())
+_NOT_ESCAPED = "[\x85\u2028\u2029]"  # line breaks that PyYAML reads back as spaces
 
 
 def format_cameras_yaml(rig: CameraRig, provenance: Mapping[str, Any]) -> str:
-    """Our own file: plain YAML, lengths in the rig's unit; `provenance` is whatever says how it came about."""
+    """Return our own file: plain YAML, lengths in the rig's unit.
+
+    provenance: whatever says how the rig came about.
+    """
     header = {
         "format": "mocap-calib cameras",
         "version": VERSION,
         "unit": rig.unit,
         "convention": CONVENTION,
-        "provenance": plain(provenance),
+        "provenance": plain_fields(provenance),
     }
-    cameras = [
-        camera_fields(camera)
-        | {
-            "R": rig.rotation[v].tolist(),
-            "t": rig.translation[v].tolist(),
-            "centre": rig.centres[v].tolist(),
+    cameras = []
+    for view, camera in enumerate(rig.cameras):
+        extrinsics = {
+            "R": rig.rotation[view].tolist(),
+            "t": rig.translation[view].tolist(),
+            "centre": rig.centres[view].tolist(),
         }
-        for v, camera in enumerate(rig.cameras)
-    ]
-    # flow style (None) puts the rows of a matrix on a line each; the header reads better line by line
-    return _yaml(header, False) + _yaml({"cameras": cameras}, None)
+        cameras.append(camera_fields(camera) | extrinsics)
+    # flow style (None) puts the rows of a matrix on a line each
+    return _dump_yaml(header, flow=False) + _dump_yaml({"cameras": cameras}, flow=None)
 
 
 def format_calibration_toml(rig: CameraRig, provenance: Mapping[str, Any]) -> str:
-    """The file of anipose; rotations as Rodrigues vectors in radians, lengths in the rig's unit."""
-    lines, digits = [], len(str(len(rig.cameras) - 1))  # aniposelib sorts the sections as text
-    for v, camera in enumerate(rig.cameras):
-        fields = toml_fields(rig, v) | ({"fisheye": True} if camera.fisheye else {})
-        lines += [f"[cam_{v:0{digits}}]", *assignments(fields), ""]
-    metadata = {
+    """Return the file of anipose; rotations are Rodrigues vectors, lengths in the rig's unit."""
+    sections: dict[str, Any] = {}
+    digits = len(str(len(rig.cameras) - 1))  # aniposelib sorts the sections as text
+    for view, camera in enumerate(rig.cameras):
+        fisheye = {"fisheye": True} if camera.fisheye else {}
+        sections[f"cam_{view:0{digits}}"] = toml_fields(rig, view) | fisheye
+    metadata: dict[str, Any] = {
         "adjusted": False,
         "error": 0.0,
         "unit": rig.unit,
         "generator": f"mocap-calib {__version__}",
     }
-    lines += ["[metadata]", *assignments(metadata)]
     if provenance:
-        lines += ["", "[metadata.provenance]", *assignments(plain(provenance))]
-    return "\n".join(lines) + "\n"
+        metadata["provenance"] = plain_fields(provenance)
+    return dump_toml(sections | {"metadata": metadata})
 
 
-def toml_fields(rig: CameraRig, v: int) -> dict[str, Any]:
-    """The fields of a camera that anipose and its descendants share."""
-    camera = rig.cameras[v]
+def format_intrinsics_toml(cameras: tuple[Camera, ...]) -> str:
+    """Return the file of anipose without the keys that say where cameras stand."""
+    sections = {}
+    for view, camera in enumerate(cameras):
+        fisheye = {"fisheye": True} if camera.fisheye else {}
+        sections[f"cam_{view}"] = _intrinsic_fields(camera) | fisheye
+    return dump_toml(sections)
+
+
+def toml_fields(rig: CameraRig, view: int) -> dict[str, Any]:
+    """Return the fields of a camera that anipose and its descendants share, in their order."""
+    return _intrinsic_fields(rig.cameras[view]) | {
+        "rotation": vector_from_matrix(rig.rotation[view]).tolist(),
+        "translation": rig.translation[view].tolist(),
+    }
+
+
+def plain_fields(provenance: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields in the types that every format knows; paths and the like become text."""
+    plain: dict[str, Any] = json.loads(json.dumps(provenance, default=str))
+    return plain
+
+
+def _intrinsic_fields(camera: Camera) -> dict[str, Any]:
     return {
         "name": camera.name,
         "size": list(camera.size),
         "matrix": camera.matrix.tolist(),
         "distortions": camera.distortion.tolist(),
-        "rotation": vector_from_matrix(rig.rotation[v]).tolist(),
-        "translation": rig.translation[v].tolist(),
     }
 
 
-def plain(provenance: Mapping[str, Any]) -> dict[str, Any]:
-    """Down to the types that every format knows; paths and the like become text."""
-    plain: dict[str, Any] = json.loads(json.dumps(provenance, default=str))
-    return plain
-
-
-def _yaml(fields: Mapping[str, Any], flow: bool | None) -> str:
-    # PyYAML does not escape these line breaks, and reads them back as spaces
-    readable = not re.search("[\x85\u2028\u2029]", json.dumps(fields, ensure_ascii=False))
+def _dump_yaml(fields: Mapping[str, Any], *, flow: bool | None) -> str:
+    """Return YAML, with all characters as they are unless PyYAML would change some."""
+    unicode_as_is = not re.search(_NOT_ESCAPED, json.dumps(fields, ensure_ascii=False))
     return yaml.safe_dump(
-        dict(fields), default_flow_style=flow, sort_keys=False, allow_unicode=readable, width=160
+        dict(fields),
+        default_flow_style=flow,
+        sort_keys=False,
+        allow_unicode=unicode_as_is,
+        width=160,
     )
-
-
-def assignments(fields: Mapping[str, Any]) -> list[str]:
-    """`key = value` lines of TOML, which has no null: such fields are left out."""
-    return [
-        f"{toml_key(key)} = {_toml(value)}" for key, value in fields.items() if value is not None
-    ]
-
-
-def _toml(value: Any) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, str):
-        return _quoted(value)
-    if isinstance(value, list):
-        return f"[{', '.join(_toml(v) for v in value if v is not None)}]"
-    if isinstance(value, dict):
-        return f"{{ {', '.join(assignments(value))} }}"
-    return repr(value)
-
-
-def toml_key(key: str) -> str:
-    """A key as TOML spells it."""
-    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _quoted(key)
-
-
-def _quoted(text: str) -> str:
-    """TOML's basic strings are JSON's, except that they must escape DEL and cannot spell surrogates."""
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -7,7 +7,7 @@ import json
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import PurePath
 from typing import Any
@@ -107,14 +107,6 @@ class CameraFile:
     extrinsics: Mapping[str, tuple[Floats, Floats]]
     unit: str = ""
     notes: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Written:
-    """Files to write, by name, and what of the rig they do not carry."""
-
-    files: Mapping[str, bytes]
-    lost: tuple[str, ...] = field(default=())
 
 
 def parse_json(text: str, source: str) -> Any:
@@ -317,7 +309,7 @@ def to_json(value: Any) -> bytes:
     return (json.dumps(value, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
 
 
-def both(found: CameraFile, more: CameraFile, source: str) -> CameraFile:
+def join_camera_files(found: CameraFile, more: CameraFile, source: str) -> CameraFile:
     """Two files' cameras together. Raises FormatError where they share a name or differ in their unit."""
     units = {found.unit, more.unit}
     if len(units) > 1:

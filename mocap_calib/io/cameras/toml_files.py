@@ -8,16 +8,12 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.io.cameras.intrinsics import make_camera, make_extrinsics, one_field
-from mocap_calib.io.cameras.own import (
-    assignments,
-    format_calibration_toml,
-    plain,
-    toml_fields,
-    toml_key,
-)
-from mocap_calib.io.cameras.source import CameraFile, Source, Written, need_sizes, terms, unique
+from mocap_calib.io.cameras.intrinsics import describe_keys, make_camera, make_extrinsics
+from mocap_calib.io.cameras.own import format_calibration_toml, plain_fields, toml_fields
+from mocap_calib.io.cameras.source import CameraFile, Source, need_sizes, terms, unique
+from mocap_calib.io.cameras.toml_text import dump_toml
 from mocap_calib.io.file import malformed
+from mocap_calib.io.registry import Written
 from mocap_calib.types import Camera, CameraRig
 
 _NOT_CAMERAS = (
@@ -73,7 +69,7 @@ def parse(source: Source) -> CameraFile:
         raise malformed(
             source.path,
             "sections with a camera's size, matrix and distortions",
-            one_field(data) or "nothing",
+            describe_keys(data) or "nothing",
             "export anipose's calibration.toml",
         )
     cameras, extrinsics, notes = [], {}, []
@@ -135,66 +131,85 @@ def write_anipose(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
 
 
 def write_pose2sim(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
-    """Pose2Sim's Calib.toml, as its own writer spells it. Pose2Sim goes by the order of the cameras. Raises MismatchError."""
+    """Write Pose2Sim's Calib.toml, which goes by the order of the cameras. Raises MismatchError."""
     need_sizes(rig, "pose2sim")
-    lines = []
-    for v, camera in enumerate(rig.cameras):
+    sections = {}
+    for view, camera in enumerate(rig.cameras):
         if camera.name in _NOT_CAMERAS:
             raise MismatchError(
-                f"pose2sim: expected camera names other than {', '.join(_NOT_CAMERAS)}, found {camera.name}; rename the camera"
+                f"pose2sim: expected camera names other than {', '.join(_NOT_CAMERAS)}, "
+                f"found {camera.name}; rename the camera"
             )
-        padded = terms(camera, 8, "pose2sim")
-        # its own files have four; it reads as many as there are
-        used = (
-            padded[:4] if not padded[4:].any() else padded[:5] if not padded[5:].any() else padded
-        )
-        fields = toml_fields(rig, v) | {
-            "size": [float(n) for n in camera.size],
-            "distortions": used.tolist(),
+        sections[camera.name] = toml_fields(rig, view) | {
+            "size": [float(length) for length in camera.size],
+            "distortions": _pose2sim_terms(camera),
             "fisheye": False,
         }
-        lines += [f"[{toml_key(camera.name)}]", *assignments(fields), ""]
-    return Written({"Calib.toml": _with_metadata(lines, rig, provenance)})
+    return Written({"Calib.toml": _dump_with_metadata(sections, rig, provenance)})
+
+
+def _pose2sim_terms(camera: Camera) -> list[float]:
+    """Return 4, 5 or 8 terms: Pose2Sim's own files have four, it reads as many as there are."""
+    padded = terms(camera, 8, "pose2sim")
+    if padded[5:].any():
+        return padded.tolist()
+    return padded[: 5 if padded[4] else 4].tolist()
 
 
 def write_freemocap(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
-    """FreeMoCap's calibration, in its order of fields. Raises MismatchError."""
+    """Write FreeMoCap's calibration, in its order of fields. Raises MismatchError."""
     need_sizes(rig, "freemocap")
-    lines = []
-    for v, camera in enumerate(rig.cameras):
-        fields = toml_fields(rig, v) | {
+    sections = {}
+    for view, camera in enumerate(rig.cameras):
+        sections[f"cam_{view}"] = toml_fields(rig, view) | {
             "distortions": terms(camera, 5, "freemocap").tolist(),
             "id": camera.name,
-            "index": v,
+            "index": view,
+            "world_orientation": rig.rotation[view].T.tolist(),
+            "world_position": rig.centres[view].tolist(),
         }
-        fields |= {
-            "world_orientation": rig.rotation[v].T.tolist(),
-            "world_position": rig.centres[v].tolist(),
-        }
-        lines += [f"[cam_{v}]", *assignments(fields), ""]
-    return Written({"calibration.toml": _with_metadata(lines, rig, provenance)})
+    return Written({"calibration.toml": _dump_with_metadata(sections, rig, provenance)})
 
 
 def write_caliscope(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
-    """Caliscope's camera_array.toml; its cameras have numbers, so names that are none stand beside. Raises MismatchError."""
+    """Write caliscope's camera_array.toml; names that are no numbers stand beside its numbers.
+
+    Raises MismatchError.
+    """
     need_sizes(rig, "caliscope")
-    numbered = all(
-        name.isascii() and name.isdigit() and str(int(name)) == name for name in rig.names
-    )
-    lines = []
-    for v, camera in enumerate(rig.cameras):
-        number = camera.name if numbered else str(v)
-        fields = {"cam_id": int(number), "rotation_count": 0, "ignore": False} | toml_fields(rig, v)
-        fields |= {"distortions": _caliscope_terms(camera), "fisheye": camera.fisheye}
-        lines += [f"[cameras.{number}]", *assignments(fields), ""]
+    numbered = all(_is_number(name) for name in rig.names)
+    cameras = {}
+    for view, camera in enumerate(rig.cameras):
+        number = camera.name if numbered else str(view)
+        own = {"cam_id": int(number), "rotation_count": 0, "ignore": False}
+        cameras[number] = (
+            own
+            | toml_fields(rig, view)
+            | {"distortions": _caliscope_terms(camera), "fisheye": camera.fisheye}
+        )
     lost = () if numbered else ("the cameras' names, to caliscope itself: it counts them from 0",)
-    return Written({"camera_array.toml": _with_metadata(lines, rig, provenance)}, lost)
+    content = _dump_with_metadata({"cameras": cameras}, rig, provenance)
+    return Written({"camera_array.toml": content}, lost)
+
+
+def _is_number(name: str) -> bool:
+    """Return whether a name is a whole number as caliscope spells it."""
+    return name.isascii() and name.isdigit() and str(int(name)) == name
 
 
 def _caliscope_terms(camera: Camera) -> list[float]:
-    return camera.distortion.tolist() if camera.fisheye else terms(camera, 5, "caliscope").tolist()
+    if camera.fisheye:
+        return camera.distortion.tolist()
+    return terms(camera, 5, "caliscope").tolist()
 
 
-def _with_metadata(lines: list[str], rig: CameraRig, provenance: Mapping[str, Any]) -> bytes:
-    fields = {"adjusted": False, "error": 0.0, "unit": rig.unit, "provenance": plain(provenance)}
-    return "\n".join([*lines, "[metadata]", *assignments(fields)]).encode() + b"\n"
+def _dump_with_metadata(
+    sections: Mapping[str, Any], rig: CameraRig, provenance: Mapping[str, Any]
+) -> bytes:
+    metadata = {
+        "adjusted": False,
+        "error": 0.0,
+        "unit": rig.unit,
+        "provenance": plain_fields(provenance),
+    }
+    return dump_toml({**sections, "metadata": metadata}).encode()

@@ -8,23 +8,23 @@ import numpy as np
 
 from mocap_calib.io.cameras.intrinsics import (
     camera_from_fields,
+    describe_keys,
     make_camera,
     make_extrinsics,
     numbers,
-    one_field,
 )
 from mocap_calib.io.cameras.own import VERSION, format_cameras_yaml
 from mocap_calib.io.cameras.source import (
     FILE_NAME,
     CameraFile,
     Source,
-    Written,
     need_names,
     terms,
     unique,
     without_sizes,
 )
 from mocap_calib.io.file import malformed
+from mocap_calib.io.registry import Written
 from mocap_calib.types import CameraRig, Floats
 
 _MATRIX = ("camera_matrix", "K", "M1", "intrinsic_matrix", "k")
@@ -61,7 +61,9 @@ def parse_own(source: Source) -> CameraFile:
         )
     fields = data.get("cameras")
     if not isinstance(fields, list) or not fields:
-        raise malformed(source.path, "a list of cameras", one_field(fields), "write the file again")
+        raise malformed(
+            source.path, "a list of cameras", describe_keys(fields), "write the file again"
+        )
     cameras = unique((camera_from_fields(each, source.path) for each in fields), source.path)
     placed = [
         (camera.name, each)

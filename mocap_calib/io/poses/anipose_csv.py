@@ -7,7 +7,7 @@ import numpy as np
 
 from mocap_calib.io.file import decode, malformed
 from mocap_calib.io.poses.common import PoseFile, WrittenPoses, lost_names
-from mocap_calib.io.results.results import poses_csv
+from mocap_calib.io.results.poses_csv import poses_csv
 from mocap_calib.io.units import ARBITRARY
 from mocap_calib.types import Floats, Poses3D
 

@@ -18,7 +18,7 @@ from mocap_calib.io.poses.common import (
     lost_quality,
     without_gaps,
 )
-from mocap_calib.io.results.results import parse_poses_h5, poses_to_h5
+from mocap_calib.io.results.poses_h5 import parse_poses_h5, poses_to_h5
 from mocap_calib.io.sandbox import HDF5
 from mocap_calib.io.units import known_unit
 from mocap_calib.types import Poses3D, check_shape
@@ -63,7 +63,12 @@ def parse_own(content: bytes, source: str) -> PoseFile:
 def write_own(file: PoseFile, title: str) -> WrittenPoses:
     """`poses3d.h5`; carries all. `title` is the provenance, as JSON."""
     return WrittenPoses(
-        poses_to_h5(file.poses, _provenance(title), {"fps": file.rate}, file.individuals)
+        poses_to_h5(
+            file.poses,
+            _provenance(title),
+            figures={"fps": file.rate},
+            individuals=file.individuals,
+        )
     )
 
 

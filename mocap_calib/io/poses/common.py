@@ -136,7 +136,7 @@ def without_gaps(poses: Poses3D, owner: str) -> tuple[Ints, Floats]:
     return np.arange(first, last + 1), positions
 
 
-def turned(file: PoseFile, up: str) -> PoseFile:
+def turn_up_axis(file: PoseFile, up: str) -> PoseFile:
     """The poses turned so that what was `up` (x, y, z, -x, -y, -z) is y, as OpenSim and others take it; other axes follow."""
     return replace(
         file,

@@ -8,9 +8,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from mocap_calib.io.atomic import of_individual, replace_text
+from mocap_calib.io.atomic import individual_file, remove_further_individuals, replace_text
 from mocap_calib.io.cameras.own import format_calibration_toml, format_cameras_yaml
-from mocap_calib.io.results.results import matches_csv, poses_csv, write_poses_h5
+from mocap_calib.io.results.matches_csv import matches_csv
+from mocap_calib.io.results.poses_csv import poses_csv
+from mocap_calib.io.results.poses_h5 import write_poses_h5
 from mocap_calib.types import GroupResult
 
 REPORT = "run.json"
@@ -38,7 +40,7 @@ def write_group(folder: Path, group: GroupResult, provenance: Mapping[str, Any])
     replace_text(folder / "matches.csv", matches_csv(group.recording, group.matches))
     write_poses_h5(folder / "poses3d.h5", group.poses, provenance)
     for individual in range(group.matches.individuals):
-        path = of_individual(folder / _POSES, individual)
+        path = individual_file(folder / _POSES, individual)
         replace_text(path, poses_csv(group.poses, individual))
 
 
@@ -58,17 +60,6 @@ def remove_stale_results(folder: Path, report: Mapping[str, Any]) -> None:
         _remove_stale_group(folder, group_folder(group), kept)
 
 
-def remove_further_individuals(path: Path, individuals: int) -> None:
-    """Remove the files of individuals beyond so many, where each individual has a file.
-
-    path: the file of the first individual.
-    """
-    number = individuals
-    while (stale := of_individual(path, number)).is_file():
-        stale.unlink()
-        number += 1
-
-
 def _remove_stale_group(folder: Path, group: str, kept: set[str]) -> None:
     """Remove the files of a group that are not kept, and its folder where nothing else is in it.
 
@@ -76,7 +67,7 @@ def _remove_stale_group(folder: Path, group: str, kept: set[str]) -> None:
     """
     place = folder / group
     individuals = 0
-    while _relative(of_individual(place / _POSES, individuals), folder) in kept:
+    while _relative(individual_file(place / _POSES, individuals), folder) in kept:
         individuals += 1
     remove_further_individuals(place / _POSES, individuals)
     for file in (place / name for name in _FILES):

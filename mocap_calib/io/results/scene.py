@@ -1,25 +1,24 @@
-"""Writing a synthetic recording with its truth, in the files that people have: COCO keypoints and calibration.toml.
+"""Write a synthetic recording with its truth, in the files that people have.
 
-- keypoints/<camera>.json: detections;
+- keypoints/CAMERA.json: detections, in COCO's format;
 - intrinsics.toml: cameras, without where they stand;
-- reference.toml: cameras, and where they stand (metres, +z up);
-- truth.npz: `ids` (view, frame, instance) who each detection is, in file order, -1 = nobody; `poses3d` (frame,
-  individual, joint, 3) metres; `joints` names;
+- reference.toml: cameras, and where they stand (metres, +z up), in anipose's format;
+- truth.npz: `ids` (view, frame, instance) who each detection is, in file order, -1 = nobody;
+  `poses3d` (frame, individual, joint, 3) metres; `joints` names;
 - README.md: what it is and how it was made.
 """
 
 import io
-import json
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.io.atomic import folder
-from mocap_calib.io.cameras.own import format_calibration_toml
+from mocap_calib.io.atomic import write_files
+from mocap_calib.io.cameras.own import format_calibration_toml, format_intrinsics_toml
 from mocap_calib.io.keypoints.coco_writer import format_coco
-from mocap_calib.types import Camera, CameraRig, Floats, Ints, Keypoints2D
+from mocap_calib.types import CameraRig, Floats, Ints, Keypoints2D
 
 
 class SceneLike(Protocol):
@@ -47,57 +46,47 @@ class SceneLike(Protocol):
 
 
 def write_scene(path: Path, scene: SceneLike, command: str) -> None:
-    """Writes a scene into the folder `path`, whole or not at all; `command` says how to make it again.
+    """Write a scene into the folder `path`, whole or not at all.
 
-    Raises MismatchError where the folder holds keypoints of other cameras, which would join the recording.
+    command: says how to make it again.
+
+    Raises MismatchError where the folder holds keypoints of other cameras, which would join the
+    recording.
     """
-    strangers = sorted(
-        {file.name for file in (path / "keypoints").glob("*")}
-        - {f"{name}.json" for name in scene.rig.names}
-    )
+    own = {f"{name}.json" for name in scene.rig.names}
+    strangers = {file.name for file in (path / "keypoints").glob("*")} - own
     if strangers:
         raise MismatchError(
-            f"{path}: expected a new folder or one with the same cameras, found keypoints/{strangers[0]}: choose another or remove it"
+            f"{path}: expected a new folder or one with the same cameras, "
+            f"found keypoints/{min(strangers)}: choose another or remove it"
         )
-    with folder(path) as work:
-        for name, content in scene_files(scene, command).items():
-            file = work / name
-            file.parent.mkdir(exist_ok=True)
-            file.write_bytes(content)
+    write_files(path, scene_files(scene, command))
 
 
 def scene_files(scene: SceneLike, command: str) -> dict[str, bytes]:
-    """Relative path -> content."""
-    texts = {f"keypoints/{file.camera}.json": _keypoints(file) for file in scene.files}
-    texts["intrinsics.toml"] = _intrinsics_toml(scene.rig.cameras)
+    """Return the files of a scene: relative path -> content."""
+    texts = {f"keypoints/{file.camera}.json": _format_keypoints(file) for file in scene.files}
+    texts["intrinsics.toml"] = format_intrinsics_toml(scene.rig.cameras)
     texts["reference.toml"] = format_calibration_toml(scene.rig, {"command": command})
     texts["README.md"] = (
-        f"A synthetic recording of people: keypoints and cameras, and the truth: where cameras stand, who is who, 3D.\nMade by `{command}`.\n"
+        "A synthetic recording of people: keypoints and cameras, and the truth: where cameras "
+        f"stand, who is who, 3D.\nMade by `{command}`.\n"
     )
-    return {name: text.encode() for name, text in texts.items()} | {"truth.npz": _truth(scene)}
+    files = {name: text.encode() for name, text in texts.items()}
+    return files | {"truth.npz": _pack_truth(scene)}
 
 
-def _keypoints(file: Keypoints2D) -> str:
+def _format_keypoints(file: Keypoints2D) -> str:
     return format_coco(
         file.camera, file.image_size, file.frames, file.keypoints, file.positions, file.confidence
     )
 
 
-def _intrinsics_toml(cameras: tuple[Camera, ...]) -> str:
-    """The keys of anipose without rotation and translation; Python's lists of floats are TOML's."""
-    lines = []
-    for k, camera in enumerate(cameras):
-        lines += [f"[cam_{k}]", f"name = {json.dumps(camera.name)}", f"size = {list(camera.size)}"]
-        lines += [
-            f"matrix = {camera.matrix.tolist()}",
-            f"distortions = {camera.distortion.tolist()}",
-        ]
-        lines += ["fisheye = true", ""] if camera.fisheye else [""]
-    return "\n".join(lines)
+def _pack_truth(scene: SceneLike) -> bytes:
+    """Return the truth as an npz archive; float32 keeps a micrometre of a room.
 
-
-def _truth(scene: SceneLike) -> bytes:
-    """float32 keeps a micrometre of a room; the archive's dates are fixed by numpy, so the same scene gives the same bytes."""
+    numpy fixes the archive's dates, so that the same scene gives the same bytes.
+    """
     buffer = io.BytesIO()
     np.savez_compressed(
         buffer,

@@ -1,0 +1,45 @@
+"""Write camera files in a format of `io.cameras.formats`."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from mocap_calib.io.atomic import check_no_other_files, write_bytes, write_files
+from mocap_calib.io.cameras.formats import CAMERA_FORMATS, FOLDER_ENDINGS
+from mocap_calib.io.registry import Written, find_format
+from mocap_calib.io.units import unit_factor
+from mocap_calib.types import CameraRig
+
+
+def format_rig(rig: CameraRig, format: str, provenance: Mapping[str, Any]) -> Written:
+    """Return the files of a rig in the format, by the names and in the unit that the format has.
+
+    Raises MismatchError where the format is only read or cannot carry the rig, and where it needs
+    a unit of length that is not known.
+    """
+    known = find_format(CAMERA_FORMATS, format)
+    write = known.writer()
+    if known.unit:
+        factor = unit_factor(rig.unit, known.unit, format)
+        rig = replace(rig, translation=rig.translation * factor, unit=known.unit)
+    return write(rig, provenance)
+
+
+def write_cameras(
+    path: Path, rig: CameraRig, format: str, provenance: Mapping[str, Any] | None = None
+) -> tuple[str, ...]:
+    """Write a rig in the format, whole or not at all.
+
+    path: the file, or the folder where the format is several files.
+
+    Returns what of the rig the format does not carry. Raises MismatchError as `format_rig` does,
+    and where the folder has files of other cameras.
+    """
+    written = format_rig(rig, format, provenance or {})
+    if find_format(CAMERA_FORMATS, format).folder:
+        check_no_other_files(path, written.files, FOLDER_ENDINGS)
+        write_files(path, written.files)
+    else:
+        write_bytes(path, next(iter(written.files.values())))
+    return written.lost

@@ -1,0 +1,38 @@
+"""Write keypoint files in a format of `io.keypoints.formats`."""
+
+from pathlib import Path
+
+from mocap_calib.io.atomic import check_no_other_files, write_bytes, write_files
+from mocap_calib.io.cameras.source import FILE_NAME, need_names
+from mocap_calib.io.keypoints.formats import KEYPOINT_FORMATS
+from mocap_calib.io.keypoints.items import FOLDER_SUFFIXES
+from mocap_calib.io.registry import Written, find_format
+from mocap_calib.types import Keypoints2D
+
+
+def format_keypoints(views: tuple[Keypoints2D, ...], format: str) -> Written:
+    """Return the files of the cameras in the format, and what of the views they do not hold.
+
+    Raises MismatchError where the format is only read or cannot hold the detections.
+    """
+    known = find_format(KEYPOINT_FORMATS, format)
+    files = known.writer()(views)
+    return Written(files, tuple(loss.what for loss in known.loses if loss.has(views)))
+
+
+def write_keypoints(path: Path, views: tuple[Keypoints2D, ...], format: str) -> tuple[str, ...]:
+    """Write the cameras in the format, whole or not at all.
+
+    A format with one file for all cameras writes `path`, where that has an ending; others fill the
+    folder `path`. Returns what of the views is not held. Raises MismatchError as `format_keypoints`
+    does, and where the folder has files of another recording.
+    """
+    written = format_keypoints(views, format)
+    if len(written.files) == 1 and path.suffix:
+        write_bytes(path, next(iter(written.files.values())))
+        return written.lost
+    for view in views:  # a name may come from inside a file, and lead anywhere
+        need_names((view.camera,), *FILE_NAME, view.source)
+    check_no_other_files(path, written.files, FOLDER_SUFFIXES)
+    write_files(path, written.files)
+    return written.lost

@@ -1,0 +1,63 @@
+"""Write files of 3D poses in a format of `io.poses.formats`."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from mocap_calib.errors import MismatchError
+from mocap_calib.io.atomic import individual_file, write_bytes, write_files
+from mocap_calib.io.poses.common import PoseFile
+from mocap_calib.io.poses.formats import POSE_FORMATS
+from mocap_calib.io.registry import Written, find_format
+
+
+def format_poses(file: PoseFile, format: str, path: Path, title: str = "") -> Written:
+    """Return the files of the poses in the format, and what they do not carry.
+
+    path: gives the name of the file, or of the first of several: where a file holds one
+        individual, the others are called NAME_1, NAME_2, ...
+    title: of the poses, for formats that have a place for one.
+
+    Raises MismatchError where the format carries too little.
+    """
+    known = find_format(POSE_FORMATS, format)
+    if not known.single:
+        written = known.writer()(file, title)
+        return Written({path.name: written.content}, written.lost)
+    if not file.individuals:
+        raise MismatchError(
+            f"{format}: expected at least one individual, found none; nothing to write"
+        )
+    files: dict[str, bytes] = {}
+    lost: dict[str, None] = {}  # which keeps the order
+    for individual in range(len(file.individuals)):
+        written = known.writer()(_select_individual(file, individual), title or path.name)
+        files[individual_file(path, individual).name] = written.content
+        lost |= dict.fromkeys(written.lost)
+    return Written(files, tuple(lost))
+
+
+def write_poses(path: Path, file: PoseFile, format: str, title: str = "") -> tuple[str, ...]:
+    """Write the poses in the format, whole or not at all; the arguments are `format_poses`'.
+
+    Returns what of the poses the format does not carry. Raises MismatchError where it carries too
+    little.
+    """
+    written = format_poses(file, format, path, title)
+    if len(written.files) == 1:
+        write_bytes(path, written.files[path.name])
+    else:
+        write_files(path.absolute().parent, written.files)
+    return written.lost
+
+
+def _select_individual(file: PoseFile, individual: int) -> PoseFile:
+    """Return the file with one individual alone; what it is called stays."""
+    only = slice(individual, individual + 1)
+    poses = replace(
+        file.poses,
+        positions=file.poses.positions[:, only],
+        error=file.poses.error[:, only],
+        views=file.poses.views[:, only],
+        confidence=file.poses.confidence[:, only],
+    )
+    return replace(file, poses=poses, individuals=(file.individuals[individual],))

@@ -1,0 +1,76 @@
+"""Write a run's cameras and 3D poses in further formats, beside its own files."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from mocap_calib.errors import MismatchError
+from mocap_calib.io.atomic import remove_further_individuals
+from mocap_calib.io.cameras.formats import CAMERA_FORMATS
+from mocap_calib.io.cameras.write import format_rig, write_cameras
+from mocap_calib.io.poses.common import PoseFile
+from mocap_calib.io.poses.formats import POSE_FORMATS
+from mocap_calib.io.poses.write import write_poses
+from mocap_calib.io.registry import find_format, written_names
+from mocap_calib.types import CameraRig
+
+
+def check_formats(names: Sequence[str], fps: float | None) -> None:
+    """Raise MismatchError where `write_formats` cannot write a format, or not without `fps`."""
+    poses, cameras = written_names(POSE_FORMATS), written_names(CAMERA_FORMATS)
+    for name in names:
+        if name not in (*poses, *cameras):
+            raise MismatchError(
+                f"--write: expected one of {', '.join((*poses, *cameras))}, found {name!r}; "
+                "choose another"
+            )
+        if name in poses and find_format(POSE_FORMATS, name).timed and fps is None:
+            raise MismatchError(
+                f"--write {name}: expected the number of frames per second, found none; "
+                "say it with --fps"
+            )
+
+
+def write_formats(
+    output: Path,
+    rig: CameraRig,
+    file: PoseFile,
+    names: Sequence[str],
+    provenance: Mapping[str, Any],
+) -> list[str]:
+    """Write a rig and poses in further formats into the folder of a run.
+
+    Cameras go to a folder that is called as the format, poses to poses3d and the ending of the
+    format (SLEAP-anipose: points3d.h5).
+
+    Returns a line for all that a format does not hold. Raises MismatchError where a format cannot
+    hold the rig or the poses.
+    """
+    lines = []
+    for name in names:
+        if name in written_names(CAMERA_FORMATS):
+            lost = _write_rig(output / name, rig, name, provenance)
+        else:
+            lost = _write_poses(output, file, name)
+        lines += [f"{name} does not hold {what}" for what in lost]
+    return lines
+
+
+def _write_rig(
+    folder: Path, rig: CameraRig, name: str, provenance: Mapping[str, Any]
+) -> tuple[str, ...]:
+    """Write the files of a camera format into a folder; return what they do not hold."""
+    if find_format(CAMERA_FORMATS, name).folder:
+        return write_cameras(folder, rig, name, provenance)
+    file_name = next(iter(format_rig(rig, name, provenance).files))
+    return write_cameras(folder / file_name, rig, name, provenance)
+
+
+def _write_poses(folder: Path, file: PoseFile, name: str) -> tuple[str, ...]:
+    """Write a pose format's files into a folder; return what they do not hold."""
+    known = find_format(POSE_FORMATS, name)
+    path = folder / (f"poses3d{known.endings[0]}" if known.endings else "points3d.h5")
+    lost = write_poses(path, file, name)
+    if known.single:
+        remove_further_individuals(path, len(file.individuals))
+    return lost

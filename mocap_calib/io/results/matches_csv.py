@@ -1,0 +1,133 @@
+"""matches.csv: who is who, a row per detection."""
+
+import csv
+import io
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from mocap_calib.errors import MismatchError
+from mocap_calib.io.file import decode, malformed, read_bytes
+from mocap_calib.io.results.csv_text import format_csv_line, slice_frames
+from mocap_calib.types import Bools, Ints, Matches, Recording
+
+_COLUMNS = ["camera", "frame", "instance", "individual"]
+_REMEDY = "write the file as mocap-calib does"
+_WRONG_RECORDING = "give the matches of this recording"
+
+
+def matches_csv(recording: Recording, matches: Matches) -> Iterator[str]:
+    """Yield CSV in pieces, with a row per detection.
+
+    Columns: the camera's name, the frame number, the instance (order in the file), and the
+    individual (-1 = nobody).
+    """
+    yield format_csv_line(_COLUMNS)
+    for view, name in enumerate(recording.names):
+        camera = format_csv_line([name]).rstrip("\n")
+        for piece in slice_frames(len(recording.frames)):
+            seen = np.isfinite(recording.positions[view, piece, :, :, 0]).any(axis=-1)
+            frame, instance = np.nonzero(seen)
+            individual = matches.labels[view, piece][frame, instance]
+            rows = zip(
+                recording.frames[piece][frame].tolist(),
+                instance.tolist(),
+                individual.tolist(),
+                strict=True,
+            )
+            yield "".join(f"{camera},{f},{i},{who}\n" for f, i, who in rows)
+
+
+def read_matches_csv(path_or_text: Path | str, recording: Recording) -> Matches:
+    """Return the matches in a file or a text, as `matches_csv` writes them.
+
+    A detection that has no row is nobody's. Raises FormatError for bad content and MismatchError
+    for a camera, frame or instance that the recording lacks.
+    """
+    if isinstance(path_or_text, Path):
+        source = str(path_or_text)
+        text = decode(read_bytes(path_or_text), source)
+    else:
+        source = "matches"
+        text = path_or_text
+    cameras, rows = _parse_rows(text, source)
+    detections = _find_detections(cameras, rows[:, :2], recording, source)
+    individual = rows[:, 2]
+    _check_once(detections, "each detection once", source)
+    somebody = individual >= 0
+    _check_once(
+        np.column_stack([detections[:, :2], individual])[somebody],
+        "each individual once per camera and frame",
+        source,
+    )
+    labels = np.full(recording.positions.shape[:3], -1, dtype=np.int64)
+    labels[tuple(detections.T)] = individual
+    return Matches(labels)
+
+
+def _parse_rows(text: str, source: str) -> tuple[list[str], Ints]:
+    """Return camera names, and `[row, 3]` frame, instance, individual. Raises FormatError."""
+    try:
+        table = [row for row in csv.reader(io.StringIO(text, newline="")) if row]
+    except csv.Error as error:
+        raise malformed(source, "comma-separated values", error, _REMEDY) from None
+    if not table or table[0] != _COLUMNS:
+        found = ",".join(table[0]) if table else "an empty file"
+        raise malformed(source, f"the columns {','.join(_COLUMNS)}", found, _REMEDY)
+    numbers = [cells[1:] for cells in table[1:]]
+    try:
+        rows = np.array([[int(cell) for cell in cells] for cells in numbers], dtype=np.int64)
+        rows = rows.reshape(-1, 3)
+    except (ValueError, OverflowError) as error:
+        expected = "three whole numbers after the camera in each row"
+        raise malformed(source, expected, error, _REMEDY) from None
+    individual = rows[:, 2]
+    possible = (individual >= -1) & (individual < len(rows))
+    if len(rows) != len(numbers) or not possible.all():
+        expected = "four cells a row, individuals counted from 0, -1 = nobody"
+        raise malformed(source, expected, "others", _REMEDY)
+    return [row[0] for row in table[1:]], rows
+
+
+def _find_detections(cameras: list[str], rows: Ints, recording: Recording, source: str) -> Ints:
+    """Return `[row, 3]` indices (view, frame, instance) of rows (frame number, instance).
+
+    rows: `[row, 2]`, of the cameras of these names.
+
+    Raises MismatchError where the recording has no such detection.
+    """
+    view = _find_views(cameras, recording, source)
+    frame = np.searchsorted(recording.frames, rows[:, 0]).clip(max=len(recording.frames) - 1)
+    instance = rows[:, 1].clip(0, recording.positions.shape[2] - 1)
+    positions = recording.positions[view, frame, instance]
+    detected: Bools = np.isfinite(positions[..., 0]).any(axis=-1)
+    same_frame = recording.frames[frame] == rows[:, 0]
+    same_instance = instance == rows[:, 1]
+    known = same_frame & same_instance & detected
+    if not known.all():
+        row = int(np.argmin(known))
+        found = f"camera {cameras[row]} frame {rows[row, 0]} instance {rows[row, 1]}"
+        raise MismatchError(
+            f"{source}: row {row + 2}: expected detections of the recording, found {found}; "
+            f"{_WRONG_RECORDING}"
+        )
+    return np.column_stack([view, frame, instance])
+
+
+def _find_views(cameras: list[str], recording: Recording, source: str) -> Ints:
+    """Return `[row]` indices of the cameras of these names. Raises MismatchError."""
+    index = {name: view for view, name in enumerate(recording.names)}
+    strangers = sorted(set(cameras) - set(index))
+    if strangers:
+        raise MismatchError(
+            f"{source}: expected the cameras {', '.join(recording.names)}, "
+            f"found {', '.join(strangers)}; {_WRONG_RECORDING}"
+        )
+    return np.array([index[name] for name in cameras], dtype=np.int64)
+
+
+def _check_once(rows: Ints, expected: str, source: str) -> None:
+    """Raise FormatError where a row occurs twice."""
+    if len(np.unique(rows, axis=0)) != len(rows):
+        raise malformed(source, expected, "one of them twice", "remove one of the rows")

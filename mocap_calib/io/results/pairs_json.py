@@ -1,0 +1,158 @@
+"""pairs.json: calibrated pairs of cameras, and how a pair is spelt in JSON."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from mocap_calib.errors import FormatError
+from mocap_calib.io.cameras.intrinsics import (
+    camera_fields,
+    camera_from_fields,
+    describe_keys,
+    numbers,
+)
+from mocap_calib.io.file import malformed, one_line
+from mocap_calib.types import Camera, PairwiseCalibration
+
+VERSION = 1
+_FORMAT = "mocap-calib pairs"
+_REMEDY = "write the file again with the first stage"
+
+
+def pair_fields(pair: PairwiseCalibration) -> dict[str, Any]:
+    """Return a pair as JSON has it: every digit is kept in Python, and so are NaN and infinity."""
+    alternatives = [_own_fields(alternative) for alternative in pair.alternatives]
+    return _own_fields(pair) | {"alternatives": alternatives}
+
+
+def pair_from_fields(stored: Mapping[str, Any], source: str) -> PairwiseCalibration:
+    """Return the pair that `pair_fields` spelt; alternatives may be absent, null is NaN.
+
+    source: what complaints call the pair.
+
+    Raises FormatError, and LookupError, TypeError, ValueError, AttributeError or OverflowError for
+    what is no pair.
+    """
+    alternatives = stored.get("alternatives", [])
+    return PairwiseCalibration(
+        a=int(stored["a"]),
+        b=int(stored["b"]),
+        rotation=numbers(stored["rotation"], "a 3 x 3 rotation", source).reshape(3, 3),
+        translation=numbers(stored["translation"], "a translation", source).reshape(3),
+        matches=np.array(stored["matches"], dtype=np.int64).reshape(-1, 3),
+        frames=int(stored["frames"]),
+        score=_figure(stored["score"]),
+        residual=_figure(stored["residual"]),
+        in_front=_figure(stored["in_front"]),
+        source=str(stored["source"]),
+        alternatives=tuple(pair_from_fields(each, source) for each in alternatives),
+    )
+
+
+def pairs_to_json(pairs: Sequence[PairwiseCalibration], cameras: Sequence[Camera]) -> str:
+    """Return the calibrated pairs with their cameras, which is all that averaging needs.
+
+    Cameras are named, and NaN is null. A camera and a pair take a line each.
+    """
+    head = {
+        "format": _FORMAT,
+        "version": VERSION,
+        "transform": "b_from_a, baseline in body sizes",
+    }
+    names = [camera.name for camera in cameras]
+    members = [f"{json.dumps(key)}: {json.dumps(value)}" for key, value in head.items()]
+    members.append(_json_list("cameras", [camera_fields(camera) for camera in cameras]))
+    members.append(_json_list("pairs", [_named(pair_fields(pair), names) for pair in pairs]))
+    return "{\n" + ",\n".join(members) + "\n}\n"
+
+
+def pairs_from_json(
+    text: str, source: str
+) -> tuple[tuple[PairwiseCalibration, ...], tuple[Camera, ...]]:
+    """Return the pairs and the cameras that `pairs_to_json` wrote.
+
+    source: what complaints call the text.
+
+    Raises FormatError.
+    """
+    data = _parse(text, source)
+    cameras = tuple(camera_from_fields(each, source) for each in data["cameras"])
+    index = {camera.name: view for view, camera in enumerate(cameras)}
+    pairs = []
+    try:
+        for number, stored in enumerate(data["pairs"]):
+            where = f"{source}: pair {number}"
+            pair = pair_from_fields(_indexed(stored, index), where)
+            _check_alternatives(pair, where)
+            pairs.append(pair)
+    except FormatError:
+        raise
+    except (LookupError, ValueError, TypeError, AttributeError, OverflowError) as error:
+        found = f"an error ({one_line(error)})"
+        raise malformed(source, "pairs of the cameras named", found, _REMEDY) from None
+    return tuple(pairs), cameras
+
+
+def _own_fields(pair: PairwiseCalibration) -> dict[str, Any]:
+    """Return all fields of a pair but its alternatives."""
+    own = {}
+    for field in fields(pair):
+        if field.name != "alternatives":
+            value = getattr(pair, field.name)
+            own[field.name] = value.tolist() if isinstance(value, np.ndarray) else value
+    return own
+
+
+def _figure(value: Any) -> float:
+    return np.nan if value is None else float(value)
+
+
+def _named(stored: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
+    """Return the fields of a pair with the names of its cameras, and null for what is no number."""
+    named = dict(stored)
+    for key, value in stored.items():
+        if isinstance(value, float) and not np.isfinite(value):
+            named[key] = None
+    named |= {"a": names[stored["a"]], "b": names[stored["b"]]}
+    if "alternatives" in stored:
+        named["alternatives"] = [_named(each, names) for each in stored["alternatives"]]
+    return named
+
+
+def _indexed(stored: Mapping[str, Any], index: Mapping[str, int]) -> dict[str, Any]:
+    """Return the fields of a pair with the indices of its cameras."""
+    indexed = dict(stored)
+    indexed |= {"a": index[stored["a"]], "b": index[stored["b"]]}
+    indexed["alternatives"] = [_indexed(each, index) for each in stored.get("alternatives", [])]
+    return indexed
+
+
+def _check_alternatives(pair: PairwiseCalibration, source: str) -> None:
+    """Raise FormatError where an alternative is of other cameras."""
+    cameras = {pair.a, pair.b}
+    if any({alternative.a, alternative.b} != cameras for alternative in pair.alternatives):
+        raise malformed(source, "alternatives of the same two cameras", "others", _REMEDY)
+
+
+def _json_list(name: str, entries: Sequence[Any]) -> str:
+    """Return a member of a JSON object that is a list, with an entry a line."""
+    lines = ",\n  ".join(json.dumps(entry, ensure_ascii=False) for entry in entries)
+    return f"{json.dumps(name)}: [\n  {lines}\n]"
+
+
+def _parse(text: str, source: str) -> dict[str, Any]:
+    """Return the parsed file, which has lists of cameras and pairs. Raises FormatError."""
+    try:
+        data = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise malformed(source, "JSON", f"an error ({error})", _REMEDY) from None
+    head = (data.get("format"), data.get("version")) if isinstance(data, dict) else None
+    if head != (_FORMAT, VERSION):
+        expected = f"{_FORMAT}, version {VERSION}"
+        raise malformed(source, expected, describe_keys(data), _REMEDY)
+    if not isinstance(data.get("cameras"), list) or not isinstance(data.get("pairs"), list):
+        raise malformed(source, "lists of cameras and pairs", describe_keys(data), _REMEDY)
+    return data

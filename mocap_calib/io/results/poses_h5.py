@@ -1,0 +1,122 @@
+"""poses3d.h5: the 3D poses of all individuals.
+
+Datasets: position `[frame, individual, keypoint, 3]`, error, views, confidence `[frame, individual,
+keypoint]`, frames `[frame]`, keypoint_names `[keypoint]`, and individual_names `[individual]` where
+they are given.
+"""
+
+import io
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from mocap_calib.io import hdf5
+from mocap_calib.io.atomic import replacing
+from mocap_calib.io.file import malformed
+from mocap_calib.io.keypoints.document import HDF5_DAMAGE
+from mocap_calib.types import Poses3D, check_shape
+
+VERSION = 1
+_FORMAT = "mocap-calib poses"
+
+
+def write_poses_h5(path: Path, poses: Poses3D, provenance: Mapping[str, Any]) -> None:
+    """Write what `poses_to_h5` gives, whole or not at all, and without a copy of it in memory."""
+    with replacing(path) as work, h5py.File(work, "w") as file:
+        _fill(file, poses, provenance)
+
+
+def poses_to_h5(
+    poses: Poses3D,
+    provenance: Mapping[str, Any],
+    *,
+    figures: Mapping[str, float] | None = None,
+    individuals: Sequence[str] = (),
+) -> bytes:
+    """Return the poses as HDF5; the same arguments give the same bytes.
+
+    figures: further attributes (fps); NaN is left out.
+    individuals: `[individual]` names.
+    """
+    with h5py.File("poses", "w", driver="core", backing_store=False) as file:
+        _fill(file, poses, provenance, figures=figures or {}, individuals=individuals)
+        file.flush()
+        content: bytes = file.id.get_file_image()
+    return content
+
+
+def parse_poses_h5(content: bytes, source: str) -> Poses3D:
+    """Return the poses in the content of a file that `poses_to_h5` or `write_poses_h5` wrote.
+
+    Raises FormatError. Call it through `io.poses.read.parse_poses`, which contains HDF5.
+    """
+    try:
+        with h5py.File(io.BytesIO(content), "r") as file:
+            poses = _read(file, source)
+        check_shape("position", poses.positions, len(poses.frames), None, len(poses.keypoints), 3)
+        shape = poses.positions.shape[:3]
+        check_shape("error", poses.error, *shape)
+        check_shape("views", poses.views, *shape)
+        check_shape("confidence", poses.confidence, *shape)
+    except HDF5_DAMAGE as damage:
+        raise malformed(
+            source, f"{_FORMAT}, version {VERSION}", f"an error ({damage})", "write the file again"
+        ) from None
+    return poses
+
+
+def _fill(
+    file: h5py.File,
+    poses: Poses3D,
+    provenance: Mapping[str, Any],
+    *,
+    figures: Mapping[str, float] | None = None,
+    individuals: Sequence[str] = (),
+) -> None:
+    """Fill an HDF5 file. No times are written: they would change its bytes."""
+    arrays = {
+        "position": poses.positions,
+        "error": poses.error,
+        "views": poses.views,
+        "confidence": poses.confidence,
+        "frames": poses.frames,
+    }
+    for name, array in arrays.items():
+        packed = {"compression": "gzip", "shuffle": True} if array.size else {}
+        file.create_dataset(name, data=array, track_times=False, **packed)
+    _write_names(file, "keypoint_names", poses.keypoints)
+    if individuals:
+        _write_names(file, "individual_names", individuals)
+    file.attrs["format"] = _FORMAT
+    file.attrs["version"] = VERSION
+    file.attrs["unit"] = poses.unit
+    file.attrs["dimensions"] = "frame, individual, keypoint, coordinate"
+    for name, value in (figures or {}).items():
+        if np.isfinite(value):
+            file.attrs[name] = value
+    file.attrs["provenance"] = json.dumps(provenance, default=str)
+
+
+def _write_names(file: h5py.File, dataset: str, names: Sequence[str]) -> None:
+    texts = np.array(tuple(names), dtype=object)
+    file.create_dataset(dataset, data=texts, dtype=h5py.string_dtype(), track_times=False)
+
+
+def _read(file: h5py.File, source: str) -> Poses3D:
+    """Read the datasets. Raises FormatError, and what h5py raises on damage."""
+    format, version = file.attrs["format"], file.attrs["version"]
+    if format != _FORMAT or version != VERSION:
+        raise ValueError(f"format {format}, version {version}")
+    return Poses3D(
+        keypoints=hdf5.names(file, "keypoint_names", source),
+        frames=hdf5.integers(file, "frames", source),
+        positions=hdf5.array(file, "position", source).astype(np.float64),
+        error=hdf5.array(file, "error", source).astype(np.float64),
+        views=hdf5.integers(file, "views", source),
+        confidence=hdf5.array(file, "confidence", source).astype(np.float64),
+        unit=str(file.attrs["unit"]),
+    )
