@@ -3,9 +3,9 @@
 import json
 import shlex
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -14,7 +14,7 @@ from mocap_calib_cli import options
 
 if TYPE_CHECKING:
     from mocap_calib.steerpose.steer import Model
-    from mocap_calib.steerpose.training.poses import PoseSet, Split
+    from mocap_calib.steerpose.training.poses import PoseSet
     from mocap_calib.types import Progress, Skeleton
 
 _DEFAULT = TrainConfig()
@@ -119,6 +119,7 @@ def command(
     from mocap_calib.steerpose.training.train import model_card, training_config
     from mocap_calib_cli import outputs
     from mocap_calib_cli.progress import Reporter
+    from mocap_calib_cli.training import TrainingSource, load_pose_sets, load_vocabulary
 
     if sizes["width"] % _HEADS:
         raise click.BadParameter(
@@ -127,13 +128,13 @@ def command(
     outputs.check_file(output)
     check_device(shared.device)
     use_threads(threads)
-    source = _Source(poses, calibrated, skeleton, up, procedural)
-    vocabulary, settings = _load_vocabulary(source)
+    source = TrainingSource(poses, calibrated, skeleton, up, procedural)
+    vocabulary, settings = load_vocabulary(source)
     asked = {name: value for name, value in sizes.items() if value != getattr(_DEFAULT, name)}
     if architecture == "token":
         asked = _TOKEN_SIZE | asked
     config = replace(training_config(settings), seed=shared.seed, **asked)  # type: ignore[arg-type]
-    training, testing = _load_poses(source, vocabulary, config)
+    training, testing = load_pose_sets(source, vocabulary, config)
     with Reporter(quiet=shared.quiet) as reporter:
         train = _train_steerer if architecture == "token" else _train_lifter
         network, errors = train(
@@ -151,31 +152,6 @@ def command(
     reporter.say(f"held out: {listed}; weights in {output}")
     if as_json:
         click.echo(json.dumps(errors))
-
-
-@dataclass(frozen=True)
-class _Source:
-    """What to train on, as it was typed."""
-
-    poses: tuple[Path, ...]
-    calibrated: Path | None
-    skeleton: str | None
-    up: tuple[str, ...]
-    procedural: float | None
-
-    @property
-    def files(self) -> tuple[Path, ...]:
-        """The files with poses."""
-        return self.poses if self.calibrated is None else (*self.poses, self.calibrated)
-
-    @property
-    def skeleton_name(self) -> str:
-        """The vocabulary, where the poses of a run do not bring their own."""
-        return self.skeleton or "people"
-
-    def describe(self) -> str:
-        """Return what a model card says of the data where nobody says more."""
-        return ", ".join(path.name for path in self.files) or "procedural bodies"
 
 
 def _typed_command() -> str:
@@ -220,103 +196,3 @@ def _train_steerer(
     pairs = PairsConfig()
     steerer = train_steerer(training, vocabulary, config, pairs, device=device, progress=progress)
     return steerer, steering_error(steerer.cpu(), testing, vocabulary, pairs)
-
-
-# --- what they are trained on
-
-
-def _load_vocabulary(source: _Source) -> tuple["Skeleton", dict[str, Any]]:
-    """Return the joints to train for, and settings other than the defaults. Raises FormatError."""
-    from mocap_calib.io.poses.read import read_poses
-    from mocap_calib.recording.joints import load_section, load_skeleton
-    from mocap_calib.steerpose.training.own_species import TRAINING, own_skeleton
-
-    if source.calibrated is not None and source.skeleton is None:
-        poses = read_poses(source.calibrated, "poses-h5").poses
-        return own_skeleton(source.calibrated.stem, poses), TRAINING
-    name = source.skeleton_name
-    return load_skeleton(name), load_section(name, "training")
-
-
-def _load_poses(
-    source: _Source, vocabulary: "Skeleton", config: TrainConfig
-) -> "tuple[PoseSet, PoseSet]":
-    """Return the poses to train and to test on.
-
-    Raises FormatError, MismatchError, DegenerateError, and click's UsageError where what was
-    typed does not go together.
-    """
-    if source.calibrated is None:
-        return _pose_set(source, "train", config), _pose_set(source, "test", config)
-    if source.poses or source.procedural:
-        raise click.UsageError("expected POSES or --procedural, or --from, found both")
-    splits: tuple[Split, Split] = ("train", "test")
-    training, testing = (
-        _poses_of_run(source.calibrated, vocabulary, source.up, split) for split in splits
-    )
-    return training, testing
-
-
-def _poses_of_run(
-    calibrated: Path, vocabulary: "Skeleton", up: tuple[str, ...], split: "Split"
-) -> "PoseSet":
-    """Return the poses that a run found; nothing may tell what is up but --up or its cameras."""
-    from mocap_calib.io.cameras.read import read_rig
-    from mocap_calib.io.poses.read import read_poses
-    from mocap_calib.steerpose.training.own_species import axis, own_poses, up_of_rig
-
-    rig_file = calibrated.with_name("cameras.yaml")
-    if not up and not rig_file.is_file():
-        raise click.UsageError(f"expected {rig_file} beside the poses, or --up, found neither")
-    direction = axis(up[0]) if up else up_of_rig(read_rig(rig_file))
-    return own_poses(read_poses(calibrated, "poses-h5").poses, vocabulary, direction, split)
-
-
-def _pose_set(source: _Source, split: "Split", config: TrainConfig) -> "PoseSet":
-    """Return the poses of the files, and bodies made from the skeleton's file, mixed."""
-    from mocap_calib.recording.joints import load_section, load_skeleton
-    from mocap_calib.steerpose.training.poses import by_size, load_poses, mix, procedural_poses
-
-    name = source.skeleton_name
-    vocabulary = load_skeleton(name)
-    body = load_section(name, "body")
-    sets = [
-        load_poses(path, vocabulary, split, up=axis)
-        for path, axis in zip(source.poses, _up_axes(source), strict=True)
-    ]
-    share = _procedural_share(source, has_body=bool(body))
-    if not share:
-        return sets[0] if len(sets) == 1 else mix(sets, by_size(sets))
-    made = procedural_poses(vocabulary, body, config.bodies, seed=config.seed + (split == "test"))
-    if not sets:
-        return mix([made], [1.0])
-    sizes = by_size(sets)
-    total = sum(sizes)
-    return mix([*sets, made], [*(size / total * (1 - share) for size in sizes), share])
-
-
-def _up_axes(source: _Source) -> tuple[str, ...]:
-    """Return what points up in each file. Raises click's UsageError."""
-    files = len(source.poses)
-    if len(source.up) not in (0, 1, files):
-        raise click.UsageError(
-            f"--up: expected it once, or once for each of {files} files, "
-            f"found it {len(source.up)} times"
-        )
-    return source.up if len(source.up) == files else (source.up or ("+z",)) * files
-
-
-def _procedural_share(source: _Source, *, has_body: bool) -> float:
-    """Return the share of bodies that are made. Raises click's UsageError where there is nothing.
-
-    has_body: the skeleton's file says how its bodies are made.
-    """
-    share = source.procedural
-    if share is None:
-        share = (0.5 if source.poses else 1.0) * has_body
-    if (share and not has_body) or not (source.poses or share):
-        raise click.UsageError(
-            "expected POSES, or a skeleton with a section `body` to make some from, "
-            f"found neither in {source.skeleton_name}; see docs/skeletons.md"
-        )
-    return share
