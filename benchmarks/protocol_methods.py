@@ -11,7 +11,9 @@ from mocap_calib.config import PairwiseConfig, PaperConfig
 from mocap_calib.steerpose.checkpoint import load_steerer
 from mocap_calib.steerpose.lift import lift
 from mocap_calib.steerpose.model import Lifter
-from mocap_calib.steerpose.paper.solver import solve_pair, solve_pairs, two_views
+from mocap_calib.steerpose.paper.batch import TwoViews
+from mocap_calib.steerpose.paper.solver import solve_pair, solve_pairs
+from mocap_calib.steerpose.rays import rays_by_joint
 from mocap_calib.steerpose.steer import Model
 from mocap_calib.two_view.five_point import all_pairs_magsac, five_point_over_matches
 from mocap_calib.two_view.solve import calibrate_pair, pair_problem
@@ -122,17 +124,23 @@ def ours(config: PairwiseConfig) -> Method:
     return method
 
 
+def _two_views(problem: Problem, joints: int) -> TwoViews:
+    """Return the detections of the two views, in the order of the model's joints."""
+    recording = problem.recording
+    rays_a, rays_b = (
+        rays_by_joint(recording.rays[view], recording.vocabulary, joints)
+        for view in (problem.a, problem.b)
+    )
+    focal = (recording.cameras[problem.a].focal + recording.cameras[problem.b].focal) / 2
+    return TwoViews(rays_a, rays_b, focal)
+
+
 def paper(architecture: str, config: PaperConfig) -> Method:
     """The paper's solver; its seconds are those of pairs solved alone."""
 
     def method(problems: Sequence[Problem], models: dict[str, Model]) -> Answers:
         model = models[architecture]
-        views = [
-            two_views(
-                p.recording, p.a, p.b, np.arange(len(p.recording.frames)), model.config.joints
-            )
-            for p in problems
-        ]
+        views = [_two_views(problem, model.config.joints) for problem in problems]
         start = time.perf_counter()
         for k in range(min(TIMED, len(views))):
             solve_pair(views[k], model, config, torch.Generator().manual_seed(k))

@@ -6,11 +6,21 @@ from typing import Literal
 SAME_RIG_DEG = 10.0  # two rigs whose cameras turn by no more than this are one answer
 
 
+LIFT_CONFIDENCE = 0.4  # of a view's best confidence: joints below it are hidden from the network
+LIFT_BEST_PERCENTILE = 90.0  # of a view's confidences: the view's best
+LIFT_UPRIGHT_SAMPLE = 128  # detections of a view that tell which way is down in its images
+LIFT_LEAST_DEPTH = 0.5  # body sizes: no body is nearer to a camera
+
+COMPLETION_SPREAD = 0.2  # body sizes: a joint known to this much has exp(-1) of the confidence
+COMPLETION_CONFIDENCE = 0.5  # at most, of the mean confidence of the joints that were seen
+
+
 @dataclass(frozen=True)
 class TrainConfig:
     """How a lifter is trained; saved in its model card.
 
-    Angles in degrees, lengths in body sizes (RMS joint distance from the centroid; about 0.55 m for an adult).
+    Angles in degrees, lengths in body sizes (RMS joint distance from the centroid; about 0.55 m
+    for an adult).
     """
 
     steps: int = 9000
@@ -18,26 +28,36 @@ class TrainConfig:
     width: int = 64
     layers: int = 4
     learning_rate: float = 2e-3
-    roll_deg: float = (
-        10.0  # most rigs stand upright; rolled cameras are turned upright before lifting
-    )
+    # most rigs stand upright; the images of rolled cameras are turned upright before lifting
+    roll_deg: float = 10.0
     elevation_deg: tuple[float, float] = (-15.0, 65.0)
     elevation_skew: float = 0.5  # 0: all elevations alike; more: the lower ones likelier
     distance: tuple[float, float] = (3.0, 40.0)
-    noise: tuple[float, float] = (
-        0.005,
-        0.06,
-    )  # of the visible pose's RMS radius, log-uniform per pose
+    # of the visible pose's RMS radius, log-uniform per pose
+    noise: tuple[float, float] = (0.005, 0.06)
     outliers: float = 0.02  # share of joints that the detector puts somewhere else
     length_spread: float = 0.12  # log-normal, a limb; children and adults
-    straighten: float = (
-        0.7  # knees of fitted skeletons are too bent: up to this share of the way to straight
-    )
+    # knees of fitted skeletons are too bent: up to this share of the way to straight
+    straighten: float = 0.7
     joint_spread: float = 0.03  # detectors disagree where a joint is
     joint_dropout: float = 0.6  # up to this share of joints belongs to other layouts
     occlusion: float = 0.25  # up to this share of the remaining joints is missing
-    bodies: int = 40_000  # procedural bodies that are drawn from, where a skeleton has a body and they are asked for
+    bodies: int = 40_000  # procedural bodies to draw from, where they are asked for
     seed: int = 0
+
+
+OUTLIER_NOISE = 0.5  # of the visible pose's RMS radius: noise of the joints put somewhere else
+HIDDEN_LIMBS = 0.2  # share of the poses one of whose limbs is hidden
+TRAINING_JOINTS = 4  # that a training pose has, and shows, at least
+WEIGHT_DECAY = 1e-4
+WARM_UP = 0.05  # share of the training steps in which the learning rate rises
+LARGEST_GRADIENT = 1.0
+UNCERTAINTY_WEIGHT = 0.1  # of the Laplace likelihood in the loss of a lifter
+EVALUATION_SEED = 12345  # all networks are measured on the same examples
+EVALUATION_SEED_OF_ANGLES = 54321
+
+OWN_SPECIES_LEAST_POSES = 20  # 3D poses of a calibrated recording that can be learnt from
+OWN_SPECIES_LARGEST_ERROR = 3.0  # median reprojection errors: joints beyond it are left out
 
 
 @dataclass(frozen=True)
@@ -49,10 +69,12 @@ class PairsConfig:
     pairs: int = 3000  # of views, split 7:2:1
     noise: float = 0.03  # of the visible pose's RMS radius
     masked: tuple[float, float] = (0.1, 0.3)  # share of joints
-    layouts: float = (
-        0.5  # share of poses that lack further joints, as detectors' layouts do; not in the paper
-    )
+    # share of poses that lack further joints, as detectors' layouts do; not in the paper
+    layouts: float = 0.5
     seed: int = 0
+
+
+LAYOUT_DROPOUT = 0.6  # up to this share of joints is lacking where a pose lacks further joints
 
 
 @dataclass(frozen=True)
@@ -133,6 +155,10 @@ class FivePointConfig:
     ransac_confidence: float = 0.999
 
 
+# ways to calibrate a pair of views; the first is the default
+PAIR_SOLVERS = ("search", "paper", "five-point")
+
+
 @dataclass(frozen=True)
 class PaperConfig:
     """The paper's solver (section 3.2 and appendix C.3); what the paper leaves open is marked."""
@@ -149,6 +175,11 @@ class PaperConfig:
     mutual: int = 2  # matches, mutual in both directions, before L_geom is active
     tries: int = 5
     success_px: float = 10.0
+
+
+PAPER_FAR_PX = 100.0  # a joint reprojected farther away, or behind a camera, counts as this
+PAPER_LEAST_JOINTS = 4  # seen joints of a body that is steered
+PAPER_LEAST_RAY_DEPTH = 0.05  # z of a unit ray that has an image point
 
 
 @dataclass(frozen=True)
@@ -294,4 +325,12 @@ class SimulateConfig:
     seed: int = 0
 
 
-PAIR_SOLVERS = ("search", "paper", "five-point")  # ways to calibrate a pair of views; the first is the default
+CAMERA_HEIGHT = 2.2  # metres: above people's heads, as cameras hang in rooms
+CAMERA_AIM = (0.0, 0.0, 0.9)  # metres: the middle of the people in the room
+ROOM_SIDE = 0.9  # side of the square that people walk in, in radii of the ring
+PEOPLE_APART = 0.8  # metres that people keep between them
+LEAST_DETECTED_JOINTS = 4  # that make a detection
+FALSE_COPIES = 0.5  # share of the false detections that are a distorted copy of a real one
+FALSE_CONFIDENCE = 0.7  # of the confidence of a real detection
+WALK_CANDIDATES = 60  # walks tried for each person, until one keeps away from the others
+MOTION_RATE = 60.0  # inner frames a second: steps must not depend on how often somebody looks

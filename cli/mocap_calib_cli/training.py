@@ -12,18 +12,18 @@ from mocap_calib.io.poses.read import read_poses
 from mocap_calib.recording.joints import load_section, load_skeleton
 from mocap_calib.steerpose.training.own_species import (
     TRAINING,
-    axis,
     own_poses,
     own_skeleton,
+    up_direction,
     up_of_rig,
 )
 from mocap_calib.steerpose.training.poses import (
     PoseSet,
     Split,
-    by_size,
     load_poses,
     mix,
     procedural_poses,
+    shares_by_size,
 )
 from mocap_calib.types import Skeleton
 
@@ -96,7 +96,7 @@ def _poses_of_run(
     rig_file = calibrated.with_name("cameras.yaml")
     if not up and not rig_file.is_file():
         raise click.UsageError(f"expected {rig_file} beside the poses, or --up, found neither")
-    direction = axis(up[0]) if up else up_of_rig(read_rig(rig_file))
+    direction = up_direction(up[0]) if up else up_of_rig(read_rig(rig_file))
     return own_poses(read_poses(calibrated, "poses-h5").poses, vocabulary, direction, split)
 
 
@@ -111,11 +111,11 @@ def _pose_set(source: TrainingSource, split: Split, config: TrainConfig) -> Pose
     ]
     share = _procedural_share(source, has_body=bool(body))
     if not share:
-        return sets[0] if len(sets) == 1 else mix(sets, by_size(sets))
+        return sets[0] if len(sets) == 1 else mix(sets, shares_by_size(sets))
     made = procedural_poses(vocabulary, body, config.bodies, seed=config.seed + (split == "test"))
     if not sets:
         return mix([made], [1.0])
-    sizes = by_size(sets)
+    sizes = shares_by_size(sets)
     total = sum(sizes)
     return mix([*sets, made], [*(size / total * (1 - share) for size in sizes), share])
 

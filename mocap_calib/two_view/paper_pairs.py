@@ -9,7 +9,9 @@ import numpy as np
 
 from mocap_calib.config import PairwiseConfig, PaperConfig
 from mocap_calib.recording.sampling import evenly
-from mocap_calib.steerpose.paper.solver import TwoViews, by_joint, seeded, solve_pair
+from mocap_calib.steerpose.paper.batch import TwoViews
+from mocap_calib.steerpose.paper.solver import seeded_generator, solve_pair
+from mocap_calib.steerpose.rays import rays_by_joint
 from mocap_calib.steerpose.steer import Model
 from mocap_calib.two_view.solve import PairProblem, judge_pair
 from mocap_calib.types import Floats, Ints, PairwiseCalibration
@@ -34,7 +36,7 @@ class PaperPairs:
         if problem.shared_frames == 0:
             return None
         frames = evenly(np.arange(len(problem.pair.frames)), self.config.frames)
-        generator = seeded(int(problem.rng.integers(2**62)))
+        generator = seeded_generator(int(problem.rng.integers(2**62)))
         found = solve_pair(self._two_views(problem, frames), self.model, self.config, generator)
         if not len(found.matches):
             return None
@@ -53,7 +55,7 @@ class PaperPairs:
     def _two_views(self, problem: PairProblem, frames: Ints) -> TwoViews:
         """Return the rays of both views in the joints of the model, in some of the frames."""
         pair, joints = problem.pair, self.model.config.joints
-        rays_a = by_joint(pair.a.rays_or_nan[frames], self.vocabulary, joints)
-        rays_b = by_joint(pair.b.rays_or_nan[frames], self.vocabulary, joints)
+        rays_a = rays_by_joint(pair.a.rays_or_nan[frames], self.vocabulary, joints)
+        rays_b = rays_by_joint(pair.b.rays_or_nan[frames], self.vocabulary, joints)
         focal = float(self.focal[[problem.a, problem.b]].mean())
         return TwoViews(rays_a, rays_b, focal)

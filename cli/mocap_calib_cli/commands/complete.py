@@ -33,7 +33,7 @@ def command(shared: options.SharedOptions, output: Path, target: str) -> None:
     from mocap_calib.io.keypoints.write import write_keypoints
     from mocap_calib.recording.sampling import take_sample
     from mocap_calib.steerpose.checkpoint import load_vocabulary
-    from mocap_calib.steerpose.completion import completed
+    from mocap_calib.steerpose.completion import complete_sample
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.progress import Reporter
 
@@ -44,7 +44,7 @@ def command(shared: options.SharedOptions, output: Path, target: str) -> None:
         _check_joints(loaded.recording)
         sample = take_sample(loaded.recording, slice(None))
         lifted = inputs.lift_with_model(sample, loaded.model, shared.device, reporter)
-        positions, confidence = completed(sample, lifted)
+        positions, confidence = complete_sample(sample, lifted)
         joints = load_vocabulary(loaded.model).keypoints
         views = _make_views(sample, joints, positions, confidence, str(output))
         lost = write_keypoints(output, views, target)

@@ -175,7 +175,8 @@ def _train_lifter(
     progress: "Progress",
 ) -> "tuple[Model, dict[str, float]]":
     """Return our network, trained, and its errors on the poses for testing."""
-    from mocap_calib.steerpose.training.train import held_out_error, train_lifter
+    from mocap_calib.steerpose.training.evaluation import held_out_error
+    from mocap_calib.steerpose.training.train import train_lifter
 
     lifter = train_lifter(training, vocabulary, config, device=device, progress=progress)
     return lifter, held_out_error(lifter.cpu(), testing, vocabulary, config)
@@ -191,7 +192,8 @@ def _train_steerer(
     progress: "Progress",
 ) -> "tuple[Model, dict[str, float]]":
     """Return the network of the paper, trained, and its errors on the poses for testing."""
-    from mocap_calib.steerpose.training.train import steering_error, train_steerer
+    from mocap_calib.steerpose.training.evaluation import steering_error
+    from mocap_calib.steerpose.training.train import train_steerer
 
     pairs = PairsConfig()
     steerer = train_steerer(training, vocabulary, config, pairs, device=device, progress=progress)
