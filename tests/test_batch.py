@@ -46,7 +46,7 @@ def wait_for(path: Path, pattern: str, count: int, process: subprocess.Popen) ->
 
 @pytest.fixture(scope="module")
 def sessions(tmp_path_factory, small) -> Path:
-    """Three recordings: two in folders of their own, one a bare folder of keypoints whose intrinsics lie elsewhere."""
+    """Three recordings: two with intrinsics of their own, one a bare folder of keypoints."""
     folder = tmp_path_factory.mktemp("sessions")
     for seed, name in enumerate(("jump", "walk")):
         write_scene(
@@ -114,9 +114,9 @@ def test_a_recording_that_fails_does_not_stop_the_others(sessions, once, tool, t
     lines = said.stderr.splitlines()
     assert len(lines) == 2
     assert lines[0].startswith("mocap-calib: jump: jump/keypoints/cam2.json: expected")
-    assert (
-        lines[1]
-        == "mocap-calib: nobody: nobody: expected the folder of a recording, found none; check the path"
+    assert lines[1] == (
+        "mocap-calib: nobody: nobody: expected the folder of a recording, found none; "
+        "check the path"
     )
 
 
@@ -235,7 +235,10 @@ def test_finished_is_told_by_content(change, asked, monkeypatch):
     "moment", ["small/.unfinished/*.json", "jump/run.json"], ids=["between", "writing"]
 )
 def test_a_batch_goes_on_where_it_was_killed(way, moment, sessions, once, tool, tmp_path):
-    """Killed amid the second recording, or while the first one's results appear: the second call leaves the same bytes."""
+    """Killed amid the second recording, or while the first one's results appear.
+
+    The second call leaves the same bytes as a batch that nothing disturbed.
+    """
     out = tmp_path / "out"
     names = ("jump", "small", "walk")
     process = subprocess.Popen(

@@ -1,4 +1,4 @@
-"""What was typed and what is said of it: twins of DeepLabCut, detections that no second camera has."""
+"""What was typed, and what is said of it: DeepLabCut's two files, detections of one camera alone."""
 
 from dataclasses import replace
 
