@@ -1,4 +1,4 @@
-"""What was typed, and what is said of it: DeepLabCut's two files, detections of one camera alone."""
+"""What was typed, and what is said of it: DeepLabCut's two files, lone detections."""
 
 from dataclasses import replace
 

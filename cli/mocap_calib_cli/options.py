@@ -145,8 +145,9 @@ _OPTIONS = {
         "--solver",
         type=click.Choice(PAIR_SOLVERS),
         default=SharedOptions.solver,
-        help="How pairs of cameras are calibrated: our search, the gradient descent of the paper "
-        "(slow), or its five-point baseline.",
+        metavar="NAME",
+        help="How pairs of cameras are calibrated: search (ours), paper (its gradient descent, "
+        "slow), or five-point (its baseline).",
     ),
     "seed": click.option(
         "--seed",

@@ -6,13 +6,13 @@ from mocap_calib_cli import options
 
 
 @click.command(name="adjust")
-@options.shared_options(*options.KEYPOINTS, "rig", "matches", *options.MODEL, "quiet")
 @options.output_text("adjusted cameras (YAML)")
 @click.option(
     "--matches-out",
     metavar="FILE",
     help="Where to write the matches that the adjusted cameras imply.",
 )
+@options.shared_options("rig", "matches", *options.MODEL, *options.KEYPOINTS, "quiet")
 def command(shared: options.SharedOptions, output: str, matches_out: str | None) -> None:
     """Adjust the cameras and match again, in turn, until no match changes (bundle adjustment).
 

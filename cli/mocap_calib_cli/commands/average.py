@@ -7,8 +7,8 @@ from mocap_calib_cli import options
 
 @click.command(name="average")
 @click.argument("pairs", metavar="PAIRS")
-@options.shared_options("quiet")
 @options.output_text("cameras (YAML)")
+@options.shared_options("quiet")
 def command(shared: options.SharedOptions, pairs: str, output: str) -> None:
     """Make one rig of the pairs of `pairwise`; - reads stdin.
 

@@ -25,6 +25,7 @@ Outcome = dict[str, Any]
 
 
 @click.command(name="batch")
+@options.output_folder("Folder to write: OUT/NAME of recording NAME.")
 @click.argument("recordings", nargs=-1, required=True, metavar="RECORDINGS...")
 @options.shared_options(
     "cameras",
@@ -40,7 +41,6 @@ Outcome = dict[str, Any]
         help="As for `run`; first looked for in each recording's folder, then as a path for all.",
     ),
 )
-@options.output_folder("Folder to write: OUT/NAME of recording NAME.")
 @click.option(
     "--jobs", type=click.IntRange(min=1), default=1, help="Recordings at a time on this machine."
 )

@@ -12,11 +12,11 @@ if TYPE_CHECKING:
 
 
 @click.command(name="complete")
-@options.shared_options(*options.KEYPOINTS, "cameras", *options.MODEL, "quiet")
 @options.output_folder("Folder to write a keypoint file per camera to.")
 @click.option(
     "--to", "target", default="coco", metavar="FORMAT", help="Format to write (docs/formats.md)."
 )
+@options.shared_options("cameras", *options.MODEL, *options.KEYPOINTS, "quiet")
 def command(shared: options.SharedOptions, output: Path, target: str) -> None:
     """Write KEYPOINTS with all joints of the model.
 

@@ -6,8 +6,8 @@ from mocap_calib_cli import options
 
 
 @click.command(name="match")
-@options.shared_options(*options.KEYPOINTS, "rig", *options.MODEL, "quiet")
 @options.output_text("matches (CSV)")
+@options.shared_options("rig", *options.MODEL, *options.KEYPOINTS, "quiet")
 def command(shared: options.SharedOptions, output: str) -> None:
     """Label every detection with its individual, given the cameras.
 

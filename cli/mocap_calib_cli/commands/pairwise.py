@@ -6,8 +6,8 @@ from mocap_calib_cli import options
 
 
 @click.command(name="pairwise")
-@options.shared_options(*options.KEYPOINTS, "cameras", *options.MODEL, "solver", "seed", "quiet")
 @options.output_text("pairs (JSON)")
+@options.shared_options("cameras", *options.MODEL, "solver", "seed", *options.KEYPOINTS, "quiet")
 def command(shared: options.SharedOptions, output: str) -> None:
     """Find the relative pose of every pair of cameras, and who matches whom.
 

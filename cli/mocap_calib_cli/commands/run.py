@@ -9,9 +9,6 @@ from mocap_calib_cli import options
 
 
 @click.command(name="run")
-@options.shared_options(
-    *options.KEYPOINTS, "cameras", *options.MODEL, "solver", "seed", "scheduler", "quiet"
-)
 @options.output_folder("Folder to write; made when missing.")
 @click.option(
     "--write",
@@ -25,6 +22,9 @@ from mocap_calib_cli import options
     "--fps",
     type=click.FloatRange(min=0, min_open=True),
     help="Frames per second, for the formats that need it.",
+)
+@options.shared_options(
+    "cameras", *options.MODEL, "solver", "seed", "scheduler", *options.KEYPOINTS, "quiet"
 )
 @options.as_json("Write the content of run.json to stdout as well.")
 def command(

@@ -8,10 +8,10 @@ from mocap_calib_cli import options
 
 
 @click.command(name="triangulate")
-@options.shared_options(*options.KEYPOINTS, "rig", "matches", "skeleton", "quiet")
 @options.output_file(
     "Poses: a .h5 file, or a .csv file (further individuals go to NAME_1.csv, NAME_2.csv, ...)."
 )
+@options.shared_options("rig", "matches", "skeleton", *options.KEYPOINTS, "quiet")
 def command(shared: options.SharedOptions, output: Path) -> None:
     """Triangulate the 3D poses of all individuals in all frames.
 
