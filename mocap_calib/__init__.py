@@ -47,6 +47,7 @@ if TYPE_CHECKING:
         Poses3D,
         Recording,
         Skeleton,
+        silent,
     )
 
 __version__ = "0.1.0"
@@ -91,6 +92,7 @@ _NAMES = {
         "Poses3D",
         "Recording",
         "Skeleton",
+        "silent",
     ),
 }
 _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}
@@ -128,6 +130,7 @@ __all__ = [
     "read_keypoints",
     "read_poses",
     "read_rig",
+    "silent",
     "simulate",
     "triangulate",
     "write_cameras",

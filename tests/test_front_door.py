@@ -56,3 +56,37 @@ def test_type_checkers_see_the_same_names():
 def test_a_name_that_is_not_there():
     with pytest.raises(AttributeError, match="has no attribute 'frobnicate'"):
         _ = mocap_calib.frobnicate
+
+
+@pytest.mark.slow
+def test_a_job_is_a_run(done, small, tmp_path):
+    """What `run` does from files to files, without the command line."""
+    request = mocap_calib.CalibrationRequest(
+        keypoints=mocap_calib.KeypointSource((str(small / "keypoints"),)),
+        cameras=(small / "intrinsics.toml").read_bytes(),
+        output=tmp_path / "out",
+    )
+    job = mocap_calib.read_job(request)
+    mocap_calib.write_results(job, mocap_calib.calibrate_job(job))
+    for name in ("matches.csv", "poses3d.csv", "poses3d_1.csv"):
+        assert (tmp_path / "out" / name).read_bytes() == (done[0] / name).read_bytes()
+
+
+@pytest.mark.slow
+def test_a_recording_is_calibrated_in_memory(small):
+    """Detections to a rig that agrees with the truth; measured 0.1 degrees."""
+    views = mocap_calib.read_keypoints([small / "keypoints"])
+    cameras = mocap_calib.read_cameras(small / "intrinsics.toml")
+    skeleton, aliases = mocap_calib.fit_vocabulary(views[0].keypoints, aliases_file=None)
+    recording = mocap_calib.make_recording(views, cameras, skeleton, aliases)
+    result = mocap_calib.calibrate(
+        recording,
+        mocap_calib.load_model(skeleton.name),
+        mocap_calib.Config(),
+        seed=0,
+        device="cpu",
+        progress=mocap_calib.silent,
+    )
+    truth = mocap_calib.read_rig(small / "reference.toml")
+    evaluation = mocap_calib.evaluate_rig(result.groups[0].rig, truth)
+    assert np.degrees(evaluation.rotation_error).max() < 0.5
