@@ -15,7 +15,7 @@ from mocap_calib.geometry.rotation import angle_between, direction_angle
 from mocap_calib.multi_view.triangulation import observations, project
 from mocap_calib.multi_view.uncertainty import verdict
 from mocap_calib.multi_view.view_graph import alternative_taken
-from mocap_calib.recording.sampling import evenly
+from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import CalibrationResult, CameraRig, Floats, GroupResult, PairwiseCalibration
 
 THRESHOLDS = (5, 10, 20, 30)
@@ -204,7 +204,7 @@ def _errors(found: GroupResult) -> Floats:
     Of an even sample of the frames: a report of a long recording need not cost its length in memory.
     """
     rig, recording = found.rig, found.recording
-    frames = evenly(np.arange(len(recording.frames)), _SAMPLE)
+    frames = evenly_spaced(np.arange(len(recording.frames)), _SAMPLE)
     pixels = observations(recording, found.matches, frames).pixels
     points = found.poses.positions[frames]
     images = [

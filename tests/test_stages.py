@@ -17,7 +17,7 @@ from mocap_calib.config import (
     TriangulateConfig,
 )
 from mocap_calib.errors import DegenerateError
-from mocap_calib.geometry.epipolar import essential, sampson_angle
+from mocap_calib.geometry.epipolar import essential_matrix, sampson_angle
 from mocap_calib.geometry.rotation import angle_between, direction_angle, matrix_from_vector
 from mocap_calib.io.results.results import pairs_to_json
 from mocap_calib.multi_view.association import associate

@@ -33,7 +33,7 @@ from mocap_calib.io.poses.formats import (
     together,
     write_poses,
 )
-from mocap_calib.recording.synchronise import check_pixels
+from mocap_calib.recording.pairing import check_pixels
 from mocap_calib.types import CameraRig, Keypoints2D
 from mocap_calib_cli import inputs as reading_inputs
 from mocap_calib_cli import outputs

@@ -15,7 +15,6 @@ import click
 import numpy as np
 
 from mocap_calib.errors import FormatError
-from mocap_calib.inspection import alone_in_naming, said_of_alone
 from mocap_calib.io.cameras.load import load_cameras, make_rig, parse_content
 from mocap_calib.io.cameras.source import CameraFile
 from mocap_calib.io.file import decode
@@ -31,13 +30,13 @@ from mocap_calib.recording.joints import (
     load_skeleton,
     match_names,
 )
-from mocap_calib.recording.synchronise import (
-    make_recording,
-    meanings,
-    name_mapping,
-    usable,
-    views_named,
+from mocap_calib.recording.meanings import (
+    describe_unshared,
+    keypoint_meanings,
+    unshared_keypoints,
 )
+from mocap_calib.recording.pairing import match_cameras, views_named, views_with_detections
+from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.two_view.solve import PairSolver
 from mocap_calib.types import (
     Camera,
@@ -161,10 +160,11 @@ def read_recording(
         views = views_named(views, cameras) or views
     vocabulary, aliases = _asked(model, skeleton) if model else fitting(views, skeleton)
     recording = make_recording(views, cameras, vocabulary, aliases)
-    alone = alone_in_naming(usable(views), meanings(usable(views), vocabulary, aliases))
+    usable = views_with_detections(views)
+    unshared = unshared_keypoints(usable, keypoint_meanings(usable, vocabulary, aliases))
     reporter.say(
         *_mapping(views, cameras, recording, vocabulary.name),
-        *([said_of_alone(alone)] if alone else []),
+        *([describe_unshared(unshared)] if unshared else []),
         *doubled(arguments),
     )
     return recording, model or vocabulary.name
@@ -207,9 +207,9 @@ def _mapping(
 ) -> list[str]:
     """Lines that say which file belongs to which camera, which cameras are left out, and which joints the model knows."""
     rows = {}
-    for view, (source, name) in zip(views, name_mapping(views, cameras), strict=True):
+    for view, name in zip(views, match_cameras(views, cameras), strict=True):
         detections = int(np.isfinite(view.positions[..., 0]).any(-1).sum())
-        rows[name] = [name, source, str(len(view.frames)), str(detections)]
+        rows[name] = [name, view.source, str(len(view.frames)), str(detections)]
     nothing = [
         [camera.name, "(no keypoint file)", "-", "-"]
         for camera in cameras

@@ -17,7 +17,7 @@ from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.projection import rays_from_pixels
 from mocap_calib.multi_view.tracklets import fill_in
 from mocap_calib.multi_view.triangulation import per_frame_labels
-from mocap_calib.recording.sampling import evenly, take_sample
+from mocap_calib.recording.sampling import evenly_spaced, take_sample
 from mocap_calib.two_view.affinity import (
     epipolar_affinity,
     epipolar_error,

@@ -14,7 +14,7 @@ from mocap_calib.multi_view.triangulation import (
     triangulate_rays,
     view_noise,
 )
-from mocap_calib.recording.sampling import evenly
+from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Matches, Sample
 
 _NUDGE = 1e-4  # radians
@@ -112,7 +112,7 @@ def _spread(labelled: Ints, recording: Sample, matches: Matches, budget: int) ->
         2.0, instance.any(2).sum(0).mean()
     )
     share = min(1.0, budget / max(float(joints.sum()), 1.0))
-    return evenly(labelled, max(1, round(share * len(labelled))))
+    return evenly_spaced(labelled, max(1, round(share * len(labelled))))
 
 
 def _check_enough(rig: CameraRig, seen: Points, least: int) -> None:

@@ -8,7 +8,7 @@ from mocap_calib.compute.parallel import in_order
 from mocap_calib.config import TriangulateConfig
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.intersection import intersect
-from mocap_calib.recording.sampling import evenly
+from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import (
     Bools,
     Camera,
@@ -45,7 +45,7 @@ def observations(recording: Recording, matches: Matches, frames: Ints) -> Observ
     pixels[target], confidence[target] = recording.positions[source], recording.confidence[source]
     columns = np.ascontiguousarray(np.moveaxis(pixels.reshape(len(pixels), -1, 2), -1, 1))
     rays = np.stack(
-        [lens.rays(camera, seen) for camera, seen in zip(recording.cameras, columns, strict=True)]
+        [lens.unproject(camera, seen) for camera, seen in zip(recording.cameras, columns, strict=True)]
     )
     return Observations(columns, rays, confidence.reshape(len(confidence), -1))
 
@@ -101,7 +101,7 @@ def triangulate(
 def view_noise(recording: Recording, rig: CameraRig, matches: Matches) -> Floats:
     """`[view]` robust standard deviation of the angular error, in radians, from an even sample of the frames."""
     seen = observations(
-        recording, matches, evenly(np.flatnonzero((matches.labels >= 0).any((0, 2))), _SAMPLE)
+        recording, matches, evenly_spaced(np.flatnonzero((matches.labels >= 0).any((0, 2))), _SAMPLE)
     )
     weight = seen.confidence
     points = intersect(rig, _world(rig, seen.rays), weight / _START**2)
@@ -167,4 +167,4 @@ def reprojection_error(rig: CameraRig, points: Floats, seen: Floats, used: Bools
 
 def project(camera: Camera, rotation: Floats, translation: Floats, points: Floats) -> Floats:
     """`[2, N]` pixels of points `[3, N]` of the world."""
-    return lens.pixels(camera, rotation @ points + translation[:, None])
+    return lens.project(camera, rotation @ points + translation[:, None])

@@ -12,9 +12,10 @@ import numpy as np
 import torch
 
 from mocap_calib.compute.parallel import in_order
+from mocap_calib.config import LEAST_JOINTS
 from mocap_calib.geometry.rotation import looking_along
-from mocap_calib.recording.sampling import evenly
-from mocap_calib.recording.synchronise import LEAST_JOINTS, check_joints
+from mocap_calib.recording.sampling import evenly_spaced
+from mocap_calib.recording.synchronise import check_joints
 from mocap_calib.steerpose.model import Lifter, normalise
 from mocap_calib.types import Bools, Floats, LiftedPoses, Progress, Sample
 
@@ -89,7 +90,7 @@ def _sure(recording: Sample) -> Bools:
 
 def _down(rays: Floats, lifter: Lifter, device: str) -> Floats:
     """`[3]` the quarter turn of the image plane that makes the network surest of a sample of this view's detections."""
-    some = rays[evenly(np.arange(len(rays)), _SAMPLE)]
+    some = rays[evenly_spaced(np.arange(len(rays)), _SAMPLE)]
     doubt = [np.median(_lift_rays(some, down, lifter, device)[2]) for down in _DOWN]
     return _DOWN[int(np.argmin(doubt))]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocap_calib.config import PairwiseConfig, PaperConfig
-from mocap_calib.recording.sampling import evenly
+from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.steerpose.paper.solver import TwoViews, by_joint, seeded, solve_pair
 from mocap_calib.steerpose.steer import Model
 from mocap_calib.two_view.solve import PairProblem, judge_pair

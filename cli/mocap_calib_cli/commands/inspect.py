@@ -36,7 +36,7 @@ def command(
       mocap-calib inspect openpose/ --layout body_25b --json
     """
     from mocap_calib.config import InspectConfig
-    from mocap_calib.inspection import Finding, findings, inspect_views, with_sizes
+    from mocap_calib.inspection import Finding, fill_image_sizes, find_problems, inspect_views
     from mocap_calib.io.keypoints.formats import read_what_can
     from mocap_calib_cli import inputs
 
@@ -44,8 +44,15 @@ def command(
     file = inputs.camera_file(cameras, "--cameras") if cameras else None
     known, notes = (file.cameras, file.notes) if file else ((), ())
     vocabulary, aliases = inputs.fitting(views, skeleton)
-    report = inspect_views(with_sizes(views, known), vocabulary, aliases, InspectConfig())
-    stands = findings(views, report, known, vocabulary, aliases, InspectConfig())
+    report = inspect_views(fill_image_sizes(views, known), vocabulary, aliases, InspectConfig())
+    stands = find_problems(
+        views,
+        report,
+        cameras=known,
+        skeleton=vocabulary,
+        aliases=aliases,
+        config=InspectConfig(),
+    )
     found = [
         *(Finding(True, str(error)) for error in errors),
         *stands,
