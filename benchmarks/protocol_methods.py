@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from mocap_calib.config import PairwiseConfig, PaperConfig
+from mocap_calib.config import FivePointConfig, PairwiseConfig, PaperConfig
 from mocap_calib.steerpose.checkpoint import load_steerer
 from mocap_calib.steerpose.lift import lift
 from mocap_calib.steerpose.model import Lifter
@@ -19,7 +19,6 @@ from mocap_calib.two_view.five_point import all_pairs_magsac, five_point_over_ma
 from mocap_calib.two_view.solve import calibrate_pair, pair_problem
 from mocap_calib.types import Floats, Ints, Sample, silent
 
-THRESHOLD_PX = 6.0  # of RANSAC: two standard deviations of the noise
 TIMED = (
     3  # pairs that the paper's solver does alone, to know its seconds; the others go in one batch
 )
@@ -65,13 +64,13 @@ def _each(problems: Sequence[Problem], solve: Callable[[Problem], Found | None])
 
 
 def _threshold(problem: Problem) -> float:
-    return THRESHOLD_PX / float(
-        np.mean([problem.recording.cameras[v].focal for v in (problem.a, problem.b)])
-    )
+    """Return the inlier threshold of RANSAC in radians: two standard deviations of the noise."""
+    focals = [problem.recording.cameras[view].focal for view in (problem.a, problem.b)]
+    return FivePointConfig().inlier_px / float(np.mean(focals))
 
 
 def five_point(problems: Sequence[Problem], _: dict[str, Model]) -> Answers:
-    """RANSAC over instance matches, five-point on joints."""
+    """Run RANSAC over instance matches, five-point on joints."""
 
     def solve(problem: Problem) -> Found | None:
         rays = problem.recording.rays
@@ -84,7 +83,7 @@ def five_point(problems: Sequence[Problem], _: dict[str, Model]) -> Answers:
 
 
 def magsac(problems: Sequence[Problem], _: dict[str, Model]) -> Answers:
-    """All cross pairs of detections as correspondences."""
+    """Run MAGSAC on all cross pairs of detections."""
 
     def solve(problem: Problem) -> Found | None:
         found = all_pairs_magsac(

@@ -79,11 +79,19 @@ LAYOUT_DROPOUT = 0.6  # up to this share of joints is lacking where a pose lacks
 
 @dataclass(frozen=True)
 class SampleConfig:
-    """The frames that calibration looks at: so many detections in all views together, within bounds on the frames."""
+    """The frames that calibration looks at.
+
+    So many detections in all views together, within bounds on the frames.
+    """
 
     detections: int = 10_000
     frames: int = 500  # at most: of one subject there are not more postures
     least_frames: int = 100
+    candidates: int = 4  # frames looked at for each that is taken
+    crowd: int = 2  # times as many detections as nine tenths of the frames have, and two: left out
+    cells: int = 6  # of the image, along each side
+    sizes: int = 8  # classes of size, which is nearness, by half powers of two
+    postures: int = 16  # classes of posture in each view
 
 
 @dataclass(frozen=True)
@@ -291,6 +299,33 @@ class ReadConfig:
     """What the numbers in keypoint files are taken for."""
 
     largest_share: float = 1.5  # positions no larger than this are shares of the image, not pixels
+
+
+# Files and cameras that make a recording (recording/synchronise.py)
+LEAST_JOINTS = 4  # that show how a body is turned
+CROWDED_SHARE = 0.2  # of images with several detections; where fewer have, those are false ones
+OTHER_RESOLUTION = 1.5  # detections this many image sizes from the corner are of other images
+# percentile that stands for the largest value, so that one wild point does not count
+TYPICAL_PERCENTILE = 99.0
+
+# Lenses and two views (geometry/lens.py, geometry/epipolar.py)
+LENS_MISS_PX = 0.5  # between a pixel and its ray's: beyond, the lens model has no ray for it
+FIVE_POINT_LEAST_RAYS = 8
+FIVE_POINT_LEAST_FORWARD = 0.1  # cosine of a ray with the optical axis
+FIVE_POINT_CONFIDENCE = 0.999  # of RANSAC
+
+# Points from the rays of many views (geometry/intersection.py); scales in standard deviations
+INTERSECT_ALL_PAIRS_VIEWS = 7  # views up to which all pairs of them propose points
+INTERSECT_STEPS = 2  # after the closed form: the third moves a point by 1e-9 of its distance
+INTERSECT_LOSS_SCALE = 3.0
+INTERSECT_TIGHTENING_SCALES = (24.0, 12.0, 6.0, 3.0, 3.0, 3.0)  # of the loss, among outliers
+INTERSECT_POLISH_STEPS = 6  # after the best pair was found
+INTERSECT_OUTLIER = 16.0  # squared error from which on a ray does not belong
+# squared error for each of the rays, from which on a point starts again: of few rays a wrong one
+# bends the point to itself
+INTERSECT_DOUBTFUL = 4 / 3
+INTERSECT_AGREEING_SHARE = 0.6  # of a point's rays that must meet for the rest to be outliers
+INTERSECT_AGREEING_RAYS = 3  # and so many of them at least
 
 
 @dataclass(frozen=True)

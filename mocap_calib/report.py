@@ -13,7 +13,7 @@ from mocap_calib.multi_view.evaluation import median_and_max
 from mocap_calib.multi_view.triangulation import observations, project
 from mocap_calib.multi_view.uncertainty import verdict
 from mocap_calib.multi_view.view_graph import alternative_taken
-from mocap_calib.recording.sampling import evenly
+from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import CalibrationResult, Floats, GroupResult, PairwiseCalibration
 
 SCHEMA = 2  # goes up when a key of run.json goes or changes its meaning
@@ -63,7 +63,7 @@ def _reprojection_errors(found: GroupResult) -> Floats:
     `[view, frame, individual, keypoint]`, of an even sample of the frames: the report on a long
     recording need not cost its length in memory.
     """
-    frames = evenly(np.arange(len(found.recording.frames)), REPORT_FRAMES)
+    frames = evenly_spaced(np.arange(len(found.recording.frames)), REPORT_FRAMES)
     pixels = observations(found.recording, found.matches, frames).pixels
     points = found.poses.positions[frames]
     images = project(found.rig, points.reshape(-1, 3).T)

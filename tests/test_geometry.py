@@ -1,5 +1,6 @@
 """Laws of the geometry. Tolerances are a few times the rounding error measured."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -7,11 +8,11 @@ from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.alignment import similarity
 from mocap_calib.geometry.epipolar import (
     depths,
-    essential,
+    essential_matrix,
     five_point,
     sampson_angle,
-    translation_system,
 )
+from mocap_calib.geometry.intersection import intersect
 from mocap_calib.geometry.projection import pixels_from_points, rays_from_pixels
 from mocap_calib.geometry.rotation import (
     angle_between,
@@ -23,7 +24,7 @@ from mocap_calib.geometry.rotation import (
     skew,
     vector_from_matrix,
 )
-from mocap_calib.types import Camera
+from mocap_calib.types import Camera, CameraRig
 
 MATRIX = np.array([[1100.0, 0.0, 640.0], [0.0, 1105.0, 355.0], [0.0, 0.0, 1.0]])
 CAMERAS = {
@@ -172,6 +173,16 @@ def test_a_pixel_that_no_ray_has_is_nan_and_its_neighbours_are_not(k, fisheye, p
 
 
 @pytest.mark.parametrize("name", CAMERAS)
+def test_lenses_are_those_of_opencv(name):
+    camera = CAMERAS[name]
+    points = np.random.default_rng(0).uniform([-0.5, -0.3, 1.0], [0.5, 0.3, 1.5], (200, 3))
+    project = cv2.fisheye.projectPoints if camera.fisheye else cv2.projectPoints
+    still = np.zeros(3)
+    expected, _ = project(points[:, None], still, still, camera.matrix, camera.distortion)
+    np.testing.assert_allclose(pixels_from_points(camera, points), expected[:, 0], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", CAMERAS)
 def test_wild_pixels_have_true_rays_or_none(name):
     pixels = np.random.default_rng(6).normal(size=(300, 2)) * 10.0 ** np.random.default_rng(
         7
@@ -220,7 +231,7 @@ def test_exact_matches_have_no_epipolar_error_and_positive_depths():
     for seed in range(5):
         rotation, translation, a, b = two_views(np.random.default_rng(seed))
         np.testing.assert_allclose(
-            sampson_angle(essential(rotation, translation), a, b), 0, atol=1e-12
+            sampson_angle(essential_matrix(rotation, translation), a, b), 0, atol=1e-12
         )
         near_a, near_b = depths(rotation, translation, a, b)
         np.testing.assert_allclose(
@@ -233,25 +244,35 @@ def test_exact_matches_have_no_epipolar_error_and_positive_depths():
 
 
 def test_sampson_error_is_the_angle_to_the_epipolar_plane():
-    """A ray turned out of its plane by e has an error of e shared between two views: e / sqrt(2)."""
+    """A ray turned out of its plane by e has an error of e shared by two views: e / sqrt(2)."""
     rotation, translation, a, b = two_views(np.random.default_rng(7))
     plane = np.cross(translation, a @ rotation.T)
     plane /= np.linalg.norm(plane, axis=1, keepdims=True)
     moved = np.cos(1e-4) * b + np.sin(1e-4) * plane
-    slope_a, slope_b = (
-        np.linalg.norm(x, axis=1)
-        for x in (moved @ essential(rotation, translation), a @ essential(rotation, translation).T)
-    )
+    matrix = essential_matrix(rotation, translation)
+    slope_a = np.linalg.norm(moved @ matrix, axis=1)
+    slope_b = np.linalg.norm(a @ matrix.T, axis=1)
     expected = 1e-4 * slope_b / np.hypot(slope_a, slope_b)
-    np.testing.assert_allclose(
-        np.abs(sampson_angle(essential(rotation, translation), a, moved)), expected, rtol=1e-3
-    )
+    np.testing.assert_allclose(np.abs(sampson_angle(matrix, a, moved)), expected, rtol=1e-3)
+
+
+def translation_system(rotation: np.ndarray, rays_a: np.ndarray, rays_b: np.ndarray) -> np.ndarray:
+    """M(R) = sum n n', n = (R u_a) x u_b: its smallest eigenvector is the direction of t.
+
+    The paper's stacked collinearity and coplanarity system with the points eliminated (the matrix
+    of Kneip and Lynen 2013). rotation: `[3, 3]`; rays: `[N, 3]`. Returns `[3, 3]`.
+    """
+    normal = np.cross(rays_a @ rotation.T, rays_b)
+    return normal.T @ normal
 
 
 def test_translation_system_agrees_with_the_full_collinearity_and_coplanarity_system():
-    """The paper's A [x_1 .. x_N t] = 0: both have t as the vector of their smallest singular value, at the true rotation."""
+    """The paper's A [x_1 .. x_N t] = 0 and the small system agree at the true rotation.
+
+    Both have t as the vector of their smallest singular value.
+    """
     rotation, translation, a, b = two_views(np.random.default_rng(8), points=12)
-    _, vectors = np.linalg.eigh(translation_system(rotation, a, b, np.ones(len(a))))
+    _, vectors = np.linalg.eigh(translation_system(rotation, a, b))
     n = len(a)
     rows = np.zeros((6 * n, 3 * n + 3))
     for k in range(n):  # u_a x x = 0 and u_b x (R x + t) = 0
@@ -293,7 +314,10 @@ def test_similarity_of_one_place_is_degenerate():
 
 
 def test_a_strong_lens_is_undone_up_to_its_fold():
-    """k1 = -0.44 as wide lenses have it: every ray short of the fold comes back, though cv2's iteration diverges before."""
+    """k1 = -0.44 as wide lenses have it: every ray short of the fold comes back.
+
+    cv2's iteration diverges before.
+    """
     camera = Camera(
         "wide",
         (2048, 1536),
@@ -307,3 +331,47 @@ def test_a_strong_lens_is_undone_up_to_its_fold():
     np.testing.assert_allclose(
         rays, points / np.linalg.norm(points, axis=1, keepdims=True), atol=1e-5
     )
+
+
+def rays_of_many_views(
+    rng: np.random.Generator, views: int, points: int = 50
+) -> tuple[CameraRig, np.ndarray, np.ndarray]:
+    """A rig, points `[3, N]`, and the exact rays `[view, 3, N]` to them in the world's axes."""
+    cameras = (CAMERAS["plain"],) * views
+    rig = CameraRig(cameras, rotations(rng, views), rng.normal(size=(views, 3)) * 3, "m")
+    position = rng.uniform(-1, 1, (3, points))
+    offset = position - rig.centres[:, :, None]
+    return rig, position, offset / np.linalg.norm(offset, axis=1, keepdims=True)
+
+
+@pytest.mark.parametrize("views", [2, 3, 8])
+def test_exact_rays_meet_in_their_point(views):
+    """Measured 1e-12; 1e-9 leaves room for other processors."""
+    rig, position, rays = rays_of_many_views(np.random.default_rng(13), views)
+    found = intersect(rig, rays, np.full((views, rays.shape[2]), 1e4))
+    np.testing.assert_allclose(found, position, atol=1e-9)
+
+
+@pytest.mark.parametrize("views", [4, 9])
+def test_a_wrong_ray_does_not_move_a_point(views):
+    """Another wrong ray for each point, in a small and in a large rig.
+
+    Measured: 98 % of the points, and half of them to 1e-8.
+    """
+    rng = np.random.default_rng(14)
+    rig, position, rays = rays_of_many_views(rng, views)
+    wrong = rng.integers(0, views, rays.shape[2])
+    columns = np.arange(rays.shape[2])
+    turn = rotations(rng, rays.shape[2], 1.0)
+    rays[wrong, :, columns] = (turn @ rays[wrong, :, columns][..., None])[..., 0]
+    found = intersect(rig, rays, np.full((views, rays.shape[2]), 1e6))
+    assert (np.linalg.norm(found - position, axis=0) < 0.01).mean() > 0.9
+
+
+def test_a_point_that_one_view_sees_has_no_place():
+    rig, _, rays = rays_of_many_views(np.random.default_rng(15), 3)
+    precision = np.full((3, rays.shape[2]), 1e4)
+    precision[1:, 5] = 0
+    found = intersect(rig, rays, precision)
+    assert np.isnan(found[:, 5]).all()
+    assert np.isfinite(np.delete(found, 5, axis=1)).all()

@@ -1,4 +1,4 @@
-"""`inspect`: the numbers it gives of files whose content is known, as text and as JSON, and its exit status."""
+"""`inspect`: its numbers of files whose content is known, as text and as JSON; its exit status."""
 
 import json
 from dataclasses import replace
@@ -8,7 +8,7 @@ import pytest
 from keypoint_files import coco_bytes
 
 from mocap_calib.config import InspectConfig
-from mocap_calib.inspection import findings, inspect_views, with_sizes
+from mocap_calib.inspection import fill_image_sizes, find_problems, inspect_views
 from mocap_calib.io.cameras.write import write_cameras
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.types import Camera, CameraRig, Keypoints2D
@@ -43,8 +43,13 @@ def report_of(*views, aliases=None):
 
 
 def found_in(views, cameras=(), aliases=None):
-    return findings(
-        views, report_of(*views, aliases=aliases), cameras, PEOPLE, aliases or {}, InspectConfig()
+    return find_problems(
+        views,
+        report_of(*views, aliases=aliases),
+        cameras=cameras,
+        skeleton=PEOPLE,
+        aliases=aliases or {},
+        config=InspectConfig(),
     )
 
 
@@ -76,7 +81,7 @@ def test_coverage_is_that_of_the_image():
 
 
 def test_the_cameras_say_the_size_of_images_that_the_files_do_not():
-    views = with_sizes(
+    views = fill_image_sizes(
         [view("a", size=(0, 0)), view("b", size=(0, 0)), view("Cam_1")],
         (camera("A"), camera("cam1", (8, 8))),
     )
@@ -113,7 +118,10 @@ def test_a_camera_that_sees_nothing_with_others_is_named():
 
 
 def test_names_count_by_what_they_mean_as_in_a_run():
-    """The run takes other spellings and aliases for the joint; so do the pairs, the model and the findings."""
+    """The run takes other spellings and aliases for the joint.
+
+    So do the pairs, the model and the findings.
+    """
     own = [f"{side}{k}" for side in "qw" for k in range(5)]
     views = [view("a", names=tuple(own[:5])), view("b", names=tuple(own[5:]), seed=1)]
     assert [each.critical for each in found_in(views)] == [True]
@@ -165,7 +173,10 @@ def test_a_camera_without_a_point_is_named_once(tmp_path, tool):
 
 
 def test_inspect_takes_the_skeleton_and_the_cameras_as_a_run_does(tmp_path, tool):
-    """Aliases of joints that the first model does not have; two cameras in one place are a finding, and stderr is empty."""
+    """Aliases of joints that the first model does not have are understood.
+
+    Two cameras in one place are a finding, and stderr is empty.
+    """
     (tmp_path / "keypoints").mkdir()
     for name in "ab":
         one = view(name, seed=ord(name), names=tuple(f"q{k}" for k in range(5)))

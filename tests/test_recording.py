@@ -14,8 +14,9 @@ from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.io.cameras.read import read_cameras
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.recording.joints import load_skeleton
+from mocap_calib.recording.pairing import match_cameras, views_with_detections
 from mocap_calib.recording.sampling import take_sample
-from mocap_calib.recording.synchronise import make_recording, name_mapping, usable
+from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.types import Camera, Keypoints2D, Skeleton
 
 SHARED = Path(__file__).parents[2] / "shared"
@@ -260,7 +261,7 @@ def test_confidence_beyond_1_is_scaled_by_view():
 def test_cameras_are_matched_by_name_and_extra_ones_dropped():
     views = [view("Left"), view("right")]
     cameras = [camera("top"), camera("RIGHT"), camera("Left"), camera("left")]
-    assert name_mapping(views, cameras) == [("Left.json", "Left"), ("right.json", "RIGHT")]
+    assert match_cameras(views, cameras) == ("Left", "RIGHT")
     assert record(*views, cameras=cameras).names == ("RIGHT", "Left")
 
 
@@ -286,7 +287,7 @@ def test_a_view_without_detections_is_dropped_and_two_must_remain():
     none = replace(view("d"), positions=np.zeros((3, 0, 2, 2)), confidence=np.zeros((3, 0, 2)))
     recording = record(view("a"), empty, none, view("b"))
     assert recording.names == ("a", "b")
-    assert [v.camera for v in usable([view("a"), empty, none])] == ["a"]
+    assert [v.camera for v in views_with_detections([view("a"), empty, none])] == ["a"]
     refused(view("a"), empty)
 
 
@@ -356,7 +357,7 @@ def test_real_recordings_are_recordings(folder):
             recording.positions[v, :, : views[k].positions.shape[1]][kept],
             views[k].positions[kept].astype(np.float32),
         )
-        # measured 1.06 %: noise beyond the fold of one lens near the corners, which no ray projects to
+        # measured 1.06 %: noise beyond the fold of one lens near the corners, which has no ray
         assert kept.sum() >= 0.98 * np.isfinite(views[k].positions[..., 0]).sum()
     # measured 0.25 s for the largest
     assert time.perf_counter() - start < 5

@@ -16,7 +16,7 @@ from mocap_calib.config import (
     TriangulateConfig,
 )
 from mocap_calib.errors import DegenerateError
-from mocap_calib.geometry.epipolar import essential, sampson_angle
+from mocap_calib.geometry.epipolar import essential_matrix, sampson_angle
 from mocap_calib.geometry.rotation import angle_between, direction_angle, matrix_from_vector
 from mocap_calib.io.results.pairs_json import pairs_to_json
 from mocap_calib.multi_view.association import associate
@@ -44,7 +44,7 @@ from mocap_calib.two_view.view_pair import MatchedRays, distances, reach, view_p
 from mocap_calib.types import CameraRig, Matches, PairwiseCalibration, Recording, silent
 
 
-def some_pair():
+def ten_frames_of_two_views():
     return view_pair(recording(), lifted(), 0, 1, np.arange(10))
 
 
@@ -90,7 +90,7 @@ def test_the_unlike_stay_alone():
 
 
 def test_steering_error_is_the_weighted_distance_of_turned_bodies():
-    pair, bodies = some_pair(), lifted()
+    pair, bodies = ten_frames_of_two_views(), lifted()
     rotation = matrix_from_vector(np.array([[0.3, -1.0, 0.2]]))
     fast = steering_error(pair, rotation)[0]
     weight = np.nan_to_num([1 / (bodies.spread[v, :10] ** 2 + 0.05**2) for v in (0, 1)])
@@ -103,7 +103,7 @@ def test_steering_error_is_the_weighted_distance_of_turned_bodies():
 
 
 def test_centre_error_is_the_distance_over_the_distances():
-    pair = some_pair()
+    pair = ten_frames_of_two_views()
     rotation, translation = matrix_from_vector(np.array([0.1, 0.5, 0.0])), np.array([1.0, 2.0, 3.0])
     gap = (pair.a.centre @ rotation.T + translation)[:, :, None] - pair.b.centre[:, None]
     slow = (gap**2).sum(-1) / (pair.a.distance[:, :, None] ** 2 + pair.b.distance[:, None] ** 2)
@@ -113,15 +113,12 @@ def test_centre_error_is_the_distance_over_the_distances():
 
 
 def test_epipolar_error_is_sampsons_at_the_body():
-    pair = some_pair()
+    pair = ten_frames_of_two_views()
     rotation, translation = matrix_from_vector(np.array([0.1, 0.5, 0.0])), np.array([0.6, 0.0, 0.8])
     error, weight = epipolar_error(pair, rotation[None], translation[None])
-    slow = (
-        np.abs(
-            sampson_angle(essential(rotation, translation), pair.a.rays[3, 1], pair.b.rays[3, 2])
-        )
-        * reach(pair)[3, 1, 2]
-    )
+    matrix = essential_matrix(rotation, translation)
+    angle = sampson_angle(matrix, pair.a.rays[3, 1], pair.b.rays[3, 2])
+    slow = np.abs(angle) * reach(pair)[3, 1, 2]
     known = weight[3, 1, 2] > 0
     assert known.any()
     np.testing.assert_allclose(error[0, 3, 1, 2][known], slow[known], atol=1e-12)
@@ -187,7 +184,10 @@ def test_pairs_of_a_ring_of_strangers():
 
 
 def test_baselines_come_in_one_unit():
-    """Baselines in body sizes over baselines in metres: within 6 % of each other (measured 3 %), known without any length."""
+    """Baselines in body sizes over baselines in metres, known without any length.
+
+    Within 6 % of each other (measured 3 %).
+    """
     made = scene()
     pairs = calibrate_pairs(
         recording(), lifted(), PairwiseConfig(), rng=np.random.default_rng(0), progress=silent
@@ -235,7 +235,10 @@ def test_pairs_may_be_calibrated_elsewhere_and_in_any_order():
 
 
 def test_a_pair_is_its_own_inverse():
-    """b_from_a of (a, b) and of (b, a): the search is not symmetric, its answer is (measured 0.15 degrees)."""
+    """b_from_a of (a, b) and of (b, a): the search is not symmetric, its answer is.
+
+    Measured 0.15 degrees.
+    """
     forth = pair_of(recording(), 0, 2)
     back = pair_of(recording(), 2, 0)
     assert np.degrees(angle_between(forth.rotation, back.rotation.T)) < 0.6
@@ -243,7 +246,10 @@ def test_a_pair_is_its_own_inverse():
 
 
 def test_refinement_is_guarded():
-    """A round that its own evidence contradicts is not kept: more rounds end with no less, but for other draws of rays (4e-8)."""
+    """A round that lowers its own score is not kept: more rounds end with no less.
+
+    But for other draws of rays (4e-8).
+    """
     scores = [pair_of(recording(), 1, 3, PairwiseConfig(rounds=r)).score for r in (0, 1, 3)]
     assert np.diff(scores).min() > -1e-5
 
@@ -251,12 +257,9 @@ def test_refinement_is_guarded():
 def test_views_that_share_no_frame_make_no_pair():
     found = recording()
     positions, rays = found.positions.copy(), found.rays.copy()
-    positions[0, ::2], rays[0, ::2], positions[1, 1::2], rays[1, 1::2] = (
-        np.nan,
-        np.nan,
-        np.nan,
-        np.nan,
-    )
+    for array in (positions, rays):
+        array[0, ::2] = np.nan
+        array[1, 1::2] = np.nan
     apart = replace(
         found,
         positions=positions,

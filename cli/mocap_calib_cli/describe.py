@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from mocap_calib.config import Config
-from mocap_calib.inspection import said_of_alone
 from mocap_calib.io.results.group import REVERSED_RIG
+from mocap_calib.recording.meanings import describe_unshared
 from mocap_calib.recording.summary import RecordingSummary
 from mocap_calib.types import CalibrationResult, GroupResult
 from mocap_calib_cli.progress import format_number, format_table
@@ -60,7 +60,7 @@ def _describe_joints(summary: RecordingSummary) -> list[str]:
     if summary.by_geometry_alone:
         lines.append("the model knows too few joints to help: calibrated by geometry alone")
     if summary.single_camera_joints:
-        lines.append(said_of_alone(summary.single_camera_joints))
+        lines.append(describe_unshared(summary.single_camera_joints))
     return lines
 
 

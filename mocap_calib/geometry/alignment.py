@@ -8,17 +8,22 @@ from mocap_calib.types import Floats
 
 
 def similarity(source: Floats, target: Floats) -> tuple[float, Floats, Floats]:
-    """s, R, t that minimise sum |s R x + t - y|^2 (Umeyama 1991, eqs. 38-42). source, target: `[N, 3]`.
+    """Return scale s, rotation R `[3, 3]` and shift t `[3]` that minimise sum |s R x + t - y|^2.
 
-    Raises DegenerateError when all source points coincide.
+    source: `[N, 3]` points x. target: `[N, 3]` points y (Umeyama 1991, eqs. 38-42).
+
+    Raises DegenerateError where all source points coincide.
     """
-    mean_x, mean_y = source.mean(0), target.mean(0)
-    x, y = source - mean_x, target - mean_y
-    rotation = nearest_rotation(y.T @ x)
+    source_mean = source.mean(0)
+    target_mean = target.mean(0)
+    x = source - source_mean
+    y = target - target_mean
     variance = (x**2).sum()
     if variance < 1e-18:
         raise DegenerateError(
             "alignment: expected points in different places, all of them coincide"
         )
+    rotation = nearest_rotation(y.T @ x)
     scale = float(np.trace(rotation @ x.T @ y) / variance)
-    return scale, rotation, mean_y - scale * rotation @ mean_x
+    shift = target_mean - scale * rotation @ source_mean
+    return scale, rotation, shift

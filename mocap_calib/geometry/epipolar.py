@@ -1,76 +1,104 @@
 """Two views, on unit rays, so that any camera model is welcome. Batched over leading axes."""
 
+from itertools import product
+
 import cv2
 import numpy as np
 
+from mocap_calib.config import (
+    FIVE_POINT_CONFIDENCE,
+    FIVE_POINT_LEAST_FORWARD,
+    FIVE_POINT_LEAST_RAYS,
+)
 from mocap_calib.geometry.rotation import skew
 from mocap_calib.types import Floats
 
 
-def essential(rotation: Floats, translation: Floats) -> Floats:
-    """E = [t]x R of b_from_a: u_b' E u_a = 0. `[..., 3, 3]`, `[..., 3]` -> `[..., 3, 3]`."""
+def essential_matrix(rotation: Floats, translation: Floats) -> Floats:
+    """Return the essential matrix E = [t]x R `[..., 3, 3]` of b_from_a: u_b' E u_a = 0.
+
+    rotation: `[..., 3, 3]`. translation: `[..., 3]`. (Hartley and Zisserman 2004, section 9.6.)
+    """
     return skew(translation) @ rotation
 
 
 def sampson_angle(matrix: Floats, rays_a: Floats, rays_b: Floats) -> Floats:
-    """Signed first-order angular distance in radians of matches from epipolar consistency.
+    """Return the signed angular epipolar errors `[..., N]` of matches in radians, to first order.
 
-    Sampson's error (Hartley and Zisserman 2004, eq. 11.9) in the tangent planes of the unit sphere: on the surface
-    E u_a is normal to u_b, so its whole length is the gradient. matrix: `[..., 3, 3]`; rays: `[N, 3]`.
-    Returns `[..., N]`.
+    Sampson's error (Hartley and Zisserman 2004, eq. 11.9) in the tangent planes of the unit
+    sphere: there the gradient is the part of E u_a that is normal to u_b, and of E' u_b to u_a.
+
+    matrix: `[..., 3, 3]` essential matrices. rays_a, rays_b: `[N, 3]` unit rays.
     """
-    from_a = rays_a @ np.swapaxes(matrix, -1, -2)  # (..., N, 3) rows E u_a
-    from_b = rays_b @ matrix  # rows E' u_b
+    from_a = rays_a @ np.swapaxes(matrix, -1, -2)  # [..., N, 3] rows E u_a
+    from_b = rays_b @ matrix  # [..., N, 3] rows E' u_b
     value = (from_a * rays_b).sum(-1)
-    # the projections onto the tangent planes lose the component along the ray, which is the value itself
+    # the component along the ray is the value itself, in both views
     slope = (from_a**2).sum(-1) + (from_b**2).sum(-1) - 2 * value**2
     return value / np.sqrt(np.maximum(slope, 1e-18))
-
-
-def translation_system(rotation: Floats, rays_a: Floats, rays_b: Floats, weight: Floats) -> Floats:
-    """M(R) = sum w n n', n = (R u_a) x u_b: its smallest eigenvector is the direction of t.
-
-    The paper's stacked collinearity and coplanarity system with the points eliminated (the matrix of Kneip and
-    Lynen 2013). rotation: `[..., 3, 3]`; rays: `[N, 3]`; weight: `[..., N]`. Returns `[..., 3, 3]`.
-    """
-    normal = np.cross(rays_a @ np.swapaxes(rotation, -1, -2), rays_b)
-    return np.einsum("...n,...ni,...nj->...ij", weight, normal, normal)
 
 
 def depths(
     rotation: Floats, translation: Floats, rays_a: Floats, rays_b: Floats
 ) -> tuple[Floats, Floats]:
-    """Distances along both rays to the midpoint of their common normal, `[..., N]` each.
+    """Return the distances `[..., N]` along both rays to the midpoint of their common normal.
 
-    Solves d_b u_b - d_a R u_a = t in the least-squares sense; positive means in front of the camera.
+    They solve d_b u_b - d_a R u_a = t in the least-squares sense. Positive means in front of the
+    camera (cheirality).
+
+    rotation: `[..., 3, 3]` and translation: `[..., 3]` of b_from_a. rays_a, rays_b: `[N, 3]`.
     """
-    turned = rays_a @ np.swapaxes(rotation, -1, -2)
-    t = translation[..., None, :]
-    cosine = (turned * rays_b).sum(-1)
-    along_a, along_b = (turned * t).sum(-1), (rays_b * t).sum(-1)
-    sine2 = np.maximum(1 - cosine**2, 1e-12)
-    return (cosine * along_b - along_a) / sine2, (along_b - cosine * along_a) / sine2
+    a_in_b = rays_a @ np.swapaxes(rotation, -1, -2)
+    baseline = translation[..., None, :]
+    cosine = (a_in_b * rays_b).sum(-1)
+    along_a = (a_in_b * baseline).sum(-1)
+    along_b = (rays_b * baseline).sum(-1)
+    squared_sine = np.maximum(1 - cosine**2, 1e-12)
+    depth_a = (cosine * along_b - along_a) / squared_sine
+    depth_b = (along_b - cosine * along_a) / squared_sine
+    return depth_a, depth_b
 
 
 def five_point(rays_a: Floats, rays_b: Floats, threshold: float) -> list[tuple[Floats, Floats]]:
-    """R, t of b_from_a by five-point RANSAC (Nister 2004, as in OpenCV) on rays `[N, 3]`; threshold in radians.
+    """Return R `[3, 3]` and t `[3]` of b_from_a by RANSAC with the five-point method, or nothing.
 
-    Of the four decompositions of E the one with most points in front of both cameras is returned; an empty list where
-    fewer than eight rays point forward or no model is found.
+    Nister 2004, as in OpenCV. Of the four decompositions of the essential matrix it is the one
+    with most points in front of both cameras. The list is empty where too few rays point forward
+    or no model is found.
+
+    rays_a, rays_b: `[N, 3]` unit rays of matches.
+    threshold: largest epipolar error of an inlier in radians.
     """
-    forward = (rays_a[:, 2] > 0.1) & (rays_b[:, 2] > 0.1)
-    rays_a, rays_b = rays_a[forward], rays_b[forward]
-    if len(rays_a) < 8:
+    least = FIVE_POINT_LEAST_FORWARD
+    forward = (rays_a[:, 2] > least) & (rays_b[:, 2] > least)
+    if forward.sum() < FIVE_POINT_LEAST_RAYS:
         return []
-    image_a, image_b = rays_a[:, :2] / rays_a[:, 2:], rays_b[:, :2] / rays_b[:, 2:]
+    rays_a = rays_a[forward]
+    rays_b = rays_b[forward]
     model, _ = cv2.findEssentialMat(
-        image_a, image_b, np.eye(3), method=cv2.USAC_ACCURATE, prob=0.999, threshold=threshold
+        rays_a[:, :2] / rays_a[:, 2:],
+        rays_b[:, :2] / rays_b[:, 2:],
+        np.eye(3),
+        method=cv2.USAC_ACCURATE,
+        prob=FIVE_POINT_CONFIDENCE,
+        threshold=threshold,
     )
     if model is None or model.shape != (3, 3):
         return []
-    first, second, t = (
-        np.asarray(part, dtype=np.float64) for part in cv2.decomposeEssentialMat(model)
+    candidates = _decompose_essential(np.asarray(model, dtype=np.float64))
+    in_front = [
+        np.mean([depth > 0 for depth in depths(rotation, translation, rays_a, rays_b)])
+        for rotation, translation in candidates
+    ]
+    return [candidates[int(np.argmax(in_front))]]
+
+
+def _decompose_essential(matrix: Floats) -> list[tuple[Floats, Floats]]:
+    """Return the four R `[3, 3]`, t `[3]` (of length 1) of an essential matrix `[3, 3]`."""
+    first, second, column = (
+        np.asarray(part, dtype=np.float64) for part in cv2.decomposeEssentialMat(matrix)
     )
-    candidates = [(r, s * t[:, 0]) for r in (first, second) for s in (1.0, -1.0)]
-    ahead = [np.mean([(d > 0) for d in depths(r, t, rays_a, rays_b)]) for r, t in candidates]
-    return [candidates[int(np.argmax(ahead))]]
+    translation = column[:, 0]
+    return [
+        (rotation, sign * translation) for rotation, sign in product((first, second), (1.0, -1.0))
+    ]

@@ -1,169 +1,234 @@
 """Points from the rays of many views, robustly, many at once.
 
-All points start in closed form (weighted least squares on lines) and take Gauss-Newton steps on angles. Those whose rays do not all meet
-there start again under a loss that tightens, and what still does not agree starts from every pair of rays. Arrays are kept by
-component, `[view, 3, N]`, in blocks that stay in the cache.
+All points start in closed form (weighted least squares on lines) and take Gauss-Newton steps on
+angles. Those whose rays do not all meet there start again under a loss that tightens, and where
+too few rays agree even then, every pair of rays proposes a point. Arrays are kept by component,
+`[view, 3, N]`, in blocks that stay in the cache.
 """
 
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
-from mocap_calib.types import CameraRig, Floats
+from mocap_calib.config import (
+    INTERSECT_AGREEING_RAYS,
+    INTERSECT_AGREEING_SHARE,
+    INTERSECT_ALL_PAIRS_VIEWS,
+    INTERSECT_DOUBTFUL,
+    INTERSECT_LOSS_SCALE,
+    INTERSECT_OUTLIER,
+    INTERSECT_POLISH_STEPS,
+    INTERSECT_STEPS,
+    INTERSECT_TIGHTENING_SCALES,
+)
+from mocap_calib.types import Bools, CameraRig, Floats, Ints
 
-_SMALL_RIG = 7  # views up to which all pairs of them propose points
-_STEPS = 2  # of Gauss-Newton after the closed form: measured, the third moves a point by 1e-9 of its distance
-_TIGHTEN = (24.0, 12.0, 6.0, 3.0, 3.0, 3.0)  # scales of the loss, in standard deviations
-_POLISH = 6
-_SCALE = 3.0  # of the loss in the end
-_OUTLIER = 16.0  # squared error in standard deviations, from which on a ray does not belong
-_DOUBTFUL = (
-    4 / 3
-)  # squared error for each of the rays, from which on a point starts again: of few rays a wrong one bends the point to itself
-_AGREE = 0.6  # share of a point's rays, three at least, that must meet for the rest to be outliers
+_RIDGE = 1e-10  # added to the diagonal of normal equations that are scaled to a weight of 1
+
+
+@dataclass(frozen=True)
+class _Rays:
+    """The rays of N points.
+
+    centres: `[view, 3]` camera centres, about their mean.
+    direction: `[view, 3, N]` unit vectors in the world's axes, zero where missing.
+    precision: `[view, N]` inverse variance of the angle in radians, 0 = not seen.
+    """
+
+    centres: Floats
+    direction: Floats
+    precision: Floats
+
+    @property
+    def seen(self) -> Bools:
+        """`[view, N]` whether a view sees the point."""
+        return self.precision > 0
+
+    def of_points(self, points: Ints) -> "_Rays":
+        """Return the rays of the points with these indices `[point]` alone."""
+        return _Rays(self.centres, self.direction[..., points], self.precision[:, points])
+
+    def of_views(self, views: list[int]) -> "_Rays":
+        """Return the rays of these views (indices) alone."""
+        return _Rays(self.centres[views], self.direction[views], self.precision[views])
 
 
 def intersect(rig: CameraRig, world: Floats, precision: Floats) -> Floats:
-    """`[3, N]` points nearest to rays, in angles; NaN where there are fewer than two.
+    """Return the points `[3, N]` nearest to rays, in angles; NaN where fewer than two are seen.
 
-    world: `[view, 3, N]` unit rays in the world's axes (zero where missing); precision: `[view, N]` inverse variance of the angle in
-    radians, 0 = not seen.
+    world: `[view, 3, N]` unit rays in the world's axes, zero where missing.
+    precision: `[view, N]` inverse variance of the angle in radians, 0 = not seen.
     """
     middle = rig.centres.mean(0)
-    centres = rig.centres - middle
-    count = (precision > 0).sum(0)
-    points = _closed_form(centres, world, precision)
-    for _ in range(_STEPS):
-        points = points + _step(centres, points, world, precision, _SCALE)
-    points[:, count < 2] = np.nan
-    doubtful = np.flatnonzero(
-        (_error(centres, points, world, precision) > _DOUBTFUL * count).any(0) & (count > 2)
-    )
+    rays = _Rays(rig.centres - middle, world, precision)
+    points = _intersect_lines(rays)
+    points = _refine(rays, points, INTERSECT_STEPS)
+    points[:, rays.seen.sum(0) < 2] = np.nan
+    doubtful = _doubtful_points(rays, points)
     if len(doubtful):
-        points[:, doubtful] = _among_outliers(
-            centres, points[:, doubtful], world[..., doubtful], precision[:, doubtful]
-        )
+        points[:, doubtful] = _refine_among_outliers(rays.of_points(doubtful), points[:, doubtful])
     return points + middle[:, None]
 
 
-def _among_outliers(centres: Floats, points: Floats, world: Floats, precision: Floats) -> Floats:
-    """Points some of whose rays are wrong."""
-    for scale in _TIGHTEN:
-        points = points + _step(centres, points, world, precision, scale)
-    count = (precision > 0).sum(0)
-    meeting = ((_error(centres, points, world, precision) <= _OUTLIER) & (precision > 0)).sum(0)
-    hard = np.flatnonzero(~((meeting >= 3) & (meeting >= _AGREE * count)))
-    if len(hard):
-        points[:, hard] = _from_pairs(centres, world[..., hard], precision[:, hard])
+def _doubtful_points(rays: _Rays, points: Floats) -> Ints:
+    """Return the points (indices) of three and more rays that do not all meet there."""
+    count = rays.seen.sum(0)
+    missed = _squared_error(rays, points) > INTERSECT_DOUBTFUL * count
+    return np.flatnonzero(missed.any(0) & (count > 2))
+
+
+def _refine_among_outliers(rays: _Rays, points: Floats) -> Floats:
+    """Return points `[3, N]` some of whose rays are wrong, after more robust refinement."""
+    for scale in INTERSECT_TIGHTENING_SCALES:
+        points = points + _gauss_newton_step(rays, points, loss_scale=scale)
+    meets = (_squared_error(rays, points) <= INTERSECT_OUTLIER) & rays.seen
+    meeting = meets.sum(0)
+    enough = meeting >= INTERSECT_AGREEING_RAYS
+    most = meeting >= INTERSECT_AGREEING_SHARE * rays.seen.sum(0)
+    unsolved = np.flatnonzero(~(enough & most))
+    if len(unsolved):
+        points[:, unsolved] = _search_pairs(rays.of_points(unsolved))
     return points
 
 
-def _from_pairs(centres: Floats, world: Floats, precision: Floats) -> Floats:
-    """The best of the points that pairs of views propose, refined."""
-    points, cost = np.full(world.shape[1:], np.nan), np.full(world.shape[2], np.inf)
-    first, others = _seed_pairs(len(centres))
-    for turn, pair in enumerate([*first, *others]):
-        a, b = pair
-        both = np.flatnonzero(
-            (precision[a] > 0) & (precision[b] > 0) & ((turn < len(first)) | ~np.isfinite(cost))
-        )
-        two = list(pair)
-        proposal = _closed_form(centres[two], world[two][..., both], precision[two][:, both])
-        rays, weight = world[..., both], precision[:, both]
-        residual = np.where(
-            weight > 0, np.minimum(_error(centres, proposal, rays, weight), _OUTLIER), 0.0
-        ).sum(0)
-        better = residual < cost[both]
-        points[:, both[better]], cost[both[better]] = proposal[:, better], residual[better]
-    for _ in range(_POLISH):
-        points = points + _step(centres, points, world, precision, _SCALE)
-    return points
+def _search_pairs(rays: _Rays) -> Floats:
+    """Return the best of the points `[3, N]` that pairs of views propose, refined."""
+    points = np.full(rays.direction.shape[1:], np.nan)
+    cost = np.full(rays.direction.shape[2], np.inf)
+    seen = rays.seen
+    first_pairs, other_pairs = _proposing_pairs(len(rays.centres))
+    for a, b in first_pairs:
+        both = np.flatnonzero(seen[a] & seen[b])
+        _propose(rays, (a, b), both, points=points, cost=cost)
+    for a, b in other_pairs:
+        both = np.flatnonzero(seen[a] & seen[b] & ~np.isfinite(cost))
+        _propose(rays, (a, b), both, points=points, cost=cost)
+    return _refine(rays, points, INTERSECT_POLISH_STEPS)
 
 
-def _seed_pairs(views: int) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
-    """Pairs of views that propose every point they see, and pairs that propose those that none of the first sees.
+def _propose(
+    rays: _Rays, pair: tuple[int, int], candidates: Ints, *, points: Floats, cost: Floats
+) -> None:
+    """Let two views propose the points `candidates` (indices), and keep what fits all views better.
 
-    All are of the first kind in a small rig; in a large one those to the next view and to one a third of the rig away.
+    points `[3, N]` and cost `[N]` of the best proposals so far are changed in place.
+    """
+    proposal = _intersect_lines(rays.of_views(list(pair)).of_points(candidates))
+    candidate_rays = rays.of_points(candidates)
+    capped = np.minimum(_squared_error(candidate_rays, proposal), INTERSECT_OUTLIER)
+    proposal_cost = np.where(candidate_rays.seen, capped, 0.0).sum(0)
+    better = proposal_cost < cost[candidates]
+    points[:, candidates[better]] = proposal[:, better]
+    cost[candidates[better]] = proposal_cost[better]
+
+
+def _proposing_pairs(views: int) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
+    """Return the pairs that propose every point they see, and those that fill what these miss.
+
+    All pairs are of the first kind in a small rig. In a large one they are those of a view with
+    the next one, and with the one a third of the rig away.
     """
     pairs = list(combinations(range(views), 2))
-    if views <= _SMALL_RIG:
+    if views <= INTERSECT_ALL_PAIRS_VIEWS:
         return pairs, []
-    first = sorted(
-        {
-            (min(v, (v + s) % views), max(v, (v + s) % views))
-            for v in range(views)
-            for s in (1, views // 3)
-        }
-    )
-    return first, [pair for pair in pairs if pair not in set(first)]
+    neighbours = {
+        (min(view, other), max(view, other))
+        for view in range(views)
+        for other in ((view + 1) % views, (view + views // 3) % views)
+    }
+    return sorted(neighbours), [pair for pair in pairs if pair not in neighbours]
 
 
-def _closed_form(centres: Floats, world: Floats, weight: Floats) -> Floats:
-    """`[3, N]` points nearest to weighted lines."""
-    share = weight / np.maximum(weight.sum(0), 1e-300)
-    along = np.einsum("vi,vin->vn", centres, world)
-    return _solved(
-        _normal(world, share),
-        centres.T @ share - np.einsum("vin,vn->in", world, share * along),
-        1e-10,
-    )
+def _intersect_lines(rays: _Rays) -> Floats:
+    """Return the points `[3, N]` nearest to weighted lines, in closed form."""
+    total = rays.precision.sum(0)
+    weight = rays.precision / np.maximum(total, 1e-300)
+    along = np.einsum("vi,vin->vn", rays.centres, rays.direction)
+    projected = np.einsum("vin,vn->in", rays.direction, weight * along)
+    side = rays.centres.T @ weight - projected
+    return _solve_symmetric(_normal_matrix(rays.direction, weight), side)
 
 
-def _step(
-    centres: Floats, points: Floats, world: Floats, precision: Floats, scale: float
-) -> Floats:
-    """`[3, N]` the Gauss-Newton step on angles, under Geman and McClure's loss at `scale` standard deviations."""
-    offset = points - centres[:, :, None]
-    square, along = _lengths(offset, world)
-    error = np.maximum(1 - along * along / square, 0.0) * precision
-    weight = precision / (square * (1 + error / scale**2) ** 2)
+def _refine(rays: _Rays, points: Floats, steps: int) -> Floats:
+    """Return points `[3, N]` after steps under the loss of the end."""
+    for _ in range(steps):
+        points = points + _gauss_newton_step(rays, points, loss_scale=INTERSECT_LOSS_SCALE)
+    return points
+
+
+def _gauss_newton_step(rays: _Rays, points: Floats, *, loss_scale: float) -> Floats:
+    """Return the Gauss-Newton step `[3, N]` on angles, under the loss of Geman and McClure.
+
+    loss_scale: in standard deviations of the angle.
+    """
+    offset = points - rays.centres[:, :, None]
+    square, along = _lengths(offset, rays.direction)
+    error = np.maximum(1 - along * along / square, 0.0) * rays.precision
+    weight = rays.precision / (square * (1 + error / loss_scale**2) ** 2)
     weight /= np.maximum(weight.sum(0), 1e-300)
-    return -_solved(
-        _normal(world, weight),
-        np.einsum("vin,vn->in", offset, weight) - np.einsum("vin,vn->in", world, weight * along),
-        1e-10,
-    )
+    weighted = np.einsum("vin,vn->in", offset, weight)
+    projected = np.einsum("vin,vn->in", rays.direction, weight * along)
+    return -_solve_symmetric(_normal_matrix(rays.direction, weight), weighted - projected)
 
 
-def _lengths(offset: Floats, world: Floats) -> tuple[Floats, Floats]:
-    """Squared lengths `[view, N]` of offsets from the centres, and what of them is along the rays."""
-    return np.maximum(np.einsum("vin,vin->vn", offset, offset), 1e-18), np.einsum(
-        "vin,vin->vn", offset, world
-    )
+def _squared_error(rays: _Rays, points: Floats) -> Floats:
+    """Return the squared sines `[view, N]` between rays and points, in standard deviations.
+
+    Infinite behind the camera, 0 where nothing is seen.
+    """
+    square, along = _lengths(points - rays.centres[:, :, None], rays.direction)
+    error = np.maximum(1 - along * along / square, 0.0) * rays.precision
+    error = np.where(along > 0, error, np.inf)
+    return np.where(rays.seen, error, 0.0)
 
 
-def _error(centres: Floats, points: Floats, world: Floats, precision: Floats) -> Floats:
-    """`[view, N]` squared sines in standard deviations; infinite behind the camera, 0 where nothing is seen."""
-    square, along = _lengths(points - centres[:, :, None], world)
-    error = np.where(along > 0, np.maximum(1 - along * along / square, 0.0) * precision, np.inf)
-    return np.where(precision > 0, error, 0.0)
+def _lengths(offset: Floats, direction: Floats) -> tuple[Floats, Floats]:
+    """Return the squared lengths of offsets `[view, 3, N]` and their lengths along the rays.
+
+    Both `[view, N]`.
+    """
+    square = np.einsum("vin,vin->vn", offset, offset)
+    along = np.einsum("vin,vin->vn", offset, direction)
+    return np.maximum(square, 1e-18), along
 
 
-def _normal(world: Floats, weight: Floats) -> tuple[Floats, ...]:
-    """Sum w (I - u u') as its six entries xx, xy, xz, yy, yz, zz, each `[N]`."""
-    x, y, z = (world[:, i] for i in range(3))
+def _normal_matrix(direction: Floats, weight: Floats) -> tuple[Floats, ...]:
+    """Return sum w (I - u u') as its six entries xx, xy, xz, yy, yz, zz, each `[N]`."""
+    x, y, z = direction[:, 0], direction[:, 1], direction[:, 2]
     wx, wy, wz = x * weight, y * weight, z * weight
     total = weight.sum(0)
-    xx, yy, zz = (np.einsum("vn,vn->n", a, b) for a, b in ((wx, x), (wy, y), (wz, z)))
-    xy, xz, yz = (np.einsum("vn,vn->n", a, b) for a, b in ((wx, y), (wx, z), (wy, z)))
-    return total - xx, -xy, -xz, total - yy, -yz, total - zz
-
-
-def _solved(matrix: tuple[Floats, ...], side: Floats, ridge: float) -> Floats:
-    """`[3, N]` solutions of symmetric 3 x 3 systems by cofactors."""
-    xx, xy, xz, yy, yz, zz = matrix
-    xx, yy, zz = xx + ridge, yy + ridge, zz + ridge
-    a, b, c = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
-    d, e, f = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
-    determinant = xx * a + xy * b + xz * c
-    determinant = np.where(np.abs(determinant) > 1e-300, determinant, np.inf)
     return (
-        np.stack(
-            [
-                a * side[0] + b * side[1] + c * side[2],
-                b * side[0] + d * side[1] + e * side[2],
-                c * side[0] + e * side[1] + f * side[2],
-            ]
-        )
-        / determinant
+        total - _sum_over_views(wx, x),
+        -_sum_over_views(wx, y),
+        -_sum_over_views(wx, z),
+        total - _sum_over_views(wy, y),
+        -_sum_over_views(wy, z),
+        total - _sum_over_views(wz, z),
     )
+
+
+def _sum_over_views(first: Floats, second: Floats) -> Floats:
+    """Return the sums `[N]` of the products of two arrays `[view, N]`."""
+    return np.einsum("vn,vn->n", first, second)
+
+
+def _solve_symmetric(matrix: tuple[Floats, ...], side: Floats) -> Floats:
+    """Return the solutions `[3, N]` of symmetric 3 x 3 systems, by cofactors.
+
+    matrix: the entries xx, xy, xz, yy, yz, zz, each `[N]`. side: `[3, N]`.
+    """
+    xx, xy, xz, yy, yz, zz = matrix
+    xx, yy, zz = xx + _RIDGE, yy + _RIDGE, zz + _RIDGE
+    cofactor_xx = yy * zz - yz * yz
+    cofactor_xy = xz * yz - xy * zz
+    cofactor_xz = xy * yz - xz * yy
+    cofactor_yy = xx * zz - xz * xz
+    cofactor_yz = xy * xz - xx * yz
+    cofactor_zz = xx * yy - xy * xy
+    determinant = xx * cofactor_xx + xy * cofactor_xy + xz * cofactor_xz
+    determinant = np.where(np.abs(determinant) > 1e-300, determinant, np.inf)
+    x = cofactor_xx * side[0] + cofactor_xy * side[1] + cofactor_xz * side[2]
+    y = cofactor_xy * side[0] + cofactor_yy * side[1] + cofactor_yz * side[2]
+    z = cofactor_xz * side[0] + cofactor_yz * side[1] + cofactor_zz * side[2]
+    return np.stack([x, y, z]) / determinant

@@ -1,7 +1,10 @@
 """Pixels and rays of a camera, for arrays of any shape.
 
-Pixels have their centres at integers. Rays are unit vectors in the camera's axes: x right, y down, z forward.
+Pixels have their centres at integers. Rays are unit vectors in the camera's axes: x right, y down,
+z forward.
 """
+
+from collections.abc import Callable
 
 import numpy as np
 
@@ -12,18 +15,31 @@ _BLOCK = 8192  # what is computed of so many stays in the cache
 
 
 def rays_from_pixels(camera: Camera, pixels: Reals) -> Floats:
-    """`[..., 2]` pixels -> `[..., 3]` unit rays with the distortion taken out; NaN stays NaN, and what no ray projects to is NaN."""
-    flat = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
-    rays = np.empty((len(flat), 3))
-    for k in range(0, len(flat), _BLOCK):
-        rays[k : k + _BLOCK] = lens.rays(camera, flat[k : k + _BLOCK].T.copy()).T
+    """Return the unit rays `[..., 3]` of pixels `[..., 2]`, with the distortion taken out.
+
+    NaN stays NaN, and a pixel that no ray projects to is NaN.
+    """
+    rows = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
+    rays = _convert_in_blocks(lens.unproject, camera, rows, width=3)
     return rays.reshape(*pixels.shape[:-1], 3)
 
 
 def pixels_from_points(camera: Camera, points: Floats) -> Floats:
-    """`[..., 3]` points in the camera's axes -> `[..., 2]` pixels; NaN stays NaN, and behind the camera is NaN."""
-    flat = np.asarray(points, dtype=np.float64).reshape(-1, 3)
-    pixels = np.empty((len(flat), 2))
-    for k in range(0, len(flat), _BLOCK):
-        pixels[k : k + _BLOCK] = lens.pixels(camera, flat[k : k + _BLOCK].T.copy()).T
+    """Return the pixels `[..., 2]` of points `[..., 3]` in the camera's axes.
+
+    NaN stays NaN, and a point behind the camera is NaN.
+    """
+    rows = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+    pixels = _convert_in_blocks(lens.project, camera, rows, width=2)
     return pixels.reshape(*points.shape[:-1], 2)
+
+
+def _convert_in_blocks(
+    convert: Callable[[Camera, Floats], Floats], camera: Camera, rows: Floats, *, width: int
+) -> Floats:
+    """Return `[N, width]` rows, converted by a function that takes and returns components."""
+    converted = np.empty((len(rows), width))
+    for start in range(0, len(rows), _BLOCK):
+        block = slice(start, start + _BLOCK)
+        converted[block] = convert(camera, rows[block].T.copy()).T
+    return converted

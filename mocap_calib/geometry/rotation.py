@@ -6,86 +6,113 @@ from mocap_calib.types import Floats
 
 
 def matrix_from_vector(vector: Floats) -> Floats:
-    """Rodrigues' formula: `[..., 3]` rotation vectors in radians -> `[..., 3, 3]` matrices."""
+    """Return the matrices `[..., 3, 3]` of rotation vectors `[..., 3]` in radians.
+
+    Rodrigues' formula, R = I + sin(a)/a [v]x + (1 - cos(a))/a^2 [v]x^2.
+    """
     vector = np.asarray(vector, dtype=np.float64)
     angle = np.linalg.norm(vector, axis=-1)[..., None, None]
-    safe = np.where(angle > 0, angle, 1.0)
-    # sin(a)/a and (1-cos(a))/a^2 by np.sinc, which is exact near zero
+    # both factors by np.sinc, which is exact near zero
+    safe_angle = np.where(angle > 0, angle, 1.0)
     first = np.sinc(angle / np.pi)
-    second = 0.5 * np.sinc(safe / (2 * np.pi)) ** 2
-    k = skew(vector)
-    return np.eye(3) + first * k + second * (k @ k)
+    second = 0.5 * np.sinc(safe_angle / (2 * np.pi)) ** 2
+    cross = skew(vector)
+    return np.eye(3) + first * cross + second * (cross @ cross)
 
 
 def vector_from_matrix(matrix: Floats) -> Floats:
-    """`[..., 3, 3]` rotation matrices -> `[..., 3]` rotation vectors of length 0..pi, through unit quaternions."""
-    q = quaternion_from_matrix(matrix)
-    w, v = q[..., 0], q[..., 1:]
-    sine = np.linalg.norm(v, axis=-1)
-    angle = 2 * np.arctan2(sine, w)
-    factor = np.where(sine > 1e-12, angle / np.where(sine > 1e-12, sine, 1.0), 2.0)
-    return factor[..., None] * v
+    """Return the rotation vectors `[..., 3]`, of length 0..pi, of rotation matrices `[..., 3, 3]`.
+
+    Through unit quaternions, which are exact near zero and near a half turn.
+    """
+    quaternion = quaternion_from_matrix(matrix)
+    cosine = quaternion[..., 0]
+    axis = quaternion[..., 1:]
+    sine = np.linalg.norm(axis, axis=-1)
+    angle = 2 * np.arctan2(sine, cosine)
+    safe_sine = np.where(sine > 1e-12, sine, 1.0)
+    factor = np.where(sine > 1e-12, angle / safe_sine, 2.0)
+    return factor[..., None] * axis
 
 
 def quaternion_from_matrix(matrix: Floats) -> Floats:
-    """`[..., 3, 3]` -> `[..., 4]` unit quaternions (w, x, y, z) with w >= 0.
+    """Return the unit quaternions `[..., 4]` (w, x, y, z), w >= 0, of rotations `[..., 3, 3]`.
 
-    Each column below is 4 q_k q; the one with the largest q_k is the best conditioned (Shepperd 1978).
+    Each row of the 4 x 4 array below is 4 q_k q; the one with the largest q_k is the best
+    conditioned (Shepperd 1978).
     """
     m = np.asarray(matrix, dtype=np.float64)
-    d0, d1, d2 = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
-    a, b, c = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
-    d, e, f = m[..., 0, 1] + m[..., 1, 0], m[..., 0, 2] + m[..., 2, 0], m[..., 1, 2] + m[..., 2, 1]
-    rows = np.stack(
-        [
-            np.stack([1 + d0 + d1 + d2, a, b, c], -1),
-            np.stack([a, 1 + d0 - d1 - d2, d, e], -1),
-            np.stack([b, d, 1 - d0 + d1 - d2, f], -1),
-            np.stack([c, e, f, 1 - d0 - d1 + d2], -1),
-        ],
-        -2,
-    )
+    xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
+    wx = m[..., 2, 1] - m[..., 1, 2]
+    wy = m[..., 0, 2] - m[..., 2, 0]
+    wz = m[..., 1, 0] - m[..., 0, 1]
+    xy = m[..., 0, 1] + m[..., 1, 0]
+    xz = m[..., 0, 2] + m[..., 2, 0]
+    yz = m[..., 1, 2] + m[..., 2, 1]
+    by_w = np.stack([1 + xx + yy + zz, wx, wy, wz], -1)
+    by_x = np.stack([wx, 1 + xx - yy - zz, xy, xz], -1)
+    by_y = np.stack([wy, xy, 1 - xx + yy - zz, yz], -1)
+    by_z = np.stack([wz, xz, yz, 1 - xx - yy + zz], -1)
+    rows = np.stack([by_w, by_x, by_y, by_z], -2)
     best = np.argmax(np.diagonal(rows, axis1=-2, axis2=-1), axis=-1)
-    q = np.take_along_axis(rows, best[..., None, None], axis=-2)[..., 0, :]
-    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
-    return np.where(q[..., :1] < 0, -q, q)
+    quaternion = np.take_along_axis(rows, best[..., None, None], axis=-2)[..., 0, :]
+    quaternion = quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True)
+    return np.where(quaternion[..., :1] < 0, -quaternion, quaternion)
 
 
 def skew(vector: Floats) -> Floats:
-    """The cross product as a matrix, `[..., 3]` -> `[..., 3, 3]`: [a]x b = a x b."""
+    """Return the matrices `[..., 3, 3]` of the cross products with vectors `[..., 3]`.
+
+    [a]x b = a x b.
+    """
     x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
     zero = np.zeros_like(x)
-    return np.stack(
-        [np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1), np.stack([-y, x, zero], -1)], -2
-    )
+    rows = [
+        np.stack([zero, -z, y], -1),
+        np.stack([z, zero, -x], -1),
+        np.stack([-y, x, zero], -1),
+    ]
+    return np.stack(rows, -2)
 
 
 def angle_between(first: Floats, second: Floats) -> Floats:
-    """Geodesic distance in radians between `[..., 3, 3]` rotations; exact also for tiny angles."""
+    """Return the geodesic distance `[...]` in radians between rotations `[..., 3, 3]`.
+
+    From the chord |R - I| = sqrt(8) sin(a/2), which is exact also for tiny angles.
+    """
     relative = np.swapaxes(first, -1, -2) @ second
-    chord = np.linalg.norm(relative - np.eye(3), axis=(-2, -1)) / np.sqrt(8.0)
-    return 2 * np.arcsin(np.clip(chord, 0.0, 1.0))
+    half_sine = np.linalg.norm(relative - np.eye(3), axis=(-2, -1)) / np.sqrt(8.0)
+    return 2 * np.arcsin(np.clip(half_sine, 0.0, 1.0))
 
 
 def direction_angle(first: Floats, second: Floats) -> Floats:
-    """Angle in radians between `[..., 3]` vectors of any length; pi where one of them has none."""
-    cross = np.linalg.norm(np.cross(first, second), axis=-1)
-    dot = (first * second).sum(-1)
-    return np.where((cross == 0) & (dot == 0), np.pi, np.arctan2(cross, dot))
+    """Return the angle `[...]` in radians between vectors `[..., 3]` of any length.
+
+    It is pi where one of them has no length.
+    """
+    sine = np.linalg.norm(np.cross(first, second), axis=-1)
+    cosine = (first * second).sum(-1)
+    undefined = (sine == 0) & (cosine == 0)
+    return np.where(undefined, np.pi, np.arctan2(sine, cosine))
 
 
 def nearest_rotation(matrix: Floats) -> Floats:
-    """The rotation that maximises tr(R' M), for `[..., 3, 3]` matrices (Kabsch 1976, with Umeyama's sign)."""
+    """Return the rotations `[..., 3, 3]` that maximise tr(R' M), for matrices M `[..., 3, 3]`.
+
+    Kabsch 1976, with the sign of Umeyama 1991.
+    """
     u, _, vt = np.linalg.svd(matrix)
     sign = np.linalg.det(u) * np.linalg.det(vt)
-    u = np.concatenate([u[..., :2], u[..., 2:] * sign[..., None, None]], axis=-1)
-    return u @ vt
+    last = u[..., 2:] * sign[..., None, None]
+    proper = np.concatenate([u[..., :2], last], axis=-1)
+    return proper @ vt
 
 
 def looking_along(direction: Floats, down: Floats) -> Floats:
-    """`[..., 3, 3]` rotation into axes with z along `direction` `[..., 3]` and y as near to `down` `[3]` as it can be.
+    """Return the rotations `[..., 3, 3]` into axes that look along directions `[..., 3]`.
 
-    Where direction is along `down`, the horizontal axis is the camera's own x.
+    The new z is along `direction`, and y is as near to `down` `[3]` as it can be. Where the
+    direction is along `down`, the new x is near to the old one.
     """
     z = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
     x = np.cross(down, z)

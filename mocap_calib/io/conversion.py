@@ -37,7 +37,7 @@ from mocap_calib.io.registry import (
     names_by_ending,
     written_names,
 )
-from mocap_calib.recording.synchronise import check_pixels
+from mocap_calib.recording.pairing import check_pixels
 from mocap_calib.types import Keypoints2D
 
 # in the order in which content is looked at

@@ -1,19 +1,19 @@
 """From keypoint files and a file of cameras to a recording, and what of them is not used."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from mocap_calib.inspection import alone_in_naming
 from mocap_calib.io.cameras.source import CameraFile
 from mocap_calib.io.keypoints.items import twins
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.job.request import KeypointSource
 from mocap_calib.recording.joints import fit_vocabulary, load_aliases
+from mocap_calib.recording.pairing import views_named
 from mocap_calib.recording.summary import RecordingSummary, summarise_recording
-from mocap_calib.recording.synchronise import make_recording, meanings, usable, views_named
+from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.steerpose.checkpoint import load_vocabulary
-from mocap_calib.types import Camera, Keypoints2D, Recording, Skeleton
+from mocap_calib.types import Keypoints2D, Recording, Skeleton
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ def load_recording(
         views = views_named(views, cameras) or views
     skeleton, aliases = _choose_vocabulary(source, views)
     recording = make_recording(views, cameras, skeleton, aliases)
-    summary = _summarise(recording, views, cameras, skeleton, aliases)
+    summary = summarise_recording(recording, views, cameras, skeleton, aliases)
     summary = replace(
         summary, camera_notes=camera_file.notes, ignored_files=find_ignored_files(source.paths)
     )
@@ -64,16 +64,3 @@ def _choose_vocabulary(
         return fit_vocabulary(names, source.aliases)
     skeleton = load_vocabulary(source.model)
     return skeleton, load_aliases(source.aliases, skeleton) if source.aliases else {}
-
-
-def _summarise(
-    recording: Recording,
-    views: Sequence[Keypoints2D],
-    cameras: Sequence[Camera],
-    skeleton: Skeleton,
-    aliases: Mapping[str, str],
-) -> RecordingSummary:
-    """Return what the recording took of its views and cameras."""
-    detected = usable(views)
-    alone = alone_in_naming(detected, meanings(detected, skeleton, aliases))
-    return summarise_recording(recording, views, cameras, skeleton, alone)

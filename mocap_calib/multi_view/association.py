@@ -17,7 +17,7 @@ from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.projection import rays_from_pixels
 from mocap_calib.multi_view.tracklets import fill_in
 from mocap_calib.multi_view.triangulation import per_frame_labels
-from mocap_calib.recording.sampling import evenly, take_sample
+from mocap_calib.recording.sampling import evenly_spaced, take_sample
 from mocap_calib.two_view.affinity import (
     epipolar_affinity,
     epipolar_error,
@@ -128,7 +128,7 @@ def body_scale(
     for a, b in combinations(range(len(rig.cameras)), 2):
         shared = np.flatnonzero(seen[a] & seen[b])
         if len(shared):
-            pair = view_pair(recording, lifted, a, b, evenly(shared, _SCALE_FRAMES))
+            pair = view_pair(recording, lifted, a, b, evenly_spaced(shared, _SCALE_FRAMES))
             rotation, translation = rig.relative(a, b)
             error, weight = epipolar_error(pair, rotation[None], translation[None])
             matched = epipolar_fit(error, weight, config)[0] > 0.7

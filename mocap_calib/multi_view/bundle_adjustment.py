@@ -15,7 +15,7 @@ from mocap_calib.multi_view.triangulation import (
     triangulate_rays,
     view_noise,
 )
-from mocap_calib.recording.sampling import evenly
+from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Matches, Sample
 
 _NUDGE = 1e-4  # radians, for the differences that tell how the image moves with a ray
@@ -117,7 +117,7 @@ def _choose_frames(sample: Sample, matches: Matches, budget: int) -> Ints:
     views = matched.any(2).sum(0).mean()  # that see a point, about
     points = detected.sum((0, 2, 3)) / max(2.0, views)  # [frame]
     share = min(1.0, budget / max(float(points.sum()), 1.0))
-    return evenly(frames, max(1, round(share * len(frames))))
+    return evenly_spaced(frames, max(1, round(share * len(frames))))
 
 
 def _drop_doubtful(confidence: Floats, config: AdjustConfig) -> Floats:

@@ -9,7 +9,7 @@ from mocap_calib.compute.parallel import in_order
 from mocap_calib.config import TriangulateConfig
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.intersection import intersect
-from mocap_calib.recording.sampling import evenly
+from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import (
     Bools,
     CameraRig,
@@ -58,7 +58,7 @@ def observations(recording: Recording, matches: Matches, frames: Ints) -> Observ
     by_component = np.moveaxis(pixels.reshape(views, -1, 2), -1, 1)
     by_component = np.ascontiguousarray(by_component)
     rays = [
-        lens.rays(camera, seen)
+        lens.unproject(camera, seen)
         for camera, seen in zip(recording.cameras, by_component, strict=True)
     ]
     return Observations(
@@ -173,7 +173,7 @@ def view_noise(
     Measured in an even sample of the frames that have labels, on one coordinate of the points
     that three views see (two where there are no more).
     """
-    frames = evenly(labelled_frames(matches), config.noise_frames)
+    frames = evenly_spaced(labelled_frames(matches), config.noise_frames)
     seen = observations(recording, matches, frames)
     precision = seen.confidence / config.unknown_noise**2
     points = intersect(rig, _rays_in_world(rig, seen.rays), precision)
@@ -267,7 +267,7 @@ def project(rig: CameraRig, points: Floats) -> Floats:
     """Return the pixels `[view, 2, N]` of points `[3, N]` in world coordinates; NaN = behind."""
     return np.stack(
         [
-            lens.pixels(camera, rotation @ points + translation[:, None])
+            lens.project(camera, rotation @ points + translation[:, None])
             for camera, rotation, translation in zip(
                 rig.cameras, rig.rotation, rig.translation, strict=True
             )

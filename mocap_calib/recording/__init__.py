@@ -1,1 +1,1 @@
-"""Views on one clock: joining files, vocabularies of joints, and the frames that are looked at."""
+"""Views on one clock: joining files and cameras, names of joints, and the frames looked at."""

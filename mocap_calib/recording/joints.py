@@ -4,7 +4,7 @@ Lives below `io` because the readers and the model both need it.
 """
 
 import re
-from collections.abc import Iterable, Set
+from collections.abc import Iterable, Mapping, Set
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -15,188 +15,202 @@ import yaml
 from mocap_calib.errors import FormatError
 from mocap_calib.types import Ints, Skeleton
 
-SHIPPED = (
-    "people",
-    "quadruped",
-    "rodent",
-    "bird",
-)  # the first of those that know a recording equally well is chosen
+# the first of those that know a recording equally well is chosen
+SHIPPED = ("people", "quadruped", "rodent", "bird")
 _SIDES = {"l": "left", "left": "left", "r": "right", "right": "right"}
+# between `aB`, between `L` and `Ab`, and at spaces and marks
+_WORD_BREAK = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[LR])(?=[A-Z][a-z])|[\s\-.()]+")
+
+
+# --- names of joints
 
 
 def normalise_name(name: str) -> str:
-    """`LShoulder`, `shoulder_l`, `Left Shoulder`, `leftShoulder` -> `left_shoulder`."""
-    spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[LR])(?=[A-Z][a-z])|[\s\-.()]+", "_", name.strip())
+    """Return a name in small letters, words joined by `_`, the side first.
+
+    `LShoulder`, `shoulder_l`, `Left Shoulder`, `leftShoulder` -> `left_shoulder`.
+    """
+    spaced = _WORD_BREAK.sub("_", name.strip())
     words = [word for word in spaced.lower().split("_") if word]
     sides = [_SIDES[word] for word in words if word in _SIDES]
-    rest = [word for word in words if word not in _SIDES]
-    return "_".join(sides[:1] + rest)
-
-
-def _spelled(name: str, known: Set[str]) -> str:
-    """The normalised name; `leye` and `leftshoulder`, which only a list of joints can take apart, as far as it is known."""
-    whole = normalise_name(name)
-    sides = [
-        f"{_SIDES[side]}_{whole.removeprefix(side)}"
-        for side in ("left", "right", "l", "r")
-        if whole.startswith(side)
-    ]
-    return next((each for each in (whole, *sides) if each in known), whole)
+    others = [word for word in words if word not in _SIDES]
+    return "_".join(sides[:1] + others)
 
 
 def match_names(names: tuple[str, ...], skeleton: Skeleton) -> Ints:
-    """`[keypoint]` index in the skeleton of each name, -1 where it has no such joint; the first of twins wins.
+    """Return the index `[keypoint]` in the skeleton of each name, -1 where it has no such joint.
 
-    The layouts whose names all occur say what theirs mean, then the skeleton's own names count, then aliases.
+    The layouts whose names all occur say what theirs mean, then the skeleton's own names count,
+    then aliases. Of several aliases of one joint, the first counts.
     """
-    index = {normalise_name(joint): k for k, joint in enumerate(skeleton.keypoints)}
-    aliases = {
-        normalise_name(a): index[normalise_name(joint)] for a, joint in skeleton.aliases.items()
-    }
-    layouts = [
-        {normalise_name(name): index[normalise_name(joint)] for name, joint in layout.items()}
-        for layout in skeleton.layouts
+    own_names = {normalise_name(joint): k for k, joint in enumerate(skeleton.keypoints)}
+    aliases = _index_joints(skeleton.aliases, own_names)
+    layouts = [_index_joints(layout, own_names) for layout in skeleton.layouts]
+    known = {*own_names, *aliases, *(name for layout in layouts for name in layout)}
+    spelled = [_spell_as_known(name, known) for name in names]
+
+    by_layout: dict[str, int] = {}
+    for layout in layouts:
+        if layout.keys() <= set(spelled):
+            by_layout |= layout
+    elsewhere = set(by_layout.values())
+    exact = {name: k for name, k in own_names.items() if k not in elsewhere} | by_layout
+    return _match_each_once(spelled, exact, aliases)
+
+
+def _index_joints(joints: Mapping[str, str], index: Mapping[str, int]) -> dict[str, int]:
+    """Return the index of the joint that each name means, by the normalised name."""
+    return {normalise_name(name): index[normalise_name(joint)] for name, joint in joints.items()}
+
+
+def _spell_as_known(name: str, known: Set[str]) -> str:
+    """Return the normalised name, its side taken off where the rest is known only so.
+
+    `leye` and `leftshoulder` can be taken apart with a list of joints alone.
+    """
+    normalised = normalise_name(name)
+    sided = [
+        f"{_SIDES[side]}_{normalised.removeprefix(side)}"
+        for side in ("left", "right", "l", "r")
+        if normalised.startswith(side)
     ]
-    spelled = [
-        _spelled(name, {*index, *aliases, *(name for layout in layouts for name in layout)})
-        for name in names
-    ]
-    meant = {
-        name: joint
-        for layout in layouts
-        if set(spelled) >= layout.keys()
-        for name, joint in layout.items()
-    }
-    own = {name: k for name, k in index.items() if k not in meant.values()} | meant
-    exact = [own.get(name, -1) for name in spelled]
-    taken = set(exact)
-    found = np.full(len(names), -1, dtype=np.int64)
-    for k, name in enumerate(spelled):
-        joint = exact[k] if exact[k] >= 0 else aliases.get(name, -1)
-        if exact[k] >= 0 or joint not in taken:
-            found[k] = joint
-            taken.add(joint)
-    return found
+    return next((spelling for spelling in (normalised, *sided) if spelling in known), normalised)
+
+
+def _match_each_once(
+    names: list[str], exact: Mapping[str, int], aliases: Mapping[str, int]
+) -> Ints:
+    """Return the joint `[keypoint]` of each name: the exact one, else a free one by alias."""
+    matched = np.full(len(names), -1, dtype=np.int64)
+    taken = {exact[name] for name in names if name in exact}
+    for k, name in enumerate(names):
+        if name in exact:
+            matched[k] = exact[name]
+        elif name in aliases and aliases[name] not in taken:
+            matched[k] = aliases[name]
+            taken.add(aliases[name])
+    return matched
+
+
+# --- skeletons and their files
 
 
 def load_skeleton(name_or_path: str | Path) -> Skeleton:
-    """A skeleton by name (one that is shipped) or from a YAML file of one's own.
+    """Return a skeleton by its name (one that is shipped) or from a YAML file.
 
-    The file has `name`, `keypoints`, and optionally `edges` (pairs of names, parent first), `aliases` (other name:
-    keypoint), and `layouts` (name: aliases that hold where all of them occur). Raises FormatError.
-    """
-    return parse_skeleton(
-        _mapping(_text(name_or_path), f"skeleton {name_or_path}"), str(name_or_path)
-    )
-
-
-def _text(name_or_path: str | Path) -> str:
-    """What a skeleton's file says. Raises FormatError."""
-    shipped = resources.files("mocap_calib") / "skeletons" / f"{name_or_path}.yaml"
-    path = Path(name_or_path)
-    if shipped.is_file():
-        return shipped.read_text("utf-8")
-    if path.is_file():
-        return path.read_text("utf-8")
-    raise FormatError(
-        f"skeleton {name_or_path}: expected the name of a shipped skeleton or a YAML file, found neither"
-    )
-
-
-def load_section(name_or_path: str | Path, section: str) -> dict[str, Any]:
-    """A section of a skeleton's file: `body` (bones and postures), `training` (settings of TrainConfig); empty where it has none.
+    The file has `name`, `keypoints`, and optionally `edges` (pairs of names, parent first),
+    `aliases` (other name: keypoint), and `layouts` (name: aliases that hold where all of them
+    occur).
 
     Raises FormatError.
     """
-    found = (_mapping(_text(name_or_path), f"skeleton {name_or_path}") or {}).get(section) or {}
+    fields = _read_yaml(_skeleton_text(name_or_path), f"skeleton {name_or_path}")
+    return parse_skeleton(fields, str(name_or_path))
+
+
+def load_section(name_or_path: str | Path, section: str) -> dict[str, Any]:
+    """Return a section of a skeleton's file, empty where it has none.
+
+    Sections are `body` (bones and postures) and `training` (settings of TrainConfig).
+
+    Raises FormatError.
+    """
+    fields = _read_yaml(_skeleton_text(name_or_path), f"skeleton {name_or_path}") or {}
+    found = fields.get(section) or {}
     if not isinstance(found, dict):
         raise FormatError(
-            f"skeleton {name_or_path}: expected a mapping `{section}`, found {type(found).__name__}; see docs/skeletons.md"
+            f"skeleton {name_or_path}: expected a mapping `{section}`, "
+            f"found {type(found).__name__}; see docs/skeletons.md"
         )
     return found
 
 
 def choose_skeleton(names: Iterable[str]) -> Skeleton:
-    """The shipped skeleton that knows most of the names of joints; people where others know no more."""
+    """Return the shipped skeleton that knows most of the names; people where none knows more."""
     unique = tuple(dict.fromkeys(names))
-    skeletons = [load_skeleton(name) for name in SHIPPED]
-    return max(skeletons, key=lambda skeleton: int((match_names(unique, skeleton) >= 0).sum()))
 
+    def known(skeleton: Skeleton) -> int:
+        return int((match_names(unique, skeleton) >= 0).sum())
 
-def load_aliases(path: Path, skeleton: Skeleton) -> dict[str, str]:
-    """Own names of joints, `aliases: {own name: joint}` in a YAML file; a joint may be said by any name the skeleton knows.
-
-    Raises FormatError, also for a joint that the skeleton does not have.
-    """
-    try:
-        text = path.read_text("utf-8")
-    except (OSError, ValueError) as error:
-        raise FormatError(
-            f"{path}: expected a YAML file with `aliases`, found: {getattr(error, 'strerror', None) or error}; check the path"
-        ) from None
-    fields = _mapping(text, str(path))
-    found = fields.get("aliases") if isinstance(fields, dict) else None
-    if not isinstance(found, dict) or not found:
-        raise FormatError(
-            f"{path}: expected a mapping `aliases` of own names to joints, found none; write for instance `aliases: {{beak: nose}}`"
-        )
-    aliases = {str(name): str(joint) for name, joint in found.items()}
-    strangers = [joint for joint in aliases.values() if match_names((joint,), skeleton)[0] < 0]
-    if strangers:
-        known = ", ".join(skeleton.keypoints)
-        raise FormatError(
-            f"{path}: expected aliases of joints that the model {skeleton.name} has ({known}), found {', '.join(strangers)}; choose among those"
-        )
-    return aliases
-
-
-def _mapping(text: str, source: str) -> Any:
-    """What a YAML text holds. Raises FormatError."""
-    try:
-        return yaml.safe_load(text)
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise FormatError(f"{source}: not a YAML file: {str(error).splitlines()[0]}") from None
+    return max((load_skeleton(name) for name in SHIPPED), key=known)
 
 
 def parse_skeleton(fields: Any, source: str) -> Skeleton:
-    """A skeleton from the fields of its YAML file. Raises FormatError."""
+    """Return a skeleton from the fields of its YAML file. Raises FormatError."""
     if not isinstance(fields, dict) or not isinstance(fields.get("keypoints"), list):
         raise FormatError(
             f"skeleton {source}: expected a mapping with a list `keypoints`; see docs/skeletons.md"
         )
     keypoints = tuple(str(name) for name in fields["keypoints"])
-    index = {name: k for k, name in enumerate(keypoints)}
-    aliases = {str(a): str(joint) for a, joint in (fields.get("aliases") or {}).items()}
+    aliases = _strings(fields.get("aliases") or {})
+    layouts = tuple(_strings(layout) for layout in (fields.get("layouts") or {}).values())
     edges = [tuple(map(str, edge)) for edge in fields.get("edges") or []]
-    layouts = tuple(
-        {str(a): str(joint) for a, joint in layout.items()}
-        for layout in (fields.get("layouts") or {}).values()
-    )
-    strangers = sorted(
-        (
-            {n for edge in edges for n in edge}
-            | set(aliases.values())
-            | {n for layout in layouts for n in layout.values()}
-        )
-        - set(index)
-    )
+
+    named = {name for edge in edges for name in edge}
+    named |= {joint for renaming in (aliases, *layouts) for joint in renaming.values()}
+    strangers = sorted(named - set(keypoints))
     if strangers:
         raise FormatError(
-            f"skeleton {source}: edges, aliases or layouts name {', '.join(strangers)}, expected only its own keypoints"
+            f"skeleton {source}: edges, aliases or layouts name {', '.join(strangers)}, "
+            "expected only its own keypoints"
         )
-    symmetries = tuple(
-        (index[n], index["right" + n[4:]])
-        for n in keypoints
-        if n.startswith("left") and "right" + n[4:] in index
-    )
+    index = {name: k for k, name in enumerate(keypoints)}
     return Skeleton(
-        str(fields.get("name", source)),
-        keypoints,
-        tuple((index[a], index[b]) for a, b in edges),
-        symmetries,
-        aliases,
-        layouts,
+        name=str(fields.get("name", source)),
+        keypoints=keypoints,
+        edges=tuple((index[parent], index[child]) for parent, child in edges),
+        symmetries=_symmetries(keypoints),
+        aliases=aliases,
+        layouts=layouts,
     )
+
+
+def _strings(mapping: Mapping[Any, Any]) -> dict[str, str]:
+    """Return a mapping of a YAML file, whose names may read as numbers, as strings."""
+    return {str(name): str(joint) for name, joint in mapping.items()}
+
+
+def _symmetries(keypoints: tuple[str, ...]) -> tuple[tuple[int, int], ...]:
+    """Return the index pairs (left, right) of keypoints `left...` and `right...`."""
+    index = {name: k for k, name in enumerate(keypoints)}
+    left_names = [name for name in keypoints if name.startswith("left")]
+    mirrored = [(name, "right" + name.removeprefix("left")) for name in left_names]
+    return tuple((index[left], index[right]) for left, right in mirrored if right in index)
+
+
+def _skeleton_text(name_or_path: str | Path) -> str:
+    """Return the text of a skeleton's file. Raises FormatError."""
+    shipped = resources.files("mocap_calib") / "skeletons" / f"{name_or_path}.yaml"
+    if shipped.is_file():
+        return shipped.read_text("utf-8")
+    path = Path(name_or_path)
+    if path.is_file():
+        return path.read_text("utf-8")
+    raise FormatError(
+        f"skeleton {name_or_path}: expected the name of a shipped skeleton or a YAML file, "
+        "found neither"
+    )
+
+
+# --- a user's own names
+
+
+def load_aliases(path: Path, skeleton: Skeleton) -> dict[str, str]:
+    """Return a user's names of joints, from `aliases: {own name: joint}` in a YAML file.
+
+    A joint may be given by any name that the skeleton knows.
+
+    Raises FormatError, also for a joint that the skeleton does not have.
+    """
+    aliases = _read_aliases(path)
+    strangers = [joint for joint in aliases.values() if match_names((joint,), skeleton)[0] < 0]
+    if strangers:
+        known = ", ".join(skeleton.keypoints)
+        raise FormatError(
+            f"{path}: expected aliases of joints that the model {skeleton.name} has ({known}), "
+            f"found {', '.join(strangers)}; choose among those"
+        )
+    return aliases
 
 
 def fit_vocabulary(
@@ -229,3 +243,30 @@ def _count_known(names: tuple[str, ...], skeleton: Skeleton, aliases: dict[str, 
     """Return how many names the skeleton knows, after the aliases were applied."""
     joints = tuple(aliases.get(name, name) for name in names)
     return int((match_names(joints, skeleton) >= 0).sum())
+
+
+def _read_aliases(path: Path) -> dict[str, str]:
+    """Return the section `aliases` of a YAML file. Raises FormatError."""
+    try:
+        text = path.read_text("utf-8")
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise FormatError(
+            f"{path}: expected a YAML file with `aliases`, found: {reason}; check the path"
+        ) from None
+    fields = _read_yaml(text, str(path))
+    found = fields.get("aliases") if isinstance(fields, dict) else None
+    if not isinstance(found, dict) or not found:
+        raise FormatError(
+            f"{path}: expected a mapping `aliases` of own names to joints, found none; "
+            "write for instance `aliases: {beak: nose}`"
+        )
+    return _strings(found)
+
+
+def _read_yaml(text: str, source: str) -> Any:
+    """Return what a YAML text holds. Raises FormatError."""
+    try:
+        return yaml.safe_load(text)
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise FormatError(f"{source}: not a YAML file: {str(error).splitlines()[0]}") from None

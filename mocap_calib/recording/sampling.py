@@ -1,7 +1,9 @@
-"""Which frames of a recording are worked on: all of a short one but the overcrowded, and of a long one a fixed number that shows everything.
+"""Choosing which frames of a recording are worked on.
 
-Cameras stand where they stand however long the recording is, so calibration looks at a sample whose size does not grow; only
-labels and 3D poses are made of all frames, and those in blocks.
+Of a short recording these are all but the overcrowded frames, and of a long one a fixed number
+that shows everything. Cameras stand where they stand however long the recording is, so
+calibration looks at a sample whose size does not grow; only labels and 3D poses are made of all
+frames, and those in blocks.
 """
 
 from itertools import combinations
@@ -12,103 +14,166 @@ from mocap_calib.config import SampleConfig
 from mocap_calib.geometry.projection import rays_from_pixels
 from mocap_calib.types import Bools, Floats, Ints, Recording, Sample
 
-_CANDIDATES = 4  # frames looked at for each that is chosen
-_CROWD = 2  # times as many detections, and two, as nine tenths of the frames have
-_GRID = 6  # cells of the image along each side
-_SIZES = 8  # classes of size, which is nearness, by half powers of two
-_POSTURES = 16  # classes of posture in each view
 
-
-def evenly(values: Ints, count: int) -> Ints:
-    """An even choice of at most `count` of the values, first and last among them."""
-    return values[np.linspace(0, len(values) - 1, min(len(values), count)).astype(int)]
+def evenly_spaced(values: Ints, count: int) -> Ints:
+    """Return at most `count` of the values `[N]`, evenly spaced, first and last among them."""
+    positions = np.linspace(0, len(values) - 1, min(len(values), count))
+    return values[positions.astype(int)]
 
 
 def take_sample(recording: Recording, index: Ints | slice) -> Sample:
-    """The frames with these indices, in double precision and with their rays; as many instances as these frames show."""
+    """Return some frames in double precision, with their rays.
+
+    The sample has as many instances as these frames show.
+
+    index: `[frame]` indices of the frames (not numbers), or a slice.
+    """
     part = recording.select(frames=index)
-    shown = np.flatnonzero(np.isfinite(part.positions).any((0, 1, 3, 4))).max(initial=0) + 1
-    positions, confidence = part.positions[:, :, :shown], part.confidence[:, :, :shown]
-    rays = np.stack(
-        [
-            rays_from_pixels(camera, seen)
-            for camera, seen in zip(part.cameras, positions, strict=True)
-        ]
-    )
-    exact = positions.astype(np.float64), confidence.astype(np.float64)
+    shown = np.flatnonzero(np.isfinite(part.positions).any((0, 1, 3, 4)))
+    instances = shown.max(initial=0) + 1
+    positions = part.positions[:, :, :instances]
+    rays = [
+        rays_from_pixels(camera, seen) for camera, seen in zip(part.cameras, positions, strict=True)
+    ]
     return Sample(
-        part.cameras, part.keypoints, part.frames, *exact, part.tracked, part.vocabulary, rays
+        cameras=part.cameras,
+        keypoints=part.keypoints,
+        frames=part.frames,
+        positions=positions.astype(np.float64),
+        confidence=part.confidence[:, :, :instances].astype(np.float64),
+        tracked=part.tracked,
+        vocabulary=part.vocabulary,
+        rays=np.stack(rays),
     )
 
 
 def choose_sample_frames(recording: Recording, config: SampleConfig) -> Ints:
-    """Indices of the frames that calibration looks at, ascending: all that are not overcrowded, or as many as the budget allows.
+    """Return the indices of the frames that calibration looks at, ascending.
 
-    Chosen one by one, each the one that adds most to what the others show: places in each image, sizes of bodies (near and
-    far), postures, and what pairs of views see together. What has been seen often counts less and less. Frames with several times the usual
-    number of detections are left out: all arrays would be as large as theirs, and most of what they show is false.
+    They are all frames that are not overcrowded, or as many as the budget allows: each the one
+    that adds most to what the others show, which are places in each image, sizes of bodies (near
+    and far), postures, and what pairs of views see together. What has been seen often counts less
+    and less.
+
+    Frames with several times the usual number of detections are left out: all arrays would be as
+    large as theirs, and most of what they show is false.
     """
-    crowd = np.isfinite(recording.positions[..., 0]).any(-1).sum(-1).max(0)  # (frame)
-    every = np.flatnonzero(crowd <= _CROWD * np.quantile(crowd, 0.9) + _CROWD)
-    candidates = evenly(every, _CANDIDATES * config.frames)
-    shown = _shown(recording.select(frames=candidates))
-    detections = np.isfinite(recording.positions[:, candidates, :, :, 0]).any(-1).sum() / len(
-        candidates
-    )
-    budget = int(
-        np.clip(config.detections / max(detections, 1.0), config.least_frames, config.frames)
-    )
-    if len(every) <= budget:
-        return every
-    counts = np.zeros(shown.shape[1])
-    left = np.ones(len(candidates), dtype=bool)
-    for _ in range(budget):
-        gain = shown @ (np.sqrt(counts + 1) - np.sqrt(counts))
-        best = int(np.argmax(np.where(left, gain, -1.0)))
-        left[best] = False
-        counts += shown[best]
-    return candidates[~left]
+    uncrowded = _uncrowded_frames(recording, config)
+    candidates = evenly_spaced(uncrowded, config.candidates * config.frames)
+    candidate_recording = recording.select(frames=candidates)
+    budget = _frame_budget(candidate_recording, config)
+    if len(uncrowded) <= budget:
+        return uncrowded
+    taken = _choose_varied(_shown_features(candidate_recording, config), budget)
+    return candidates[taken]
 
 
-def _shown(recording: Recording) -> Floats:
-    """`[frame, feature]` 1 where a frame shows it."""
+def _uncrowded_frames(recording: Recording, config: SampleConfig) -> Ints:
+    """Return the frames (indices) in which no view has several times the usual detections."""
+    detections = _detected(recording).sum(-1).max(0)  # [frame] the most of any view
+    usual = np.quantile(detections, 0.9)
+    return np.flatnonzero(detections <= config.crowd * usual + config.crowd)
+
+
+def _frame_budget(recording: Recording, config: SampleConfig) -> int:
+    """Return how many frames have as many detections in all views as calibration looks at."""
     frames = len(recording.frames)
-    there: Bools = np.asarray(
-        np.isfinite(recording.positions[..., 0]).any(-1)
-    )  # (view, frame, instance)
+    detections = _detected(recording).sum() / frames  # in a frame
+    wanted = config.detections / max(detections, 1.0)
+    return int(np.clip(wanted, config.least_frames, config.frames))
+
+
+def _choose_varied(shown: Floats, count: int) -> Bools:
+    """Return `[frame]` which of the frames are taken, one by one by what they add.
+
+    shown: `[frame, feature]` 1 where a frame shows a feature.
+    """
+    counts = np.zeros(shown.shape[1])
+    taken = np.zeros(len(shown), dtype=bool)
+    for _ in range(count):
+        gain = shown @ (np.sqrt(counts + 1) - np.sqrt(counts))
+        best = int(np.argmax(np.where(taken, -1.0, gain)))
+        taken[best] = True
+        counts += shown[best]
+    return taken
+
+
+# --- what frames show
+
+
+def _detected(recording: Recording) -> Bools:
+    """Return `[view, frame, instance]` where there is a detection."""
+    return np.asarray(recording.seen.any(-1))
+
+
+def _shown_features(recording: Recording, config: SampleConfig) -> Floats:
+    """Return `[frame, feature]` 1 where a frame shows a feature, else 0.
+
+    Features are the classes of the detections of each view, and the pairs of views that see
+    somebody together.
+    """
+    detected = _detected(recording)
     features: list[Bools] = []
     for view, camera in enumerate(recording.cameras):
-        frame, instance = np.nonzero(there[view])
+        frame, instance = np.nonzero(detected[view])
         if len(frame):
-            pose = recording.positions[view, frame, instance].astype(np.float64)
-            classes = _classes(pose, np.array(camera.size))
-            for kind, of in classes:
-                shown = np.zeros((frames, kind), dtype=bool)
-                shown[frame, of] = True
+            poses = recording.positions[view, frame, instance].astype(np.float64)
+            size = np.array(camera.size)
+            for classes, class_of in _classify_poses(poses, size, config):
+                shown = np.zeros((len(recording.frames), classes), dtype=bool)
+                shown[frame, class_of] = True
                 features.append(shown)
-    present: Bools = np.asarray(there.any(-1))
-    features += [
-        (present[a] & present[b])[:, None] for a, b in combinations(range(len(present)), 2)
-    ]
+    sees: Bools = np.asarray(detected.any(-1))  # [view, frame]
+    for a, b in combinations(range(len(sees)), 2):
+        together: Bools = sees[a] & sees[b]
+        features.append(together[:, None])
     return np.concatenate(features, axis=1).astype(np.float64)
 
 
-def _classes(pose: Floats, size: Ints) -> list[tuple[int, Ints]]:
-    """Number of classes and the class `[N]` of each detection `[N, keypoint, 2]`: by place, size and posture."""
-    seen = np.isfinite(pose)
+def _classify_poses(poses: Floats, size: Ints, config: SampleConfig) -> list[tuple[int, Ints]]:
+    """Return the number of classes, and the class `[N]` of each pose: by place, size and posture.
+
+    poses: `[N, keypoint, 2]` pixels of one view, NaN = missing. size: `[2]` of the image, 0 where
+    it is not known.
+    """
+    seen = np.isfinite(poses)
     count = np.maximum(seen.sum(1, keepdims=True), 1)
-    middle = np.where(seen, pose, 0.0).sum(1, keepdims=True) / count
-    offset = np.where(seen, pose - middle, 0.0)
+    centroid = np.where(seen, poses, 0.0).sum(1, keepdims=True) / count
+    offset = np.where(seen, poses - centroid, 0.0)
     radius = np.sqrt((offset**2).sum((1, 2)) / count[:, 0, 0])
-    extent = np.where(size > 0, size, np.maximum(np.nanmax(pose, axis=(0, 1)), 1.0))
-    cell = (_GRID * middle[:, 0] / extent).clip(0, _GRID - 1).astype(int)
-    half_powers = np.log2(np.maximum(radius, 1e-9) / max(float(np.median(radius)), 1e-9)) * 2
-    near = (half_powers + _SIZES / 2).clip(0, _SIZES - 1).astype(int)
-    shape = (offset / np.maximum(radius, 1e-9)[:, None, None]).reshape(len(pose), -1)
-    typical = shape[evenly(np.arange(len(shape)), _POSTURES)]
-    posture = ((typical**2).sum(1) - 2 * shape @ typical.T).argmin(1)
+    shape = (offset / np.maximum(radius, 1e-9)[:, None, None]).reshape(len(poses), -1)
+
+    largest = np.maximum(np.nanmax(poses, axis=(0, 1)), 1.0)
+    image_size = np.where(size > 0, size, largest)
     return [
-        (_GRID * _GRID, cell[:, 0] * _GRID + cell[:, 1]),
-        (_SIZES, near),
-        (len(typical), posture),
+        _classify_places(centroid[:, 0], image_size, config.cells),
+        _classify_sizes(radius, config.sizes),
+        _classify_postures(shape, config.postures),
     ]
+
+
+def _classify_places(points: Floats, image_size: Floats, cells: int) -> tuple[int, Ints]:
+    """Return the number of cells of a grid over the image, and the cell `[N]` of each point.
+
+    points: `[N, 2]` pixels. image_size: `[2]`.
+    """
+    cell = (cells * points / image_size).clip(0, cells - 1).astype(int)
+    return cells * cells, cell[:, 0] * cells + cell[:, 1]
+
+
+def _classify_sizes(radius: Floats, classes: int) -> tuple[int, Ints]:
+    """Return the number of classes, and the class `[N]` of radii `[N]`, by half powers of two."""
+    median = max(float(np.median(radius)), 1e-9)
+    half_powers = np.log2(np.maximum(radius, 1e-9) / median) * 2
+    return classes, (half_powers + classes / 2).clip(0, classes - 1).astype(int)
+
+
+def _classify_postures(shape: Floats, classes: int) -> tuple[int, Ints]:
+    """Return the number of typical postures, and the nearest `[N]` of each pose.
+
+    shape: `[N, coordinate]` poses of equal place and size, of which some are the typical ones.
+    """
+    typical = shape[evenly_spaced(np.arange(len(shape)), classes)]
+    # squared distances, less the square of the shape itself, which is the same for all
+    distance = (typical**2).sum(1) - 2 * shape @ typical.T
+    return len(typical), distance.argmin(1)

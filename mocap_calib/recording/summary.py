@@ -5,7 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mocap_calib.recording.synchronise import LEAST_JOINTS, name_mapping
+from mocap_calib.config import LEAST_JOINTS
+from mocap_calib.recording.meanings import keypoint_meanings, unshared_keypoints
+from mocap_calib.recording.pairing import match_cameras, views_with_detections
 from mocap_calib.types import Camera, Keypoints2D, Recording, Skeleton
 
 
@@ -63,17 +65,19 @@ def summarise_recording(
     views: Sequence[Keypoints2D],
     cameras: Sequence[Camera],
     skeleton: Skeleton,
-    single_camera_joints: Mapping[str, str],
+    aliases: Mapping[str, str],
 ) -> RecordingSummary:
     """Return what a recording took of the views and the cameras it was made of.
 
-    single_camera_joints: name -> camera, as `inspection.alone_in_naming` gives it.
+    aliases: other names of joints, name -> joint.
 
     Raises MismatchError where the names of views and cameras do not go together.
     """
     found = {}
-    for view, (source, name) in zip(views, name_mapping(views, cameras), strict=True):
-        found[name] = CameraSummary(name, source, len(view.frames), count_detections(view))
+    for view, name in zip(views, match_cameras(views, cameras), strict=True):
+        found[name] = CameraSummary(name, view.source, len(view.frames), count_detections(view))
+    detected = views_with_detections(views)
+    unshared = unshared_keypoints(detected, keypoint_meanings(detected, skeleton, aliases))
     names = [camera.name for camera in cameras]
     joints = zip(recording.keypoints, recording.vocabulary, strict=True)
     return RecordingSummary(
@@ -84,7 +88,7 @@ def summarise_recording(
         frames=len(recording.frames),
         keypoints=recording.keypoints,
         unknown=tuple(name for name, joint in joints if joint < 0),
-        single_camera_joints=single_camera_joints,
+        single_camera_joints=unshared,
         skeleton=skeleton.name,
     )
 

@@ -15,14 +15,15 @@ import torch
 
 from mocap_calib.compute.parallel import in_order
 from mocap_calib.config import (
+    LEAST_JOINTS,
     LIFT_BEST_PERCENTILE,
     LIFT_CONFIDENCE,
     LIFT_LEAST_DEPTH,
     LIFT_UPRIGHT_SAMPLE,
 )
 from mocap_calib.geometry.rotation import looking_along
-from mocap_calib.recording.sampling import evenly
-from mocap_calib.recording.synchronise import LEAST_JOINTS, check_joints
+from mocap_calib.recording.sampling import evenly_spaced
+from mocap_calib.recording.synchronise import check_joints
 from mocap_calib.steerpose.model import Lifter, normalise
 from mocap_calib.steerpose.rays import rays_by_joint
 from mocap_calib.types import Bools, Floats, LiftedPoses, Progress, Sample
@@ -142,7 +143,7 @@ def _direction_of_down(rays: Floats, lifter: Lifter, device: str) -> Floats:
 
     rays: `[B, J, 3]` of the view's detections, of which a sample is lifted.
     """
-    sample = rays[evenly(np.arange(len(rays)), LIFT_UPRIGHT_SAMPLE)]
+    sample = rays[evenly_spaced(np.arange(len(rays)), LIFT_UPRIGHT_SAMPLE)]
     spread = [np.median(_lift_rays(sample, down, lifter, device).spread) for down in _DOWN]
     return _DOWN[int(np.argmin(spread))]
 

@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 
 from mocap_calib.config import PairwiseConfig
-from mocap_calib.geometry.epipolar import essential
+from mocap_calib.geometry.epipolar import essential_matrix
 from mocap_calib.two_view.view_pair import ViewPair, reach
 from mocap_calib.types import Bools, CameraRig, Floats, Sample
 
@@ -23,10 +23,10 @@ def steering_error(pair: ViewPair, rotation: Floats) -> Floats:
     One matrix product for all rotations: the error is linear in R once the cross-covariance of
     the bodies is known. rotation: `[M, 3, 3]`. Returns `[M, frame, I, J]` squared body sizes.
     """
-    transposed = np.swapaxes(pair.overlap.cross, -1, -2).reshape(-1, 9)
-    traces = rotation.reshape(-1, 9) @ transposed.T  # tr(R sum w X_a X_b')
-    correlation = traces.reshape(-1, *pair.overlap.norm.shape)
-    return np.maximum(pair.overlap.norm - 2 * correlation, 0.0)
+    norm = pair.overlap.norm
+    cross = np.swapaxes(pair.overlap.cross, -1, -2)
+    traces = rotation.reshape(-1, 9) @ cross.reshape(-1, 9).T  # tr(R sum w X_a X_b')
+    return np.maximum(norm - 2 * traces.reshape(-1, *norm.shape), 0.0)
 
 
 def steering_variance(pair: ViewPair, config: PairwiseConfig) -> Floats:
@@ -79,7 +79,7 @@ def epipolar_error(pair: ViewPair, rotation: Floats, translation: Floats) -> tup
     `[frame, I, J, keypoint]`.
     """
     direction = translation / np.linalg.norm(translation, axis=-1, keepdims=True)
-    matrix = essential(rotation, direction)
+    matrix = essential_matrix(rotation, direction)
     from_a = np.einsum("mxy,faky->mfakx", matrix, pair.a.rays, optimize=True)
     from_b = np.einsum("myx,fbky->mfbkx", matrix, pair.b.rays, optimize=True)
     value = np.einsum("mfakx,fbkx->mfabk", from_a, pair.b.rays, optimize=True)
@@ -87,8 +87,13 @@ def epipolar_error(pair: ViewPair, rotation: Floats, translation: Floats) -> tup
     square_b = (from_b**2).sum(-1)[:, :, None]
     slope = square_a + square_b - 2 * value**2
     angle = np.abs(value) / np.sqrt(np.maximum(slope, 1e-18))
-    weight = pair.a.weight[:, :, None] * pair.b.weight[:, None]
+    weight = _weight_of_matches(pair.a.weight, pair.b.weight)
     return angle * reach(pair)[None, ..., None], weight
+
+
+def _weight_of_matches(weight_a: Floats, weight_b: Floats) -> Floats:
+    """Return `[frame, I, J, keypoint]` the weights of the joints of all possible matches."""
+    return weight_a[:, :, None] * weight_b[:, None]
 
 
 def epipolar_fit(error: Floats, weight: Floats, config: PairwiseConfig) -> Floats:
@@ -136,37 +141,48 @@ def epipolar_affinity(
     comparable = np.zeros_like(affinity)
     for a, b in combinations(range(views), 2):
         rotation, translation = rig.relative(a, b)
-        matrix = essential(rotation, translation / np.linalg.norm(translation))
+        matrix = essential_matrix(rotation, translation / np.linalg.norm(translation))
         reach_squared = 2 / (closeness[a][:, :, None] + closeness[b][:, None])
-        weight = sample.confidence[a][:, :, None] * sample.confidence[b][:, None]
+        weight = _weight_of_matches(sample.confidence[a], sample.confidence[b])
         common = _comparable(weight, config)
         found = _fit_by_component(
-            matrix, rays[a], rays[b], weight=weight, inverse_width=reach_squared / config.inlier**2
+            matrix,
+            rays[a],
+            rays[b],
+            weight=weight,
+            inverse_width_squared=reach_squared / config.inlier**2,
         )
         found *= common
-        affinity[:, a, :, b], affinity[:, b, :, a] = found, np.swapaxes(found, 1, 2)
-        comparable[:, a, :, b], comparable[:, b, :, a] = common, np.swapaxes(common, 1, 2)
+        for table, values in ((affinity, found), (comparable, common)):
+            table[:, a, :, b] = values
+            table[:, b, :, a] = np.swapaxes(values, 1, 2)
     nodes = views * instances
     return affinity.reshape(frames, nodes, nodes), comparable.reshape(frames, nodes, nodes)
 
 
 def _fit_by_component(
-    matrix: Floats, rays_a: Floats, rays_b: Floats, *, weight: Floats, inverse_width: Floats
+    matrix: Floats,
+    rays_a: Floats,
+    rays_b: Floats,
+    *,
+    weight: Floats,
+    inverse_width_squared: Floats,
 ) -> Floats:
     """Return `epipolar_fit` of one essential matrix `[3, 3]`, for many frames.
 
     Where v is the numerator of Sampson's error and s the square of its denominator, a joint fits
     by 1 / (1 + v^2 / s / width^2) = s / (s + v^2 / width^2): no root, one division, and arrays
     are reused. rays: `[3, frame, instance, keypoint]`; weight: `[frame, I, J, keypoint]`;
-    inverse_width: `[frame, I, J]` 1 / width^2 in radians. Returns `[frame, I, J]`.
+    inverse_width_squared: `[frame, I, J]` 1 / width^2 in radians. Returns `[frame, I, J]`, not
+    yet 0 where there are too few joints in common.
     """
     from_a = (matrix @ rays_a.reshape(3, -1)).reshape(rays_a.shape)
     from_b = (matrix.T @ rays_b.reshape(3, -1)).reshape(rays_b.shape)
     value_squared = np.einsum("cfik,cfjk->fijk", from_a, rays_b) ** 2
     slope = (from_a**2).sum(0)[:, :, None] + (from_b**2).sum(0)[:, None]
     slope -= 2 * value_squared
-    widened = value_squared
-    widened *= inverse_width[..., None]
-    widened += slope
-    fit = np.einsum("fijk,fijk->fij", weight, slope / np.maximum(widened, 1e-18))
+    denominator = value_squared
+    denominator *= inverse_width_squared[..., None]
+    denominator += slope
+    fit = np.einsum("fijk,fijk->fij", weight, slope / np.maximum(denominator, 1e-18))
     return fit / np.maximum(weight.sum(-1), 1e-9)

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from mocap_calib.config import FivePointConfig
-from mocap_calib.geometry.epipolar import depths, essential, sampson_angle
+from mocap_calib.geometry.epipolar import depths, essential_matrix, sampson_angle
 from mocap_calib.two_view.assignment import mutual_best
 from mocap_calib.types import Bools, Floats, Ints
 
@@ -184,7 +184,7 @@ def _inliers(problem: _Problem, pose: Pose) -> tuple[Ints, Ints]:
     shape = (*problem.pairs_of_detections, *problem.rays_a.shape[2:])
     rays_a = np.broadcast_to(problem.rays_a[:, :, None], shape).reshape(-1, 3)
     rays_b = np.broadcast_to(problem.rays_b[:, None], shape).reshape(-1, 3)
-    error = np.abs(sampson_angle(essential(rotation, translation), rays_a, rays_b))
+    error = np.abs(sampson_angle(essential_matrix(rotation, translation), rays_a, rays_b))
     depth_a, depth_b = depths(rotation, translation, rays_a, rays_b)
     inlier = (error < problem.threshold) & (depth_a > 0) & (depth_b > 0)
     seen = np.isfinite(error)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocap_calib.config import PairwiseConfig, PaperConfig
-from mocap_calib.recording.sampling import evenly
+from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.steerpose.paper.batch import TwoViews
 from mocap_calib.steerpose.paper.solver import seeded_generator, solve_pair
 from mocap_calib.steerpose.rays import rays_by_joint
@@ -35,7 +35,7 @@ class PaperPairs:
         """Return the relative pose that the descent ends in, or None where nothing is matched."""
         if problem.shared_frames == 0:
             return None
-        frames = evenly(np.arange(len(problem.pair.frames)), self.config.frames)
+        frames = evenly_spaced(np.arange(len(problem.pair.frames)), self.config.frames)
         generator = seeded_generator(int(problem.rng.integers(2**62)))
         found = solve_pair(self._two_views(problem, frames), self.model, self.config, generator)
         if not len(found.matches):

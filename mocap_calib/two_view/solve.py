@@ -15,7 +15,7 @@ import numpy as np
 
 from mocap_calib.compute.parallel import in_order, in_processes
 from mocap_calib.config import PairwiseConfig
-from mocap_calib.recording.sampling import evenly
+from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.two_view.hypotheses import Hypotheses, generate_hypotheses, well_separated
 from mocap_calib.two_view.posterior import most_probable
 from mocap_calib.two_view.refine import refine_on_rays
@@ -149,7 +149,7 @@ def pair_problem(
     shared = _shared_frames(sample, a, b, config)
     instances = sample.positions.shape[2]
     affordable = max(config.least_frames, config.possible_matches // instances**2)
-    frames = evenly(shared, min(config.frames, affordable))
+    frames = evenly_spaced(shared, min(config.frames, affordable))
     return PairProblem(
         a=a,
         b=b,

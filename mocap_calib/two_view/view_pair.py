@@ -166,7 +166,7 @@ def _bodies(lifted: LiftedPoses, view: int, frames: Ints) -> _Bodies:
 def _overlap(a: _Bodies, b: _Bodies) -> Overlap:
     """Compare all lifted bodies of one view with all of the other, frame by frame."""
     total = _sum_over_joints(a.precision, b.precision)
-    safe = np.where(total > 0, total, 1.0)
+    divisor = np.where(total > 0, total, 1.0)
     # in C order, which pickling keeps: the last digit of sums over it depends on the memory order
     cross = np.einsum(
         "fikx,fjky->fijxy",
@@ -181,9 +181,9 @@ def _overlap(a: _Bodies, b: _Bodies) -> Overlap:
     doubt_a = _sum_over_joints(a.variance * a.precision, b.precision)
     doubt_b = _sum_over_joints(a.precision, b.variance * b.precision)
     return Overlap(
-        cross=cross / safe[..., None, None],
-        norm=norm / safe,
-        doubt=(doubt_a + doubt_b) / safe,
+        cross=cross / divisor[..., None, None],
+        norm=norm / divisor,
+        doubt=(doubt_a + doubt_b) / divisor,
         lifted=(total > 0).astype(np.float64),
     )
 
@@ -198,8 +198,9 @@ def reach(pair: ViewPair) -> Floats:
 
     The harmonic mean of both squared distances, under the root.
     """
-    near = 1 / pair.a.distance[:, :, None] ** 2 + 1 / pair.b.distance[:, None, :] ** 2
-    return np.sqrt(2.0 / near)
+    inverse_a = 1 / pair.a.distance[:, :, None] ** 2
+    inverse_b = 1 / pair.b.distance[:, None, :] ** 2
+    return np.sqrt(2.0 / (inverse_a + inverse_b))
 
 
 def matched_rays(pair: ViewPair, matched: Bools) -> MatchedRays:
@@ -207,12 +208,12 @@ def matched_rays(pair: ViewPair, matched: Bools) -> MatchedRays:
     frame, i, j = np.nonzero(matched)
     weight = pair.a.weight[frame, i] * pair.b.weight[frame, j]
     seen = weight > 0
-    far = np.broadcast_to(reach(pair)[frame, i, j][:, None], seen.shape)
+    reach_of_joints = np.broadcast_to(reach(pair)[frame, i, j][:, None], seen.shape)
     return MatchedRays(
         a=pair.a.rays[frame, i][seen],
         b=pair.b.rays[frame, j][seen],
         weight=weight[seen],
-        reach=far[seen],
+        reach=reach_of_joints[seen],
     )
 
 
@@ -226,9 +227,9 @@ def distance_ratios(
     """
     frame, i, j = np.nonzero(matched)
     seen = (pair.a.weight[frame, i] > 0) & (pair.b.weight[frame, j] > 0)
-    depth_a, depth_b = depths(
-        rotation, translation, pair.a.rays[frame, i][seen], pair.b.rays[frame, j][seen]
-    )
+    rays_a = pair.a.rays[frame, i][seen]
+    rays_b = pair.b.rays[frame, j][seen]
+    depth_a, depth_b = depths(rotation, translation, rays_a, rays_b)
     body_distance = pair.a.distance[frame, i] + pair.b.distance[frame, j]
     lifted = np.broadcast_to(body_distance[:, None], seen.shape)[seen]
     in_front = (depth_a > 0) & (depth_b > 0)

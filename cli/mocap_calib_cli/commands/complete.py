@@ -58,8 +58,8 @@ def command(shared: options.SharedOptions, output: Path, target: str) -> None:
 
 def _check_joints(recording: "Recording") -> None:
     """Raise MismatchError where the model knows too few joints to lift a body."""
+    from mocap_calib.config import LEAST_JOINTS
     from mocap_calib.errors import MismatchError
-    from mocap_calib.recording.synchronise import LEAST_JOINTS
 
     if (recording.vocabulary >= 0).sum() < LEAST_JOINTS:
         raise MismatchError(

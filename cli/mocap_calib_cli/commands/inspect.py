@@ -63,7 +63,7 @@ def command(shared: options.SharedOptions, as_json: bool) -> None:
 def _inspect(shared: options.SharedOptions) -> dict[str, Any]:
     """Return what the files hold, and the findings."""
     from mocap_calib.config import InspectConfig
-    from mocap_calib.inspection import Finding, findings, inspect_views, with_sizes
+    from mocap_calib.inspection import Finding, fill_image_sizes, find_problems, inspect_views
     from mocap_calib.io.keypoints.read import read_what_can
     from mocap_calib.recording.joints import fit_vocabulary
     from mocap_calib_cli import inputs
@@ -74,10 +74,13 @@ def _inspect(shared: options.SharedOptions) -> dict[str, Any]:
     cameras, notes = (file.cameras, file.notes) if file else ((), ())
     names = (name for view in views for name in view.keypoints)
     skeleton, aliases = fit_vocabulary(names, shared.skeleton)
-    report = inspect_views(with_sizes(views, cameras), skeleton, aliases, config)
+    report = inspect_views(fill_image_sizes(views, cameras), skeleton, aliases, config)
+    problems = find_problems(
+        views, report, cameras=cameras, skeleton=skeleton, aliases=aliases, config=config
+    )
     found = [
         *(Finding(True, str(error)) for error in errors),
-        *findings(views, report, cameras, skeleton, aliases, config),
+        *problems,
         *(Finding(False, note) for note in notes),
     ]
     report["findings"] = [

@@ -1,0 +1,173 @@
+"""What keypoint files hold, as plain numbers and texts that JSON can take."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from mocap_calib.config import InspectConfig
+from mocap_calib.recording.joints import normalise_name
+from mocap_calib.recording.meanings import keypoint_meanings
+from mocap_calib.recording.pairing import views_named
+from mocap_calib.types import Bools, Camera, Floats, Ints, Keypoints2D, Reals, Skeleton
+
+
+def inspect_views(
+    views: Sequence[Keypoints2D],
+    skeleton: Skeleton,
+    aliases: Mapping[str, str],
+    config: InspectConfig,
+) -> dict[str, Any]:
+    """Return what the files hold, in three sections.
+
+    `cameras`: what each file has (frames, detections, keypoints, missing points, scores, image).
+    `pairs`: how much each two cameras see together.
+    `model`: how many of the skeleton's joints are among the keypoints, and which keypoints it does
+    not know, after `aliases` (own name -> joint) were applied.
+    """
+    meanings = keypoint_meanings(views, skeleton, aliases)
+    joints = {normalise_name(joint) for joint in skeleton.keypoints}
+    return {
+        "cameras": [_describe_camera(view, config) for view in views],
+        "pairs": [_describe_pair(a, b, meanings) for a, b in combinations(views, 2)],
+        "model": {
+            "name": skeleton.name,
+            "knows": len(joints & set(meanings.values())),
+            "unknown": [name for name, meaning in meanings.items() if meaning not in joints],
+        },
+    }
+
+
+def fill_image_sizes(
+    views: Sequence[Keypoints2D], cameras: Sequence[Camera]
+) -> tuple[Keypoints2D, ...]:
+    """Return the views, with the image sizes of the cameras of their names where they have none."""
+    return tuple(_fill_image_size(view, cameras) for view in views)
+
+
+def _fill_image_size(view: Keypoints2D, cameras: Sequence[Camera]) -> Keypoints2D:
+    """Return the view, with the image size of the camera of its name if it has none."""
+    if view.image_size != (0, 0):
+        return view
+    sizes = [camera.size for camera in cameras if views_named([view], [camera])]
+    return replace(view, image_size=sizes[0]) if sizes else view
+
+
+def seen_points(view: Keypoints2D) -> Bools:
+    """Return `[frame, instance, keypoint]` where there is a point."""
+    return np.asarray(np.isfinite(view.positions[..., 0]))
+
+
+# --- one camera
+
+
+def _describe_camera(view: Keypoints2D, config: InspectConfig) -> dict[str, Any]:
+    """Return what one file holds."""
+    seen = seen_points(view)
+    detected: Bools = np.asarray(seen.any(-1))  # [frame, instance]
+    in_frame = detected.sum(axis=1)
+    ever: Bools = np.asarray(seen.any((0, 1)))  # [keypoint]
+    return {
+        "name": view.camera,
+        "source": view.source,
+        "frames": _describe_frames(view.frames),
+        "detections": int(detected.sum()),
+        "most_at_once": int(in_frame.max(initial=0)),
+        "followed": view.tracked,
+        "empty_frames": int((in_frame == 0).sum()),
+        "keypoints": list(view.keypoints),
+        "never_seen": [name for name, found in zip(view.keypoints, ever, strict=True) if not found],
+        "points": int(seen.sum()),
+        "missing": _describe_missing(view.missing, int(seen.sum())),
+        "confidence": _describe_scores(view.confidence[seen]),
+        "image": _describe_image(view.positions[seen], view.image_size, config),
+        "remarks": list(view.remarks),
+    }
+
+
+def _describe_frames(frames: Ints) -> dict[str, Any]:
+    """Return the count, the ends and the gaps of frame numbers `[frame]`."""
+    first, last = (int(frames[0]), int(frames[-1])) if len(frames) else (None, None)
+    return {"count": len(frames), "first": first, "last": last, "gaps": _find_gaps(frames)}
+
+
+def _find_gaps(frames: Ints) -> list[list[int]]:
+    """Return the first and the last number of each run of numbers that `[frame]` skips."""
+    before = np.flatnonzero(np.diff(frames) > 1)
+    return [[int(frames[k]) + 1, int(frames[k + 1]) - 1] for k in before]
+
+
+def _describe_missing(missing: Mapping[str, int], points: int) -> dict[str, Any]:
+    """Return the number and the share of missing points, by how the file marks them.
+
+    points: how many are not missing.
+    """
+    total = points + sum(missing.values())
+    return {name: {"points": count, "share": count / total} for name, count in missing.items()}
+
+
+def _describe_scores(scores: Reals) -> dict[str, float | None]:
+    """Return the least, the median and the largest of scores `[N]`; None where there are none."""
+    quantiles = {"least": 0.0, "median": 0.5, "most": 1.0}
+    return {
+        name: float(np.quantile(scores, share)) if len(scores) else None
+        for name, share in quantiles.items()
+    }
+
+
+def _describe_image(points: Reals, size: tuple[int, int], config: InspectConfig) -> dict[str, Any]:
+    """Return the size of the image, the span of the points `[N, 2]`, and how they lie in it.
+
+    `covered` is the share of the cells of a grid that have any; the grid lies over the image, or
+    over the span of the points where the size is not known.
+    """
+    if not len(points):
+        nothing = {"least": None, "most": None, "covered": 0.0, "outside": 0.0}
+        return {"size": list(size), **nothing}
+    least = points.min(axis=0)
+    most = points.max(axis=0)
+    low, high = least, most
+    if size != (0, 0):
+        low, high = np.zeros(2), np.array(size, dtype=float)
+    inside: Bools = ((points >= low) & (points <= high)).all(-1)
+    return {
+        "size": list(size),
+        "least": least.tolist(),
+        "most": most.tolist(),
+        "covered": _covered_share(points[inside], low, high, config.cells),
+        "outside": float((~inside).mean()),
+    }
+
+
+def _covered_share(points: Reals, low: Floats, high: Floats, cells: int) -> float:
+    """Return the share of the cells of a grid that have any of the points `[N, 2]`.
+
+    low, high: `[2]` corners of the grid.
+    """
+    extent = np.maximum(high - low, 1e-9)
+    cell = ((points - low) / extent * cells).astype(np.int64).clip(0, cells - 1)
+    return len(np.unique(cell, axis=0)) / cells**2
+
+
+# --- two cameras
+
+
+def _describe_pair(a: Keypoints2D, b: Keypoints2D, meanings: Mapping[str, str]) -> dict[str, Any]:
+    """Return how much two cameras see together.
+
+    `frames` that both have, `covisible` frames in which both see somebody, `joints` that both name.
+    """
+    frames, rows_a, rows_b = np.intersect1d(a.frames, b.frames, return_indices=True)
+    sees_a: Bools = np.asarray(seen_points(a).any((1, 2)))[rows_a]
+    sees_b: Bools = np.asarray(seen_points(b).any((1, 2)))[rows_b]
+    joints_a = {meanings[name] for name in a.keypoints}
+    joints_b = {meanings[name] for name in b.keypoints}
+    return {
+        "a": a.camera,
+        "b": b.camera,
+        "frames": len(frames),
+        "covisible": int((sees_a & sees_b).sum()),
+        "joints": len(joints_a & joints_b),
+    }

@@ -1,0 +1,247 @@
+"""What stands in the way of a run, each with its remedy."""
+
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from mocap_calib.config import LEAST_JOINTS, InspectConfig, SampleConfig
+from mocap_calib.errors import MismatchError
+from mocap_calib.inspection.clocks import find_clock_problems
+from mocap_calib.inspection.contents import seen_points
+from mocap_calib.inspection.finding import Finding, critical, warning
+from mocap_calib.recording.joints import SHIPPED
+from mocap_calib.recording.meanings import (
+    describe_unshared,
+    keypoint_meanings,
+    unshared_keypoints,
+)
+from mocap_calib.recording.pairing import check_pixels, match_cameras
+from mocap_calib.recording.sampling import choose_sample_frames
+from mocap_calib.recording.synchronise import (
+    check_joints,
+    check_shared_keypoints,
+    make_recording,
+)
+from mocap_calib.types import Camera, Keypoints2D, Skeleton
+
+_LISTED = 6  # names in one message
+
+
+def find_problems(
+    views: Sequence[Keypoints2D],
+    report: Mapping[str, Any],
+    *,
+    cameras: Sequence[Camera],
+    skeleton: Skeleton,
+    aliases: Mapping[str, str],
+    config: InspectConfig,
+) -> tuple[Finding, ...]:
+    """Return what stands in the way of a run, the critical first.
+
+    report: what `inspect_views` says of the views.
+    cameras: may be none; then what needs them is not looked at.
+    aliases: own name -> joint of the skeleton.
+    """
+    usable = [view for view in views if seen_points(view).any()]
+    meanings = keypoint_meanings(usable, skeleton, aliases)
+    found = [
+        *_find_empty_views(views),
+        *_find_too_few_views(usable),
+        *_find_other_scales(usable, config),
+        *find_clock_problems(usable, report["pairs"], config),
+        *_find_name_problems(usable, meanings, known_joints=report["model"]["knows"]),
+        *_find_copies(usable),
+        *(finding for view in views for finding in _find_weaknesses(view, config)),
+    ]
+    if cameras and not any(finding.critical for finding in found):
+        found += _find_camera_problems(views, cameras, skeleton, aliases)
+    return tuple(sorted(found, key=_is_minor))
+
+
+def _is_minor(finding: Finding) -> bool:
+    """Return whether a finding stands behind the critical ones."""
+    return not finding.critical
+
+
+# --- views
+
+
+def _find_empty_views(views: Sequence[Keypoints2D]) -> list[Finding]:
+    """Name the views without any point."""
+    return [
+        warning(
+            f"{view.camera}: no valid point in {view.source}; it will be left out: "
+            "check the detector's output"
+        )
+        for view in views
+        if not seen_points(view).any()
+    ]
+
+
+def _find_too_few_views(usable: Sequence[Keypoints2D]) -> list[Finding]:
+    """Say that two cameras are needed, where fewer have detections."""
+    if len(usable) >= 2:
+        return []
+    names = ", ".join(view.camera for view in usable) or "none"
+    return [
+        critical(
+            "expected detections of two cameras or more, "
+            f"found those of {len(usable)} ({names}); add the other keypoint files"
+        )
+    ]
+
+
+def _find_copies(usable: Sequence[Keypoints2D]) -> list[Finding]:
+    """Name the pairs of cameras with the same detections."""
+    return [
+        critical(
+            f"{a.camera} and {b.camera} have the same detections ({a.source}, {b.source}); "
+            "give each camera its own file"
+        )
+        for a, b in combinations(usable, 2)
+        if np.array_equal(a.positions, b.positions, equal_nan=True)
+    ]
+
+
+# --- positions and scores
+
+
+def _find_other_scales(usable: Sequence[Keypoints2D], config: InspectConfig) -> list[Finding]:
+    """Name the views whose positions are no pixels, or those of another image."""
+    found = []
+    for view in usable:
+        outside = _share_outside(view)
+        try:
+            check_pixels(view)
+        except MismatchError as error:
+            found.append(critical(str(error)))
+            continue
+        if outside > config.outside:
+            width, height = view.image_size
+            found.append(
+                warning(
+                    f"{view.camera}: {outside:.0%} of the points lie outside its image of "
+                    f"{width} x {height}; check its size, or say --crop-offset"
+                )
+            )
+    return found
+
+
+def _share_outside(view: Keypoints2D) -> float:
+    """Return the share of the points outside the image, 0 where its size is not known."""
+    if view.image_size == (0, 0):
+        return 0.0
+    points = np.abs(view.positions[seen_points(view)])
+    return float((points > np.array(view.image_size)).any(-1).mean())
+
+
+def _find_weaknesses(view: Keypoints2D, config: InspectConfig) -> list[Finding]:
+    """Say what makes the detections of a view worth less."""
+    scores = view.confidence[seen_points(view)]
+    if not len(scores):
+        return []
+    found = []
+    if np.median(scores) < config.low_confidence:
+        found.append(
+            warning(
+                f"{view.camera}: half of the scores are below {config.low_confidence}; "
+                "check the detector's output"
+            )
+        )
+    if scores.max() > 1.0:
+        found.append(
+            warning(
+                f"{view.camera}: scores up to {scores.max():.2f} are no probabilities and will be "
+                "scaled to 0-1; nothing to do if the detector writes such"
+            )
+        )
+    skipped = int((np.diff(view.frames) - 1).sum())
+    if skipped > config.gaps * (skipped + len(view.frames)):
+        found.append(
+            warning(
+                f"{view.camera}: {skipped} frame numbers between the first and the last are not "
+                "there; check that none were lost"
+            )
+        )
+    return found
+
+
+# --- names of keypoints
+
+
+def _find_name_problems(
+    usable: Sequence[Keypoints2D], meanings: Mapping[str, str], *, known_joints: int
+) -> list[Finding]:
+    """Name the keypoints that do not go together, and say if no model knows enough of them.
+
+    known_joints: how many of its joints the model of the report has among the keypoints.
+    """
+    if len(usable) < 2:
+        return []
+    remedy = (
+        "give them one name in all files, or map them with --skeleton "
+        "where they are joints of a model (docs/skeletons.md)"
+    )
+    unshared = unshared_keypoints(usable, meanings)
+    shared = _shared_names(usable, meanings, unshared)
+    if not shared:
+        listed = "; ".join(
+            f"{view.camera}: {', '.join(view.keypoints[:_LISTED])}, ..." for view in usable
+        )
+        return [critical(f"no two cameras share a keypoint name ({listed}); {remedy}")]
+    found = [warning(f"{describe_unshared(unshared)}; {remedy}")] if unshared else []
+    try:
+        check_shared_keypoints(shared)
+    except MismatchError as error:
+        return [critical(str(error)), *found]
+    if known_joints < LEAST_JOINTS:
+        found.append(
+            warning(
+                f"the models ({', '.join(SHIPPED)}) know {known_joints} of the joints: "
+                "calibrated by geometry alone; "
+                "map those that are joints of a model with --skeleton (docs/skeletons.md)"
+            )
+        )
+    return found
+
+
+def _shared_names(
+    usable: Sequence[Keypoints2D], meanings: Mapping[str, str], unshared: Mapping[str, str]
+) -> list[str]:
+    """Return a name of each keypoint that two views name, as the first of them does."""
+    first_name: dict[str, str] = {}
+    for view in usable:
+        for name in view.keypoints:
+            if name not in unshared:
+                first_name.setdefault(meanings[name], name)
+    return list(first_name.values())
+
+
+# --- keypoints and cameras together
+
+
+def _find_camera_problems(
+    views: Sequence[Keypoints2D],
+    cameras: Sequence[Camera],
+    skeleton: Skeleton,
+    aliases: Mapping[str, str],
+) -> list[Finding]:
+    """Say what a run would say of the keypoints and the cameras together."""
+    try:
+        matched = match_cameras(views, cameras)
+        recording = make_recording(views, cameras, skeleton, aliases)
+        sample_frames = choose_sample_frames(recording, SampleConfig())
+        check_joints(recording.select(frames=sample_frames))
+    except MismatchError as error:
+        return [critical(str(error))]
+    idle = [camera.name for camera in cameras if camera.name not in matched]
+    if not idle:
+        return []
+    return [
+        warning(
+            f"{', '.join(idle)}: no keypoints for these cameras; "
+            "add their files, or go on without them"
+        )
+    ]
