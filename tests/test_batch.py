@@ -15,7 +15,7 @@ from conftest import TOOL
 from scenes import lifted, recording, scene
 
 from mocap_calib.config import Config, PairwiseConfig
-from mocap_calib.io.results.pair_store import remembering
+from mocap_calib.io.results.pair_store import remember_pairs
 from mocap_calib.io.results.pairs_json import pairs_to_json
 from mocap_calib.io.results.scene import write_scene
 from mocap_calib.job import CalibrationRequest, KeypointSource, find_finished, request
@@ -299,7 +299,7 @@ def test_pairs_found_before_are_not_made_again(tmp_path):
 
     def pairs(seed: int = 0, method: str = "") -> str:
         made.clear()
-        mapper = remembering(counting, tmp_path, method)
+        mapper = remember_pairs(counting, tmp_path, method)
         found = calibrate_pairs(
             recording(),
             lifted(),

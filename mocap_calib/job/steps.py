@@ -17,7 +17,7 @@ from mocap_calib.io.cameras.source import CameraFile
 from mocap_calib.io.hashing import hash_file, hash_files
 from mocap_calib.io.provenance import provenance
 from mocap_calib.io.results.group import REPORT, group_folder, remove_stale_results, write_group
-from mocap_calib.io.results.pair_store import remembering
+from mocap_calib.io.results.pair_store import remember_pairs
 from mocap_calib.job.load import LoadedRecording, load_recording
 from mocap_calib.job.request import CalibrationRequest
 from mocap_calib.pipeline import calibrate
@@ -97,7 +97,7 @@ def calibrate_job_resumably(
     pairwise = mapper or pair_mapper(job.loaded.recording, request.config.pairwise)
     method = request.describe_method(job.loaded.model)
     try:
-        kept = remembering(pairwise, request.output / _UNFINISHED, method)
+        kept = remember_pairs(pairwise, request.output / _UNFINISHED, method)
         return calibrate_job(job, progress=progress, mapper=kept)
     except ClusterError:  # not the recording's fault: the next attempt goes on from here
         raise
