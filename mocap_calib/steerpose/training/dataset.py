@@ -41,7 +41,7 @@ class Batch:
 
 
 class Synthesiser:
-    """Draws batches from a pose set."""
+    """A source of batches from a pose set."""
 
     def __init__(
         self, poses: PoseSet, skeleton: Skeleton, config: TrainConfig, *, seed: int

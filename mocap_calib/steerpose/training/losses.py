@@ -20,7 +20,7 @@ def displacement(steered: Tensor, target: Tensor) -> Tensor:
 
 
 def lifting_loss(lifter: Lifter, batch: Batch) -> Tensor:
-    """Return the loss (a scalar tensor) of a lifter on a batch, over the joints with a target.
+    """Return the scalar loss of a lifter on a batch `[B, J, ...]`, over the joints with a target.
 
     The mean joint distance (the paper's eq. 1 in 3D, which bounds it for every R), plus the
     Laplace likelihood of the errors that remain across the ray and along it.

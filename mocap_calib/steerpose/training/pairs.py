@@ -36,7 +36,7 @@ class SteerBatch:
 
 
 class PairSynthesiser:
-    """Draws batches: poses of the set, turned about the vertical, and camera pairs of the split."""
+    """A source of batches: poses turned about the vertical, seen by camera pairs of a split."""
 
     def __init__(
         self,
