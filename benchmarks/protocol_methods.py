@@ -1,4 +1,4 @@
-"""The methods of the paper's protocol behind one signature: problems -> answers and seconds a pair."""
+"""The methods of the paper's protocol, all called alike: problems -> answers, seconds a pair."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -15,14 +15,12 @@ from mocap_calib.steerpose.paper.batch import TwoViews
 from mocap_calib.steerpose.paper.solver import solve_pair, solve_pairs
 from mocap_calib.steerpose.rays import rays_by_joint
 from mocap_calib.steerpose.steer import Model
-from mocap_calib.two_view.five_point import all_pairs_magsac, five_point_over_matches
+from mocap_calib.two_view.five_point import Found, all_pairs_magsac, five_point_over_matches
 from mocap_calib.two_view.solve import calibrate_pair, pair_problem
-from mocap_calib.types import Floats, Ints, Sample, silent
+from mocap_calib.types import Sample, silent
 
-TIMED = (
-    3  # pairs that the paper's solver does alone, to know its seconds; the others go in one batch
-)
-BATCH = 50
+TIMED = 3  # pairs that the paper's solver does alone, to know its seconds
+BATCH = 50  # of the others
 
 
 @dataclass(frozen=True)
@@ -34,30 +32,20 @@ class Problem:
     b: int
 
 
-@dataclass(frozen=True)
-class Found:
-    """R, t of b_from_a and matches `[match, 3]` (frame, i, j)."""
-
-    rotation: Floats
-    translation: Floats
-    matches: Ints
-
-
 Answers = tuple[list[Found | None], float]
 Method = Callable[[Sequence[Problem], dict[str, Model]], Answers]
 
 
 def load_models(methods: Sequence[str], skeleton: str = "people") -> dict[str, Model]:
-    """The shipped networks that these methods need; a rotation token is shipped for people alone."""
-    token = (
-        {"token": load_steerer(skeleton, architecture="token")[0]}
-        if any("token" in method for method in methods)
-        else {}
-    )
-    return {"factorised": load_steerer(skeleton)[0], **token}
+    """Load the shipped networks that these methods need; rotation tokens are for people alone."""
+    models: dict[str, Model] = {"factorised": load_steerer(skeleton)[0]}
+    if any("token" in method for method in methods):
+        models["token"] = load_steerer(skeleton, architecture="token")[0]
+    return models
 
 
 def _each(problems: Sequence[Problem], solve: Callable[[Problem], Found | None]) -> Answers:
+    """Solve each problem by itself, and take the time."""
     start = time.perf_counter()
     found = [solve(problem) for problem in problems]
     return found, (time.perf_counter() - start) / len(problems)
@@ -74,10 +62,9 @@ def five_point(problems: Sequence[Problem], _: dict[str, Model]) -> Answers:
 
     def solve(problem: Problem) -> Found | None:
         rays = problem.recording.rays
-        found = five_point_over_matches(
+        return five_point_over_matches(
             rays[problem.a], rays[problem.b], _threshold(problem), np.random.default_rng(0)
         )
-        return None if found is None else Found(*found)
 
     return _each(problems, solve)
 
@@ -86,18 +73,14 @@ def magsac(problems: Sequence[Problem], _: dict[str, Model]) -> Answers:
     """Run MAGSAC on all cross pairs of detections."""
 
     def solve(problem: Problem) -> Found | None:
-        found = all_pairs_magsac(
-            problem.recording.rays[problem.a],
-            problem.recording.rays[problem.b],
-            _threshold(problem),
-        )
-        return None if found is None else Found(*found)
+        rays = problem.recording.rays
+        return all_pairs_magsac(rays[problem.a], rays[problem.b], _threshold(problem))
 
     return _each(problems, solve)
 
 
 def ours(config: PairwiseConfig) -> Method:
-    """Lifting and the pairwise search, as `mocap-calib pairwise` does; the seconds include the lifting."""
+    """Lift and search, as `mocap-calib pairwise` does; the seconds include the lifting."""
 
     def method(problems: Sequence[Problem], models: dict[str, Model]) -> Answers:
         lifter = models["factorised"]
@@ -114,9 +97,9 @@ def ours(config: PairwiseConfig) -> Method:
                 rng=np.random.default_rng(0),
             )
             found = calibrate_pair(gathered, config)
-            return (
-                None if found is None else Found(found.rotation, found.translation, found.matches)
-            )
+            if found is None:
+                return None
+            return Found(found.rotation, found.translation, found.matches)
 
         return _each(problems, solve)
 

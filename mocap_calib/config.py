@@ -158,9 +158,7 @@ class FivePointConfig:
     candidates: int = 60  # sets of matches that RANSAC draws
     inlier_px: float = 6.0
     least_fit: float = 0.6  # share of the joints of a right match that are inliers
-    forward: float = 0.1  # least cosine of a ray with the optical axis: it has an image point
     ransac_iterations: int = 300
-    ransac_confidence: float = 0.999
 
 
 # ways to calibrate a pair of views; the first is the default

@@ -12,14 +12,19 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from mocap_calib.config import FivePointConfig
-from mocap_calib.geometry.epipolar import depths, essential_matrix, sampson_angle
+from mocap_calib.config import FIVE_POINT_CONFIDENCE, FIVE_POINT_LEAST_FORWARD, FivePointConfig
+from mocap_calib.geometry.epipolar import (
+    depths,
+    essential_matrix,
+    pose_from_essential,
+    sampson_angle,
+)
 from mocap_calib.two_view.assignment import mutual_best
 from mocap_calib.types import Bools, Floats, Ints
 
 _LEAST_JOINTS = 5  # determine an essential matrix
 
-Pose = tuple[Floats, Floats]
+Pose = tuple[Floats, Floats]  # R [3, 3] and t [3] of b_from_a
 
 
 class Found(NamedTuple):
@@ -141,38 +146,26 @@ def _essential_pose(problem: _Problem, matched: Bools, method: int) -> Pose | No
         rays_b[:, :2] / rays_b[:, 2:],
         np.eye(3),
         method=method,
-        prob=problem.config.ransac_confidence,
+        prob=FIVE_POINT_CONFIDENCE,
         threshold=problem.threshold,
         maxIters=problem.config.ransac_iterations,
     )
     if model is None or model.shape != (3, 3) or not np.any(mask):
         return None
     inlier = mask.ravel() > 0
-    return _decompose(np.asarray(model, dtype=np.float64), rays_a[inlier], rays_b[inlier])
+    matrix = np.asarray(model, dtype=np.float64)
+    return pose_from_essential(matrix, rays_a[inlier], rays_b[inlier])
 
 
-def _correspondences(problem: _Problem, matched: Bools) -> Pose:
+def _correspondences(problem: _Problem, matched: Bools) -> tuple[Floats, Floats]:
     """Return rays `[N, 3]` of the joints of matches, in front of both image planes."""
     frame, i, j = np.nonzero(matched)
     rays_a = problem.rays_a[frame, i].reshape(-1, 3)
     rays_b = problem.rays_b[frame, j].reshape(-1, 3)
-    forward_a = np.nan_to_num(rays_a[:, 2]) > problem.config.forward
-    forward_b = np.nan_to_num(rays_b[:, 2]) > problem.config.forward
+    forward_a = np.nan_to_num(rays_a[:, 2]) > FIVE_POINT_LEAST_FORWARD
+    forward_b = np.nan_to_num(rays_b[:, 2]) > FIVE_POINT_LEAST_FORWARD
     both = forward_a & forward_b
     return rays_a[both], rays_b[both]
-
-
-def _decompose(model: Floats, rays_a: Floats, rays_b: Floats) -> Pose:
-    """Return R and unit t of an essential matrix `[3, 3]` with most rays in front (cheirality)."""
-    first, second, direction = (
-        np.asarray(part, dtype=np.float64) for part in cv2.decomposeEssentialMat(model)
-    )
-    poses = [(r, sign * direction[:, 0]) for r in (first, second) for sign in (1.0, -1.0)]
-    in_front = []
-    for rotation, translation in poses:
-        depth_a, depth_b = depths(rotation, translation, rays_a, rays_b)
-        in_front.append(np.mean([depth_a > 0, depth_b > 0]))
-    return poses[int(np.argmax(in_front))]
 
 
 def _inliers(problem: _Problem, pose: Pose) -> tuple[Ints, Ints]:
