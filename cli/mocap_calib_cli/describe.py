@@ -176,8 +176,8 @@ def _describe_rig(report: dict[str, Any]) -> list[str]:
     verdict = report["verdict"]
     angle = verdict["split_half_angle_deg"]
     return [
-        f"rig: {verdict['rig']}; split-half angle {angle['median']:.1f} deg "
-        f"({angle['max']:.1f} at most): so far apart are the rigs that halves of the joints give"
+        f"rig: {verdict['rig']}; rigs from halves of the joints differ by {angle['median']:.1f} deg "
+        f"(split-half angle; {angle['max']:.1f} at most)"
     ]
 
 
