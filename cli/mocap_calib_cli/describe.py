@@ -176,8 +176,8 @@ def _describe_rig(report: dict[str, Any]) -> list[str]:
     verdict = report["verdict"]
     angle = verdict["split_half_angle_deg"]
     return [
-        f"rig: {verdict['rig']}; rigs from halves of the joints differ by {angle['median']:.1f} deg "
-        f"(split-half angle; {angle['max']:.1f} at most)"
+        f"rig: {verdict['rig']}; rigs from halves of the joints differ by {angle['median']:.1f} "
+        f"deg (split-half angle; {angle['max']:.1f} at most)"
     ]
 
 
