@@ -32,8 +32,6 @@ def open_workers(
     if scheduler is None and processes == 1:
         yield None
         return
-    # what it has to say comes as an error, in one line
-    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
     with _connect(scheduler, processes) as workers:
         place = f" by the workers of {scheduler}" if scheduler else ""
         reporter.say(f"{workers.threads} at a time{place}")
@@ -48,6 +46,8 @@ def _connect(scheduler: str | None, processes: int) -> "AbstractContextManager[C
         raise ClusterError(
             f"expected the package {error.name}, found none; pip install 'mocap-calib[distributed]'"
         ) from None
+    # what it has to say comes as an error, in one line; its import has set this level itself
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
     return cluster.cluster(scheduler) if scheduler else cluster.processes(processes)
 
 
