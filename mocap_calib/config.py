@@ -158,6 +158,10 @@ class FivePointConfig:
     ransac_iterations: int = 300
 
 
+# ways to calibrate a pair of views; the first is the default
+PAIR_SOLVERS = ("search", "paper", "five-point")
+
+
 @dataclass(frozen=True)
 class PaperConfig:
     """The paper's solver (section 3.2 and appendix C.3); what the paper leaves open is marked."""

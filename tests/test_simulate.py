@@ -14,7 +14,7 @@ from mocap_calib.io.keypoints.coco_writer import format_coco
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.synthetic import JOINTS, LAYOUTS, simulate
 from mocap_calib.types import Keypoints2D
-from mocap_calib_cli.commands.simulate import command, repeat
+from mocap_calib_cli.commands.simulate import command, format_command
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "three_people"
 FEW = [
@@ -94,7 +94,7 @@ def test_the_files_are_the_scene(written):
 def test_readme_has_two_lines_and_the_command(written):
     text = (written / "README.md").read_text()
     assert len(text.splitlines()) == 2
-    assert repeat(SCENE) in text
+    assert format_command(SCENE) in text
 
 
 def test_same_command_same_bytes_and_it_may_be_repeated(written, tmp_path):
@@ -129,9 +129,9 @@ def test_wrong_usage(tmp_path, wrong):
 
 
 def test_repeat_gives_only_what_is_unusual():
-    assert repeat(SimulateConfig()) == "mocap-calib simulate -o OUT --seed 0"
+    assert format_command(SimulateConfig()) == "mocap-calib simulate -o OUT --seed 0"
     assert (
-        repeat(SimulateConfig(noise_px=1.0, arc_deg=90.0, shuffle=False))
+        format_command(SimulateConfig(noise_px=1.0, arc_deg=90.0, shuffle=False))
         == "mocap-calib simulate -o OUT --arc 90.0 --noise 1.0 --no-shuffle --seed 0"
     )
 
@@ -164,6 +164,6 @@ def test_coco_keeps_the_place_of_empty_instances_before_others():
 
 def test_the_example_is_what_its_command_makes():
     check_scene(EXAMPLE, simulate(SimulateConfig(distortion="brown")))
-    assert repeat(SimulateConfig(distortion="brown")) in (EXAMPLE / "README.md").read_text()
+    assert format_command(SimulateConfig(distortion="brown")) in (EXAMPLE / "README.md").read_text()
     assert read_keypoints([EXAMPLE / "keypoints" / "cam1.json"])[0].keypoints == LAYOUTS["coco17"]
     assert sum(map(len, content(EXAMPLE).values())) < 2e6

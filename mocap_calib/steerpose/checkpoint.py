@@ -134,3 +134,30 @@ def _read(path: Path) -> tuple[Model, Skeleton]:
         model = Lifter(ModelConfig(**size))
     model.load_state_dict(_read_tensors(path))
     return model.eval(), parse_skeleton(description["skeleton"], str(path))
+
+
+# --- by the name that a user gives
+
+GEOMETRY_ALONE = "none"  # asks for no model: it knows no joint, and the geometry must do
+
+
+def load_model(name: str = "people") -> Lifter:
+    """Return the lifter of a shipped skeleton, or that in a weights file. Raises FormatError.
+
+    For geometry alone any will do, as it is given no joint.
+    """
+    lifter, _ = load_lifter("people" if name == GEOMETRY_ALONE else name)
+    return lifter
+
+
+def load_vocabulary(name: str) -> Skeleton:
+    """Return the joints that a model knows: none for geometry alone. Raises FormatError."""
+    if name == GEOMETRY_ALONE:
+        return Skeleton(GEOMETRY_ALONE, keypoints=(), edges=(), symmetries=(), aliases={})
+    _, skeleton = load_lifter(name)
+    return skeleton
+
+
+def identify_model(name: str) -> str:
+    """Return what tells a model from others: the SHA-256 of its weights, if it has any."""
+    return GEOMETRY_ALONE if name == GEOMETRY_ALONE else digest(name)
