@@ -76,7 +76,9 @@ def rotation_errors_deg(rig: CameraRig, reference: CameraRig) -> np.ndarray:
 
 
 def precision(labels: np.ndarray, identity: np.ndarray) -> float:
-    """Share of detections of one label in two views, both of known identity, that are the same person."""
+    """Share of detections of one label in two views, both of known identity, that are the same
+    person.
+    """
     good = wrong = 0
     for a in range(len(labels)):
         for b in range(a):
