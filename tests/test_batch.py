@@ -16,7 +16,7 @@ from scenes import lifted, recording, scene
 
 from mocap_calib import config
 from mocap_calib.config import PairwiseConfig
-from mocap_calib.io.results.pair_store import remembering
+from mocap_calib.io.results.pair_store import remember_pairs
 from mocap_calib.io.results.pairs_json import pairs_to_json
 from mocap_calib.io.results.scene import write_scene
 from mocap_calib.two_view.solve import calibrate_pairs
@@ -293,7 +293,7 @@ def test_pairs_found_before_are_not_made_again(tmp_path):
 
     def pairs(seed: int = 0, method: str = "") -> str:
         made.clear()
-        mapper = remembering(counting, tmp_path, method)
+        mapper = remember_pairs(counting, tmp_path, method)
         found = calibrate_pairs(
             recording(),
             lifted(),

@@ -1,4 +1,6 @@
-"""The command `convert`, and the formats that `run` writes: real files, real pipes, one line for what cannot be."""
+"""The command `convert`, and the formats that `run` writes: real files, real pipes, one line for
+what cannot be.
+"""
 
 import json
 import re
@@ -12,9 +14,9 @@ from rigs import assert_same
 
 from mocap_calib.io.cameras.read import load_cameras, make_rig, read_rig
 from mocap_calib.io.cameras.write import write_cameras
-from mocap_calib.io.conversion import FORMATS
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.io.keypoints.write import write_keypoints
+from mocap_calib.io.kinds import FORMATS
 from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.poses.read import read_poses
 from mocap_calib.io.poses.write import write_poses
@@ -24,7 +26,10 @@ from mocap_calib.types import Camera, CameraRig, Poses3D
 EXAMPLE = Path(__file__).parents[1] / "examples" / "three_people"
 
 
-DLC = "scorer,net,net,net\nbodyparts,nose,nose,nose\ncoords,x,y,likelihood\n0,10,20,0.5\n1,11,21,0.5\n"
+DLC = (
+    "scorer,net,net,net\nbodyparts,nose,nose,nose\n"
+    "coords,x,y,likelihood\n0,10,20,0.5\n1,11,21,0.5\n"
+)
 
 
 def rig():
@@ -182,7 +187,9 @@ def test_a_file_that_would_pass_for_a_further_individual_is_refused_and_stays(to
 
 
 def test_the_content_says_the_kind_and_the_remedy_works(tool, tmp_path):
-    """Endings that poses have too; a calibration beside the keypoints; SLEAP's analysis of three frames, which looks like 3D."""
+    """Endings that poses have too; a calibration beside the keypoints; SLEAP's analysis of three
+    frames, which looks like 3D.
+    """
     (tmp_path / "both").mkdir()
     (tmp_path / "both" / "a.csv").write_text(DLC)
     write_cameras(tmp_path / "both" / "calibration.toml", rig(), "anipose")
@@ -316,7 +323,9 @@ def test_names_of_formats_are_one_kind_each_but_for_caliscope():
 
 @pytest.mark.slow
 def test_run_writes_what_is_asked_for(tool, small, tmp_path):
-    """The default files stay; what needs a unit of length is refused in a line after they are written."""
+    """The default files stay; what needs a unit of length is refused in a line after they are
+    written.
+    """
     asked = [
         argument
         for name in ("colmap", "nerfstudio", "movement-3d", "sleap-anipose")
@@ -377,3 +386,4 @@ def test_every_format_is_documented():
         section = text.split(f"\n## {title}\n")[1].split("\n## ")[0]
         rows = re.findall(r"^\| `(?!--)([^`]+)` \|", section, re.M)
         assert sorted(rows) == sorted(format_names(FORMATS[kind]))
+        assert {each.kind for each in FORMATS[kind]} == {kind}

@@ -1,4 +1,6 @@
-"""HDF5 is parsed in a process of its own: whatever becomes of it, the program goes on, and nothing is mistaken for another answer."""
+"""HDF5 is parsed in a process of its own: whatever becomes of it, the program goes on, and nothing
+is mistaken for another answer.
+"""
 
 import os
 import signal
@@ -8,7 +10,7 @@ import numpy as np
 import pytest
 
 from mocap_calib.errors import FormatError
-from mocap_calib.io.sandbox import HDF5, contained
+from mocap_calib.io.sandbox import HDF5, call_contained
 
 
 def process(_=None):
@@ -50,7 +52,7 @@ def echo(values):
 
 
 def inside(call, *args, content=HDF5):
-    return contained(content, "there/x.h5", call, *args)
+    return call_contained(content, "there/x.h5", call, *args)
 
 
 def test_only_hdf5_is_read_elsewhere():
@@ -66,7 +68,10 @@ def test_what_it_does_not_survive_is_a_line(call, how):
     begun = time.perf_counter()
     with pytest.raises(
         FormatError,
-        match=rf"^there/x.h5: expected a whole HDF5 file, found damage .*\({how}\); copy or export it again$",
+        match=(
+            rf"^there/x.h5: expected a whole HDF5 file, found "
+            rf"damage .*\({how}\); copy or export it again$"
+        ),
     ):
         inside(call)
     assert time.perf_counter() - begun < 15

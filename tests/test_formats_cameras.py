@@ -1,4 +1,6 @@
-"""Camera formats: what is written comes back, two formats of a rig agree, real files load, bad ones are refused in a line."""
+"""Camera formats: what is written comes back, two formats of a rig agree, real files load, bad ones
+are refused in a line.
+"""
 
 import time
 from dataclasses import replace
@@ -48,7 +50,9 @@ CARRIES = {
 
 
 def back(rig, name, provenance=None):
-    """Written, and read again by what it looks like (files that JARVIS names its cameras by keep their names)."""
+    """Written, and read again by what it looks like (files that JARVIS names its cameras by keep
+    their names).
+    """
     files = format_rig(rig, name, provenance or {}).files
     if not find_format(CAMERA_FORMATS, name).folder:
         return make_rig(parse_content(next(iter(files.values())), "file"), "file")
@@ -118,7 +122,9 @@ def test_what_cannot_be_carried_is_refused_in_a_line(name, data):
 
 @pytest.mark.parametrize("name", WRITTEN)
 def test_the_same_rig_in_two_formats_projects_alike(name):
-    """Through the formats' own conventions to pixels: 1e-6 px at 4 m and f = 1000 px (measured 2e-9)."""
+    """Through the formats' own conventions to pixels: 1e-6 px at 4 m and f = 1000 px (measured
+    2e-9).
+    """
     rig = studio(name)
     found = back(rig, name)
     points = np.random.default_rng(0).uniform(-0.5, 0.5, size=(30, 3))
@@ -227,7 +233,9 @@ def test_dannce_s_files_of_one_camera_each_are_its_file_of_all(tmp_path):
 
 
 def test_a_crowd_of_values_is_refused_before_all_are_read():
-    """Camera files are small; a megabyte of numbers took PyYAML 20 s and 400 MB, fifty thousand take it 2 s."""
+    """Camera files are small; a megabyte of numbers took PyYAML 20 s and 400 MB, fifty thousand
+    take it 2 s.
+    """
     assert "50000 values" in complaint(
         lambda: parse_content(b"camera_matrix: [" + b"1," * 500_000 + b"1]\n", "x")
     )
@@ -291,7 +299,9 @@ def test_other_files_are_refused_for_a_reason(path):
 
 @needs_samples
 def test_one_real_rig_in_six_formats_is_one_rig():
-    """The samples were made of the Pose2Sim one by other programs; what each cannot hold is left out (tangential terms, digits)."""
+    """The samples were made of the Pose2Sim one by other programs; what each cannot hold is left
+    out (tangential terms, digits).
+    """
     first = load_cameras(SAMPLES / "pose2sim_toml/Calib_qualisys.toml")
     name = "cam_01"
     rotation, translation = first.extrinsics[name]
@@ -324,7 +334,9 @@ def test_voxelpose_and_4d_association_agree_on_the_shelf():
 
 @needs_samples
 def test_real_points_are_seen_where_they_were_clicked():
-    """Label3D's own 3D through its cameras, transposed matrices and millimetres: 0.14 to 0.92 px (transposed wrongly: hundreds)."""
+    """Label3D's own 3D through its cameras, transposed matrices and millimetres: 0.14 to 0.92 px
+    (transposed wrongly: hundreds).
+    """
     path = SAMPLES / "dannce_mat/label3d_dannce.mat"
     rig = make_rig(load_cameras(path), "x")
     labels = read_mat(path.read_bytes(), ("labelData",))["labelData"]

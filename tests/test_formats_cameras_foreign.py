@@ -1,4 +1,6 @@
-"""Camera files in the words of the programs that write them, made here after their writers' code or documentation."""
+"""Camera files in the words of the programs that write them, made here after their writers' code or
+documentation.
+"""
 
 import json
 from dataclasses import replace
@@ -27,10 +29,18 @@ def only(text, path="x.yaml", name=None):
 
 
 def test_rostopic_echo_of_camera_info():
-    """Lower case in ROS 2, flat K, a line that begins another document; R and P are no place of the camera."""
+    """Lower case in ROS 2, flat K, a line that begins another document; R and P are no place of the
+    camera.
+    """
     for k, d, r in (("K", "D", "R"), ("k", "d", "r")):
-        text = f"header:\n  seq: 1\nheight: 480\nwidth: 640\ndistortion_model: plumb_bob\n{d}: [0.1, -0.2, 0.0, 0.001, 0.0]\n"
-        text += f"{k}: [500.0, 0.0, 320.0, 0.0, 501.0, 240.0, 0.0, 0.0, 1.0]\n{r}: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]\n---\n"
+        text = (
+            f"header:\n  seq: 1\nheight: 480\nwidth: 640\n"
+            f"distortion_model: plumb_bob\n{d}: [0.1, -0.2, 0.0, 0.001, 0.0]\n"
+        )
+        text += (
+            f"{k}: [500.0, 0.0, 320.0, 0.0, 501.0, 240.0, 0.0, 0.0, 1.0]\n"
+            f"{r}: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]\n---\n"
+        )
         camera, found = only(text, "left.yaml")
         assert (camera.name, camera.size, camera.fisheye, found.extrinsics) == (
             "left",
@@ -45,7 +55,8 @@ def test_rostopic_echo_of_camera_info():
 def test_a_distortion_model_that_nobody_has_is_refused():
     with pytest.raises(FormatError, match="distortion model"):
         only(
-            "distortion_model: fov\ncamera_matrix: {rows: 3, cols: 3, data: [500, 0, 320, 0, 501, 240, 0, 0, 1]}\n"
+            "distortion_model: fov\n"
+            "camera_matrix: {rows: 3, cols: 3, data: [500, 0, 320, 0, 501, 240, 0, 0, 1]}\n"
         )
 
 
@@ -222,18 +233,30 @@ def test_panoptic_takes_what_the_data_set_has():
 
 
 def test_freemocap_is_told_from_anipose_by_what_it_adds():
-    text = f'[cam_0]\nid = "0"\nname = "cam_0"\nsize = [640, 480]\nmatrix = {K}\ndistortions = [0.1, 0.0, 0.0, 0.0, 0.0]\nrotation = [0.0, 0.0, 0.0]\n'
-    text += "translation = [0.0, 0.0, 900.0]\nworld_orientation = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\nworld_position = [0, 0, -900]\n[metadata]\nerror = 0.1\n"
+    text = (
+        f'[cam_0]\nid = "0"\nname = "cam_0"\nsize = [640, 480]\nmatrix = {K}\n'
+        f"distortions = [0.1, 0.0, 0.0, 0.0, 0.0]\nrotation = [0.0, 0.0, 0.0]\n"
+    )
+    text += (
+        "translation = [0.0, 0.0, 900.0]\nworld_orientation = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n"
+        "world_position = [0, 0, -900]\n[metadata]\nerror = 0.1\n"
+    )
     assert only(text)[1].unit == "mm"
     assert only(text.replace("world_", "other_"))[1].unit == "arbitrary"
 
 
 def test_colmap_models_and_comments(tmp_path):
-    """Shared cameras, models of few parameters, points on the second lines, a last image without its second line."""
+    """Shared cameras, models of few parameters, points on the second lines, a last image without
+    its second line.
+    """
     (tmp_path / "cameras.txt").write_text(
-        "# Camera list\n1 SIMPLE_RADIAL 640 480 500 320.5 240.5 0.1\n2 OPENCV_FISHEYE 640 480 500 501 320.5 240.5 0.1 0 0 0\n"
+        "# Camera list\n1 SIMPLE_RADIAL 640 480 500 320.5 240.5 0.1\n"
+        "2 OPENCV_FISHEYE 640 480 500 501 320.5 240.5 0.1 0 0 0\n"
     )
-    images = "# Image list\n1 1 0 0 0 1 2 3 1 a/left.JPG\n12.5 13 -1 14 15 7\n\n2 0.5 0.5 0.5 0.5 0 0 0 1 a/right.JPG\n\n3 -1 0 0 0 0 0 1 2 fish.png"
+    images = (
+        "# Image list\n1 1 0 0 0 1 2 3 1 a/left.JPG\n12.5 13 -1 14 15 7\n\n"
+        "2 0.5 0.5 0.5 0.5 0 0 0 1 a/right.JPG\n\n3 -1 0 0 0 0 0 1 2 fish.png"
+    )
     (tmp_path / "images.txt").write_text(images)
     rig = make_rig(load_cameras(tmp_path), "x")
     assert rig.names == ("a/left", "a/right", "fish")

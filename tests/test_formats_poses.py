@@ -1,4 +1,6 @@
-"""Formats of 3D poses: what is written comes back, real files load with the right counts, bad ones are refused in a line."""
+"""Formats of 3D poses: what is written comes back, real files load with the right counts, bad ones
+are refused in a line.
+"""
 
 import itertools
 from dataclasses import replace
@@ -35,7 +37,9 @@ UNIT = {"c3d": "mm", "anipose-csv": "arbitrary"}
 
 @st.composite
 def pose_files(draw, individuals=3, gaps=True, named=True):
-    """Up to 3 individuals, 4 keypoints, 6 frames; a third of the points missing; some frames skipped."""
+    """Up to 3 individuals, 4 keypoints, 6 frames; a third of the points missing; some frames
+    skipped.
+    """
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     keypoints = tuple(draw(st.lists(NAMES, min_size=1, max_size=4, unique=True)))
     count = draw(st.integers(1, individuals))
@@ -165,7 +169,9 @@ def test_joined_files_keep_the_names_that_tell_individuals_apart(given_, kept):
 @pytest.mark.parametrize("said_by", ["numbers", "references", "both"])
 @pytest.mark.parametrize("order", list(itertools.permutations(range(4))), ids=str)
 def test_movement_s_dimensions_come_in_any_order(order, said_by, tmp_path):
-    """xarray writes what it is given; three of each, so that no shape tells an order. netCDF-C writes no numbers, old h5netcdf no references."""
+    """xarray writes what it is given; three of each, so that no shape tells an order. netCDF-C
+    writes no numbers, old h5netcdf no references.
+    """
     names = ("time", "space", "keypoints", "individuals")  # as before movement 0.17
     labels = {
         "space": ("x", "y", "z"),
@@ -208,7 +214,9 @@ def test_movement_s_dimensions_come_in_any_order(order, said_by, tmp_path):
 
 
 def test_movement_s_dimensions_are_as_long_as_their_coordinates(tmp_path):
-    """Nothing says which is which: the present order is assumed, and refused where the lengths contradict it."""
+    """Nothing says which is which: the present order is assumed, and refused where the lengths
+    contradict it.
+    """
     write_poses(tmp_path / "p.nc", example(2), "movement-3d")
     with h5py.File(tmp_path / "p.nc", "a") as file:
         turned_round = file["position"][:].transpose(0, 3, 2, 1)
@@ -435,7 +443,9 @@ def test_an_h5_of_something_else_is_refused(tmp_path):
 
 
 def test_a_heap_that_hdf5_reads_for_ever_is_refused():
-    """The free rest of a heap of texts says it is of size 0 (found by fuzzing; HDF5 does not come back)."""
+    """The free rest of a heap of texts says it is of size 0 (found by fuzzing; HDF5 does not come
+    back).
+    """
     files = format_poses(example(1), "sleap-anipose", Path("x")).files
     content = bytearray(files["x"])
     at = content.index(b"GCOL") + 16

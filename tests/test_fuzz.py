@@ -1,4 +1,5 @@
-"""Every reader against damaged files: it reads them or says in one line what is wrong; no traceback, no hang, no flood of memory.
+"""Every reader against damaged files: it reads them or says in one line what is wrong; no
+traceback, no hang, no flood of memory.
 
 `make fuzz` runs it longer: FUZZ_EXAMPLES inputs for each of the formats.
 """
@@ -85,7 +86,9 @@ CELLS = [
 
 
 def damage_json(value, rng):
-    """The value with a few of its nodes replaced, doubled, cut or gone; now and then in a very deep list."""
+    """The value with a few of its nodes replaced, doubled, cut or gone; now and then in a very deep
+    list.
+    """
     for _ in range(rng.randrange(1, 4)):
         value = _change(value, rng, rng.randrange(8))
     text = json.dumps(value)
@@ -134,7 +137,9 @@ def damage_text(text, rng):
 
 
 def damage_bytes(content, rng):
-    """Cut, bytes changed, anywhere or where something stands (HDF5 is mostly empty), another encoding, a mark of byte order."""
+    """Cut, bytes changed, anywhere or where something stands (HDF5 is mostly empty), another
+    encoding, a mark of byte order.
+    """
     kind = rng.randrange(8)
     if kind == 0:
         return content[: rng.randrange(len(content) + 1)]

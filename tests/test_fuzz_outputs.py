@@ -1,4 +1,6 @@
-"""Every reader of cameras and of 3D poses against damaged files, as test_fuzz.py for keypoints; `make fuzz` runs both longer."""
+"""Every reader of cameras and of 3D poses against damaged files, as test_fuzz.py for keypoints;
+`make fuzz` runs both longer.
+"""
 
 import json
 import random

@@ -1,4 +1,6 @@
-"""Camera files: what is written comes back, what others write is read, what is wrong is refused in one line."""
+"""Camera files: what is written comes back, what others write is read, what is wrong is refused in
+one line.
+"""
 
 import json
 import tomllib
@@ -200,9 +202,9 @@ def test_a_section_may_have_any_name_and_lie_below_another():
 
 
 def test_a_rotation_may_be_a_matrix():
-    turned = (
-        SECTION.format(section="a")
-        + "rotation = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]\ntranslation = [0.0, 0.0, 0.0]\n"
+    turned = SECTION.format(section="a") + (
+        "rotation = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]\n"
+        "translation = [0.0, 0.0, 0.0]\n"
     )
     np.testing.assert_allclose(
         parse_rig(turned, "t").rotation,
@@ -222,7 +224,10 @@ def test_intrinsics_alone_are_no_rig():
 
 def opencv(name="K", header="%YAML:1.0\n---\n", extra="", distortion="[ 0.1, -0.2, 0., 1e-3, 0. ]"):
     size = "image_width: 640\nimage_height: 480\n"
-    matrix = f"{name}: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   data: [ 500., 0., 320., 0., 501., 240., 0., 0., 1. ]\n"
+    matrix = (
+        f"{name}: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n"
+        f"   data: [ 500., 0., 320., 0., 501., 240., 0., 0., 1. ]\n"
+    )
     return (
         header
         + size
@@ -263,8 +268,14 @@ def test_a_folder_of_opencv_files_is_a_rig(tmp_path):
 
 
 def test_ros_camera_info_is_read():
-    text = "image_width: 640\nimage_height: 480\ncamera_name: rgb\ncamera_matrix:\n  rows: 3\n  cols: 3\n  data: [500, 0, 320, 0, 501, 240, 0, 0, 1]\n"
-    text += "distortion_model: equidistant\ndistortion_coefficients:\n  rows: 1\n  cols: 4\n  data: [0.1, 0, 0, 0]\n"
+    text = (
+        "image_width: 640\nimage_height: 480\ncamera_name: rgb\ncamera_matrix:\n"
+        "  rows: 3\n  cols: 3\n  data: [500, 0, 320, 0, 501, 240, 0, 0, 1]\n"
+    )
+    text += (
+        "distortion_model: equidistant\ndistortion_coefficients:\n"
+        "  rows: 1\n  cols: 4\n  data: [0.1, 0, 0, 0]\n"
+    )
     (camera,) = parse_cameras(text, "x.yaml")
     assert (camera.name, camera.size, camera.fisheye) == ("rgb", (640, 480), True)
 
@@ -311,7 +322,7 @@ def test_distortion_is_padded_and_cut_knowingly(given_, fisheye, kept):
     ("height", "size"), [(480.0, "[640.0, 480.0]"), (2000.0, "[640.0, 2000.0]")]
 )
 def test_a_skew_is_dropped_only_where_nobody_sees_it(height, size):
-    """It moves x by skew (y - cy) / fy, most at the farther edge of the image: fy 501, cy 240 here."""
+    """It moves x by skew (y - cy) / fy, most at the farther edge: fy 501, cy 240 here."""
     seen = 0.05 * 501 / (height - 240)
     text = SECTION.format(section="a").replace("[640.0, 480.0]", size)
     assert (
@@ -377,7 +388,10 @@ BROKEN = {
     "opencv of another shape": opencv().replace("rows: 3", "rows: 2", 1),
     "opencv stereo": opencv("M1", extra="M2: 1\n"),
     "opencv with a foreign tag": opencv(extra="x: !!python/object:os.system {}\n"),
-    "opencv with half a size": "%YAML:1.0\n---\nK: [[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0]]\nimage_width: wide\nimage_height: 3\n",
+    "opencv with half a size": (
+        "%YAML:1.0\n---\nK: [[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0]]\n"
+        "image_width: wide\nimage_height: 3\n"
+    ),
     "yaml nested": "%YAML 1.2\n---\n" + "[" * 2_000,
     "yaml with an impossible date": opencv(extra="calibration_time: 2024-99-99\n"),
     "ours newer": OURS.replace("version: 1", "version: 2"),

@@ -1,4 +1,6 @@
-"""Results: what is written comes back, the same input gives the same bytes, other people's columns are right."""
+"""Results: what is written comes back, the same input gives the same bytes, other people's columns
+are right.
+"""
 
 import csv
 import io
@@ -287,7 +289,7 @@ def same_pair(first, second):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
 
 
-def test_pairs_come_back_with_their_cameras_and_rivals():
+def test_pairs_come_back_with_their_cameras_and_alternatives():
     cameras = tuple(map(camera, NAMES))
     pairs = (
         replace(pair(0, 1, 1), alternatives=(pair(0, 1, 2), pair(0, 1, 5))),
@@ -304,8 +306,8 @@ def test_pairs_come_back_with_their_cameras_and_rivals():
             same_pair(first, second)
 
 
-def test_pairs_without_rivals_are_read():
-    """As files from before there were rivals."""
+def test_pairs_without_alternatives_are_read():
+    """The key may be absent."""
     back, _ = pairs_from_json(TEXT.replace(', "alternatives": []', ""), "text")
     same_pair(back[0], pair(0, 1, 3))
     assert back[0].alternatives == ()

@@ -19,7 +19,7 @@ from mocap_calib.io.atomic import (
 )
 from mocap_calib.io.cameras.own import format_calibration_toml, format_cameras_yaml
 from mocap_calib.io.results.matches_csv import matches_csv
-from mocap_calib.io.results.pair_store import remembering
+from mocap_calib.io.results.pair_store import remember_pairs
 from mocap_calib.io.results.poses_csv import poses_csv
 from mocap_calib.io.results.poses_h5 import write_poses_h5
 from mocap_calib.pipeline import calibrate
@@ -155,7 +155,7 @@ def solve_here(
 ) -> CalibrationResult:
     """`solve`, with the pairs kept beside the results until those are written: a run that is killed need not find them again."""
     try:
-        store = remembering(
+        store = remember_pairs(
             mapper or pair_mapper(job.recording, Config().pairwise),
             job.order.output / _UNFINISHED,
             job.order.method(job.model),

@@ -1,8 +1,7 @@
 """Convert files of keypoints, cameras or 3D poses to another format of their kind.
 
-`choose_kind` and `choose_format` find out what is not said; `convert_keypoints`, `convert_cameras`
-and `convert_poses` read, convert and write. Sources are paths, or the content of one file; without
-an output the result holds the new files.
+Sources are paths, or the content of one file; without an output the result holds the new files.
+Where it is not said what the sources hold, or how to write them, ask `io.kinds`.
 """
 
 import tempfile
@@ -16,39 +15,25 @@ import numpy as np
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.atomic import check_no_further_individual
 from mocap_calib.io.cameras.formats import CAMERA_FORMATS
-from mocap_calib.io.cameras.read import load_cameras, looks_like_cameras, make_rig, parse_content
+from mocap_calib.io.cameras.read import load_cameras, make_rig, parse_content
 from mocap_calib.io.cameras.source import CameraFile
 from mocap_calib.io.cameras.write import format_rig, write_cameras
-from mocap_calib.io.file import plain_path, read_bytes
+from mocap_calib.io.file import read_bytes
 from mocap_calib.io.keypoints.document import ReadOptions
-from mocap_calib.io.keypoints.formats import KEYPOINT_FORMATS
-from mocap_calib.io.keypoints.read import looks_like_keypoints, read_keypoints
+from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.io.keypoints.write import format_keypoints, write_keypoints
+from mocap_calib.io.kinds import NAMELESS, Sources
 from mocap_calib.io.poses.common import PoseFile, turn_up_axis
 from mocap_calib.io.poses.formats import POSE_FORMATS
-from mocap_calib.io.poses.read import join_individuals, looks_like_poses, parse_poses
+from mocap_calib.io.poses.read import join_individuals, parse_poses
 from mocap_calib.io.poses.write import format_poses, write_poses
 from mocap_calib.io.registry import (
-    AnyFormat,
-    Kind,
     ending_of,
     find_format,
-    format_names,
     names_by_ending,
-    written_names,
 )
 from mocap_calib.recording.pairing import check_pixels
 from mocap_calib.types import Keypoints2D
-
-# in the order in which content is looked at
-FORMATS: Mapping[Kind, tuple[AnyFormat, ...]] = {
-    "poses": POSE_FORMATS,
-    "keypoints": KEYPOINT_FORMATS,
-    "cameras": CAMERA_FORMATS,
-}
-_NAMELESS = "stdin"  # what complaints call content that comes without a path
-
-Sources = Sequence[str | Path] | bytes
 
 
 @dataclass(frozen=True)
@@ -65,59 +50,6 @@ class Conversion:
     notes: tuple[str, ...]
     lost: tuple[str, ...]
     files: Mapping[str, bytes] = field(default_factory=dict)
-
-
-def check_sources(sources: Sequence[str | Path]) -> None:
-    """Raise MismatchError where a file or folder (or that of a `name=path` pair) is missing."""
-    for path in map(plain_path, sources):
-        if not path.exists():
-            raise MismatchError(f"{path}: expected a file or folder, found none; check the path")
-
-
-def choose_kind(
-    sources: Sources, output: str | Path, *, format: str | None = None, to: str | None = None
-) -> Kind:
-    """Return what the sources hold: "keypoints", "cameras" or "poses".
-
-    The names of formats tell (`format` of the sources, `to` of the output), else the content of
-    the first source. Where that shows several kinds, or none, the ending of the output tells, if
-    `to` is not given; else it is keypoints.
-
-    Raises MismatchError for names of no format, or of two kinds, and FormatError where the JSON,
-    TOML or YAML of the source is broken.
-    """
-    kinds = _kinds_named(format, to)
-    if len(kinds) == 1:
-        return kinds[0]
-    shown = [kind for kind in kinds if _looks_like(kind, sources)]
-    if to is None:
-        ending = ending_of(output)
-        for kind in shown or sorted(kinds):
-            if ending in names_by_ending(FORMATS[kind]):
-                return kind
-    return shown[0] if shown else "keypoints"
-
-
-def choose_format(kind: Kind, output: str | Path) -> str:
-    """Return the name of the format that the ending of the output says.
-
-    Raises MismatchError where it says none, or several.
-    """
-    by_ending = names_by_ending(FORMATS[kind])
-    names = by_ending.get(ending_of(output), ())
-    if len(names) > 1:
-        raise MismatchError(
-            f"{output}: expected the format of {kind} beside the ending, found none; "
-            f"say --to {' or --to '.join(names)}"
-        )
-    if not names:
-        known = ", ".join(f"{end} ({own[0]})" for end, own in by_ending.items() if len(own) == 1)
-        written = ", ".join(written_names(FORMATS[kind]))
-        raise MismatchError(
-            f"{output}: expected an ending of {known}, or --to and one of {written}, "
-            "found neither; name the format"
-        )
-    return names[0]
 
 
 def convert_cameras(
@@ -144,7 +76,7 @@ def convert_cameras(
     FormatError and MismatchError as `load_cameras` and `write_cameras` do.
     """
     if isinstance(source, bytes):
-        name = _NAMELESS
+        name = NAMELESS
         found = parse_content(source, name, format, unit)
     else:
         name = str(source)
@@ -183,7 +115,7 @@ def convert_poses(
     where the sources contradict `fps`.
     """
     if isinstance(sources, bytes):
-        name = _NAMELESS
+        name = NAMELESS
         file = parse_poses(sources, name, format, unit)
     else:
         name = str(sources[0])
@@ -233,58 +165,6 @@ def convert_keypoints(
         written = format_keypoints(views, to)
         return Conversion(summary, notes, written.lost, written.files)
     return Conversion(summary, notes, write_keypoints(output, views, to))
-
-
-# --- which kind
-
-
-def _kinds_named(format: str | None, to: str | None) -> list[Kind]:
-    """Return the kinds that have formats of these names; all where none is named."""
-    kinds = list(FORMATS)
-    for option, name in (("--from", format), ("--to", to)):
-        if name is None:
-            continue
-        having = [kind for kind in FORMATS if name in format_names(FORMATS[kind])]
-        if not having:
-            known = "; ".join(
-                f"{kind}: {', '.join(format_names(FORMATS[kind]))}" for kind in FORMATS
-            )
-            raise MismatchError(
-                f"{option}: expected a format ({known}), found {name!r}; use one of these"
-            )
-        fitting = [kind for kind in kinds if kind in having]
-        if not fitting:
-            raise MismatchError(
-                f"{option}: expected a format of {' or '.join(sorted(kinds))}, as {format} is, "
-                f"found {name}; choose another"
-            )
-        kinds = fitting
-    return kinds
-
-
-def _looks_like(kind: Kind, sources: Sources) -> bool:
-    """Return whether the first source shows this kind; a pipe that is named is not read for it.
-
-    Raises FormatError where its JSON, TOML or YAML is broken.
-    """
-    if isinstance(sources, bytes):
-        return _content_looks_like(kind, sources)
-    path = plain_path(sources[0])
-    if kind == "keypoints":
-        return (path.is_dir() or path.is_file()) and looks_like_keypoints(path)
-    first = path
-    if path.is_dir():
-        first = min((file for file in path.iterdir() if file.is_file()), default=path)
-    if not first.is_file():
-        return False
-    return looks_like_poses(read_bytes(first)) if kind == "poses" else looks_like_cameras(path)
-
-
-def _content_looks_like(kind: Kind, content: bytes) -> bool:
-    """Return whether the content of a file shows this kind; keypoints are told by elimination."""
-    if kind == "poses":
-        return looks_like_poses(content)
-    return kind == "cameras" and looks_like_cameras(Path(_NAMELESS), content)
 
 
 # --- cameras
@@ -340,7 +220,10 @@ def _read_individuals(sources: Sequence[Path], format: str | None, unit: str | N
 
 
 def _fill_rate(file: PoseFile, fps: float, source: str) -> PoseFile:
-    """Return the poses with the user's frames per second. Raises MismatchError where they have others."""
+    """Return the poses with the user's frames per second.
+
+    Raises MismatchError where they have others.
+    """
     if np.isfinite(file.rate) and file.rate != fps:
         raise MismatchError(
             f"{source}: expected {file.rate:g} frames per second, as the file says, "
@@ -357,7 +240,7 @@ def _read_keypoint_content(
 ) -> tuple[Keypoints2D, ...]:
     """Read the content of a keypoint file: readers ask for a path."""
     with tempfile.TemporaryDirectory() as work:
-        path = Path(work) / _NAMELESS
+        path = Path(work) / NAMELESS
         path.write_bytes(content)
         return read_keypoints([path], format, options)
 

@@ -1,4 +1,4 @@
-"""What the HDF5 readers share: text, arrays of a size that memory holds, and damage said in one line."""
+"""What the HDF5 readers share: text, arrays that fit into memory, and damage said in one line."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,51 +13,57 @@ from mocap_calib.io.file import MOST_POINTS, malformed
 from mocap_calib.io.keypoints.document import HDF5_DAMAGE, Document
 from mocap_calib.types import Ints
 
-_MOST_UNPACKED = (
-    100  # times as much as is stored; tracks of which a fiftieth is there take up to 60
-)
-_SMALL = 100_000_000  # bytes that any file may unpack to,
-_MOST_EMPTY = 1_000_000_000  # and what deflate may have packed as tightly as it can: hundreds of tracks, nearly all of them missing points
+# how many bytes a dataset may unpack to: as many times what is stored (tracks of which a fiftieth
+# is there take up to 60), and what any file may,
+_MOST_UNPACKED = 100
+_SMALL = 100_000_000
+# or as tightly as deflate packs: hundreds of tracks, nearly all of them missing points
 _DEFLATE = 1032
+_MOST_EMPTY = 1_000_000_000
 _REMEDY = "the file is cut or damaged: export it again"
 
 
 @contextmanager
 def damage_refused(source: str, expected: str, remedy: str) -> Iterator[None]:
-    """Turns what h5py and numpy raise on damaged files into a FormatError."""
+    """Turn what h5py and numpy raise on damaged files into a FormatError."""
     try:
         yield
     except FormatError:
         raise
     except HDF5_DAMAGE as error:
-        raise malformed(
-            source, expected, f"an error ({error or type(error).__name__})", remedy
-        ) from None
+        found = f"an error ({error or type(error).__name__})"
+        raise malformed(source, expected, found, remedy) from None
 
 
 def text(value: Any) -> str:
-    """A string as HDF5 gives it: bytes, text, or an array of one of them."""
+    """Return a string as HDF5 gives it: bytes, text, or an array of one of them."""
     if isinstance(value, np.ndarray):
         value = value.reshape(-1)[0] if value.size else ""
     return value.decode("utf-8", errors="replace") if isinstance(value, bytes) else str(value)
 
 
-def marked(document: Document, name: str) -> bool:
-    """Whether anything at the top of an HDF5 file has the attribute; nothing in other files has. Raises FormatError."""
+def has_attribute(document: Document, name: str) -> bool:
+    """Return whether anything at the top of an HDF5 file has the attribute; False for other files.
+
+    Raises FormatError.
+    """
     with damage_refused(document.source, "a whole HDF5 file", _REMEDY):
-        return document.hdf5 is not None and any(
-            name in item.attrs for item in document.hdf5.values()
-        )
+        if document.hdf5 is None:
+            return False
+        return any(name in item.attrs for item in document.hdf5.values())
 
 
 def keys(document: Document) -> set[str]:
-    """The names of what lies at the top of an HDF5 file; nothing for other files."""
+    """Return the names of what lies at the top of an HDF5 file; nothing for other files."""
     with damage_refused(document.source, "a whole HDF5 file", _REMEDY):
         return set() if document.hdf5 is None else set(map(text, document.hdf5))
 
 
 def array(group: Any, name: str, source: str) -> NDArray[Any]:
-    """A dataset of a size that memory holds. Raises FormatError where there is none, and what h5py raises on damage."""
+    """Return a dataset of a size that memory holds.
+
+    Raises FormatError where there is none, and what h5py raises on damage.
+    """
     dataset = group.get(name)
     if not isinstance(dataset, h5py.Dataset):
         raise malformed(source, f"a dataset `{name}`", "none", "export it again")
@@ -65,47 +71,49 @@ def array(group: Any, name: str, source: str) -> NDArray[Any]:
     return np.asarray(dataset[...])
 
 
-def _check_size(dataset: Any, source: str) -> None:
-    """Refuses a dataset that unpacks to far more than it has in the file: deflate packs 1032 bytes of nothing into one, and some are only claimed."""
-    claimed, stored = (dataset.size or 0) * dataset.dtype.itemsize, dataset.id.get_storage_size()
-    most = max(_MOST_UNPACKED * stored + _SMALL, min(_DEFLATE * stored, _MOST_EMPTY))
-    if claimed > most or (dataset.size or 0) > 4 * MOST_POINTS:
-        expected = (
-            f"at most {most / 1e6:.0f} MB of `{dataset.name}` in the {stored / 1e6:.1f} MB stored"
-        )
-        raise malformed(
-            source,
-            expected,
-            f"{claimed / 1e6:.0f} MB",
-            "the file is damaged, or nearly all of it is missing points: export it with fewer tracks",
-        )
-
-
 def integers(group: Any, name: str, source: str) -> Ints:
-    """A dataset of whole numbers. Raises FormatError."""
+    """Return a dataset of whole numbers. Raises FormatError."""
     values = array(group, name, source)
-    if values.dtype.kind not in "iu" or (
-        values.size and int(values.max()) > np.iinfo(np.int64).max
-    ):
+    whole = values.dtype.kind in "iu"
+    if not whole or (values.size and int(values.max()) > np.iinfo(np.int64).max):
         raise malformed(source, f"whole numbers in `{name}`", values.dtype, "export it again")
     return values.astype(np.int64)
 
 
 def names(group: Any, name: str, source: str) -> tuple[str, ...]:
-    """A list of names."""
+    """Return a dataset of names. Raises as `array` does."""
     return tuple(text(entry) for entry in array(group, name, source).reshape(-1))
 
 
 def require_filters(group: Any, source: str, remedy: str) -> None:
-    """Refuses blosc, with which PyTables can compress and which h5py does not have, and sizes beyond reason. Raises FormatError."""
+    """Raise FormatError for blosc and the like, and for sizes beyond reason.
+
+    PyTables can compress with blosc, which h5py does not have.
+    """
     for dataset in (item for item in group.values() if isinstance(item, h5py.Dataset)):
         _check_size(dataset, source)
         layout = dataset.id.get_create_plist()
-        for number, _, _, name in map(layout.get_filter, range(layout.get_nfilters())):
+        for index in range(layout.get_nfilters()):
+            number, _, _, name = layout.get_filter(index)
             if not h5py.h5z.filter_avail(number):
-                raise malformed(
-                    source,
-                    "compression that HDF5 has itself",
-                    f"filter {number} ({text(name) or 'blosc?'})",
-                    remedy,
-                )
+                found = f"filter {number} ({text(name) or 'blosc?'})"
+                raise malformed(source, "compression that HDF5 has itself", found, remedy)
+
+
+def _check_size(dataset: Any, source: str) -> None:
+    """Raise FormatError for a dataset that unpacks to far more than it has in the file.
+
+    Deflate packs 1032 bytes of nothing into one, and some sizes are only claimed.
+    """
+    entries = dataset.size or 0
+    claimed = entries * dataset.dtype.itemsize
+    stored = dataset.id.get_storage_size()
+    most = max(_MOST_UNPACKED * stored + _SMALL, min(_DEFLATE * stored, _MOST_EMPTY))
+    if claimed > most or entries > 4 * MOST_POINTS:
+        raise malformed(
+            source,
+            f"at most {most / 1e6:.0f} MB of `{dataset.name}` in the {stored / 1e6:.1f} MB stored",
+            f"{claimed / 1e6:.0f} MB",
+            "the file is damaged, or nearly all of it is missing points: "
+            "export it with fewer tracks",
+        )

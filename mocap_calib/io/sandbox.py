@@ -1,7 +1,8 @@
-"""HDF5 is parsed in a process of its own, since one damaged file in some hundreds ends libhdf5 2.0.0, or never lets it come back.
+"""Parse HDF5 in a process of its own.
 
-The process starts with the first such file (0.3 s) and serves until this one ends, or a large file's memory is to be given back. What
-it does not survive becomes a FormatError. Measured in docs/formats.md, "Fuzzing".
+One damaged file in some hundreds ends libhdf5 2.0.0, or never lets it come back. The process starts
+with the first such file (0.3 s) and serves until this one ends, or a large file's memory is to be
+given back. What it does not survive becomes a FormatError. Measured in docs/formats.md, "Fuzzing".
 """
 
 import os
@@ -13,43 +14,43 @@ from mocap_calib.compute.worker import Worker, WorkerEndedError
 from mocap_calib.io.file import malformed
 
 HDF5 = b"\x89HDF\r\n\x1a\n"
-_LARGE = 10_000_000  # bytes
+_LARGE = 10_000_000  # bytes; the process ends after such a file
+_SECONDS = 2.0  # of computing that any file may take,
+_BYTES_A_SECOND = 1e5  # and a second more for each so many bytes
+_MEMORY = 1_000_000_000  # bytes that any file may take,
+_MEMORY_A_BYTE = 100  # and so many for each byte of it,
+_COPIES = 5  # and so many copies of what deflate may have packed into it,
+_DEFLATE = 1032  # which is so many times its size,
+_MOST_UNPACKED = 1_000_000_000  # up to this
 Ts = TypeVarTuple("Ts")
 T = TypeVar("T")
 
 
-def contained(content: bytes, source: str, parse: Callable[[*Ts], T], *args: *Ts) -> T:
-    """`parse(*args)`, in the other process where `content` is HDF5.
+def call_contained(content: bytes, source: str, parse: Callable[[*Ts], T], *args: *Ts) -> T:
+    """Return `parse(*args)`, from the other process where `content` is HDF5.
 
-    parse: a function of a module, whose arguments, result and errors can be pickled. Raises what it raises, and FormatError
-    where the file ends the process, or takes more than 2 to 3 s of computing and 10 s per MB (20 times that by the clock), or
-    more memory than 1 GB, 100 times its size, and five copies of what deflate may have packed into it, up to 1 GB each.
+    parse: a function of a module, whose arguments, result and errors can be pickled.
+
+    Raises what it raises, and FormatError where the file ends the process, or takes more than 2 to
+    3 s of computing and 10 s per MB (20 times that by the clock), or more memory than 1 GB, 100
+    times its size, and five copies of what deflate may have packed into it, up to 1 GB each.
     """
     if not content.startswith(HDF5):
         return parse(*args)
     worker = _worker(os.getpid())
     size = len(content)
+    seconds = _SECONDS + size / _BYTES_A_SECOND
+    unpacked = min(_DEFLATE * size, _MOST_UNPACKED)
+    memory = _MEMORY + _MEMORY_A_BYTE * size + _COPIES * unpacked
     try:
-        return worker.call(
-            parse,
-            *args,
-            cpu_seconds=2 + size / 1e5,
-            memory_bytes=1_000_000_000 + 100 * size + 5 * min(1032 * size, 1_000_000_000),
-        )
+        return worker.call(parse, *args, cpu_seconds=seconds, memory_bytes=memory)
     except MemoryError:
-        raise malformed(
-            source,
-            "HDF5 of a size that memory holds",
-            f"{size} bytes that unpack to more",
-            "check that it is whole, or split it",
-        ) from None
+        expected = "HDF5 of a size that memory holds"
+        found = f"{size} bytes that unpack to more"
+        raise malformed(source, expected, found, "check that it is whole, or split it") from None
     except WorkerEndedError as end:
-        raise malformed(
-            source,
-            "a whole HDF5 file",
-            f"damage that HDF5 does not survive ({end})",
-            "copy or export it again",
-        ) from None
+        found = f"damage that HDF5 does not survive ({end})"
+        raise malformed(source, "a whole HDF5 file", found, "copy or export it again") from None
     finally:
         if size > _LARGE:
             worker.end()

@@ -69,17 +69,17 @@ def command(
       mocap-calib convert openpose/ keypoints --to coco --layout body_25
       mocap-calib convert - - --from anipose --to nerfstudio <calibration.toml >transforms.json
     """
-    from mocap_calib.io import conversion
+    from mocap_calib.io import conversion, kinds
     from mocap_calib_cli import outputs
     from mocap_calib_cli.progress import Reporter
 
     content = _read_stdin(inputs, source)
     if content is None:
-        conversion.check_sources(inputs)
+        kinds.check_sources(inputs)
     sources = inputs if content is None else content
-    kind = conversion.choose_kind(sources, output, format=source, to=target)
+    kind = kinds.choose_kind(sources, output, format=source, to=target)
     _check_options({"unit": unit, "fps": fps, "up": up, **reading}, kind, reading)
-    to = target or conversion.choose_format(kind, output)
+    to = target or kinds.choose_format(kind, output)
     path = None if output == options.STDIO else Path(output)
     if path is not None:
         outputs.check_place(path)

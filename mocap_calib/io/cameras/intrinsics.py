@@ -1,4 +1,7 @@
-"""From whatever a file says of a camera to a `Camera`, or to a complaint; and the fields of our own files."""
+"""Make a `Camera` of whatever a file says of one, or a complaint; and spell the fields of our own.
+
+Everything here raises FormatError for what cannot be.
+"""
 
 from typing import Any
 
@@ -9,78 +12,82 @@ from mocap_calib.io.file import malformed
 from mocap_calib.types import Camera, Floats
 
 _PINHOLE_LENGTHS = (4, 5, 8)
+_FISHEYE_LENGTHS = (4,)
 _LONG_LENGTHS = (12, 14)  # OpenCV's thin prism and tilt, which bundle adjustment does not have
+_LARGEST_SIZE = 1e6  # pixels
+_LARGEST_ROTATION = 100  # no entry of a matrix is above 1, no vector needs to be longer than pi
 _NOT_A_ROTATION = 1e-2  # real files round to three or four digits
 _ROUNDED = 1e-9
 _UNSEEN = 0.05  # pixels, well below what any detector resolves
 _SKEWED = 1e-3  # of the focal length, wherever the principal point may be
+_MODELS = ("opencv", "fisheye", "pinhole")
 
 
 def numbers(value: Any, expected: str, source: str) -> Floats:
-    """Nested lists, or a `rows`, `cols`, `data` matrix as OpenCV and ROS write it, as an array. Raises FormatError."""
+    """Return numbers as an array: nested lists, or a matrix as OpenCV and ROS write it.
+
+    value: lists, or a mapping of `rows`, `cols` and `data`. expected: for the complaint.
+    """
     try:
         if isinstance(value, dict):
-            return np.array(value["data"], dtype=np.float64).reshape(
-                int(value["rows"]), int(value["cols"])
-            )
-        array = np.array(value, dtype=np.float64)
+            shape = int(value["rows"]), int(value["cols"])
+            return np.array(value["data"], dtype=np.float64).reshape(shape)
+        return np.array(value, dtype=np.float64)
     except (ValueError, TypeError, KeyError, OverflowError) as error:
         raise malformed(source, expected, f"an error ({error})", "mend the numbers") from None
-    return array
 
 
 def make_camera(
     name: str, size: Any, matrix: Any, distortion: Any, fisheye: bool, source: str
 ) -> Camera:
-    """A camera from raw fields, checked; `source` names file and camera in the complaint. Raises FormatError."""
-    known_size = _size(size, source)
+    """Return a camera of raw fields, checked.
+
+    size: (width, height) in pixels, or None. matrix: `[3, 3]`. distortion: `[coefficient]` in
+    OpenCV's order. source: names file and camera in complaints.
+    """
+    known_size = _check_size(size, source)
     return Camera(
-        name,
-        known_size,
-        _matrix(matrix, known_size, source),
-        _distortion(distortion, fisheye, source),
-        fisheye,
+        name=name,
+        size=known_size,
+        matrix=_check_matrix(matrix, known_size, source),
+        distortion=_check_distortion(distortion, fisheye, source),
+        fisheye=fisheye,
     )
 
 
 def skew_in_pixels(matrix: Floats, height: int = 0) -> float:
-    """By how much the skew of a `[3, 3]` camera matrix moves what is seen at the edge; without a height the principal point is in the middle."""
+    """Return by how much the skew of a `[3, 3]` camera matrix moves what is seen at the edge.
+
+    height: of the image; 0: not known, and the principal point is taken to be in the middle.
+    """
     fy, cy = matrix[1, 1:]
     with np.errstate(all="ignore"):  # numbers of a damaged file
-        return float(abs(matrix[0, 1]) * max(abs(cy), abs(height - cy) if height else 0.0) / fy)
+        farthest = max(abs(cy), abs(height - cy) if height else 0.0)
+        return float(abs(matrix[0, 1]) * farthest / fy)
 
 
 def make_extrinsics(rotation: Any, translation: Any, source: str) -> tuple[Floats, Floats]:
-    """`[3, 3]` rotation and `[3]` translation of cam_from_world, from a matrix or a rotation vector. Raises FormatError."""
+    """Return `[3, 3]` rotation and `[3]` translation of cam_from_world.
+
+    rotation: a matrix or a rotation vector.
+    """
     given = numbers(rotation, "a rotation (3 x 3, or a vector of 3)", source)
     offset = numbers(translation, "a translation of 3 numbers", source).reshape(-1)
-    # no entry of a rotation is above 1, and no rotation vector needs to be above pi
-    plausible = np.isfinite(offset).all() and (np.abs(given) < 100).all()
-    if not (given.shape == (3, 3) or given.size == 3) or offset.shape != (3,) or not plausible:
-        found = (
-            f"shapes {given.shape} and {offset.shape}" if plausible else "numbers that cannot be"
-        )
-        raise malformed(
-            source,
-            "a rotation (3 x 3, or a vector of 3) and a translation of 3",
-            found,
-            "mend the extrinsics",
-        )
+    plausible = np.isfinite(offset).all() and (np.abs(given) < _LARGEST_ROTATION).all()
+    fits = (given.shape == (3, 3) or given.size == 3) and offset.shape == (3,)
+    if not fits or not plausible:
+        found = "numbers that cannot be"
+        if plausible:
+            found = f"shapes {given.shape} and {offset.shape}"
+        expected = "a rotation (3 x 3, or a vector of 3) and a translation of 3"
+        raise malformed(source, expected, found, "mend the extrinsics")
     if given.size == 3:
         return matrix_from_vector(given.reshape(3)), offset
-    excess = float(np.abs(given @ given.T - np.eye(3)).max())
-    if excess > _NOT_A_ROTATION or np.linalg.det(given) < 0:
-        raise malformed(
-            source,
-            "a rotation (orthonormal, determinant 1)",
-            "another matrix",
-            "check the axes and the order of the rows",
-        )
-    return (nearest_rotation(given) if excess > _ROUNDED else given), offset
+    return _check_rotation(given, source), offset
 
 
 def camera_fields(camera: Camera) -> dict[str, Any]:
-    """The fields of a camera in our own files."""
+    """Return the fields of a camera in our own files."""
     return {
         "name": camera.name,
         "size": list(camera.size),
@@ -91,69 +98,55 @@ def camera_fields(camera: Camera) -> dict[str, Any]:
 
 
 def camera_from_fields(fields: Any, source: str) -> Camera:
-    """The inverse of `camera_fields`; the model `pinhole` has no distortion. Raises FormatError."""
+    """Return the camera of `camera_fields`; the model `pinhole` has no distortion."""
     if not isinstance(fields, dict) or not {"name", "K"} <= fields.keys():
-        raise malformed(
-            source,
-            "cameras with name, size, model, K, distortion",
-            describe_keys(fields),
-            "write the file again",
-        )
+        expected = "cameras with name, size, model, K, distortion"
+        raise malformed(source, expected, describe_keys(fields), "write the file again")
+    name = str(fields["name"])
+    where = f"{source}: camera {name}"
     model = fields.get("model", "opencv")
-    if model not in ("opencv", "fisheye", "pinhole"):
-        raise malformed(
-            f"{source}: camera {fields['name']}",
-            "the model opencv, fisheye or pinhole",
-            model,
-            "convert the camera",
-        )
-    name, distortion = (
-        str(fields["name"]),
-        [] if model == "pinhole" else fields.get("distortion", []),
-    )
-    return make_camera(
-        name,
-        fields.get("size"),
-        fields["K"],
-        distortion,
-        model == "fisheye",
-        f"{source}: camera {name}",
-    )
+    if model not in _MODELS:
+        raise malformed(where, "the model opencv, fisheye or pinhole", model, "convert the camera")
+    distortion = [] if model == "pinhole" else fields.get("distortion", [])
+    fisheye = model == "fisheye"
+    return make_camera(name, fields.get("size"), fields["K"], distortion, fisheye, where)
 
 
 def describe_keys(fields: Any) -> str:
-    """What came instead of a mapping with the right keys."""
-    return (
-        ", ".join(map(str, list(fields)[:8])) if isinstance(fields, dict) else type(fields).__name__
-    )
+    """Return what came instead of a mapping with the right keys."""
+    if isinstance(fields, dict):
+        return ", ".join(map(str, list(fields)[:8]))
+    return type(fields).__name__
 
 
-def _size(value: Any, source: str) -> tuple[int, int]:
-    """(width, height); (0, 0) where the file does not say."""
+def _check_size(value: Any, source: str) -> tuple[int, int]:
+    """Return (width, height); (0, 0) where the file does not say."""
     if value is None:
         return (0, 0)
     size = numbers(value, "a size [width, height]", source).reshape(-1)
-    if (
-        size.shape != (2,)
-        or not np.isfinite(size).all()
-        or (size != size.round()).any()
-        or (size < 0).any()
-        or (size > 1e6).any()
-    ):
+    fits = size.shape == (2,) and np.isfinite(size).all()
+    if not fits or (size != size.round()).any() or (size < 0).any() or (size > _LARGEST_SIZE).any():
         raise malformed(source, "a size [width, height] in pixels", value, "mend the size")
     return int(size[0]), int(size[1])
 
 
-def _matrix(value: Any, size: tuple[int, int], source: str) -> Floats:
-    """`[3, 3]` camera matrix; a skew that nobody sees is set to 0. Raises FormatError."""
+def _check_rotation(given: Floats, source: str) -> Floats:
+    """Return the `[3, 3]` rotation that a matrix is, or was before its numbers were rounded."""
+    excess = float(np.abs(given @ given.T - np.eye(3)).max())
+    if excess > _NOT_A_ROTATION or np.linalg.det(given) < 0:
+        expected = "a rotation (orthonormal, determinant 1)"
+        remedy = "check the axes and the order of the rows"
+        raise malformed(source, expected, "another matrix", remedy)
+    return nearest_rotation(given) if excess > _ROUNDED else given
+
+
+def _check_matrix(value: Any, size: tuple[int, int], source: str) -> Floats:
+    """Return the `[3, 3]` camera matrix; a skew that nobody sees is set to 0."""
     matrix = numbers(value, "a 3 x 3 camera matrix", source)
+    remedy = "mend the camera matrix"
     if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
-        raise malformed(
-            source,
-            "a finite 3 x 3 camera matrix",
-            f"shape {matrix.shape}",
-            "mend the camera matrix",
-        )
+        found = f"shape {matrix.shape}"
+        raise malformed(source, "a finite 3 x 3 camera matrix", found, remedy)
     if (matrix[2, :2] != 0).any() or matrix[2, 2] != 1 or matrix[1, 0] != 0:
         raise malformed(
             source,
@@ -162,44 +155,46 @@ def _matrix(value: Any, size: tuple[int, int], source: str) -> Floats:
             "transpose it if it came from MATLAB",
         )
     if min(matrix[0, 0], matrix[1, 1]) <= 0:
-        raise malformed(
-            source,
-            "positive focal lengths",
-            matrix[[0, 1], [0, 1]].tolist(),
-            "mend the camera matrix",
-        )
-    # OpenCV's pinhole model has no skew and drops it silently; COLMAP's fisheye model has none either
-    moved = skew_in_pixels(matrix, size[1])
-    if moved > _UNSEEN or abs(matrix[0, 1]) > _SKEWED * matrix[0, 0]:
-        found = f"skew {matrix[0, 1]:.6g}, which moves pixels by up to {moved:.2g}"
-        raise malformed(
-            source,
-            "a camera matrix without skew",
-            found,
-            "calibrate without skew, or write 0 where that is near enough",
-        )
+        found = matrix[[0, 1], [0, 1]].tolist()
+        raise malformed(source, "positive focal lengths", found, remedy)
+    _check_skew(matrix, size, source)
     matrix[0, 1] = 0.0
     return matrix
 
 
-def _distortion(value: Any, fisheye: bool, source: str) -> Floats:
-    """As many coefficients as the model takes; missing ones are 0, and zeros too many are dropped. Raises FormatError."""
+def _check_skew(matrix: Floats, size: tuple[int, int], source: str) -> None:
+    """Raise FormatError where the skew of a `[3, 3]` camera matrix can be seen.
+
+    OpenCV's pinhole model has no skew and drops it silently; COLMAP's fisheye model has none
+    either.
+    """
+    moved = skew_in_pixels(matrix, size[1])
+    if moved > _UNSEEN or abs(matrix[0, 1]) > _SKEWED * matrix[0, 0]:
+        raise malformed(
+            source,
+            "a camera matrix without skew",
+            f"skew {matrix[0, 1]:.6g}, which moves pixels by up to {moved:.2g}",
+            "calibrate without skew, or write 0 where that is near enough",
+        )
+
+
+def _check_distortion(value: Any, fisheye: bool, source: str) -> Floats:
+    """Return as many coefficients as the model takes, `[4 | 5 | 8]`, or `[4]` of a fisheye.
+
+    Missing ones are 0, and zeros too many are dropped.
+    """
     given = numbers([] if value is None else value, "distortion coefficients", source).reshape(-1)
     if not fisheye and len(given) in _LONG_LENGTHS:
         given = _without_prism(given, source)
-    lengths = (4,) if fisheye else _PINHOLE_LENGTHS
+    lengths = _FISHEYE_LENGTHS if fisheye else _PINHOLE_LENGTHS
     used = int(np.flatnonzero(given).max(initial=-1)) + 1
     room = 4 if fisheye else 5
     # k1, k2 alone are clear; three may be k1 k2 k3 or k1 k2 p1
-    fits = len(given) in lengths or used <= 2 or (used <= room and (fisheye or len(given) > room))
-    if not fits or not np.isfinite(given).all():
+    clear = used <= 2 or (used <= room and (fisheye or len(given) > room))
+    if not (len(given) in lengths or clear) or not np.isfinite(given).all():
         model = "the fisheye model" if fisheye else "OpenCV's model"
-        raise malformed(
-            source,
-            f"{' or '.join(map(str, lengths))} finite distortion coefficients of {model}",
-            given.tolist(),
-            "calibrate with one of them",
-        )
+        expected = f"{' or '.join(map(str, lengths))} finite distortion coefficients of {model}"
+        raise malformed(source, expected, given.tolist(), "calibrate with one of them")
     if len(given) in lengths:
         return given
     padded = np.zeros(room)
@@ -208,13 +203,9 @@ def _distortion(value: Any, fisheye: bool, source: str) -> Floats:
 
 
 def _without_prism(given: Floats, source: str) -> Floats:
-    """The first 8 of `[12 | 14]` coefficients, where the others are 0. Raises FormatError."""
+    """Return the first 8 of `[12 | 14]` coefficients, where the others are 0."""
     if (given[8:] != 0).any():
+        expected = "at most 8 distortion coefficients that are not 0"
         found = f"thin-prism or tilt terms {given[8:].tolist()}"
-        raise malformed(
-            source,
-            "at most 8 distortion coefficients that are not 0",
-            found,
-            "calibrate without thin prism and tilt",
-        )
+        raise malformed(source, expected, found, "calibrate without thin prism and tilt")
     return given[:8]

@@ -1,10 +1,11 @@
 """TOML of anipose and of those who took it over: Pose2Sim, FreeMoCap, caliscope.
 
-All have a section a camera with size, matrix, distortions, rotation (a Rodrigues vector) and translation of
-cam_from_world. They differ in the unit, in the sections' names, and in who reads what.
+All have a section a camera with size, matrix, distortions, rotation (a Rodrigues vector) and
+translation of cam_from_world. They differ in the unit, in the sections' names, and in who reads
+what.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from mocap_calib.errors import MismatchError
@@ -14,32 +15,28 @@ from mocap_calib.io.cameras.source import CameraFile, Source, need_sizes, terms,
 from mocap_calib.io.cameras.toml_text import dump_toml
 from mocap_calib.io.file import malformed
 from mocap_calib.io.registry import Written
-from mocap_calib.types import Camera, CameraRig
+from mocap_calib.types import Camera, CameraRig, Floats
 
-_NOT_CAMERAS = (
-    "metadata",
-    "capture_volume",
-    "charuco",
-    "checkerboard",
-)  # sections that Pose2Sim passes over
+# sections that Pose2Sim passes over
+_NOT_CAMERAS = ("metadata", "capture_volume", "charuco", "checkerboard")
 
 
 def sniff_caliscope(source: Source) -> bool:
-    """Cameras one level down, by number."""
-    return source.has("toml", "cameras") and any(
-        isinstance(c, dict) and "cam_id" in c for c in _tables(source.tree["cameras"])
-    )
+    """Return whether cameras are one level down, by number."""
+    if not source.has("toml", "cameras"):
+        return False
+    return any("cam_id" in fields for fields in _tables(source.tree["cameras"]))
 
 
 def sniff_freemocap(source: Source) -> bool:
-    """Where the cameras stand is said twice."""
-    return source.syntax == "toml" and any(
-        "world_position" in fields for fields in _tables(source.tree)
-    )
+    """Return whether the file says twice where the cameras stand."""
+    if source.syntax != "toml":
+        return False
+    return any("world_position" in fields for fields in _tables(source.tree))
 
 
 def sniff_pose2sim(source: Source) -> bool:
-    """Sections named as their cameras, and sizes that are no whole numbers to TOML."""
+    """Return whether sections are named as their cameras, and sizes are no integers to TOML."""
     if source.syntax != "toml":
         return False
     cameras = [
@@ -47,22 +44,16 @@ def sniff_pose2sim(source: Source) -> bool:
         for name, fields in source.tree.items()
         if isinstance(fields, dict) and "matrix" in fields
     ]
-    return bool(cameras) and all(
-        fields.get("name") == name
-        and "fisheye" in fields
-        and isinstance(fields.get("size"), list)
-        and all(isinstance(n, float) for n in fields["size"])
-        for name, fields in cameras
-    )
+    return bool(cameras) and all(_is_pose2sim_camera(name, fields) for name, fields in cameras)
 
 
 def sniff_anipose(source: Source) -> bool:
-    """Any TOML."""
+    """Return whether the file is TOML of any content."""
     return source.syntax == "toml"
 
 
 def parse(source: Source) -> CameraFile:
-    """Any of them. Raises FormatError."""
+    """Read the cameras in TOML of any of the programs. Raises FormatError."""
     data = source.mapping()
     sections = list(_sections(data))
     if not sections:
@@ -72,61 +63,76 @@ def parse(source: Source) -> CameraFile:
             describe_keys(data) or "nothing",
             "export anipose's calibration.toml",
         )
-    cameras, extrinsics, notes = [], {}, []
+    cameras: list[Camera] = []
+    extrinsics: dict[str, tuple[Floats, Floats]] = {}
+    notes: list[str] = []
     for section, fields in sections:
         name = str(fields.get("name", section))
-        where = f"{source.path}: camera {name}"
         if not isinstance(fields.get("matrix"), list):
             notes.append(f"camera {name} has no intrinsics and is left out")
             continue
-        cameras.append(
-            make_camera(
-                name,
-                fields.get("size"),
-                fields["matrix"],
-                fields.get("distortions"),
-                fields.get("fisheye", False) is True,
-                where,
-            )
-        )
+        where = f"{source.path}: camera {name}"
+        cameras.append(_parse_camera(name, fields, where))
         # caliscope writes the text "null" where a camera was not placed
         if isinstance(fields.get("rotation"), list) and isinstance(fields.get("translation"), list):
             extrinsics[name] = make_extrinsics(fields["rotation"], fields["translation"], where)
         if fields.get("rotation_count", 0) != 0:
             notes.append(
-                f"camera {name} is shown turned by caliscope; its matrix is of the images as they were recorded"
+                f"camera {name} is shown turned by caliscope; its matrix is of the images as they "
+                "were recorded"
             )
     metadata = data.get("metadata")
     unit = metadata.get("unit", "") if isinstance(metadata, dict) else ""
     return CameraFile(unique(cameras, source.path), extrinsics, str(unit), tuple(notes))
 
 
-def _tables(data: Any) -> list[dict[str, Any]]:
-    return (
-        [value for value in data.values() if isinstance(value, dict)]
-        if isinstance(data, dict)
-        else []
+def _is_pose2sim_camera(name: str, fields: Mapping[str, Any]) -> bool:
+    size = fields.get("size")
+    sized = isinstance(size, list) and all(isinstance(length, float) for length in size)
+    return fields.get("name") == name and "fisheye" in fields and sized
+
+
+def _parse_camera(name: str, fields: Mapping[str, Any], source: str) -> Camera:
+    return make_camera(
+        name,
+        fields.get("size"),
+        fields["matrix"],
+        fields.get("distortions"),
+        fields.get("fisheye", False) is True,
+        source,
     )
 
 
-def _sections(data: dict[str, Any]) -> Iterable[tuple[str, dict[str, Any]]]:
-    """The tables with a matrix, at the top or one below ([cameras.0] of caliscope, where one may lack it)."""
-    for key, value in data.items():
-        if isinstance(value, dict) and isinstance(value.get("matrix"), list):
-            yield key, value
-        elif isinstance(value, dict):
-            yield from (
-                (k, v)
-                for k, v in value.items()
-                if isinstance(v, dict) and (isinstance(v.get("matrix"), list) or "cam_id" in v)
-            )
+def _tables(data: Any) -> list[dict[str, Any]]:
+    """Return the tables in a table."""
+    if not isinstance(data, dict):
+        return []
+    return [value for value in data.values() if isinstance(value, dict)]
+
+
+def _sections(data: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield (name, fields) of tables with a matrix, at the top or one below.
+
+    Those of caliscope are one below ([cameras.0]), and one may lack its matrix.
+    """
+    for name, table in data.items():
+        if not isinstance(table, dict):
+            continue
+        if isinstance(table.get("matrix"), list):
+            yield name, table
+            continue
+        for inner_name, inner in table.items():
+            if isinstance(inner, dict) and (
+                isinstance(inner.get("matrix"), list) or "cam_id" in inner
+            ):
+                yield inner_name, inner
 
 
 # --- writing
 
 
 def write_anipose(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
-    """Aniposelib's calibration.toml; carries all."""
+    """Write aniposelib's calibration.toml, which carries all."""
     return Written({"calibration.toml": format_calibration_toml(rig, provenance).encode()})
 
 

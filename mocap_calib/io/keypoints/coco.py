@@ -9,7 +9,7 @@ import numpy as np
 from mocap_calib.io.file import (
     Origin,
     blank,
-    camera_in,
+    find_camera,
     frame_number,
     make_view,
     malformed,
@@ -125,7 +125,7 @@ def _cameras(
     """The images of each camera: by the user's pattern, by a field of the images, by their folders; all are one's where the user names it."""
     names = _names(images)
     found = (
-        [camera_in(name, options.camera_pattern) for name in names]
+        [find_camera(name, options.camera_pattern) for name in names]
         if options.camera_pattern
         else [""]
     )

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_calib.io.file import malformed
-from mocap_calib.io.hdf5 import damage_refused, marked, require_filters
+from mocap_calib.io.hdf5 import damage_refused, has_attribute, require_filters
 from mocap_calib.io.hdf5 import text as _text
 from mocap_calib.io.keypoints.deeplabcut import LEVELS, Table, keypoints_from_table
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
@@ -23,7 +23,7 @@ _CSV_INSTEAD = "use the .csv that DeepLabCut writes next to it"
 
 def sniff(document: Document) -> bool:
     """HDF5 with a pandas table."""
-    return marked(document, "pandas_type")
+    return has_attribute(document, "pandas_type")
 
 
 def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:  # noqa: ARG001 - a reader's signature

@@ -7,10 +7,10 @@ import numpy as np
 
 from mocap_calib.io.file import (
     Origin,
-    camera_in,
+    find_camera,
     make_view,
     malformed,
-    stacked,
+    stack_detections,
     visibility_as_confidence,
 )
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
@@ -96,7 +96,7 @@ def _read(item: Item, options: ReadOptions, sure: tuple[str, ...]) -> tuple[Keyp
 def _cameras(images: list[str], item: Item, options: ReadOptions) -> dict[str, list[int]]:
     """Indices of the entries of each camera, as the user's pattern finds it in the images; all are one camera's where it finds none."""
     found = (
-        [camera_in(image, options.camera_pattern) for image in images]
+        [find_camera(image, options.camera_pattern) for image in images]
         if options.camera_pattern
         else [""]
     )
@@ -127,7 +127,7 @@ def _view(
     detections: list[list[Floats]] = [[] for _ in unique]
     for image, found in zip(images, points, strict=True):
         detections[place[image]].append(found)
-    values = stacked(detections, len(names), origin.source)
+    values = stack_detections(detections, len(names), origin.source)
     values[..., 2] = visibility_as_confidence(values[..., 2])
     numbers = np.array(
         frame_numbers(

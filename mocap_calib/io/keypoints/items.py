@@ -5,7 +5,7 @@ from enum import Enum, auto
 from pathlib import Path
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.io.file import camera_in, frame_number
+from mocap_calib.io.file import find_camera, frame_number
 from mocap_calib.io.keypoints.document import Item, ReadOptions
 
 FOLDER_SUFFIXES = (".json", ".csv", ".h5", ".hdf5", ".nc", ".nwb", ".slp", ".mat")
@@ -67,7 +67,7 @@ def _expand(argument: str, options: ReadOptions, look: Look) -> list[Item]:
 
 def _pattern(item: Item, pattern: str) -> str:
     """What the pattern finds in the path; nothing where it finds none: a reader may find it inside the file."""
-    return camera_in(str(item.path), pattern)
+    return find_camera(str(item.path), pattern)
 
 
 def _folder(path: Path, look: Look) -> list[Item]:

@@ -11,10 +11,10 @@ from mocap_calib.io.file import (
     Origin,
     blank,
     check_cameras,
+    fill_missing_scores,
     frame_number,
     make_view,
     malformed,
-    scored,
     unique_names,
 )
 from mocap_calib.io.keypoints.document import Item
@@ -161,7 +161,7 @@ def _view(
     at, rows = (at[0][there], at[1][there], at[2][there]), rows[there]
     _check_once(at, content.shape[:3], numbers, keypoints, points.lines[rows], source)
     content[at] = points.values[rows]
-    content, more = scored(content)
+    content, more = fill_missing_scores(content)
     return make_view(origin, keypoints, numbers, content, tracked=tracked, remarks=remarks + more)
 
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.io.file import make_view, malformed, stacked
+from mocap_calib.io.file import make_view, malformed, stack_detections
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.io.keypoints.layouts import layout_for
 from mocap_calib.io.keypoints.per_frame import frames_of, json_frames, numbers_of
@@ -97,7 +97,7 @@ def _view(
             item.origin,
             names,
             numbers,
-            stacked(detections, count, source),
+            stack_detections(detections, count, source),
             tracked=False,
             rows=rows,
         ),

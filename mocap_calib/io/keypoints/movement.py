@@ -7,7 +7,7 @@ import h5py
 import numpy as np
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.io.file import blank, make_view, malformed, scored
+from mocap_calib.io.file import blank, fill_missing_scores, make_view, malformed
 from mocap_calib.io.hdf5 import array, damage_refused, keys, names, text
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.types import Floats, Keypoints2D
@@ -45,7 +45,7 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:  # noqa: 
                 f"{len(frames)} and {len(nodes)}",
                 _REMEDY,
             )
-    values, remarks = scored(values)
+    values, remarks = fill_missing_scores(values)
     return (make_view(item.origin, nodes, frames, values, tracked=True, remarks=remarks),)
 
 

@@ -5,7 +5,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from mocap_calib.io.file import Origin, blank, make_view, malformed, scored
+from mocap_calib.io.file import Origin, blank, fill_missing_scores, make_view, malformed
 from mocap_calib.io.hdf5 import array, damage_refused, keys, names, text
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.types import Ints, Keypoints2D
@@ -76,7 +76,7 @@ def _view(group: Any, origin: Origin) -> Keypoints2D:
     frames, rate = frames_of(next(iter(series.values())), source)
     if len(frames) != len(values):
         raise malformed(source, f"a time for each of {len(values)} frames", len(frames), _REMEDY)
-    values, remarks = scored(values)
+    values, remarks = fill_missing_scores(values)
     counted = f"NWB has times, not frame numbers: a frame is the time x {rate:g} per second"
     return make_view(
         origin,

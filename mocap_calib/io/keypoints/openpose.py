@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.io.file import make_view, malformed, stacked
+from mocap_calib.io.file import make_view, malformed, stack_detections
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.io.keypoints.layouts import layout_for
 from mocap_calib.io.keypoints.per_frame import frame_numbers, frames_of, json_frames, triples
@@ -52,7 +52,7 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
             "check the detector's output",
         )
     keypoints = layout_for(count, options.layout, item.origin.source, _SURE)
-    values = stacked(people, count, item.origin.source)
+    values = stack_detections(people, count, item.origin.source)
     return (make_view(item.origin, keypoints, numbers, values, tracked=False, rows=names),)
 
 

@@ -14,7 +14,7 @@ from mocap_calib.io.keypoints.document import Document, Item, ReadOptions, descr
 from mocap_calib.io.keypoints.formats import KEYPOINT_FORMATS, KeypointFormat
 from mocap_calib.io.keypoints.items import Holds, keypoint_items
 from mocap_calib.io.registry import find_format, format_names
-from mocap_calib.io.sandbox import contained
+from mocap_calib.io.sandbox import call_contained
 from mocap_calib.types import Keypoints2D
 
 
@@ -101,14 +101,14 @@ def _look(item: Item, format: str | None) -> Holds:
 def _sniff_contained(item: Item, format: str | None) -> str:
     """`_sniff` an item; HDF5 in a process of its own."""
     document = item.document
-    return contained(document.content, str(item.path), _sniff, document, format)
+    return call_contained(document.content, str(item.path), _sniff, document, format)
 
 
 def _read_contained(
     item: Item, format: str | None, options: ReadOptions
 ) -> tuple[Keypoints2D, ...]:
     """`_read` an item; HDF5 in a process of its own."""
-    return contained(item.document.content, str(item.path), _read, item, format, options)
+    return call_contained(item.document.content, str(item.path), _read, item, format, options)
 
 
 def _sniff(document: Document, format: str | None) -> str:

@@ -7,7 +7,7 @@ import h5py
 import numpy as np
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.io.file import blank, make_view, malformed, scored
+from mocap_calib.io.file import blank, fill_missing_scores, make_view, malformed
 from mocap_calib.io.hdf5 import array, damage_refused, keys, names
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.types import Floats, Keypoints2D
@@ -36,7 +36,7 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:  # noqa: 
         values[..., :2] = positions
         if scores.size:
             values[..., 2] = _scores(scores, order, positions.shape[:3], source)
-    values, remarks = scored(values)
+    values, remarks = fill_missing_scores(values)
     return (
         make_view(
             item.origin, nodes, range(len(values)), values, tracked=bool(who), remarks=remarks

@@ -9,7 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.io.file import Origin, blank, camera_in, make_view, malformed, scored
+from mocap_calib.io.file import (
+    Origin,
+    blank,
+    fill_missing_scores,
+    find_camera,
+    make_view,
+    malformed,
+)
 from mocap_calib.io.hdf5 import array, damage_refused, keys, text
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.types import Keypoints2D
@@ -94,7 +101,7 @@ def _cameras(file: Any, videos: list[int], item: Item, options: ReadOptions) -> 
         video: re.split(r"[/\\]", path)[-1].rpartition(".")[0] for video, path in paths.items()
     }
     names = {
-        video: camera_in(path, options.camera_pattern) if options.camera_pattern else stems[video]
+        video: find_camera(path, options.camera_pattern) if options.camera_pattern else stems[video]
         for video, path in paths.items()
     }
     if len(videos) == 1 and not names[videos[0]]:
@@ -181,7 +188,7 @@ def _view(
             target[place] = points[int(row["instance_type"])][
                 int(row["point_id_start"]) : int(row["point_id_end"])
             ]
-    values, remarks = scored(values)
+    values, remarks = fill_missing_scores(values)
     return make_view(
         origin,
         nodes,

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from mocap_calib.io.file import make_view, malformed, stacked
+from mocap_calib.io.file import make_view, malformed, stack_detections
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.io.keypoints.layouts import layout_for
 from mocap_calib.io.keypoints.per_frame import numbers_of
@@ -37,7 +37,11 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     names = layout_for(count, options.layout, source)
     return (
         make_view(
-            item.origin, names, range(len(frames)), stacked(frames, count, source), tracked=False
+            item.origin,
+            names,
+            range(len(frames)),
+            stack_detections(frames, count, source),
+            tracked=False,
         ),
     )
 

@@ -7,7 +7,13 @@ import numpy as np
 
 from mocap_calib.config import ReadConfig
 from mocap_calib.errors import FormatError
-from mocap_calib.io.file import NO_SCORE, make_view, malformed, stacked, visibility_as_confidence
+from mocap_calib.io.file import (
+    NO_SCORE,
+    make_view,
+    malformed,
+    stack_detections,
+    visibility_as_confidence,
+)
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.io.keypoints.layouts import LAYOUTS
 from mocap_calib.io.keypoints.per_frame import frames_of
@@ -47,7 +53,7 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     frames = _detections(
         [list(_rows(document)) for document in item.documents()], len(options.layout)
     )
-    values = stacked(list(frames), len(options.layout), source)
+    values = stack_detections(list(frames), len(options.layout), source)
     if np.nanmax(np.abs(values[..., :2]), initial=0.0) > ReadConfig().largest_share:
         found = f"{np.nanmax(np.abs(values[..., :2])):.1f}"
         raise malformed(

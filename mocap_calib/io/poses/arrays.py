@@ -15,8 +15,8 @@ from mocap_calib.io.poses.common import (
     WrittenPoses,
     attribute,
     bare_poses,
+    fill_gaps,
     lost_quality,
-    without_gaps,
 )
 from mocap_calib.io.results.poses_h5 import parse_poses_h5, poses_to_h5
 from mocap_calib.io.sandbox import HDF5
@@ -191,7 +191,7 @@ def parse_sleap_anipose(content: bytes, source: str) -> PoseFile:
 
 def write_sleap_anipose(file: PoseFile, title: str) -> WrittenPoses:  # noqa: ARG001 - the writers' signature
     """`tracks` without gaps, and beside it what its readers do not look for: names, frame numbers, unit, rate."""
-    frames, positions = without_gaps(file.poses, "sleap-anipose")
+    frames, positions = fill_gaps(file.poses, "sleap-anipose")
     content = io.BytesIO()
     with h5py.File(content, "w") as out:
         tracks = out.create_dataset("tracks", data=positions, track_times=False)

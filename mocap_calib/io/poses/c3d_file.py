@@ -13,11 +13,11 @@ from mocap_calib.io.poses.common import (
     PoseFile,
     WrittenPoses,
     bare_poses,
-    in_unit,
+    convert_unit,
+    fill_gaps,
     lost_quality,
     need_keypoints,
     need_rate,
-    without_gaps,
 )
 from mocap_calib.io.units import known_unit
 from mocap_calib.types import Floats, Ints
@@ -120,7 +120,7 @@ def write(file: PoseFile, title: str) -> WrittenPoses:  # noqa: ARG001 - the wri
         raise MismatchError(
             f"c3d: expected 1 to {_MOST} markers, found {len(names)} (individuals x keypoints); write fewer individuals or another format"
         )
-    frames, positions = without_gaps(in_unit(file, "mm", "c3d").poses, "c3d")
+    frames, positions = fill_gaps(convert_unit(file, "mm", "c3d").poses, "c3d")
     if frames[0] < 0 or not _exact(rate):
         raise MismatchError(
             f"c3d: expected frames from 0 on and a rate that fits, found frame {frames[0]} and rate {rate}; shift the frames"

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from mocap_calib.errors import FormatError, MismatchError
-from mocap_calib.io.file import malformed, read_bytes, repeated
+from mocap_calib.io.file import find_repeated, malformed, read_bytes
 from mocap_calib.io.poses.common import UNNAMED, PoseFile, check_poses
 from mocap_calib.io.poses.formats import POSE_FORMATS, PoseFormat
 from mocap_calib.io.registry import find_format, format_names
-from mocap_calib.io.sandbox import contained
+from mocap_calib.io.sandbox import call_contained
 from mocap_calib.io.units import ARBITRARY
 from mocap_calib.types import Floats, Poses3D
 
@@ -31,7 +31,7 @@ def parse_poses(
     content: bytes, source: str, format: str | None = None, unit: str | None = None
 ) -> PoseFile:
     """Return what `read_poses` does of the content of a file; `source` stands for its path."""
-    file = contained(content, source, _parse, content, source, format)
+    file = call_contained(content, source, _parse, content, source, format)
     if unit is None:
         return file
     if file.poses.unit not in (ARBITRARY, unit):
@@ -45,7 +45,7 @@ def parse_poses(
 def looks_like_poses(content: bytes) -> bool:
     """Return whether the content of a file is of one of the formats."""
     try:
-        return contained(content, "content", _sniff, content) != ""
+        return call_contained(content, "content", _sniff, content) != ""
     except FormatError:
         return False
 
@@ -136,4 +136,4 @@ def _join_names(files: Sequence[PoseFile]) -> tuple[str, ...]:
     for index, name in enumerate(names):
         if UNNAMED.fullmatch(name):
             names[index] = f"individual_{index}"
-    return () if repeated(names) else tuple(names)
+    return () if find_repeated(names) else tuple(names)

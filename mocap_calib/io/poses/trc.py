@@ -7,12 +7,12 @@ from mocap_calib.io.poses.common import (
     PoseFile,
     WrittenPoses,
     bare_poses,
-    in_unit,
+    convert_unit,
+    fill_gaps,
     lost_names,
     lost_quality,
     need_keypoints,
     need_rate,
-    without_gaps,
 )
 from mocap_calib.io.units import known_unit
 from mocap_calib.types import Floats, Ints
@@ -117,8 +117,8 @@ def write(file: PoseFile, title: str) -> WrittenPoses:
         "trc",
     )
     unit = "m" if file.poses.unit == "m" else "mm"
-    file = in_unit(file, unit, "trc")
-    frames, positions = without_gaps(file.poses, "trc")
+    file = convert_unit(file, unit, "trc")
+    frames, positions = fill_gaps(file.poses, "trc")
     names, count = file.poses.keypoints, len(frames)
     speed = repr(rate)
     lines = [f"PathFileType\t4\t(X/Y/Z)\t{title}", "\t".join(_KEYS)]

@@ -21,7 +21,7 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 
-def remembering(mapper: Mapper, folder: Path, method: str) -> Mapper:
+def remember_pairs(mapper: Mapper, folder: Path, method: str) -> Mapper:
     """Return a mapper that keeps the results of `mapper` in `folder`, and does not repeat them.
 
     It maps functions whose results are pairs or None.

@@ -1,0 +1,109 @@
+"""Parse the JSON, TOML and YAML of camera files, of which each key occurs once."""
+
+import json
+import re
+import tomllib
+from typing import Any
+
+import yaml
+
+from mocap_calib.io.file import find_repeated, malformed
+
+# PyYAML reads a megabyte of text, or 20 000 values, in a second; a camera takes a kilobyte of text
+# and fifty values
+_YAML_CHARACTERS = 2_000_000
+_YAML_VALUES = 50_000
+_YAML_LEVELS = 50
+_TOML_LINE = r"^[ \t]*\[\[?[\w .\"'-]+\]\]?\s*(#.*)?$|^[\w\"' .-]+="
+_OTHER_START = r"\s*(\{|%YAML|---)"
+
+
+def is_toml(text: str) -> bool:
+    """Return whether a line of the text is a section or an assignment of TOML."""
+    return re.search(_TOML_LINE, text, re.M) is not None and not re.match(_OTHER_START, text)
+
+
+def parse_json(text: str, source: str) -> Any:
+    """Return parsed JSON. Raises FormatError, also where a key occurs twice."""
+
+    def check_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        found = dict(pairs)
+        if len(found) < len(pairs):
+            twice = find_repeated(name for name, _ in pairs)[0]
+            raise malformed(source, "each key once", f"{twice} twice", "rename one of them")
+        return found
+
+    try:
+        return json.loads(text, object_pairs_hook=check_once)
+    except (ValueError, RecursionError) as error:
+        raise malformed(source, "JSON", f"an error ({error})", "write the file again") from None
+
+
+def parse_toml(text: str, source: str) -> Any:
+    """Return parsed TOML. Raises FormatError."""
+    try:
+        return tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError, ValueError) as error:
+        raise malformed(source, "TOML", f"an error ({error})", "mend that line") from None
+
+
+def parse_yaml(text: str, source: str) -> Any:
+    """Return parsed YAML, also of OpenCV's dialects. Raises FormatError."""
+    if len(text) > _YAML_CHARACTERS:
+        expected = f"YAML of cameras, below {_YAML_CHARACTERS // 1_000_000} MB"
+        found = f"{len(text) // 1_000_000} MB"
+        raise malformed(source, expected, found, "give the cameras alone")
+    # OpenCV 4 writes `%YAML:1.0`, which is not YAML; `rostopic echo` ends with a line that begins
+    # another document
+    text = re.sub(r"\A\s*%YAML.*\n", "", text)
+    text = re.sub(r"\n---\s*\Z", "\n", text)
+    try:
+        return yaml.load(text, _Loader)  # a SafeLoader
+    except (
+        yaml.YAMLError,
+        RecursionError,
+        ValueError,
+        TypeError,
+        AttributeError,
+        KeyError,
+    ) as error:
+        raise malformed(source, "YAML", f"an error ({error})", "mend the file") from None
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML with OpenCV's matrices as plain mappings.
+
+    Each key occurs once. There are no aliases, which could stand for a giant, not too many levels,
+    for which PyYAML takes seconds, and not too many values.
+    """
+
+    level = 0
+    values = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.YAMLError("an alias (*name), which camera files do not need")
+        if self.level > _YAML_LEVELS:
+            raise yaml.YAMLError(f"more than {_YAML_LEVELS} levels of nesting")
+        if self.values > _YAML_VALUES:
+            raise yaml.YAMLError(f"more than {_YAML_VALUES} values; cameras have some fifty each")
+        self.values += 1
+        self.level += 1
+        node = super().compose_node(parent, index)
+        self.level -= 1
+        return node
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        twice = find_repeated(
+            key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)
+        )
+        if twice:
+            raise yaml.YAMLError(f"the key {twice[0]} twice")
+        return super().construct_mapping(node, deep)
+
+
+def _opencv_matrix(loader: yaml.SafeLoader, node: yaml.Node) -> Any:
+    return loader.construct_yaml_map(node)
+
+
+_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _opencv_matrix)

@@ -1,0 +1,133 @@
+"""Find out what kind of files are given, and in which format to write them."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from mocap_calib.errors import MismatchError
+from mocap_calib.io.cameras.formats import CAMERA_FORMATS
+from mocap_calib.io.cameras.read import looks_like_cameras
+from mocap_calib.io.file import plain_path, read_bytes
+from mocap_calib.io.keypoints.formats import KEYPOINT_FORMATS
+from mocap_calib.io.keypoints.read import looks_like_keypoints
+from mocap_calib.io.poses.formats import POSE_FORMATS
+from mocap_calib.io.poses.read import looks_like_poses
+from mocap_calib.io.registry import (
+    AnyFormat,
+    Kind,
+    ending_of,
+    format_names,
+    names_by_ending,
+    written_names,
+)
+
+# in the order in which content is looked at
+FORMATS: Mapping[Kind, tuple[AnyFormat, ...]] = {
+    "poses": POSE_FORMATS,
+    "keypoints": KEYPOINT_FORMATS,
+    "cameras": CAMERA_FORMATS,
+}
+NAMELESS = "stdin"  # what complaints call content that comes without a path
+
+Sources = Sequence[str | Path] | bytes
+
+
+def check_sources(sources: Sequence[str | Path]) -> None:
+    """Raise MismatchError where a file or folder (or that of a `name=path` pair) is missing."""
+    for path in map(plain_path, sources):
+        if not path.exists():
+            raise MismatchError(f"{path}: expected a file or folder, found none; check the path")
+
+
+def choose_kind(
+    sources: Sources, output: str | Path, *, format: str | None = None, to: str | None = None
+) -> Kind:
+    """Return what the sources hold: "keypoints", "cameras" or "poses".
+
+    The names of formats tell (`format` of the sources, `to` of the output), else the content of
+    the first source. Where that shows several kinds, or none, the ending of the output tells, if
+    `to` is not given; else it is keypoints.
+
+    Raises MismatchError for names of no format, or of two kinds, and FormatError where the JSON,
+    TOML or YAML of the source is broken.
+    """
+    kinds = _kinds_named(format, to)
+    if len(kinds) == 1:
+        return kinds[0]
+    shown = [kind for kind in kinds if _looks_like(kind, sources)]
+    if to is None:
+        ending = ending_of(output)
+        for kind in shown or sorted(kinds):
+            if ending in names_by_ending(FORMATS[kind]):
+                return kind
+    return shown[0] if shown else "keypoints"
+
+
+def choose_format(kind: Kind, output: str | Path) -> str:
+    """Return the name of the format that the ending of the output says.
+
+    Raises MismatchError where it says none, or several.
+    """
+    by_ending = names_by_ending(FORMATS[kind])
+    names = by_ending.get(ending_of(output), ())
+    if len(names) > 1:
+        raise MismatchError(
+            f"{output}: expected the format of {kind} beside the ending, found none; "
+            f"say --to {' or --to '.join(names)}"
+        )
+    if not names:
+        known = ", ".join(f"{end} ({own[0]})" for end, own in by_ending.items() if len(own) == 1)
+        written = ", ".join(written_names(FORMATS[kind]))
+        raise MismatchError(
+            f"{output}: expected an ending of {known}, or --to and one of {written}, "
+            "found neither; name the format"
+        )
+    return names[0]
+
+
+def _kinds_named(format: str | None, to: str | None) -> list[Kind]:
+    """Return the kinds that have formats of these names; all where none is named."""
+    kinds = list(FORMATS)
+    for option, name in (("--from", format), ("--to", to)):
+        if name is None:
+            continue
+        having = [kind for kind in FORMATS if name in format_names(FORMATS[kind])]
+        if not having:
+            known = "; ".join(
+                f"{kind}: {', '.join(format_names(FORMATS[kind]))}" for kind in FORMATS
+            )
+            raise MismatchError(
+                f"{option}: expected a format ({known}), found {name!r}; use one of these"
+            )
+        fitting = [kind for kind in kinds if kind in having]
+        if not fitting:
+            raise MismatchError(
+                f"{option}: expected a format of {' or '.join(sorted(kinds))}, as {format} is, "
+                f"found {name}; choose another"
+            )
+        kinds = fitting
+    return kinds
+
+
+def _looks_like(kind: Kind, sources: Sources) -> bool:
+    """Return whether the first source shows this kind; a pipe that is named is not read for it.
+
+    Raises FormatError where its JSON, TOML or YAML is broken.
+    """
+    if isinstance(sources, bytes):
+        return _content_looks_like(kind, sources)
+    path = plain_path(sources[0])
+    if kind == "keypoints":
+        return (path.is_dir() or path.is_file()) and looks_like_keypoints(path)
+    first = path
+    if path.is_dir():
+        first = min((file for file in path.iterdir() if file.is_file()), default=path)
+    if not first.is_file():
+        return False
+    return looks_like_poses(read_bytes(first)) if kind == "poses" else looks_like_cameras(path)
+
+
+def _content_looks_like(kind: Kind, content: bytes) -> bool:
+    """Return whether the content of a file shows this kind; keypoints are told by elimination."""
+    if kind == "poses":
+        return looks_like_poses(content)
+    return kind == "cameras" and looks_like_cameras(Path(NAMELESS), content)
