@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mocap_calib.config import AdjustConfig, SimulateConfig, TriangulateConfig
+from mocap_calib.config import AdjustConfig, Config, SimulateConfig
 from mocap_calib.geometry.rotation import (
     angle_between,
     direction_angle,
@@ -98,7 +98,7 @@ def ours(
 ) -> tuple[CameraRig, float, float]:
     """The rig, seconds and seconds of the processor."""
     wall, processor = time.perf_counter(), time.process_time()
-    found = adjust(recording, start, matches, config, TriangulateConfig())
+    found = adjust(recording, start, matches, Config(adjust=config))
     return found, time.perf_counter() - wall, time.process_time() - processor
 
 

@@ -21,6 +21,7 @@ from protocol_scenes import Kind, Subjects, scene
 
 from mocap_calib.io.cameras.own import format_calibration_toml
 from mocap_calib.io.keypoints.coco_writer import format_coco
+from mocap_calib.types import Keypoints2D
 
 TOOL = [str(Path(sys.executable).with_name("mocap-calib"))]
 
@@ -94,10 +95,17 @@ def one_mouse(poses: Path, out: Path) -> None:
     for camera, positions, confidence in zip(
         recording.cameras, recording.positions, recording.confidence, strict=True
     ):
-        text = format_coco(
-            camera.name, camera.size, recording.frames, subjects.own_names, positions, confidence
+        view = Keypoints2D(
+            camera=camera.name,
+            keypoints=tuple(subjects.own_names),
+            frames=recording.frames,
+            positions=positions,
+            confidence=confidence,
+            tracked=False,
+            image_size=camera.size,
+            source="simulated",
         )
-        (out / "keypoints" / f"{camera.name}.json").write_text(text)
+        (out / "keypoints" / f"{camera.name}.json").write_text(format_coco(view))
     (out / "reference.toml").write_text(format_calibration_toml(truth.rig, {}))
     nowhere = replace(
         truth.rig, rotation=np.tile(np.eye(3), (6, 1, 1)), translation=np.zeros((6, 3))

@@ -1,4 +1,4 @@
-"""The methods of the paper's protocol: problems -> answers and seconds a pair."""
+"""The methods of the paper's protocol, all called alike: problems -> answers, seconds a pair."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -7,21 +7,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from mocap_calib.config import PairwiseConfig, PaperConfig
+from mocap_calib.config import FivePointConfig, PairwiseConfig, PaperConfig
 from mocap_calib.steerpose.checkpoint import load_steerer
 from mocap_calib.steerpose.lift import lift
 from mocap_calib.steerpose.model import Lifter
-from mocap_calib.steerpose.paper.solver import solve_pair, solve_pairs, two_views
+from mocap_calib.steerpose.paper.batch import TwoViews
+from mocap_calib.steerpose.paper.solver import solve_pair, solve_pairs
+from mocap_calib.steerpose.rays import rays_by_joint
 from mocap_calib.steerpose.steer import Model
-from mocap_calib.two_view.five_point import all_pairs_magsac, five_point_over_matches
+from mocap_calib.two_view.five_point import Found, all_pairs_magsac, five_point_over_matches
 from mocap_calib.two_view.solve import calibrate_pair, pair_problem
-from mocap_calib.types import Floats, Ints, Sample, silent
+from mocap_calib.types import Sample, silent
 
-THRESHOLD_PX = 6.0  # of RANSAC: two standard deviations of the noise
-TIMED = (
-    3  # pairs that the paper's solver does alone, to know its seconds; the others go in one batch
-)
-BATCH = 50
+TIMED = 3  # pairs that the paper's solver does alone, to know its seconds
+BATCH = 50  # of the others
 
 
 @dataclass(frozen=True)
@@ -33,70 +32,55 @@ class Problem:
     b: int
 
 
-@dataclass(frozen=True)
-class Found:
-    """R, t of b_from_a and matches `[match, 3]` (frame, i, j)."""
-
-    rotation: Floats
-    translation: Floats
-    matches: Ints
-
-
 Answers = tuple[list[Found | None], float]
 Method = Callable[[Sequence[Problem], dict[str, Model]], Answers]
 
 
 def load_models(methods: Sequence[str], skeleton: str = "people") -> dict[str, Model]:
-    """Load the networks that these methods need; a rotation token is shipped for people alone."""
-    token = (
-        {"token": load_steerer(skeleton, architecture="token")[0]}
-        if any("token" in method for method in methods)
-        else {}
-    )
-    return {"factorised": load_steerer(skeleton)[0], **token}
+    """Load the shipped networks that these methods need; rotation tokens are for people alone."""
+    models: dict[str, Model] = {"factorised": load_steerer(skeleton)[0]}
+    if any("token" in method for method in methods):
+        models["token"] = load_steerer(skeleton, architecture="token")[0]
+    return models
 
 
 def _each(problems: Sequence[Problem], solve: Callable[[Problem], Found | None]) -> Answers:
+    """Solve each problem by itself, and take the time."""
     start = time.perf_counter()
     found = [solve(problem) for problem in problems]
     return found, (time.perf_counter() - start) / len(problems)
 
 
 def _threshold(problem: Problem) -> float:
-    return THRESHOLD_PX / float(
-        np.mean([problem.recording.cameras[v].focal for v in (problem.a, problem.b)])
-    )
+    """Return the inlier threshold of RANSAC in radians: two standard deviations of the noise."""
+    focals = [problem.recording.cameras[view].focal for view in (problem.a, problem.b)]
+    return FivePointConfig().inlier_px / float(np.mean(focals))
 
 
 def five_point(problems: Sequence[Problem], _: dict[str, Model]) -> Answers:
-    """RANSAC over instance matches, five-point on joints."""
+    """Run RANSAC over instance matches, five-point on joints."""
 
     def solve(problem: Problem) -> Found | None:
         rays = problem.recording.rays
-        found = five_point_over_matches(
+        return five_point_over_matches(
             rays[problem.a], rays[problem.b], _threshold(problem), np.random.default_rng(0)
         )
-        return None if found is None else Found(*found)
 
     return _each(problems, solve)
 
 
 def magsac(problems: Sequence[Problem], _: dict[str, Model]) -> Answers:
-    """All cross pairs of detections as correspondences."""
+    """Run MAGSAC on all cross pairs of detections."""
 
     def solve(problem: Problem) -> Found | None:
-        found = all_pairs_magsac(
-            problem.recording.rays[problem.a],
-            problem.recording.rays[problem.b],
-            _threshold(problem),
-        )
-        return None if found is None else Found(*found)
+        rays = problem.recording.rays
+        return all_pairs_magsac(rays[problem.a], rays[problem.b], _threshold(problem))
 
     return _each(problems, solve)
 
 
 def ours(config: PairwiseConfig) -> Method:
-    """Lift and search as `mocap-calib pairwise` does; the seconds include the lifting."""
+    """Lift and search, as `mocap-calib pairwise` does; the seconds include the lifting."""
 
     def method(problems: Sequence[Problem], models: dict[str, Model]) -> Answers:
         lifter = models["factorised"]
@@ -104,24 +88,33 @@ def ours(config: PairwiseConfig) -> Method:
 
         def solve(problem: Problem) -> Found | None:
             lifted = lift(problem.recording, lifter, progress=silent)
-            found = calibrate_pair(
-                pair_problem(
-                    problem.recording,
-                    lifted,
-                    problem.a,
-                    problem.b,
-                    config,
-                    np.random.default_rng(0),
-                ),
-                config,
+            gathered = pair_problem(
+                problem.recording,
+                lifted,
+                problem.a,
+                problem.b,
+                config=config,
+                rng=np.random.default_rng(0),
             )
-            return (
-                None if found is None else Found(found.rotation, found.translation, found.matches)
-            )
+            found = calibrate_pair(gathered, config)
+            if found is None:
+                return None
+            return Found(found.rotation, found.translation, found.matches)
 
         return _each(problems, solve)
 
     return method
+
+
+def _two_views(problem: Problem, joints: int) -> TwoViews:
+    """Return the detections of the two views, in the order of the model's joints."""
+    recording = problem.recording
+    rays_a, rays_b = (
+        rays_by_joint(recording.rays[view], recording.vocabulary, joints)
+        for view in (problem.a, problem.b)
+    )
+    focal = (recording.cameras[problem.a].focal + recording.cameras[problem.b].focal) / 2
+    return TwoViews(rays_a, rays_b, focal)
 
 
 def paper(architecture: str, config: PaperConfig) -> Method:
@@ -129,12 +122,7 @@ def paper(architecture: str, config: PaperConfig) -> Method:
 
     def method(problems: Sequence[Problem], models: dict[str, Model]) -> Answers:
         model = models[architecture]
-        views = [
-            two_views(
-                p.recording, p.a, p.b, np.arange(len(p.recording.frames)), model.config.joints
-            )
-            for p in problems
-        ]
+        views = [_two_views(problem, model.config.joints) for problem in problems]
         start = time.perf_counter()
         for k in range(min(TIMED, len(views))):
             solve_pair(views[k], model, config, torch.Generator().manual_seed(k))

@@ -1,4 +1,4 @@
-"""Writes docs/cli.md from the commands' own help."""
+"""Write docs/cli.md from the help texts of the commands."""
 
 import subprocess
 import sys
@@ -9,16 +9,20 @@ from mocap_calib_cli.main import COMMANDS
 TOOL = Path(sys.executable).with_name("mocap-calib")
 
 
-def page() -> str:
-    """The whole page."""
-    parts = ["# Command line", "", "Made by `make cli-docs` from `--help`.", ""]
+def make_page() -> str:
+    """Return the whole page as Markdown."""
+    lines = ["# Command line", "", "Made by `make cli-docs` from `--help`.", ""]
     for name in COMMANDS:
-        said = subprocess.run(
-            [TOOL, name, "--help"], check=True, capture_output=True, text=True
-        ).stdout
-        parts += [f"## mocap-calib {name}", "", "```text", said.rstrip(), "```", ""]
-    return "\n".join(parts)
+        lines += [f"## mocap-calib {name}", "", "```text", read_help(name), "```", ""]
+    return "\n".join(lines)
+
+
+def read_help(name: str) -> str:
+    """Return the help text of a command."""
+    command = [TOOL, name, "--help"]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    return done.stdout.rstrip()
 
 
 if __name__ == "__main__":
-    Path(__file__).with_name("cli.md").write_text(page(), "utf-8")
+    Path(__file__).with_name("cli.md").write_text(make_page(), "utf-8")

@@ -3,14 +3,21 @@
 from dataclasses import dataclass
 from typing import Literal
 
-SAME_RIG_DEG = 10.0  # two rigs whose cameras turn by no more than this are one answer
+LIFT_CONFIDENCE = 0.4  # of a view's best confidence: joints below it are hidden from the network
+LIFT_BEST_PERCENTILE = 90.0  # of a view's confidences: the view's best
+LIFT_UPRIGHT_SAMPLE = 128  # detections of a view that tell which way is down in its images
+LIFT_LEAST_DEPTH = 0.5  # body sizes: no body is nearer to a camera
+
+COMPLETION_SPREAD = 0.2  # body sizes: a joint known to this much has exp(-1) of the confidence
+COMPLETION_CONFIDENCE = 0.5  # at most, of the mean confidence of the joints that were seen
 
 
 @dataclass(frozen=True)
 class TrainConfig:
     """How a lifter is trained; saved in its model card.
 
-    Angles in degrees, lengths in body sizes (RMS joint distance from the centroid; about 0.55 m for an adult).
+    Angles in degrees, lengths in body sizes (RMS joint distance from the centroid; about 0.55 m
+    for an adult).
     """
 
     steps: int = 9000
@@ -18,26 +25,36 @@ class TrainConfig:
     width: int = 64
     layers: int = 4
     learning_rate: float = 2e-3
-    roll_deg: float = (
-        10.0  # most rigs stand upright; rolled cameras are turned upright before lifting
-    )
+    # most rigs stand upright; the images of rolled cameras are turned upright before lifting
+    roll_deg: float = 10.0
     elevation_deg: tuple[float, float] = (-15.0, 65.0)
     elevation_skew: float = 0.5  # 0: all elevations alike; more: the lower ones likelier
     distance: tuple[float, float] = (3.0, 40.0)
-    noise: tuple[float, float] = (
-        0.005,
-        0.06,
-    )  # of the visible pose's RMS radius, log-uniform per pose
+    # of the visible pose's RMS radius, log-uniform per pose
+    noise: tuple[float, float] = (0.005, 0.06)
     outliers: float = 0.02  # share of joints that the detector puts somewhere else
     length_spread: float = 0.12  # log-normal, a limb; children and adults
-    straighten: float = (
-        0.7  # knees of fitted skeletons are too bent: up to this share of the way to straight
-    )
+    # knees of fitted skeletons are too bent: up to this share of the way to straight
+    straighten: float = 0.7
     joint_spread: float = 0.03  # detectors disagree where a joint is
     joint_dropout: float = 0.6  # up to this share of joints belongs to other layouts
     occlusion: float = 0.25  # up to this share of the remaining joints is missing
-    bodies: int = 40_000  # procedural bodies that are drawn from, where a skeleton has a body and they are asked for
+    bodies: int = 40_000  # procedural bodies to draw from, where they are asked for
     seed: int = 0
+
+
+OUTLIER_NOISE = 0.5  # of the visible pose's RMS radius: noise of the joints put somewhere else
+HIDDEN_LIMBS = 0.2  # share of the poses one of whose limbs is hidden
+TRAINING_JOINTS = 4  # that a training pose has, and shows, at least
+WEIGHT_DECAY = 1e-4
+WARM_UP = 0.05  # share of the training steps in which the learning rate rises
+LARGEST_GRADIENT = 1.0
+UNCERTAINTY_WEIGHT = 0.1  # of the Laplace likelihood in the loss of a lifter
+EVALUATION_SEED = 12345  # all networks are measured on the same examples
+EVALUATION_SEED_OF_ANGLES = 54321
+
+OWN_SPECIES_LEAST_POSES = 20  # 3D poses of a calibrated recording that can be learnt from
+OWN_SPECIES_LARGEST_ERROR = 3.0  # median reprojection errors: joints beyond it are left out
 
 
 @dataclass(frozen=True)
@@ -49,10 +66,12 @@ class PairsConfig:
     pairs: int = 3000  # of views, split 7:2:1
     noise: float = 0.03  # of the visible pose's RMS radius
     masked: tuple[float, float] = (0.1, 0.3)  # share of joints
-    layouts: float = (
-        0.5  # share of poses that lack further joints, as detectors' layouts do; not in the paper
-    )
+    # share of poses that lack further joints, as detectors' layouts do; not in the paper
+    layouts: float = 0.5
     seed: int = 0
+
+
+LAYOUT_DROPOUT = 0.6  # up to this share of joints is lacking where a pose lacks further joints
 
 
 @dataclass(frozen=True)
@@ -76,26 +95,71 @@ class SampleConfig:
 class PairwiseConfig:
     """Relative poses of pairs. Lengths in body sizes; image errors are measured at the body."""
 
+    # what is looked at
     frames: int = 150  # evenly spread; the search does not get better with more
     all_frames: int = 12_000  # of all pairs together: in large rigs they say the same many times
     least_frames: int = 20
-    candidates: int = 6000  # possible matches looked at; crowds get fewer frames
-    hypotheses: int = 400
-    modes: int = 8  # kept after the search
-    finalists: int = 3  # refined to the end
-    mode_separation_deg: float = 15.0
+    least_joints: int = 4  # of a detection, for its frame to be looked at
+    possible_matches: int = 6000  # in all frames; crowds get fewer frames
+    # the search
+    candidates_searched: int = 400  # rotations that are scored on all frames
+    hypotheses_kept: int = 8  # of the search
+    hypotheses_refined: int = 3  # to the end
+    hypothesis_separation_deg: float = 15.0  # between those that are kept
+    same_hypothesis_deg: float = 2.0  # nearer than this two have come to the same answer
+    search_dummy: float = 0.1  # affinity at which staying unmatched is as good, in the search,
+    search_match: float = 0.05  # and the least weight of a match there
+    # five-point RANSAC where identities are known
+    track_pairs: int = 9  # at most; of tracks in both views
+    five_point_draws: int = 3  # subsets of the matches of one individual,
+    five_point_matches: int = 40  # so many matches each
+    five_point_inlier: float = 0.05
+    # affinity
     pose_tolerance: float = 0.35  # RMS joint distance of two lifts of one body ...
     pose_doubt: float = 2.5  # ... or this many times what the network expects, where that is more
-    place_tolerance: float = 0.15  # of the distance: how well one view tells how far a body is
+    centre_tolerance: float = 0.15  # of the distance: how well one view tells how far a body is
     inlier: float = 0.08  # epipolar error of a good joint
-    least_noise: float = 0.01  # of a joint, at the body; no detector is better
-    lift_spread: float = 0.12  # RMS joint distance of two right lifts of one body
-    place_spread: float = 0.06  # of the distance: how well two views agree how far one body is
-    lift_independent: float = (
-        2.0  # lifted bodies err alike: any number of them knows no more than this many
-    )
-    points: int = 4000  # joints a refinement looks at
+    least_common_joints: int = 3  # of two detections that are compared
+    unlifted_affinity: float = 0.3  # how well a body agrees that was not lifted, beside others
+    dummy: float = 0.15  # affinity at which staying unmatched is as good,
+    least_match: float = 0.1  # and the least weight of a match
+    # refinement on rays
+    points: int = 4000  # joints it looks at
     rounds: int = 3  # of matching and refining
+    refine_steps: int = 12  # of Gauss-Newton,
+    refine_widest: float = 4.0  # the first under a loss of this times `inlier`,
+    refine_narrowing: float = 0.75  # and each next one under so much of it, down to `inlier`
+    refine_largest_step: float = 0.3  # radians
+    # rays and lifted bodies together
+    least_noise: float = 0.01  # of a joint, at the body; no detector is better
+    loss_noises: float = 3.0  # a ray of so many times the noise is an outlier, if above `inlier`
+    lift_spread: float = 0.12  # RMS joint distance of two right lifts of one body
+    centre_spread: float = 0.06  # of the distance: how well two views agree how far one body is
+    centre_outlier: float = 3.0  # standard deviations
+    lift_independent: float = 2.0  # lifts err alike: many know no more than so many
+    posterior_steps: int = 25  # of Levenberg-Marquardt, at most,
+    posterior_damping: float = 1e-3  # damped so much at first,
+    posterior_damping_factor: float = 5.0  # and so much less after a good step, more after a bad
+    posterior_settled: float = 1e-3  # of the log posterior: a thousandth of what is worth a word
+
+
+LEAST_LIFT_SPREAD = 0.05  # body sizes: no lifted joint is more certain
+SINKHORN_SWEEPS = 12  # of rows and columns
+SINKHORN_SHARPNESS = 8.0  # of the affinity in the exponent
+
+
+@dataclass(frozen=True)
+class FivePointConfig:
+    """The baseline that calibrates a pair of views without lifted bodies."""
+
+    candidates: int = 60  # sets of matches that RANSAC draws
+    inlier_px: float = 6.0
+    least_fit: float = 0.6  # share of the joints of a right match that are inliers
+    ransac_iterations: int = 300
+
+
+# ways to calibrate a pair of views; the first is the default
+PAIR_SOLVERS = ("search", "paper", "five-point")
 
 
 @dataclass(frozen=True)
@@ -116,34 +180,94 @@ class PaperConfig:
     success_px: float = 10.0
 
 
+PAPER_FAR_PX = 100.0  # a joint reprojected farther away, or behind a camera, counts as this
+PAPER_LEAST_JOINTS = 4  # seen joints of a body that is steered
+PAPER_LEAST_RAY_DEPTH = 0.05  # z of a unit ray that has an image point
+
+
 @dataclass(frozen=True)
 class AveragingConfig:
-    """From pairs to a rig."""
+    """From the pairs to groups of cameras, and to a rig.
 
-    least_score: float = (
-        0.12  # a pair below it is no evidence; a camera that only such pairs hold is left out
-    )
-    weak_score: float = 0.55  # simulated views of different times reach 0.53, of one time 0.8 and more; below it the user is warned
-    breaks: float = 0.25  # a pair left with less of its weight than this contradicts the others
-    rotation_scale_deg: float = 4.0  # a pair this far from the rig counts half
-    translation_scale: float = 0.15  # of its baseline
-    loop_doubt: float = 0.1  # a mode that all its triangles contradict keeps this share of its score squared, against one that they confirm
+    least_score: a pair below it is not used; a camera that has only such pairs is left out.
+    weak_score: below it the user is warned. Simulated views of different times reach 0.53, views
+        of one time 0.8 and more.
+    breaks: a pair left with less of its weight than this contradicts the others.
+    rotation_scale_deg, translation_scale: a pair this far from the rig counts half; the
+        translation as a share of the pair's baseline.
+    loop_doubt: a hypothesis that all its triangles contradict keeps this share of its score
+        squared, against one that they confirm.
+    closed_triangle: 0..1, a triangle closes from this on: to within both scales.
+    iterations: of reweighting, and of passing messages between the pairs of triangles.
+    """
+
+    least_score: float = 0.12
+    weak_score: float = 0.55
+    breaks: float = 0.25
+    rotation_scale_deg: float = 4.0
+    translation_scale: float = 0.15
+    loop_doubt: float = 0.1
+    closed_triangle: float = 0.5
     iterations: int = 30
 
 
 @dataclass(frozen=True)
 class MatchingConfig:
-    """Who is who."""
+    """Who is who: in a frame, through time, and in the end.
 
-    least_affinity: float = 0.25  # mean over all pairs of views of one individual
-    lone: float = 0.9  # of the frames show each view no more than one detection: a single subject, whom geometry alone follows
-    cells: int = 2_000_000  # pairs of detections looked at in one go: so many frames, or fewer where there is a crowd
-    reach: float = 0.5  # body sizes that a body may move between frames, or five times its usual step if that is more
-    memory: int = 50  # frames after which how far it may have gone does not grow any more
-    fleeting_frames: int = 10  # an individual of no more frames than this,
-    tracklet_step: float = 0.3  # of the extent of a pose in the image: how far it may move from a frame to the next and still be followed
-    tracklet_frames: int = 30  # that vote together who one is
-    fleeting_share: float = 0.05  # and of no larger share of them, that never three of three or more views agree on, is nobody
+    In a frame:
+    least_affinity: 0..1, the mean affinity down to which two groups of detections are joined.
+    single_subject: share of the frames which show each view no more than one detection; from it
+        on there is one subject, whom geometry alone follows.
+    cells: pairs of detections looked at in one go: so many frames, or fewer in a crowd.
+
+    Through time:
+    reach: body sizes that a body may move between frames; or `usual_steps` times its usual step,
+        if that is more.
+    memory: frames after which the distance that a body may have gone does not grow any more.
+
+    In the end:
+    fleeting_frames, fleeting_share: an individual that is seen in no more frames than this, and in
+        no larger share of them, is nobody, unless `sure_views` views of one frame agree on it.
+
+    Tracklets of one view:
+    tracklet_step: how far a pose may move from a frame to the next and still be followed, as a
+        share of its extent in the image.
+    tracklet_joints: joints that two detections need in common to be compared.
+    tracklet_frames: so many frames vote together on who a tracklet is.
+    """
+
+    least_affinity: float = 0.25
+    single_subject: float = 0.9
+    cells: int = 2_000_000
+    reach: float = 0.5
+    usual_steps: float = 5.0
+    memory: int = 50
+    fleeting_frames: int = 10
+    fleeting_share: float = 0.05
+    sure_views: int = 3
+    tracklet_step: float = 0.3
+    tracklet_joints: int = 3
+    tracklet_frames: int = 30
+
+
+# the scale of a rig follows from so many frames of each pair of views, and from the matches there
+# that fit the epipolar geometry so well (0..1)
+SCALE_FRAMES = 40
+SCALE_LEAST_FIT = 0.7
+
+# a recording of which this share of frames shows one detection a view may be of one subject
+SINGLE_SUBJECT_SHARE = 0.5
+
+# factorization: views and points that it needs
+FACTORIZATION_VIEWS = 3
+FACTORIZATION_POINTS = 24
+# rounds of leaving out the points whose residual is so many times the median, and that in pixels
+FACTORIZATION_ROUNDS = 5
+FACTORIZATION_OUTLIER = 2.5
+FACTORIZATION_LEAST_PX = 1.0
+# alternations between the points and the scale of each view
+FACTORIZATION_SWEEPS = 50
 
 
 @dataclass(frozen=True)
@@ -151,15 +275,30 @@ class AdjustConfig:
     """Bundle adjustment. Loss scales are in standard deviations of each view's own error."""
 
     points: int = 20_000
-    loss_scales: tuple[float, ...] = (6.0, 3.0, 1.5)
-    trust: float = 0.0  # power of the confidence that a detection is weighed by; detectors' own is no measure of their precision
-    doubtful: float = (
-        0.3  # share of each view's detections, the least confident, that the rig is not built on,
-    )
-    enough: int = 500  # as long as so many are left
-    least: int = 12  # keypoints that can hold a camera: twice what would do without any noise
+    # Rays this many times farther off than an outlier of triangulation may still hold a point: the
+    # rig is not yet right, and the robust loss deals with outliers.
+    outlier_tolerance: float = 4.0
+    loss_scales: tuple[float, ...] = (6.0, 3.0, 1.5)  # one after the other, to tighten the loss
+    # Share of the cost: a step that lowers it by less is the last one at the last loss scale ...
+    tolerance: float = 1e-5
+    rough_tolerance: float = 1e-3  # ... and at those before, which need not be minimised to the end
+    # Detections are weighed by this power of their confidence: detectors' own confidence is no
+    # measure of their precision.
+    confidence_power: float = 0.0
+    # This share of each view's detections, the least confident, is left out of the adjustment ...
+    doubtful_share: float = 0.3
+    enough_detections: int = 500  # ... as long as so many are left.
+    least_keypoints: int = 12  # that hold a camera: twice what would do without any noise
     rounds: int = 6  # of adjusting and matching; it stops when no label changes
     still_deg: float = 0.05  # and no camera turns by more than this
+
+
+# Levenberg and Marquardt's iteration: steps at most, and the damping of the first step
+LM_STEPS = 50
+LM_FIRST_DAMPING = 1e-4
+LM_DAMPING_FACTOR = 10.0  # more damping after a step that raised the cost, less after another
+LM_LEAST_DAMPING = 1e-10
+LM_MOST_DAMPING = 1e8  # beyond it no step lowers the cost
 
 
 @dataclass(frozen=True)
@@ -168,6 +307,29 @@ class TriangulateConfig:
 
     outlier: float = 4.0
     least_angle_deg: float = 2.0  # between the rays of a point
+    noise_frames: int = 200  # that tell how large each view's error is
+    unknown_noise: float = 0.01  # radians: error of a keypoint before anything is known of it
+    least_noise_px: float = 0.25
+
+
+@dataclass(frozen=True)
+class UncertaintyConfig:
+    """Whether a recording determines its rig, and whether all cameras agree on it."""
+
+    splits: int = 4  # of the joints into halves: those of one split may agree by chance
+    # Between rigs of halves of the joints, which differ by about twice the error of the whole rig:
+    # the rig is good to about 2 deg, to 5 deg, or not determined.
+    well_determined_deg: float = 4.0
+    weak_deg: float = 10.0
+    # An outlier camera has so many times the errors of the others. Measured: 1 to 2.6 where the
+    # cameras agree, 3.8 between telescopes, 5 to 18 where one is out of step.
+    outlier_factor: float = 4.0
+    misfit_limit: float = 4.0  # usual errors: no error counts for more in the misfit of a rig
+    same_misfit: float = 1.05  # ratio of the misfits of two rigs that fit equally well
+    same_rig_deg: float = 10.0  # two rigs whose cameras turn by no more than this are one answer
+
+
+REPORT_FRAMES = 2000  # whose reprojection errors run.json tells
 
 
 @dataclass(frozen=True)
@@ -180,6 +342,7 @@ class Config:
     matching: MatchingConfig = MatchingConfig()
     adjust: AdjustConfig = AdjustConfig()
     triangulate: TriangulateConfig = TriangulateConfig()
+    uncertainty: UncertaintyConfig = UncertaintyConfig()
 
 
 @dataclass(frozen=True)
@@ -187,6 +350,7 @@ class ReadConfig:
     """What the numbers in keypoint files are taken for."""
 
     largest_share: float = 1.5  # positions no larger than this are shares of the image, not pixels
+    least_share: float = -0.25  # a share below this is on another scale, such as -1 to 1
 
 
 # Files and cameras that make a recording (recording/synchronise.py)
@@ -246,3 +410,14 @@ class SimulateConfig:
     false_detections: float = 0.05  # share of frames, in each view
     shuffle: bool = True
     seed: int = 0
+
+
+CAMERA_HEIGHT = 2.2  # metres: above people's heads, as cameras hang in rooms
+CAMERA_AIM = (0.0, 0.0, 0.9)  # metres: the middle of the people in the room
+ROOM_SIDE = 0.9  # side of the square that people walk in, in radii of the ring
+PEOPLE_APART = 0.8  # metres that people keep between them
+LEAST_DETECTED_JOINTS = 4  # that make a detection
+FALSE_COPIES = 0.5  # share of the false detections that are a distorted copy of a real one
+FALSE_CONFIDENCE = 0.7  # of the confidence of a real detection
+WALK_CANDIDATES = 60  # walks tried for each person, until one keeps away from the others
+MOTION_RATE = 60.0  # inner frames a second: steps must not depend on how often somebody looks

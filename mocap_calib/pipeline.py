@@ -14,14 +14,10 @@ import numpy as np
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
-from mocap_calib.multi_view.association import (
-    associate,
-    body_scale,
-    finalise_identities,
-    label_all_frames,
-)
+from mocap_calib.multi_view.association import associate, body_scale, label_all_frames
 from mocap_calib.multi_view.averaging import average
 from mocap_calib.multi_view.refinement import adjust_from_best_start
+from mocap_calib.multi_view.tracking import finalise_identities
 from mocap_calib.multi_view.triangulation import triangulate
 from mocap_calib.multi_view.uncertainty import assess_uncertainty
 from mocap_calib.multi_view.view_graph import camera_groups, pairs_among, select_hypotheses
@@ -79,7 +75,7 @@ class Observed:
     pairs: tuple[PairwiseCalibration, ...]
 
     def select(self, views: Ints) -> "Observed":
-        """Return what is known of these views (indices) alone."""
+        """Return what is known of these views (`[view]` indices) alone."""
         return Observed(
             recording=self.recording.select(views=views),
             sample_frames=self.sample_frames,

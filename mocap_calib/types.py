@@ -25,7 +25,7 @@ R = TypeVar("R")
 
 
 def check_shape(owner: str, array: NDArray[np.generic], *shape: int | None) -> None:
-    """Hold an array to its documented shape; None stands for any length.
+    """Hold an array to its documented shape `[*shape]`; None stands for any length.
 
     Raises ValueError, which names the owner and both shapes.
     """
@@ -138,7 +138,7 @@ class CameraRig:
         return rotation, self.translation[b] - rotation @ self.translation[a]
 
     def select(self, views: Ints) -> "CameraRig":
-        """Return the rig of these views (indices) alone, in this order."""
+        """Return the rig of these views (`[view]` indices) alone, in this order."""
         return CameraRig(
             cameras=tuple(self.cameras[view] for view in views),
             rotation=self.rotation[views],
@@ -227,8 +227,8 @@ class Recording:
     ) -> Self:
         """Return the recording with these views and these frames alone, in this order.
 
-        views: indices. frames: indices (not numbers), a slice, or a mask of the frames. What is
-        not given stays whole and is not copied.
+        views: `[view]` indices. frames: `[frame]` indices (not numbers) or mask, or a slice. What
+        is not given stays whole and is not copied.
         """
         found = self
         if frames is not None:
@@ -293,7 +293,7 @@ class LiftedPoses:
         check_shape("lifted: spread", self.spread, views, frames, instances, joints)
 
     def select(self, views: Ints) -> "LiftedPoses":
-        """Return the lifted poses of these views (indices) alone, in this order."""
+        """Return the lifted poses of these views (`[view]` indices) alone, in this order."""
         return LiftedPoses(self.body[views], self.centre[views], self.spread[views])
 
 

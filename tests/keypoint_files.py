@@ -1,4 +1,4 @@
-"""Writes the keypoint files that other programs write, for the tests: COCO and DeepLabCut in its three layouts."""
+"""Write the keypoint files of other programs: COCO, and DeepLabCut in its three layouts."""
 
 import json
 import pickle
@@ -8,7 +8,10 @@ import numpy as np
 
 
 def coco(frames, names, positions, confidence, size=(640, 480), **changes):
-    """COCO annotations of `[frame, instance, keypoint, 2]` positions; an instance without any point has an empty list."""
+    """Return COCO annotations of `[frame, instance, keypoint, 2]` positions.
+
+    An instance without any point has an empty list.
+    """
     images = [
         {"id": k, "file_name": f"clip/img_{frame:06d}.png", "width": size[0], "height": size[1]}
         for k, frame in enumerate(frames)
@@ -45,7 +48,7 @@ def dlc_columns(names, individuals=("",), likelihood=True):
 
 
 def dlc_values(positions, confidence, likelihood=True):
-    """`[frame, column]` in the order of `dlc_columns`."""
+    """Return `[frame, column]` values in the order of `dlc_columns`."""
     triples = np.concatenate([positions, confidence[..., None]], -1)[..., : 2 + likelihood]
     return triples.reshape(len(positions), -1)
 
@@ -59,7 +62,10 @@ def dlc_levels(columns):
 
 
 def dlc_csv(rows, columns, values, index_columns=1):
-    """Text of a .csv; `rows` are frame numbers or paths, of which `index_columns` is the number of cells."""
+    """Return the text of a .csv.
+
+    rows: frame numbers or paths, which fill `index_columns` cells.
+    """
     header = zip(dlc_levels(columns), zip(*columns, strict=True), strict=True)
     lines = [",".join([level, *[""] * (index_columns - 1), *labels]) for level, labels in header]
     for row, cells in zip(rows, values, strict=True):
@@ -74,7 +80,10 @@ def _index(rows):
 
 
 def dlc_h5_table(path, rows, columns, values, key="df_with_missing", labels=None):
-    """The layout of `to_hdf(format="table")`: labels as pickles in attributes. `labels` replaces the columns' pickle."""
+    """Write the layout of `to_hdf(format="table")`, which has labels as pickles in attributes.
+
+    labels: takes the place of the columns' pickle.
+    """
     index = _index(rows)
     with h5py.File(path, "a") as file:
         group = file.create_group(key)
@@ -93,7 +102,7 @@ def dlc_h5_table(path, rows, columns, values, key="df_with_missing", labels=None
 
 
 def dlc_h5_fixed(path, rows, columns, values, key="predictions"):
-    """The layout of `to_hdf(format="fixed")`: labels as levels and codes."""
+    """Write the layout of `to_hdf(format="fixed")`, which has labels as levels and codes."""
     with h5py.File(path, "a") as file:
         group = file.create_group(key)
         group.attrs["pandas_type"] = np.bytes_(b"frame")

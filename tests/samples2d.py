@@ -1,4 +1,7 @@
-"""The files that other programs write, of one made recording, in every format that is read: after their writers' code, not ours."""
+"""Write one made recording in every format that is read, as the other programs do.
+
+After the code of their writers, not ours.
+"""
 
 import json
 from pathlib import Path
@@ -16,7 +19,10 @@ SIZE = (640, 480)
 
 
 def recording(individuals=1, missing=0.3, seed=0, scores=True):
-    """`[frame, individual, keypoint, 2]` positions and `[frame, individual, keypoint]` confidences; everybody has a point in every frame."""
+    """Return positions and scores of individuals who all have a point in every frame.
+
+    Positions are `[frame, individual, keypoint, 2]`, scores `[frame, individual, keypoint]`.
+    """
     rng = np.random.default_rng(seed)
     positions = rng.uniform(2, 470, (len(FRAMES), individuals, len(NAMES), 2)).round(3)
     confidence = (
@@ -282,7 +288,8 @@ def _csv(folder, p, c):
     for frame, i, j in np.ndindex(c.shape):
         if np.isfinite(p[frame, i, j, 0]):
             lines.append(
-                f"cam,{FRAMES[frame]},mouse {i},{NAMES[j]},{p[frame, i, j, 0]},{p[frame, i, j, 1]},{c[frame, i, j]}"
+                f"cam,{FRAMES[frame]},mouse {i},{NAMES[j]},"
+                f"{p[frame, i, j, 0]},{p[frame, i, j, 1]},{c[frame, i, j]}"
             )
     (folder / "all.csv").write_text("\r\n".join(lines) + "\r\n")
 

@@ -1,4 +1,4 @@
-"""Animals: vocabularies, procedural bodies, training on what is known, and the model that a recording's names choose."""
+"""Animals: vocabularies, procedural bodies, training on joints that are known, shipped models."""
 
 from dataclasses import replace
 
@@ -19,16 +19,13 @@ from mocap_calib.recording.joints import (
 from mocap_calib.steerpose.checkpoint import load_lifter, models
 from mocap_calib.steerpose.model import Lifter, ModelConfig
 from mocap_calib.steerpose.training.dataset import Synthesiser
+from mocap_calib.steerpose.training.evaluation import held_out_error
+from mocap_calib.steerpose.training.losses import lifting_loss
 from mocap_calib.steerpose.training.poses import PoseSet, load_poses, mix, procedural_poses
-from mocap_calib.steerpose.training.train import (
-    held_out_error,
-    lifting_loss,
-    train_lifter,
-    training_config,
-)
+from mocap_calib.steerpose.training.train import train_lifter, training_config
+from mocap_calib.synthetic.body_plan import parse_body
 from mocap_calib.synthetic.procedural import (
     assemble,
-    parse_body,
     sample_bodies,
     sample_bones,
     sample_turns,
@@ -390,11 +387,8 @@ def partial(skeleton, lacking: list[str]) -> PoseSet:
 
 def test_joints_that_the_data_lack_are_never_seen_and_no_target():
     skeleton = load_skeleton("rodent")
-    lacking = [
-        "tail_0",
-        "spine_middle",
-        "left_elbow",
-    ]  # a leaf's ancestor, the root, and the middle of a limb
+    # a leaf's ancestor, the root, and the middle of a limb
+    lacking = ["tail_0", "spine_middle", "left_elbow"]
     batch = Synthesiser(partial(skeleton, lacking), skeleton, SMALL, seed=0).batch(64)
     column = [skeleton.keypoints.index(name) for name in lacking]
     known = np.setdiff1d(np.arange(len(skeleton.keypoints)), column)
@@ -418,9 +412,8 @@ def test_sets_of_other_joints_axes_and_units_train_together(tmp_path):
     whole = procedural_poses(skeleton, load_section("rodent", "body"), 60, seed=0).poses
     few = ["nose", "neck", "spine_front", "tail_base", "left_knee", "right_knee"]
     columns = [skeleton.keypoints.index(name) for name in few]
-    lying = (
-        1000 * whole[:, columns][..., [1, 2, 0]] * [-1, -1, 1]
-    )  # -y up, millimetres: x = -y, y = -z, z = x
+    # -y up, millimetres: x = -y, y = -z, z = x
+    lying = 1000 * whole[:, columns][..., [1, 2, 0]] * [-1, -1, 1]
     (tmp_path / "set").mkdir()
     np.savez(tmp_path / "set" / "poses3d.npz", poses3d=lying)
     (tmp_path / "set" / "joints.json").write_text(f'{{"names": {few}}}'.replace("'", '"'))

@@ -1,4 +1,4 @@
-"""What goes wrong with keypoint files in the field, one case after the other: mended and said, or refused in one line."""
+"""What goes wrong with keypoint files in the field: mended and said, or refused in one line."""
 
 import json
 import os
@@ -151,7 +151,7 @@ def test_6_scores_beyond_1_are_kept_scaled_and_warned_of(tmp_path):
 
 
 def test_7_nobody_is_taken_silently(tmp_path):
-    """All people are kept, as detections in any order; which of them is whom is the program's work."""
+    """All people are kept, as detections in any order; who is who is the program's work."""
     positions, confidence = recording(2, missing=0)
     (tmp_path / "cam_json").mkdir()
     for k in FRAMES:
@@ -403,7 +403,8 @@ def test_12_views_in_one_file_are_split_by_the_ends_of_names(tmp_path):
 
 def _write_intrinsics(path, cameras, size=SIZE):
     lines = [
-        f'[cam_{k}]\nname = "{name}"\nsize = {list(size)}\nmatrix = [[500.0,0,320],[0,500,240],[0,0,1]]\ndistortions = [0,0,0,0,0]\n'
+        f'[cam_{k}]\nname = "{name}"\nsize = {list(size)}\n'
+        "matrix = [[500.0,0,320],[0,500,240],[0,0,1]]\ndistortions = [0,0,0,0,0]\n"
         for k, name in enumerate(cameras)
     ]
     path.write_text("\n".join(lines))
@@ -532,7 +533,10 @@ def test_16_double_lines_and_double_frames_name_both(tmp_path):
 def test_another_column_taken_for_cameras_or_keypoints_is_refused_at_once(
     tmp_path, row, count, what
 ):
-    """Image names among the cameras: two thousand took inspect minutes, sixty thousand keypoints a minute. Measured: 0.4 s."""
+    """Image names among the cameras are refused quickly. Measured: 0.4 s.
+
+    Two thousand of them took `inspect` minutes, and sixty thousand keypoints a minute.
+    """
     lines = ["camera,frame,individual,keypoint,x,y", *map(row.format, range(count))]
     (tmp_path / "a.csv").write_text("\n".join(lines))
     begun = time.perf_counter()
@@ -542,7 +546,10 @@ def test_another_column_taken_for_cameras_or_keypoints_is_refused_at_once(
 
 
 def test_an_h5_that_unpacks_to_a_giant_is_refused_before_it_is_read(tmp_path):
-    """160 MB are claimed, and a quarter of it is there, in 40 kB; deflate packs a thousandfold. 800 MB took 1.6 GB of memory."""
+    """160 MB are claimed, and a quarter of it is there, in 40 kB: deflate packs a thousandfold.
+
+    800 MB took 1.6 GB of memory.
+    """
     with h5py.File(tmp_path / "a.h5", "w") as file:
         tracks = file.create_dataset(
             "tracks", (1, 2, 10, 1_000_000), "f8", chunks=(1, 2, 10, 50_000), compression="gzip"
@@ -571,7 +578,10 @@ class Trap:
     "attribute", ["info", "values_block_0_kind", "non_index_axes", "index_kind", "of no use"]
 )
 def test_17_a_doctored_h5_runs_nothing(tmp_path, attribute):
-    """pandas.read_hdf runs what stands in `info` and others. Here no attribute is unpickled into anything but plain values."""
+    """No attribute is unpickled into anything but plain values.
+
+    pandas.read_hdf runs what stands in `info` and others.
+    """
     positions, confidence = recording()
     dlc_h5_table(
         tmp_path / "a.h5", list(FRAMES), dlc_columns(NAMES), dlc_values(positions, confidence)

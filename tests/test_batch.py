@@ -14,14 +14,13 @@ import pytest
 from conftest import TOOL
 from scenes import lifted, recording, scene
 
-from mocap_calib import config
-from mocap_calib.config import PairwiseConfig
+from mocap_calib.config import Config, PairwiseConfig
 from mocap_calib.io.results.pair_store import remember_pairs
 from mocap_calib.io.results.pairs_json import pairs_to_json
 from mocap_calib.io.results.scene import write_scene
+from mocap_calib.job import CalibrationRequest, KeypointSource, find_finished, request
 from mocap_calib.two_view.solve import calibrate_pairs
 from mocap_calib.types import silent
-from mocap_calib_cli import jobs
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -47,7 +46,7 @@ def wait_for(path: Path, pattern: str, count: int, process: subprocess.Popen) ->
 
 @pytest.fixture(scope="module")
 def sessions(tmp_path_factory, small) -> Path:
-    """Three recordings: two in folders of their own, one a bare folder of keypoints whose intrinsics lie elsewhere."""
+    """Three recordings: two with intrinsics of their own, one a bare folder of keypoints."""
     folder = tmp_path_factory.mktemp("sessions")
     for seed, name in enumerate(("jump", "walk")):
         write_scene(
@@ -115,9 +114,9 @@ def test_a_recording_that_fails_does_not_stop_the_others(sessions, once, tool, t
     lines = said.stderr.splitlines()
     assert len(lines) == 2
     assert lines[0].startswith("mocap-calib: jump: jump/keypoints/cam2.json: expected")
-    assert (
-        lines[1]
-        == "mocap-calib: nobody: nobody: expected the folder of a recording, found none; check the path"
+    assert lines[1] == (
+        "mocap-calib: nobody: nobody: expected the folder of a recording, found none; "
+        "check the path"
     )
 
 
@@ -133,81 +132,84 @@ def test_recordings_of_one_name_are_refused(arguments, tool, tmp_path):
 
 
 @pytest.fixture
-def order(done, small, tmp_path) -> jobs.Order:
+def asked(done, small, tmp_path) -> CalibrationRequest:
     """What the run `done` was asked for, with copies of its files and results to spoil."""
     shutil.copytree(done[0], tmp_path / "out")
-    return jobs.Order(
-        (str(small / "keypoints"),),
-        str(small / "intrinsics.toml"),
-        None,
-        None,
-        "search",
-        0,
-        "cpu",
-        tmp_path / "out",
+    return CalibrationRequest(
+        keypoints=KeypointSource((str(small / "keypoints"),)),
+        cameras=small / "intrinsics.toml",
+        output=tmp_path / "out",
     )
 
 
 def damage(name: str):
-    def change(order: jobs.Order, _) -> jobs.Order:
-        path = order.output / name
+    def change(asked: CalibrationRequest, _) -> CalibrationRequest:
+        path = asked.output / name
         content = bytearray(path.read_bytes())
         content[len(content) // 2] ^= 1
         path.write_bytes(content)
-        return order
+        return asked
 
     return change
 
 
 def remove(name: str):
-    def change(order: jobs.Order, _) -> jobs.Order:
-        (order.output / name).unlink()
-        return order
+    def change(asked: CalibrationRequest, _) -> CalibrationRequest:
+        (asked.output / name).unlink()
+        return asked
 
     return change
 
 
-def other_input(order: jobs.Order, _) -> jobs.Order:
+def other_input(asked: CalibrationRequest, _) -> CalibrationRequest:
     """Files of the same names that hold the same but for a line's end."""
-    report = order.output / "run.json"
-    folder = order.output.parent / "in"
-    shutil.copytree(Path(order.keypoints[0]).parent, folder)
+    report = asked.output / "run.json"
+    folder = asked.output.parent / "in"
+    shutil.copytree(Path(asked.keypoints.paths[0]).parent, folder)
     moved = replace(
-        order, keypoints=(str(folder / "keypoints"),), cameras=str(folder / "intrinsics.toml")
+        asked,
+        keypoints=KeypointSource((str(folder / "keypoints"),)),
+        cameras=folder / "intrinsics.toml",
     )
     found = json.loads(report.read_text())
-    report.write_text(
-        json.dumps(found | {"fingerprint": moved.fingerprint(moved.hashes(), "people")})
-    )
-    assert jobs.finished(moved)
+    fingerprint = moved.fingerprint(moved.hash_inputs(), "people")
+    report.write_text(json.dumps(found | {"fingerprint": fingerprint}))
+    assert find_finished(moved)
     with (folder / "keypoints" / "cam1.json").open("a") as file:
         file.write("\n")
     return moved
 
 
-def other_config(order: jobs.Order, monkeypatch) -> jobs.Order:
-    monkeypatch.setattr(
-        jobs, "Config", lambda: config.Config(pairwise=PairwiseConfig(hypotheses=401))
-    )
-    return order
+def other_config(asked: CalibrationRequest, _) -> CalibrationRequest:
+    return replace(asked, config=Config(pairwise=PairwiseConfig(candidates_searched=401)))
 
 
-def other_weights(order: jobs.Order, monkeypatch) -> jobs.Order:
-    monkeypatch.setattr(jobs, "digest", lambda _: "0" * 64)
-    return order
+def other_weights(asked: CalibrationRequest, monkeypatch) -> CalibrationRequest:
+    monkeypatch.setattr(request, "identify_model", lambda _: "0" * 64)
+    return asked
 
 
-def other_version(order: jobs.Order, monkeypatch) -> jobs.Order:
-    monkeypatch.setattr(jobs, "__version__", "0.1.1")
-    return order
+def other_version(asked: CalibrationRequest, monkeypatch) -> CalibrationRequest:
+    monkeypatch.setattr(request, "__version__", "0.1.1")
+    return asked
+
+
+def other_model(asked: CalibrationRequest, _) -> CalibrationRequest:
+    return replace(asked, keypoints=replace(asked.keypoints, model="none"))
+
+
+def other_layout(asked: CalibrationRequest, _) -> CalibrationRequest:
+    options = replace(asked.keypoints.options, layout=("nose", "neck"))
+    return replace(asked, keypoints=replace(asked.keypoints, options=options))
 
 
 CHANGES = [
     *(damage(name) for name in ("cameras.yaml", "poses3d.h5", "poses3d_1.csv")),
     *(remove(name) for name in ("matches.csv", "run.json")),
-    lambda order, _: replace(order, seed=1),
-    lambda order, _: replace(order, model="none"),
-    lambda order, _: replace(order, solver="paper"),
+    lambda asked, _: replace(asked, seed=1),
+    lambda asked, _: replace(asked, pair_solver="paper"),
+    other_model,
+    other_layout,
     other_input,
     other_config,
     other_weights,
@@ -216,9 +218,10 @@ CHANGES = [
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_finished_is_told_by_content(change, order, monkeypatch):
-    assert jobs.finished(order)["fingerprint"] == order.fingerprint(order.hashes(), "people")
-    assert jobs.finished(change(order, monkeypatch)) is None
+def test_finished_is_told_by_content(change, asked, monkeypatch):
+    fingerprint = asked.fingerprint(asked.hash_inputs(), "people")
+    assert find_finished(asked)["fingerprint"] == fingerprint
+    assert find_finished(change(asked, monkeypatch)) is None
 
 
 # killed
@@ -232,7 +235,10 @@ def test_finished_is_told_by_content(change, order, monkeypatch):
     "moment", ["small/.unfinished/*.json", "jump/run.json"], ids=["between", "writing"]
 )
 def test_a_batch_goes_on_where_it_was_killed(way, moment, sessions, once, tool, tmp_path):
-    """Killed amid the second recording, or while the first one's results appear: the second call leaves the same bytes."""
+    """Killed amid the second recording, or while the first one's results appear.
+
+    The second call leaves the same bytes as a batch that nothing disturbed.
+    """
     out = tmp_path / "out"
     names = ("jump", "small", "walk")
     process = subprocess.Popen(

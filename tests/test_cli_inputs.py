@@ -1,4 +1,4 @@
-"""What was typed and what is said of it: twins of DeepLabCut, detections that no second camera has."""
+"""What was typed, and what is said of it: DeepLabCut's two files, lone detections."""
 
 from dataclasses import replace
 
@@ -7,11 +7,14 @@ import pytest
 from keypoint_files import dlc_columns, dlc_csv, dlc_h5_fixed, dlc_values
 
 from mocap_calib.errors import FormatError, MismatchError
+from mocap_calib.io.cameras.source import CameraFile
+from mocap_calib.io.hashing import hash_inputs
 from mocap_calib.io.keypoints.document import ReadOptions
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.io.keypoints.write import write_keypoints
 from mocap_calib.types import Camera
-from mocap_calib_cli.inputs import hashes, read_recording
+from mocap_calib_cli.inputs import read_recording
+from mocap_calib_cli.options import SharedOptions
 from mocap_calib_cli.progress import Reporter
 
 NAMES = ("nose", "left_eye", "right_eye", "left_ear")
@@ -30,22 +33,19 @@ def twins(tmp_path):
 
 
 def read(folder, *arguments):
-    camera = Camera(
-        "a", (640, 480), np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]), np.zeros(5), False
-    )
-    return read_recording(
-        [str(a) for a in arguments] or [str(folder)],
-        (camera, replace(camera, name="b")),
-        None,
-        Reporter(quiet=False),
-    )
+    """Read the keypoints of two cameras, and say what is to be said of them."""
+    matrix = np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])
+    camera = Camera("a", (640, 480), matrix, distortion=np.zeros(5), fisheye=False)
+    cameras = CameraFile((camera, replace(camera, name="b")), extrinsics={})
+    options = SharedOptions(keypoints=tuple(map(str, arguments)) or (str(folder),))
+    return read_recording(options, cameras, Reporter(quiet=False)).recording
 
 
 def test_an_h5_is_preferred_to_the_csv_beside_it_and_that_is_said(twins, capsys):
     assert [(view.camera, view.source) for view in read_keypoints([twins])] == [
         (name, str(twins / f"{name}.h5")) for name in "ab"
     ]
-    assert read(twins)[0].names == ("a", "b")
+    assert read(twins).names == ("a", "b")
     said = capsys.readouterr()
     assert said.out == ""
     assert f"left out, the .h5 beside it is read: {twins / 'a.csv'}, {twins / 'b.csv'}" in said.err
@@ -94,10 +94,10 @@ def test_a_folder_of_frames_has_one_hash_for_its_files_and_names(tmp_path):
     for camera in ("a_json", "b_json"):
         (tmp_path / camera).mkdir()
         (tmp_path / camera / "0.json").write_text("{}")
-    before = hashes([tmp_path])
+    before = hash_inputs([tmp_path])
     assert sorted(before) == [str(tmp_path / "a_json"), str(tmp_path / "b_json")]
     (tmp_path / "a_json" / "0.json").rename(tmp_path / "a_json" / "1.json")
-    after = hashes([tmp_path])
+    after = hash_inputs([tmp_path])
     assert before[str(tmp_path / "a_json")] != after[str(tmp_path / "a_json")]
     assert before[str(tmp_path / "b_json")] == after[str(tmp_path / "b_json")]
 

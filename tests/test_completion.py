@@ -9,7 +9,7 @@ from scenes import PEOPLE, lifted, recording, scene
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.steerpose.checkpoint import load_lifter
-from mocap_calib.steerpose.completion import complete, completed
+from mocap_calib.steerpose.completion import complete, complete_sample
 from mocap_calib.steerpose.lift import lift
 from mocap_calib.types import silent
 
@@ -26,7 +26,10 @@ def test_what_is_seen_stays_and_the_rest_is_filled():
 
 
 def test_hidden_limbs_are_found_to_a_third_of_a_body():
-    """The left arm and the right leg of a simulated walker are hidden. Measured: 0.31 of the visible pose's RMS radius; margin 0.1."""
+    """The left arm and the right leg of a simulated walker are hidden.
+
+    Measured: 0.31 of the visible pose's RMS radius; margin 0.1.
+    """
     whole = recording(**PLAIN)
     hidden = np.isin(whole.keypoints, ["left_elbow", "left_wrist", "right_knee", "right_ankle"])
     part = replace(
@@ -35,7 +38,7 @@ def test_hidden_limbs_are_found_to_a_third_of_a_body():
         confidence=np.where(hidden, 0, whole.confidence),
         rays=np.where(hidden[:, None], np.nan, whole.rays),
     )
-    positions, confidence = completed(part, lift(part, load_lifter()[0], progress=silent))
+    positions, confidence = complete_sample(part, lift(part, load_lifter()[0], progress=silent))
     columns = whole.vocabulary[hidden]
     gap = np.linalg.norm(positions[..., columns, :] - whole.positions[..., hidden, :], axis=-1)
     radius = np.sqrt(
@@ -51,19 +54,22 @@ def test_hidden_limbs_are_found_to_a_third_of_a_body():
 
 
 def test_joints_of_another_skeleton_are_near_the_true_ones():
-    """COCO has no foot; the big toes of the model are put where those of the walker are. Measured below a tenth of the height."""
-    made, some = scene(**PLAIN), recording(**PLAIN)
-    positions, _ = completed(some, lifted(**PLAIN))
+    """COCO has no foot; the big toes of the model are put where those of the walker are.
+
+    Measured: below a tenth of the height.
+    """
+    made, sample = scene(**PLAIN), recording(**PLAIN)
+    positions, _ = complete_sample(sample, lifted(**PLAIN))
     toes = [name for name in PEOPLE.keypoints if name in made.joints and name.endswith("big_toe")]
     assert len(toes) == 2
-    frames = some.frames - some.frames[0]
-    for view, camera in enumerate(some.cameras):
+    frames = sample.frames - sample.frames[0]
+    for view, camera in enumerate(sample.cameras):
         k = made.rig.names.index(camera.name)
         bodies = made.poses[frames, 0][:, [made.joints.index(name) for name in toes]]
         true = pixels_from_points(camera, bodies @ made.rig.rotation[k].T + made.rig.translation[k])
         found = positions[view, :, 0][:, [PEOPLE.keypoints.index(name) for name in toes]]
-        extent = np.nanmax(some.positions[view, :, 0, :, 1], 1) - np.nanmin(
-            some.positions[view, :, 0, :, 1], 1
+        extent = np.nanmax(sample.positions[view, :, 0, :, 1], 1) - np.nanmin(
+            sample.positions[view, :, 0, :, 1], 1
         )
         assert np.nanmedian(np.linalg.norm(found - true, axis=-1) / extent[:, None]) < 0.1
 

@@ -1,4 +1,7 @@
-"""Work sent to a real Dask scheduler and its workers, each a process of its own; one is killed while it holds work."""
+"""Work sent to a real Dask scheduler and its workers, each a process of its own.
+
+One of the workers is killed while it holds work.
+"""
 
 import json
 import signal
@@ -21,7 +24,8 @@ from mocap_calib.io.results.scene import write_scene
 
 DASK = Path(sys.executable).with_name("dask")
 
-# waits for a worker that holds work, stops it so that it can finish nothing, and kills it when all its messages have arrived
+# waits for a worker that holds work, stops it so that it can finish nothing, and kills it when
+# all its messages have arrived
 KILLER = """
 import os, signal, sys, time
 from distributed import Client
@@ -32,7 +36,8 @@ with Client(scheduler_file=sys.argv[1]) as client:
 
     client.wait_for_workers(2)
     print("ready", flush=True)
-    address = next(a for a, worker in client.scheduler_info()["workers"].items() if worker["name"] == "victim")
+    workers = client.scheduler_info()["workers"]
+    address = next(a for a, worker in workers.items() if worker["name"] == "victim")
     while not held():
         time.sleep(0.005)
     os.kill(int(sys.argv[2]), signal.SIGSTOP)
@@ -74,7 +79,7 @@ class Machines:
 
     @contextmanager
     def killing(self) -> Iterator[None]:
-        """Kills a worker amid the block, and sees to it that it held work and was gone before the block's end."""
+        """Kill a worker amid the block; hold that it had work and was gone before the end."""
         killer = subprocess.Popen(
             [sys.executable, "-c", KILLER, self.file, str(self.victim.pid)],
             stdout=subprocess.PIPE,
@@ -209,7 +214,8 @@ def test_a_scheduler_that_goes_is_one_line(machines, tmp_path):
     _, said = process.communicate(timeout=60)
     assert process.returncode == 1
     assert said.splitlines() == [
-        "mocap-calib: expected a scheduler that answers to the end, found it gone; start it again, and then this command: what is finished is kept"
+        "mocap-calib: expected a scheduler that answers to the end, found it gone; "
+        "start it again, and then this command: what is finished is kept"
     ]
     assert list((tmp_path / "out" / ".unfinished").glob("*"))
 
@@ -259,7 +265,8 @@ if __name__ == "__main__":
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     ).stdout.splitlines()
     assert said == [
-        "[(1, 'expected workers that survive the work, found 4 killed by the same piece; give them more memory')]",
+        "[(1, 'expected workers that survive the work, found 4 killed by the same piece; "
+        "give them more memory')]",
         "[(-3, 3), (-2, 2)]",
     ]
 

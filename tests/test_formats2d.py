@@ -1,4 +1,4 @@
-"""The table of keypoint formats: what is written reads equal, one recording reads equal in all of them."""
+"""All keypoint formats: what is written reads equal, one recording reads equal in all of them."""
 
 from dataclasses import replace
 

@@ -1,7 +1,11 @@
-"""What is particular to one keypoint format: orders of axes, many videos in a file, old versions, several writers of one format."""
+"""What is particular to one keypoint format.
+
+Orders of axes, many videos in a file, old versions, several writers of one format.
+"""
 
 import json
 
+import h5netcdf
 import h5py
 import numpy as np
 import pytest
@@ -128,7 +132,10 @@ def test_a_package_s_cameras_are_called_by_the_videos_its_images_are_of(tmp_path
 
 
 def test_a_package_s_cameras_are_called_by_its_session(tmp_path):
-    """The order of cameras and videos is that of a package by SLEAP, whose 3D through its own calibration is then 3 px from its points, not 240."""
+    """The order of cameras and videos is that of a package by SLEAP.
+
+    Its 3D through its own calibration is then 3 px from its points, not 240.
+    """
     positions, confidence = recording(2)
     samples2d._slp(tmp_path, positions, confidence, videos=("left_cam", "right_cam"))
     session = {
@@ -343,6 +350,34 @@ def test_movement_s_times_must_be_whole_frames_and_its_poses_flat(tmp_path):
         file["space"][...] = ["x", "z"]
     with pytest.raises(FormatError, match="2D positions"):
         read_keypoints([tmp_path])
+
+
+def test_movement_s_times_must_be_a_list(tmp_path):
+    write_sample("movement", tmp_path, *recording())
+    with h5py.File(tmp_path / "cam.nc", "a") as file:
+        times = file["time"][...]
+        del file["time"]
+        file["time"] = times[:, None]
+    with pytest.raises(FormatError, match="whole frames"):
+        read_keypoints([tmp_path])
+
+
+def test_movement_s_file_is_netcdf_with_its_axes(tmp_path):
+    """The same bytes each time, and netCDF's own reader finds the axes."""
+    write_sample("movement", tmp_path, *recording(2))
+    views = read_keypoints([tmp_path / "cam.nc"])
+    for name in ("first", "second"):
+        write_keypoints(tmp_path / name, views, "movement")
+    first, second = (tmp_path / name / "cam.nc" for name in ("first", "second"))
+    assert first.read_bytes() == second.read_bytes()
+    with h5netcdf.File(first, "r") as file:
+        position, confidence = file.variables["position"], file.variables["confidence"]
+        assert position.dimensions == ("time", "space", "keypoint", "individual")
+        assert confidence.dimensions == ("time", "keypoint", "individual")
+        np.testing.assert_array_equal(position[...].transpose(0, 3, 2, 1), views[0].positions)
+        names = [name.decode() for name in file.variables["keypoint"][...]]
+        assert tuple(names) == views[0].keypoints
+        assert file.attrs["ds_type"] == "poses"
 
 
 def test_points_without_names_are_numbered_in_label3d_and_caliscope(tmp_path):

@@ -1,4 +1,4 @@
-"""Reading keypoint files: the same recording in every format, the customs of a missing point, and bad files."""
+"""Reading keypoint files: one recording in every format, marks of missing points, bad files."""
 
 import json
 import os

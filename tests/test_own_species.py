@@ -1,4 +1,4 @@
-"""From a recording that no model knows to a model of its own; and the paper's solver in the pipeline."""
+"""From a recording that no model knows to a model of its own; the paper's solver as a stage."""
 
 from dataclasses import replace
 
@@ -17,7 +17,10 @@ ALONE = {"people": 1, "false_detections": 0.0, "outliers": 0.0}
 
 
 def test_the_own_skeleton_joins_what_is_rigid():
-    """Simulated people: a tree over all joints, with the bones of the arms and legs in it. Measured: all six."""
+    """Simulated people: a tree over all joints, with the bones of the arms and legs in it.
+
+    Measured: all six.
+    """
     skeleton = own_skeleton("own", calibrated().poses)
     joined = {frozenset((skeleton.keypoints[a], skeleton.keypoints[b])) for a, b in skeleton.edges}
     assert len(joined) == len(skeleton.keypoints) - 1
@@ -34,7 +37,7 @@ def test_the_own_skeleton_joins_what_is_rigid():
 
 
 def test_own_poses_stand_upright():
-    """Up is told by the cameras, which stand upright within a few degrees: noses are above ankles by more than a metre's worth of body."""
+    """The cameras, upright within a few degrees, tell what is up: noses are above ankles."""
     found = calibrated()
     skeleton = own_skeleton("own", found.poses)
     poses = own_poses(found.poses, skeleton, up_of_rig(found.rig), "train").poses
@@ -65,7 +68,10 @@ def test_too_few_poses_are_refused():
 
 @pytest.mark.slow
 def test_the_papers_solver_calibrates_pairs_of_the_pipeline():
-    """One person, two views: the paper's pair is adjusted to the rig that ours is. Measured 1.8 deg, ours 1.9: two views of one are not much."""
+    """One person, two views: the paper's pair is adjusted to the rig that ours is.
+
+    Measured 1.8 degrees, ours 1.9: two views of one person are not much.
+    """
     alone = ALONE | {"cameras": 2, "frames": 30}
     seen, (lifter, _) = recording(**alone), load_lifter()
     focal = np.array([camera.focal for camera in seen.cameras])

@@ -1,118 +1,76 @@
-"""Laws of the evaluation."""
+"""What run.json holds, and that docs/run-json.md describes it."""
 
+import json
+import re
+from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
-import pytest
-from scenes import rotation_errors_deg, scene
+from scenes import calibrated
 
-from mocap_calib.errors import MismatchError
-from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.report import accuracy, area_under_curve, evaluate_rig, evaluation_to_dict
-from mocap_calib.types import CameraRig
+from mocap_calib.config import Config
+from mocap_calib.report import run_report
+from mocap_calib.types import CalibrationResult
+
+DESCRIPTION = Path(__file__).parents[1] / "docs" / "run-json.md"
+BY_NAME = {"config", "inputs", "outputs", "seconds"}  # their keys are files, stages or constants
+STATISTIC = {"median", "max", "p95"}
 
 
-def elsewhere(rig: CameraRig, scale: float = 3.0) -> CameraRig:
-    """The same rig in another world."""
-    turn, shift = matrix_from_vector(np.array([0.3, -1.0, 0.5])), np.array([4.0, 5.0, -6.0])
-    rotation = rig.rotation @ turn.T
-    return replace(
-        rig,
-        rotation=rotation,
-        translation=scale * rig.translation - np.einsum("vij,j->vi", rotation, shift),
-        unit="arbitrary",
+def described() -> set[str]:
+    """Return the fields that the page describes, as cameras[].name: a section has a table."""
+    fields, prefix = set(), ""
+    for line in DESCRIPTION.read_text("utf-8").splitlines():
+        if heading := re.match(r"## (?:`(.+)`)?", line):
+            prefix = f"{heading[1]}." if heading[1] else ""
+        elif row := re.match(r"\| `(\w+)` \|.*\|.*\|$", line):
+            fields.add(prefix + row[1])
+    return fields
+
+
+def fields_of(report: dict[str, Any], prefix: str = "") -> Iterator[str]:
+    """Return the fields of a report that hold values, those of lists as cameras[].name."""
+    for key, value in report.items():
+        path = prefix + key
+        if isinstance(value, list) and value and isinstance(value[0], dict):
+            for entry in value:
+                yield from fields_of(entry, f"{path}[].")
+        elif isinstance(value, dict) and key not in BY_NAME and not set(value) <= STATISTIC:
+            yield from fields_of(value, f"{path}.")
+        elif value != []:
+            yield path
+
+
+def test_every_field_of_run_json_is_described_and_nothing_else(done):
+    """Lists that are empty in this run have no fields."""
+    report = json.loads((done[0] / "run.json").read_text("utf-8"))
+    empty = ("unused_pairs", "pairs[].alternatives", "left_out", "cameras[].faults")
+    expected = {field for field in described() if not field.startswith(empty)}
+    found = {field for field in fields_of(report) if not field.startswith(empty)}
+    assert len(found) > 40
+    assert found == expected
+
+
+def test_what_is_wrong_with_a_camera_is_in_its_faults():
+    found = calibrated()
+    uncertainty = replace(
+        found.uncertainty,
+        outlier_cameras=np.array([False, True, True, False]),
+        weak_perspective=np.array([False, False, True, True]),
     )
-
-
-def without(rig: CameraRig, name: str) -> CameraRig:
-    keep = [k for k, n in enumerate(rig.names) if n != name]
-    return CameraRig(
-        tuple(rig.cameras[k] for k in keep), rig.rotation[keep], rig.translation[keep], rig.unit
-    )
-
-
-@pytest.mark.parametrize("cameras", [2, 3, 5])
-def test_the_same_rig_in_any_world_has_no_error(cameras):
-    rig = scene(cameras=cameras).rig
-    figures = evaluation_to_dict(evaluate_rig(elsewhere(rig), rig))
-    for key in (
-        "rotation_error_deg",
-        "translation_error_deg",
-        "camera_rotation_error_deg",
-        "centre_error",
-    ):
-        assert figures[key]["max"] == pytest.approx(0, abs=1e-6)
-    assert figures["rra"] == figures["rta"] == {"5": 1, "10": 1, "20": 1, "30": 1}
-    assert figures["auc"]["5"] == 1
-    assert figures["unit"] == "m"
-
-
-def test_cameras_on_a_line_are_turned_by_their_axes():
-    """The centres alone leave the turn about the line open; measured below 1e-8 degrees."""
-    rig = scene(cameras=4).rig
-    centres = np.outer(np.arange(4), [1.0, 0.2, 0.1]) + [0, 0, 2]
-    line = replace(rig, translation=-np.einsum("vij,vj->vi", rig.rotation, centres))
-    found = evaluate_rig(elsewhere(line), line)
-    assert np.degrees(found.camera_rotation).max() < 1e-6
-    assert found.centre_error.max() < 1e-6
-
-
-def test_a_known_turn_is_the_error_of_its_pairs():
-    rig = scene(cameras=4).rig
-    rotation = rig.rotation.copy()
-    rotation[2] = matrix_from_vector(np.radians([0, 7.0, 0])) @ rotation[2]
-    found = replace(
-        rig, rotation=rotation, translation=-np.einsum("vij,vj->vi", rotation, rig.centres)
-    )
-    figures = evaluation_to_dict(evaluate_rig(found, rig))
-    for pair in figures["pairs"]:
-        assert pair["rotation_error_deg"] == pytest.approx(
-            7.0 if "cam3" in (pair["a"], pair["b"]) else 0.0, abs=1e-6
-        )
-    assert figures["rra"] == {"5": 0.5, "10": 1, "20": 1, "30": 1}
-    assert figures["centre_error"]["max"] == pytest.approx(
-        0, abs=1e-6
-    )  # metres; the cameras' axes weigh a millionth
-
-
-def test_a_known_shift_is_the_error_of_the_centre():
-    rig = scene(cameras=6).rig
-    centres = rig.centres.copy()
-    centres[0] += [0.3, 0.0, 0.0]
-    found = replace(rig, translation=-np.einsum("vij,vj->vi", rig.rotation, centres))
-    assert evaluate_rig(found, rig).centre_error.max() == pytest.approx(
-        0.25, abs=0.06
-    )  # the alignment spreads the rest
-
-
-def test_a_missing_camera_counts_as_wrong_as_can_be():
-    rig = scene(cameras=4).rig
-    figures = evaluation_to_dict(evaluate_rig(without(rig, "cam2"), rig))
-    assert figures["missing"] == ["cam2"]
-    assert figures["rotation_error_deg"]["max"] == 180
-    assert figures["rra"]["30"] == 0.5
-
-
-def test_agrees_with_an_independent_computation():
-    rig, rng = scene(cameras=5).rig, np.random.default_rng(0)
-    found = replace(rig, rotation=matrix_from_vector(rng.normal(0, 0.2, (5, 3))) @ rig.rotation)
-    np.testing.assert_allclose(
-        np.sort(np.degrees(evaluate_rig(found, rig).rotation_error)),
-        np.sort(rotation_errors_deg(found, rig)),
-        atol=1e-6,
-    )
-
-
-def test_area_under_the_curve():
-    """One pair exact, one with 10.5 degrees: the curve is a half up to 10, then one."""
-    rotation, translation = np.radians([0.0, 10.5]), np.radians([0.0, 3.0])
-    assert area_under_curve(rotation, translation, 10) == 0.5
-    assert area_under_curve(rotation, translation, 20) == 0.75
-    assert accuracy(rotation, 10.5) == 0.5
-
-
-def test_rigs_without_common_names_are_refused():
-    rig = scene(cameras=3).rig
-    other = replace(rig, cameras=tuple(replace(c, name=f"x{k}") for k, c in enumerate(rig.cameras)))
-    with pytest.raises(MismatchError, match="cam1, cam2, cam3"):
-        evaluate_rig(other, rig)
+    found = replace(found, uncertainty=uncertainty)
+    result = CalibrationResult(groups=(found,), left_out=(), unused_pairs=())
+    report = run_report(found, result, seed=0, config=Config(), inputs={})
+    faults = [camera["faults"] for camera in report["cameras"]]
+    assert faults == [
+        [],
+        ["inconsistent"],
+        ["inconsistent"],
+        [],
+    ]
+    assert report["verdict"]["rig"] == "weak"
+    assert report["verdict"]["translation"] == "not observable"
+    words = {fault for of_camera in faults for fault in of_camera}
+    assert all(f"| `{word}` |" in DESCRIPTION.read_text("utf-8") for word in words)

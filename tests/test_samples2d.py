@@ -1,4 +1,7 @@
-"""Real keypoint files, where they lie beside the checkout: each loads with these counts, or is refused for this reason."""
+"""Real keypoint files, where they lie beside the checkout.
+
+Each loads with these counts, or is refused for this reason.
+"""
 
 from pathlib import Path
 
@@ -16,7 +19,8 @@ pytestmark = pytest.mark.skipif(not SAMPLES.is_dir(), reason="no ../shared here"
 MVOR = ReadOptions(layout=tuple("abcdefghij"), camera_pattern=r"1(?P<camera>00\d)(?P<frame>\d{7})")
 BODY_25B = ReadOptions(layout=LAYOUTS["body_25b"])
 LP = "lightning_pose_csv/"
-# file: options, then of each camera: name, frames, first frame, last frame, most instances, keypoints, points
+# file: options, then of each camera:
+# name, frames, first frame, last frame, most instances, keypoints, points
 LOADS = {
     "caliscope/image_points_noisy.csv": (
         ReadOptions(),

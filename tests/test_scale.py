@@ -13,11 +13,9 @@ import numpy as np
 import pytest
 import torch
 from scenes import calibrate_group, precision, recording, rotation_errors_deg, scene, truth
-from test_stages import turned
 
 from mocap_calib.compute.parallel import in_order, in_processes
 from mocap_calib.config import Config, SampleConfig, TriangulateConfig
-from mocap_calib.multi_view.schur import Sightings, State, _cost, _linearise, minimise
 from mocap_calib.multi_view.triangulation import observations, triangulate_rays
 from mocap_calib.recording.sampling import take_sample
 from mocap_calib.steerpose.checkpoint import load_lifter
@@ -57,66 +55,20 @@ def test_triangulation_is_a_function_of_blocks():
         observations(recording(), truth(), np.arange(60)),
         np.full(4, 2e-3),
     )
-    whole, used = triangulate_rays(rig, found.rays, found.confidence, noise, TriangulateConfig())
+    whole, used = triangulate_rays(
+        rig, found.rays, weight=found.confidence, noise=noise, config=TriangulateConfig()
+    )
     part, of_part = triangulate_rays(
-        rig, found.rays[..., 700:901], found.confidence[:, 700:901], noise, TriangulateConfig()
+        rig,
+        found.rays[..., 700:901],
+        weight=found.confidence[:, 700:901],
+        noise=noise,
+        config=TriangulateConfig(),
     )
     np.testing.assert_allclose(part, whole[:, 700:901], rtol=1e-12, atol=1e-12)
     np.testing.assert_array_equal(of_part, used[:, 700:901])
 
 
-# --- adjustment
-
-
-def problem() -> tuple[State, Sightings]:
-    """Three cameras about a hundred points, with noise and gross errors."""
-    rng = np.random.default_rng(0)
-    rig = turned(scene(cameras=3).rig, 1.0)
-    points = rng.uniform(-1, 1, (3, 100)) + np.array([[0], [0], [1.0]])
-    inside = scene(cameras=3).rig.rotation @ points + scene(cameras=3).rig.translation[:, :, None]
-    inside += rng.normal(0, 0.02, inside.shape) + (rng.random((3, 1, 100)) < 0.05) * 0.5
-    rays = inside / np.linalg.norm(inside, axis=1, keepdims=True)
-    basis = np.linalg.svd(np.moveaxis(rays, 1, 2)[..., None, :])[2][..., 1:, :]  # (view, N, 2, 3)
-    weight = rng.uniform(0, 1, (3, 100)) * (rng.random((3, 100)) > 0.1)
-    return State(rig.rotation, rig.translation, points), Sightings(
-        rays, 300 * np.moveaxis(basis, 1, 3), weight
-    )
-
-
-def test_the_gradient_is_the_slope_of_the_cost():
-    """By central differences, camera by camera and point by point; measured 1e-7 of the largest."""
-    state, seen = problem()
-    linear = _linearise(state, seen, 3.0)
-    nudge = 1e-6
-    for axis in range(3):
-        moved = [
-            replace(
-                state,
-                translation=state.translation
-                + sign * nudge * np.eye(3)[axis] * np.array([[0], [1], [0]]),
-            )
-            for sign in (1, -1)
-        ]
-        slope = (_cost(moved[0], seen, 3.0) - _cost(moved[1], seen, 3.0)) / (2 * nudge)
-        assert 2 * linear.camera_side[1, 3 + axis] == pytest.approx(slope, rel=1e-5)
-        points = [
-            state.points + sign * nudge * np.outer(np.eye(3)[axis], np.arange(100) == 7)
-            for sign in (1, -1)
-        ]
-        slope = (
-            _cost(replace(state, points=points[0]), seen, 3.0)
-            - _cost(replace(state, points=points[1]), seen, 3.0)
-        ) / (2 * nudge)
-        assert 2 * linear.point_side[axis, 7] == pytest.approx(slope, rel=1e-4, abs=1e-4)
-
-
-def test_minimising_ends_where_the_gradient_vanishes():
-    state, seen = problem()
-    found = minimise(state, seen, 3.0, settled=1e-12)
-    before, after = (_linearise(s, seen, 3.0) for s in (state, found))
-    assert np.abs(after.camera_side[1:]).max() < 1e-4 * np.abs(before.camera_side[1:]).max()
-    assert _cost(found, seen, 3.0) < 0.5 * _cost(state, seen, 3.0)
-    np.testing.assert_array_equal(found.rotation[0], state.rotation[0])
 
 
 # --- threads

@@ -13,7 +13,8 @@ from mocap_calib.io.cameras.read import read_cameras, read_rig
 from mocap_calib.io.keypoints.coco_writer import format_coco
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.synthetic import JOINTS, LAYOUTS, simulate
-from mocap_calib_cli.commands.simulate import command, repeat
+from mocap_calib.types import Keypoints2D
+from mocap_calib_cli.commands.simulate import command, format_command
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "three_people"
 FEW = [
@@ -93,7 +94,7 @@ def test_the_files_are_the_scene(written):
 def test_readme_has_two_lines_and_the_command(written):
     text = (written / "README.md").read_text()
     assert len(text.splitlines()) == 2
-    assert repeat(SCENE) in text
+    assert format_command(SCENE) in text
 
 
 def test_same_command_same_bytes_and_it_may_be_repeated(written, tmp_path):
@@ -128,9 +129,9 @@ def test_wrong_usage(tmp_path, wrong):
 
 
 def test_repeat_gives_only_what_is_unusual():
-    assert repeat(SimulateConfig()) == "mocap-calib simulate -o OUT --seed 0"
+    assert format_command(SimulateConfig()) == "mocap-calib simulate -o OUT --seed 0"
     assert (
-        repeat(SimulateConfig(noise_px=1.0, arc_deg=90.0, shuffle=False))
+        format_command(SimulateConfig(noise_px=1.0, arc_deg=90.0, shuffle=False))
         == "mocap-calib simulate -o OUT --arc 90.0 --noise 1.0 --no-shuffle --seed 0"
     )
 
@@ -141,16 +142,17 @@ def test_help_has_an_example():
 
 def test_coco_keeps_the_place_of_empty_instances_before_others():
     positions = np.array([[[[1.26, 2.0]], [[np.nan, np.nan]], [[3.0, 4.04]], [[np.nan, np.nan]]]])
-    data = json.loads(
-        format_coco(
-            "c",
-            (64, 48),
-            np.array([5]),
-            ("nose",),
-            positions,
-            np.array([[[0.126, 0.0, 0.001, 0.0]]]).reshape(1, 4, 1),
-        )
+    view = Keypoints2D(
+        camera="c",
+        keypoints=("nose",),
+        frames=np.array([5]),
+        positions=positions,
+        confidence=np.array([0.126, 0.0, 0.001, 0.0]).reshape(1, 4, 1),
+        tracked=False,
+        image_size=(64, 48),
+        source="made",
     )
+    data = json.loads(format_coco(view))
     assert data["images"] == [{"id": 5, "file_name": "frame_000005.jpg", "width": 64, "height": 48}]
     assert [entry["keypoints"] for entry in data["annotations"]] == [
         [1.3, 2, 0.13],
@@ -162,6 +164,6 @@ def test_coco_keeps_the_place_of_empty_instances_before_others():
 
 def test_the_example_is_what_its_command_makes():
     check_scene(EXAMPLE, simulate(SimulateConfig(distortion="brown")))
-    assert repeat(SimulateConfig(distortion="brown")) in (EXAMPLE / "README.md").read_text()
+    assert format_command(SimulateConfig(distortion="brown")) in (EXAMPLE / "README.md").read_text()
     assert read_keypoints([EXAMPLE / "keypoints" / "cam1.json"])[0].keypoints == LAYOUTS["coco17"]
     assert sum(map(len, content(EXAMPLE).values())) < 2e6

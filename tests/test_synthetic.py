@@ -1,4 +1,7 @@
-"""Laws of synthetic scenes: bodies are human, images are projections, identities are true. Tolerances say what was measured."""
+"""Laws of synthetic scenes: bodies are human, images are projections, identities are true.
+
+Tolerances say what was measured.
+"""
 
 import dataclasses
 
@@ -52,7 +55,7 @@ def joint(poses):
 
 @pytest.fixture(scope="module")
 def ahead(joint):
-    """`[frame, individual, 3]` where the pelvis faces: to the right of its left, seen from above."""
+    """`[frame, individual, 3]` where the pelvis faces: across its left, seen from above."""
     return unit(np.cross((joint("left_hip") - joint("right_hip")) * [1, 1, 0], [0.0, 0.0, 1.0]))
 
 
@@ -85,17 +88,15 @@ class TestBodies:
             joint("mid_hip"), (joint("left_hip") + joint("right_hip")) / 2, atol=1e-9
         )
         middle = (joint("mid_hip") + joint("neck")) / 2
-        assert (
-            np.linalg.norm(joint("spine") - middle, axis=-1).max() < 0.05
-        )  # measured 0.03: trunks curve
+        distance = np.linalg.norm(joint("spine") - middle, axis=-1)
+        assert distance.max() < 0.05  # measured 0.03: trunks curve
 
     @pytest.mark.parametrize("side", ["left", "right"])
     def test_knees_bend_backward_only(self, joint, ahead, side):
         hip, knee, ankle = (joint(f"{side}_{name}") for name in ("hip", "knee", "ankle"))
         bend = beside(knee - hip, unit(ankle - hip))
-        assert (
-            (bend * ahead).sum(-1) / np.linalg.norm(bend, axis=-1)
-        ).min() > 0.4  # cosine; measured 0.66
+        cosine = (bend * ahead).sum(-1) / np.linalg.norm(bend, axis=-1)
+        assert cosine.min() > 0.4  # measured 0.66
 
     @pytest.mark.parametrize("side", ["left", "right"])
     def test_elbows_of_hanging_arms_bend_forward_only(self, joint, side):
@@ -107,38 +108,25 @@ class TestBodies:
         upper = unit(elbow - shoulder)
         hanging = (upper * up).sum(-1) < -0.8
         assert hanging.any()
-        assert (beside(wrist - elbow, upper) * chest).sum(-1)[
-            hanging
-        ].min() > 0.01  # metres; measured 0.02
+        forward = (beside(wrist - elbow, upper) * chest).sum(-1)
+        assert forward[hanging].min() > 0.01  # metres; measured 0.02
 
     def test_feet_are_on_the_floor(self, poses):
-        feet = poses[
-            :,
-            :,
-            [
-                JOINTS.index(f"{s}_{name}")
-                for s in ("left", "right")
-                for name in ("heel", "big_toe", "small_toe")
-            ],
-            2,
+        joints = [
+            JOINTS.index(f"{side}_{name}")
+            for side in ("left", "right")
+            for name in ("heel", "big_toe", "small_toe")
         ]
+        feet = poses[:, :, joints, 2]
         assert feet.min() > 0.005  # measured 0.013
         assert feet.min(-1).max() < 0.035  # in every frame one foot stands; measured 0.021
         assert poses[..., 2].min() > 0
 
     def test_standing_feet_stay_where_they_are(self, joint):
-        speed = (
-            np.stack(
-                [
-                    np.linalg.norm(np.diff(joint(f"{s}_ankle")[..., :2], axis=0), axis=-1)
-                    for s in ("left", "right")
-                ]
-            )
-            * 30
-        )
-        assert (
-            np.percentile(speed.min(0), 90) < 0.25
-        )  # m/s, an ankle rolls over its toes; measured 0.13
+        ankles = np.stack([joint("left_ankle"), joint("right_ankle")])[..., :2]
+        speed = 30 * np.linalg.norm(np.diff(ankles, axis=1), axis=-1)
+        slower = np.percentile(speed.min(0), 90)
+        assert slower < 0.25  # m/s, an ankle rolls over its toes; measured 0.13
 
     def test_people_face_where_they_walk(self, joint, ahead):
         velocity = np.gradient(joint("mid_hip"), 1 / 30, axis=0) * [1, 1, 0]
@@ -165,15 +153,13 @@ class TestBodies:
     def test_people_stay_in_the_room_and_apart(self, joint):
         place = joint("mid_hip")[..., :2]
         assert (np.abs(place) < np.array(ROOM) / 2 + 0.3).all()  # hips sway beyond the path
-        distance = np.linalg.norm(place[:, :, None] - place[:, None], axis=-1) + 10 * np.eye(
-            place.shape[1]
-        )
+        distance = np.linalg.norm(place[:, :, None] - place[:, None], axis=-1)
+        distance = distance + 10 * np.eye(place.shape[1])  # nobody is near themselves
         assert (distance.min((1, 2)) > 0.5).mean() > 0.95  # measured 1.0
 
     def test_motion_is_smooth(self, poses):
-        assert (
-            np.linalg.norm(np.diff(poses, axis=0), axis=-1) * 30
-        ).max() < 10  # m/s; measured 7.7, a hand
+        speed = 30 * np.linalg.norm(np.diff(poses, axis=0), axis=-1)
+        assert speed.max() < 10  # m/s; measured 7.7, a hand
 
     @pytest.mark.parametrize("fps", [7.5, 25.0, 120.0])
     def test_any_frame_rate(self, fps):
@@ -197,9 +183,8 @@ class TestRig:
             rig.cameras, rig.rotation, rig.translation, strict=True
         ):
             pixel = pixels_from_points(camera, rotation @ [0.0, 0.0, 1.0] + translation)
-            assert (
-                np.abs(pixel - np.array(camera.size) / 2).max() < 200
-            )  # aims differ by decimetres
+            offset = np.abs(pixel - np.array(camera.size) / 2)
+            assert offset.max() < 200  # aims differ by decimetres
             assert camera.fisheye == (distortion == "fisheye")
         assert rig.names == ("cam1", "cam2", "cam3", "cam4")
         np.testing.assert_allclose(np.linalg.det(rig.rotation), 1)
@@ -308,10 +293,8 @@ class TestDetections:
         assert seen.confidence[ok][far].mean() < seen.confidence[ok][~far].mean() - 0.1
 
     def test_false_detections(self):
-        poses, rig = (
-            bodies(frames=200, individuals=2),
-            ring(size=(4000, 3000)),
-        )  # so wide that all is seen
+        poses = bodies(frames=200, individuals=2)
+        rig = ring(size=(4000, 3000))  # so wide that all is seen
         seen = found(rig, poses, false_detections=0.3)
         there = np.isfinite(seen.positions[..., 0]).any(-1)
         false = there & (seen.identity < 0)

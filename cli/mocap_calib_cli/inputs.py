@@ -1,334 +1,151 @@
-"""From what was typed to a recording: which file belongs to which camera, and what the files hold.
+"""From what was typed to what the library takes: files, stdin, and the texts of options.
 
-Imports numpy and the readers: commands import this module when they run, so that --help stays quick.
+Imports numpy and the readers: commands import this module when they run, so that --help is quick.
 """
 
-import hashlib
 import re
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import click
 import numpy as np
 
-from mocap_calib.errors import FormatError
+from mocap_calib.config import SampleConfig
 from mocap_calib.io.cameras.read import load_cameras, make_rig, parse_content
 from mocap_calib.io.cameras.source import CameraFile
-from mocap_calib.io.file import decode, plain_path
+from mocap_calib.io.file import decode, read_bytes
 from mocap_calib.io.keypoints.document import ReadOptions
-from mocap_calib.io.keypoints.items import twins
 from mocap_calib.io.keypoints.layouts import parse_layout
-from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.io.results.matches_csv import read_matches_csv
-from mocap_calib.recording.joints import (
-    SHIPPED,
-    choose_skeleton,
-    load_aliases,
-    load_skeleton,
-    match_names,
-)
-from mocap_calib.recording.meanings import (
-    describe_unshared,
-    keypoint_meanings,
-    unshared_keypoints,
-)
-from mocap_calib.recording.pairing import match_cameras, views_named, views_with_detections
-from mocap_calib.recording.synchronise import make_recording
-from mocap_calib.two_view.solve import PairSolver
+from mocap_calib.job import CalibrationRequest, KeypointSource, LoadedRecording, load_recording
+from mocap_calib.recording.sampling import choose_sample_frames, take_sample
+from mocap_calib.steerpose.checkpoint import load_model
+from mocap_calib.steerpose.device import check_device, use_threads
+from mocap_calib.steerpose.lift import lift
 from mocap_calib.types import (
-    Camera,
     CameraRig,
     Ints,
-    Keypoints2D,
     LiftedPoses,
     Matches,
     Recording,
     Sample,
-    Skeleton,
 )
-from mocap_calib_cli.options import STDIO
-from mocap_calib_cli.progress import Reporter, table
+from mocap_calib_cli.describe import describe_recording
+from mocap_calib_cli.options import STDIO, SharedOptions
+from mocap_calib_cli.progress import Reporter
+
+_LARGEST_NUMBER = 2**53  # whole numbers beyond it are not exact in a float
 
 
-def read_views(
-    arguments: Sequence[str],
-    reading: Mapping[str, Any] | None = None,
-    *,
-    single_precision: bool = False,
-) -> tuple[Keypoints2D, ...]:
-    """The detections of each camera; `reading` is what options.reading gives. Raises FormatError and MismatchError."""
-    given = reading or {}
-    return read_keypoints(
-        arguments,
-        given.get("format"),
-        replace(read_options(given), single_precision=single_precision),
+# --- keypoints and recordings
+
+
+def keypoint_source(options: SharedOptions) -> KeypointSource:
+    """Return which keypoints are read, and how. Raises MismatchError and click's BadParameter."""
+    return KeypointSource(
+        paths=options.keypoints,
+        format=options.format,
+        options=read_options(options),
+        aliases=options.skeleton,
+        model=options.model,
     )
 
 
-def read_options(given: Mapping[str, Any]) -> ReadOptions:
-    """What options.reading gives, as the readers take it. Raises MismatchError and click's BadParameter."""
-    layout, views = given.get("layout"), given.get("views")
-    pattern = given.get("camera_regex") or ""
-    try:
-        re.compile(pattern)
-    except re.error as error:
-        raise click.BadParameter(
-            f"expected a regular expression, found {pattern} ({error})", param_hint="--camera-regex"
-        ) from None
-    return ReadOptions(
-        layout=parse_layout(layout) if layout else (),
-        image_size=image_size(given.get("image_size")),
-        camera_pattern=pattern,
-        frame_offset={
-            camera: int(_numbers(text, 1, "--frame-offset")[0])
-            for camera, text in _by_camera(given.get("frame_offset", ()), "--frame-offset")
-        },
-        crop_offset={
-            camera: _pair(text, "--crop-offset")
-            for camera, text in _by_camera(given.get("crop_offset", ()), "--crop-offset")
-        },
-        views=tuple(views.split(",")) if views else (),
+def calibration_request(options: SharedOptions, output: Path) -> CalibrationRequest:
+    """Return what is asked for, with the cameras of stdin where those are meant.
+
+    Raises MismatchError and click's BadParameter.
+    """
+    stdin = options.cameras == STDIO
+    return CalibrationRequest(
+        keypoints=keypoint_source(options),
+        cameras=read_stdin("--cameras").encode() if stdin else Path(options.cameras),
+        output=output,
+        pair_solver=options.solver,
+        seed=options.seed,
+        device=options.device,
     )
-
-
-def image_size(text: str | None) -> tuple[int, int]:
-    """(width, height) of `WxH`, (0, 0) where there is none. Raises click's BadParameter."""
-    if text is None:
-        return 0, 0
-    width, height = _numbers(text.lower().replace("x", ","), 2, "--image-size")
-    if min(width, height) <= 0:
-        raise click.BadParameter(
-            f"expected a width and a height above 0, as 1280x720, found {text}",
-            param_hint="--image-size",
-        )
-    return int(width), int(height)
-
-
-def _by_camera(texts: Sequence[str], option: str) -> list[tuple[str, str]]:
-    """(camera, what is said of it)."""
-    pairs = [text.rpartition(":") for text in texts]
-    if not all(camera for camera, _, _ in pairs):
-        raise click.BadParameter(
-            f"expected camera:value, found {', '.join(texts)}", param_hint=option
-        )
-    return [(camera, value) for camera, _, value in pairs]
-
-
-def _numbers(text: str, count: int, option: str) -> list[float]:
-    """`count` numbers with commas between them."""
-    try:
-        values = [float(part) for part in text.split(",")]
-    except ValueError:
-        values = []
-    if (
-        len(values) != count
-        or not all(abs(value) < 2**53 for value in values)
-        or (option != "--crop-offset" and any(value % 1 for value in values))
-    ):
-        raise click.BadParameter(
-            f"expected {'a whole number' if count == 1 else 'two numbers'}, found {text}",
-            param_hint=option,
-        )
-    return values
-
-
-def _pair(text: str, option: str) -> tuple[float, float]:
-    x, y = _numbers(text, 2, option)
-    return x, y
 
 
 def read_recording(
-    arguments: Sequence[str],
-    cameras: tuple[Camera, ...],
-    skeleton: Path | None,
-    reporter: Reporter,
-    reading: Mapping[str, Any] | None = None,
-    *,
-    model: str | None = None,
-    placed: bool = False,
-) -> tuple[Recording, str]:
-    """Reads the keypoints of the cameras, and says which file went to which camera; with the name of the model, by default the one that fits.
+    options: SharedOptions, cameras: CameraFile, reporter: Reporter, *, of_rig: bool = False
+) -> LoadedRecording:
+    """Read the keypoints of the cameras, and say which file went to which camera.
 
-    `skeleton` is a file of other names of joints; `reading` what options.reading gives. `placed`: the cameras are those of a rig, which may have left some
-    out; their keypoints are left out too. Raises FormatError and MismatchError.
+    of_rig: the cameras are those of a rig, which may have left some out; the keypoints of those
+        are left out too.
+
+    Raises FormatError and MismatchError.
     """
-    views = read_views(arguments, reading, single_precision=True)
-    if placed:
-        views = views_named(views, cameras) or views
-    vocabulary, aliases = _asked(model, skeleton) if model else fitting(views, skeleton)
-    recording = make_recording(views, cameras, vocabulary, aliases)
-    usable = views_with_detections(views)
-    unshared = unshared_keypoints(usable, keypoint_meanings(usable, vocabulary, aliases))
-    reporter.say(
-        *_mapping(views, cameras, recording, vocabulary.name),
-        *([describe_unshared(unshared)] if unshared else []),
-        *doubled(arguments),
-    )
-    return recording, model or vocabulary.name
+    loaded = load_recording(keypoint_source(options), cameras, only_known_cameras=of_rig)
+    reporter.say(*describe_recording(loaded.summary))
+    return loaded
 
 
-def _asked(model: str, path: Path | None) -> tuple[Skeleton, dict[str, str]]:
-    """The joints of the model that was asked for, and the names that a file gives them. Raises FormatError."""
-    from mocap_calib_cli.model import vocabulary
+def lift_sample(
+    loaded: LoadedRecording, device: str, reporter: Reporter
+) -> tuple[Ints, Sample, LiftedPoses]:
+    """Return the frames (indices) that calibration looks at, their detections, and those lifted.
 
-    known = vocabulary(model)
-    return known, load_aliases(path, known) if path else {}
-
-
-def fitting(views: Sequence[Keypoints2D], path: Path | None) -> tuple[Skeleton, dict[str, str]]:
-    """The shipped skeleton that knows most of the joints, by the names they have or a file gives them; and those names.
-
-    Raises FormatError where no skeleton has the joints that the file names.
+    Raises MismatchError where there is no such device.
     """
-    names = tuple(dict.fromkeys(name for view in views for name in view.keypoints))
-    if path is None:
-        return choose_skeleton(names), {}
-    tried, refusals = [], []
-    for shipped in map(load_skeleton, SHIPPED):
-        try:
-            tried.append((shipped, load_aliases(path, shipped)))
-        except FormatError as error:
-            refusals.append(error)
-    if not tried:
-        raise refusals[0]
-    return max(
-        tried,
-        key=lambda each: int(
-            (match_names(tuple(each[1].get(name, name) for name in names), each[0]) >= 0).sum()
-        ),
-    )
+    sample_frames = choose_sample_frames(loaded.recording, SampleConfig())
+    sample = take_sample(loaded.recording, sample_frames)
+    return sample_frames, sample, lift_with_model(sample, loaded.model, device, reporter)
 
 
-def _mapping(
-    views: Sequence[Keypoints2D], cameras: tuple[Camera, ...], recording: Recording, model: str
-) -> list[str]:
-    """Lines that say which file belongs to which camera, which cameras are left out, and which joints the model knows."""
-    rows = {}
-    for view, name in zip(views, match_cameras(views, cameras), strict=True):
-        detections = int(np.isfinite(view.positions[..., 0]).any(-1).sum())
-        rows[name] = [name, view.source, str(len(view.frames)), str(detections)]
-    nothing = [
-        [camera.name, "(no keypoint file)", "-", "-"]
-        for camera in cameras
-        if camera.name not in rows
-    ]
-    lines = table(
-        ["camera", "keypoints", "frames", "detections"],
-        [*(rows[c.name] for c in cameras if c.name in rows), *nothing],
-    )
-    left = [camera.name for camera in cameras if camera.name not in recording.names]
-    lines += [f"left out, nothing detected: {', '.join(left)}"] if left else []
-    alone = _detections_alone(views, recording)
-    lines += [f"{alone} detections in frames of a single camera are left out"] if alone else []
-    strangers = [
-        name
-        for name, joint in zip(recording.keypoints, recording.vocabulary, strict=True)
-        if joint < 0
-    ]
-    known = len(recording.keypoints) - len(strangers)
-    lines += [
-        f"{len(recording.frames)} frames; {len(recording.keypoints)} joints, the model of {model} knows {known}"
-        + (f", not: {', '.join(strangers)}" if strangers else "")
-    ]
-    lines += (
-        ["the model knows too few joints to help: calibrated by geometry alone"]
-        if known < 4
-        else []
-    )
-    return lines
+def lift_with_model(sample: Sample, model: str, device: str, reporter: Reporter) -> LiftedPoses:
+    """Lift the detections of a sample. Raises MismatchError where there is no such device."""
+    use_threads(1)
+    check_device(device)
+    return lift(sample, load_model(model), device=device, progress=reporter)
 
 
-def doubled(arguments: Sequence[str]) -> list[str]:
-    """A line that says which files of the folders are left out for their .h5, if any."""
-    doubles = [
-        str(file) for folder in map(Path, arguments) if folder.is_dir() for file in twins(folder)
-    ]
-    return [f"left out, the .h5 beside it is read: {', '.join(doubles)}"] if doubles else []
+# --- cameras and matches
 
 
-def _detections_alone(views: Sequence[Keypoints2D], recording: Recording) -> int:
-    """How many detections are in frames that no second camera has."""
-    return sum(
-        int(
-            np.isfinite(view.positions[~np.isin(view.frames, recording.frames), ..., 0])
-            .any(-1)
-            .sum()
-        )
-        for view in views
-    )
+def load_camera_file(path: str, option: str) -> CameraFile:
+    """Return what a file, a folder or stdin says of cameras. Raises FormatError."""
+    if path == STDIO:
+        return parse_content(read_stdin(option).encode(), "stdin")
+    return load_cameras(Path(path))
 
 
-def cameras_of(path: str) -> tuple[Camera, ...]:
-    """The intrinsics in a file or folder, or on stdin. Raises FormatError."""
-    return _loaded(path, "--cameras").cameras
+def read_rig(path: str, option: str) -> tuple[CameraRig, CameraFile]:
+    """Return the cameras and where they stand, and all that their file says.
+
+    Raises FormatError.
+    """
+    found = load_camera_file(path, option)
+    return make_rig(found, "stdin" if path == STDIO else path), found
 
 
-def rig_of(path: str, option: str = "--rig") -> CameraRig:
-    """The cameras and where they stand in a file, or on stdin. Raises FormatError."""
-    return make_rig(_loaded(path, option), "stdin" if path == STDIO else path)
-
-
-def camera_file(path: str, option: str) -> CameraFile:
-    """What a file or folder, or stdin, says of cameras. Raises FormatError."""
-    return (
-        parse_content(read_stdin(option).encode(), "stdin")
-        if path == STDIO
-        else load_cameras(Path(path))
-    )
-
-
-def _loaded(path: str, option: str) -> CameraFile:
-    """The same; what it lacks is said on stderr."""
-    found = camera_file(path, option)
-    for note in () if click.get_current_context().params.get("quiet") else found.notes:
-        click.echo(note, err=True)
-    return found
-
-
-def matches_of(path: str, recording: Recording) -> Matches:
-    """The matches in a file, or on stdin. Raises FormatError and MismatchError."""
+def read_matches(path: str, recording: Recording) -> Matches:
+    """Return the matches in a file or on stdin. Raises FormatError and MismatchError."""
     return read_matches_csv(read_stdin("--matches") if path == STDIO else Path(path), recording)
 
 
-def placed(recording: Recording, rig: CameraRig) -> CameraRig:
-    """The rig with the cameras of the recording alone, in their order."""
-    found = rig.select(np.array([rig.names.index(name) for name in recording.names]))
-    return replace(found, cameras=recording.cameras)
+def rig_of_recording(rig: CameraRig, recording: Recording) -> CameraRig:
+    """Return the rig with the cameras of the recording alone, in their order."""
+    views = np.array([rig.names.index(name) for name in recording.names])
+    return replace(rig.select(views), cameras=recording.cameras)
 
 
-def lifted_sample(
-    recording: Recording, model: str, device: str, reporter: Reporter
-) -> tuple[Ints, Sample, LiftedPoses]:
-    """The frames (indices) that calibration looks at, and their detections, lifted. Raises MismatchError where there is no such device."""
-    from mocap_calib.config import SampleConfig
-    from mocap_calib.recording.sampling import choose_sample_frames, take_sample
-    from mocap_calib.steerpose.lift import lift
-    from mocap_calib_cli.model import load_model
-
-    chosen = choose_sample_frames(recording, SampleConfig())
-    some = take_sample(recording, chosen)
-    return chosen, some, lift(some, load_model(device, model), device=device, progress=reporter)
+# --- stdin
 
 
-def pair_solver(solver: str, recording: Recording, model: str) -> PairSolver | None:
-    """The paper's way to calibrate a pair, or None for ours. Raises FormatError."""
-    if solver == "search":
-        return None
-    from mocap_calib.config import PairwiseConfig, PaperConfig
-    from mocap_calib.two_view.paper_pairs import PaperPairs
-    from mocap_calib_cli.model import load_model
+def read_text(path: str, what: str) -> str:
+    """Return the text of a file or of stdin. Raises FormatError.
 
-    focal = np.array([camera.focal for camera in recording.cameras])
-    return PaperPairs(
-        load_model("cpu", model), recording.vocabulary, focal, PairwiseConfig(), PaperConfig()
-    )
+    what: the argument that names the file.
+    """
+    return read_stdin(what) if path == STDIO else decode(read_bytes(Path(path)), path)
 
 
 def read_stdin(what: str) -> str:
-    """All of stdin, for one input of the command."""
+    """Return all of stdin, for one input of the command."""
     meta = click.get_current_context().meta
     if "stdin" in meta:
         raise click.UsageError(
@@ -338,31 +155,93 @@ def read_stdin(what: str) -> str:
     return decode(sys.stdin.buffer.read(), "stdin")
 
 
-def plain_paths(arguments: Iterable[str]) -> list[str]:
-    """The paths of files, folders and name=path pairs."""
-    return [str(plain_path(argument)) for argument in arguments]
+# --- texts of options
 
 
-def hashes(paths: Iterable[str | Path]) -> dict[str, str]:
-    """Path -> SHA-256 of each regular file and of what lies in each folder; a pipe has been read and is left out.
+def read_options(options: SharedOptions) -> ReadOptions:
+    """Return how keypoint files are read. Raises MismatchError and click's BadParameter."""
+    return ReadOptions(
+        layout=parse_layout(options.layout) if options.layout else (),
+        image_size=parse_image_size(options.image_size),
+        camera_pattern=_check_pattern(options.camera_regex or ""),
+        frame_offset=_parse_frame_offsets(options.frame_offset),
+        crop_offset=_parse_crop_offsets(options.crop_offset),
+        views=tuple(options.views.split(",")) if options.views else (),
+    )
 
-    A folder within a folder, such as that of a camera's frames, has one for all its files and their names.
-    """
-    found = [
-        each
-        for path in map(Path, paths)
-        for each in (sorted(path.iterdir()) if path.is_dir() else [path])
-    ]
-    return {str(path): _hash(path) for path in found if path.is_file() or path.is_dir()}
+
+def parse_image_size(text: str | None) -> tuple[int, int]:
+    """Return (width, height) of `WxH`, (0, 0) of nothing. Raises click's BadParameter."""
+    if text is None:
+        return 0, 0
+    width, height = _parse_whole_numbers(text.lower().replace("x", ","), 2, "--image-size")
+    if min(width, height) <= 0:
+        raise click.BadParameter(
+            f"expected a width and a height above 0, as 1280x720, found {text}",
+            param_hint="--image-size",
+        )
+    return width, height
 
 
-def _hash(path: Path) -> str:
-    if path.is_file():
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    files = [
-        f"{file.relative_to(path)} {_hash(file)}"
-        for file in sorted(path.rglob("*"))
-        if file.is_file()
-    ]
-    return hashlib.sha256("\n".join(files).encode()).hexdigest()
+def _check_pattern(pattern: str) -> str:
+    """Return a regular expression that is one. Raises click's BadParameter."""
+    try:
+        re.compile(pattern)
+    except re.error as error:
+        raise click.BadParameter(
+            f"expected a regular expression, found {pattern} ({error})",
+            param_hint="--camera-regex",
+        ) from None
+    return pattern
+
+
+def _parse_frame_offsets(texts: Sequence[str]) -> dict[str, int]:
+    """Return camera -> offset of each `CAM:N`."""
+    option = "--frame-offset"
+    offsets = _split_by_camera(texts, option)
+    return {camera: _parse_whole_numbers(text, 1, option)[0] for camera, text in offsets.items()}
+
+
+def _parse_crop_offsets(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Return camera -> (x, y) of each `CAM:X,Y`."""
+    option = "--crop-offset"
+    offsets = {}
+    for camera, text in _split_by_camera(texts, option).items():
+        x, y = _parse_numbers(text, 2, option)
+        offsets[camera] = (x, y)
+    return offsets
+
+
+def _split_by_camera(texts: Sequence[str], option: str) -> Mapping[str, str]:
+    """Return camera -> value of each `camera:value`; the last one counts of a camera."""
+    pairs = [text.rpartition(":") for text in texts]
+    if not all(camera for camera, _, _ in pairs):
+        raise click.BadParameter(
+            f"expected camera:value, found {', '.join(texts)}", param_hint=option
+        )
+    return {camera: value for camera, _, value in pairs}
+
+
+def _parse_whole_numbers(text: str, count: int, option: str) -> list[int]:
+    """Return `count` whole numbers with commas between them."""
+    values = _parse_numbers(text, count, option)
+    if any(value % 1 for value in values):
+        raise _expected_numbers(text, count, option)
+    return [int(value) for value in values]
+
+
+def _parse_numbers(text: str, count: int, option: str) -> list[float]:
+    """Return `count` numbers with commas between them."""
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        raise _expected_numbers(text, count, option) from None
+    if len(values) != count or not all(abs(value) < _LARGEST_NUMBER for value in values):
+        raise _expected_numbers(text, count, option)
+    return values
+
+
+def _expected_numbers(text: str, count: int, option: str) -> click.BadParameter:
+    """Return the complaint about a text that is not `count` numbers."""
+    expected = "a whole number" if count == 1 else "two numbers"
+    return click.BadParameter(f"expected {expected}, found {text}", param_hint=option)

@@ -1,6 +1,7 @@
-"""The command `mocap-calib`: a table of commands, imported when they are called, and the one place where errors end.
+"""The command `mocap-calib`: the list of its commands, and the one place where errors end.
 
-stdout is data, stderr is talk. Exit status: 0 done, 1 the data or the calibration is bad, 2 usage, 130 interrupted.
+Results go to stdout, messages to stderr. Exit status: 0 done, 1 the data or the calibration is
+bad, 2 usage, 130 interrupted.
 """
 
 import importlib
@@ -11,70 +12,46 @@ import click
 
 from mocap_calib import __version__
 from mocap_calib.errors import MocapCalibError
-from mocap_calib_cli.mistakes import explained
+from mocap_calib_cli.mistakes import explain
 
-# name: (module:attribute, what the list of commands says of it); kept here so that the list imports no command
+# what the list of commands says of each; kept here, so that the list imports none of them
 COMMANDS = {
-    "run": (
-        "mocap_calib_cli.commands.run:command",
-        "Keypoints to cameras and 3D poses: all stages in one.",
-    ),
-    "batch": (
-        "mocap_calib_cli.commands.batch:command",
-        "Many recordings, here or on a cluster; what is finished is kept.",
-    ),
-    "inspect": (
-        "mocap_calib_cli.commands.inspect:command",
-        "What is in keypoint files, and what stands in the way of a run.",
-    ),
-    "pairwise": (
-        "mocap_calib_cli.commands.pairwise:command",
-        "Relative positions of all pairs of cameras.",
-    ),
-    "average": ("mocap_calib_cli.commands.average:command", "Pairs to one rig."),
-    "match": ("mocap_calib_cli.commands.match:command", "Who is who in all cameras."),
-    "adjust": ("mocap_calib_cli.commands.adjust:command", "Bundle adjustment of the rig."),
-    "triangulate": ("mocap_calib_cli.commands.triangulate:command", "3D poses."),
-    "convert": (
-        "mocap_calib_cli.commands.convert:command",
-        "Keypoints, cameras and poses from one format to another.",
-    ),
-    "complete": (
-        "mocap_calib_cli.commands.complete:command",
-        "Fill keypoints that were not seen; one set of joints for all cameras.",
-    ),
-    "evaluate": (
-        "mocap_calib_cli.commands.evaluate:command",
-        "Compare cameras with a reference calibration.",
-    ),
-    "simulate": (
-        "mocap_calib_cli.commands.simulate:command",
-        "Make a synthetic recording with its truth.",
-    ),
-    "models": ("mocap_calib_cli.commands.models:command", "List the networks that are shipped."),
-    "train": ("mocap_calib_cli.commands.train:command", "Train the network that lifts 2D poses."),
+    "run": "Keypoints to cameras and 3D poses: all stages in one.",
+    "batch": "Many recordings, here or on a cluster; what is finished is kept.",
+    "inspect": "What is in keypoint files, and what would make a run fail.",
+    "pairwise": "Relative poses of all pairs of cameras.",
+    "average": "Pairs to one rig.",
+    "match": "Who is who in all cameras.",
+    "adjust": "Bundle adjustment of the rig.",
+    "triangulate": "3D poses.",
+    "convert": "Keypoints, cameras and poses from one format to another.",
+    "complete": "Fill keypoints that were not seen; one set of joints for all cameras.",
+    "evaluate": "Compare cameras with a reference calibration.",
+    "simulate": "Make a synthetic recording with its truth.",
+    "models": "List the networks that are shipped.",
+    "train": "Train the network that lifts 2D poses.",
 }
 
 
 class LazyGroup(click.Group):
-    """Imports a command when it is called (after click's documentation, "Lazily loading subcommands")."""
+    """Import a command when it is called (click's documentation: "Lazily loading subcommands")."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002 - click's signature
-        """In the order of the table."""
+        """Return the names in the order of the list."""
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
-        """Imports the command."""
+        """Import the module of a command, and return the command."""
         if cmd_name not in COMMANDS:
             return None
-        module, attribute = COMMANDS[cmd_name][0].split(":")
-        command: click.Command = getattr(importlib.import_module(module), attribute)
+        module = importlib.import_module(f"mocap_calib_cli.commands.{cmd_name}")
+        command: click.Command = module.command
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
-        """Lists the commands without importing them."""
+        """List the commands without importing them."""
         with formatter.section("Commands"):
-            formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
+            formatter.write_dl(list(COMMANDS.items()))
 
 
 @click.group(
@@ -87,7 +64,7 @@ class LazyGroup(click.Group):
 )
 @click.version_option(__version__, prog_name="mocap-calib", message="%(prog)s %(version)s")
 def group() -> None:
-    """Calibrates cameras from the 2D keypoints of moving people and animals, and triangulates them.
+    """Calibrate cameras from the 2D keypoints of moving people and animals, and triangulate them.
 
     \b
     Example:
@@ -97,32 +74,36 @@ def group() -> None:
 
 
 def main() -> None:
-    """The entry point: runs the command, and turns a user's mistake into one line and an exit status."""
-    for library in (
-        "OPENBLAS",
-        "MKL",
-    ):  # read when numpy is imported; sums of theirs depend on the number of threads
+    """Run the command; turn a user's mistake into one line and an exit status."""
+    # read when numpy is imported; the sums of these libraries depend on the number of threads
+    for library in ("OPENBLAS", "MKL"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+    sys.exit(_run_command())
+
+
+def _run_command() -> int:
+    """Run the command and return the exit status."""
     try:
         # without standalone mode click leaves errors to us
         status = group.main(prog_name="mocap-calib", standalone_mode=False)
     except click.ClickException as error:
         error.show()
-        status = error.exit_code
+        return error.exit_code
     except click.Abort as error:
         if isinstance(error.__cause__, EOFError):  # click takes it for an interruption
             raise
-        status = _complain("interrupted", 130)
+        return _complain("interrupted", 130)
     except BrokenPipeError:
         sys.stdout = None  # the reader has gone: flushing at exit would complain
-        status = 1
+        return 1
     except (MocapCalibError, OSError) as error:
-        if not (line := explained(error)):
+        if not (line := explain(error)):
             raise
-        status = _complain(line, 1)
-    sys.exit(status or 0)
+        return _complain(line, 1)
+    return status or 0
 
 
 def _complain(message: str, status: int) -> int:
+    """Write a message to stderr, and return the status."""
     click.echo(f"mocap-calib: {message}", err=True)
     return status

@@ -6,8 +6,10 @@ from mocap_calib.errors import MocapCalibError
 
 _REMEDIES = {
     errno.ENOENT: "expected a file or folder, found none; check the path",
-    errno.EACCES: "expected a path this program may use, found permission denied; change its permissions or choose another",
-    errno.EPERM: "expected a path this program may use, found operation not permitted; choose another",
+    errno.EACCES: "expected a path this program may use, found permission denied; "
+    "change its permissions or choose another",
+    errno.EPERM: "expected a path this program may use, found operation not permitted; "
+    "choose another",
     errno.EROFS: "expected a place to write to, found a read-only file system; choose another",
     errno.EISDIR: "expected a file, found a folder; give the file itself",
     errno.ENOTDIR: "expected a folder, found a file on the way; choose another path",
@@ -17,8 +19,8 @@ _REMEDIES = {
 }
 
 
-def explained(error: Exception) -> str | None:
-    """The line for a mistake of the user; None for one of the program, which deserves its traceback."""
+def explain(error: Exception) -> str | None:
+    """Return the line for a user's mistake; None for one of the program, which gets a traceback."""
     if isinstance(error, MocapCalibError):
         return " ".join(str(error).split())
     if isinstance(error, OSError) and error.errno in _REMEDIES:

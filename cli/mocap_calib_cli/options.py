@@ -1,69 +1,193 @@
-"""The options that commands share, said once."""
+"""The options that several commands share, each said once.
+
+`@shared_options("cameras", "seed", ...)` adds options to a command and hands it one record,
+`SharedOptions`, of what was typed. Options of a single command stand in its own module.
+"""
 
 import functools
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
+from mocap_calib.config import PAIR_SOLVERS
+
 Command = TypeVar("Command", bound=Callable[..., Any])
-Option = Callable[[Command], Command]
 
 STDIO = "-"
 
-keypoints = click.argument("keypoints", nargs=-1, required=True, metavar="KEYPOINTS...")
-cameras = click.option(
-    "--cameras",
-    required=True,
-    metavar="INTRINSICS",
-    help="File or folder with the cameras' intrinsics, in any format of docs/formats.md; - reads stdin.",
+# how keypoint files are to be read, where they do not say it themselves
+READING = (
+    "format",
+    "layout",
+    "image_size",
+    "camera_regex",
+    "frame_offset",
+    "crop_offset",
+    "views",
 )
-rig = click.option(
-    "--rig",
-    required=True,
-    metavar="CAMERAS",
-    help="File or folder with cameras and where they stand (docs/formats.md); - reads stdin.",
-)
-matches = click.option(
-    "--matches",
-    required=True,
-    metavar="MATCHES",
-    help="File of the command `match`; - reads stdin.",
-)
-skeleton = click.option(
-    "--skeleton",
-    type=click.Path(path_type=Path),
-    metavar="FILE.yaml",
-    help="Your names of joints: a mapping `aliases`, own name: joint.",
-)
-model = click.option(
-    "--model",
-    metavar="NAME|FILE|none",
-    help="Network: shipped (see `models`) or one of your own; none: geometry alone. [default: by joint names]",
-)
-solver = click.option(
-    "--solver",
-    type=click.Choice(["search", "paper"]),
-    default="search",
-    help="Of pairs: ours, or the paper's gradient descent (slow).",
-)
-seed = click.option(
-    "--seed", type=click.IntRange(min=0), default=0, help="The same seed gives the same results."
-)
-device = click.option(
-    "--device", type=click.Choice(["cpu", "cuda"]), default="cpu", help="Where the network runs."
-)
-scheduler = click.option(
-    "--scheduler",
-    metavar="ADDRESS",
-    help="Dask scheduler whose workers do the work (tcp://HOST:PORT); same results.",
-)
-quiet = click.option("--quiet", "-q", is_flag=True, help="Say nothing on stderr but errors.")
+KEYPOINTS = ("keypoints", *READING)
+MODEL = ("skeleton", "model", "device")
+
+
+@dataclass(frozen=True)
+class SharedOptions:
+    """What was typed, as text; options that the command does not have are as if left out.
+
+    keypoints ... views: the keypoint files and how to read them, see `inputs.read_options`.
+    skeleton: file with names of joints of one's own. model: None = chosen by joint names.
+    solver: of pairs. scheduler: address of a Dask scheduler, None = the work is done here.
+    """
+
+    keypoints: tuple[str, ...] = ()
+    format: str | None = None
+    layout: str | None = None
+    image_size: str | None = None
+    camera_regex: str | None = None
+    frame_offset: tuple[str, ...] = ()
+    crop_offset: tuple[str, ...] = ()
+    views: str | None = None
+    cameras: str = ""
+    rig: str = ""
+    matches: str = ""
+    skeleton: Path | None = None
+    model: str | None = None
+    device: str = "cpu"
+    solver: str = PAIR_SOLVERS[0]
+    seed: int = 0
+    scheduler: str | None = None
+    quiet: bool = False
+
+
+_OPTIONS = {
+    "keypoints": click.argument("keypoints", nargs=-1, required=True, metavar="KEYPOINTS..."),
+    "format": click.option(
+        "--format",
+        metavar="NAME",
+        help="Format of the keypoint files, where their content does not show it "
+        "(docs/formats.md).",
+    ),
+    "layout": click.option(
+        "--layout",
+        metavar="NAME",
+        help="Names of the keypoints in files that do not name them: body_25, body_25b, coco_17, "
+        "... or a,b,c.",
+    ),
+    "image_size": click.option(
+        "--image-size",
+        metavar="WxH",
+        help="Size of the images in pixels, where the files do not say it; positions from 0 to 1 "
+        "are multiplied by it.",
+    ),
+    "camera_regex": click.option(
+        "--camera-regex",
+        metavar="REGEX",
+        help="Finds the camera's name in a path: its group `camera`, its first group, or all of "
+        "it.",
+    ),
+    "frame_offset": click.option(
+        "--frame-offset",
+        metavar="CAM:N",
+        multiple=True,
+        help="Added to the frame numbers of a camera; may be given for each camera.",
+    ),
+    "crop_offset": click.option(
+        "--crop-offset",
+        metavar="CAM:X,Y",
+        multiple=True,
+        help="Corner of the part of the image in which a camera's keypoints were found.",
+    ),
+    "views": click.option(
+        "--views",
+        metavar="A,B",
+        help="Views in one file: endings of keypoint names (paw_A, paw_B), each a camera.",
+    ),
+    "cameras": click.option(
+        "--cameras",
+        required=True,
+        metavar="INTRINSICS",
+        help="File or folder with the cameras' intrinsics, in any format of docs/formats.md; "
+        "- reads stdin.",
+    ),
+    "rig": click.option(
+        "--rig",
+        required=True,
+        metavar="CAMERAS",
+        help="File or folder with cameras and where they stand (docs/formats.md); - reads stdin.",
+    ),
+    "matches": click.option(
+        "--matches",
+        required=True,
+        metavar="MATCHES",
+        help="File of the command `match`; - reads stdin.",
+    ),
+    "skeleton": click.option(
+        "--skeleton",
+        type=click.Path(path_type=Path),
+        metavar="FILE.yaml",
+        help="Your names of joints: a mapping `aliases`, your name: joint.",
+    ),
+    "model": click.option(
+        "--model",
+        metavar="NAME|FILE|none",
+        help="Network: shipped (see `models`) or one of your own; none: geometry alone. "
+        "[default: by joint names]",
+    ),
+    "device": click.option(
+        "--device",
+        type=click.Choice(["cpu", "cuda"]),
+        default=SharedOptions.device,
+        help="Where the network computes.",
+    ),
+    "solver": click.option(
+        "--solver",
+        type=click.Choice(PAIR_SOLVERS),
+        default=SharedOptions.solver,
+        metavar="NAME",
+        help="How pairs of cameras are calibrated: search (ours), paper (its gradient descent, "
+        "slow), or five-point (its baseline).",
+    ),
+    "seed": click.option(
+        "--seed",
+        type=click.IntRange(min=0),
+        default=SharedOptions.seed,
+        help="The same seed gives the same results.",
+    ),
+    "scheduler": click.option(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="Dask scheduler whose workers do the work (tcp://HOST:PORT); same results.",
+    ),
+    "quiet": click.option(
+        "--quiet", "-q", is_flag=True, help="Write nothing to stderr but errors."
+    ),
+}
+
+
+def shared_options(*names: str, **changed: Callable[..., Any]) -> Callable[[Command], Command]:
+    """Add these options to a command, which gets what was typed as its first argument.
+
+    changed: options that the command says in other words, by the name of the field.
+    """
+    known = _OPTIONS | changed
+
+    def add(command: Command) -> Command:
+        @functools.wraps(command)
+        def collect(**values: Any) -> Any:
+            typed = {name: values.pop(name) for name in names}
+            return command(SharedOptions(**typed), **values)
+
+        for name in reversed(names):
+            collect = known[name](collect)
+        return collect  # type: ignore[return-value]  # click keeps the kind of what it decorates
+
+    return add
 
 
 def output_text(what: str) -> Callable[[Command], Command]:
-    """`-o FILE` of a command whose result is text: stdout unless a file is given."""
+    """Add `-o FILE` to a command whose result is text: stdout unless a file is given."""
     return click.option(
         "-o",
         "--output",
@@ -74,81 +198,27 @@ def output_text(what: str) -> Callable[[Command], Command]:
 
 
 def output_file(what: str) -> Callable[[Command], Command]:
-    """`-o FILE` of a command whose result is a file."""
-    return click.option(
-        "-o", "--output", type=click.Path(path_type=Path), required=True, metavar="FILE", help=what
-    )
+    """Add `-o FILE` to a command whose result is a file."""
+    return _output("FILE", what)
+
+
+def output_folder(what: str) -> Callable[[Command], Command]:
+    """Add `-o OUT` to a command whose result is a folder."""
+    return _output("OUT", what)
 
 
 def as_json(what: str) -> Callable[[Command], Command]:
-    """`--json`."""
+    """Add `--json`."""
     return click.option("--json", "as_json", is_flag=True, help=what)
 
 
-_READING = {
-    "format": (
-        "--format",
-        "NAME",
-        False,
-        "Format of the keypoint files, where their content does not show it (docs/formats.md).",
-    ),
-    "layout": (
-        "--layout",
-        "NAME",
-        False,
-        "Names of the keypoints in files that do not name them: body_25, body_25b, coco_17, ... or a,b,c.",
-    ),
-    "image_size": (
-        "--image-size",
-        "WxH",
-        False,
-        "Size of the images in pixels, where the files do not say it; positions from 0 to 1 are multiplied by it.",
-    ),
-    "camera_regex": (
-        "--camera-regex",
-        "REGEX",
-        False,
-        "Finds the camera's name in a path: its group `camera`, its first, or all of it.",
-    ),
-    "frame_offset": (
-        "--frame-offset",
-        "CAM:N",
-        True,
-        "Added to the frame numbers of a camera; may be given for each.",
-    ),
-    "crop_offset": (
-        "--crop-offset",
-        "CAM:X,Y",
-        True,
-        "Corner of the part of the image in which a camera's keypoints were found.",
-    ),
-    "views": (
-        "--views",
-        "A,B",
-        False,
-        "Views in one file: endings of keypoint names (paw_A, paw_B), each a camera.",
-    ),
-}
-
-
-def reading(command: Command) -> Command:
-    """The options that say how keypoint files are to be read, given to the command as one dictionary `reading`."""
-    return _reading(command, tuple(_READING))
-
-
-def reading_but_format(command: Command) -> Command:
-    """The same, of a command that has its own option for the format."""
-    return _reading(command, tuple(name for name in _READING if name != "format"))
-
-
-def _reading(command: Command, names: tuple[str, ...]) -> Command:
-    @functools.wraps(command)
-    def collected(**values: Any) -> Any:
-        return command(reading={name: values.pop(name) for name in names}, **values)
-
-    for name in reversed(names):
-        flag, metavar, multiple, text = _READING[name]
-        collected = click.option(flag, name, metavar=metavar, multiple=multiple, help=text)(
-            collected
-        )
-    return collected  # type: ignore[return-value]  # click keeps the kind of what it decorates
+def _output(metavar: str, what: str) -> Callable[[Command], Command]:
+    """Add a required `-o` with a path."""
+    return click.option(
+        "-o",
+        "--output",
+        type=click.Path(path_type=Path),
+        required=True,
+        metavar=metavar,
+        help=what,
+    )

@@ -1,9 +1,11 @@
-"""Where results go: stdout, a file, or a folder; checked before the work starts, written whole or not at all."""
+"""Where results go: stdout, a file, or a folder.
+
+Places are checked before the work starts; files are written whole or not at all.
+"""
 
 import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -13,7 +15,7 @@ from mocap_calib_cli.options import STDIO
 
 
 def write_text(output: str, pieces: Iterable[str]) -> None:
-    """Writes text that comes in pieces to stdout or to a file."""
+    """Write text that comes in pieces to stdout or to a file."""
     if output == STDIO:
         for piece in pieces:
             click.echo(piece, nl=False)
@@ -22,13 +24,13 @@ def write_text(output: str, pieces: Iterable[str]) -> None:
 
 
 def check_text(output: str | None) -> None:
-    """Raises MismatchError or OSError where `write_text` could not write a file."""
+    """Raise MismatchError or OSError where `write_text` could not write a file."""
     if output not in (None, STDIO):
         check_file(Path(str(output)))
 
 
 def check_file(path: Path) -> None:
-    """Raises MismatchError or OSError where a file could not be written."""
+    """Raise MismatchError or OSError where a file could not be written."""
     if path.is_dir():
         raise MismatchError(
             f"{path}: expected a file to write, found a folder; give a name within it"
@@ -37,7 +39,7 @@ def check_file(path: Path) -> None:
 
 
 def check_folder(path: Path) -> None:
-    """Raises MismatchError or OSError where a folder could not be made and filled."""
+    """Raise MismatchError or OSError where a folder could not be made and filled."""
     if path.exists() and not path.is_dir():
         raise MismatchError(
             f"{path}: expected a folder to write, or a new name, found a file; choose another"
@@ -48,12 +50,15 @@ def check_folder(path: Path) -> None:
 
 
 def check_place(path: Path) -> None:
-    """Raises MismatchError or OSError where neither a file nor a folder could be written."""
+    """Raise MismatchError or OSError where neither a file nor a folder could be written."""
     _check_writable(path.absolute().parent)
 
 
 def _check_writable(folder: Path) -> None:
-    """Tries it, which is the only way to know, in the nearest folder that exists."""
+    """Raise MismatchError where nothing can be written in the nearest folder that exists.
+
+    It is tried, which is the only way to know.
+    """
     while not folder.exists():
         folder = folder.parent
     if not folder.is_dir():
@@ -63,12 +68,6 @@ def _check_writable(folder: Path) -> None:
             pass
     except OSError as error:
         raise MismatchError(
-            f"{folder}: expected a folder that can be written to, found: {error.strerror}; choose another"
+            f"{folder}: expected a folder that can be written to, found: {error.strerror}; "
+            "choose another"
         ) from None
-
-
-def provenance(command: str, **fields: Any) -> Mapping[str, Any]:
-    """What a result file says of how it came about."""
-    from mocap_calib import __version__
-
-    return {"command": f"mocap-calib {command}", "version": __version__, **fields}

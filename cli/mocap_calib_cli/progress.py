@@ -1,4 +1,4 @@
-"""What is said on stderr while a command works; stdout is for data."""
+"""What is written to stderr while a command works; stdout is for data."""
 
 import sys
 import time
@@ -11,44 +11,59 @@ import click
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
-_PATIENCE = 1.0  # seconds before a stage gets a bar
-_SILENCE = 30.0  # seconds without a line when stderr is no terminal
+_BAR_AFTER = 1.0  # seconds before a stage gets a bar
+_LINE_AFTER = 30.0  # seconds without a line where stderr is no terminal
 
 
 class Reporter:
-    """Implements `types.Progress`: bars on a terminal for what lasts longer than a second, else a line per finished stage.
+    """Implements `types.Progress`, and writes whatever else there is to say to stderr.
 
-    Also says whatever else there is to say on stderr; nothing when `quiet`. Use it as a context: a failed stage is not
-    reported as finished.
+    On a terminal, a stage that lasts longer than a second has a bar; elsewhere a stage has a line
+    when it is finished. Nothing is written when `quiet`. Use it as a context: a stage that failed
+    is not reported as finished.
     """
 
     def __init__(self, *, quiet: bool) -> None:
         self.quiet = quiet
         self.terminal = sys.stderr.isatty()
-        self.stage, self.done, self.total = "", 0, 0
-        self.since = self.spoken = time.monotonic()
+        self.stage = ""
+        self.done = 0
+        self.total = 0
+        self.stage_start = time.monotonic()
+        self.last_line = self.stage_start
         self.bars: Progress | None = None
         self.bar: TaskID | None = None
 
     def say(self, *lines: str) -> None:
-        """Lines on stderr."""
-        for line in () if self.quiet else lines:
+        """Write lines to stderr."""
+        if self.quiet:
+            return
+        for line in lines:
             click.echo(line, err=True)
 
     def __call__(self, stage: str, done: int, total: int) -> None:
-        """`done` of `total` steps of `stage` are finished; what stands in parentheses after its name may change."""
+        """Tell that `done` of `total` steps of `stage` are finished.
+
+        What stands in parentheses after the name of the stage may change.
+        """
         if self.quiet:
             return
-        if stage.partition(" (")[0] != self.stage.partition(" (")[0]:
-            self._finish()
-        self.stage, self.done, self.total = stage, done, total
-        (self._show_bar if self.terminal else self._show_line)()
+        if _plain_name(stage) != _plain_name(self.stage):
+            self._finish_stage()
+        self.stage = stage
+        self.done = done
+        self.total = total
+        if self.terminal:
+            self._show_bar()
+        else:
+            self._show_line()
         if done >= total:
-            self._finish()
+            self._finish_stage()
 
     def _show_bar(self) -> None:
-        if self.bar is None and time.monotonic() - self.since > _PATIENCE:
-            self.bars = self.bars or _bars()
+        """Bring the bar of the stage up to date."""
+        if self.bar is None and time.monotonic() - self.stage_start > _BAR_AFTER:
+            self.bars = self.bars or _start_bars()
             self.bar = self.bars.add_task(self.stage)
         if self.bars is not None and self.bar is not None:
             self.bars.update(
@@ -56,21 +71,26 @@ class Reporter:
             )
 
     def _show_line(self) -> None:
-        if time.monotonic() - max(self.since, self.spoken) > _SILENCE and self.done < self.total:
-            self.spoken = time.monotonic()
+        """Write a line on the stage if there was none for long."""
+        silence = time.monotonic() - max(self.stage_start, self.last_line)
+        if silence > _LINE_AFTER and self.done < self.total:
+            self.last_line = time.monotonic()
             self.say(f"{self.stage}: {self.done} of {self.total}")
 
-    def _finish(self) -> None:
-        """The stage has ended: it did all its steps, or another has begun."""
+    def _finish_stage(self) -> None:
+        """Close the stage: it did all its steps, or another has begun."""
         now = time.monotonic()
         if self.stage and not self.terminal:
-            self.say(f"{self.stage}: {self.done} of {self.total} in {now - self.since:.1f} s")
+            seconds = now - self.stage_start
+            self.say(f"{self.stage}: {self.done} of {self.total} in {seconds:.1f} s")
         if self.bars is not None and self.bar is not None:
             self.bars.update(self.bar, completed=self.done, total=self.done)
-        self.stage, self.bar, self.since = "", None, now
+        self.stage = ""
+        self.bar = None
+        self.stage_start = now
 
     def __enter__(self) -> Self:
-        self.since = time.monotonic()
+        self.stage_start = time.monotonic()
         return self
 
     def __exit__(
@@ -80,13 +100,18 @@ class Reporter:
         trace: TracebackType | None,
     ) -> None:
         if kind is None:
-            self._finish()
+            self._finish_stage()
         if self.bars is not None:
             self.bars.stop()
 
 
-def _bars() -> "Progress":
-    """Bars on stderr; imported here because rich takes a while."""
+def _plain_name(stage: str) -> str:
+    """Return the name of a stage without what stands in parentheses after it."""
+    return stage.partition(" (")[0]
+
+
+def _start_bars() -> "Progress":
+    """Start bars on stderr. rich is imported here because it takes a while."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -101,21 +126,23 @@ def _bars() -> "Progress":
     return bars
 
 
-def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    """Lines of aligned columns: the first to the left, the others to the right. The same in a terminal, a pipe and a log."""
-    cells = [list(header), *map(list, rows)]
-    widths = [max(len(row[k]) for row in cells) for k in range(len(header))]
-    return [
-        "  ".join(
-            [
-                row[0].ljust(widths[0]),
-                *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True)),
-            ]
-        ).rstrip()
-        for row in cells
-    ]
+def format_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """Return lines of aligned columns: the first to the left, the others to the right.
+
+    They are the same in a terminal, a pipe and a log.
+    """
+    table = [list(header), *map(list, rows)]
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    return [_format_row(row, widths) for row in table]
 
 
-def figure(value: float | None, digits: int = 2) -> str:
-    """A number for a table; a dash where there is none."""
+def _format_row(row: Sequence[str], widths: Sequence[int]) -> str:
+    """Return one line of a table."""
+    first = row[0].ljust(widths[0])
+    others = [cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True)]
+    return "  ".join([first, *others]).rstrip()
+
+
+def format_number(value: float | None, digits: int = 2) -> str:
+    """Return a number for a table, a dash where there is none (None or NaN)."""
     return "-" if value is None or value != value else f"{value:.{digits}f}"  # noqa: PLR0124 - NaN

@@ -85,12 +85,22 @@ def five_point(rays_a: Floats, rays_b: Floats, threshold: float) -> list[tuple[F
     )
     if model is None or model.shape != (3, 3):
         return []
-    candidates = _decompose_essential(np.asarray(model, dtype=np.float64))
+    return [pose_from_essential(np.asarray(model, dtype=np.float64), rays_a, rays_b)]
+
+
+def pose_from_essential(matrix: Floats, rays_a: Floats, rays_b: Floats) -> tuple[Floats, Floats]:
+    """Return R `[3, 3]` and t `[3]` (of length 1) of an essential matrix `[3, 3]`.
+
+    Of its four decompositions the one with most points in front of both cameras (cheirality).
+
+    rays_a, rays_b: `[N, 3]` unit rays of matches.
+    """
+    candidates = _decompose_essential(matrix)
     in_front = [
         np.mean([depth > 0 for depth in depths(rotation, translation, rays_a, rays_b)])
         for rotation, translation in candidates
     ]
-    return [candidates[int(np.argmax(in_front))]]
+    return candidates[int(np.argmax(in_front))]
 
 
 def _decompose_essential(matrix: Floats) -> list[tuple[Floats, Floats]]:

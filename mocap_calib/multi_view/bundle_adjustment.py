@@ -1,29 +1,36 @@
-"""Bundle adjustment: which detections the rig is built on, and the rig that fits them best."""
+"""Bundle adjustment: choose the detections that the rig is built on, and fit the rig to them."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mocap_calib.config import AdjustConfig, TriangulateConfig
+from mocap_calib.config import AdjustConfig, Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
 from mocap_calib.geometry.projection import pixels_from_points
-from mocap_calib.multi_view.schur import Sightings, State, minimise
+from mocap_calib.multi_view.labels import per_frame_labels
+from mocap_calib.multi_view.ray_residuals import RayObservations, State
+from mocap_calib.multi_view.schur import minimise
 from mocap_calib.multi_view.triangulation import (
+    labelled_frames,
     observations,
-    per_frame_labels,
     triangulate_rays,
     view_noise,
 )
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Matches, Sample
 
-_NUDGE = 1e-4  # radians
-_ON_THE_WAY = 1e-3  # a loss that is going to be tightened need not be minimised to the end
+_NUDGE = 1e-4  # radians, for the differences that tell how the image moves with a ray
 
 
 @dataclass(frozen=True)
-class Points:
-    """What is adjusted. points: `[3, N]`; rays: `[view, 3, N]`; weight: `[view, N]` precision; used: `[view, N]`."""
+class _Points:
+    """The points that are adjusted, and what is seen of them.
+
+    points: `[3, N]` in world coordinates.
+    rays: `[view, 3, N]` unit vectors in each camera's frame, NaN = missing.
+    weight: `[view, N]`, what a detection counts for.
+    used: `[view, N]` the detections that agree on the point.
+    """
 
     points: Floats
     rays: Floats
@@ -32,125 +39,151 @@ class Points:
 
 
 def adjust(
-    recording: Sample,
+    sample: Sample,
     rig: CameraRig,
     matches: Matches,
-    config: AdjustConfig,
-    triangulation: TriangulateConfig,
+    config: Config,
     *,
     already_close: bool = False,
 ) -> CameraRig:
-    """The rig that minimises the robust reprojection error; intrinsics stay, and so do the first camera and the size of the rig.
+    """Return the rig that minimises the robust reprojection error of the matched detections.
 
-    The loss is tightened in steps; `already_close` says that the rig has been adjusted before and only the last step is needed.
-    Raises LooseCameraError of the camera that has the fewest points, too few to hold it.
+    Intrinsics stay as they are, and so do the first camera and the size of the rig. The loss is
+    tightened in steps; `already_close` says that the rig has been adjusted before, so that only
+    the last step is needed.
+
+    Raises UnderconstrainedCameraError for the camera that has the fewest points, where they are
+    too few to hold it, and DegenerateError where there is no match at all.
     """
     if matches.individuals == 0:
         raise DegenerateError(
-            "expected bodies that two views agree on, found none; check that the files belong to these cameras and to the same time"
+            "expected bodies that two views agree on, found none; "
+            "check that the files belong to these cameras and to the same time"
         )
     matches = per_frame_labels(matches)  # who it is in other frames does not matter here
-    noise = view_noise(recording, rig, matches)
-    seen = _observations(recording, rig, matches, noise, config, triangulation)
-    _check_enough(rig, seen, config.least)
-    sightings = _sightings(rig, seen, noise)
-    state = State(rig.rotation, rig.translation, seen.points)
-    for loss_scale in () if already_close else config.loss_scales[:-1]:
-        state = minimise(state, sightings, loss_scale, settled=_ON_THE_WAY)
-    state = minimise(state, sightings, config.loss_scales[-1])
-    return _of_size(replace(rig, rotation=state.rotation, translation=state.translation), rig)
+    noise = view_noise(sample, rig, matches, config.triangulate)
+    found = _choose_points(sample, rig, matches, noise=noise, config=config)
+    _check_every_camera(rig, found, config.adjust.least_keypoints)
+    seen = _ray_observations(rig, found, noise)
+    state = State(rig.rotation, rig.translation, found.points)
+    *wide_scales, last_scale = config.adjust.loss_scales
+    if not already_close:
+        rough = config.adjust.rough_tolerance
+        for loss_scale in wide_scales:
+            state = minimise(state, seen, loss_scale=loss_scale, tolerance=rough)
+    state = minimise(state, seen, loss_scale=last_scale, tolerance=config.adjust.tolerance)
+    adjusted = replace(rig, rotation=state.rotation, translation=state.translation)
+    return _with_size_of(rig, adjusted)
 
 
-def _of_size(rig: CameraRig, like: CameraRig) -> CameraRig:
-    """The rig at the size of another, the first camera where it was."""
-    first = like.centres[0]
-    size, wanted = (np.sqrt(((r.centres - first) ** 2).sum()) for r in (rig, like))
-    centres = first + (rig.centres - first) * (wanted / size)
+def _with_size_of(reference: CameraRig, rig: CameraRig) -> CameraRig:
+    """Return the rig at the size of a reference, the first camera where the reference has it."""
+    first = reference.centres[0]
+    size = np.sqrt(((rig.centres - first) ** 2).sum())
+    reference_size = np.sqrt(((reference.centres - first) ** 2).sum())
+    centres = first + (rig.centres - first) * (reference_size / size)
     return replace(rig, translation=-np.einsum("vij,vj->vi", rig.rotation, centres))
 
 
-def _observations(
-    recording: Sample,
-    rig: CameraRig,
-    matches: Matches,
-    noise: Floats,
-    config: AdjustConfig,
-    triangulation: TriangulateConfig,
-) -> Points:
-    """Points of evenly spread frames, as many as the budget allows, that at least two views agree on."""
-    labelled = np.flatnonzero((matches.labels >= 0).any((0, 2)))
-    frames = _spread(labelled, recording, matches, config.points)
-    found = observations(recording, matches, frames)
-    weight = _confident(found.confidence, config)
-    # wide: the rig is not yet right, and the loss deals with outliers
-    points, used = triangulate_rays(
-        rig, found.rays, weight, noise, replace(triangulation, outlier=4 * triangulation.outlier)
-    )
-    known = np.isfinite(points[0])
-    return Points(
-        points[:, known], found.rays[..., known], weight[:, known] ** config.trust, used[:, known]
-    )
+# Which detections the rig is built on
 
 
-def _confident(weight: Floats, config: AdjustConfig) -> Floats:
-    """Takes the least confident share of each view's detections out: detectors are wrong there by more than chance.
+def _choose_points(
+    sample: Sample, rig: CameraRig, matches: Matches, *, noise: Floats, config: Config
+) -> _Points:
+    """Return points of evenly spread frames that at least two views agree on.
 
-    Where detections are few, a doubtful one is better than none.
+    As many as the budget allows. noise: `[view]` in radians.
     """
-    out = weight.copy()
-    for own in out:
-        seen = own[own > 0]
-        share = min(config.doubtful, max(0.0, 1.0 - config.enough / max(len(seen), 1)))
-        own[own < (np.quantile(seen, share) if len(seen) else 0.0)] = 0.0
-    return out
-
-
-def _spread(labelled: Ints, recording: Sample, matches: Matches, budget: int) -> Ints:
-    """An even choice of the frames with matches, so that about `budget` points come of them."""
-    instance = matches.labels[:, labelled] >= 0
-    joints = (recording.seen[:, labelled] & instance[..., None]).sum((0, 2, 3)) / max(
-        2.0, instance.any(2).sum(0).mean()
+    frames = _choose_frames(sample, matches, config.adjust.points)
+    seen = observations(sample, matches, frames)
+    weight = _drop_doubtful(seen.confidence, config.adjust)
+    outlier = config.adjust.outlier_tolerance * config.triangulate.outlier
+    tolerant = replace(config.triangulate, outlier=outlier)
+    points, used = triangulate_rays(rig, seen.rays, weight=weight, noise=noise, config=tolerant)
+    known = np.isfinite(points[0])
+    return _Points(
+        points=points[:, known],
+        rays=seen.rays[..., known],
+        weight=weight[:, known] ** config.adjust.confidence_power,
+        used=used[:, known],
     )
-    share = min(1.0, budget / max(float(joints.sum()), 1.0))
-    return evenly_spaced(labelled, max(1, round(share * len(labelled))))
 
 
-def _check_enough(rig: CameraRig, seen: Points, least: int) -> None:
-    count = seen.used.sum(1)
+def _choose_frames(sample: Sample, matches: Matches, budget: int) -> Ints:
+    """Return indices of frames with matches, evenly spread, of which come about `budget` points."""
+    frames = labelled_frames(matches)
+    matched = matches.labels[:, frames] >= 0
+    detected = sample.seen[:, frames] & matched[..., None]
+    views = matched.any(2).sum(0).mean()  # that see a point, about
+    points = detected.sum((0, 2, 3)) / max(2.0, views)  # [frame]
+    share = min(1.0, budget / max(float(points.sum()), 1.0))
+    return evenly_spaced(frames, max(1, round(share * len(frames))))
+
+
+def _drop_doubtful(confidence: Floats, config: AdjustConfig) -> Floats:
+    """Return the confidence `[view, N]` with 0 for the least confident share of each view.
+
+    Detectors are wrong there by more than chance. Where detections are few, a doubtful one is
+    better than none.
+    """
+    kept = confidence.copy()
+    for in_view in kept:
+        seen = in_view[in_view > 0]
+        if len(seen):
+            spare = max(0.0, 1.0 - config.enough_detections / len(seen))
+            share = min(config.doubtful_share, spare)
+            in_view[in_view < np.quantile(seen, share)] = 0.0
+    return kept
+
+
+def _check_every_camera(rig: CameraRig, found: _Points, least: int) -> None:
+    """Raise UnderconstrainedCameraError where fewer than `least` keypoints hold a camera."""
+    count = found.used.sum(1)
     view = int(count.argmin())
     if count[view] < least:
-        found = f"camera {rig.names[view]}: expected at least {least} keypoints that agree with other views, found {count[view]}"
+        name = rig.names[view]
         raise UnderconstrainedCameraError(
-            f"{found}; leave it out or record longer", rig.names[view]
+            f"camera {name}: expected at least {least} keypoints that agree with other views, "
+            f"found {count[view]}; leave it out or record longer",
+            name,
         )
 
 
-def _sightings(rig: CameraRig, seen: Points, noise: Floats) -> Sightings:
-    """Residuals in standard deviations of each view's own error, so that the loss means the same in all views."""
-    rays = np.where(seen.used[:, None], seen.rays, np.array([0.0, 0.0, 1.0])[:, None])
-    metric = np.stack(
-        [
-            _pixels_per_ray(camera, own.T) / (sigma * camera.focal)
-            for camera, own, sigma in zip(rig.cameras, rays, noise, strict=True)
-        ]
-    )
-    metric = np.ascontiguousarray(np.moveaxis(metric, 1, -1))
-    return Sightings(
-        rays,
-        np.where(seen.used[:, None, None], np.nan_to_num(metric), 0.0),
-        np.where(seen.used, seen.weight, 0.0),
+# Residuals
+
+
+def _ray_observations(rig: CameraRig, found: _Points, noise: Floats) -> RayObservations:
+    """Return what was seen, with the metric that turns directions into residuals.
+
+    Residuals are in standard deviations of each view's own error (noise, `[view]` radians), so
+    that the loss means the same in all views.
+    """
+    axis = np.array([0.0, 0.0, 1.0])[:, None]
+    rays = np.where(found.used[:, None], found.rays, axis)
+    metrics = [
+        _pixels_per_ray(camera, ray.T) / (sigma * camera.focal)
+        for camera, ray, sigma in zip(rig.cameras, rays, noise, strict=True)
+    ]
+    metric = np.ascontiguousarray(np.moveaxis(np.stack(metrics), 1, -1))
+    return RayObservations(
+        rays=rays,
+        metric=np.where(found.used[:, None, None], np.nan_to_num(metric), 0.0),
+        weight=np.where(found.used, found.weight, 0.0),
     )
 
 
 def _pixels_per_ray(camera: Camera, rays: Floats) -> Floats:
-    """`[N, 2, 3]` by how many pixels the image moves when a ray `[N, 3]` turns; along the ray nothing moves."""
-    across = np.cross(rays, np.eye(3)[np.abs(rays).argmin(-1)])
-    across /= np.linalg.norm(across, axis=-1, keepdims=True)
-    basis = np.stack(
-        [across, np.cross(rays, across)], axis=1
-    )  # (N, 2, 3) the plane that touches the sphere at the ray
-    ends = [
-        pixels_from_points(camera, rays[:, None] + sign * _NUDGE * basis) for sign in (1.0, -1.0)
-    ]
-    slope = (ends[0] - ends[1]) / (2 * _NUDGE)  # (N, 2 of the basis, 2 of the image)
+    """Return by how many pixels the image moves when rays turn, `[N, 2, 3]`.
+
+    rays: `[N, 3]` unit vectors in the camera's frame. By central differences in the plane that
+    touches the unit sphere at the ray; along the ray nothing moves.
+    """
+    other = np.eye(3)[np.abs(rays).argmin(-1)]  # the axis that is farthest from the ray
+    first = np.cross(rays, other)
+    first /= np.linalg.norm(first, axis=-1, keepdims=True)
+    basis = np.stack([first, np.cross(rays, first)], axis=1)  # [N, 2, 3] of the plane
+    forth = pixels_from_points(camera, rays[:, None] + _NUDGE * basis)
+    back = pixels_from_points(camera, rays[:, None] - _NUDGE * basis)
+    slope = (forth - back) / (2 * _NUDGE)  # [N, direction in the plane, pixel coordinate]
     return np.einsum("nbi,nbk->nik", slope, basis)

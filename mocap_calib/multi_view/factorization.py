@@ -1,116 +1,161 @@
-"""One subject, all views at once, far away: the rig by factorisation (Tomasi and Kanade 1992), no model and no pairs needed.
+"""Find the rig of one subject from all views at once, without a model and without pairs.
 
-Two views of a subject that is small against its distance leave the rotation between them open; three settle it, up to a reversal in
-depth (Ullman 1979). Both answers are given: the adjustment that follows knows which one the perspective speaks for, if it speaks.
+Factorization of the image points (Tomasi and Kanade 1992), under scaled orthography (Poelman and
+Kanade 1997). Two views of a subject that is small against its distance leave the rotation between
+them open; three determine it, up to a reversal in depth (Ullman 1979). Both answers are given: the
+adjustment that follows knows which one the perspective speaks for, if it speaks.
 """
-
-from itertools import repeat
 
 import numpy as np
 
+from mocap_calib.config import (
+    FACTORIZATION_LEAST_PX,
+    FACTORIZATION_OUTLIER,
+    FACTORIZATION_POINTS,
+    FACTORIZATION_ROUNDS,
+    FACTORIZATION_SWEEPS,
+    FACTORIZATION_VIEWS,
+)
 from mocap_calib.geometry.rotation import nearest_rotation
 from mocap_calib.multi_view.triangulation import observations
-from mocap_calib.types import CameraRig, Floats, Ints, Matches, Sample
+from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Matches, Sample
 
-_REVERSE = np.diag([1.0, 1.0, -1.0])
-_LEAST_VIEWS = 3
-_LEAST_POINTS = 24
-_ROUNDS = 5  # of leaving out the points that fit worst
-_FAR = 2.5  # median residuals
-_SWEEPS = 50
+_REVERSE_DEPTH = np.diag([1.0, 1.0, -1.0])
 
 
-def factorise(recording: Sample, matches: Matches) -> tuple[CameraRig, ...]:
-    """Two rigs, reversed in depth from each other, from the points that all views see; none where these are too few.
+def factorise(sample: Sample, matches: Matches) -> tuple[CameraRig, ...]:
+    """Return two rigs, reversed in depth from each other, from the points that all views see.
 
-    Scaled orthographic cameras: what comes out is a start for the adjustment, in units of the subject's extent.
+    The cameras are scaled orthographic: what comes out is a start for the adjustment, in units of
+    the subject's extent. Returns no rig where views or points are too few, or where they determine
+    no rotations.
     """
-    seen = observations(recording, matches, np.arange(len(recording.frames)))
-    views, rays, weight = len(seen.rays), np.swapaxes(seen.rays, 1, 2), seen.confidence
-    whole = np.flatnonzero(((weight > 0) & (rays[..., 2] > 0)).all(0))
-    if views < _LEAST_VIEWS or len(whole) < _LEAST_POINTS:
+    image = _image_points(sample, matches)
+    if len(image) < FACTORIZATION_VIEWS or image.shape[1] < FACTORIZATION_POINTS:
         return ()
-    image = rays[:, whole, :2] / rays[:, whole, 2:]  # (view, point, 2)
-    focal = np.array([camera.focal for camera in recording.cameras])
-    kept = _fitting(image * focal[:, None, None])
-    rotation = _metric(_low_rank((image * focal[:, None, None])[:, kept])[0])
+    focal = np.array([camera.focal for camera in sample.cameras])
+    pixels = image * focal[:, None, None]
+    kept = _points_that_fit(pixels)
+    affine, _ = _factorise_affine(pixels[:, kept])
+    rotation = _upgrade_to_rotations(affine)
     if rotation is None:
         return ()
+    reversed_rotation = _REVERSE_DEPTH @ rotation @ _REVERSE_DEPTH
     return tuple(
-        _placed(recording, turned, image[:, kept])
-        for turned in (rotation, _REVERSE @ rotation @ _REVERSE)
+        _place_cameras(sample.cameras, each, image[:, kept])
+        for each in (rotation, reversed_rotation)
     )
 
 
-def _low_rank(image: Floats) -> tuple[Floats, Floats]:
-    """The affine cameras `[view, 2, 3]` about the centroid, and the residual `[point]` of each point, in the units of the image."""
-    centred = np.concatenate(
-        np.swapaxes(image - image.mean(1, keepdims=True), 1, 2)
-    )  # (2 view, point)
-    left, size, right = np.linalg.svd(centred, full_matrices=False)
-    residual = centred - (left[:, :3] * size[:3]) @ right[:3]
-    return (left[:, :3] * size[:3]).reshape(-1, 2, 3), np.sqrt((residual**2).sum(0))
+def _image_points(sample: Sample, matches: Matches) -> Floats:
+    """Return `[view, point, 2]` x / z, y / z of the points that all views see."""
+    seen = observations(sample, matches, np.arange(len(sample.frames)))
+    rays = np.swapaxes(seen.rays, 1, 2)
+    in_front: Bools = (seen.confidence > 0) & (rays[..., 2] > 0)
+    everywhere = np.flatnonzero(in_front.all(0))
+    return rays[:, everywhere, :2] / rays[:, everywhere, 2:]
 
 
-def _fitting(image: Floats) -> Ints:
-    """The points that three dimensions explain: detectors are sometimes wrong by much."""
-    kept = np.arange(image.shape[1])
-    for _ in repeat(None, _ROUNDS):
-        residual = _low_rank(image[:, kept])[1]
-        near = residual <= max(_FAR * np.median(residual), 1.0)
-        if near.all() or near.sum() < _LEAST_POINTS:
+def _points_that_fit(pixels: Floats) -> Ints:
+    """Return the indices `[point]` of the points that three dimensions explain.
+
+    Detectors are sometimes wrong by much: points with a large residual are left out, in rounds.
+    """
+    kept = np.arange(pixels.shape[1])
+    for _ in range(FACTORIZATION_ROUNDS):
+        _, residual = _factorise_affine(pixels[:, kept])
+        limit = max(FACTORIZATION_OUTLIER * np.median(residual), FACTORIZATION_LEAST_PX)
+        fits = residual <= limit
+        if fits.all() or fits.sum() < FACTORIZATION_POINTS:
             break
-        kept = kept[near]
+        kept = kept[fits]
     return kept
 
 
-def _metric(affine: Floats) -> Floats | None:
-    """`[view, 3, 3]` rotations: the coordinates in which both rows of each camera are as long and at right angles; None where there are none.
+def _factorise_affine(pixels: Floats) -> tuple[Floats, Floats]:
+    """Return the affine cameras `[view, 2, 3]` about the centroid, and residuals `[point]` in px.
 
-    The rows M_v Q M_v' are linear in the symmetric Q (Poelman and Kanade 1997, scaled orthography).
+    The measurement matrix of centred images has rank 3 (Tomasi and Kanade 1992, section 3).
+    pixels: `[view, point, 2]`.
+    """
+    centred = pixels - pixels.mean(1, keepdims=True)
+    measurements = np.concatenate(np.swapaxes(centred, 1, 2))  # [2 x view, point]
+    left, size, right = np.linalg.svd(measurements, full_matrices=False)
+    motion = left[:, :3] * size[:3]
+    residual = measurements - motion @ right[:3]
+    length = np.sqrt((residual**2).sum(0))
+    return motion.reshape(-1, 2, 3), length
+
+
+def _upgrade_to_rotations(affine: Floats) -> Floats | None:
+    """Return `[view, 3, 3]` rotations of affine cameras `[view, 2, 3]`, None where there are none.
+
+    In the right coordinates both rows m and n of each camera are as long, and at right angles:
+    m' Q m = n' Q n and m' Q n = 0 are linear in the symmetric Q (Poelman and Kanade 1997, scaled
+    orthography).
     """
     m, n = affine[:, 0], affine[:, 1]
-    size = ((m**2).sum(1) + (n**2).sum(1))[:, None]
-    rows = np.concatenate([(_products(m, m) - _products(n, n)) / size, 2 * _products(m, n) / size])
-    q = np.linalg.svd(rows)[2][-1]
-    square = np.array([[q[0], q[1], q[2]], [q[1], q[3], q[4]], [q[2], q[4], q[5]]])
-    values, vectors = np.linalg.eigh(square * np.sign(np.trace(square)))
-    if (
-        values[-1] <= 0 or values[1] <= 0
-    ):  # one negative value is noise along the direction seen least
+    size = (m**2).sum(1) + (n**2).sum(1)
+    same_length = (_quadratic_terms(m, m) - _quadratic_terms(n, n)) / size[:, None]
+    right_angle = 2 * _quadratic_terms(m, n) / size[:, None]
+    constraints = np.concatenate([same_length, right_angle])
+    _, _, right = np.linalg.svd(constraints)
+    xx, xy, xz, yy, yz, zz = right[-1]
+    q = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    values, vectors = np.linalg.eigh(q * np.sign(np.trace(q)))
+    # one negative value is noise along the direction that is seen least
+    if values[-1] <= 0 or values[1] <= 0:
         return None
-    upgraded = affine @ (vectors * np.sqrt(np.maximum(values, 1e-6 * values[-1])))
-    across = upgraded / np.linalg.norm(upgraded, axis=-1, keepdims=True)
-    return nearest_rotation(
-        np.concatenate([across, np.cross(across[:, :1], across[:, 1:])], axis=1)
-    )
+    values = np.maximum(values, 1e-6 * values[-1])
+    upgraded = affine @ (vectors * np.sqrt(values))
+    rows = upgraded / np.linalg.norm(upgraded, axis=-1, keepdims=True)
+    third = np.cross(rows[:, :1], rows[:, 1:])
+    return nearest_rotation(np.concatenate([rows, third], axis=1))
 
 
-def _products(m: Floats, n: Floats) -> Floats:
-    """`[view, 6]` what the six numbers of a symmetric Q are multiplied by in m' Q n."""
+def _quadratic_terms(m: Floats, n: Floats) -> Floats:
+    """Return `[view, 6]` the factors of the six numbers of a symmetric Q in m' Q n.
+
+    m, n: `[view, 3]`. The order is xx, xy, xz, yy, yz, zz.
+    """
     x, y, z = m.T
     u, v, w = n.T
-    return np.stack([x * u, x * v + y * u, x * w + z * u, y * v, y * w + z * v, z * w], axis=1)
+    xx = x * u
+    xy = x * v + y * u
+    xz = x * w + z * u
+    yy = y * v
+    yz = y * w + z * v
+    zz = z * w
+    return np.stack([xx, xy, xz, yy, yz, zz], axis=1)
 
 
-def _placed(recording: Sample, rotation: Floats, image: Floats) -> CameraRig:
-    """The cameras as far away as the size of the subject in their images says, in units of its RMS extent."""
-    middle = image.mean(1)
-    centred = np.swapaxes(image - middle[:, None], 1, 2)  # (view, 2, point)
-    scale = np.ones(len(rotation))
-    for _ in repeat(None, _SWEEPS):
-        points = np.linalg.lstsq(
-            (scale[:, None, None] * rotation[:, :2]).reshape(-1, 3),
-            centred.reshape(-1, centred.shape[2]),
-            rcond=None,
-        )[0]
-        points /= np.sqrt((points**2).sum(0).mean())
-        seen = rotation[:, :2] @ points
-        scale = (centred * seen).sum((1, 2)) / (seen**2).sum((1, 2))
+def _place_cameras(cameras: tuple[Camera, ...], rotation: Floats, image: Floats) -> CameraRig:
+    """Return the rig with cameras as far away as the size of the subject in their images says.
+
+    rotation: `[view, 3, 3]`; image: `[view, point, 2]`. Lengths are in units of the subject's RMS
+    extent, the origin is its centroid.
+    """
+    centroid = image.mean(1)
+    centred = np.swapaxes(image - centroid[:, None], 1, 2)  # [view, 2, point]
+    scale = _scales(rotation[:, :2], centred)
     depth = 1.0 / np.maximum(np.abs(scale), 1e-9)
-    return CameraRig(
-        recording.cameras,
-        rotation,
-        np.concatenate([middle, np.ones((len(middle), 1))], axis=1) * depth[:, None],
-        "arbitrary",
-    )
+    direction = np.concatenate([centroid, np.ones((len(centroid), 1))], axis=1)
+    return CameraRig(cameras, rotation, direction * depth[:, None], "arbitrary")
+
+
+def _scales(rows: Floats, centred: Floats) -> Floats:
+    """Return `[view]` scales of the images: a length of 1 in space is so long in the image.
+
+    The points and the scales are found in turns. rows: `[view, 2, 3]`, the first rows of the
+    rotations; centred: `[view, 2, point]`.
+    """
+    scale = np.ones(len(rows))
+    measurements = centred.reshape(-1, centred.shape[2])
+    for _ in range(FACTORIZATION_SWEEPS):
+        motion = (scale[:, None, None] * rows).reshape(-1, 3)
+        points = np.linalg.lstsq(motion, measurements, rcond=None)[0]
+        points /= np.sqrt((points**2).sum(0).mean())
+        projected = rows @ points
+        product = (centred * projected).sum((1, 2))
+        scale = product / (projected**2).sum((1, 2))
+    return scale

@@ -1,6 +1,8 @@
-"""Detections followed through each view by their motion in the image: many frames tell who one is that a single frame does not.
+"""Follow detections through each view by their motion in the image.
 
-Tracks that the input names are not needed for this and not believed: where they are exchanged the image jumps, and what jumps is not followed.
+Many frames tell who one is that a single frame does not. Tracks that the input names are not
+needed for this and not believed: where they are exchanged the image jumps, and what jumps is not
+followed.
 """
 
 import numpy as np
@@ -14,85 +16,142 @@ _FRAMES = 512  # linked at a time
 
 
 def fill_in(recording: Recording, labels: Ints, config: MatchingConfig) -> Ints:
-    """`[view, frame, instance]` labels in which nobody takes the name that most of his tracklet has, where another view has it too.
+    """Return the labels with names for detections that had none.
 
-    Names that are given stay, and none is given twice in a view and frame.
+    A detection takes the name that most of its tracklet has, if another view has that name in the
+    same frame. Names that are given stay, and none is given twice in a view and frame.
+
+    labels: `[view, frame, instance]`, -1 = nobody. Returns the same shape.
     """
-    out = labels.copy()
-    for view, own in enumerate(labels):
-        wanted = _majority(tracklets(recording, view, config), own, config)
-        taken = (wanted[:, :, None] == own[:, None]).any(-1)
-        others = np.moveaxis(np.delete(labels, view, axis=0), 1, 0).reshape(len(own), -1)
-        confirmed = (wanted[:, :, None] == others[:, None]).any(-1)
-        out[view] = np.where((own < 0) & confirmed & ~taken & ~_twice(wanted), wanted, own)
-    return out
+    filled = labels.copy()
+    for view, given in enumerate(labels):
+        wanted = _majority(tracklets(recording, view, config), given, config)
+        others = np.delete(labels, view, axis=0)
+        in_other_views = np.moveaxis(others, 1, 0).reshape(len(given), -1)
+        confirmed = _is_among(wanted, in_other_views)
+        free = ~_is_among(wanted, given) & ~_repeated(wanted)
+        filled[view] = np.where((given < 0) & confirmed & free, wanted, given)
+    return filled
 
 
 def tracklets(recording: Recording, view: int, config: MatchingConfig) -> Ints:
-    """`[frame, instance]` number of the tracklet of each detection of a view, -1 where there is none.
+    """Return the number of the tracklet of each detection of a view.
 
-    Detections of neighbouring frames are linked that are each other's nearest and near for their size.
+    Detections of neighbouring frames are linked that are each other's nearest and near for their
+    size. Returns `[frame, instance]`, -1 where there is no detection.
     """
     positions = recording.positions[view]
     frames, instances = positions.shape[:2]
-    links = [
-        _links(positions[start : start + _FRAMES + 1], config)
-        for start in range(0, frames - 1, _FRAMES)
-    ]
-    linked = np.concatenate(links) if links else np.zeros((0, instances, instances), dtype=bool)
+    linked = _links(positions, config)
     linked &= (np.diff(recording.frames) == 1)[:, None, None]
     frame, i, j = np.nonzero(linked)
-    first, second = frame * instances + i, (frame + 1) * instances + j
-    graph = coo_array(
-        (np.ones(len(first)), (first, second)), shape=(frames * instances, frames * instances)
-    )
-    number = connected_components(graph, directed=False)[1].reshape(frames, instances)
-    return np.where(np.isfinite(positions[..., 0]).any(-1), number, -1)
+    earlier = frame * instances + i
+    later = (frame + 1) * instances + j
+
+    detections = frames * instances
+    edges = (np.ones(len(earlier)), (earlier, later))
+    graph = coo_array(edges, shape=(detections, detections))
+    _, number = connected_components(graph, directed=False)
+    detected = np.isfinite(positions[..., 0]).any(-1)
+    return np.where(detected, number.reshape(frames, instances), -1)
 
 
 def _links(positions: Reals, config: MatchingConfig) -> Bools:
-    """`[frame - 1, instance, instance]` which detections of a frame go on as which of the next."""
-    gap2, size2 = _gaps(positions[:-1], positions[1:])
-    near = np.where(gap2 < config.tracklet_step**2 * size2, gap2, np.inf)
-    best = (near == near.min(-1, keepdims=True)) & (near == near.min(-2, keepdims=True))
-    return np.asarray(best & np.isfinite(near))
+    """Return `[frame - 1, instance, instance]` which detection goes on as which of the next frame.
+
+    positions: `[frame, instance, keypoint, 2]` pixels.
+    """
+    frames, instances = positions.shape[:2]
+    blocks = [
+        _links_in_block(positions[start : start + _FRAMES + 1], config)
+        for start in range(0, frames - 1, _FRAMES)
+    ]
+    nothing = np.zeros((0, instances, instances), dtype=bool)
+    return np.concatenate([nothing, *blocks])
 
 
-def _gaps(before: Reals, after: Reals) -> tuple[Floats, Floats]:
-    """`[frame, I, J]` mean squared distance of the joints that both have (inf below three), and mean squared extent of the earlier."""
-    there_a, there_b = (
-        np.isfinite(before[..., 0]).astype(np.float64),
-        np.isfinite(after[..., 0]).astype(np.float64),
-    )
-    a, b = (np.nan_to_num(x.astype(np.float64)) for x in (before, after))
-    count = np.einsum("fik,fjk->fij", there_a, there_b)
-    square = np.einsum("fik,fjk->fij", (a**2).sum(-1), there_b) + np.einsum(
-        "fik,fjk->fij", there_a, (b**2).sum(-1)
-    )
-    gap2 = (square - 2 * np.einsum("fikx,fjkx->fij", a, b, optimize=True)) / np.maximum(count, 1)
-    number = np.maximum(there_a.sum(-1), 1)[..., None]
-    middle = a.sum(-2) / number
-    size2 = (a**2).sum((-1, -2)) / number[..., 0] - (middle**2).sum(-1)
-    return np.where(count >= 3, np.maximum(gap2, 0.0), np.inf), np.broadcast_to(
-        size2[:, :, None], gap2.shape
-    )
+def _links_in_block(positions: Reals, config: MatchingConfig) -> Bools:
+    """Return the links of `_links` in one block of frames."""
+    gap2, extent2 = _squared_gaps(positions[:-1], positions[1:], config)
+    followed = gap2 < config.tracklet_step**2 * extent2
+    gap2 = np.where(followed, gap2, np.inf)
+    nearest_later = gap2 == gap2.min(-1, keepdims=True)
+    nearest_earlier = gap2 == gap2.min(-2, keepdims=True)
+    return nearest_later & nearest_earlier & np.isfinite(gap2)
+
+
+def _squared_gaps(before: Reals, after: Reals, config: MatchingConfig) -> tuple[Floats, Floats]:
+    """Return how far apart the detections of two frames are, and the extent of the earlier.
+
+    before: `[frame, I, keypoint, 2]` and after: `[frame, J, keypoint, 2]` pixels. Returns
+    `[frame, I, J]` mean squared distance of the joints that both have (infinite where these are
+    too few), and mean squared distance of the earlier's joints from their centroid.
+    """
+    seen_a = np.isfinite(before[..., 0]).astype(np.float64)
+    seen_b = np.isfinite(after[..., 0]).astype(np.float64)
+    a = np.nan_to_num(before.astype(np.float64))
+    b = np.nan_to_num(after.astype(np.float64))
+
+    # |a - b|^2 = |a|^2 + |b|^2 - 2 a.b, each term summed over the common joints
+    common = np.einsum("fik,fjk->fij", seen_a, seen_b)
+    square_a = np.einsum("fik,fjk->fij", (a**2).sum(-1), seen_b)
+    square_b = np.einsum("fik,fjk->fij", seen_a, (b**2).sum(-1))
+    product = np.einsum("fikx,fjkx->fij", a, b, optimize=True)
+    gap2 = (square_a + square_b - 2 * product) / np.maximum(common, 1)
+    comparable = common >= config.tracklet_joints
+    gap2 = np.where(comparable, np.maximum(gap2, 0.0), np.inf)
+    extent2 = _squared_extent(a, seen_a)
+    return gap2, np.broadcast_to(extent2[:, :, None], gap2.shape)
+
+
+def _squared_extent(positions: Floats, seen: Floats) -> Floats:
+    """Return `[frame, I]` mean squared distance of joints from their centroid.
+
+    positions: `[frame, I, keypoint, 2]`, 0 = missing; seen: `[frame, I, keypoint]` 0 or 1.
+    """
+    joints = np.maximum(seen.sum(-1), 1)
+    centroid = positions.sum(-2) / joints[..., None]
+    mean_square = (positions**2).sum((-1, -2)) / joints
+    return mean_square - (centroid**2).sum(-1)
 
 
 def _majority(track: Ints, labels: Ints, config: MatchingConfig) -> Ints:
-    """`[frame, instance]` the name that more than half of a detection's tracklet has within a stretch of frames; -1 where there is none."""
-    stretches = len(track) // config.tracklet_frames + 1
-    part = track * stretches + np.arange(len(track))[:, None] // config.tracklet_frames
-    parts, own = np.unique(np.where(track >= 0, part, -1), return_inverse=True)
-    own = own.reshape(part.shape)
+    """Return the name that more than half of a detection's tracklet has within a stretch of frames.
+
+    track, labels: `[frame, instance]`. Returns `[frame, instance]`, -1 where there is no such name.
+    """
+    part_of = _parts(track, config.tracklet_frames)
+    sizes = np.bincount(part_of.ravel())
     names = int(labels.max(initial=0)) + 1
-    keys, votes = np.unique((own * names + labels)[labels >= 0], return_counts=True)
-    most = 2 * votes > np.bincount(own.ravel(), minlength=len(parts))[keys // names]
-    winner = np.full(len(parts), -1, dtype=np.int64)
-    winner[keys[most] // names] = keys[most] % names
-    return winner[own]
+    named = labels >= 0
+    vote, votes = np.unique((part_of * names + labels)[named], return_counts=True)
+    part, name = np.divmod(vote, names)
+    wins = 2 * votes > sizes[part]
+    winner = np.full(len(sizes), -1, dtype=np.int64)
+    winner[part[wins]] = name[wins]
+    return winner[part_of]
 
 
-def _twice(names: Ints) -> Bools:
-    """`[frame, instance]` whether another detection of the frame has the same name."""
-    same = (names[:, :, None] == names[:, None]) & (names >= 0)[:, :, None]
-    return np.asarray(same.sum(-1) > 1)
+def _parts(track: Ints, length: int) -> Ints:
+    """Return `[frame, instance]` part of a tracklet, numbered from 0; one part holds the rest.
+
+    Tracklets are cut at every `length` frames of the recording.
+    """
+    frames = len(track)
+    stretches = frames // length + 1
+    stretch = np.arange(frames)[:, None] // length
+    part = np.where(track >= 0, track * stretches + stretch, -1)
+    _, number = np.unique(part, return_inverse=True)
+    return number.reshape(part.shape)
+
+
+def _is_among(names: Ints, others: Ints) -> Bools:
+    """Return whether a name `[frame, I]` is one of the others `[frame, J]` of the frame."""
+    same = names[:, :, None] == others[:, None]
+    return np.asarray(same.any(-1))
+
+
+def _repeated(names: Ints) -> Bools:
+    """Return `[frame, instance]` whether another detection of the frame has the same name."""
+    same = names[:, :, None] == names[:, None]
+    return np.asarray((names >= 0) & (same.sum(-1) > 1))

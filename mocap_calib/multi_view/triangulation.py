@@ -1,6 +1,7 @@
-"""3D points and poses from rays, many at once; pure functions of blocks of frames."""
+"""Triangulate points and poses from the rays of many views, in blocks of frames."""
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -11,7 +12,6 @@ from mocap_calib.geometry.intersection import intersect
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import (
     Bools,
-    Camera,
     CameraRig,
     Floats,
     Ints,
@@ -22,13 +22,19 @@ from mocap_calib.types import (
 )
 
 _BLOCK = 8192  # points at a time: enough that calls cost little beside, few enough for the cache
-_SAMPLE = 200  # frames that tell how well each view sees
-_START = 0.01  # radians: error of a keypoint before anything is known of it
+# The median distance of a normal error in the plane from its centre, sqrt(2 log 2), in standard
+# deviations of one coordinate
+_MEDIAN_DISTANCE = 1.18
 
 
 @dataclass(frozen=True)
 class Observations:
-    """Detections by point, by component. pixels: `[view, 2, N]`, rays: `[view, 3, N]`, NaN = missing; confidence: `[view, N]`, 0 = missing."""
+    """Detections by point and by component.
+
+    pixels: `[view, 2, N]`, NaN = missing.
+    rays: `[view, 3, N]` unit vectors in each camera's frame, NaN = missing.
+    confidence: `[view, N]`, 0 = missing.
+    """
 
     pixels: Floats
     rays: Floats
@@ -36,29 +42,35 @@ class Observations:
 
 
 def observations(recording: Recording, matches: Matches, frames: Ints) -> Observations:
-    """The detections of all individuals in some frames (indices), N = frames x individuals x keypoints in that order."""
+    """Return the detections of all individuals in the frames with these indices `[frame]`.
+
+    N = frames x individuals x keypoints, in that order.
+    """
     labels = matches.labels[:, frames]
     view, frame, instance = np.nonzero(labels >= 0)
-    shape = (len(recording.cameras), len(frames), matches.individuals, len(recording.keypoints))
-    pixels, confidence = np.full((*shape, 2), np.nan), np.zeros(shape)
-    target, source = (view, frame, labels[view, frame, instance]), (view, frames[frame], instance)
-    pixels[target], confidence[target] = recording.positions[source], recording.confidence[source]
-    columns = np.ascontiguousarray(np.moveaxis(pixels.reshape(len(pixels), -1, 2), -1, 1))
-    rays = np.stack(
-        [lens.unproject(camera, seen) for camera, seen in zip(recording.cameras, columns, strict=True)]
+    individual = labels[view, frame, instance]
+    views, keypoints = len(recording.cameras), len(recording.keypoints)
+    shape = (views, len(frames), matches.individuals, keypoints)
+    pixels = np.full((*shape, 2), np.nan)
+    confidence = np.zeros(shape)
+    pixels[view, frame, individual] = recording.positions[view, frames[frame], instance]
+    confidence[view, frame, individual] = recording.confidence[view, frames[frame], instance]
+    by_component = np.moveaxis(pixels.reshape(views, -1, 2), -1, 1)
+    by_component = np.ascontiguousarray(by_component)
+    rays = [
+        lens.unproject(camera, seen)
+        for camera, seen in zip(recording.cameras, by_component, strict=True)
+    ]
+    return Observations(
+        pixels=by_component,
+        rays=np.stack(rays),
+        confidence=confidence.reshape(views, -1),
     )
-    return Observations(columns, rays, confidence.reshape(len(confidence), -1))
 
 
-def per_frame_labels(matches: Matches) -> Matches:
-    """The same groups, numbered from 0 in each frame by their first detection: what they are called elsewhere is forgotten."""
-    labels = matches.labels
-    flat = np.swapaxes(labels, 0, 1).reshape(labels.shape[1], -1)
-    first = (flat[:, :, None] == flat[:, None]).argmax(-1)
-    begins = (first == np.arange(flat.shape[1])) & (flat >= 0)
-    number = np.take_along_axis(begins.cumsum(1) - 1, first, axis=1)
-    named = np.where(flat >= 0, number, -1)
-    return Matches(np.swapaxes(named.reshape(labels.shape[1], labels.shape[0], -1), 0, 1))
+def labelled_frames(matches: Matches) -> Ints:
+    """Return the indices `[frame]` of the frames with any label."""
+    return np.flatnonzero((matches.labels >= 0).any((0, 2)))
 
 
 def triangulate(
@@ -69,102 +81,189 @@ def triangulate(
     *,
     progress: Progress,
 ) -> Poses3D:
-    """3D poses of all individuals in all frames: confidence-weighted, robust against an outlying view.
+    """Return the 3D poses of all individuals in all frames, in the rig's unit.
 
-    A point needs two views that agree, rays at least `least_angle_deg` apart, and to lie in front of the cameras.
+    Detections are weighed by their confidence, and a view that contradicts the others is left
+    out. A point needs two views that agree, whose rays are at least `config.least_angle_deg`
+    apart, and lies in front of them.
     """
     frames, keypoints = len(recording.frames), len(recording.keypoints)
     shape = (frames, matches.individuals, keypoints)
-    position, error = np.empty((*shape, 3)), np.empty(shape)
-    views, confidence = np.empty(shape, dtype=np.int64), np.empty(shape)
-    noise = view_noise(recording, rig, matches)
-    step = max(1, _BLOCK // max(1, matches.individuals * keypoints))
-    blocks = [np.arange(start, min(start + step, frames)) for start in range(0, frames, step)]
-
-    def work(block: Ints) -> tuple[Floats, Floats, Ints, Floats]:
-        seen = observations(recording, matches, block)
-        points, used = triangulate_rays(rig, seen.rays, seen.confidence, noise, config)
-        count = used.sum(0)
-        trust = (seen.confidence * used).sum(0) / np.maximum(count, 1)
-        return points, reprojection_error(rig, points, seen.pixels, used), count, trust
-
-    for block, (points, *rest) in zip(blocks, in_order(work, blocks), strict=True):
-        here = (len(block), *shape[1:])
-        position[block] = points.T.reshape(*here, 3)
-        error[block], views[block], confidence[block] = (one.reshape(here) for one in rest)
+    found = Poses3D(
+        keypoints=recording.keypoints,
+        frames=recording.frames,
+        positions=np.empty((*shape, 3)),
+        error=np.empty(shape),
+        views=np.empty(shape, dtype=np.int64),
+        confidence=np.empty(shape),
+        unit=rig.unit,
+    )
+    work = partial(
+        _triangulate_block,
+        recording=recording,
+        rig=rig,
+        matches=matches,
+        noise=view_noise(recording, rig, matches, config),
+        config=config,
+    )
+    blocks = _blocks(frames, matches.individuals * keypoints)
+    for block, part in zip(blocks, in_order(work, blocks), strict=True):
+        found.positions[block] = part.positions
+        found.error[block] = part.error
+        found.views[block] = part.views
+        found.confidence[block] = part.confidence
         progress("triangulate", int(block[-1]) + 1, frames)
+    return found
+
+
+def _blocks(frames: int, points: int) -> list[Ints]:
+    """Return the indices of the frames, as many at a time as a block has room for.
+
+    points: in each frame.
+    """
+    size = max(1, _BLOCK // max(1, points))
+    return [np.arange(start, min(start + size, frames)) for start in range(0, frames, size)]
+
+
+def _triangulate_block(
+    frames: Ints,
+    *,
+    recording: Recording,
+    rig: CameraRig,
+    matches: Matches,
+    noise: Floats,
+    config: TriangulateConfig,
+) -> Poses3D:
+    """Return the poses in the frames with these indices."""
+    seen = observations(recording, matches, frames)
+    points, used = triangulate_rays(
+        rig, seen.rays, weight=seen.confidence, noise=noise, config=config
+    )
+    error = reprojection_error(rig, points, pixels=seen.pixels, used=used)
+    views = used.sum(0)
+    confidence = (seen.confidence * used).sum(0) / np.maximum(views, 1)
+    shape = (len(frames), matches.individuals, len(recording.keypoints))
     return Poses3D(
-        recording.keypoints, recording.frames, position, error, views, confidence, rig.unit
+        keypoints=recording.keypoints,
+        frames=recording.frames[frames],
+        positions=points.T.reshape(*shape, 3),
+        error=error.reshape(shape),
+        views=views.reshape(shape),
+        confidence=confidence.reshape(shape),
+        unit=rig.unit,
     )
 
 
-def view_noise(recording: Recording, rig: CameraRig, matches: Matches) -> Floats:
-    """`[view]` robust standard deviation of the angular error, in radians, from an even sample of the frames."""
-    seen = observations(
-        recording, matches, evenly_spaced(np.flatnonzero((matches.labels >= 0).any((0, 2))), _SAMPLE)
-    )
-    weight = seen.confidence
-    points = intersect(rig, _world(rig, seen.rays), weight / _START**2)
-    angle = _angles(rig, points, seen.rays)[0]
-    counted = (
-        (weight > 0) & np.isfinite(points[0]) & ((weight > 0).sum(0) >= min(3, len(rig.cameras)))
-    )
-    # two coordinates share the angle: its median is 1.18 standard deviations of one
-    found = [
-        np.median(a[c]) / 1.18 if c.any() else np.nan for a, c in zip(angle, counted, strict=True)
-    ]
-    floor = np.array([0.25 / camera.focal for camera in rig.cameras])
-    return np.maximum(np.nan_to_num(np.array(found), nan=_START), floor)
+def view_noise(
+    recording: Recording, rig: CameraRig, matches: Matches, config: TriangulateConfig
+) -> Floats:
+    """Return the robust standard deviation `[view]` of each view's angular error, in radians.
+
+    Measured in an even sample of the frames that have labels, on one coordinate of the points
+    that three views see (two where there are no more).
+    """
+    frames = evenly_spaced(labelled_frames(matches), config.noise_frames)
+    seen = observations(recording, matches, frames)
+    precision = seen.confidence / config.unknown_noise**2
+    points = intersect(rig, _rays_in_world(rig, seen.rays), precision)
+    angle, _ = _ray_angles(rig, points, seen.rays)
+    present = seen.confidence > 0
+    enough = present.sum(0) >= min(3, len(rig.cameras))
+    counted = present & np.isfinite(points[0]) & enough
+    noise = np.full(len(rig.cameras), config.unknown_noise)
+    for view in np.flatnonzero(counted.any(1)):
+        noise[view] = np.median(angle[view, counted[view]]) / _MEDIAN_DISTANCE
+    least = np.array([config.least_noise_px / camera.focal for camera in rig.cameras])
+    return np.maximum(noise, least)
 
 
 def triangulate_rays(
-    rig: CameraRig, rays: Floats, weight: Floats, noise: Floats, config: TriangulateConfig
+    rig: CameraRig, rays: Floats, *, weight: Floats, noise: Floats, config: TriangulateConfig
 ) -> tuple[Floats, Bools]:
-    """Points `[3, N]` from rays `[view, 3, N]` and weights `[view, N]` (0 = not seen), and which views agree `[view, N]`.
+    """Return the points `[3, N]` where rays meet, and which views agree on each `[view, N]`.
 
-    noise: `[view]` radians. NaN where fewer than two views agree, see it in front, and from different enough sides.
+    rays: `[view, 3, N]` unit vectors in each camera's frame, NaN = missing.
+    weight: `[view, N]`, 0 = not seen.
+    noise: `[view]` standard deviation of the rays' angles in radians.
+
+    A point is NaN where fewer than two views agree on it and have it in front of them, or where
+    they see it from almost the same side.
     """
-    world = _world(rig, rays)
-    points = intersect(
-        rig, world, np.where(np.isfinite(rays[:, 0]), weight, 0.0) / noise[:, None] ** 2
-    )
-    angle, ahead = _angles(rig, points, rays)
-    used = (weight > 0) & ahead & (angle < config.outlier * noise[:, None])
-    # the widest angle between any two used rays is at least the one to their mean
-    mean = np.einsum("vin,vn->in", world, used.astype(np.float64))
-    mean /= np.maximum(np.sqrt((mean**2).sum(0)), 1e-12)
-    spread = np.where(used, np.einsum("vin,in->vn", world, mean), 1.0).min(0)
-    good = (used.sum(0) >= 2) & (spread < np.cos(np.deg2rad(config.least_angle_deg) / 2))
+    known = np.where(np.isfinite(rays[:, 0]), weight, 0.0)
+    rays_in_world = _rays_in_world(rig, rays)
+    points = intersect(rig, rays_in_world, known / noise[:, None] ** 2)
+    angle, in_front = _ray_angles(rig, points, rays)
+    used = (weight > 0) & in_front & (angle < config.outlier * noise[:, None])
+    apart = _are_apart(rays_in_world, used, np.deg2rad(config.least_angle_deg))
+    good = (used.sum(0) >= 2) & apart
     return np.where(good, points, np.nan), used & good
 
 
-def _world(rig: CameraRig, rays: Floats) -> Floats:
-    """Rays in the world's axes, zero where missing."""
+def _are_apart(rays: Floats, used: Bools, least_angle: float) -> Bools:
+    """Return whether the used rays of each point are far enough apart, `[N]`.
+
+    rays: `[view, 3, N]` in world coordinates; used: `[view, N]`; least_angle: in radians. The mean
+    of two rays is half-way between them, so half of the angle is asked of the ray that is farthest
+    from the mean.
+    """
+    mean = np.einsum("vin,vn->in", rays, used.astype(np.float64))
+    mean /= np.maximum(np.sqrt((mean**2).sum(0)), 1e-12)
+    cosine = np.where(used, np.einsum("vin,in->vn", rays, mean), 1.0)
+    return cosine.min(0) < np.cos(least_angle / 2)
+
+
+def _rays_in_world(rig: CameraRig, rays: Floats) -> Floats:
+    """Return rays `[view, 3, N]` of the cameras' frames in world coordinates, zero = missing."""
     return np.matmul(np.swapaxes(rig.rotation, 1, 2), np.nan_to_num(rays))
 
 
-def _angles(rig: CameraRig, points: Floats, rays: Floats) -> tuple[Floats, Bools]:
-    """Angles `[view, N]` in radians between the rays and the points, and whether the point is in front."""
-    inside = np.matmul(rig.rotation, points) + rig.translation[:, :, None]
-    along = np.einsum("vin,vin->vn", inside, rays)
-    x, y, z = (
-        inside[:, i] * rays[:, (i + 1) % 3] - inside[:, (i + 1) % 3] * rays[:, i] for i in range(3)
-    )
-    angle = np.arctan2(np.sqrt(x * x + y * y + z * z), along)
+def _ray_angles(rig: CameraRig, points: Floats, rays: Floats) -> tuple[Floats, Bools]:
+    """Return the angles between rays and points, and whether the points are in front of the views.
+
+    points: `[3, N]`; rays: `[view, 3, N]`. Angles `[view, N]` in radians, pi where something is
+    missing; in front `[view, N]`.
+    """
+    in_camera = points_in_cameras(rig, points)
+    along = np.einsum("vin,vin->vn", in_camera, rays)
+    z, x, y = (_cross(in_camera, rays, i) for i in range(3))
+    across = np.sqrt(z * z + x * x + y * y)
+    angle = np.arctan2(across, along)
     return np.where(np.isnan(angle), np.pi, angle), along > 0
 
 
-def reprojection_error(rig: CameraRig, points: Floats, seen: Floats, used: Bools) -> Floats:
-    """`[N]` RMS distance in pixels over the used views. points `[3, N]`, seen `[view, 2, N]` pixels, used `[view, N]`."""
-    square = np.zeros(points.shape[1])
-    for view, camera in enumerate(rig.cameras):
-        gap = project(camera, rig.rotation[view], rig.translation[view], points) - seen[view]
-        distance = gap[0] ** 2 + gap[1] ** 2
-        square += np.where(used[view] & np.isfinite(distance), distance, 0.0)
+def _cross(first: Floats, second: Floats, i: int) -> Floats:
+    """Return one component `[view, N]` of the cross product of vectors `[view, 3, N]`.
+
+    The components come in the order z, x, y for i = 0, 1, 2.
+    """
+    j = (i + 1) % 3
+    return first[:, i] * second[:, j] - first[:, j] * second[:, i]
+
+
+def reprojection_error(rig: CameraRig, points: Floats, *, pixels: Floats, used: Bools) -> Floats:
+    """Return the RMS distance `[N]` in pixels of points from their detections in the used views.
+
+    points: `[3, N]`; pixels: `[view, 2, N]` the detections; used: `[view, N]`.
+    """
+    gap = project(rig, points) - pixels
+    square = gap[:, 0] ** 2 + gap[:, 1] ** 2
+    total = np.where(used & np.isfinite(square), square, 0.0).sum(0)
     count = used.sum(0)
-    return np.where(count > 0, np.sqrt(square / np.maximum(count, 1)), np.nan)
+    return np.where(count > 0, np.sqrt(total / np.maximum(count, 1)), np.nan)
 
 
-def project(camera: Camera, rotation: Floats, translation: Floats, points: Floats) -> Floats:
-    """`[2, N]` pixels of points `[3, N]` of the world."""
-    return lens.project(camera, rotation @ points + translation[:, None])
+def points_in_cameras(rig: CameraRig, points: Floats) -> Floats:
+    """Return points `[3, N]` in world coordinates in each camera's frame, `[view, 3, N]`."""
+    return np.matmul(rig.rotation, points) + rig.translation[:, :, None]
+
+
+def project(rig: CameraRig, points: Floats) -> Floats:
+    """Return the pixels `[view, 2, N]` of points `[3, N]` in world coordinates; NaN = behind."""
+    return np.stack(
+        [
+            lens.project(camera, rotation @ points + translation[:, None])
+            for camera, rotation, translation in zip(
+                rig.cameras, rig.rotation, rig.translation, strict=True
+            )
+        ]
+    )

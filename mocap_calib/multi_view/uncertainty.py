@@ -1,201 +1,138 @@
-"""Whether the rig is determined by what was seen, and all cameras agree on it.
+"""Tell whether what was seen determines the rig, and whether all cameras agree on it.
 
-Reprojection errors are small also where nothing is determined: a subject that stands still, small in the image, leaves errors of its
-joints (of the detector, of the lens model) that all frames share, and the rig bends to fit them. Two halves of the joints share the
-cameras but not these errors: the rig is adjusted on each, and the angle between the two is an estimate of its error. One split
-may agree by chance, so several are made.
+Reprojection errors are small also where nothing is determined: where a subject is small in the
+image and stands still, all frames share the errors of its joints (of the detector, of the lens
+model), and the rig bends to fit them. Two halves of the joints share the cameras but not these
+errors: the rig is adjusted to each, and the angle between the two rigs is an estimate of the
+rig's error. One split may agree by chance, so several are made.
 
-What the halves share they do not show: a camera out of step, moved, or with another's intrinsics. Its own errors do, which are several
-times those of the others.
+Errors that both halves share do not show there: those of a camera that is out of step, was moved,
+or has other intrinsics than given. Its reprojection errors are several times those of the others.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from itertools import combinations
 from typing import Literal
 
 import numpy as np
 
 from mocap_calib.compute.parallel import in_order
-from mocap_calib.config import Config, TriangulateConfig
+from mocap_calib.config import Config, UncertaintyConfig
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.multi_view.bundle_adjustment import adjust
-from mocap_calib.multi_view.triangulation import observations, project, triangulate_rays, view_noise
-from mocap_calib.types import Bools, CameraRig, Floats, Matches, Sample, Uncertainty
+from mocap_calib.multi_view.fit import find_outlier_cameras, find_weak_perspective, measure_fit
+from mocap_calib.types import Bools, CameraRig, Floats, Ints, Matches, Sample, Uncertainty
 
 Verdict = Literal["well determined", "weak", "not determined"]
-_WELL_DEG, _WEAK_DEG = (
-    4.0,
-    10.0,
-)  # between halves, which differ by twice the error of the whole: 2 and 5 deg of the rig
-_SPLITS = 4
-_SEVERAL = 4.0  # times the errors of the others: 1 to 2.6 in recordings whose cameras agree, 3.8 between telescopes, 5 to 18 out of step
-_FAR = 4.0  # usual errors
-_ALIKE = 1.05  # misfits of two rigs that the observations do not tell apart
-
-
-@dataclass(frozen=True)
-class Fit:
-    """How a rig fits what was seen, in pixels.
-
-    misfit: RMS distance of all detections from their reprojections, none counted as farther than four usual ones. angle: `[view]` their
-    median, in radians. noise: `[view]` robust standard deviation of a coordinate. perspective: `[view]` RMS of what no affine camera could explain:
-    where it is far below the noise, the view might as well be infinitely far away, and how far it is follows from its focal length alone.
-    """
-
-    misfit: float
-    angle: Floats
-    noise: Floats
-    perspective: Floats
 
 
 def assess_uncertainty(
     sample: Sample, rig: CameraRig, matches: Matches, config: Config, *, seed: int
 ) -> Uncertainty:
-    """Return how well the rig is determined by the sample, and which cameras stand out."""
-    fit = measure_fit(sample, rig, matches, config.triangulate)
+    """Return how well the sample determines the rig, and which cameras stand out."""
+    fit = measure_fit(sample, rig, matches, config)
     return Uncertainty(
         split_half_angle=split_half_angle(sample, rig, matches, config, seed=seed),
-        outlier_cameras=outlier_cameras(fit),
-        weak_perspective=weak_perspective(fit),
+        outlier_cameras=find_outlier_cameras(fit, config.uncertainty),
+        weak_perspective=find_weak_perspective(fit),
     )
+
+
+def verdict(split_half_angle: Floats, outlier_cameras: Bools, config: UncertaintyConfig) -> Verdict:
+    """Return what the uncertainty means: the verdict on the camera that is worst off.
+
+    split_half_angle: `[pair]` in radians; outlier_cameras: `[view]`. What counts for a camera is
+    the median of its pairs. No rig with an outlier camera is well determined.
+    """
+    worst = np.rad2deg(_angle_of_worst_camera(split_half_angle, len(outlier_cameras)))
+    mostly_outliers = 2 * outlier_cameras.sum() > len(outlier_cameras)
+    if worst > config.weak_deg or mostly_outliers:
+        return "not determined"
+    if worst > config.well_determined_deg or outlier_cameras.any():
+        return "weak"
+    return "well determined"
 
 
 def split_half_angle(
-    recording: Sample, rig: CameraRig, matches: Matches, config: Config, *, seed: int
+    sample: Sample, rig: CameraRig, matches: Matches, config: Config, *, seed: int
 ) -> Floats:
-    """`[pair]` radians between the relative rotations of two rigs, each adjusted on half of the joints; RMS over several splits.
+    """Return the angle `[pair]` in radians between rigs that are adjusted to halves of the joints.
 
-    pi where a half does not hold one of the two cameras.
+    Of the relative rotation of each pair of cameras: RMS over several random splits, pi where a
+    half does not hold one of the two cameras.
     """
-
-    def work(half: Sample) -> Floats:
-        return _rotations(half, rig, matches, config)
-
-    halves = np.stack(list(in_order(work, _halves(recording, seed))))
-    a, b = np.array(list(combinations(range(len(rig.cameras)), 2))).T
-    between = halves[:, b] @ np.swapaxes(halves[:, a], -1, -2)
-    angle = np.nan_to_num(angle_between(between[::2], between[1::2]), nan=np.pi)
+    splits = config.uncertainty.splits
+    # what halves differ by is not chance: more points do not show it better
+    points = config.adjust.points // splits
+    fewer_points = replace(config, adjust=replace(config.adjust, points=points))
+    work = partial(_rotations_from, rig=rig, matches=matches, config=fewer_points)
+    halves = _halves_of_joints(sample, splits, seed)
+    rotations = np.stack(list(in_order(work, halves)))  # [half, view, 3, 3]
+    a, b = _pairs(len(rig.cameras))
+    relative = rotations[:, b] @ np.swapaxes(rotations[:, a], -1, -2)
+    first, second = relative[::2], relative[1::2]
+    angle = np.nan_to_num(angle_between(first, second), nan=np.pi)  # [split, pair]
     return np.sqrt((angle**2).mean(0))
 
 
-def _rotations(half: Sample, rig: CameraRig, matches: Matches, config: Config) -> Floats:
-    """`[view, 3, 3]` of the rig adjusted on a part of what was seen; NaN of cameras that the part does not hold."""
-    found = np.full_like(rig.rotation, np.nan)
-    fewer = replace(
-        config.adjust, points=config.adjust.points // _SPLITS
-    )  # joints differ by more than chance: more frames do not show it better
+def _angle_of_worst_camera(split_half_angle: Floats, views: int) -> float:
+    """Return the largest of the cameras' angles, a camera's being the median of its pairs'."""
+    a, b = _pairs(views)
+    medians = [np.median(split_half_angle[(a == view) | (b == view)]) for view in range(views)]
+    return float(max(medians))
+
+
+def _pairs(views: int) -> tuple[Ints, Ints]:
+    """Return the first and the second view of all pairs, `[pair]` each."""
+    a, b = np.array(list(combinations(range(views), 2))).T
+    return a, b
+
+
+def _halves_of_joints(sample: Sample, splits: int, seed: int) -> Iterator[Sample]:
+    """Return samples with one half of the joints and with the other, for random splits in turn."""
+    rng = np.random.default_rng(seed)
+    joints = np.arange(len(sample.keypoints))
+    for _ in range(splits):
+        shuffled = rng.permutation(len(joints))
+        for half in (shuffled[::2], shuffled[1::2]):
+            yield _with_joints(sample, np.isin(joints, half))
+
+
+def _with_joints(sample: Sample, kept: Bools) -> Sample:
+    """Return the sample with the detections of some keypoints (kept: `[keypoint]`) alone."""
+    return replace(
+        sample,
+        positions=np.where(kept[:, None], sample.positions, np.nan),
+        confidence=np.where(kept, sample.confidence, 0.0),
+        rays=np.where(kept[:, None], sample.rays, np.nan),
+    )
+
+
+def _rotations_from(half: Sample, *, rig: CameraRig, matches: Matches, config: Config) -> Floats:
+    """Return the rotations `[view, 3, 3]` of the rig adjusted to a part of the detections.
+
+    NaN for cameras that this part does not hold.
+    """
+    rotations = np.full_like(rig.rotation, np.nan)
     held = np.arange(len(rig.cameras))
     while len(held) >= 2:
-        labels = Matches(matches.labels[held])
         try:
-            found[held] = adjust(
+            adjusted = adjust(
                 half.select(views=held),
                 rig.select(held),
-                labels,
-                fewer,
-                config.triangulate,
+                Matches(matches.labels[held]),
+                config,
                 already_close=True,
-            ).rotation
-            break
-        except UnderconstrainedCameraError as loose:
-            held = np.array([v for v in held if rig.names[v] != loose.camera])
+            )
+        except UnderconstrainedCameraError as error:
+            loose = rig.names.index(error.camera)
+            held = held[held != loose]
         except DegenerateError:
             break
-    return found
-
-
-def verdict(split_half_angle: Floats, outlier_cameras: Bools) -> Verdict:
-    """What the split-half angle `[pair]` means for the camera that is worst off, by its median; none is well determined where a camera contradicts."""
-    a, b = np.array(list(combinations(range(len(outlier_cameras)), 2))).T
-    worst = max(
-        float(np.median(split_half_angle[(a == view) | (b == view)]))
-        for view in range(len(outlier_cameras))
-    )
-    if np.rad2deg(worst) > _WEAK_DEG or 2 * outlier_cameras.sum() > len(outlier_cameras):
-        return "not determined"
-    return "weak" if np.rad2deg(worst) > _WELL_DEG or outlier_cameras.any() else "well determined"
-
-
-def measure_fit(
-    recording: Sample, rig: CameraRig, matches: Matches, config: TriangulateConfig
-) -> Fit:
-    """Of all frames of the sample."""
-    seen = observations(recording, matches, np.flatnonzero((matches.labels >= 0).any((0, 2))))
-    noise = view_noise(recording, rig, matches)
-    # wide: what does not fit is to be counted, not left out
-    points, _ = triangulate_rays(
-        rig, seen.rays, seen.confidence, noise, replace(config, outlier=np.inf)
-    )
-    images = [
-        project(camera, rig.rotation[v], rig.translation[v], points)
-        for v, camera in enumerate(rig.cameras)
-    ]
-    there = (seen.confidence > 0) & np.isfinite(points[0])
-    error = np.linalg.norm(np.stack(images) - seen.pixels, axis=1)
-    middle = np.array(
-        [
-            np.median(np.nan_to_num(own[use], nan=np.inf)) if use.any() else np.nan
-            for own, use in zip(error, there, strict=True)
-        ]
-    )
-    error = error[there]
-    error = np.minimum(np.nan_to_num(error, nan=np.inf), _FAR * np.nanmedian(error))
-    inside = np.matmul(rig.rotation, points) + rig.translation[:, :, None]
-    focal = np.array([camera.focal for camera in rig.cameras])
-    perspective = np.array(
-        [
-            _beyond_affine(points[:, own].T, turned[:, own].T)
-            for own, turned in zip(there, inside, strict=True)
-        ]
-    )
-    return Fit(
-        float(np.sqrt((error**2).mean())), middle / focal, noise * focal, perspective * focal
-    )
-
-
-def outlier_cameras(found: Fit) -> Bools:
-    """`[view]` cameras whose errors are several times those of the others: out of step, moved, or with wrong intrinsics.
-
-    Of two cameras both have the errors.
-    """
-    views = len(found.angle)
-    others = [np.median(np.delete(found.angle, view)) for view in range(views)]
-    return found.angle > _SEVERAL * np.array(others) if views > 2 else np.zeros(views, dtype=bool)
-
-
-def fit_equally_well(first: Fit, second: Fit) -> bool:
-    """Two rigs that fit as well: what was seen does not tell which one is right."""
-    return max(first.misfit, second.misfit) <= _ALIKE * min(first.misfit, second.misfit)
-
-
-def weak_perspective(found: Fit) -> Bools:
-    """`[view]` cameras so far away, for the size of what they see, that perspective drowns in the noise."""
-    return found.perspective < found.noise
-
-
-def _beyond_affine(points: Floats, turned: Floats) -> float:
-    """RMS distance of the images of points `[N, 3]` from those of the best affine camera, in radians."""
-    image = turned[:, :2] / turned[:, 2:]
-    homogeneous = np.concatenate([points, np.ones((len(points), 1))], axis=1)
-    residual = image - homogeneous @ np.linalg.lstsq(homogeneous, image, rcond=None)[0]
-    return float(np.sqrt((residual**2).sum(1).mean())) if len(points) else 0.0
-
-
-def _halves(recording: Sample, seed: int) -> Iterator[Sample]:
-    """The recording with one half of its joints and with the other, drawn at random, several times."""
-    rng = np.random.default_rng(seed)
-    for _ in range(_SPLITS):
-        order = rng.permutation(len(recording.keypoints))
-        for part in (order[::2], order[1::2]):
-            yield _only(recording, np.isin(np.arange(len(order)), part))
-
-
-def _only(recording: Sample, joints: Bools) -> Sample:
-    return replace(
-        recording,
-        positions=np.where(joints[:, None], recording.positions, np.nan),
-        confidence=np.where(joints, recording.confidence, 0.0),
-        rays=np.where(joints[:, None], recording.rays, np.nan),
-    )
+        else:
+            rotations[held] = adjusted.rotation
+            break
+    return rotations

@@ -1,15 +1,17 @@
-"""What loops of pairs say: which mode of each is right, and which cameras hang together.
+"""Use loops of pairs: which hypothesis of each pair is right, and which cameras form a group.
 
-Two views alone may leave several relative poses (bodies are nearly flat and nearly symmetric, cameras that face each other see the same
-outline, who is who may be exchanged). A third camera tells them apart: around a triangle rotations and baselines must close. Each pair
-believes in each of its modes as much as its score and its triangles say, the triangles are weighed by what the other two pairs believe, and
-so on (Zach, Klopschitz, Pollefeys 2010 infer wrong relations from loops in the same way; here the rivals are known).
-Groups of cameras between which no such evidence is left are not glued together by guess.
+Two views alone may leave several relative poses: bodies are nearly flat and nearly symmetric,
+cameras that face each other see the same outline, who is who may be exchanged. A third camera
+tells them apart: around a triangle rotations and baselines must close. The belief in each
+hypothesis of a pair follows from its score and from how well its triangles close, given the
+belief in the hypotheses of the other two pairs, and so on. Zach, Klopschitz and Pollefeys 2010
+("Disambiguating visual relations using loop constraints") infer wrong relations from loops in
+the same way; here the alternatives are known.
+Groups of cameras that no such loop and no certain pair connects are not joined by guess.
 """
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from itertools import combinations, repeat
+from itertools import combinations
 
 import numpy as np
 
@@ -18,14 +20,14 @@ from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.types import Bools, Camera, Floats, Ints, PairwiseCalibration
 
-_CLOSED = 0.5  # a triangle that closes to within the scales of the averaging
-
 
 @dataclass(frozen=True)
-class _Modes:
-    """All modes of all pairs, those that a pair lacks with prior 0.
+class _Hypotheses:
+    """The hypotheses of all pairs as arrays; those that a pair lacks have prior 0.
 
-    rotation: `[pair, mode, 3, 3]` and translation: `[pair, mode, 3]` from the earlier view to the later; prior: `[pair, mode]`, the sum over a pair is 1.
+    rotation: `[pair, hypothesis, 3, 3]` and translation: `[pair, hypothesis, 3]` from the earlier
+        view to the later.
+    prior: `[pair, hypothesis]` belief before loops are looked at; the sum over a pair is 1.
     """
 
     rotation: Floats
@@ -36,167 +38,222 @@ class _Modes:
 def select_hypotheses(
     pairs: tuple[PairwiseCalibration, ...], config: AveragingConfig
 ) -> tuple[PairwiseCalibration, ...]:
-    """Each pair with the mode that it and its loops support best, the others as its rivals; a mode too poor to be evidence is not taken."""
+    """Return each pair with the hypothesis that its score and its loops make most probable.
+
+    The other hypotheses become its alternatives. One whose score is below `config.least_score` is
+    not taken in place of one above.
+    """
     triangles = _triangles(pairs)
-    if not len(triangles) or not any(pair.alternatives for pair in pairs):
+    if len(triangles) == 0 or not any(pair.alternatives for pair in pairs):
         return pairs
-    modes = _gather(pairs, config.least_score)
-    closure = _closure(modes, triangles, config)
-    belief = modes.prior
-    for _ in repeat(None, config.iterations):
-        heard = modes.prior * (config.loop_doubt + _support(belief, closure, triangles))
-        belief = (belief + heard / heard.sum(1, keepdims=True)) / 2
-    return tuple(
-        _with_mode(pair, int(mode)) for pair, mode in zip(pairs, belief.argmax(1), strict=True)
-    )
+    hypotheses = _stack_hypotheses(pairs, config.least_score)
+    closure = _closure(hypotheses, triangles, config)
+    belief = hypotheses.prior
+    for _ in range(config.iterations):
+        agreement = _agreement_of_triangles(belief, closure, triangles)
+        posterior = hypotheses.prior * (config.loop_doubt + agreement)
+        posterior = posterior / posterior.sum(1, keepdims=True)
+        belief = (belief + posterior) / 2  # halfway, so that beliefs do not oscillate
+    chosen = belief.argmax(1).tolist()
+    return tuple(map(_take_hypothesis, pairs, chosen))
 
 
 def alternative_taken(pair: PairwiseCalibration) -> bool:
-    """Whether the loops overruled the score of the pair itself."""
-    return any(rival.score > pair.score for rival in pair.alternatives)
+    """Return whether the loops overruled the score of the pair itself."""
+    return any(alternative.score > pair.score for alternative in pair.alternatives)
 
 
 def usable_cameras(
     cameras: tuple[Camera, ...], pairs: tuple[PairwiseCalibration, ...], config: AveragingConfig
 ) -> Ints:
-    """Indices of the cameras of the only group; single cameras that none holds are left out. Raises DegenerateError where there are more groups."""
-    first, *others = camera_groups(cameras, pairs, config)
-    if others:
-        raise several_groups([cameras[v].name for v in group] for group in (first, *others))
-    return first
+    """Return the indices `[view]` of the cameras of the only group.
 
-
-def several_groups(groups: Iterable[Iterable[str]]) -> DegenerateError:
-    """The complaint where one group was expected; groups: the names of the cameras of each."""
-    names = " | ".join(", ".join(group) for group in groups)
-    return DegenerateError(
-        f"expected cameras that see the same bodies, found groups that share too little: {names}; calibrate each group by itself"
-    )
+    Single cameras that no pair connects to it are left out. Raises DegenerateError where there are
+    several groups, or none.
+    """
+    groups = camera_groups(cameras, pairs, config)
+    if len(groups) > 1:
+        names = [", ".join(cameras[view].name for view in group) for group in groups]
+        raise DegenerateError(
+            "expected cameras that see the same bodies, found groups that share too little: "
+            f"{' | '.join(names)}; calibrate each group by itself"
+        )
+    return groups[0]
 
 
 def camera_groups(
     cameras: tuple[Camera, ...], pairs: tuple[PairwiseCalibration, ...], config: AveragingConfig
 ) -> tuple[Ints, ...]:
-    """Indices of the cameras of each group that pairs connect, the largest group first; single cameras are in none.
+    """Return the indices `[view]` of the cameras of each group that pairs connect.
 
-    Pairs join what they connect, the best score first. Of two groups that both are sure of themselves, a pair that is not sure joins only those
-    that a loop with another pair between them confirms: views of different rooms always find something alike. Raises DegenerateError where
-    nothing is connected.
+    The largest group comes first; single cameras are in none. Raises DegenerateError where nothing
+    is connected.
     """
-    group, sure = np.arange(len(cameras)), np.zeros(len(cameras), dtype=bool)
-    closes = _closes(pairs, config)
-    for k in sorted(
-        (k for k, p in enumerate(pairs) if p.score >= config.least_score),
-        key=lambda k: -pairs[k].score,
-    ):
-        first, second = group[pairs[k].a], group[pairs[k].b]
-        strong = pairs[k].score >= config.weak_score
-        if strong or closes[k] or not (sure[first] and sure[second]):
-            sure[first] |= sure[second] or strong
-            group[group == second] = first
-    groups = [
-        members
-        for members in (np.flatnonzero(group == k) for k in np.unique(group))
-        if len(members) > 1
-    ]
+    group_of = _join_cameras(len(cameras), pairs, config)
+    members = (np.flatnonzero(group_of == group) for group in np.unique(group_of))
+    groups = [views for views in members if len(views) > 1]
     if not groups:
         raise DegenerateError(
-            "expected two cameras that see the same bodies, found none; check that the files belong to these cameras and to the same time"
+            "expected two cameras that see the same bodies, found none; "
+            "check that the files belong to these cameras and to the same time"
         )
-    return tuple(sorted(groups, key=lambda members: (-len(members), members[0])))
+    return tuple(sorted(groups, key=lambda views: (-len(views), views[0])))
 
 
 def pairs_among(
     pairs: tuple[PairwiseCalibration, ...], cameras: Ints
 ) -> tuple[PairwiseCalibration, ...]:
-    """The pairs among some cameras, renumbered to their order."""
+    """Return the pairs among some cameras, renumbered to the order of these.
+
+    cameras: `[view]` indices.
+    """
     place = {int(camera): k for k, camera in enumerate(cameras)}
     return tuple(
-        replace(p, a=place[p.a], b=place[p.b], alternatives=pairs_among(p.alternatives, cameras))
-        for p in pairs
-        if p.a in place and p.b in place
+        replace(
+            pair,
+            a=place[pair.a],
+            b=place[pair.b],
+            alternatives=pairs_among(pair.alternatives, cameras),
+        )
+        for pair in pairs
+        if pair.a in place and pair.b in place
     )
 
 
-def _closes(pairs: tuple[PairwiseCalibration, ...], config: AveragingConfig) -> Bools:
-    """`[pair]` whether it closes a triangle with two others that are evidence."""
+def _join_cameras(
+    cameras: int, pairs: tuple[PairwiseCalibration, ...], config: AveragingConfig
+) -> Ints:
+    """Return `[view]` the number of the group that each camera belongs to.
+
+    Pairs join the groups of their cameras, the best score first. A group is certain once it has a
+    pair with a strong score. Two certain groups are joined only by a pair that has a strong score
+    itself, or that closes a triangle: views of different rooms always find something alike.
+    """
+    group = np.arange(cameras)
+    certain = np.zeros(cameras, dtype=bool)  # by number of the group
+    closes = _pairs_in_closed_triangles(pairs, config)
+    usable = [k for k, pair in enumerate(pairs) if pair.score >= config.least_score]
+    for k in sorted(usable, key=lambda k: -pairs[k].score):
+        first, second = group[pairs[k].a], group[pairs[k].b]
+        strong = pairs[k].score >= config.weak_score
+        both_certain = certain[first] and certain[second]
+        if strong or closes[k] or not both_certain:
+            certain[first] |= certain[second] or strong
+            group[group == second] = first
+    return group
+
+
+def _pairs_in_closed_triangles(
+    pairs: tuple[PairwiseCalibration, ...], config: AveragingConfig
+) -> Bools:
+    """Return `[pair]` whether it closes a triangle with two other pairs of sufficient score."""
     closes = np.zeros(len(pairs), dtype=bool)
-    evidence = np.array([p.score >= config.least_score for p in pairs], dtype=bool)
     triangles = _triangles(pairs)
-    if len(triangles):
-        triangles = triangles[evidence[triangles].all(1)]
-        closure = _closure(
-            _gather(tuple(replace(p, alternatives=()) for p in pairs), 0.0), triangles, config
-        )[:, 0, 0, 0]
-        closes[triangles[closure >= _CLOSED].ravel()] = True
+    if len(triangles) == 0:
+        return closes
+    usable = np.array([pair.score >= config.least_score for pair in pairs], dtype=bool)
+    triangles = triangles[usable[triangles].all(1)]
+    answers = _stack_hypotheses(tuple(replace(pair, alternatives=()) for pair in pairs), 0.0)
+    closure = _closure(answers, triangles, config)[:, 0, 0, 0]
+    closes[triangles[closure >= config.closed_triangle].ravel()] = True
     return closes
 
 
-def _with_mode(pair: PairwiseCalibration, chosen: int) -> PairwiseCalibration:
-    modes = pair.hypotheses
-    others = (replace(mode, alternatives=()) for k, mode in enumerate(modes) if k != chosen)
-    return replace(modes[chosen], alternatives=tuple(sorted(others, key=lambda mode: -mode.score)))
+def _take_hypothesis(pair: PairwiseCalibration, chosen: int) -> PairwiseCalibration:
+    """Return the pair with one of its hypotheses as its answer, the others as alternatives."""
+    hypotheses = pair.hypotheses
+    others = [replace(h, alternatives=()) for k, h in enumerate(hypotheses) if k != chosen]
+    others.sort(key=lambda hypothesis: -hypothesis.score)
+    return replace(hypotheses[chosen], alternatives=tuple(others))
 
 
 def _triangles(pairs: tuple[PairwiseCalibration, ...]) -> Ints:
-    """`[triangle, 3]` the pairs (a, b), (b, c), (a, c) of all views a < b < c that three pairs join."""
-    index = {(min(p.a, p.b), max(p.a, p.b)): k for k, p in enumerate(pairs)}
-    views = sorted({view for edge in index for view in edge})
-    found = [
-        (index[a, b], index[b, c], index[a, c])
-        for a, b, c in combinations(views, 3)
-        if {(a, b), (b, c), (a, c)} <= index.keys()
-    ]
+    """Return `[triangle, 3]` indices of the pairs (a, b), (b, c), (a, c).
+
+    They are those of all views a < b < c that three pairs connect.
+    """
+    edges = [(min(pair.a, pair.b), max(pair.a, pair.b)) for pair in pairs]
+    index = {edge: k for k, edge in enumerate(edges)}
+    views = sorted({view for edge in edges for view in edge})
+    found = []
+    for a, b, c in combinations(views, 3):
+        if (a, b) in index and (b, c) in index and (a, c) in index:
+            found.append((index[a, b], index[b, c], index[a, c]))
     return np.array(found, dtype=np.int64).reshape(-1, 3)
 
 
-def _gather(pairs: tuple[PairwiseCalibration, ...], least: float) -> _Modes:
+def _stack_hypotheses(pairs: tuple[PairwiseCalibration, ...], least_score: float) -> _Hypotheses:
+    """Return the hypotheses as arrays; their prior goes with the square of the score.
+
+    The prior of one below `least_score` is 0, unless none of its pair is better.
+    """
     count = max(len(pair.hypotheses) for pair in pairs)
     rotation = np.tile(np.eye(3), (len(pairs), count, 1, 1))
-    translation, score = np.zeros((len(pairs), count, 3)), np.zeros((len(pairs), count))
+    translation = np.zeros((len(pairs), count, 3))
+    score = np.zeros((len(pairs), count))
     for k, pair in enumerate(pairs):
-        best = max(mode.score for mode in pair.hypotheses)
-        for m, mode in enumerate(pair.hypotheses):
-            forward = mode.a < mode.b
-            rotation[k, m] = mode.rotation if forward else mode.rotation.T
-            translation[k, m] = mode.translation if forward else -mode.rotation.T @ mode.translation
-            score[k, m] = mode.score if mode.score >= min(best, least) else 0.0
-    trust = score**2 + 1e-9 * (score == score.max(1, keepdims=True))
-    return _Modes(rotation, translation, trust / trust.sum(1, keepdims=True))
+        best = max(hypothesis.score for hypothesis in pair.hypotheses)
+        for m, hypothesis in enumerate(pair.hypotheses):
+            rotation[k, m], translation[k, m] = _later_from_earlier(hypothesis)
+            if hypothesis.score >= min(best, least_score):
+                score[k, m] = hypothesis.score
+    is_best = score == score.max(1, keepdims=True)
+    prior = score**2 + 1e-9 * is_best  # a pair without any score keeps its best hypothesis
+    return _Hypotheses(rotation, translation, prior / prior.sum(1, keepdims=True))
 
 
-def _closure(modes: _Modes, triangles: Ints, config: AveragingConfig) -> Floats:
-    """`[triangle, mode of ab, mode of bc, mode of ac]` in 0..1 how well going from a to b to c agrees with going from a to c."""
+def _later_from_earlier(pair: PairwiseCalibration) -> tuple[Floats, Floats]:
+    """Return R `[3, 3]` and t `[3]` from the view with the lower index to the other."""
+    if pair.a < pair.b:
+        return pair.rotation, pair.translation
+    return pair.rotation.T, -pair.rotation.T @ pair.translation
+
+
+def _closure(hypotheses: _Hypotheses, triangles: Ints, config: AveragingConfig) -> Floats:
+    """Return how well going from a to b and on to c agrees with going from a to c.
+
+    Returns `[triangle, hypothesis of ab, hypothesis of bc, hypothesis of ac]` in 0..1: a product
+    of two Cauchy weights, of the angle between both rotations and of the distance between both
+    translations relative to the RMS length of the three baselines. 1 is a loop that closes.
+    """
     ab, bc, ac = triangles.T
-    turned = np.einsum("tjxy,tiyz->tijxz", modes.rotation[bc], modes.rotation[ab])
-    moved = (
-        np.einsum("tjxy,tiy->tijx", modes.rotation[bc], modes.translation[ab])
-        + modes.translation[bc][:, None]
-    )
-    angle = angle_between(turned[:, :, :, None], modes.rotation[ac][:, None, None])
-    gap = ((moved[:, :, :, None] - modes.translation[ac][:, None, None]) ** 2).sum(-1)
-    length = _outer(*((modes.translation[k] ** 2).sum(-1) for k in (ab, bc, ac))) / 3
-    rotation = (
-        1 + (angle / np.deg2rad(config.rotation_scale_deg)) ** 2 / 3
-    )  # three pairs add their errors
-    return 1 / rotation / (1 + gap / np.maximum(length, 1e-12) / config.translation_scale**2 / 3)
+    rotation, translation = hypotheses.rotation, hypotheses.translation
+    chained_rotation = np.einsum("tjxy,tiyz->tijxz", rotation[bc], rotation[ab])
+    carried = np.einsum("tjxy,tiy->tijx", rotation[bc], translation[ab])
+    chained_translation = carried + translation[bc][:, None]
+
+    angle = angle_between(chained_rotation[:, :, :, None], rotation[ac][:, None, None])
+    gap = chained_translation[:, :, :, None] - translation[ac][:, None, None]
+    length2 = (translation**2).sum(-1)
+    mean_length2 = _outer_sum(length2[ab], length2[bc], length2[ac]) / 3
+    gap2 = (gap**2).sum(-1) / np.maximum(mean_length2, 1e-12)
+
+    # three pairs add their errors, hence the thirds
+    rotation_misfit = (angle / np.deg2rad(config.rotation_scale_deg)) ** 2 / 3
+    translation_misfit = gap2 / config.translation_scale**2 / 3
+    return 1 / (1 + rotation_misfit) / (1 + translation_misfit)
 
 
-def _outer(first: Floats, second: Floats, third: Floats) -> Floats:
-    """`[triangle, i, j, k]` sums of `[triangle, i]`, `[triangle, j]` and `[triangle, k]`."""
+def _outer_sum(first: Floats, second: Floats, third: Floats) -> Floats:
+    """Return `[triangle, i, j, k]` sums of `[triangle, i]`, `[triangle, j]`, `[triangle, k]`."""
     return first[:, :, None, None] + second[:, None, :, None] + third[:, None, None]
 
 
-def _support(belief: Floats, closure: Floats, triangles: Ints) -> Floats:
-    """`[pair, mode]` in 0..1 mean over a pair's triangles of how well they close, given what the other two pairs believe."""
-    first, second, third = (belief[column] for column in triangles.T)
-    heard = (
-        np.einsum("tijk,tj,tk->ti", closure, second, third, optimize=True),
-        np.einsum("tijk,ti,tk->tj", closure, first, third, optimize=True),
-        np.einsum("tijk,ti,tj->tk", closure, first, second, optimize=True),
+def _agreement_of_triangles(belief: Floats, closure: Floats, triangles: Ints) -> Floats:
+    """Return how well the triangles of a pair close, expected over what is believed of the others.
+
+    belief: `[pair, hypothesis]`; closure: `[triangle, hypothesis, hypothesis, hypothesis]`.
+    Returns `[pair, hypothesis]` in 0..1, the mean over the triangles of each pair.
+    """
+    ab, bc, ac = (belief[pair] for pair in triangles.T)
+    expected = (
+        np.einsum("tijk,tj,tk->ti", closure, bc, ac, optimize=True),
+        np.einsum("tijk,ti,tk->tj", closure, ab, ac, optimize=True),
+        np.einsum("tijk,ti,tj->tk", closure, ab, bc, optimize=True),
     )
-    total, count = np.zeros_like(belief), np.zeros(len(belief))
-    for column, message in zip(triangles.T, heard, strict=True):
-        np.add.at(total, column, message)
-        np.add.at(count, column, 1.0)
+    total = np.zeros_like(belief)
+    count = np.zeros(len(belief))
+    for pair, agreement in zip(triangles.T, expected, strict=True):
+        np.add.at(total, pair, agreement)
+        np.add.at(count, pair, 1.0)
     return total / np.maximum(count, 1.0)[:, None]

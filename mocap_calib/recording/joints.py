@@ -213,6 +213,38 @@ def load_aliases(path: Path, skeleton: Skeleton) -> dict[str, str]:
     return aliases
 
 
+def fit_vocabulary(
+    names: Iterable[str], aliases_file: Path | None
+) -> tuple[Skeleton, dict[str, str]]:
+    """Return the shipped skeleton that knows most of the joints, and the aliases of a file.
+
+    names: of the joints; repeated ones count once. aliases_file: other names of joints, as
+    `load_aliases` reads them; a skeleton that lacks one of these joints is not considered.
+
+    Raises FormatError where no skeleton has the joints of the file.
+    """
+    unique = tuple(dict.fromkeys(names))
+    if aliases_file is None:
+        return choose_skeleton(unique), {}
+    candidates: list[tuple[Skeleton, dict[str, str]]] = []
+    refusals: list[FormatError] = []
+    for skeleton in map(load_skeleton, SHIPPED):
+        try:
+            candidates.append((skeleton, load_aliases(aliases_file, skeleton)))
+        except FormatError as error:
+            refusals.append(error)
+    if not candidates:
+        raise refusals[0]
+    known = [_count_known(unique, skeleton, aliases) for skeleton, aliases in candidates]
+    return candidates[known.index(max(known))]
+
+
+def _count_known(names: tuple[str, ...], skeleton: Skeleton, aliases: dict[str, str]) -> int:
+    """Return how many names the skeleton knows, after the aliases were applied."""
+    joints = tuple(aliases.get(name, name) for name in names)
+    return int((match_names(joints, skeleton) >= 0).sum())
+
+
 def _read_aliases(path: Path) -> dict[str, str]:
     """Return the section `aliases` of a YAML file. Raises FormatError."""
     try:

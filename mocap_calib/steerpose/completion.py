@@ -1,50 +1,65 @@
-"""Keypoint completion: the identity rotation through SteerPose fills joints that were not seen, and bridges skeletons (appendix D of the paper)."""
+"""Complete keypoints that were not seen, and bridge skeletons: SteerPose with no rotation.
+
+Appendix D of the paper (Lee et al., BMVC 2025).
+"""
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from mocap_calib.config import COMPLETION_CONFIDENCE, COMPLETION_SPREAD
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.steerpose.steer import Model, steer
 from mocap_calib.types import Bools, Floats, LiftedPoses, Sample
 
-_SURE = 0.2  # body sizes: a joint that the network knows to this much counts exp(-1) as much
-_MOST = 0.5  # what is guessed never counts more than half of what was seen
-
 
 @torch.no_grad()
 def complete(model: Model, pose: Tensor, seen: Tensor) -> Tensor:
-    """`[B, J, 2]` poses (centred and scaled by `model.normalise`) with the joints that are not seen where the network puts them."""
-    still = steer(
-        model, pose, seen, torch.zeros(len(pose), 3, dtype=pose.dtype, device=pose.device)
-    )
-    return torch.where(seen[..., None], pose, still)
+    """Return poses `[B, J, 2]` with the joints that are not seen where the network expects them.
 
-
-def completed(some: Sample, lifted: LiftedPoses) -> tuple[Floats, Floats]:
-    """The same in the images of a recording, through perspective and lens, in the joints of the model.
-
-    Returns positions `[view, frame, instance, joint, 2]` in pixels and confidence `[view, frame, instance, joint]`. What was seen stays as it
-    was; the rest is projected from the lifted body, with a confidence of at most half of the detection's mean, less where the network
-    is less sure. Detections that were not lifted keep what they have.
+    pose: `[B, J, 2]` centred and scaled by `model.normalise`; seen: `[B, J]` bool.
     """
-    points = lifted.body + lifted.centre[..., None, :]
-    positions = np.stack(
-        [pixels_from_points(camera, own) for camera, own in zip(some.cameras, points, strict=True)]
-    )
-    confidence = _MOST * _mean_confidence(some)[..., None] * np.exp(-lifted.spread / _SURE)
-    known = some.vocabulary >= 0
-    joints = some.vocabulary[known]
-    seen: Bools = some.seen[..., known]
+    no_rotation = torch.zeros(len(pose), 3, dtype=pose.dtype, device=pose.device)
+    predicted = steer(model, pose, seen, no_rotation)  # (B, J, 2)
+    return torch.where(seen[..., None], pose, predicted)
+
+
+def complete_sample(sample: Sample, lifted: LiftedPoses) -> tuple[Floats, Floats]:
+    """Complete the detections of a sample in their images, through perspective and lens.
+
+    Returns positions `[view, frame, instance, joint, 2]` in pixels and confidence `[view, frame,
+    instance, joint]`, for the joints of the model; NaN and 0 = missing. What was seen stays as it
+    was. The rest is projected from the lifted body, with a confidence of at most half of the
+    detection's mean, less where the network is less sure. Detections that were not lifted keep
+    what they have.
+    """
+    known = sample.vocabulary >= 0
+    joints = sample.vocabulary[known]
+    seen: Bools = sample.seen[..., known]
+    positions = _project_lifted(sample, lifted)
+    confidence = _confidence_of_lifted(sample, lifted)
     positions[..., joints, :] = np.where(
-        seen[..., None], some.positions[..., known, :], positions[..., joints, :]
+        seen[..., None], sample.positions[..., known, :], positions[..., joints, :]
     )
-    confidence[..., joints] = np.where(seen, some.confidence[..., known], confidence[..., joints])
-    there = np.isfinite(positions).all(-1) & (confidence > 0)
-    return np.where(there[..., None], positions, np.nan), np.where(there, confidence, 0.0)
+    confidence[..., joints] = np.where(seen, sample.confidence[..., known], confidence[..., joints])
+    present = np.isfinite(positions).all(-1) & (confidence > 0)
+    return np.where(present[..., None], positions, np.nan), np.where(present, confidence, 0.0)
 
 
-def _mean_confidence(some: Sample) -> Floats:
-    """`[view, frame, instance]` of the keypoints that were seen."""
-    count = some.seen.sum(-1)
-    return some.confidence.sum(-1) / np.maximum(count, 1)
+def _project_lifted(sample: Sample, lifted: LiftedPoses) -> Floats:
+    """Return the pixels `[view, frame, instance, joint, 2]` of the lifted bodies."""
+    points = lifted.body + lifted.centre[..., None, :]
+    return np.stack(
+        [
+            pixels_from_points(camera, points_in_camera)
+            for camera, points_in_camera in zip(sample.cameras, points, strict=True)
+        ]
+    )
+
+
+def _confidence_of_lifted(sample: Sample, lifted: LiftedPoses) -> Floats:
+    """Return the confidence `[view, frame, instance, joint]` that lifted joints deserve."""
+    seen_keypoints = np.maximum(sample.seen.sum(-1), 1)
+    mean_confidence = sample.confidence.sum(-1) / seen_keypoints  # [view, frame, instance]
+    certainty = np.exp(-lifted.spread / COMPLETION_SPREAD)
+    return COMPLETION_CONFIDENCE * mean_confidence[..., None] * certainty

@@ -1,76 +1,87 @@
-"""Lifting every detection of a recording, each in a virtual camera that looks at it.
+"""Lift every detection of a sample, each in a virtual camera that looks straight at it.
 
-The appearance of a body depends on the ray it is seen along, so the rays of each detection are turned into a camera
-that looks straight at it; the lifted body is turned back. Rigs are upright or turned by a quarter: the quarter turn
-under which the network is surest is taken for each view.
+How a body looks depends on the direction it is seen from, so the rays of each detection are turned
+into the axes of a virtual camera that looks at it, and the lifted body is turned back. Cameras
+stand upright or are turned by a quarter: each view is lifted in the quarter turn of the image under
+which the network is surest.
 """
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 
 from mocap_calib.compute.parallel import in_order
-from mocap_calib.config import LEAST_JOINTS
+from mocap_calib.config import (
+    LEAST_JOINTS,
+    LIFT_BEST_PERCENTILE,
+    LIFT_CONFIDENCE,
+    LIFT_LEAST_DEPTH,
+    LIFT_UPRIGHT_SAMPLE,
+)
 from mocap_calib.geometry.rotation import looking_along
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.recording.synchronise import check_joints
 from mocap_calib.steerpose.model import Lifter, normalise
+from mocap_calib.steerpose.rays import rays_by_joint
 from mocap_calib.types import Bools, Floats, LiftedPoses, Progress, Sample
 
-_DOUBTFUL = 0.4  # of the confidence that a view reaches at its best; the network knows joints that are seen or not
-_BEST = 90.0  # percentile
-_BLOCK = 1024
-_SAMPLE = 128
+_BLOCK = 1024  # detections at a time
+
+# The directions in a view's image that may be down: as the camera says, or turned by quarters.
 _DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]])
 
 
-def lift(
-    recording: Sample, lifter: Lifter, *, device: str = "cpu", progress: Progress
-) -> LiftedPoses:
-    """Lifts all detections that show at least four joints of the model's vocabulary for sure.
+@dataclass(frozen=True)
+class _Bodies:
+    """Lifted detections of one view, as in `LiftedPoses`.
 
-    The body of the network (eq. 1's q*(R) = P R E[X | p]) is freed of the virtual camera and scaled to unit size;
-    its centre is where perspective puts it, in body sizes. Raises MismatchError where the model knows too few joints and
-    several subjects make it needed; a single subject can be calibrated by geometry alone.
+    body: `[..., joint, 3]`; centre: `[..., 3]`; spread: `[..., joint]`.
+    """
+
+    body: Floats
+    centre: Floats
+    spread: Floats
+
+
+def lift(sample: Sample, lifter: Lifter, *, device: str = "cpu", progress: Progress) -> LiftedPoses:
+    """Lift all detections that surely show at least four joints of the model's vocabulary.
+
+    The lifted body (E[X | p] of `model.py`) is freed of the virtual camera and scaled to unit size;
+    its centre is where perspective puts it, in body sizes.
+
+    Raises MismatchError where the model knows too few joints and several subjects make it needed;
+    a single subject can be calibrated by geometry alone.
     """
     lifter = lifter.to(device)
-    known = recording.vocabulary >= 0
-    check_joints(recording)
-    views, frames, instances = recording.positions.shape[:3]
-    joints = lifter.config.joints
-    rays = np.full((views, frames, instances, joints, 3), np.nan)
-    rays[..., recording.vocabulary[known], :] = np.where(
-        _sure(recording)[..., known, None], recording.rays[..., known, :], np.nan
+    check_joints(sample)
+    rays = rays_by_joint(_confident_rays(sample), sample.vocabulary, lifter.config.joints)
+    views = len(rays)
+
+    def lift_view(view: int) -> _Bodies:
+        """Lift the detections of one view (index)."""
+        return _lift_view(rays[view], lifter, device)
+
+    lifted: list[_Bodies] = []
+    with _one_torch_thread():
+        for bodies in in_order(lift_view, range(views)):
+            lifted.append(bodies)
+            progress("lift", len(lifted), views)
+    return LiftedPoses(
+        body=np.stack([bodies.body for bodies in lifted]),
+        centre=np.stack([bodies.centre for bodies in lifted]),
+        spread=np.stack([bodies.spread for bodies in lifted]),
     )
-    enough = np.isfinite(rays[..., 0]).sum(-1) >= LEAST_JOINTS
-    body = np.full_like(rays, np.nan)
-    centre = np.full((views, frames, instances, 3), np.nan)
-    spread = np.full((views, frames, instances, joints), np.nan)
-
-    def work(view: int) -> None:
-        where = np.flatnonzero(enough[view].reshape(-1))
-        chosen = rays[view].reshape(-1, joints, 3)[where]
-        if len(chosen):
-            down = _down(chosen, lifter, device)
-            blocks = [
-                _lift_rays(chosen[k : k + _BLOCK], down, lifter, device)
-                for k in range(0, len(chosen), _BLOCK)
-            ]
-            body[view].reshape(-1, joints, 3)[where] = np.concatenate([b[0] for b in blocks])
-            centre[view].reshape(-1, 3)[where] = np.concatenate([b[1] for b in blocks])
-            spread[view].reshape(-1, joints)[where] = np.concatenate([b[2] for b in blocks])
-
-    with _one_thread():
-        for view, _ in enumerate(in_order(work, range(views))):
-            progress("lift", view + 1, views)
-    return LiftedPoses(body, centre, spread)
 
 
 @contextmanager
-def _one_thread() -> Iterator[None]:
-    """Torch on one thread for each of ours: such small networks are slower on more, and their last digits differ."""
+def _one_torch_thread() -> Iterator[None]:
+    """Hold torch to one thread for each of ours.
+
+    Networks as small as these are slower on more threads, and their last digits differ.
+    """
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
@@ -79,62 +90,119 @@ def _one_thread() -> Iterator[None]:
         torch.set_num_threads(before)
 
 
-def _sure(recording: Sample) -> Bools:
-    """`[view, frame, instance, keypoint]` joints that are worth lifting: detectors also report, doubtfully, what they do not see."""
-    best = [
-        np.percentile(own[own > 0], _BEST) if (own > 0).any() else 1.0
-        for own in recording.confidence
+def _confident_rays(sample: Sample) -> Floats:
+    """Return the rays `[view, frame, instance, keypoint, 3]` worth lifting, NaN elsewhere.
+
+    Detectors also report, with little confidence, joints that they do not see; the network has
+    learnt joints that are seen or not.
+    """
+    best = np.array([_best_confidence(confidence) for confidence in sample.confidence])
+    least = LIFT_CONFIDENCE * best[:, None, None, None]
+    confident = sample.seen & (sample.confidence >= least)
+    return np.where(confident[..., None], sample.rays, np.nan)
+
+
+def _best_confidence(confidence: Floats) -> float:
+    """Return the confidence that a view reaches at its best, 1 where it sees nothing."""
+    positive = confidence[confidence > 0]
+    return float(np.percentile(positive, LIFT_BEST_PERCENTILE)) if len(positive) else 1.0
+
+
+def _lift_view(rays: Floats, lifter: Lifter, device: str) -> _Bodies:
+    """Lift the detections of one view, rays `[frame, instance, joint, 3]`; NaN for the others."""
+    enough = np.isfinite(rays[..., 0]).sum(-1) >= LEAST_JOINTS  # [frame, instance]
+    lifted = _Bodies(
+        body=np.full(rays.shape, np.nan),
+        centre=np.full((*enough.shape, 3), np.nan),
+        spread=np.full(rays.shape[:3], np.nan),
+    )
+    if enough.any():
+        found = _lift_in_blocks(rays[enough], lifter, device)
+        lifted.body[enough] = found.body
+        lifted.centre[enough] = found.centre
+        lifted.spread[enough] = found.spread
+    return lifted
+
+
+def _lift_in_blocks(rays: Floats, lifter: Lifter, device: str) -> _Bodies:
+    """Lift the detections `[B, J, 3]` of one view, with the view's own direction of down."""
+    down = _direction_of_down(rays, lifter, device)
+    blocks = [
+        _lift_rays(rays[start : start + _BLOCK], down, lifter, device)
+        for start in range(0, len(rays), _BLOCK)
     ]
-    return recording.seen & (recording.confidence >= _DOUBTFUL * np.reshape(best, (-1, 1, 1, 1)))
+    return _Bodies(
+        body=np.concatenate([block.body for block in blocks]),
+        centre=np.concatenate([block.centre for block in blocks]),
+        spread=np.concatenate([block.spread for block in blocks]),
+    )
 
 
-def _down(rays: Floats, lifter: Lifter, device: str) -> Floats:
-    """`[3]` the quarter turn of the image plane that makes the network surest of a sample of this view's detections."""
-    some = rays[evenly_spaced(np.arange(len(rays)), _SAMPLE)]
-    doubt = [np.median(_lift_rays(some, down, lifter, device)[2]) for down in _DOWN]
-    return _DOWN[int(np.argmin(doubt))]
+def _direction_of_down(rays: Floats, lifter: Lifter, device: str) -> Floats:
+    """Return the direction `[3]` in a view's image under which the network is surest.
+
+    rays: `[B, J, 3]` of the view's detections, of which a sample is lifted.
+    """
+    sample = rays[evenly_spaced(np.arange(len(rays)), LIFT_UPRIGHT_SAMPLE)]
+    spread = [np.median(_lift_rays(sample, down, lifter, device).spread) for down in _DOWN]
+    return _DOWN[int(np.argmin(spread))]
+
+
+def _lift_rays(rays: Floats, down: Floats, lifter: Lifter, device: str) -> _Bodies:
+    """Lift rays `[B, J, 3]` in one camera's axes, the direction `down` `[3]` being down."""
+    seen = np.isfinite(rays[..., 0])
+    virtual_from_camera = looking_along(np.nansum(rays, axis=1), down)
+    image = _project(rays, seen, virtual_from_camera)
+    joints, deviation = _apply_network(image, seen, lifter, device)
+    body = joints - joints.mean(1, keepdims=True)
+    size = np.sqrt((body**2).sum(-1).mean(-1))[:, None]
+    body = body / size[..., None]
+    centre = _centre(body, image, seen)
+    camera_from_virtual = np.swapaxes(virtual_from_camera, 1, 2)
+    return _Bodies(
+        body=np.einsum("bij,bkj->bki", camera_from_virtual, body),
+        centre=np.einsum("bij,bj->bi", camera_from_virtual, centre),
+        spread=np.hypot(deviation[..., 0], deviation[..., 1]) / size,
+    )
+
+
+def _project(rays: Floats, seen: Bools, virtual_from_camera: Floats) -> Floats:
+    """Return the normalised image points `[B, J, 2]` of rays `[B, J, 3]` in virtual cameras."""
+    known = np.where(seen[..., None], rays, [0.0, 0.0, 1.0])
+    turned = np.einsum("bij,bkj->bki", virtual_from_camera, known)
+    return turned[..., :2] / np.maximum(turned[..., 2:], 0.1)
 
 
 @torch.no_grad()
-def _lift_rays(
-    rays: Floats, down: Floats, lifter: Lifter, device: str
-) -> tuple[Floats, Floats, Floats]:
-    """Body `[B, J, 3]`, centre `[B, 3]` and spread `[B, J]` of rays `[B, J, 3]` in one camera's axes."""
-    seen = np.isfinite(rays[..., 0])
-    virtual_from_camera = looking_along(np.nansum(rays, axis=1), down)
-    turned = np.einsum(
-        "bij,bkj->bki", virtual_from_camera, np.where(seen[..., None], rays, [0.0, 0.0, 1.0])
-    )
-    image = turned[..., :2] / np.maximum(turned[..., 2:], 0.1)
-    pose, _, _ = normalise(
-        torch.from_numpy(image).float().to(device), torch.from_numpy(seen).to(device)
-    )
-    joints, log_spread = lifter(pose, torch.from_numpy(seen).to(device))
-    body = joints.double().cpu().numpy()
-    body -= body.mean(1, keepdims=True)
-    size = np.sqrt((body**2).sum(-1).mean(-1))[:, None]
-    body /= size[..., None]
-    across, along = np.moveaxis(np.exp(log_spread.double().cpu().numpy()), -1, 0)
-    centre = _centre(body, image, seen)
-    back = np.swapaxes(virtual_from_camera, 1, 2)
-    return (
-        np.einsum("bij,bkj->bki", back, body),
-        np.einsum("bij,bj->bi", back, centre),
-        np.hypot(across, along) / size,
-    )
+def _apply_network(
+    image: Floats, seen: Bools, lifter: Lifter, device: str
+) -> tuple[Floats, Floats]:
+    """Return joints `[B, J, 3]` and their standard deviations `[B, J, 2]` across and along the ray.
+
+    image: `[B, J, 2]` normalised image points in the virtual cameras; seen: `[B, J]`.
+    """
+    seen_tensor = torch.from_numpy(seen).to(device)
+    pose, _, _ = normalise(torch.from_numpy(image).float().to(device), seen_tensor)
+    joints, log_deviation = lifter(pose, seen_tensor)
+    deviation = np.exp(log_deviation.double().cpu().numpy())
+    return joints.double().cpu().numpy(), deviation
 
 
 def _centre(body: Floats, image: Floats, seen: Bools) -> Floats:
-    """`[B, 3]` c that puts the bodies where their joints are seen: (X + c)_xy = x (X + c)_z in the least-squares sense."""
+    """Return the centres `[B, 3]` that put bodies `[B, J, 3]` where their joints are seen.
+
+    The least-squares solution c of (X + c)_xy = x (X + c)_z over the joints that are seen, X being
+    a joint of the body and x its normalised image point `[B, J, 2]`.
+    """
     weight = seen.astype(np.float64)
     count = weight.sum(1)
     offset = image * body[..., 2:] - body[..., :2]  # c_xy - x c_z = x X_z - X_xy
-    mean_x = (weight[..., None] * image).sum(1) / count[:, None]
-    mean_o = (weight[..., None] * offset).sum(1) / count[:, None]
-    dx, do = (
-        (image - mean_x[:, None]) * weight[..., None],
-        (offset - mean_o[:, None]) * weight[..., None],
-    )
-    depth = -(dx * do).sum((1, 2)) / np.maximum((dx**2).sum((1, 2)), 1e-18)
-    depth = np.maximum(depth, 0.5)
-    return np.concatenate([mean_o + mean_x * depth[:, None], depth[:, None]], axis=1)
+    mean_image = (weight[..., None] * image).sum(1) / count[:, None]
+    mean_offset = (weight[..., None] * offset).sum(1) / count[:, None]
+    image_deviation = (image - mean_image[:, None]) * weight[..., None]
+    offset_deviation = (offset - mean_offset[:, None]) * weight[..., None]
+    covariance = (image_deviation * offset_deviation).sum((1, 2))
+    variance = (image_deviation**2).sum((1, 2))
+    depth = np.maximum(-covariance / np.maximum(variance, 1e-18), LIFT_LEAST_DEPTH)
+    across = mean_offset + mean_image * depth[:, None]
+    return np.concatenate([across, depth[:, None]], axis=1)

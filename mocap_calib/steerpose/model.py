@@ -1,8 +1,9 @@
 """The factorised SteerPose: lift a 2D pose, rotate it analytically, project it.
 
-Projection is linear in the 3D pose, so the minimiser of the squared keypoint error of SteerPose (Lee et al.,
-BMVC 2025, eq. 1) is q*(R) = P R E[X | p]: the posterior mean 3D pose, rotated. The network therefore gives X
-from p alone; it is covariant to R by construction and R costs no network pass.
+Projection is linear in the 3D pose, so the minimiser of the squared keypoint error of SteerPose
+(Lee et al., BMVC 2025, eq. 1) is q*(R) = P R E[X | p]: the posterior mean of the 3D pose X given
+the 2D pose p, rotated by R and projected by P. The network therefore estimates X from p alone; it
+is covariant to R by construction, and another R costs no network pass.
 """
 
 from dataclasses import dataclass
@@ -22,10 +23,10 @@ class ModelConfig:
 
 
 class Lifter(nn.Module):
-    """2D pose in a virtual camera that looks at the body -> 3D pose in that camera's axes, with its uncertainty.
+    """Lift a 2D pose, seen by a virtual camera that looks at the body, to 3D with its uncertainty.
 
-    One token per joint (a projection of its position, or a learnt vector where it is missing, plus a learnt
-    embedding of which joint it is), a transformer encoder, one head per token.
+    One token a joint (a projection of its position, or a learnt vector where it is missing, plus a
+    learnt embedding of which joint it is), a transformer encoder, one linear head for all tokens.
     """
 
     def __init__(self, config: ModelConfig) -> None:
@@ -34,45 +35,53 @@ class Lifter(nn.Module):
         self.position = nn.Linear(2, config.width)
         self.missing = nn.Parameter(0.02 * torch.randn(config.width))
         self.joint = nn.Parameter(0.5 * torch.randn(config.joints, config.width))
-        layer = nn.TransformerEncoderLayer(
-            config.width,
-            config.heads,
-            2 * config.width,
-            dropout=0.0,
-            activation="gelu",
-            batch_first=True,
-            norm_first=True,
-        )
-        self.encoder = nn.TransformerEncoder(
-            layer, config.layers, norm=nn.LayerNorm(config.width), enable_nested_tensor=False
-        )
+        self.encoder = transformer_encoder(config.width, heads=config.heads, layers=config.layers)
         self.head = nn.Linear(config.width, 5)
 
     def forward(self, pose: Tensor, seen: Tensor) -> tuple[Tensor, Tensor]:
-        """Lifts a batch of poses.
+        """Lift a batch of poses.
 
         pose: `[B, J, 2]` positions, centred and scaled by `normalise`; seen: `[B, J]` bool.
-        Returns `[B, J, 3]` joints in the same units (x right, y down, z away from the camera) and `[B, J, 2]`
-        log standard deviations: across the ray, and along it.
+        Returns joints `[B, J, 3]` in the same units (x right, y down, z away from the camera) and
+        `[B, J, 2]` logarithms of their standard deviations, across the ray and along it.
         """
-        known = torch.where(seen[..., None], pose, torch.zeros_like(pose))
-        token = (
-            torch.where(seen[..., None], self.position(known), self.missing) + self.joint
-        )  # (B, J, C)
+        known = torch.where(seen[..., None], pose, torch.zeros_like(pose))  # (B, J, 2)
+        token = torch.where(seen[..., None], self.position(known), self.missing)  # (B, J, C)
+        token = token + self.joint  # (B, J, C)
         out = self.head(self.encoder(token))  # (B, J, 5)
-        joints = torch.cat([known + out[..., :2], out[..., 2:3]], dim=-1)
-        return joints, out[..., 3:].clamp(-6.0, 3.0)
+        across, along = out[..., :2], out[..., 2:3]
+        joints = torch.cat([known + across, along], dim=-1)  # (B, J, 3)
+        log_deviation = out[..., 3:].clamp(-6.0, 3.0)  # (B, J, 2)
+        return joints, log_deviation
+
+
+def transformer_encoder(width: int, *, heads: int, layers: int) -> nn.TransformerEncoder:
+    """Return the encoder `[B, T, width]` -> `[B, T, width]` of both architectures."""
+    layer = nn.TransformerEncoderLayer(
+        width,
+        heads,
+        2 * width,
+        dropout=0.0,
+        activation="gelu",
+        batch_first=True,
+        norm_first=True,
+    )
+    return nn.TransformerEncoder(
+        layer, layers, norm=nn.LayerNorm(width), enable_nested_tensor=False
+    )
 
 
 def normalise(pose: Tensor, seen: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Centres poses on their visible joints and scales those to an RMS radius of 1.
+    """Centre poses on their visible joints and scale those to an RMS radius of 1.
 
-    pose: `[B, J, 2]`, seen: `[B, J]`. Returns the pose, the centre `[B, 2]` and the scale `[B]`.
+    pose: `[B, J, 2]`; seen: `[B, J]` bool. Returns the pose `[B, J, 2]`, the centre `[B, 2]` and
+    the scale `[B]`, in the units of the input.
     """
-    weight = seen.to(pose.dtype)[..., None]
-    count = weight.sum(1).clamp_min(1.0)
+    weight = seen.to(pose.dtype)[..., None]  # (B, J, 1)
+    count = weight.sum(1).clamp_min(1.0)  # (B, 1)
     known = torch.where(seen[..., None], pose, torch.zeros_like(pose))
     centre = known.sum(1) / count
-    offset = (known - centre[:, None]) * weight
-    scale = (offset.square().sum((1, 2)) / count[:, 0]).sqrt().clamp_min(1e-9)
+    offset = (known - centre[:, None]) * weight  # (B, J, 2)
+    square = offset.square().sum((1, 2)) / count[:, 0]  # (B,)
+    scale = square.sqrt().clamp_min(1e-9)
     return offset / scale[:, None, None], centre, scale

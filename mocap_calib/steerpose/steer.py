@@ -1,4 +1,8 @@
-"""Mental rotation, the same for both architectures: a 2D pose and a rotation to the 2D pose in the rotated view."""
+"""Mental rotation for both architectures: from a 2D pose and a rotation to the pose in that view.
+
+`matrix_from_vector` and `skew` do in torch what `geometry.rotation` does in numpy: the paper's
+solver needs gradients, and geometry must not import torch.
+"""
 
 from collections.abc import Callable
 from typing import Literal
@@ -14,45 +18,66 @@ Model = Lifter | TokenSteerer
 
 
 def steer(model: Model, pose: Tensor, seen: Tensor, vector: Tensor) -> Tensor:
-    """q(R) of the paper (section 3.1): `[B, J, 2]` poses in the view rotated by the Rodrigues vectors `[B, 3]`.
+    """Return q(R) of the paper (section 3.1): the poses `[B, J, 2]` in the rotated views.
 
-    pose: `[B, J, 2]` centred and scaled by `model.normalise`; seen: `[B, J]`. The result is in the units of the input,
-    and complete: joints that are not seen are predicted. A vector of zeros completes the pose as it is seen.
+    pose: `[B, J, 2]` centred and scaled by `model.normalise`; seen: `[B, J]` bool; vector: `[B, 3]`
+    Rodrigues vectors in radians. The result is in the units of the input, and complete: joints
+    that are not seen are predicted. A vector of zeros completes the pose in its own view.
     """
-    return steering(model, pose, seen)(vector)
+    return prepare_steering(model, pose, seen)(vector)
 
 
-def steering(model: Model, pose: Tensor, seen: Tensor) -> Callable[[Tensor], Tensor]:
-    """`steer` for many rotations of the same poses: what does not depend on R is done once.
+def prepare_steering(model: Model, pose: Tensor, seen: Tensor) -> Callable[[Tensor], Tensor]:
+    """Return a function from rotation vectors `[B, 3]` to the steered poses `[B, J, 2]`.
 
-    The factorised model lifts here and only rotates afterwards; the rotation token takes the whole network each time.
+    For many rotations of the same poses, as in `steer`: what does not depend on R is done once. The
+    factorised model lifts here and only rotates afterwards; the rotation-token model needs the
+    whole network for each rotation.
     """
-    if isinstance(model, Lifter):
-        body, _ = model(pose, seen)
-        return lambda vector: torch.einsum("bij,bkj->bki", matrix_from_vector(vector)[:, :2], body)
-    return lambda vector: model(pose, seen, shortest(vector))
+    if not isinstance(model, Lifter):
+        return lambda vector: model(pose, seen, shortest(vector))
+    body, _ = model(pose, seen)  # (B, J, 3)
+
+    def rotate_and_project(vector: Tensor) -> Tensor:
+        """Return P R X `[B, J, 2]` of rotation vectors `[B, 3]`."""
+        projection = matrix_from_vector(vector)[:, :2]  # (B, 2, 3)
+        return torch.einsum("bij,bkj->bki", projection, body)  # (B, J, 2)
+
+    return rotate_and_project
 
 
 def matrix_from_vector(vector: Tensor) -> Tensor:
-    """Rodrigues' formula, differentiable also at zero: `[..., 3]` radians -> `[..., 3, 3]`."""
-    angle2 = vector.square().sum(-1)[..., None, None]
-    safe = torch.where(angle2 > 1e-12, angle2, torch.ones_like(angle2)).sqrt()
+    """Return the rotation matrices `[..., 3, 3]` of Rodrigues vectors `[..., 3]` in radians.
+
+    Rodrigues' formula, differentiable also at zero. The numpy form is
+    `geometry.rotation.matrix_from_vector`; this one has gradients.
+    """
+    angle2 = vector.square().sum(-1)[..., None, None]  # (..., 1, 1)
     small = angle2 <= 1e-12
+    safe = torch.where(angle2 > 1e-12, angle2, torch.ones_like(angle2)).sqrt()
     first = torch.where(small, 1 - angle2 / 6, safe.sin() / safe)
     second = torch.where(small, 0.5 - angle2 / 24, (1 - safe.cos()) / safe.square())
-    k = skew(vector)
-    return torch.eye(3, dtype=vector.dtype, device=vector.device) + first * k + second * (k @ k)
+    cross = skew(vector)
+    eye = torch.eye(3, dtype=vector.dtype, device=vector.device)
+    return eye + first * cross + second * (cross @ cross)
 
 
 def skew(vector: Tensor) -> Tensor:
-    """The cross product as a matrix, `[..., 3]` -> `[..., 3, 3]`."""
+    """Return the cross product with vectors `[..., 3]` as matrices `[..., 3, 3]`.
+
+    The numpy form is `geometry.rotation.skew`; this one has gradients.
+    """
     x, y, z = vector.unbind(-1)
     zero = torch.zeros_like(x)
-    return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).reshape(*vector.shape, 3)
+    entries = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1)  # (..., 9)
+    return entries.reshape(*vector.shape, 3)  # (..., 3, 3)
 
 
 def shortest(vector: Tensor) -> Tensor:
-    """The vector of the same rotation that is at most pi long, as all are that the network was trained with."""
+    """Return the Rodrigues vectors `[..., 3]` of the same rotations that are at most pi long.
+
+    The rotation-token network was trained with no others.
+    """
     angle = vector.norm(dim=-1, keepdim=True).clamp_min(1e-9)
     turns = torch.round(angle / (2 * torch.pi)).detach()
     return vector * (1 - 2 * torch.pi * turns / angle)

@@ -1,6 +1,7 @@
-"""The paper's SteerPose: a rotation token among joint tokens (Lee et al., BMVC 2025, section 3.1 and appendix C).
+"""The paper's SteerPose: a rotation token among joint tokens.
 
-Kept as a measured reference; the factorised model in `model.py` is the program's own.
+Lee et al., BMVC 2025, section 3.1 and appendix C. Kept as a measured reference; the factorised
+model in `model.py` is the program's own.
 """
 
 from dataclasses import dataclass
@@ -8,10 +9,15 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from mocap_calib.steerpose.model import transformer_encoder
+
 
 @dataclass(frozen=True)
 class TokenConfig:
-    """Size of the network; saved inside the checkpoint. Heads and the feed-forward width are not in the paper."""
+    """Size of the network; saved inside the checkpoint.
+
+    The paper does not give the number of heads and the width of the feed-forward layers.
+    """
 
     joints: int
     width: int = 32
@@ -20,11 +26,11 @@ class TokenConfig:
 
 
 class TokenSteerer(nn.Module):
-    """2D pose + relative rotation -> 2D pose in the rotated view: q(R) of the paper.
+    """Predict a 2D pose in a rotated view from the pose and the rotation: q(R) of section 3.1.
 
-    N joint tokens and one rotation token, each through an MLP, plus a learnable positional embedding of N + 1; a
-    transformer encoder; mean pooling to one vector; an MLP to N x 2. The token of a joint that is not seen is masked: a
-    learnt vector stands for it.
+    N joint tokens and one rotation token, each through an MLP, plus N + 1 learnt positional
+    embeddings; a transformer encoder; mean pooling to one vector; an MLP to N x 2. A joint that is
+    not seen is masked: a learnt vector takes the place of its token.
     """
 
     def __init__(self, config: TokenConfig) -> None:
@@ -35,33 +41,24 @@ class TokenSteerer(nn.Module):
         self.rotation = _mlp(3, width, width)
         self.missing = nn.Parameter(0.02 * torch.randn(width))
         self.embedding = nn.Parameter(0.5 * torch.randn(config.joints + 1, width))
-        layer = nn.TransformerEncoderLayer(
-            width,
-            config.heads,
-            2 * width,
-            dropout=0.0,
-            activation="gelu",
-            batch_first=True,
-            norm_first=True,
-        )
-        self.encoder = nn.TransformerEncoder(
-            layer, config.layers, norm=nn.LayerNorm(width), enable_nested_tensor=False
-        )
+        self.encoder = transformer_encoder(width, heads=config.heads, layers=config.layers)
         self.head = _mlp(width, 4 * width, 2 * config.joints)
 
     def forward(self, pose: Tensor, seen: Tensor, vector: Tensor) -> Tensor:
-        """Steers a batch of poses.
+        """Steer a batch of poses.
 
-        pose: `[B, J, 2]` centred and scaled by `model.normalise`; seen: `[B, J]` bool; vector: `[B, 3]` Rodrigues vector
-        of the rotation from the pose's view to the other, radians. Returns `[B, J, 2]` in units of the input.
+        pose: `[B, J, 2]` centred and scaled by `model.normalise`; seen: `[B, J]` bool; vector:
+        `[B, 3]` Rodrigues vector, in radians, of the rotation from the pose's view to the other.
+        Returns `[B, J, 2]` in the units of the input.
         """
-        known = torch.where(seen[..., None], pose, torch.zeros_like(pose))
-        joints = torch.where(seen[..., None], self.position(known), self.missing)
-        token = (
-            torch.cat([joints, self.rotation(vector)[:, None]], dim=1) + self.embedding
-        )  # (B, J + 1, C)
-        return self.head(self.encoder(token).mean(1)).view(len(pose), -1, 2)
+        known = torch.where(seen[..., None], pose, torch.zeros_like(pose))  # (B, J, 2)
+        joints = torch.where(seen[..., None], self.position(known), self.missing)  # (B, J, C)
+        rotation = self.rotation(vector)[:, None]  # (B, 1, C)
+        token = torch.cat([joints, rotation], dim=1) + self.embedding  # (B, J + 1, C)
+        pooled = self.encoder(token).mean(1)  # (B, C)
+        return self.head(pooled).view(len(pose), -1, 2)  # (B, J, 2)
 
 
-def _mlp(inside: int, hidden: int, outside: int) -> nn.Sequential:
-    return nn.Sequential(nn.Linear(inside, hidden), nn.GELU(), nn.Linear(hidden, outside))
+def _mlp(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
+    """Return a perceptron with one hidden layer."""
+    return nn.Sequential(nn.Linear(inputs, hidden), nn.GELU(), nn.Linear(hidden, outputs))

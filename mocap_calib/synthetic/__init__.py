@@ -1,4 +1,4 @@
-"""Scenes with truth, for tests, examples and training: people, rigs of cameras, and what a detector makes of them."""
+"""Scenes with truth, for tests, examples and training: people, rigs, and what detectors see."""
 
 from mocap_calib.synthetic.bodies import JOINTS, people
 from mocap_calib.synthetic.detections import LAYOUTS, Detections, detect, keypoint_files

@@ -1,29 +1,31 @@
-"""What a keypoint detector makes of people in the images of a rig: noise, gaps, gross errors, and who is who."""
+"""What a keypoint detector makes of people in the images of a rig: noise, gaps, gross errors."""
 
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
+from mocap_calib.config import FALSE_CONFIDENCE, FALSE_COPIES, LEAST_DETECTED_JOINTS
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.synthetic.bodies import JOINTS
+from mocap_calib.synthetic.signals import direction
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Keypoints2D, check_shape
 
 Layout = Literal["coco17", "all"]
 
 LAYOUTS: dict[str, tuple[str, ...]] = {"coco17": JOINTS[:17], "all": JOINTS}
 
-_FEWEST = 4  # joints that make a detection
-
 
 @dataclass(frozen=True)
 class Detections:
     """Keypoints of all views.
 
-    keypoints: `[keypoint]` names. positions: `[view, frame, instance, keypoint, 2]` pixels, NaN = missing.
-    confidence: `[view, frame, instance, keypoint]` 0..1, 0 = missing. identity: `[view, frame, instance]` the
-    individual, -1 = a false detection or no detection; those that are there come first.
+    keypoints: `[keypoint]` names.
+    positions: `[view, frame, instance, keypoint, 2]` pixels, NaN = missing.
+    confidence: `[view, frame, instance, keypoint]` 0..1, 0 = missing.
+    identity: `[view, frame, instance]` the individual, -1 = a false detection or no detection;
+        those that are there come first.
     """
 
     keypoints: tuple[str, ...]
@@ -32,19 +34,9 @@ class Detections:
     identity: Ints
 
     def __post_init__(self) -> None:
-        views, frames, instances = self.identity.shape
-        check_shape(
-            "detections: positions",
-            self.positions,
-            views,
-            frames,
-            instances,
-            len(self.keypoints),
-            2,
-        )
-        check_shape(
-            "detections: confidence", self.confidence, views, frames, instances, len(self.keypoints)
-        )
+        shape = (*self.identity.shape, len(self.keypoints))
+        check_shape("detections: positions", self.positions, *shape, 2)
+        check_shape("detections: confidence", self.confidence, *shape)
 
 
 def detect(  # noqa: PLR0913 - each is one plain number of the detector
@@ -60,13 +52,18 @@ def detect(  # noqa: PLR0913 - each is one plain number of the detector
     swaps: float = 0.0,
     shuffle: bool = True,
 ) -> Detections:
-    """Detects `[frame, individual, joint, 3]` poses (the joints of `people`, in the rig's unit) in every view.
+    """Detect the poses `[frame, individual, joint, 3]` of people in every view.
 
-    noise_px: RMS error of a coordinate in pixels. missing, outliers: shares of joints that are not found, that are
-    found somewhere else on or near the body. false_detections: share of frames, in each view, with a body too many.
-    swaps: share of detections that take left for right. shuffle: the order of the instances says nothing; otherwise
-    it is that of the individuals. Behind the camera or outside the image nothing is found, and four joints at
-    least make a detection. Raises MismatchError.
+    Nothing is found behind the camera or outside the image, and four joints at least make a
+    detection.
+
+    poses: of the joints of `people`, in the rig's unit. noise_px: RMS error of a coordinate in
+    pixels. missing, outliers: shares of joints that are not found, that are found somewhere else on
+    or near the body. false_detections: share of frames, in each view, with a body too many. swaps:
+    share of detections that take left for right. shuffle: the order of the instances says nothing;
+    otherwise it is that of the individuals.
+
+    Raises MismatchError.
     """
     shares = {
         "missing": missing,
@@ -74,47 +71,58 @@ def detect(  # noqa: PLR0913 - each is one plain number of the detector
         "false detections": false_detections,
         "swaps": swaps,
     }
-    wrong = [f"{name} {share}" for name, share in shares.items() if not 0 <= share <= 1]
-    if wrong or layout not in LAYOUTS or noise_px < 0:
-        raise MismatchError(
-            f"detect: expected shares in 0..1, noise >= 0 and layout {' or '.join(LAYOUTS)}, got {', '.join(wrong) or f'{noise_px}, {layout}'}"
-        )
+    _check_detector(shares, layout, noise_px)
     joints = LAYOUTS[layout]
     poses = poses[:, :, : len(joints)]
+    individuals = poses.shape[1]
     bodies = np.concatenate([poses, _strangers(rng, poses)[:, None]], axis=1)
-    image = _swapped(rng, _with_copies(rng, _images(rig, bodies)), joints, swaps)
-    real = np.arange(bodies.shape[1]) < poses.shape[1]
-    there = real | (rng.random((*image.shape[:2], 1)) < false_detections)
-    seen = _inside(rig, image) & there[..., None] & (rng.random(image.shape[:-1]) >= missing)
-    seen &= seen.sum(-1, keepdims=True) >= _FEWEST
-    positions, quality = _blurred(rng, image, noise_px, outliers)
-    confidence = np.clip(quality * np.where(real, 1.0, 0.7)[:, None], 0.05, 1.0)
-    identity = np.broadcast_to(np.where(real, np.arange(len(real)), -1), seen.shape[:3])
-    return _ordered(rng, Detections(joints, positions, confidence, identity), seen, shuffle)
+    image = _replace_by_copies(rng, _project(rig, bodies))
+    image = _swap_sides(rng, image, joints, swaps)
+    real = np.arange(individuals + 1) < individuals  # [body]: the last is false
+    present = real | (rng.random((*image.shape[:2], 1)) < false_detections)
+    found = rng.random(image.shape[:-1]) >= missing
+    seen = _inside(rig, image) & present[..., None] & found
+    seen &= seen.sum(-1, keepdims=True) >= LEAST_DETECTED_JOINTS
+    positions, quality = _blur(rng, image, noise_px, outliers)
+    trust = np.where(real, 1.0, FALSE_CONFIDENCE)[:, None]
+    confidence = np.clip(quality * trust, 0.05, 1.0)
+    individual = np.where(real, np.arange(len(real)), -1)  # [body]
+    identity = np.broadcast_to(individual, seen.shape[:3])
+    detections = Detections(joints, positions, confidence, identity)
+    return _arrange(rng, detections, seen, shuffle=shuffle)
 
 
 def keypoint_files(rig: CameraRig, detections: Detections) -> tuple[Keypoints2D, ...]:
-    """What the files of the views hold."""
+    """Return what the files of the views hold, in the order of the rig's cameras."""
     frames = np.arange(detections.identity.shape[1])
     return tuple(
         Keypoints2D(
-            camera.name,
-            detections.keypoints,
-            frames,
-            positions,
-            confidence,
-            False,
-            camera.size,
-            f"synthetic {camera.name}",
+            camera=camera.name,
+            keypoints=detections.keypoints,
+            frames=frames,
+            positions=detections.positions[view],
+            confidence=detections.confidence[view],
+            tracked=False,
+            image_size=camera.size,
+            source=f"synthetic {camera.name}",
         )
-        for camera, positions, confidence in zip(
-            rig.cameras, detections.positions, detections.confidence, strict=True
-        )
+        for view, camera in enumerate(rig.cameras)
     )
 
 
-def _images(rig: CameraRig, bodies: Floats) -> Floats:
-    """`[view, frame, body, joint, 2]` pixels; NaN behind the camera."""
+def _check_detector(shares: dict[str, float], layout: str, noise_px: float) -> None:
+    """Raise MismatchError where a number of the detector is none that it can be."""
+    wrong = [f"{name} {share}" for name, share in shares.items() if not 0 <= share <= 1]
+    if wrong or layout not in LAYOUTS or noise_px < 0:
+        found = ", ".join(wrong) or f"{noise_px}, {layout}"
+        raise MismatchError(
+            "detect: expected shares in 0..1, noise >= 0 and "
+            f"layout {' or '.join(LAYOUTS)}, got {found}"
+        )
+
+
+def _project(rig: CameraRig, bodies: Floats) -> Floats:
+    """Return the pixels `[view, frame, body, joint, 2]` of bodies; NaN behind the camera."""
     views = zip(rig.cameras, rig.rotation, rig.translation, strict=True)
     return np.stack(
         [
@@ -125,94 +133,121 @@ def _images(rig: CameraRig, bodies: Floats) -> Floats:
 
 
 def _inside(rig: CameraRig, image: Floats) -> Bools:
-    """`[view, frame, body, joint]` in the image; integer pixels are centres, so it reaches half a pixel further."""
+    """Return whether pixels are in the image, `[view, frame, body, joint]`.
+
+    Integer pixels are centres, so the image reaches half a pixel further.
+    """
     size = np.array([camera.size for camera in rig.cameras])[:, None, None, None]
     return np.asarray(((image >= -0.5) & (image <= size - 0.5)).all(-1))
 
 
 def _strangers(rng: np.random.Generator, poses: Floats) -> Floats:
-    """`[frame, joint, 3]` in every frame a body that is not there: anybody's pose of any time, elsewhere, turned."""
+    """Return a body `[frame, joint, 3]` that is not there, for every frame.
+
+    Anybody's pose of any time, elsewhere in the room, turned.
+    """
     frames, individuals = poses.shape[:2]
     body = poses[rng.integers(frames, size=frames), rng.integers(individuals, size=frames)]
     middle = body.mean(1, keepdims=True) * [1, 1, 0]
-    low, high = poses.min((0, 1, 2))[:2], poses.max((0, 1, 2))[:2]
-    place = np.concatenate([rng.uniform(low, high, (frames, 2)), np.zeros((frames, 1))], axis=1)
-    angle = rng.uniform(0, 2 * np.pi, frames)
-    c, s, zero, one = np.cos(angle), np.sin(angle), np.zeros(frames), np.ones(frames)
-    turn = np.stack([c, -s, zero, s, c, zero, zero, zero, one], axis=-1).reshape(-1, 3, 3)
+    low, high = poses.min((0, 1, 2)), poses.max((0, 1, 2))
+    level = rng.uniform(low[:2], high[:2], (frames, 2))
+    place = np.concatenate([level, np.zeros((frames, 1))], axis=1)
+    turn = _rotation_about_z(np.asarray(rng.uniform(0, 2 * np.pi, frames)))
     return np.asarray((body - middle) @ np.swapaxes(turn, 1, 2) + place[:, None])
 
 
-def _with_copies(rng: np.random.Generator, image: Floats) -> Floats:
-    """Half of the false bodies, the last of each image, become a distorted copy of a real one, beside it."""
+def _rotation_about_z(angle: Floats) -> Floats:
+    """Return rotations `[frame, 3, 3]` by angles `[frame]` in radians about the vertical."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    zero, one = np.zeros(len(angle)), np.ones(len(angle))
+    entries = [cosine, -sine, zero, sine, cosine, zero, zero, zero, one]
+    return np.stack(entries, axis=-1).reshape(-1, 3, 3)
+
+
+def _replace_by_copies(rng: np.random.Generator, image: Floats) -> Floats:
+    """Replace some false bodies, the last of each image, by a distorted copy of a real one.
+
+    The copy is beside the real one. image: `[view, frame, body, joint, 2]` pixels.
+    """
     views, frames, bodies = image.shape[:3]
     whose = rng.integers(bodies - 1, size=(views, frames))
-    original = np.take_along_axis(image, whose[:, :, None, None, None], axis=2)[:, :, 0]
-    size = _size(original)[..., None, None]
-    copy = original + size * (
-        0.3 * rng.normal(size=(views, frames, 1, 2)) + 0.06 * rng.normal(size=original.shape)
-    )
-    false = np.where(rng.random((views, frames, 1, 1)) < 0.5, copy, image[:, :, -1])
+    index = whose[:, :, None, None, None]
+    original = np.take_along_axis(image, index, axis=2)[:, :, 0]
+    shift = 0.3 * rng.normal(size=(views, frames, 1, 2))
+    distortion = 0.06 * rng.normal(size=original.shape)
+    copy = original + _size(original)[..., None, None] * (shift + distortion)
+    copied = rng.random((views, frames, 1, 1)) < FALSE_COPIES
+    false = np.where(copied, copy, image[:, :, -1])
     return np.concatenate([image[:, :, :-1], false[:, :, None]], axis=2)
 
 
 def _size(image: Floats) -> Floats:
-    """`[...]` diagonal in pixels of the box around `[..., joint, 2]`; 0 where nothing is seen."""
+    """Return the diagonal `[...]` of the box around bodies `[..., joint, 2]`, in pixels.
+
+    0 where nothing is seen.
+    """
     seen = np.isfinite(image)
-    box = np.where(seen, image, -np.inf).max(-2) - np.where(seen, image, np.inf).min(-2)
-    return np.asarray(np.linalg.norm(np.where(seen.any(-2), box, 0.0), axis=-1))
+    high = np.where(seen, image, -np.inf).max(-2)
+    low = np.where(seen, image, np.inf).min(-2)
+    box = np.where(seen.any(-2), high - low, 0.0)
+    return np.asarray(np.linalg.norm(box, axis=-1))
 
 
-def _blurred(
+def _blur(
     rng: np.random.Generator, image: Floats, noise_px: float, outliers: float
 ) -> tuple[Floats, Floats]:
-    """Positions with noise and gross errors, and `[view, frame, body, joint]` a confidence that knows of them, not too well."""
-    doubt = rng.beta(2.0, 4.0, image.shape[:-1])
-    spread = (0.4 + 2 * doubt) / np.sqrt(
-        0.16 + 1.6 / 3 + 4 / 7
-    )  # E[doubt] = 1/3, E[doubt^2] = 1/7: RMS 1
-    noisy = image + noise_px * spread[..., None] * rng.normal(size=image.shape)
-    quality = 1.0 - 0.75 * doubt + 0.05 * rng.normal(size=doubt.shape)
-    gross = rng.random(doubt.shape) < outliers
-    angle = rng.uniform(0, 2 * np.pi, doubt.shape)
-    far = rng.uniform(0.15, 0.8, doubt.shape) * _size(image)[..., None]
-    noisy += (gross * far)[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    return noisy, np.where(gross, quality * rng.uniform(0.3, 1.0, doubt.shape), quality)
+    """Return pixels with noise and gross errors, and the confidence `[view, frame, body, joint]`.
+
+    The confidence knows of the errors, though not too well.
+    image: `[view, frame, body, joint, 2]` pixels.
+    """
+    shape = image.shape[:-1]
+    doubt = rng.beta(2.0, 4.0, shape)
+    # E[doubt] = 1/3 and E[doubt^2] = 1/7: the RMS of the spread is 1
+    spread = (0.4 + 2 * doubt) / np.sqrt(0.16 + 1.6 / 3 + 4 / 7)
+    blurred = image + noise_px * spread[..., None] * rng.normal(size=image.shape)
+    quality = 1.0 - 0.75 * doubt + 0.05 * rng.normal(size=shape)
+    gross = rng.random(shape) < outliers
+    angle = rng.uniform(0, 2 * np.pi, shape)
+    distance = rng.uniform(0.15, 0.8, shape) * _size(image)[..., None]
+    blurred += (gross * distance)[..., None] * direction(angle)
+    return blurred, np.where(gross, quality * rng.uniform(0.3, 1.0, shape), quality)
 
 
-def _swapped(
-    rng: np.random.Generator, positions: Floats, joints: tuple[str, ...], swaps: float
+def _swap_sides(
+    rng: np.random.Generator, image: Floats, joints: tuple[str, ...], swaps: float
 ) -> Floats:
-    """Some detections with left and right exchanged."""
+    """Exchange left and right of a share of the detections `[view, frame, body, joint, 2]`."""
     twin = [joints.index(_other_side(joint)) for joint in joints]
-    chosen = rng.random(positions.shape[:3]) < swaps
-    return np.where(chosen[..., None, None], positions[..., twin, :], positions)
+    swapped = rng.random(image.shape[:3]) < swaps
+    return np.where(swapped[..., None, None], image[..., twin, :], image)
 
 
 def _other_side(joint: str) -> str:
-    """`left_hip` <-> `right_hip`; the others are their own twins."""
-    return (
-        joint.replace("left_", "right_")
-        if joint.startswith("left_")
-        else joint.replace("right_", "left_")
-    )
+    """Return `right_hip` for `left_hip` and the reverse; the others are their own twins."""
+    if joint.startswith("left_"):
+        return joint.replace("left_", "right_")
+    return joint.replace("right_", "left_")
 
 
-def _ordered(rng: np.random.Generator, found: Detections, seen: Bools, shuffle: bool) -> Detections:
-    """Blanks out what is not seen and puts the detections that are there first, in an order that tells nothing if shuffled."""
-    present = seen.any(-1)
-    order = np.argsort(
-        np.where(
-            present, rng.random(present.shape) if shuffle else np.arange(present.shape[2]), np.inf
-        ),
-        axis=2,
-        kind="stable",
-    )
+def _arrange(
+    rng: np.random.Generator, detections: Detections, seen: Bools, *, shuffle: bool
+) -> Detections:
+    """Blank out what is not seen `[view, frame, body, joint]`, and put what is there first.
+
+    shuffle: in an order that tells nothing.
+    """
+    present = seen.any(-1)  # [view, frame, body]
+    rank = rng.random(present.shape) if shuffle else np.arange(present.shape[2])
+    order = np.argsort(np.where(present, rank, np.inf), axis=2, kind="stable")
     most = max(int(present.sum(2).max(initial=0)), 1)
     order = order[:, :, :most]
-    positions = np.take_along_axis(
-        np.where(seen[..., None], found.positions, np.nan), order[..., None, None], axis=2
+    positions = np.where(seen[..., None], detections.positions, np.nan)
+    confidence = np.where(seen, detections.confidence, 0.0)
+    identity = np.where(present, detections.identity, -1)
+    return Detections(
+        keypoints=detections.keypoints,
+        positions=np.take_along_axis(positions, order[..., None, None], axis=2),
+        confidence=np.take_along_axis(confidence, order[..., None], axis=2),
+        identity=np.take_along_axis(identity, order, axis=2),
     )
-    confidence = np.take_along_axis(np.where(seen, found.confidence, 0.0), order[..., None], axis=2)
-    identity = np.take_along_axis(np.where(present, found.identity, -1), order, axis=2)
-    return Detections(found.keypoints, positions, confidence, identity)

@@ -1,122 +1,166 @@
-"""Where people walk: smooth paths through a room, with turns and pauses, on which nobody runs into anybody."""
+"""Where people walk: smooth paths with turns and pauses, on which nobody runs into anybody."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from mocap_calib.synthetic.signals import wander
+from mocap_calib.config import PEOPLE_APART, WALK_CANDIDATES
+from mocap_calib.synthetic.signals import interpolate, wander
 from mocap_calib.types import Floats
 
 _STEP = 0.02  # metres between the points of a path
-_APART = 0.8  # metres that people keep between them
-_CANDIDATES = 60
+_TURN_RATE = 1.2  # radians a second at most
+_BRAKING = 0.7  # metres a second squared
+_LEAST_SPEED = 0.02  # metres a second, where somebody stops
+
+Pauses = tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True)
 class Walk:
     """One person's way.
 
-    position: `[time, 2]` metres; heading: `[time]` radians, unwrapped; speed: `[time]` m/s; pauses: (start, end) in
-    seconds of standing still.
+    position: `[time, 2]` metres.
+    heading: `[time]` radians, unwrapped.
+    speed: `[time]` metres a second.
+    pauses: (start, end) in seconds of standing still.
     """
 
     position: Floats
     heading: Floats
     speed: Floats
-    pauses: tuple[tuple[float, float], ...]
+    pauses: Pauses
 
 
-def walks(
+def plan_walks(
     rng: np.random.Generator, time: Floats, individuals: int, room: tuple[float, float]
 ) -> list[Walk]:
-    """One walk an individual; of several candidates the one that keeps most away from those already there."""
-    chosen: list[Walk] = []
+    """Return a walk for each individual.
+
+    Of several candidates, the one that keeps most away from those already there. time: `[time]`
+    seconds; room: (width, depth) in metres about the origin.
+    """
+    walks: list[Walk] = []
     for _ in range(individuals):
-        best = _walk(rng, time, room)
-        for _ in range(_CANDIDATES):
-            if _elbow_room(best, chosen) >= 1.0:
+        best = _plan_walk(rng, time, room)
+        best_room = _elbow_room(best, walks)
+        for _ in range(WALK_CANDIDATES):
+            if best_room >= 1.0:
                 break
-            best = max(best, _walk(rng, time, room), key=lambda walk: _elbow_room(walk, chosen))
-        chosen.append(best)
-    return chosen
+            candidate = _plan_walk(rng, time, room)
+            candidate_room = _elbow_room(candidate, walks)
+            if candidate_room > best_room:
+                best, best_room = candidate, candidate_room
+        walks.append(best)
+    return walks
 
 
 def _elbow_room(candidate: Walk, others: list[Walk]) -> float:
-    """1 where the candidate always keeps its distance, else less."""
+    """Return 1 where the candidate always keeps its distance from the others, else less."""
     if not others:
         return 1.0
-    distance = np.min(
-        [np.linalg.norm(candidate.position - other.position, axis=1) for other in others], axis=0
-    )
-    return float(1.0 - (np.maximum(1.0 - distance / _APART, 0.0) ** 2).mean())
+    distances = [np.linalg.norm(candidate.position - walk.position, axis=1) for walk in others]
+    intrusion = np.maximum(1.0 - np.min(distances, axis=0) / PEOPLE_APART, 0.0)
+    return float(1.0 - (intrusion**2).mean())
 
 
-def _walk(rng: np.random.Generator, time: Floats, room: tuple[float, float]) -> Walk:
-    """Speeds and pauses are laid out along the path, then turned into a time at each point of it."""
-    usual = rng.uniform(0.55, 1.35)
-    path = _path(rng, room, 1.6 * usual * (time[-1] - time[0]) + 3.0)
-    arc = np.linspace(0.0, _STEP * (len(path) - 1), len(path))
+def _plan_walk(rng: np.random.Generator, time: Floats, room: tuple[float, float]) -> Walk:
+    """Lay out speeds and pauses along a random path, then find the time at each point of it."""
+    usual_speed = rng.uniform(0.55, 1.35)
+    enough = 1.6 * usual_speed * (time[-1] - time[0]) + 3.0
+    path = _random_path(rng, room, enough)
+    arc = _arc_length(path)
+    heading = _heading_along(path)
+    speed = _speed_in_turns(usual_speed * np.exp(0.15 * wander(rng, arc, 3.0)), heading)
+    stops = _random_stops(rng, arc[-1])
+    for stop in stops:
+        braking = np.sqrt(2 * _BRAKING * np.abs(arc - stop)) + _LEAST_SPEED
+        speed = np.minimum(speed, braking)
+    duration = np.concatenate([[0.0], np.cumsum(_STEP / speed[1:])])
+    arrival, pauses = _pause(rng, time[0] + duration, arc, stops)
+    return _walk_in_time(time, arrival=arrival, path=path, heading=heading, pauses=pauses)
+
+
+def _random_stops(rng: np.random.Generator, length: float) -> Floats:
+    """Return where on a path of this length somebody stops, `[stop]` metres."""
+    gaps = rng.uniform(2.0, 7.0, int(length // 2) + 1)
+    stops = np.cumsum(gaps) - rng.uniform(0.0, 5.0)
+    return stops[(stops > 0.5) & (stops < length - 0.5)]
+
+
+def _arc_length(path: Floats) -> Floats:
+    """Return how far along a path `[point, 2]` each point `[point]` is, in metres."""
+    return np.linspace(0.0, _STEP * (len(path) - 1), len(path))
+
+
+def _heading_along(path: Floats) -> Floats:
+    """Return the direction `[point]` of a path `[point, 2]` in radians, unwrapped."""
     tangent = np.gradient(path, _STEP, axis=0)
-    heading = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
+    return np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
+
+
+def _speed_in_turns(speed: Floats, heading: Floats) -> Floats:
+    """Return the speed `[point]` where nobody turns faster than people do."""
     curvature = np.abs(gaussian_filter1d(np.gradient(heading, _STEP), 5))
-    speed = np.minimum(
-        usual * np.exp(0.15 * wander(rng, arc, 3.0)), 1.2 / np.maximum(curvature, 0.1)
-    )  # at most 1.2 rad/s
-    at = np.cumsum(rng.uniform(2.0, 7.0, int(arc[-1] // 2) + 1)) - rng.uniform(0.0, 5.0)
-    at = at[(at > 0.5) & (at < arc[-1] - 0.5)]
-    for stop in at:
-        speed = np.minimum(
-            speed, np.sqrt(2 * 0.7 * np.abs(arc - stop)) + 0.02
-        )  # braking at 0.7 m/s^2
-    arrival = time[0] + np.concatenate([[0.0], np.cumsum(_STEP / speed[1:])])
+    return np.minimum(speed, _TURN_RATE / np.maximum(curvature, 0.1))
+
+
+def _pause(
+    rng: np.random.Generator, arrival: Floats, arc: Floats, stops: Floats
+) -> tuple[Floats, Pauses]:
+    """Return the times of arrival `[point]` with pauses of random length at the stops `[stop]`."""
     pauses = []
-    for stop in at:
+    for stop in stops:
         dwell = rng.uniform(0.8, 3.0)
         begin = float(np.interp(stop, arc, arrival))
         arrival = np.where(arc > stop, arrival + dwell, arrival)
         pauses.append((begin, begin + dwell))
-    return _timed(time, arrival=arrival, path=path, heading=heading, pauses=tuple(pauses))
+    return arrival, tuple(pauses)
 
 
-def _timed(
-    time: Floats,
-    *,
-    arrival: Floats,
-    path: Floats,
-    heading: Floats,
-    pauses: tuple[tuple[float, float], ...],
+def _walk_in_time(
+    time: Floats, *, arrival: Floats, path: Floats, heading: Floats, pauses: Pauses
 ) -> Walk:
-    """The path as a function of time; the smoothing takes the kinks out of starting and stopping."""
-    arc, interval = np.linspace(0.0, _STEP * (len(path) - 1), len(path)), time[1] - time[0]
+    """Return a path `[point, 2]` as a function of time.
+
+    arrival: `[point]` seconds; heading: `[point]`. The smoothing takes the kinks out of starting
+    and stopping.
+    """
+    arc = _arc_length(path)
+    interval = time[1] - time[0]
     along = gaussian_filter1d(np.interp(time, arrival, arc), 0.12 / interval, mode="nearest")
-    position = np.stack([np.interp(along, arc, path[:, k]) for k in (0, 1)], axis=-1)
+    position = interpolate(along, arc, path)
     turned = gaussian_filter1d(np.interp(along, arc, heading), 0.15 / interval, mode="nearest")
     return Walk(position, turned, np.gradient(along, interval), pauses)
 
 
-def _path(rng: np.random.Generator, room: tuple[float, float], length: float) -> Floats:
-    """`[point, 2]` points every 2 cm on a polyline through the room, its corners rounded; it stays in the room."""
+def _random_path(rng: np.random.Generator, room: tuple[float, float], length: float) -> Floats:
+    """Return points `[point, 2]` every 2 cm on a path through the room, and within it.
+
+    A polyline of about `length` metres at least, its corners rounded.
+    """
     corners = [rng.uniform(-0.5, 0.5, 2) * room]
     direction = rng.normal(size=2)
     total = 0.0
     while total < length:
         options = rng.uniform(-0.5, 0.5, (8, 2)) * room
         leg = options - corners[-1]
-        far = np.linalg.norm(leg, axis=1)
-        cosine = leg @ direction / (far * np.linalg.norm(direction) + 1e-9)
+        distance = np.linalg.norm(leg, axis=1)
+        cosine = leg @ direction / (distance * np.linalg.norm(direction) + 1e-9)
         # people seldom turn on their heel, and seldom go but a step
-        best = int(np.argmax(cosine + 0.8 * np.minimum(far, 2.0) + rng.normal(0.0, 0.3, 8)))
+        liking = cosine + 0.8 * np.minimum(distance, 2.0) + rng.normal(0.0, 0.3, 8)
+        best = int(np.argmax(liking))
         corners.append(options[best])
         direction = leg[best]
-        total += 0.8 * float(far[best])
-    polyline = np.array(corners)
-    dense = _resampled(polyline)
-    return _resampled(gaussian_filter1d(dense, 0.4 / _STEP, axis=0, mode="nearest"))
+        total += 0.8 * float(distance[best])  # rounding the corners shortens the way
+    polyline = _resample(np.array(corners))
+    return _resample(gaussian_filter1d(polyline, 0.4 / _STEP, axis=0, mode="nearest"))
 
 
-def _resampled(points: Floats) -> Floats:
-    """Points every 2 cm along a polyline."""
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    fine = np.arange(0.0, arc[-1], _STEP)
-    return np.stack([np.interp(fine, arc, points[:, k]) for k in (0, 1)], axis=-1)
+def _resample(points: Floats) -> Floats:
+    """Return points `[point, 2]` every 2 cm along a polyline `[corner, 2]`."""
+    legs = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    arc = np.concatenate([[0.0], np.cumsum(legs)])
+    even = np.arange(0.0, arc[-1], _STEP)
+    return interpolate(even, arc, points)

@@ -4,22 +4,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mocap_calib.config import SimulateConfig
+from mocap_calib.config import CAMERA_HEIGHT, ROOM_SIDE, SimulateConfig
 from mocap_calib.synthetic.bodies import JOINTS, people
 from mocap_calib.synthetic.detections import Detections, detect, keypoint_files
 from mocap_calib.synthetic.rigs import ring_rig
 from mocap_calib.types import CameraRig, Floats, Ints, Keypoints2D
-
-_HEIGHT = 2.2  # metres: above people's heads, as cameras hang in rooms
-_ROOM = 0.9  # side of the square that people walk in, in radii of the ring
 
 
 @dataclass(frozen=True)
 class Scene:
     """Detections, and the truth behind them.
 
-    rig: in metres, +z up. poses: `[frame, individual, joint, 3]` of the joints `joints`, whatever the layout of the
-    detections.
+    rig: in metres, +z up.
+    poses: `[frame, individual, joint, 3]` metres, of the joints `joints`, whatever the layout of
+        the detections.
     """
 
     rig: CameraRig
@@ -39,31 +37,33 @@ class Scene:
 
 
 def simulate(config: SimulateConfig) -> Scene:
-    """A scene of people who walk about among a ring of cameras; the same configuration gives the same bytes.
+    """Return a scene of people who walk about among a ring of cameras.
 
-    People, rig and detector draw from generators of their own: another noise leaves the people and the rig as they
-    are. Raises MismatchError.
+    The same configuration gives the same bytes. People, rig and detector draw from generators of
+    their own: another noise leaves the people and the rig as they are.
+
+    Raises MismatchError.
     """
-    of_people, of_rig, of_detector = np.random.default_rng(config.seed).spawn(3)
-    side = _ROOM * config.radius
+    rng_people, rng_rig, rng_detector = np.random.default_rng(config.seed).spawn(3)
+    side = ROOM_SIDE * config.radius
     poses = people(
-        of_people,
+        rng_people,
         individuals=config.people,
         frames=config.frames,
         fps=config.fps,
         room=(side, side),
     )
     rig = ring_rig(
-        of_rig,
+        rng_rig,
         cameras=config.cameras,
         radius=config.radius,
-        height=_HEIGHT,
+        height=CAMERA_HEIGHT,
         size=config.size,
         distortion=config.distortion,
         arc_deg=config.arc_deg,
     )
     detections = detect(
-        of_detector,
+        rng_detector,
         rig,
         poses,
         layout=config.layout,

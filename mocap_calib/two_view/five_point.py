@@ -1,30 +1,71 @@
-"""Training-free baselines for two views in which nobody knows who is who; for benchmarks, the program uses neither.
+"""Training-free baselines for two views in which nobody knows who is who.
 
-Both take rays `[frame, I, keypoint, 3]` and `[frame, J, keypoint, 3]` (unit, NaN = missing) and a threshold in radians,
-and give R, unit t and matches `[match, 3]` (frame, i, j), or None where no model is found.
+Both take rays `[frame, I, keypoint, 3]` and `[frame, J, keypoint, 3]` (unit, NaN = missing) of
+the views a and b, and a threshold in radians.
 """
 
+from collections.abc import Iterator
+from dataclasses import dataclass
 from itertools import product
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from mocap_calib.geometry.epipolar import depths, essential_matrix, sampson_angle
+from mocap_calib.config import FIVE_POINT_CONFIDENCE, FIVE_POINT_LEAST_FORWARD, FivePointConfig
+from mocap_calib.geometry.epipolar import (
+    depths,
+    essential_matrix,
+    pose_from_essential,
+    sampson_angle,
+)
+from mocap_calib.two_view.assignment import mutual_best
 from mocap_calib.types import Bools, Floats, Ints
 
-Found = tuple[Floats, Floats, Ints]
+_LEAST_JOINTS = 5  # determine an essential matrix
 
-_LEAST_JOINTS = 5
-_FIT = 0.6  # share of the joints of a right match that are inliers
+Pose = tuple[Floats, Floats]  # R [3, 3] and t [3] of b_from_a
 
 
-def all_pairs_magsac(rays_a: Floats, rays_b: Floats, threshold: float) -> Found | None:
-    """MAGSAC (Barath 2019, as in OpenCV) on the joints of all cross pairs of detections of a frame."""
-    everything = np.ones((rays_a.shape[0], rays_a.shape[1], rays_b.shape[1]), dtype=bool)
-    pose = _essential_pose(
-        *_correspondences(rays_a, rays_b, everything), threshold, cv2.USAC_MAGSAC
-    )
-    return None if pose is None else (*pose, _matches(*pose, rays_a, rays_b, threshold))
+class Found(NamedTuple):
+    """A relative pose b_from_a and who is who.
+
+    rotation: `[3, 3]`; translation: `[3]` of length 1.
+    matches: `[match, 3]` rows (frame, instance in a, instance in b).
+    """
+
+    rotation: Floats
+    translation: Floats
+    matches: Ints
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """The rays of two views, and when a joint is an inlier (radians)."""
+
+    rays_a: Floats
+    rays_b: Floats
+    threshold: float
+    config: FivePointConfig
+
+    @property
+    def pairs_of_detections(self) -> tuple[int, int, int]:
+        """Number of frames, I and J."""
+        frames, rows = self.rays_a.shape[:2]
+        return frames, rows, self.rays_b.shape[1]
+
+
+def all_pairs_magsac(
+    rays_a: Floats, rays_b: Floats, threshold: float, *, config: FivePointConfig | None = None
+) -> Found | None:
+    """Run MAGSAC (Barath 2019, as in OpenCV) on the joints of all pairs of detections of a frame.
+
+    Returns None where no model is found.
+    """
+    problem = _Problem(rays_a, rays_b, threshold, config or FivePointConfig())
+    everything = np.ones(problem.pairs_of_detections, dtype=bool)
+    pose = _essential_pose(problem, everything, cv2.USAC_MAGSAC)
+    return None if pose is None else Found(*pose, _matches(problem, pose))
 
 
 def five_point_over_matches(
@@ -33,125 +74,134 @@ def five_point_over_matches(
     threshold: float,
     rng: np.random.Generator,
     *,
-    proposals: int = 60,
+    config: FivePointConfig | None = None,
 ) -> Found | None:
-    """The paper's baseline: RANSAC over instance matches, five-point (Nister 2004) on the joints of those proposed.
+    """Run RANSAC over matches of detections, five-point (Nister 2004) on their joints.
 
-    A proposal is two matches of one frame, or one where a frame has but one subject; the relative pose that explains most
-    joints of the matches it implies is estimated again from all of them.
+    The paper's baseline. A candidate is two matches of one frame, or one where a frame has but
+    one subject; the relative pose that explains most joints of the matches it implies is
+    estimated again from all of them. Returns None where no model is found.
     """
+    problem = _Problem(rays_a, rays_b, threshold, config or FivePointConfig())
     best, most = None, 0.0
-    for chosen in _proposals(rays_a, rays_b, rng, proposals):
-        pose = _essential_pose(*_correspondences(rays_a, rays_b, chosen), threshold, cv2.RANSAC)
-        if pose is not None:
-            support = _support(*pose, rays_a, rays_b, threshold)[0]
-            best, most = (pose, support) if best is None or support > most else (best, most)
+    for matched in _candidates(problem, rng):
+        pose = _essential_pose(problem, matched, cv2.RANSAC)
+        if pose is None:
+            continue
+        inliers = _count_inliers(problem, pose)
+        if best is None or inliers > most:
+            best, most = pose, inliers
     if best is None:
         return None
-    again = _essential_pose(
-        *_correspondences(rays_a, rays_b, _matched(*best, rays_a, rays_b, threshold)),
-        threshold,
-        cv2.RANSAC,
-    )
-    if again is not None and _support(*again, rays_a, rays_b, threshold)[0] >= most:
+    again = _essential_pose(problem, _matched(problem, best), cv2.RANSAC)
+    if again is not None and _count_inliers(problem, again) >= most:
         best = again
-    return (*best, _matches(*best, rays_a, rays_b, threshold))
+    return Found(*best, _matches(problem, best))
 
 
-def _proposals(rays_a: Floats, rays_b: Floats, rng: np.random.Generator, count: int) -> list[Bools]:
-    """Up to `count` masks `[frame, I, J]` of one or two matches of one frame."""
-    there_a, there_b = (np.isfinite(r[..., 0]).sum(-1) >= _LEAST_JOINTS for r in (rays_a, rays_b))
-    all_of_them = []
-    for frame in range(len(rays_a)):
-        single = [
-            (i, j) for i in np.flatnonzero(there_a[frame]) for j in np.flatnonzero(there_b[frame])
-        ]
-        double = [[p, q] for p, q in product(single, single) if p[0] < q[0] and p[1] != q[1]]
-        all_of_them += [(frame, matches) for matches in double or [[p] for p in single]]
-    masks = []
-    for k in rng.permutation(len(all_of_them))[:count]:
-        frame, matches = all_of_them[k]
-        masks.append(np.zeros((*rays_a.shape[:2], rays_b.shape[1]), dtype=bool))
+def _candidates(problem: _Problem, rng: np.random.Generator) -> Iterator[Bools]:
+    """Draw masks `[frame, I, J]` of one or two matches of one frame."""
+    present_a = np.isfinite(problem.rays_a[..., 0]).sum(-1) >= _LEAST_JOINTS
+    present_b = np.isfinite(problem.rays_b[..., 0]).sum(-1) >= _LEAST_JOINTS
+    possible = [
+        (frame, matches)
+        for frame in range(len(present_a))
+        for matches in _possible_matches(present_a[frame], present_b[frame])
+    ]
+    for k in rng.permutation(len(possible))[: problem.config.candidates]:
+        frame, matches = possible[k]
+        mask = np.zeros(problem.pairs_of_detections, dtype=bool)
         for i, j in matches:
-            masks[-1][frame, i, j] = True
-    return masks
+            mask[frame, i, j] = True
+        yield mask
 
 
-def _correspondences(rays_a: Floats, rays_b: Floats, matched: Bools) -> tuple[Floats, Floats]:
-    """Rays `[N, 3]` of the joints that both detections of a match show, in front of both image planes."""
-    frame, i, j = np.nonzero(matched)
-    first, second = rays_a[frame, i].reshape(-1, 3), rays_b[frame, j].reshape(-1, 3)
-    use = (np.nan_to_num(first[:, 2]) > 0.1) & (np.nan_to_num(second[:, 2]) > 0.1)
-    return first[use], second[use]
+def _possible_matches(present_a: Bools, present_b: Bools) -> list[list[tuple[int, int]]]:
+    """Return all sets of two matches (i, j) of a frame, or of one where there are not two.
+
+    present: `[instance]` where there is a detection with enough joints.
+    """
+    single = [
+        (int(i), int(j)) for i, j in product(np.flatnonzero(present_a), np.flatnonzero(present_b))
+    ]
+    double = [
+        [first, second]
+        for first, second in product(single, single)
+        if first[0] < second[0] and first[1] != second[1]
+    ]
+    return double or [[match] for match in single]
 
 
-def _essential_pose(
-    rays_a: Floats, rays_b: Floats, threshold: float, method: int
-) -> tuple[Floats, Floats] | None:
-    """R and unit t by OpenCV; of the four decompositions the one with most inliers in front of both cameras."""
+def _essential_pose(problem: _Problem, matched: Bools, method: int) -> Pose | None:
+    """Return R and unit t by OpenCV's robust estimation from the joints of matches.
+
+    Of the four decompositions of E the one with most inliers in front of both cameras.
+    matched: `[frame, I, J]`. None where no model is found.
+    """
+    rays_a, rays_b = _correspondences(problem, matched)
     if len(rays_a) < _LEAST_JOINTS:
         return None
-    image_a, image_b = rays_a[:, :2] / rays_a[:, 2:], rays_b[:, :2] / rays_b[:, 2:]
     model, mask = cv2.findEssentialMat(
-        image_a, image_b, np.eye(3), method=method, prob=0.999, threshold=threshold, maxIters=300
+        rays_a[:, :2] / rays_a[:, 2:],
+        rays_b[:, :2] / rays_b[:, 2:],
+        np.eye(3),
+        method=method,
+        prob=FIVE_POINT_CONFIDENCE,
+        threshold=problem.threshold,
+        maxIters=problem.config.ransac_iterations,
     )
     if model is None or model.shape != (3, 3) or not np.any(mask):
         return None
     inlier = mask.ravel() > 0
-    first, second, t = (
-        np.asarray(part, dtype=np.float64) for part in cv2.decomposeEssentialMat(model)
-    )
-    candidates = [(r, s * t[:, 0]) for r in (first, second) for s in (1.0, -1.0)]
-    ahead = [
-        np.mean([(d > 0) for d in depths(r, t, rays_a[inlier], rays_b[inlier])])
-        for r, t in candidates
-    ]
-    return candidates[int(np.argmax(ahead))]
+    matrix = np.asarray(model, dtype=np.float64)
+    return pose_from_essential(matrix, rays_a[inlier], rays_b[inlier])
 
 
-def _support(
-    rotation: Floats, translation: Floats, rays_a: Floats, rays_b: Floats, threshold: float
-) -> tuple[float, Floats]:
-    """Inlier joints of the best match of each detection of a, and the inlier share of every possible match `[frame, I, J]`."""
-    frames, rows, keypoints = rays_a.shape[:3]
-    columns = rays_b.shape[1]
-    shape = (frames, rows, columns, keypoints, 3)
-    first, second = (
-        np.broadcast_to(rays_a[:, :, None], shape),
-        np.broadcast_to(rays_b[:, None], shape),
-    )
-    error = np.abs(
-        sampson_angle(essential_matrix(rotation, translation), first.reshape(-1, 3), second.reshape(-1, 3))
-    ).reshape(shape[:-1])
-    both = np.isfinite(error)
-    ahead = [
-        d.reshape(shape[:-1]) > 0
-        for d in depths(rotation, translation, first.reshape(-1, 3), second.reshape(-1, 3))
-    ]
-    inlier = both & (error < threshold) & ahead[0] & ahead[1]
-    count = both.sum(-1)
-    share = inlier.sum(-1) / np.maximum(count, 1) * (count >= _LEAST_JOINTS)
-    right = (
-        (share >= _FIT)
-        & (share == share.max(-1, keepdims=True))
-        & (share == share.max(-2, keepdims=True))
-    )
-    return float((inlier.sum(-1) * right).sum()), share
+def _correspondences(problem: _Problem, matched: Bools) -> tuple[Floats, Floats]:
+    """Return rays `[N, 3]` of the joints of matches, in front of both image planes."""
+    frame, i, j = np.nonzero(matched)
+    rays_a = problem.rays_a[frame, i].reshape(-1, 3)
+    rays_b = problem.rays_b[frame, j].reshape(-1, 3)
+    forward_a = np.nan_to_num(rays_a[:, 2]) > FIVE_POINT_LEAST_FORWARD
+    forward_b = np.nan_to_num(rays_b[:, 2]) > FIVE_POINT_LEAST_FORWARD
+    both = forward_a & forward_b
+    return rays_a[both], rays_b[both]
 
 
-def _matched(
-    rotation: Floats, translation: Floats, rays_a: Floats, rays_b: Floats, threshold: float
-) -> Bools:
-    """`[frame, I, J]` mutually best matches."""
-    share = _support(rotation, translation, rays_a, rays_b, threshold)[1]
-    return (
-        (share > 0)
-        & (share == share.max(-1, keepdims=True))
-        & (share == share.max(-2, keepdims=True))
-    )
+def _inliers(problem: _Problem, pose: Pose) -> tuple[Ints, Ints]:
+    """Return how many joints of each possible match are inliers, and how many it has.
+
+    `[frame, I, J]` each.
+    """
+    rotation, translation = pose
+    shape = (*problem.pairs_of_detections, *problem.rays_a.shape[2:])
+    rays_a = np.broadcast_to(problem.rays_a[:, :, None], shape).reshape(-1, 3)
+    rays_b = np.broadcast_to(problem.rays_b[:, None], shape).reshape(-1, 3)
+    error = np.abs(sampson_angle(essential_matrix(rotation, translation), rays_a, rays_b))
+    depth_a, depth_b = depths(rotation, translation, rays_a, rays_b)
+    inlier = (error < problem.threshold) & (depth_a > 0) & (depth_b > 0)
+    seen = np.isfinite(error)
+    return inlier.reshape(shape[:-1]).sum(-1), seen.reshape(shape[:-1]).sum(-1)
 
 
-def _matches(
-    rotation: Floats, translation: Floats, rays_a: Floats, rays_b: Floats, threshold: float
-) -> Ints:
-    return np.argwhere(_matched(rotation, translation, rays_a, rays_b, threshold)).astype(np.int64)
+def _share(inliers: Ints, seen: Ints) -> Floats:
+    """Return the share of inliers of each possible match, 0 where it has too few joints."""
+    return inliers / np.maximum(seen, 1) * (seen >= _LEAST_JOINTS)
+
+
+def _count_inliers(problem: _Problem, pose: Pose) -> float:
+    """Return how many joints of right matches are inliers."""
+    inliers, seen = _inliers(problem, pose)
+    share = _share(inliers, seen)
+    right = mutual_best(share, least=0.0) & (share >= problem.config.least_fit)
+    return float((inliers * right).sum())
+
+
+def _matched(problem: _Problem, pose: Pose) -> Bools:
+    """Return `[frame, I, J]` the matches that are best for both detections."""
+    return mutual_best(_share(*_inliers(problem, pose)), least=0.0)
+
+
+def _matches(problem: _Problem, pose: Pose) -> Ints:
+    """Return the same as `[match, 3]` rows (frame, i, j)."""
+    return np.argwhere(_matched(problem, pose)).astype(np.int64)

@@ -1,6 +1,9 @@
-"""What the relative pose of two views may be: rival modes, from the lifted bodies and from five-point RANSAC where it is known who is who."""
+"""Hypotheses of the relative pose of two views.
 
-from dataclasses import dataclass, replace
+They come from the lifted bodies, and from five-point RANSAC where identities are known.
+"""
+
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -8,149 +11,204 @@ import numpy as np
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.epipolar import five_point
 from mocap_calib.geometry.rotation import nearest_rotation
-from mocap_calib.two_view.affinity import ViewPair, agreement, reach
+from mocap_calib.two_view.affinity import body_agreement
 from mocap_calib.two_view.assignment import mutual_best, sinkhorn
+from mocap_calib.two_view.view_pair import ViewPair, reach
 from mocap_calib.types import Floats, Ints
 
-_TRACKS = 9  # pairs of tracks that are looked at
-_CELLS = 2_000_000  # hypotheses x possible matches scored at a time
+_CELLS = 2_000_000  # candidates x possible matches scored at a time
 
 
 @dataclass(frozen=True)
 class Hypotheses:
-    """Rival relative poses of one pair. rotation: `[M, 3, 3]`, translation: `[M, 3]` in body sizes, source: `[M]`."""
+    """M hypotheses of the relative pose b_from_a of one pair of views.
+
+    rotation: `[M, 3, 3]`.
+    translation: `[M, 3]` in body sizes.
+    source: `[M]` what each was found by ("lifted", "five-point", ...).
+    """
 
     rotation: Floats
     translation: Floats
     source: tuple[str, ...]
 
+    def __len__(self) -> int:
+        return len(self.rotation)
+
     def __getitem__(self, index: Ints) -> "Hypotheses":
+        source = tuple(self.source[k] for k in index)
+        return Hypotheses(self.rotation[index], self.translation[index], source)
+
+    def __add__(self, other: "Hypotheses") -> "Hypotheses":
         return Hypotheses(
-            self.rotation[index], self.translation[index], tuple(self.source[k] for k in index)
+            rotation=np.concatenate([self.rotation, other.rotation]),
+            translation=np.concatenate([self.translation, other.translation]),
+            source=self.source + other.source,
         )
 
 
 def generate_hypotheses(
     pair: ViewPair, tracked: bool, config: PairwiseConfig, rng: np.random.Generator
 ) -> Hypotheses:
-    """Modes of the search over lifted poses, and of five-point RANSAC where it is known who is who."""
-    modes = _search(pair, config, rng)
-    for frame, i, j in _known_identities(pair, tracked):
-        modes = _join(modes, _from_five_points(pair, frame, i, j, rng))
-    return modes
+    """Search the lifted bodies for relative poses, and add those of five points.
 
-
-def _known_identities(pair: ViewPair, tracked: bool) -> list[tuple[Ints, Ints, Ints]]:
-    """Sets of matches (frame, i, j) that hold one individual a view: the frames with one subject, or each pair of tracks."""
-    there_a, there_b = (pair.weight_a > 0).sum(-1) > 0, (pair.weight_b > 0).sum(-1) > 0
-    if tracked:
-        tracks = product(range(there_a.shape[1]), range(there_b.shape[1]))
-        sets = [(np.flatnonzero(there_a[:, i] & there_b[:, j]), i, j) for i, j in tracks]
-        return [(f, np.full(len(f), i), np.full(len(f), j)) for f, i, j in sets if len(f)][:_TRACKS]
-    single = np.flatnonzero((there_a.sum(1) == 1) & (there_b.sum(1) == 1))
-    if 2 * len(single) < len(pair.frames):
-        return []
-    return [(single, there_a[single].argmax(1), there_b[single].argmax(1))]
-
-
-def _search(pair: ViewPair, config: PairwiseConfig, rng: np.random.Generator) -> Hypotheses:
-    """Closed-form rotations of candidate matches, scored against all frames; the best well-separated modes.
-
-    Half of the hypotheses are the candidates whose bodies agree best, half are drawn at random.
+    tracked: in both views the instance index names the same individual in all frames.
     """
-    frame, i, j = np.nonzero(pair.lifted)
-    if len(frame) == 0:
-        return Hypotheses(np.zeros((0, 3, 3)), np.zeros((0, 3)), ())
-    rotation = nearest_rotation(np.swapaxes(pair.cross[frame, i, j], -1, -2))
-    own = pair.norm[frame, i, j] - 2 * np.einsum("nij,nji->n", rotation, pair.cross[frame, i, j])
-    half = config.hypotheses // 2
-    order = np.argsort(own, kind="stable")
-    index = np.concatenate([order[:half], rng.permutation(order[half:])[:half]])
-    rotation = rotation[index]
-    translation = pair.place_b[frame, j][index] - np.einsum(
-        "nij,nj->ni", rotation, pair.place_a[frame, i][index]
-    )
-    # in blocks: a single crowded frame multiplies the matches that each hypothesis is scored on
-    block = max(1, _CELLS // pair.lifted.size)
-    parts = [slice(k, k + block) for k in range(0, len(rotation), block)]
-    support = np.concatenate(
-        [_support(agreement(pair, rotation[p], translation[p], config)) for p in parts]
-    )
-    keep = separated(rotation, support, config.modes, np.deg2rad(config.mode_separation_deg))
-    modes = Hypotheses(rotation[keep], translation[keep], ("lifted",) * len(keep))
-    for _ in range(config.rounds):
-        modes = _procrustes(pair, modes, config)
-    return modes[
-        separated(
-            modes.rotation,
-            _support(agreement(pair, modes.rotation, modes.translation, config)),
-            config.modes,
-            np.deg2rad(2.0),
+    hypotheses = _search_bodies(pair, config, rng)
+    for matches in _known_identities(pair, tracked, config):
+        hypotheses += _from_five_points(pair, matches, config, rng)
+    return hypotheses
+
+
+def well_separated(rotation: Floats, score: Floats, *, count: int, separation_deg: float) -> Ints:
+    """Return the indices of the best rotations that are so far apart, best first.
+
+    rotation: `[M, 3, 3]`; score: `[M]`. Returns at most `count` indices.
+    """
+    ranked = np.argsort(-score, kind="stable")
+    flat = rotation[ranked].reshape(-1, 9)
+    # tr(R_1 R_2') = 1 + 2 cos(angle)
+    apart = flat @ flat.T <= 1 + 2 * np.cos(np.deg2rad(separation_deg))
+    kept: list[int] = []
+    for k in range(len(ranked)):
+        if len(kept) < count and apart[k, kept].all():
+            kept.append(k)
+    return ranked[kept]
+
+
+def _search_bodies(pair: ViewPair, config: PairwiseConfig, rng: np.random.Generator) -> Hypotheses:
+    """Score the relative poses of candidate matches on all frames; return the best, aligned."""
+    candidates = _candidates(pair, config, rng)
+    if len(candidates) == 0:
+        return candidates
+    agreement = _total_agreement_in_blocks(pair, candidates, config)
+    kept = candidates[
+        well_separated(
+            candidates.rotation,
+            agreement,
+            count=config.hypotheses_kept,
+            separation_deg=config.hypothesis_separation_deg,
         )
     ]
-
-
-def _support(agree: Floats) -> Floats:
-    """`[M]` sum over all detections of their best agreement, both ways."""
-    return agree.max(-1).sum((-1, -2)) + agree.max(-2).sum((-1, -2))
-
-
-def separated(rotation: Floats, support: Floats, count: int, gap: float) -> Ints:
-    """Indices of the best supported rotations that are at least `gap` radians apart."""
-    order = np.argsort(-support, kind="stable")
-    flat = rotation[order].reshape(-1, 9)
-    far = flat @ flat.T <= 1 + 2 * np.cos(gap)  # the trace of one turned back by the other
-    keep: list[int] = []
-    for k in range(len(order)):
-        if len(keep) < count and far[k, keep].all():
-            keep.append(k)
-    return order[keep]
-
-
-def _procrustes(pair: ViewPair, modes: Hypotheses, config: PairwiseConfig) -> Hypotheses:
-    """One turn of matching and of weighted Procrustes on the matched bodies, all modes at once."""
-    agree = agreement(pair, modes.rotation, modes.translation, config)
-    weight = agree * mutual_best(sinkhorn(agree, dummy=0.1), least=0.05)
-    rotation = nearest_rotation(
-        np.einsum("mfab,fabij->mji", weight, pair.cross, optimize=True) + 1e-9 * modes.rotation
+    for _ in range(config.rounds):
+        kept = _align_bodies(pair, kept, config)
+    distinct = well_separated(
+        kept.rotation,
+        _total_agreement(pair, kept, config),
+        count=config.hypotheses_kept,
+        separation_deg=config.same_hypothesis_deg,
     )
-    gap = (
-        pair.place_b[None, :, None]
-        - np.einsum("mij,faj->mfai", rotation, pair.place_a)[:, :, :, None]
-    )
-    near = weight / (pair.distance_a[:, :, None] ** 2 + pair.distance_b[:, None] ** 2)
-    total = near.sum((1, 2, 3))[:, None]
-    mean = (near[..., None] * gap).sum((1, 2, 3)) / np.maximum(total, 1e-12)
-    return replace(
-        modes, rotation=rotation, translation=np.where(total > 0, mean, modes.translation)
-    )
+    return kept[distinct]
+
+
+def _candidates(pair: ViewPair, config: PairwiseConfig, rng: np.random.Generator) -> Hypotheses:
+    """Return the relative poses of possible matches: two bodies give one in closed form (Kabsch).
+
+    Half of them are the matches whose bodies agree best, half are drawn at random.
+    """
+    frame, i, j = np.nonzero(pair.overlap.lifted)
+    cross = pair.overlap.cross[frame, i, j]
+    rotation = nearest_rotation(np.swapaxes(cross, -1, -2))
+    error = pair.overlap.norm[frame, i, j] - 2 * np.einsum("nij,nji->n", rotation, cross)
+    ranked = np.argsort(error, kind="stable")
+    half = config.candidates_searched // 2
+    picked = np.concatenate([ranked[:half], rng.permutation(ranked[half:])[:half]])
+    rotation = rotation[picked]
+    centre_a = pair.a.centre[frame, i][picked]
+    centre_b = pair.b.centre[frame, j][picked]
+    translation = centre_b - np.einsum("nij,nj->ni", rotation, centre_a)
+    return Hypotheses(rotation, translation, ("lifted",) * len(picked))
+
+
+def _total_agreement_in_blocks(
+    pair: ViewPair, hypotheses: Hypotheses, config: PairwiseConfig
+) -> Floats:
+    """Return `_total_agreement` of many hypotheses, some at a time.
+
+    A single crowded frame multiplies the possible matches that each is scored on.
+    """
+    count = len(hypotheses)
+    size = max(1, _CELLS // pair.overlap.lifted.size)
+    blocks = np.split(np.arange(count), range(size, count, size))
+    return np.concatenate([_total_agreement(pair, hypotheses[k], config) for k in blocks])
+
+
+def _total_agreement(pair: ViewPair, hypotheses: Hypotheses, config: PairwiseConfig) -> Floats:
+    """Return `[M]` the best agreement of each detection with one of the other view, summed."""
+    agreement = body_agreement(pair, hypotheses.rotation, hypotheses.translation, config)
+    return agreement.max(-1).sum((-1, -2)) + agreement.max(-2).sum((-1, -2))
+
+
+def _align_bodies(pair: ViewPair, hypotheses: Hypotheses, config: PairwiseConfig) -> Hypotheses:
+    """Match the bodies under each hypothesis, and align the matched ones (weighted Procrustes)."""
+    agreement = body_agreement(pair, hypotheses.rotation, hypotheses.translation, config)
+    matched = mutual_best(sinkhorn(agreement, dummy=config.search_dummy), least=config.search_match)
+    weight = agreement * matched
+    cross = np.einsum("mfab,fabij->mji", weight, pair.overlap.cross, optimize=True)
+    rotation = nearest_rotation(cross + 1e-9 * hypotheses.rotation)
+    mean, total = _mean_gap(pair, rotation, weight)
+    translation = np.where(total > 0, mean, hypotheses.translation)
+    return Hypotheses(rotation, translation, hypotheses.source)
+
+
+def _mean_gap(pair: ViewPair, rotation: Floats, weight: Floats) -> tuple[Floats, Floats]:
+    """Return the mean of c_b - R c_a over the matches `[M, 3]`, and the sum of their weights.
+
+    rotation: `[M, 3, 3]`; weight: `[M, frame, I, J]`, which counts less for far bodies: their
+    centres are less certain. Returns the sum as `[M, 1]`.
+    """
+    turned = np.einsum("mij,faj->mfai", rotation, pair.a.centre)
+    gap = pair.b.centre[None, :, None] - turned[:, :, :, None]
+    scale = pair.a.distance[:, :, None] ** 2 + pair.b.distance[:, None] ** 2
+    precision = weight / scale
+    total = precision.sum((1, 2, 3))[:, None]
+    mean = (precision[..., None] * gap).sum((1, 2, 3)) / np.maximum(total, 1e-12)
+    return mean, total
+
+
+def _known_identities(pair: ViewPair, tracked: bool, config: PairwiseConfig) -> list[Ints]:
+    """Return sets of matches `[match, 3]` (frame, i, j) that hold one individual in each view.
+
+    Each pair of tracks may be one; otherwise there is one set, of the frames with a single
+    subject, where half of the frames or more are such.
+    """
+    if tracked:
+        return _pairs_of_tracks(pair)[: config.track_pairs]
+    alone = (pair.a.present.sum(1) == 1) & (pair.b.present.sum(1) == 1)
+    frames = np.flatnonzero(alone)
+    if 2 * len(frames) < len(pair.frames):
+        return []
+    i = pair.a.present[frames].argmax(1)
+    j = pair.b.present[frames].argmax(1)
+    return [np.column_stack([frames, i, j])]
+
+
+def _pairs_of_tracks(pair: ViewPair) -> list[Ints]:
+    """Return the matches `[match, 3]` of each track in a with each in b, where both are seen."""
+    matches = []
+    instances_a, instances_b = pair.a.present.shape[1], pair.b.present.shape[1]
+    for i, j in product(range(instances_a), range(instances_b)):
+        frames = np.flatnonzero(pair.a.present[:, i] & pair.b.present[:, j])
+        if len(frames):
+            track_i, track_j = np.full(len(frames), i), np.full(len(frames), j)
+            matches.append(np.column_stack([frames, track_i, track_j]))
+    return matches
 
 
 def _from_five_points(
-    pair: ViewPair, frame: Ints, i: Ints, j: Ints, rng: np.random.Generator
+    pair: ViewPair, matches: Ints, config: PairwiseConfig, rng: np.random.Generator
 ) -> Hypotheses:
-    """Five-point RANSAC (Nister 2004) on subsets of matches that are known to be right."""
-    rotations, translations = [], []
-    for _ in range(3):
-        part = np.sort(rng.permutation(len(frame))[:40])
-        f, m, n = frame[part], i[part], j[part]
-        both = (pair.weight_a[f, m] > 0) & (pair.weight_b[f, n] > 0)
-        threshold = 0.05 / float(np.median(reach(pair)[f, m, n]))
-        for rotation, translation in five_point(
-            pair.rays_a[f, m][both], pair.rays_b[f, n][both], threshold
-        ):
-            rotations.append(rotation)
-            translations.append(translation)
+    """Run five-point RANSAC (Nister 2004) on subsets of matches `[match, 3]` of one individual."""
+    found: list[tuple[Floats, Floats]] = []
+    for _ in range(config.five_point_draws):
+        drawn = np.sort(rng.permutation(len(matches))[: config.five_point_matches])
+        frame, i, j = matches[drawn].T
+        both = (pair.a.weight[frame, i] > 0) & (pair.b.weight[frame, j] > 0)
+        threshold = config.five_point_inlier / float(np.median(reach(pair)[frame, i, j]))
+        rays_a, rays_b = pair.a.rays[frame, i][both], pair.b.rays[frame, j][both]
+        found += five_point(rays_a, rays_b, threshold)
     return Hypotheses(
-        np.reshape(rotations, (-1, 3, 3)),
-        np.reshape(translations, (-1, 3)),
-        ("five-point",) * len(rotations),
-    )
-
-
-def _join(first: Hypotheses, second: Hypotheses) -> Hypotheses:
-    return Hypotheses(
-        np.concatenate([first.rotation, second.rotation]),
-        np.concatenate([first.translation, second.translation]),
-        first.source + second.source,
+        rotation=np.reshape([rotation for rotation, _ in found], (-1, 3, 3)),
+        translation=np.reshape([translation for _, translation in found], (-1, 3)),
+        source=("five-point",) * len(found),
     )

@@ -12,63 +12,54 @@ import click
 from mocap_calib_cli import options
 
 if TYPE_CHECKING:
+    from mocap_calib.compute.cluster import Cluster
+    from mocap_calib.job import CalibrationRequest, Job
     from mocap_calib.types import CalibrationResult
-    from mocap_calib_cli.jobs import Job, Order
     from mocap_calib_cli.progress import Reporter
 
-    Groups = CalibrationResult
+    Calibrate = Callable[[Job], CalibrationResult]
+    # a recording, and a call that returns its result or raises what calibrating it raised
+    Calibrated = Iterator[tuple[Job, Callable[[], CalibrationResult]]]
 
 Outcome = dict[str, Any]
 
 
 @click.command(name="batch")
+@options.output_folder("Folder to write: OUT/NAME of recording NAME.")
 @click.argument("recordings", nargs=-1, required=True, metavar="RECORDINGS...")
-@click.option(
-    "--cameras",
-    required=True,
-    metavar="INTRINSICS",
-    help="As for `run`; first looked for in each recording's folder, then as a path for all.",
+@options.shared_options(
+    "cameras",
+    *options.MODEL,
+    "solver",
+    "seed",
+    "scheduler",
+    "quiet",
+    cameras=click.option(
+        "--cameras",
+        required=True,
+        metavar="INTRINSICS",
+        help="As for `run`; first looked for in each recording's folder, then as a path for all.",
+    ),
 )
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path),
-    required=True,
-    metavar="OUT",
-    help="Folder to write: OUT/NAME of recording NAME.",
-)
-@options.skeleton
-@options.model
-@options.solver
-@options.seed
-@options.device
-@options.scheduler
 @click.option(
     "--jobs", type=click.IntRange(min=1), default=1, help="Recordings at a time on this machine."
 )
 @options.as_json("Write the summary to stdout.")
-@options.quiet
 @click.pass_context
 def command(
     context: click.Context,
+    shared: options.SharedOptions,
     recordings: tuple[str, ...],
-    cameras: str,
     output: Path,
-    skeleton: Path | None,
-    model: str | None,
-    solver: str,
-    seed: int,
-    device: str,
-    scheduler: str | None,
     jobs: int,
     as_json: bool,
-    quiet: bool,
 ) -> None:
-    """Calibrates many recordings as `run` does, one after the other, in processes, or on a cluster.
+    """Calibrate many recordings as `run` does: one after the other, in processes, or on a cluster.
 
-    RECORDINGS: a folder of keypoint files each, or a folder with such a folder named `keypoints` in it. Results that are
-    there and follow from the same files, options, weights and version are kept; call it again to go on. A recording that
-    fails is reported and the others go on; the exit status is 1 then.
+    RECORDINGS: a folder of keypoint files each, or a folder with such a folder named `keypoints`
+    in it. Results that are there already are kept if they follow from the same files, options,
+    weights and version: call it again to go on. A recording that fails is reported and the others
+    go on; the exit status is 1 then.
 
     \b
     Example:
@@ -76,51 +67,57 @@ def command(
       mocap-calib batch sessions/* --cameras intrinsics.toml -o out --scheduler tcp://node1:8786
     """
     from mocap_calib_cli import outputs
-    from mocap_calib_cli.engine import engine
-    from mocap_calib_cli.jobs import Order
     from mocap_calib_cli.progress import Reporter
+    from mocap_calib_cli.workers import open_workers
 
-    if scheduler and jobs > 1:
+    if shared.scheduler and jobs > 1:
         raise click.UsageError(
             "--jobs is for this machine, --scheduler for others; give one of them"
         )
     outputs.check_folder(output)
-    folders = _by_name(recordings)
-    orders = {
-        name: Order(
-            (_keypoints(path),),
-            _cameras(path, cameras),
-            skeleton,
-            model,
-            solver,
-            seed,
-            device,
-            output / name,
-        )
-        for name, path in folders.items()
-    }
+    requests = _make_requests(shared, recordings, output)
     with (
-        Reporter(quiet=quiet) as reporter,
-        engine(reporter, scheduler=scheduler, jobs=min(jobs, len(orders))) as there,
+        Reporter(quiet=shared.quiet) as reporter,
+        open_workers(
+            reporter, scheduler=shared.scheduler, processes=min(jobs, len(requests))
+        ) as workers,
     ):
-        batch = _Batch(reporter, len(orders))
-        batch.work_off(orders, there.completed if there else _one_by_one, away=there is not None)
-    outcomes = [batch.outcomes[name] for name in orders]
+        batch = _Batch(reporter, len(requests))
+        batch.work_off(requests, workers)
+    outcomes = [batch.outcomes[request.output.name] for request in requests]
     failed = sum(outcome["status"] == "failed" for outcome in outcomes)
-    reporter.say(
-        "",
-        *_table(outcomes),
-        f"{len(outcomes) - failed} of {len(outcomes)} recordings calibrated; results in {output}",
-    )
+    calibrated = f"{len(outcomes) - failed} of {len(outcomes)} recordings calibrated"
+    reporter.say("", *_format_outcomes(outcomes), f"{calibrated}; results in {output}")
     if as_json:
-        click.echo(
-            json.dumps({"recordings": outcomes, "failed": failed}, indent=1, allow_nan=False)
-        )
+        summary = {"recordings": outcomes, "failed": failed}
+        click.echo(json.dumps(summary, indent=1, allow_nan=False))
     context.exit(1 if failed else 0)
 
 
-def _by_name(recordings: Iterable[str]) -> dict[str, Path]:
-    """Folder of each recording, by the name its results will have."""
+# --- which recordings
+
+
+def _make_requests(
+    shared: options.SharedOptions, recordings: Iterable[str], output: Path
+) -> "list[CalibrationRequest]":
+    """Return what is asked for of each recording; its results go to a folder of its name."""
+    from dataclasses import replace
+
+    from mocap_calib_cli import inputs
+
+    requests = []
+    for name, folder in _name_recordings(recordings).items():
+        files = replace(
+            shared,
+            keypoints=(_find_keypoints(folder),),
+            cameras=_find_cameras(folder, shared.cameras),
+        )
+        requests.append(inputs.calibration_request(files, output / name))
+    return requests
+
+
+def _name_recordings(recordings: Iterable[str]) -> dict[str, Path]:
+    """Return the folder of each recording, by the name that its results will have."""
     from mocap_calib.errors import MismatchError
 
     found: dict[str, Path] = {}
@@ -128,146 +125,145 @@ def _by_name(recordings: Iterable[str]) -> dict[str, Path]:
         name = path.resolve().name
         if name in found:
             raise MismatchError(
-                f"expected recordings of different names, found {found[name]} and {path}; rename one, or call batch for each"
+                f"expected recordings of different names, found {found[name]} and {path}; "
+                "rename one, or call batch for each"
             )
         found[name] = path
     return found
 
 
-def _keypoints(folder: Path) -> str:
+def _find_keypoints(folder: Path) -> str:
+    """Return the folder with the keypoint files of a recording."""
     inner = folder / "keypoints"
     return str(inner if inner.is_dir() else folder)
 
 
-def _cameras(folder: Path, cameras: str) -> str:
-    own = folder / cameras
-    return str(own) if own.exists() else cameras
+def _find_cameras(folder: Path, cameras: str) -> str:
+    """Return the cameras in the folder of a recording, else those for all."""
+    within = folder / cameras
+    return str(within) if within.exists() else cameras
 
 
-def _read(order: "Order") -> "Job":
-    from mocap_calib.errors import MismatchError
-    from mocap_calib_cli import jobs
-    from mocap_calib_cli.progress import Reporter
-
-    if not Path(order.keypoints[0]).is_dir():
-        raise MismatchError(
-            f"{order.keypoints[0]}: expected the folder of a recording, found none; check the path"
-        )
-    return jobs.read(order, Reporter(quiet=True))
-
-
-def _one_by_one(
-    function: "Callable[[Job], Groups]", items: "Iterable[Job]"
-) -> "Iterator[tuple[Job, Callable[[], Groups]]]":
-    """Each item with a call that does its work, here and now."""
-    return ((item, partial(function, item)) for item in items)
+# --- what becomes of them
 
 
 class _Batch:
-    """What has become of the recordings so far."""
+    """Calibrates recordings, and keeps what has become of each."""
 
     def __init__(self, reporter: "Reporter", total: int) -> None:
         self.reporter = reporter
         self.total = total
         self.outcomes: dict[str, Outcome] = {}
 
-    def work_off(
-        self,
-        orders: "dict[str, Order]",
-        completed: "Callable[..., Iterator[tuple[Job, Callable[[], Groups]]]]",
-        *,
-        away: bool,
-    ) -> None:
-        """Calibrates what is not finished; a failure is one recording's own."""
-        from mocap_calib_cli import jobs
+    def work_off(self, requests: "Iterable[CalibrationRequest]", workers: "Cluster | None") -> None:
+        """Calibrate what is not finished; a failure is one recording's own."""
+        from mocap_calib.job import calibrate_job, calibrate_job_resumably, write_results
 
         self.reporter("batch", 0, self.total)
-        for job, result in completed(
-            jobs.solve if away else jobs.solve_here, self._unfinished(orders)
-        ):
+        jobs = self._read_unfinished(requests)
+        if workers is None:
+            calibrated = _calibrate_one_by_one(calibrate_job_resumably, jobs)
+        else:
+            calibrated = workers.completed(calibrate_job, jobs)
+        for job, get_result in calibrated:
             try:
-                report = jobs.write(job, result())[0]
+                report = write_results(job, get_result())[0]
             except Exception as error:
-                self._failed(job.order, error)
+                self._note_failure(job.request, error)
             else:
-                self._done(job.order, "done", report)
+                self._note_result(job.request, "done", report)
 
-    def _unfinished(self, orders: "dict[str, Order]") -> "Iterator[Job]":
-        """Reads the recordings without results, one by one when they are asked for."""
-        from mocap_calib_cli import jobs
+    def _read_unfinished(self, requests: "Iterable[CalibrationRequest]") -> "Iterator[Job]":
+        """Read the recordings without results, one by one when they are asked for."""
+        from mocap_calib.job import find_finished
 
-        for order in orders.values():
+        for request in requests:
             try:
-                report = jobs.finished(order)
-                job = None if report else _read(order)
+                report = find_finished(request)
+                job = None if report else _read(request)
             except Exception as error:
-                self._failed(order, error)
+                self._note_failure(request, error)
                 continue
             if report:
-                self._done(order, "kept", report)
+                self._note_result(request, "kept", report)
             if job:
                 yield job
 
-    def _done(self, order: "Order", status: str, report: dict[str, Any]) -> None:
-        cameras, individuals, verdict = (
-            len(report["cameras"]),
-            len(report["individuals"]),
-            report["verdict"],
-        )
-        difference = verdict["halves_differ_deg"]["median"]
+    def _note_result(
+        self, request: "CalibrationRequest", status: str, report: dict[str, Any]
+    ) -> None:
+        """Note what was found; the figures are those of the largest group of cameras."""
+        name = request.output.name
+        verdict = report["verdict"]
+        groups = len(report["groups"])
         outcome = {
-            "cameras": cameras,
+            "status": status,
+            "error": None,
+            "groups": groups,
+            "cameras": len(report["cameras"]),
             "left_out": report["left_out"],
-            "individuals": individuals,
+            "individuals": len(report["individuals"]),
             "rig": verdict["rig"],
-            "halves_differ_deg": difference,
+            "split_half_angle_deg": verdict["split_half_angle_deg"]["median"],
         }
         self.reporter.say(
-            f"{order.output.name} {status}: {cameras} cameras, {individuals} individuals, rig {verdict['rig']}"
+            f"{name} {status}: {outcome['cameras']} cameras, "
+            f"{outcome['individuals']} individuals, rig {outcome['rig']}"
         )
-        groups = len(report["groups"])
         if groups > 1:
             self.reporter.say(
-                f"{order.output.name}: {groups} groups of cameras that share too little, each calibrated by itself; counted is the largest"
+                f"{name}: {groups} groups of cameras that share too little, each calibrated by "
+                "itself; counted is the largest"
             )
-        self._note(order, {"status": status, "error": None, "groups": groups} | outcome)
+        self._note(request, outcome)
 
-    def _failed(self, order: "Order", error: Exception) -> None:
-        """A line for a mistake of the user; one of the program keeps its traceback, and does not stop the others either."""
-        from mocap_calib_cli.mistakes import explained
+    def _note_failure(self, request: "CalibrationRequest", error: Exception) -> None:
+        """Note a failure, in a line on stderr.
 
-        line = explained(error)
+        An error of the program also keeps its traceback; neither stops the other recordings.
+        """
+        from mocap_calib_cli.mistakes import explain
+
+        line = explain(error)
         if line is None:
             click.echo("".join(traceback.format_exception(error)), err=True, nl=False)
             line = " ".join(f"{type(error).__name__}: {error}".split())
-        click.echo(f"mocap-calib: {order.output.name}: {line}", err=True)
-        self._note(order, {"status": "failed", "error": line})
+        click.echo(f"mocap-calib: {request.output.name}: {line}", err=True)
+        self._note(request, {"status": "failed", "error": line})
 
-    def _note(self, order: "Order", outcome: Outcome) -> None:
-        self.outcomes[order.output.name] = {
-            "name": order.output.name,
-            "output": str(order.output),
-        } | outcome
+    def _note(self, request: "CalibrationRequest", outcome: Outcome) -> None:
+        """Keep the outcome of a recording."""
+        name = request.output.name
+        self.outcomes[name] = {"name": name, "output": str(request.output)} | outcome
         self.reporter("batch", len(self.outcomes), self.total)
 
 
-def _table(outcomes: Iterable[Outcome]) -> list[str]:
-    from mocap_calib_cli.progress import figure, table
+def _read(request: "CalibrationRequest") -> "Job":
+    """Read a recording. Raises FormatError, and MismatchError also where it is no folder."""
+    from mocap_calib.errors import MismatchError
+    from mocap_calib.job import read_job
 
-    none: Outcome = {"cameras": "-", "individuals": "-", "rig": "-", "halves_differ_deg": None}
-    rows = [none | outcome for outcome in outcomes]
-    header = ["recording", "status", "cameras", "individuals", "halves deg", "rig"]
-    return table(
-        header,
-        [
-            [
-                r["name"],
-                r["status"],
-                str(r["cameras"]),
-                str(r["individuals"]),
-                figure(r["halves_differ_deg"]),
-                r["rig"],
-            ]
-            for r in rows
-        ],
-    )
+    folder = request.keypoints.paths[0]
+    if not Path(folder).is_dir():
+        raise MismatchError(
+            f"{folder}: expected the folder of a recording, found none; check the path"
+        )
+    return read_job(request)
+
+
+def _calibrate_one_by_one(function: "Calibrate", jobs: "Iterable[Job]") -> "Calibrated":
+    """Return each job with a call that does its work, here and now."""
+    return ((job, partial(function, job)) for job in jobs)
+
+
+def _format_outcomes(outcomes: Iterable[Outcome]) -> list[str]:
+    """Return the outcomes as a table."""
+    from mocap_calib_cli.progress import format_number, format_table
+
+    header = ["recording", "status", "cameras", "individuals", "split-half deg", "rig"]
+    rows = []
+    for outcome in outcomes:
+        counts = [str(outcome.get(name, "-")) for name in ("cameras", "individuals")]
+        angle = format_number(outcome.get("split_half_angle_deg"))
+        rows.append([outcome["name"], outcome["status"], *counts, angle, outcome.get("rig", "-")])
+    return format_table(header, rows)

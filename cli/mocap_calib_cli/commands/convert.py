@@ -2,9 +2,9 @@
 
 import sys
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -12,6 +12,39 @@ from mocap_calib_cli import options
 
 if TYPE_CHECKING:
     from mocap_calib.io.conversion import Conversion
+
+# that say nothing of other kinds of files
+_READING = tuple(name for name in options.READING if name != "format")
+_OPTIONS_OF = {
+    "poses": {"unit", "fps", "up"},
+    "cameras": {"unit", "image_size"},
+    "keypoints": set(_READING),
+}
+
+
+@dataclass(frozen=True)
+class _Task:
+    """What to convert, to what.
+
+    content: of stdin, where it is the input. output: None for stdout. source: name of the format
+    of the input, where it was said. target: name of the format of the output.
+    """
+
+    inputs: tuple[str, ...]
+    content: bytes | None
+    output: Path | None
+    source: str | None
+    target: str
+
+    @property
+    def sources(self) -> tuple[str, ...] | bytes:
+        """The input, as the library takes it."""
+        return self.inputs if self.content is None else self.content
+
+    @property
+    def path(self) -> Path | bytes:
+        """The first file or folder, or the content of stdin."""
+        return Path(self.inputs[0]) if self.content is None else self.content
 
 
 @click.command(name="convert")
@@ -44,9 +77,9 @@ if TYPE_CHECKING:
     type=click.Choice(["x", "y", "z", "-x", "-y", "-z"]),
     help="The axis of INPUT's world that points up: poses are turned so that it is y.",
 )
-@options.reading_but_format
-@options.quiet
+@options.shared_options(*_READING, "quiet")
 def command(
+    shared: options.SharedOptions,
     inputs: tuple[str, ...],
     output: str,
     source: str | None,
@@ -54,10 +87,8 @@ def command(
     unit: str | None,
     fps: float | None,
     up: str | None,
-    reading: dict[str, Any],
-    quiet: bool,
 ) -> None:
-    """Converts INPUT to OUTPUT: between two formats of keypoints, of cameras, or of 3D poses.
+    """Convert INPUT to OUTPUT: between two formats of keypoints, of cameras, or of 3D poses.
 
     INPUT is a file or a folder (keypoints: any number, also name=path); - is stdin or stdout.
     What the format of OUTPUT cannot hold is said, or refused. docs/formats.md lists the formats.
@@ -69,7 +100,7 @@ def command(
       mocap-calib convert openpose/ keypoints --to coco --layout body_25
       mocap-calib convert - - --from anipose --to nerfstudio <calibration.toml >transforms.json
     """
-    from mocap_calib.io import conversion, kinds
+    from mocap_calib.io import kinds
     from mocap_calib_cli import outputs
     from mocap_calib_cli.progress import Reporter
 
@@ -78,31 +109,101 @@ def command(
         kinds.check_sources(inputs)
     sources = inputs if content is None else content
     kind = kinds.choose_kind(sources, output, format=source, to=target)
-    _check_options({"unit": unit, "fps": fps, "up": up, **reading}, kind, reading)
-    to = target or kinds.choose_format(kind, output)
+    _check_options(shared, {"unit": unit, "fps": fps, "up": up}, kind)
+    target = target or kinds.choose_format(kind, output)
     path = None if output == options.STDIO else Path(output)
     if path is not None:
         outputs.check_place(path)
+    task = _Task(inputs, content, path, source, target)
 
     if kind == "poses":
-        paths = [Path(argument) for argument in inputs]
-        done = conversion.convert_poses(
-            paths if content is None else content,
-            path,
-            to,
-            format=source,
-            unit=unit,
-            fps=fps,
-            up=up,
-        )
+        done = _convert_poses(task, unit=unit, fps=fps, up=up)
     elif kind == "cameras":
-        done = _convert_cameras(inputs, content, path, to, format=source, unit=unit, given=reading)
+        done = _convert_cameras(task, unit=unit, image_size=shared.image_size)
     else:
-        done = _convert_keypoints(inputs, content, path, to, format=source, given=reading)
+        done = _convert_keypoints(task, shared)
     if path is None:
-        _write_stdout(done.files, to)
-    lost = (f"{to} does not hold {what}" for what in done.lost)
-    Reporter(quiet=quiet).say(*done.notes, done.summary, *lost)
+        _write_stdout(done.files, target)
+    lost = (f"{target} does not hold {what}" for what in done.lost)
+    Reporter(quiet=shared.quiet).say(*done.notes, done.summary, *lost)
+
+
+# --- the three kinds of files
+
+
+def _convert_poses(
+    task: _Task, *, unit: str | None, fps: float | None, up: str | None
+) -> "Conversion":
+    """Convert 3D poses of one file, or of a file for each individual."""
+    from mocap_calib.io.conversion import convert_poses
+
+    paths = [Path(argument) for argument in task.inputs]
+    return convert_poses(
+        paths if task.content is None else task.content,
+        task.output,
+        task.target,
+        format=task.source,
+        unit=unit,
+        fps=fps,
+        up=up,
+    )
+
+
+def _convert_cameras(task: _Task, *, unit: str | None, image_size: str | None) -> "Conversion":
+    """Convert the cameras of one input. Raises click's UsageError where there are more."""
+    from mocap_calib.io.conversion import convert_cameras
+    from mocap_calib.io.hashing import hash_inputs
+    from mocap_calib.io.provenance import provenance
+    from mocap_calib_cli.inputs import parse_image_size
+
+    if len(task.inputs) > 1:
+        raise click.UsageError(
+            f"expected one file or folder of cameras, found {len(task.inputs)}; give the folder"
+        )
+    return convert_cameras(
+        task.path,
+        task.output,
+        task.target,
+        format=task.source,
+        unit=unit,
+        image_size=parse_image_size(image_size),
+        provenance=provenance("convert", inputs=hash_inputs(task.inputs)),
+    )
+
+
+def _convert_keypoints(task: _Task, shared: options.SharedOptions) -> "Conversion":
+    """Convert keypoints; note also which files of the inputs are left out."""
+    from mocap_calib.io.conversion import convert_keypoints
+    from mocap_calib.job import find_ignored_files
+    from mocap_calib_cli.describe import describe_ignored_files
+    from mocap_calib_cli.inputs import read_options
+
+    done = convert_keypoints(
+        task.sources,
+        task.output,
+        task.target,
+        format=task.source,
+        options=read_options(shared),
+    )
+    ignored = describe_ignored_files(find_ignored_files(task.inputs))
+    return replace(done, notes=(*ignored, *done.notes))
+
+
+# --- what was typed
+
+
+def _check_options(shared: options.SharedOptions, own: Mapping[str, object], kind: str) -> None:
+    """Raise click's UsageError for an option that says nothing of this kind of file.
+
+    own: the options of this command alone, by name.
+    """
+    typed = {**own, **{name: getattr(shared, name) for name in _READING}}
+    for name, value in typed.items():
+        if value not in (None, ()) and name not in _OPTIONS_OF[kind]:
+            raise click.UsageError(
+                f"--{name.replace('_', '-')}: expected an option of {kind}, which INPUT holds, "
+                "found one of other files; leave it out"
+            )
 
 
 def _read_stdin(inputs: tuple[str, ...], format: str | None) -> bytes | None:
@@ -125,71 +226,3 @@ def _write_stdout(files: Mapping[str, bytes], format: str) -> None:
         )
     sys.stdout.buffer.write(next(iter(files.values())))
     sys.stdout.buffer.flush()
-
-
-def _check_options(given: Mapping[str, Any], kind: str, reading: Mapping[str, Any]) -> None:
-    """Raise click's UsageError for an option that says nothing of this kind of file."""
-    known = {
-        "poses": {"unit", "fps", "up"},
-        "cameras": {"unit", "image_size"},
-        "keypoints": set(reading),
-    }
-    for name, value in given.items():
-        if value not in (None, ()) and name not in known[kind]:
-            raise click.UsageError(
-                f"--{name.replace('_', '-')}: expected an option of {kind}, which INPUT holds, "
-                "found one of other files; leave it out"
-            )
-
-
-def _convert_cameras(
-    inputs: tuple[str, ...],
-    content: bytes | None,
-    output: Path | None,
-    to: str,
-    *,
-    format: str | None,
-    unit: str | None,
-    given: Mapping[str, Any],
-) -> "Conversion":
-    """Convert the cameras of one input. Raises click's UsageError where there are more."""
-    from mocap_calib.io.conversion import convert_cameras
-    from mocap_calib_cli import inputs as reading_inputs
-    from mocap_calib_cli import outputs
-
-    if len(inputs) > 1:
-        raise click.UsageError(
-            f"expected one file or folder of cameras, found {len(inputs)}; give the folder"
-        )
-    return convert_cameras(
-        Path(inputs[0]) if content is None else content,
-        output,
-        to,
-        format=format,
-        unit=unit,
-        image_size=reading_inputs.image_size(given.get("image_size")),
-        provenance=outputs.provenance("convert", inputs=reading_inputs.hashes(inputs)),
-    )
-
-
-def _convert_keypoints(
-    inputs: tuple[str, ...],
-    content: bytes | None,
-    output: Path | None,
-    to: str,
-    *,
-    format: str | None,
-    given: Mapping[str, Any],
-) -> "Conversion":
-    """Convert keypoints; note also which files of the inputs are left out."""
-    from mocap_calib.io.conversion import convert_keypoints
-    from mocap_calib_cli import inputs as reading_inputs
-
-    done = convert_keypoints(
-        inputs if content is None else content,
-        output,
-        to,
-        format=format,
-        options=reading_inputs.read_options(given),
-    )
-    return replace(done, notes=(*reading_inputs.doubled(inputs), *done.notes))

@@ -18,8 +18,9 @@ from mocap_calib_cli import options
 )
 @options.as_json("Figures as JSON instead of a table.")
 def command(rig: str, reference: str, as_json: bool) -> None:
-    """Compares CAMERAS with a reference: rotation and translation errors of all pairs, and of the cameras after alignment.
+    """Compare CAMERAS with a reference calibration.
 
+    Rotation and translation errors are those of all pairs, and of the cameras after alignment.
     Cameras of the reference that CAMERAS lacks count as 180 degrees wrong.
 
     \b
@@ -27,46 +28,60 @@ def command(rig: str, reference: str, as_json: bool) -> None:
       mocap-calib evaluate out/cameras.yaml --reference reference.toml
       mocap-calib evaluate out/cameras.yaml --reference reference.toml --json
     """
-    from mocap_calib.report import evaluate_rig, evaluation_to_dict
+    from mocap_calib.multi_view.evaluation import evaluate_rig, evaluation_to_dict
     from mocap_calib_cli import inputs
 
-    figures = evaluation_to_dict(
-        evaluate_rig(inputs.rig_of(rig, "CAMERAS"), inputs.rig_of(reference, "--reference"))
-    )
-    click.echo(
-        json.dumps(figures, indent=1, allow_nan=False) if as_json else "\n".join(_table(figures))
-    )
+    found, found_file = inputs.read_rig(rig, "CAMERAS")
+    expected, expected_file = inputs.read_rig(reference, "--reference")
+    for note in (*found_file.notes, *expected_file.notes):
+        click.echo(note, err=True)
+    figures = evaluation_to_dict(evaluate_rig(found, expected))
+    if as_json:
+        click.echo(json.dumps(figures, indent=1, allow_nan=False))
+    else:
+        click.echo("\n".join(_describe(figures)))
 
 
-def _table(figures: dict[str, Any]) -> list[str]:
-    from mocap_calib_cli.progress import figure, table
+def _describe(figures: dict[str, Any]) -> list[str]:
+    """Return the figures as tables and lines."""
+    lines = [*_pair_table(figures), "", *_share_table(figures), "", _describe_cameras(figures)]
+    if figures["missing"]:
+        lines.append(f"missing: {', '.join(figures['missing'])}")
+    return lines
 
+
+def _pair_table(figures: dict[str, Any]) -> list[str]:
+    """Return a table of the errors of all pairs, with their median and maximum."""
+    from mocap_calib_cli.progress import format_number, format_table
+
+    rotation = figures["rotation_error_deg"]
+    translation = figures["translation_error_deg"]
+    errors = [
+        (f"{pair['a']} - {pair['b']}", pair["rotation_error_deg"], pair["translation_error_deg"])
+        for pair in figures["pairs"]
+    ]
+    errors += [(name, rotation[name], translation[name]) for name in ("median", "max")]
+    rows = [[name, format_number(turn), format_number(shift)] for name, turn, shift in errors]
+    return format_table(["pair", "E_R deg", "E_t deg"], rows)
+
+
+def _share_table(figures: dict[str, Any]) -> list[str]:
+    """Return a table of the shares of pairs below each threshold."""
+    from mocap_calib_cli.progress import format_number, format_table
+
+    measures = [figures[name] for name in ("rra", "rta", "auc")]
     rows = [
-        [
-            f"{p['a']} - {p['b']}",
-            figure(p["rotation_error_deg"]),
-            figure(p["translation_error_deg"]),
-        ]
-        for p in figures["pairs"]
+        [f"below {degrees} deg", *(format_number(measure[degrees]) for measure in measures)]
+        for degrees in figures["rra"]
     ]
-    rotation, translation = figures["rotation_error_deg"], figures["translation_error_deg"]
-    rows += [
-        [name, figure(rotation[name]), figure(translation[name])] for name in ("median", "max")
-    ]
-    shares = [
-        [f"below {t} deg", *(figure(figures[k][t]) for k in ("rra", "rta", "auc"))]
-        for t in figures["rra"]
-    ]
-    turn, centre, unit = (
-        figures["camera_rotation_error_deg"],
-        figures["centre_error"],
-        figures["unit"],
+    return format_table(["share of pairs", "RRA", "RTA", "AUC"], rows)
+
+
+def _describe_cameras(figures: dict[str, Any]) -> str:
+    """Return a line on the errors of the cameras after alignment."""
+    turn = figures["camera_rotation_error_deg"]
+    centre = figures["centre_error"]
+    return (
+        f"after alignment: rotation {turn['median']:.2f} deg (max {turn['max']:.2f}), "
+        f"centre {centre['median']:.4g} {figures['unit']} (max {centre['max']:.4g})"
     )
-    return [
-        *table(["pair", "E_R deg", "E_t deg"], rows),
-        "",
-        *table(["share of pairs", "RRA", "RTA", "AUC"], shares),
-        "",
-        f"after alignment: rotation {turn['median']:.2f} deg (max {turn['max']:.2f}), centre {centre['median']:.4g} {unit} (max {centre['max']:.4g})",
-        *([f"missing: {', '.join(figures['missing'])}"] if figures["missing"] else []),
-    ]

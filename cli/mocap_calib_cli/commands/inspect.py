@@ -1,187 +1,196 @@
 """mocap-calib inspect: what is in keypoint files, before any calibration."""
 
 import json
-from pathlib import Path
 from typing import Any
 
 import click
 
 from mocap_calib_cli import options
 
+_COLOURS = {"CRITICAL": "red", "WARNING": "yellow"}
+_COLUMNS = (
+    "camera",
+    "frames",
+    "range",
+    "gaps",
+    "detections",
+    "at once",
+    "followed",
+    "joints",
+    "missing",
+    "score",
+    "image",
+    "covered",
+)
+_LISTED_GAPS = 5
+
 
 @click.command(name="inspect")
-@options.keypoints
-@options.reading
-@click.option(
-    "--cameras",
-    metavar="INTRINSICS",
-    help="The cameras' intrinsics, to see whether they and the keypoints go together.",
+@options.shared_options(
+    *options.KEYPOINTS,
+    "cameras",
+    "skeleton",
+    cameras=click.option(
+        "--cameras",
+        default="",
+        show_default=False,
+        metavar="INTRINSICS",
+        help="The cameras' intrinsics, to see whether they and the keypoints go together.",
+    ),
 )
-@options.skeleton
 @options.as_json("Write everything as JSON.")
-def command(
-    reading: dict[str, Any],
-    keypoints: tuple[str, ...],
-    cameras: str | None,
-    skeleton: Path | None,
-    as_json: bool,
-) -> None:
-    """Says what is in KEYPOINTS: cameras, frames and gaps, individuals, joints, missing points, scores, what pairs see together.
+def command(shared: options.SharedOptions, as_json: bool) -> None:
+    """Say what is in KEYPOINTS, and what would make a run fail.
 
-    What stands in the way is CRITICAL (a run could not work; exit status 1) or a WARNING, each with its remedy.
+    Of each camera: frames and gaps, individuals, joints, missing points, scores; of each pair of
+    cameras: the frames in which both see somebody. A finding is CRITICAL where a run could not
+    work (exit status 1), else a WARNING; each says what to do.
 
     \b
     Example:
       mocap-calib inspect keypoints/ --cameras intrinsics.toml
       mocap-calib inspect openpose/ --layout body_25b --json
     """
+    report = _inspect(shared)
+    if as_json:
+        click.echo(json.dumps(report, indent=1, allow_nan=False))
+    else:
+        click.echo("\n".join(_describe(report)))
+    if any(finding["level"] == "CRITICAL" for finding in report["findings"]):
+        raise click.exceptions.Exit(1)
+
+
+def _inspect(shared: options.SharedOptions) -> dict[str, Any]:
+    """Return what the files hold, and the findings."""
     from mocap_calib.config import InspectConfig
     from mocap_calib.inspection import Finding, fill_image_sizes, find_problems, inspect_views
     from mocap_calib.io.keypoints.read import read_what_can
+    from mocap_calib.recording.joints import fit_vocabulary
     from mocap_calib_cli import inputs
 
-    views, errors = read_what_can(keypoints, reading.get("format"), inputs.read_options(reading))
-    file = inputs.camera_file(cameras, "--cameras") if cameras else None
-    known, notes = (file.cameras, file.notes) if file else ((), ())
-    vocabulary, aliases = inputs.fitting(views, skeleton)
-    report = inspect_views(fill_image_sizes(views, known), vocabulary, aliases, InspectConfig())
-    stands = find_problems(
-        views,
-        report,
-        cameras=known,
-        skeleton=vocabulary,
-        aliases=aliases,
-        config=InspectConfig(),
+    config = InspectConfig()
+    views, errors = read_what_can(shared.keypoints, shared.format, inputs.read_options(shared))
+    file = inputs.load_camera_file(shared.cameras, "--cameras") if shared.cameras else None
+    cameras, notes = (file.cameras, file.notes) if file else ((), ())
+    names = (name for view in views for name in view.keypoints)
+    skeleton, aliases = fit_vocabulary(names, shared.skeleton)
+    report = inspect_views(fill_image_sizes(views, cameras), skeleton, aliases, config)
+    problems = find_problems(
+        views, report, cameras=cameras, skeleton=skeleton, aliases=aliases, config=config
     )
     found = [
         *(Finding(True, str(error)) for error in errors),
-        *stands,
+        *problems,
         *(Finding(False, note) for note in notes),
     ]
     report["findings"] = [
         {"level": "CRITICAL" if each.critical else "WARNING", "message": each.message}
         for each in found
     ]
-    if as_json:
-        click.echo(json.dumps(report, indent=1, allow_nan=False))
-    else:
-        click.echo("\n".join(_text(report)))
-    if any(each.critical for each in found):
-        raise click.exceptions.Exit(1)
+    return report
 
 
-def _text(report: dict[str, Any]) -> list[str]:
-    """The report for a person."""
-    from mocap_calib_cli.progress import figure, table
+def _describe(report: dict[str, Any]) -> list[str]:
+    """Return the report for a person."""
+    lines = _describe_cameras(report)
+    if report["pairs"]:
+        lines += ["", "frames in which both see somebody:", *_pair_table(report)]
+    lines.append("")
+    for finding in report["findings"]:
+        level = finding["level"]
+        lines.append(click.style(f"{level}: ", fg=_COLOURS[level], bold=True) + finding["message"])
+    count = len(report["findings"])
+    ending = f"{count} finding{'s' if count > 1 else ''}" if count else "nothing stands in the way"
+    return [*lines, ending]
+
+
+def _describe_cameras(report: dict[str, Any]) -> list[str]:
+    """Return a table of the cameras, a line on the joints, and details of each camera."""
+    from mocap_calib_cli.progress import format_table
 
     cameras = report["cameras"]
-    lines = []
-    if cameras:
-        header = [
-            "camera",
-            "frames",
-            "range",
-            "gaps",
-            "detections",
-            "at once",
-            "followed",
-            "joints",
-            "missing",
-            "score",
-            "image",
-            "covered",
-        ]
-        lines += table(header, [_row(camera) for camera in cameras])
-        model = report["model"]
-        lines += [
-            "",
-            f"joints: the model of {model['name']} knows {model['knows']}"
-            + (f", not: {', '.join(model['unknown'])}" if model["unknown"] else ""),
-        ]
-    for camera in cameras:
-        lines += [f"{camera['name']}: {line}" for line in _details(camera, figure)]
-    if report["pairs"]:
-        lines += [
-            "",
-            "frames in which both see somebody:",
-            *table(["", *(camera["name"] for camera in cameras)], _grid(report)),
-        ]
-    lines += [
+    if not cameras:
+        return []
+    model = report["model"]
+    unknown = f", not: {', '.join(model['unknown'])}" if model["unknown"] else ""
+    return [
+        *format_table(_COLUMNS, [_camera_row(camera) for camera in cameras]),
         "",
-        *(
-            click.style(f"{f['level']}: ", fg=_COLOURS[f["level"]], bold=True) + f["message"]
-            for f in report["findings"]
-        ),
+        f"joints: the model of {model['name']} knows {model['knows']}{unknown}",
+        *(f"{camera['name']}: {line}" for camera in cameras for line in _details(camera)),
     ]
-    count = len(report["findings"])
+
+
+def _camera_row(camera: dict[str, Any]) -> list[str]:
+    """Return the row of a camera, in the order of _COLUMNS."""
+    frames = camera["frames"]
+    score = camera["confidence"]
+    size = camera["image"]["size"]
+    missing = [entry["share"] for entry in camera["missing"].values()]
     return [
-        *lines,
-        f"{count} finding{'s' if count > 1 else ''}" if count else "nothing stands in the way",
+        camera["name"],
+        str(frames["count"]),
+        f"{frames['first']}-{frames['last']}",
+        str(len(frames["gaps"])),
+        str(camera["detections"]),
+        str(camera["most_at_once"]),
+        "yes" if camera["followed"] else "no",
+        str(len(camera["keypoints"])),
+        f"{sum(missing) if camera['points'] else 1.0:.0%}",
+        "-" if score["most"] is None else f"{score['least']:.2f}-{score['most']:.2f}",
+        "x".join(map(str, size)) if any(size) else "?",
+        f"{camera['image']['covered']:.0%}",
     ]
 
 
-_COLOURS = {"CRITICAL": "red", "WARNING": "yellow"}
-
-
-def _row(camera: dict[str, Any]) -> list[str]:
-    frames, image, score = camera["frames"], camera["image"], camera["confidence"]
-    share = sum(entry["share"] for entry in camera["missing"].values()) if camera["points"] else 1.0
-    size = "x".join(map(str, image["size"])) if any(image["size"]) else "?"
-    scores = f"{score['least']:.2f}-{score['most']:.2f}" if score["most"] is not None else "-"
-    return [
-        *(
-            camera["name"],
-            str(frames["count"]),
-            f"{frames['first']}-{frames['last']}",
-            str(len(frames["gaps"])),
-            str(camera["detections"]),
-        ),
-        *(
-            str(camera["most_at_once"]),
-            "yes" if camera["followed"] else "no",
-            str(len(camera["keypoints"])),
-            f"{share:.0%}",
-            scores,
-        ),
-        *(size, f"{image['covered']:.0%}"),
-    ]
-
-
-def _details(camera: dict[str, Any], figure: Any) -> list[str]:
-    """Lines on what the table has no room for."""
-    gaps, image = camera["frames"]["gaps"], camera["image"]
+def _details(camera: dict[str, Any]) -> list[str]:
+    """Return lines on what the table has no room for."""
     lines = [camera["source"]]
     if camera["missing"]:
-        lines.append(
-            "missing by "
-            + ", ".join(
-                f"{name}: {entry['points']} ({entry['share']:.1%})"
-                for name, entry in camera["missing"].items()
-            )
-        )
+        customs = [
+            f"{name}: {entry['points']} ({entry['share']:.1%})"
+            for name, entry in camera["missing"].items()
+        ]
+        lines.append(f"missing by {', '.join(customs)}")
     if camera["empty_frames"]:
         lines.append(f"nobody in {camera['empty_frames']} frames")
-    if gaps:
-        listed = ", ".join(str(a) if a == b else f"{a}-{b}" for a, b in gaps[:5]) + (
-            ", ..." if len(gaps) > 5 else ""
-        )
-        lines.append(f"no frames {listed}")
+    if camera["frames"]["gaps"]:
+        lines.append(f"no frames {_describe_gaps(camera['frames']['gaps'])}")
     if camera["never_seen"]:
         lines.append(f"never seen: {', '.join(camera['never_seen'])}")
-    if image["least"]:
-        (x0, y0), (x1, y1) = image["least"], image["most"]
-        lines.append(
-            f"x {figure(x0, 0)} to {figure(x1, 0)}, y {figure(y0, 0)} to {figure(y1, 0)}, median score {figure(camera['confidence']['median'])}"
-        )
+    if camera["image"]["least"]:
+        lines.append(_describe_span(camera))
     return lines + camera["remarks"]
 
 
-def _grid(report: dict[str, Any]) -> list[list[str]]:
-    """Rows of the grid of pairs."""
+def _describe_gaps(gaps: list[list[int]]) -> str:
+    """Return the first few gaps."""
+    listed = [
+        str(first) if first == last else f"{first}-{last}" for first, last in gaps[:_LISTED_GAPS]
+    ]
+    return ", ".join([*listed, "..."] if len(gaps) > _LISTED_GAPS else listed)
+
+
+def _describe_span(camera: dict[str, Any]) -> str:
+    """Return where in the image the points lie, and how sure the detector is of them."""
+    from mocap_calib_cli.progress import format_number
+
+    x0, y0, x1, y1 = (
+        format_number(value, 0) for value in (*camera["image"]["least"], *camera["image"]["most"])
+    )
+    score = format_number(camera["confidence"]["median"])
+    return f"x {x0} to {x1}, y {y0} to {y1}, median score {score}"
+
+
+def _pair_table(report: dict[str, Any]) -> list[str]:
+    """Return the table of the frames that pairs of cameras see together."""
+    from mocap_calib_cli.progress import format_table
+
     names = [camera["name"] for camera in report["cameras"]]
-    together = {
+    covisible = {
         frozenset((pair["a"], pair["b"])): str(pair["covisible"]) for pair in report["pairs"]
     }
-    return [
-        [name, *(together.get(frozenset((name, other)), "-") for other in names)] for name in names
+    rows = [
+        [name, *(covisible.get(frozenset((name, other)), "-") for other in names)] for name in names
     ]
+    return format_table(["", *names], rows)

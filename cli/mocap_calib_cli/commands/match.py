@@ -1,33 +1,15 @@
 """mocap-calib match: who is who in all cameras."""
 
-from pathlib import Path
-from typing import Any
-
 import click
 
 from mocap_calib_cli import options
 
 
 @click.command(name="match")
-@options.keypoints
-@options.reading
-@options.rig
 @options.output_text("matches (CSV)")
-@options.skeleton
-@options.model
-@options.device
-@options.quiet
-def command(
-    reading: dict[str, Any],
-    keypoints: tuple[str, ...],
-    rig: str,
-    output: str,
-    skeleton: Path | None,
-    model: str | None,
-    device: str,
-    quiet: bool,
-) -> None:
-    """Labels every detection with its individual, given the cameras.
+@options.shared_options("rig", *options.MODEL, *options.KEYPOINTS, "quiet")
+def command(shared: options.SharedOptions, output: str) -> None:
+    """Label every detection with its individual, given the cameras.
 
     \b
     Example:
@@ -40,21 +22,19 @@ def command(
     from mocap_calib_cli.progress import Reporter
 
     outputs.check_text(output)
-    with Reporter(quiet=quiet) as reporter:
-        cameras = inputs.rig_of(rig)
-        recording, network = inputs.read_recording(
-            keypoints, cameras.cameras, skeleton, reporter, reading, model=model, placed=True
-        )
-        chosen, some, lifted = inputs.lifted_sample(recording, network, device, reporter)
-        start = inputs.placed(recording, cameras)
-        within = associate(some, lifted, start, Config(), progress=reporter)
-        found = label_all_frames(
-            recording,
-            chosen,
-            within,
-            start,
-            Config(),
-            scale=body_scale(some, lifted, start, Config().pairwise),
+    config = Config()
+    with Reporter(quiet=shared.quiet) as reporter:
+        rig, camera_file = inputs.read_rig(shared.rig, "--rig")
+        loaded = inputs.read_recording(shared, camera_file, reporter, of_rig=True)
+        rig = inputs.rig_of_recording(rig, loaded.recording)
+        sample_frames, sample, lifted = inputs.lift_sample(loaded, shared.device, reporter)
+        matches = label_all_frames(
+            loaded.recording,
+            sample_frames,
+            associate(sample, lifted, rig, config, progress=reporter),
+            rig,
+            config,
+            scale=body_scale(sample, lifted, rig, config.pairwise),
             progress=reporter,
         )
-    outputs.write_text(output, matches_csv(recording, found))
+    outputs.write_text(output, matches_csv(loaded.recording, matches))

@@ -1,4 +1,4 @@
-"""mocap-calib models: the weights that are shipped."""
+"""mocap-calib models: the networks that are shipped."""
 
 import json
 
@@ -6,11 +6,14 @@ import click
 
 from mocap_calib_cli import options
 
+# of the RMS radius of the visible pose
+_ERRORS = {"joint_3d": "3D error", "steered_2d": "steered", "completed_2d": "completed"}
+
 
 @click.command(name="models")
 @options.as_json("Write the whole model cards.")
 def command(as_json: bool) -> None:
-    """Lists the shipped models: what they know, what they were trained on, on which terms, and how large their error is.
+    """List the shipped models: their joints, training data, terms, and errors.
 
     `run` takes the one that knows most of the recording's joint names.
 
@@ -20,29 +23,18 @@ def command(as_json: bool) -> None:
     """
     from mocap_calib.recording.joints import load_skeleton
     from mocap_calib.steerpose.checkpoint import models
-    from mocap_calib_cli.progress import figure, table
+    from mocap_calib_cli.progress import format_number, format_table
 
     cards = models()
     if as_json:
         click.echo(json.dumps(cards, indent=1))
         return
-    rows = [
-        [
-            name,
-            str(len(load_skeleton(name).keypoints)),
-            *(figure(card["held_out_error"][key], 3) for key in _ERRORS),
-        ]
-        for name, card in cards.items()
-    ]
-    click.echo("\n".join(table(["model", "joints", *_ERRORS.values()], rows)))
+    rows = []
     for name, card in cards.items():
-        click.echo(
-            f"\n{name}\n  data: {card['data']}\n  terms: {card['terms']}\n  command: {card['command']}"
-        )
-
-
-_ERRORS = {
-    "joint_3d": "3D error",
-    "steered_2d": "steered",
-    "completed_2d": "completed",
-}  # of the RMS radius of the visible pose
+        errors = [format_number(card["held_out_error"][key], 3) for key in _ERRORS]
+        rows.append([name, str(len(load_skeleton(name).keypoints)), *errors])
+    click.echo("\n".join(format_table(["model", "joints", *_ERRORS.values()], rows)))
+    for name, card in cards.items():
+        click.echo(f"\n{name}")
+        for key in ("data", "terms", "command"):
+            click.echo(f"  {key}: {card[key]}")

@@ -1,37 +1,15 @@
 """mocap-calib pairwise: relative poses of all pairs of cameras."""
 
-from pathlib import Path
-from typing import Any
-
 import click
 
 from mocap_calib_cli import options
 
 
 @click.command(name="pairwise")
-@options.keypoints
-@options.reading
-@options.cameras
 @options.output_text("pairs (JSON)")
-@options.skeleton
-@options.model
-@options.solver
-@options.seed
-@options.device
-@options.quiet
-def command(
-    reading: dict[str, Any],
-    keypoints: tuple[str, ...],
-    cameras: str,
-    output: str,
-    skeleton: Path | None,
-    model: str | None,
-    solver: str,
-    seed: int,
-    device: str,
-    quiet: bool,
-) -> None:
-    """Finds the relative pose of every pair of cameras, and who matches whom.
+@options.shared_options("cameras", *options.MODEL, "solver", "seed", *options.KEYPOINTS, "quiet")
+def command(shared: options.SharedOptions, output: str) -> None:
+    """Find the relative pose of every pair of cameras, and who matches whom.
 
     \b
     Example:
@@ -42,23 +20,27 @@ def command(
 
     from mocap_calib.config import PairwiseConfig
     from mocap_calib.io.results.pairs_json import pairs_to_json
+    from mocap_calib.steerpose.checkpoint import load_model
     from mocap_calib.two_view.solve import calibrate_pairs, in_recording
+    from mocap_calib.two_view.solvers import choose_pair_solver
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.progress import Reporter
 
     outputs.check_text(output)
-    with Reporter(quiet=quiet) as reporter:
-        recording, network = inputs.read_recording(
-            keypoints, inputs.cameras_of(cameras), skeleton, reporter, reading, model=model
-        )
-        chosen, some, lifted = inputs.lifted_sample(recording, network, device, reporter)
-        solve = inputs.pair_solver(solver, recording, network)
+    config = PairwiseConfig()
+    with Reporter(quiet=shared.quiet) as reporter:
+        camera_file = inputs.load_camera_file(shared.cameras, "--cameras")
+        loaded = inputs.read_recording(shared, camera_file, reporter)
+        sample_frames, sample, lifted = inputs.lift_sample(loaded, shared.device, reporter)
+        lifter = load_model(loaded.model)
+        solver = choose_pair_solver(shared.solver, loaded.recording, lifter, config)
         pairs = calibrate_pairs(
-            some,
+            sample,
             lifted,
-            PairwiseConfig(),
-            rng=np.random.default_rng(seed),
+            config,
+            rng=np.random.default_rng(shared.seed),
             progress=reporter,
-            solve=solve,
+            solve=solver,
         )
-    outputs.write_text(output, [pairs_to_json(in_recording(pairs, chosen), recording.cameras)])
+    pairs = in_recording(pairs, sample_frames)
+    outputs.write_text(output, [pairs_to_json(pairs, loaded.recording.cameras)])

@@ -9,7 +9,10 @@ from mocap_calib.config import SimulateConfig
 from mocap_calib_cli import options
 
 _DEFAULT = SimulateConfig()
+_COUNT = click.IntRange(min=1)
 _SHARE = click.FloatRange(0, 1)
+_POSITIVE = click.FloatRange(min=0, min_open=True)
+_FLAGS = {"noise_px": "--noise", "arc_deg": "--arc"}  # where the field is not called as the option
 
 
 @click.command(
@@ -26,26 +29,16 @@ _SHARE = click.FloatRange(0, 1)
     help="Folder to write; made when missing.",
 )
 @click.option(
-    "--cameras",
-    type=click.IntRange(min=1),
-    default=_DEFAULT.cameras,
-    help="Number of cameras around the room.",
+    "--cameras", type=_COUNT, default=_DEFAULT.cameras, help="Number of cameras around the room."
 )
 @click.option(
     "--people",
-    type=click.IntRange(min=1),
+    type=_COUNT,
     default=_DEFAULT.people,
     help="Number of people who walk about and gesture.",
 )
-@click.option(
-    "--frames", type=click.IntRange(min=1), default=_DEFAULT.frames, help="Length of the recording."
-)
-@click.option(
-    "--fps",
-    type=click.FloatRange(min=0, min_open=True),
-    default=_DEFAULT.fps,
-    help="Frames a second.",
-)
+@click.option("--frames", type=_COUNT, default=_DEFAULT.frames, help="Length of the recording.")
+@click.option("--fps", type=_POSITIVE, default=_DEFAULT.fps, help="Frames a second.")
 @click.option(
     "--noise",
     "noise_px",
@@ -67,13 +60,13 @@ _SHARE = click.FloatRange(0, 1)
     "--false-detections",
     type=_SHARE,
     default=_DEFAULT.false_detections,
-    help="Share of images with a body too many.",
+    help="Share of images with a detection of nobody.",
 )
 @click.option(
     "--distortion",
     type=click.Choice(["none", "brown", "fisheye"]),
     default=_DEFAULT.distortion,
-    help="Lenses.",
+    help="Distortion of the lenses.",
 )
 @click.option(
     "--layout",
@@ -83,7 +76,7 @@ _SHARE = click.FloatRange(0, 1)
 )
 @click.option(
     "--radius",
-    type=click.FloatRange(min=0, min_open=True),
+    type=_POSITIVE,
     default=_DEFAULT.radius,
     metavar="METRES",
     help="From the middle to the cameras.",
@@ -99,7 +92,7 @@ _SHARE = click.FloatRange(0, 1)
 @click.option(
     "--shuffle/--no-shuffle",
     default=_DEFAULT.shuffle,
-    help="Order of the detections in each image says nothing.",
+    help="Put the detections of each image in random order.",
 )
 @click.option(
     "--seed",
@@ -107,39 +100,34 @@ _SHARE = click.FloatRange(0, 1)
     default=_DEFAULT.seed,
     help="The same seed gives the same bytes.",
 )
-@options.quiet
-def command(output: Path, quiet: bool, **fields: Any) -> None:
-    """Makes a recording of synthetic people with its truth: keypoints (COCO), cameras, who is who, true 3D."""
+@options.shared_options("quiet")
+def command(shared: options.SharedOptions, output: Path, **fields: Any) -> None:
+    """Make a recording of synthetic people with its truth.
+
+    These are keypoints (COCO), cameras, who is who, and the true 3D poses.
+    """
     from mocap_calib.io.results.scene import write_scene
     from mocap_calib.synthetic import simulate
+    from mocap_calib_cli.progress import Reporter
 
     config = SimulateConfig(**fields)
     scene = simulate(config)
-    write_scene(output, scene, repeat(config))
-    if not quiet:
-        found = int((scene.identity >= 0).sum())
-        click.echo(
-            f"{output}: {config.cameras} cameras, {config.frames} frames, {config.people} people, {found} detections of them",
-            err=True,
-        )
-
-
-def repeat(config: SimulateConfig) -> str:
-    """The command that makes the same scene; options that are as usual are left out."""
-    names = {"noise_px": "--noise", "arc_deg": "--arc"}
-    changed = {
-        key: value
-        for key, value in vars(config).items()
-        if value != getattr(_DEFAULT, key) and key not in ("size", "shuffle", "seed")
-    }
-    said = [
-        f"{names.get(key, '--' + key.replace('_', '-'))} {value}" for key, value in changed.items()
-    ]
-    return " ".join(
-        [
-            "mocap-calib simulate -o OUT",
-            *said,
-            *([] if config.shuffle else ["--no-shuffle"]),
-            f"--seed {config.seed}",
-        ]
+    write_scene(output, scene, format_command(config))
+    detections = int((scene.identity >= 0).sum())
+    Reporter(quiet=shared.quiet).say(
+        f"{output}: {config.cameras} cameras, {config.frames} frames, {config.people} people, "
+        f"{detections} detections of them"
     )
+
+
+def format_command(config: SimulateConfig) -> str:
+    """Return the command that makes the same scene, without options that have their defaults."""
+    words = ["mocap-calib simulate -o OUT"]
+    for name, value in vars(config).items():
+        if name in ("size", "shuffle", "seed") or value == getattr(_DEFAULT, name):
+            continue
+        words.append(f"{_FLAGS.get(name, '--' + name.replace('_', '-'))} {value}")
+    if not config.shuffle:
+        words.append("--no-shuffle")
+    words.append(f"--seed {config.seed}")
+    return " ".join(words)

@@ -5,7 +5,7 @@ import shlex
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -14,11 +14,13 @@ from mocap_calib_cli import options
 
 if TYPE_CHECKING:
     from mocap_calib.steerpose.steer import Model
-    from mocap_calib.steerpose.training.poses import PoseSet, Split
-    from mocap_calib.types import Skeleton
+    from mocap_calib.steerpose.training.poses import PoseSet
+    from mocap_calib.types import Progress, Skeleton
 
 _DEFAULT = TrainConfig()
 _COUNT = click.IntRange(min=1)
+_HEADS = 4  # of the encoder, which share a token
+_TOKEN_SIZE = {"width": 32, "layers": 5}  # of the paper's network
 
 
 @click.command(name="train")
@@ -34,7 +36,8 @@ _COUNT = click.IntRange(min=1)
 @click.option(
     "--skeleton",
     metavar="NAME|FILE.yaml",
-    help="Vocabulary: a shipped skeleton or one of your own. [default: people; with --from: its own joints]",
+    help="Vocabulary: a shipped skeleton or one of your own. "
+    "[default: people; with --from: its own joints]",
 )
 @click.option(
     "--architecture",
@@ -46,13 +49,14 @@ _COUNT = click.IntRange(min=1)
     "--up",
     multiple=True,
     metavar="AXIS",
-    help="What points up in the poses: +z (default), -y, ...; once for all files, or once for each.",
+    help="What points up in the poses: +z (default), -y, ...; once for all files, or once for "
+    "each.",
 )
 @click.option(
     "--procedural",
     type=click.FloatRange(0, 1),
     metavar="SHARE",
-    help="Of bodies made from the skeleton's file; half beside data, all without.",
+    help="Share of bodies made from the skeleton's file. [default: half beside POSES, all without]",
 )
 @click.option("--steps", type=_COUNT, default=_DEFAULT.steps, help="Batches to train on.")
 @click.option("--batch", type=_COUNT, default=_DEFAULT.batch, help="Poses in a batch.")
@@ -69,8 +73,7 @@ _COUNT = click.IntRange(min=1)
     default=_DEFAULT.learning_rate,
     help="Peak of the schedule.",
 )
-@options.seed
-@options.device
+@options.shared_options("seed", "device", "quiet")
 @click.option("--threads", type=_COUNT, default=1, help="Threads of torch.")
 @click.option(
     "--data",
@@ -82,30 +85,28 @@ _COUNT = click.IntRange(min=1)
     "--terms", default="", metavar="TEXT", help="For the model card: the terms of the data."
 )
 @options.as_json("Write the held-out errors to stdout.")
-@options.quiet
 def command(
-    poses: tuple[Path, ...],
+    shared: options.SharedOptions,
     output: Path,
+    poses: tuple[Path, ...],
     calibrated: Path | None,
     skeleton: str | None,
-    architecture: str,
     up: tuple[str, ...],
     procedural: float | None,
-    seed: int,
-    device: str,
+    architecture: str,
     threads: int,
     data: str,
     terms: str,
     as_json: bool,
-    quiet: bool,
-    **fields: float,
+    **sizes: float,
 ) -> None:
-    """Trains a lifter on 3D poses, on bodies made from the skeleton's file, or on both.
+    """Train a lifter on 3D poses, on bodies made from the skeleton's file, or on both.
 
-    POSES: npz files with `poses` [pose, joint, 3] and `joints`, or folders with poses3d.npz and joints.json; they may lack joints.
-    With `split` (train, val, test) and `subject` in a file, the error is measured on poses that were held out.
-    --from takes the poses3d.h5 of a run instead, whose cameras.yaml beside it tells what is up unless --up does; the weights are
-    for `run --model`.
+    POSES: npz files with `poses` [pose, joint, 3] and `joints`, or folders with poses3d.npz and
+    joints.json; they may lack joints. With `split` (train, val, test) and `subject` in a file,
+    the error is measured on poses that were held out. --from takes the poses3d.h5 of a run
+    instead; cameras.yaml beside it tells what is up, unless --up does. The weights are for
+    `run --model`.
 
     \b
     Example:
@@ -114,145 +115,86 @@ def command(
       mocap-calib train --from out/poses3d.h5 -o beetle.safetensors --steps 2000
     """
     from mocap_calib.steerpose.checkpoint import save_lifter
-    from mocap_calib.steerpose.training.train import (
-        held_out_error,
-        model_card,
-        steering_error,
-        train_lifter,
-        train_steerer,
-        training_config,
-    )
+    from mocap_calib.steerpose.device import check_device, use_threads
+    from mocap_calib.steerpose.training.train import model_card, training_config
     from mocap_calib_cli import outputs
-    from mocap_calib_cli.model import check_device, use_threads
     from mocap_calib_cli.progress import Reporter
+    from mocap_calib_cli.training import TrainingSource, load_pose_sets, load_vocabulary
 
-    if fields["width"] % 4:
+    if sizes["width"] % _HEADS:
         raise click.BadParameter(
             "expected a multiple of 4: a token is shared by four heads", param_hint="--width"
         )
     outputs.check_file(output)
-    check_device(device)
+    check_device(shared.device)
     use_threads(threads)
-    chosen = {name: value for name, value in fields.items() if value != getattr(_DEFAULT, name)}
-    vocabulary, settings = _vocabulary(calibrated, skeleton)
-    config = replace(training_config(settings), seed=seed, **chosen)  # type: ignore[arg-type]
-    if calibrated:
-        if poses or procedural:
-            raise click.UsageError("expected POSES or --procedural, or --from, found both")
-        training, testing = (
-            _own_poses(calibrated, vocabulary, up, split) for split in ("train", "test")
+    source = TrainingSource(poses, calibrated, skeleton, up, procedural)
+    vocabulary, settings = load_vocabulary(source)
+    asked = {name: value for name, value in sizes.items() if value != getattr(_DEFAULT, name)}
+    if architecture == "token":
+        asked = _TOKEN_SIZE | asked
+    config = replace(training_config(settings), seed=shared.seed, **asked)  # type: ignore[arg-type]
+    training, testing = load_pose_sets(source, vocabulary, config)
+    with Reporter(quiet=shared.quiet) as reporter:
+        train = _train_steerer if architecture == "token" else _train_lifter
+        network, errors = train(
+            training, testing, vocabulary, config, device=shared.device, progress=reporter
         )
-    else:
-        training, testing = (
-            _pose_set(poses, up, skeleton or "people", procedural, split, config)
-            for split in ("train", "test")
-        )
-    lifter: Model
-    with Reporter(quiet=quiet) as reporter:
-        if architecture == "token":
-            # the paper's size, unless another is asked for
-            config = replace(
-                config, width=int(chosen.get("width", 32)), layers=int(chosen.get("layers", 5))
-            )
-            lifter = train_steerer(
-                training, vocabulary, config, PairsConfig(), device=device, progress=reporter
-            )
-            errors = steering_error(lifter.cpu(), testing, vocabulary, PairsConfig())
-        else:
-            lifter = train_lifter(training, vocabulary, config, device=device, progress=reporter)
-            errors = held_out_error(lifter.cpu(), testing, vocabulary, config)
-    typed = shlex.join(
-        [
-            "mocap-calib",
-            *(
-                Path(word).name if "/" in word or Path(word).exists() else word
-                for word in sys.argv[1:]
-            ),
-        ]
+    card = model_card(
+        config,
+        errors,
+        command=_typed_command(),
+        data=data or source.describe(),
+        terms=terms or ("not stated" if source.files else "none: no data"),
     )
-    save_lifter(
-        output,
-        lifter,
-        vocabulary,
-        model_card(
-            config,
-            errors,
-            command=typed,
-            data=data
-            or ", ".join(p.name for p in (*poses, *([calibrated] if calibrated else [])))
-            or "procedural bodies",
-            terms=terms or ("not stated" if poses or calibrated else "none: no data"),
-        ),
-    )
-    reporter.say(
-        f"held out: {', '.join(f'{name} {value}' for name, value in errors.items())}; weights in {output}"
-    )
+    save_lifter(output, network, vocabulary, card)
+    listed = ", ".join(f"{name} {value}" for name, value in errors.items())
+    reporter.say(f"held out: {listed}; weights in {output}")
     if as_json:
         click.echo(json.dumps(errors))
 
 
-def _vocabulary(calibrated: Path | None, skeleton: str | None) -> tuple["Skeleton", dict[str, Any]]:
-    """The joints to train for, and settings that differ from the defaults. Raises FormatError."""
-    from mocap_calib.io.poses.read import read_poses
-    from mocap_calib.recording.joints import load_section, load_skeleton
-    from mocap_calib.steerpose.training.own_species import TRAINING, own_skeleton
-
-    if calibrated and skeleton is None:
-        return own_skeleton(calibrated.stem, read_poses(calibrated, "poses-h5").poses), TRAINING
-    return load_skeleton(skeleton or "people"), load_section(skeleton or "people", "training")
-
-
-def _own_poses(
-    calibrated: Path, vocabulary: "Skeleton", up: tuple[str, ...], split: "Split"
-) -> "PoseSet":
-    """The poses of a calibrated recording. Raises FormatError and DegenerateError; a usage error where nothing tells what is up."""
-    from mocap_calib.io.cameras.read import read_rig
-    from mocap_calib.io.poses.read import read_poses
-    from mocap_calib.steerpose.training.own_species import axis, own_poses, up_of_rig
-
-    rig = calibrated.with_name("cameras.yaml")
-    if not up and not rig.is_file():
-        raise click.UsageError(f"expected {rig} beside the poses, or --up, found neither")
-    return own_poses(
-        read_poses(calibrated, "poses-h5").poses,
-        vocabulary,
-        axis(up[0]) if up else up_of_rig(read_rig(rig)),
-        split,
-    )
-
-
-def _pose_set(
-    poses: tuple[Path, ...],
-    up: tuple[str, ...],
-    skeleton: str,
-    procedural: float | None,
-    split: "Split",
-    config: TrainConfig,
-) -> "PoseSet":
-    """What to train or test on. Raises FormatError and MismatchError; a usage error where there is nothing."""
-    from mocap_calib.recording.joints import load_section, load_skeleton
-    from mocap_calib.steerpose.training.poses import by_size, load_poses, mix, procedural_poses
-
-    if len(up) not in (0, 1, len(poses)):
-        raise click.UsageError(
-            f"--up: expected it once, or once for each of {len(poses)} files, found it {len(up)} times"
-        )
-    vocabulary, body = load_skeleton(skeleton), load_section(skeleton, "body")
-    axes = up if len(up) == len(poses) else (up or ("+z",)) * len(poses)
-    sets = [
-        load_poses(path, vocabulary, split, up=axis) for path, axis in zip(poses, axes, strict=True)
+def _typed_command() -> str:
+    """Return the command as it was typed, for the model card, with files by their names alone."""
+    words = [
+        Path(word).name if "/" in word or Path(word).exists() else word for word in sys.argv[1:]
     ]
-    share = procedural if procedural is not None else (0.5 if sets else 1.0) * bool(body)
-    if (share and not body) or not (sets or share):
-        raise click.UsageError(
-            f"expected POSES, or a skeleton with a section `body` to make some from, found neither in {skeleton}; see docs/skeletons.md"
-        )
-    if not share:
-        return sets[0] if len(sets) == 1 else mix(sets, by_size(sets))
-    made = procedural_poses(vocabulary, body, config.bodies, seed=config.seed + (split == "test"))
-    sizes = by_size(sets)
-    return (
-        mix([*sets, made], [*(size / sum(sizes) * (1 - share) for size in sizes), share])
-        if sets
-        else mix([made], [1.0])
-    )
+    return shlex.join(["mocap-calib", *words])
+
+
+# --- the two networks
+
+
+def _train_lifter(
+    training: "PoseSet",
+    testing: "PoseSet",
+    vocabulary: "Skeleton",
+    config: TrainConfig,
+    *,
+    device: str,
+    progress: "Progress",
+) -> "tuple[Model, dict[str, float]]":
+    """Return our network, trained, and its errors on the poses for testing."""
+    from mocap_calib.steerpose.training.evaluation import held_out_error
+    from mocap_calib.steerpose.training.train import train_lifter
+
+    lifter = train_lifter(training, vocabulary, config, device=device, progress=progress)
+    return lifter, held_out_error(lifter.cpu(), testing, vocabulary, config)
+
+
+def _train_steerer(
+    training: "PoseSet",
+    testing: "PoseSet",
+    vocabulary: "Skeleton",
+    config: TrainConfig,
+    *,
+    device: str,
+    progress: "Progress",
+) -> "tuple[Model, dict[str, float]]":
+    """Return the network of the paper, trained, and its errors on the poses for testing."""
+    from mocap_calib.steerpose.training.evaluation import steering_error
+    from mocap_calib.steerpose.training.train import train_steerer
+
+    pairs = PairsConfig()
+    steerer = train_steerer(training, vocabulary, config, pairs, device=device, progress=progress)
+    return steerer, steering_error(steerer.cpu(), testing, vocabulary, pairs)

@@ -1,7 +1,6 @@
 """mocap-calib triangulate: 3D poses."""
 
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -9,25 +8,12 @@ from mocap_calib_cli import options
 
 
 @click.command(name="triangulate")
-@options.keypoints
-@options.reading
-@options.rig
-@options.matches
 @options.output_file(
     "Poses: a .h5 file, or a .csv file (further individuals go to NAME_1.csv, NAME_2.csv, ...)."
 )
-@options.skeleton
-@options.quiet
-def command(
-    reading: dict[str, Any],
-    keypoints: tuple[str, ...],
-    rig: str,
-    matches: str,
-    output: Path,
-    skeleton: Path | None,
-    quiet: bool,
-) -> None:
-    """3D poses of all individuals in all frames.
+@options.shared_options("rig", "matches", "skeleton", *options.KEYPOINTS, "quiet")
+def command(shared: options.SharedOptions, output: Path) -> None:
+    """Triangulate the 3D poses of all individuals in all frames.
 
     \b
     Example:
@@ -36,6 +22,7 @@ def command(
     from mocap_calib.config import TriangulateConfig
     from mocap_calib.errors import MismatchError
     from mocap_calib.io.atomic import folder, individual_file, replace_text
+    from mocap_calib.io.provenance import provenance
     from mocap_calib.io.results.poses_csv import poses_csv
     from mocap_calib.io.results.poses_h5 import write_poses_h5
     from mocap_calib.multi_view.triangulation import triangulate
@@ -44,25 +31,20 @@ def command(
 
     if output.suffix not in (".h5", ".csv"):
         raise MismatchError(
-            f"{output}: expected a name that ends in .h5 or .csv, found {output.suffix or 'no ending'}; rename it"
+            f"{output}: expected a name that ends in .h5 or .csv, "
+            f"found {output.suffix or 'no ending'}; rename it"
         )
     outputs.check_file(output)
-    with Reporter(quiet=quiet) as reporter:
-        cameras = inputs.rig_of(rig)
-        recording, _ = inputs.read_recording(
-            keypoints, cameras.cameras, skeleton, reporter, reading, placed=True
-        )
-        labels = inputs.matches_of(matches, recording)
-        poses = triangulate(
-            recording,
-            inputs.placed(recording, cameras),
-            labels,
-            TriangulateConfig(),
-            progress=reporter,
-        )
+    with Reporter(quiet=shared.quiet) as reporter:
+        rig, camera_file = inputs.read_rig(shared.rig, "--rig")
+        recording = inputs.read_recording(shared, camera_file, reporter, of_rig=True).recording
+        rig = inputs.rig_of_recording(rig, recording)
+        matches = inputs.read_matches(shared.matches, recording)
+        poses = triangulate(recording, rig, matches, TriangulateConfig(), progress=reporter)
     if output.suffix == ".h5":
-        write_poses_h5(output, poses, outputs.provenance("triangulate"))
+        write_poses_h5(output, poses, provenance("triangulate"))
     else:
         with folder(output.absolute().parent) as work:
-            for k in range(labels.individuals):
-                replace_text(work / individual_file(output, k).name, poses_csv(poses, k))
+            for individual in range(matches.individuals):
+                path = work / individual_file(output, individual).name
+                replace_text(path, poses_csv(poses, individual))

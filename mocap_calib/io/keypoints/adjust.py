@@ -1,4 +1,8 @@
-"""What the user says of the detections that were read: views inside one file, shares of images, clocks that start elsewhere, cropped images."""
+"""Apply what the user says of detections that were read.
+
+Views inside one file, positions that are shares of the image, clocks that start elsewhere, cropped
+images.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,94 +14,109 @@ from mocap_calib.errors import MismatchError
 from mocap_calib.io.keypoints.document import ReadOptions
 from mocap_calib.types import Keypoints2D
 
-_BEYOND = (
-    0.25  # of the image, that a position may lie before it; more is another scale, such as -1 to 1
-)
+_LARGEST_FRAME = 2**62
 
 
 def split_views(view: Keypoints2D, suffixes: tuple[str, ...]) -> tuple[Keypoints2D, ...]:
-    """The cameras in a file whose keypoints say which they are of (`paw_top`, `paw_bot`), called by the suffix.
+    """Return the cameras of a file whose keypoint names end in the view (`paw_top`, `paw_bot`).
 
-    Raises MismatchError where a keypoint has none of the suffixes.
+    Each camera is called by its suffix. Raises MismatchError where a keypoint has none of the
+    suffixes.
     """
     if not suffixes:
         return (view,)
-    ends = [
-        next((suffix for suffix in suffixes if name.endswith(f"_{suffix}")), None)
-        for name in view.keypoints
-    ]
-    if None in ends:
-        found = view.keypoints[ends.index(None)]
-        raise MismatchError(
-            f"{view.source}: expected every keypoint to end in _{' or _'.join(suffixes)}, found {found}; change --views"
-        )
-    parts = []
-    for suffix in dict.fromkeys(ends):
-        own = [k for k, end in enumerate(ends) if end == suffix]
-        names = tuple(view.keypoints[k].removesuffix(f"_{suffix}") for k in own)
-        parts.append(
-            replace(
-                view,
-                camera=str(suffix),
-                keypoints=names,
-                positions=view.positions[:, :, own],
-                confidence=view.confidence[:, :, own],
-            )
-        )
-    return tuple(parts)
+    keypoints_of: dict[str, list[int]] = {}
+    for index, name in enumerate(view.keypoints):
+        keypoints_of.setdefault(_suffix_of(name, suffixes, view.source), []).append(index)
+    return tuple(
+        _camera_of_suffix(view, suffix, indices) for suffix, indices in keypoints_of.items()
+    )
+
+
+def _suffix_of(keypoint: str, suffixes: tuple[str, ...], source: str) -> str:
+    for suffix in suffixes:
+        if keypoint.endswith(f"_{suffix}"):
+            return suffix
+    raise MismatchError(
+        f"{source}: expected every keypoint to end in _{' or _'.join(suffixes)}, "
+        f"found {keypoint}; change --views"
+    )
+
+
+def _camera_of_suffix(view: Keypoints2D, suffix: str, indices: list[int]) -> Keypoints2D:
+    """Return the camera of these keypoints (indices), whose names lose the suffix."""
+    return replace(
+        view,
+        camera=suffix,
+        keypoints=tuple(view.keypoints[index].removesuffix(f"_{suffix}") for index in indices),
+        positions=view.positions[:, :, indices],
+        confidence=view.confidence[:, :, indices],
+    )
 
 
 def in_pixels(view: Keypoints2D, size: tuple[int, int]) -> Keypoints2D:
-    """The view with the image size that the user gives, where the file has none; positions that are shares of the image multiplied by it.
+    """Return the view with the image size that the user gives, where the file has none.
 
-    Raises MismatchError where they are shares of something else.
+    Positions that are shares of the image are multiplied by it. Raises MismatchError where they
+    are shares of something else.
     """
     if size == (0, 0):
         return view
     if np.nanmax(np.abs(view.positions), initial=0.0) > ReadConfig().largest_share:
         return replace(view, image_size=size) if view.image_size == (0, 0) else view
+    _check_shares(view, size)
+    scale = np.array(size, dtype=view.positions.dtype)
+    return replace(view, positions=view.positions * scale, image_size=size)
+
+
+def _check_shares(view: Keypoints2D, size: tuple[int, int]) -> None:
+    """Raise MismatchError where positions are not shares of images of this size."""
     if view.image_size not in ((0, 0), size):
-        stated, given = (f"{width}x{height}" for width, height in (view.image_size, size))
+        stated = "{}x{}".format(*view.image_size)
+        given = "{}x{}".format(*size)
         raise MismatchError(
-            f"{view.source}: expected images of {stated}, as the file says, found --image-size {given}; change it"
+            f"{view.source}: expected images of {stated}, as the file says, "
+            f"found --image-size {given}; change it"
         )
     least = np.nanmin(view.positions, initial=0.0)
-    if least < -_BEYOND:
+    if least < ReadConfig().least_share:
         raise MismatchError(
-            f"{view.source}: expected pixels, or shares of the image from 0 to 1, found {least:.2f}; export pixels"
+            f"{view.source}: expected pixels, or shares of the image from 0 to 1, "
+            f"found {least:.2f}; export pixels"
         )
-    return replace(
-        view, positions=view.positions * np.array(size, dtype=view.positions.dtype), image_size=size
-    )
 
 
-def moved(views: Sequence[Keypoints2D], options: ReadOptions) -> tuple[Keypoints2D, ...]:
-    """The views with the user's offsets of frames and pixels. Raises MismatchError for offsets of cameras that are not there."""
+def apply_offsets(views: Sequence[Keypoints2D], options: ReadOptions) -> tuple[Keypoints2D, ...]:
+    """Return the views with the user's offsets of frames and pixels.
+
+    Raises MismatchError for offsets of cameras that are not there.
+    """
     known = {view.camera for view in views}
-    stranger = next(
-        (camera for camera in (*options.frame_offset, *options.crop_offset) if camera not in known),
-        None,
-    )
-    if stranger is not None:
-        raise MismatchError(
-            f"expected offsets of the cameras {', '.join(sorted(known))}, found one of {stranger}; change its name"
-        )
+    for camera in (*options.frame_offset, *options.crop_offset):
+        if camera not in known:
+            raise MismatchError(
+                f"expected offsets of the cameras {', '.join(sorted(known))}, "
+                f"found one of {camera}; change its name"
+            )
     return tuple(
-        _moved(
+        _apply_offset(
             view,
-            options.frame_offset.get(view.camera, 0),
-            options.crop_offset.get(view.camera, (0.0, 0.0)),
+            frames=options.frame_offset.get(view.camera, 0),
+            pixels=options.crop_offset.get(view.camera, (0.0, 0.0)),
         )
         for view in views
     )
 
 
-def _moved(view: Keypoints2D, frames: int, pixels: tuple[float, float]) -> Keypoints2D:
+def _apply_offset(view: Keypoints2D, *, frames: int, pixels: tuple[float, float]) -> Keypoints2D:
+    """Return the view with these numbers added to its frame numbers and to its positions."""
     if not len(view.frames) or (not frames and pixels == (0.0, 0.0)):
         return view
-    first, last = (int(number) + frames for number in (view.frames[0], view.frames[-1]))
-    if first < 0 or last >= 2**62:
+    first = int(view.frames[0]) + frames
+    last = int(view.frames[-1]) + frames
+    if first < 0 or last >= _LARGEST_FRAME:
         raise MismatchError(
-            f"{view.source}: expected frame numbers from 0 on, found {first} after the offset; change --frame-offset"
+            f"{view.source}: expected frame numbers from 0 on, "
+            f"found {first} after the offset; change --frame-offset"
         )
     return replace(view, frames=view.frames + frames, positions=view.positions + np.array(pixels))

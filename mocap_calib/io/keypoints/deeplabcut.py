@@ -1,4 +1,10 @@
-"""DeepLabCut's table of labelled columns, whichever file it came from -> detections. Lightning Pose writes the same."""
+"""Turn DeepLabCut's table of labelled columns into detections, whichever file it came from.
+
+Lightning Pose writes the same. Traps: tables are jagged (an individual may lack body parts), so
+columns are found by label and not by position; the pseudo-individual `single` holds the unique
+body parts of a scene (corners, levers); SuperAnimal's `animal0`, `animal1`, ... are detections in
+any order; labelled frames have no likelihood; tables of 3D poses differ only by a column `z`.
+"""
 
 import re
 from collections.abc import Sequence
@@ -10,18 +16,27 @@ from mocap_calib.io.file import NO_SCORE, Origin, blank, frame_number, make_view
 from mocap_calib.types import Floats, Ints, Keypoints2D
 
 LEVELS = ("scorer", "individuals", "bodyparts", "coords")
-_SPREAD = re.compile(
-    r"[xy]_(ens_median|ens_var|posterior_var|var)|zscore|nll|ensemble_std"
-)  # what ensemble Kalman smoothers write beside
+LEVELS_OF_ONE = ("scorer", "bodyparts", "coords")  # of a table of one animal
+COORDS = ("x", "y", "likelihood")
+_UNIQUE = "single"  # the pseudo-individual of unique body parts
+_AGAIN = "export it from DeepLabCut again"
+
+# what ensemble Kalman smoothers write beside the coordinates
+_SPREAD = re.compile(r"[xy]_(ens_median|ens_var|posterior_var|var)|zscore|nll|ensemble_std")
+
+# (individual, body part) -> coordinate -> column
+Columns = dict[tuple[str, str], dict[str, int]]
 
 
 @dataclass(frozen=True)
 class Table:
     """What the files hold.
 
-    levels: names of the header rows. columns: each column's labels, one per level. rows: frame numbers or image
-    paths, as text. values: `[row, column]`, NaN where a cell is empty. lines: where the rows are in the file, as
-    complaints say it; the rows themselves where it has no lines.
+    levels: names of the header rows.
+    columns: each column's labels, one per level.
+    rows: frame numbers or image paths, as text.
+    values: `[row, column]`, NaN where a cell is empty.
+    lines: where the rows are in the file, as messages say it; empty where the file has no lines.
     """
 
     levels: tuple[str, ...]
@@ -32,58 +47,63 @@ class Table:
 
 
 def keypoints_from_table(table: Table, origin: Origin) -> Keypoints2D:
-    """Detections by label, so that jagged tables come out right.
+    """Return the detections of a table: one instance per individual, in the order of the columns.
 
-    One instance per individual, in the order of the columns. The pseudo-individual `single`, which holds the
-    unique body parts of a scene (corners, levers), is nobody and left out when it shares none with the others.
-    Labelled frames have no likelihood: their confidence is 1. Raises FormatError.
+    The pseudo-individual `single` is left out when it shares no body part with the others.
+    Without likelihood the confidence is 1. Raises FormatError.
     """
     source = origin.source
-    place = _columns_by_label(table, source)
-    individuals = _individuals(place)
-    keypoints = tuple(dict.fromkeys(part for who, part in place if who in individuals))
-    values = blank(len(table.rows), len(individuals), len(keypoints), source)
-    for (who, part), coords in place.items():
-        if who in individuals:
-            target = values[:, individuals.index(who), keypoints.index(part)]
-            target[:, 2] = 1.0
-            for axis, coord in enumerate(("x", "y", "likelihood")):
-                if coord in coords:
-                    target[:, axis] = table.values[:, coords[coord]]
-    unique = sorted({part for who, part in place if who not in individuals})
-    remarks: tuple[str, ...] = (
-        (f"unique body parts belong to no individual and are left out: {', '.join(unique)}",)
-        if unique
-        else ()
-    )
-    if not any("likelihood" in coords for coords in place.values()):
-        remarks += (NO_SCORE,)
+    columns = _columns_by_label(table, source)
+    individuals = _individuals(columns)
+    left_out = sorted({part for name, part in columns if name not in individuals})
+    columns = {label: coords for label, coords in columns.items() if label[0] in individuals}
+    parts = tuple(dict.fromkeys(part for _, part in columns))
+    values = blank(len(table.rows), len(individuals), len(parts), source)
+    for (name, part), coords in columns.items():
+        points = values[:, individuals.index(name), parts.index(part)]
+        points[:, 2] = 1.0
+        for axis, coord in enumerate(COORDS):
+            if coord in coords:
+                points[:, axis] = table.values[:, coords[coord]]
     return make_view(
         origin,
-        keypoints,
-        _frames(table.rows, source),
+        parts,
+        _frame_numbers(table.rows, source),
         values,
-        tracked=not _any_order(individuals),
+        tracked=not _are_in_any_order(individuals),
         rows=table.lines or table.rows,
-        remarks=remarks,
+        remarks=_remarks(table, left_out),
     )
 
 
-def _columns_by_label(table: Table, source: str) -> dict[tuple[str, str], dict[str, int]]:
-    """(individual, body part) -> coordinate -> column."""
-    if not {"bodyparts", "coords"} <= set(table.levels) or not set(table.levels) <= set(LEVELS):
+def _remarks(table: Table, left_out: list[str]) -> tuple[str, ...]:
+    """Return what to say of body parts that are left out and of absent scores."""
+    remarks = []
+    if left_out:
+        parts = ", ".join(left_out)
+        remarks.append(f"unique body parts belong to no individual and are left out: {parts}")
+    coords = table.levels.index("coords")
+    if not any(labels[coords] == "likelihood" for labels in table.columns):
+        remarks.append(NO_SCORE)
+    return tuple(remarks)
+
+
+def _columns_by_label(table: Table, source: str) -> Columns:
+    """Return the columns of each body part. Raises FormatError."""
+    levels = set(table.levels)
+    if not {"bodyparts", "coords"} <= levels or not levels <= set(LEVELS):
         raise malformed(
             source,
             f"header rows among {', '.join(LEVELS)}",
             ", ".join(table.levels) or "none",
-            "export it from DeepLabCut again",
+            _AGAIN,
         )
-    place: dict[tuple[str, str], dict[str, int]] = {}
+    columns: Columns = {}
     for column, labels in enumerate(table.columns):
         label = dict(zip(table.levels, labels, strict=True))
         if _SPREAD.fullmatch(label["coords"]):
             continue
-        coords = place.setdefault((label.get("individuals", ""), label["bodyparts"]), {})
+        coords = columns.setdefault((label.get("individuals", ""), label["bodyparts"]), {})
         if label["coords"] in coords:
             raise malformed(
                 source,
@@ -92,7 +112,13 @@ def _columns_by_label(table: Table, source: str) -> dict[tuple[str, str], dict[s
                 "keep the columns of one scorer",
             )
         coords[label["coords"]] = column
-    found = sorted({coord for coords in place.values() for coord in coords})
+    _check_coords(columns, source)
+    return columns
+
+
+def _check_coords(columns: Columns, source: str) -> None:
+    """Raise FormatError where body parts have other coordinates than x, y and likelihood."""
+    found = sorted({coord for coords in columns.values() for coord in coords})
     if "z" in found:
         raise malformed(
             source,
@@ -100,37 +126,35 @@ def _columns_by_label(table: Table, source: str) -> dict[tuple[str, str], dict[s
             "3D ones (x, y, z)",
             "give the 2D file of each camera",
         )
-    if (
-        not place
-        or set(found) - {"x", "y", "likelihood"}
-        or not all({"x", "y"} <= coords.keys() for coords in place.values())
-    ):
+    all_have_positions = all({"x", "y"} <= coords.keys() for coords in columns.values())
+    if not columns or not all_have_positions or not set(found) <= set(COORDS):
         raise malformed(
             source,
             "columns x, y and perhaps likelihood for each body part",
             ", ".join(found) or "none",
-            "export it from DeepLabCut again",
+            _AGAIN,
         )
-    return place
 
 
-def _individuals(place: dict[tuple[str, str], dict[str, int]]) -> list[str]:
-    names = list(dict.fromkeys(who for who, _ in place))
-    shared = {part for who, part in place if who != "single"}
-    unique = {part for who, part in place if who == "single"}
-    return [who for who in names if who != "single" or not shared or unique & shared]
+def _individuals(columns: Columns) -> list[str]:
+    """Return the individuals, without `single` where it shares no body part with the others."""
+    names = list(dict.fromkeys(name for name, _ in columns))
+    others = {part for name, part in columns if name != _UNIQUE}
+    unique = {part for name, part in columns if name == _UNIQUE}
+    if others and not unique & others:
+        return [name for name in names if name != _UNIQUE]
+    return names
 
 
-def _any_order(individuals: list[str]) -> bool:
-    """SuperAnimal's `animal0`, `animal1`, ... are detections that nobody follows."""
+def _are_in_any_order(individuals: list[str]) -> bool:
+    """Return whether these are SuperAnimal's `animal0`, `animal1`, ..., whom nobody follows."""
     return len(individuals) > 1 and all(re.fullmatch(r"animal[0-9]+", name) for name in individuals)
 
 
-def _frames(rows: Sequence[str], source: str) -> Ints:
+def _frame_numbers(rows: Sequence[str], source: str) -> Ints:
+    """Return the `[row]` frame numbers. Raises FormatError."""
     if not rows:
-        raise malformed(
-            source, "at least one row of data", "none", "export it from DeepLabCut again"
-        )
+        raise malformed(source, "at least one row of data", "none", _AGAIN)
     folders = list(dict.fromkeys(row.replace("\\", "/").rpartition("/")[0] for row in rows))
     if len(folders) > 1:
         raise malformed(

@@ -1,4 +1,9 @@
-"""DeepLabCut's .csv: 3 or 4 header rows, then a row per frame."""
+"""Read DeepLabCut's .csv: 3 or 4 header rows, then a row per frame.
+
+Traps: the index takes one column (a frame number or an image path) or three (folder, video,
+image), the latter two without a heading; the row `scorer` is shorter than the others in some
+files; Lightning Pose adds a last column `set`; spreadsheets write semicolons and decimal commas.
+"""
 
 import csv
 import io
@@ -11,24 +16,28 @@ from mocap_calib.io.keypoints.deeplabcut import LEVELS, Table, keypoints_from_ta
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.types import Floats, Keypoints2D
 
+_FIRST_CELL = re.compile(rb'(\xef\xbb\xbf)?"?(scorer|individuals|bodyparts|coords)"?[,;\t]')
+
+Header = dict[str, list[str]]  # name of the level -> cells of its row
+Rows = list[tuple[int, list[str]]]  # number in the file, cells
+
 
 def sniff(document: Document) -> bool:
-    """The first cell names a header row; the wrong separator is recognised too, to be refused in words."""
-    return (
-        re.match(
-            rb'(\xef\xbb\xbf)?"?(scorer|individuals|bodyparts|coords)"?[,;\t]',
-            document.content[:64],
-        )
-        is not None
-    )
+    """Return whether the first cell names a header row.
+
+    The wrong separator is recognised so that `read` can refuse it in words.
+    """
+    return _FIRST_CELL.match(document.content[:64]) is not None
 
 
 def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:  # noqa: ARG001 - a reader's signature
-    """The detections of a DeepLabCut or Lightning Pose .csv. Raises FormatError."""
-    return (keypoints_from_table(_table(item.document.text, item.origin.source), item.origin),)
+    """Read the camera of a DeepLabCut or Lightning Pose .csv. Raises FormatError."""
+    table = _read_table(item.document.text, item.origin.source)
+    return (keypoints_from_table(table, item.origin),)
 
 
-def _table(text: str, source: str) -> Table:
+def _read_table(text: str, source: str) -> Table:
+    """Return the table in the text. Raises FormatError."""
     header, rows = _split(text, source)
     coords = header.get("coords", [])
     if not any(coords[1:]):
@@ -38,42 +47,29 @@ def _table(text: str, source: str) -> Table:
             text.splitlines()[0][:60],
             "export it with commas",
         )
-    # the index takes one column, or three (folder, video, image), the latter two without a heading
-    named = [k for k, cell in enumerate(coords) if k and cell]
-    first, end = named[0], named[-1] + 1
-    levels = tuple(level for level in LEVELS if level in header)
-    # the row `scorer` is shorter than the others in some files, and nobody needs it
-    labels = [(header[level] + [""] * end)[first:end] for level in levels]
-    if any("" in row for level, row in zip(levels, labels, strict=True) if level != "scorer"):
-        raise malformed(
-            source,
-            "header rows of one length",
-            "an empty cell among them",
-            "export it from DeepLabCut again",
-        )
-    if header.get("scorer", [])[end:] == [
-        "set"
-    ]:  # Lightning Pose's last column: what the frame was used for
+    headed = [column for column, cell in enumerate(coords) if column and cell]
+    first, end = headed[0], headed[-1] + 1
+    levels, columns = _labels(header, first, end, source)
+    if header.get("scorer", [])[end:] == ["set"]:
+        # Lightning Pose's last column: what the frame was used for
         rows = [(number, row[:end]) for number, row in rows]
-    values = np.array(
-        [_numbers(row, first, end, f"{source}: row {number}") for number, row in rows]
-    ).reshape(len(rows), end - first)
-    lines = [f"row {number} ({row[first - 1]})" for number, row in rows]
+    numbers = [_numbers(row, first, end, f"{source}: row {number}") for number, row in rows]
     return Table(
-        levels,
-        tuple(zip(*labels, strict=True)),
-        ["/".join(row[:first]) for _, row in rows],
-        values,
-        lines,
+        levels=levels,
+        columns=columns,
+        rows=["/".join(row[:first]) for _, row in rows],
+        values=np.array(numbers).reshape(len(rows), end - first),
+        lines=[f"row {number} ({row[first - 1]})" for number, row in rows],
     )
 
 
-def _split(text: str, source: str) -> tuple[dict[str, list[str]], list[tuple[int, list[str]]]]:
-    """Header rows by their first cell, and the other rows with their numbers in the file."""
-    header: dict[str, list[str]] = {}
-    rows: list[tuple[int, list[str]]] = []
+def _split(text: str, source: str) -> tuple[Header, Rows]:
+    """Return the header rows, and the rows below that are not empty. Raises FormatError."""
+    header: Header = {}
+    rows: Rows = []
+    reader = csv.reader(io.StringIO(text, newline=""))
     try:
-        for number, row in enumerate(csv.reader(io.StringIO(text, newline="")), start=1):
+        for number, row in enumerate(reader, start=1):
             if row and row[0] in LEVELS and not rows:
                 header[row[0]] = row
             elif any(row):
@@ -85,8 +81,31 @@ def _split(text: str, source: str) -> tuple[dict[str, list[str]], list[tuple[int
     return header, rows
 
 
+def _labels(
+    header: Header, first: int, end: int, source: str
+) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
+    """Return the names of the levels and the labels of the columns from `first` to before `end`.
+
+    The row `scorer` may have empty cells, since nobody needs it. Raises FormatError.
+    """
+    levels = tuple(level for level in LEVELS if level in header)
+    rows = [(header[level] + [""] * end)[first:end] for level in levels]
+    for level, row in zip(levels, rows, strict=True):
+        if level != "scorer" and "" in row:
+            raise malformed(
+                source,
+                "header rows of one length",
+                "an empty cell among them",
+                "export it from DeepLabCut again",
+            )
+    return levels, tuple(zip(*rows, strict=True))
+
+
 def _numbers(row: list[str], first: int, end: int, source: str) -> Floats:
-    """The cells of one row; empty ones are NaN. A row may be short only if it has nothing to say: else the file is cut."""
+    """Return the `[column]` numbers of a row, NaN where a cell is empty. Raises FormatError.
+
+    A row may be short only if all its cells are empty: else the file is cut.
+    """
     if first < len(row) < end and not any(row[first:]):
         return np.full(end - first, np.nan)
     if len(row) < end:

@@ -1,7 +1,10 @@
-"""DeepLabCut's .h5: a pandas table inside HDF5, read without pandas.
+"""Read DeepLabCut's .h5: a pandas table inside HDF5, read without pandas.
 
-pandas keeps the column labels of its `table` layout as pickles, and unpickling runs whatever the file says.
-The unpickler here knows lists, tuples, text and numbers and refuses everything else.
+Traps: there are two layouts, `table` and `fixed`. The `table` layout keeps the labels of the
+columns as pickles, and unpickling runs whatever the file says: the unpickler here knows lists,
+tuples, text and numbers and refuses everything else. More than 64 kB of labels do not fit an
+attribute: pandas then dies and leaves a table without content. PyTables can compress with blosc,
+which h5py does not have.
 """
 
 import io
@@ -9,64 +12,74 @@ import pickle
 from typing import Any, Never
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mocap_calib.io.file import malformed
-from mocap_calib.io.hdf5 import damage_refused, has_attribute, require_filters
-from mocap_calib.io.hdf5 import text as _text
-from mocap_calib.io.keypoints.deeplabcut import LEVELS, Table, keypoints_from_table
+from mocap_calib.io.hdf5 import damage_refused, has_attribute, require_filters, text
+from mocap_calib.io.keypoints.deeplabcut import LEVELS, LEVELS_OF_ONE, Table, keypoints_from_table
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
-from mocap_calib.types import Keypoints2D
+from mocap_calib.types import Floats, Keypoints2D
 
 _CSV_INSTEAD = "use the .csv that DeepLabCut writes next to it"
+_DISTRUST = f"do not trust this file; {_CSV_INSTEAD}"
+
+Labels = tuple[str, ...]  # of a column, one per level
 
 
 def sniff(document: Document) -> bool:
-    """HDF5 with a pandas table."""
+    """Return whether the file is HDF5 with a pandas table."""
     return has_attribute(document, "pandas_type")
 
 
 def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:  # noqa: ARG001 - a reader's signature
-    """The detections of a DeepLabCut .h5 in the `table` or the `fixed` layout. Raises FormatError."""
+    """Read the camera of a DeepLabCut .h5 in the `table` or the `fixed` layout.
+
+    Raises FormatError.
+    """
     source = item.origin.source
     with damage_refused(source, "a whole DeepLabCut .h5", _CSV_INSTEAD):
-        table = _table(item.document.hdf5, source)
+        table = _read_table(item.document.hdf5, source)
     return (keypoints_from_table(table, item.origin),)
 
 
-def _table(file: Any, source: str) -> Table:
-    kinds = {
-        key: _text(item.attrs["pandas_type"])
-        for key, item in file.items()
-        if "pandas_type" in item.attrs
-    }
-    if not kinds:
+def _read_table(file: Any, source: str) -> Table:
+    """Return the one pandas table of an open file. Raises FormatError."""
+    group = _only_pandas_group(file, source)
+    _check_pickles(group, source)
+    require_filters(group, source, _CSV_INSTEAD)
+    kind = text(group.attrs["pandas_type"])
+    if kind == "frame_table":
+        return _from_table_layout(group, source)
+    if kind == "frame":
+        return _from_fixed_layout(group)
+    raise malformed(source, "a pandas DataFrame", f"a {kind}", _CSV_INSTEAD)
+
+
+def _only_pandas_group(file: Any, source: str) -> Any:
+    """Return the group of the one pandas table. Raises FormatError."""
+    keys = [key for key, item in file.items() if "pandas_type" in item.attrs]
+    if not keys:
         raise malformed(
             source,
             "a pandas table as DeepLabCut writes it",
             f"HDF5 with {', '.join(map(str, file)) or 'nothing'}",
             "export DeepLabCut .csv or COCO",
         )
-    if len(kinds) > 1:
+    if len(keys) > 1:
         raise malformed(
             source,
             "one pandas table",
-            f"{len(kinds)}: {', '.join(kinds)}",
+            f"{len(keys)}: {', '.join(keys)}",
             "which one? keep that one, or give its .csv",
         )
-    key, kind = next(iter(kinds.items()))
-    _check_pickles(file[key], source)
-    require_filters(file[key], source, _CSV_INSTEAD)
-    if kind == "frame_table":
-        return _from_table_layout(file[key], source)
-    if kind == "frame":
-        return _from_fixed_layout(file[key])
-    raise malformed(source, "a pandas DataFrame", f"a {kind}", _CSV_INSTEAD)
+    return file[keys[0]]
+
+
+# pandas' `table` layout
 
 
 def _from_table_layout(group: Any, source: str) -> Table:
+    """Return the table of a group in the `table` layout. Raises FormatError."""
     if "table" not in group:
-        # more than 64 kB of column labels do not fit an attribute: pandas dies and leaves a stub
         raise malformed(source, "a table", "an aborted write without one", _CSV_INSTEAD)
     dataset = group["table"]
     blocks = sorted(name for name in dataset.dtype.names if name.startswith("values_block_"))
@@ -77,127 +90,150 @@ def _from_table_layout(group: Any, source: str) -> Table:
             ", ".join(dataset.dtype.names),
             _CSV_INSTEAD,
         )
-    columns = [
-        tuple(map(_text, labels))
-        for name in blocks
-        for labels in _unpickle(dataset.attrs[f"{name}_kind"], source)
-    ]
+    columns: list[Labels] = []
+    for name in blocks:
+        labels_of_block = _unpickle(dataset.attrs[f"{name}_kind"], source)
+        columns += [tuple(map(text, labels)) for labels in labels_of_block]
     content = dataset[...]
-    values = np.concatenate(
-        [content[name].reshape(len(content), -1).astype(np.float64) for name in blocks], axis=1
-    )
-    levels = (
-        tuple(map(_text, _unpickle(group.attrs["info"], source)[1]["names"]))
-        if "info" in group.attrs
-        else _usual_levels(columns)
-    )
-    return _checked(levels, columns, list(map(_text, content["index"])), values)
+    rows = list(map(text, content["index"]))
+    values = [content[name].reshape(len(content), -1).astype(np.float64) for name in blocks]
+    levels = _levels_of_table_layout(group, columns, source)
+    return _make_table(levels, columns, rows=rows, values=np.concatenate(values, axis=1))
+
+
+def _levels_of_table_layout(group: Any, columns: list[Labels], source: str) -> Labels:
+    """Return the names of the levels; the usual ones where the file has none."""
+    if "info" in group.attrs:
+        info = _unpickle(group.attrs["info"], source)
+        return tuple(map(text, info[1]["names"]))
+    if columns and len(columns[0]) == len(LEVELS):
+        return LEVELS
+    return LEVELS_OF_ONE
+
+
+# pandas' `fixed` layout
 
 
 def _from_fixed_layout(group: Any) -> Table:
-    columns: list[tuple[str, ...]] = []
+    """Return the table of a group in the `fixed` layout."""
+    levels: Labels = ()
+    columns: list[Labels] = []
     blocks = []
-    levels: tuple[str, ...] = ()
-    for block in range(
-        sum(name.startswith("block") and name.endswith("_values") for name in group)
-    ):
-        levels, labels = _multi_index(group, f"block{block}_items")
+    for block in range(_count_blocks(group)):
+        levels, labels = _read_multi_index(group, f"block{block}_items")
         columns += labels
-        values = group[f"block{block}_values"]
-        # pandas holds a block column by column, and PyTables usually turns it
-        blocks.append(values[...] if values.attrs.get("transposed") else values[...].T)
-    rows = (
-        list(map(_text, group["axis1"][...]))
-        if "axis1" in group
-        else ["/".join(row) for row in _multi_index(group, "axis1")[1]]
-    )
-    return _checked(levels, columns, rows, np.concatenate(blocks, axis=1).astype(np.float64))
+        blocks.append(_read_block(group[f"block{block}_values"]))
+    if "axis1" in group:
+        rows = list(map(text, group["axis1"][...]))
+    else:
+        rows = ["/".join(labels) for labels in _read_multi_index(group, "axis1")[1]]
+    values = np.concatenate(blocks, axis=1).astype(np.float64)
+    return _make_table(levels, columns, rows=rows, values=values)
 
 
-def _checked(
-    levels: tuple[str, ...],
-    columns: list[tuple[str, ...]],
-    rows: list[str],
-    values: NDArray[np.float64],
-) -> Table:
-    if values.shape != (len(rows), len(columns)) or any(
-        len(labels) != len(levels) for labels in columns
-    ):
+def _count_blocks(group: Any) -> int:
+    names = [name for name in group if name.startswith("block") and name.endswith("_values")]
+    return len(names)
+
+
+def _read_block(dataset: Any) -> Any:
+    """Return the `[row, column]` values of a block.
+
+    pandas holds a block column by column, and PyTables usually transposes it.
+    """
+    is_transposed = dataset.attrs.get("transposed")
+    return dataset[...] if is_transposed else dataset[...].T
+
+
+def _read_multi_index(group: Any, name: str) -> tuple[Labels, list[Labels]]:
+    """Return the names of the levels, and the labels of each entry, of a pandas MultiIndex.
+
+    It is stored as the different labels of each level and, for each entry, codes into them.
+    """
+    levels: list[str] = []
+    labels_by_level: list[list[str]] = []
+    while f"{name}_level{len(levels)}" in group:
+        level = group[f"{name}_level{len(levels)}"]
+        codes = group[f"{name}_label{len(levels)}"][...]
+        known = [*map(text, level[...]), ""]  # code -1 = no label
+        levels.append(text(level.attrs.get("name", "")))
+        labels_by_level.append([known[code] for code in codes])
+    return tuple(levels), list(zip(*labels_by_level, strict=True))
+
+
+def _make_table(levels: Labels, columns: list[Labels], *, rows: list[str], values: Floats) -> Table:
+    """Return the table of `[row, column]` values. Raises ValueError where lengths do not agree."""
+    labelled = all(len(labels) == len(levels) for labels in columns)
+    if values.shape != (len(rows), len(columns)) or not labelled:
         raise ValueError(
-            f"{values.shape} values for {len(rows)} rows and {len(columns)} columns of {len(levels)} labels"
+            f"{values.shape} values for {len(rows)} rows and {len(columns)} columns "
+            f"of {len(levels)} labels"
         )
     return Table(levels, tuple(columns), rows, values)
 
 
-def _multi_index(group: Any, name: str) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Names of the levels, and the labels of each entry, of a pandas MultiIndex stored as levels and codes."""
-    names: list[str] = []
-    labels: list[list[str]] = []
-    while f"{name}_level{len(names)}" in group:
-        level, codes = group[f"{name}_level{len(names)}"], group[f"{name}_label{len(names)}"][...]
-        entries = [*map(_text, level[...]), ""]  # code -1 = no label
-        names.append(_text(level.attrs.get("name", "")))
-        labels.append([entries[code] for code in codes])
-    return tuple(names), list(zip(*labels, strict=True))
-
-
-def _usual_levels(columns: list[tuple[str, ...]]) -> tuple[str, ...]:
-    return (
-        LEVELS if columns and len(columns[0]) == len(LEVELS) else ("scorer", "bodyparts", "coords")
-    )
-
-
-class _PlainUnpickler(pickle.Unpickler):
-    """Builds lists, tuples, dictionaries, text and numbers; any class or function is refused."""
-
-    def find_class(self, module: str, name: str) -> Never:
-        raise _CallError(f"a pickle that calls {module}.{name}")
-
-
-def _check_pickles(group: Any, source: str) -> None:
-    """Refuses what PyTables, and so pandas, would run: attributes that it takes for pickles, and arrays of pickled objects. Raises FormatError.
-
-    None of it is run here; but who reads the file in the next program should have been told.
-    """
-    found = [group]
-    group.visititems(lambda _, item: found.append(item))
-    for item in found:
-        for name, value in item.attrs.items():
-            if (
-                isinstance(value, bytes) and len(value) > 2 and value.endswith(b".")
-            ):  # PyTables' own test
-                try:
-                    _PlainUnpickler(io.BytesIO(value), encoding="utf-8").load()
-                except _CallError as error:
-                    raise malformed(
-                        source,
-                        f"plain labels in `{name}`",
-                        error,
-                        f"do not trust this file; {_CSV_INSTEAD}",
-                    ) from None
-                except Exception:
-                    continue
-        if _text(item.attrs.get("PSEUDOATOM", "")) == "object":
-            raise malformed(
-                source,
-                "arrays of text and numbers",
-                f"pickled objects in `{item.name}`",
-                f"do not trust this file; {_CSV_INSTEAD}",
-            )
+# Pickles
 
 
 class _CallError(pickle.UnpicklingError):
     """A pickle that calls something."""
 
 
+class _PlainUnpickler(pickle.Unpickler):
+    """Build lists, tuples, dictionaries, text and numbers; refuse any class or function."""
+
+    def find_class(self, module: str, name: str) -> Never:
+        raise _CallError(f"a pickle that calls {module}.{name}")
+
+
+def _load_plain(content: bytes) -> Any:
+    return _PlainUnpickler(io.BytesIO(content), encoding="utf-8").load()
+
+
 def _unpickle(content: Any, source: str) -> Any:
+    """Return the labels in a pickle. Raises FormatError."""
     if not isinstance(content, bytes):
         raise malformed(
             source, "column labels as pandas stores them", type(content).__name__, _CSV_INSTEAD
         )
     try:
-        return _PlainUnpickler(io.BytesIO(content), encoding="utf-8").load()
+        return _load_plain(content)
     except Exception as error:  # a damaged pickle can raise anything
-        raise malformed(
-            source, "column labels", error, f"do not trust this file; {_CSV_INSTEAD}"
-        ) from None
+        raise malformed(source, "column labels", error, _DISTRUST) from None
+
+
+def _check_pickles(group: Any, source: str) -> None:
+    """Raise FormatError for pickles that PyTables, and so pandas, would run.
+
+    These are attributes that it takes for pickles, and arrays of pickled objects. None of them is
+    run here; but who reads the file in the next program should have been told.
+    """
+    items = [group]
+
+    def collect(_: str, item: Any) -> None:
+        items.append(item)
+
+    group.visititems(collect)
+    for item in items:
+        for name, value in item.attrs.items():
+            _check_attribute(name, value, source)
+        if text(item.attrs.get("PSEUDOATOM", "")) == "object":
+            raise malformed(
+                source,
+                "arrays of text and numbers",
+                f"pickled objects in `{item.name}`",
+                _DISTRUST,
+            )
+
+
+def _check_attribute(name: str, value: Any, source: str) -> None:
+    """Raise FormatError where an attribute is a pickle that calls something."""
+    looks_like_pickle = isinstance(value, bytes) and len(value) > 2 and value.endswith(b".")
+    if not looks_like_pickle:  # by PyTables' own test
+        return
+    try:
+        _load_plain(value)
+    except _CallError as error:
+        raise malformed(source, f"plain labels in `{name}`", error, _DISTRUST) from None
+    except Exception:
+        return  # a damaged pickle, or none: nothing that anybody runs

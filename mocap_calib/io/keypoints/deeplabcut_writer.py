@@ -1,120 +1,111 @@
-"""Writing DeepLabCut's .csv and .h5, a file per camera. The .h5 has pandas' `fixed` layout, which needs no pickles; DeepLabCut reads both."""
+"""Write DeepLabCut's .csv and .h5, a file per camera.
+
+The .h5 has pandas' `fixed` layout, which needs no pickles; DeepLabCut reads both layouts.
+"""
 
 import csv
 import io
-from collections.abc import Sequence
 from typing import Any
 
 import h5py
 import numpy as np
 
-from mocap_calib.errors import MismatchError
-from mocap_calib.io.keypoints.deeplabcut import LEVELS
-from mocap_calib.types import Floats, Keypoints2D
+from mocap_calib.io.keypoints.deeplabcut import COORDS, LEVELS, LEVELS_OF_ONE, Table
+from mocap_calib.io.keypoints.losses import require_followed
+from mocap_calib.types import Keypoints2D
 
 _SCORER = "mocap-calib"
 _KEY = "df_with_missing"
-_ARRAY = {"CLASS": b"ARRAY", "FLAVOR": b"numpy", "TITLE": b"", "VERSION": b"2.4"}  # of PyTables
+_PICKLED_NONE = b"N."  # which PyTables looks for in ASCII
+
+# attributes of PyTables and pandas, without which they do not read the file
+_FILE = {"CLASS": b"GROUP", "PYTABLES_FORMAT_VERSION": b"2.1", "TITLE": b"", "VERSION": b"1.0"}
+_ARRAY = {"CLASS": b"ARRAY", "FLAVOR": b"numpy", "TITLE": b"", "VERSION": b"2.4"}
+_GROUP = {
+    "CLASS": b"GROUP",
+    "TITLE": b"",
+    "VERSION": b"1.0",
+    "encoding": b"UTF-8",
+    "errors": b"strict",
+    "axis0_variety": b"multi",
+    "axis1_variety": b"regular",
+    "block0_items_variety": b"multi",
+    "pandas_type": b"frame",
+}
 
 
 def write_csv(views: tuple[Keypoints2D, ...]) -> dict[str, bytes]:
-    """Camera.csv with frame numbers and empty cells for missing points. Raises MismatchError where instances are not followed."""
-    return {f"{view.camera}.csv": _csv(view) for view in views}
+    """Write `<camera>.csv` with frame numbers and empty cells for missing points.
+
+    Raises MismatchError where instances are not followed.
+    """
+    return {f"{view.camera}.csv": _format_csv(view) for view in views}
 
 
 def write_h5(views: tuple[Keypoints2D, ...]) -> dict[str, bytes]:
-    """Camera.h5. Raises MismatchError where instances are not followed."""
-    return {f"{view.camera}.h5": _h5(view) for view in views}
+    """Write `<camera>.h5`. Raises MismatchError where instances are not followed."""
+    return {f"{view.camera}.h5": _format_h5(view) for view in views}
 
 
-def _csv(view: Keypoints2D) -> bytes:
-    levels, columns, values = _table(view)
+def _table(view: Keypoints2D) -> Table:
+    """Return the labelled columns of a camera. Raises MismatchError."""
+    require_followed(view, "DeepLabCut")
+    frames, instances, keypoints = view.confidence.shape
+    seen = np.isfinite(view.positions[..., :1])
+    triples = np.concatenate([view.positions, view.confidence[..., None]], axis=-1)
+    values = np.where(seen, triples, np.nan).reshape(frames, instances * keypoints * 3)
+    individuals = [(f"individual{k + 1}",) for k in range(instances)] if instances > 1 else [()]
+    columns = [
+        (_SCORER, *individual, keypoint, coord)
+        for individual in individuals
+        for keypoint in view.keypoints
+        for coord in COORDS
+    ]
+    levels = LEVELS if instances > 1 else LEVELS_OF_ONE
+    return Table(levels, tuple(columns), list(map(str, view.frames)), values)
+
+
+def _labels_by_level(table: Table) -> list[tuple[str, tuple[str, ...]]]:
+    """Return the name of each level and its labels, one per column."""
+    return list(zip(table.levels, zip(*table.columns, strict=True), strict=True))
+
+
+def _format_csv(view: Keypoints2D) -> bytes:
+    table = _table(view)
+    cells = np.where(np.isnan(table.values), "", table.values.astype(str)).tolist()
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerows(
-        [level, *labels] for level, labels in zip(levels, zip(*columns, strict=True), strict=True)
-    )
-    cells = np.where(np.isnan(values), "", values.astype(str)).tolist()
-    writer.writerows([int(frame), *row] for frame, row in zip(view.frames, cells, strict=True))
+    writer.writerows([level, *labels] for level, labels in _labels_by_level(table))
+    writer.writerows([frame, *row] for frame, row in zip(table.rows, cells, strict=True))
     return text.getvalue().encode()
 
 
-def _table(view: Keypoints2D) -> tuple[tuple[str, ...], list[tuple[str, ...]], Floats]:
-    """Names of the levels, labels of each column, `[frame, column]` values."""
-    frames, instances, keypoints = view.confidence.shape
-    if not view.tracked and instances > 1:
-        raise MismatchError(
-            f"{view.source}: expected one individual or followed ones, as DeepLabCut has, found detections in any order; choose csv or coco"
-        )
-    seen = np.isfinite(view.positions[..., :1])
-    values = np.where(
-        seen, np.concatenate([view.positions, view.confidence[..., None]], axis=-1), np.nan
-    )
-    individuals = [(f"individual{k + 1}",) for k in range(instances)] if instances > 1 else [()]
-    columns = [
-        (_SCORER, *who, name, coord)
-        for who in individuals
-        for name in view.keypoints
-        for coord in ("x", "y", "likelihood")
-    ]
-    return (
-        LEVELS if instances > 1 else ("scorer", "bodyparts", "coords"),
-        columns,
-        values.reshape(frames, instances * keypoints * 3),
-    )
-
-
-def _h5(view: Keypoints2D) -> bytes:
-    levels, columns, values = _table(view)
+def _format_h5(view: Keypoints2D) -> bytes:
+    table = _table(view)
     buffer = io.BytesIO()
     with h5py.File(buffer, "w") as file:
-        _mark(
-            file,
-            {"CLASS": b"GROUP", "PYTABLES_FORMAT_VERSION": b"2.1", "TITLE": b"", "VERSION": b"1.0"},
-        )
+        _set_texts(file, _FILE)
         group = file.create_group(_KEY)
-        kinds = {
-            "axis0_variety": b"multi",
-            "axis1_variety": b"regular",
-            "block0_items_variety": b"multi",
-            "pandas_type": b"frame",
-        }
-        _mark(
-            group,
-            {
-                "CLASS": b"GROUP",
-                "TITLE": b"",
-                "VERSION": b"1.0",
-                "encoding": b"UTF-8",
-                "errors": b"strict",
-                **kinds,
-            },
-        )
-        counts = {
-            "ndim": 2,
-            "nblocks": 1,
-            "axis0_nlevels": len(levels),
-            "block0_items_nlevels": len(levels),
-        }
-        group.attrs.update({name: np.int64(count) for name, count in counts.items()})
-        for name in ("axis0", "block0_items"):
-            _multi_index(group, name, levels, columns)
-        _array(group, "axis1", view.frames, kind=b"integer")
-        group["axis1"].attrs["name"] = np.bytes_(
-            b"N."
-        )  # a pickled None, which PyTables looks for in ASCII
-        _array(group, "block0_values", values)
+        _set_texts(group, _GROUP)
+        levels = np.int64(len(table.levels))
+        group.attrs["ndim"] = np.int64(2)
+        group.attrs["nblocks"] = np.int64(1)
+        group.attrs["axis0_nlevels"] = levels
+        group.attrs["block0_items_nlevels"] = levels
+        _write_multi_index(group, "axis0", table)
+        _write_multi_index(group, "block0_items", table)
+        _write_array(group, "axis1", view.frames, kind=b"integer")
+        group["axis1"].attrs["name"] = np.bytes_(_PICKLED_NONE)
+        _write_array(group, "block0_values", table.values)
     return buffer.getvalue()
 
 
-def _multi_index(
-    group: Any, name: str, levels: Sequence[str], columns: list[tuple[str, ...]]
-) -> None:
-    """Levels, and codes into them."""
-    for k, (level, labels) in enumerate(zip(levels, zip(*columns, strict=True), strict=True)):
+def _write_multi_index(group: Any, name: str, table: Table) -> None:
+    """Write the columns as the different labels of each level, and codes into them."""
+    for k, (level, labels) in enumerate(_labels_by_level(table)):
         known = list(dict.fromkeys(labels))
-        place = {label: code for code, label in enumerate(known)}
-        _array(
+        code_of = {label: code for code, label in enumerate(known)}
+        _write_array(
             group,
             f"{name}_level{k}",
             np.array([label.encode() for label in known]),
@@ -122,27 +113,23 @@ def _multi_index(
             name=level.encode(),
             nan_rep=b"",
         )
-        _mark(group[f"{name}_level{k}"], {f"{name}_name{level}": level.encode()})
-        _array(
-            group,
-            f"{name}_label{k}",
-            np.array(
-                [place[label] for label in labels], dtype=np.int8 if len(known) < 128 else np.int16
-            ),
-        )
+        _set_texts(group[f"{name}_level{k}"], {f"{name}_name{level}": level.encode()})
+        dtype = np.int8 if len(known) < 128 else np.int16
+        codes = np.array([code_of[label] for label in labels], dtype=dtype)
+        _write_array(group, f"{name}_label{k}", codes)
 
 
-def _array(group: Any, dataset: str, values: Any, **attributes: bytes) -> None:
+def _write_array(group: Any, dataset: str, values: Any, **attributes: bytes) -> None:
     group[dataset] = values
-    _mark(group[dataset], {**_ARRAY, **attributes})
+    _set_texts(group[dataset], {**_ARRAY, **attributes})
     group[dataset].attrs["transposed"] = np.uint8(1)
 
 
-def _mark(item: Any, attributes: dict[str, bytes]) -> None:
+def _set_texts(item: Any, attributes: dict[str, bytes]) -> None:
+    """Set attributes in the types that PyTables reads as text."""
     for name, value in attributes.items():
         if value:
-            item.attrs.create(
-                name, value, dtype=h5py.string_dtype("utf-8", len(value))
-            )  # what PyTables reads as text
+            dtype = h5py.string_dtype("utf-8", len(value))
+            item.attrs.create(name, value, dtype=dtype)
         else:
             item.attrs[name] = h5py.Empty("S1")

@@ -1,9 +1,12 @@
-"""What a reader is given: files in memory, parsed once however many formats look at them, and what the user said of them."""
+"""Hold what a reader is given: files in memory, parsed once, and what the user says of them.
+
+However many formats look at a file, it is read and parsed once, so that a pipe can be sniffed too.
+"""
 
 import io
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -14,7 +17,8 @@ import h5py
 from mocap_calib.io.file import Origin, decode, malformed, read_bytes
 from mocap_calib.io.sandbox import HDF5
 
-# what h5py and numpy raise on files that are cut, damaged or compressed with a filter that is not installed
+# what h5py and numpy raise on files that are cut, damaged, or compressed with a filter that is
+# not installed
 HDF5_DAMAGE = (
     OSError,
     KeyError,
@@ -27,8 +31,7 @@ HDF5_DAMAGE = (
     MemoryError,
 )
 
-
-# beginnings of files that hold something else around what is wanted
+# beginnings of files that hold something else around what is wanted: what they are, what to do
 _FOREIGN = {
     b"\x1f\x8b": ("a file that gzip compressed", "gunzip it"),
     b"PK\x03\x04": ("a zip archive", "unpack it"),
@@ -36,18 +39,25 @@ _FOREIGN = {
     b"CDF\x01": ("netCDF 3", "save it as netCDF 4"),
     b"CDF\x02": ("netCDF 3", "save it as netCDF 4"),
 }
+_DAMAGED = "the file is cut or damaged: export it again"
+_HEAD = 65536  # bytes that the first line is looked for in
 
 
 @dataclass(frozen=True)
 class ReadOptions:
     """What a file does not say itself.
 
-    layout: names of the keypoints, in the file's order. image_size: (width, height) in pixels, where the file has none; positions
-    that are shares of it are multiplied by it. camera_pattern: regular expression that finds the camera's name in a path (its group `camera`, or its
-    first, or all of it), and perhaps the frame number (group `frame`). frame_offset: camera -> added to its frame
-    numbers. crop_offset: camera -> (x, y) added to its positions. views: suffixes of keypoint names that stand for
-    views (`paw_top`, `paw_bot`), each of which becomes a camera. single_precision: keep float32, a ten-thousandth of a pixel, of each
-    file: long recordings need half the memory.
+    layout: names of the keypoints, in the file's order.
+    image_size: (width, height) in pixels, where the file has none; positions that are shares of
+        the image are multiplied by it.
+    camera_pattern: regular expression that finds the camera's name in a path (its group `camera`,
+        or its first group, or all of it), and perhaps the frame number (group `frame`).
+    frame_offset: camera -> added to its frame numbers.
+    crop_offset: camera -> (x, y) in pixels added to its positions.
+    views: suffixes of keypoint names that stand for views (`paw_top`, `paw_bot`), each of which
+        becomes a camera.
+    single_precision: keep float32, a ten-thousandth of a pixel, of each file: long recordings need
+        half the memory.
     """
 
     layout: tuple[str, ...] = ()
@@ -61,18 +71,18 @@ class ReadOptions:
 
 @dataclass(frozen=True)
 class Document:
-    """One file, read when it is first looked at. Everything here raises FormatError."""
+    """One file, read when it is first looked at. All its properties raise FormatError."""
 
     path: Path
 
     @property
     def source(self) -> str:
-        """The file, as complaints name it."""
+        """The file, as messages name it."""
         return str(self.path)
 
     @cached_property
     def content(self) -> bytes:
-        """The whole file, so that a pipe can be sniffed as well."""
+        """The whole file."""
         return read_bytes(self.path)
 
     @cached_property
@@ -80,14 +90,19 @@ class Document:
         """The content as UTF-8 text."""
         return decode(self.content, self.source)
 
+    @cached_property
+    def head(self) -> str:
+        """The beginning of the content as text, with marks for what is none."""
+        return self.content[:_HEAD].decode("utf-8-sig", errors="replace")
+
     @property
     def is_json(self) -> bool:
-        """Whether it begins as a JSON array or object does."""
+        """Whether the content begins as a JSON array or object does."""
         return re.match(rb"(\xef\xbb\xbf)?\s*[\[{]", self.content[:4096]) is not None
 
     @property
     def is_hdf5(self) -> bool:
-        """Whether it has HDF5's signature."""
+        """Whether the content has HDF5's signature."""
         return self.content.startswith(HDF5)
 
     @cached_property
@@ -102,23 +117,16 @@ class Document:
                 self.source, "JSON of keypoints", "JSON nested too deeply", "export it again"
             ) from None
         except ValueError as error:
-            raise malformed(
-                self.source,
-                "complete JSON",
-                f"an error ({error})",
-                "the file is cut or damaged: export it again",
-            ) from None
+            raise malformed(self.source, "complete JSON", f"an error ({error})", _DAMAGED) from None
 
     @cached_property
     def header(self) -> tuple[str, ...]:
-        """The cells of the first line that is not blank, of text without control characters; else nothing."""
-        head = self.content[:65536].decode("utf-8-sig", errors="replace")
-        line = next((line for line in head.splitlines() if line.strip()), "")
-        return (
-            tuple(cell.strip().strip('"') for cell in line.split(","))
-            if line.isprintable() or "\t" in line
-            else ()
-        )
+        """The cells of the first line that is not blank; none where it holds control characters."""
+        lines = (line for line in self.head.splitlines() if line.strip())
+        line = next(lines, "")
+        if not line.isprintable() and "\t" not in line:
+            return ()
+        return tuple(cell.strip().strip('"') for cell in line.split(","))
 
     @cached_property
     def hdf5(self) -> Any:
@@ -129,10 +137,7 @@ class Document:
             return h5py.File(io.BytesIO(self.content), "r")
         except HDF5_DAMAGE as error:
             raise malformed(
-                self.source,
-                "a whole HDF5 file",
-                f"an error ({error})",
-                "the file is cut or damaged: export it again",
+                self.source, "a whole HDF5 file", f"an error ({error})", _DAMAGED
             ) from None
 
 
@@ -140,7 +145,8 @@ class Document:
 class Item:
     """What is read in one go: a file, or a folder with a file per frame.
 
-    camera: the name that the path gives, or the user (`named`). members: the files of a folder.
+    camera: the name that the path gives, or the user (`named`).
+    members: the files of a folder.
     """
 
     camera: str
@@ -150,12 +156,12 @@ class Item:
 
     @cached_property
     def document(self) -> Document:
-        """The file, or the first file of the folder that says anything."""
+        """The file, or the first file of the folder that is not empty."""
         documents = [Document(path) for path in self.members or (self.path,)]
-        return next(
-            (document for document in documents if document.content.strip() not in (b"", b"[]")),
-            documents[0],
-        )
+        for document in documents:
+            if document.content.strip() not in (b"", b"[]"):
+                return document
+        return documents[0]
 
     @property
     def origin(self) -> Origin:
@@ -163,33 +169,39 @@ class Item:
         return Origin(self.camera, str(self.path))
 
     def documents(self) -> Iterator[Document]:
-        """All files, one in memory at a time."""
-        return map(Document, self.members) if self.members else iter((self.document,))
+        """Return all files, one in memory at a time."""
+        if not self.members:
+            return iter((self.document,))
+        return map(Document, self.members)
 
 
 def describe(document: Document) -> tuple[str, str]:
-    """What a file of no known format looks like, in a few words, and what to do with it where that is clear."""
-    return next(
-        (words for start, words in _FOREIGN.items() if document.content.startswith(start)),
-        (_look(document), ""),
-    )
+    """Return what a file of no known format is, and what to do with it ("" where unclear).
+
+    Raises FormatError where the file is damaged.
+    """
+    for start, description_and_remedy in _FOREIGN.items():
+        if document.content.startswith(start):
+            return description_and_remedy
+    return _describe_content(document), ""
 
 
-def _look(document: Document) -> str:
+def _describe_content(document: Document) -> str:
+    """Describe JSON, HDF5 or other content."""
     content = document.json
     if document.hdf5 is not None:
-        return f"HDF5 with {', '.join(map(str, list(document.hdf5)[:8])) or 'nothing'}"
+        return f"HDF5 with {_first_names(document.hdf5)}"
     if isinstance(content, dict):
-        return f"a JSON object with {', '.join(list(content)[:8]) or 'nothing'}"
+        return f"a JSON object with {_first_names(content)}"
     if isinstance(content, list):
         first = content[0] if content else None
-        return (
-            f"a JSON list of objects with {', '.join(list(first)[:8])}"
-            if isinstance(first, dict)
-            else f"a JSON list of {len(content)}"
-        )
-    return (
-        f"content that begins with {document.content[:16]!r}"
-        if document.content
-        else "an empty file"
-    )
+        if isinstance(first, dict):
+            return f"a JSON list of objects with {', '.join(list(first)[:8])}"
+        return f"a JSON list of {len(content)}"
+    if document.content:
+        return f"content that begins with {document.content[:16]!r}"
+    return "an empty file"
+
+
+def _first_names(names: Iterable[object]) -> str:
+    return ", ".join(map(str, list(names)[:8])) or "nothing"

@@ -1,144 +1,147 @@
-"""Flat lists of detections: COCO results and AlphaPose, which differ in what they call an image."""
+"""Read flat lists of detections: COCO results and AlphaPose.
+
+The two differ in what they call an image: COCO a number, AlphaPose a file name. Traps: frames
+without a detection are absent; names of keypoints are absent; the third number of a point is a
+score or COCO's visibility; one list may hold several cameras, which only the images tell apart.
+"""
 
 import re
-from typing import Any
 
 import numpy as np
 
 from mocap_calib.io.file import (
     Origin,
-    find_camera,
     make_view,
     malformed,
     stack_detections,
     visibility_as_confidence,
 )
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
-from mocap_calib.io.keypoints.layouts import layout_for
-from mocap_calib.io.keypoints.per_frame import frame_numbers, triples
+from mocap_calib.io.keypoints.layouts import choose_layout
+from mocap_calib.io.keypoints.per_frame import (
+    cameras_by_pattern,
+    frame_numbers,
+    is_list_of,
+    triples,
+)
 from mocap_calib.types import Floats, Keypoints2D
 
-_ALPHAPOSE = ("halpe_26", "halpe_136", "coco_wholebody_133")  # its only ones of their length
-
-
-def _is_list(document: Document) -> bool:
-    entries = document.json
-    return (
-        isinstance(entries, list)
-        and bool(entries)
-        and all(isinstance(e, dict) and {"image_id", "keypoints"} <= e.keys() for e in entries[:20])
-    )
+# AlphaPose's only layouts of their length
+_ALPHAPOSE_LAYOUTS = ("halpe_26", "halpe_136", "coco_wholebody_133")
+_ABSENT_FRAMES = "frames without a detection are not in the file"
 
 
 def sniff_coco(document: Document) -> bool:
-    """A list of detections with numbers of images, without what AlphaPose adds."""
-    return _is_list(document) and all(
-        str(e["image_id"]).isdigit() and not {"box", "idx"} & e.keys() for e in document.json[:20]
+    """Return whether this is a list of detections in numbered images, without AlphaPose's keys."""
+    return _is_list_of_detections(document) and all(
+        str(entry["image_id"]).isdigit() and not {"box", "idx"} & entry.keys()
+        for entry in document.json[:20]
     )
 
 
 def sniff_alphapose(document: Document) -> bool:
-    """A list of detections."""
-    return _is_list(document)
+    """Return whether this is a list of detections."""
+    return _is_list_of_detections(document)
+
+
+def _is_list_of_detections(document: Document) -> bool:
+    return is_list_of(document.json, "image_id", "keypoints")
 
 
 def read_alphapose(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
-    """The detections of AlphaPose. Frames without any are absent from the file. Raises FormatError."""
-    return _read(item, options, _ALPHAPOSE)
+    """Read the cameras of an AlphaPose file. Raises FormatError."""
+    return _read(item, options, unambiguous=_ALPHAPOSE_LAYOUTS)
 
 
 def read_coco(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
-    """The detections of COCO results; frames are the image ids, or what the camera pattern's group `frame` finds in them. Raises FormatError."""
-    return _read(item, options, ())
+    """Read the cameras of COCO results.
+
+    Frames are the image ids, or what the camera pattern's group `frame` finds in them.
+    Raises FormatError.
+    """
+    return _read(item, options, unambiguous=())
 
 
-def _read(item: Item, options: ReadOptions, sure: tuple[str, ...]) -> tuple[Keypoints2D, ...]:
+def _read(
+    item: Item, options: ReadOptions, *, unambiguous: tuple[str, ...]
+) -> tuple[Keypoints2D, ...]:
+    """Read the cameras of a list of detections. Raises FormatError."""
     source = item.origin.source
-    entries = item.document.json
-    wrong = next(
-        (
-            k
-            for k, e in enumerate(entries)
-            if not isinstance(e, dict) or not isinstance(e.get("image_id"), str | int)
-        ),
-        None,
-    )
-    if wrong is not None:
-        raise malformed(
-            f"{source}: entry {wrong}",
-            "an object with image_id and keypoints",
-            entries[wrong],
-            "the file is damaged: export it again",
-        )
+    images = _images(item)
     points = [
         triples(entry.get("keypoints") or [], f"{source}: entry {k}")
-        for k, entry in enumerate(entries)
+        for k, entry in enumerate(item.document.json)
     ]
     count = max(map(len, points))
     if count == 0:
         raise malformed(
             source, "numbers in one of its `keypoints`", "none", "export the keypoints too"
         )
-    names = layout_for(count, options.layout, source, sure)
-    images = [str(entry["image_id"]) for entry in entries]
-    return tuple(
-        _view(
-            Origin(camera, source),
-            [images[k] for k in own],
-            [points[k] for k in own],
-            names,
-            options,
-        )
-        for camera, own in _cameras(images, item, options).items()
-    )
+    names = choose_layout(count, given=options.layout, source=source, unambiguous=unambiguous)
+    views = []
+    for camera, entries in _entries_by_camera(images, item, options).items():
+        detections_of: dict[str, list[Floats]] = {}
+        for entry in entries:
+            detections_of.setdefault(images[entry], []).append(points[entry])
+        views.append(_view(Origin(camera, source), detections_of, names, options))
+    return tuple(views)
 
 
-def _cameras(images: list[str], item: Item, options: ReadOptions) -> dict[str, list[int]]:
-    """Indices of the entries of each camera, as the user's pattern finds it in the images; all are one camera's where it finds none."""
-    found = (
-        [find_camera(image, options.camera_pattern) for image in images]
-        if options.camera_pattern
-        else [""]
+def _images(item: Item) -> list[str]:
+    """Return the image of each entry, as text. Raises FormatError."""
+    images = []
+    for k, entry in enumerate(item.document.json):
+        if not isinstance(entry, dict) or not isinstance(entry.get("image_id"), str | int):
+            raise malformed(
+                f"{item.origin.source}: entry {k}",
+                "an object with image_id and keypoints",
+                entry,
+                "the file is damaged: export it again",
+            )
+        images.append(str(entry["image_id"]))
+    return images
+
+
+def _entries_by_camera(images: list[str], item: Item, options: ReadOptions) -> dict[str, list[int]]:
+    """Return the entries (indices) of each camera, as the user's pattern finds it in the images.
+
+    All are of the file's camera where the pattern finds none. Raises FormatError where it finds
+    some only.
+    """
+    cameras = cameras_by_pattern(
+        images, options.camera_pattern, named="image_id", source=item.origin.source
     )
-    if not any(found):
+    if not cameras:
         return {item.camera: list(range(len(images)))}
-    if not all(found):
-        raise malformed(
-            item.origin.source,
-            f"a camera in each image_id by the pattern {options.camera_pattern}",
-            images[found.index("")],
-            "change it",
-        )
-    return {
-        camera: [k for k, its in enumerate(found) if its == camera]
-        for camera in dict.fromkeys(found)
-    }
+    entries_of: dict[str, list[int]] = {}
+    for entry, camera in enumerate(cameras):
+        entries_of.setdefault(camera, []).append(entry)
+    return entries_of
 
 
 def _view(
     origin: Origin,
-    images: list[str],
-    points: list[Floats],
+    detections_of: dict[str, list[Floats]],
     names: tuple[str, ...],
     options: ReadOptions,
 ) -> Keypoints2D:
-    unique = list(dict.fromkeys(images))
-    place = {image: k for k, image in enumerate(unique)}
-    detections: list[list[Floats]] = [[] for _ in unique]
-    for image, found in zip(images, points, strict=True):
-        detections[place[image]].append(found)
-    values = stack_detections(detections, len(names), origin.source)
+    """Return one camera. Raises FormatError.
+
+    detections_of: image -> its `[keypoint, 3]` detections.
+    """
+    images = list(detections_of)
+    values = stack_detections(list(detections_of.values()), len(names), origin.source)
     values[..., 2] = visibility_as_confidence(values[..., 2])
-    numbers = np.array(
-        frame_numbers(
-            [_frame_text(image, options.camera_pattern) for image in unique], origin.source
-        ),
-        dtype=np.int64,
+    texts = [_frame_text(image, options.camera_pattern) for image in images]
+    frames = np.array(frame_numbers(texts, origin.source), dtype=np.int64)
+    return make_view(
+        origin, names, frames, values, tracked=False, rows=images, remarks=(_ABSENT_FRAMES,)
     )
-    remark = "frames without a detection are not in the file"
-    return make_view(origin, names, numbers, values, tracked=False, rows=unique, remarks=(remark,))
 
 
 def _frame_text(image: str, pattern: str) -> str:
-    found: Any = re.search(pattern, image) if pattern and "(?P<frame>" in pattern else None
+    """Return what the pattern's group `frame` finds in an image; the image where it finds none."""
+    if "(?P<frame>" not in pattern:
+        return image
+    found = re.search(pattern, image)
     return str(found["frame"]) if found else image

@@ -1,7 +1,8 @@
-"""Tables with a row per point, or per detection, whatever their columns are called -> detections. Column by column: rows are many."""
+"""Turn tables with a row per point, or per detection, into detections.
 
-import csv
-import io
+The columns may be called anything. Work goes column by column, since there are many rows.
+"""
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -22,201 +23,202 @@ from mocap_calib.types import Floats, Ints, Keypoints2D
 
 
 @dataclass(frozen=True)
-class Cells:
-    """The rows below the header. columns: name -> `[row]` text without spaces around it; lines: `[row]` numbers in the file."""
-
-    source: str
-    columns: dict[str, tuple[str, ...]]
-    lines: Ints
-
-    def __len__(self) -> int:
-        return len(self.lines)
-
-    def place(self, row: int) -> str:
-        """The row, as complaints name it."""
-        return f"{self.source}: row {self.lines[row]}"
-
-    def numbers(self, name: str) -> Floats:
-        """`[row]` numbers of a column, NaN where it is empty or not there. Raises FormatError."""
-        column = self.columns.get(name, ("",) * len(self))
-        try:
-            return np.array([float(cell) if cell else np.nan for cell in column], dtype=np.float64)
-        except ValueError:
-            row = next(k for k, cell in enumerate(column) if cell and not _is_number(cell))
-            raise malformed(
-                self.place(row),
-                "a number with a decimal point",
-                column[row],
-                "write numbers like 12.5",
-            ) from None
-
-
-@dataclass(frozen=True)
 class Points:
-    """`[point]` what each point belongs to, and `[point, 3]` x, y, score.
+    """The points of a table, a row each.
 
-    who: the name of an individual, or the number of an instance. An empty keypoint says only that the frame is there.
-    lines: where in the file each is.
+    camera: `[row]` name.
+    frame: `[row]` text with the frame number.
+    identity: `[row]` the name of an individual, or the number of an instance.
+    keypoint: `[row]` name; an empty one says only that the frame is there.
+    values: `[row, 3]` x, y, score.
+    lines: `[row]` line numbers in the file.
     """
 
     camera: Sequence[str]
     frame: Sequence[str]
-    who: Sequence[str]
+    identity: Sequence[str]
     keypoint: Sequence[str]
     values: Floats
     lines: Ints
 
 
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
+@dataclass(frozen=True)
+class _Coded:
+    """A column as its different texts and, of each row, which of them it has.
+
+    texts: the different texts, in the order in which they appear.
+    codes: `[row]` indices into the texts.
+    """
+
+    texts: list[str]
+    codes: Ints
+
+    def select(self, rows: Ints) -> "_Coded":
+        """Return these rows (indices) of the column, with only the texts that occur in them."""
+        used, first, codes = np.unique(self.codes[rows], return_index=True, return_inverse=True)
+        appearance = np.argsort(first)
+        code_by_appearance = np.empty_like(appearance)
+        code_by_appearance[appearance] = np.arange(len(appearance))
+        texts = [self.texts[used[k]] for k in appearance]
+        return _Coded(texts, code_by_appearance[codes])
 
 
-def cells_of(item: Item) -> Cells:
-    """All cells of a table. Raises FormatError, also where there is no row."""
-    source, header = item.origin.source, item.document.header
-    if len(set(header)) < len(header):
-        raise malformed(source, "each column once", ",".join(header), "rename or remove columns")
-    reader = csv.reader(io.StringIO(item.document.text, newline=""))
-    rows, lines = [], []
-    try:
-        for cells in reader:
-            if any(cells):
-                rows.append(cells)
-                lines.append(reader.line_num)
-    except csv.Error as error:
-        raise malformed(source, "comma-separated values", error, "export it again") from None
-    rows, lines = rows[1:], lines[1:]
-    if not rows:
-        raise malformed(source, "rows below the header", "none", "export it again")
-    odd = next((k for k, cells in enumerate(rows) if len(cells) != len(header)), None)
-    if odd is not None:
-        expected = f"{len(header)} cells, as many as the header has"
-        raise malformed(
-            f"{source}: row {lines[odd]}",
-            expected,
-            len(rows[odd]),
-            "the file is cut, or has commas in its numbers",
+@dataclass(frozen=True)
+class _Table:
+    """Points with coded columns; `values` is `[row, 3]`, `lines` is `[row]`."""
+
+    frame: _Coded
+    identity: _Coded
+    keypoint: _Coded
+    values: Floats
+    lines: Ints
+
+    def select(self, rows: Ints) -> "_Table":
+        """Return these rows (indices) of the table."""
+        return _Table(
+            frame=self.frame.select(rows),
+            identity=self.identity.select(rows),
+            keypoint=self.keypoint.select(rows),
+            values=self.values[rows],
+            lines=self.lines[rows],
         )
-    columns = {
-        name: tuple(map(str.strip, column))
-        for name, column in zip(header, zip(*rows, strict=True), strict=True)
-    }
-    return Cells(source, columns, np.array(lines))
 
 
-def views_of(
-    points: Points, item: Item, tracked: bool, remarks: tuple[str, ...] = ()
+def views_from_points(
+    points: Points, item: Item, *, tracked: bool, remarks: tuple[str, ...] = ()
 ) -> tuple[Keypoints2D, ...]:
-    """The cameras in the table, in the order in which they appear. Raises FormatError."""
+    """Return the cameras of the table, in the order in which they appear.
+
+    tracked: `points.identity` names the same individual in all frames.
+
+    Raises FormatError.
+    """
     source = item.origin.source
-    cameras, camera = _coded(points.camera)
-    check_cameras(cameras, source)
-    columns = [_coded(column) for column in (points.frame, points.who, points.keypoint)]
-    return tuple(
-        _view(Origin(name, source), columns, np.flatnonzero(camera == k), points, tracked, remarks)
-        for k, name in enumerate(cameras)
+    cameras = _code(points.camera)
+    check_cameras(cameras.texts, source)
+    table = _Table(
+        frame=_code(points.frame),
+        identity=_code(points.identity),
+        keypoint=_code(points.keypoint),
+        values=points.values,
+        lines=points.lines,
+    )
+    views = []
+    for index, camera in enumerate(cameras.texts):
+        rows = np.flatnonzero(cameras.codes == index)
+        views.append(
+            _view(table.select(rows), Origin(camera, source), tracked=tracked, remarks=remarks)
+        )
+    return tuple(views)
+
+
+def _code(column: Sequence[str]) -> _Coded:
+    """Return a column as its different texts and the index of each row's text."""
+    texts = list(dict.fromkeys(column))
+    code_of = {text: code for code, text in enumerate(texts)}
+    codes = (code_of[text] for text in column)
+    return _Coded(texts, np.fromiter(codes, dtype=np.int64, count=len(column)))
+
+
+def _view(table: _Table, origin: Origin, *, tracked: bool, remarks: tuple[str, ...]) -> Keypoints2D:
+    """Return the detections of one camera, whose rows these are. Raises FormatError."""
+    source = origin.source
+    number_of_text = _frame_numbers(table.frame.texts, source)
+    frames = np.unique(number_of_text)
+    instance_of_text = _instances(table.identity.texts, tracked=tracked, source=source)
+    keypoints = unique_names([name for name in table.keypoint.texts if name], source)
+    values = blank(len(frames), int(instance_of_text.max()) + 1, len(keypoints), source)
+
+    frame = np.searchsorted(frames, number_of_text)[table.frame.codes]
+    instance = instance_of_text[table.identity.codes]
+    keypoint = _keypoint_indices(table.keypoint.texts, keypoints)[table.keypoint.codes]
+    named = keypoint >= 0
+    cells = (frame[named], instance[named], keypoint[named])
+    _check_each_point_once(
+        cells, frames=frames, keypoints=keypoints, lines=table.lines[named], source=source
+    )
+    values[cells] = table.values[named]
+    values, score_remarks = fill_missing_scores(values)
+    return make_view(
+        origin, keypoints, frames, values, tracked=tracked, remarks=remarks + score_remarks
     )
 
 
-def _coded(texts: Sequence[str]) -> tuple[list[str], Ints]:
-    """The different texts as they appear, and `[row]` which of them each is."""
-    unique = list(dict.fromkeys(texts))
-    place = {text: k for k, text in enumerate(unique)}
-    return unique, np.fromiter(map(place.__getitem__, texts), dtype=np.int64, count=len(texts))
-
-
-def _view(
-    origin: Origin,
-    columns: list[tuple[list[str], Ints]],
-    rows: Ints,
-    points: Points,
-    tracked: bool,
-    remarks: tuple[str, ...],
-) -> Keypoints2D:
-    source = origin.source
-    (frames, frame), (people, who), (names, keypoint) = [
-        _within(texts, codes[rows]) for texts, codes in columns
-    ]
-    found = np.array([frame_number(text) for text in frames], dtype=np.int64)
-    if (found < 0).any():
+def _frame_numbers(texts: list[str], source: str) -> Ints:
+    """Return the `[text]` frame number of each text. Raises FormatError."""
+    numbers = np.array([frame_number(text) for text in texts], dtype=np.int64)
+    if (numbers < 0).any():
         raise malformed(
             source,
             "a frame number in each row",
-            repr(frames[int(np.argmin(found))]),
+            repr(texts[int(np.argmin(numbers))]),
             "mend the column of frames",
         )
-    numbers = np.unique(found)
-    individuals = _individuals(people, tracked, source)
-    keypoints = [name for name in names if name]
-    unique_names(keypoints, source)
-    place = {name: k for k, name in enumerate(keypoints)}
-    column = np.array([place.get(name, -1) for name in names], dtype=np.int64)
-    content = blank(len(numbers), int(individuals.max()) + 1, len(keypoints), source)
-    at = (np.searchsorted(numbers, found)[frame], individuals[who], column[keypoint])
-    there = at[2] >= 0
-    at, rows = (at[0][there], at[1][there], at[2][there]), rows[there]
-    _check_once(at, content.shape[:3], numbers, keypoints, points.lines[rows], source)
-    content[at] = points.values[rows]
-    content, more = fill_missing_scores(content)
-    return make_view(origin, keypoints, numbers, content, tracked=tracked, remarks=remarks + more)
+    return numbers
 
 
-def _within(texts: list[str], codes: Ints) -> tuple[list[str], Ints]:
-    """The texts that occur, as they appear, and the codes among them."""
-    unique, first, again = np.unique(codes, return_index=True, return_inverse=True)
-    order = np.argsort(first)
-    place = np.empty_like(order)
-    place[order] = np.arange(len(order))
-    return [texts[unique[k]] for k in order], place[again]
+def _instances(names: list[str], *, tracked: bool, source: str) -> Ints:
+    """Return the `[name]` instance index of each name.
 
-
-def _individuals(names: list[str], tracked: bool, source: str) -> Ints:
-    """`[name]` index: that of instances is their number; individuals come by number where all have one, else as they appear."""
-    numbers = np.array(
-        [
-            int(name) if name.isascii() and name.isdigit() and len(name) < 10 else -1
-            for name in names
-        ],
-        dtype=np.int64,
-    )
+    That of an instance is its number. Individuals come by number where each name is a number of
+    its own, else in the order in which they appear. Raises FormatError.
+    """
+    numbers = np.array([_small_number(name) for name in names], dtype=np.int64)
     if tracked:
-        return (
-            np.unique(numbers, return_inverse=True)[1]
-            if len(set(numbers.tolist()) - {-1}) == len(names)
-            else np.arange(len(names))
-        )
+        all_differ = len(set(numbers.tolist()) - {-1}) == len(names)
+        if all_differ:
+            return np.unique(numbers, return_inverse=True)[1]
+        return np.arange(len(names))
     if (numbers < 0).any():
-        stranger = names[int(np.argmin(numbers))]
         raise malformed(
             source,
             "whole numbers in the column instance",
-            repr(stranger),
+            repr(names[int(np.argmin(numbers))]),
             "call the column individual, if it names them",
         )
     return numbers
 
 
-def _check_once(
-    at: tuple[Ints, Ints, Ints],
-    shape: tuple[int, ...],
-    numbers: Ints,
-    keypoints: list[str],
+def _keypoint_indices(texts: list[str], keypoints: Sequence[str]) -> Ints:
+    """Return the `[text]` index of each text among the keypoints; -1 for an empty one."""
+    index_of = {name: index for index, name in enumerate(keypoints)}
+    return np.array([index_of.get(text, -1) for text in texts], dtype=np.int64)
+
+
+def _small_number(name: str) -> int:
+    """Return the whole number of at most nine digits that a name is; -1 for any other name."""
+    is_number = name.isascii() and name.isdigit() and len(name) < 10
+    return int(name) if is_number else -1
+
+
+def _check_each_point_once(
+    cells: tuple[Ints, Ints, Ints],
+    *,
+    frames: Ints,
+    keypoints: Sequence[str],
     lines: Ints,
     source: str,
 ) -> None:
-    if not len(at[0]):
+    """Raise FormatError where two rows are of one point.
+
+    cells: `[row]` frame index, instance and keypoint index.
+    frames: `[frame]` numbers. lines: `[row]` line numbers.
+    """
+    frame, instance, keypoint = cells
+    if not len(frame):
         return
-    place = np.ravel_multi_index(at, shape)
-    unique, counts = np.unique(place, return_counts=True)
-    if (counts > 1).any():
-        twice = place == unique[counts > 1][0]
-        frame, individual, keypoint = (axis[twice][0] for axis in at)
-        rows = ", ".join(map(str, lines[twice][:3]))
-        found = f"frame {numbers[frame]}, individual {individual}, {keypoints[keypoint]} {twice.sum()} times, in rows {rows}"
-        raise malformed(
-            source, "each point once", found, "remove the double rows, or tell individuals apart"
-        )
+    shape = (len(frames), int(instance.max()) + 1, len(keypoints))
+    place = np.ravel_multi_index(cells, shape)
+    places, counts = np.unique(place, return_counts=True)
+    if (counts == 1).all():
+        return
+    twice = np.flatnonzero(place == places[counts > 1][0])
+    first = twice[0]
+    rows = ", ".join(map(str, lines[twice][:3]))
+    raise malformed(
+        source,
+        "each point once",
+        f"frame {frames[frame[first]]}, individual {instance[first]}, "
+        f"{keypoints[keypoint[first]]} {len(twice)} times, in rows {rows}",
+        "remove the double rows, or tell individuals apart",
+    )

@@ -1,37 +1,73 @@
-"""What a keypoint format may have no place for, and which views have it: a writer says what it loses."""
+"""Name what a keypoint format may have no place for, and which views have it.
+
+A writer says with these what it loses, or refuses it.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from mocap_calib.errors import MismatchError
 from mocap_calib.io.file import NO_SCORE
 from mocap_calib.types import Keypoints2D
+
+Views = Sequence[Keypoints2D]
 
 
 @dataclass(frozen=True)
 class Loss:
-    """`what` is lost, in words that follow "does not hold"; `has`: whether views have it."""
+    """What a format has no place for.
+
+    what: words that follow "does not hold".
+    has: whether views have it.
+    """
 
     what: str
-    has: Callable[[Sequence[Keypoints2D]], bool]
+    has: Callable[[Views], bool]
 
 
-def _followed(views: Sequence[Keypoints2D]) -> bool:
+def _have_names(views: Views) -> bool:
+    return bool(views)
+
+
+def _follow_individuals(views: Views) -> bool:
     return any(view.tracked and view.positions.shape[1] > 1 for view in views)
 
 
-NAMES = Loss("the names of keypoints", bool)
-FOLLOWED = Loss("who is who from frame to frame", _followed)
+def _follow_in_some_cameras(views: Views) -> bool:
+    return _follow_individuals(views) and not all(view.tracked for view in views)
+
+
+def _have_sizes(views: Views) -> bool:
+    return any(view.image_size != (0, 0) for view in views)
+
+
+def _have_gaps(views: Views) -> bool:
+    return any(len(view.frames) <= view.frames.max(initial=-1) for view in views)
+
+
+def _lack_scores(views: Views) -> bool:
+    return any(NO_SCORE in view.remarks for view in views)
+
+
+NAMES = Loss("the names of keypoints", _have_names)
+FOLLOWED = Loss("who is who from frame to frame", _follow_individuals)
 # one column for all cameras says either individual or instance
 MIXED = Loss(
     "who is who from frame to frame, as one of the cameras does not say it",
-    lambda views: _followed(views) and not all(v.tracked for v in views),
+    _follow_in_some_cameras,
 )
-SIZES = Loss("image sizes", lambda views: any(view.image_size != (0, 0) for view in views))
-GAPS = Loss(
-    "which frames are absent: they become empty ones",
-    lambda views: any(len(v.frames) <= v.frames.max(initial=-1) for v in views),
-)
-SCORES = Loss(
-    "that there are no scores: each point gets 1",
-    lambda views: any(NO_SCORE in view.remarks for view in views),
-)
+SIZES = Loss("image sizes", _have_sizes)
+GAPS = Loss("which frames are absent: they become empty ones", _have_gaps)
+SCORES = Loss("that there are no scores: each point gets 1", _lack_scores)
+
+
+def require_followed(view: Keypoints2D, program: str) -> None:
+    """Raise MismatchError where a view has several instances that are not followed.
+
+    program: whose individuals are followed by definition.
+    """
+    if not view.tracked and view.positions.shape[1] > 1:
+        raise MismatchError(
+            f"{view.source}: expected one individual or followed ones, as {program} has, "
+            "found detections in any order; choose csv or coco"
+        )

@@ -1,4 +1,9 @@
-"""MMPose's and RTMPose's JSON: of an image (a folder with a file per frame), of a video, and of the demo's --save-predictions."""
+"""Read MMPose's and RTMPose's JSON.
+
+There are three kinds: of an image (a folder with a file per frame), of a video, and of the demo's
+--save-predictions. Traps: only the demo's file has the names of keypoints; it counts frames from 1
+while others count from 0; instances come in any order.
+"""
 
 from typing import Any
 
@@ -6,106 +11,90 @@ import numpy as np
 
 from mocap_calib.io.file import make_view, malformed, stack_detections
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
-from mocap_calib.io.keypoints.layouts import layout_for
-from mocap_calib.io.keypoints.per_frame import frames_of, json_frames, numbers_of
+from mocap_calib.io.keypoints.layouts import choose_layout
+from mocap_calib.io.keypoints.per_frame import (
+    frames_of,
+    is_list_of,
+    json_frames,
+    most_keypoints,
+    numbers_of,
+)
 from mocap_calib.types import Floats, Keypoints2D
 
-_SURE = ("coco_wholebody_133", "halpe_136")  # its only ones of their length
+_LAYOUTS = ("coco_wholebody_133", "halpe_136")  # its only ones of their length
+_DAMAGED = "the file is damaged: export it again"
+_LARGEST_FRAME = 2**62
 
 
 def sniff_image(document: Document) -> bool:
-    """A list of instances."""
-    return _all(document.json, "keypoints", "keypoint_scores")
+    """Return whether this is a list of instances."""
+    return is_list_of(document.json, "keypoints", "keypoint_scores")
 
 
 def sniff_video(document: Document) -> bool:
-    """A list of frames with instances, bare or beside the model's names."""
-    return _all(_frames(document.json), "frame_id", "instances")
-
-
-def _all(entries: Any, *keys: str) -> bool:
-    return (
-        isinstance(entries, list)
-        and bool(entries)
-        and all(isinstance(entry, dict) and set(keys) <= entry.keys() for entry in entries[:20])
-    )
+    """Return whether this is a list of frames with instances, bare or beside the model's names."""
+    return is_list_of(_frames(document.json), "frame_id", "instances")
 
 
 def _frames(content: Any) -> Any:
+    """Return the list of frames, which the demo keeps in an object."""
     return content.get("instance_info") if isinstance(content, dict) else content
 
 
 def read_images(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
-    """One camera, whose files are its frames. Raises FormatError."""
-    names, numbers = frames_of(item)
-    return _view(
-        item,
-        options,
-        numbers,
-        [_instances(instances, source) for instances, source in json_frames(item)],
-        (),
-        rows=names,
-    )
+    """Read one camera, whose files are its frames. Raises FormatError."""
+    file_names, frames = frames_of(item)
+    detections = [_instances(instances, source) for instances, source in json_frames(item)]
+    view = _view(item, frames, detections, layout=options.layout, rows=file_names)
+    return (view,)
 
 
 def read_video(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
-    """One camera; frame numbers are those of the file (from 0, or from 1 by the demo). Raises FormatError."""
+    """Read one camera; frame numbers are those of the file. Raises FormatError."""
     source, content = item.origin.source, item.document.json
-    frames = _frames(content)
-    wrong = [
-        k
-        for k, frame in enumerate(frames)
-        if not isinstance(frame, dict)
-        or type(frame.get("frame_id")) is not int
-        or not 0 <= frame["frame_id"] < 2**62
-    ]
-    if wrong:
-        raise malformed(
-            f"{source}: entry {wrong[0]}",
-            "frame_id to be a whole number",
-            frames[wrong[0]],
-            "the file is damaged: export it again",
-        )
-    numbers = [frame["frame_id"] for frame in frames]
+    entries = _frames(content)
+    frames = [_frame_id(entry, f"{source}: entry {k}") for k, entry in enumerate(entries)]
     detections = [
-        _instances(frame.get("instances"), f"{source}: frame {frame['frame_id']}")
-        for frame in frames
+        _instances(entry.get("instances"), f"{source}: frame {frame}")
+        for entry, frame in zip(entries, frames, strict=True)
     ]
-    return _view(item, options, numbers, detections, _names(content, source), rows=numbers)
+    layout = options.layout or _names_in_file(content, source)
+    return (_view(item, frames, detections, layout=layout, rows=frames),)
 
 
 def _view(
     item: Item,
-    options: ReadOptions,
-    numbers: list[int],
+    frames: list[int],
     detections: list[list[Floats]],
-    own: tuple[str, ...],
+    *,
+    layout: tuple[str, ...],
     rows: list[Any],
-) -> tuple[Keypoints2D]:
+) -> Keypoints2D:
+    """Return the camera. Raises FormatError.
+
+    frames: `[frame]` numbers. detections: the `[keypoint, 3]` detections of each frame.
+    layout: names of the keypoints, where known. rows: what messages call the frames.
+    """
     source = item.origin.source
-    count = max((len(points) for found in detections for points in found), default=0)
-    if count == 0:
-        raise malformed(
-            source,
-            "instances in one of its frames",
-            f"none in {len(detections)} frames",
-            "check the detector's output",
-        )
-    names = layout_for(count, options.layout or own, source, _SURE)
-    return (
-        make_view(
-            item.origin,
-            names,
-            numbers,
-            stack_detections(detections, count, source),
-            tracked=False,
-            rows=rows,
-        ),
-    )
+    count = most_keypoints(detections, named="instances", source=source)
+    names = choose_layout(count, given=layout, source=source, unambiguous=_LAYOUTS)
+    values = stack_detections(detections, count, source)
+    return make_view(item.origin, names, frames, values, tracked=False, rows=rows)
 
 
-def _names(content: Any, source: str) -> tuple[str, ...]:
-    """The names in the demo's file, in the order of their numbers; nothing where it has none."""
+def _frame_id(entry: Any, source: str) -> int:
+    """Return the number of a frame. Raises FormatError."""
+    number = entry.get("frame_id") if isinstance(entry, dict) else None
+    if type(number) is not int or not 0 <= number < _LARGEST_FRAME:
+        raise malformed(source, "frame_id to be a whole number", entry, _DAMAGED)
+    return number
+
+
+def _names_in_file(content: Any, source: str) -> tuple[str, ...]:
+    """Return the names in the demo's file, in the order of their numbers; none in other files.
+
+    Raises FormatError.
+    """
     meta = content.get("meta_info") if isinstance(content, dict) else None
     names = meta.get("keypoint_id2name") if isinstance(meta, dict) else None
     if names is None:
@@ -118,26 +107,22 @@ def _names(content: Any, source: str) -> tuple[str, ...]:
 
 
 def _instances(entries: Any, source: str) -> list[Floats]:
-    """`[keypoint, 3]` of each instance."""
+    """Return `[keypoint, 3]` of each instance of a frame. Raises FormatError."""
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
-        raise malformed(
-            source,
-            "a list of instances",
-            type(entries).__name__,
-            "the file is damaged: export it again",
-        )
+        raise malformed(source, "a list of instances", type(entries).__name__, _DAMAGED)
     return [_points(entry, f"{source}: instance {k}") for k, entry in enumerate(entries)]
 
 
 def _points(entry: dict[str, Any], source: str) -> Floats:
-    points = numbers_of(entry.get("keypoints"), source, "keypoints")
-    scores = numbers_of(entry.get("keypoint_scores"), source, "keypoint_scores")
-    if points.ndim != 2 or points.shape[1] != 2 or scores.shape != points.shape[:1]:
-        found = f"{list(points.shape)} with {list(scores.shape)} scores"
+    """Return `[keypoint, 3]` x, y, score of an instance. Raises FormatError."""
+    positions = numbers_of(entry.get("keypoints"), source, named="keypoints")
+    scores = numbers_of(entry.get("keypoint_scores"), source, named="keypoint_scores")
+    is_2d = positions.ndim == 2 and positions.shape[1] == 2
+    if not is_2d or scores.shape != positions.shape[:1]:
         raise malformed(
             source,
             "`keypoints` [keypoint, 2] and as many keypoint_scores",
-            found,
+            f"{list(positions.shape)} with {list(scores.shape)} scores",
             "give 2D keypoints",
         )
-    return np.column_stack([points, scores])
+    return np.column_stack([positions, scores])

@@ -1,160 +1,181 @@
-"""movement's netCDF (HDF5): `position` and `confidence` with named dimensions, singular or, before movement 0.17, plural."""
+"""Read and write movement's netCDF 4, which is HDF5: `position` and `confidence` over named axes.
+
+Traps: dimensions were plural (`keypoints`, `individuals`) before movement 0.17; their order has
+changed, and whoever transposes writes another; the file says the order by netCDF's numbers of
+dimensions, or by HDF5's references, or not at all; times are frames, or seconds with `fps`.
+Reading needs h5py alone; h5netcdf writes what makes HDF5 a netCDF 4.
+"""
 
 import io
 from typing import Any
 
+import h5netcdf
 import h5py
 import numpy as np
 
-from mocap_calib.errors import MismatchError
 from mocap_calib.io.file import blank, fill_missing_scores, make_view, malformed
 from mocap_calib.io.hdf5 import array, damage_refused, keys, names, text
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
-from mocap_calib.types import Floats, Keypoints2D
+from mocap_calib.io.keypoints.losses import require_followed
+from mocap_calib.types import Floats, Ints, Keypoints2D
 
 _REMEDY = "save it from movement again"
-_DIMS = ("time", "individual", "keypoint", "space")
-_USUAL = ("time", "space", "keypoint", "individual")
+_OUR_AXES = ("time", "individual", "keypoint", "space")
+_MOVEMENT_AXES = ("time", "space", "keypoint", "individual")  # the order that movement has now
+_WHOLE = 0.01  # of a frame, that a time may be off
+_LARGEST_FRAME = 2**53
 
 
 def sniff(document: Document) -> bool:
-    """HDF5 with positions over a space."""
+    """Return whether the file is HDF5 with positions over a space."""
     return {"position", "space"} <= keys(document)
 
 
 def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:  # noqa: ARG001 - a reader's signature
-    """One camera; frames are the times in frames, or seconds times fps. Raises FormatError."""
+    """Read one camera; frames are the times in frames, or seconds times fps. Raises FormatError."""
     source, file = item.origin.source, item.document.hdf5
     with damage_refused(source, "a whole netCDF file of movement", _REMEDY):
-        positions = turned(file, "position", _DIMS, source)
-        axes = names(file, "space", source)
-        if axes != ("x", "y"):
-            raise malformed(
-                source, "2D positions (x, y)", ", ".join(axes), "give the 2D poses of each camera"
-            )
-        nodes = names(file, "keypoint" if "keypoint" in file else "keypoints", source)
-        values = blank(positions.shape[0], positions.shape[1], positions.shape[2], source)
-        values[..., :2] = positions
-        if "confidence" in file:
-            values[..., 2] = turned(file, "confidence", _DIMS[:3], source)
-        frames = _frames(file, source)
-        if (len(frames), len(nodes)) != (len(values), values.shape[2]):
+        values = _values(file, source)
+        keypoints = names(file, "keypoint" if "keypoint" in file else "keypoints", source)
+        frames = _frame_numbers(file, source)
+        times, _, points = values.shape[:3]
+        if (len(frames), len(keypoints)) != (times, points):
             raise malformed(
                 source,
-                f"{len(values)} times and {values.shape[2]} keypoints",
-                f"{len(frames)} and {len(nodes)}",
+                f"{times} times and {points} keypoints",
+                f"{len(frames)} and {len(keypoints)}",
                 _REMEDY,
             )
     values, remarks = fill_missing_scores(values)
-    return (make_view(item.origin, nodes, frames, values, tracked=True, remarks=remarks),)
+    return (make_view(item.origin, keypoints, frames, values, tracked=True, remarks=remarks),)
 
 
-def turned(file: Any, name: str, wanted: tuple[str, ...], source: str) -> Floats:
-    """A variable with its dimensions, named in the singular, in the wanted order. Raises FormatError.
+def _values(file: Any, source: str) -> Floats:
+    """Return `[frame, individual, keypoint, 3]` x, y, confidence. Raises FormatError."""
+    positions = read_variable(file, "position", _OUR_AXES, source)
+    space = names(file, "space", source)
+    if space != ("x", "y"):
+        raise malformed(
+            source, "2D positions (x, y)", ", ".join(space), "give the 2D poses of each camera"
+        )
+    frames, individuals, keypoints = positions.shape[:3]
+    values = blank(frames, individuals, keypoints, source)
+    values[..., :2] = positions
+    if "confidence" in file:
+        values[..., 2] = read_variable(file, "confidence", _OUR_AXES[:3], source)
+    return values
 
-    Movement has written more than one order, and whoever transposes writes his own: what the file says counts, and only
-    where it says nothing the order that movement has now.
+
+def read_variable(file: Any, name: str, axes: tuple[str, ...], source: str) -> Floats:
+    """Return a variable as an array whose axes come in the order of `axes`, named in the singular.
+
+    What the file says of the order counts; only where it says nothing, it is the order that
+    movement has now. Raises FormatError.
     """
     values = array(file, name, source).astype(np.float64)
-    usual = tuple(dim for dim in _USUAL if dim in wanted)
-    found = _numbered(file, name) or _referenced(file, name) or usual
-    lengths = {dim: len(file[key]) for dim in found for key in (dim, f"{dim}s") if key in file}
-    fits = sorted(found) == sorted(wanted) and values.ndim == len(wanted)
-    if not fits or any(
-        lengths.get(dim, length) != length for dim, length in zip(found, values.shape, strict=True)
-    ):
-        expected = f"`{name}` over {', '.join(usual)}, as long as their coordinates"
-        raise malformed(source, expected, f"{', '.join(found)} of shape {values.shape}", _REMEDY)
-    return values.transpose([found.index(dim) for dim in wanted])
+    usual = tuple(axis for axis in _MOVEMENT_AXES if axis in axes)
+    found = _axes_by_number(file, name) or _axes_by_reference(file, name) or usual
+    if sorted(found) != sorted(axes) or not _fit_coordinates(file, found, values.shape):
+        raise malformed(
+            source,
+            f"`{name}` over {', '.join(usual)}, as long as their coordinates",
+            f"{', '.join(found)} of shape {values.shape}",
+            _REMEDY,
+        )
+    return values.transpose([found.index(axis) for axis in axes])
 
 
-def _numbered(file: Any, name: str) -> tuple[str, ...]:
-    """The dimensions of a variable by the numbers that netCDF gives them; nothing where it has given none."""
-    own = [
-        key
-        for dim in _USUAL
-        for key in (dim, f"{dim}s")
-        if key in file and "_Netcdf4Dimid" in file[key].attrs
-    ]
-    dims = {int(file[key].attrs["_Netcdf4Dimid"]): key.removesuffix("s") for key in own}
+def _fit_coordinates(file: Any, axes: tuple[str, ...], shape: tuple[int, ...]) -> bool:
+    """Return whether these axes are as long as their coordinates, where the file has them."""
+    if len(axes) != len(shape):
+        return False
+    lengths = {axis: len(file[key]) for axis in axes for key in _spellings(file, axis)}
+    return all(
+        lengths.get(axis, length) == length for axis, length in zip(axes, shape, strict=True)
+    )
+
+
+def _spellings(file: Any, axis: str) -> list[str]:
+    """Return the coordinates of an axis in the file, singular or plural."""
+    return [key for key in (axis, f"{axis}s") if key in file]
+
+
+def _axes_by_number(file: Any, name: str) -> tuple[str, ...]:
+    """Return the axes of a variable by netCDF's numbers; none where it has not given any."""
+    axis_of_number = {}
+    for axis in _MOVEMENT_AXES:
+        for key in _spellings(file, axis):
+            if "_Netcdf4Dimid" in file[key].attrs:
+                axis_of_number[int(file[key].attrs["_Netcdf4Dimid"])] = axis
     numbers = np.ravel(file[name].attrs.get("_Netcdf4Coordinates", ())).tolist()
-    return tuple(dims[int(number)] for number in numbers) if dims.keys() >= set(numbers) else ()
+    if not axis_of_number.keys() >= set(numbers):
+        return ()
+    return tuple(axis_of_number[int(number)] for number in numbers)
 
 
-def _referenced(file: Any, name: str) -> tuple[str, ...]:
-    """The dimensions of a variable by the references of HDF5's dimension scales; nothing where it has none."""
+def _axes_by_reference(file: Any, name: str) -> tuple[str, ...]:
+    """Return the axes of a variable by HDF5's dimension scales; none where it has not given any."""
     references = file[name].attrs.get("DIMENSION_LIST", ())
-    return tuple(file[scales[0]].name.rpartition("/")[2].removesuffix("s") for scales in references)
+    paths = [file[scales[0]].name for scales in references]
+    return tuple(path.rpartition("/")[2].removesuffix("s") for path in paths)
 
 
-def _frames(file: Any, source: str) -> Any:
-    """Frame numbers from the times."""
+def _frame_numbers(file: Any, source: str) -> Ints:
+    """Return the `[frame]` numbers from the times. Raises FormatError."""
     times = array(file, "time", source).astype(np.float64)
     if text(file.attrs.get("time_unit", "frames")) == "seconds":
-        rate = float(np.asarray(file.attrs.get("fps", np.nan)).reshape(-1)[0])
-        if not rate > 0:
-            raise malformed(
-                source, "frames per second (`fps`) beside times in seconds", rate, _REMEDY
-            )
-        times = times * rate
-    frames = np.rint(times)
-    if (
-        not np.isfinite(times).all()
-        or (np.abs(times - frames) > 0.01).any()
-        or (frames < 0).any()
-        or (frames > 2**53).any()
-    ):
+        times = times * _frames_per_second(file, source)
+    if not _are_whole_frames(times):
         raise malformed(
             source, "times that are whole frames", "others", "save it with time_unit frames"
         )
-    return frames.astype(np.int64)
+    return np.rint(times).astype(np.int64)
+
+
+def _frames_per_second(file: Any, source: str) -> float:
+    rate = float(np.asarray(file.attrs.get("fps", np.nan)).reshape(-1)[0])
+    if not rate > 0:
+        raise malformed(source, "frames per second (`fps`) beside times in seconds", rate, _REMEDY)
+    return rate
+
+
+def _are_whole_frames(times: Floats) -> bool:
+    """Return whether the `[frame]` times are frame numbers."""
+    if times.ndim != 1 or not np.isfinite(times).all():
+        return False
+    frames = np.rint(times)
+    in_range = (frames >= 0) & (frames <= _LARGEST_FRAME)
+    return bool(in_range.all() and (np.abs(times - frames) <= _WHOLE).all())
 
 
 def write(views: tuple[Keypoints2D, ...]) -> dict[str, bytes]:
-    """A file per camera. Raises MismatchError where the instances of a view are not followed: movement's individuals are."""
-    return {f"{view.camera}.nc": _content(view) for view in views}
+    """Write a file per camera.
+
+    Raises MismatchError where the instances of a view are not followed: movement's individuals are.
+    """
+    return {f"{view.camera}.nc": _format_netcdf(view) for view in views}
 
 
-def _content(view: Keypoints2D) -> bytes:
-    if not view.tracked and view.positions.shape[1] > 1:
-        raise MismatchError(
-            f"{view.source}: expected one individual or followed ones, as movement has, found detections in any order; choose csv or coco"
-        )
+def _format_netcdf(view: Keypoints2D) -> bytes:
+    require_followed(view, "movement")
+    position = view.positions.transpose(0, 3, 2, 1)
+    confidence = view.confidence.transpose(0, 2, 1)
+    confidence = np.where(np.isfinite(position[:, 0]), confidence, np.nan)
+    labels = {
+        "space": ("x", "y"),
+        "keypoint": view.keypoints,
+        "individual": tuple(f"individual_{k}" for k in range(view.positions.shape[1])),
+    }
     buffer = io.BytesIO()
-    with h5py.File(buffer, "w", track_order=True) as file:
-        file.attrs.update(
-            {
-                "ds_type": "poses",
-                "time_unit": "frames",
-                "source_software": "mocap-calib",
-                "_NCProperties": "version=2",
-            }
-        )
-        labels = {
-            "space": ["x", "y"],
-            "keypoint": list(view.keypoints),
-            "individual": [f"individual_{k}" for k in range(view.positions.shape[1])],
-        }
-        scales = {
-            name: file.create_dataset(name, data=np.array(entries, dtype=h5py.string_dtype()))
-            for name, entries in labels.items()
-        }
-        scales["time"] = file.create_dataset("time", data=view.frames)
-        for number, name in enumerate(_USUAL):
-            scales[name].make_scale(name)
-            scales[name].attrs["_Netcdf4Dimid"] = np.int32(number)
-        position = view.positions.transpose(0, 3, 2, 1)
-        confidence = np.where(
-            np.isfinite(position[:, 0]), view.confidence.transpose(0, 2, 1), np.nan
-        )
-        for name, values, own in (
-            ("position", position, _USUAL),
-            ("confidence", confidence, (_USUAL[0], *_USUAL[2:])),
-        ):
-            dataset = file.create_dataset(name, data=values)
-            dataset.attrs["_Netcdf4Coordinates"] = np.array(
-                [_USUAL.index(dim) for dim in own], dtype=np.int32
-            )
-            for axis, dim in enumerate(own):
-                dataset.dims[axis].attach_scale(scales[dim])
+    with h5netcdf.File(buffer, "w") as file:
+        file.attrs["ds_type"] = "poses"
+        file.attrs["time_unit"] = "frames"
+        file.attrs["source_software"] = "mocap-calib"
+        file.dimensions = dict(zip(_MOVEMENT_AXES, position.shape, strict=True))
+        file.create_variable("time", ("time",), data=view.frames)
+        for axis, texts in labels.items():
+            entries = np.array(texts, dtype=object)
+            file.create_variable(axis, (axis,), data=entries, dtype=h5py.string_dtype())
+        file.create_variable("position", _MOVEMENT_AXES, data=position)
+        file.create_variable("confidence", ("time", "keypoint", "individual"), data=confidence)
     return buffer.getvalue()

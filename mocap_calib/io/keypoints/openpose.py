@@ -1,7 +1,12 @@
-"""OpenPose's JSON: a folder per camera, a file per frame, people in any order; AlphaPose writes it too, and all frames in one file."""
+"""Read and write OpenPose's JSON: a folder per camera, a file per frame.
+
+Traps: people come in any order, and one without numbers keeps the place; keypoints have no names,
+and 75 numbers are BODY_25 or BODY_25B; missing points are (0, 0, 0). AlphaPose writes the same,
+also with all frames in one file, and CMU Panoptic with other keys.
+"""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -9,24 +14,24 @@ import numpy as np
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.file import make_view, malformed, stack_detections
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
-from mocap_calib.io.keypoints.layouts import layout_for
+from mocap_calib.io.keypoints.layouts import choose_layout
 from mocap_calib.io.keypoints.per_frame import frame_numbers, frames_of, json_frames, triples
-from mocap_calib.types import Floats, Keypoints2D
+from mocap_calib.types import Keypoints2D, Reals
 
-# 75 numbers are BODY_25 or BODY_25B, which is not told apart; the others are OpenPose's, or AlphaPose's, only ones of their length
-_SURE = ("coco_18", "mpi_15", "body_135", "halpe_136", "coco_wholebody_133")
-_LISTS = {
-    "people": "pose_keypoints_2d",
-    "bodies": "joints",
-}  # OpenPose; CMU Panoptic, which AlphaPose also writes
+# OpenPose's, or AlphaPose's, only layouts of their length
+_LAYOUTS = ("coco_18", "mpi_15", "body_135", "halpe_136", "coco_wholebody_133")
+# the list of a frame, and the list of a person: OpenPose; CMU Panoptic, which AlphaPose also writes
+_LISTS = {"people": "pose_keypoints_2d", "bodies": "joints"}
+_VERSION = 1.3
+_DIGITS = 12  # of a frame number in a file name
 
 
 def sniff(document: Document) -> bool:
-    """An object with a list of people, or of such objects by image."""
+    """Return whether this is an object with a list of people, or one of such objects by image."""
     content = document.json
-    return _is_frame(content) or (
-        isinstance(content, dict) and bool(content) and all(map(_is_frame, content.values()))
-    )
+    if _is_frame(content):
+        return True
+    return isinstance(content, dict) and bool(content) and all(map(_is_frame, content.values()))
 
 
 def _is_frame(content: Any) -> bool:
@@ -34,30 +39,31 @@ def _is_frame(content: Any) -> bool:
 
 
 def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
-    """The people of one camera; a person without numbers keeps the place. Raises FormatError."""
-    if not item.members and not _is_frame(item.document.json):
-        content = item.document.json
-        names, frames = list(content), [(frame, item.origin.source) for frame in content.values()]
-        numbers = frame_numbers(names, item.origin.source)
-    else:
+    """Read the people of one camera. Raises FormatError."""
+    source = item.origin.source
+    file_names, numbers, frames = _frames(item)
+    people = [_people(frame, frame_source) for frame, frame_source in frames]
+    count = _count_keypoints(people, source)
+    keypoints = choose_layout(count, given=options.layout, source=source, unambiguous=_LAYOUTS)
+    values = stack_detections(people, count, source)
+    return (make_view(item.origin, keypoints, numbers, values, tracked=False, rows=file_names),)
+
+
+def _frames(item: Item) -> tuple[list[str], list[int], Iterable[tuple[Any, str]]]:
+    """Return the names, the numbers, and the content of the frames with what messages call it."""
+    if item.members or _is_frame(item.document.json):
         names, numbers = frames_of(item)
-        frames = json_frames(item)
-    people = [list(_people(frame, source)) for frame, source in frames]
-    count = next((len(points) for found in people for points in found if len(points)), 0)
-    if count == 0:
-        raise malformed(
-            item.origin.source,
-            "people in one of its frames",
-            f"none in {len(people)} frames",
-            "check the detector's output",
-        )
-    keypoints = layout_for(count, options.layout, item.origin.source, _SURE)
-    values = stack_detections(people, count, item.origin.source)
-    return (make_view(item.origin, keypoints, numbers, values, tracked=False, rows=names),)
+        return names, numbers, json_frames(item)
+    source, content = item.origin.source, item.document.json
+    names = list(content)
+    return names, frame_numbers(names, source), [(frame, source) for frame in content.values()]
 
 
-def _people(frame: Any, source: str) -> Iterator[Floats]:
-    """`[keypoint, 3]` of each person in a frame, `[0, 3]` of one without numbers."""
+def _people(frame: Any, source: str) -> list[Any]:
+    """Return `[keypoint, 3]` of each person in a frame, `[0, 3]` of one without numbers.
+
+    Raises FormatError.
+    """
     if not _is_frame(frame):
         raise malformed(
             source,
@@ -66,36 +72,66 @@ def _people(frame: Any, source: str) -> Iterator[Floats]:
             "the file is damaged: export it again",
         )
     key = next(key for key in _LISTS if isinstance(frame.get(key), list))
+    people = []
     for number, person in enumerate(frame[key]):
         points = person.get(_LISTS[key]) if isinstance(person, dict) else None
-        yield triples(points or [], f"{source}: person {number}", named=_LISTS[key])
+        people.append(triples(points or [], f"{source}: person {number}", named=_LISTS[key]))
+    return people
+
+
+def _count_keypoints(people: list[list[Any]], source: str) -> int:
+    """Return the number of keypoints of the first person that has any. Raises FormatError."""
+    for people_of_frame in people:
+        for points in people_of_frame:
+            if len(points):
+                return len(points)
+    raise malformed(
+        source,
+        "people in one of its frames",
+        f"none in {len(people)} frames",
+        "check the detector's output",
+    )
 
 
 def write(views: tuple[Keypoints2D, ...]) -> dict[str, bytes]:
-    """A folder per camera, a file per frame; the names of the keypoints have no place in it. Raises MismatchError."""
+    """Write a folder per camera, a file per frame; the names of keypoints have no place in it.
+
+    Raises MismatchError.
+    """
     files = {}
     for view in views:
-        if view.frames.max(initial=0) >= 10**12:
-            raise MismatchError(
-                f"{view.source}: expected frame numbers of at most 12 digits, found {view.frames.max()}; choose another format"
-            )
-        for k, frame in enumerate(view.frames):
-            seen = np.flatnonzero(np.isfinite(view.positions[k, ..., 0]).any(-1))
-            people = [
-                _person(view.positions[k, i], view.confidence[k, i])
-                for i in range(seen.max(initial=-1) + 1)
-            ]
-            content = json.dumps({"version": 1.3, "people": people})
-            files[f"{view.camera}_json/{view.camera}_{frame:012d}_keypoints.json"] = (
-                content.encode()
-            )
+        _check_frame_numbers(view)
+        for index, number in enumerate(view.frames):
+            name = f"{view.camera}_json/{view.camera}_{number:0{_DIGITS}d}_keypoints.json"
+            content = {"version": _VERSION, "people": _people_of_frame(view, index)}
+            files[name] = json.dumps(content).encode()
     return files
 
 
-def _person(positions: Floats, confidence: Floats) -> dict[str, Any]:
-    values = (
-        np.nan_to_num(np.column_stack([positions, confidence])).ravel().tolist()
-        if np.isfinite(positions).any()
-        else []
-    )
-    return {"person_id": [-1], "pose_keypoints_2d": values}
+def _check_frame_numbers(view: Keypoints2D) -> None:
+    """Raise MismatchError where a frame number has more digits than file names have."""
+    if view.frames.max(initial=0) >= 10**_DIGITS:
+        raise MismatchError(
+            f"{view.source}: expected frame numbers of at most {_DIGITS} digits, "
+            f"found {view.frames.max()}; choose another format"
+        )
+
+
+def _people_of_frame(view: Keypoints2D, frame: int) -> list[dict[str, Any]]:
+    """Return the people of a frame (an index), up to the last that is seen."""
+    seen = np.flatnonzero(np.isfinite(view.positions[frame, ..., 0]).any(-1))
+    return [
+        _person(view.positions[frame, instance], view.confidence[frame, instance])
+        for instance in range(seen.max(initial=-1) + 1)
+    ]
+
+
+def _person(positions: Reals, confidence: Reals) -> dict[str, Any]:
+    """Return a person of `[keypoint, 2]` positions and `[keypoint]` confidences.
+
+    A person without any point has no numbers, which keeps the place of the others.
+    """
+    if not np.isfinite(positions).any():
+        return {"person_id": [-1], "pose_keypoints_2d": []}
+    values = np.nan_to_num(np.column_stack([positions, confidence]))
+    return {"person_id": [-1], "pose_keypoints_2d": values.ravel().tolist()}

@@ -1,25 +1,33 @@
-"""What formats with a file or an entry per frame share: numbers from names, points from lists."""
+"""Hold what formats with an entry per frame or per image share.
+
+Frame numbers and cameras from names, points from lists.
+"""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
-from mocap_calib.io.file import frame_number, malformed
+from mocap_calib.io.file import find_camera, frame_number, malformed
 from mocap_calib.io.keypoints.document import Item, describe
 from mocap_calib.types import Floats
 
 
 def frames_of(item: Item) -> tuple[list[str], list[int]]:
-    """Names and numbers of the frames in a folder with a file per frame. Raises FormatError."""
+    """Return the names and numbers of the frames in a folder with a file per frame.
+
+    Raises FormatError.
+    """
     names = [path.name for path in item.members or (item.path,)]
     return names, frame_numbers(names, item.origin.source)
 
 
-def json_frames(item: Item) -> list[tuple[Any, str]]:
-    """What each file of a folder with a file per frame says, and the file as complaints name it. Raises FormatError where one is no JSON."""
-    frames = []
+def json_frames(item: Item) -> Iterator[tuple[Any, str]]:
+    """Return the JSON of each file of a folder, a frame each, and the file as messages name it.
+
+    Raises FormatError where a file is no JSON.
+    """
     for document in item.documents():
         if document.json is None:
             raise malformed(
@@ -28,38 +36,95 @@ def json_frames(item: Item) -> list[tuple[Any, str]]:
                 describe(document)[0],
                 "export it again, or remove it",
             )
-        frames.append((document.json, document.source))
-    return frames
+        yield document.json, document.source
 
 
 def frame_numbers(names: Sequence[str], source: str) -> list[int]:
-    """The integer at the end of each name, before its suffix and `_keypoints`; where one has none there, the last integer of all. Raises FormatError."""
-    names = [re.sub(r"_keypoints(?=(\.\w+)?$)", "", re.split(r"[/\\]", name)[-1]) for name in names]
-    numbers = [frame_number(name) for name in names]
+    """Return the integer at the end of each name, before its suffix and `_keypoints`.
+
+    Where a name has none there, the last integer of each name is taken. Raises FormatError.
+    """
+    stems = [_without_addition(name) for name in names]
+    numbers = [frame_number(stem) for stem in stems]
     if min(numbers, default=0) < 0:
-        digits = [re.findall(r"[0-9]+", name) for name in names]
-        numbers = [frame_number(found[-1]) if found else -1 for found in digits]
+        numbers = [_last_integer(stem) for stem in stems]
     if min(numbers, default=0) < 0:
         raise malformed(
             source,
             "a frame number in each file name",
-            names[numbers.index(min(numbers))],
+            stems[numbers.index(min(numbers))],
             "rename or remove it",
         )
     return numbers
 
 
-def triples(points: Any, source: str, named: str = "keypoints") -> Floats:
-    """`[keypoint, 3]` of a flat list x, y, c. Raises FormatError."""
+def _without_addition(name: str) -> str:
+    """Return a file name without its folders and without OpenPose's `_keypoints`."""
+    file_name = re.split(r"[/\\]", name)[-1]
+    return re.sub(r"_keypoints(?=(\.\w+)?$)", "", file_name)
+
+
+def _last_integer(name: str) -> int:
+    integers = re.findall(r"[0-9]+", name)
+    return frame_number(integers[-1]) if integers else -1
+
+
+def cameras_by_pattern(names: Sequence[str], pattern: str, *, named: str, source: str) -> list[str]:
+    """Return the camera of each name as the user's pattern finds it.
+
+    named: what the format calls a name. Nothing is returned where there is no pattern, or where it
+    finds no camera at all; FormatError is raised where it finds some only.
+    """
+    cameras = [find_camera(name, pattern) for name in names] if pattern else []
+    if not any(cameras):
+        return []
+    if not all(cameras):
+        raise malformed(
+            source,
+            f"a camera in each {named} by the pattern {pattern}",
+            names[cameras.index("")],
+            "change it",
+        )
+    return cameras
+
+
+def most_keypoints(detections: Sequence[Sequence[Floats]], *, named: str, source: str) -> int:
+    """Return the length of the longest `[keypoint, 3]` detection of all frames.
+
+    named: what the format calls a detection. Raises FormatError where there is none.
+    """
+    count = max((len(points) for frame in detections for points in frame), default=0)
+    if count == 0:
+        raise malformed(
+            source,
+            f"{named} in one of its frames",
+            f"none in {len(detections)} frames",
+            "check the detector's output",
+        )
+    return count
+
+
+def triples(points: Any, source: str, *, named: str = "keypoints") -> Floats:
+    """Return `[keypoint, 3]` of a flat list x, y, c; `named` is what messages call it.
+
+    Raises FormatError.
+    """
     if not isinstance(points, list) or len(points) % 3:
         found = f"{len(points)} numbers" if isinstance(points, list) else type(points).__name__
         raise malformed(source, f"`{named}` to be a list of x, y, c", found, "export it again")
-    return numbers_of(points, source, named).reshape(-1, 3)
+    return numbers_of(points, source, named=named).reshape(-1, 3)
 
 
-def numbers_of(values: Any, source: str, named: str) -> Floats:
-    """An array of what JSON holds; null is NaN. Raises FormatError."""
+def numbers_of(values: Any, source: str, *, named: str) -> Floats:
+    """Return the array of what JSON holds, of any shape; null is NaN. Raises FormatError."""
     try:
         return np.asarray(values, dtype=np.float64)
     except (ValueError, TypeError, OverflowError) as error:
         raise malformed(source, f"`{named}` to hold numbers", error, "export it again") from None
+
+
+def is_list_of(entries: Any, *keys: str) -> bool:
+    """Return whether this is a list whose first entries are objects with these keys."""
+    if not isinstance(entries, list) or not entries:
+        return False
+    return all(isinstance(entry, dict) and set(keys) <= entry.keys() for entry in entries[:20])

@@ -9,7 +9,7 @@ import numpy as np
 
 from mocap_calib.errors import FormatError, MismatchError, MocapCalibError
 from mocap_calib.io.file import check_cameras, malformed
-from mocap_calib.io.keypoints.adjust import in_pixels, moved, split_views
+from mocap_calib.io.keypoints.adjust import apply_offsets, in_pixels, split_views
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions, describe
 from mocap_calib.io.keypoints.formats import KEYPOINT_FORMATS, KeypointFormat
 from mocap_calib.io.keypoints.items import Holds, keypoint_items
@@ -61,7 +61,7 @@ def read_what_can(
     _check_cameras_once([(view.camera, view.source) for view in views])
     if errors:
         return tuple(views), errors
-    return moved(views, options), []
+    return apply_offsets(views, options), []
 
 
 def looks_like_keypoints(path: Path) -> bool:

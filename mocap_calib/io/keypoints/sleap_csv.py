@@ -1,4 +1,8 @@
-"""SLEAP's analysis .csv: a row per detection, `track,frame_idx,instance.score,<node>.x,<node>.y,<node>.score`."""
+"""Read SLEAP's analysis .csv: a row per detection.
+
+The header is `track,frame_idx,instance.score,<node>.x,<node>.y,<node>.score,...`. Traps: frames
+without a detection are absent; `track` is empty where nobody was followed.
+"""
 
 from collections.abc import Iterator, Sequence
 
@@ -6,51 +10,58 @@ import numpy as np
 
 from mocap_calib.io.file import malformed
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
-from mocap_calib.io.keypoints.long_table import Points, cells_of, views_of
-from mocap_calib.types import Keypoints2D
+from mocap_calib.io.keypoints.long_table import Points, views_from_points
+from mocap_calib.io.keypoints.table_cells import Cells, read_cells
+from mocap_calib.types import Floats, Keypoints2D
+
+_ABSENT_FRAMES = "frames without a detection are not in the file"
 
 
 def sniff(document: Document) -> bool:
-    """A header that begins with track and frame_idx."""
+    """Return whether the header has track and frame_idx."""
     return {"track", "frame_idx"} <= set(document.header)
 
 
 def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:  # noqa: ARG001 - a reader's signature
-    """One camera. Frames without detections are absent from the file; tracks are individuals where all rows have one. Raises FormatError."""
-    source, header = item.origin.source, item.document.header
+    """Read one camera; tracks are individuals where all rows have one. Raises FormatError."""
+    nodes = _find_nodes(item)
+    cells = read_cells(item)
+    frames, tracks = cells.columns["frame_idx"], cells.columns["track"]
+    tracked = all(tracks)
+    identity = tracks if tracked else tuple(_count_within_frames(frames))
+    points = Points(
+        camera=(item.camera,) * (len(nodes) * len(cells)),
+        frame=frames * len(nodes),
+        identity=identity * len(nodes),
+        keypoint=[node for node in nodes for _ in frames],
+        values=np.concatenate([_values_of_node(cells, node) for node in nodes]),
+        lines=np.tile(cells.lines, len(nodes)),
+    )
+    return views_from_points(points, item, tracked=tracked, remarks=(_ABSENT_FRAMES,))
+
+
+def _find_nodes(item: Item) -> list[str]:
+    """Return the names of the nodes in the header. Raises FormatError."""
+    header = item.document.header
     nodes = [name.removesuffix(".x") for name in header if name.endswith(".x")]
     if not nodes or not all(f"{node}.y" in header for node in nodes):
         raise malformed(
-            source,
+            item.origin.source,
             "columns <node>.x and <node>.y",
             ",".join(header),
             "export the analysis .csv from SLEAP again",
         )
-    cells = cells_of(item)
-    frames, tracks = cells.columns["frame_idx"], cells.columns["track"]
-    tracked = all(tracks)
-    who = tracks if tracked else tuple(_places(frames))
-    values = np.concatenate(
-        [
-            np.column_stack([cells.numbers(f"{node}.{part}") for part in ("x", "y", "score")])
-            for node in nodes
-        ]
-    )
-    names = [node for node in nodes for _ in frames]
-    points = Points(
-        (item.camera,) * len(names),
-        frames * len(nodes),
-        who * len(nodes),
-        names,
-        values,
-        np.tile(cells.lines, len(nodes)),
-    )
-    return views_of(points, item, tracked, ("frames without a detection are not in the file",))
+    return nodes
 
 
-def _places(frames: Sequence[str]) -> Iterator[str]:
-    """The number of each row among those of its frame."""
-    seen: dict[str, int] = {}
+def _values_of_node(cells: Cells, node: str) -> Floats:
+    """Return `[row, 3]` x, y and score of a node."""
+    return np.column_stack([cells.numbers(f"{node}.{part}") for part in ("x", "y", "score")])
+
+
+def _count_within_frames(frames: Sequence[str]) -> Iterator[str]:
+    """Return the number of each row among the rows of its frame."""
+    rows_of_frame: dict[str, int] = {}
     for frame in frames:
-        yield str(seen.get(frame, 0))
-        seen[frame] = seen.get(frame, 0) + 1
+        yield str(rows_of_frame.get(frame, 0))
+        rows_of_frame[frame] = rows_of_frame.get(frame, 0) + 1

@@ -1,4 +1,9 @@
-"""SLEAP's analysis .h5: `tracks` with a node and a frame axis, as MATLAB orders them or as sleap-io's `standard` preset does."""
+"""Read and write SLEAP's analysis .h5: `tracks` with an axis of nodes and one of frames.
+
+Traps: the axes come as MATLAB orders them, or in another order by sleap-io's `standard` preset,
+and only the lengths tell which; `point_scores` may come in a third order; tracks without names
+follow nobody; frames count from 0, so that a late start means many empty frames.
+"""
 
 import io
 from typing import Any
@@ -13,119 +18,161 @@ from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.types import Floats, Keypoints2D
 
 _REMEDY = "export the analysis .h5 from SLEAP again"
+Axes = tuple[int, int, int, int]
+# where in `tracks` the axes frame, track, node and coordinate are
+_MATLAB: Axes = (3, 0, 2, 1)
+_STANDARD: Axes = (0, 1, 2, 3)
+# how many empty frames are written before and between the others
+_EMPTY_PER_FRAME = 10
+_EMPTY_AT_LEAST = 1000
 
 
 def sniff(document: Document) -> bool:
-    """HDF5 with tracks and names of nodes."""
+    """Return whether the file is HDF5 with tracks and names of nodes."""
     return {"tracks", "node_names"} <= keys(document)
 
 
 def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:  # noqa: ARG001 - a reader's signature
-    """One camera; frames count from 0. Tracks are individuals where they have names. Raises FormatError."""
+    """Read one camera; tracks are individuals where they have names. Raises FormatError."""
     source, file = item.origin.source, item.document.hdf5
     with damage_refused(source, "a whole SLEAP analysis .h5", _REMEDY):
         nodes = names(file, "node_names", source)
-        who = names(file, "track_names", source) if "track_names" in file else ()
-        tracks = array(file, "tracks", source)
-        scores = array(file, "point_scores", source) if "point_scores" in file else np.zeros(0)
-        order = _axes(
-            tracks.shape, scores.shape, len(nodes), len(who), _frames(file, source), source
-        )
-        positions = tracks.transpose(order).astype(np.float64)
-        values = blank(positions.shape[0], positions.shape[1], positions.shape[2], source)
-        values[..., :2] = positions
-        if scores.size:
-            values[..., 2] = _scores(scores, order, positions.shape[:3], source)
+        individuals = names(file, "track_names", source) if "track_names" in file else ()
+        values = _values(file, len(nodes), len(individuals), source)
     values, remarks = fill_missing_scores(values)
-    return (
-        make_view(
-            item.origin, nodes, range(len(values)), values, tracked=bool(who), remarks=remarks
-        ),
+    frames = range(len(values))
+    tracked = bool(individuals)
+    return (make_view(item.origin, nodes, frames, values, tracked=tracked, remarks=remarks),)
+
+
+def _values(file: Any, nodes: int, individuals: int, source: str) -> Floats:
+    """Return `[frame, track, node, 3]` x, y, score. Raises FormatError."""
+    tracks = array(file, "tracks", source)
+    scores = array(file, "point_scores", source) if "point_scores" in file else np.zeros(0)
+    fitting = _fitting_axes(
+        tracks.shape,
+        nodes=nodes,
+        individuals=individuals,
+        frames=_count_frames(file, source),
+        score_shape=scores.shape,
     )
+    if len(fitting) != 1:
+        raise malformed(
+            source,
+            f"`tracks` of shape (tracks, 2, {nodes} nodes, frames)",
+            f"{tracks.shape}, which fits {len(fitting)} orders of axes",
+            _REMEDY,
+        )
+    positions = tracks.transpose(fitting[0]).astype(np.float64)
+    frames, instances, keypoints = positions.shape[:3]
+    values = blank(frames, instances, keypoints, source)
+    values[..., :2] = positions
+    if scores.size:
+        values[..., 2] = _scores(scores, fitting[0], values.shape[:3], source)
+    return values
 
 
-def _frames(file: Any, source: str) -> int:
-    """How many frames there are by the occupancy; 0 where the file does not say."""
-    return (
-        max(array(file, "track_occupancy", source).shape, default=0)
-        if "track_occupancy" in file
-        else 0
-    )
+def _count_frames(file: Any, source: str) -> int:
+    """Return how many frames there are by the occupancy; 0 where the file does not say."""
+    if "track_occupancy" not in file:
+        return 0
+    return max(array(file, "track_occupancy", source).shape, default=0)
 
 
-def _axes(
-    tracks: tuple[int, ...], scores: tuple[int, ...], nodes: int, who: int, frames: int, source: str
-) -> tuple[int, int, int, int]:
-    """Which axes are frame, track, node and coordinate: the order that fits what is known of the lengths."""
-    orders = ((3, 0, 2, 1), (0, 1, 2, 3))  # MATLAB, standard
+def _fitting_axes(
+    shape: tuple[int, ...],
+    *,
+    nodes: int,
+    individuals: int,
+    frames: int,
+    score_shape: tuple[int, ...],
+) -> list[Axes]:
+    """Return the orders of axes that fit what is known of the lengths.
+
+    shape: of `tracks`. individuals, frames: 0 where the file does not say. The number of frames
+    and the shape of the scores are looked at only where more than one order fits.
+    """
     fitting = [
-        o
-        for o in orders
-        if len(tracks) == 4
-        and tracks[o[2]] == nodes
-        and tracks[o[3]] == 2
-        and (not who or tracks[o[1]] == who)
+        axes
+        for axes in (_MATLAB, _STANDARD)
+        if _fits(axes, shape, nodes=nodes, individuals=individuals)
     ]
     if len(fitting) > 1 and frames:
-        fitting = [order for order in fitting if tracks[order[0]] == frames] or fitting
-    if len(fitting) > 1 and scores:  # which have no axis of coordinates
-        fitting = [
-            order for order in fitting if scores == tuple(np.delete(tracks, order[3]))
-        ] or fitting
-    if len(fitting) != 1:
-        expected = f"`tracks` of shape (tracks, 2, {nodes} nodes, frames)"
-        raise malformed(
-            source, expected, f"{tracks}, which fits {len(fitting)} orders of axes", _REMEDY
-        )
-    return fitting[0]
+        fitting = [axes for axes in fitting if shape[axes[0]] == frames] or fitting
+    if len(fitting) > 1:  # scores have no axis of coordinates
+        agreeing = [axes for axes in fitting if score_shape == tuple(np.delete(shape, axes[3]))]
+        fitting = agreeing or fitting
+    return fitting
 
 
-def _scores(scores: Any, order: tuple[int, ...], shape: tuple[int, ...], source: str) -> Floats:
-    """`[frame, track, node]` from the tracks' order of axes, without that of coordinates."""
-    turned = scores.transpose((2, 0, 1)) if scores.ndim == 3 and order[0] == 3 else scores
-    if turned.shape != shape:
+def _fits(axes: Axes, shape: tuple[int, ...], *, nodes: int, individuals: int) -> bool:
+    """Return whether `tracks` of this shape can have its axes in this order."""
+    if len(shape) != 4:
+        return False
+    _, track, node, coordinate = axes
+    if shape[node] != nodes or shape[coordinate] != 2:
+        return False
+    return not individuals or shape[track] == individuals
+
+
+def _scores(scores: Any, axes: Axes, shape: tuple[int, ...], source: str) -> Floats:
+    """Return the `[frame, track, node]` scores. Raises FormatError.
+
+    axes: of the tracks; where theirs are MATLAB's, those of the scores are (track, node, frame).
+    """
+    if scores.ndim == 3 and axes == _MATLAB:
+        scores = scores.transpose((2, 0, 1))
+    if scores.shape != shape:
         raise malformed(
-            source, f"`point_scores` of shape {shape} (frame, track, node)", turned.shape, _REMEDY
+            source, f"`point_scores` of shape {shape} (frame, track, node)", scores.shape, _REMEDY
         )
-    return np.asarray(turned, dtype=np.float64)
+    return np.asarray(scores, dtype=np.float64)
 
 
 def write(views: tuple[Keypoints2D, ...]) -> dict[str, bytes]:
-    """A file per camera, frames from 0 to the last. Raises MismatchError where that would be more than the detections ask for."""
-    return {f"{view.camera}.analysis.h5": _content(view) for view in views}
+    """Write a file per camera, frames from 0 to the last.
+
+    Raises MismatchError where that would be far more frames than the view has.
+    """
+    return {f"{view.camera}.analysis.h5": _format_analysis(view) for view in views}
 
 
-def _content(view: Keypoints2D) -> bytes:
-    frames, (_, instances, nodes) = int(view.frames.max(initial=-1)) + 1, view.positions.shape[:3]
-    if frames > 10 * len(view.frames) + 1000:
-        raise MismatchError(
-            f"{view.source}: expected frame numbers near 0, which SLEAP counts from, found {view.frames[0]}-{frames - 1}; choose another format"
-        )
-    values = np.full((frames, instances, nodes, 3), np.nan)
-    values[view.frames] = np.concatenate([view.positions, view.confidence[..., None]], axis=-1)
+def _format_analysis(view: Keypoints2D) -> bytes:
+    values = _values_from_frame_0(view)
+    instances = values.shape[1]
     seen = np.isfinite(values[..., 0])
-    values[~seen] = np.nan
+    is_there = seen.any(-1)
+    track_names = [f"track_{k}".encode() for k in range(instances)] if view.tracked else []
     buffer = io.BytesIO()
     with h5py.File(buffer, "w") as file:
         file["tracks"] = values[..., :2].transpose(1, 3, 2, 0)
         file["point_scores"] = values[..., 2].transpose(1, 2, 0)
-        file["instance_scores"] = np.where(seen.any(-1), 1.0, np.nan).T
-        file["tracking_scores"] = np.where(seen.any(-1), 0.0, np.nan).T
-        file["track_occupancy"] = seen.any(-1).astype(np.uint8)
+        file["instance_scores"] = np.where(is_there, 1.0, np.nan).T
+        file["tracking_scores"] = np.where(is_there, 0.0, np.nan).T
+        file["track_occupancy"] = is_there.astype(np.uint8)
         file["node_names"] = np.array([name.encode() for name in view.keypoints])
-        file["track_names"] = (
-            np.array([f"track_{k}".encode() for k in range(instances)])
-            if view.tracked
-            else np.zeros(0)
-        )
-        file["edge_inds"], file["edge_names"] = (
-            np.zeros((0, 2), dtype=np.int32),
-            np.zeros((0, 2), dtype="S1"),
-        )
-        file["labels_path"], file["provenance"], file["video_path"], file["video_ind"] = (
-            "",
-            "{}",
-            "",
-            0,
-        )
+        file["track_names"] = np.array(track_names)
+        file["edge_inds"] = np.zeros((0, 2), dtype=np.int32)
+        file["edge_names"] = np.zeros((0, 2), dtype="S1")
+        file["labels_path"] = ""
+        file["provenance"] = "{}"
+        file["video_path"] = ""
+        file["video_ind"] = 0
     return buffer.getvalue()
+
+
+def _values_from_frame_0(view: Keypoints2D) -> Floats:
+    """Return `[frame, instance, keypoint, 3]` x, y, confidence of all frames from 0 to the last.
+
+    NaN = missing. Raises MismatchError.
+    """
+    frames = int(view.frames.max(initial=-1)) + 1
+    if frames > _EMPTY_PER_FRAME * len(view.frames) + _EMPTY_AT_LEAST:
+        raise MismatchError(
+            f"{view.source}: expected frame numbers near 0, which SLEAP counts from, "
+            f"found {view.frames[0]}-{frames - 1}; choose another format"
+        )
+    values = np.full((frames, *view.confidence.shape[1:], 3), np.nan)
+    values[view.frames] = np.concatenate([view.positions, view.confidence[..., None]], axis=-1)
+    values[~np.isfinite(values[..., 0])] = np.nan
+    return values

@@ -1,10 +1,15 @@
-"""SLEAP's project files .slp: tables of frames, instances and points in HDF5, JSON in attributes; one video per camera.
+"""Read SLEAP's project files .slp: tables in HDF5, JSON in attributes, one video per camera.
 
-Read with h5py alone: the tables have been the same from format 1.0 on, and sleap-io brings half a gigabyte.
+The tables hold frames, instances and points, and have been the same from format 1.0 on. They are
+read with h5py alone, since sleap-io brings half a gigabyte. Traps: a prediction that a user has
+corrected lies beside the correction; before format 1.1 the centre of a pixel was at 0.5; points
+made by hand have no score; frames without an instance are absent; a package, which holds the
+images, has the paths of its videos elsewhere.
 """
 
 import json
 import re
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,52 +24,68 @@ from mocap_calib.io.file import (
 )
 from mocap_calib.io.hdf5 import array, damage_refused, keys, text
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
-from mocap_calib.types import Keypoints2D
+from mocap_calib.types import Floats, Keypoints2D
 
 _REMEDY = "export the analysis .h5 from SLEAP"
-_USER, _PREDICTED = 0, 1
+_USER, _PREDICTED = 0, 1  # types of an instance
+_CENTRED_FORMAT = 1.1  # the first in which pixel centres are integers
 
 
 def sniff(document: Document) -> bool:
-    """HDF5 with SLEAP's tables."""
+    """Return whether the file is HDF5 with SLEAP's tables."""
     return {"metadata", "frames", "instances", "points", "pred_points"} <= keys(document)
 
 
 def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
-    """A camera per video that has labelled frames, called by the video's name; by the file's where there is but one video.
+    """Read a camera per video that has labelled frames.
 
-    Frames without an instance are absent. A prediction that a user has corrected does not count. Raises FormatError.
+    It is called by the video's name; by the file's where there is but one video.
+    Raises FormatError.
     """
     source, file = item.origin.source, item.document.hdf5
     with damage_refused(source, "a whole SLEAP project", _REMEDY):
-        nodes = _nodes(file, source)
-        frames, instances = array(file, "frames", source), array(file, "instances", source)
-        points = {
-            kind: _points(file, name, source)
-            for kind, name in ((_USER, "points"), (_PREDICTED, "pred_points"))
-        }
-        cameras = _cameras(file, np.unique(frames["video"]).tolist(), item, options)
-        rows = {
-            video: [
-                _instances(frame, instances, len(nodes), source)
-                for frame in frames[frames["video"] == video]
-            ]
-            for video in cameras
-        }
+        tables = _read_tables(file, source)
+        videos = np.unique(tables.frames["video"]).tolist()
+        cameras = _cameras(file, videos, item, options)
         return tuple(
-            _view(
-                Origin(cameras[video], source),
-                nodes,
-                frames[frames["video"] == video],
-                rows[video],
-                points,
-            )
-            for video in cameras
+            _view(tables, video, Origin(camera, source)) for video, camera in cameras.items()
         )
 
 
+# Tables
+
+
+@dataclass(frozen=True)
+class _Tables:
+    """The tables of a project.
+
+    nodes: names of the nodes, in the order of the points of an instance.
+    frames: `[frame]` structured rows of all videos.
+    instances: `[instance]` structured rows.
+    points: type of instance -> `[point, 3]` x, y, score, NaN where not visible.
+    """
+
+    nodes: tuple[str, ...]
+    frames: Any
+    instances: Any
+    points: dict[int, Floats]
+
+
+def _read_tables(file: Any, source: str) -> _Tables:
+    """Return the tables of an open file. Raises FormatError."""
+    return _Tables(
+        nodes=_nodes(file, source),
+        frames=array(file, "frames", source),
+        instances=array(file, "instances", source),
+        points={
+            _USER: _points(file, "points", source),
+            _PREDICTED: _points(file, "pred_points", source),
+        },
+    )
+
+
 def _nodes(file: Any, source: str) -> tuple[str, ...]:
-    """Names of the nodes of the one skeleton, in its order."""
+    """Return the names of the nodes of the one skeleton, in its order. Raises FormatError."""
     try:
         metadata = json.loads(text(file["metadata"].attrs["json"]))
         skeletons = metadata["skeletons"]
@@ -78,122 +99,160 @@ def _nodes(file: Any, source: str) -> tuple[str, ...]:
         ) from None
 
 
-def _points(file: Any, name: str, source: str) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """`[point, 3]` x, y, score, NaN where not visible; hand-made points have no score. Before format 1.1 the centre of a pixel was at 0.5."""
+def _points(file: Any, name: str, source: str) -> Floats:
+    """Return `[point, 3]` x, y, score of a table. Raises FormatError.
+
+    NaN where a point is not visible, and for scores of points made by hand.
+    """
     table = array(file, name, source)
-    score = table["score"] if "score" in (table.dtype.names or ()) else np.full(len(table), np.nan)
-    values = np.column_stack([table["x"], table["y"], score]).astype(np.float64).reshape(-1, 3)
-    values[:, :2] -= 0.5 if float(file["metadata"].attrs.get("format_id", 1.1)) < 1.1 else 0.0
+    has_scores = "score" in (table.dtype.names or ())
+    scores = table["score"] if has_scores else np.full(len(table), np.nan)
+    values = np.column_stack([table["x"], table["y"], scores]).astype(np.float64).reshape(-1, 3)
+    if float(file["metadata"].attrs.get("format_id", _CENTRED_FORMAT)) < _CENTRED_FORMAT:
+        values[:, :2] -= 0.5
     values[~table["visible"].astype(bool), :2] = np.nan
     return values
 
 
+# Cameras
+
+
 def _cameras(file: Any, videos: list[int], item: Item, options: ReadOptions) -> dict[int, str]:
-    """Video -> camera."""
-    source = item.origin.source
+    """Return video -> camera. Raises FormatError where names do not tell several videos apart."""
+    source, pattern = item.origin.source, options.camera_pattern
     if not videos:
         raise malformed(source, "labelled frames", "none", "label or predict first")
-    if len(videos) == 1 and not options.camera_pattern:
+    if len(videos) == 1 and not pattern:
         return {videos[0]: item.camera}
-    listed = [json.loads(text(entry)) for entry in array(file, "videos_json", source)]
-    paths = {video: _path(file, listed[video]) for video in videos}
-    stems = {
-        video: re.split(r"[/\\]", path)[-1].rpartition(".")[0] for video, path in paths.items()
-    }
-    names = {
-        video: find_camera(path, options.camera_pattern) if options.camera_pattern else stems[video]
+    paths = _video_paths(file, videos, source)
+    cameras = {
+        video: find_camera(path, pattern) if pattern else _stem(path)
         for video, path in paths.items()
     }
-    if len(videos) == 1 and not names[videos[0]]:
+    if len(videos) == 1 and not cameras[videos[0]]:
         return {videos[0]: item.camera}
     if not any(paths.values()):
-        names = _session(file, videos, source) or names
-    if len(set(names.values())) < len(videos) or not all(names.values()):
-        remedy = (
-            "say --camera-regex"
-            if any(paths.values())
-            else "export an analysis .h5 of each video, which are named as the cameras"
-        )
-        raise malformed(
-            source,
-            "a camera's name in the path of each video",
-            ", ".join(filter(None, paths.values())) or "none",
-            remedy,
-        )
-    return names
+        cameras = _cameras_of_session(file, videos, source) or cameras
+    _check_cameras(cameras, paths, source)
+    return cameras
 
 
-def _session(file: Any, videos: list[int], source: str) -> dict[int, str]:
-    """Video -> camera as the one session of the project has them, if it has all."""
-    sessions = array(file, "sessions_json", source) if "sessions_json" in file else np.empty(0)
-    if len(sessions) != 1:
-        return {}
-    session = json.loads(text(sessions[0]))
-    called = {
-        key.removeprefix("cam_"): str(fields.get("name", ""))
-        for key, fields in session["calibration"].items()
-    }
-    names = {
-        int(video): called.get(camera, "")
-        for camera, video in session["camcorder_to_video_idx_map"].items()
-    }
-    return {video: names.get(video, "") for video in videos}
+def _check_cameras(cameras: dict[int, str], paths: dict[int, str], source: str) -> None:
+    """Raise FormatError where a video has no camera, or two have the same."""
+    names = list(cameras.values())
+    if all(names) and len(set(names)) == len(paths):
+        return
+    known_paths = [path for path in paths.values() if path]
+    remedy = "export an analysis .h5 of each video, which are named as the cameras"
+    if known_paths:
+        remedy = "say --camera-regex"
+    raise malformed(
+        source,
+        "a camera's name in the path of each video",
+        ", ".join(known_paths) or "none",
+        remedy,
+    )
 
 
-def _path(file: Any, video: dict[str, Any]) -> str:
-    """Where the video was; a package, which holds the images, says it beside them; nothing where it does not."""
+def _stem(path: str) -> str:
+    return re.split(r"[/\\]", path)[-1].rpartition(".")[0]
+
+
+def _video_paths(file: Any, videos: list[int], source: str) -> dict[int, str]:
+    """Return video -> path of its file, "" where the project does not say it."""
+    entries = [json.loads(text(entry)) for entry in array(file, "videos_json", source)]
+    return {video: _video_path(file, entries[video]) for video in videos}
+
+
+def _video_path(file: Any, video: dict[str, Any]) -> str:
+    """Return where a video was; "" where the project does not say it.
+
+    A package has "." for the path, and the path beside the images that it holds.
+    """
     backend = video.get("backend", video)
     path = str(backend.get("filename", ""))
     if path != ".":
         return path
-    kept = file.get(f"{str(backend.get('dataset', '')).partition('/')[0]}/source_video")
-    if kept is None or "json" not in kept.attrs:
+    images = str(backend.get("dataset", "")).partition("/")[0]
+    video_of_images = file.get(f"{images}/source_video")
+    if video_of_images is None or "json" not in video_of_images.attrs:
         return ""
-    origin = json.loads(text(kept.attrs["json"]))
-    return str(origin.get("backend", origin).get("filename", ""))
+    entry = json.loads(text(video_of_images.attrs["json"]))
+    return str(entry.get("backend", entry).get("filename", ""))
 
 
-def _instances(frame: Any, instances: Any, nodes: int, source: str) -> Any:
-    """The rows of a frame's instances, without predictions that were corrected by hand."""
-    rows = instances[int(frame["instance_id_start"]) : int(frame["instance_id_end"])]
-    if (rows["point_id_end"] - rows["point_id_start"] != nodes).any():
-        raise malformed(source, f"{nodes} points in each instance", "another number", _REMEDY)
-    by_hand = rows[rows["instance_type"] == _USER]
-    mended = np.isin(rows["track"], by_hand["track"][by_hand["track"] >= 0])
-    index = np.arange(int(frame["instance_id_start"]), int(frame["instance_id_start"]) + len(rows))
-    mended |= np.isin(rows["instance_id"], by_hand["from_predicted"]) | np.isin(
-        index, by_hand["from_predicted"][by_hand["from_predicted"] >= 0]
-    )
-    return rows[(rows["instance_type"] == _USER) | ~mended]
+def _cameras_of_session(file: Any, videos: list[int], source: str) -> dict[int, str]:
+    """Return video -> camera as the one session of the project says it; none without a session."""
+    sessions = array(file, "sessions_json", source) if "sessions_json" in file else np.empty(0)
+    if len(sessions) != 1:
+        return {}
+    session = json.loads(text(sessions[0]))
+    name_of = {
+        key.removeprefix("cam_"): str(fields.get("name", ""))
+        for key, fields in session["calibration"].items()
+    }
+    camera_of = {
+        int(video): name_of.get(camera, "")
+        for camera, video in session["camcorder_to_video_idx_map"].items()
+    }
+    return {video: camera_of.get(video, "") for video in videos}
 
 
-def _view(
-    origin: Origin, nodes: tuple[str, ...], frames: Any, rows: list[Any], points: dict[int, Any]
-) -> Keypoints2D:
+# Detections
+
+
+def _view(tables: _Tables, video: int, origin: Origin) -> Keypoints2D:
+    """Return the camera of a video. Raises FormatError."""
     source = origin.source
-    tracks = sorted({int(track) for found in rows for track in found["track"]})
+    frames = tables.frames[tables.frames["video"] == video]
+    instances = [_instances_of_frame(frame, tables, source) for frame in frames]
+    tracks = sorted({int(track) for rows in instances for track in rows["track"]})
     tracked = bool(tracks) and tracks[0] >= 0
-    values = blank(
-        len(rows), len(tracks) if tracked else max(map(len, rows), default=0), len(nodes), source
-    )
-    for target, found in zip(values, rows, strict=True):
-        places = (
-            [tracks.index(int(row["track"])) for row in found] if tracked else range(len(found))
-        )
-        if len(set(places)) < len(found):
+    most = len(tracks) if tracked else max(map(len, instances), default=0)
+    values = blank(len(frames), most, len(tables.nodes), source)
+    for values_of_frame, rows in zip(values, instances, strict=True):
+        places = [tracks.index(int(row["track"])) for row in rows] if tracked else range(len(rows))
+        if len(set(places)) < len(rows):
             raise malformed(
                 source, "each track once in a frame", "one twice", "mend the tracks in SLEAP"
             )
-        for place, row in zip(places, found, strict=True):
-            target[place] = points[int(row["instance_type"])][
-                int(row["point_id_start"]) : int(row["point_id_end"])
-            ]
+        for place, row in zip(places, rows, strict=True):
+            values_of_frame[place] = _points_of_instance(row, tables)
     values, remarks = fill_missing_scores(values)
-    return make_view(
-        origin,
-        nodes,
-        frames["frame_idx"].astype(np.int64),
-        values,
-        tracked=tracked,
-        remarks=remarks,
-    )
+    numbers = frames["frame_idx"].astype(np.int64)
+    return make_view(origin, tables.nodes, numbers, values, tracked=tracked, remarks=remarks)
+
+
+def _points_of_instance(row: Any, tables: _Tables) -> Floats:
+    """Return `[node, 3]` x, y, score."""
+    points = tables.points[int(row["instance_type"])]
+    return points[int(row["point_id_start"]) : int(row["point_id_end"])]
+
+
+def _instances_of_frame(frame: Any, tables: _Tables, source: str) -> Any:
+    """Return the rows of a frame's instances, without predictions that were corrected by hand.
+
+    Raises FormatError.
+    """
+    start, end = int(frame["instance_id_start"]), int(frame["instance_id_end"])
+    rows = tables.instances[start:end]
+    nodes = len(tables.nodes)
+    if (rows["point_id_end"] - rows["point_id_start"] != nodes).any():
+        raise malformed(source, f"{nodes} points in each instance", "another number", _REMEDY)
+    is_by_hand = rows["instance_type"] == _USER
+    return rows[is_by_hand | ~_are_corrected(rows, rows[is_by_hand], start)]
+
+
+def _are_corrected(rows: Any, by_hand: Any, start: int) -> Any:
+    """Return `[row]` whether an instance has been corrected by one of those made by hand.
+
+    The correction has its track, or says which instance it was made from: by its id, or by its
+    index in the table, which is `start` for the first of the rows.
+    """
+    tracks = by_hand["track"][by_hand["track"] >= 0]
+    originals = by_hand["from_predicted"]
+    index = np.arange(start, start + len(rows))
+    same_track = np.isin(rows["track"], tracks)
+    same_id = np.isin(rows["instance_id"], originals)
+    same_index = np.isin(index, originals[originals >= 0])
+    return same_track | same_id | same_index

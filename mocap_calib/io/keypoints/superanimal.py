@@ -1,52 +1,38 @@
-"""DeepLabCut's SuperAnimal JSON: a list of frames, individuals in any order, no names of keypoints. The .h5 beside it has them."""
+"""Read DeepLabCut's SuperAnimal JSON: a list of frames, a list of individuals in each.
+
+Traps: individuals come in any order; keypoints have no names (the .h5 beside it has them); the
+frame number is the place in the list.
+"""
 
 from typing import Any
 
 from mocap_calib.io.file import make_view, malformed, stack_detections
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
-from mocap_calib.io.keypoints.layouts import layout_for
-from mocap_calib.io.keypoints.per_frame import numbers_of
+from mocap_calib.io.keypoints.layouts import choose_layout
+from mocap_calib.io.keypoints.per_frame import is_list_of, most_keypoints, numbers_of
 from mocap_calib.types import Floats, Keypoints2D
 
 
 def sniff(document: Document) -> bool:
-    """A list of objects with `bodyparts`."""
-    frames = document.json
-    return (
-        isinstance(frames, list)
-        and bool(frames)
-        and all(isinstance(frame, dict) and "bodyparts" in frame for frame in frames[:20])
-    )
+    """Return whether this is a list of objects with `bodyparts`."""
+    return is_list_of(document.json, "bodyparts")
 
 
 def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
-    """One camera; the frame number is the place in the list. Raises FormatError."""
+    """Read one camera. Raises FormatError."""
     source = item.origin.source
-    frames = [
-        list(_individuals(frame, f"{source}: frame {k}"))
-        for k, frame in enumerate(item.document.json)
+    detections = [
+        _individuals(frame, f"{source}: frame {number}")
+        for number, frame in enumerate(item.document.json)
     ]
-    count = max((len(points) for found in frames for points in found), default=0)
-    if count == 0:
-        raise malformed(
-            source,
-            "individuals in one of its frames",
-            f"none in {len(frames)} frames",
-            "check the detector's output",
-        )
-    names = layout_for(count, options.layout, source)
-    return (
-        make_view(
-            item.origin,
-            names,
-            range(len(frames)),
-            stack_detections(frames, count, source),
-            tracked=False,
-        ),
-    )
+    count = most_keypoints(detections, named="individuals", source=source)
+    names = choose_layout(count, given=options.layout, source=source)
+    values = stack_detections(detections, count, source)
+    return (make_view(item.origin, names, range(len(detections)), values, tracked=False),)
 
 
 def _individuals(frame: Any, source: str) -> list[Floats]:
+    """Return `[keypoint, 3]` x, y, likelihood of each individual. Raises FormatError."""
     entries = frame.get("bodyparts") if isinstance(frame, dict) else None
     if not isinstance(entries, list):
         raise malformed(
@@ -56,15 +42,15 @@ def _individuals(frame: Any, source: str) -> list[Floats]:
             "the file is damaged: export it again",
         )
     found = [
-        numbers_of(entry, f"{source}, individual {k}", "bodyparts")
+        numbers_of(entry, f"{source}, individual {k}", named="bodyparts")
         for k, entry in enumerate(entries)
     ]
-    wrong = [points for points in found if points.ndim != 2 or points.shape[1] != 3]
-    if wrong:
-        raise malformed(
-            source,
-            "x, y, likelihood for each body part",
-            f"shape {list(wrong[0].shape)}",
-            "export it again",
-        )
+    for points in found:
+        if points.ndim != 2 or points.shape[1] != 3:
+            raise malformed(
+                source,
+                "x, y, likelihood for each body part",
+                f"shape {list(points.shape)}",
+                "export it again",
+            )
     return found

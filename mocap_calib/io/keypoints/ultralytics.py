@@ -1,4 +1,10 @@
-"""Ultralytics' pose labels and predictions: a .txt file per frame, a line per detection, positions from 0 to 1 of the image."""
+"""Read Ultralytics' pose labels and predictions: a .txt file per frame, a line per detection.
+
+A line holds a class, the centre and size of a box, and the points. Traps: positions are shares of
+the image, whose size the file does not say; keypoints have no names; a point has two numbers or
+three; the box's confidence and the track's number may follow; a second run appends its lines to
+the files of the first.
+"""
 
 import re
 from collections.abc import Iterator
@@ -15,30 +21,25 @@ from mocap_calib.io.file import (
     visibility_as_confidence,
 )
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
-from mocap_calib.io.keypoints.layouts import LAYOUTS
+from mocap_calib.io.keypoints.layouts import LAYOUTS, layout_remedy
 from mocap_calib.io.keypoints.per_frame import frames_of
 from mocap_calib.types import Floats, Keypoints2D
 
-_BOX = 5  # class, centre and size
-_BEHIND = (
-    0,
-    1,
-    2,
-)  # numbers after the points: the box's confidence and the track's number may follow
+_BOX = 5  # numbers before the points: class, centre and size
+_BEHIND = (0, 1, 2)  # numbers that may follow them: the box's confidence, the track's number
+_LINE_OF_NUMBERS = re.compile(r"\s*[0-9]+(\s+[-+.0-9eEnaif]+){6,}\s*")
+
+Row = tuple[str, Floats]  # a line as messages name it, and its numbers behind the box
 
 
 def sniff(document: Document) -> bool:
-    """Lines of numbers: a class, then shares of the image."""
-    head = document.content[:65536].decode("utf-8-sig", errors="replace")
-    line = next(
-        (line for line in head.splitlines() if line.strip() and not line.lstrip().startswith("#")),
-        "",
-    )
-    return re.fullmatch(r"\s*[0-9]+(\s+[-+.0-9eEnaif]+){6,}\s*", line) is not None
+    """Return whether the first line holds numbers: a class, then shares of the image."""
+    lines = (line for line in document.head.splitlines() if not _is_comment(line))
+    return _LINE_OF_NUMBERS.fullmatch(next(lines, "")) is not None
 
 
 def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
-    """One camera, in pixels of the image size that the user gives. Raises FormatError."""
+    """Read one camera, in pixels of the image size that the user gives. Raises FormatError."""
     source = item.origin.source
     if options.image_size == (0, 0):
         raise malformed(
@@ -48,75 +49,64 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
             "say --image-size WIDTHxHEIGHT",
         )
     if not options.layout:
-        raise _unnamed(item.document, source)
-    names, numbers = frames_of(item)
-    frames = _detections(
-        [list(_rows(document)) for document in item.documents()], len(options.layout)
+        raise _names_wanted(item.document, source)
+    file_names, numbers = frames_of(item)
+    rows = [list(_rows(document)) for document in item.documents()]
+    values = stack_detections(_detections(rows, len(options.layout)), len(options.layout), source)
+    _check_shares(values, source)
+    is_unscored = bool(np.isnan(values[..., 2]).all())
+    view = make_view(
+        item.origin,
+        options.layout,
+        numbers,
+        _in_pixels(values, options.image_size, is_unscored=is_unscored),
+        tracked=False,
+        image_size=options.image_size,
+        rows=file_names,
+        remarks=(NO_SCORE,) if is_unscored else (),
     )
-    values = stack_detections(list(frames), len(options.layout), source)
-    if np.nanmax(np.abs(values[..., :2]), initial=0.0) > ReadConfig().largest_share:
-        found = f"{np.nanmax(np.abs(values[..., :2])):.1f}"
-        raise malformed(
-            source,
-            "positions from 0 to 1",
-            found,
-            "these are pixels, of a letterboxed image perhaps: export them again",
-        )
-    unscored = np.isnan(values[..., 2]).all()
-    values[..., 2] = (
-        np.where(np.isfinite(values[..., 0]), 1.0, np.nan)
-        if unscored
-        else visibility_as_confidence(values[..., 2])
-    )
-    missing = (values[..., :2] == 0).all(-1)
-    values[..., :2] = np.where(missing[..., None], 0.0, values[..., :2] * options.image_size)
-    remarks = (NO_SCORE,) if unscored else ()
-    return (
-        make_view(
-            item.origin,
-            options.layout,
-            numbers,
-            values,
-            tracked=False,
-            image_size=options.image_size,
-            rows=names,
-            remarks=remarks,
-        ),
-    )
+    return (view,)
 
 
-def _unnamed(document: Document, source: str) -> FormatError:
-    """The complaint of a file without --layout, with the layouts that the numbers of its first line fit."""
-    count = len(next(_lines(document))[1]) - _BOX
+def _names_wanted(document: Document, source: str) -> FormatError:
+    """Return the error of a file without --layout, with the layouts that its first line fits."""
+    _, cells = next(_lines(document))
+    count = len(cells) - _BOX
     fitting = [
         name
         for name, names in LAYOUTS.items()
         if any(count - width * len(names) in _BEHIND for width in (2, 3))
     ]
-    remedy = (
-        f"say --layout {' or '.join(fitting)}"
-        if fitting
-        else "say --layout with names separated by commas"
+    return malformed(
+        source,
+        "the names of its keypoints",
+        f"{count} numbers after the box",
+        layout_remedy(fitting),
     )
-    return malformed(source, "the names of its keypoints", f"{count} numbers after the box", remedy)
+
+
+def _is_comment(line: str) -> bool:
+    return not line.strip() or line.lstrip().startswith("#")
 
 
 def _lines(document: Document) -> Iterator[tuple[int, list[str]]]:
+    """Return the number and the cells of each line that holds a detection."""
     for number, line in enumerate(document.text.splitlines(), start=1):
-        if line.strip() and not line.lstrip().startswith("#"):
+        if not _is_comment(line):
             yield number, line.split()
 
 
-def _rows(document: Document) -> Iterator[tuple[str, Floats]]:
-    """Place and numbers of each line, the box left out."""
-    seen: dict[tuple[str, ...], int] = {}
+def _rows(document: Document) -> Iterator[Row]:
+    """Return what messages call each line, and its numbers behind the box. Raises FormatError."""
+    line_of: dict[tuple[str, ...], int] = {}
     for number, cells in _lines(document):
         source = f"{document.source}: line {number}"
-        if seen.setdefault(tuple(cells), number) != number:
+        first = line_of.setdefault(tuple(cells), number)
+        if first != number:
             raise malformed(
                 source,
                 "each detection once",
-                f"what line {seen[tuple(cells)]} says",
+                f"what line {first} says",
                 "a second run appended to the files: predict into a new folder",
             )
         try:
@@ -127,19 +117,60 @@ def _rows(document: Document) -> Iterator[tuple[str, Floats]]:
             ) from None
 
 
-def _detections(rows: list[list[tuple[str, Floats]]], keypoints: int) -> Iterator[list[Floats]]:
-    """`[keypoint, 3]` of each line of each file, score NaN where the model has none: two numbers a point or three, whichever more lines fit."""
-    lengths = np.array([len(values) for lines in rows for _, values in lines], dtype=np.int64)
-    width = max((3, 2), key=lambda width: int(np.isin(lengths - width * keypoints, _BEHIND).sum()))
-    for lines in rows:
-        for source, values in lines:
-            if len(values) - width * keypoints not in _BEHIND:
-                expected = f"2 or 3 numbers for each of {keypoints} keypoints after the box, as in the other lines"
-                raise malformed(
-                    source,
-                    expected,
-                    f"{len(values)} numbers",
-                    "give --layout with as many names as there are keypoints",
-                )
-        points = [values[: width * keypoints].reshape(keypoints, width) for _, values in lines]
-        yield [np.column_stack([each, np.full((keypoints, 3 - width), np.nan)]) for each in points]
+def _detections(rows: list[list[Row]], keypoints: int) -> list[list[Floats]]:
+    """Return the `[keypoint, 3]` detections of each file, score NaN where the model has none.
+
+    A point has two numbers or three, whichever more lines fit. Raises FormatError.
+    """
+    width = _numbers_per_point(rows, keypoints)
+    return [[_points(row, keypoints, width) for row in rows_of_file] for rows_of_file in rows]
+
+
+def _numbers_per_point(rows: list[list[Row]], keypoints: int) -> int:
+    """Return how many numbers a point has in most lines, 2 or 3."""
+    lengths = np.array(
+        [len(numbers) for rows_of_file in rows for _, numbers in rows_of_file], dtype=np.int64
+    )
+    lines_with_2 = np.isin(lengths - 2 * keypoints, _BEHIND).sum()
+    lines_with_3 = np.isin(lengths - 3 * keypoints, _BEHIND).sum()
+    return 2 if lines_with_2 > lines_with_3 else 3
+
+
+def _points(row: Row, keypoints: int, width: int) -> Floats:
+    """Return `[keypoint, 3]` of a line with `width` numbers a point. Raises FormatError."""
+    source, numbers = row
+    if len(numbers) - width * keypoints not in _BEHIND:
+        raise malformed(
+            source,
+            f"2 or 3 numbers for each of {keypoints} keypoints after the box, "
+            "as in the other lines",
+            f"{len(numbers)} numbers",
+            "give --layout with as many names as there are keypoints",
+        )
+    points = numbers[: width * keypoints].reshape(keypoints, width)
+    absent = np.full((keypoints, 3 - width), np.nan)
+    return np.column_stack([points, absent])
+
+
+def _check_shares(values: Floats, source: str) -> None:
+    """Raise FormatError where `[..., 3]` values have positions that are no shares of the image."""
+    largest = np.nanmax(np.abs(values[..., :2]), initial=0.0)
+    if largest > ReadConfig().largest_share:
+        raise malformed(
+            source,
+            "positions from 0 to 1",
+            f"{largest:.1f}",
+            "these are pixels, of a letterboxed image perhaps: export them again",
+        )
+
+
+def _in_pixels(values: Floats, size: tuple[int, int], *, is_unscored: bool) -> Floats:
+    """Return `[..., 3]` pixels and confidences of shares of the image and scores."""
+    positions, scores = values[..., :2], values[..., 2]
+    is_missing = (positions == 0).all(-1, keepdims=True)
+    if is_unscored:
+        confidence = np.where(np.isfinite(positions[..., 0]), 1.0, np.nan)
+    else:
+        confidence = visibility_as_confidence(scores)
+    pixels = np.where(is_missing, 0.0, positions * size)
+    return np.concatenate([pixels, confidence[..., None]], axis=-1)

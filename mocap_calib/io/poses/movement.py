@@ -18,7 +18,7 @@ import numpy as np
 
 from mocap_calib import __version__
 from mocap_calib.io.hdf5 import array, integers, names
-from mocap_calib.io.keypoints.movement import turned
+from mocap_calib.io.keypoints.movement import read_variable
 from mocap_calib.io.poses.common import (
     PoseFile,
     WrittenPoses,
@@ -66,7 +66,7 @@ def _parse(file: h5py.File, source: str) -> PoseFile:
     individuals = _read_labels(file, "individual", source)
     if names(file, "space", source) != _SPACE:
         raise ValueError("space that is not x, y, z")
-    positions = turned(file, "position", ("time", "individual", "keypoint", "space"), source)
+    positions = read_variable(file, "position", ("time", "individual", "keypoint", "space"), source)
     shape = positions.shape[:3]
     rate = float(np.ravel(file.attrs["fps"])[0]) if "fps" in file.attrs else np.nan
     confidence = _read_if_given(file, "confidence", shape, source)
@@ -94,7 +94,7 @@ def _read_if_given(file: h5py.File, name: str, shape: tuple[int, ...], source: s
     """Return `[frame, individual, keypoint]` of a variable, NaN where it is not there."""
     if name not in file:
         return np.full(shape, np.nan)
-    return turned(file, name, ("time", "individual", "keypoint"), source)
+    return read_variable(file, name, ("time", "individual", "keypoint"), source)
 
 
 def _read_frames(file: h5py.File, rate: float, source: str) -> Ints:

@@ -17,7 +17,7 @@ import numpy as np
 
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.hdf5 import array
-from mocap_calib.io.keypoints.nwb import frames_of
+from mocap_calib.io.keypoints.nwb import frame_numbers_and_rate
 from mocap_calib.io.poses.common import (
     PoseFile,
     WrittenPoses,
@@ -84,11 +84,11 @@ def _parse(file: h5py.File, source: str) -> PoseFile:
     paths = list(dict.fromkeys(path for path, _ in found))
     keypoints = list(dict.fromkeys(keypoint for _, keypoint in found))
     first = next(iter(found.values()))
-    frames, rate = frames_of(first, source)
+    frames, rate = frame_numbers_and_rate(first, source)
     positions = np.full((len(frames), len(paths), len(keypoints), 3), np.nan)
     confidence = np.full(positions.shape[:3], np.nan)
     for (path, keypoint), series in found.items():
-        if not np.array_equal(frames_of(series, source)[0], frames):
+        if not np.array_equal(frame_numbers_and_rate(series, source)[0], frames):
             raise ValueError("series of different times")
         column = (slice(None), paths.index(path), keypoints.index(keypoint))
         factor = float(series["data"].attrs.get("conversion", 1.0))

@@ -65,7 +65,7 @@ def write_scene(path: Path, scene: SceneLike, command: str) -> None:
 
 def scene_files(scene: SceneLike, command: str) -> dict[str, bytes]:
     """Return the files of a scene: relative path -> content."""
-    texts = {f"keypoints/{file.camera}.json": _format_keypoints(file) for file in scene.files}
+    texts = {f"keypoints/{file.camera}.json": format_coco(file) for file in scene.files}
     texts["intrinsics.toml"] = format_intrinsics_toml(scene.rig.cameras)
     texts["reference.toml"] = format_calibration_toml(scene.rig, {"command": command})
     texts["README.md"] = (
@@ -74,12 +74,6 @@ def scene_files(scene: SceneLike, command: str) -> dict[str, bytes]:
     )
     files = {name: text.encode() for name, text in texts.items()}
     return files | {"truth.npz": _pack_truth(scene)}
-
-
-def _format_keypoints(file: Keypoints2D) -> str:
-    return format_coco(
-        file.camera, file.image_size, file.frames, file.keypoints, file.positions, file.confidence
-    )
 
 
 def _pack_truth(scene: SceneLike) -> bytes:

@@ -12,99 +12,133 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_calib.config import TRAINING_JOINTS
 from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.recording.joints import match_names
-from mocap_calib.synthetic.procedural import parse_body, sample_bodies
+from mocap_calib.synthetic.body_plan import parse_body
+from mocap_calib.synthetic.procedural import sample_bodies
 from mocap_calib.types import Bools, Floats, Skeleton
 
 Split = Literal["train", "val", "test"]
-UP = {
-    f"{sign}{axis}": (column, 1.0 if sign == "+" else -1.0)
-    for column, axis in enumerate("xyz")
-    for sign in "+-"
+
+_UP = {  # column and sign
+    "+x": (0, 1.0),
+    "-x": (0, -1.0),
+    "+y": (1, 1.0),
+    "-y": (1, -1.0),
+    "+z": (2, 1.0),
+    "-z": (2, -1.0),
 }
-_LEAST_JOINTS = 4
 _ARRAYS = ("poses", "poses3d", "joints", "split", "subject", "clip")
+_OTHER_NAMES = {"poses3d": "poses", "clip": "subject"}
 
 
 @dataclass(frozen=True)
 class PoseSet:
-    """3D poses, +z up. poses: `[pose, joint, 3]`, NaN = not known; weight: `[pose]` how often to draw each, sum 1."""
+    """3D poses, +z up.
+
+    poses: `[pose, joint, 3]`, NaN = not known.
+    weight: `[pose]` how often to draw each; sum 1.
+    """
 
     poses: Floats
     weight: Floats
 
 
 def load_poses(path: Path, skeleton: Skeleton, split: Split, *, up: str = "+z") -> PoseSet:
-    """Reads an npz file, or a folder with `poses3d.npz` and `joints.json` (`names`); any unit.
+    """Read an npz file, or a folder with `poses3d.npz` and `joints.json` (`names`), in any unit.
 
-    The file has `poses` or `poses3d` `[S, J, 3]`, `joints [J]` unless joints.json says them, and optionally `split` and `subject`
-    or `clip` `[S]`. up: the axis that points up. Poses are drawn by subject and by the square root of its number of frames, so that
-    one long dance does not rule. Raises FormatError, and MismatchError where fewer than four joints are those of the skeleton.
+    The file has `poses` or `poses3d` `[S, J, 3]`, `joints [J]` unless joints.json has them, and
+    optionally `split` and `subject` or `clip` `[S]`. up: the axis that points up. Poses are drawn
+    by subject and by the square root of its number of frames, so that one long dance does not rule.
+
+    Raises FormatError, and MismatchError where fewer than four joints are those of the skeleton.
     """
     fields = _read(path)
-    found = match_names(tuple(str(name) for name in fields["joints"]), skeleton)
+    found = _match_joints(fields["joints"], skeleton, path)
+    poses = fields["poses"]
+    keep = fields["split"] == split if "split" in fields else every_tenth(len(poses), split)
+    subject = fields.get("subject", np.zeros(len(poses), dtype=np.int64))
     known = np.flatnonzero(found >= 0)
-    if len(known) < _LEAST_JOINTS:
+    bodies = np.full((int(keep.sum()), len(skeleton.keypoints), 3), np.nan)
+    bodies[:, found[known]] = _turn_upright(poses[keep][:, known].astype(np.float64), up)
+    enough = np.isfinite(bodies).all(-1).sum(1) >= TRAINING_JOINTS
+    return PoseSet(bodies[enough], _weight_by_subject(subject[keep][enough]))
+
+
+def _match_joints(names: NDArray[Any], skeleton: Skeleton, path: Path) -> NDArray[np.int64]:
+    """Return the index `[J]` in the skeleton of each name of a file, -1 = none.
+
+    Raises MismatchError where fewer than four are joints of the skeleton.
+    """
+    found = match_names(tuple(str(name) for name in names), skeleton)
+    if (found >= 0).sum() < TRAINING_JOINTS:
         raise MismatchError(
-            f"{path}: expected joints of skeleton {skeleton.name}, found {', '.join(map(str, fields['joints']))}"
+            f"{path}: expected joints of skeleton {skeleton.name}, "
+            f"found {', '.join(map(str, names))}"
         )
-    keep = (
-        fields["split"] == split if "split" in fields else every_tenth(len(fields["poses"]), split)
-    )
-    poses = np.full((int(keep.sum()), len(skeleton.keypoints), 3), np.nan)
-    poses[:, found[known]] = _upright(fields["poses"][keep][:, known].astype(np.float64), up)
-    enough = np.isfinite(poses).all(-1).sum(1) >= _LEAST_JOINTS
-    subject = (
-        fields["subject"][keep] if "subject" in fields else np.zeros(len(poses), dtype=np.int64)
-    )
-    _, which, count = np.unique(subject[enough], return_inverse=True, return_counts=True)
-    weight = 1.0 / np.sqrt(count[which])
-    return PoseSet(poses[enough], weight / weight.sum())
+    return found
+
+
+def _weight_by_subject(subject: NDArray[Any]) -> Floats:
+    """Return the weight `[pose]` that lets a subject `[pose]` count by the root of its poses."""
+    _, index, count = np.unique(subject, return_inverse=True, return_counts=True)
+    weight = 1.0 / np.sqrt(count[index])
+    return weight / weight.sum()
 
 
 def _read(path: Path) -> dict[str, NDArray[Any]]:
-    """Arrays `poses`, `joints` and what else there is. Raises FormatError."""
-    folder = path if path.is_dir() else path.parent
-    file_path = path / "poses3d.npz" if path.is_dir() else path
+    """Return the arrays `poses`, `joints` and what else there is. Raises FormatError."""
     try:
-        with np.load(file_path, allow_pickle=False) as file:
-            fields = {name: file[name] for name in file.files if name in _ARRAYS}
-        if "joints" not in fields and (folder / "joints.json").is_file():
-            fields["joints"] = np.array(
-                json.loads((folder / "joints.json").read_text("utf-8"))["names"]
-            )
+        fields = _read_arrays(path)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise FormatError(
-            f"{path}: expected an npz file of 3D poses, or a folder with poses3d.npz and joints.json: {error}"
+            f"{path}: expected an npz file of 3D poses, "
+            f"or a folder with poses3d.npz and joints.json: {error}"
         ) from None
-    fields |= {
-        new: fields[old]
-        for new, old in (("poses", "poses3d"), ("subject", "clip"))
-        if old in fields and new not in fields
-    }
+    for other, name in _OTHER_NAMES.items():
+        if other in fields:
+            fields.setdefault(name, fields[other])
     if not {"poses", "joints"} <= set(fields):
-        raise FormatError(
-            f"{path}: expected the arrays `poses` and `joints`, found {', '.join(fields) or 'neither'}"
-        )
-    if fields["poses"].ndim != 3 or fields["poses"].shape[1:] != (len(fields["joints"]), 3):
-        raise FormatError(
-            f"{path}: expected poses of shape (any, {len(fields['joints'])}, 3), found {fields['poses'].shape}"
-        )
+        found = ", ".join(fields) or "neither"
+        raise FormatError(f"{path}: expected the arrays `poses` and `joints`, found {found}")
+    shape, joints = fields["poses"].shape, len(fields["joints"])
+    if len(shape) != 3 or shape[1:] != (joints, 3):
+        raise FormatError(f"{path}: expected poses of shape (any, {joints}, 3), found {shape}")
     return fields
 
 
-def _upright(poses: Floats, up: str) -> Floats:
-    """Turns the axis `up` to +z."""
-    if up not in UP:
-        raise FormatError(f"up axis: expected one of {', '.join(UP)}, found {up}")
-    column, sign = UP[up]
+def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """Return the arrays of a file that are known, with the names of joints.json beside it."""
+    folder = path if path.is_dir() else path.parent
+    file_path = path / "poses3d.npz" if path.is_dir() else path
+    with np.load(file_path, allow_pickle=False) as file:
+        fields = {name: file[name] for name in file.files if name in _ARRAYS}
+    names = folder / "joints.json"
+    if "joints" not in fields and names.is_file():
+        fields["joints"] = np.array(json.loads(names.read_text("utf-8"))["names"])
+    return fields
+
+
+def parse_up(up: str) -> tuple[int, float]:
+    """Return the column and the sign of an axis that points up: +x, -y, ... Raises FormatError."""
+    if up not in _UP:
+        raise FormatError(f"up axis: expected one of {', '.join(_UP)}, found {up}")
+    return _UP[up]
+
+
+def _turn_upright(poses: Floats, up: str) -> Floats:
+    """Turn the axis `up` of poses `[..., 3]` to +z. Raises FormatError."""
+    column, sign = parse_up(up)
     turned = np.roll(poses, 2 - column, axis=-1)
     return turned if sign > 0 else turned * [-1.0, 1.0, -1.0]
 
 
 def every_tenth(n: int, split: Split) -> Bools:
-    """7:2:1 in blocks of time, where a set does not bring its own split."""
+    """Return which of n frames `[n]` a split has: 7:2:1 in blocks of time.
+
+    For sets that do not bring a split of their own.
+    """
     tenth = np.arange(n) * 10 // max(n, 1)
     return {"train": tenth < 7, "val": (tenth >= 7) & (tenth < 9), "test": tenth == 9}[split]
 
@@ -112,25 +146,26 @@ def every_tenth(n: int, split: Split) -> Bools:
 def procedural_poses(
     skeleton: Skeleton, body: Mapping[str, Any], count: int, *, seed: int
 ) -> PoseSet:
-    """`count` bodies from the section `body` of a skeleton's file. Raises FormatError."""
+    """Make `count` bodies from the section `body` of a skeleton's file. Raises FormatError."""
     poses = sample_bodies(np.random.default_rng(seed), parse_body(body, skeleton), count)
     return PoseSet(poses, np.full(count, 1.0 / count))
 
 
 def mix(sets: Sequence[PoseSet], shares: Sequence[float]) -> PoseSet:
-    """One set that draws from each of several with its share; bodies are brought to one size."""
+    """Return one set that draws from each of several with its share, all bodies of one size."""
     total = sum(shares)
-    return PoseSet(
-        np.concatenate([_unit_size(one.poses) for one in sets]),
-        np.concatenate([one.weight * s / total for one, s in zip(sets, shares, strict=True)]),
-    )
+    weights = [one.weight * share / total for one, share in zip(sets, shares, strict=True)]
+    poses = [_unit_size(one.poses) for one in sets]
+    return PoseSet(np.concatenate(poses), np.concatenate(weights))
 
 
 def _unit_size(poses: Floats) -> Floats:
+    """Return poses `[pose, joint, 3]` about their centroids with an RMS radius of 1."""
     centred = poses - np.nanmean(poses, axis=1, keepdims=True)
-    return centred / np.sqrt(np.nanmean((centred**2).sum(-1), axis=1))[:, None, None]
+    radius = np.sqrt(np.nanmean((centred**2).sum(-1), axis=1))
+    return centred / radius[:, None, None]
 
 
-def by_size(sets: Sequence[PoseSet]) -> list[float]:
-    """Shares that let a set count by the square root of its number of poses."""
+def shares_by_size(sets: Sequence[PoseSet]) -> list[float]:
+    """Return shares that let each set count by the square root of its number of poses."""
     return [float(np.sqrt(len(one.poses))) for one in sets]

@@ -1,0 +1,208 @@
+"""What commands say of a recording and of its calibration, as lines of text for a person."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from mocap_calib.config import Config
+from mocap_calib.io.results.group import REVERSED_RIG
+from mocap_calib.recording.meanings import describe_unshared
+from mocap_calib.recording.summary import RecordingSummary
+from mocap_calib.types import CalibrationResult, GroupResult
+from mocap_calib_cli.progress import format_number, format_table
+
+# --- what was read
+
+
+def describe_recording(summary: RecordingSummary) -> list[str]:
+    """Say which file belongs to which camera, what is left out, and which joints are known."""
+    return [
+        *summary.camera_notes,
+        *_describe_cameras(summary),
+        *_describe_left_out(summary),
+        *_describe_joints(summary),
+        *describe_ignored_files(summary.ignored_files),
+    ]
+
+
+def describe_ignored_files(files: Sequence[str]) -> list[str]:
+    """Say which files are not read because an .h5 file lies beside them."""
+    return [f"left out, the .h5 beside it is read: {', '.join(files)}"] if files else []
+
+
+def _describe_cameras(summary: RecordingSummary) -> list[str]:
+    """Return a table of the cameras."""
+    rows = [
+        [found.camera, found.source, str(found.frames), str(found.detections)]
+        for found in summary.cameras
+    ]
+    rows += [[name, "(no keypoint file)", "-", "-"] for name in summary.without_keypoints]
+    return format_table(["camera", "keypoints", "frames", "detections"], rows)
+
+
+def _describe_left_out(summary: RecordingSummary) -> list[str]:
+    """Say which cameras and how many detections take no part."""
+    lines = []
+    if summary.left_out:
+        lines.append(f"left out, nothing detected: {', '.join(summary.left_out)}")
+    if summary.lone_detections:
+        count = summary.lone_detections
+        lines.append(f"{count} detections in frames of a single camera are left out")
+    return lines
+
+
+def _describe_joints(summary: RecordingSummary) -> list[str]:
+    """Say how many joints there are, and how many of them the model knows."""
+    joints = f"{summary.frames} frames; {len(summary.keypoints)} joints"
+    known = f"the model of {summary.skeleton} knows {summary.known}"
+    unknown = f", not: {', '.join(summary.unknown)}" if summary.unknown else ""
+    lines = [f"{joints}, {known}{unknown}"]
+    if summary.by_geometry_alone:
+        lines.append("the model knows too few joints to help: calibrated by geometry alone")
+    if summary.single_camera_joints:
+        lines.append(describe_unshared(summary.single_camera_joints))
+    return lines
+
+
+# --- what was found
+
+
+def describe_groups(result: CalibrationResult) -> list[str]:
+    """Say which groups of cameras were calibrated separately, if there are several."""
+    groups = result.groups
+    if len(groups) == 1:
+        return []
+    names = " | ".join(", ".join(group.rig.names) for group in groups)
+    return [
+        "",
+        f"{len(groups)} groups of cameras that share too little to be placed against each other, "
+        f"each calibrated by itself: {names}",
+    ]
+
+
+def describe_unused_cameras(names: Sequence[str]) -> list[str]:
+    """Say which cameras no group holds."""
+    if not names:
+        return []
+    return [f"left out, no other camera confirms what they see: {', '.join(names)}"]
+
+
+def describe_group(group: GroupResult, report: dict[str, Any], folder: Path) -> list[str]:
+    """Say what a person wants to know of the result of one group of cameras.
+
+    report: as `run.json` has it. folder: where the files of the group are.
+    """
+    points = report["points"]["triangulated"]
+    return [
+        "",
+        *_describe_errors(report),
+        *_describe_pairs(report),
+        *_describe_weak_cameras(report),
+        *_describe_rounds(group),
+        *_describe_outlier_cameras(report),
+        *_describe_rig(report),
+        *_describe_weak_perspective(report),
+        *_describe_reversal(group, folder),
+        f"{len(report['individuals'])} individuals, {points} points; "
+        f"lengths in {report['unit']} units; results in {folder}",
+    ]
+
+
+def _describe_errors(report: dict[str, Any]) -> list[str]:
+    """Return a table of the cameras: detections, reprojection errors, pair scores."""
+    rows = []
+    for camera in report["cameras"]:
+        error = camera["reprojection_error_px"]
+        counts = [str(camera["detections"]), str(camera["matched"])]
+        figures = [error["median"], error["p95"], camera["pair_score"]]
+        rows.append([camera["name"], *counts, *map(format_number, figures)])
+    header = ["camera", "detections", "matched", "median px", "95 % px", "pair score"]
+    return format_table(header, rows)
+
+
+def _describe_pairs(report: dict[str, Any]) -> list[str]:
+    """Say which pairs do not go together with the others."""
+    lines = []
+    for pair in report["pairs"]:
+        names = f"pair {pair['a']}-{pair['b']}"
+        if pair["alternative_taken"]:
+            lines.append(
+                f"{names}: an alternative to its own best answer was taken, the one that the "
+                "cameras between confirm"
+            )
+        if pair["breaks_loop"]:
+            angle = pair["loop_rotation_deg"]
+            lines.append(
+                f"{names} contradicts the others by {angle:.1f} deg and was given little weight"
+            )
+    return lines
+
+
+def _describe_weak_cameras(report: dict[str, Any]) -> list[str]:
+    """Say which cameras have no pair of a good score."""
+    weak = [camera["name"] for camera in report["cameras"] if camera["weak"]]
+    if not weak:
+        return []
+    least = Config().averaging.weak_score
+    return [
+        f"weak: {', '.join(weak)} (pair score below {least}, good recordings have 0.7 and more): "
+        "do not trust it without a check"
+    ]
+
+
+def _describe_rounds(group: GroupResult) -> list[str]:
+    """Say that the adjustment had not come to rest."""
+    if group.adjusted.converged:
+        return []
+    rounds = group.adjusted.rounds
+    return [
+        f"matches still changed after {rounds} rounds of adjustment; look at matches.csv with care"
+    ]
+
+
+def _describe_outlier_cameras(report: dict[str, Any]) -> list[str]:
+    """Say which cameras are inconsistent with the others."""
+    names = _cameras_with_fault(report, "inconsistent")
+    if not names:
+        return []
+    return [
+        f"inconsistent: {', '.join(names)}: errors several times those of the other cameras; "
+        "out of step (shift it with --frame-offset), moved, or with other intrinsics"
+    ]
+
+
+def _describe_rig(report: dict[str, Any]) -> list[str]:
+    """Say the verdict on the rig, and the split-half angle that it rests on."""
+    verdict = report["verdict"]
+    angle = verdict["split_half_angle_deg"]
+    return [
+        f"rig: {verdict['rig']}; rigs from halves of the joints differ by {angle['median']:.1f} "
+        f"deg (split-half angle; {angle['max']:.1f} at most)"
+    ]
+
+
+def _describe_weak_perspective(report: dict[str, Any]) -> list[str]:
+    """Say of which cameras the images show no perspective."""
+    names = [camera["name"] for camera in report["cameras"] if camera["weak_perspective"]]
+    if not names:
+        return []
+    return [
+        f"weak perspective, translation not observable: {', '.join(names)}: so far away or of such "
+        "long focal length that images show no perspective; distances follow from the focal "
+        "lengths alone"
+    ]
+
+
+def _cameras_with_fault(report: dict[str, Any], fault: str) -> list[str]:
+    """Return the names of the cameras that have a fault."""
+    return [camera["name"] for camera in report["cameras"] if fault in camera["faults"]]
+
+
+def _describe_reversal(group: GroupResult, folder: Path) -> list[str]:
+    """Say that a rig reversed in depth fits as well."""
+    if group.adjusted.depth_reversed_rig is None:
+        return []
+    return [
+        "a rig reversed in depth fits as well, nothing that was seen tells which is right: "
+        f"it is in {folder / REVERSED_RIG}"
+    ]

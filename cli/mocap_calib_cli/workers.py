@@ -1,0 +1,56 @@
+"""Where work is done: in this process, in processes of this machine, or on a cluster."""
+
+import logging
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
+from types import FrameType
+from typing import TYPE_CHECKING
+
+from mocap_calib.errors import ClusterError
+from mocap_calib_cli.progress import Reporter
+
+if TYPE_CHECKING:
+    from mocap_calib.compute.cluster import Cluster
+
+
+@contextmanager
+def open_workers(
+    reporter: Reporter, *, scheduler: str | None = None, processes: int = 1
+) -> "Iterator[Cluster | None]":
+    """Start the workers of a scheduler, or so many processes, and end them with the block.
+
+    None where the work is done in this process. Batch systems end a job with SIGTERM: from here
+    on the program removes what is half written when it comes.
+
+    scheduler: address of a Dask scheduler.
+
+    Raises ClusterError where there are no such workers.
+    """
+    signal.signal(signal.SIGTERM, _exit_on_signal)
+    if scheduler is None and processes == 1:
+        yield None
+        return
+    with _connect(scheduler, processes) as workers:
+        place = f" by the workers of {scheduler}" if scheduler else ""
+        reporter.say(f"{workers.threads} at a time{place}")
+        yield workers
+
+
+def _connect(scheduler: str | None, processes: int) -> "AbstractContextManager[Cluster]":
+    """Return the workers of a scheduler, or processes; the package for it is an extra."""
+    try:
+        from mocap_calib.compute import cluster
+    except ModuleNotFoundError as error:
+        raise ClusterError(
+            f"expected the package {error.name}, found none; pip install 'mocap-calib[distributed]'"
+        ) from None
+    # what it has to say comes as an error, in one line; its import has set this level itself
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
+    return cluster.cluster(scheduler) if scheduler else cluster.processes(processes)
+
+
+def _exit_on_signal(number: int, _: FrameType | None) -> None:
+    """End the program in order, with the status that shells give a signal."""
+    sys.exit(128 + number)

@@ -1,0 +1,48 @@
+"""Hashes of files: what results follow from, and whether they are still what was written."""
+
+import hashlib
+from collections.abc import Iterable
+from pathlib import Path
+
+
+def hash_file(path: Path) -> str:
+    """Return the SHA-256 of a file, as hexadecimal digits."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def hash_files(folder: Path) -> dict[str, str]:
+    """Return the SHA-256 of every file below a folder, by its path relative to the folder."""
+    return {
+        file.relative_to(folder).as_posix(): hash_file(file)
+        for file in sorted(folder.rglob("*"))
+        if file.is_file()
+    }
+
+
+def hash_inputs(paths: Iterable[str | Path]) -> dict[str, str]:
+    """Return the SHA-256 of each file, and of each entry of each folder, by its path.
+
+    A folder within a folder, such as that of a camera's frames, has one hash for all its files
+    and their names. What is neither file nor folder (a pipe has been read already) is left out.
+    """
+    found = [entry for path in map(Path, paths) for entry in _entries(path)]
+    hashes = {}
+    for path in found:
+        if path.is_file():
+            hashes[str(path)] = hash_file(path)
+        elif path.is_dir():
+            hashes[str(path)] = _hash_folder(path)
+    return hashes
+
+
+def _entries(path: Path) -> list[Path]:
+    """Return the entries of a folder, or the path itself where it is none."""
+    return sorted(path.iterdir()) if path.is_dir() else [path]
+
+
+def _hash_folder(folder: Path) -> str:
+    """Return one SHA-256 for the names and contents of all files below a folder."""
+    files = [file for file in sorted(folder.rglob("*")) if file.is_file()]
+    lines = [f"{file.relative_to(folder)} {hash_file(file)}" for file in files]
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()

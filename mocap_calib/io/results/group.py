@@ -1,0 +1,87 @@
+"""The folder of a run: which files each group of cameras has, where they lie, which are stale.
+
+The files of the largest group lie in the folder itself, those of the others in `group_2`,
+`group_3`, ... `run.json` of the largest group lists all files by their hashes.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from mocap_calib.io.atomic import individual_file, remove_further_individuals, replace_text
+from mocap_calib.io.cameras.own import format_calibration_toml, format_cameras_yaml
+from mocap_calib.io.results.matches_csv import matches_csv
+from mocap_calib.io.results.poses_csv import poses_csv
+from mocap_calib.io.results.poses_h5 import write_poses_h5
+from mocap_calib.types import GroupResult
+
+REPORT = "run.json"
+REVERSED_RIG = "calibration_reversed.toml"
+_POSES = "poses3d.csv"  # of the first individual; poses3d_1.csv, ... of the others
+_FILES = ("cameras.yaml", "calibration.toml", REVERSED_RIG, "matches.csv", "poses3d.h5", REPORT)
+
+
+def group_folder(group: int) -> str:
+    """Return the folder of a group, counted from 0, relative to the folder of the run."""
+    return "." if group == 0 else f"group_{group + 1}"
+
+
+def write_group(folder: Path, group: GroupResult, provenance: Mapping[str, Any]) -> None:
+    """Write the cameras, matches and poses of a group into a folder that exists.
+
+    provenance: what the files say of how they came about.
+    """
+    rig = group.rig
+    reversed_rig = group.adjusted.depth_reversed_rig
+    _write_text(folder / "cameras.yaml", format_cameras_yaml(rig, provenance))
+    _write_text(folder / "calibration.toml", format_calibration_toml(rig, provenance))
+    if reversed_rig is not None:
+        _write_text(folder / REVERSED_RIG, format_calibration_toml(reversed_rig, provenance))
+    replace_text(folder / "matches.csv", matches_csv(group.recording, group.matches))
+    write_poses_h5(folder / "poses3d.h5", group.poses, provenance)
+    for individual in range(group.matches.individuals):
+        path = individual_file(folder / _POSES, individual)
+        replace_text(path, poses_csv(group.poses, individual))
+
+
+def remove_stale_results(folder: Path, report: Mapping[str, Any]) -> None:
+    """Remove what earlier runs left in the folder of a run that its own results do not replace.
+
+    These are files of further groups, of further individuals, and a rig reversed in depth. Other
+    files stay, and so do their folders.
+
+    report: what `run.json` of the largest group holds.
+    """
+    kept = {REPORT, *report["outputs"]}
+    groups = len(report["groups"])
+    while (folder / group_folder(groups) / REPORT).is_file():
+        groups += 1
+    for group in range(groups):
+        _remove_stale_group(folder, group_folder(group), kept)
+
+
+def _remove_stale_group(folder: Path, group: str, kept: set[str]) -> None:
+    """Remove the files of a group that are not kept, and its folder where nothing else is in it.
+
+    kept: names of files, relative to the folder of the run.
+    """
+    place = folder / group
+    individuals = 0
+    while _relative(individual_file(place / _POSES, individuals), folder) in kept:
+        individuals += 1
+    remove_further_individuals(place / _POSES, individuals)
+    for file in (place / name for name in _FILES):
+        if _relative(file, folder) not in kept:
+            file.unlink(missing_ok=True)
+    if not any(place.iterdir()):
+        place.rmdir()
+
+
+def _relative(path: Path, folder: Path) -> str:
+    """Return a path relative to a folder, as `run.json` has it."""
+    return path.relative_to(folder).as_posix()
+
+
+def _write_text(path: Path, text: str) -> None:
+    """Write text as UTF-8."""
+    path.write_text(text, "utf-8")

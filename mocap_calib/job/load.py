@@ -1,0 +1,66 @@
+"""From keypoint files and a file of cameras to a recording, and what of them is not used."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from mocap_calib.io.cameras.source import CameraFile
+from mocap_calib.io.keypoints.items import twins
+from mocap_calib.io.keypoints.read import read_keypoints
+from mocap_calib.job.request import KeypointSource
+from mocap_calib.recording.joints import fit_vocabulary, load_aliases
+from mocap_calib.recording.pairing import views_named
+from mocap_calib.recording.summary import RecordingSummary, summarise_recording
+from mocap_calib.recording.synchronise import make_recording
+from mocap_calib.steerpose.checkpoint import load_vocabulary
+from mocap_calib.types import Keypoints2D, Recording, Skeleton
+
+
+@dataclass(frozen=True)
+class LoadedRecording:
+    """A recording, the name of the model that lifts it, and what a person should know of it."""
+
+    recording: Recording
+    model: str
+    summary: RecordingSummary
+
+
+def load_recording(
+    source: KeypointSource, camera_file: CameraFile, *, only_known_cameras: bool = False
+) -> LoadedRecording:
+    """Read keypoints and join them with their cameras.
+
+    only_known_cameras: leave out keypoints of cameras that the file does not have, as a rig does
+        not have those that were left out of it; unless that leaves none.
+
+    Raises FormatError, and MismatchError where keypoints and cameras do not go together.
+    """
+    options = replace(source.options, single_precision=True)
+    views = read_keypoints(source.paths, source.format, options)
+    cameras = camera_file.cameras
+    if only_known_cameras:
+        views = views_named(views, cameras) or views
+    skeleton, aliases = _choose_vocabulary(source, views)
+    recording = make_recording(views, cameras, skeleton, aliases)
+    summary = summarise_recording(recording, views, cameras, skeleton, aliases)
+    summary = replace(
+        summary, camera_notes=camera_file.notes, ignored_files=find_ignored_files(source.paths)
+    )
+    return LoadedRecording(recording, source.model or skeleton.name, summary)
+
+
+def find_ignored_files(arguments: Sequence[str]) -> tuple[str, ...]:
+    """Return the files of the folders that are not read because an .h5 file lies beside them."""
+    folders = [path for path in map(Path, arguments) if path.is_dir()]
+    return tuple(str(file) for folder in folders for file in twins(folder))
+
+
+def _choose_vocabulary(
+    source: KeypointSource, views: Sequence[Keypoints2D]
+) -> tuple[Skeleton, dict[str, str]]:
+    """Return the joints of the model, and the aliases of its joints. Raises FormatError."""
+    if source.model is None:
+        names = (name for view in views for name in view.keypoints)
+        return fit_vocabulary(names, source.aliases)
+    skeleton = load_vocabulary(source.model)
+    return skeleton, load_aliases(source.aliases, skeleton) if source.aliases else {}

@@ -1,0 +1,77 @@
+"""What is asked for: which recording to calibrate, how, and where the results go."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+from mocap_calib import __version__
+from mocap_calib.config import PAIR_SOLVERS, Config
+from mocap_calib.io.file import plain_path
+from mocap_calib.io.hashing import hash_inputs
+from mocap_calib.io.keypoints.document import ReadOptions
+from mocap_calib.steerpose.checkpoint import identify_model
+
+
+@dataclass(frozen=True)
+class KeypointSource:
+    """Which keypoints are read, and how.
+
+    paths: files, folders and name=path pairs, as `read_keypoints` takes them.
+    format: name of their format; None: their content shows it.
+    options: what the files do not say themselves.
+    aliases: a YAML file with other names of joints, see `load_aliases`.
+    model: name of a shipped model, a weights file, or "none" for geometry alone; None: the
+        shipped model that knows most of the joints.
+    """
+
+    paths: tuple[str, ...]
+    format: str | None = None
+    options: ReadOptions = field(default_factory=ReadOptions)
+    aliases: Path | None = None
+    model: str | None = None
+
+
+@dataclass(frozen=True)
+class CalibrationRequest:
+    """Which recording to calibrate, how, and where the results go.
+
+    cameras: a file or folder with the intrinsics, or the content of such a file.
+    output: the folder of the results.
+    pair_solver: how a pair of views is calibrated, one of `config.PAIR_SOLVERS`.
+    device: where the network computes, "cpu" or "cuda".
+    """
+
+    keypoints: KeypointSource
+    cameras: Path | bytes
+    output: Path
+    pair_solver: str = PAIR_SOLVERS[0]
+    seed: int = 0
+    device: str = "cpu"
+    config: Config = field(default_factory=Config)
+
+    def hash_inputs(self) -> dict[str, str]:
+        """Return the SHA-256 of all files that the results follow from, by path."""
+        paths = [plain_path(argument) for argument in self.keypoints.paths]
+        if isinstance(self.cameras, Path):
+            paths.append(self.cameras)
+        if self.keypoints.aliases is not None:
+            paths.append(self.keypoints.aliases)
+        return hash_inputs(paths)
+
+    def fingerprint(self, hashes: Mapping[str, str], model: str) -> str:
+        """Return the SHA-256 of all that the results follow from.
+
+        That is what was asked for, the files, the configuration, the weights and the version.
+
+        hashes: of the inputs, by path. model: the one that was chosen.
+        """
+        asked = [asdict(self.keypoints), self.cameras, self.seed, self.device]
+        content = json.dumps([asked, hashes, self.describe_method(model)], default=str)
+        return hashlib.sha256(content.encode()).hexdigest()
+
+    def describe_method(self, model: str) -> str:
+        """Return how any recording is calibrated: solver, configuration, weights and version."""
+        parts = [self.pair_solver, asdict(self.config), model, identify_model(model), __version__]
+        return json.dumps(parts)

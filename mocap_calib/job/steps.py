@@ -1,0 +1,185 @@
+"""The steps from files to results: read, calibrate, write.
+
+The first and the last touch files; the one between touches none and may be done elsewhere.
+"""
+
+import json
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mocap_calib.errors import ClusterError, MocapCalibError
+from mocap_calib.io.atomic import folder
+from mocap_calib.io.cameras.read import load_cameras, parse_content
+from mocap_calib.io.cameras.source import CameraFile
+from mocap_calib.io.hashing import hash_file, hash_files
+from mocap_calib.io.provenance import provenance
+from mocap_calib.io.results.group import REPORT, group_folder, remove_stale_results, write_group
+from mocap_calib.io.results.pair_store import remember_pairs
+from mocap_calib.job.load import LoadedRecording, load_recording
+from mocap_calib.job.request import CalibrationRequest
+from mocap_calib.pipeline import calibrate
+from mocap_calib.report import run_report
+from mocap_calib.steerpose.checkpoint import load_model
+from mocap_calib.steerpose.device import check_device, use_threads
+from mocap_calib.steerpose.model import Lifter
+from mocap_calib.two_view.solve import PairSolver, pair_mapper
+from mocap_calib.two_view.solvers import choose_pair_solver
+from mocap_calib.types import CalibrationResult, Mapper, Progress, silent
+
+# in the folder of results: the pairs of a run that is under way or was killed
+_UNFINISHED = ".unfinished"
+
+
+@dataclass(frozen=True)
+class Job:
+    """A recording that has been read: all that its calibration needs, on any machine.
+
+    hashes: SHA-256 of the inputs, by path.
+    """
+
+    request: CalibrationRequest
+    hashes: Mapping[str, str]
+    loaded: LoadedRecording
+    lifter: Lifter
+    pair_solver: PairSolver | None
+
+
+def read_job(request: CalibrationRequest) -> Job:
+    """Read the keypoints, the cameras and the model of a request.
+
+    Raises FormatError and MismatchError.
+    """
+    hashes = request.hash_inputs()  # first: what changes from now on makes another fingerprint
+    loaded = load_recording(request.keypoints, _load_camera_file(request.cameras))
+    lifter = load_model(loaded.model)
+    solver = choose_pair_solver(
+        request.pair_solver, loaded.recording, lifter, request.config.pairwise
+    )
+    return Job(request, hashes, loaded, lifter, solver)
+
+
+def calibrate_job(
+    job: Job, *, progress: Progress = silent, mapper: Mapper | None = None
+) -> CalibrationResult:
+    """Calibrate the groups of cameras of a recording; touch no file.
+
+    mapper: where the pairs are calibrated, see `pipeline.calibrate`.
+
+    Raises DegenerateError, and MismatchError where there is no such device.
+    """
+    request = job.request
+    use_threads(1)
+    check_device(request.device)
+    return calibrate(
+        job.loaded.recording,
+        job.lifter,
+        request.config,
+        seed=request.seed,
+        device=request.device,
+        progress=progress,
+        mapper=mapper,
+        pair_solver=job.pair_solver,
+    )
+
+
+def calibrate_job_resumably(
+    job: Job, *, progress: Progress = silent, mapper: Mapper | None = None
+) -> CalibrationResult:
+    """Calibrate as `calibrate_job` does, with the pairs kept beside the results.
+
+    A run that was killed need not find them again. They are removed with the first results, or
+    where the recording cannot be calibrated.
+    """
+    request = job.request
+    pairwise = mapper or pair_mapper(job.loaded.recording, request.config.pairwise)
+    method = request.describe_method(job.loaded.model)
+    try:
+        kept = remember_pairs(pairwise, request.output / _UNFINISHED, method)
+        return calibrate_job(job, progress=progress, mapper=kept)
+    except ClusterError:  # not the recording's fault: the next attempt goes on from here
+        raise
+    except MocapCalibError:
+        _remove_unfinished(request.output)
+        raise
+
+
+def write_results(job: Job, result: CalibrationResult) -> list[dict[str, Any]]:
+    """Write all files of a run, together or not at all.
+
+    Return what `run.json` holds of each group. What an earlier run found and this one did not is
+    removed: further groups and individuals, and a rig reversed in depth.
+    """
+    request = job.request
+    source = provenance("run", seed=request.seed, inputs=job.hashes)
+    reports = _report_groups(job, result)
+    with folder(request.output) as work:
+        # the first group comes last: its report has the hashes of all other files
+        for number in reversed(range(len(result.groups))):
+            place = work / group_folder(number)
+            place.mkdir(exist_ok=True)
+            write_group(place, result.groups[number], source)
+            if number == 0:
+                reports[0]["fingerprint"] = request.fingerprint(job.hashes, job.loaded.model)
+                reports[0]["outputs"] = hash_files(work)
+            text = json.dumps(reports[number], indent=1, allow_nan=False)
+            (place / REPORT).write_text(text + "\n", "utf-8")
+    _clean_output(request.output, reports[0])
+    return reports
+
+
+def find_finished(request: CalibrationRequest) -> dict[str, Any] | None:
+    """Return what `run.json` holds where the results are those of the request, and whole.
+
+    None where they are to be made. A run may have been killed while it moved its files into
+    place: every one of them must be what `run.json` says.
+    """
+    try:
+        report = json.loads((request.output / REPORT).read_bytes())
+        if report["fingerprint"] != request.fingerprint(request.hash_inputs(), report["model"]):
+            return None
+        for name, content in report["outputs"].items():
+            if hash_file(request.output / name) != content:
+                return None
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        return None
+    # if it was killed at the very end, the run did not come to this
+    _clean_output(request.output, report)
+    return report
+
+
+def _load_camera_file(cameras: Path | bytes) -> CameraFile:
+    """Return what a file or folder, or the content of a file, says of cameras."""
+    return load_cameras(cameras) if isinstance(cameras, Path) else parse_content(cameras, "stdin")
+
+
+def _report_groups(job: Job, result: CalibrationResult) -> list[dict[str, Any]]:
+    """Return what `run.json` holds of each group, but for the hashes of the results."""
+    request = job.request
+    groups = [
+        {"folder": group_folder(number), "cameras": list(group.rig.names)}
+        for number, group in enumerate(result.groups)
+    ]
+    shared = {"model": job.loaded.model, "solver": request.pair_solver, "groups": groups}
+    return [
+        run_report(group, result, seed=request.seed, config=request.config, inputs=job.hashes)
+        | shared
+        for group in result.groups
+    ]
+
+
+def _clean_output(output: Path, report: Mapping[str, Any]) -> None:
+    """Leave nothing of earlier runs beside the results that `run.json` lists."""
+    remove_stale_results(output, report)
+    _remove_unfinished(output)
+
+
+def _remove_unfinished(output: Path) -> None:
+    """Remove the pairs of an unfinished run, and the folder made for them if it is empty now."""
+    if not (output / _UNFINISHED).is_dir():
+        return
+    shutil.rmtree(output / _UNFINISHED, ignore_errors=True)
+    if not any(output.iterdir()):
+        output.rmdir()

@@ -1,0 +1,101 @@
+"""Join the detections of a frame to groups, most alike first, in all frames at once.
+
+Agglomerative clustering with average linkage (Sokal and Michener 1958). A group never holds two
+detections of one view.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mocap_calib.types import Bools, Floats, Ints
+
+
+@dataclass(frozen=True)
+class _Clusters:
+    """The clusters of each frame, changed in place as they are merged.
+
+    A cluster goes by the index of one of its N detections; the rows and columns of the others
+    are no longer used.
+
+    affinity: `[frame, N, N]` sum of the affinities between the detections of two clusters.
+    pairs: `[frame, N, N]` number of the comparable pairs of detections between two clusters.
+    linkage: `[frame, N, N]` mean affinity, 0 between clusters that must not be merged.
+    holds: `[frame, N, view]` whether a cluster has a detection of the view.
+    cluster: `[frame, N]` the cluster of each detection.
+    """
+
+    affinity: Floats
+    pairs: Floats
+    linkage: Floats
+    holds: Bools
+    cluster: Ints
+
+
+def cluster_detections(
+    affinity: Floats, comparable: Floats, *, views: int, least_affinity: float
+) -> Ints:
+    """Return the group of each detection in its frame, `[frame, N]`; -1 for one that stays alone.
+
+    affinity, comparable: `[frame, N, N]` of the N = views x instances detections: how alike two
+        of them are, 0..1, and 1 where they can be compared.
+    least_affinity: the mean affinity down to which groups are merged.
+    """
+    clusters = _single_detections(affinity, comparable, views)
+    frames = np.arange(len(affinity))
+    while len(frames):
+        frames, kept, merged = _closest_clusters(clusters, frames, least_affinity)
+        _merge(clusters, frames, kept, merged)
+    together = clusters.cluster[:, :, None] == clusters.cluster[:, None]
+    return np.where(together.sum(-1) > 1, clusters.cluster, -1)
+
+
+def _single_detections(affinity: Floats, comparable: Floats, views: int) -> _Clusters:
+    """Return clusters of one detection each."""
+    frames, detections = affinity.shape[:2]
+    of_view = np.repeat(np.eye(views, dtype=bool), detections // views, axis=0)
+    same_view = of_view @ of_view.T
+    total = affinity * comparable
+    return _Clusters(
+        affinity=total,
+        pairs=comparable.copy(),
+        linkage=np.where(same_view, 0.0, total / np.maximum(comparable, 1.0)),
+        holds=np.broadcast_to(of_view, (frames, detections, views)).copy(),
+        cluster=np.broadcast_to(np.arange(detections), (frames, detections)).copy(),
+    )
+
+
+def _closest_clusters(
+    clusters: _Clusters, frames: Ints, least_affinity: float
+) -> tuple[Ints, Ints, Ints]:
+    """Return the frames in which clusters are still to be merged, and the two closest of each."""
+    detections = clusters.cluster.shape[1]
+    linkage = clusters.linkage.reshape(len(clusters.linkage), -1)[frames]
+    best = linkage.argmax(1)
+    alike = linkage[np.arange(len(best)), best] >= least_affinity
+    kept, merged = np.divmod(best[alike], detections)
+    return frames[alike], kept, merged
+
+
+def _merge(clusters: _Clusters, frames: Ints, kept: Ints, merged: Ints) -> None:
+    """Merge one pair of clusters in each of the frames; `kept` is what both go by from now on."""
+    for sums in (clusters.affinity, clusters.pairs):
+        joined = sums[frames, kept] + sums[frames, merged]
+        sums[frames, kept] = joined
+        sums[frames, :, kept] = joined
+
+    holds = clusters.holds
+    holds[frames, kept] |= holds[frames, merged]
+    holds[frames, merged] = True  # no cluster may be merged with it again
+
+    pairs = np.maximum(clusters.pairs[frames, kept], 1.0)
+    mean = clusters.affinity[frames, kept] / pairs
+    share_a_view = (holds[frames] & holds[frames, kept][:, None]).any(-1)
+    linkage = np.where(share_a_view, 0.0, mean)
+    clusters.linkage[frames, kept] = linkage
+    clusters.linkage[frames, :, kept] = linkage
+    clusters.linkage[frames, merged] = 0.0
+    clusters.linkage[frames, :, merged] = 0.0
+
+    cluster = clusters.cluster[frames]
+    clusters.cluster[frames] = np.where(cluster == merged[:, None], kept[:, None], cluster)

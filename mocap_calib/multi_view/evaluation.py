@@ -1,0 +1,160 @@
+"""Compare a rig with a reference."""
+
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from mocap_calib.errors import MismatchError
+from mocap_calib.geometry.alignment import similarity
+from mocap_calib.geometry.rotation import angle_between, direction_angle
+from mocap_calib.types import CameraRig, Floats
+
+THRESHOLDS = (5, 10, 20, 30)  # degrees
+
+# Points on the cameras' axes take part in the alignment, so near to the centres (in spreads of the
+# centres) that they decide only what the centres leave open.
+_AXIS_LENGTH = 1e-3
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """A rig against a reference.
+
+    names: cameras of the reference that the rig has.
+    missing: cameras of the reference that the rig lacks.
+    pairs: `[pair]` names of all pairs of the reference's cameras.
+    rotation_error: `[pair]` radians between the relative rotations, pi where a camera is missing.
+    translation_error: `[pair]` radians between the directions of the relative translations, pi
+        where a camera is missing.
+    camera_rotation: `[camera]` radians between the rotations, after an alignment of the centres.
+    centre_error: `[camera]` distance of the centres in the reference's unit, after the alignment.
+    unit: of the reference.
+    """
+
+    names: tuple[str, ...]
+    missing: tuple[str, ...]
+    pairs: tuple[tuple[str, str], ...]
+    rotation_error: Floats
+    translation_error: Floats
+    camera_rotation: Floats
+    centre_error: Floats
+    unit: str
+
+
+def evaluate_rig(rig: CameraRig, reference: CameraRig) -> Evaluation:
+    """Compare all pairs of the reference's cameras, and the cameras after an alignment.
+
+    The alignment is a similarity: rotation, translation and scale. Raises MismatchError where the
+    rig has fewer than two cameras of the reference.
+    """
+    names = tuple(sorted(name for name in reference.names if name in rig.names))
+    if len(names) < 2:
+        raise MismatchError(
+            f"expected at least two cameras of the reference ({', '.join(reference.names)}), "
+            f"found {', '.join(rig.names)}; match their names"
+        )
+    pairs = tuple(combinations(sorted(reference.names), 2))
+    errors = np.array([_pair_error(rig, reference, a, b) for a, b in pairs])
+    found, true = _select_named(rig, names), _select_named(reference, names)
+    scale, rotation, translation = similarity(_with_axes(found), _with_axes(true))
+    centres = scale * found.centres @ rotation.T + translation
+    return Evaluation(
+        names=names,
+        missing=tuple(sorted(set(reference.names) - set(names))),
+        pairs=pairs,
+        rotation_error=errors[:, 0],
+        translation_error=errors[:, 1],
+        camera_rotation=angle_between(found.rotation @ rotation.T, true.rotation),
+        centre_error=np.linalg.norm(centres - true.centres, axis=1),
+        unit=reference.unit,
+    )
+
+
+def _select_named(rig: CameraRig, names: tuple[str, ...]) -> CameraRig:
+    """Return the rig of the cameras with these names, in this order."""
+    return rig.select(np.array([rig.names.index(name) for name in names]))
+
+
+def _with_axes(rig: CameraRig) -> Floats:
+    """Return the centres, and near each six points on the camera's axes, `[7 camera, 3]`.
+
+    Where the centres are on a line, those of two cameras for instance, they leave the rotation
+    about it open, and the axes decide.
+    """
+    offset = rig.centres - rig.centres.mean(0)
+    spread = np.sqrt((offset**2).sum(1).mean())
+    # rows of cam_from_world are the camera's axes in world coordinates
+    axes = _AXIS_LENGTH * spread * rig.rotation.reshape(-1, 3)
+    origins = np.repeat(rig.centres, 3, axis=0)
+    return np.concatenate([rig.centres, origins + axes, origins - axes])
+
+
+def _pair_error(rig: CameraRig, reference: CameraRig, a: str, b: str) -> tuple[float, float]:
+    """Return the angles in radians between rotations and between directions of b_from_a.
+
+    pi where the rig lacks one of the two cameras.
+    """
+    if not {a, b} <= set(rig.names):
+        return np.pi, np.pi
+    rotation, translation = _relative_named(rig, a, b)
+    true_rotation, true_translation = _relative_named(reference, a, b)
+    rotation_error = angle_between(rotation, true_rotation)
+    translation_error = direction_angle(translation, true_translation)
+    return float(rotation_error), float(translation_error)
+
+
+def _relative_named(rig: CameraRig, a: str, b: str) -> tuple[Floats, Floats]:
+    """Return R `[3, 3]` and t `[3]` of b_from_a, for the cameras named a and b."""
+    return rig.relative(rig.names.index(a), rig.names.index(b))
+
+
+def accuracy(error: Floats, degrees: float) -> float:
+    """Return the share of pairs whose error `[pair]` (radians) is below a threshold: RRA, RTA."""
+    return float((np.degrees(error) < degrees).mean())
+
+
+def area_under_curve(rotation_error: Floats, translation_error: Floats, degrees: int) -> float:
+    """Return AUC@degrees: the mean of min(RRA, RTA) at the thresholds 1, 2, ..., degrees.
+
+    rotation_error, translation_error: `[pair]` in radians. As in DUSt3R (Wang et al. 2024).
+    """
+    accuracies = [
+        min(accuracy(rotation_error, threshold), accuracy(translation_error, threshold))
+        for threshold in range(1, degrees + 1)
+    ]
+    return float(np.mean(accuracies))
+
+
+def evaluation_to_dict(found: Evaluation) -> dict[str, Any]:
+    """Return the figures under the keys of `mocap-calib evaluate --json`; angles in degrees."""
+    rotation, translation = found.rotation_error, found.translation_error
+    return {
+        "pairs": _pairs_to_list(found),
+        "rotation_error_deg": median_and_max(np.degrees(rotation)),
+        "translation_error_deg": median_and_max(np.degrees(translation)),
+        "rra": {str(t): accuracy(rotation, t) for t in THRESHOLDS},
+        "rta": {str(t): accuracy(translation, t) for t in THRESHOLDS},
+        "auc": {str(t): area_under_curve(rotation, translation, t) for t in THRESHOLDS},
+        "camera_rotation_error_deg": median_and_max(np.degrees(found.camera_rotation)),
+        "centre_error": median_and_max(found.centre_error),
+        "unit": found.unit,
+        "cameras": list(found.names),
+        "missing": list(found.missing),
+    }
+
+
+def _pairs_to_list(found: Evaluation) -> list[dict[str, Any]]:
+    """Return the errors of each pair in degrees."""
+    rotation = np.degrees(found.rotation_error).tolist()
+    translation = np.degrees(found.translation_error).tolist()
+    return [
+        {"a": a, "b": b, "rotation_error_deg": turn, "translation_error_deg": direction}
+        for (a, b), turn, direction in zip(found.pairs, rotation, translation, strict=True)
+    ]
+
+
+def median_and_max(values: Floats) -> dict[str, float]:
+    """Return the median and the maximum of values `[N]`."""
+    return {"median": float(np.median(values)), "max": float(np.max(values))}

@@ -1,0 +1,132 @@
+"""Measure how well a rig fits what was seen, and which cameras stand out."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mocap_calib.config import Config, UncertaintyConfig
+from mocap_calib.multi_view.triangulation import (
+    labelled_frames,
+    observations,
+    points_in_cameras,
+    project,
+    triangulate_rays,
+    view_noise,
+)
+from mocap_calib.types import Bools, CameraRig, Floats, Matches, Sample
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How well a rig fits what was seen.
+
+    misfit: RMS distance in pixels of all detections from the reprojected points, none counted for
+        more than a few usual distances.
+    angle: `[view]` median distance of the view's detections, in radians.
+    noise: `[view]` robust standard deviation of one coordinate, in pixels.
+    perspective: `[view]` RMS in pixels of what no affine camera explains. Where it is far below
+        the noise, the camera might as well be infinitely far away: its distance follows from its
+        focal length alone.
+    """
+
+    misfit: float
+    angle: Floats
+    noise: Floats
+    perspective: Floats
+
+
+def measure_fit(sample: Sample, rig: CameraRig, matches: Matches, config: Config) -> Fit:
+    """Return how well the rig fits the matched detections in all frames of the sample."""
+    seen = observations(sample, matches, labelled_frames(matches))
+    noise = view_noise(sample, rig, matches, config.triangulate)
+    # what does not fit is to be counted, not left out
+    all_rays = replace(config.triangulate, outlier=np.inf)
+    points, _ = triangulate_rays(
+        rig, seen.rays, weight=seen.confidence, noise=noise, config=all_rays
+    )
+    counted = (seen.confidence > 0) & np.isfinite(points[0])
+    error = np.linalg.norm(project(rig, points) - seen.pixels, axis=1)
+    focal = np.array([camera.focal for camera in rig.cameras])
+    return Fit(
+        misfit=_misfit(error[counted], config.uncertainty.misfit_limit),
+        angle=_medians(error, counted) / focal,
+        noise=noise * focal,
+        perspective=_perspective(rig, points, counted) * focal,
+    )
+
+
+def fit_equally_well(first: Fit, second: Fit, config: UncertaintyConfig) -> bool:
+    """Return whether what was seen does not tell which of two rigs is right."""
+    better, worse = sorted((first.misfit, second.misfit))
+    return worse <= config.same_misfit * better
+
+
+def find_outlier_cameras(fit: Fit, config: UncertaintyConfig) -> Bools:
+    """Return the cameras `[view]` whose errors are several times those of the others.
+
+    They are out of step, were moved, or have other intrinsics than given. Of two cameras both
+    have the errors, so none is named.
+    """
+    views = len(fit.angle)
+    if views <= 2:
+        return np.zeros(views, dtype=bool)
+    others = [np.median(np.delete(fit.angle, view)) for view in range(views)]
+    return fit.angle > config.outlier_factor * np.array(others)
+
+
+def find_weak_perspective(fit: Fit) -> Bools:
+    """Return the cameras `[view]` in whose images perspective drowns in the noise.
+
+    They are very far away for the size of what they see.
+    """
+    return fit.perspective < fit.noise
+
+
+def _misfit(error: Floats, limit: float) -> float:
+    """Return the RMS of errors, none counted for more than `limit` times their median.
+
+    error: `[N]`, NaN where a point is behind the camera, which counts as the largest.
+    """
+    most = limit * np.nanmedian(error)
+    error = np.minimum(np.nan_to_num(error, nan=np.inf), most)
+    return float(np.sqrt((error**2).mean()))
+
+
+def _medians(error: Floats, counted: Bools) -> Floats:
+    """Return the median `[view]` of the counted errors `[view, N]`, NaN where there is none.
+
+    An error of NaN, behind the camera, counts as the largest.
+    """
+    medians = np.full(len(error), np.nan)
+    for view in np.flatnonzero(counted.any(1)):
+        in_view = error[view, counted[view]]
+        medians[view] = np.median(np.nan_to_num(in_view, nan=np.inf))
+    return medians
+
+
+def _perspective(rig: CameraRig, points: Floats, counted: Bools) -> Floats:
+    """Return the RMS `[view]` in radians of what no affine camera explains of the images.
+
+    points: `[3, N]` in world coordinates; counted: `[view, N]`.
+    """
+    in_camera = points_in_cameras(rig, points)
+    return np.array(
+        [
+            _beyond_affine(points[:, seen].T, in_view[:, seen].T)
+            for seen, in_view in zip(counted, in_camera, strict=True)
+        ]
+    )
+
+
+def _beyond_affine(points: Floats, in_camera: Floats) -> float:
+    """Return the RMS distance in radians of images from those of the best affine camera.
+
+    points, in_camera: `[N, 3]` the same points in world coordinates and in the camera's frame.
+    """
+    if not len(points):
+        return 0.0
+    image = in_camera[:, :2] / in_camera[:, 2:]
+    homogeneous = np.concatenate([points, np.ones((len(points), 1))], axis=1)
+    affine = np.linalg.lstsq(homogeneous, image, rcond=None)[0]
+    residual = image - homogeneous @ affine
+    return float(np.sqrt((residual**2).sum(1).mean()))

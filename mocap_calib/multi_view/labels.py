@@ -1,0 +1,29 @@
+"""Labels of detections: number the groups of each frame, and put names in place of labels."""
+
+import numpy as np
+
+from mocap_calib.types import Ints, Matches
+
+
+def per_frame_labels(matches: Matches) -> Matches:
+    """Return the same groups, numbered from 0 in each frame by their first detection.
+
+    The names that groups have in other frames are forgotten. Labels are
+    `[view, frame, instance]`, -1 = nobody.
+    """
+    views, frames, instances = matches.labels.shape
+    flat = np.swapaxes(matches.labels, 0, 1).reshape(frames, views * instances)
+    alike = flat[:, :, None] == flat[:, None]
+    first = alike.argmax(-1)  # the first detection of the frame with the same label
+    begins = (first == np.arange(views * instances)) & (flat >= 0)
+    number = np.take_along_axis(begins.cumsum(1) - 1, first, axis=1)
+    numbered = np.where(flat >= 0, number, -1)
+    return Matches(np.swapaxes(numbered.reshape(frames, views, instances), 0, 1))
+
+
+def replace_labels(labels: Ints, names: Ints) -> Ints:
+    """Return `names[label]` for each of the labels, an array of any shape; -1 stays -1.
+
+    names: `[label]`.
+    """
+    return np.append(names, -1)[labels]  # the last entry is the one that -1 finds

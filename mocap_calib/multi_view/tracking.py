@@ -1,0 +1,265 @@
+"""Carry the groups of each frame through time: who is who in the whole recording.
+
+Groups go by where they stand in space. At the end individuals that are never seen together are
+joined, so that a recording has as few names as it needs.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from mocap_calib.compute.parallel import in_order
+from mocap_calib.config import MatchingConfig
+from mocap_calib.errors import DegenerateError
+from mocap_calib.geometry.projection import rays_from_pixels
+from mocap_calib.multi_view.labels import per_frame_labels, replace_labels
+from mocap_calib.multi_view.tracklets import fill_in
+from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Matches, Recording
+
+_FRAMES = 512  # in which groups are located at a time
+
+
+def locate_groups(recording: Recording, rig: CameraRig, labels: Ints) -> Floats:
+    """Return where each group of each frame stands: the point nearest to its central rays.
+
+    labels: `[view, frame, instance]`, -1 = nobody. Returns `[frame, group, 3]` in the unit of the
+    rig, NaN where a frame does not have the group.
+    """
+    groups = int(labels.max(initial=-1)) + 1
+    starts = range(0, labels.shape[1], _FRAMES)
+    blocks = [slice(start, start + _FRAMES) for start in starts]
+    locate = partial(_locate_in_block, recording=recording, rig=rig, labels=labels, groups=groups)
+    return np.concatenate(list(in_order(locate, blocks)))
+
+
+def _locate_in_block(
+    block: slice, *, recording: Recording, rig: CameraRig, labels: Ints, groups: int
+) -> Floats:
+    """Return `[frame, group, 3]` places in one block of frames.
+
+    The point nearest to lines with directions r through points c solves
+    sum (I - r r') x = sum (I - r r') c.
+    """
+    labels = labels[:, block]
+    view, frame, instance = np.nonzero(labels >= 0)
+    group = labels[view, frame, instance]
+    pixels = recording.positions[:, block][view, frame, instance].astype(np.float64)
+    rays = _central_rays(recording.cameras, view, pixels)
+    rays = np.einsum("nji,nj->ni", rig.rotation[view], rays)
+    across = np.eye(3) - rays[:, :, None] * rays[:, None]
+    offset = np.einsum("nij,nj->ni", across, rig.centres[view])
+
+    matrix = np.zeros((labels.shape[1], groups, 3, 3))
+    vector = np.zeros((labels.shape[1], groups, 3, 1))
+    np.add.at(matrix, (frame, group), across)
+    np.add.at(vector, (frame, group), offset[..., None])
+
+    present = np.abs(matrix).sum((-1, -2)) > 0
+    points = np.linalg.solve(matrix + 1e-9 * np.eye(3), vector)
+    return np.where(present[..., None], points[..., 0], np.nan)
+
+
+def _central_rays(cameras: tuple[Camera, ...], view: Ints, pixels: Floats) -> Floats:
+    """Return `[detection, 3]` unit rays, in each camera's axes, through the middles of detections.
+
+    view: `[detection]` indices; pixels: `[detection, keypoint, 2]`, NaN = missing.
+    """
+    rays = np.zeros((len(view), 3))
+    for index, camera in enumerate(cameras):
+        of_view = view == index
+        rays[of_view] = np.nansum(rays_from_pixels(camera, pixels[of_view]), axis=1)
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    return rays
+
+
+def link_through_time(labels: Ints, places: Floats, frames: Ints, config: MatchingConfig) -> Ints:
+    """Rename the groups of each frame so that an individual keeps its label.
+
+    A group is the nearest individual that may have moved there since it was last seen. How far
+    bodies move is a multiple of the usual step in this recording, so that sparse recordings are
+    linked as well as video. The loop over frames assigns a handful of bodies at a time.
+
+    labels: `[view, frame, instance]` groups within the frames; places: `[frame, group, 3]` in
+    body sizes; frames: `[frame]` numbers. Returns labels of the same shape, those that are seen
+    in most frames first.
+    """
+    reach = _reach(places, frames, config)
+    linked = np.full_like(labels, -1)
+    last_place = np.zeros((0, 3))  # of every individual so far
+    last_frame = np.zeros(0, dtype=np.int64)
+    for index, frame in enumerate(frames):
+        groups = np.flatnonzero(np.isfinite(places[index, :, 0]))
+        here = places[index, groups]
+        limit = reach * np.minimum(frame - last_frame, config.memory)
+        individual = _nearest_individuals(last_place, here, limit)
+
+        is_new = individual < 0
+        new = int(is_new.sum())
+        individual[is_new] = len(last_place) + np.arange(new)
+        last_place = np.concatenate([last_place, np.zeros((new, 3))])
+        last_frame = np.concatenate([last_frame, np.zeros(new, dtype=np.int64)])
+        last_place[individual] = here
+        last_frame[individual] = frame
+
+        individual_of_group = np.full(places.shape[1], -1, dtype=np.int64)
+        individual_of_group[groups] = individual
+        linked[:, index] = replace_labels(labels[:, index], individual_of_group)
+    return _sort_by_presence(linked)
+
+
+def _nearest_individuals(last_place: Floats, here: Floats, limit: Floats) -> Ints:
+    """Return the individual of each group `[group]`, -1 where none may have moved there.
+
+    last_place: `[individual, 3]`; here: `[group, 3]`; limit: `[individual]` distance that each
+    may have gone.
+    """
+    individual = np.full(len(here), -1, dtype=np.int64)
+    distance = np.linalg.norm(last_place[:, None] - here[None], axis=-1)
+    if distance.size == 0:
+        return individual
+    # what is out of reach costs the same however far it is
+    cost = np.minimum(distance, 2 * limit[:, None])
+    rows, columns = linear_sum_assignment(cost)
+    near = distance[rows, columns] <= limit[rows]
+    individual[columns[near]] = rows[near]
+    return individual
+
+
+def _reach(places: Floats, frames: Ints, config: MatchingConfig) -> float:
+    """Return how far a body may be from where it was one frame number ago, in body sizes."""
+    step = places[:-1, :, None] - places[1:, None]
+    elapsed = np.diff(frames)[:, None, None]
+    speed = np.linalg.norm(step, axis=-1) / elapsed
+    speed = np.where(np.isfinite(speed), speed, np.inf)
+    nearest = np.nanmin(speed, axis=-1, initial=np.inf)  # group of the next frame
+    steps = nearest[np.isfinite(nearest)]
+    if len(steps) == 0:
+        return config.reach
+    return max(config.reach, config.usual_steps * float(np.median(steps)))
+
+
+def finalise_identities(
+    recording: Recording, rig: CameraRig, matches: Matches, config: MatchingConfig
+) -> Matches:
+    """Give the final names: no fleeting individuals, and as few names as the recording needs.
+
+    A fleeting individual on which never three views agree is a false detection that happened to
+    meet another: nobody. Of the others, one that appears takes the name of one that has gone, the
+    last seen nearest: a cage or a stage holds so many bodies and no more. Detections without a
+    name take that of their tracklet.
+
+    Returns labels `[view, frame, instance]`, those that are seen in most frames first. Raises
+    DegenerateError where nobody is left.
+    """
+    real = _real_individuals(matches, len(rig.cameras), config)
+    if not real.any():
+        raise DegenerateError(
+            "expected bodies that two views agree on, found none for more than a moment; "
+            "record longer, or with more overlap"
+        )
+    kept = np.where(real, np.arange(len(real)), -1)
+    labels = replace_labels(matches.labels, kept)
+    groups = per_frame_labels(Matches(labels)).labels
+    stays = _stays(labels, groups, locate_groups(recording, rig, groups))
+    names = _reuse_names(stays, individuals=matches.individuals, frames=labels.shape[1])
+    joined = _sort_by_presence(replace_labels(labels, names))
+    return Matches(fill_in(recording, joined, config))
+
+
+def _real_individuals(matches: Matches, views: int, config: MatchingConfig) -> Bools:
+    """Return `[individual]` which are seen for long, or by enough views of one frame."""
+    seen = _appearances(matches.labels)
+    frames = np.bincount(seen.individual, minlength=matches.individuals)
+    share = int(config.fleeting_share * matches.labels.shape[1])
+    lasting = frames > min(config.fleeting_frames, share)
+    enough = seen.views >= min(config.sure_views, views)
+    lasting[seen.individual[enough]] = True
+    return lasting
+
+
+@dataclass(frozen=True)
+class _Appearances:
+    """Every individual in every frame that has it, in the order of individuals, then frames.
+
+    individual, frame (index), views (their number): `[appearance]`.
+    """
+
+    individual: Ints
+    frame: Ints
+    views: Ints
+
+
+def _appearances(labels: Ints) -> _Appearances:
+    """Return who is seen when, of labels `[view, frame, instance]`."""
+    frames = labels.shape[1]
+    _, frame, _ = np.nonzero(labels >= 0)
+    individual = labels[labels >= 0]
+    key, views = np.unique(individual * frames + frame, return_counts=True)
+    return _Appearances(individual=key // frames, frame=key % frames, views=views)
+
+
+@dataclass(frozen=True)
+class _Stay:
+    """When an individual is seen, and where at first and at last.
+
+    frames: indices, ascending. first_place, last_place: `[3]`.
+    """
+
+    individual: int
+    frames: Ints
+    first_place: Floats
+    last_place: Floats
+
+
+def _stays(labels: Ints, groups: Ints, places: Floats) -> list[_Stay]:
+    """Return the stay of each individual, in the order of their labels.
+
+    labels: `[view, frame, instance]`; groups: the same, numbered within each frame; places:
+    `[frame, group, 3]`.
+    """
+    seen = _appearances(labels)
+    stays = []
+    for individual in np.unique(seen.individual).tolist():
+        frames = seen.frame[seen.individual == individual]
+        first_place, last_place = (
+            places[frame, groups[:, frame][labels[:, frame] == individual][0]]
+            for frame in (frames[0], frames[-1])
+        )
+        stays.append(_Stay(individual, frames, first_place, last_place))
+    return stays
+
+
+def _reuse_names(stays: list[_Stay], *, individuals: int, frames: int) -> Ints:
+    """Return the name of each individual, `[individual]`; -1 where it has no stay.
+
+    Individuals that are never seen together are joined, in the order in which they appear, each
+    to the one that was last seen nearest to where it appears.
+    """
+    names = np.full(individuals, -1, dtype=np.int64)
+    busy: list[Bools] = []  # of each name: the frames it is seen in
+    last_place: list[Floats] = []  # of each name: where it was last seen so far
+    for stay in sorted(stays, key=lambda stay: stay.frames[0]):
+        free = [name for name, frames_of in enumerate(busy) if not frames_of[stay.frames].any()]
+        if free:
+            gaps = [last_place[name] - stay.first_place for name in free]
+            distances = [float(np.linalg.norm(gap)) for gap in gaps]
+            name = free[distances.index(min(distances))]
+        else:
+            name = len(busy)
+            busy.append(np.zeros(frames, dtype=bool))
+            last_place.append(stay.last_place)
+        names[stay.individual] = name
+        busy[name][stay.frames] = True
+        last_place[name] = stay.last_place
+    return names
+
+
+def _sort_by_presence(labels: Ints) -> Ints:
+    """Renumber individuals by the number of frames they are seen in, most first."""
+    presence = np.bincount(_appearances(labels).individual)
+    by_presence = np.argsort(-presence, kind="stable")
+    names = np.zeros(len(by_presence), dtype=np.int64)
+    names[by_presence] = np.arange(len(by_presence))
+    return replace_labels(labels, names)

@@ -1,0 +1,135 @@
+"""One score for all relative poses of a pair of views, however they were found."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mocap_calib.config import PairwiseConfig
+from mocap_calib.geometry.epipolar import depths
+from mocap_calib.two_view.affinity import (
+    epipolar_error,
+    epipolar_fit,
+    match_affinity,
+    steering_error,
+    steering_variance,
+)
+from mocap_calib.two_view.assignment import mutual_best, sinkhorn
+from mocap_calib.two_view.hypotheses import Hypotheses
+from mocap_calib.two_view.view_pair import ViewPair, matched_rays, reach
+from mocap_calib.types import Bools, Floats, Ints
+
+
+@dataclass(frozen=True)
+class Scored:
+    """Hypotheses, their matches, and how well they explain what was seen.
+
+    matched: `[M, frame, I, J]` the matches under each hypothesis.
+    score: `[M]` in 0..1, see `score_hypotheses`.
+    in_front: `[M]` in 0..1, share of the matched joints in front of both cameras.
+    residual: `[M]` median epipolar error in radians, infinite without a match.
+    """
+
+    hypotheses: Hypotheses
+    matched: Bools
+    score: Floats
+    in_front: Floats
+    residual: Floats
+
+    def __getitem__(self, index: Ints) -> "Scored":
+        return Scored(
+            hypotheses=self.hypotheses[index],
+            matched=self.matched[index],
+            score=self.score[index],
+            in_front=self.in_front[index],
+            residual=self.residual[index],
+        )
+
+
+def score_hypotheses(pair: ViewPair, hypotheses: Hypotheses, config: PairwiseConfig) -> Scored:
+    """Match the detections under each hypothesis, and score it by what its matches explain.
+
+    The pair score is the share of the possible matches that are made, each weighted by the share
+    of its joints that fit the epipolar geometry, x the share of joints in front of both cameras
+    x the mean agreement of the lifted bodies.
+    """
+    rotation, translation = hypotheses.rotation, hypotheses.translation
+    error, weight = epipolar_error(pair, rotation, translation)
+    fit = epipolar_fit(error, weight, config)
+    affinity = match_affinity(pair, rotation, translation, fit, config)
+    matched = mutual_best(sinkhorn(affinity, dummy=config.dummy), least=config.least_match)
+    explained = (matched * fit).sum((1, 2, 3)) / max(_possible_matches(pair), 1)
+    in_front = _share_in_front(pair, hypotheses, matched)
+    agreement = _mean_agreement(pair, rotation, matched, config)
+    return Scored(
+        hypotheses=hypotheses,
+        matched=matched,
+        score=explained * in_front * agreement,
+        in_front=in_front,
+        residual=_residual(pair, error, matched, weight),
+    )
+
+
+def keep_better(before: Scored, after: Scored) -> Scored:
+    """Return each hypothesis as it is after a step, or before it where the step lowers its score.
+
+    The source stays as it was.
+    """
+    better = after.score >= before.score
+    of_matrix = better[:, None, None]
+    of_vector = better[:, None]
+    of_matches = better[:, None, None, None]
+    hypotheses = Hypotheses(
+        np.where(of_matrix, after.hypotheses.rotation, before.hypotheses.rotation),
+        np.where(of_vector, after.hypotheses.translation, before.hypotheses.translation),
+        before.hypotheses.source,
+    )
+    return Scored(
+        hypotheses=hypotheses,
+        matched=np.where(of_matches, after.matched, before.matched),
+        score=np.where(better, after.score, before.score),
+        in_front=np.where(better, after.in_front, before.in_front),
+        residual=np.where(better, after.residual, before.residual),
+    )
+
+
+def _possible_matches(pair: ViewPair) -> int:
+    """Return how many matches there can be: in each frame the lesser number of detections."""
+    detections_a, detections_b = pair.a.present.sum(-1), pair.b.present.sum(-1)
+    return int(np.minimum(detections_a, detections_b).sum())
+
+
+def _share_in_front(pair: ViewPair, hypotheses: Hypotheses, matched: Bools) -> Floats:
+    """Return `[M]` the share of the matched joints that lie in front of both cameras."""
+    share = np.zeros(len(matched))
+    for m, of_one in enumerate(matched):
+        rays = matched_rays(pair, of_one)
+        if len(rays):
+            rotation, translation = hypotheses.rotation[m], hypotheses.translation[m]
+            depth_a, depth_b = depths(rotation, translation, rays.a, rays.b)
+            share[m] = ((depth_a > 0) & (depth_b > 0)).mean()
+    return share
+
+
+def _mean_agreement(
+    pair: ViewPair, rotation: Floats, matched: Bools, config: PairwiseConfig
+) -> Floats | float:
+    """Return `[M]` how well the matched bodies agree when turned, 1 where none is lifted."""
+    if not pair.overlap.lifted.any():
+        return 1.0
+    error = steering_error(pair, rotation) / steering_variance(pair, config)
+    count = np.maximum(matched.sum((1, 2, 3)), 1)
+    total: Floats = (matched * np.exp(-0.5 * error)).sum((1, 2, 3))
+    return total / count
+
+
+def _residual(pair: ViewPair, error: Floats, matched: Bools, weight: Floats) -> Floats:
+    """Return `[M]` the median epipolar error of the matched joints in radians.
+
+    error: `[M, frame, I, J, keypoint]` in body sizes; weight: `[frame, I, J, keypoint]`.
+    """
+    angle = error / reach(pair)[None, ..., None]
+    used = matched[..., None] & (weight > 0)[None]
+    residual = np.full(len(matched), np.inf)
+    for m in np.flatnonzero(used.any((1, 2, 3, 4))):
+        residual[m] = np.median(angle[m][used[m]])
+    return residual
