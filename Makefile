@@ -24,7 +24,7 @@ test-quick: .venv/tested
 # damaged files of each of the formats
 FUZZ_EXAMPLES ?= 5500
 fuzz: .venv/tested
-	FUZZ_EXAMPLES=$(FUZZ_EXAMPLES) $(BIN)/python -m pytest tests/test_fuzz.py tests/test_fuzz_outputs.py --durations=0
+	FUZZ_EXAMPLES=$(FUZZ_EXAMPLES) $(BIN)/python -m pytest tests/io/test_fuzz.py tests/io/test_fuzz_outputs.py --durations=0
 
 lint: .venv/tested
 	$(BIN)/ruff check .

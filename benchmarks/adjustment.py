@@ -37,7 +37,10 @@ from mocap_calib.synthetic import simulate
 from mocap_calib.types import CameraRig, Floats, Matches, Sample
 
 METHODS = ("ours", "ours-all", "anipose", "scipy")
-OURS = {"ours": AdjustConfig(), "ours-all": AdjustConfig(points=100_000, doubtful=0.0, trust=1.0)}
+OURS = {
+    "ours": AdjustConfig(),
+    "ours-all": AdjustConfig(points=100_000, doubtful_share=0.0, confidence_power=1.0),
+}
 PEERS = Path(__file__).with_name("adjustment_peers.py")
 
 

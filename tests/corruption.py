@@ -1,7 +1,8 @@
 """Damage to a file's bytes, as a strategy: what disks, editors and other programs do to files.
 
-`corrupted(content)` gives one way of it; `complaint(call)` runs a reader on it and returns the one line it refuses with, or
-"" where it reads the file. Anything else it raises is the reader's fault, and so is a hang (the deadline of the test).
+`corrupted(content)` gives one way of it; `complaint(call)` runs a reader on it and returns the one
+line it refuses with, or "" where it reads the file. Anything else it raises is the reader's fault,
+and so is a hang (the deadline of the test).
 """
 
 import re
@@ -41,7 +42,9 @@ _NUMBER = re.compile(rb"-?\d+\.?\d*(?:[eE][-+]?\d+)?")
 
 @st.composite
 def corrupted(draw: st.DrawFn, content: bytes) -> bytes:
-    """One damage: cut, a piece replaced, doubled or moved, a number replaced, bits flipped, another encoding."""
+    """One damage: cut, a piece replaced, doubled or moved, a number replaced, bits flipped, another
+    encoding.
+    """
     place, length = draw(st.integers(0, max(len(content) - 1, 0))), draw(st.integers(0, 40))
     lines = content.splitlines(keepends=True) or [b""]
     k = place % len(lines)

@@ -21,7 +21,9 @@ def rigs(
     square=False,
     units=("m", "mm", "cm", "arbitrary"),
 ):
-    """1 to 5 cameras of any rotation, odd intrinsics, distortions of the `lengths` (0: none), some of them fisheyes."""
+    """1 to 5 cameras of any rotation, odd intrinsics, distortions of the `lengths` (0: none), some
+    of them fisheyes.
+    """
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     called = draw(st.lists(names, min_size=1, max_size=5, unique_by=str.lower))
     cameras = []
@@ -55,7 +57,9 @@ def padded(camera):
 
 
 def assert_same(rig, back, *, sizes=True, names=True, scale=1.0):
-    """The rigs are one: exact but for the rounding of a rotation vector, a quaternion, a centre, half a pixel, or a unit."""
+    """The rigs are one: exact but for the rounding of a rotation vector, a quaternion, a centre,
+    half a pixel, or a unit.
+    """
     assert len(rig.cameras) == len(back.cameras)
     for one, other in zip(rig.cameras, back.cameras, strict=True):
         assert one.fisheye == other.fisheye

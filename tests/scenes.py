@@ -6,6 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from mocap_calib.config import Config, SimulateConfig
+from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.recording.sampling import take_sample
@@ -76,7 +77,9 @@ def rotation_errors_deg(rig: CameraRig, reference: CameraRig) -> np.ndarray:
 
 
 def precision(labels: np.ndarray, identity: np.ndarray) -> float:
-    """Share of detections of one label in two views, both of known identity, that are the same person."""
+    """Share of detections of one label in two views, both of known identity, that are the same
+    person.
+    """
     good = wrong = 0
     for a in range(len(labels)):
         for b in range(a):
@@ -88,3 +91,14 @@ def precision(labels: np.ndarray, identity: np.ndarray) -> float:
             good += int((same_label & known & same).sum())
             wrong += int((same_label & known & ~same).sum())
     return good / max(good + wrong, 1)
+
+
+def turn_cameras(rig: CameraRig, degrees: float, seed: int = 0) -> CameraRig:
+    """Turn every camera but the first about its centre by so much."""
+    axis = np.random.default_rng(seed).normal(size=(len(rig.cameras), 3))
+    axis *= np.radians(degrees) / np.linalg.norm(axis, axis=1, keepdims=True)
+    axis[0] = 0
+    rotation = matrix_from_vector(axis) @ rig.rotation
+    return replace(
+        rig, rotation=rotation, translation=-np.einsum("vij,vj->vi", rotation, rig.centres)
+    )

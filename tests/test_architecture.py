@@ -56,10 +56,29 @@ def test_packages_are_listed():
     assert listed == there
 
 
+IN_ONE_PLACE = {"types.py", "config.py"}  # all nouns, and all constants
+DOORS = {  # module: where alone it is imported
+    "torch": ("mocap_calib/steerpose/",),
+    "cv2": ("mocap_calib/geometry/epipolar.py", "mocap_calib/two_view/five_point.py"),
+    "h5py": ("mocap_calib/io/",),
+    "h5netcdf": ("mocap_calib/io/",),
+    "c3d": ("mocap_calib/io/",),
+    "pynwb": ("mocap_calib/io/",),
+    "tomli_w": ("mocap_calib/io/",),
+    "yaml": ("mocap_calib/io/", "mocap_calib/recording/joints.py"),
+    "distributed": ("mocap_calib/compute/cluster.py",),
+    "dask": ("mocap_calib/compute/cluster.py",),
+    "mocap_calib.compute.cluster": ("cli/",),
+    "click": ("cli/",),
+    "rich": ("cli/",),
+    "mocap_calib_cli": ("cli/",),
+}
+
+
 @pytest.mark.parametrize("path", SOURCES, ids=[str(p.relative_to(ROOT)) for p in SOURCES])
 def test_files_are_short_and_documented(path):
     text = path.read_text("utf-8")
-    assert len(text.splitlines()) <= 330
+    assert len(text.splitlines()) <= 330 or path.name in IN_ONE_PLACE
     assert ast.get_docstring(ast.parse(text)), "a module says what it is for"
 
 
@@ -72,29 +91,24 @@ def test_functions_fit_on_a_screen(path):
             assert lines <= 60, f"{node.name}: {lines} lines"
 
 
-def test_one_door_for_each_heavy_dependency():
-    doors = {
-        "torch": ("steerpose", "cli"),
-        "cv2": ("geometry",),
-        "h5py": ("io",),
-        "c3d": ("io",),
-        "h5netcdf": ("io",),
-        "pynwb": ("io",),
-        "click": ("cli",),
-        "rich": ("cli",),
-        "distributed": ("mocap_calib/compute/cluster.py",),
-        "dask": ("mocap_calib/compute/cluster.py",),
+@pytest.mark.parametrize("module", DOORS)
+def test_one_door_for(module):
+    importers = {
+        path.relative_to(ROOT).as_posix()
+        for path in SOURCES
+        for name in imported_by(path)
+        if name == module or name.startswith(f"{module}.")
     }
-    for path in SOURCES:
-        inside = str(path.relative_to(ROOT))
-        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-            names = (
-                [a.name for a in node.names]
-                if isinstance(node, ast.Import)
-                else [node.module or ""]
-                if isinstance(node, ast.ImportFrom)
-                else []
-            )
-            for name in names:
-                door = doors.get(name.split(".")[0])
-                assert door is None or any(d in inside for d in door), f"{inside} imports {name}"
+    assert importers, "nothing imports it: the row is stale"
+    assert all(path.startswith(DOORS[module]) for path in importers), importers
+
+
+def imported_by(path: Path) -> set[str]:
+    """Return the modules that a file imports, late imports too."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            found.add(node.module or "")
+    return found

@@ -35,7 +35,10 @@ def test_no_module_names_them():
 
 
 def test_a_run_opens_neither(small, tmp_path):
-    """Watched by an audit hook: every file that Python opens during a run. Both files stand beside the keypoints."""
+    """Watched by an audit hook: every file that Python opens during a run.
+
+    Both files stand beside the keypoints.
+    """
     assert (small / "truth.npz").exists()
     assert (small / "reference.toml").exists()
     command = [

@@ -1,4 +1,7 @@
-"""Whole runs on scenes with truth. Bounds are three to five times what was measured; the measured figure stands beside each."""
+"""Whole runs on scenes with truth.
+
+Bounds are three to five times what was measured; the measured figure stands beside each.
+"""
 
 from dataclasses import replace
 
@@ -83,7 +86,7 @@ SMALL = {"frames": 40, "false_detections": 0.0}
 
 @pytest.mark.slow
 def test_equivariant_to_the_order_pairs_among():
-    """Another order is another search and another gauge, but the same rig: 0.02 degrees measured."""
+    """Another order is another search and gauge, but the same rig: 0.02 degrees measured."""
     order = [2, 0, 3, 1]
     first, second = run(recording(**SMALL)), run(permuted(recording(**SMALL), views=order))
     back = replace(
@@ -133,7 +136,10 @@ def weak(result) -> bool:
 
 @pytest.mark.parametrize("seeds", [(1, 2), (3, 4), (5, 6, 7)])
 def test_views_of_different_times_are_no_confident_calibration(seeds):
-    """Each view from a recording of its own: refused, or called weak. Scores measured: 0.2 to 0.43; of one recording 0.85."""
+    """Each view from a recording of its own: refused, or called weak.
+
+    Scores measured: 0.2 to 0.43; of one recording 0.85.
+    """
     cameras = scene(cameras=len(seeds), people=2).rig.cameras
     files = [
         replace(scene(cameras=len(seeds), people=2, seed=seed).files[k], camera=cameras[k].name)
@@ -150,7 +156,9 @@ def test_one_recording_is_not_weak():
 
 
 def test_two_views_that_share_a_moment():
-    """Eight frames of one person in two hundred: too little for three views to be sure, all there is for two."""
+    """Eight frames of one person in two hundred: too little for three views to be sure, all there
+    is for two.
+    """
     made = scene(cameras=2, people=1, frames=200, false_detections=0.0)
     files = []
     for k, f in enumerate(made.files):
@@ -165,7 +173,9 @@ def test_two_views_that_share_a_moment():
 
 
 def test_noise_alone_is_not_a_calibration():
-    """Random dots in every view: an error, or a result whose scores say what it is worth; never a confident rig."""
+    """Random dots in every view: an error, or a result whose scores say what it is worth; never a
+    confident rig.
+    """
     found = recording(**SMALL)
     rng = np.random.default_rng(0)
     size = np.array(found.cameras[0].size)
@@ -184,7 +194,10 @@ def test_noise_alone_is_not_a_calibration():
 
 
 def test_a_camera_that_nothing_holds_costs_the_others_nothing():
-    """One camera's keypoints are noise: it is left out, by name. Measured: 0.06 deg for the others."""
+    """One camera's keypoints are noise: it is left out, by name.
+
+    Measured: 0.06 deg for the others.
+    """
     made = scene()
     files = list(made.files)
     rng = np.random.default_rng(0)
@@ -219,7 +232,9 @@ def test_a_loose_camera_is_named_and_the_rest_is_tried(monkeypatch):
 
 
 def test_a_single_subject_is_followed_by_geometry_also_where_its_lifted_bodies_are_wrong():
-    """Bodies that are noise: every detection keeps its name (measured: all of them; none where the bodies have a say)."""
+    """Bodies that are noise: every detection keeps its name (measured: all of them; none where the
+    bodies have a say).
+    """
     changes = {"people": 1, "false_detections": 0.0}
     some, made = recording(**changes), scene(**changes)
     bodies = lifted(**changes)

@@ -1,4 +1,5 @@
-"""Real recordings with reference calibrations, where they are at hand: the project's figures as a regression test.
+"""Real recordings with reference calibrations, where they are at hand: the project's figures as a
+regression test.
 
 Judging reads truth and reference; no stage does (test_no_truth.py).
 """

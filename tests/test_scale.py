@@ -69,8 +69,6 @@ def test_triangulation_is_a_function_of_blocks():
     np.testing.assert_array_equal(of_part, used[:, 700:901])
 
 
-
-
 # --- threads
 
 

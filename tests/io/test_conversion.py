@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from conversion_samples import DLC, poses, rig
 from rigs import assert_same
-from test_cli_convert import DLC, poses, rig
 
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.cameras.read import make_rig, parse_content

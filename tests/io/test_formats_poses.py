@@ -23,7 +23,7 @@ from mocap_calib.io.poses.write import format_poses, write_poses
 from mocap_calib.io.registry import find_format
 from mocap_calib.types import Poses3D
 
-SAMPLES = Path(__file__).parents[2] / "shared" / "formats" / "samples"
+SAMPLES = Path(__file__).parents[3] / "shared" / "formats" / "samples"
 HERE = [each.name for each in POSE_FORMATS if each.name != "nwb-3d"]
 NAMES = st.text("abcXYZ019_.- ", min_size=1, max_size=8).filter(lambda name: name == name.strip())
 QUALITY = {

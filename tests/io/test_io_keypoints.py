@@ -24,7 +24,7 @@ from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.io.file import frame_number
 from mocap_calib.io.keypoints.read import read_keypoints
 
-SHARED = Path(__file__).parents[2] / "shared"
+SHARED = Path(__file__).parents[3] / "shared"
 NAMES = ("nose", "tail base", "left_ear")
 FRAMES = [3, 4, 10]
 

@@ -19,7 +19,7 @@ from mocap_calib.recording.sampling import take_sample
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.types import Camera, Keypoints2D, Skeleton
 
-SHARED = Path(__file__).parents[2] / "shared"
+SHARED = Path(__file__).parents[3] / "shared"
 SKELETON = Skeleton(
     "test", ("nose", "neck", "left_ear", "right_ear"), (), (), {"thorax": "neck", "sternum": "neck"}
 )

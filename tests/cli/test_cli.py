@@ -58,7 +58,7 @@ def test_every_command_has_help_with_an_example(name, tool):
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_is_documented(name):
-    assert f"## mocap-calib {name}" in (Path(__file__).parents[1] / "docs" / "cli.md").read_text(
+    assert f"## mocap-calib {name}" in (Path(__file__).parents[2] / "docs" / "cli.md").read_text(
         "utf-8"
     )
 

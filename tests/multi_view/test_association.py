@@ -1,12 +1,16 @@
-"""Groups of detections and their labels: laws on random affinities."""
+"""Groups of detections and their labels: laws on random affinities, and scenes with truth."""
+
+from dataclasses import replace
 
 import numpy as np
+from scenes import lifted, precision, recording, scene
 
-from mocap_calib.config import MatchingConfig
+from mocap_calib.config import Config, MatchingConfig
+from mocap_calib.multi_view.association import associate
 from mocap_calib.multi_view.clustering import cluster_detections
 from mocap_calib.multi_view.labels import per_frame_labels, replace_labels
 from mocap_calib.multi_view.tracking import link_through_time
-from mocap_calib.types import Matches
+from mocap_calib.types import Matches, silent
 
 VIEWS, INSTANCES = 4, 3
 DETECTIONS = VIEWS * INSTANCES
@@ -89,3 +93,37 @@ def test_groups_are_linked_by_where_they_stand():
     linked = link_through_time(labels, shuffled, np.arange(frames), MatchingConfig())
     assert (linked == linked[:, :1]).all()
     assert set(linked[0, 0]) == {0, 1}
+
+
+def test_matching_with_the_true_rig_finds_everybody():
+    made = scene()
+    found = associate(recording(), lifted(), made.rig, Config(), progress=silent)
+    assert precision(found.labels, made.identity) > 0.995
+    people = made.identity >= 0
+    assert (found.labels[people] >= 0).mean() > 0.97
+    assert found.individuals >= 3
+
+
+def test_a_label_is_given_once_a_view_and_frame():
+    labels = associate(recording(), lifted(), scene().rig, Config(), progress=silent).labels
+    for k in range(labels.max() + 1):
+        assert ((labels == k).sum(-1) <= 1).all()
+        assert ((labels == k).sum((0, 2)) != 1).all()  # never in a single view
+
+
+def test_individuals_keep_their_label_through_time():
+    made = scene()
+    labels = associate(recording(), lifted(), made.rig, Config(), progress=silent).labels
+    for person in range(3):
+        own = labels[made.identity == person]
+        own = own[own >= 0]
+        assert (own == np.bincount(own).argmax()).mean() > 0.98
+
+
+def test_matching_does_not_depend_on_the_unit_of_the_rig():
+    rig = scene().rig
+    in_mm = replace(rig, translation=1000 * rig.translation, unit="mm")
+    first, second = (
+        associate(recording(), lifted(), r, Config(), progress=silent) for r in (rig, in_mm)
+    )
+    np.testing.assert_array_equal(first.labels, second.labels)

@@ -13,7 +13,7 @@ from mocap_calib.io.keypoints.document import ReadOptions
 from mocap_calib.io.keypoints.layouts import LAYOUTS
 from mocap_calib.io.keypoints.read import read_keypoints
 
-SAMPLES = Path(__file__).parents[2] / "shared" / "formats" / "samples"
+SAMPLES = Path(__file__).parents[3] / "shared" / "formats" / "samples"
 pytestmark = pytest.mark.skipif(not SAMPLES.is_dir(), reason="no ../shared here")
 
 MVOR = ReadOptions(layout=tuple("abcdefghij"), camera_pattern=r"1(?P<camera>00\d)(?P<frame>\d{7})")

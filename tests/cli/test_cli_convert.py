@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import TOOL
+from conversion_samples import DLC, poses, rig
 from rigs import assert_same
 
 from mocap_calib.io.cameras.read import load_cameras, make_rig, read_rig
@@ -17,45 +18,11 @@ from mocap_calib.io.cameras.write import write_cameras
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.io.keypoints.write import write_keypoints
 from mocap_calib.io.kinds import FORMATS
-from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.poses.read import read_poses
 from mocap_calib.io.poses.write import write_poses
 from mocap_calib.io.registry import format_names
-from mocap_calib.types import Camera, CameraRig, Poses3D
 
-EXAMPLE = Path(__file__).parents[1] / "examples" / "three_people"
-
-
-DLC = (
-    "scorer,net,net,net\nbodyparts,nose,nose,nose\n"
-    "coords,x,y,likelihood\n0,10,20,0.5\n1,11,21,0.5\n"
-)
-
-
-def rig():
-    matrix = np.array([[900.0, 0, 640], [0, 900, 360], [0, 0, 1]])
-    cameras = tuple(
-        Camera(name, (1280, 720), matrix, np.array([0.1, -0.01, 0, 0, 0]), False)
-        for name in ("a", "b")
-    )
-    return CameraRig(cameras, np.stack([np.eye(3)] * 2), np.array([[0.0, 0, 2], [1, 0, 2]]), "m")
-
-
-def poses(individuals=2):
-    positions = np.random.default_rng(0).normal(size=(4, individuals, 3, 3))
-    quality = np.ones(positions.shape[:3])
-    return PoseFile(
-        Poses3D(
-            ("x", "y", "z"),
-            np.arange(4),
-            positions,
-            quality,
-            quality.astype(np.int64),
-            quality,
-            "m",
-        ),
-        25.0,
-    )
+EXAMPLE = Path(__file__).parents[2] / "examples" / "three_people"
 
 
 def test_cameras_go_round_through_files_and_folders(tool, tmp_path):
@@ -377,7 +344,7 @@ def test_run_knows_before_it_starts_what_it_cannot_write(tool, small, tmp_path, 
 
 
 def test_every_format_is_documented():
-    text = (Path(__file__).parents[1] / "docs" / "formats.md").read_text("utf-8")
+    text = (Path(__file__).parents[2] / "docs" / "formats.md").read_text("utf-8")
     for kind, title in (
         ("keypoints", "Keypoint files"),
         ("cameras", "Camera files"),

@@ -26,7 +26,7 @@ from mocap_calib.io.registry import find_format
 from mocap_calib.io.units import METRES
 from mocap_calib.types import Camera, CameraRig
 
-SAMPLES = Path(__file__).parents[2] / "shared" / "formats" / "samples"
+SAMPLES = Path(__file__).parents[3] / "shared" / "formats" / "samples"
 WRITTEN = [each.name for each in CAMERA_FORMATS if each.write]
 # what a format carries: lengths of distortion, fisheyes, image sizes, one focal length
 CARRIES = {

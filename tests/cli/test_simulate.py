@@ -16,7 +16,7 @@ from mocap_calib.synthetic import JOINTS, LAYOUTS, simulate
 from mocap_calib.types import Keypoints2D
 from mocap_calib_cli.commands.simulate import command, format_command
 
-EXAMPLE = Path(__file__).parents[1] / "examples" / "three_people"
+EXAMPLE = Path(__file__).parents[2] / "examples" / "three_people"
 FEW = [
     "--frames",
     "12",

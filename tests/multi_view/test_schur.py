@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import scene
-from test_stages import turned
+from scenes import scene, turn_cameras
 
 from mocap_calib.multi_view.ray_residuals import RayObservations, State, robust_cost
 from mocap_calib.multi_view.schur import _linearise, _NormalEquations, _step, minimise
@@ -17,7 +16,7 @@ def problem() -> tuple[State, RayObservations]:
     """Return three cameras about a hundred points, with noise and gross errors."""
     rng = np.random.default_rng(0)
     true = scene(cameras=3).rig
-    start = turned(true, 1.0)
+    start = turn_cameras(true, 1.0)
     points = rng.uniform(-1, 1, (3, 100)) + np.array([[0], [0], [1.0]])
     in_camera = true.rotation @ points + true.translation[:, :, None]
     in_camera += rng.normal(0, 0.02, in_camera.shape) + (rng.random((3, 1, 100)) < 0.05) * 0.5

@@ -1,0 +1,75 @@
+"""Pairs to one rig."""
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+from scenes import rotation_errors_deg, scene
+
+from mocap_calib.config import (
+    AveragingConfig,
+)
+from mocap_calib.errors import DegenerateError
+from mocap_calib.geometry.rotation import matrix_from_vector
+from mocap_calib.multi_view.averaging import average
+from mocap_calib.multi_view.view_graph import pairs_among, usable_cameras
+from mocap_calib.types import CameraRig, PairwiseCalibration
+
+
+def exact_pairs(rig: CameraRig, *, wrong: tuple[int, ...] = ()) -> tuple[PairwiseCalibration, ...]:
+    """Return pairs that agree with a rig, but for some that are 40 degrees off and score less."""
+    pairs = []
+    for k, (a, b) in enumerate(combinations(range(len(rig.cameras)), 2)):
+        rotation, translation = rig.relative(a, b)
+        if k in wrong:
+            rotation = matrix_from_vector(np.radians([0.0, 40.0, 0.0])) @ rotation
+            translation = np.roll(translation, 1)
+        pair = PairwiseCalibration(
+            a=a,
+            b=b,
+            rotation=rotation,
+            translation=translation,
+            matches=np.zeros((0, 3), int),
+            frames=10,
+            score=0.5 if k in wrong else 0.8,
+            residual=0.0,
+            in_front=1.0,
+            source="lifted",
+        )
+        pairs.append(pair)
+    return tuple(pairs)
+
+
+def test_consistent_pairs_give_their_rig():
+    """Up to the gauge: the first camera is the world, lengths are those of the baselines."""
+    rig = scene(cameras=6).rig
+    found = average(rig.cameras, exact_pairs(rig), AveragingConfig()).rig
+    np.testing.assert_allclose(found.rotation[0], np.eye(3), atol=1e-12)
+    for a, b in combinations(range(6), 2):
+        for value, expected in zip(found.relative(a, b), rig.relative(a, b), strict=True):
+            np.testing.assert_allclose(value, expected, atol=1e-8)
+
+
+def test_a_pair_that_breaks_the_loops_is_named_and_loses_its_weight():
+    rig = scene(cameras=5).rig
+    found = average(rig.cameras, exact_pairs(rig, wrong=(4,)), AveragingConfig())
+    assert rotation_errors_deg(found.rig, rig).max() < 0.1
+    assert found.weight[4] < 0.05
+    assert np.delete(found.weight, 4).min() > 0.9
+    assert np.degrees(found.loop_error[4]) == pytest.approx(40, abs=0.5)
+
+
+def test_unconnected_cameras_are_not_glued():
+    rig = scene(cameras=4).rig
+    pairs = [p for p in exact_pairs(rig) if (p.a < 2) == (p.b < 2)]
+    with pytest.raises(DegenerateError, match=r"cam1, cam2 \| cam3, cam4"):
+        usable_cameras(rig.cameras, tuple(pairs), AveragingConfig())
+
+
+def test_a_camera_that_no_pair_holds_is_left_out():
+    rig = scene(cameras=4).rig
+    pairs = tuple(replace(p, score=0.02) if 1 in (p.a, p.b) else p for p in exact_pairs(rig))
+    kept = usable_cameras(rig.cameras, pairs, AveragingConfig())
+    assert kept.tolist() == [0, 2, 3]
+    assert [(p.a, p.b) for p in pairs_among(pairs, kept)] == [(0, 1), (0, 2), (1, 2)]

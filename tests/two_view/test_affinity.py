@@ -1,0 +1,73 @@
+"""What detections say about a relative pose, held to its definitions."""
+
+import numpy as np
+from scenes import lifted, recording, scene
+
+from mocap_calib.config import (
+    PairwiseConfig,
+)
+from mocap_calib.geometry.epipolar import essential_matrix, sampson_angle
+from mocap_calib.geometry.rotation import matrix_from_vector
+from mocap_calib.two_view.affinity import (
+    centre_error,
+    epipolar_affinity,
+    epipolar_error,
+    epipolar_fit,
+    steering_error,
+)
+from mocap_calib.two_view.view_pair import distances, reach, view_pair
+
+
+def ten_frames_of_two_views():
+    return view_pair(recording(), lifted(), 0, 1, np.arange(10))
+
+
+def test_steering_error_is_the_weighted_distance_of_turned_bodies():
+    pair, bodies = ten_frames_of_two_views(), lifted()
+    rotation = matrix_from_vector(np.array([[0.3, -1.0, 0.2]]))
+    fast = steering_error(pair, rotation)[0]
+    weight = np.nan_to_num([1 / (bodies.spread[v, :10] ** 2 + 0.05**2) for v in (0, 1)])
+    w = weight[0][:, :, None] * weight[1][:, None]
+    gap = (np.nan_to_num(bodies.body[0, :10]) @ rotation[0].T)[:, :, None] - np.nan_to_num(
+        bodies.body[1, :10]
+    )[:, None]
+    slow = (w * (gap**2).sum(-1)).sum(-1) / np.maximum(w.sum(-1), 1e-12)
+    np.testing.assert_allclose(fast, slow, atol=1e-10)
+
+
+def test_centre_error_is_the_distance_over_the_distances():
+    pair = ten_frames_of_two_views()
+    rotation, translation = matrix_from_vector(np.array([0.1, 0.5, 0.0])), np.array([1.0, 2.0, 3.0])
+    gap = (pair.a.centre @ rotation.T + translation)[:, :, None] - pair.b.centre[:, None]
+    slow = (gap**2).sum(-1) / (pair.a.distance[:, :, None] ** 2 + pair.b.distance[:, None] ** 2)
+    np.testing.assert_allclose(
+        centre_error(pair, rotation[None], translation[None])[0], slow, atol=1e-10
+    )
+
+
+def test_epipolar_error_is_sampsons_at_the_body():
+    pair = ten_frames_of_two_views()
+    rotation, translation = matrix_from_vector(np.array([0.1, 0.5, 0.0])), np.array([0.6, 0.0, 0.8])
+    error, weight = epipolar_error(pair, rotation[None], translation[None])
+    matrix = essential_matrix(rotation, translation)
+    angle = sampson_angle(matrix, pair.a.rays[3, 1], pair.b.rays[3, 2])
+    slow = np.abs(angle) * reach(pair)[3, 1, 2]
+    known = weight[3, 1, 2] > 0
+    assert known.any()
+    np.testing.assert_allclose(error[0, 3, 1, 2][known], slow[known], atol=1e-12)
+
+
+def test_the_affinity_by_a_rig_is_the_epipolar_fit_of_its_pairs():
+    """Both say the same of a pair of views, given the same distances of the bodies."""
+    sample, rig, config = recording(), scene().rig, PairwiseConfig()
+    every = np.arange(len(sample.frames))
+    pair = view_pair(sample, lifted(), 0, 2, every)
+    error, weight = epipolar_error(pair, *(part[None] for part in rig.relative(0, 2)))
+    distance = distances(lifted().centre, sample.rays)
+    affinity, comparable = epipolar_affinity(sample, rig, distance, config)
+    instances = sample.positions.shape[2]
+    rows, columns = slice(0, instances), slice(2 * instances, 3 * instances)
+    fit = epipolar_fit(error, weight, config)[0]
+    np.testing.assert_allclose(affinity[:, rows, columns], fit, atol=1e-9)
+    assert ((comparable[:, rows, columns] > 0) | (fit == 0)).all()
+    np.testing.assert_array_equal(affinity, np.swapaxes(affinity, 1, 2))
