@@ -3,6 +3,7 @@
 
 PYTHON ?= python3
 BIN := .venv/bin
+WORKERS := -n 2  # tests run in two processes
 INSTALL := $(BIN)/pip install --disable-pip-version-check -c constraints.txt
 
 .PHONY: demo test test-quick fuzz lint benchmark cli-docs clean
@@ -16,10 +17,10 @@ demo: .venv/installed
 	@ls out/demo
 
 test: .venv/tested
-	$(BIN)/python -m pytest --durations=10
+	$(BIN)/python -m pytest $(WORKERS) --durations=10
 
 test-quick: .venv/tested
-	$(BIN)/python -m pytest -m "not slow"
+	$(BIN)/python -m pytest $(WORKERS) -m "not slow"
 
 # damaged files of each of the formats
 FUZZ_EXAMPLES ?= 5500
