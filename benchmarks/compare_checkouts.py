@@ -10,6 +10,7 @@ Exit status 1 where something differs.
 
 import argparse
 import csv
+import json
 import os
 import shutil
 import subprocess
@@ -38,8 +39,8 @@ def main() -> None:
     parser.add_argument("--recordings", type=Path, default=Path("../shared/recordings"))
     parser.add_argument("--work", type=Path, default=Path(tempfile.gettempdir()) / "compared")
     given = parser.parse_args()
-    print("| recording | matches.csv | cameras.yaml | poses3d.h5 | before, after (s) |")
-    print("|---|---|---|---|---|")
+    print("| recording | matches.csv | cameras.yaml | poses3d.h5 | verdict | before, after (s) |")
+    print("|---|---|---|---|---|---|")
     alike = [compare(given.recordings / name, given) for name in given.names]
     sys.exit(0 if all(alike) else 1)
 
@@ -57,7 +58,11 @@ def compare(recording: Path, given: argparse.Namespace) -> bool:
     poses = largest_difference(poses3d(before), poses3d(after))
     seconds = ", ".join((folder / "seconds").read_text() for folder in (before, after))
     matches = "equal" if same_labels else "DIFFERENT"
-    print(f"| {recording.name} | {matches} | {rig:.1e} | {poses:.1e} | {seconds} |", flush=True)
+    verdict = " -> ".join(dict.fromkeys(verdict_of(folder) for folder in (before, after)))
+    print(
+        f"| {recording.name} | {matches} | {rig:.1e} | {poses:.1e} | {verdict} | {seconds} |",
+        flush=True,
+    )
     return same_labels and max(rig, poses) <= TOLERANCE
 
 
@@ -80,6 +85,11 @@ def labels(folder: Path) -> list[tuple[str, ...]]:
             (row["camera"], row["frame"], row["instance"], row["individual"])
             for row in csv.DictReader(file)
         )
+
+
+def verdict_of(folder: Path) -> str:
+    """Return what run.json says of the rig."""
+    return json.loads((folder / "run.json").read_text())["verdict"]["rig"]
 
 
 def cameras(folder: Path) -> dict[str, np.ndarray]:

@@ -34,6 +34,8 @@ class Format(Generic[Sniff, Read, Write]):
     single: a file holds one individual (poses).
     timed: writing needs the number of frames per second (poses).
     unit: of its lengths, "" where the format leaves that open (cameras).
+    followed: its individuals are followed by definition: several detections that nobody follows
+        are refused (keypoints).
     loses: what the format has no place for (keypoints; writers of other kinds return it).
     """
 
@@ -48,6 +50,7 @@ class Format(Generic[Sniff, Read, Write]):
     folder: bool = False
     single: bool = False
     timed: bool = False
+    followed: bool = False
     unit: str = ""
     loses: tuple[Loss, ...] = ()
 

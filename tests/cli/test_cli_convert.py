@@ -16,13 +16,18 @@ from rigs import assert_same
 from mocap_calib.io.cameras.own import format_intrinsics_toml
 from mocap_calib.io.cameras.read import load_cameras, make_rig, read_rig
 from mocap_calib.io.cameras.write import write_cameras
+from mocap_calib.io.keypoints.formats import KEYPOINT_FORMATS
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.io.keypoints.write import write_keypoints
 from mocap_calib.io.kinds import FORMATS
 from mocap_calib.io.poses.read import read_poses
 from mocap_calib.io.poses.write import write_poses
-from mocap_calib.io.registry import format_names
+from mocap_calib.io.registry import format_names, names_by_ending
 
+SAY_WHICH = {
+    ending: f"say --to {' or --to '.join(names)}"
+    for ending, names in names_by_ending(KEYPOINT_FORMATS).items()
+}
 EXAMPLE = Path(__file__).parents[2] / "examples" / "three_people"
 
 
@@ -212,8 +217,8 @@ def test_keypoints_go_through_pipes():
         (["intrinsics.toml", "b.yaml"], 1, "extrinsics"),
         (["empty", "b.yaml"], 1, "empty"),
         (["twice.toml", "b.yaml"], 1, "twice"),
-        (["dlc.csv", "x.csv"], 1, "say --to deeplabcut-csv or --to csv"),
-        (["dlc.csv", "x.h5"], 1, "say --to deeplabcut-h5 or --to sleap"),
+        (["dlc.csv", "x.csv"], 1, SAY_WHICH[".csv"]),
+        (["dlc.csv", "x.h5"], 1, SAY_WHICH[".h5"]),
         (["dlc.csv", "x.nc", "--from", "coco"], 1, "name another format, or none"),
         (["frames", "x.toml"], 1, "--to and one of coco, openpose"),
         (["dlc.csv", "x.nc", "--unit", "m"], 2, "--unit"),

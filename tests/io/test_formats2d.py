@@ -11,6 +11,7 @@ from samples2d import FRAMES, SAMPLES, SIZE, recording, write_sample
 
 from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.io.file import NO_SCORE
+from mocap_calib.io.keypoints import losses
 from mocap_calib.io.keypoints.document import Document, ReadOptions
 from mocap_calib.io.keypoints.formats import KEYPOINT_FORMATS
 from mocap_calib.io.keypoints.read import read_keypoints
@@ -68,8 +69,9 @@ def test_csv_reads_what_it_wrote(tmp_path_factory, seed, tracked, instances, mis
 
 
 WRITTEN = written_names(KEYPOINT_FORMATS)
-NEEDS_NAMES = ("openpose",)
-ANY_ORDER = ("coco", "openpose")  # which do not say that instances are followed
+FOLLOWED_ONLY = [each.name for each in KEYPOINT_FORMATS if each.followed]
+NEEDS_NAMES = [each.name for each in KEYPOINT_FORMATS if losses.NAMES in each.loses]
+ANY_ORDER = [each.name for each in KEYPOINT_FORMATS if losses.FOLLOWED in each.loses]
 
 
 @settings(max_examples=20, deadline=None)
@@ -106,7 +108,7 @@ def test_every_writer_is_read_as_it_was(tmp_path_factory, name, seed, instances,
 def test_a_writer_says_what_does_not_come_back_and_nothing_else(
     tmp_path_factory, name, tracked, sized, frames, instances, scored
 ):
-    if not tracked and instances > 1 and name in ("deeplabcut-h5", "deeplabcut-csv", "movement"):
+    if not tracked and instances > 1 and name in FOLLOWED_ONLY:
         return  # refused: see below
     wanted = view(
         frames=frames,
@@ -177,9 +179,7 @@ def test_one_recording_is_equal_in_all_formats(tmp_path):
         assert_equal(replace(found[0], tracked=True), wanted, atol=1e-9 if name == "coco" else 0.0)
 
 
-@pytest.mark.parametrize(
-    "name", [name for name in WRITTEN if name not in (*ANY_ORDER, "csv", "sleap")]
-)
+@pytest.mark.parametrize("name", FOLLOWED_ONLY)
 def test_detections_in_any_order_are_not_written_as_individuals(tmp_path, name):
     with pytest.raises(MismatchError, match="any order"):
         write_keypoints(tmp_path / "out", (view(tracked=False),), name)

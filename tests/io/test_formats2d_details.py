@@ -438,3 +438,13 @@ def test_a_header_without_a_single_column_is_refused(tmp_path):
     (tmp_path / "a.csv").write_text("scorer,,s\nbodyparts,,nose\ncoords,,\n0,1,2\n")
     with pytest.raises(FormatError, match="a header row `coords`"):
         read_keypoints([tmp_path / "a.csv"])
+
+
+def test_a_comma_in_the_name_of_a_column_is_part_of_it(tmp_path):
+    path = tmp_path / "cam.csv"
+    columns = ["track", "frame_idx", "instance.score"]
+    columns += [f'"tail,base.{field}"' for field in ("x", "y", "score")]
+    path.write_text(f"{','.join(columns)}\n,0,1.0,10.0,20.0,0.5\n")
+    (found,) = read_keypoints([path], "sleap-csv")
+    assert found.keypoints == ("tail,base",)
+    np.testing.assert_array_equal(found.positions, [[[[10.0, 20.0]]]])

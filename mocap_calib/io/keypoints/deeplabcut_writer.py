@@ -11,7 +11,6 @@ import h5py
 import numpy as np
 
 from mocap_calib.io.keypoints.deeplabcut import COORDS, LEVELS, LEVELS_OF_ONE, Table
-from mocap_calib.io.keypoints.losses import require_followed
 from mocap_calib.types import Keypoints2D
 
 _SCORER = "mocap-calib"
@@ -43,13 +42,12 @@ def write_csv(views: tuple[Keypoints2D, ...]) -> dict[str, bytes]:
 
 
 def write_h5(views: tuple[Keypoints2D, ...]) -> dict[str, bytes]:
-    """Write `<camera>.h5`. Raises MismatchError where instances are not followed."""
+    """Write `<camera>.h5`."""
     return {f"{view.camera}.h5": _format_h5(view) for view in views}
 
 
 def _table(view: Keypoints2D) -> Table:
-    """Return the labelled columns of a camera. Raises MismatchError."""
-    require_followed(view, "DeepLabCut")
+    """Return the labelled columns of a camera."""
     frames, instances, keypoints = view.confidence.shape
     seen = np.isfinite(view.positions[..., :1])
     triples = np.concatenate([view.positions, view.confidence[..., None]], axis=-1)

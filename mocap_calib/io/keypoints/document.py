@@ -3,6 +3,7 @@
 However many formats look at a file, it is read and parsed once, so that a pipe can be sniffed too.
 """
 
+import csv
 import io
 import json
 import re
@@ -126,7 +127,7 @@ class Document:
         line = next(lines, "")
         if not line.isprintable() and "\t" not in line:
             return ()
-        return tuple(cell.strip().strip('"') for cell in line.split(","))
+        return tuple(cell.strip() for cell in next(csv.reader([line])))
 
     @cached_property
     def hdf5(self) -> Any:

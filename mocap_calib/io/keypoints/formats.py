@@ -100,6 +100,7 @@ KEYPOINT_FORMATS = (
         read=deeplabcut_h5.read,
         write=deeplabcut_writer.write_h5,
         endings=(".h5",),
+        followed=True,
         loses=(SIZES, SCORES),
     ),
     KeypointFormat(
@@ -127,6 +128,7 @@ KEYPOINT_FORMATS = (
         read=movement.read,
         write=movement.write,
         endings=(".nc",),
+        followed=True,
         loses=(SIZES, SCORES),
     ),
     KeypointFormat(
@@ -151,6 +153,7 @@ KEYPOINT_FORMATS = (
         read=deeplabcut_csv.read,
         write=deeplabcut_writer.write_csv,
         endings=(".csv",),
+        followed=True,
         loses=(SIZES, SCORES),
     ),
     KeypointFormat(

@@ -64,7 +64,7 @@ SCORES = Loss("that there are no scores: each point gets 1", _lack_scores)
 def require_followed(view: Keypoints2D, program: str) -> None:
     """Raise MismatchError where a view has several instances that are not followed.
 
-    program: whose individuals are followed by definition.
+    program: the format, whose individuals are followed by definition.
     """
     if not view.tracked and view.positions.shape[1] > 1:
         raise MismatchError(

@@ -16,7 +16,6 @@ import numpy as np
 from mocap_calib.io.file import blank, fill_missing_scores, make_view, malformed
 from mocap_calib.io.hdf5 import array, damage_refused, keys, names, text
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
-from mocap_calib.io.keypoints.losses import require_followed
 from mocap_calib.types import Floats, Ints, Keypoints2D
 
 _REMEDY = "save it from movement again"
@@ -157,7 +156,6 @@ def write(views: tuple[Keypoints2D, ...]) -> dict[str, bytes]:
 
 
 def _format_netcdf(view: Keypoints2D) -> bytes:
-    require_followed(view, "movement")
     position = view.positions.transpose(0, 3, 2, 1)
     confidence = view.confidence.transpose(0, 2, 1)
     confidence = np.where(np.isfinite(position[:, 0]), confidence, np.nan)

@@ -6,6 +6,7 @@ from mocap_calib.io.atomic import check_no_other_files, write_bytes, write_files
 from mocap_calib.io.cameras.source import FILE_NAME, need_names
 from mocap_calib.io.keypoints.formats import KEYPOINT_FORMATS
 from mocap_calib.io.keypoints.items import FOLDER_SUFFIXES
+from mocap_calib.io.keypoints.losses import require_followed
 from mocap_calib.io.registry import Written, find_format
 from mocap_calib.types import Keypoints2D
 
@@ -16,6 +17,9 @@ def format_keypoints(views: tuple[Keypoints2D, ...], format: str) -> Written:
     Raises MismatchError where the format is only read or cannot hold the detections.
     """
     known = find_format(KEYPOINT_FORMATS, format)
+    if known.followed:
+        for view in views:
+            require_followed(view, known.title)
     files = known.writer()(views)
     return Written(files, tuple(loss.what for loss in known.loses if loss.has(views)))
 
