@@ -6,12 +6,11 @@ from typing import Any
 
 import click
 
-from mocap_calib.config import TrainConfig
+from mocap_calib.config import OWN_SPECIES_TRAINING, TrainConfig
 from mocap_calib.io.cameras.read import read_rig
 from mocap_calib.io.poses.read import read_poses
 from mocap_calib.recording.joints import load_section, load_skeleton
 from mocap_calib.steerpose.training.own_species import (
-    TRAINING,
     own_poses,
     own_skeleton,
     up_direction,
@@ -62,7 +61,7 @@ def load_vocabulary(source: TrainingSource) -> tuple[Skeleton, dict[str, Any]]:
     """Return the joints to train for, and settings other than the defaults. Raises FormatError."""
     if source.calibrated is not None and source.skeleton is None:
         poses = read_poses(source.calibrated, "poses-h5").poses
-        return own_skeleton(source.calibrated.stem, poses), TRAINING
+        return own_skeleton(source.calibrated.stem, poses), OWN_SPECIES_TRAINING
     name = source.skeleton_name
     return load_skeleton(name), load_section(name, "training")
 
