@@ -9,6 +9,10 @@ LIFT_UPRIGHT_SAMPLE = 128  # detections of a view that tell which way is down in
 LIFT_LEAST_DEPTH = 0.5  # body sizes: no body is nearer to a camera
 LIFT_LEAST_FORWARD = 0.1  # z of a unit ray in the virtual camera: what is beside it stays finite
 
+ENCODER_HEADS = 4  # of the networks' encoders, which share a token
+PAPER_WIDTH = 32  # size of a token of the paper's network
+PAPER_LAYERS = 5  # of its encoder
+
 COMPLETION_SPREAD = 0.2  # body sizes: a joint known to this much has exp(-1) of the confidence
 COMPLETION_CONFIDENCE = 0.5  # at most, of the mean confidence of the joints that were seen
 
@@ -41,6 +45,7 @@ class TrainConfig:
     joint_dropout: float = 0.6  # up to this share of joints belongs to other layouts
     occlusion: float = 0.25  # up to this share of the remaining joints is missing
     bodies: int = 40_000  # procedural bodies to draw from, where they are asked for
+    procedural: float = 0.5  # share of the procedural bodies beside poses of files
     seed: int = 0
 
 
