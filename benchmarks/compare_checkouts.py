@@ -64,7 +64,8 @@ def compare(recording: Path, given: argparse.Namespace) -> bool:
 def run(checkout: Path, recording: Path, output: Path) -> None:
     """Calibrate a recording with the code of a checkout; the wall time goes beside the results."""
     code = os.pathsep.join(str((checkout / part).resolve()) for part in (".", "cli"))
-    command = [sys.executable, "-c", PROGRAM, "run", str(recording / "keypoints")]
+    # -P: the code of the checkout, not that of the folder where this is run
+    command = [sys.executable, "-P", "-c", PROGRAM, "run", str(recording / "keypoints")]
     command += ["--cameras", str(recording / "intrinsics.toml"), "-o", str(output)]
     start = time.perf_counter()
     environment = {**os.environ, "PYTHONPATH": code}

@@ -31,7 +31,6 @@ from mocap_calib.types import (
     Ints,
     LiftedPoses,
     Mapper,
-    Matches,
     PairwiseCalibration,
     Progress,
     Recording,
@@ -201,7 +200,7 @@ def _calibrate_cameras(
         matches = finalise_identities(recording, rig, matches, config.matching)
     with clock("verdict"):
         instances = sample.positions.shape[2]
-        sampled = Matches(matches.labels[:, observed.sample_frames, :instances])
+        sampled = matches.select(frames=observed.sample_frames, instances=instances)
         uncertainty = assess_uncertainty(sample, rig, sampled, config, seed=seed)
     with clock("triangulate"):
         poses = triangulate(recording, rig, matches, config.triangulate, progress=progress)

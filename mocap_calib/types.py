@@ -355,6 +355,18 @@ class Matches:
 
     labels: Ints
 
+    def select(
+        self, *, views: Ints | None = None, frames: Ints | None = None, instances: int | None = None
+    ) -> "Matches":
+        """Return the labels of some views and frames (`[view]` and `[frame]` indices).
+
+        instances: how many of the first instances, as a sample of the frames has them.
+        """
+        labels = self.labels
+        labels = labels if views is None else labels[views]
+        labels = labels if frames is None else labels[:, frames]
+        return Matches(labels[:, :, :instances])
+
     @property
     def individuals(self) -> int:
         """Number of individuals."""

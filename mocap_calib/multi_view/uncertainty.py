@@ -123,7 +123,7 @@ def _rotations_from(half: Sample, *, rig: CameraRig, matches: Matches, config: C
             adjusted = adjust(
                 half.select(views=held),
                 rig.select(held),
-                Matches(matches.labels[held]),
+                matches.select(views=held),
                 config,
                 already_close=True,
             )

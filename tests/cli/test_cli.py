@@ -3,6 +3,7 @@
 import csv
 import json
 import resource
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -184,6 +185,21 @@ def test_the_stages_through_pipes_are_the_run(done, small, tool, tmp_path):
     assert (tmp_path / "p.csv").read_text() == (out / "poses3d.csv").read_text()
     with h5py.File(tmp_path / "p.h5") as first, h5py.File(out / "poses3d.h5") as second:
         np.testing.assert_array_equal(first["position"][:], second["position"][:])
+
+
+@pytest.mark.slow
+def test_adjust_takes_a_recording_with_an_overcrowded_frame(small, tool, tmp_path):
+    """The frame is not in the sample, whose arrays hold fewer instances than the matches do."""
+    keypoints = shutil.copytree(small / "keypoints", tmp_path / "keypoints")
+    file = keypoints / "cam1.json"
+    content = json.loads(file.read_text())
+    one = content["annotations"][0]
+    further = [one | {"id": 100_000 + k} for k in range(30)]
+    file.write_text(json.dumps(content | {"annotations": content["annotations"] + further}))
+    rig = small / "reference.toml"
+    labels = tool("match", keypoints, "--rig", rig, "-q").stdout
+    adjusted = tool("adjust", keypoints, "--rig", rig, "--matches", "-", "-q", stdin=labels)
+    assert (adjusted.returncode, adjusted.stderr) == (0, "")
 
 
 @pytest.mark.slow

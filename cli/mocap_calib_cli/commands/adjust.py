@@ -28,7 +28,6 @@ def command(shared: options.SharedOptions, output: str, matches_out: str | None)
     from mocap_calib.multi_view.association import body_scale, label_all_frames
     from mocap_calib.multi_view.refinement import adjust_until_stable
     from mocap_calib.multi_view.tracking import finalise_identities
-    from mocap_calib.types import Matches
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.progress import Reporter
 
@@ -42,7 +41,8 @@ def command(shared: options.SharedOptions, output: str, matches_out: str | None)
         rig = inputs.rig_of_recording(rig, recording)
         matches = inputs.read_matches(shared.matches, recording)
         sample_frames, sample, lifted = inputs.lift_sample(loaded, shared.device, reporter)
-        sampled = Matches(matches.labels[:, sample_frames])
+        instances = sample.positions.shape[2]  # a frame that is not in the sample may have more
+        sampled = matches.select(frames=sample_frames, instances=instances)
         adjusted = adjust_until_stable(sample, lifted, rig, sampled, config, progress=reporter)
         if matches_out is not None:
             matches = label_all_frames(

@@ -1,16 +1,27 @@
-"""COLMAP's text model: cameras.txt, images.txt, points3D.txt. Its pixels have their corners at integers, so cx and cy are half a pixel more.
+"""COLMAP's text model: cameras.txt, images.txt and points3D.txt in a folder.
 
-An image is a camera here: a rig that stands still has one image a camera.
+* An image is a camera here: a rig that stands still has one image a camera, called after it.
+* Pixels have their corners at integers, so that cx and cy are half a pixel more than ours.
+* Each camera model has its own number and order of parameters.
+* An image takes two lines, the second of which (its points) may be empty.
+* There is no unit of length; a comment `# unit: m` says ours.
 """
 
 import math
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from mocap_calib.geometry.rotation import quaternion_from_matrix, skew
+from mocap_calib.io.cameras.common import (
+    CORNER_OFFSET,
+    PlacedCamera,
+    camera_of_image,
+    collect_cameras,
+    pinhole_matrix,
+)
 from mocap_calib.io.cameras.intrinsics import make_camera, make_extrinsics
 from mocap_calib.io.cameras.source import (
     CameraFile,
@@ -25,178 +36,210 @@ from mocap_calib.io.file import malformed
 from mocap_calib.io.registry import Written
 from mocap_calib.types import Camera, CameraRig, Floats
 
-HALF = 0.5
-_CAMERAS, _IMAGES, _POINTS = "cameras.txt", "images.txt", "points3D.txt"
-# where fx fy cx cy and k1 k2 p1 p2 k3 k4 k5 k6 stand among the parameters
-_MODELS = {
-    "SIMPLE_PINHOLE": ((0, 0, 1, 2), (), False),
-    "PINHOLE": ((0, 1, 2, 3), (), False),
-    "SIMPLE_RADIAL": ((0, 0, 1, 2), (3,), False),
-    "RADIAL": ((0, 0, 1, 2), (3, 4), False),
-    "OPENCV": ((0, 1, 2, 3), (4, 5, 6, 7), False),
-    "FULL_OPENCV": ((0, 1, 2, 3), tuple(range(4, 12)), False),
-    "OPENCV_FISHEYE": ((0, 1, 2, 3), (4, 5, 6, 7), True),
-    "SIMPLE_RADIAL_FISHEYE": ((0, 0, 1, 2), (3,), True),
-    "RADIAL_FISHEYE": ((0, 0, 1, 2), (3, 4), True),
-}
-_PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
+_CAMERAS = "cameras.txt"
+_IMAGES = "images.txt"
+_POINTS = "points3D.txt"
+_UNIT = "# unit:"
 _REMEDY = "export the model with `colmap model_converter --output_type TXT`"
+_LENGTHS_OF_QUATERNIONS = (0.5, 2.0)  # what rounding of a unit quaternion may leave, and more
+
+
+@dataclass(frozen=True)
+class _Model:
+    """Where a camera model has its parameters.
+
+    pinhole: indices of fx fy cx cy.
+    lens: indices of k1 k2 p1 p2 k3 k4 k5 k6, as many as there are.
+    """
+
+    pinhole: tuple[int, ...]
+    lens: tuple[int, ...]
+    fisheye: bool = False
+
+    @property
+    def parameters(self) -> int:
+        """Number of parameters."""
+        return 1 + max(*self.pinhole, *self.lens)
+
+
+_MODELS = {
+    "SIMPLE_PINHOLE": _Model((0, 0, 1, 2), ()),
+    "PINHOLE": _Model((0, 1, 2, 3), ()),
+    "SIMPLE_RADIAL": _Model((0, 0, 1, 2), (3,)),
+    "RADIAL": _Model((0, 0, 1, 2), (3, 4)),
+    "OPENCV": _Model((0, 1, 2, 3), (4, 5, 6, 7)),
+    "FULL_OPENCV": _Model((0, 1, 2, 3), tuple(range(4, 12))),
+    "OPENCV_FISHEYE": _Model((0, 1, 2, 3), (4, 5, 6, 7), fisheye=True),
+    "SIMPLE_RADIAL_FISHEYE": _Model((0, 0, 1, 2), (3,), fisheye=True),
+    "RADIAL_FISHEYE": _Model((0, 0, 1, 2), (3, 4), fisheye=True),
+}
 
 
 def sniff(source: Source) -> bool:
-    """A folder with cameras.txt or cameras.bin, or cameras.txt itself."""
+    """Return whether this is a folder with cameras.txt or cameras.bin, or cameras.txt itself."""
     if source.folder:
         return _CAMERAS in source.files or "cameras.bin" in source.files
-    return source.syntax == "yaml" and any(
-        len(row) > 1 and row[1] in _MODELS for row in map(str.split, source.text.splitlines()[:8])
-    )
+    if source.syntax != "yaml":
+        return False
+    rows = [line.split() for line in source.text.splitlines()[:8]]
+    return any(len(row) > 1 and row[1] in _MODELS for row in rows)
+
+
+# --- reading
 
 
 def parse(source: Source) -> CameraFile:
-    """The images as cameras; without images.txt the cameras alone, by their numbers. Raises FormatError."""
+    """Read the images as cameras; without images.txt the cameras alone, by their numbers.
+
+    Raises FormatError.
+    """
     if source.folder and _CAMERAS not in source.files:
-        raise malformed(
-            source.path, f"COLMAP's text model ({_CAMERAS}, {_IMAGES})", "its binary one", _REMEDY
-        )
-    listed = source.of(_CAMERAS) if source.folder else source
-    cameras = _cameras(listed)
-    unit = next(
-        (
-            line.partition(":")[2].strip()
-            for line in listed.text.splitlines()
-            if line.startswith("# unit:")
-        ),
-        "",
-    )
+        expected = f"COLMAP's text model ({_CAMERAS}, {_IMAGES})"
+        raise malformed(source.path, expected, "its binary one", _REMEDY)
+    camera_list = source.of(_CAMERAS) if source.folder else source
+    cameras = _parse_cameras(camera_list)
+    unit = _find_unit(camera_list.text)
     if _IMAGES not in source.files:
         return CameraFile(unique(cameras.values(), source.path), {}, unit)
-    images = _images(source.of(_IMAGES), cameras)
-    found = unique((camera for camera, _, _ in images), source.path)
-    return CameraFile(
-        found,
-        {camera.name: (rotation, translation) for camera, rotation, translation in images},
-        unit,
-    )
+    images = _parse_images(source.of(_IMAGES), cameras)
+    return collect_cameras(images, source.path, unit=unit)
 
 
-def _cameras(source: Source) -> dict[str, Camera]:
+def _find_unit(text: str) -> str:
+    """Return the unit in the comment that `write` makes, "" where there is none."""
+    for line in text.splitlines():
+        if line.startswith(_UNIT):
+            return line.removeprefix(_UNIT).strip()
+    return ""
+
+
+def _parse_cameras(source: Source) -> dict[str, Camera]:
+    """Return the cameras of cameras.txt by their numbers. Raises FormatError."""
     cameras: dict[str, Camera] = {}
     for number, line in enumerate(source.text.splitlines(), 1):
-        cells, where = line.split(), f"{source.path}: line {number}"
+        cells = line.split()
         if not cells or line.startswith("#"):
             continue
+        where = f"{source.path}: line {number}"
         if len(cells) < 5 or cells[1] not in _MODELS:
+            models = ", ".join(_MODELS)
+            expected = f"CAMERA_ID MODEL WIDTH HEIGHT PARAMS, the model one of {models}"
             found = f"the model {cells[1]}" if len(cells) > 4 else f"{len(cells)} cells"
-            raise malformed(
-                where,
-                f"CAMERA_ID MODEL WIDTH HEIGHT PARAMS, the model one of {', '.join(_MODELS)}",
-                found,
-                "undistort, or choose another model",
-            )
+            raise malformed(where, expected, found, "undistort, or choose another model")
         if cells[0] in cameras:
             raise malformed(where, "each CAMERA_ID once", f"{cells[0]} twice", "remove one of them")
-        cameras[cells[0]] = _camera(cells, where)
+        cameras[cells[0]] = _parse_camera(cells, where)
     return cameras
 
 
-def _camera(cells: list[str], where: str) -> Camera:
-    middle, lens, fisheye = _MODELS[cells[1]]
-    values = _floats(cells[4:], where)
-    if len(values) != 1 + max(*middle, *lens):
-        raise malformed(
-            where,
-            f"{1 + max(*middle, *lens)} parameters of {cells[1]}",
-            f"{len(values)}",
-            "mend the line",
-        )
-    fx, fy, cx, cy = values[list(middle)]
-    size = [whole(cell, "a whole number of pixels", where) for cell in cells[2:4]]
-    matrix = [[fx, 0, cx - HALF], [0, fy, cy - HALF], [0, 0, 1]]
-    return make_camera(cells[0], size, matrix, values[list(lens)] if lens else [], fisheye, where)
+def _parse_camera(cells: list[str], where: str) -> Camera:
+    """Return the camera of a line of cameras.txt. Raises FormatError."""
+    model = _MODELS[cells[1]]
+    values = _parse_floats(cells[4:], where)
+    if len(values) != model.parameters:
+        expected = f"{model.parameters} parameters of {cells[1]}"
+        raise malformed(where, expected, f"{len(values)}", "mend the line")
+    fx, fy, cx, cy = values[list(model.pinhole)]
+    return make_camera(
+        name=cells[0],
+        size=[whole(cell, "a whole number of pixels", where) for cell in cells[2:4]],
+        matrix=pinhole_matrix(fx, fy, cx - CORNER_OFFSET, cy - CORNER_OFFSET),
+        distortion=[values[index] for index in model.lens],
+        fisheye=model.fisheye,
+        source=where,
+    )
 
 
-def _images(source: Source, cameras: Mapping[str, Camera]) -> list[tuple[Camera, Floats, Floats]]:
-    """Every image takes two lines; the second has its points, and may be empty or, at the end of the file, missing."""
-    found, lines = [], iter(enumerate(source.text.splitlines(), 1))
+def _parse_images(source: Source, cameras: Mapping[str, Camera]) -> Iterator[PlacedCamera]:
+    """Yield a camera for each image of images.txt. Raises FormatError.
+
+    cameras: by their numbers.
+    """
+    lines = iter(enumerate(source.text.splitlines(), 1))
     for number, line in lines:
-        cells, where = line.split(), f"{source.path}: line {number}"
+        cells = line.split()
         if not cells or line.startswith("#"):
             continue
-        next(lines, None)
+        next(lines, None)  # its points, a line that may be missing at the end of the file
+        where = f"{source.path}: line {number}"
         if len(cells) < 10 or cells[8] not in cameras:
-            known = f"CAMERA_ID {cells[8]}" if len(cells) > 9 else f"{len(cells)} cells"
-            raise malformed(
-                where,
-                "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME with a camera of cameras.txt",
-                known,
-                _REMEDY,
-            )
-        values = _floats(cells[1:8], where)
-        rotation, translation = make_extrinsics(_rotation(values[:4], where), values[4:], where)
-        found.append(
-            (replace(cameras[cells[8]], name=stem(" ".join(cells[9:]))), rotation, translation)
-        )
-    return found
+            expected = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME with a camera of cameras.txt"
+            found = f"CAMERA_ID {cells[8]}" if len(cells) > 9 else f"{len(cells)} cells"
+            raise malformed(where, expected, found, _REMEDY)
+        values = _parse_floats(cells[1:8], where)
+        rotation = _rotation_from_quaternion(values[:4], where)
+        extrinsics = make_extrinsics(rotation, values[4:], where)
+        name = camera_of_image(" ".join(cells[9:]))
+        yield replace(cameras[cells[8]], name=name), extrinsics
 
 
-def stem(name: str) -> str:
-    """An image's name without the ending of a picture."""
-    start, dot, ending = name.rpartition(".")
-    return start if start and dot + ending.lower() in _PICTURES else name
+def _rotation_from_quaternion(quaternion: Floats, where: str) -> Floats:
+    """Return the `[3, 3]` rotation of a quaternion (w, x, y, z) of rounded digits.
 
-
-def _rotation(q: Floats, where: str) -> Floats:
-    """`[3, 3]` of a quaternion (w, x, y, z), of any length but none. Raises FormatError."""
-    length = math.hypot(*q)  # which large numbers do not overflow
-    if not 0.5 < length < 2:  # rounded digits; also NaN
-        raise malformed(where, "a unit quaternion QW QX QY QZ", q.tolist(), _REMEDY)
-    w, v = q[0] / length, q[1:] / length
+    Raises FormatError where its length is far from 1.
+    """
+    length = math.hypot(*quaternion)  # which large numbers do not overflow
+    least, most = _LENGTHS_OF_QUATERNIONS
+    if not least < length < most:  # nor is NaN
+        expected = "a unit quaternion QW QX QY QZ"
+        raise malformed(where, expected, quaternion.tolist(), _REMEDY)
+    w = quaternion[0] / length
+    v = quaternion[1:] / length
     return (w * w - v @ v) * np.eye(3) + 2 * np.outer(v, v) + 2 * w * skew(v)
 
 
-def _floats(cells: list[str], where: str) -> Floats:
+def _parse_floats(cells: list[str], where: str) -> Floats:
+    """Return the numbers in the cells of a line. Raises FormatError."""
     try:
         return np.array([float(cell) for cell in cells])
     except ValueError as error:
         raise malformed(where, "numbers", error, "mend the line") from None
 
 
+# --- writing
+
+
 def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:  # noqa: ARG001 - the writers' signature
-    """All three files, the points empty; an image is called NAME.png. Raises MismatchError."""
+    """Write all three files, the one of points empty; an image is called NAME.png.
+
+    Raises MismatchError.
+    """
     need_sizes(rig, "colmap")
     need_names(rig.names, r"[^\s\x00-\x1f\x7f-\xa0\ud800-\udfff]+", "no spaces", "colmap")
-    cameras = ["# Camera list: CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]", f"# unit: {rig.unit}"]
+    cameras = ["# Camera list: CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]", f"{_UNIT} {rig.unit}"]
     images = [
         "# Image list, two lines each: IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME",
         "#   POINTS2D[] as (X, Y, POINT3D_ID)",
     ]
-    for v, camera in enumerate(rig.cameras):
-        model, lens = _model(camera)
-        middle = camera.matrix[[0, 1, 0, 1], [0, 1, 2, 2]] + [0, 0, HALF, HALF]
-        cameras.append(
-            f"{v + 1} {model} {camera.size[0]} {camera.size[1]} {_text(np.concatenate([middle, lens]))}"
-        )
-        images += [
-            f"{v + 1} {_text(quaternion_from_matrix(rig.rotation[v]))} {_text(rig.translation[v])} {v + 1} {camera.name}.png",
-            "",
-        ]
-    points = (
-        "# 3D point list: POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)\n"
-    )
-    return Written({_CAMERAS: _lines(cameras), _IMAGES: _lines(images), _POINTS: points.encode()})
+    points = [
+        "# 3D point list: POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)"
+    ]
+    for view, camera in enumerate(rig.cameras):
+        number = view + 1
+        cameras.append(f"{number} {_format_camera(camera)}")
+        quaternion = _format_floats(quaternion_from_matrix(rig.rotation[view]))
+        translation = _format_floats(rig.translation[view])
+        images.append(f"{number} {quaternion} {translation} {number} {camera.name}.png")
+        images.append("")
+    return Written({_CAMERAS: _join(cameras), _IMAGES: _join(images), _POINTS: _join(points)})
 
 
-def _model(camera: Camera) -> tuple[str, Floats]:
-    """The smallest model that has what the camera has, and its distortion."""
+def _format_camera(camera: Camera) -> str:
+    """Return model, size and parameters of a camera, in the smallest model that has them."""
     if camera.fisheye:
-        return "OPENCV_FISHEYE", camera.distortion
-    lens = terms(camera, 8, "colmap")
-    return ("FULL_OPENCV", lens) if lens[4:].any() else ("OPENCV", lens[:4])
+        model, lens = "OPENCV_FISHEYE", camera.distortion
+    else:
+        lens = terms(camera, 8, "colmap")
+        model = "FULL_OPENCV" if lens[4:].any() else "OPENCV"
+        lens = lens[: len(_MODELS[model].lens)]
+    pinhole = camera.matrix[[0, 1, 0, 1], [0, 1, 2, 2]] + [0, 0, CORNER_OFFSET, CORNER_OFFSET]
+    width, height = camera.size
+    return f"{model} {width} {height} {_format_floats(np.concatenate([pinhole, lens]))}"
 
 
-def _text(values: Floats) -> str:
-    return " ".join(map(repr, values.tolist()))
+def _format_floats(values: Floats) -> str:
+    return " ".join(repr(value) for value in values.tolist())
 
 
-def _lines(lines: list[str]) -> bytes:
+def _join(lines: list[str]) -> bytes:
     return ("\n".join(lines) + "\n").encode()

@@ -1,88 +1,123 @@
-"""EasyMocap's pair of files: intri.yml and extri.yml in a folder. Names are keys of FileStorage there."""
+"""EasyMocap's pair of files in a folder, which cv2.FileStorage reads: intri.yml and extri.yml.
+
+* Both list the cameras under `names`; the name of a camera is part of the keys of its fields
+  (K_01, dist_01, Rot_01, ...), so that names are what FileStorage takes for keys.
+* R_01 is a rotation vector, Rot_01 the same rotation as a matrix. Lengths are metres.
+* intri.yml often has more cameras than extri.yml: these have no extrinsics.
+"""
 
 import re
 from collections.abc import Mapping
 from typing import Any
 
+from mocap_calib.errors import FormatError
 from mocap_calib.geometry.rotation import vector_from_matrix
+from mocap_calib.io.cameras.common import Extrinsics, PlacedCamera, collect_cameras
+from mocap_calib.io.cameras.file_storage import format_file, format_matrix
 from mocap_calib.io.cameras.intrinsics import make_camera, make_extrinsics
-from mocap_calib.io.cameras.source import CameraFile, Source, need_names, terms, unique
-from mocap_calib.io.cameras.yaml_files import file_storage, opencv_matrix
+from mocap_calib.io.cameras.source import CameraFile, Source, need_names, terms
 from mocap_calib.io.file import malformed
 from mocap_calib.io.registry import Written
-from mocap_calib.types import CameraRig
+from mocap_calib.types import Camera, CameraRig
 
-_INTRI, _EXTRI = "intri.yml", "extri.yml"
+_INTRINSICS = "intri.yml"
+_EXTRINSICS = "extri.yml"
 
 
 def sniff(source: Source) -> bool:
-    """A folder with intri.yml, or one of the two by its list of names."""
+    """Return whether this is a folder with intri.yml, or one of the two with its list of names."""
     if source.folder:
-        return _INTRI in source.files
+        return _INTRINSICS in source.files
     return source.syntax == "yaml" and re.search(r"^names\s*:", source.text, re.M) is not None
 
 
+# --- reading
+
+
 def parse(source: Source) -> CameraFile:
-    """Cameras without extrinsics are kept as such: an intri.yml often has more than its extri.yml. Raises FormatError."""
+    """Read the cameras of both files, or of intri.yml alone. Raises FormatError."""
     if not source.folder:
-        return _parse(source, source.path, {}, source.path)
-    extri = source.of(_EXTRI) if _EXTRI in source.files else None
-    return _parse(
-        source.of(_INTRI),
-        f"{source.path}/{_INTRI}",
-        extri.mapping() if extri else {},
-        extri.path if extri else "",
+        return _parse(source, None)
+    extrinsics = source.of(_EXTRINSICS) if _EXTRINSICS in source.files else None
+    return _parse(source.of(_INTRINSICS), extrinsics)
+
+
+def _parse(intrinsics: Source, extrinsics: Source | None) -> CameraFile:
+    """Read the cameras of the files. Raises FormatError."""
+    places = extrinsics.mapping() if extrinsics else {}
+    fields = intrinsics.mapping("names")
+    names = fields["names"]
+    if not isinstance(names, list):
+        found = type(names).__name__
+        raise malformed(intrinsics.path, "a list of names", found, "export the cameras again")
+    placed: list[PlacedCamera] = []
+    for name in map(str, names):
+        camera = _parse_camera(name, fields, intrinsics.path)
+        place = _parse_place(name, places, extrinsics.path) if extrinsics else None
+        placed.append((camera, place))
+    return collect_cameras(placed, intrinsics.path, unit=str(fields.get("unit", "")))
+
+
+def _parse_camera(name: str, fields: Mapping[str, Any], source: str) -> Camera:
+    """Return the camera of that name without its place. Raises FormatError."""
+    if f"K_{name}" not in fields:
+        raise _missing_matrix(name, fields, source)
+    size = None
+    if {f"W_{name}", f"H_{name}"} <= fields.keys():
+        size = [fields[f"W_{name}"], fields[f"H_{name}"]]
+    return make_camera(
+        name=name,
+        size=size,
+        matrix=fields[f"K_{name}"],
+        distortion=fields.get(f"dist_{name}", fields.get(f"D_{name}")),
+        fisheye=False,
+        source=f"{source}: camera {name}",
     )
 
 
-def _parse(intri: Source, where: str, extri: Mapping[str, Any], extri_path: str) -> CameraFile:
-    data = intri.mapping("names")
-    names = data["names"]
-    if not isinstance(names, list):
-        raise malformed(where, "a list of names", type(names).__name__, "export the cameras again")
-    cameras, extrinsics = [], {}
-    for name in map(str, names):
-        if f"K_{name}" not in data:
-            remedy = (
-                f"give a folder in which it is called {_EXTRI}, beside its {_INTRI}"
-                if any(key.startswith("R_") for key in map(str, data))
-                else "mend the list"
-            )
-            raise malformed(
-                where, f"the matrix K_{name} of the camera {name} in names", "none", remedy
-            )
-        size = (
-            [data[f"W_{name}"], data[f"H_{name}"]]
-            if {f"W_{name}", f"H_{name}"} <= data.keys()
-            else None
-        )
-        distortion = data.get(f"dist_{name}", data.get(f"D_{name}"))
-        cameras.append(
-            make_camera(name, size, data[f"K_{name}"], distortion, False, f"{where}: camera {name}")
-        )
-        rotation = extri.get(f"Rot_{name}", extri.get(f"R_{name}"))
-        if rotation is not None and f"T_{name}" in extri:
-            extrinsics[name] = make_extrinsics(
-                rotation, extri[f"T_{name}"], f"{extri_path}: camera {name}"
-            )
-    return CameraFile(unique(cameras, where), extrinsics, str(data.get("unit", "")))
+def _missing_matrix(name: str, fields: Mapping[str, Any], source: str) -> FormatError:
+    """Return the complaint of a camera without a matrix, such as all of an extri.yml."""
+    remedy = "mend the list"
+    if any(str(key).startswith("R_") for key in fields):
+        remedy = f"give a folder in which it is called {_EXTRINSICS}, beside its {_INTRINSICS}"
+    expected = f"the matrix K_{name} of the camera {name} in names"
+    return malformed(source, expected, "none", remedy)
+
+
+def _parse_place(name: str, fields: Mapping[str, Any], source: str) -> Extrinsics | None:
+    """Return the extrinsics of the camera of that name, None where there are none.
+
+    Raises FormatError.
+    """
+    rotation = fields.get(f"Rot_{name}", fields.get(f"R_{name}"))
+    if rotation is None or f"T_{name}" not in fields:
+        return None
+    return make_extrinsics(rotation, fields[f"T_{name}"], f"{source}: camera {name}")
+
+
+# --- writing
 
 
 def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:  # noqa: ARG001 - the writers' signature
-    """Both files. Raises MismatchError."""
+    """Write both files. Raises MismatchError."""
     need_names(rig.names, r"[A-Za-z0-9_-]{1,80}", "letters, digits, - and _", "easymocap")
     names = ["names:", *(f'  - "{name}"' for name in rig.names)]
-    intri, extri = list(names), list(names)
-    for v, camera in enumerate(rig.cameras):
-        intri += opencv_matrix(f"K_{camera.name}", camera.matrix)
-        intri += opencv_matrix(f"dist_{camera.name}", terms(camera, 5, "easymocap")[None])
-        intri += (
-            [f"H_{camera.name}: {camera.size[1]}", f"W_{camera.name}: {camera.size[0]}"]
-            if 0 not in camera.size
-            else []
-        )
-        extri += opencv_matrix(f"R_{camera.name}", vector_from_matrix(rig.rotation[v])[:, None])
-        extri += opencv_matrix(f"Rot_{camera.name}", rig.rotation[v]) + opencv_matrix(
-            f"T_{camera.name}", rig.translation[v][:, None]
-        )
-    return Written({_INTRI: file_storage(intri), _EXTRI: file_storage(extri)})
+    intrinsics = list(names)
+    extrinsics = list(names)
+    for view, camera in enumerate(rig.cameras):
+        intrinsics += _format_intrinsics(camera)
+        rotation = rig.rotation[view]
+        extrinsics += format_matrix(f"R_{camera.name}", vector_from_matrix(rotation)[:, None])
+        extrinsics += format_matrix(f"Rot_{camera.name}", rotation)
+        extrinsics += format_matrix(f"T_{camera.name}", rig.translation[view][:, None])
+    return Written({_INTRINSICS: format_file(intrinsics), _EXTRINSICS: format_file(extrinsics)})
+
+
+def _format_intrinsics(camera: Camera) -> list[str]:
+    """Return the lines of a camera in intri.yml. Raises MismatchError."""
+    lines = format_matrix(f"K_{camera.name}", camera.matrix)
+    lines += format_matrix(f"dist_{camera.name}", terms(camera, 5, "easymocap")[None])
+    if 0 not in camera.size:
+        width, height = camera.size
+        lines += [f"H_{camera.name}: {height}", f"W_{camera.name}: {width}"]
+    return lines

@@ -1,73 +1,96 @@
-"""Kalibr's camchain: each camera from the one before; cam0 is the world. Read only."""
+"""Kalibr's camchain: YAML with the cameras cam0, cam1, ... of a chain. Read only.
+
+The transform T_cn_cnm1 of a camera is from the camera before it, so that transforms are multiplied
+along the chain; cam0 is the world. Where a link of the chain is missing, the cameras behind it have
+no extrinsics.
+"""
+
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
+from mocap_calib.io.cameras.common import PlacedCamera, collect_cameras, pinhole_matrix
 from mocap_calib.io.cameras.intrinsics import make_camera, make_extrinsics, numbers
-from mocap_calib.io.cameras.source import CameraFile, Source, entries, need, unique
+from mocap_calib.io.cameras.source import CameraFile, Source, entries, need
 from mocap_calib.io.file import malformed
 from mocap_calib.types import Camera, Floats
 
 _KEYS = ("camera_model", "intrinsics", "distortion_model", "distortion_coeffs", "resolution")
+_DISTORTION_MODELS = ("radtan", "equidistant", "none")
 
 
 def sniff(source: Source) -> bool:
-    """Cameras with a list of intrinsics."""
-    if (
-        source.syntax != "yaml"
-        or "intrinsics" not in source.text
-        or not isinstance(source.tree, dict)
-    ):
+    """Return whether this is YAML of cameras, all with intrinsics."""
+    if source.syntax != "yaml" or "intrinsics" not in source.text:
         return False
-    return bool(source.tree) and all(
-        isinstance(fields, dict) and "intrinsics" in fields for fields in source.tree.values()
-    )
+    if not isinstance(source.tree, dict) or not source.tree:
+        return False
+    cameras = source.tree.values()
+    return all(isinstance(fields, dict) and "intrinsics" in fields for fields in cameras)
 
 
 def parse(source: Source) -> CameraFile:
-    """T_cn_cnm1 of camN is `camN from camN-1`; a camera after a gap in the chain has no extrinsics. Raises FormatError."""
-    cameras, extrinsics = [], {}
-    chain: Floats | None = np.eye(4)
-    found = entries(source.tree, "cameras cam0, cam1, ...", source.path)
-    for name, fields in sorted(found, key=lambda each: (len(each[0]), each[0])):
+    """Read the cameras in the order of the chain. Raises FormatError."""
+    named = entries(source.tree, "cameras cam0, cam1, ...", source.path)
+    placed: list[PlacedCamera] = []
+    from_world: Floats | None = np.eye(4)
+    for name, fields in sorted(named, key=_order_in_chain):
         where = f"{source.path}: camera {name}"
-        cameras.append(_camera(name, fields, where))
-        if len(cameras) > 1:
-            step = fields.get("T_cn_cnm1")
-            chain = None if step is None or chain is None else _transform(step, where) @ chain
-        if chain is not None:
-            extrinsics[name] = make_extrinsics(chain[:3, :3], chain[:3, 3], where)
-    return CameraFile(unique(cameras, source.path), extrinsics)
+        camera = _parse_camera(name, fields, where)
+        if placed:
+            from_world = _follow_chain(from_world, fields.get("T_cn_cnm1"), where)
+        if from_world is None:
+            placed.append((camera, None))
+        else:
+            extrinsics = make_extrinsics(from_world[:3, :3], from_world[:3, 3], where)
+            placed.append((camera, extrinsics))
+    return collect_cameras(placed, source.path)
 
 
-def _camera(name: str, fields: dict[str, object], where: str) -> Camera:
+def _order_in_chain(camera: tuple[str, Mapping[str, Any]]) -> tuple[int, str]:
+    """Return what puts cam2 before cam10, for a camera's name and fields."""
+    name, _ = camera
+    return len(name), name
+
+
+def _follow_chain(from_world: Floats | None, step: Any, where: str) -> Floats | None:
+    """Return the `[4, 4]` transform of a camera from that of the one before it.
+
+    step: T_cn_cnm1 of the camera. None stands for what is not known.
+    """
+    if step is None or from_world is None:
+        return None
+    return _parse_transform(step, where) @ from_world
+
+
+def _parse_camera(name: str, fields: Mapping[str, Any], where: str) -> Camera:
+    """Return a camera without its place. Raises FormatError."""
     need(fields, _KEYS, where)
-    model, lens = str(fields["camera_model"]), str(fields["distortion_model"])
-    if model != "pinhole" or lens not in ("radtan", "equidistant", "none"):
-        raise malformed(
-            where,
-            "the models pinhole and radtan, equidistant or none",
-            f"{model} and {lens}",
-            "calibrate with one of them",
-        )
-    values = numbers(fields["intrinsics"], "intrinsics [fu, fv, pu, pv]", where).reshape(-1)
+    model = str(fields["camera_model"])
+    lens = str(fields["distortion_model"])
+    if model != "pinhole" or lens not in _DISTORTION_MODELS:
+        expected = "the models pinhole and radtan, equidistant or none"
+        raise malformed(where, expected, f"{model} and {lens}", "calibrate with one of them")
+    expected = "intrinsics [fu, fv, pu, pv]"
+    values = numbers(fields["intrinsics"], expected, where).reshape(-1)
     if len(values) != 4:
-        raise malformed(where, "intrinsics [fu, fv, pu, pv]", f"{len(values)} numbers", "mend them")
-    fu, fv, pu, pv = values.tolist()
+        raise malformed(where, expected, f"{len(values)} numbers", "mend them")
     return make_camera(
-        name,
-        fields["resolution"],
-        [[fu, 0, pu], [0, fv, pv], [0, 0, 1]],
-        fields["distortion_coeffs"],
-        lens == "equidistant",
-        where,
+        name=name,
+        size=fields["resolution"],
+        matrix=pinhole_matrix(*values.tolist()),
+        distortion=fields["distortion_coeffs"],
+        fisheye=lens == "equidistant",
+        source=where,
     )
 
 
-def _transform(value: object, where: str) -> Floats:
+def _parse_transform(value: Any, where: str) -> Floats:
+    """Return a `[4, 4]` transform of a rotation and a translation. Raises FormatError."""
     step = numbers(value, "a 4 x 4 transform T_cn_cnm1", where)
     if step.shape != (4, 4) or not np.isfinite(step).all():
-        raise malformed(
-            where, "a finite 4 x 4 transform T_cn_cnm1", f"shape {step.shape}", "mend it"
-        )
-    make_extrinsics(step[:3, :3], step[:3, 3], where)
+        expected = "a finite 4 x 4 transform T_cn_cnm1"
+        raise malformed(where, expected, f"shape {step.shape}", "mend it")
+    make_extrinsics(step[:3, :3], step[:3, 3], where)  # which refuses what is no rotation
     return step

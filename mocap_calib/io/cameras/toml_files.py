@@ -1,21 +1,28 @@
 """TOML of anipose and of those who took it over: Pose2Sim, FreeMoCap, caliscope.
 
 All have a section a camera with size, matrix, distortions, rotation (a Rodrigues vector) and
-translation of cam_from_world. They differ in the unit, in the sections' names, and in who reads
-what.
+translation of cam_from_world.
+
+* anipose has cam_0, cam_1, ..., which it sorts as text, and states no unit of length.
+* Pose2Sim's sections are called as the cameras, in an order that counts; sizes are floats, lengths
+  metres. Sections of some names it passes over.
+* FreeMoCap says where a camera stands a second time (world_position), in millimetres.
+* caliscope has [cameras.0], [cameras.1], ... and goes by these numbers; lengths are metres. A
+  camera may have no intrinsics, or the text "null" for its place.
 """
 
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 from mocap_calib.errors import MismatchError
+from mocap_calib.io.cameras.common import Extrinsics, PlacedCamera, collect_cameras
 from mocap_calib.io.cameras.intrinsics import describe_keys, make_camera, make_extrinsics
 from mocap_calib.io.cameras.own import format_calibration_toml, plain_fields, toml_fields
-from mocap_calib.io.cameras.source import CameraFile, Source, need_sizes, terms, unique
+from mocap_calib.io.cameras.source import CameraFile, Source, need_sizes, terms
 from mocap_calib.io.cameras.toml_text import dump_toml
 from mocap_calib.io.file import malformed
 from mocap_calib.io.registry import Written
-from mocap_calib.types import Camera, CameraRig, Floats
+from mocap_calib.types import Camera, CameraRig
 
 # sections that Pose2Sim passes over
 _NOT_CAMERAS = ("metadata", "capture_volume", "charuco", "checkerboard")
@@ -63,8 +70,7 @@ def parse(source: Source) -> CameraFile:
             describe_keys(data) or "nothing",
             "export anipose's calibration.toml",
         )
-    cameras: list[Camera] = []
-    extrinsics: dict[str, tuple[Floats, Floats]] = {}
+    placed: list[PlacedCamera] = []
     notes: list[str] = []
     for section, fields in sections:
         name = str(fields.get("name", section))
@@ -72,18 +78,14 @@ def parse(source: Source) -> CameraFile:
             notes.append(f"camera {name} has no intrinsics and is left out")
             continue
         where = f"{source.path}: camera {name}"
-        cameras.append(_parse_camera(name, fields, where))
-        # caliscope writes the text "null" where a camera was not placed
-        if isinstance(fields.get("rotation"), list) and isinstance(fields.get("translation"), list):
-            extrinsics[name] = make_extrinsics(fields["rotation"], fields["translation"], where)
+        camera = _parse_camera(name, fields, where)
+        placed.append((camera, _parse_extrinsics(fields, where)))
         if fields.get("rotation_count", 0) != 0:
             notes.append(
                 f"camera {name} is shown turned by caliscope; its matrix is of the images as they "
                 "were recorded"
             )
-    metadata = data.get("metadata")
-    unit = metadata.get("unit", "") if isinstance(metadata, dict) else ""
-    return CameraFile(unique(cameras, source.path), extrinsics, str(unit), tuple(notes))
+    return collect_cameras(placed, source.path, unit=_find_unit(data), notes=notes)
 
 
 def _is_pose2sim_camera(name: str, fields: Mapping[str, Any]) -> bool:
@@ -92,15 +94,33 @@ def _is_pose2sim_camera(name: str, fields: Mapping[str, Any]) -> bool:
     return fields.get("name") == name and "fisheye" in fields and sized
 
 
-def _parse_camera(name: str, fields: Mapping[str, Any], source: str) -> Camera:
+def _parse_camera(name: str, fields: Mapping[str, Any], where: str) -> Camera:
+    """Return a camera without its place. Raises FormatError."""
     return make_camera(
-        name,
-        fields.get("size"),
-        fields["matrix"],
-        fields.get("distortions"),
-        fields.get("fisheye", False) is True,
-        source,
+        name=name,
+        size=fields.get("size"),
+        matrix=fields["matrix"],
+        distortion=fields.get("distortions"),
+        fisheye=fields.get("fisheye", False) is True,
+        source=where,
     )
+
+
+def _parse_extrinsics(fields: Mapping[str, Any], where: str) -> Extrinsics | None:
+    """Return the extrinsics, None where there are none. Raises FormatError.
+
+    caliscope writes the text "null" where a camera was not placed.
+    """
+    rotation, translation = fields.get("rotation"), fields.get("translation")
+    if not isinstance(rotation, list) or not isinstance(translation, list):
+        return None
+    return make_extrinsics(rotation, translation, where)
+
+
+def _find_unit(data: Mapping[str, Any]) -> str:
+    """Return the unit of length in the metadata, "" where it is not said."""
+    metadata = data.get("metadata")
+    return str(metadata.get("unit", "")) if isinstance(metadata, dict) else ""
 
 
 def _tables(data: Any) -> list[dict[str, Any]]:

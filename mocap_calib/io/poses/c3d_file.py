@@ -1,158 +1,206 @@
-"""C3D of motion capture: float32, millimetres, frames counted from 1 without gaps, at most 255 markers."""
+"""C3D of motion capture: binary, all individuals in one file.
+
+* Numbers are float32, lengths millimetres, frames are counted from 1 without gaps.
+* The header counts markers in a byte: there are at most 255.
+* The format has no individuals: their markers are called `name:marker`.
+* A point has a residual besides x, y, z; -1 marks a missing one.
+"""
 
 import io
 import warnings
+from dataclasses import dataclass
 
 import c3d
 import numpy as np
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.io.file import malformed, one_line
+from mocap_calib.io.file import malformed
 from mocap_calib.io.poses.common import (
-    DAMAGE,
     PoseFile,
     WrittenPoses,
     bare_poses,
     convert_unit,
     fill_gaps,
     lost_quality,
+    mark_missing,
     need_keypoints,
     need_rate,
+    refuse_damage,
 )
 from mocap_calib.io.units import known_unit
 from mocap_calib.types import Floats, Ints
 
-_MOST = 255  # the header of a file counts markers in a byte
-_MARK = b"\x50"  # of a C3D file, its second byte
-_ALONE = "individual_0"
+_MOST_MARKERS = 255
+_START = b"\x02\x50"  # the block where the parameters begin, and the mark of a C3D file
+_SHORTEST = 512  # bytes
+_ONLY_INDIVIDUAL = "individual_0"  # what one without a name is called
+_NAMES = r"(?! )[ -9;-~]{1,60}(?<! )"
+
+
+@dataclass(frozen=True)
+class _Content:
+    """What a file holds.
+
+    labels: `[marker]`. frames: `[frame]` numbers from 0. positions: `[frame, marker, 3]`.
+    """
+
+    labels: list[str]
+    frames: Ints
+    positions: Floats
+    rate: float
+    unit: str
 
 
 def sniff(content: bytes) -> bool:
-    """By the mark, and where the first byte says that the parameters begin."""
-    return len(content) >= 512 and content[1:2] == _MARK and content[:1] == b"\x02"
+    """Return whether the mark is there, and parameters begin in the second block."""
+    return len(content) >= _SHORTEST and content.startswith(_START)
+
+
+# --- reading
 
 
 def parse(content: bytes, source: str) -> PoseFile:
-    """The markers; `name:marker` are those of an individual, where all are. Raises FormatError."""
-    try:
-        with warnings.catch_warnings(record=True) as said:
-            warnings.simplefilter("always")
-            names, frames, points, rate, unit = _read(content)
-    except DAMAGE as error:
-        raise malformed(
-            source, "a whole C3D file", f"an error ({one_line(error)})", "write the file again"
-        ) from None
-    if any("end of file" in str(warning.message) for warning in said) or not len(frames):
+    """Read the markers; where all are called `name:marker`, those of each individual.
+
+    Raises FormatError.
+    """
+    with refuse_damage(source, "a whole C3D file"), warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        found = _read(content)
+    cut = any("end of file" in str(warning.message) for warning in caught)
+    if cut or not len(found.frames):
         raise malformed(source, "a whole C3D file", "one that is cut", "copy it again")
-    individuals, keypoints = _split(names)
-    unit = known_unit(unit, f"{source}: POINT:UNITS")
-    if len(individuals) * len(keypoints) != len(names) or len(set(names)) < len(names):
-        raise malformed(
-            source,
-            "the same markers of every individual, each once",
-            ", ".join(names[:8]),
-            "rename the markers",
-        )
-    # the markers of one individual need not stand together
-    order = [
-        names.index(f"{who}:{what}") if who else names.index(what)
-        for who in individuals
-        for what in keypoints
-    ]
-    positions = points[:, order].reshape(len(frames), len(individuals), len(keypoints), 3)
-    return PoseFile(
-        bare_poses(keypoints, frames, positions, unit),
-        rate,
-        tuple(who or _ALONE for who in individuals),
-    )
+    unit = known_unit(found.unit, f"{source}: POINT:UNITS")
+    individuals, keypoints = _split_labels(found.labels)
+    positions = _split_markers(found, individuals, keypoints, source)
+    poses = bare_poses(keypoints, found.frames, positions, unit=unit)
+    names = tuple(individual or _ONLY_INDIVIDUAL for individual in individuals)
+    return PoseFile(poses, found.rate, names)
 
 
-def _read(content: bytes) -> tuple[list[str], Ints, Floats, float, str]:
-    """Labels, `[frame]` numbers from 0, `[frame, marker, 3]`, frames per second, unit."""
+def _read(content: bytes) -> _Content:
+    """Read a file with the library c3d, which raises much on damage."""
     reader = c3d.Reader(io.BytesIO(content))
-    names = [label.strip() for label in reader.point_labels]
-    found = [
-        (number, points[:, :4].astype(np.float64)) for number, points, _ in reader.read_frames()
+    labels = [label.strip() for label in reader.point_labels]
+    frames = []
+    tables = []
+    for number, points, _ in reader.read_frames():
+        frames.append(number - 1)
+        tables.append(points[:, :4].astype(np.float64))
+    points = np.stack(tables) if tables else np.zeros((0, len(labels), 4))
+    if points.shape[1] < len(labels) or not labels:
+        raise ValueError(f"{points.shape[1]} markers and {len(labels)} labels")
+    points = points[:, : len(labels)]
+    positions = mark_missing(points[..., :3])
+    unit = reader.get("POINT:UNITS")
+    return _Content(
+        labels=labels,
+        frames=np.array(frames, dtype=np.int64),
+        positions=np.where(points[..., 3:] < 0, np.nan, positions),
+        rate=float(reader.point_rate),
+        unit="" if unit is None else unit.string_value.strip(),
+    )
+
+
+def _split_labels(labels: list[str]) -> tuple[list[str], list[str]]:
+    """Return individuals ("" where the markers are nobody's) and keypoints."""
+    pairs = [label.partition(":") for label in labels]
+    if not all(individual and keypoint for individual, _, keypoint in pairs):
+        return [""], labels
+    individuals = dict.fromkeys(individual for individual, _, _ in pairs)
+    keypoints = dict.fromkeys(keypoint for _, _, keypoint in pairs)
+    return list(individuals), list(keypoints)
+
+
+def _split_markers(
+    found: _Content, individuals: list[str], keypoints: list[str], source: str
+) -> Floats:
+    """Return `[frame, individual, keypoint, 3]`; the markers of one need not stand together.
+
+    Raises FormatError where the individuals have different markers.
+    """
+    labels = found.labels
+    if len(individuals) * len(keypoints) != len(labels) or len(set(labels)) < len(labels):
+        expected = "the same markers of every individual, each once"
+        raise malformed(source, expected, ", ".join(labels[:8]), "rename the markers")
+    markers = [
+        labels.index(_label(individual, keypoint))
+        for individual in individuals
+        for keypoint in keypoints
     ]
-    frames = np.array([number for number, _ in found], dtype=np.int64) - 1
-    points = np.stack([points for _, points in found]) if found else np.zeros((0, len(names), 4))
-    if points.shape[1] < len(names) or not names:
-        raise ValueError(f"{points.shape[1]} markers and {len(names)} labels")
-    points = points[:, : len(names)]
-    units = reader.get("POINT:UNITS")
-    positions = np.where(
-        (points[..., 3:] < 0) | ~np.isfinite(points[..., :3]).all(-1, keepdims=True),
-        np.nan,
-        points[..., :3],
-    )
-    return (
-        names,
-        frames,
-        positions,
-        float(reader.point_rate),
-        units.string_value.strip() if units is not None else "",
-    )
+    shape = (len(found.frames), len(individuals), len(keypoints), 3)
+    return found.positions[:, markers].reshape(shape)
 
 
-def _split(names: list[str]) -> tuple[list[str], list[str]]:
-    """Individuals ("" where the markers are nobody's) and keypoints."""
-    pairs = [name.partition(":") for name in names]
-    if not all(who and colon and what for who, colon, what in pairs):
-        return [""], names
-    return list(dict.fromkeys(who for who, _, _ in pairs)), list(
-        dict.fromkeys(what for _, _, what in pairs)
-    )
+def _label(individual: str, keypoint: str) -> str:
+    """Return what a marker is called; the individual may have no name ("")."""
+    return f"{individual}:{keypoint}" if individual else keypoint
+
+
+# --- writing
 
 
 def write(file: PoseFile, title: str) -> WrittenPoses:  # noqa: ARG001 - the writers' signature
-    """All individuals, their markers called name:marker unless there is one without a name. Raises MismatchError."""
+    """Write all individuals; the markers of a single one without a name keep their names.
+
+    Raises MismatchError.
+    """
     rate = need_rate(file, "c3d")
-    need_keypoints(
-        file, r"(?! )[ -9;-~]{1,60}(?<! )", "1 to 60 letters of ASCII without a colon", "c3d"
-    )
-    alone = file.individuals == (_ALONE,)
-    names = [
-        what if alone else f"{who}:{what}"
-        for who in file.individuals
-        for what in file.poses.keypoints
-    ]
-    if not 0 < len(names) <= _MOST:
-        raise MismatchError(
-            f"c3d: expected 1 to {_MOST} markers, found {len(names)} (individuals x keypoints); write fewer individuals or another format"
-        )
+    need_keypoints(file, _NAMES, "1 to 60 letters of ASCII without a colon", "c3d")
+    labels = _make_labels(file)
     frames, positions = fill_gaps(convert_unit(file, "mm", "c3d").poses, "c3d")
-    if frames[0] < 0 or not _exact(rate):
+    first = int(frames[0])
+    if first < 0 or not 0 < rate < float(np.finfo(np.float32).max):
         raise MismatchError(
-            f"c3d: expected frames from 0 on and a rate that fits, found frame {frames[0]} and rate {rate}; shift the frames"
+            "c3d: expected frames from 0 on and a rate that fits, "
+            f"found frame {first} and rate {rate}; shift the frames"
         )
-    points = positions.reshape(len(frames), len(names), 3)
-    missing = ~np.isfinite(points).all(-1, keepdims=True)
-    # no residual and no cameras are known in its terms; -1 marks a missing point
-    table = np.concatenate(
-        [
-            np.where(missing, 0.0, points),
-            np.where(missing, -1.0, 0.0),
-            np.zeros_like(points[..., :1]),
-        ],
-        axis=-1,
-    )
+    table = _make_table(positions.reshape(len(frames), len(labels), 3))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # it misses analog channels
-        content = _content(table, names, rate, int(frames[0]) + 1)
+        content = _format_file(table, labels, rate=rate, first=first + 1)
     return WrittenPoses(content, lost_quality(file))
 
 
-def _content(table: Floats, names: list[str], rate: float, first: int) -> bytes:
-    """`[frame, marker, 5]` x, y, z, residual, cameras as a file."""
+def _make_labels(file: PoseFile) -> list[str]:
+    """Return what the markers are called. Raises MismatchError where there are too many or none."""
+    individuals = file.individuals
+    if individuals == (_ONLY_INDIVIDUAL,):
+        individuals = ("",)
+    labels = [
+        _label(individual, keypoint)
+        for individual in individuals
+        for keypoint in file.poses.keypoints
+    ]
+    if not 0 < len(labels) <= _MOST_MARKERS:
+        raise MismatchError(
+            f"c3d: expected 1 to {_MOST_MARKERS} markers, found {len(labels)} "
+            "(individuals x keypoints); write fewer individuals or another format"
+        )
+    return labels
+
+
+def _make_table(points: Floats) -> Floats:
+    """Return `[frame, marker, 5]` x, y, z, residual, cameras of `[frame, marker, 3]` points.
+
+    In its terms neither a residual nor the number of cameras is known; -1 marks a missing point.
+    """
+    missing = ~np.isfinite(points).all(-1, keepdims=True)
+    positions = np.where(missing, 0.0, points)
+    residuals = np.where(missing, -1.0, 0.0)
+    return np.concatenate([positions, residuals, np.zeros_like(residuals)], axis=-1)
+
+
+def _format_file(table: Floats, labels: list[str], *, rate: float, first: int) -> bytes:
+    """Return a file.
+
+    table: `[frame, marker, 5]`. labels: `[marker]`. first: number of the first frame, from 1 on.
+    """
     writer = c3d.Writer(point_rate=rate, point_units="mm")
-    writer.set_point_labels(names)
+    writer.set_point_labels(labels)
     writer.set_start_frame(first)
-    nothing = np.zeros((0, 1))
-    writer.add_frames([(frame, nothing) for frame in table])
+    no_analog = np.zeros((0, 1))
+    writer.add_frames([(frame, no_analog) for frame in table])
     content = io.BytesIO()
     writer.write(content)
     return content.getvalue()
-
-
-def _exact(rate: float) -> bool:
-    return 0 < rate < float(np.finfo(np.float32).max)

@@ -1,17 +1,21 @@
 """What a file of 3D poses holds besides the poses, and what the formats share."""
 
+import io
 import re
 import struct
 import zipfile
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import h5py
 import numpy as np
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.io.file import find_repeated, malformed
+from mocap_calib.io.file import find_repeated, malformed, one_line
+from mocap_calib.io.sandbox import HDF5
 from mocap_calib.io.units import unit_factor
 from mocap_calib.types import Floats, Ints, Poses3D
 
@@ -83,10 +87,39 @@ class WrittenPoses:
 # --- for readers
 
 
+@contextmanager
+def refuse_damage(
+    source: str, expected: str, remedy: str = "write the file again"
+) -> Iterator[None]:
+    """Turn what is raised on files that are cut or damaged into a FormatError."""
+    try:
+        yield
+    except DAMAGE as error:
+        found = f"an error ({one_line(error)})"
+        raise malformed(source, expected, found, remedy) from None
+
+
+def is_hdf5_that(content: bytes, test: Callable[[h5py.File], bool]) -> bool:
+    """Return whether the content is HDF5 that passes the test; damaged files do not."""
+    if not content.startswith(HDF5):
+        return False
+    try:
+        with h5py.File(io.BytesIO(content), "r") as file:
+            return bool(test(file))
+    except DAMAGE:
+        return False
+
+
+def mark_missing(positions: Floats) -> Floats:
+    """Return `[..., 3]` positions, all NaN where a coordinate is not a finite number."""
+    return np.where(np.isfinite(positions).all(-1, keepdims=True), positions, np.nan)
+
+
 def bare_poses(
     keypoints: Sequence[str],
     frames: Ints,
     positions: Floats,
+    *,
     unit: str,
     confidence: Floats | None = None,
 ) -> Poses3D:

@@ -2,7 +2,16 @@
 
 from collections.abc import Callable
 
-from mocap_calib.io.poses import anipose_csv, arrays, c3d_file, movement, nwb, trc
+from mocap_calib.io.poses import (
+    anipose_csv,
+    c3d_file,
+    movement,
+    npz,
+    nwb,
+    poses3d_h5,
+    sleap_anipose,
+    trc,
+)
 from mocap_calib.io.poses.common import PoseFile, WrittenPoses
 from mocap_calib.io.registry import Format
 
@@ -19,9 +28,9 @@ POSE_FORMATS = (
         kind="poses",
         name="poses-h5",
         title="mocap-calib poses3d.h5",
-        sniff=arrays.sniff_own,
-        read=arrays.parse_own,
-        write=arrays.write_own,
+        sniff=poses3d_h5.sniff,
+        read=poses3d_h5.parse,
+        write=poses3d_h5.write,
         endings=(".h5",),
     ),
     PoseFormat(
@@ -68,9 +77,9 @@ POSE_FORMATS = (
         kind="poses",
         name="sleap-anipose",
         title="SLEAP-anipose points3d.h5",
-        sniff=arrays.sniff_sleap_anipose,
-        read=arrays.parse_sleap_anipose,
-        write=arrays.write_sleap_anipose,
+        sniff=sleap_anipose.sniff,
+        read=sleap_anipose.parse,
+        write=sleap_anipose.write,
     ),
     PoseFormat(
         kind="poses",
@@ -86,9 +95,9 @@ POSE_FORMATS = (
         kind="poses",
         name="npz",
         title="numpy archive",
-        sniff=arrays.sniff_npz,
-        read=arrays.parse_npz,
-        write=arrays.write_npz,
+        sniff=npz.sniff,
+        read=npz.parse,
+        write=npz.write,
         endings=(".npz",),
     ),
 )

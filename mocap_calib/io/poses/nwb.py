@@ -1,6 +1,9 @@
-"""NWB with ndx-pose: a PoseEstimation an individual, a PoseEstimationSeries a keypoint.
+"""NWB with ndx-pose: a PoseEstimation for each individual, a series for each keypoint.
 
-Written through pynwb and ndx-pose (`pip install mocap-calib[nwb]`); read with h5py alone.
+* A PoseEstimationSeries has times and no frame numbers: frames are counted from the times.
+* Series of two dimensions are keypoints, which `io.keypoints.nwb` reads.
+* Values are multiplied by the attribute `conversion`.
+* Written through pynwb and ndx-pose (`pip install mocap-calib[nwb]`); read with h5py alone.
 """
 
 import io
@@ -13,147 +16,158 @@ import h5py
 import numpy as np
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.io.file import malformed, one_line
 from mocap_calib.io.hdf5 import array
 from mocap_calib.io.keypoints.nwb import frame_numbers_and_rate
-from mocap_calib.io.poses.arrays import looks
 from mocap_calib.io.poses.common import (
-    DAMAGE,
     PoseFile,
     WrittenPoses,
     attribute,
     bare_poses,
+    is_hdf5_that,
+    mark_missing,
     need_keypoints,
     need_rate,
+    refuse_damage,
 )
 from mocap_calib.io.units import known_unit
+from mocap_calib.types import Poses3D
 
 _SERIES = "PoseEstimationSeries"
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_NAMES = r"[^/:\x00-\x1f\ud800-\udfff]*[^/:\s\x00-\x1f\ud800-\udfff]"
+_LOST = (
+    "reprojection errors",
+    "numbers of views",
+    "when the session was: 1970-01-01 is written",
+)
 
 
 def sniff(content: bytes) -> bool:
-    """Any estimated pose in three dimensions."""
-    return looks(
-        content,
-        lambda file: any(
-            series["data"].ndim == 2 and series["data"].shape[1] == 3
-            for _, _, series in _series(file)
-        ),
-    )
+    """Return whether there is an estimated pose in three dimensions."""
+    return is_hdf5_that(content, _has_series)
 
 
-def _series(file: h5py.File) -> list[tuple[str, str, Any]]:
-    """(group, name, series) of all keypoints."""
-    found: list[tuple[str, str, Any]] = []
+def _has_series(file: h5py.File) -> bool:
+    return bool(_find_series(file))
+
+
+# --- reading
+
+
+def _find_series(file: h5py.File) -> dict[tuple[str, str], Any]:
+    """Return the series in three dimensions: (path of the individual, keypoint) -> series."""
+    found: dict[tuple[str, str], Any] = {}
 
     def visit(path: str, item: Any) -> None:
         if isinstance(item, h5py.Group) and attribute(item.attrs, "neurodata_type") == _SERIES:
-            group, _, name = path.rpartition("/")
-            found.append((group, name, item))
+            shape = item["data"].shape
+            if len(shape) == 2 and shape[1] == 3:
+                individual, _, keypoint = path.rpartition("/")
+                found[individual, keypoint] = item
 
     file.visititems(visit)
     return found
 
 
 def parse(content: bytes, source: str) -> PoseFile:
-    """Every PoseEstimation is an individual; frames are counted from the times. Raises FormatError."""
-    try:
-        with h5py.File(io.BytesIO(content), "r") as file:
-            return _parse(file, source)
-    except DAMAGE as error:
-        raise malformed(
-            source,
-            "3D poses of ndx-pose in NWB",
-            f"an error ({one_line(error)})",
-            "write the file again",
-        ) from None
+    """Read the poses. Raises FormatError."""
+    expected = "3D poses of ndx-pose in NWB"
+    with refuse_damage(source, expected), h5py.File(io.BytesIO(content), "r") as file:
+        return _parse(file, source)
 
 
 def _parse(file: h5py.File, source: str) -> PoseFile:
-    series = [
-        (group, name, item)
-        for group, name, item in _series(file)
-        if item["data"].ndim == 2 and item["data"].shape[1] == 3
-    ]
-    groups = list(dict.fromkeys(group for group, _, _ in series))
-    keypoints = list(dict.fromkeys(name for _, name, _ in series))
-    by_name = {(group, name): item for group, name, item in series}
-    frames, rate = frame_numbers_and_rate(series[0][2], source)
-    positions = np.full((len(frames), len(groups), len(keypoints), 3), np.nan)
+    """Read the poses. Raises FormatError, and ValueError and more where the file is damaged."""
+    found = _find_series(file)
+    if not found:
+        raise ValueError("no series of three dimensions")
+    paths = list(dict.fromkeys(path for path, _ in found))
+    keypoints = list(dict.fromkeys(keypoint for _, keypoint in found))
+    first = next(iter(found.values()))
+    frames, rate = frame_numbers_and_rate(first, source)
+    positions = np.full((len(frames), len(paths), len(keypoints), 3), np.nan)
     confidence = np.full(positions.shape[:3], np.nan)
-    for (group, name), item in by_name.items():
-        place = (slice(None), groups.index(group), keypoints.index(name))
-        if not np.array_equal(frame_numbers_and_rate(item, source)[0], frames):
+    for (path, keypoint), series in found.items():
+        if not np.array_equal(frame_numbers_and_rate(series, source)[0], frames):
             raise ValueError("series of different times")
-        factor = float(item["data"].attrs.get("conversion", 1.0))
-        values = array(item, "data", source).astype(np.float64) * factor
-        positions[place] = np.where(np.isfinite(values).all(-1, keepdims=True), values, np.nan)
-        if "confidence" in item:
-            confidence[place] = array(item, "confidence", source)
-    unit = known_unit(attribute(series[0][2]["data"].attrs, "unit"), source)
-    names = tuple(group.rsplit("/", 1)[-1] for group in groups)
-    return PoseFile(bare_poses(keypoints, frames, positions, unit, confidence), rate, names)
+        column = (slice(None), paths.index(path), keypoints.index(keypoint))
+        factor = float(series["data"].attrs.get("conversion", 1.0))
+        values = array(series, "data", source).astype(np.float64) * factor
+        positions[column] = mark_missing(values)
+        if "confidence" in series:
+            confidence[column] = array(series, "confidence", source)
+    unit = known_unit(attribute(first["data"].attrs, "unit"), source)
+    poses = bare_poses(keypoints, frames, positions, unit=unit, confidence=confidence)
+    return PoseFile(poses, rate, tuple(path.rsplit("/", 1)[-1] for path in paths))
+
+
+# --- writing
 
 
 def write(file: PoseFile, title: str) -> WrittenPoses:
-    """Through pynwb, which writes files alone. Raises MismatchError, also where it is not installed."""
+    """Write the poses through pynwb. Raises MismatchError, also where it is not installed."""
     rate = need_rate(file, "nwb-3d")
-    need_keypoints(
-        file,
-        r"[^/:\x00-\x1f\ud800-\udfff]*[^/:\s\x00-\x1f\ud800-\udfff]",
-        "text without / and :",
-        "nwb-3d",
+    need_keypoints(file, _NAMES, "text without / and :", "nwb-3d")
+    ndx_pose, pynwb = _import_writers()
+    nwb = pynwb.NWBFile(
+        session_description=title or "3D poses",
+        identifier="mocap-calib",
+        session_start_time=_EPOCH,
     )
+    behavior = nwb.create_processing_module("behavior", "3D poses of mocap-calib")
+    skeletons = []
+    for individual, name in enumerate(file.individuals):
+        skeleton = ndx_pose.Skeleton(
+            name=f"{name}_skeleton",
+            nodes=list(file.poses.keypoints),
+            edges=np.zeros((0, 2), dtype=np.uint8),
+        )
+        skeletons.append(skeleton)
+        estimation = ndx_pose.PoseEstimation(
+            name=name,
+            pose_estimation_series=_make_series(ndx_pose, file.poses, individual, rate),
+            skeleton=skeleton,
+            source_software="mocap-calib",
+        )
+        behavior.add(estimation)
+    behavior.add(ndx_pose.Skeletons(skeletons=skeletons))
+    return WrittenPoses(_format_file(pynwb, nwb), _LOST)
+
+
+def _import_writers() -> tuple[Any, Any]:
+    """Return the modules ndx_pose and pynwb, an extra. Raises MismatchError."""
     try:
         import ndx_pose  # noqa: PLC0415 - an extra
         import pynwb  # noqa: PLC0415
     except ImportError:
         raise MismatchError(
-            "nwb-3d: expected pynwb and ndx-pose, found none; install them with `pip install mocap-calib[nwb]`"
+            "nwb-3d: expected pynwb and ndx-pose, found none; "
+            "install them with `pip install mocap-calib[nwb]`"
         ) from None
-    nwb = pynwb.NWBFile(
-        session_description=title or "3D poses", identifier="mocap-calib", session_start_time=_EPOCH
-    )
-    behavior = nwb.create_processing_module("behavior", "3D poses of mocap-calib")
-    poses = file.poses
-    skeletons = []
-    for k, name in enumerate(file.individuals):
-        skeletons.append(
-            ndx_pose.Skeleton(
-                name=f"{name}_skeleton",
-                nodes=list(poses.keypoints),
-                edges=np.zeros((0, 2), dtype=np.uint8),
-            )
+    return ndx_pose, pynwb
+
+
+def _make_series(ndx_pose: Any, poses: Poses3D, individual: int, rate: float) -> list[Any]:
+    """Return a PoseEstimationSeries for each keypoint of an individual (an index)."""
+    return [
+        ndx_pose.PoseEstimationSeries(
+            name=name,
+            description=name,
+            data=poses.positions[:, individual, keypoint],
+            unit=poses.unit,
+            reference_frame="the cameras' world; see the camera file",
+            timestamps=poses.frames / rate,
+            confidence=poses.confidence[:, individual, keypoint],
+            confidence_definition="mean confidence of the detections used",
         )
-        series = [
-            ndx_pose.PoseEstimationSeries(
-                name=keypoint,
-                description=keypoint,
-                data=poses.positions[:, k, j],
-                unit=poses.unit,
-                reference_frame="the cameras' world; see the camera file",
-                timestamps=poses.frames / rate,
-                confidence=poses.confidence[:, k, j],
-                confidence_definition="mean confidence of the detections used",
-            )
-            for j, keypoint in enumerate(poses.keypoints)
-        ]
-        behavior.add(
-            ndx_pose.PoseEstimation(
-                name=name,
-                pose_estimation_series=series,
-                skeleton=skeletons[-1],
-                source_software="mocap-calib",
-            )
-        )
-    behavior.add(ndx_pose.Skeletons(skeletons=skeletons))
-    with tempfile.TemporaryDirectory() as work:
-        path = Path(work) / "poses.nwb"
+        for keypoint, name in enumerate(poses.keypoints)
+    ]
+
+
+def _format_file(pynwb: Any, nwb: Any) -> bytes:
+    """Return the content of a file, which pynwb writes to disks alone."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "poses.nwb"
         with pynwb.NWBHDF5IO(str(path), "w") as out:
             out.write(nwb)
-        content = path.read_bytes()
-    return WrittenPoses(
-        content,
-        ("reprojection errors", "numbers of views", "when the session was: 1970-01-01 is written"),
-    )
+        return path.read_bytes()

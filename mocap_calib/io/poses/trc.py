@@ -1,4 +1,13 @@
-"""TRC of OpenSim and Pose2Sim: one individual a file, tabs, metres or millimetres, a missing point is three empty cells."""
+"""TRC of OpenSim and Pose2Sim: tab-separated text of the markers of one individual.
+
+* Five lines stand before the data: file type, names of fields, their values, names of markers
+  (each above the first of its three columns), X1 Y1 Z1 X2 ...
+* A missing point is three empty cells. OpenSim does not count an empty cell at the end of a line
+  unless a tab stands behind it.
+* Frames have no gaps. Lengths are metres or millimetres.
+"""
+
+import math
 
 import numpy as np
 
@@ -11,131 +20,143 @@ from mocap_calib.io.poses.common import (
     fill_gaps,
     lost_names,
     lost_quality,
+    mark_missing,
     need_keypoints,
     need_rate,
 )
 from mocap_calib.io.units import known_unit
 from mocap_calib.types import Floats, Ints
 
-_KEYS = (
-    "DataRate",
-    "CameraRate",
-    "NumFrames",
-    "NumMarkers",
-    "Units",
-    "OrigDataRate",
-    "OrigDataStartFrame",
-    "OrigNumFrames",
-)
-_HEAD = 5  # lines before the data
+_NEEDED = {"DataRate", "NumMarkers", "Units"}
+_HEADER_LINES = 5
+_BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+_NAMES = r"[^\t\r\n\x0b\x0c\x1c-\x1e\x85\u2028\u2029\ud800-\udfff]*[^\s\ud800-\udfff]"
 
 
 def sniff(content: bytes) -> bool:
-    """By the first word."""
-    return content[:64].lstrip(b"\xef\xbb\xbf").startswith(b"PathFileType")
+    """Return whether the first word is that of a TRC."""
+    return content[:64].lstrip(_BYTE_ORDER_MARK).startswith(b"PathFileType")
+
+
+# --- reading
 
 
 def parse(content: bytes, source: str) -> PoseFile:
-    """The markers; numbers that are missing, not finite or blank are missing points. Raises FormatError."""
+    """Read the markers. Raises FormatError."""
     lines = decode(content, source).splitlines()
-    if len(lines) < _HEAD:
-        raise malformed(
-            source, "the five lines of a TRC header", f"{len(lines)}", "write the file again"
-        )
-    head = dict(zip(lines[1].split(), lines[2].split(), strict=False))
-    if not {"DataRate", "NumMarkers", "Units"} <= head.keys():
-        raise malformed(
-            f"{source}: line 2",
-            "DataRate, NumMarkers, Units and their values below",
-            ", ".join(head) or "nothing",
-            "write the file again",
-        )
-    names = [cell.strip() for cell in lines[3].split("\t")[2::3] if cell.strip()]
-    if str(len(names)) != head["NumMarkers"]:
-        raise malformed(
-            f"{source}: line 4",
-            f"{head['NumMarkers']} names of markers",
-            f"{len(names)}",
-            "write the file again",
-        )
-    rows = [
-        (n, line.split("\t")) for n, line in enumerate(lines[_HEAD:], _HEAD + 1) if line.strip()
-    ]
-    frames, positions = _numbers(rows, len(names), source)
+    if len(lines) < _HEADER_LINES:
+        expected = "the five lines of a TRC header"
+        raise malformed(source, expected, f"{len(lines)}", "write the file again")
+    header = _parse_header(lines, source)
+    names = _parse_names(lines[3], header["NumMarkers"], source)
+    frames, positions = _parse_rows(lines[_HEADER_LINES:], len(names), source)
+    rate = _parse_rate(header["DataRate"], source)
+    unit = known_unit(header["Units"], f"{source}: line 3")
+    return PoseFile(bare_poses(names, frames, positions[:, None], unit=unit), rate)
+
+
+def _parse_header(lines: list[str], source: str) -> dict[str, str]:
+    """Return the fields of lines 2 and 3. Raises FormatError."""
+    header = dict(zip(lines[1].split(), lines[2].split(), strict=False))
+    if not header.keys() >= _NEEDED:
+        expected = "DataRate, NumMarkers, Units and their values below"
+        found = ", ".join(header) or "nothing"
+        raise malformed(f"{source}: line 2", expected, found, "write the file again")
+    return header
+
+
+def _parse_names(line: str, count: str, source: str) -> list[str]:
+    """Return the names of the markers, as many as the header says. Raises FormatError."""
+    names = [cell.strip() for cell in line.split("\t")[2::3] if cell.strip()]
+    if str(len(names)) != count:
+        expected = f"{count} names of markers"
+        raise malformed(f"{source}: line 4", expected, f"{len(names)}", "write the file again")
+    return names
+
+
+def _parse_rate(text: str, source: str) -> float:
+    """Return the frames per second. Raises FormatError."""
     try:
-        rate = float(head["DataRate"])
+        return float(text)
     except ValueError:
-        raise malformed(
-            f"{source}: line 3", "a number for DataRate", head["DataRate"], "mend it"
-        ) from None
-    return PoseFile(
-        bare_poses(
-            names, frames, positions[:, None], known_unit(head["Units"], f"{source}: line 3")
-        ),
-        rate,
-    )
+        where = f"{source}: line 3"
+        raise malformed(where, "a number for DataRate", text, "mend it") from None
 
 
-def _numbers(rows: list[tuple[int, list[str]]], markers: int, source: str) -> tuple[Ints, Floats]:
-    """`[frame]` numbers and `[frame, marker, 3]` positions. Raises FormatError."""
-    frames, positions = (
-        np.zeros(len(rows), dtype=np.int64),
-        np.full((len(rows), 3 * markers), np.nan),
-    )
-    for k, (number, cells) in enumerate(rows):
+def _parse_rows(lines: list[str], markers: int, source: str) -> tuple[Ints, Floats]:
+    """Return `[frame]` numbers and `[frame, marker, 3]` positions. Raises FormatError."""
+    rows = [
+        (number, line.split("\t"))
+        for number, line in enumerate(lines, _HEADER_LINES + 1)
+        if line.strip()
+    ]
+    frames = np.zeros(len(rows), dtype=np.int64)
+    positions = np.full((len(rows), 3 * markers), np.nan)
+    for index, (number, cells) in enumerate(rows):
+        where = f"{source}: line {number}"
         values = cells[2 : 2 + 3 * markers]
         try:
-            frames[k] = int(cells[0])
-            positions[k, : len(values)] = [
-                float(cell) if cell.strip() else np.nan for cell in values
-            ]
+            frames[index] = int(cells[0])
+            positions[index, : len(values)] = [_parse_number(cell) for cell in values]
         except (ValueError, OverflowError) as error:
-            raise malformed(
-                f"{source}: line {number}",
-                "a frame, a time, and numbers or empty cells",
-                error,
-                "mend the line",
-            ) from None
+            expected = "a frame, a time, and numbers or empty cells"
+            raise malformed(where, expected, error, "mend the line") from None
         if any(cell.strip() for cell in cells[2 + 3 * markers :]):
-            raise malformed(
-                f"{source}: line {number}",
-                f"{2 + 3 * markers} cells",
-                f"{len(cells)}",
-                "mend the line",
-            )
-    points = positions.reshape(len(rows), markers, 3)
-    return frames, np.where(np.isfinite(points).all(-1, keepdims=True), points, np.nan)
+            expected = f"{2 + 3 * markers} cells"
+            raise malformed(where, expected, f"{len(cells)}", "mend the line")
+    return frames, mark_missing(positions.reshape(len(rows), markers, 3))
+
+
+def _parse_number(cell: str) -> float:
+    """Return the number in a cell, NaN where it is blank. Raises ValueError."""
+    return float(cell) if cell.strip() else np.nan
+
+
+# --- writing
 
 
 def write(file: PoseFile, title: str) -> WrittenPoses:
-    """One individual, without gaps, frame 0 at time 0. Raises MismatchError."""
+    """Write one individual without gaps, frame 0 at time 0. Raises MismatchError."""
     rate = need_rate(file, "trc")
-    need_keypoints(
-        file,
-        r"[^\t\r\n\x0b\x0c\x1c-\x1e\x85\u2028\u2029\ud800-\udfff]*[^\s\ud800-\udfff]",
-        "text without tabs, not ending in a space",
-        "trc",
-    )
-    unit = "m" if file.poses.unit == "m" else "mm"
-    file = convert_unit(file, unit, "trc")
+    need_keypoints(file, _NAMES, "text without tabs, not ending in a space", "trc")
+    file = convert_unit(file, "m" if file.poses.unit == "m" else "mm", "trc")
     frames, positions = fill_gaps(file.poses, "trc")
-    names, count = file.poses.keypoints, len(frames)
-    speed = repr(rate)
-    lines = [f"PathFileType\t4\t(X/Y/Z)\t{title}", "\t".join(_KEYS)]
-    lines += [
-        "\t".join(
-            [speed, speed, str(count), str(len(names)), unit, speed, str(frames[0]), str(count)]
-        )
-    ]
-    lines += [
-        "Frame#\tTime\t" + "".join(f"{name}\t\t\t" for name in names),
-        "\t\t" + "".join(f"X{k}\tY{k}\tZ{k}\t" for k in range(1, len(names) + 1)),
-    ]
-    table = positions[:, 0].reshape(count, -1)
+    lines = _format_header(file, title, frames, rate)
+    table = positions[:, 0].reshape(len(frames), -1)
     for frame, row in zip(frames.tolist(), table.tolist(), strict=True):
-        cells = "\t".join("" if value != value else repr(value) for value in row)  # noqa: PLR0124 - NaN
-        # OpenSim does not count an empty cell at the end of a line without a tab behind it
-        lines.append(f"{frame}\t{frame / rate!r}\t{cells}" + ("\t" if cells.endswith("\t") else ""))
-    return WrittenPoses(
-        ("\n".join(lines) + "\n").encode(), (*lost_quality(file), *lost_names(file))
-    )
+        lines.append(f"{frame}\t{frame / rate!r}\t{_format_row(row)}")
+    content = ("\n".join(lines) + "\n").encode()
+    return WrittenPoses(content, (*lost_quality(file), *lost_names(file)))
+
+
+def _format_header(file: PoseFile, title: str, frames: Ints, rate: float) -> list[str]:
+    """Return the five lines before the data.
+
+    frames: `[frame]` numbers that are written.
+    """
+    names = file.poses.keypoints
+    count = str(len(frames))
+    fields = {
+        "DataRate": repr(rate),
+        "CameraRate": repr(rate),
+        "NumFrames": count,
+        "NumMarkers": str(len(names)),
+        "Units": file.poses.unit,
+        "OrigDataRate": repr(rate),
+        "OrigDataStartFrame": str(frames[0]),
+        "OrigNumFrames": count,
+    }
+    axes = "".join(f"X{number}\tY{number}\tZ{number}\t" for number in range(1, len(names) + 1))
+    return [
+        f"PathFileType\t4\t(X/Y/Z)\t{title}",
+        "\t".join(fields),
+        "\t".join(fields.values()),
+        "Frame#\tTime\t" + "".join(f"{name}\t\t\t" for name in names),
+        f"\t\t{axes}",
+    ]
+
+
+def _format_row(row: list[float]) -> str:
+    """Return the cells of a frame, empty for NaN, the last with a tab behind it if empty."""
+    cells = "\t".join("" if math.isnan(value) else repr(value) for value in row)
+    return cells + "\t" if cells.endswith("\t") else cells

@@ -1,0 +1,44 @@
+"""Our own cameras.yaml, which carries all that is known of a rig; `own` has how it is written."""
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from mocap_calib.io.cameras.common import PlacedCamera, collect_cameras, extrinsics_if_given
+from mocap_calib.io.cameras.intrinsics import camera_from_fields, describe_keys
+from mocap_calib.io.cameras.own import VERSION, format_cameras_yaml
+from mocap_calib.io.cameras.source import CameraFile, Source, unique
+from mocap_calib.io.file import malformed
+from mocap_calib.io.registry import Written
+from mocap_calib.types import CameraRig
+
+_FORMAT = r"^format: *[\"']?mocap-calib cameras"
+
+
+def sniff(source: Source) -> bool:
+    """Return whether the first field says that it is ours."""
+    return source.syntax == "yaml" and re.search(_FORMAT, source.text, re.M) is not None
+
+
+def parse(source: Source) -> CameraFile:
+    """Read the cameras. Raises FormatError."""
+    data = source.mapping()
+    if data.get("version") != VERSION:
+        expected = f"version {VERSION} of our cameras"
+        found = f"version {data.get('version')}"
+        raise malformed(source.path, expected, found, "use the program that wrote it")
+    entries = data.get("cameras")
+    if not isinstance(entries, list) or not entries:
+        found = describe_keys(entries)
+        raise malformed(source.path, "a list of cameras", found, "write the file again")
+    cameras = unique((camera_from_fields(each, source.path) for each in entries), source.path)
+    placed: list[PlacedCamera] = []
+    for camera, fields in zip(cameras, entries, strict=True):
+        where = f"{source.path}: camera {camera.name}"
+        placed.append((camera, extrinsics_if_given(fields, where)))
+    return collect_cameras(placed, source.path, unit=str(data.get("unit", "")))
+
+
+def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
+    """Write the file, which carries all."""
+    return Written({"cameras.yaml": format_cameras_yaml(rig, provenance).encode()})

@@ -1,0 +1,96 @@
+"""4D-Association's calibration.json: cameras by number, in metres.
+
+K has the 9 numbers of the camera matrix and RT the 12 of [R t], row after row. There is no
+distortion, as its images are undistorted, and there are no names.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from mocap_calib.io.cameras.common import PlacedCamera, collect_cameras, has_json_entry
+from mocap_calib.io.cameras.intrinsics import make_camera, make_extrinsics, numbers
+from mocap_calib.io.cameras.source import (
+    CameraFile,
+    Source,
+    cannot,
+    entries,
+    need,
+    need_sizes,
+    terms,
+    to_json,
+)
+from mocap_calib.io.file import malformed
+from mocap_calib.io.registry import Written
+from mocap_calib.types import Camera, CameraRig, Floats
+
+_KEYS = ("K", "RT", "imgSize")
+
+
+def sniff(source: Source) -> bool:
+    """Return whether there are cameras with K and RT."""
+    return has_json_entry(source, *_KEYS)
+
+
+def parse(source: Source) -> CameraFile:
+    """Read the cameras, which are called by their numbers. Raises FormatError."""
+    named = entries(source.tree, "cameras by number", source.path)
+    placed = [_parse_camera(name, fields, source.path) for name, fields in named]
+    return collect_cameras(placed, source.path)
+
+
+def _parse_camera(name: str, fields: Mapping[str, Any], source: str) -> PlacedCamera:
+    """Return a camera and its extrinsics. Raises FormatError."""
+    where = f"{source}: camera {name}"
+    need(fields, _KEYS, where)
+    matrix = numbers(fields["K"], "9 numbers K", where)
+    transform = numbers(fields["RT"], "12 numbers RT", where)
+    if matrix.size != 9 or transform.size != 12:
+        found = f"{matrix.size} and {transform.size}"
+        raise malformed(where, "9 numbers K and 12 RT", found, "mend them")
+    camera = make_camera(
+        name=name,
+        size=fields["imgSize"],
+        matrix=matrix.reshape(3, 3),
+        distortion=[],
+        fisheye=False,
+        source=where,
+    )
+    transform = transform.reshape(3, 4)
+    return camera, make_extrinsics(transform[:, :3], transform[:, 3], where)
+
+
+def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:  # noqa: ARG001 - the writers' signature
+    """Write the cameras by number.
+
+    Raises MismatchError, also where a camera has a distortion.
+    """
+    need_sizes(rig, "4d-association")
+    cameras = {
+        str(view): _fields(camera, rig.rotation[view], rig.translation[view])
+        for view, camera in enumerate(rig.cameras)
+    }
+    numbered = rig.names == tuple(cameras)
+    lost = () if numbered else ("the cameras' names: they are counted from 0",)
+    return Written({"calibration.json": to_json(cameras)}, lost)
+
+
+def _fields(camera: Camera, rotation: Floats, translation: Floats) -> dict[str, Any]:
+    """Return the fields of a camera. Raises MismatchError.
+
+    rotation: `[3, 3]` and translation: `[3]` of cam_from_world.
+    """
+    if terms(camera, 8, "4d-association").any():
+        raise cannot(
+            "4d-association",
+            camera.name,
+            "a camera without distortion",
+            camera.distortion.tolist(),
+            "undistort the images first",
+        )
+    return {
+        "K": camera.matrix.ravel().tolist(),
+        "RT": np.column_stack([rotation, translation]).ravel().tolist(),
+        "imgSize": list(camera.size),
+    }

@@ -1,0 +1,70 @@
+"""CMU Panoptic's calibration JSON: a list of cameras in centimetres.
+
+`distCoef` has k1 k2 p1 p2 k3; a camera may lack its resolution, or its place (R and t).
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+from mocap_calib.io.cameras.common import PlacedCamera, collect_cameras, extrinsics_if_given
+from mocap_calib.io.cameras.intrinsics import make_camera
+from mocap_calib.io.cameras.source import (
+    CameraFile,
+    Source,
+    entries,
+    need,
+    need_sizes,
+    terms,
+    to_json,
+)
+from mocap_calib.io.registry import Written
+from mocap_calib.types import CameraRig
+
+
+def sniff(source: Source) -> bool:
+    """Return whether there is a list of cameras with distCoef."""
+    if not source.has("json", "cameras") or not isinstance(source.tree["cameras"], list):
+        return False
+    cameras = source.tree["cameras"]
+    return any(isinstance(fields, dict) and "distCoef" in fields for fields in cameras)
+
+
+def parse(source: Source) -> CameraFile:
+    """Read the cameras. Raises FormatError."""
+    cameras = source.mapping("cameras")["cameras"]
+    placed: list[PlacedCamera] = []
+    for number, fields in entries(cameras, "a list of cameras", source.path):
+        name = str(fields.get("name", number))
+        where = f"{source.path}: camera {name}"
+        need(fields, ("K", "distCoef"), where)
+        camera = make_camera(
+            name=name,
+            size=fields.get("resolution"),
+            matrix=fields["K"],
+            distortion=fields["distCoef"],
+            fisheye=False,
+            source=where,
+        )
+        placed.append((camera, extrinsics_if_given(fields, where)))
+    return collect_cameras(placed, source.path)
+
+
+def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:  # noqa: ARG001 - the writers' signature
+    """Write the fields that the data set's cameras have. Raises MismatchError."""
+    need_sizes(rig, "panoptic")
+    cameras = [
+        {
+            "name": camera.name,
+            "type": "hd",
+            "resolution": list(camera.size),
+            "panel": 0,
+            "node": view,
+            "K": camera.matrix.tolist(),
+            "distCoef": terms(camera, 5, "panoptic").tolist(),
+            "R": rig.rotation[view].tolist(),
+            "t": rig.translation[view][:, None].tolist(),
+        }
+        for view, camera in enumerate(rig.cameras)
+    ]
+    document = {"calibDataSource": "mocap-calib", "cameras": cameras}
+    return Written({"calibration.json": to_json(document)})

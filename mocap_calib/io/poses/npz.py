@@ -1,0 +1,66 @@
+"""A numpy archive of the arrays of `Poses3D`, for scripts; it carries all.
+
+`numpy.load` reads it: positions, error, views, confidence, frames, and keypoints, individuals, fps,
+unit and title. Pickled objects, which could run anything, are not read.
+"""
+
+import io
+from typing import Any
+
+import numpy as np
+
+from mocap_calib.io.poses.common import PoseFile, WrittenPoses, refuse_damage
+from mocap_calib.io.units import known_unit
+from mocap_calib.types import Poses3D, check_shape
+
+_ARRAYS = ("positions", "error", "views", "confidence", "frames")
+_ZIP = b"PK\x03\x04"
+
+
+def sniff(content: bytes) -> bool:
+    """Return whether this is a zip archive."""
+    return content.startswith(_ZIP)
+
+
+def parse(content: bytes, source: str) -> PoseFile:
+    """Read the arrays. Raises FormatError."""
+    with refuse_damage(source, f"an .npz of poses ({', '.join(_ARRAYS)}, ...)"):
+        with np.load(io.BytesIO(content), allow_pickle=False) as file:
+            poses = Poses3D(
+                keypoints=tuple(map(str, file["keypoints"])),
+                frames=file["frames"].astype(np.int64, casting="safe"),
+                positions=file["positions"].astype(np.float64),
+                error=file["error"].astype(np.float64),
+                views=file["views"].astype(np.int64, casting="safe"),
+                confidence=file["confidence"].astype(np.float64),
+                unit=known_unit(str(file["unit"]), source),
+            )
+            individuals = tuple(map(str, file["individuals"]))
+            rate = float(file["fps"])
+        _check_shapes(poses, individuals)
+        return PoseFile(poses, rate, individuals)
+
+
+def _check_shapes(poses: Poses3D, individuals: tuple[str, ...]) -> None:
+    """Raise ValueError where the arrays are not of one shape, or not of their names."""
+    shape = (len(poses.frames), len(individuals), len(poses.keypoints))
+    check_shape("positions", poses.positions, *shape, 3)
+    check_shape("error", poses.error, *shape)
+    check_shape("views", poses.views, *shape)
+    check_shape("confidence", poses.confidence, *shape)
+
+
+def write(file: PoseFile, title: str) -> WrittenPoses:
+    """Write the archive."""
+    arrays: dict[str, Any] = {name: getattr(file.poses, name) for name in _ARRAYS}
+    content = io.BytesIO()
+    np.savez_compressed(
+        content,
+        **arrays,
+        keypoints=np.array(file.poses.keypoints, dtype=str),
+        individuals=np.array(file.individuals, dtype=str),
+        fps=np.array(file.rate),
+        unit=np.array(file.poses.unit),
+        title=np.array(title),
+    )
+    return WrittenPoses(content.getvalue())

@@ -1,0 +1,98 @@
+"""SLEAP-anipose's points3d.h5: one dataset `tracks`, (frame, track, node, 3).
+
+* Its own files name no nodes and no tracks, and count frames from 0 without gaps.
+* SLEAP's 2D analysis has `tracks` too, (track, 2, node, frame): of three frames it looks like 3D,
+  but has `track_occupancy` beside.
+* We write names, frame numbers, unit and rate beside the tracks, where its readers do not look.
+"""
+
+import io
+from collections.abc import Sequence
+
+import h5py
+import numpy as np
+
+from mocap_calib.io.hdf5 import array, integers, names
+from mocap_calib.io.poses.common import (
+    PoseFile,
+    WrittenPoses,
+    attribute,
+    bare_poses,
+    fill_gaps,
+    is_hdf5_that,
+    lost_quality,
+    mark_missing,
+    refuse_damage,
+)
+from mocap_calib.io.units import known_unit
+from mocap_calib.types import check_shape
+
+
+def sniff(content: bytes) -> bool:
+    """Return whether there are tracks of 3D points."""
+    return is_hdf5_that(content, _has_tracks)
+
+
+def _has_tracks(file: h5py.File) -> bool:
+    if "tracks" not in file or "track_occupancy" in file:
+        return False
+    shape = file["tracks"].shape
+    return len(shape) == 4 and shape[-1] == 3
+
+
+# --- reading
+
+
+def parse(content: bytes, source: str) -> PoseFile:
+    """Read the tracks as individuals; nodes without names are numbered. Raises FormatError."""
+    expected = "points3d.h5 of SLEAP-anipose"
+    with refuse_damage(source, expected), h5py.File(io.BytesIO(content), "r") as file:
+        positions = array(file, "tracks", source).astype(np.float64)
+        check_shape("tracks", positions, None, None, None, 3)
+        frames = np.arange(len(positions))
+        if "frames" in file:
+            frames = integers(file, "frames", source)
+        keypoints = _names_if_given(file, "node_names", source)
+        individuals = _names_if_given(file, "track_names", source)
+        rate = float(file.attrs.get("fps", np.nan))
+        unit = known_unit(attribute(file.attrs, "unit"), source)
+        notes: tuple[str, ...] = ()
+        if not keypoints:
+            nodes = positions.shape[2]
+            keypoints = tuple(f"node_{node}" for node in range(nodes))
+            notes = (_describe_nodes(nodes),)
+        check_shape("tracks", positions, len(frames), None, len(keypoints), 3)
+        poses = bare_poses(keypoints, frames, mark_missing(positions), unit=unit)
+        return PoseFile(poses, rate, individuals, notes)
+
+
+def _names_if_given(file: h5py.File, name: str, source: str) -> tuple[str, ...]:
+    """Return the names in a dataset, none where there is no such dataset."""
+    return names(file, name, source) if name in file else ()
+
+
+def _describe_nodes(count: int) -> str:
+    return f"the file does not name its {count} nodes: they are called node_0, node_1, ..."
+
+
+# --- writing
+
+
+def write(file: PoseFile, title: str) -> WrittenPoses:  # noqa: ARG001 - the writers' signature
+    """Write the tracks without gaps. Raises MismatchError."""
+    frames, positions = fill_gaps(file.poses, "sleap-anipose")
+    content = io.BytesIO()
+    with h5py.File(content, "w") as out:
+        tracks = out.create_dataset("tracks", data=positions, track_times=False)
+        tracks.attrs["Description"] = "Shape: (n_frames, n_tracks, n_nodes, 3)."
+        out.create_dataset("frames", data=frames, track_times=False)
+        _write_names(out, "node_names", file.poses.keypoints)
+        _write_names(out, "track_names", file.individuals)
+        out.attrs["unit"] = file.poses.unit
+        out.attrs["fps"] = file.rate
+    return WrittenPoses(content.getvalue(), lost_quality(file))
+
+
+def _write_names(out: h5py.File, name: str, values: Sequence[str]) -> None:
+    data = np.array(values, dtype=object)
+    out.create_dataset(name, data=data, dtype=h5py.string_dtype(), track_times=False)
