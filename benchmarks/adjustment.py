@@ -99,7 +99,7 @@ def moved(rig: CameraRig) -> CameraRig:
 def ours(
     config: AdjustConfig, recording: Sample, start: CameraRig, matches: Matches
 ) -> tuple[CameraRig, float, float]:
-    """The rig, seconds and seconds of the processor."""
+    """Return the rig, seconds and seconds of the processor."""
     wall, processor = time.perf_counter(), time.process_time()
     found = adjust(recording, start, matches, Config(adjust=config))
     return found, time.perf_counter() - wall, time.process_time() - processor
@@ -108,7 +108,7 @@ def ours(
 def peer(
     method: str, scratch: Path, recording: Sample, start: CameraRig, matches: Matches
 ) -> tuple[CameraRig, float, float]:
-    """The same, by a process of another environment."""
+    """Return what `ours` does, of an adjustment in another environment."""
     python = scratch / "peers" / "bin" / "python"
     if not python.exists():
         subprocess.run([sys.executable, "-m", "venv", scratch / "peers"], check=True)

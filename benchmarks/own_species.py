@@ -27,7 +27,7 @@ TOOL = [str(Path(sys.executable).with_name("mocap-calib"))]
 
 
 def main() -> None:
-    """The four commands, and what they reach."""
+    """Run the four commands, and print what they reach."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -114,7 +114,7 @@ def one_mouse(poses: Path, out: Path) -> None:
 
 
 def run(*words: object) -> str:
-    """A command of the program; its stdout."""
+    """Run a command of the program; return its stdout."""
     return subprocess.run(
         [*TOOL, *map(str, words)], check=True, capture_output=True, text=True
     ).stdout

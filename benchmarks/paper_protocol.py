@@ -78,7 +78,7 @@ def main() -> None:
 
 
 def two_view(options: argparse.Namespace) -> None:
-    """The paper's Tables 1 and 2."""
+    """Print the paper's Tables 1 and 2."""
     methods = options.methods or ["five-point", "magsac", "paper-token", "paper-factorised", "ours"]
     _synthetic(options, methods)
 
@@ -169,7 +169,7 @@ def judge(
     truths: Sequence[Truth],
     seconds: float,
 ) -> Judged:
-    """Compares with the truth."""
+    """Compare with the truth."""
     rotation, translation, right, matched = [], [], 0, 0
     for one, problem, truth in zip(found, problems, truths, strict=True):
         r, t = truth.rig.relative(problem.a, problem.b)
@@ -196,7 +196,7 @@ def auc(rotation: np.ndarray, translation: np.ndarray, tau: int) -> float:
 
 
 def figures(judged: Judged) -> str:
-    """The columns of a row."""
+    """Return the columns of a row."""
     r, t = judged.rotation, judged.translation
     shares = [
         f"{(r < tau).mean():.2f} | {(t < tau).mean():.2f} | {auc(r, t, tau):.3f}"
@@ -207,7 +207,7 @@ def figures(judged: Judged) -> str:
 
 
 def multi_view(options: argparse.Namespace) -> None:
-    """The paper's Table 5: four cameras, after averaging and after adjustment.
+    """Print the paper's Table 5: four cameras, after averaging and after adjustment.
 
     20 frames a scene.
     """

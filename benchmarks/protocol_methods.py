@@ -118,7 +118,7 @@ def _two_views(problem: Problem, joints: int) -> TwoViews:
 
 
 def paper(architecture: str, config: PaperConfig) -> Method:
-    """The paper's solver; its seconds are those of pairs solved alone."""
+    """Solve by the paper's solver; its seconds are those of pairs solved alone."""
 
     def method(problems: Sequence[Problem], models: dict[str, Model]) -> Answers:
         model = models[architecture]

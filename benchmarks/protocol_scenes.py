@@ -110,7 +110,7 @@ class Subjects:
 
 
 def _standing(poses: Floats, kind: Kind) -> Floats:
-    """Turned upright; of animals also centred, on the floor, and as large as people."""
+    """Turn poses upright; of animals also centred, on the floor, and as large as people."""
     if kind.model == "people":
         return poses
     column = "xyz".index(kind.up[1])

@@ -53,7 +53,7 @@ def main() -> None:
 
 
 def row(recording: Path) -> str:
-    """Runs and judges one recording."""
+    """Run and judge one recording."""
     with tempfile.TemporaryDirectory() as work:
         out = Path(work) / "out"
         start = time.perf_counter()

@@ -81,7 +81,7 @@ def main() -> None:
 
 
 def long(work: Path, lengths: Sequence[int]) -> None:
-    """The same rig and people for longer and longer."""
+    """Measure the same rig and people for longer and longer."""
     columns = (
         "frames",
         "calibration (s)",

@@ -7,6 +7,11 @@ LIFT_CONFIDENCE = 0.4  # of a view's best confidence: joints below it are hidden
 LIFT_BEST_PERCENTILE = 90.0  # of a view's confidences: the view's best
 LIFT_UPRIGHT_SAMPLE = 128  # detections of a view that tell which way is down in its images
 LIFT_LEAST_DEPTH = 0.5  # body sizes: no body is nearer to a camera
+LIFT_LEAST_FORWARD = 0.1  # z of a unit ray in the virtual camera: what is beside it stays finite
+
+ENCODER_HEADS = 4  # of the networks' encoders, which share a token
+PAPER_WIDTH = 32  # size of a token of the paper's network
+PAPER_LAYERS = 5  # of its encoder
 
 COMPLETION_SPREAD = 0.2  # body sizes: a joint known to this much has exp(-1) of the confidence
 COMPLETION_CONFIDENCE = 0.5  # at most, of the mean confidence of the joints that were seen
@@ -40,6 +45,7 @@ class TrainConfig:
     joint_dropout: float = 0.6  # up to this share of joints belongs to other layouts
     occlusion: float = 0.25  # up to this share of the remaining joints is missing
     bodies: int = 40_000  # procedural bodies to draw from, where they are asked for
+    procedural: float = 0.5  # share of the procedural bodies beside poses of files
     seed: int = 0
 
 
@@ -52,9 +58,12 @@ LARGEST_GRADIENT = 1.0
 UNCERTAINTY_WEIGHT = 0.1  # of the Laplace likelihood in the loss of a lifter
 EVALUATION_SEED = 12345  # all networks are measured on the same examples
 EVALUATION_SEED_OF_ANGLES = 54321
+EVALUATION_EXAMPLES = 8192  # views, or pairs of views, that a network is measured on
 
 OWN_SPECIES_LEAST_POSES = 20  # 3D poses of a calibrated recording that can be learnt from
 OWN_SPECIES_LARGEST_ERROR = 3.0  # median reprojection errors: joints beyond it are left out
+# settings of TrainConfig: nobody has said from where the species is seen, or that it has knees
+OWN_SPECIES_TRAINING = {"elevation_deg": (-60, 88), "roll_deg": 20, "straighten": 0}
 
 
 @dataclass(frozen=True)
@@ -85,7 +94,9 @@ class SampleConfig:
     frames: int = 500  # at most: of one subject there are not more postures
     least_frames: int = 100
     candidates: int = 4  # frames looked at for each that is taken
-    crowd: int = 2  # times as many detections as nine tenths of the frames have, and two: left out
+    # frames with several times the usual number of detections are left out
+    usual_share: float = 0.9  # of the frames have no more than the usual number
+    crowd: int = 2  # so many times the usual number, and so many more
     cells: int = 6  # of the image, along each side
     sizes: int = 8  # classes of size, which is nearness, by half powers of two
     postures: int = 16  # classes of posture in each view
@@ -158,6 +169,8 @@ class FivePointConfig:
     ransac_iterations: int = 300
 
 
+FIVE_POINT_LEAST_JOINTS = 5  # determine an essential matrix
+
 # ways to calibrate a pair of views; the first is the default
 PAIR_SOLVERS = ("search", "paper", "five-point")
 
@@ -219,7 +232,6 @@ class MatchingConfig:
     least_affinity: 0..1, the mean affinity down to which two groups of detections are joined.
     single_subject: share of the frames which show each view no more than one detection; from it
         on there is one subject, whom geometry alone follows.
-    cells: pairs of detections looked at in one go: so many frames, or fewer in a crowd.
 
     Through time:
     reach: body sizes that a body may move between frames; or `usual_steps` times its usual step,
@@ -239,7 +251,6 @@ class MatchingConfig:
 
     least_affinity: float = 0.25
     single_subject: float = 0.9
-    cells: int = 2_000_000
     reach: float = 0.5
     usual_steps: float = 5.0
     memory: int = 50
@@ -330,6 +341,7 @@ class UncertaintyConfig:
 
 
 REPORT_FRAMES = 2000  # whose reprojection errors run.json tells
+RIG_ERROR_THRESHOLDS_DEG = (5, 10, 20, 30)  # at which `evaluate` tells the accuracy
 
 
 @dataclass(frozen=True)
@@ -362,7 +374,7 @@ TYPICAL_PERCENTILE = 99.0
 
 # Lenses and two views (geometry/lens.py, geometry/epipolar.py)
 LENS_MISS_PX = 0.5  # between a pixel and its ray's: beyond, the lens model has no ray for it
-FIVE_POINT_LEAST_RAYS = 8
+FIVE_POINT_LEAST_RAYS = 8  # that RANSAC is tried on
 FIVE_POINT_LEAST_FORWARD = 0.1  # cosine of a ray with the optical axis
 FIVE_POINT_CONFIDENCE = 0.999  # of RANSAC
 

@@ -36,6 +36,7 @@ from mocap_calib.types import (
     Recording,
     Sample,
     UnusedPair,
+    silent,
 )
 
 
@@ -92,11 +93,11 @@ class Observed:
 def calibrate(
     recording: Recording,
     lifter: Lifter,
-    config: Config,
+    config: Config = Config(),
     *,
-    seed: int,
-    device: str,
-    progress: Progress,
+    seed: int = 0,
+    device: str = "cpu",
+    progress: Progress = silent,
     mapper: Mapper | None = None,
     pair_solver: PairSolver | None = None,
 ) -> CalibrationResult:

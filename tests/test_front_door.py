@@ -1,6 +1,7 @@
 """`import mocap_calib`: quick, and every name of it there."""
 
 import ast
+import inspect
 import subprocess
 import sys
 from pathlib import Path
@@ -51,6 +52,18 @@ def test_type_checkers_see_the_same_names():
     }
     assert imported == set(mocap_calib._MODULE_OF.items())
     assert {name for name, _ in imported} == set(mocap_calib.__all__)
+
+
+@pytest.mark.parametrize(
+    ("function", "needed"),
+    [
+        (mocap_calib.calibrate, ["recording", "lifter"]),
+        (mocap_calib.triangulate, ["recording", "rig", "matches"]),
+    ],
+)
+def test_stages_need_nothing_but_data(function, needed):
+    parameters = inspect.signature(function).parameters.values()
+    assert [each.name for each in parameters if each.default is each.empty] == needed
 
 
 def test_a_name_that_is_not_there():

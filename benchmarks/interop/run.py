@@ -94,7 +94,7 @@ CONSUMERS: dict[str, dict[str, list[str]]] = {
 
 
 def main(scratch: Path, names: list[str]) -> int:
-    """Runs the consumers; 1 where one does not read what it should."""
+    """Run the consumers; return 1 where one does not read what it should."""
     files = scratch / "files"
     write_files(files)
     rows = [run(scratch, name) for name in names or CONSUMERS]

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from mocap_calib.config import Config
 from mocap_calib.io.results.group import REVERSED_RIG
 from mocap_calib.recording.meanings import describe_unshared
 from mocap_calib.recording.summary import RecordingSummary
@@ -143,7 +142,7 @@ def _describe_weak_cameras(report: dict[str, Any]) -> list[str]:
     weak = [camera["name"] for camera in report["cameras"] if camera["weak"]]
     if not weak:
         return []
-    least = Config().averaging.weak_score
+    least = report["config"]["averaging"]["weak_score"]
     return [
         f"weak: {', '.join(weak)} (pair score below {least}, good recordings have 0.7 and more): "
         "do not trust it without a check"

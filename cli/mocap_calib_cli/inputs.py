@@ -84,6 +84,18 @@ def read_recording(
     return loaded
 
 
+def read_recording_of_rig(
+    options: SharedOptions, reporter: Reporter
+) -> tuple[CameraRig, LoadedRecording]:
+    """Read a rig and the keypoints of its cameras; the rig has those with keypoints alone.
+
+    Raises FormatError and MismatchError.
+    """
+    rig, camera_file = read_rig(options.rig, "--rig")
+    loaded = read_recording(options, camera_file, reporter, of_rig=True)
+    return _rig_of_recording(rig, loaded.recording), loaded
+
+
 def lift_sample(
     loaded: LoadedRecording, device: str, reporter: Reporter
 ) -> tuple[Ints, Sample, LiftedPoses]:
@@ -127,7 +139,7 @@ def read_matches(path: str, recording: Recording) -> Matches:
     return read_matches_csv(read_stdin("--matches") if path == STDIO else Path(path), recording)
 
 
-def rig_of_recording(rig: CameraRig, recording: Recording) -> CameraRig:
+def _rig_of_recording(rig: CameraRig, recording: Recording) -> CameraRig:
     """Return the rig with the cameras of the recording alone, in their order."""
     views = np.array([rig.names.index(name) for name in recording.names])
     return replace(rig.select(views), cameras=recording.cameras)

@@ -47,7 +47,9 @@ from mocap_calib.types import (
     Sample,
 )
 
-_CELLS = 200_000  # pairs of detections grouped at a time, so that they stay in the cache
+# pairs of detections grouped at a time: so many frames, or fewer in a crowd
+_LIFTED_PAIRS = 2_000_000  # of a sample, compared by rays and lifted bodies
+_PLAIN_PAIRS = 200_000  # of a recording, compared by rays alone: they stay in the cache
 
 
 def associate(
@@ -62,7 +64,7 @@ def associate(
     labels = np.full((views, frames, instances), -1, dtype=np.int64)
     scale = body_scale(sample, lifted, rig, config.pairwise)
     geometry_alone = single_subject(sample, config.matching.single_subject) is not None
-    step = max(1, config.matching.cells // (views * instances) ** 2)
+    step = max(1, _LIFTED_PAIRS // (views * instances) ** 2)
     for block in _cut_into_blocks(np.arange(frames), step):
         affinity, comparable = _affinities(
             sample,
@@ -101,7 +103,7 @@ def label_all_frames(
     labels[:, sample_frames, : matches.labels.shape[2]] = per_frame_labels(matches).labels
 
     others = np.setdiff1d(np.arange(frames), sample_frames)
-    step = max(1, _CELLS // (views * instances) ** 2)
+    step = max(1, _PLAIN_PAIRS // (views * instances) ** 2)
     blocks = _cut_into_blocks(others, step)
     label = partial(_label_by_geometry, recording=recording, rig=rig, config=config)
     found = in_order(label, blocks)

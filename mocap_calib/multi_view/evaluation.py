@@ -6,12 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from mocap_calib.config import RIG_ERROR_THRESHOLDS_DEG
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.alignment import similarity
 from mocap_calib.geometry.rotation import angle_between, direction_angle
 from mocap_calib.types import CameraRig, Floats
-
-THRESHOLDS = (5, 10, 20, 30)  # degrees
 
 # Points on the cameras' axes take part in the alignment, so near to the centres (in spreads of the
 # centres) that they decide only what the centres leave open.
@@ -134,9 +133,11 @@ def evaluation_to_dict(found: Evaluation) -> dict[str, Any]:
         "pairs": _pairs_to_list(found),
         "rotation_error_deg": median_and_max(np.degrees(rotation)),
         "translation_error_deg": median_and_max(np.degrees(translation)),
-        "rra": {str(t): accuracy(rotation, t) for t in THRESHOLDS},
-        "rta": {str(t): accuracy(translation, t) for t in THRESHOLDS},
-        "auc": {str(t): area_under_curve(rotation, translation, t) for t in THRESHOLDS},
+        "rra": {str(t): accuracy(rotation, t) for t in RIG_ERROR_THRESHOLDS_DEG},
+        "rta": {str(t): accuracy(translation, t) for t in RIG_ERROR_THRESHOLDS_DEG},
+        "auc": {
+            str(t): area_under_curve(rotation, translation, t) for t in RIG_ERROR_THRESHOLDS_DEG
+        },
         "camera_rotation_error_deg": median_and_max(np.degrees(found.camera_rotation)),
         "centre_error": median_and_max(found.centre_error),
         "unit": found.unit,

@@ -19,6 +19,7 @@ from mocap_calib.types import (
     Poses3D,
     Progress,
     Recording,
+    silent,
 )
 
 _BLOCK = 8192  # points at a time: enough that calls cost little beside, few enough for the cache
@@ -77,9 +78,9 @@ def triangulate(
     recording: Recording,
     rig: CameraRig,
     matches: Matches,
-    config: TriangulateConfig,
+    config: TriangulateConfig = TriangulateConfig(),
     *,
-    progress: Progress,
+    progress: Progress = silent,
 ) -> Poses3D:
     """Return the 3D poses of all individuals in all frames, in the rig's unit.
 

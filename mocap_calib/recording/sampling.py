@@ -71,7 +71,7 @@ def choose_sample_frames(recording: Recording, config: SampleConfig) -> Ints:
 def _uncrowded_frames(recording: Recording, config: SampleConfig) -> Ints:
     """Return the frames (indices) in which no view has several times the usual detections."""
     detections = _detected(recording).sum(-1).max(0)  # [frame] the most of any view
-    usual = np.quantile(detections, 0.9)
+    usual = np.quantile(detections, config.usual_share)
     return np.flatnonzero(detections <= config.crowd * usual + config.crowd)
 
 

@@ -77,6 +77,15 @@ def check_joints(recording: Recording) -> None:
         )
 
 
+def check_known_joints(recording: Recording) -> None:
+    """Raise MismatchError where the model knows too few joints to lift a body."""
+    if (recording.vocabulary >= 0).sum() < LEAST_JOINTS:
+        raise MismatchError(
+            f"expected at least {LEAST_JOINTS} joints that a model knows, "
+            f"found {', '.join(recording.keypoints)}; map them with --skeleton"
+        )
+
+
 def check_shared_keypoints(keypoints: Sequence[str]) -> None:
     """Raise MismatchError where two views share too few keypoints for a calibration."""
     if len(keypoints) < LEAST_JOINTS:

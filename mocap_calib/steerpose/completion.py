@@ -9,8 +9,9 @@ from torch import Tensor
 
 from mocap_calib.config import COMPLETION_CONFIDENCE, COMPLETION_SPREAD
 from mocap_calib.geometry.projection import pixels_from_points
+from mocap_calib.recording.views import split_by_view
 from mocap_calib.steerpose.steer import Model, steer
-from mocap_calib.types import Bools, Floats, LiftedPoses, Sample
+from mocap_calib.types import Bools, Floats, Keypoints2D, LiftedPoses, Sample, Skeleton
 
 
 @torch.no_grad()
@@ -24,14 +25,17 @@ def complete(model: Model, pose: Tensor, seen: Tensor) -> Tensor:
     return torch.where(seen[..., None], pose, predicted)
 
 
-def complete_sample(sample: Sample, lifted: LiftedPoses) -> tuple[Floats, Floats]:
+def complete_sample(
+    sample: Sample, lifted: LiftedPoses, vocabulary: Skeleton
+) -> tuple[Keypoints2D, ...]:
     """Complete the detections of a sample in their images, through perspective and lens.
 
-    Returns positions `[view, frame, instance, joint, 2]` in pixels and confidence `[view, frame,
-    instance, joint]`, for the joints of the model; NaN and 0 = missing. What was seen stays as it
-    was. The rest is projected from the lifted body, with a confidence of at most half of the
+    Returns the keypoints of each view, which are the joints of the model. What was seen stays as
+    it was. The rest is projected from the lifted body, with a confidence of at most half of the
     detection's mean, less where the network is less sure. Detections that were not lifted keep
     what they have.
+
+    vocabulary: of the model that lifted the sample.
     """
     known = sample.vocabulary >= 0
     joints = sample.vocabulary[known]
@@ -43,7 +47,15 @@ def complete_sample(sample: Sample, lifted: LiftedPoses) -> tuple[Floats, Floats
     )
     confidence[..., joints] = np.where(seen, sample.confidence[..., known], confidence[..., joints])
     present = np.isfinite(positions).all(-1) & (confidence > 0)
-    return np.where(present[..., None], positions, np.nan), np.where(present, confidence, 0.0)
+    return split_by_view(
+        sample.cameras,
+        keypoints=vocabulary.keypoints,
+        frames=sample.frames,
+        positions=np.where(present[..., None], positions, np.nan),
+        confidence=np.where(present, confidence, 0.0),
+        tracked=sample.tracked,
+        source="completed",
+    )
 
 
 def _project_lifted(sample: Sample, lifted: LiftedPoses) -> Floats:

@@ -19,6 +19,7 @@ from mocap_calib.config import (
     LIFT_BEST_PERCENTILE,
     LIFT_CONFIDENCE,
     LIFT_LEAST_DEPTH,
+    LIFT_LEAST_FORWARD,
     LIFT_UPRIGHT_SAMPLE,
 )
 from mocap_calib.geometry.rotation import looking_along
@@ -170,7 +171,7 @@ def _project(rays: Floats, seen: Bools, virtual_from_camera: Floats) -> Floats:
     """Return the normalised image points `[B, J, 2]` of rays `[B, J, 3]` in virtual cameras."""
     known = np.where(seen[..., None], rays, [0.0, 0.0, 1.0])
     turned = np.einsum("bij,bkj->bki", virtual_from_camera, known)
-    return turned[..., :2] / np.maximum(turned[..., 2:], 0.1)
+    return turned[..., :2] / np.maximum(turned[..., 2:], LIFT_LEAST_FORWARD)
 
 
 @torch.no_grad()

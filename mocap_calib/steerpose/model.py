@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from mocap_calib.config import ENCODER_HEADS
+
 
 @dataclass(frozen=True)
 class ModelConfig:
@@ -19,7 +21,7 @@ class ModelConfig:
     joints: int
     width: int = 64
     layers: int = 4
-    heads: int = 4
+    heads: int = ENCODER_HEADS
 
 
 class Lifter(nn.Module):

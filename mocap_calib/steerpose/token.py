@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from mocap_calib.config import ENCODER_HEADS, PAPER_LAYERS, PAPER_WIDTH
 from mocap_calib.steerpose.model import transformer_encoder
 
 
@@ -20,9 +21,9 @@ class TokenConfig:
     """
 
     joints: int
-    width: int = 32
-    layers: int = 5
-    heads: int = 4
+    width: int = PAPER_WIDTH
+    layers: int = PAPER_LAYERS
+    heads: int = ENCODER_HEADS
 
 
 class TokenSteerer(nn.Module):

@@ -8,6 +8,7 @@ import numpy as np
 from mocap_calib.config import FALSE_CONFIDENCE, FALSE_COPIES, LEAST_DETECTED_JOINTS
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.projection import pixels_from_points
+from mocap_calib.recording.views import split_by_view
 from mocap_calib.synthetic.bodies import JOINTS
 from mocap_calib.synthetic.signals import direction
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Keypoints2D, check_shape
@@ -94,19 +95,14 @@ def detect(  # noqa: PLR0913 - each is one plain number of the detector
 
 def keypoint_files(rig: CameraRig, detections: Detections) -> tuple[Keypoints2D, ...]:
     """Return what the files of the views hold, in the order of the rig's cameras."""
-    frames = np.arange(detections.identity.shape[1])
-    return tuple(
-        Keypoints2D(
-            camera=camera.name,
-            keypoints=detections.keypoints,
-            frames=frames,
-            positions=detections.positions[view],
-            confidence=detections.confidence[view],
-            tracked=False,
-            image_size=camera.size,
-            source=f"synthetic {camera.name}",
-        )
-        for view, camera in enumerate(rig.cameras)
+    return split_by_view(
+        rig.cameras,
+        keypoints=detections.keypoints,
+        frames=np.arange(detections.identity.shape[1]),
+        positions=detections.positions,
+        confidence=detections.confidence,
+        tracked=np.zeros(len(rig.cameras), dtype=bool),
+        source="synthetic",
     )
 
 

@@ -12,7 +12,12 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from mocap_calib.config import FIVE_POINT_CONFIDENCE, FIVE_POINT_LEAST_FORWARD, FivePointConfig
+from mocap_calib.config import (
+    FIVE_POINT_CONFIDENCE,
+    FIVE_POINT_LEAST_FORWARD,
+    FIVE_POINT_LEAST_JOINTS,
+    FivePointConfig,
+)
 from mocap_calib.geometry.epipolar import (
     depths,
     essential_matrix,
@@ -21,8 +26,6 @@ from mocap_calib.geometry.epipolar import (
 )
 from mocap_calib.two_view.assignment import mutual_best
 from mocap_calib.types import Bools, Floats, Ints
-
-_LEAST_JOINTS = 5  # determine an essential matrix
 
 Pose = tuple[Floats, Floats]  # R [3, 3] and t [3] of b_from_a
 
@@ -101,8 +104,8 @@ def five_point_over_matches(
 
 def _candidates(problem: _Problem, rng: np.random.Generator) -> Iterator[Bools]:
     """Draw masks `[frame, I, J]` of one or two matches of one frame."""
-    present_a = np.isfinite(problem.rays_a[..., 0]).sum(-1) >= _LEAST_JOINTS
-    present_b = np.isfinite(problem.rays_b[..., 0]).sum(-1) >= _LEAST_JOINTS
+    present_a = np.isfinite(problem.rays_a[..., 0]).sum(-1) >= FIVE_POINT_LEAST_JOINTS
+    present_b = np.isfinite(problem.rays_b[..., 0]).sum(-1) >= FIVE_POINT_LEAST_JOINTS
     possible = [
         (frame, matches)
         for frame in range(len(present_a))
@@ -139,7 +142,7 @@ def _essential_pose(problem: _Problem, matched: Bools, method: int) -> Pose | No
     matched: `[frame, I, J]`. None where no model is found.
     """
     rays_a, rays_b = _correspondences(problem, matched)
-    if len(rays_a) < _LEAST_JOINTS:
+    if len(rays_a) < FIVE_POINT_LEAST_JOINTS:
         return None
     model, mask = cv2.findEssentialMat(
         rays_a[:, :2] / rays_a[:, 2:],
@@ -186,7 +189,7 @@ def _inliers(problem: _Problem, pose: Pose) -> tuple[Ints, Ints]:
 
 def _share(inliers: Ints, seen: Ints) -> Floats:
     """Return the share of inliers of each possible match, 0 where it has too few joints."""
-    return inliers / np.maximum(seen, 1) * (seen >= _LEAST_JOINTS)
+    return inliers / np.maximum(seen, 1) * (seen >= FIVE_POINT_LEAST_JOINTS)
 
 
 def _count_inliers(problem: _Problem, pose: Pose) -> float:

@@ -344,4 +344,6 @@ def test_a_skew_of_any_size_is_refused_in_a_line(skew):
     """Found by fuzzing: what it moves overflows."""
     cell = [[500.0, skew, 320.0], [0.0, 501.0, 1e300], [0.0, 0.0, 1.0]]
     with pytest.raises(FormatError, match="without skew"):
-        make_camera("a", (640, 480), cell, None, False, "x")
+        make_camera(
+            name="a", size=(640, 480), matrix=cell, distortion=None, fisheye=False, source="x"
+        )

@@ -38,7 +38,9 @@ def test_hidden_limbs_are_found_to_a_third_of_a_body():
         confidence=np.where(hidden, 0, whole.confidence),
         rays=np.where(hidden[:, None], np.nan, whole.rays),
     )
-    positions, confidence = complete_sample(part, lift(part, load_lifter()[0], progress=silent))
+    views = complete_sample(part, lift(part, load_lifter()[0], progress=silent), PEOPLE)
+    positions = np.stack([view.positions for view in views])
+    confidence = np.stack([view.confidence for view in views])
     columns = whole.vocabulary[hidden]
     gap = np.linalg.norm(positions[..., columns, :] - whole.positions[..., hidden, :], axis=-1)
     radius = np.sqrt(
@@ -59,7 +61,8 @@ def test_joints_of_another_skeleton_are_near_the_true_ones():
     Measured: below a tenth of the height.
     """
     made, sample = scene(**PLAIN), recording(**PLAIN)
-    positions, _ = complete_sample(sample, lifted(**PLAIN))
+    views = complete_sample(sample, lifted(**PLAIN), PEOPLE)
+    positions = np.stack([view.positions for view in views])
     toes = [name for name in PEOPLE.keypoints if name in made.joints and name.endswith("big_toe")]
     assert len(toes) == 2
     frames = sample.frames - sample.frames[0]

@@ -194,7 +194,7 @@ def test_training_and_checkpoint_of_the_token_model(poses, tmp_path):
 
 def test_similarity_limits():
     distance = torch.tensor([0.0, 0.5, 1.0, 100.0])
-    found = similarity(distance)
+    found = similarity(distance, alpha=3.0)
     assert found[0] == 1
     assert found[-1] < 1e-6
     assert (found.diff() < 0).all()
@@ -220,7 +220,7 @@ def test_sinkhorn_marginals(rows, columns):
         there_a,
         there_b,
     )
-    weight = sinkhorn(score, sweeps=1000)
+    weight = sinkhorn(score, sharpness=10.0, sweeps=1000)
     size = max(rows, columns)
     torch.testing.assert_close(weight.sum(-1), torch.ones(7, size).double(), atol=1e-5, rtol=0)
     torch.testing.assert_close(weight.sum(-2), torch.ones(7, size).double())
@@ -229,7 +229,7 @@ def test_sinkhorn_marginals(rows, columns):
 def test_sinkhorn_finds_the_permutation_and_the_odd_one_out():
     score = torch.tensor([[0.1, 0.9, 0.2], [0.8, 0.1, 0.2]]).double()
     there_a, there_b = torch.ones(2, dtype=torch.bool), torch.ones(3, dtype=torch.bool)
-    weight = sinkhorn(with_dummies(score, there_a, there_b), sharpness=50.0)
+    weight = sinkhorn(with_dummies(score, there_a, there_b), sharpness=50.0, sweeps=20)
     assert weight[:2].argmax(-1).tolist() == [1, 0]
     assert weight[2, 2] > 0.99  # the dummy
     assert matching_loss(weight, score, there_a, there_b).item() == pytest.approx(0.3, abs=0.01)
@@ -240,7 +240,10 @@ def test_gradient_of_the_matching_loss():
 
     def loss(score: torch.Tensor) -> torch.Tensor:
         return matching_loss(
-            sinkhorn(with_dummies(score, there, there), sweeps=5), score, there, there
+            sinkhorn(with_dummies(score, there, there), sharpness=10.0, sweeps=5),
+            score,
+            there,
+            there,
         )
 
     assert torch.autograd.gradcheck(loss, (random(3, 3).sigmoid().requires_grad_(),))

@@ -6,7 +6,7 @@ from expected import FILES, POINTS, near, pixels
 
 
 def storage(path):
-    """A file that FileStorage opens."""
+    """Open a file with FileStorage; return what gets its nodes by name."""
     file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
     assert file.isOpened(), path
     return file.getNode

@@ -35,10 +35,8 @@ def command(shared: options.SharedOptions, output: str, matches_out: str | None)
     outputs.check_text(matches_out)
     config = Config()
     with Reporter(quiet=shared.quiet) as reporter:
-        rig, camera_file = inputs.read_rig(shared.rig, "--rig")
-        loaded = inputs.read_recording(shared, camera_file, reporter, of_rig=True)
+        rig, loaded = inputs.read_recording_of_rig(shared, reporter)
         recording = loaded.recording
-        rig = inputs.rig_of_recording(rig, recording)
         matches = inputs.read_matches(shared.matches, recording)
         sample_frames, sample, lifted = inputs.lift_sample(loaded, shared.device, reporter)
         instances = sample.positions.shape[2]  # a frame that is not in the sample may have more

@@ -24,14 +24,13 @@ def command(shared: options.SharedOptions, output: str) -> None:
     outputs.check_text(output)
     config = Config()
     with Reporter(quiet=shared.quiet) as reporter:
-        rig, camera_file = inputs.read_rig(shared.rig, "--rig")
-        loaded = inputs.read_recording(shared, camera_file, reporter, of_rig=True)
-        rig = inputs.rig_of_recording(rig, loaded.recording)
+        rig, loaded = inputs.read_recording_of_rig(shared, reporter)
         sample_frames, sample, lifted = inputs.lift_sample(loaded, shared.device, reporter)
+        sampled = associate(sample, lifted, rig, config, progress=reporter)
         matches = label_all_frames(
             loaded.recording,
             sample_frames,
-            associate(sample, lifted, rig, config, progress=reporter),
+            sampled,
             rig,
             config,
             scale=body_scale(sample, lifted, rig, config.pairwise),

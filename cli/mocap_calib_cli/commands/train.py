@@ -9,18 +9,23 @@ from typing import TYPE_CHECKING
 
 import click
 
-from mocap_calib.config import PairsConfig, TrainConfig
+from mocap_calib.config import (
+    ENCODER_HEADS,
+    PAPER_LAYERS,
+    PAPER_WIDTH,
+    PairsConfig,
+    TrainConfig,
+)
 from mocap_calib_cli import options
 
 if TYPE_CHECKING:
     from mocap_calib.steerpose.steer import Model
     from mocap_calib.steerpose.training.poses import PoseSet
+    from mocap_calib.steerpose.training.sources import TrainingSource
     from mocap_calib.types import Progress, Skeleton
 
 _DEFAULT = TrainConfig()
 _COUNT = click.IntRange(min=1)
-_HEADS = 4  # of the encoder, which share a token
-_TOKEN_SIZE = {"width": 32, "layers": 5}  # of the paper's network
 
 
 @click.command(name="train")
@@ -62,9 +67,9 @@ _TOKEN_SIZE = {"width": 32, "layers": 5}  # of the paper's network
 @click.option("--batch", type=_COUNT, default=_DEFAULT.batch, help="Poses in a batch.")
 @click.option(
     "--width",
-    type=click.IntRange(min=4),
+    type=click.IntRange(min=ENCODER_HEADS),
     default=_DEFAULT.width,
-    help="Size of a token; a multiple of 4.",
+    help=f"Size of a token; a multiple of {ENCODER_HEADS}.",
 )
 @click.option("--layers", type=_COUNT, default=_DEFAULT.layers, help="Layers of the encoder.")
 @click.option(
@@ -116,23 +121,29 @@ def command(
     """
     from mocap_calib.steerpose.checkpoint import save_lifter
     from mocap_calib.steerpose.device import check_device, use_threads
+    from mocap_calib.steerpose.training.sources import (
+        TrainingSource,
+        load_pose_sets,
+        load_vocabulary,
+    )
     from mocap_calib.steerpose.training.train import model_card, training_config
     from mocap_calib_cli import outputs
     from mocap_calib_cli.progress import Reporter
-    from mocap_calib_cli.training import TrainingSource, load_pose_sets, load_vocabulary
 
-    if sizes["width"] % _HEADS:
+    if sizes["width"] % ENCODER_HEADS:
         raise click.BadParameter(
-            "expected a multiple of 4: a token is shared by four heads", param_hint="--width"
+            f"expected a multiple of {ENCODER_HEADS}: a token is shared by as many heads",
+            param_hint="--width",
         )
     outputs.check_file(output)
     check_device(shared.device)
     use_threads(threads)
     source = TrainingSource(poses, calibrated, skeleton, up, procedural)
+    _check_source(source)
     vocabulary, settings = load_vocabulary(source)
     asked = {name: value for name, value in sizes.items() if value != getattr(_DEFAULT, name)}
     if architecture == "token":
-        asked = _TOKEN_SIZE | asked
+        asked = {"width": PAPER_WIDTH, "layers": PAPER_LAYERS} | asked
     config = replace(training_config(settings), seed=shared.seed, **asked)  # type: ignore[arg-type]
     training, testing = load_pose_sets(source, vocabulary, config)
     with Reporter(quiet=shared.quiet) as reporter:
@@ -152,6 +163,17 @@ def command(
     reporter.say(f"held out: {listed}; weights in {output}")
     if as_json:
         click.echo(json.dumps(errors))
+
+
+def _check_source(source: "TrainingSource") -> None:
+    """Raise click's UsageError where what was typed does not go together."""
+    from mocap_calib.errors import MismatchError
+    from mocap_calib.steerpose.training.sources import check_source
+
+    try:
+        check_source(source)
+    except MismatchError as error:
+        raise click.UsageError(str(error)) from None
 
 
 def _typed_command() -> str:

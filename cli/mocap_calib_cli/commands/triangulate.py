@@ -19,7 +19,6 @@ def command(shared: options.SharedOptions, output: Path) -> None:
     Example:
       mocap-calib triangulate keypoints/ --rig cameras.yaml --matches adjusted.csv -o poses3d.h5
     """
-    from mocap_calib.config import TriangulateConfig
     from mocap_calib.errors import MismatchError
     from mocap_calib.io.atomic import folder, individual_file, replace_text
     from mocap_calib.io.provenance import provenance
@@ -36,11 +35,9 @@ def command(shared: options.SharedOptions, output: Path) -> None:
         )
     outputs.check_file(output)
     with Reporter(quiet=shared.quiet) as reporter:
-        rig, camera_file = inputs.read_rig(shared.rig, "--rig")
-        recording = inputs.read_recording(shared, camera_file, reporter, of_rig=True).recording
-        rig = inputs.rig_of_recording(rig, recording)
-        matches = inputs.read_matches(shared.matches, recording)
-        poses = triangulate(recording, rig, matches, TriangulateConfig(), progress=reporter)
+        rig, loaded = inputs.read_recording_of_rig(shared, reporter)
+        matches = inputs.read_matches(shared.matches, loaded.recording)
+        poses = triangulate(loaded.recording, rig, matches, progress=reporter)
     if output.suffix == ".h5":
         write_poses_h5(output, poses, provenance("triangulate"))
     else:

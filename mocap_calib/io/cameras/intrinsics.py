@@ -38,7 +38,7 @@ def numbers(value: Any, expected: str, source: str) -> Floats:
 
 
 def make_camera(
-    name: str, size: Any, matrix: Any, distortion: Any, fisheye: bool, source: str
+    *, name: str, size: Any, matrix: Any, distortion: Any, fisheye: bool, source: str
 ) -> Camera:
     """Return a camera of raw fields, checked.
 
@@ -107,9 +107,14 @@ def camera_from_fields(fields: Any, source: str) -> Camera:
     model = fields.get("model", "opencv")
     if model not in _MODELS:
         raise malformed(where, "the model opencv, fisheye or pinhole", model, "convert the camera")
-    distortion = [] if model == "pinhole" else fields.get("distortion", [])
-    fisheye = model == "fisheye"
-    return make_camera(name, fields.get("size"), fields["K"], distortion, fisheye, where)
+    return make_camera(
+        name=name,
+        size=fields.get("size"),
+        matrix=fields["K"],
+        distortion=[] if model == "pinhole" else fields.get("distortion", []),
+        fisheye=model == "fisheye",
+        source=where,
+    )
 
 
 def describe_keys(fields: Any) -> str:

@@ -10,7 +10,7 @@ from torch import Tensor
 _EPSILON = 1e-12
 
 
-def similarity(displacement: Tensor, alpha: float = 3.0) -> Tensor:
+def similarity(displacement: Tensor, *, alpha: float) -> Tensor:
     """Return s = 2 / (1 + exp(alpha L_kp)) of section 3.2: 1 for the same pose, 0 for the farthest.
 
     displacement: `[...]` L_kp (eq. 1), any shape.
@@ -44,7 +44,7 @@ def _centre_and_scale(pose: Tensor, weight: Tensor) -> Tensor:
     return offset / torch.sqrt(square + _EPSILON)
 
 
-def sinkhorn(score: Tensor, *, sharpness: float = 10.0, sweeps: int = 20) -> Tensor:
+def sinkhorn(score: Tensor, *, sharpness: float, sweeps: int) -> Tensor:
     """Return the doubly stochastic weights `[..., S, S]` of a square of similarities.
 
     Cuturi 2013, differentiable; in logarithms, so that any sharpness is safe; the columns are

@@ -195,7 +195,7 @@ def _similarity_both_ways(
     distance_in_b = keypoint_distance(in_b, batch.pose_b, batch.seen_b)  # (B, F, I, J)
     distance_in_a = keypoint_distance(in_a, batch.pose_a, batch.seen_a)  # (B, F, J, I)
     distances = torch.stack([distance_in_b, distance_in_a.transpose(-1, -2)])
-    return similarity(distances, config.alpha)
+    return similarity(distances, alpha=config.alpha)
 
 
 def _geometric_term(batch: Batch, vector: Tensor, mutual: Tensor, config: PaperConfig) -> Tensor:

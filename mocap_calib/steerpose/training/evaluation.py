@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from mocap_calib.config import (
+    EVALUATION_EXAMPLES,
     EVALUATION_SEED,
     EVALUATION_SEED_OF_ANGLES,
     PairsConfig,
@@ -22,7 +23,12 @@ from mocap_calib.types import Skeleton
 
 @torch.no_grad()
 def held_out_error(
-    lifter: Lifter, poses: PoseSet, skeleton: Skeleton, config: TrainConfig, *, examples: int = 8192
+    lifter: Lifter,
+    poses: PoseSet,
+    skeleton: Skeleton,
+    config: TrainConfig,
+    *,
+    examples: int = EVALUATION_EXAMPLES,
 ) -> dict[str, float]:
     """Return the errors of a lifter on unseen poses, in units of the visible pose's RMS radius.
 
@@ -45,7 +51,12 @@ def held_out_error(
 
 @torch.no_grad()
 def steering_error(
-    model: Model, poses: PoseSet, skeleton: Skeleton, config: PairsConfig, *, examples: int = 8192
+    model: Model,
+    poses: PoseSet,
+    skeleton: Skeleton,
+    config: PairsConfig,
+    *,
+    examples: int = EVALUATION_EXAMPLES,
 ) -> dict[str, float]:
     """Return the errors of either architecture on pairs and poses that were held out.
 

@@ -19,9 +19,6 @@ from mocap_calib.recording.joints import match_names, parse_skeleton
 from mocap_calib.steerpose.training.poses import PoseSet, Split, every_tenth, parse_up
 from mocap_calib.types import CameraRig, Floats, Poses3D, Skeleton
 
-# Settings of TrainConfig: nobody has said from where the species is seen, or that it has knees.
-TRAINING = {"elevation_deg": [-60, 88], "roll_deg": 20, "straighten": 0}
-
 
 def up_of_rig(rig: CameraRig) -> Floats:
     """Return the direction `[3]` that is up if the cameras stand upright.
