@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mocap_calib.io.cameras.source import CameraFile
-from mocap_calib.io.keypoints.items import twins
+from mocap_calib.io.keypoints.items import find_superseded_files
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.job.request import KeypointSource
 from mocap_calib.recording.joints import fit_vocabulary, load_aliases
@@ -52,7 +52,7 @@ def load_recording(
 def find_ignored_files(arguments: Sequence[str]) -> tuple[str, ...]:
     """Return the files of the folders that are not read because an .h5 file lies beside them."""
     folders = [path for path in map(Path, arguments) if path.is_dir()]
-    return tuple(str(file) for folder in folders for file in twins(folder))
+    return tuple(str(file) for folder in folders for file in find_superseded_files(folder))
 
 
 def _choose_vocabulary(

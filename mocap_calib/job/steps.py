@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from mocap_calib.errors import ClusterError, MocapCalibError
-from mocap_calib.io.atomic import folder
+from mocap_calib.io.atomic import replace_folder
 from mocap_calib.io.cameras.read import load_cameras, parse_content
 from mocap_calib.io.cameras.source import CameraFile
 from mocap_calib.io.hashing import hash_file, hash_files
@@ -115,7 +115,7 @@ def write_results(job: Job, result: CalibrationResult) -> list[dict[str, Any]]:
     request = job.request
     source = provenance("run", seed=request.seed, inputs=job.hashes)
     reports = _report_groups(job, result)
-    with folder(request.output) as work:
+    with replace_folder(request.output) as work:
         # the first group comes last: its report has the hashes of all other files
         for number in reversed(range(len(result.groups))):
             place = work / group_folder(number)

@@ -34,6 +34,7 @@ def split_views(view: Keypoints2D, suffixes: tuple[str, ...]) -> tuple[Keypoints
 
 
 def _suffix_of(keypoint: str, suffixes: tuple[str, ...], source: str) -> str:
+    """Return the suffix in which a keypoint's name ends. Raises MismatchError where it has none."""
     for suffix in suffixes:
         if keypoint.endswith(f"_{suffix}"):
             return suffix
@@ -54,7 +55,7 @@ def _camera_of_suffix(view: Keypoints2D, suffix: str, indices: list[int]) -> Key
     )
 
 
-def in_pixels(view: Keypoints2D, size: tuple[int, int]) -> Keypoints2D:
+def convert_to_pixels(view: Keypoints2D, size: tuple[int, int]) -> Keypoints2D:
     """Return the view with the image size that the user gives, where the file has none.
 
     Positions that are shares of the image are multiplied by it. Raises MismatchError where they

@@ -147,12 +147,14 @@ class Item:
 
     camera: the name that the path gives, or the user (`named`).
     members: the files of a folder.
+    format: name of the format, "" where the content is of none; None where nobody has looked yet.
     """
 
     camera: str
     path: Path
     members: tuple[Path, ...] = ()
     named: bool = False
+    format: str | None = None
 
     @cached_property
     def document(self) -> Document:

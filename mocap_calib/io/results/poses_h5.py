@@ -15,7 +15,7 @@ import h5py
 import numpy as np
 
 from mocap_calib.io import hdf5
-from mocap_calib.io.atomic import replacing
+from mocap_calib.io.atomic import replace_file
 from mocap_calib.io.file import malformed
 from mocap_calib.io.keypoints.document import HDF5_DAMAGE
 from mocap_calib.types import Poses3D, check_shape
@@ -26,7 +26,7 @@ _FORMAT = "mocap-calib poses"
 
 def write_poses_h5(path: Path, poses: Poses3D, provenance: Mapping[str, Any]) -> None:
     """Write what `poses_to_h5` gives, whole or not at all, and without a copy of it in memory."""
-    with replacing(path) as work, h5py.File(work, "w") as file:
+    with replace_file(path) as work, h5py.File(work, "w") as file:
         _fill(file, poses, provenance)
 
 
