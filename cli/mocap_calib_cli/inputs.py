@@ -53,8 +53,16 @@ def keypoint_source(options: SharedOptions) -> KeypointSource:
     )
 
 
-def calibration_request(options: SharedOptions, output: Path) -> CalibrationRequest:
+def calibration_request(
+    options: SharedOptions,
+    output: Path,
+    *,
+    formats: tuple[str, ...] = (),
+    fps: float | None = None,
+) -> CalibrationRequest:
     """Return what is asked for, with the cameras of stdin where those are meant.
+
+    formats: further ones to write. fps: frames per second, for those that need it.
 
     Raises MismatchError and click's BadParameter.
     """
@@ -66,6 +74,8 @@ def calibration_request(options: SharedOptions, output: Path) -> CalibrationRequ
         pair_solver=options.solver,
         seed=options.seed,
         device=options.device,
+        formats=formats,
+        fps=fps,
     )
 
 
