@@ -15,7 +15,7 @@ import numpy as np
 from mocap_calib.config import SampleConfig
 from mocap_calib.io.cameras.read import load_cameras, make_rig, parse_content
 from mocap_calib.io.cameras.source import CameraFile
-from mocap_calib.io.file import decode, read_bytes
+from mocap_calib.io.file import LARGEST_EXACT_FLOAT, decode, read_bytes
 from mocap_calib.io.keypoints.document import ReadOptions
 from mocap_calib.io.keypoints.layouts import parse_layout
 from mocap_calib.io.results.matches_csv import read_matches_csv
@@ -35,9 +35,6 @@ from mocap_calib.types import (
 from mocap_calib_cli.describe import describe_recording
 from mocap_calib_cli.options import STDIO, SharedOptions
 from mocap_calib_cli.progress import Reporter
-
-_LARGEST_NUMBER = 2**53  # whole numbers beyond it are not exact in a float
-
 
 # --- keypoints and recordings
 
@@ -246,7 +243,7 @@ def _parse_numbers(text: str, count: int, option: str) -> list[float]:
         values = [float(part) for part in text.split(",")]
     except ValueError:
         raise _expected_numbers(text, count, option) from None
-    if len(values) != count or not all(abs(value) < _LARGEST_NUMBER for value in values):
+    if len(values) != count or not all(abs(value) < LARGEST_EXACT_FLOAT for value in values):
         raise _expected_numbers(text, count, option)
     return values
 

@@ -11,10 +11,9 @@ import numpy as np
 
 from mocap_calib.config import ReadConfig
 from mocap_calib.errors import MismatchError
+from mocap_calib.io.file import LARGEST_FRAME
 from mocap_calib.io.keypoints.document import ReadOptions
 from mocap_calib.types import Keypoints2D
-
-_LARGEST_FRAME = 2**62
 
 
 def split_views(view: Keypoints2D, suffixes: tuple[str, ...]) -> tuple[Keypoints2D, ...]:
@@ -115,7 +114,7 @@ def _apply_offset(view: Keypoints2D, *, frames: int, pixels: tuple[float, float]
         return view
     first = int(view.frames[0]) + frames
     last = int(view.frames[-1]) + frames
-    if first < 0 or last >= _LARGEST_FRAME:
+    if first < 0 or last >= LARGEST_FRAME:
         raise MismatchError(
             f"{view.source}: expected frame numbers from 0 on, "
             f"found {first} after the offset; change --frame-offset"
