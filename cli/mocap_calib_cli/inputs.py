@@ -15,7 +15,7 @@ import numpy as np
 from mocap_calib.config import SampleConfig
 from mocap_calib.io.cameras.read import load_cameras, make_rig, parse_content
 from mocap_calib.io.cameras.source import CameraFile
-from mocap_calib.io.file import decode, read_bytes
+from mocap_calib.io.file import LARGEST_EXACT_FLOAT, decode, read_bytes
 from mocap_calib.io.keypoints.document import ReadOptions
 from mocap_calib.io.keypoints.layouts import parse_layout
 from mocap_calib.io.results.matches_csv import read_matches_csv
@@ -36,9 +36,6 @@ from mocap_calib_cli.describe import describe_recording
 from mocap_calib_cli.options import STDIO, SharedOptions
 from mocap_calib_cli.progress import Reporter
 
-_LARGEST_NUMBER = 2**53  # whole numbers beyond it are not exact in a float
-
-
 # --- keypoints and recordings
 
 
@@ -53,8 +50,16 @@ def keypoint_source(options: SharedOptions) -> KeypointSource:
     )
 
 
-def calibration_request(options: SharedOptions, output: Path) -> CalibrationRequest:
+def calibration_request(
+    options: SharedOptions,
+    output: Path,
+    *,
+    formats: tuple[str, ...] = (),
+    fps: float | None = None,
+) -> CalibrationRequest:
     """Return what is asked for, with the cameras of stdin where those are meant.
+
+    formats: further ones to write. fps: frames per second, for those that need it.
 
     Raises MismatchError and click's BadParameter.
     """
@@ -66,6 +71,8 @@ def calibration_request(options: SharedOptions, output: Path) -> CalibrationRequ
         pair_solver=options.solver,
         seed=options.seed,
         device=options.device,
+        formats=formats,
+        fps=fps,
     )
 
 
@@ -248,7 +255,7 @@ def _parse_numbers(text: str, count: int, option: str) -> list[float]:
         values = [float(part) for part in text.split(",")]
     except ValueError:
         raise _expected_numbers(text, count, option) from None
-    if len(values) != count or not all(abs(value) < _LARGEST_NUMBER for value in values):
+    if len(values) != count or not all(abs(value) < LARGEST_EXACT_FLOAT for value in values):
         raise _expected_numbers(text, count, option)
     return values
 

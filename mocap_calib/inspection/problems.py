@@ -17,12 +17,13 @@ from mocap_calib.recording.meanings import (
     keypoint_meanings,
     unshared_keypoints,
 )
-from mocap_calib.recording.pairing import check_pixels, match_cameras
+from mocap_calib.recording.pairing import check_pixels
 from mocap_calib.recording.sampling import choose_sample_frames
 from mocap_calib.recording.synchronise import (
     check_joints,
     check_shared_keypoints,
-    make_recording,
+    join_views,
+    recording_of_views,
 )
 from mocap_calib.types import Camera, Keypoints2D, Skeleton
 
@@ -230,13 +231,13 @@ def _find_camera_problems(
 ) -> list[Finding]:
     """Say what a run would say of the keypoints and the cameras together."""
     try:
-        matched = match_cameras(views, cameras)
-        recording = make_recording(views, cameras, skeleton, aliases)
+        joined = join_views(views, cameras, skeleton, aliases)
+        recording = recording_of_views(joined)
         sample_frames = choose_sample_frames(recording, SampleConfig())
         check_joints(recording.select(frames=sample_frames))
     except MismatchError as error:
         return [critical(str(error))]
-    idle = [camera.name for camera in cameras if camera.name not in matched]
+    idle = [camera.name for camera in cameras if camera.name not in joined.camera_names]
     if not idle:
         return []
     return [

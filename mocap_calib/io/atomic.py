@@ -12,7 +12,7 @@ from mocap_calib.errors import MismatchError
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
+def replace_file(path: Path) -> Iterator[Path]:
     """Give a file to write that takes the place of `path` in one step when the block ends well.
 
     The folder is made when missing.
@@ -35,18 +35,18 @@ def replacing(path: Path) -> Iterator[Path]:
 
 def replace_text(path: Path, pieces: Iterable[str]) -> None:
     """Replace `path` by text that comes in pieces, in one step."""
-    with replacing(path) as work, work.open("w", encoding="utf-8", newline="") as file:
+    with replace_file(path) as work, work.open("w", encoding="utf-8", newline="") as file:
         file.writelines(pieces)
 
 
 def write_bytes(path: Path, content: bytes) -> None:
     """Replace `path` by `content` in one step; the folder is made when missing."""
-    with replacing(path) as work:
+    with replace_file(path) as work:
         work.write_bytes(content)
 
 
 @contextmanager
-def folder(path: Path) -> Iterator[Path]:
+def replace_folder(path: Path) -> Iterator[Path]:
     """Give a folder to fill, whose files appear in `path` together when the block ends well.
 
     Files of the same names in `path` and its subfolders are replaced; others are left alone. No
@@ -67,7 +67,7 @@ def folder(path: Path) -> Iterator[Path]:
 
 def write_files(path: Path, files: Mapping[str, bytes]) -> None:
     """Write files (relative path -> content) into the folder `path`, all or none."""
-    with folder(path) as work:
+    with replace_folder(path) as work:
         for name, content in files.items():
             (work / name).parent.mkdir(parents=True, exist_ok=True)
             (work / name).write_bytes(content)

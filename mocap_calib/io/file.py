@@ -17,7 +17,8 @@ MOST_INSTANCES = 1000  # in a frame
 MOST_POINTS = 100_000_000  # in a camera: 2.4 GB
 _MOST_CAMERAS = 200  # in a file; the time to compare views grows with the square of their number
 _MOST_KEYPOINTS = 5000
-_LARGEST_FRAME = np.iinfo(np.int64).max
+LARGEST_FRAME = 2**62  # so that the difference of two frame numbers is an int64 as well
+LARGEST_EXACT_FLOAT = 2**53  # whole numbers beyond it are not exact in a float
 _MOST_DIGITS = 30  # of a frame number that is looked at
 _SUFFIX_OR_ZEROS = r"\.[A-Za-z]\w*$|^(?P<whole>[0-9]+)\.0+$"  # `.png`, or `.0` of a whole number
 _NOT_WHOLE = r"-[0-9.]+|[0-9]*\.[0-9]+"
@@ -105,7 +106,7 @@ def frame_number(name: str) -> int:
     if digits is None or len(digits[0]) >= _MOST_DIGITS:
         return -1
     number = int(digits[0])
-    return number if number <= _LARGEST_FRAME else -1
+    return number if number < LARGEST_FRAME else -1
 
 
 def frame_order(frames: Ints, names: Sequence[object], source: str) -> Ints:

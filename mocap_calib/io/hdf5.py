@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
@@ -10,15 +10,31 @@ from numpy.typing import NDArray
 
 from mocap_calib.errors import FormatError
 from mocap_calib.io.file import MOST_POINTS, malformed
-from mocap_calib.io.keypoints.document import HDF5_DAMAGE, Document
 from mocap_calib.types import Ints
+
+if TYPE_CHECKING:
+    from mocap_calib.io.keypoints.document import Document
+
+# what h5py and numpy raise on files that are cut, damaged, or compressed with a filter that is
+# not installed
+HDF5_DAMAGE = (
+    OSError,
+    KeyError,
+    IndexError,
+    ValueError,
+    TypeError,
+    AttributeError,
+    RuntimeError,
+    OverflowError,
+    MemoryError,
+)
+DEFLATE = 1032  # times: as tightly as deflate packs
 
 # how many bytes a dataset may unpack to: as many times what is stored (tracks of which a fiftieth
 # is there take up to 60), and what any file may,
 _MOST_UNPACKED = 100
 _SMALL = 100_000_000
-# or as tightly as deflate packs: hundreds of tracks, nearly all of them missing points
-_DEFLATE = 1032
+# or what deflate may have packed: hundreds of tracks, nearly all of them missing points
 _MOST_EMPTY = 1_000_000_000
 _REMEDY = "the file is cut or damaged: export it again"
 
@@ -42,7 +58,7 @@ def text(value: Any) -> str:
     return value.decode("utf-8", errors="replace") if isinstance(value, bytes) else str(value)
 
 
-def has_attribute(document: Document, name: str) -> bool:
+def has_attribute(document: "Document", name: str) -> bool:
     """Return whether anything at the top of an HDF5 file has the attribute; False for other files.
 
     Raises FormatError.
@@ -53,7 +69,7 @@ def has_attribute(document: Document, name: str) -> bool:
         return any(name in item.attrs for item in document.hdf5.values())
 
 
-def keys(document: Document) -> set[str]:
+def keys(document: "Document") -> set[str]:
     """Return the names of what lies at the top of an HDF5 file; nothing for other files."""
     with damage_refused(document.source, "a whole HDF5 file", _REMEDY):
         return set() if document.hdf5 is None else set(map(text, document.hdf5))
@@ -108,7 +124,7 @@ def _check_size(dataset: Any, source: str) -> None:
     entries = dataset.size or 0
     claimed = entries * dataset.dtype.itemsize
     stored = dataset.id.get_storage_size()
-    most = max(_MOST_UNPACKED * stored + _SMALL, min(_DEFLATE * stored, _MOST_EMPTY))
+    most = max(_MOST_UNPACKED * stored + _SMALL, min(DEFLATE * stored, _MOST_EMPTY))
     if claimed > most or entries > 4 * MOST_POINTS:
         raise malformed(
             source,

@@ -12,6 +12,7 @@ from typing import TypeVar, TypeVarTuple
 
 from mocap_calib.compute.worker import Worker, WorkerEndedError
 from mocap_calib.io.file import malformed
+from mocap_calib.io.hdf5 import DEFLATE
 
 HDF5 = b"\x89HDF\r\n\x1a\n"
 _LARGE = 10_000_000  # bytes; the process ends after such a file
@@ -20,7 +21,6 @@ _BYTES_A_SECOND = 1e5  # and a second more for each so many bytes
 _MEMORY = 1_000_000_000  # bytes that any file may take,
 _MEMORY_A_BYTE = 100  # and so many for each byte of it,
 _COPIES = 5  # and so many copies of what deflate may have packed into it,
-_DEFLATE = 1032  # which is so many times its size,
 _MOST_UNPACKED = 1_000_000_000  # up to this
 Ts = TypeVarTuple("Ts")
 T = TypeVar("T")
@@ -40,7 +40,7 @@ def call_contained(content: bytes, source: str, parse: Callable[[*Ts], T], *args
     worker = _worker(os.getpid())
     size = len(content)
     seconds = _SECONDS + size / _BYTES_A_SECOND
-    unpacked = min(_DEFLATE * size, _MOST_UNPACKED)
+    unpacked = min(DEFLATE * size, _MOST_UNPACKED)
     memory = _MEMORY + _MEMORY_A_BYTE * size + _COPIES * unpacked
     try:
         return worker.call(parse, *args, cpu_seconds=seconds, memory_bytes=memory)

@@ -4,6 +4,7 @@ from mocap_calib.job.load import LoadedRecording, find_ignored_files, load_recor
 from mocap_calib.job.request import CalibrationRequest, KeypointSource
 from mocap_calib.job.steps import (
     Job,
+    WrittenGroup,
     calibrate_job,
     calibrate_job_resumably,
     find_finished,
@@ -16,6 +17,7 @@ __all__ = [
     "Job",
     "KeypointSource",
     "LoadedRecording",
+    "WrittenGroup",
     "calibrate_job",
     "calibrate_job_resumably",
     "find_finished",

@@ -5,13 +5,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mocap_calib.io.cameras.source import CameraFile
-from mocap_calib.io.keypoints.items import twins
+from mocap_calib.io.keypoints.items import find_superseded_files
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.job.request import KeypointSource
 from mocap_calib.recording.joints import fit_vocabulary, load_aliases
 from mocap_calib.recording.pairing import views_named
 from mocap_calib.recording.summary import RecordingSummary, summarise_recording
-from mocap_calib.recording.synchronise import make_recording
+from mocap_calib.recording.synchronise import join_views, recording_of_views
 from mocap_calib.steerpose.checkpoint import load_vocabulary
 from mocap_calib.types import Keypoints2D, Recording, Skeleton
 
@@ -41,8 +41,9 @@ def load_recording(
     if only_known_cameras:
         views = views_named(views, cameras) or views
     skeleton, aliases = _choose_vocabulary(source, views)
-    recording = make_recording(views, cameras, skeleton, aliases)
-    summary = summarise_recording(recording, views, cameras, skeleton, aliases)
+    joined = join_views(views, cameras, skeleton, aliases)
+    recording = recording_of_views(joined)
+    summary = summarise_recording(recording, joined, cameras)
     summary = replace(
         summary, camera_notes=camera_file.notes, ignored_files=find_ignored_files(source.paths)
     )
@@ -52,7 +53,7 @@ def load_recording(
 def find_ignored_files(arguments: Sequence[str]) -> tuple[str, ...]:
     """Return the files of the folders that are not read because an .h5 file lies beside them."""
     folders = [path for path in map(Path, arguments) if path.is_dir()]
-    return tuple(str(file) for folder in folders for file in twins(folder))
+    return tuple(str(file) for folder in folders for file in find_superseded_files(folder))
 
 
 def _choose_vocabulary(

@@ -41,6 +41,8 @@ class CalibrationRequest:
     output: the folder of the results.
     pair_solver: how a pair of views is calibrated, one of `config.PAIR_SOLVERS`.
     device: where the network computes, "cpu" or "cuda".
+    formats: names of further formats of cameras and 3D poses in which the results are written.
+    fps: frames per second, for the formats that need it.
     """
 
     keypoints: KeypointSource
@@ -50,6 +52,8 @@ class CalibrationRequest:
     seed: int = 0
     device: str = "cpu"
     config: Config = field(default_factory=Config)
+    formats: tuple[str, ...] = ()
+    fps: float | None = None
 
     def hash_inputs(self) -> dict[str, str]:
         """Return the SHA-256 of all files that the results follow from, by path."""
@@ -67,7 +71,8 @@ class CalibrationRequest:
 
         hashes: of the inputs, by path. model: the one that was chosen.
         """
-        asked = [asdict(self.keypoints), self.cameras, self.seed, self.device]
+        files = [self.formats, self.fps]
+        asked = [asdict(self.keypoints), self.cameras, self.seed, self.device, *files]
         content = json.dumps([asked, hashes, self.describe_method(model)], default=str)
         return hashlib.sha256(content.encode()).hexdigest()
 

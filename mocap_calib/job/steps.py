@@ -11,12 +11,21 @@ from pathlib import Path
 from typing import Any
 
 from mocap_calib.errors import ClusterError, MocapCalibError
-from mocap_calib.io.atomic import folder
+from mocap_calib.io.atomic import replace_folder
 from mocap_calib.io.cameras.read import load_cameras, parse_content
 from mocap_calib.io.cameras.source import CameraFile
 from mocap_calib.io.hashing import hash_file, hash_files
+from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.provenance import provenance
-from mocap_calib.io.results.group import REPORT, group_folder, remove_stale_results, write_group
+from mocap_calib.io.results.further_formats import FurtherFiles, check_formats, write_formats
+from mocap_calib.io.results.group import (
+    REPORT,
+    group_folder,
+    read_outputs,
+    remove_earlier_outputs,
+    remove_stale_results,
+    write_group,
+)
 from mocap_calib.io.results.pair_store import remember_pairs
 from mocap_calib.job.load import LoadedRecording, load_recording
 from mocap_calib.job.request import CalibrationRequest
@@ -27,7 +36,7 @@ from mocap_calib.steerpose.device import check_device, use_threads
 from mocap_calib.steerpose.model import Lifter
 from mocap_calib.two_view.solve import PairSolver, pair_mapper
 from mocap_calib.two_view.solvers import choose_pair_solver
-from mocap_calib.types import CalibrationResult, Mapper, Progress, silent
+from mocap_calib.types import CalibrationResult, GroupResult, Mapper, Progress, silent
 
 # in the folder of results: the pairs of a run that is under way or was killed
 _UNFINISHED = ".unfinished"
@@ -47,11 +56,24 @@ class Job:
     pair_solver: PairSolver | None
 
 
+@dataclass(frozen=True)
+class WrittenGroup:
+    """What was written of a group of cameras.
+
+    report: what `run.json` holds.
+    notes: a line for all that a further format does not hold.
+    """
+
+    report: dict[str, Any]
+    notes: tuple[str, ...]
+
+
 def read_job(request: CalibrationRequest) -> Job:
     """Read the keypoints, the cameras and the model of a request.
 
-    Raises FormatError and MismatchError.
+    Raises FormatError, and MismatchError also where a further format cannot be written.
     """
+    check_formats(request.formats, request.fps)
     hashes = request.hash_inputs()  # first: what changes from now on makes another fingerprint
     loaded = load_recording(request.keypoints, _load_camera_file(request.cameras))
     lifter = load_model(loaded.model)
@@ -106,28 +128,51 @@ def calibrate_job_resumably(
         raise
 
 
-def write_results(job: Job, result: CalibrationResult) -> list[dict[str, Any]]:
-    """Write all files of a run, together or not at all.
+def write_results(job: Job, result: CalibrationResult) -> tuple[WrittenGroup, ...]:
+    """Write all files of a run, together or not at all; return what was written of each group.
 
-    Return what `run.json` holds of each group. What an earlier run found and this one did not is
-    removed: further groups and individuals, and a rig reversed in depth.
+    What an earlier run wrote and this one did not is removed: further groups, individuals and
+    formats, and a rig reversed in depth.
+
+    Raises MismatchError, after all else is written, where a further format of the request cannot
+    hold the rig or the poses.
     """
     request = job.request
+    earlier = read_outputs(request.output)
     source = provenance("run", seed=request.seed, inputs=job.hashes)
     reports = _report_groups(job, result)
-    with folder(request.output) as work:
+    further: dict[int, FurtherFiles] = {}
+    with replace_folder(request.output) as work:
         # the first group comes last: its report has the hashes of all other files
         for number in reversed(range(len(result.groups))):
             place = work / group_folder(number)
             place.mkdir(exist_ok=True)
             write_group(place, result.groups[number], source)
+            further[number] = _write_further_formats(
+                place, result.groups[number], request, provenance=source
+            )
             if number == 0:
                 reports[0]["fingerprint"] = request.fingerprint(job.hashes, job.loaded.model)
                 reports[0]["outputs"] = hash_files(work)
             text = json.dumps(reports[number], indent=1, allow_nan=False)
             (place / REPORT).write_text(text + "\n", "utf-8")
     _clean_output(request.output, reports[0])
-    return reports
+    remove_earlier_outputs(request.output, earlier, kept=reports[0]["outputs"].keys())
+    for files in further.values():
+        for error in files.refused:
+            raise error
+    return tuple(
+        WrittenGroup(report, further[number].notes) for number, report in enumerate(reports)
+    )
+
+
+def _write_further_formats(
+    folder: Path, group: GroupResult, request: CalibrationRequest, *, provenance: Mapping[str, Any]
+) -> FurtherFiles:
+    """Write a group in the further formats of a request; return what became of them."""
+    fps = float("nan") if request.fps is None else request.fps
+    poses = PoseFile(group.poses, fps)
+    return write_formats(folder, group.rig, poses, request.formats, provenance)
 
 
 def find_finished(request: CalibrationRequest) -> dict[str, Any] | None:

@@ -13,15 +13,17 @@ _UNKNOWN_SIZE = (0, 0)
 
 
 def pair_with_cameras(
-    views: Sequence[Keypoints2D], cameras: Sequence[Camera]
+    views: Sequence[Keypoints2D], camera_names: Sequence[str], cameras: Sequence[Camera]
 ) -> tuple[tuple[Keypoints2D, ...], tuple[Camera, ...]]:
     """Return the views with detections in the order of the cameras, and their cameras.
 
     The cameras have the image sizes of the files where they had none.
 
+    camera_names: `[view]` camera that each view belongs to, as `match_cameras` returns them.
+
     Raises MismatchError where these are fewer than two, or of another size.
     """
-    view_of = dict(zip(match_cameras(views, cameras), views, strict=True))
+    view_of = dict(zip(camera_names, views, strict=True))
     pairs = [
         (view_of[camera.name], camera)
         for camera in cameras

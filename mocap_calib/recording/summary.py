@@ -6,9 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocap_calib.config import LEAST_JOINTS
-from mocap_calib.recording.meanings import keypoint_meanings, unshared_keypoints
-from mocap_calib.recording.pairing import match_cameras, views_with_detections
-from mocap_calib.types import Camera, Keypoints2D, Recording, Skeleton
+from mocap_calib.recording.meanings import unshared_keypoints
+from mocap_calib.recording.pairing import views_with_detections
+from mocap_calib.recording.synchronise import JoinedViews
+from mocap_calib.types import Camera, Keypoints2D, Recording
 
 
 @dataclass(frozen=True)
@@ -61,35 +62,25 @@ class RecordingSummary:
 
 
 def summarise_recording(
-    recording: Recording,
-    views: Sequence[Keypoints2D],
-    cameras: Sequence[Camera],
-    skeleton: Skeleton,
-    aliases: Mapping[str, str],
+    recording: Recording, joined: JoinedViews, cameras: Sequence[Camera]
 ) -> RecordingSummary:
-    """Return what a recording took of the views and the cameras it was made of.
-
-    aliases: other names of joints, name -> joint.
-
-    Raises MismatchError where the names of views and cameras do not go together.
-    """
+    """Return what a recording took of the views and the cameras it was made of."""
     found = {}
-    for view, name in zip(views, match_cameras(views, cameras), strict=True):
+    for view, name in zip(joined.files, joined.camera_names, strict=True):
         found[name] = CameraSummary(name, view.source, len(view.frames), count_detections(view))
-    detected = views_with_detections(views)
-    unshared = unshared_keypoints(detected, keypoint_meanings(detected, skeleton, aliases))
+    unshared = unshared_keypoints(views_with_detections(joined.files), joined.meanings)
     names = [camera.name for camera in cameras]
     joints = zip(recording.keypoints, recording.vocabulary, strict=True)
     return RecordingSummary(
         cameras=tuple(found[name] for name in names if name in found),
         without_keypoints=tuple(name for name in names if name not in found),
         left_out=tuple(name for name in names if name not in recording.names),
-        lone_detections=_count_lone_detections(views, recording),
+        lone_detections=_count_lone_detections(joined.files, recording),
         frames=len(recording.frames),
         keypoints=recording.keypoints,
         unknown=tuple(name for name, joint in joints if joint < 0),
         single_camera_joints=unshared,
-        skeleton=skeleton.name,
+        skeleton=joined.skeleton.name,
     )
 
 

@@ -4,6 +4,7 @@ Files and cameras are joined by name, frames by number, keypoints by meaning.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.projection import rays_from_pixels
 from mocap_calib.recording.joints import normalise_name
 from mocap_calib.recording.meanings import keypoint_meanings, shared_keypoints
-from mocap_calib.recording.pairing import pair_with_cameras
+from mocap_calib.recording.pairing import match_cameras, pair_with_cameras
 from mocap_calib.types import (
     Bools,
     Camera,
@@ -24,6 +25,44 @@ from mocap_calib.types import (
 )
 
 _BLOCK = 4096  # frames at a time, so that long recordings need no more memory than they hold
+
+
+@dataclass(frozen=True)
+class JoinedViews:
+    """Keypoint files joined with their cameras by name, and their keypoints by meaning.
+
+    files: all views, as they were read.
+    camera_names: `[file]` name of the camera that each belongs to.
+    views: those with detections, in the order of the cameras.
+    cameras: `[view]` with the image sizes of the files where they had none.
+    meanings: own name of a keypoint -> meaning, see `keypoint_meanings`.
+    skeleton: whose joints the meanings are.
+    """
+
+    files: tuple[Keypoints2D, ...]
+    camera_names: tuple[str, ...]
+    views: tuple[Keypoints2D, ...]
+    cameras: tuple[Camera, ...]
+    meanings: Mapping[str, str]
+    skeleton: Skeleton
+
+
+def join_views(
+    files: Sequence[Keypoints2D],
+    cameras: Sequence[Camera],
+    skeleton: Skeleton,
+    aliases: Mapping[str, str],
+) -> JoinedViews:
+    """Find the camera of each keypoint file, and what its keypoint names mean.
+
+    aliases: other names of joints, own name -> joint of the skeleton.
+
+    Raises MismatchError where the names or the images of files and cameras do not go together.
+    """
+    camera_names = match_cameras(files, cameras)
+    views, sized_cameras = pair_with_cameras(files, camera_names, cameras)
+    meanings = keypoint_meanings(views, skeleton, aliases)
+    return JoinedViews(tuple(files), camera_names, views, sized_cameras, meanings, skeleton)
 
 
 def make_recording(
@@ -41,17 +80,24 @@ def make_recording(
 
     Raises MismatchError where the files do not belong together.
     """
-    views, cameras = pair_with_cameras(views, cameras)
+    return recording_of_views(join_views(views, cameras, skeleton, aliases))
+
+
+def recording_of_views(joined: JoinedViews) -> Recording:
+    """Return the recording of views that have been joined, see `make_recording`.
+
+    Raises MismatchError where they share no frames, keypoints or detections.
+    """
+    views = joined.views
     frames = _shared_frames(views)
-    meanings = keypoint_meanings(views, skeleton, aliases)
-    shared = shared_keypoints(views, meanings)
+    shared = shared_keypoints(views, joined.meanings)
     positions, confidence = _fill_arrays(
-        views, cameras, frames=frames, meanings=meanings, shared=shared
+        views, joined.cameras, frames=frames, meanings=joined.meanings, shared=shared
     )
     _check_covisible(confidence)
-    joint_of = {normalise_name(joint): k for k, joint in enumerate(skeleton.keypoints)}
+    joint_of = {normalise_name(joint): k for k, joint in enumerate(joined.skeleton.keypoints)}
     return Recording(
-        cameras=cameras,
+        cameras=joined.cameras,
         keypoints=tuple(shared.values()),
         frames=frames,
         positions=positions,

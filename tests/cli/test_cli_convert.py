@@ -290,9 +290,7 @@ def test_names_of_formats_are_one_kind_each_but_for_caliscope():
 
 @pytest.mark.slow
 def test_run_writes_what_is_asked_for(tool, small, tmp_path):
-    """The default files stay; what needs a unit of length is refused in a line after they are
-    written.
-    """
+    """Further formats are results like the others: `run.json` lists them."""
     asked = [
         argument
         for name in ("colmap", "nerfstudio", "movement-3d", "sleap-anipose")
@@ -321,6 +319,7 @@ def test_run_writes_what_is_asked_for(tool, small, tmp_path):
     assert read_poses(tmp_path / "out/poses3d.nc").rate == 30.0
     report = json.loads((tmp_path / "out/run.json").read_text())
     assert report["unit"] == "arbitrary"
+    assert names == {"run.json", *report["outputs"]}
 
 
 @pytest.mark.parametrize(

@@ -15,11 +15,15 @@ from hypothesis import strategies as st
 
 from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.io.atomic import replace_text
+from mocap_calib.io.hashing import hash_files
+from mocap_calib.io.poses.common import PoseFile
+from mocap_calib.io.results.further_formats import write_formats
+from mocap_calib.io.results.group import read_outputs, remove_earlier_outputs
 from mocap_calib.io.results.matches_csv import matches_csv, read_matches_csv
 from mocap_calib.io.results.pairs_json import pairs_from_json, pairs_to_json
 from mocap_calib.io.results.poses_csv import poses_csv
 from mocap_calib.io.results.poses_h5 import parse_poses_h5, write_poses_h5
-from mocap_calib.types import Camera, Matches, PairwiseCalibration, Poses3D, Recording
+from mocap_calib.types import Camera, CameraRig, Matches, PairwiseCalibration, Poses3D, Recording
 
 NAMES = ("left", "right, far", "3")
 FRAMES = np.array([2, 5, 40, 41])
@@ -345,3 +349,38 @@ def test_bad_pairs_are_refused_in_one_line(text):
         pairs_from_json(text, "pairs.json")
     assert str(caught.value).startswith("pairs.json")
     assert "\n" not in str(caught.value)
+
+
+def test_what_an_earlier_run_wrote_is_removed_unless_it_is_kept_or_changed(tmp_path):
+    names = ("poses3d.nc", "colmap/sparse/images.txt", "poses3d.trc", "matches.csv")
+    for name in names:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(name, "utf-8")
+    earlier = hash_files(tmp_path) | {"../outside.csv": "0", "gone.csv": "0"}
+    (tmp_path / "run.json").write_text(json.dumps({"outputs": earlier}), "utf-8")
+    (tmp_path / "poses3d.trc").write_text("edited", "utf-8")
+    remove_earlier_outputs(tmp_path, read_outputs(tmp_path), kept={"matches.csv"})
+    left = {path.name for path in tmp_path.iterdir()}
+    assert left == {"matches.csv", "poses3d.trc", "run.json"}
+
+
+@pytest.mark.parametrize("content", ["", "[]", "{}", '{"outputs": 3}'])
+def test_a_damaged_report_lists_no_outputs(tmp_path, content):
+    (tmp_path / "run.json").write_text(content, "utf-8")
+    assert read_outputs(tmp_path) == {}
+    assert read_outputs(tmp_path / "nowhere") == {}
+
+
+def test_a_format_that_cannot_hold_the_poses_is_left_out(tmp_path):
+    """The others are written: c3d asks for a unit of length, which a run does not know."""
+    positions = np.arange(12.0).reshape(2, 1, 2, 3)
+    known = np.ones((2, 1, 2))
+    frames, views = np.arange(2), known.astype(int)
+    poses = Poses3D(("a", "b"), frames, positions, known, views, known, "arbitrary")
+    rotation = np.stack([np.eye(3)] * 2)
+    rig = CameraRig(tuple(map(camera, "ab")), rotation, np.eye(3)[:2], "arbitrary")
+    files = write_formats(tmp_path, rig, PoseFile(poses, 30.0), ("c3d", "sleap-anipose"), {})
+    assert [path.name for path in tmp_path.iterdir()] == ["points3d.h5"]
+    assert ["unit" in str(error) for error in files.refused] == [True]
+    assert files.notes
+    assert all(note.startswith("sleap-anipose does not hold ") for note in files.notes)

@@ -167,7 +167,7 @@ class _Batch:
             calibrated = workers.completed(calibrate_job, jobs)
         for job, get_result in calibrated:
             try:
-                report = write_results(job, get_result())[0]
+                report = write_results(job, get_result())[0].report
             except Exception as error:
                 self._note_failure(job.request, error)
             else:

@@ -52,9 +52,6 @@ def command(
       mocap-calib run keypoints/ --cameras intrinsics.toml -o out --write colmap
       mocap-calib run keypoints/ --cameras intrinsics.toml -o out --write movement-3d --fps 60
     """
-    from mocap_calib.io.poses.common import PoseFile
-    from mocap_calib.io.provenance import provenance
-    from mocap_calib.io.results.further_formats import check_formats, write_formats
     from mocap_calib.io.results.group import group_folder
     from mocap_calib.job import calibrate_job_resumably, read_job, write_results
     from mocap_calib_cli import describe, inputs, outputs
@@ -62,23 +59,21 @@ def command(
     from mocap_calib_cli.workers import open_workers
 
     outputs.check_folder(output)
-    check_formats(formats, fps)
+    request = inputs.calibration_request(shared, output, formats=formats, fps=fps)
     with (
         Reporter(quiet=shared.quiet) as reporter,
         open_workers(reporter, scheduler=shared.scheduler) as workers,
     ):
-        job = read_job(inputs.calibration_request(shared, output))
+        job = read_job(request)
         reporter.say(*describe.describe_recording(job.loaded.summary))
         result = calibrate_job_resumably(job, progress=reporter, mapper=workers)
-    reports = write_results(job, result)
+    written = write_results(job, result)
 
-    source = provenance("run", seed=shared.seed)
     reporter.say(*describe.describe_groups(result))
-    for number, group in enumerate(result.groups):
+    for number, (group, files) in enumerate(zip(result.groups, written, strict=True)):
         folder = output / group_folder(number)
-        reporter.say(*describe.describe_group(group, reports[number], folder))
-        poses = PoseFile(group.poses, float("nan") if fps is None else fps)
-        reporter.say(*write_formats(folder, group.rig, poses, formats, source))
+        reporter.say(*describe.describe_group(group, files.report, folder))
+        reporter.say(*files.notes)
     reporter.say(*describe.describe_unused_cameras(result.left_out))
     if as_json:
-        click.echo(json.dumps(reports[0], indent=1, allow_nan=False))
+        click.echo(json.dumps(written[0].report, indent=1, allow_nan=False))

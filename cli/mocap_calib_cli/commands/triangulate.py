@@ -20,7 +20,7 @@ def command(shared: options.SharedOptions, output: Path) -> None:
       mocap-calib triangulate keypoints/ --rig cameras.yaml --matches adjusted.csv -o poses3d.h5
     """
     from mocap_calib.errors import MismatchError
-    from mocap_calib.io.atomic import folder, individual_file, replace_text
+    from mocap_calib.io.atomic import individual_file, replace_folder, replace_text
     from mocap_calib.io.provenance import provenance
     from mocap_calib.io.results.poses_csv import poses_csv
     from mocap_calib.io.results.poses_h5 import write_poses_h5
@@ -41,7 +41,7 @@ def command(shared: options.SharedOptions, output: Path) -> None:
     if output.suffix == ".h5":
         write_poses_h5(output, poses, provenance("triangulate"))
     else:
-        with folder(output.absolute().parent) as work:
+        with replace_folder(output.absolute().parent) as work:
             for individual in range(matches.individuals):
                 path = work / individual_file(output, individual).name
                 replace_text(path, poses_csv(poses, individual))

@@ -11,10 +11,9 @@ import numpy as np
 
 from mocap_calib.config import ReadConfig
 from mocap_calib.errors import MismatchError
+from mocap_calib.io.file import LARGEST_FRAME
 from mocap_calib.io.keypoints.document import ReadOptions
 from mocap_calib.types import Keypoints2D
-
-_LARGEST_FRAME = 2**62
 
 
 def split_views(view: Keypoints2D, suffixes: tuple[str, ...]) -> tuple[Keypoints2D, ...]:
@@ -34,6 +33,7 @@ def split_views(view: Keypoints2D, suffixes: tuple[str, ...]) -> tuple[Keypoints
 
 
 def _suffix_of(keypoint: str, suffixes: tuple[str, ...], source: str) -> str:
+    """Return the suffix in which a keypoint's name ends. Raises MismatchError where it has none."""
     for suffix in suffixes:
         if keypoint.endswith(f"_{suffix}"):
             return suffix
@@ -54,7 +54,7 @@ def _camera_of_suffix(view: Keypoints2D, suffix: str, indices: list[int]) -> Key
     )
 
 
-def in_pixels(view: Keypoints2D, size: tuple[int, int]) -> Keypoints2D:
+def convert_to_pixels(view: Keypoints2D, size: tuple[int, int]) -> Keypoints2D:
     """Return the view with the image size that the user gives, where the file has none.
 
     Positions that are shares of the image are multiplied by it. Raises MismatchError where they
@@ -114,7 +114,7 @@ def _apply_offset(view: Keypoints2D, *, frames: int, pixels: tuple[float, float]
         return view
     first = int(view.frames[0]) + frames
     last = int(view.frames[-1]) + frames
-    if first < 0 or last >= _LARGEST_FRAME:
+    if first < 0 or last >= LARGEST_FRAME:
         raise MismatchError(
             f"{view.source}: expected frame numbers from 0 on, "
             f"found {first} after the offset; change --frame-offset"

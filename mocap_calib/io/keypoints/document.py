@@ -16,21 +16,8 @@ from typing import Any
 import h5py
 
 from mocap_calib.io.file import Origin, decode, malformed, read_bytes
+from mocap_calib.io.hdf5 import HDF5_DAMAGE
 from mocap_calib.io.sandbox import HDF5
-
-# what h5py and numpy raise on files that are cut, damaged, or compressed with a filter that is
-# not installed
-HDF5_DAMAGE = (
-    OSError,
-    KeyError,
-    IndexError,
-    ValueError,
-    TypeError,
-    AttributeError,
-    RuntimeError,
-    OverflowError,
-    MemoryError,
-)
 
 # beginnings of files that hold something else around what is wanted: what they are, what to do
 _FOREIGN = {
@@ -148,12 +135,14 @@ class Item:
 
     camera: the name that the path gives, or the user (`named`).
     members: the files of a folder.
+    format: name of the format, "" where the content is of none; None where nobody has looked yet.
     """
 
     camera: str
     path: Path
     members: tuple[Path, ...] = ()
     named: bool = False
+    format: str | None = None
 
     @cached_property
     def document(self) -> Document:

@@ -26,26 +26,32 @@ class Loss:
 
 
 def _have_names(views: Views) -> bool:
+    """Return whether there are views: keypoints always have names."""
     return bool(views)
 
 
 def _follow_individuals(views: Views) -> bool:
+    """Return whether a view follows several individuals from frame to frame."""
     return any(view.tracked and view.positions.shape[1] > 1 for view in views)
 
 
 def _follow_in_some_cameras(views: Views) -> bool:
+    """Return whether a view follows several individuals and another does not."""
     return _follow_individuals(views) and not all(view.tracked for view in views)
 
 
 def _have_sizes(views: Views) -> bool:
+    """Return whether the image size of a view is known."""
     return any(view.image_size != (0, 0) for view in views)
 
 
 def _have_gaps(views: Views) -> bool:
+    """Return whether a view lacks a frame between 0 and its last."""
     return any(len(view.frames) <= view.frames.max(initial=-1) for view in views)
 
 
 def _lack_scores(views: Views) -> bool:
+    """Return whether the file of a view had no scores."""
     return any(NO_SCORE in view.remarks for view in views)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.io.file import make_view, malformed, stack_detections
+from mocap_calib.io.file import LARGEST_FRAME, make_view, malformed, stack_detections
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.io.keypoints.layouts import choose_layout
 from mocap_calib.io.keypoints.per_frame import (
@@ -23,7 +23,6 @@ from mocap_calib.types import Floats, Keypoints2D
 
 _LAYOUTS = ("coco_wholebody_133", "halpe_136")  # its only ones of their length
 _DAMAGED = "the file is damaged: export it again"
-_LARGEST_FRAME = 2**62
 
 
 def sniff_image(document: Document) -> bool:
@@ -85,7 +84,7 @@ def _view(
 def _frame_id(entry: Any, source: str) -> int:
     """Return the number of a frame. Raises FormatError."""
     number = entry.get("frame_id") if isinstance(entry, dict) else None
-    if type(number) is not int or not 0 <= number < _LARGEST_FRAME:
+    if type(number) is not int or not 0 <= number < LARGEST_FRAME:
         raise malformed(source, "frame_id to be a whole number", entry, _DAMAGED)
     return number
 

@@ -13,7 +13,13 @@ import h5netcdf
 import h5py
 import numpy as np
 
-from mocap_calib.io.file import blank, fill_missing_scores, make_view, malformed
+from mocap_calib.io.file import (
+    LARGEST_EXACT_FLOAT,
+    blank,
+    fill_missing_scores,
+    make_view,
+    malformed,
+)
 from mocap_calib.io.hdf5 import array, damage_refused, keys, names, text
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.types import Floats, Ints, Keypoints2D
@@ -22,7 +28,6 @@ _REMEDY = "save it from movement again"
 _OUR_AXES = ("time", "individual", "keypoint", "space")
 _MOVEMENT_AXES = ("time", "space", "keypoint", "individual")  # the order that movement has now
 _WHOLE = 0.01  # of a frame, that a time may be off
-_LARGEST_FRAME = 2**53
 
 
 def sniff(document: Document) -> bool:
@@ -143,7 +148,7 @@ def _are_whole_frames(times: Floats) -> bool:
     if times.ndim != 1 or not np.isfinite(times).all():
         return False
     frames = np.rint(times)
-    in_range = (frames >= 0) & (frames <= _LARGEST_FRAME)
+    in_range = (frames >= 0) & (frames <= LARGEST_EXACT_FLOAT)
     return bool(in_range.all() and (np.abs(times - frames) <= _WHOLE).all())
 
 

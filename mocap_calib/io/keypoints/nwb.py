@@ -10,14 +10,20 @@ from typing import Any
 import h5py
 import numpy as np
 
-from mocap_calib.io.file import Origin, blank, fill_missing_scores, make_view, malformed
+from mocap_calib.io.file import (
+    LARGEST_EXACT_FLOAT,
+    Origin,
+    blank,
+    fill_missing_scores,
+    make_view,
+    malformed,
+)
 from mocap_calib.io.hdf5 import array, damage_refused, keys, names, text
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.types import Floats, Ints, Keypoints2D
 
 _REMEDY = "write it with ndx-pose again"
 _DEPTH = 6  # how far below the top poses are looked for
-_LARGEST_FRAME = 2**53
 
 
 def sniff(document: Document) -> bool:
@@ -145,7 +151,7 @@ def frame_numbers_and_rate(series: Any, source: str) -> tuple[Ints, float]:
         start = float(times[0]) if len(times) else 0.0
         steps = np.rint(np.diff(times) * rate)
     first = np.rint(start * rate)
-    in_range = abs(first) < _LARGEST_FRAME and steps.sum() < _LARGEST_FRAME
+    in_range = abs(first) < LARGEST_EXACT_FLOAT and steps.sum() < LARGEST_EXACT_FLOAT
     if not (rate > 0 and in_range and (steps >= 1).all()):
         raise malformed(source, "times that increase", "others", _REMEDY)
     counted = np.concatenate([[0], np.cumsum(steps)])[:length]

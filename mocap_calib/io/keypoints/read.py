@@ -7,13 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from mocap_calib.errors import FormatError, MismatchError, MocapCalibError
+from mocap_calib.errors import MismatchError, MocapCalibError
 from mocap_calib.io.file import check_cameras, malformed
-from mocap_calib.io.keypoints.adjust import apply_offsets, in_pixels, split_views
-from mocap_calib.io.keypoints.document import Document, Item, ReadOptions, describe
-from mocap_calib.io.keypoints.formats import KEYPOINT_FORMATS, KeypointFormat
-from mocap_calib.io.keypoints.items import Holds, keypoint_items
-from mocap_calib.io.registry import find_format, format_names
+from mocap_calib.io.keypoints.adjust import apply_offsets, convert_to_pixels, split_views
+from mocap_calib.io.keypoints.document import Item, ReadOptions
+from mocap_calib.io.keypoints.formats import KEYPOINT_FORMATS
+from mocap_calib.io.keypoints.items import keypoint_items
+from mocap_calib.io.keypoints.sniffing import require_format, sniff_item
+from mocap_calib.io.registry import find_format
 from mocap_calib.io.sandbox import call_contained
 from mocap_calib.types import Keypoints2D
 
@@ -48,7 +49,7 @@ def read_what_can(
     options = options or ReadOptions()
     if format is not None:
         find_format(KEYPOINT_FORMATS, format)
-    waiting = deque(keypoint_items(paths, options, lambda item: _look(item, format)))
+    waiting = deque(keypoint_items(paths, options, format))
     _check_cameras_once([(item.camera, str(item.path)) for item in waiting if item.camera])
     views: list[Keypoints2D] = []
     errors: list[MocapCalibError] = []
@@ -67,8 +68,8 @@ def read_what_can(
 def looks_like_keypoints(path: Path) -> bool:
     """Return whether the first file, or folder of frames, at a path is of one of the formats."""
     try:
-        items = keypoint_items([path], ReadOptions(), lambda item: _look(item, None))
-        return _sniff_contained(items[0], None) != ""
+        first = keypoint_items([path], ReadOptions(), format=None)[0]
+        return bool(sniff_item(first, format=None).format)
     except MocapCalibError:
         return False
 
@@ -86,63 +87,16 @@ def _check_cameras_once(found: list[tuple[str, str]]) -> None:
     )
 
 
-def _look(item: Item, format: str | None) -> Holds:
-    """Return what a file shows of itself; a damaged one is complained of when it is read."""
-    try:
-        found = _sniff_contained(item, format)
-    except FormatError:
-        return Holds.A_CAMERA
-    if not found:
-        return Holds.NOTHING
-    per_frame = find_format(KEYPOINT_FORMATS, found).per_frame
-    return Holds.A_FRAME if per_frame else Holds.A_CAMERA
-
-
-def _sniff_contained(item: Item, format: str | None) -> str:
-    """`_sniff` an item; HDF5 in a process of its own."""
-    document = item.document
-    return call_contained(document.content, str(item.path), _sniff, document, format)
-
-
 def _read_contained(
     item: Item, format: str | None, options: ReadOptions
 ) -> tuple[Keypoints2D, ...]:
-    """`_read` an item; HDF5 in a process of its own."""
+    """Read the cameras in an item; HDF5 in another process."""
     return call_contained(item.document.content, str(item.path), _read, item, format, options)
-
-
-def _sniff(document: Document, format: str | None) -> str:
-    """Return the name of the format that the content shows, "" where it shows none.
-
-    Only `format` is tried where it is given. Raises FormatError where the content is damaged.
-    """
-    for each in KEYPOINT_FORMATS:
-        if format in (None, each.name) and each.sniff(document):
-            return each.name
-    return ""
-
-
-def _find_format(document: Document, format: str | None) -> KeypointFormat:
-    """Return the format that is named, or that the content shows.
-
-    Raises FormatError, also where the content cannot be what is named.
-    """
-    name = _sniff(document, format)
-    if name:
-        return find_format(KEYPOINT_FORMATS, name)
-    found, remedy = describe(document)
-    if format is not None:
-        expected = find_format(KEYPOINT_FORMATS, format).title
-        remedy = remedy or "name another format, or none"
-    else:
-        expected = f"one of: {', '.join(format_names(KEYPOINT_FORMATS))}"
-        remedy = remedy or "export one of these"
-    raise malformed(document.source, expected, found, remedy)
 
 
 def _read(item: Item, format: str | None, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Read the cameras in one item. Raises FormatError and MismatchError."""
-    views = _find_format(item.document, format).read(item, options)
+    views = require_format(item, format).read(item, options)
     check_cameras([view.camera for view in views], str(item.path))
     views = _name_camera(views, item)
     if not all(view.camera for view in views):
@@ -155,8 +109,8 @@ def _read(item: Item, format: str | None, options: ReadOptions) -> tuple[Keypoin
     read = []
     for view in views:
         for part in split_views(view, options.views):
-            found = in_pixels(part, options.image_size)
-            read.append(_in_single_precision(found) if options.single_precision else found)
+            scaled = convert_to_pixels(part, options.image_size)
+            read.append(_in_single_precision(scaled) if options.single_precision else scaled)
     return tuple(read)
 
 
@@ -177,6 +131,7 @@ def _name_camera(views: tuple[Keypoints2D, ...], item: Item) -> tuple[Keypoints2
 
 
 def _in_single_precision(view: Keypoints2D) -> Keypoints2D:
+    """Return the view with positions and confidences of 32 bits, half the memory."""
     return replace(
         view,
         positions=view.positions.astype(np.float32),

@@ -1,11 +1,11 @@
 """Write a run's cameras and 3D poses in further formats, beside its own files."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.io.atomic import remove_further_individuals
 from mocap_calib.io.cameras.formats import CAMERA_FORMATS
 from mocap_calib.io.cameras.write import format_rig, write_cameras
 from mocap_calib.io.poses.common import PoseFile
@@ -13,6 +13,18 @@ from mocap_calib.io.poses.formats import POSE_FORMATS
 from mocap_calib.io.poses.write import write_poses
 from mocap_calib.io.registry import find_format, written_names
 from mocap_calib.types import CameraRig
+
+
+@dataclass(frozen=True)
+class FurtherFiles:
+    """What became of the further formats.
+
+    notes: a line for all that a format does not hold.
+    refused: errors of the formats that cannot hold the rig or the poses, and were not written.
+    """
+
+    notes: tuple[str, ...] = ()
+    refused: tuple[MismatchError, ...] = ()
 
 
 def check_formats(names: Sequence[str], fps: float | None) -> None:
@@ -37,23 +49,25 @@ def write_formats(
     file: PoseFile,
     names: Sequence[str],
     provenance: Mapping[str, Any],
-) -> list[str]:
+) -> FurtherFiles:
     """Write a rig and poses in further formats into the folder of a run.
 
     Cameras go to a folder that is called as the format, poses to poses3d and the ending of the
-    format (SLEAP-anipose: points3d.h5).
-
-    Returns a line for all that a format does not hold. Raises MismatchError where a format cannot
-    hold the rig or the poses.
+    format (SLEAP-anipose: points3d.h5). A format that cannot hold them is left out.
     """
-    lines = []
+    notes: list[str] = []
+    refused: list[MismatchError] = []
     for name in names:
-        if name in written_names(CAMERA_FORMATS):
-            lost = _write_rig(output / name, rig, name, provenance)
+        try:
+            if name in written_names(CAMERA_FORMATS):
+                lost = _write_rig(output / name, rig, name, provenance)
+            else:
+                lost = _write_poses(output, file, name)
+        except MismatchError as error:
+            refused.append(error)
         else:
-            lost = _write_poses(output, file, name)
-        lines += [f"{name} does not hold {what}" for what in lost]
-    return lines
+            notes += [f"{name} does not hold {what}" for what in lost]
+    return FurtherFiles(tuple(notes), tuple(refused))
 
 
 def _write_rig(
@@ -70,7 +84,4 @@ def _write_poses(folder: Path, file: PoseFile, name: str) -> tuple[str, ...]:
     """Write a pose format's files into a folder; return what they do not hold."""
     known = find_format(POSE_FORMATS, name)
     path = folder / (f"poses3d{known.endings[0]}" if known.endings else "points3d.h5")
-    lost = write_poses(path, file, name)
-    if known.single:
-        remove_further_individuals(path, len(file.individuals))
-    return lost
+    return write_poses(path, file, name)

@@ -4,12 +4,14 @@ The files of the largest group lie in the folder itself, those of the others in 
 `group_3`, ... `run.json` of the largest group lists all files by their hashes.
 """
 
-from collections.abc import Mapping
+import json
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
 from mocap_calib.io.atomic import individual_file, remove_further_individuals, replace_text
 from mocap_calib.io.cameras.own import format_calibration_toml, format_cameras_yaml
+from mocap_calib.io.hashing import hash_file
 from mocap_calib.io.results.matches_csv import matches_csv
 from mocap_calib.io.results.poses_csv import poses_csv
 from mocap_calib.io.results.poses_h5 import write_poses_h5
@@ -58,6 +60,37 @@ def remove_stale_results(folder: Path, report: Mapping[str, Any]) -> None:
         groups += 1
     for group in range(groups):
         _remove_stale_group(folder, group_folder(group), kept)
+
+
+def read_outputs(folder: Path) -> dict[str, str]:
+    """Return the hash of each file that `run.json` in a folder lists; none where it lists none."""
+    try:
+        outputs = json.loads((folder / REPORT).read_bytes())["outputs"]
+        return {str(name): str(content) for name, content in outputs.items()}
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        return {}
+
+
+def remove_earlier_outputs(folder: Path, earlier: Mapping[str, str], kept: Collection[str]) -> None:
+    """Remove the files that an earlier run wrote, unless they are kept or were changed since.
+
+    earlier: hash of each, by path within the folder. kept: paths within the folder.
+    """
+    root = folder.resolve()
+    for name, content in earlier.items():
+        path = (root / name).resolve()
+        if name in kept or not path.is_relative_to(root) or not path.is_file():
+            continue
+        if hash_file(path) == content:
+            path.unlink()
+            _remove_empty_folders(path.parent, root)
+
+
+def _remove_empty_folders(path: Path, root: Path) -> None:
+    """Remove a folder and those around it, up to the root, as long as they are empty."""
+    while path != root and not any(path.iterdir()):
+        path.rmdir()
+        path = path.parent
 
 
 def _remove_stale_group(folder: Path, group: str, kept: set[str]) -> None:

@@ -65,7 +65,9 @@ def pairs_to_json(pairs: Sequence[PairwiseCalibration], cameras: Sequence[Camera
     names = [camera.name for camera in cameras]
     members = [f"{json.dumps(key)}: {json.dumps(value)}" for key, value in head.items()]
     members.append(_json_list("cameras", [camera_fields(camera) for camera in cameras]))
-    members.append(_json_list("pairs", [_named(pair_fields(pair), names) for pair in pairs]))
+    members.append(
+        _json_list("pairs", [_with_camera_names(pair_fields(pair), names) for pair in pairs])
+    )
     return "{\n" + ",\n".join(members) + "\n}\n"
 
 
@@ -85,7 +87,7 @@ def pairs_from_json(
     try:
         for number, stored in enumerate(data["pairs"]):
             where = f"{source}: pair {number}"
-            pair = pair_from_fields(_indexed(stored, index), where)
+            pair = pair_from_fields(_with_camera_indices(stored, index), where)
             _check_alternatives(pair, where)
             pairs.append(pair)
     except FormatError:
@@ -110,7 +112,7 @@ def _figure(value: Any) -> float:
     return np.nan if value is None else float(value)
 
 
-def _named(stored: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
+def _with_camera_names(stored: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
     """Return the fields of a pair with the names of its cameras, and null for what is no number."""
     named = dict(stored)
     for key, value in stored.items():
@@ -118,15 +120,17 @@ def _named(stored: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
             named[key] = None
     named |= {"a": names[stored["a"]], "b": names[stored["b"]]}
     if "alternatives" in stored:
-        named["alternatives"] = [_named(each, names) for each in stored["alternatives"]]
+        named["alternatives"] = [_with_camera_names(each, names) for each in stored["alternatives"]]
     return named
 
 
-def _indexed(stored: Mapping[str, Any], index: Mapping[str, int]) -> dict[str, Any]:
+def _with_camera_indices(stored: Mapping[str, Any], index: Mapping[str, int]) -> dict[str, Any]:
     """Return the fields of a pair with the indices of its cameras."""
     indexed = dict(stored)
     indexed |= {"a": index[stored["a"]], "b": index[stored["b"]]}
-    indexed["alternatives"] = [_indexed(each, index) for each in stored.get("alternatives", [])]
+    indexed["alternatives"] = [
+        _with_camera_indices(each, index) for each in stored.get("alternatives", [])
+    ]
     return indexed
 
 

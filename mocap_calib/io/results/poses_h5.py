@@ -15,9 +15,8 @@ import h5py
 import numpy as np
 
 from mocap_calib.io import hdf5
-from mocap_calib.io.atomic import replacing
+from mocap_calib.io.atomic import replace_file
 from mocap_calib.io.file import malformed
-from mocap_calib.io.keypoints.document import HDF5_DAMAGE
 from mocap_calib.types import Poses3D, check_shape
 
 VERSION = 1
@@ -26,7 +25,7 @@ _FORMAT = "mocap-calib poses"
 
 def write_poses_h5(path: Path, poses: Poses3D, provenance: Mapping[str, Any]) -> None:
     """Write what `poses_to_h5` gives, whole or not at all, and without a copy of it in memory."""
-    with replacing(path) as work, h5py.File(work, "w") as file:
+    with replace_file(path) as work, h5py.File(work, "w") as file:
         _fill(file, poses, provenance)
 
 
@@ -62,7 +61,7 @@ def parse_poses_h5(content: bytes, source: str) -> Poses3D:
         check_shape("error", poses.error, *shape)
         check_shape("views", poses.views, *shape)
         check_shape("confidence", poses.confidence, *shape)
-    except HDF5_DAMAGE as damage:
+    except hdf5.HDF5_DAMAGE as damage:
         raise malformed(
             source, f"{_FORMAT}, version {VERSION}", f"an error ({damage})", "write the file again"
         ) from None
