@@ -159,7 +159,7 @@ def _calibrate_groups(
 def _calibrate_group(
     observed: Observed, config: Config, clock: Clock, *, seed: int, progress: Progress
 ) -> GroupResult:
-    """Calibrate the cameras of one group that can be held.
+    """Calibrate the cameras of one group that are constrained.
 
     A camera that sees too little that agrees with others must not cost the others their rig: it
     is left out, and the rest starts again.

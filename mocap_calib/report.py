@@ -10,7 +10,7 @@ from mocap_calib import __version__
 from mocap_calib.config import REPORT_FRAMES, Config
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.multi_view.evaluation import median_and_max
-from mocap_calib.multi_view.triangulation import observations, project
+from mocap_calib.multi_view.triangulation import gather_observations, project
 from mocap_calib.multi_view.uncertainty import verdict
 from mocap_calib.multi_view.view_graph import alternative_taken
 from mocap_calib.recording.sampling import evenly_spaced
@@ -61,7 +61,7 @@ def _reprojection_errors(found: GroupResult) -> Floats:
     recording need not cost its length in memory.
     """
     frames = evenly_spaced(np.arange(len(found.recording.frames)), REPORT_FRAMES)
-    pixels = observations(found.recording, found.matches, frames).pixels
+    pixels = gather_observations(found.recording, found.matches, frames).pixels
     points = found.poses.positions[frames]
     images = project(found.rig, points.reshape(-1, 3).T)
     error = np.linalg.norm(images - pixels, axis=1)

@@ -309,7 +309,7 @@ class PairwiseCalibration:
     score: 0..1, share of the detections explained x in_front x agreement of the lifted bodies.
     residual: median epipolar error in radians.
     in_front: 0..1, share of the matched joints in front of both cameras.
-    source: what proposed it ("lifted", "five-point", "paper").
+    source: what found it ("lifted", "five-point", "paper").
     alternatives: other answers, best score first, without alternatives of their own.
     """
 

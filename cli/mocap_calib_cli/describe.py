@@ -57,7 +57,7 @@ def _describe_joints(summary: RecordingSummary) -> list[str]:
     known = f"the model of {summary.skeleton} knows {summary.known}"
     unknown = f", not: {', '.join(summary.unknown)}" if summary.unknown else ""
     lines = [f"{joints}, {known}{unknown}"]
-    if summary.by_geometry_alone:
+    if summary.too_few_known_joints:
         lines.append("the model knows too few joints to help: calibrated by geometry alone")
     if summary.single_camera_joints:
         lines.append(describe_unshared(summary.single_camera_joints))

@@ -10,7 +10,7 @@ from itertools import combinations
 
 import numpy as np
 
-from mocap_calib.compute.parallel import in_order
+from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import (
     SCALE_FRAMES,
     SCALE_LEAST_FIT,
@@ -33,8 +33,8 @@ from mocap_calib.two_view.view_pair import (
     distance_ratios,
     distances,
     distances_by_size,
+    gather_view_pair,
     shared_frames,
-    view_pair,
 )
 from mocap_calib.types import (
     CameraRig,
@@ -103,8 +103,8 @@ def label_all_frames(
     others = np.setdiff1d(np.arange(frames), sample_frames)
     step = max(1, _CELLS // (views * instances) ** 2)
     blocks = _cut_into_blocks(others, step)
-    label = partial(_label_by_geometry, recording=recording, rig=rig, config=config)
-    found = in_order(label, blocks)
+    label = partial(_label_by_rig, recording=recording, rig=rig, config=config)
+    found = map_in_threads(label, blocks)
     for done, (block, groups) in enumerate(zip(blocks, found, strict=True), start=1):
         labels[:, block, : groups.shape[2]] = groups
         progress("match all", done, len(blocks))
@@ -124,7 +124,7 @@ def single_subject(sample: Sample, share: float = SINGLE_SUBJECT_SHARE) -> Match
     return Matches(np.where(detected & at_most_one[:, None], 0, -1))
 
 
-def same_groups(first: Matches, second: Matches) -> bool:
+def have_same_groups(first: Matches, second: Matches) -> bool:
     """Return whether two labellings join the same detections in every frame, by any name."""
     return np.array_equal(per_frame_labels(first).labels, per_frame_labels(second).labels)
 
@@ -149,7 +149,7 @@ def _scales_of_pairs(
     for a, b in combinations(range(len(rig.cameras)), 2):
         shared = shared_frames(sample, a, b, config)
         if len(shared):
-            pair = view_pair(sample, lifted, a, b, evenly_spaced(shared, SCALE_FRAMES))
+            pair = gather_view_pair(sample, lifted, a, b, evenly_spaced(shared, SCALE_FRAMES))
             rotation, translation = rig.relative(a, b)
             error, weight = epipolar_error(pair, rotation[None], translation[None])
             matched = epipolar_fit(error, weight, config)[0] > SCALE_LEAST_FIT
@@ -182,7 +182,7 @@ def _affinities(
     views, count, instances = distance.shape
     by_views = affinity.reshape(count, views, instances, views, instances)
     for a, b in combinations(range(views), 2):
-        pair = view_pair(sample, lifted, a, b, frames)
+        pair = gather_view_pair(sample, lifted, a, b, frames)
         rotation, translation = rig.relative(a, b)
         epipolar = by_views[:, a, :, b]
         found = match_affinity(
@@ -193,9 +193,7 @@ def _affinities(
     return affinity, comparable
 
 
-def _label_by_geometry(
-    frames: Ints, *, recording: Recording, rig: CameraRig, config: Config
-) -> Ints:
+def _label_by_rig(frames: Ints, *, recording: Recording, rig: CameraRig, config: Config) -> Ints:
     """Return `[view, frame, instance]` groups within some frames (indices), by the rig alone."""
     sample = take_sample(recording, frames)
     distance = distances_by_size(sample.rays)

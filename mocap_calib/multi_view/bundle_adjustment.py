@@ -11,8 +11,8 @@ from mocap_calib.multi_view.labels import per_frame_labels
 from mocap_calib.multi_view.ray_residuals import RayObservations, State
 from mocap_calib.multi_view.schur import minimise
 from mocap_calib.multi_view.triangulation import (
+    gather_observations,
     labelled_frames,
-    observations,
     triangulate_rays,
     view_noise,
 )
@@ -53,7 +53,7 @@ def adjust(
     the last step is needed.
 
     Raises UnderconstrainedCameraError for the camera that has the fewest points, where they are
-    too few to hold it, and DegenerateError where there is no match at all.
+    too few to constrain it, and DegenerateError where there is no match at all.
     """
     if matches.individuals == 0:
         raise DegenerateError(
@@ -96,7 +96,7 @@ def _choose_points(
     As many as the budget allows. noise: `[view]` in radians.
     """
     frames = _choose_frames(sample, matches, config.adjust.points)
-    seen = observations(sample, matches, frames)
+    seen = gather_observations(sample, matches, frames)
     weight = _drop_doubtful(seen.confidence, config.adjust)
     outlier = config.adjust.outlier_tolerance * config.triangulate.outlier
     tolerant = replace(config.triangulate, outlier=outlier)
@@ -138,7 +138,7 @@ def _drop_doubtful(confidence: Floats, config: AdjustConfig) -> Floats:
 
 
 def _check_every_camera(rig: CameraRig, found: _Points, least: int) -> None:
-    """Raise UnderconstrainedCameraError where fewer than `least` keypoints hold a camera."""
+    """Raise UnderconstrainedCameraError where fewer than `least` keypoints constrain a camera."""
     count = found.used.sum(1)
     view = int(count.argmin())
     if count[view] < least:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.geometry.alignment import similarity
+from mocap_calib.geometry.alignment import align_by_similarity
 from mocap_calib.geometry.rotation import angle_between, direction_angle
 from mocap_calib.types import CameraRig, Floats
 
@@ -58,7 +58,7 @@ def evaluate_rig(rig: CameraRig, reference: CameraRig) -> Evaluation:
     pairs = tuple(combinations(sorted(reference.names), 2))
     errors = np.array([_pair_error(rig, reference, a, b) for a, b in pairs])
     found, true = _select_named(rig, names), _select_named(reference, names)
-    scale, rotation, translation = similarity(_with_axes(found), _with_axes(true))
+    scale, rotation, translation = align_by_similarity(_with_axes(found), _with_axes(true))
     centres = scale * found.centres @ rotation.T + translation
     return Evaluation(
         names=names,

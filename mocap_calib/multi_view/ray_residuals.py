@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from mocap_calib.compute.parallel import in_order
+from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.types import Bools, Floats
 
 _BLOCK = 1024  # points at a time: what is computed of them stays in the cache
@@ -88,7 +88,7 @@ def blocks_of(points: Floats) -> list[slice]:
 def robust_cost(state: State, seen: RayObservations, loss_scale: float) -> float:
     """Return the robust cost: the sum of w s^2 log(1 + r'r / s^2)."""
     work = partial(_cost_of_block, state=state, seen=seen, loss_scale=loss_scale)
-    return sum(in_order(work, blocks_of(state.points))) * loss_scale**2
+    return sum(map_in_threads(work, blocks_of(state.points))) * loss_scale**2
 
 
 def _cost_of_block(

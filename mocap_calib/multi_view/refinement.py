@@ -7,7 +7,7 @@ import numpy as np
 from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.rotation import angle_between
-from mocap_calib.multi_view.association import associate, same_groups, single_subject
+from mocap_calib.multi_view.association import associate, have_same_groups, single_subject
 from mocap_calib.multi_view.bundle_adjustment import adjust
 from mocap_calib.multi_view.factorization import factorise
 from mocap_calib.multi_view.fit import fit_equally_well, measure_fit
@@ -62,8 +62,8 @@ def adjust_until_stable(
     """Adjust, match by the adjusted rig, and adjust again until nothing changes.
 
     It ends when no detection changes its group and no camera turns any more, or after
-    `config.adjust.rounds` rounds. Raises DegenerateError where what was matched does not hold the
-    rig.
+    `config.adjust.rounds` rounds. Raises DegenerateError where what was matched does not
+    constrain the rig.
     """
     rounds = config.adjust.rounds
     for done in range(1, rounds + 1):
@@ -71,7 +71,7 @@ def adjust_until_stable(
         progress("adjust", done, rounds)
         matches_again = associate(sample, lifted, adjusted, config, progress=silent)
         still = _largest_turn_deg(rig, adjusted) < config.adjust.still_deg
-        converged = same_groups(matches_again, matches) and still
+        converged = have_same_groups(matches_again, matches) and still
         rig, matches = adjusted, matches_again
         if converged:
             break

@@ -1,4 +1,4 @@
-"""Calibrate pairs by the five-point baseline, for the pipeline; no network proposes anything."""
+"""Calibrate pairs by the five-point baseline, for the pipeline; no network is needed."""
 
 from dataclasses import dataclass
 

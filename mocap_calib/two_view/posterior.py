@@ -152,7 +152,7 @@ def ray_errors(rays: MatchedRays, rotation: Floats, translation: Floats) -> tupl
     across = (np.eye(3) - np.outer(direction, direction)) / length  # slope of the direction
     rays_a, rays_b = _by_component(rays.a), _by_component(rays.b)
     error, jacobian = epipolar_system(rotation[None], direction[None], rays_a, rays_b, across[None])
-    return error[0] * rays.reach, jacobian[0] * rays.reach
+    return error[0] * rays.body_sizes_per_radian, jacobian[0] * rays.body_sizes_per_radian
 
 
 def _by_component(rays: Floats) -> Floats:

@@ -39,7 +39,7 @@ def _gather_rays(
         a=np.zeros((count, size, 3)),
         b=np.zeros((count, size, 3)),
         weight=np.zeros((count, size)),
-        reach=np.ones((count, size)),
+        body_sizes_per_radian=np.ones((count, size)),
     )
     batch.a[..., 2] = batch.b[..., 2] = 1.0
     for m, of_one in enumerate(rays):
@@ -47,7 +47,7 @@ def _gather_rays(
         batch.a[m, : len(drawn)] = drawn.a
         batch.b[m, : len(drawn)] = drawn.b
         batch.weight[m, : len(drawn)] = drawn.weight
-        batch.reach[m, : len(drawn)] = drawn.reach
+        batch.body_sizes_per_radian[m, : len(drawn)] = drawn.body_sizes_per_radian
     return batch
 
 
@@ -70,9 +70,11 @@ def refine_two_view(
         widening = max(config.refine_widest * config.refine_narrowing**step, 1.0)
         tangent = np.linalg.svd(direction[:, None])[2][:, 1:]  # [M, 2, 3], normal to t
         angle, jacobian = epipolar_system(rotation, direction, rays_a, rays_b, tangent)
-        error = angle * rays.reach
+        error = angle * rays.body_sizes_per_radian
         robust = rays.weight / (1 + (error / (config.inlier * widening)) ** 2) ** 2
-        delta = _gauss_newton_step(error, jacobian * rays.reach[:, None], robust, config)
+        delta = _gauss_newton_step(
+            error, jacobian * rays.body_sizes_per_radian[:, None], robust, config
+        )
         rotation = matrix_from_vector(delta[:, :3]) @ rotation
         direction = direction + np.einsum("mk,mkj->mj", delta[:, 3:], tangent)
         direction /= np.linalg.norm(direction, axis=-1, keepdims=True)

@@ -15,7 +15,7 @@ from mocap_calib.two_view.affinity import (
 )
 from mocap_calib.two_view.assignment import mutual_best, sinkhorn
 from mocap_calib.two_view.hypotheses import Hypotheses
-from mocap_calib.two_view.view_pair import ViewPair, matched_rays, reach
+from mocap_calib.two_view.view_pair import ViewPair, body_sizes_per_radian, matched_rays
 from mocap_calib.types import Bools, Floats, Ints
 
 
@@ -127,7 +127,7 @@ def _residual(pair: ViewPair, error: Floats, matched: Bools, weight: Floats) -> 
 
     error: `[M, frame, I, J, keypoint]` in body sizes; weight: `[frame, I, J, keypoint]`.
     """
-    angle = error / reach(pair)[None, ..., None]
+    angle = error / body_sizes_per_radian(pair)[None, ..., None]
     used = matched[..., None] & (weight > 0)[None]
     residual = np.full(len(matched), np.inf)
     for m in np.flatnonzero(used.any((1, 2, 3, 4))):

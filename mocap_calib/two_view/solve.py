@@ -13,7 +13,7 @@ from itertools import combinations
 
 import numpy as np
 
-from mocap_calib.compute.parallel import in_order, in_processes
+from mocap_calib.compute.parallel import map_in_processes, map_in_threads
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.two_view.hypotheses import Hypotheses, generate_hypotheses, well_separated
@@ -23,9 +23,9 @@ from mocap_calib.two_view.scoring import Scored, keep_better, score_hypotheses
 from mocap_calib.two_view.view_pair import (
     ViewPair,
     distance_ratios,
+    gather_view_pair,
     matched_rays,
     shared_frames,
-    view_pair,
 )
 from mocap_calib.types import (
     Bools,
@@ -106,8 +106,8 @@ def pair_mapper(recording: Recording, config: PairwiseConfig) -> Mapper:
     pairs = views * (views - 1) // 2
     work = min(frames, _frames_of_each(pairs, config)) * instances**2 * keypoints
     if work >= _WORTH_A_THREAD:
-        return in_order
-    return in_processes if pairs * work >= _WORTH_PROCESSES else map
+        return map_in_threads
+    return map_in_processes if pairs * work >= _WORTH_PROCESSES else map
 
 
 def in_recording(
@@ -159,7 +159,7 @@ def pair_problem(
     return PairProblem(
         a=a,
         b=b,
-        pair=view_pair(sample, lifted, a, b, frames),
+        pair=gather_view_pair(sample, lifted, a, b, frames),
         shared_frames=len(shared),
         tracked=bool(sample.tracked[a] and sample.tracked[b]),
         rng=rng,

@@ -44,7 +44,7 @@ def held_out_error(
 
 
 @torch.no_grad()
-def steering_error(
+def measure_steering_error(
     model: Model, poses: PoseSet, skeleton: Skeleton, config: PairsConfig, *, examples: int = 8192
 ) -> dict[str, float]:
     """Return the errors of either architecture on pairs and poses that were held out.
