@@ -217,8 +217,10 @@ class MatchingConfig:
 
     In a frame:
     least_affinity: 0..1, the mean affinity down to which two groups of detections are joined.
-    single_subject: share of the frames which show each view no more than one detection; from it
-        on there is one subject, whom geometry alone follows.
+    geometry_alone_share: where so large a share of the frames shows each view no more than one
+        detection, there is one subject, whom geometry alone follows.
+    factorization_share: where so large a share does, the rigs that factorization finds for one
+        subject are tried too, if no body could be lifted.
     cells: pairs of detections looked at in one go: so many frames, or fewer in a crowd.
 
     Through time:
@@ -238,7 +240,8 @@ class MatchingConfig:
     """
 
     least_affinity: float = 0.25
-    single_subject: float = 0.9
+    geometry_alone_share: float = 0.9
+    factorization_share: float = 0.5
     cells: int = 2_000_000
     largest_step: float = 0.5
     usual_steps: float = 5.0
@@ -255,9 +258,6 @@ class MatchingConfig:
 # that fit the epipolar geometry so well (0..1)
 SCALE_FRAMES = 40
 SCALE_LEAST_FIT = 0.7
-
-# a recording of which this share of frames shows one detection a view may be of one subject
-SINGLE_SUBJECT_SHARE = 0.5
 
 # factorization: views and points that it needs
 FACTORIZATION_VIEWS = 3

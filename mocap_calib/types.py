@@ -452,7 +452,7 @@ class UnusedPair:
 class CalibrationResult:
     """All that a run finds: a result for each group of cameras, the largest group first.
 
-    left_out: names of the cameras that no group holds.
+    left_out: names of the cameras that are in no group.
     """
 
     groups: tuple[GroupResult, ...]

@@ -81,7 +81,7 @@ def describe_groups(result: CalibrationResult) -> list[str]:
 
 
 def describe_unused_cameras(names: Sequence[str]) -> list[str]:
-    """Say which cameras no group holds."""
+    """Say which cameras are in no group."""
     if not names:
         return []
     return [f"left out, no other camera confirms what they see: {', '.join(names)}"]

@@ -14,7 +14,6 @@ from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import (
     SCALE_FRAMES,
     SCALE_LEAST_FIT,
-    SINGLE_SUBJECT_SHARE,
     Config,
     MatchingConfig,
     PairwiseConfig,
@@ -37,6 +36,7 @@ from mocap_calib.two_view.view_pair import (
     shared_frames,
 )
 from mocap_calib.types import (
+    Bools,
     CameraRig,
     Floats,
     Ints,
@@ -61,7 +61,7 @@ def associate(
     views, frames, instances = sample.positions.shape[:3]
     labels = np.full((views, frames, instances), -1, dtype=np.int64)
     scale = body_scale(sample, lifted, rig, config.pairwise)
-    geometry_alone = single_subject(sample, config.matching.single_subject) is not None
+    geometry_alone = has_single_subject(sample, config.matching.geometry_alone_share)
     step = max(1, config.matching.cells // (views * instances) ** 2)
     for block in _cut_into_blocks(np.arange(frames), step):
         affinity, comparable = _affinities(
@@ -80,11 +80,11 @@ def associate(
 
 def label_all_frames(
     recording: Recording,
-    sample_frames: Ints,
-    matches: Matches,
     rig: CameraRig,
     config: Config,
     *,
+    sample_frames: Ints,
+    matches: Matches,
     scale: float,
     progress: Progress,
 ) -> Matches:
@@ -111,17 +111,27 @@ def label_all_frames(
     return _link_groups(recording, rig, labels, config.matching, scale=scale)
 
 
-def single_subject(sample: Sample, share: float = SINGLE_SUBJECT_SHARE) -> Matches | None:
-    """Return the labels of a single subject: the only detection of each view is it.
+def has_single_subject(sample: Sample, share: float) -> bool:
+    """Return whether at least this share of the frames shows each view at most one detection."""
+    return bool(_shows_at_most_one(sample).mean() >= share)
 
-    Labels are `[view, frame, instance]`, 0 or -1. None where less than this share of the frames
-    shows each view at most one detection.
+
+def label_single_subject(sample: Sample, share: float) -> Matches | None:
+    """Label the only detection of each view as the single subject.
+
+    Returns labels `[view, frame, instance]`, 0 or -1; None where there is no single subject, see
+    `has_single_subject`.
     """
-    detected = sample.seen.any(-1)
-    at_most_one = (detected.sum(-1) <= 1).all(0)
-    if at_most_one.mean() < share:
+    if not has_single_subject(sample, share):
         return None
-    return Matches(np.where(detected & at_most_one[:, None], 0, -1))
+    labelled = sample.seen.any(-1) & _shows_at_most_one(sample)[:, None]
+    return Matches(np.where(labelled, 0, -1))
+
+
+def _shows_at_most_one(sample: Sample) -> Bools:
+    """Return the frames that show each view at most one detection, `[frame]`."""
+    detections = sample.seen.any(-1).sum(-1)
+    return np.asarray((detections <= 1).all(0))
 
 
 def have_same_groups(first: Matches, second: Matches) -> bool:
@@ -149,7 +159,7 @@ def _scales_of_pairs(
     for a, b in combinations(range(len(rig.cameras)), 2):
         shared = shared_frames(sample, a, b, config)
         if len(shared):
-            pair = gather_view_pair(sample, lifted, a, b, evenly_spaced(shared, SCALE_FRAMES))
+            pair = gather_view_pair(sample, lifted, (a, b), evenly_spaced(shared, SCALE_FRAMES))
             rotation, translation = rig.relative(a, b)
             error, weight = epipolar_error(pair, rotation[None], translation[None])
             matched = epipolar_fit(error, weight, config)[0] > SCALE_LEAST_FIT
@@ -182,11 +192,15 @@ def _affinities(
     views, count, instances = distance.shape
     by_views = affinity.reshape(count, views, instances, views, instances)
     for a, b in combinations(range(views), 2):
-        pair = gather_view_pair(sample, lifted, a, b, frames)
+        pair = gather_view_pair(sample, lifted, (a, b), frames)
         rotation, translation = rig.relative(a, b)
         epipolar = by_views[:, a, :, b]
         found = match_affinity(
-            pair, rotation[None], scale * translation[None], epipolar[None], config
+            pair,
+            rotation[None],
+            scale * translation[None],
+            config,
+            epipolar=epipolar[None],
         )
         by_views[:, a, :, b] = found[0]
         by_views[:, b, :, a] = np.swapaxes(found[0], 1, 2)

@@ -138,10 +138,10 @@ def jacobian(block: slice, state: State, seen: RayObservations, loss_scale: floa
     )
 
 
-def _robust_weight(found: _Residuals, weight: Floats, loss_scale: float) -> Floats:
+def _robust_weight(residuals: _Residuals, weight: Floats, loss_scale: float) -> Floats:
     """Return the square root of Cauchy's weight, w / (1 + r'r / s^2), `[view, n]`."""
-    square = np.einsum("vkn,vkn->vn", found.residual, found.residual)
-    weight = np.where(found.behind, 0.0, weight)
+    square = np.einsum("vkn,vkn->vn", residuals.residual, residuals.residual)
+    weight = np.where(residuals.behind, 0.0, weight)
     return np.sqrt(weight / (1 + square / loss_scale**2))
 
 

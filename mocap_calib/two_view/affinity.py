@@ -112,7 +112,12 @@ def _comparable(weight: Floats, config: PairwiseConfig) -> Bools:
 
 
 def match_affinity(
-    pair: ViewPair, rotation: Floats, translation: Floats, epipolar: Floats, config: PairwiseConfig
+    pair: ViewPair,
+    rotation: Floats,
+    translation: Floats,
+    config: PairwiseConfig,
+    *,
+    epipolar: Floats,
 ) -> Floats:
     """Return in 0..1 that two detections are one individual: geometry, tempered by lifted bodies.
 

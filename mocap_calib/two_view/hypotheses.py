@@ -167,7 +167,7 @@ def _mean_gap(pair: ViewPair, rotation: Floats, weight: Floats) -> tuple[Floats,
 
 
 def _known_identities(pair: ViewPair, tracked: bool, config: PairwiseConfig) -> list[Ints]:
-    """Return sets of matches `[match, 3]` (frame, i, j) that hold one individual in each view.
+    """Return sets of matches `[match, 3]` (frame, i, j) of one individual in each view.
 
     Each pair of tracks may be one; otherwise there is one set, of the frames with a single
     subject, where half of the frames or more are such.

@@ -14,8 +14,9 @@ from mocap_calib.types import Bools, Floats
 def refine_on_rays(
     pair: ViewPair,
     hypotheses: Hypotheses,
-    matched: Bools,
     config: PairwiseConfig,
+    *,
+    matched: Bools,
     rng: np.random.Generator,
 ) -> Hypotheses:
     """Refine each hypothesis on the rays of its own matches `[M, frame, I, J]`."""
@@ -69,7 +70,9 @@ def refine_two_view(
     for step in range(config.refine_steps):
         widening = max(config.refine_widest * config.refine_narrowing**step, 1.0)
         tangent = np.linalg.svd(direction[:, None])[2][:, 1:]  # [M, 2, 3], normal to t
-        angle, jacobian = epipolar_system(rotation, direction, rays_a, rays_b, tangent)
+        angle, jacobian = epipolar_system(
+            rotation, direction, rays_a=rays_a, rays_b=rays_b, tangent=tangent
+        )
         error = angle * rays.body_sizes_per_radian
         robust = rays.weight / (1 + (error / (config.inlier * widening)) ** 2) ** 2
         delta = _gauss_newton_step(
@@ -100,7 +103,7 @@ def _gauss_newton_step(
 
 
 def epipolar_system(
-    rotation: Floats, direction: Floats, rays_a: Floats, rays_b: Floats, tangent: Floats
+    rotation: Floats, direction: Floats, *, rays_a: Floats, rays_b: Floats, tangent: Floats
 ) -> tuple[Floats, Floats]:
     """Return Sampson's errors in radians and their slopes in a turn and in shifts of t.
 

@@ -55,7 +55,7 @@ def score_hypotheses(pair: ViewPair, hypotheses: Hypotheses, config: PairwiseCon
     rotation, translation = hypotheses.rotation, hypotheses.translation
     error, weight = epipolar_error(pair, rotation, translation)
     fit = epipolar_fit(error, weight, config)
-    affinity = match_affinity(pair, rotation, translation, fit, config)
+    affinity = match_affinity(pair, rotation, translation, config, epipolar=fit)
     matched = mutual_best(sinkhorn(affinity, dummy=config.dummy), least=config.least_match)
     explained = (matched * fit).sum((1, 2, 3)) / max(_possible_matches(pair), 1)
     in_front = _share_in_front(pair, hypotheses, matched)

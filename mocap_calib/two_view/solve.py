@@ -159,7 +159,7 @@ def pair_problem(
     return PairProblem(
         a=a,
         b=b,
-        pair=gather_view_pair(sample, lifted, a, b, frames),
+        pair=gather_view_pair(sample, lifted, (a, b), frames),
         shared_frames=len(shared),
         tracked=bool(sample.tracked[a] and sample.tracked[b]),
         rng=rng,
@@ -199,7 +199,7 @@ def _refine(
     """
     current = score_hypotheses(pair, hypotheses, config)
     for turn in range(config.rounds):
-        refined = refine_on_rays(pair, current.hypotheses, current.matched, config, rng)
+        refined = refine_on_rays(pair, current.hypotheses, config, matched=current.matched, rng=rng)
         current = keep_better(current, score_hypotheses(pair, refined, config))
         if turn == 0:
             distinct = well_separated(
@@ -228,20 +228,34 @@ def _weigh_rays_and_bodies(
     return keep_better(refined, score_hypotheses(pair, moved, config))
 
 
+def mean_focal(problem: PairProblem, focal: Floats) -> float:
+    """Return the mean focal length of the two views in pixels; focal: `[view]` of all views."""
+    return float(focal[[problem.a, problem.b]].mean())
+
+
 def judge_pair(
     problem: PairProblem,
     *,
     rotation: Floats,
     translation: Floats,
-    matched: Bools,
+    matches: Ints,
     source: str,
     config: PairwiseConfig,
-) -> PairwiseCalibration:
+) -> PairwiseCalibration | None:
     """Score a relative pose and matches that were found in another way, as any other.
 
     rotation: `[3, 3]` and translation: `[3]` of b_from_a, of any length: its baseline in body
-    sizes follows from the matches `[frame, I, J]`. source: what found it.
+        sizes follows from the matches.
+    matches: `[match, 3]` rows (index into the frames of the pair, instance in a, instance in b).
+    source: what found it.
+
+    Returns None where nothing is matched.
     """
+    if not len(matches):
+        return None
+    matched = np.zeros(problem.pair.overlap.lifted.shape, dtype=bool)
+    frame, i, j = matches.T
+    matched[frame, i, j] = True
     translation = _with_baseline(problem.pair, rotation, translation, matched)
     hypothesis = Hypotheses(rotation[None], translation[None], (source,))
     scored = score_hypotheses(problem.pair, hypothesis, config)

@@ -115,8 +115,11 @@ def shared_frames(sample: Sample, a: int, b: int, config: PairwiseConfig) -> Int
     return np.flatnonzero((joints >= config.least_joints).any(-1).all(0))
 
 
-def gather_view_pair(sample: Sample, lifted: LiftedPoses, a: int, b: int, frames: Ints) -> ViewPair:
+def gather_view_pair(
+    sample: Sample, lifted: LiftedPoses, views: tuple[int, int], frames: Ints
+) -> ViewPair:
     """Gather what the views a and b show in the given frames (indices into the sample)."""
+    a, b = views
     return ViewPair(
         frames=frames,
         a=_detections(sample, lifted, a, frames),

@@ -19,7 +19,7 @@ from mocap_calib.two_view.view_pair import body_sizes_per_radian, distances, gat
 
 
 def ten_frames_of_two_views():
-    return gather_view_pair(recording(), lifted(), 0, 1, np.arange(10))
+    return gather_view_pair(recording(), lifted(), (0, 1), np.arange(10))
 
 
 def test_steering_error_is_the_weighted_distance_of_turned_bodies():
@@ -61,7 +61,7 @@ def test_the_affinity_by_a_rig_is_the_epipolar_fit_of_its_pairs():
     """Both say the same of a pair of views, given the same distances of the bodies."""
     sample, rig, config = recording(), scene().rig, PairwiseConfig()
     every = np.arange(len(sample.frames))
-    pair = gather_view_pair(sample, lifted(), 0, 2, every)
+    pair = gather_view_pair(sample, lifted(), (0, 2), every)
     error, weight = epipolar_error(pair, *(part[None] for part in rig.relative(0, 2)))
     distance = distances(lifted().centre, sample.rays)
     affinity, comparable = epipolar_affinity(sample, rig, distance, config)

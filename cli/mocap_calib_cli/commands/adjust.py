@@ -43,14 +43,16 @@ def command(shared: options.SharedOptions, output: str, matches_out: str | None)
         matches = inputs.read_matches(shared.matches, recording)
         sample_frames, sample, lifted = inputs.lift_sample(loaded, shared.device, reporter)
         sampled = Matches(matches.labels[:, sample_frames])
-        adjusted = adjust_until_stable(sample, lifted, rig, sampled, config, progress=reporter)
+        adjusted = adjust_until_stable(
+            sample, rig, sampled, config, lifted=lifted, progress=reporter
+        )
         if matches_out is not None:
             matches = label_all_frames(
                 recording,
-                sample_frames,
-                adjusted.matches,
                 adjusted.rig,
                 config,
+                sample_frames=sample_frames,
+                matches=adjusted.matches,
                 scale=body_scale(sample, lifted, adjusted.rig, config.pairwise),
                 progress=reporter,
             )

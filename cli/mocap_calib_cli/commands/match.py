@@ -30,10 +30,10 @@ def command(shared: options.SharedOptions, output: str) -> None:
         sample_frames, sample, lifted = inputs.lift_sample(loaded, shared.device, reporter)
         matches = label_all_frames(
             loaded.recording,
-            sample_frames,
-            associate(sample, lifted, rig, config, progress=reporter),
             rig,
             config,
+            sample_frames=sample_frames,
+            matches=associate(sample, lifted, rig, config, progress=reporter),
             scale=body_scale(sample, lifted, rig, config.pairwise),
             progress=reporter,
         )
