@@ -29,7 +29,7 @@ from mocap_calib.geometry.rotation import (
     vector_from_matrix,
 )
 from mocap_calib.multi_view.bundle_adjustment import adjust
-from mocap_calib.multi_view.triangulation import observations
+from mocap_calib.multi_view.triangulation import gather_observations
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.recording.sampling import take_sample
 from mocap_calib.recording.synchronise import make_recording
@@ -117,7 +117,7 @@ def peer(
             check=True,
             stdout=sys.stderr,
         )
-    seen = observations(recording, matches, np.arange(len(recording.frames)))
+    seen = gather_observations(recording, matches, np.arange(len(recording.frames)))
     problem = {
         "pixels": np.moveaxis(seen.pixels, 1, 2),
         "matrix": np.stack([camera.matrix for camera in start.cameras]),

@@ -151,7 +151,7 @@ class PairwiseConfig:
     posterior_steps: int = 25  # of Levenberg-Marquardt, at most,
     posterior_damping: float = 1e-3  # damped so much at first,
     posterior_damping_factor: float = 5.0  # and so much less after a good step, more after a bad
-    posterior_settled: float = 1e-3  # of the log posterior: a thousandth of what is worth a word
+    posterior_settled: float = 1e-3  # of the log posterior; smaller changes end the iteration
 
 
 LEAST_LIFT_SPREAD = 0.05  # body sizes: no lifted joint is more certain
@@ -230,12 +230,14 @@ class MatchingConfig:
 
     In a frame:
     least_affinity: 0..1, the mean affinity down to which two groups of detections are joined.
-    single_subject: share of the frames which show each view no more than one detection; from it
-        on there is one subject, whom geometry alone follows.
+    geometry_alone_share: where so large a share of the frames shows each view no more than one
+        detection, there is one subject, whom geometry alone follows.
+    factorization_share: where so large a share does, the rigs that factorization finds for one
+        subject are tried too, if no body could be lifted.
 
     Through time:
-    reach: body sizes that a body may move between frames; or `usual_steps` times its usual step,
-        if that is more.
+    largest_step: body sizes that a body may move between frames; or `usual_steps` times its usual
+        step, if that is more.
     memory: frames after which the distance that a body may have gone does not grow any more.
 
     In the end:
@@ -250,8 +252,9 @@ class MatchingConfig:
     """
 
     least_affinity: float = 0.25
-    single_subject: float = 0.9
-    reach: float = 0.5
+    geometry_alone_share: float = 0.9
+    factorization_share: float = 0.5
+    largest_step: float = 0.5
     usual_steps: float = 5.0
     memory: int = 50
     fleeting_frames: int = 10
@@ -266,9 +269,6 @@ class MatchingConfig:
 # that fit the epipolar geometry so well (0..1)
 SCALE_FRAMES = 40
 SCALE_LEAST_FIT = 0.7
-
-# a recording of which this share of frames shows one detection a view may be of one subject
-SINGLE_SUBJECT_SHARE = 0.5
 
 # factorization: views and points that it needs
 FACTORIZATION_VIEWS = 3
@@ -286,8 +286,8 @@ class AdjustConfig:
     """Bundle adjustment. Loss scales are in standard deviations of each view's own error."""
 
     points: int = 20_000
-    # Rays this many times farther off than an outlier of triangulation may still hold a point: the
-    # rig is not yet right, and the robust loss deals with outliers.
+    # Rays this many times farther off than an outlier of triangulation may still constrain a point:
+    # the rig is not yet right, and the robust loss deals with outliers.
     outlier_tolerance: float = 4.0
     loss_scales: tuple[float, ...] = (6.0, 3.0, 1.5)  # one after the other, to tighten the loss
     # Share of the cost: a step that lowers it by less is the last one at the last loss scale ...
@@ -299,7 +299,7 @@ class AdjustConfig:
     # This share of each view's detections, the least confident, is left out of the adjustment ...
     doubtful_share: float = 0.3
     enough_detections: int = 500  # ... as long as so many are left.
-    least_keypoints: int = 12  # that hold a camera: twice what would do without any noise
+    least_keypoints: int = 12  # a camera is constrained by: twice what would do without any noise
     rounds: int = 6  # of adjusting and matching; it stops when no label changes
     still_deg: float = 0.05  # and no camera turns by more than this
 
@@ -379,7 +379,7 @@ FIVE_POINT_LEAST_FORWARD = 0.1  # cosine of a ray with the optical axis
 FIVE_POINT_CONFIDENCE = 0.999  # of RANSAC
 
 # Points from the rays of many views (geometry/intersection.py); scales in standard deviations
-INTERSECT_ALL_PAIRS_VIEWS = 7  # views up to which all pairs of them propose points
+INTERSECT_ALL_PAIRS_VIEWS = 7  # views up to which all pairs of them give candidates
 INTERSECT_STEPS = 2  # after the closed form: the third moves a point by 1e-9 of its distance
 INTERSECT_LOSS_SCALE = 3.0
 INTERSECT_TIGHTENING_SCALES = (24.0, 12.0, 6.0, 3.0, 3.0, 3.0)  # of the loss, among outliers
@@ -394,7 +394,7 @@ INTERSECT_AGREEING_RAYS = 3  # and so many of them at least
 
 @dataclass(frozen=True)
 class InspectConfig:
-    """What `inspect` calls worth a word."""
+    """What `inspect` warns of."""
 
     cells: int = 10  # of the grid over the image, each way
     outside: float = 0.01  # share of the points outside the image

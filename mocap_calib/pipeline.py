@@ -131,7 +131,13 @@ def calibrate(
             )
         with clock("loops"):
             pairs = select_hypotheses(pairs, config.averaging)
-        observed = Observed(recording, sample_frames, sample, lifted, pairs)
+        observed = Observed(
+            recording=recording,
+            sample_frames=sample_frames,
+            sample=sample,
+            lifted=lifted,
+            pairs=pairs,
+        )
         groups = _calibrate_groups(observed, config, clock, seed=seed, progress=progress)
     return _join_groups(recording, pairs, groups)
 
@@ -159,7 +165,7 @@ def _calibrate_groups(
 def _calibrate_group(
     observed: Observed, config: Config, clock: Clock, *, seed: int, progress: Progress
 ) -> GroupResult:
-    """Calibrate the cameras of one group that can be held.
+    """Calibrate the cameras of one group that are constrained.
 
     A camera that sees too little that agrees with others must not cost the others their rig: it
     is left out, and the rest starts again.
@@ -185,16 +191,16 @@ def _calibrate_cameras(
         matches = associate(sample, lifted, averaged.rig, config, progress=progress)
     with clock("adjust"):
         adjusted = adjust_from_best_start(
-            sample, lifted, averaged.rig, matches, config, progress=progress
+            sample, averaged.rig, matches, config, lifted=lifted, progress=progress
         )
     rig = adjusted.rig
     with clock("match all"):
         matches = label_all_frames(
             recording,
-            observed.sample_frames,
-            adjusted.matches,
             rig,
             config,
+            sample_frames=observed.sample_frames,
+            matches=adjusted.matches,
             scale=body_scale(sample, lifted, rig, config.pairwise),
             progress=progress,
         )

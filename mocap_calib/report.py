@@ -10,7 +10,7 @@ from mocap_calib import __version__
 from mocap_calib.config import REPORT_FRAMES, Config
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.multi_view.evaluation import median_and_max
-from mocap_calib.multi_view.triangulation import observations, project
+from mocap_calib.multi_view.triangulation import gather_observations, project
 from mocap_calib.multi_view.uncertainty import verdict
 from mocap_calib.multi_view.view_graph import alternative_taken
 from mocap_calib.recording.sampling import evenly_spaced
@@ -20,7 +20,7 @@ SCHEMA = 2  # goes up when a key of run.json goes or changes its meaning
 
 
 def run_report(
-    found: GroupResult,
+    group: GroupResult,
     result: CalibrationResult,
     *,
     seed: int,
@@ -31,84 +31,84 @@ def run_report(
 
     inputs: path -> SHA-256. What is not known is None.
     """
-    error = _reprojection_errors(found)
-    views = range(len(found.rig.cameras))
+    error = _reprojection_errors(group)
+    views = range(len(group.rig.cameras))
     return {
         "schema": SCHEMA,
         "version": __version__,
         "seed": seed,
         "config": asdict(config),
         "inputs": dict(inputs),
-        "seconds": {stage: round(seconds, 3) for stage, seconds in found.seconds.items()},
-        "unit": found.rig.unit,
-        "frames": _describe_frames(found),
-        "keypoints": list(found.recording.keypoints),
+        "seconds": {stage: round(seconds, 3) for stage, seconds in group.seconds.items()},
+        "unit": group.rig.unit,
+        "frames": _describe_frames(group),
+        "keypoints": list(group.recording.keypoints),
         "left_out": list(result.left_out),
         "unused_pairs": [asdict(pair) for pair in result.unused_pairs],
-        "cameras": [_describe_camera(found, view, error[view], config) for view in views],
-        "pairs": [_describe_pair(found, k, error, config) for k in range(len(found.pairs))],
-        "verdict": _describe_verdict(found, config),
-        "adjust": {"rounds": found.adjusted.rounds, "converged": found.adjusted.converged},
-        "individuals": _describe_individuals(found),
-        "points": _describe_points(found),
+        "cameras": [_describe_camera(group, view, error[view], config) for view in views],
+        "pairs": [_describe_pair(group, k, error, config) for k in range(len(group.pairs))],
+        "verdict": _describe_verdict(group, config),
+        "adjust": {"rounds": group.adjusted.rounds, "converged": group.adjusted.converged},
+        "individuals": _describe_individuals(group),
+        "points": _describe_points(group),
     }
 
 
-def _reprojection_errors(found: GroupResult) -> Floats:
+def _reprojection_errors(group: GroupResult) -> Floats:
     """Return the distances of labelled detections from the triangulated points, in pixels.
 
     `[view, frame, individual, keypoint]`, of an even sample of the frames: the report on a long
     recording need not cost its length in memory.
     """
-    frames = evenly_spaced(np.arange(len(found.recording.frames)), REPORT_FRAMES)
-    pixels = observations(found.recording, found.matches, frames).pixels
-    points = found.poses.positions[frames]
-    images = project(found.rig, points.reshape(-1, 3).T)
+    frames = evenly_spaced(np.arange(len(group.recording.frames)), REPORT_FRAMES)
+    pixels = gather_observations(group.recording, group.matches, frames).pixels
+    points = group.poses.positions[frames]
+    images = project(group.rig, points.reshape(-1, 3).T)
     error = np.linalg.norm(images - pixels, axis=1)
     return error.reshape(len(error), *points.shape[:3])
 
 
-def _describe_frames(found: GroupResult) -> dict[str, int]:
+def _describe_frames(group: GroupResult) -> dict[str, int]:
     """Return which frames the recording has."""
-    frames = found.recording.frames
+    frames = group.recording.frames
     return {"first": int(frames[0]), "last": int(frames[-1]), "count": len(frames)}
 
 
 def _describe_camera(
-    found: GroupResult, view: int, error: Floats, config: Config
+    group: GroupResult, view: int, error: Floats, config: Config
 ) -> dict[str, Any]:
     """Return what is known of one camera.
 
     error: `[frame, individual, keypoint]` reprojection errors in pixels.
     """
-    detected = found.recording.seen[view].any(-1)
-    matched = detected & (found.matches.labels[view] >= 0)
-    score = _pair_score(found, view)
+    detected = group.recording.seen[view].any(-1)
+    matched = detected & (group.matches.labels[view] >= 0)
+    score = _pair_score(group, view)
     return {
-        "name": found.rig.names[view],
+        "name": group.rig.names[view],
         "frames": int(detected.any(-1).sum()),
         "detections": int(detected.sum()),
         "matched": int(matched.sum()),
         "unmatched": int((detected & ~matched).sum()),
-        "faults": _name_faults(found, view),
-        "weak_perspective": bool(found.uncertainty.weak_perspective[view]),
+        "faults": _name_faults(group, view),
+        "weak_perspective": bool(group.uncertainty.weak_perspective[view]),
         "reprojection_error_px": _median_and_p95(error),
         "pair_score": score,
         "weak": score < config.averaging.weak_score,
     }
 
 
-def _name_faults(found: GroupResult, view: int) -> list[str]:
+def _name_faults(group: GroupResult, view: int) -> list[str]:
     """Return the names of what is wrong with a camera."""
-    return ["inconsistent"] if found.uncertainty.outlier_cameras[view] else []
+    return ["inconsistent"] if group.uncertainty.outlier_cameras[view] else []
 
 
-def _pair_score(found: GroupResult, view: int) -> float:
+def _pair_score(group: GroupResult, view: int) -> float:
     """Return the score of the camera's best pair: its place in the rig rests on this pair."""
-    return max(pair.score for pair in found.pairs if view in (pair.a, pair.b))
+    return max(pair.score for pair in group.pairs if view in (pair.a, pair.b))
 
 
-def _describe_pair(found: GroupResult, index: int, error: Floats, config: Config) -> dict[str, Any]:
+def _describe_pair(group: GroupResult, index: int, error: Floats, config: Config) -> dict[str, Any]:
     """Return what is known of one pair of cameras.
 
     First what the rig makes of the points that both views see, then what the pair by itself
@@ -116,16 +116,16 @@ def _describe_pair(found: GroupResult, index: int, error: Floats, config: Config
 
     error: `[view, frame, individual, keypoint]` reprojection errors in pixels.
     """
-    pair = found.pairs[index]
+    pair = group.pairs[index]
     error = error[[pair.a, pair.b]]
-    first, second = found.rig.cameras[pair.a], found.rig.cameras[pair.b]
+    first, second = group.rig.cameras[pair.a], group.rig.cameras[pair.b]
     focal = (first.focal + second.focal) / 2
     in_both = np.isfinite(error).all(0)
     return {
         "a": first.name,
         "b": second.name,
         "frames": pair.frames,
-        "matches": _count_matches(found, pair),
+        "matches": _count_matches(group, pair),
         "reprojection_error_px": _median_and_p95(error[:, in_both].ravel()),
         "sampled_matches": len(pair.matches),
         "score": pair.score,
@@ -134,23 +134,23 @@ def _describe_pair(found: GroupResult, index: int, error: Floats, config: Config
         "epipolar_error_deg": _finite_or_none(np.degrees(pair.residual)),
         "epipolar_error_px": _finite_or_none(pair.residual * focal),
         "baseline_body_sizes": float(np.linalg.norm(pair.translation)),
-        **_describe_loops(found, index, config),
+        **_describe_loops(group, index, config),
         "alternative_taken": alternative_taken(pair),
         "alternatives": [_describe_alternative(other, pair) for other in pair.alternatives],
     }
 
 
-def _count_matches(found: GroupResult, pair: PairwiseCalibration) -> int:
+def _count_matches(group: GroupResult, pair: PairwiseCalibration) -> int:
     """Return how many detections of both views are the same individual in a frame."""
-    labels = found.matches.labels
+    labels = group.matches.labels
     in_a = labels[pair.a][:, :, None]
     in_b = labels[pair.b][:, None]
     return int(((in_a == in_b) & (in_a >= 0)).sum())
 
 
-def _describe_loops(found: GroupResult, index: int, config: Config) -> dict[str, Any]:
+def _describe_loops(group: GroupResult, index: int, config: Config) -> dict[str, Any]:
     """Return how well a pair agrees with the rig that the pairs were averaged to."""
-    averaged = found.averaged
+    averaged = group.averaged
     weight = float(averaged.weight[index])
     return {
         "loop_rotation_deg": float(np.degrees(averaged.loop_error[index])),
@@ -168,11 +168,11 @@ def _describe_alternative(
     return {"score": other.score, "turned_deg": float(np.degrees(turn))}
 
 
-def _describe_verdict(found: GroupResult, config: Config) -> dict[str, Any]:
+def _describe_verdict(group: GroupResult, config: Config) -> dict[str, Any]:
     """Return whether the recording determines the rig, and what it leaves open."""
-    uncertainty = found.uncertainty
+    uncertainty = group.uncertainty
     angle, outliers = uncertainty.split_half_angle, uncertainty.outlier_cameras
-    reversal = found.adjusted.depth_reversed_rig is not None
+    reversal = group.adjusted.depth_reversed_rig is not None
     return {
         "rig": verdict(angle, outliers, config.uncertainty),
         "split_half_angle_deg": median_and_max(np.degrees(angle)),
@@ -181,18 +181,18 @@ def _describe_verdict(found: GroupResult, config: Config) -> dict[str, Any]:
     }
 
 
-def _describe_individuals(found: GroupResult) -> list[dict[str, int]]:
+def _describe_individuals(group: GroupResult) -> list[dict[str, int]]:
     """Return in how many frames each individual was matched."""
-    labels = found.matches.labels
+    labels = group.matches.labels
     return [
         {"individual": k, "frames": int((labels == k).any((0, 2)).sum())}
-        for k in range(found.matches.individuals)
+        for k in range(group.matches.individuals)
     ]
 
 
-def _describe_points(found: GroupResult) -> dict[str, Any]:
+def _describe_points(group: GroupResult) -> dict[str, Any]:
     """Return how many points were triangulated, and how well they fit."""
-    error = found.poses.error[np.isfinite(found.poses.error)]
+    error = group.poses.error[np.isfinite(group.poses.error)]
     return {"triangulated": len(error), "reprojection_error_px": _median_and_p95(error)}
 
 

@@ -309,7 +309,7 @@ class PairwiseCalibration:
     score: 0..1, share of the detections explained x in_front x agreement of the lifted bodies.
     residual: median epipolar error in radians.
     in_front: 0..1, share of the matched joints in front of both cameras.
-    source: what proposed it ("lifted", "five-point", "paper").
+    source: what found it ("lifted", "five-point", "paper").
     alternatives: other answers, best score first, without alternatives of their own.
     """
 
@@ -464,7 +464,7 @@ class UnusedPair:
 class CalibrationResult:
     """All that a run finds: a result for each group of cameras, the largest group first.
 
-    left_out: names of the cameras that no group holds.
+    left_out: names of the cameras that are in no group.
     """
 
     groups: tuple[GroupResult, ...]

@@ -215,7 +215,7 @@ def test_a_camera_that_nothing_holds_costs_the_others_nothing():
     assert rotation_errors_deg(found.rig, reference).max() < 0.3
 
 
-def test_a_loose_camera_is_named_and_the_rest_is_tried(monkeypatch):
+def test_an_underconstrained_camera_is_named_and_the_rest_is_tried(monkeypatch):
     """Adjustment refuses the third of four cameras, whatever they are called."""
     tried = []
 

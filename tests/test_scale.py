@@ -14,9 +14,9 @@ import pytest
 import torch
 from scenes import calibrate_group, precision, recording, rotation_errors_deg, scene, truth
 
-from mocap_calib.compute.parallel import in_order, in_processes
+from mocap_calib.compute.parallel import map_in_processes, map_in_threads
 from mocap_calib.config import Config, SampleConfig, TriangulateConfig
-from mocap_calib.multi_view.triangulation import observations, triangulate_rays
+from mocap_calib.multi_view.triangulation import gather_observations, triangulate_rays
 from mocap_calib.recording.sampling import take_sample
 from mocap_calib.steerpose.checkpoint import load_lifter
 from mocap_calib.steerpose.lift import lift
@@ -52,7 +52,7 @@ def test_triangulation_is_a_function_of_blocks():
     """A point comes out the same whatever points are beside it: measured to the last digit."""
     rig, found, noise = (
         scene().rig,
-        observations(recording(), truth(), np.arange(60)),
+        gather_observations(recording(), truth(), np.arange(60)),
         np.full(4, 2e-3),
     )
     whole, used = triangulate_rays(
@@ -74,9 +74,9 @@ def test_triangulation_is_a_function_of_blocks():
 
 def test_results_come_in_order(monkeypatch):
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
-    assert list(in_order(lambda k: k * k, range(50))) == [k * k for k in range(50)]
+    assert list(map_in_threads(lambda k: k * k, range(50))) == [k * k for k in range(50)]
     with pytest.raises(ZeroDivisionError):
-        list(in_order(lambda k: 1 // k, range(3)))
+        list(map_in_threads(lambda k: 1 // k, range(3)))
 
 
 @pytest.mark.slow
@@ -90,7 +90,7 @@ def inverse(number):
 
 def test_processes_give_results_in_order_and_end(monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "2")
-    results = in_processes(squared, range(50))
+    results = map_in_processes(squared, range(50))
     first, there = next(results)
     assert first == 0
     os.kill(there, 0)  # it is there
@@ -102,7 +102,7 @@ def test_processes_give_results_in_order_and_end(monkeypatch):
         with pytest.raises(ProcessLookupError):
             os.kill(pid, 0)
     with pytest.raises(ZeroDivisionError):
-        list(in_processes(inverse, range(3)))
+        list(map_in_processes(inverse, range(3)))
 
 
 def test_threads_change_no_byte(small, tmp_path):

@@ -56,7 +56,7 @@ def _describe_joints(summary: RecordingSummary) -> list[str]:
     known = f"the model of {summary.skeleton} knows {summary.known}"
     unknown = f", not: {', '.join(summary.unknown)}" if summary.unknown else ""
     lines = [f"{joints}, {known}{unknown}"]
-    if summary.by_geometry_alone:
+    if summary.too_few_known_joints:
         lines.append("the model knows too few joints to help: calibrated by geometry alone")
     if summary.single_camera_joints:
         lines.append(describe_unshared(summary.single_camera_joints))
@@ -80,7 +80,7 @@ def describe_groups(result: CalibrationResult) -> list[str]:
 
 
 def describe_unused_cameras(names: Sequence[str]) -> list[str]:
-    """Say which cameras no group holds."""
+    """Say which cameras are in no group."""
     if not names:
         return []
     return [f"left out, no other camera confirms what they see: {', '.join(names)}"]

@@ -40,7 +40,7 @@ def single_threaded_libraries() -> Iterator[None]:
         yield
 
 
-def in_order(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+def map_in_threads(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
     """Yield `function` of every item in order, computed on threads.
 
     A few items at a time are under way, and no more are taken from `items`.
@@ -59,7 +59,7 @@ def in_order(function: Callable[[Item], Result], items: Iterable[Item]) -> Itera
             yield waiting.popleft().result()
 
 
-def in_processes(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+def map_in_processes(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
     """Yield `function` of every item in order, computed in other processes.
 
     For work on small arrays, where threads wait for the interpreter. The function, the items and
@@ -82,7 +82,7 @@ def in_processes(function: Callable[[Item], Result], items: Iterable[Item]) -> I
             idle.put(worker)
 
     try:
-        yield from in_order(call_idle_worker, items)
+        yield from map_in_threads(call_idle_worker, items)
     finally:
         for worker in workers:
             worker.end()

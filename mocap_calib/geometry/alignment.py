@@ -1,4 +1,4 @@
-"""Bringing two frames of reference together."""
+"""Align two frames of reference."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from mocap_calib.geometry.rotation import nearest_rotation
 from mocap_calib.types import Floats
 
 
-def similarity(source: Floats, target: Floats) -> tuple[float, Floats, Floats]:
+def align_by_similarity(source: Floats, target: Floats) -> tuple[float, Floats, Floats]:
     """Return scale s, rotation R `[3, 3]` and shift t `[3]` that minimise sum |s R x + t - y|^2.
 
     source: `[N, 3]` points x. target: `[N, 3]` points y (Umeyama 1991, eqs. 38-42).

@@ -2,7 +2,7 @@
 
 All points start in closed form (weighted least squares on lines) and take Gauss-Newton steps on
 angles. Those whose rays do not all meet there start again under a loss that tightens, and where
-too few rays agree even then, every pair of rays proposes a point. Arrays are kept by component,
+too few rays agree even then, every pair of rays gives a candidate. Arrays are kept by component,
 `[view, 3, N]`, in blocks that stay in the cache.
 """
 
@@ -93,38 +93,39 @@ def _refine_among_outliers(rays: _Rays, points: Floats) -> Floats:
 
 
 def _search_pairs(rays: _Rays) -> Floats:
-    """Return the best of the points `[3, N]` that pairs of views propose, refined."""
+    """Return the best of the points `[3, N]` that pairs of views give, refined."""
     points = np.full(rays.direction.shape[1:], np.nan)
     cost = np.full(rays.direction.shape[2], np.inf)
     seen = rays.seen
-    first_pairs, other_pairs = _proposing_pairs(len(rays.centres))
+    first_pairs, other_pairs = _candidate_pairs(len(rays.centres))
     for a, b in first_pairs:
         both = np.flatnonzero(seen[a] & seen[b])
-        _propose(rays, (a, b), both, points=points, cost=cost)
+        _try_candidates(rays, (a, b), both, points=points, cost=cost)
     for a, b in other_pairs:
         both = np.flatnonzero(seen[a] & seen[b] & ~np.isfinite(cost))
-        _propose(rays, (a, b), both, points=points, cost=cost)
+        _try_candidates(rays, (a, b), both, points=points, cost=cost)
     return _refine(rays, points, INTERSECT_POLISH_STEPS)
 
 
-def _propose(
-    rays: _Rays, pair: tuple[int, int], candidates: Ints, *, points: Floats, cost: Floats
+def _try_candidates(
+    rays: _Rays, pair: tuple[int, int], indices: Ints, *, points: Floats, cost: Floats
 ) -> None:
-    """Let two views propose the points `candidates` (indices), and keep what fits all views better.
+    """Intersect the rays of two views, and keep the candidates that fit all views better.
 
-    points `[3, N]` and cost `[N]` of the best proposals so far are changed in place.
+    indices: `[candidate]` of the points that are tried. points `[3, N]` and cost `[N]` of the best
+    candidates so far are changed in place.
     """
-    proposal = _intersect_lines(rays.of_views(list(pair)).of_points(candidates))
-    candidate_rays = rays.of_points(candidates)
-    capped = np.minimum(_squared_error(candidate_rays, proposal), INTERSECT_OUTLIER)
-    proposal_cost = np.where(candidate_rays.seen, capped, 0.0).sum(0)
-    better = proposal_cost < cost[candidates]
-    points[:, candidates[better]] = proposal[:, better]
-    cost[candidates[better]] = proposal_cost[better]
+    candidate = _intersect_lines(rays.of_views(list(pair)).of_points(indices))
+    candidate_rays = rays.of_points(indices)
+    capped = np.minimum(_squared_error(candidate_rays, candidate), INTERSECT_OUTLIER)
+    candidate_cost = np.where(candidate_rays.seen, capped, 0.0).sum(0)
+    better = candidate_cost < cost[indices]
+    points[:, indices[better]] = candidate[:, better]
+    cost[indices[better]] = candidate_cost[better]
 
 
-def _proposing_pairs(views: int) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
-    """Return the pairs that propose every point they see, and those that fill what these miss.
+def _candidate_pairs(views: int) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
+    """Return the pairs of views that try every point they see, and those that fill what these miss.
 
     All pairs are of the first kind in a small rig. In a large one they are those of a view with
     the next one, and with the one a third of the rig away.

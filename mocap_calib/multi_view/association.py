@@ -10,11 +10,10 @@ from itertools import combinations
 
 import numpy as np
 
-from mocap_calib.compute.parallel import in_order
+from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import (
     SCALE_FRAMES,
     SCALE_LEAST_FIT,
-    SINGLE_SUBJECT_SHARE,
     Config,
     MatchingConfig,
     PairwiseConfig,
@@ -33,10 +32,11 @@ from mocap_calib.two_view.view_pair import (
     distance_ratios,
     distances,
     distances_by_size,
+    gather_view_pair,
     shared_frames,
-    view_pair,
 )
 from mocap_calib.types import (
+    Bools,
     CameraRig,
     Floats,
     Ints,
@@ -63,7 +63,7 @@ def associate(
     views, frames, instances = sample.positions.shape[:3]
     labels = np.full((views, frames, instances), -1, dtype=np.int64)
     scale = body_scale(sample, lifted, rig, config.pairwise)
-    geometry_alone = single_subject(sample, config.matching.single_subject) is not None
+    geometry_alone = has_single_subject(sample, config.matching.geometry_alone_share)
     step = max(1, _LIFTED_PAIRS // (views * instances) ** 2)
     for block in _cut_into_blocks(np.arange(frames), step):
         affinity, comparable = _affinities(
@@ -82,11 +82,11 @@ def associate(
 
 def label_all_frames(
     recording: Recording,
-    sample_frames: Ints,
-    matches: Matches,
     rig: CameraRig,
     config: Config,
     *,
+    sample_frames: Ints,
+    matches: Matches,
     scale: float,
     progress: Progress,
 ) -> Matches:
@@ -105,28 +105,38 @@ def label_all_frames(
     others = np.setdiff1d(np.arange(frames), sample_frames)
     step = max(1, _PLAIN_PAIRS // (views * instances) ** 2)
     blocks = _cut_into_blocks(others, step)
-    label = partial(_label_by_geometry, recording=recording, rig=rig, config=config)
-    found = in_order(label, blocks)
+    label = partial(_label_by_rig, recording=recording, rig=rig, config=config)
+    found = map_in_threads(label, blocks)
     for done, (block, groups) in enumerate(zip(blocks, found, strict=True), start=1):
         labels[:, block, : groups.shape[2]] = groups
         progress("match all", done, len(blocks))
     return _link_groups(recording, rig, labels, config.matching, scale=scale)
 
 
-def single_subject(sample: Sample, share: float = SINGLE_SUBJECT_SHARE) -> Matches | None:
-    """Return the labels of a single subject: the only detection of each view is it.
+def has_single_subject(sample: Sample, share: float) -> bool:
+    """Return whether at least this share of the frames shows each view at most one detection."""
+    return bool(_shows_at_most_one(sample).mean() >= share)
 
-    Labels are `[view, frame, instance]`, 0 or -1. None where less than this share of the frames
-    shows each view at most one detection.
+
+def label_single_subject(sample: Sample, share: float) -> Matches | None:
+    """Label the only detection of each view as the single subject.
+
+    Returns labels `[view, frame, instance]`, 0 or -1; None where there is no single subject, see
+    `has_single_subject`.
     """
-    detected = sample.seen.any(-1)
-    at_most_one = (detected.sum(-1) <= 1).all(0)
-    if at_most_one.mean() < share:
+    if not has_single_subject(sample, share):
         return None
-    return Matches(np.where(detected & at_most_one[:, None], 0, -1))
+    labelled = sample.seen.any(-1) & _shows_at_most_one(sample)[:, None]
+    return Matches(np.where(labelled, 0, -1))
 
 
-def same_groups(first: Matches, second: Matches) -> bool:
+def _shows_at_most_one(sample: Sample) -> Bools:
+    """Return the frames that show each view at most one detection, `[frame]`."""
+    detections = sample.seen.any(-1).sum(-1)
+    return np.asarray((detections <= 1).all(0))
+
+
+def have_same_groups(first: Matches, second: Matches) -> bool:
     """Return whether two labellings join the same detections in every frame, by any name."""
     return np.array_equal(per_frame_labels(first).labels, per_frame_labels(second).labels)
 
@@ -151,7 +161,7 @@ def _scales_of_pairs(
     for a, b in combinations(range(len(rig.cameras)), 2):
         shared = shared_frames(sample, a, b, config)
         if len(shared):
-            pair = view_pair(sample, lifted, a, b, evenly_spaced(shared, SCALE_FRAMES))
+            pair = gather_view_pair(sample, lifted, (a, b), evenly_spaced(shared, SCALE_FRAMES))
             rotation, translation = rig.relative(a, b)
             error, weight = epipolar_error(pair, rotation[None], translation[None])
             matched = epipolar_fit(error, weight, config)[0] > SCALE_LEAST_FIT
@@ -184,20 +194,22 @@ def _affinities(
     views, count, instances = distance.shape
     by_views = affinity.reshape(count, views, instances, views, instances)
     for a, b in combinations(range(views), 2):
-        pair = view_pair(sample, lifted, a, b, frames)
+        pair = gather_view_pair(sample, lifted, (a, b), frames)
         rotation, translation = rig.relative(a, b)
         epipolar = by_views[:, a, :, b]
         found = match_affinity(
-            pair, rotation[None], scale * translation[None], epipolar[None], config
+            pair,
+            rotation[None],
+            scale * translation[None],
+            config,
+            epipolar=epipolar[None],
         )
         by_views[:, a, :, b] = found[0]
         by_views[:, b, :, a] = np.swapaxes(found[0], 1, 2)
     return affinity, comparable
 
 
-def _label_by_geometry(
-    frames: Ints, *, recording: Recording, rig: CameraRig, config: Config
-) -> Ints:
+def _label_by_rig(frames: Ints, *, recording: Recording, rig: CameraRig, config: Config) -> Ints:
     """Return `[view, frame, instance]` groups within some frames (indices), by the rig alone."""
     sample = take_sample(recording, frames)
     distance = distances_by_size(sample.rays)

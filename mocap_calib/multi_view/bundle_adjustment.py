@@ -11,8 +11,8 @@ from mocap_calib.multi_view.labels import per_frame_labels
 from mocap_calib.multi_view.ray_residuals import RayObservations, State
 from mocap_calib.multi_view.schur import minimise
 from mocap_calib.multi_view.triangulation import (
+    gather_observations,
     labelled_frames,
-    observations,
     triangulate_rays,
     view_noise,
 )
@@ -53,7 +53,7 @@ def adjust(
     the last step is needed.
 
     Raises UnderconstrainedCameraError for the camera that has the fewest points, where they are
-    too few to hold it, and DegenerateError where there is no match at all.
+    too few to constrain it, and DegenerateError where there is no match at all.
     """
     if matches.individuals == 0:
         raise DegenerateError(
@@ -62,10 +62,10 @@ def adjust(
         )
     matches = per_frame_labels(matches)  # who it is in other frames does not matter here
     noise = view_noise(sample, rig, matches, config.triangulate)
-    found = _choose_points(sample, rig, matches, noise=noise, config=config)
-    _check_every_camera(rig, found, config.adjust.least_keypoints)
-    seen = _ray_observations(rig, found, noise)
-    state = State(rig.rotation, rig.translation, found.points)
+    points = _choose_points(sample, rig, matches, noise=noise, config=config)
+    _check_every_camera(rig, points, config.adjust.least_keypoints)
+    seen = _ray_observations(rig, points, noise)
+    state = State(rig.rotation, rig.translation, points.points)
     *wide_scales, last_scale = config.adjust.loss_scales
     if not already_close:
         rough = config.adjust.rough_tolerance
@@ -96,7 +96,7 @@ def _choose_points(
     As many as the budget allows. noise: `[view]` in radians.
     """
     frames = _choose_frames(sample, matches, config.adjust.points)
-    seen = observations(sample, matches, frames)
+    seen = gather_observations(sample, matches, frames)
     weight = _drop_doubtful(seen.confidence, config.adjust)
     outlier = config.adjust.outlier_tolerance * config.triangulate.outlier
     tolerant = replace(config.triangulate, outlier=outlier)
@@ -137,9 +137,9 @@ def _drop_doubtful(confidence: Floats, config: AdjustConfig) -> Floats:
     return kept
 
 
-def _check_every_camera(rig: CameraRig, found: _Points, least: int) -> None:
-    """Raise UnderconstrainedCameraError where fewer than `least` keypoints hold a camera."""
-    count = found.used.sum(1)
+def _check_every_camera(rig: CameraRig, points: _Points, least: int) -> None:
+    """Raise UnderconstrainedCameraError where fewer than `least` keypoints constrain a camera."""
+    count = points.used.sum(1)
     view = int(count.argmin())
     if count[view] < least:
         name = rig.names[view]
@@ -153,14 +153,14 @@ def _check_every_camera(rig: CameraRig, found: _Points, least: int) -> None:
 # Residuals
 
 
-def _ray_observations(rig: CameraRig, found: _Points, noise: Floats) -> RayObservations:
+def _ray_observations(rig: CameraRig, points: _Points, noise: Floats) -> RayObservations:
     """Return what was seen, with the metric that turns directions into residuals.
 
     Residuals are in standard deviations of each view's own error (noise, `[view]` radians), so
     that the loss means the same in all views.
     """
     axis = np.array([0.0, 0.0, 1.0])[:, None]
-    rays = np.where(found.used[:, None], found.rays, axis)
+    rays = np.where(points.used[:, None], points.rays, axis)
     metrics = [
         _pixels_per_ray(camera, ray.T) / (sigma * camera.focal)
         for camera, ray, sigma in zip(rig.cameras, rays, noise, strict=True)
@@ -168,8 +168,8 @@ def _ray_observations(rig: CameraRig, found: _Points, noise: Floats) -> RayObser
     metric = np.ascontiguousarray(np.moveaxis(np.stack(metrics), 1, -1))
     return RayObservations(
         rays=rays,
-        metric=np.where(found.used[:, None, None], np.nan_to_num(metric), 0.0),
-        weight=np.where(found.used, found.weight, 0.0),
+        metric=np.where(points.used[:, None, None], np.nan_to_num(metric), 0.0),
+        weight=np.where(points.used, points.weight, 0.0),
     )
 
 

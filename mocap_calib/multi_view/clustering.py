@@ -78,7 +78,7 @@ def _closest_clusters(
 
 
 def _merge(clusters: _Clusters, frames: Ints, kept: Ints, merged: Ints) -> None:
-    """Merge one pair of clusters in each of the frames; `kept` is what both go by from now on."""
+    """Merge the cluster `merged` into `kept`, in each of the frames."""
     for sums in (clusters.affinity, clusters.pairs):
         joined = sums[frames, kept] + sums[frames, merged]
         sums[frames, kept] = joined

@@ -8,7 +8,7 @@ import numpy as np
 
 from mocap_calib.config import RIG_ERROR_THRESHOLDS_DEG
 from mocap_calib.errors import MismatchError
-from mocap_calib.geometry.alignment import similarity
+from mocap_calib.geometry.alignment import align_by_similarity
 from mocap_calib.geometry.rotation import angle_between, direction_angle
 from mocap_calib.types import CameraRig, Floats
 
@@ -57,7 +57,7 @@ def evaluate_rig(rig: CameraRig, reference: CameraRig) -> Evaluation:
     pairs = tuple(combinations(sorted(reference.names), 2))
     errors = np.array([_pair_error(rig, reference, a, b) for a, b in pairs])
     found, true = _select_named(rig, names), _select_named(reference, names)
-    scale, rotation, translation = similarity(_with_axes(found), _with_axes(true))
+    scale, rotation, translation = align_by_similarity(_with_axes(found), _with_axes(true))
     centres = scale * found.centres @ rotation.T + translation
     return Evaluation(
         names=names,
@@ -126,11 +126,11 @@ def area_under_curve(rotation_error: Floats, translation_error: Floats, degrees:
     return float(np.mean(accuracies))
 
 
-def evaluation_to_dict(found: Evaluation) -> dict[str, Any]:
+def evaluation_to_dict(evaluation: Evaluation) -> dict[str, Any]:
     """Return the figures under the keys of `mocap-calib evaluate --json`; angles in degrees."""
-    rotation, translation = found.rotation_error, found.translation_error
+    rotation, translation = evaluation.rotation_error, evaluation.translation_error
     return {
-        "pairs": _pairs_to_list(found),
+        "pairs": _pairs_to_list(evaluation),
         "rotation_error_deg": median_and_max(np.degrees(rotation)),
         "translation_error_deg": median_and_max(np.degrees(translation)),
         "rra": {str(t): accuracy(rotation, t) for t in RIG_ERROR_THRESHOLDS_DEG},
@@ -138,21 +138,21 @@ def evaluation_to_dict(found: Evaluation) -> dict[str, Any]:
         "auc": {
             str(t): area_under_curve(rotation, translation, t) for t in RIG_ERROR_THRESHOLDS_DEG
         },
-        "camera_rotation_error_deg": median_and_max(np.degrees(found.camera_rotation)),
-        "centre_error": median_and_max(found.centre_error),
-        "unit": found.unit,
-        "cameras": list(found.names),
-        "missing": list(found.missing),
+        "camera_rotation_error_deg": median_and_max(np.degrees(evaluation.camera_rotation)),
+        "centre_error": median_and_max(evaluation.centre_error),
+        "unit": evaluation.unit,
+        "cameras": list(evaluation.names),
+        "missing": list(evaluation.missing),
     }
 
 
-def _pairs_to_list(found: Evaluation) -> list[dict[str, Any]]:
+def _pairs_to_list(evaluation: Evaluation) -> list[dict[str, Any]]:
     """Return the errors of each pair in degrees."""
-    rotation = np.degrees(found.rotation_error).tolist()
-    translation = np.degrees(found.translation_error).tolist()
+    rotation = np.degrees(evaluation.rotation_error).tolist()
+    translation = np.degrees(evaluation.translation_error).tolist()
     return [
         {"a": a, "b": b, "rotation_error_deg": turn, "translation_error_deg": direction}
-        for (a, b), turn, direction in zip(found.pairs, rotation, translation, strict=True)
+        for (a, b), turn, direction in zip(evaluation.pairs, rotation, translation, strict=True)
     ]
 
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from mocap_calib.config import Config, UncertaintyConfig
 from mocap_calib.multi_view.triangulation import (
+    gather_observations,
     labelled_frames,
-    observations,
     points_in_cameras,
     project,
     triangulate_rays,
@@ -37,7 +37,7 @@ class Fit:
 
 def measure_fit(sample: Sample, rig: CameraRig, matches: Matches, config: Config) -> Fit:
     """Return how well the rig fits the matched detections in all frames of the sample."""
-    seen = observations(sample, matches, labelled_frames(matches))
+    seen = gather_observations(sample, matches, labelled_frames(matches))
     noise = view_noise(sample, rig, matches, config.triangulate)
     # what does not fit is to be counted, not left out
     all_rays = replace(config.triangulate, outlier=np.inf)

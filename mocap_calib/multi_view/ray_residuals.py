@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from mocap_calib.compute.parallel import in_order
+from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.types import Bools, Floats
 
 _BLOCK = 1024  # points at a time: what is computed of them stays in the cache
@@ -88,7 +88,7 @@ def blocks_of(points: Floats) -> list[slice]:
 def robust_cost(state: State, seen: RayObservations, loss_scale: float) -> float:
     """Return the robust cost: the sum of w s^2 log(1 + r'r / s^2)."""
     work = partial(_cost_of_block, state=state, seen=seen, loss_scale=loss_scale)
-    return sum(in_order(work, blocks_of(state.points))) * loss_scale**2
+    return sum(map_in_threads(work, blocks_of(state.points))) * loss_scale**2
 
 
 def _cost_of_block(
@@ -138,10 +138,10 @@ def jacobian(block: slice, state: State, seen: RayObservations, loss_scale: floa
     )
 
 
-def _robust_weight(found: _Residuals, weight: Floats, loss_scale: float) -> Floats:
+def _robust_weight(residuals: _Residuals, weight: Floats, loss_scale: float) -> Floats:
     """Return the square root of Cauchy's weight, w / (1 + r'r / s^2), `[view, n]`."""
-    square = np.einsum("vkn,vkn->vn", found.residual, found.residual)
-    weight = np.where(found.behind, 0.0, weight)
+    square = np.einsum("vkn,vkn->vn", residuals.residual, residuals.residual)
+    weight = np.where(residuals.behind, 0.0, weight)
     return np.sqrt(weight / (1 + square / loss_scale**2))
 
 

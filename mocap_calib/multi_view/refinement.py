@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from mocap_calib.config import Config
+from mocap_calib.config import Config, MatchingConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.rotation import angle_between
-from mocap_calib.multi_view.association import associate, same_groups, single_subject
+from mocap_calib.multi_view.association import associate, have_same_groups, label_single_subject
 from mocap_calib.multi_view.bundle_adjustment import adjust
 from mocap_calib.multi_view.factorization import factorise
 from mocap_calib.multi_view.fit import fit_equally_well, measure_fit
@@ -24,11 +24,11 @@ from mocap_calib.types import (
 
 def adjust_from_best_start(
     sample: Sample,
-    lifted: LiftedPoses,
     rig: CameraRig,
     matches: Matches,
     config: Config,
     *,
+    lifted: LiftedPoses,
     progress: Progress,
 ) -> Adjusted:
     """Adjust the averaged rig and, where nothing was lifted, the rigs found by factorization.
@@ -38,9 +38,11 @@ def adjust_from_best_start(
     """
     found: list[Adjusted] = []
     refusals: list[DegenerateError] = []
-    for start, labels in [(rig, matches), *_starts_without_model(sample, lifted)]:
+    for start, labels in [(rig, matches), *_starts_without_model(sample, lifted, config.matching)]:
         try:
-            adjusted = adjust_until_stable(sample, lifted, start, labels, config, progress=progress)
+            adjusted = adjust_until_stable(
+                sample, start, labels, config, lifted=lifted, progress=progress
+            )
         except DegenerateError as error:
             refusals.append(error)
         else:
@@ -52,18 +54,18 @@ def adjust_from_best_start(
 
 def adjust_until_stable(
     sample: Sample,
-    lifted: LiftedPoses,
     rig: CameraRig,
     matches: Matches,
     config: Config,
     *,
+    lifted: LiftedPoses,
     progress: Progress,
 ) -> Adjusted:
     """Adjust, match by the adjusted rig, and adjust again until nothing changes.
 
     It ends when no detection changes its group and no camera turns any more, or after
-    `config.adjust.rounds` rounds. Raises DegenerateError where what was matched does not hold the
-    rig.
+    `config.adjust.rounds` rounds. Raises DegenerateError where what was matched does not
+    constrain the rig.
     """
     rounds = config.adjust.rounds
     for done in range(1, rounds + 1):
@@ -71,7 +73,7 @@ def adjust_until_stable(
         progress("adjust", done, rounds)
         matches_again = associate(sample, lifted, adjusted, config, progress=silent)
         still = _largest_turn_deg(rig, adjusted) < config.adjust.still_deg
-        converged = same_groups(matches_again, matches) and still
+        converged = have_same_groups(matches_again, matches) and still
         rig, matches = adjusted, matches_again
         if converged:
             break
@@ -84,26 +86,28 @@ def adjust_until_stable(
     )
 
 
-def _starts_without_model(sample: Sample, lifted: LiftedPoses) -> list[tuple[CameraRig, Matches]]:
+def _starts_without_model(
+    sample: Sample, lifted: LiftedPoses, config: MatchingConfig
+) -> list[tuple[CameraRig, Matches]]:
     """Return rigs found by factorization with their labels, where no body could be lifted."""
     if np.isfinite(lifted.centre).any():
         return []
-    labels = single_subject(sample)
+    labels = label_single_subject(sample, config.factorization_share)
     if labels is None:
         return []
     return [(rig, labels) for rig in factorise(sample, labels)]
 
 
-def _best_fit(sample: Sample, found: list[Adjusted], config: Config) -> Adjusted:
+def _best_fit(sample: Sample, adjusted: list[Adjusted], config: Config) -> Adjusted:
     """Return the rig that fits best, with another that fits as well, if there is one."""
-    fits = [measure_fit(sample, each.rig, each.matches, config) for each in found]
-    best, *others = sorted(range(len(found)), key=lambda k: fits[k].misfit)
+    fits = [measure_fit(sample, each.rig, each.matches, config) for each in adjusted]
+    best, *others = sorted(range(len(adjusted)), key=lambda k: fits[k].misfit)
     for k in others:
-        turn_deg = _largest_turn_deg(found[k].rig, found[best].rig)
+        turn_deg = _largest_turn_deg(adjusted[k].rig, adjusted[best].rig)
         another_rig = turn_deg > config.uncertainty.same_rig_deg
         if another_rig and fit_equally_well(fits[k], fits[best], config.uncertainty):
-            return replace(found[best], depth_reversed_rig=found[k].rig)
-    return found[best]
+            return replace(adjusted[best], depth_reversed_rig=adjusted[k].rig)
+    return adjusted[best]
 
 
 def _largest_turn_deg(first: CameraRig, second: CameraRig) -> float:

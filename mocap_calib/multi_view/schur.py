@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from mocap_calib.compute.parallel import in_order
+from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import (
     LM_DAMPING_FACTOR,
     LM_FIRST_DAMPING,
@@ -89,7 +89,7 @@ def _linearise(state: State, seen: RayObservations, loss_scale: float) -> _Norma
     work = partial(
         _linearise_block, state=state, seen=seen, loss_scale=loss_scale, equations=equations
     )
-    for camera, camera_gradient in in_order(work, blocks_of(state.points)):
+    for camera, camera_gradient in map_in_threads(work, blocks_of(state.points)):
         equations.camera[:] += camera
         equations.camera_gradient[:] += camera_gradient
     return equations
@@ -141,7 +141,7 @@ def _eliminate_points(equations: _NormalEquations, damping: float) -> tuple[Floa
     inverse = np.empty((3, 3, count))
     schur = np.zeros((6 * views, 6 * views))
     gradient = equations.camera_gradient.reshape(-1).copy()
-    for block, (of_block, matrix, side) in zip(blocks, in_order(work, blocks), strict=True):
+    for block, (of_block, matrix, side) in zip(blocks, map_in_threads(work, blocks), strict=True):
         inverse[..., block] = of_block
         schur -= matrix
         gradient -= side
@@ -183,7 +183,7 @@ def _solve_cameras(schur: Floats, gradient: Floats) -> Floats:
     free = slice(6, None)  # the first camera is the frame of the world
     matrix = schur[free, free]
     stiffness = np.diag(matrix)
-    # rounding may leave what nothing holds below zero
+    # rounding may leave a direction that nothing constrains below zero
     scale = 1 / np.sqrt(np.maximum(stiffness, 1e-15 * stiffness.max() + 1e-150))
     scaled = scale[:, None] * matrix * scale + 1e-12 * np.eye(len(matrix))
     step = np.zeros(len(gradient))

@@ -10,12 +10,12 @@ from functools import partial
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from mocap_calib.compute.parallel import in_order
+from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import MatchingConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.projection import rays_from_pixels
 from mocap_calib.multi_view.labels import per_frame_labels, replace_labels
-from mocap_calib.multi_view.tracklets import fill_in
+from mocap_calib.multi_view.tracklets import name_by_tracklets
 from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Matches, Recording
 
 _FRAMES = 512  # in which groups are located at a time
@@ -31,7 +31,7 @@ def locate_groups(recording: Recording, rig: CameraRig, labels: Ints) -> Floats:
     starts = range(0, labels.shape[1], _FRAMES)
     blocks = [slice(start, start + _FRAMES) for start in starts]
     locate = partial(_locate_in_block, recording=recording, rig=rig, labels=labels, groups=groups)
-    return np.concatenate(list(in_order(locate, blocks)))
+    return np.concatenate(list(map_in_threads(locate, blocks)))
 
 
 def _locate_in_block(
@@ -85,14 +85,14 @@ def link_through_time(labels: Ints, places: Floats, frames: Ints, config: Matchi
     body sizes; frames: `[frame]` numbers. Returns labels of the same shape, those that are seen
     in most frames first.
     """
-    reach = _reach(places, frames, config)
+    largest_step = _largest_step(places, frames, config)
     linked = np.full_like(labels, -1)
     last_place = np.zeros((0, 3))  # of every individual so far
     last_frame = np.zeros(0, dtype=np.int64)
     for index, frame in enumerate(frames):
         groups = np.flatnonzero(np.isfinite(places[index, :, 0]))
         here = places[index, groups]
-        limit = reach * np.minimum(frame - last_frame, config.memory)
+        limit = largest_step * np.minimum(frame - last_frame, config.memory)
         individual = _nearest_individuals(last_place, here, limit)
 
         is_new = individual < 0
@@ -119,7 +119,7 @@ def _nearest_individuals(last_place: Floats, here: Floats, limit: Floats) -> Int
     distance = np.linalg.norm(last_place[:, None] - here[None], axis=-1)
     if distance.size == 0:
         return individual
-    # what is out of reach costs the same however far it is
+    # what is too far away costs the same however far it is
     cost = np.minimum(distance, 2 * limit[:, None])
     rows, columns = linear_sum_assignment(cost)
     near = distance[rows, columns] <= limit[rows]
@@ -127,7 +127,7 @@ def _nearest_individuals(last_place: Floats, here: Floats, limit: Floats) -> Int
     return individual
 
 
-def _reach(places: Floats, frames: Ints, config: MatchingConfig) -> float:
+def _largest_step(places: Floats, frames: Ints, config: MatchingConfig) -> float:
     """Return how far a body may be from where it was one frame number ago, in body sizes."""
     step = places[:-1, :, None] - places[1:, None]
     elapsed = np.diff(frames)[:, None, None]
@@ -136,8 +136,8 @@ def _reach(places: Floats, frames: Ints, config: MatchingConfig) -> float:
     nearest = np.nanmin(speed, axis=-1, initial=np.inf)  # group of the next frame
     steps = nearest[np.isfinite(nearest)]
     if len(steps) == 0:
-        return config.reach
-    return max(config.reach, config.usual_steps * float(np.median(steps)))
+        return config.largest_step
+    return max(config.largest_step, config.usual_steps * float(np.median(steps)))
 
 
 def finalise_identities(
@@ -162,10 +162,10 @@ def finalise_identities(
     kept = np.where(real, np.arange(len(real)), -1)
     labels = replace_labels(matches.labels, kept)
     groups = per_frame_labels(Matches(labels)).labels
-    stays = _stays(labels, groups, locate_groups(recording, rig, groups))
-    names = _reuse_names(stays, individuals=matches.individuals, frames=labels.shape[1])
+    presences = _list_presences(labels, groups, locate_groups(recording, rig, groups))
+    names = _reuse_names(presences, individuals=matches.individuals, frames=labels.shape[1])
     joined = _sort_by_presence(replace_labels(labels, names))
-    return Matches(fill_in(recording, joined, config))
+    return Matches(name_by_tracklets(recording, joined, config))
 
 
 def _real_individuals(matches: Matches, views: int, config: MatchingConfig) -> Bools:
@@ -201,7 +201,7 @@ def _appearances(labels: Ints) -> _Appearances:
 
 
 @dataclass(frozen=True)
-class _Stay:
+class _Presence:
     """When an individual is seen, and where at first and at last.
 
     frames: indices, ascending. first_place, last_place: `[3]`.
@@ -213,26 +213,33 @@ class _Stay:
     last_place: Floats
 
 
-def _stays(labels: Ints, groups: Ints, places: Floats) -> list[_Stay]:
-    """Return the stay of each individual, in the order of their labels.
+def _list_presences(labels: Ints, groups: Ints, places: Floats) -> list[_Presence]:
+    """List when and where each individual is seen, in the order of their labels.
 
     labels: `[view, frame, instance]`; groups: the same, numbered within each frame; places:
     `[frame, group, 3]`.
     """
     seen = _appearances(labels)
-    stays = []
+    presences = []
     for individual in np.unique(seen.individual).tolist():
         frames = seen.frame[seen.individual == individual]
         first_place, last_place = (
             places[frame, groups[:, frame][labels[:, frame] == individual][0]]
             for frame in (frames[0], frames[-1])
         )
-        stays.append(_Stay(individual, frames, first_place, last_place))
-    return stays
+        presences.append(
+            _Presence(
+                individual=individual,
+                frames=frames,
+                first_place=first_place,
+                last_place=last_place,
+            )
+        )
+    return presences
 
 
-def _reuse_names(stays: list[_Stay], *, individuals: int, frames: int) -> Ints:
-    """Return the name of each individual, `[individual]`; -1 where it has no stay.
+def _reuse_names(presences: list[_Presence], *, individuals: int, frames: int) -> Ints:
+    """Return the name of each individual, `[individual]`; -1 where it is never seen.
 
     Individuals that are never seen together are joined, in the order in which they appear, each
     to the one that was last seen nearest to where it appears.
@@ -240,19 +247,19 @@ def _reuse_names(stays: list[_Stay], *, individuals: int, frames: int) -> Ints:
     names = np.full(individuals, -1, dtype=np.int64)
     busy: list[Bools] = []  # of each name: the frames it is seen in
     last_place: list[Floats] = []  # of each name: where it was last seen so far
-    for stay in sorted(stays, key=lambda stay: stay.frames[0]):
-        free = [name for name, frames_of in enumerate(busy) if not frames_of[stay.frames].any()]
+    for presence in sorted(presences, key=lambda each: each.frames[0]):
+        free = [name for name, frames_of in enumerate(busy) if not frames_of[presence.frames].any()]
         if free:
-            gaps = [last_place[name] - stay.first_place for name in free]
+            gaps = [last_place[name] - presence.first_place for name in free]
             distances = [float(np.linalg.norm(gap)) for gap in gaps]
             name = free[distances.index(min(distances))]
         else:
             name = len(busy)
             busy.append(np.zeros(frames, dtype=bool))
-            last_place.append(stay.last_place)
-        names[stay.individual] = name
-        busy[name][stay.frames] = True
-        last_place[name] = stay.last_place
+            last_place.append(presence.last_place)
+        names[presence.individual] = name
+        busy[name][presence.frames] = True
+        last_place[name] = presence.last_place
     return names
 
 

@@ -15,8 +15,8 @@ from mocap_calib.types import Bools, Floats, Ints, Reals, Recording
 _FRAMES = 512  # linked at a time
 
 
-def fill_in(recording: Recording, labels: Ints, config: MatchingConfig) -> Ints:
-    """Return the labels with names for detections that had none.
+def name_by_tracklets(recording: Recording, labels: Ints, config: MatchingConfig) -> Ints:
+    """Give detections without a name the name of their tracklet, and return the labels.
 
     A detection takes the name that most of its tracklet has, if another view has that name in the
     same frame. Names that are given stay, and none is given twice in a view and frame.
@@ -29,7 +29,7 @@ def fill_in(recording: Recording, labels: Ints, config: MatchingConfig) -> Ints:
         others = np.delete(labels, view, axis=0)
         in_other_views = np.moveaxis(others, 1, 0).reshape(len(given), -1)
         confirmed = _is_among(wanted, in_other_views)
-        free = ~_is_among(wanted, given) & ~_repeated(wanted)
+        free = ~_is_among(wanted, given) & ~_occurs_twice(wanted)
         filled[view] = np.where((given < 0) & confirmed & free, wanted, given)
     return filled
 
@@ -116,11 +116,13 @@ def _squared_extent(positions: Floats, seen: Floats) -> Floats:
 
 
 def _majority(track: Ints, labels: Ints, config: MatchingConfig) -> Ints:
-    """Return the name that more than half of a detection's tracklet has within a stretch of frames.
+    """Return the name that most detections of the tracklet have in its part.
+
+    More than half of them, of those without a name as well. A part is a stretch of frames.
 
     track, labels: `[frame, instance]`. Returns `[frame, instance]`, -1 where there is no such name.
     """
-    part_of = _parts(track, config.tracklet_frames)
+    part_of = _cut_tracklets(track, config.tracklet_frames)
     sizes = np.bincount(part_of.ravel())
     names = int(labels.max(initial=0)) + 1
     named = labels >= 0
@@ -132,10 +134,11 @@ def _majority(track: Ints, labels: Ints, config: MatchingConfig) -> Ints:
     return winner[part_of]
 
 
-def _parts(track: Ints, length: int) -> Ints:
-    """Return `[frame, instance]` part of a tracklet, numbered from 0; one part holds the rest.
+def _cut_tracklets(track: Ints, length: int) -> Ints:
+    """Return the part of a tracklet that each detection is in, `[frame, instance]`, from 0 on.
 
-    Tracklets are cut at every `length` frames of the recording.
+    Tracklets are cut at every `length` frames of the recording. What is in no tracklet is in one
+    part.
     """
     frames = len(track)
     stretches = frames // length + 1
@@ -151,7 +154,7 @@ def _is_among(names: Ints, others: Ints) -> Bools:
     return np.asarray(same.any(-1))
 
 
-def _repeated(names: Ints) -> Bools:
+def _occurs_twice(names: Ints) -> Bools:
     """Return `[frame, instance]` whether another detection of the frame has the same name."""
     same = names[:, :, None] == names[:, None]
     return np.asarray((names >= 0) & (same.sum(-1) > 1))

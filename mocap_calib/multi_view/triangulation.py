@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from mocap_calib.compute.parallel import in_order
+from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import TriangulateConfig
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.intersection import intersect
@@ -42,7 +42,7 @@ class Observations:
     confidence: Floats
 
 
-def observations(recording: Recording, matches: Matches, frames: Ints) -> Observations:
+def gather_observations(recording: Recording, matches: Matches, frames: Ints) -> Observations:
     """Return the detections of all individuals in the frames with these indices `[frame]`.
 
     N = frames x individuals x keypoints, in that order.
@@ -108,7 +108,7 @@ def triangulate(
         config=config,
     )
     blocks = _blocks(frames, matches.individuals * keypoints)
-    for block, part in zip(blocks, in_order(work, blocks), strict=True):
+    for block, part in zip(blocks, map_in_threads(work, blocks), strict=True):
         found.positions[block] = part.positions
         found.error[block] = part.error
         found.views[block] = part.views
@@ -136,7 +136,7 @@ def _triangulate_block(
     config: TriangulateConfig,
 ) -> Poses3D:
     """Return the poses in the frames with these indices."""
-    seen = observations(recording, matches, frames)
+    seen = gather_observations(recording, matches, frames)
     points, used = triangulate_rays(
         rig, seen.rays, weight=seen.confidence, noise=noise, config=config
     )
@@ -164,7 +164,7 @@ def view_noise(
     that three views see (two where there are no more).
     """
     frames = evenly_spaced(labelled_frames(matches), config.noise_frames)
-    seen = observations(recording, matches, frames)
+    seen = gather_observations(recording, matches, frames)
     precision = seen.confidence / config.unknown_noise**2
     points = intersect(rig, _rays_in_world(rig, seen.rays), precision)
     angle, _ = _ray_angles(rig, points, seen.rays)

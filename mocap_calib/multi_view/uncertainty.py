@@ -18,7 +18,7 @@ from typing import Literal
 
 import numpy as np
 
-from mocap_calib.compute.parallel import in_order
+from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import Config, UncertaintyConfig
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
 from mocap_calib.geometry.rotation import angle_between
@@ -62,15 +62,15 @@ def split_half_angle(
     """Return the angle `[pair]` in radians between rigs that are adjusted to halves of the joints.
 
     Of the relative rotation of each pair of cameras: RMS over several random splits, pi where a
-    half does not hold one of the two cameras.
+    half does not constrain one of the two cameras.
     """
     splits = config.uncertainty.splits
     # what halves differ by is not chance: more points do not show it better
     points = config.adjust.points // splits
     fewer_points = replace(config, adjust=replace(config.adjust, points=points))
     work = partial(_rotations_from, rig=rig, matches=matches, config=fewer_points)
-    halves = _halves_of_joints(sample, splits, seed)
-    rotations = np.stack(list(in_order(work, halves)))  # [half, view, 3, 3]
+    halves = _split_halves(sample, splits, seed)
+    rotations = np.stack(list(map_in_threads(work, halves)))  # [half, view, 3, 3]
     a, b = _pairs(len(rig.cameras))
     relative = rotations[:, b] @ np.swapaxes(rotations[:, a], -1, -2)
     first, second = relative[::2], relative[1::2]
@@ -91,7 +91,7 @@ def _pairs(views: int) -> tuple[Ints, Ints]:
     return a, b
 
 
-def _halves_of_joints(sample: Sample, splits: int, seed: int) -> Iterator[Sample]:
+def _split_halves(sample: Sample, splits: int, seed: int) -> Iterator[Sample]:
     """Return samples with one half of the joints and with the other, for random splits in turn."""
     rng = np.random.default_rng(seed)
     joints = np.arange(len(sample.keypoints))
@@ -114,25 +114,25 @@ def _with_joints(sample: Sample, kept: Bools) -> Sample:
 def _rotations_from(half: Sample, *, rig: CameraRig, matches: Matches, config: Config) -> Floats:
     """Return the rotations `[view, 3, 3]` of the rig adjusted to a part of the detections.
 
-    NaN for cameras that this part does not hold.
+    NaN for cameras that this part does not constrain.
     """
     rotations = np.full_like(rig.rotation, np.nan)
-    held = np.arange(len(rig.cameras))
-    while len(held) >= 2:
+    constrained = np.arange(len(rig.cameras))
+    while len(constrained) >= 2:
         try:
             adjusted = adjust(
-                half.select(views=held),
-                rig.select(held),
-                matches.select(views=held),
+                half.select(views=constrained),
+                rig.select(constrained),
+                matches.select(views=constrained),
                 config,
                 already_close=True,
             )
         except UnderconstrainedCameraError as error:
-            loose = rig.names.index(error.camera)
-            held = held[held != loose]
+            underconstrained = rig.names.index(error.camera)
+            constrained = constrained[constrained != underconstrained]
         except DegenerateError:
             break
         else:
-            rotations[held] = adjusted.rotation
+            rotations[constrained] = adjusted.rotation
             break
     return rotations

@@ -54,8 +54,8 @@ def select_hypotheses(
         posterior = hypotheses.prior * (config.loop_doubt + agreement)
         posterior = posterior / posterior.sum(1, keepdims=True)
         belief = (belief + posterior) / 2  # halfway, so that beliefs do not oscillate
-    chosen = belief.argmax(1).tolist()
-    return tuple(map(_take_hypothesis, pairs, chosen))
+    most_probable = belief.argmax(1).tolist()
+    return tuple(map(_take_hypothesis, pairs, most_probable))
 
 
 def alternative_taken(pair: PairwiseCalibration) -> bool:
@@ -159,12 +159,12 @@ def _pairs_in_closed_triangles(
     return closes
 
 
-def _take_hypothesis(pair: PairwiseCalibration, chosen: int) -> PairwiseCalibration:
-    """Return the pair with one of its hypotheses as its answer, the others as alternatives."""
+def _take_hypothesis(pair: PairwiseCalibration, answer: int) -> PairwiseCalibration:
+    """Return the pair with one hypothesis (index) as its answer, the others as alternatives."""
     hypotheses = pair.hypotheses
-    others = [replace(h, alternatives=()) for k, h in enumerate(hypotheses) if k != chosen]
+    others = [replace(h, alternatives=()) for k, h in enumerate(hypotheses) if k != answer]
     others.sort(key=lambda hypothesis: -hypothesis.score)
-    return replace(hypotheses[chosen], alternatives=tuple(others))
+    return replace(hypotheses[answer], alternatives=tuple(others))
 
 
 def _triangles(pairs: tuple[PairwiseCalibration, ...]) -> Ints:

@@ -1,4 +1,4 @@
-"""Choosing which frames of a recording are worked on.
+"""Choose which frames of a recording are worked on.
 
 Of a short recording these are all but the overcrowded frames, and of a long one a fixed number
 that shows everything. Cameras stand where they stand however long the recording is, so

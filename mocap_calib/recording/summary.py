@@ -1,4 +1,4 @@
-"""What the files of a recording gave, and what of it is not used: for the eyes of a person."""
+"""What the files of a recording gave, and what of it is not used: for messages."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -56,7 +56,7 @@ class RecordingSummary:
         return len(self.keypoints) - len(self.unknown)
 
     @property
-    def by_geometry_alone(self) -> bool:
+    def too_few_known_joints(self) -> bool:
         """Whether the model knows too few joints to help."""
         return self.known < LEAST_JOINTS
 

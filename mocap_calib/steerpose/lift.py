@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from mocap_calib.compute.parallel import in_order
+from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import (
     LEAST_JOINTS,
     LIFT_BEST_PERCENTILE,
@@ -67,7 +67,7 @@ def lift(sample: Sample, lifter: Lifter, *, device: str = "cpu", progress: Progr
 
     lifted: list[_Bodies] = []
     with _one_torch_thread():
-        for bodies in in_order(lift_view, range(views)):
+        for bodies in map_in_threads(lift_view, range(views)):
             lifted.append(bodies)
             progress("lift", len(lifted), views)
     return LiftedPoses(

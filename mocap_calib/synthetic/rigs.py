@@ -76,7 +76,13 @@ def _random_camera(
     focal_y = focal * rng.uniform(0.998, 1.002)
     matrix = np.array([[focal, 0, centre_x], [0, focal_y, centre_y], [0, 0, 1]])
     coefficients = _random_coefficients(rng, distortion)
-    return Camera(name, size, matrix, coefficients, fisheye=distortion == "fisheye")
+    return Camera(
+        name=name,
+        size=size,
+        matrix=matrix,
+        distortion=coefficients,
+        fisheye=distortion == "fisheye",
+    )
 
 
 def _random_coefficients(rng: np.random.Generator, distortion: Distortion) -> Floats:

@@ -2,7 +2,7 @@
 
 Three sources: lifted bodies, turned into the other view; where their centres are; and epipolar
 geometry. Lengths are in body sizes and image errors are measured at the body (an angle times the
-distance of the body), so that one yardstick serves a mouse in a box and a team in a hall.
+distance of the body), so that one tolerance serves scenes of any size.
 
 M relative poses are looked at in one go; a frame holds I instances in view a and J in view b.
 """
@@ -13,7 +13,7 @@ import numpy as np
 
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.epipolar import essential_matrix
-from mocap_calib.two_view.view_pair import ViewPair, reach
+from mocap_calib.two_view.view_pair import ViewPair, body_sizes_per_radian
 from mocap_calib.types import Bools, CameraRig, Floats, Sample
 
 
@@ -88,7 +88,7 @@ def epipolar_error(pair: ViewPair, rotation: Floats, translation: Floats) -> tup
     slope = square_a + square_b - 2 * value**2
     angle = np.abs(value) / np.sqrt(np.maximum(slope, 1e-18))
     weight = _weight_of_matches(pair.a.weight, pair.b.weight)
-    return angle * reach(pair)[None, ..., None], weight
+    return angle * body_sizes_per_radian(pair)[None, ..., None], weight
 
 
 def _weight_of_matches(weight_a: Floats, weight_b: Floats) -> Floats:
@@ -112,7 +112,12 @@ def _comparable(weight: Floats, config: PairwiseConfig) -> Bools:
 
 
 def match_affinity(
-    pair: ViewPair, rotation: Floats, translation: Floats, epipolar: Floats, config: PairwiseConfig
+    pair: ViewPair,
+    rotation: Floats,
+    translation: Floats,
+    config: PairwiseConfig,
+    *,
+    epipolar: Floats,
 ) -> Floats:
     """Return in 0..1 that two detections are one individual: geometry, tempered by lifted bodies.
 
@@ -142,7 +147,7 @@ def epipolar_affinity(
     for a, b in combinations(range(views), 2):
         rotation, translation = rig.relative(a, b)
         matrix = essential_matrix(rotation, translation / np.linalg.norm(translation))
-        reach_squared = 2 / (closeness[a][:, :, None] + closeness[b][:, None])
+        body_sizes_squared = 2 / (closeness[a][:, :, None] + closeness[b][:, None])
         weight = _weight_of_matches(sample.confidence[a], sample.confidence[b])
         common = _comparable(weight, config)
         found = _fit_by_component(
@@ -150,7 +155,7 @@ def epipolar_affinity(
             rays[a],
             rays[b],
             weight=weight,
-            inverse_width_squared=reach_squared / config.inlier**2,
+            inverse_width_squared=body_sizes_squared / config.inlier**2,
         )
         found *= common
         for table, values in ((affinity, found), (comparable, common)):

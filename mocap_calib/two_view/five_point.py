@@ -27,7 +27,7 @@ from mocap_calib.geometry.epipolar import (
 from mocap_calib.two_view.assignment import mutual_best
 from mocap_calib.types import Bools, Floats, Ints
 
-Pose = tuple[Floats, Floats]  # R [3, 3] and t [3] of b_from_a
+RelativePose = tuple[Floats, Floats]  # R [3, 3] and t [3] of b_from_a
 
 
 class Found(NamedTuple):
@@ -68,7 +68,7 @@ def all_pairs_magsac(
     problem = _Problem(rays_a, rays_b, threshold, config or FivePointConfig())
     everything = np.ones(problem.pairs_of_detections, dtype=bool)
     pose = _essential_pose(problem, everything, cv2.USAC_MAGSAC)
-    return None if pose is None else Found(*pose, _matches(problem, pose))
+    return None if pose is None else Found(*pose, _list_matches(problem, pose))
 
 
 def five_point_over_matches(
@@ -96,10 +96,10 @@ def five_point_over_matches(
             best, most = pose, inliers
     if best is None:
         return None
-    again = _essential_pose(problem, _matched(problem, best), cv2.RANSAC)
+    again = _essential_pose(problem, _best_matches_mask(problem, best), cv2.RANSAC)
     if again is not None and _count_inliers(problem, again) >= most:
         best = again
-    return Found(*best, _matches(problem, best))
+    return Found(*best, _list_matches(problem, best))
 
 
 def _candidates(problem: _Problem, rng: np.random.Generator) -> Iterator[Bools]:
@@ -135,7 +135,7 @@ def _possible_matches(present_a: Bools, present_b: Bools) -> list[list[tuple[int
     return double or [[match] for match in single]
 
 
-def _essential_pose(problem: _Problem, matched: Bools, method: int) -> Pose | None:
+def _essential_pose(problem: _Problem, matched: Bools, method: int) -> RelativePose | None:
     """Return R and unit t by OpenCV's robust estimation from the joints of matches.
 
     Of the four decompositions of E the one with most inliers in front of both cameras.
@@ -171,7 +171,7 @@ def _correspondences(problem: _Problem, matched: Bools) -> tuple[Floats, Floats]
     return rays_a[both], rays_b[both]
 
 
-def _inliers(problem: _Problem, pose: Pose) -> tuple[Ints, Ints]:
+def _inliers(problem: _Problem, pose: RelativePose) -> tuple[Ints, Ints]:
     """Return how many joints of each possible match are inliers, and how many it has.
 
     `[frame, I, J]` each.
@@ -192,7 +192,7 @@ def _share(inliers: Ints, seen: Ints) -> Floats:
     return inliers / np.maximum(seen, 1) * (seen >= FIVE_POINT_LEAST_JOINTS)
 
 
-def _count_inliers(problem: _Problem, pose: Pose) -> float:
+def _count_inliers(problem: _Problem, pose: RelativePose) -> float:
     """Return how many joints of right matches are inliers."""
     inliers, seen = _inliers(problem, pose)
     share = _share(inliers, seen)
@@ -200,11 +200,11 @@ def _count_inliers(problem: _Problem, pose: Pose) -> float:
     return float((inliers * right).sum())
 
 
-def _matched(problem: _Problem, pose: Pose) -> Bools:
-    """Return `[frame, I, J]` the matches that are best for both detections."""
+def _best_matches_mask(problem: _Problem, pose: RelativePose) -> Bools:
+    """Return where two detections are each other's best match, `[frame, I, J]`."""
     return mutual_best(_share(*_inliers(problem, pose)), least=0.0)
 
 
-def _matches(problem: _Problem, pose: Pose) -> Ints:
-    """Return the same as `[match, 3]` rows (frame, i, j)."""
-    return np.argwhere(_matched(problem, pose)).astype(np.int64)
+def _list_matches(problem: _Problem, pose: RelativePose) -> Ints:
+    """Return the best matches as rows (frame, i, j) `[match, 3]`."""
+    return np.argwhere(_best_matches_mask(problem, pose)).astype(np.int64)

@@ -1,12 +1,10 @@
-"""Calibrate pairs by the five-point baseline, for the pipeline; no network proposes anything."""
+"""Calibrate pairs by the five-point baseline, for the pipeline; no network is needed."""
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from mocap_calib.config import FivePointConfig, PairwiseConfig
 from mocap_calib.two_view.five_point import five_point_over_matches
-from mocap_calib.two_view.solve import PairProblem, judge_pair
+from mocap_calib.two_view.solve import PairProblem, judge_pair, mean_focal
 from mocap_calib.types import Floats, PairwiseCalibration
 
 
@@ -26,7 +24,7 @@ class FivePointPairs:
         pair = problem.pair
         if problem.shared_frames == 0:
             return None
-        focal = float(self.focal[[problem.a, problem.b]].mean())
+        focal = mean_focal(problem, self.focal)
         found = five_point_over_matches(
             pair.a.rays_or_nan,
             pair.b.rays_or_nan,
@@ -34,16 +32,13 @@ class FivePointPairs:
             problem.rng,
             config=self.config,
         )
-        if found is None or not len(found.matches):
+        if found is None:
             return None
-        matched = np.zeros(pair.overlap.lifted.shape, dtype=bool)
-        frame, i, j = found.matches.T
-        matched[frame, i, j] = True
         return judge_pair(
             problem,
             rotation=found.rotation,
             translation=found.translation,
-            matched=matched,
+            matches=found.matches,
             source="five-point",
             config=self.pairwise,
         )

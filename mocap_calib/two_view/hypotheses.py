@@ -13,7 +13,7 @@ from mocap_calib.geometry.epipolar import five_point
 from mocap_calib.geometry.rotation import nearest_rotation
 from mocap_calib.two_view.affinity import body_agreement
 from mocap_calib.two_view.assignment import mutual_best, sinkhorn
-from mocap_calib.two_view.view_pair import ViewPair, reach
+from mocap_calib.two_view.view_pair import ViewPair, body_sizes_per_radian
 from mocap_calib.types import Floats, Ints
 
 _CELLS = 2_000_000  # candidates x possible matches scored at a time
@@ -167,7 +167,7 @@ def _mean_gap(pair: ViewPair, rotation: Floats, weight: Floats) -> tuple[Floats,
 
 
 def _known_identities(pair: ViewPair, tracked: bool, config: PairwiseConfig) -> list[Ints]:
-    """Return sets of matches `[match, 3]` (frame, i, j) that hold one individual in each view.
+    """Return sets of matches `[match, 3]` (frame, i, j) of one individual in each view.
 
     Each pair of tracks may be one; otherwise there is one set, of the frames with a single
     subject, where half of the frames or more are such.
@@ -204,7 +204,9 @@ def _from_five_points(
         drawn = np.sort(rng.permutation(len(matches))[: config.five_point_matches])
         frame, i, j = matches[drawn].T
         both = (pair.a.weight[frame, i] > 0) & (pair.b.weight[frame, j] > 0)
-        threshold = config.five_point_inlier / float(np.median(reach(pair)[frame, i, j]))
+        threshold = config.five_point_inlier / float(
+            np.median(body_sizes_per_radian(pair)[frame, i, j])
+        )
         rays_a, rays_b = pair.a.rays[frame, i][both], pair.b.rays[frame, j][both]
         found += five_point(rays_a, rays_b, threshold)
     return Hypotheses(

@@ -13,7 +13,7 @@ from mocap_calib.steerpose.paper.batch import TwoViews
 from mocap_calib.steerpose.paper.solver import seeded_generator, solve_pair
 from mocap_calib.steerpose.rays import rays_by_joint
 from mocap_calib.steerpose.steer import Model
-from mocap_calib.two_view.solve import PairProblem, judge_pair
+from mocap_calib.two_view.solve import PairProblem, judge_pair, mean_focal
 from mocap_calib.types import Floats, Ints, PairwiseCalibration
 
 
@@ -38,16 +38,12 @@ class PaperPairs:
         frames = evenly_spaced(np.arange(len(problem.pair.frames)), self.config.frames)
         generator = seeded_generator(int(problem.rng.integers(2**62)))
         found = solve_pair(self._two_views(problem, frames), self.model, self.config, generator)
-        if not len(found.matches):
-            return None
-        matched = np.zeros(problem.pair.overlap.lifted.shape, dtype=bool)
-        frame, i, j = found.matches.T
-        matched[frames[frame], i, j] = True
+        frame, instances = found.matches[:, 0], found.matches[:, 1:]
         return judge_pair(
             problem,
             rotation=found.rotation,
             translation=found.translation,
-            matched=matched,
+            matches=np.column_stack([frames[frame], instances]),
             source="paper",
             config=self.pairwise,
         )
@@ -57,5 +53,4 @@ class PaperPairs:
         pair, joints = problem.pair, self.model.config.joints
         rays_a = rays_by_joint(pair.a.rays_or_nan[frames], self.vocabulary, joints)
         rays_b = rays_by_joint(pair.b.rays_or_nan[frames], self.vocabulary, joints)
-        focal = float(self.focal[[problem.a, problem.b]].mean())
-        return TwoViews(rays_a, rays_b, focal)
+        return TwoViews(rays_a, rays_b, mean_focal(problem, self.focal))

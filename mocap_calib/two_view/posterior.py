@@ -76,7 +76,7 @@ def most_probable(
     def energy_at(rotation: Floats, translation: Floats) -> Energy:
         of_rays = ray_energy(rays, rotation, translation, noise=noise, config=config)
         of_bodies = body_energy(pair, lifted, rotation, config)
-        of_centres = centre_energy(pair, lifted, rotation, translation, config)
+        of_centres = centre_energy(pair, lifted, config, rotation=rotation, translation=translation)
         return of_rays + of_bodies.scale(share) + of_centres.scale(share)
 
     return _minimise(energy_at, rotation, translation, config)
@@ -150,9 +150,14 @@ def ray_errors(rays: MatchedRays, rotation: Floats, translation: Floats) -> tupl
     length = np.linalg.norm(translation)
     direction = translation / length
     across = (np.eye(3) - np.outer(direction, direction)) / length  # slope of the direction
-    rays_a, rays_b = _by_component(rays.a), _by_component(rays.b)
-    error, jacobian = epipolar_system(rotation[None], direction[None], rays_a, rays_b, across[None])
-    return error[0] * rays.reach, jacobian[0] * rays.reach
+    error, jacobian = epipolar_system(
+        rotation[None],
+        direction[None],
+        rays_a=_by_component(rays.a),
+        rays_b=_by_component(rays.b),
+        tangent=across[None],
+    )
+    return error[0] * rays.body_sizes_per_radian, jacobian[0] * rays.body_sizes_per_radian
 
 
 def _by_component(rays: Floats) -> Floats:
@@ -197,7 +202,12 @@ def _axial_vector(matrix: Floats) -> Floats:
 
 
 def centre_energy(
-    pair: ViewPair, lifted: Bools, rotation: Floats, translation: Floats, config: PairwiseConfig
+    pair: ViewPair,
+    lifted: Bools,
+    config: PairwiseConfig,
+    *,
+    rotation: Floats,
+    translation: Floats,
 ) -> Energy:
     """Return the energy of the gaps g = R c_a + t - c_b between lifted centres of matches.
 

@@ -14,8 +14,9 @@ from mocap_calib.types import Bools, Floats
 def refine_on_rays(
     pair: ViewPair,
     hypotheses: Hypotheses,
-    matched: Bools,
     config: PairwiseConfig,
+    *,
+    matched: Bools,
     rng: np.random.Generator,
 ) -> Hypotheses:
     """Refine each hypothesis on the rays of its own matches `[M, frame, I, J]`."""
@@ -39,7 +40,7 @@ def _gather_rays(
         a=np.zeros((count, size, 3)),
         b=np.zeros((count, size, 3)),
         weight=np.zeros((count, size)),
-        reach=np.ones((count, size)),
+        body_sizes_per_radian=np.ones((count, size)),
     )
     batch.a[..., 2] = batch.b[..., 2] = 1.0
     for m, of_one in enumerate(rays):
@@ -47,7 +48,7 @@ def _gather_rays(
         batch.a[m, : len(drawn)] = drawn.a
         batch.b[m, : len(drawn)] = drawn.b
         batch.weight[m, : len(drawn)] = drawn.weight
-        batch.reach[m, : len(drawn)] = drawn.reach
+        batch.body_sizes_per_radian[m, : len(drawn)] = drawn.body_sizes_per_radian
     return batch
 
 
@@ -69,10 +70,14 @@ def refine_two_view(
     for step in range(config.refine_steps):
         widening = max(config.refine_widest * config.refine_narrowing**step, 1.0)
         tangent = np.linalg.svd(direction[:, None])[2][:, 1:]  # [M, 2, 3], normal to t
-        angle, jacobian = epipolar_system(rotation, direction, rays_a, rays_b, tangent)
-        error = angle * rays.reach
+        angle, jacobian = epipolar_system(
+            rotation, direction, rays_a=rays_a, rays_b=rays_b, tangent=tangent
+        )
+        error = angle * rays.body_sizes_per_radian
         robust = rays.weight / (1 + (error / (config.inlier * widening)) ** 2) ** 2
-        delta = _gauss_newton_step(error, jacobian * rays.reach[:, None], robust, config)
+        delta = _gauss_newton_step(
+            error, jacobian * rays.body_sizes_per_radian[:, None], robust, config
+        )
         rotation = matrix_from_vector(delta[:, :3]) @ rotation
         direction = direction + np.einsum("mk,mkj->mj", delta[:, 3:], tangent)
         direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
@@ -98,7 +103,7 @@ def _gauss_newton_step(
 
 
 def epipolar_system(
-    rotation: Floats, direction: Floats, rays_a: Floats, rays_b: Floats, tangent: Floats
+    rotation: Floats, direction: Floats, *, rays_a: Floats, rays_b: Floats, tangent: Floats
 ) -> tuple[Floats, Floats]:
     """Return Sampson's errors in radians and their slopes in a turn and in shifts of t.
 

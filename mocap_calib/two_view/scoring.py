@@ -15,7 +15,7 @@ from mocap_calib.two_view.affinity import (
 )
 from mocap_calib.two_view.assignment import mutual_best, sinkhorn
 from mocap_calib.two_view.hypotheses import Hypotheses
-from mocap_calib.two_view.view_pair import ViewPair, matched_rays, reach
+from mocap_calib.two_view.view_pair import ViewPair, body_sizes_per_radian, matched_rays
 from mocap_calib.types import Bools, Floats, Ints
 
 
@@ -55,7 +55,7 @@ def score_hypotheses(pair: ViewPair, hypotheses: Hypotheses, config: PairwiseCon
     rotation, translation = hypotheses.rotation, hypotheses.translation
     error, weight = epipolar_error(pair, rotation, translation)
     fit = epipolar_fit(error, weight, config)
-    affinity = match_affinity(pair, rotation, translation, fit, config)
+    affinity = match_affinity(pair, rotation, translation, config, epipolar=fit)
     matched = mutual_best(sinkhorn(affinity, dummy=config.dummy), least=config.least_match)
     explained = (matched * fit).sum((1, 2, 3)) / max(_possible_matches(pair), 1)
     in_front = _share_in_front(pair, hypotheses, matched)
@@ -127,7 +127,7 @@ def _residual(pair: ViewPair, error: Floats, matched: Bools, weight: Floats) -> 
 
     error: `[M, frame, I, J, keypoint]` in body sizes; weight: `[frame, I, J, keypoint]`.
     """
-    angle = error / reach(pair)[None, ..., None]
+    angle = error / body_sizes_per_radian(pair)[None, ..., None]
     used = matched[..., None] & (weight > 0)[None]
     residual = np.full(len(matched), np.inf)
     for m in np.flatnonzero(used.any((1, 2, 3, 4))):

@@ -13,7 +13,7 @@ from itertools import combinations
 
 import numpy as np
 
-from mocap_calib.compute.parallel import in_order, in_processes
+from mocap_calib.compute.parallel import map_in_processes, map_in_threads
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.two_view.hypotheses import Hypotheses, generate_hypotheses, well_separated
@@ -23,9 +23,9 @@ from mocap_calib.two_view.scoring import Scored, keep_better, score_hypotheses
 from mocap_calib.two_view.view_pair import (
     ViewPair,
     distance_ratios,
+    gather_view_pair,
     matched_rays,
     shared_frames,
-    view_pair,
 )
 from mocap_calib.types import (
     Bools,
@@ -106,8 +106,8 @@ def pair_mapper(recording: Recording, config: PairwiseConfig) -> Mapper:
     pairs = views * (views - 1) // 2
     work = min(frames, _frames_of_each(pairs, config)) * instances**2 * keypoints
     if work >= _WORTH_A_THREAD:
-        return in_order
-    return in_processes if pairs * work >= _WORTH_PROCESSES else map
+        return map_in_threads
+    return map_in_processes if pairs * work >= _WORTH_PROCESSES else map
 
 
 def in_recording(
@@ -159,7 +159,7 @@ def pair_problem(
     return PairProblem(
         a=a,
         b=b,
-        pair=view_pair(sample, lifted, a, b, frames),
+        pair=gather_view_pair(sample, lifted, (a, b), frames),
         shared_frames=len(shared),
         tracked=bool(sample.tracked[a] and sample.tracked[b]),
         rng=rng,
@@ -199,7 +199,7 @@ def _refine(
     """
     current = score_hypotheses(pair, hypotheses, config)
     for turn in range(config.rounds):
-        refined = refine_on_rays(pair, current.hypotheses, current.matched, config, rng)
+        refined = refine_on_rays(pair, current.hypotheses, config, matched=current.matched, rng=rng)
         current = keep_better(current, score_hypotheses(pair, refined, config))
         if turn == 0:
             distinct = well_separated(
@@ -228,20 +228,34 @@ def _weigh_rays_and_bodies(
     return keep_better(refined, score_hypotheses(pair, moved, config))
 
 
+def mean_focal(problem: PairProblem, focal: Floats) -> float:
+    """Return the mean focal length of the two views in pixels; focal: `[view]` of all views."""
+    return float(focal[[problem.a, problem.b]].mean())
+
+
 def judge_pair(
     problem: PairProblem,
     *,
     rotation: Floats,
     translation: Floats,
-    matched: Bools,
+    matches: Ints,
     source: str,
     config: PairwiseConfig,
-) -> PairwiseCalibration:
+) -> PairwiseCalibration | None:
     """Score a relative pose and matches that were found in another way, as any other.
 
     rotation: `[3, 3]` and translation: `[3]` of b_from_a, of any length: its baseline in body
-    sizes follows from the matches `[frame, I, J]`. source: what found it.
+        sizes follows from the matches.
+    matches: `[match, 3]` rows (index into the frames of the pair, instance in a, instance in b).
+    source: what found it.
+
+    Returns None where nothing is matched.
     """
+    if not len(matches):
+        return None
+    matched = np.zeros(problem.pair.overlap.lifted.shape, dtype=bool)
+    frame, i, j = matches.T
+    matched[frame, i, j] = True
     translation = _with_baseline(problem.pair, rotation, translation, matched)
     hypothesis = Hypotheses(rotation[None], translation[None], (source,))
     scored = score_hypotheses(problem.pair, hypothesis, config)

@@ -22,5 +22,11 @@ def choose_pair_solver(
         return None
     focal = np.array([camera.focal for camera in recording.cameras])
     if name == "five-point":
-        return FivePointPairs(focal, config, FivePointConfig())
-    return PaperPairs(lifter, recording.vocabulary, focal, config, PaperConfig())
+        return FivePointPairs(focal=focal, pairwise=config, config=FivePointConfig())
+    return PaperPairs(
+        model=lifter,
+        vocabulary=recording.vocabulary,
+        focal=focal,
+        pairwise=config,
+        config=PaperConfig(),
+    )

@@ -79,19 +79,21 @@ class MatchedRays:
 
     a and b: `[N, 3]` unit rays of the two views.
     weight: `[N]` product of the confidences.
-    reach: `[N]` body sizes per radian of an epipolar error, see `reach`.
+    body_sizes_per_radian: `[N]` of an epipolar error, see the function of this name.
     """
 
     a: Floats
     b: Floats
     weight: Floats
-    reach: Floats
+    body_sizes_per_radian: Floats
 
     def __len__(self) -> int:
         return len(self.a)
 
     def __getitem__(self, index: Ints) -> "MatchedRays":
-        return MatchedRays(self.a[index], self.b[index], self.weight[index], self.reach[index])
+        return MatchedRays(
+            self.a[index], self.b[index], self.weight[index], self.body_sizes_per_radian[index]
+        )
 
 
 @dataclass(frozen=True)
@@ -113,8 +115,11 @@ def shared_frames(sample: Sample, a: int, b: int, config: PairwiseConfig) -> Int
     return np.flatnonzero((joints >= config.least_joints).any(-1).all(0))
 
 
-def view_pair(sample: Sample, lifted: LiftedPoses, a: int, b: int, frames: Ints) -> ViewPair:
+def gather_view_pair(
+    sample: Sample, lifted: LiftedPoses, views: tuple[int, int], frames: Ints
+) -> ViewPair:
     """Gather what the views a and b show in the given frames (indices into the sample)."""
+    a, b = views
     return ViewPair(
         frames=frames,
         a=_detections(sample, lifted, a, frames),
@@ -200,8 +205,8 @@ def _sum_over_joints(of_a: Floats, of_b: Floats) -> Floats:
     return np.einsum("fik,fjk->fij", of_a, of_b)
 
 
-def reach(pair: ViewPair) -> Floats:
-    """Return `[frame, I, J]` body sizes per radian of Sampson's angle.
+def body_sizes_per_radian(pair: ViewPair) -> Floats:
+    """Return the body sizes per radian of Sampson's angle, `[frame, I, J]`.
 
     The harmonic mean of both squared distances, under the root.
     """
@@ -215,12 +220,14 @@ def matched_rays(pair: ViewPair, matched: Bools) -> MatchedRays:
     frame, i, j = np.nonzero(matched)
     weight = pair.a.weight[frame, i] * pair.b.weight[frame, j]
     seen = weight > 0
-    reach_of_joints = np.broadcast_to(reach(pair)[frame, i, j][:, None], seen.shape)
+    body_sizes_of_joints = np.broadcast_to(
+        body_sizes_per_radian(pair)[frame, i, j][:, None], seen.shape
+    )
     return MatchedRays(
         a=pair.a.rays[frame, i][seen],
         b=pair.b.rays[frame, j][seen],
         weight=weight[seen],
-        reach=reach_of_joints[seen],
+        body_sizes_per_radian=body_sizes_of_joints[seen],
     )
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from mocap_calib.errors import DegenerateError
-from mocap_calib.geometry.alignment import similarity
+from mocap_calib.geometry.alignment import align_by_similarity
 from mocap_calib.geometry.epipolar import (
     depths,
     essential_matrix,
@@ -302,7 +302,7 @@ def test_five_point_declines_too_few_points():
 def test_similarity_recovers_what_was_applied():
     rng = np.random.default_rng(11)
     source, rotation = rng.normal(size=(7, 3)), rotations(rng, 1)[0]
-    scale, found, shift = similarity(source, 2.5 * source @ rotation.T + [1.0, -2.0, 3.0])
+    scale, found, shift = align_by_similarity(source, 2.5 * source @ rotation.T + [1.0, -2.0, 3.0])
     assert scale == pytest.approx(2.5)
     np.testing.assert_allclose(found, rotation, atol=1e-12)
     np.testing.assert_allclose(shift, [1, -2, 3], atol=1e-12)
@@ -310,7 +310,7 @@ def test_similarity_recovers_what_was_applied():
 
 def test_similarity_of_one_place_is_degenerate():
     with pytest.raises(DegenerateError, match="different places"):
-        similarity(np.ones((4, 3)), np.zeros((4, 3)))
+        align_by_similarity(np.ones((4, 3)), np.zeros((4, 3)))
 
 
 def test_a_strong_lens_is_undone_up_to_its_fold():

@@ -15,11 +15,11 @@ from mocap_calib.two_view.affinity import (
     epipolar_fit,
     steering_error,
 )
-from mocap_calib.two_view.view_pair import distances, reach, view_pair
+from mocap_calib.two_view.view_pair import body_sizes_per_radian, distances, gather_view_pair
 
 
 def ten_frames_of_two_views():
-    return view_pair(recording(), lifted(), 0, 1, np.arange(10))
+    return gather_view_pair(recording(), lifted(), (0, 1), np.arange(10))
 
 
 def test_steering_error_is_the_weighted_distance_of_turned_bodies():
@@ -51,7 +51,7 @@ def test_epipolar_error_is_sampsons_at_the_body():
     error, weight = epipolar_error(pair, rotation[None], translation[None])
     matrix = essential_matrix(rotation, translation)
     angle = sampson_angle(matrix, pair.a.rays[3, 1], pair.b.rays[3, 2])
-    slow = np.abs(angle) * reach(pair)[3, 1, 2]
+    slow = np.abs(angle) * body_sizes_per_radian(pair)[3, 1, 2]
     known = weight[3, 1, 2] > 0
     assert known.any()
     np.testing.assert_allclose(error[0, 3, 1, 2][known], slow[known], atol=1e-12)
@@ -61,7 +61,7 @@ def test_the_affinity_by_a_rig_is_the_epipolar_fit_of_its_pairs():
     """Both say the same of a pair of views, given the same distances of the bodies."""
     sample, rig, config = recording(), scene().rig, PairwiseConfig()
     every = np.arange(len(sample.frames))
-    pair = view_pair(sample, lifted(), 0, 2, every)
+    pair = gather_view_pair(sample, lifted(), (0, 2), every)
     error, weight = epipolar_error(pair, *(part[None] for part in rig.relative(0, 2)))
     distance = distances(lifted().centre, sample.rays)
     affinity, comparable = epipolar_affinity(sample, rig, distance, config)

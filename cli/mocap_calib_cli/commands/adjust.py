@@ -41,14 +41,16 @@ def command(shared: options.SharedOptions, output: str, matches_out: str | None)
         sample_frames, sample, lifted = inputs.lift_sample(loaded, shared.device, reporter)
         instances = sample.positions.shape[2]  # a frame that is not in the sample may have more
         sampled = matches.select(frames=sample_frames, instances=instances)
-        adjusted = adjust_until_stable(sample, lifted, rig, sampled, config, progress=reporter)
+        adjusted = adjust_until_stable(
+            sample, rig, sampled, config, lifted=lifted, progress=reporter
+        )
         if matches_out is not None:
             matches = label_all_frames(
                 recording,
-                sample_frames,
-                adjusted.matches,
                 adjusted.rig,
                 config,
+                sample_frames=sample_frames,
+                matches=adjusted.matches,
                 scale=body_scale(sample, lifted, adjusted.rig, config.pairwise),
                 progress=reporter,
             )

@@ -13,7 +13,7 @@ def command(shared: options.SharedOptions, pairs: str, output: str) -> None:
     """Make one rig of the pairs of `pairwise`; - reads stdin.
 
     Where a pair has several answers, that one is taken which the loops through other cameras
-    confirm. Cameras that no pair holds are left out and named.
+    confirm. Cameras that are in no pair are left out and named.
 
     \b
     Example:

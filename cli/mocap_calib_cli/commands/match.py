@@ -29,10 +29,10 @@ def command(shared: options.SharedOptions, output: str) -> None:
         sampled = associate(sample, lifted, rig, config, progress=reporter)
         matches = label_all_frames(
             loaded.recording,
-            sample_frames,
-            sampled,
             rig,
             config,
+            sample_frames=sample_frames,
+            matches=sampled,
             scale=body_scale(sample, lifted, rig, config.pairwise),
             progress=reporter,
         )

@@ -214,9 +214,9 @@ def _train_steerer(
     progress: "Progress",
 ) -> "tuple[Model, dict[str, float]]":
     """Return the network of the paper, trained, and its errors on the poses for testing."""
-    from mocap_calib.steerpose.training.evaluation import steering_error
+    from mocap_calib.steerpose.training.evaluation import measure_steering_error
     from mocap_calib.steerpose.training.train import train_steerer
 
     pairs = PairsConfig()
     steerer = train_steerer(training, vocabulary, config, pairs, device=device, progress=progress)
-    return steerer, steering_error(steerer.cpu(), testing, vocabulary, pairs)
+    return steerer, measure_steering_error(steerer.cpu(), testing, vocabulary, pairs)

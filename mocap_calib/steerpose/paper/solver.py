@@ -237,7 +237,13 @@ def _solution(batch: Batch, k: int, vector: Tensor, mutual: Tensor) -> PaperSolu
         error_px = errors * batch.focal[k].item()
         error = error_px.clamp_max(PAPER_FAR_PX).mean().item()
     matches = torch.nonzero(mutual).numpy().astype(np.int64)
-    return PaperSolution(rotation.numpy(), translation.numpy(), matches, error, tries=1)
+    return PaperSolution(
+        rotation=rotation.numpy(),
+        translation=translation.numpy(),
+        matches=matches,
+        error=error,
+        tries=1,
+    )
 
 
 def reprojection_error(

@@ -50,7 +50,7 @@ def held_out_error(
 
 
 @torch.no_grad()
-def steering_error(
+def measure_steering_error(
     model: Model,
     poses: PoseSet,
     skeleton: Skeleton,
