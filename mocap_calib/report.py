@@ -11,7 +11,7 @@ from mocap_calib.config import REPORT_FRAMES, Config
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.multi_view.evaluation import median_and_max
 from mocap_calib.multi_view.triangulation import gather_observations, project
-from mocap_calib.multi_view.uncertainty import verdict
+from mocap_calib.multi_view.uncertainty import judge_rig
 from mocap_calib.multi_view.view_graph import alternative_taken
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import CalibrationResult, Floats, GroupResult, PairwiseCalibration
@@ -171,11 +171,10 @@ def _describe_alternative(
 def _describe_verdict(group: GroupResult, config: Config) -> dict[str, Any]:
     """Return whether the recording determines the rig, and what it leaves open."""
     uncertainty = group.uncertainty
-    angle, outliers = uncertainty.split_half_angle, uncertainty.outlier_cameras
     reversal = group.adjusted.depth_reversed_rig is not None
     return {
-        "rig": verdict(angle, outliers, config.uncertainty),
-        "split_half_angle_deg": median_and_max(np.degrees(angle)),
+        "rig": judge_rig(uncertainty, config.uncertainty),
+        "split_half_angle_deg": median_and_max(np.degrees(uncertainty.split_half_angle)),
         "reversal": "not observable" if reversal else "none found",
         "translation": "not observable" if uncertainty.weak_perspective.any() else "observed",
     }

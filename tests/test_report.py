@@ -13,6 +13,7 @@ from scenes import calibrated
 from mocap_calib.config import Config
 from mocap_calib.report import run_report
 from mocap_calib.types import CalibrationResult
+from mocap_calib_cli.describe import describe_group
 
 DESCRIPTION = Path(__file__).parents[1] / "docs" / "run-json.md"
 BY_NAME = {"config", "inputs", "outputs", "seconds"}  # their keys are files, stages or constants
@@ -74,3 +75,31 @@ def test_what_is_wrong_with_a_camera_is_in_its_faults():
     assert report["verdict"]["translation"] == "not observable"
     words = {fault for of_camera in faults for fault in of_camera}
     assert all(f"| `{word}` |" in DESCRIPTION.read_text("utf-8") for word in words)
+    said = "\n".join(describe_group(found, report, Path("out")))
+    assert "inconsistent: cam2, cam3" in said
+    assert "weak perspective, translation not observable: cam3, cam4" in said
+    assert "rig: weak" in said
+
+
+def test_every_finding_of_a_report_is_said():
+    """Each at its worst gives a line more than a sound rig; what nobody says nobody mends."""
+    found = calibrated()
+    result = CalibrationResult(groups=(found,), left_out=(), unused_pairs=())
+    report = run_report(found, result, seed=0, config=Config(), inputs={})
+    sound = describe_group(found, report, Path("out"))
+    camera, pair = report["cameras"][0], report["pairs"][0]
+    for entry, worst in (
+        (camera, {"weak": True}),
+        (camera, {"faults": ["inconsistent"]}),
+        (camera, {"weak_perspective": True}),
+        (pair, {"breaks_loop": True}),
+        (pair, {"alternative_taken": True}),
+    ):
+        before = {key: entry[key] for key in worst}
+        entry.update(worst)
+        assert len(describe_group(found, report, Path("out"))) == len(sound) + 1, worst
+        entry.update(before)
+    restless = replace(found, adjusted=replace(found.adjusted, converged=False))
+    assert len(describe_group(restless, report, Path("out"))) == len(sound) + 1
+    reversible = replace(found, adjusted=replace(found.adjusted, depth_reversed_rig=found.rig))
+    assert len(describe_group(reversible, report, Path("out"))) == len(sound) + 1

@@ -41,13 +41,15 @@ def assess_uncertainty(
     )
 
 
-def verdict(split_half_angle: Floats, outlier_cameras: Bools, config: UncertaintyConfig) -> Verdict:
-    """Return what the uncertainty means: the verdict on the camera that is worst off.
+def judge_rig(uncertainty: Uncertainty, config: UncertaintyConfig) -> Verdict:
+    """Return what the uncertainty means for the rig: the verdict on the camera that is worst off.
 
-    split_half_angle: `[pair]` in radians; outlier_cameras: `[view]`. What counts for a camera is
-    the median of its pairs. No rig with an outlier camera is well determined.
+    What counts for a camera is the median split-half angle of its pairs. No rig with an outlier
+    camera is well determined.
     """
-    worst = np.rad2deg(_angle_of_worst_camera(split_half_angle, len(outlier_cameras)))
+    outlier_cameras = uncertainty.outlier_cameras
+    angle = _angle_of_worst_camera(uncertainty.split_half_angle, len(outlier_cameras))
+    worst = np.rad2deg(angle)
     mostly_outliers = 2 * outlier_cameras.sum() > len(outlier_cameras)
     if worst > config.weak_deg or mostly_outliers:
         return "not determined"

@@ -7,10 +7,10 @@ import pytest
 from scenes import PEOPLE, calibrate_group, calibrated, scene
 
 from mocap_calib.config import Config, UncertaintyConfig
-from mocap_calib.multi_view.uncertainty import split_half_angle, verdict
+from mocap_calib.multi_view.uncertainty import judge_rig, split_half_angle
 from mocap_calib.recording.sampling import take_sample
 from mocap_calib.recording.synchronise import make_recording
-from mocap_calib.types import GroupResult, Matches, Sample
+from mocap_calib.types import GroupResult, Matches, Sample, Uncertainty
 
 
 def whole_sample(found: GroupResult) -> Sample:
@@ -35,13 +35,22 @@ def statue(found: GroupResult) -> tuple[Sample, Matches]:
     return sample, Matches(labels)
 
 
+def uncertainty(split_half_angle: np.ndarray, outliers: tuple[int, ...] = ()) -> Uncertainty:
+    """Return the uncertainty of a rig with so many pairs, and these outlier cameras."""
+    views = np.arange(round((1 + np.sqrt(1 + 8 * len(split_half_angle))) / 2))
+    return Uncertainty(
+        split_half_angle=split_half_angle,
+        outlier_cameras=np.isin(views, outliers),
+        weak_perspective=np.zeros(len(views), dtype=bool),
+    )
+
+
 def test_moving_people_determine_the_rig_and_a_statue_with_faults_does_not():
     """Measured: 0.3 deg for people who move, far more for a statue whose errors never change."""
     found = calibrated()
     config = Config()
     moving = split_half_angle(whole_sample(found), found.rig, found.matches, config, seed=0)
-    none = np.zeros(len(found.rig.cameras), dtype=bool)
-    assert verdict(moving, none, config.uncertainty) == "well determined"
+    assert judge_rig(uncertainty(moving), config.uncertainty) == "well determined"
     sample, matches = statue(found)
     standing = split_half_angle(sample, found.rig, matches, config, seed=0)
     assert np.median(standing) > 5 * np.median(moving)
@@ -58,8 +67,8 @@ def test_moving_people_determine_the_rig_and_a_statue_with_faults_does_not():
     ],
 )
 def test_the_verdict_is_that_of_the_camera_that_is_worst_off(degrees, outliers, word):
-    outlier_cameras = np.isin(np.arange(3), outliers)
-    assert verdict(np.deg2rad(degrees), outlier_cameras, UncertaintyConfig()) == word
+    found = uncertainty(np.deg2rad(degrees), outliers)
+    assert judge_rig(found, UncertaintyConfig()) == word
 
 
 def test_a_camera_out_of_step_is_an_outlier_and_no_other():
@@ -75,10 +84,8 @@ def test_a_camera_out_of_step_is_an_outlier_and_no_other():
         for files in (made.files, late)
     )
     assert not in_step.outlier_cameras.any()
-    outliers = out_of_step.outlier_cameras
-    assert outliers.tolist() == [False, True, False, False]
-    word = verdict(out_of_step.split_half_angle, outliers, UncertaintyConfig())
-    assert word != "well determined"
+    assert out_of_step.outlier_cameras.tolist() == [False, True, False, False]
+    assert judge_rig(out_of_step, UncertaintyConfig()) != "well determined"
 
 
 def test_a_camera_that_a_half_does_not_hold_does_not_speak_against_the_others():
