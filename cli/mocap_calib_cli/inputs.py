@@ -106,7 +106,7 @@ def read_recording_of_rig(
 def lift_sample(
     loaded: LoadedRecording, device: str, reporter: Reporter
 ) -> tuple[Ints, Sample, LiftedPoses]:
-    """Return the frames (indices) that calibration looks at, their detections, and those lifted.
+    """Return the `[frame]` indices that calibration looks at, their detections, and those lifted.
 
     Raises MismatchError where there is no such device.
     """

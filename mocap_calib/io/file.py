@@ -285,7 +285,7 @@ def stack_detections(detections: Sequence[Sequence[Floats]], keypoints: int, sou
 
 
 def visibility_as_confidence(third: Floats) -> Floats:
-    """Return COCO's flags (0 not labelled, 1 occluded, 2 visible) as 0, 0.5, 1.
+    """Return COCO's flags `[...]` (0 not labelled, 1 occluded, 2 visible) as 0, 0.5, 1.
 
     Anything else is a confidence already.
     """

@@ -76,7 +76,7 @@ def keys(document: "Document") -> set[str]:
 
 
 def array(group: Any, name: str, source: str) -> NDArray[Any]:
-    """Return a dataset of a size that memory holds.
+    """Return a dataset `[...]` of a size that memory holds.
 
     Raises FormatError where there is none, and what h5py raises on damage.
     """
@@ -88,7 +88,7 @@ def array(group: Any, name: str, source: str) -> NDArray[Any]:
 
 
 def integers(group: Any, name: str, source: str) -> Ints:
-    """Return a dataset of whole numbers. Raises FormatError."""
+    """Return a dataset `[...]` of whole numbers. Raises FormatError."""
     values = array(group, name, source)
     whole = values.dtype.kind in "iu"
     if not whole or (values.size and int(values.max()) > np.iinfo(np.int64).max):

@@ -57,5 +57,5 @@ def call_contained(content: bytes, source: str, parse: Callable[[*Ts], T], *args
 
 
 @cache
-def _worker(pid: int) -> Worker:  # noqa: ARG001 - a process that was forked off has one of its own
+def _worker(pid: int) -> Worker:  # a forked process has one of its own
     return Worker()

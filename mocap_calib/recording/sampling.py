@@ -48,7 +48,7 @@ def take_sample(recording: Recording, index: Ints | slice) -> Sample:
 
 
 def choose_sample_frames(recording: Recording, config: SampleConfig) -> Ints:
-    """Return the indices of the frames that calibration looks at, ascending.
+    """Return the indices `[frame]` of the frames that calibration looks at, ascending.
 
     They are all frames that are not overcrowded, or as many as the budget allows: each the one
     that adds most to what the others show, which are places in each image, sizes of bodies (near

@@ -63,7 +63,8 @@ def all_pairs_magsac(
 ) -> Found | None:
     """Run MAGSAC (Barath 2019, as in OpenCV) on the joints of all pairs of detections of a frame.
 
-    Returns None where no model is found.
+    rays_a, rays_b: unit rays `[frame, I | J, keypoint, 3]` of both views, NaN = missing.
+    threshold: Sampson's angle in radians. Returns None where no model is found.
     """
     problem = _Problem(rays_a, rays_b, threshold, config or FivePointConfig())
     everything = np.ones(problem.pairs_of_detections, dtype=bool)
@@ -83,7 +84,10 @@ def five_point_over_matches(
 
     The paper's baseline. A candidate is two matches of one frame, or one where a frame has but
     one subject; the relative pose that explains most joints of the matches it implies is
-    estimated again from all of them. Returns None where no model is found.
+    estimated again from all of them.
+
+    rays_a, rays_b: unit rays `[frame, I | J, keypoint, 3]` of both views, NaN = missing.
+    threshold: Sampson's angle in radians. Returns None where no model is found.
     """
     problem = _Problem(rays_a, rays_b, threshold, config or FivePointConfig())
     best, most = None, 0.0

@@ -74,6 +74,7 @@ def most_probable(
     share = 1 / (1 + lifted.sum() / config.lift_independent)
 
     def energy_at(rotation: Floats, translation: Floats) -> Energy:
+        """Return the negative log posterior of R `[3, 3]` and t `[3]`."""
         of_rays = ray_energy(rays, rotation, translation, noise=noise, config=config)
         of_bodies = body_energy(pair, lifted, rotation, config)
         of_centres = centre_energy(pair, lifted, config, rotation=rotation, translation=translation)
@@ -131,7 +132,9 @@ def ray_energy(
     """Return the energy of Sampson's errors under a Geman-McClure loss.
 
     E = 1/2 (width / noise)^2 sum w q / (1 + q), q = (error / width)^2. The width is not below
-    that of the refinement before: keypoints err by more than chance. noise: in body sizes.
+    that of the refinement before: keypoints err by more than chance.
+
+    rotation: `[3, 3]` and translation: `[3]` of b_from_a. noise: in body sizes.
     """
     width = max(config.loss_noises * noise, config.inlier)
     error, jacobian = ray_errors(rays, rotation, translation)

@@ -118,7 +118,7 @@ def shared_frames(sample: Sample, a: int, b: int, config: PairwiseConfig) -> Int
 def gather_view_pair(
     sample: Sample, lifted: LiftedPoses, views: tuple[int, int], frames: Ints
 ) -> ViewPair:
-    """Gather what the views a and b show in the given frames (indices into the sample)."""
+    """Gather what the views a and b show in some frames (`[frame]` indices into the sample)."""
     a, b = views
     return ViewPair(
         frames=frames,

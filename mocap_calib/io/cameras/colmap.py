@@ -199,7 +199,7 @@ def _parse_floats(cells: list[str], where: str) -> Floats:
 # --- writing
 
 
-def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:  # noqa: ARG001 - the writers' signature
+def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
     """Write all three files, the one of points empty; an image is called NAME.png.
 
     Raises MismatchError.

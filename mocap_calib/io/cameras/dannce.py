@@ -153,7 +153,7 @@ def _describe_skew(matrix: Floats, name: str) -> str:
 # --- writing
 
 
-def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:  # noqa: ARG001 - the writers' signature
+def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
     """Write one file of all cameras. Raises MismatchError."""
     params = np.empty((len(rig.cameras), 1), dtype=object)
     names = np.empty((1, len(rig.cameras)), dtype=object)

@@ -98,7 +98,7 @@ def _parse_place(name: str, fields: Mapping[str, Any], source: str) -> Extrinsic
 # --- writing
 
 
-def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:  # noqa: ARG001 - the writers' signature
+def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
     """Write both files. Raises MismatchError."""
     need_names(rig.names, r"[A-Za-z0-9_-]{1,80}", "letters, digits, - and _", "easymocap")
     names = ["names:", *(f'  - "{name}"' for name in rig.names)]

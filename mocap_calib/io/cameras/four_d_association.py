@@ -61,7 +61,7 @@ def _parse_camera(name: str, fields: Mapping[str, Any], source: str) -> PlacedCa
     return camera, make_extrinsics(transform[:, :3], transform[:, 3], where)
 
 
-def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:  # noqa: ARG001 - the writers' signature
+def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
     """Write the cameras by number.
 
     Raises MismatchError, also where a camera has a distortion.

@@ -24,7 +24,7 @@ _MODELS = ("opencv", "fisheye", "pinhole")
 
 
 def numbers(value: Any, expected: str, source: str) -> Floats:
-    """Return numbers as an array: nested lists, or a matrix as OpenCV and ROS write it.
+    """Return numbers as an array `[...]`: nested lists, or a matrix as OpenCV and ROS write it.
 
     value: lists, or a mapping of `rows`, `cols` and `data`. expected: for the complaint.
     """

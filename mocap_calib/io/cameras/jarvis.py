@@ -49,7 +49,7 @@ def parse(source: Source) -> CameraFile:
     return CameraFile((camera,), {camera.name: extrinsics}, str(data.get("unit", "")))
 
 
-def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:  # noqa: ARG001 - the writers' signature
+def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
     """Write a file for each camera. Raises MismatchError."""
     need_names(rig.names, *FILE_NAME, "jarvis")
     files = {}

@@ -93,7 +93,7 @@ def _parse_camera(name: str, fields: Mapping[str, Any], where: str) -> Camera:
 # --- writing
 
 
-def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:  # noqa: ARG001 - the writers' signature
+def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
     """Write intrinsics.json and global_poses.json. Raises MismatchError."""
     need_names(rig.names, r"[^\ud800-\udfff]+", "text", "multiview-calib")
     intrinsics = {}

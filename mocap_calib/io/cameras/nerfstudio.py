@@ -114,7 +114,7 @@ def _parse_extrinsics(fields: Mapping[str, Any], where: str) -> Extrinsics:
 # --- writing
 
 
-def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:  # noqa: ARG001 - the writers' signature
+def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
     """Write one frame a camera; its image is called images/NAME.png. Raises MismatchError."""
     need_sizes(rig, "nerfstudio")
     frames = [

@@ -107,7 +107,7 @@ def _first(data: Mapping[str, Any], keys: tuple[str, ...]) -> Any:
 # --- writing
 
 
-def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:  # noqa: ARG001 - the writers' signature
+def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
     """Write a file for each camera, which cv2.FileStorage reads and which carries all.
 
     Raises MismatchError.

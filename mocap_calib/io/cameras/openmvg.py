@@ -154,7 +154,7 @@ def _parse_pose(pose: Mapping[str, Any], where: str) -> Extrinsics:
 # --- writing
 
 
-def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:  # noqa: ARG001 - the writers' signature
+def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
     """Write a view, an intrinsic and a pose for each camera. Raises MismatchError."""
     need_sizes(rig, "openmvg")
     lost: list[str] = []

@@ -49,7 +49,7 @@ def parse(source: Source) -> CameraFile:
     return collect_cameras(placed, source.path)
 
 
-def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:  # noqa: ARG001 - the writers' signature
+def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
     """Write the fields that the data set's cameras have. Raises MismatchError."""
     need_sizes(rig, "panoptic")
     cameras = [

@@ -87,7 +87,7 @@ def _parse_distortion(fields: Mapping[str, Any], where: str) -> Floats:
 # --- writing
 
 
-def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:  # noqa: ARG001 - the writers' signature
+def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
     """Write the cameras by number, as its data sets are read, with their names.
 
     Raises MismatchError.

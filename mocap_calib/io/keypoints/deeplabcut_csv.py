@@ -30,7 +30,7 @@ def sniff(document: Document) -> bool:
     return _FIRST_CELL.match(document.content[:64]) is not None
 
 
-def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:  # noqa: ARG001 - a reader's signature
+def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Read the camera of a DeepLabCut or Lightning Pose .csv. Raises FormatError."""
     table = _read_table(item.document.text, item.origin.source)
     return (keypoints_from_table(table, item.origin),)

@@ -30,7 +30,7 @@ def sniff(document: Document) -> bool:
     return has_attribute(document, "pandas_type")
 
 
-def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:  # noqa: ARG001 - a reader's signature
+def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Read the camera of a DeepLabCut .h5 in the `table` or the `fixed` layout.
 
     Raises FormatError.

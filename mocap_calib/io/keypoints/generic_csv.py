@@ -32,7 +32,7 @@ def _header_cells(document: Document) -> list[str]:
     return [cell.strip() for cell in re.split(r"[,;\t]", ",".join(document.header))]
 
 
-def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:  # noqa: ARG001 - a reader's signature
+def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Read each camera in the table; the file's camera where there is no column `camera`.
 
     Raises FormatError.

@@ -54,7 +54,7 @@ class _Coded:
     codes: Ints
 
     def select(self, rows: Ints) -> "_Coded":
-        """Return these rows (indices) of the column, with only the texts that occur in them."""
+        """Return these rows (`[row]` indices), with only the texts that occur in them."""
         used, first, codes = np.unique(self.codes[rows], return_index=True, return_inverse=True)
         appearance = np.argsort(first)
         code_by_appearance = np.empty_like(appearance)
@@ -74,7 +74,7 @@ class _Table:
     lines: Ints
 
     def select(self, rows: Ints) -> "_Table":
-        """Return these rows (indices) of the table."""
+        """Return these rows (`[row]` indices) of the table."""
         return _Table(
             frame=self.frame.select(rows),
             identity=self.identity.select(rows),

@@ -35,7 +35,7 @@ def sniff(document: Document) -> bool:
     return {"position", "space"} <= keys(document)
 
 
-def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:  # noqa: ARG001 - a reader's signature
+def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Read one camera; frames are the times in frames, or seconds times fps. Raises FormatError."""
     source, file = item.origin.source, item.document.hdf5
     with damage_refused(source, "a whole netCDF file of movement", _REMEDY):
@@ -71,7 +71,7 @@ def _values(file: Any, source: str) -> Floats:
 
 
 def read_variable(file: Any, name: str, axes: tuple[str, ...], source: str) -> Floats:
-    """Return a variable as an array whose axes come in the order of `axes`, named in the singular.
+    """Return a variable as an array `[*axes]`; axes are named in the singular.
 
     What the file says of the order counts; only where it says nothing, it is the order that
     movement has now. Raises FormatError.

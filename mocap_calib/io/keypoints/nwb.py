@@ -35,7 +35,7 @@ def sniff(document: Document) -> bool:
         return "nwb_version" in file.attrs or "session_description" in file
 
 
-def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:  # noqa: ARG001 - a reader's signature
+def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Read a camera per PoseEstimation, called by its name; by the file's where there is but one.
 
     Each has one individual. Raises FormatError.

@@ -116,7 +116,7 @@ def triples(points: Any, source: str, *, named: str = "keypoints") -> Floats:
 
 
 def numbers_of(values: Any, source: str, *, named: str) -> Floats:
-    """Return the array of what JSON holds, of any shape; null is NaN. Raises FormatError."""
+    """Return the array `[...]` of what JSON holds; null is NaN. Raises FormatError."""
     try:
         return np.asarray(values, dtype=np.float64)
     except (ValueError, TypeError, OverflowError) as error:

@@ -22,7 +22,7 @@ def sniff(document: Document) -> bool:
     return {"track", "frame_idx"} <= set(document.header)
 
 
-def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:  # noqa: ARG001 - a reader's signature
+def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Read one camera; tracks are individuals where all rows have one. Raises FormatError."""
     nodes = _find_nodes(item)
     cells = read_cells(item)

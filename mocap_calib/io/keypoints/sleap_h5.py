@@ -32,7 +32,7 @@ def sniff(document: Document) -> bool:
     return {"tracks", "node_names"} <= keys(document)
 
 
-def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:  # noqa: ARG001 - a reader's signature
+def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Read one camera; tracks are individuals where they have names. Raises FormatError."""
     source, file = item.origin.source, item.document.hdf5
     with damage_refused(source, "a whole SLEAP analysis .h5", _REMEDY):

@@ -106,7 +106,7 @@ def _parse_frames(numbers: Floats, source: str) -> Ints:
 # --- writing
 
 
-def write(file: PoseFile, title: str) -> WrittenPoses:  # noqa: ARG001 - the writers' signature
+def write(file: PoseFile, title: str) -> WrittenPoses:
     """Write the one individual."""
     lost_unit = () if file.poses.unit == ARBITRARY else (f"the unit ({file.poses.unit})",)
     content = "".join(poses_csv(file.poses, 0)).encode()

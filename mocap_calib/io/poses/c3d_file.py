@@ -140,7 +140,7 @@ def _label(individual: str, keypoint: str) -> str:
 # --- writing
 
 
-def write(file: PoseFile, title: str) -> WrittenPoses:  # noqa: ARG001 - the writers' signature
+def write(file: PoseFile, title: str) -> WrittenPoses:
     """Write all individuals; the markers of a single one without a name keep their names.
 
     Raises MismatchError.

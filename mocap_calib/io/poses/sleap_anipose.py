@@ -78,7 +78,7 @@ def _describe_nodes(count: int) -> str:
 # --- writing
 
 
-def write(file: PoseFile, title: str) -> WrittenPoses:  # noqa: ARG001 - the writers' signature
+def write(file: PoseFile, title: str) -> WrittenPoses:
     """Write the tracks without gaps. Raises MismatchError."""
     frames, positions = fill_gaps(file.poses, "sleap-anipose")
     content = io.BytesIO()

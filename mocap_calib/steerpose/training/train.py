@@ -50,7 +50,7 @@ def train_lifter(
     source = Synthesiser(poses, skeleton, config, seed=config.seed)
 
     def next_loss() -> Tensor:
-        """Return the loss on a new batch."""
+        """Return the loss `[]` on a new batch."""
         return lifting_loss(lifter, source.batch(config.batch).to(device))
 
     optimise(lifter, next_loss, config, progress=progress)
@@ -76,7 +76,7 @@ def train_steerer(
     source = PairSynthesiser(poses, skeleton, pairs, split="train", seed=config.seed)
 
     def next_loss() -> Tensor:
-        """Return L_kp on a new batch."""
+        """Return L_kp `[]` on a new batch."""
         batch = source.batch(config.batch)
         steered = model(batch.pose.to(device), batch.seen.to(device), batch.vector.to(device))
         return displacement(steered, batch.target.to(device)).mean()
@@ -90,7 +90,7 @@ def optimise(
 ) -> None:
     """Minimise the loss of new batches: AdamW, its learning rate in one cycle.
 
-    next_loss: synthesises a batch and returns the loss (a scalar tensor) of the model on it.
+    next_loss: synthesises a batch and returns the loss `[]` of the model on it.
     """
     optimiser = torch.optim.AdamW(
         model.parameters(), lr=config.learning_rate, weight_decay=WEIGHT_DECAY
