@@ -46,8 +46,9 @@ def _connect(scheduler: str | None, processes: int) -> "AbstractContextManager[C
         raise ClusterError(
             f"expected the package {error.name}, found none; pip install 'mocap-calib[distributed]'"
         ) from None
-    # what it has to say comes as an error, in one line; its import has set this level itself
-    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
+    # what it has to say comes as an error, in one line; its import has set these levels itself
+    for logger in ("distributed", "distributed.client"):
+        logging.getLogger(logger).setLevel(logging.CRITICAL)
     return cluster.cluster(scheduler) if scheduler else cluster.processes(processes)
 
 
