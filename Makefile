@@ -3,7 +3,7 @@
 
 PYTHON ?= python3
 BIN := .venv/bin
-WORKERS := -n 2 --dist loadfile  # two processes; the scenes of a file are made once
+WORKERS := -n 2 --dist loadfile --no-loadscope-reorder  # the scenes of a file are made once
 INSTALL := $(BIN)/pip install --disable-pip-version-check -c constraints.txt
 
 .PHONY: demo test test-quick fuzz lint benchmark cli-docs clean

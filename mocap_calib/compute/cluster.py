@@ -16,10 +16,11 @@ from typing import TypeVar
 import dask
 from dask.typing import Key
 from distributed import Client, Future, KilledWorker, LocalCluster, as_completed
+from distributed.comm import CommClosedError
 from distributed.comm.addressing import get_address_host_port
 
 from mocap_calib import __version__
-from mocap_calib.errors import ClusterError
+from mocap_calib.errors import ClusterError, MocapCalibError
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -103,8 +104,26 @@ def cluster(address: str) -> Iterator[Cluster]:
                 f"{address}: expected a Dask scheduler, found none that answers ({error}); "
                 "start it with `dask scheduler`"
             ) from None
-        with client:
+        with _gone_is_one_error(), client:
             yield Cluster(client)
+
+
+@contextmanager
+def _gone_is_one_error() -> Iterator[None]:
+    """Turn what is raised because the scheduler has gone into ClusterError.
+
+    It shows in whatever is done at that moment: a call, a result, or the end of the connection.
+    """
+    try:
+        yield
+    except MocapCalibError:
+        raise
+    except (CommClosedError, ConnectionError, TimeoutError, CancelledError):
+        raise ClusterError(_GONE) from None
+    except Exception as error:
+        if isinstance(error.__context__, CommClosedError | ClusterError):
+            raise ClusterError(_GONE) from None
+        raise
 
 
 @contextmanager

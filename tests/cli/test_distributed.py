@@ -216,7 +216,7 @@ def test_a_scheduler_that_goes_is_one_line(machines, tmp_path):
     assert said.splitlines() == [
         "mocap-calib: expected a scheduler that answers to the end, found it gone; "
         "start it again, and then this command: what is finished is kept"
-    ]
+    ], said
     assert list((tmp_path / "out" / ".unfinished").glob("*"))
 
 
