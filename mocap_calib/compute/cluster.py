@@ -16,8 +16,8 @@ from typing import TypeVar
 import dask
 from dask.typing import Key
 from distributed import Client, Future, KilledWorker, LocalCluster, as_completed
-from distributed.comm import CommClosedError
 from distributed.comm.addressing import get_address_host_port
+from distributed.comm.core import CommClosedError
 
 from mocap_calib import __version__
 from mocap_calib.errors import ClusterError, MocapCalibError
