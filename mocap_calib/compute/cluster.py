@@ -20,7 +20,7 @@ from distributed.comm.addressing import get_address_host_port
 from distributed.comm.core import CommClosedError
 
 from mocap_calib import __version__
-from mocap_calib.errors import ClusterError, MocapCalibError
+from mocap_calib.errors import ClusterError
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -104,26 +104,8 @@ def cluster(address: str) -> Iterator[Cluster]:
                 f"{address}: expected a Dask scheduler, found none that answers ({error}); "
                 "start it with `dask scheduler`"
             ) from None
-        with _gone_is_one_error(), client:
+        with client:
             yield Cluster(client)
-
-
-@contextmanager
-def _gone_is_one_error() -> Iterator[None]:
-    """Turn what is raised because the scheduler has gone into ClusterError.
-
-    It shows in whatever is done at that moment: a call, a result, or the end of the connection.
-    """
-    try:
-        yield
-    except MocapCalibError:
-        raise
-    except (CommClosedError, ConnectionError, TimeoutError, CancelledError):
-        raise ClusterError(_GONE) from None
-    except Exception as error:
-        if isinstance(error.__context__, CommClosedError | ClusterError):
-            raise ClusterError(_GONE) from None
-        raise
 
 
 @contextmanager
@@ -177,7 +159,7 @@ def _result(future: "Future[R]") -> R:
             f"expected workers that survive the work, found {error.allowed_failures + 1} "
             "killed by the same piece; give them more memory"
         ) from None
-    except CancelledError:
+    except (CancelledError, CommClosedError):  # gone before the result, or while it is fetched
         raise ClusterError(_GONE) from None
     except (ModuleNotFoundError, RuntimeError) as error:
         missing = error.__cause__ or error  # the scheduler tells of it in its own words
