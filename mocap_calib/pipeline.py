@@ -14,7 +14,7 @@ import numpy as np
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
-from mocap_calib.multi_view.association import associate, body_scale, label_all_frames
+from mocap_calib.multi_view.association import associate, label_all_frames
 from mocap_calib.multi_view.averaging import average
 from mocap_calib.multi_view.refinement import adjust_from_best_start
 from mocap_calib.multi_view.tracking import finalise_identities
@@ -201,7 +201,8 @@ def _calibrate_cameras(
             config,
             sample_frames=observed.sample_frames,
             matches=adjusted.matches,
-            scale=body_scale(sample, lifted, rig, config.pairwise),
+            sample=sample,
+            lifted=lifted,
             progress=progress,
         )
         matches = finalise_identities(recording, rig, matches, config.matching)

@@ -62,7 +62,7 @@ def associate(
     """
     views, frames, instances = sample.positions.shape[:3]
     labels = np.full((views, frames, instances), -1, dtype=np.int64)
-    scale = body_scale(sample, lifted, rig, config.pairwise)
+    scale = _body_scale(sample, lifted, rig, config.pairwise)
     geometry_alone = has_single_subject(sample, config.matching.geometry_alone_share)
     step = max(1, _LIFTED_PAIRS // (views * instances) ** 2)
     for block in _cut_into_blocks(np.arange(frames), step):
@@ -86,8 +86,9 @@ def label_all_frames(
     config: Config,
     *,
     sample_frames: Ints,
+    sample: Sample,
+    lifted: LiftedPoses,
     matches: Matches,
-    scale: float,
     progress: Progress,
 ) -> Matches:
     """Label the detections of a whole recording, of which some frames have been labelled.
@@ -95,8 +96,8 @@ def label_all_frames(
     In the other frames the adjusted rig decides alone, without lifted bodies. All frames are then
     linked through time as one recording.
 
-    sample_frames: `[frame]` indices of the frames of `matches`. scale: body sizes per unit of the
-    rig. Returns labels `[view, frame, instance]`, -1 = nobody.
+    sample_frames: `[frame]` indices of the frames of the sample, whose labels `matches` holds.
+    Returns labels `[view, frame, instance]`, -1 = nobody.
     """
     views, frames, instances = recording.positions.shape[:3]
     labels = np.full((views, frames, instances), -1, dtype=np.int64)
@@ -110,6 +111,7 @@ def label_all_frames(
     for done, (block, groups) in enumerate(zip(blocks, found, strict=True), start=1):
         labels[:, block, : groups.shape[2]] = groups
         progress("match all", done, len(blocks))
+    scale = _body_scale(sample, lifted, rig, config.pairwise)
     return _link_groups(recording, rig, labels, config.matching, scale=scale)
 
 
@@ -141,7 +143,7 @@ def have_same_groups(first: Matches, second: Matches) -> bool:
     return np.array_equal(per_frame_labels(first).labels, per_frame_labels(second).labels)
 
 
-def body_scale(
+def _body_scale(
     sample: Sample, lifted: LiftedPoses, rig: CameraRig, config: PairwiseConfig
 ) -> float:
     """Return the body sizes per unit of the rig; 1 where nothing tells.

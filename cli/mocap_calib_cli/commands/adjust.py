@@ -25,7 +25,7 @@ def command(shared: options.SharedOptions, output: str, matches_out: str | None)
     from mocap_calib.io.cameras.own import format_cameras_yaml
     from mocap_calib.io.provenance import provenance
     from mocap_calib.io.results.matches_csv import matches_csv
-    from mocap_calib.multi_view.association import body_scale, label_all_frames
+    from mocap_calib.multi_view.association import label_all_frames
     from mocap_calib.multi_view.refinement import adjust_until_stable
     from mocap_calib.multi_view.tracking import finalise_identities
     from mocap_calib_cli import inputs, outputs
@@ -51,7 +51,8 @@ def command(shared: options.SharedOptions, output: str, matches_out: str | None)
                 config,
                 sample_frames=sample_frames,
                 matches=adjusted.matches,
-                scale=body_scale(sample, lifted, adjusted.rig, config.pairwise),
+                sample=sample,
+                lifted=lifted,
                 progress=reporter,
             )
             matches = finalise_identities(recording, adjusted.rig, matches, config.matching)

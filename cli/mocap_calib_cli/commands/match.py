@@ -17,7 +17,7 @@ def command(shared: options.SharedOptions, output: str) -> None:
     """
     from mocap_calib.config import Config
     from mocap_calib.io.results.matches_csv import matches_csv
-    from mocap_calib.multi_view.association import associate, body_scale, label_all_frames
+    from mocap_calib.multi_view.association import associate, label_all_frames
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.progress import Reporter
 
@@ -33,7 +33,8 @@ def command(shared: options.SharedOptions, output: str) -> None:
             config,
             sample_frames=sample_frames,
             matches=sampled,
-            scale=body_scale(sample, lifted, rig, config.pairwise),
+            sample=sample,
+            lifted=lifted,
             progress=reporter,
         )
     outputs.write_text(output, matches_csv(loaded.recording, matches))

@@ -68,6 +68,13 @@ def has_json_entry(source: Source, *keys: str) -> bool:
     return any(isinstance(entry, dict) and entry.keys() >= set(keys) for entry in entries)
 
 
+def has_json_item(source: Source, name: str, key: str) -> bool:
+    """Return whether the list of that name, at the top of JSON, has a mapping with the key."""
+    if not source.has("json", name) or not isinstance(source.tree[name], list):
+        return False
+    return any(isinstance(item, dict) and key in item for item in source.tree[name])
+
+
 def camera_of_image(name: str) -> str:
     """Return the name of the camera that took an image: the image's without its ending."""
     start, dot, ending = name.rpartition(".")

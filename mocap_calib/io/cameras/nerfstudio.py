@@ -17,6 +17,7 @@ from mocap_calib.io.cameras.common import (
     PlacedCamera,
     camera_of_image,
     collect_cameras,
+    has_json_item,
     pinhole_matrix,
 )
 from mocap_calib.io.cameras.intrinsics import make_camera, make_extrinsics, numbers
@@ -43,10 +44,7 @@ _FOLDER = "images/"
 
 def sniff(source: Source) -> bool:
     """Return whether there are frames with a transform_matrix."""
-    if not source.has("json", "frames") or not isinstance(source.tree["frames"], list):
-        return False
-    frames = source.tree["frames"]
-    return any(isinstance(frame, dict) and "transform_matrix" in frame for frame in frames)
+    return has_json_item(source, "frames", "transform_matrix")
 
 
 # --- reading

@@ -6,7 +6,12 @@
 from collections.abc import Mapping
 from typing import Any
 
-from mocap_calib.io.cameras.common import PlacedCamera, collect_cameras, extrinsics_if_given
+from mocap_calib.io.cameras.common import (
+    PlacedCamera,
+    collect_cameras,
+    extrinsics_if_given,
+    has_json_item,
+)
 from mocap_calib.io.cameras.intrinsics import make_camera
 from mocap_calib.io.cameras.source import (
     CameraFile,
@@ -23,10 +28,7 @@ from mocap_calib.types import CameraRig
 
 def sniff(source: Source) -> bool:
     """Return whether there is a list of cameras with distCoef."""
-    if not source.has("json", "cameras") or not isinstance(source.tree["cameras"], list):
-        return False
-    cameras = source.tree["cameras"]
-    return any(isinstance(fields, dict) and "distCoef" in fields for fields in cameras)
+    return has_json_item(source, "cameras", "distCoef")
 
 
 def parse(source: Source) -> CameraFile:
