@@ -79,7 +79,6 @@ def test_results_come_in_order(monkeypatch):
         list(map_in_threads(lambda k: 1 // k, range(3)))
 
 
-@pytest.mark.slow
 def squared(number):
     return number * number, os.getpid()
 
@@ -88,6 +87,7 @@ def inverse(number):
     return 1 // number
 
 
+@pytest.mark.slow
 def test_processes_give_results_in_order_and_end(monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "2")
     results = map_in_processes(squared, range(50))
@@ -105,6 +105,7 @@ def test_processes_give_results_in_order_and_end(monkeypatch):
         list(map_in_processes(inverse, range(3)))
 
 
+@pytest.mark.slow
 def test_threads_change_no_byte(small, tmp_path):
     for threads in ("1", "2"):
         command = [

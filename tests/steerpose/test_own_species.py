@@ -86,7 +86,8 @@ def test_the_papers_solver_calibrates_pairs_of_the_pipeline():
 @pytest.mark.slow
 def test_the_loop_on_the_command_line(tmp_path, tool):
     """simulate one -> run by geometry alone -> train on what it found -> run with that model."""
-    tool("simulate", "--people", "1", "--frames", "240", "-o", tmp_path / "one")
+    scene_options = ["--people", "1", "--cameras", "3", "--frames", "240"]
+    tool("simulate", *scene_options, "-o", tmp_path / "one")
     files = [tmp_path / "one/keypoints", "--cameras", tmp_path / "one/intrinsics.toml"]
     tool("run", *files, "--model", "none", "-o", tmp_path / "alone")
     tool(
