@@ -30,6 +30,8 @@ READING = (
 )
 KEYPOINTS = ("keypoints", *READING)
 MODEL = ("skeleton", "model", "device")
+# how a recording is calibrated, and what is written of it
+CALIBRATION = ("cameras", *MODEL, "solver", "seed", "scheduler", *READING, "write", "fps", "quiet")
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,7 @@ class SharedOptions:
     keypoints ... views: the keypoint files and how to read them, see `inputs.read_options`.
     skeleton: file with names of joints of one's own. model: None = chosen by joint names.
     solver: of pairs. scheduler: address of a Dask scheduler, None = the work is done here.
+    write: further formats of the results. fps: frames per second, for formats that need it.
     """
 
     keypoints: tuple[str, ...] = ()
@@ -58,6 +61,8 @@ class SharedOptions:
     solver: str = PAIR_SOLVERS[0]
     seed: int = 0
     scheduler: str | None = None
+    write: tuple[str, ...] = ()
+    fps: float | None = None
     quiet: bool = False
 
 
@@ -159,6 +164,18 @@ _OPTIONS = {
         "--scheduler",
         metavar="ADDRESS",
         help="Dask scheduler whose workers do the work (tcp://HOST:PORT); same results.",
+    ),
+    "write": click.option(
+        "--write",
+        metavar="FORMAT",
+        multiple=True,
+        help="Write this format too (colmap, movement-3d, ...: docs/formats.md); may be repeated. "
+        "Lengths are arbitrary: see `convert --unit`.",
+    ),
+    "fps": click.option(
+        "--fps",
+        type=click.FloatRange(min=0, min_open=True),
+        help="Frames per second, for the formats that need it.",
     ),
     "quiet": click.option(
         "--quiet", "-q", is_flag=True, help="Write nothing to stderr but errors."

@@ -13,6 +13,7 @@ from mocap_calib_cli import options
 
 if TYPE_CHECKING:
     from mocap_calib.compute.cluster import Cluster
+    from mocap_calib.compute.parallel import Processes
     from mocap_calib.job import CalibrationRequest, Job
     from mocap_calib.types import CalibrationResult
     from mocap_calib_cli.progress import Reporter
@@ -28,12 +29,7 @@ Outcome = dict[str, Any]
 @options.output_folder("Folder to write: OUT/NAME of recording NAME.")
 @click.argument("recordings", nargs=-1, required=True, metavar="RECORDINGS...")
 @options.shared_options(
-    "cameras",
-    *options.MODEL,
-    "solver",
-    "seed",
-    "scheduler",
-    "quiet",
+    *options.CALIBRATION,
     cameras=click.option(
         "--cameras",
         required=True,
@@ -64,6 +60,7 @@ def command(
     \b
     Example:
       mocap-calib batch sessions/* --cameras intrinsics.toml -o out
+      mocap-calib batch sessions/* --cameras intrinsics.toml -o out --layout body_25 --jobs 4
       mocap-calib batch sessions/* --cameras intrinsics.toml -o out --scheduler tcp://node1:8786
     """
     from mocap_calib_cli import outputs
@@ -83,7 +80,7 @@ def command(
         ) as workers,
     ):
         batch = _Batch(reporter, len(requests))
-        batch.work_off(requests, workers)
+        batch.work_off(requests, workers, elsewhere=bool(shared.scheduler))
     outcomes = [batch.outcomes[request.output.name] for request in requests]
     failed = sum(outcome["status"] == "failed" for outcome in outcomes)
     calibrated = f"{len(outcomes) - failed} of {len(outcomes)} recordings calibrated"
@@ -155,16 +152,26 @@ class _Batch:
         self.total = total
         self.outcomes: dict[str, Outcome] = {}
 
-    def work_off(self, requests: "Iterable[CalibrationRequest]", workers: "Cluster | None") -> None:
-        """Calibrate what is not finished; a failure is one recording's own."""
+    def work_off(
+        self,
+        requests: "Iterable[CalibrationRequest]",
+        workers: "Cluster | Processes | None",
+        *,
+        elsewhere: bool,
+    ) -> None:
+        """Calibrate what is not finished; a failure is one recording's own.
+
+        elsewhere: the workers cannot reach the folder of results.
+        """
         from mocap_calib.job import calibrate_job, calibrate_job_resumably, write_results
 
         self.reporter("batch", 0, self.total)
         jobs = self._read_unfinished(requests)
+        calibrate = calibrate_job if elsewhere else calibrate_job_resumably
         if workers is None:
-            calibrated = _calibrate_one_by_one(calibrate_job_resumably, jobs)
+            calibrated = _calibrate_one_by_one(calibrate, jobs)
         else:
-            calibrated = workers.completed(calibrate_job, jobs)
+            calibrated = workers.completed(calibrate, jobs)
         for job, get_result in calibrated:
             try:
                 report = write_results(job, get_result())[0].report
