@@ -5,9 +5,9 @@ Each consumer is installed in an environment of its own.
     .venv/bin/python benchmarks/interop/run.py SCRATCH [consumer ...]
 
 Writes one rig and one set of poses in every format to SCRATCH/files, and detections for SLEAP, with
-the pixels and positions that must come out in expected.json; makes SCRATCH/env-CONSUMER with pip (nothing is installed
-twice), runs checks/check_CONSUMER.py there, and prints a table: what was read, by what, and the
-largest difference. docs/formats.md holds the last run.
+the pixels and positions that must come out in expected.json; makes SCRATCH/env-CONSUMER with pip
+(nothing is installed twice), runs checks/check_CONSUMER.py there, and prints a table: what was
+read, by what, and the largest difference. docs/formats.md holds the last run.
 """
 
 import json

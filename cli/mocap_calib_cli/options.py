@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 import click
 
 from mocap_calib.config import PAIR_SOLVERS
+from mocap_calib_cli import values
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -67,16 +68,20 @@ class SharedOptions:
 
 
 _OPTIONS = {
-    "keypoints": click.argument("keypoints", nargs=-1, required=True, metavar="KEYPOINTS..."),
+    "keypoints": click.argument(
+        "keypoints", nargs=-1, required=True, type=values.KEYPOINTS, metavar="KEYPOINTS..."
+    ),
     "format": click.option(
         "--format",
         metavar="NAME",
+        shell_complete=values.offer_keypoint_formats,
         help="Format of the keypoint files, where their content does not show it "
         "(docs/formats.md).",
     ),
     "layout": click.option(
         "--layout",
         metavar="NAME",
+        shell_complete=values.offer_layouts,
         help="Names of the keypoints in files that do not name them: body_25, body_25b, coco_17, "
         "... or a,b,c.",
     ),
@@ -112,6 +117,7 @@ _OPTIONS = {
     "cameras": click.option(
         "--cameras",
         required=True,
+        type=values.INTRINSICS,
         metavar="INTRINSICS",
         help="File or folder with the cameras' intrinsics, in any format of docs/formats.md; "
         "- reads stdin.",
@@ -119,12 +125,14 @@ _OPTIONS = {
     "rig": click.option(
         "--rig",
         required=True,
+        type=values.RIG,
         metavar="CAMERAS",
         help="File or folder with cameras and where they stand (docs/formats.md); - reads stdin.",
     ),
     "matches": click.option(
         "--matches",
         required=True,
+        type=values.MATCHES,
         metavar="MATCHES",
         help="File of the command `match`; - reads stdin.",
     ),
@@ -137,6 +145,7 @@ _OPTIONS = {
     "model": click.option(
         "--model",
         metavar="NAME|FILE|none",
+        shell_complete=values.offer_models,
         help="Network: shipped (see `models`) or one of your own; none: geometry alone. "
         "[default: by joint names]",
     ),
@@ -168,6 +177,7 @@ _OPTIONS = {
     "write": click.option(
         "--write",
         metavar="FORMAT",
+        shell_complete=values.offer_result_formats,
         multiple=True,
         help="Write this format too (colmap, movement-3d, ...: docs/formats.md); may be repeated. "
         "Lengths are arbitrary: see `convert --unit`.",
@@ -209,6 +219,7 @@ def output_text(what: str) -> Callable[[Command], Command]:
         "-o",
         "--output",
         default=STDIO,
+        type=values.ANY_PATH,
         metavar="FILE",
         help=f"Where to write the {what}; - is stdout.",
     )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from mocap_calib_cli import options
+from mocap_calib_cli import options, values
 
 if TYPE_CHECKING:
     from mocap_calib.compute.cluster import Cluster
@@ -27,12 +27,15 @@ Outcome = dict[str, Any]
 
 @click.command(name="batch")
 @options.output_folder("Folder to write: OUT/NAME of recording NAME.")
-@click.argument("recordings", nargs=-1, required=True, metavar="RECORDINGS...")
+@click.argument(
+    "recordings", nargs=-1, required=True, type=values.RECORDINGS, metavar="RECORDINGS..."
+)
 @options.shared_options(
     *options.CALIBRATION,
     cameras=click.option(
         "--cameras",
         required=True,
+        type=values.INTRINSICS,
         metavar="INTRINSICS",
         help="As for `run`; first looked for in each recording's folder, then as a path for all.",
     ),

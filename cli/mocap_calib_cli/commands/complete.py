@@ -4,13 +4,18 @@ from pathlib import Path
 
 import click
 
-from mocap_calib_cli import options
+from mocap_calib_cli import options, values
 
 
 @click.command(name="complete")
 @options.output_folder("Folder to write a keypoint file per camera to.")
 @click.option(
-    "--to", "target", default="coco", metavar="FORMAT", help="Format to write (docs/formats.md)."
+    "--to",
+    "target",
+    default="coco",
+    metavar="FORMAT",
+    shell_complete=values.offer_written_keypoint_formats,
+    help="Format to write (docs/formats.md).",
 )
 @options.shared_options("cameras", *options.MODEL, *options.KEYPOINTS, "quiet")
 def command(shared: options.SharedOptions, output: Path, target: str) -> None:

@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from mocap_calib_cli import options
+from mocap_calib_cli import options, values
 
 _COLOURS = {"CRITICAL": "red", "WARNING": "yellow"}
 _COLUMNS = (
@@ -34,6 +34,7 @@ _LISTED_GAPS = 5
         "--cameras",
         default="",
         show_default=False,
+        type=values.INTRINSICS,
         metavar="INTRINSICS",
         help="The cameras' intrinsics, to see whether they and the keypoints go together.",
     ),

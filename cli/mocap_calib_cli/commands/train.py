@@ -16,7 +16,7 @@ from mocap_calib.config import (
     PairsConfig,
     TrainConfig,
 )
-from mocap_calib_cli import options
+from mocap_calib_cli import options, values
 
 if TYPE_CHECKING:
     from mocap_calib.steerpose.steer import Model
@@ -41,6 +41,7 @@ _COUNT = click.IntRange(min=1)
 @click.option(
     "--skeleton",
     metavar="NAME|FILE.yaml",
+    shell_complete=values.offer_skeletons,
     help="Vocabulary: a shipped skeleton or one of your own. "
     "[default: people; with --from: its own joints]",
 )

@@ -1,10 +1,10 @@
 """Read and write SLEAP's analysis .h5: `tracks` with an axis of nodes and one of frames.
 
 Traps: the axes come as MATLAB orders them, or as the user of sleap-io did, which its attribute
-`dims` says; without it only the lengths tell; tracks without names follow nobody, but sleap-io opens
-several tracks only where each has a name, so detections in any order are written under names that
-say so, and it saves projects only of files that name a video; frames count from 0, so that a late
-start means many empty frames.
+`dims` says; without it only the lengths tell; frames count from 0, so that a late start means many
+empty frames; tracks without names follow nobody. sleap-io opens several tracks only where each has
+a name, so that detections in any order are written under names that say so, and it saves a project
+only of a file that names a video.
 """
 
 import io
