@@ -14,6 +14,7 @@ import click
 
 from mocap_calib.config import PAIR_SOLVERS
 from mocap_calib_cli import values
+from mocap_calib_cli.numbers import POSITIVE, SEED
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -165,7 +166,7 @@ _OPTIONS = {
     ),
     "seed": click.option(
         "--seed",
-        type=click.IntRange(min=0),
+        type=SEED,
         default=SharedOptions.seed,
         help="The same seed gives the same results.",
     ),
@@ -184,7 +185,7 @@ _OPTIONS = {
     ),
     "fps": click.option(
         "--fps",
-        type=click.FloatRange(min=0, min_open=True),
+        type=POSITIVE,
         help="Frames per second, for the formats that need it.",
     ),
     "quiet": click.option(

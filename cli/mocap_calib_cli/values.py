@@ -14,6 +14,7 @@ import click
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
+
 class PathOf(click.Path):
     """A file or folder; `missing` says what it is, and where to get it, when it was left out."""
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from mocap_calib_cli import options, values
+from mocap_calib_cli.numbers import COUNT
 
 if TYPE_CHECKING:
     from mocap_calib.compute.cluster import Cluster
@@ -41,7 +42,7 @@ Outcome = dict[str, Any]
     ),
 )
 @click.option(
-    "--jobs", type=click.IntRange(min=1), default=1, help="Recordings at a time on this machine."
+    "--jobs", type=COUNT, default=1, help="Recordings at a time, in processes of this machine."
 )
 @options.as_json("Write the summary to stdout.")
 @click.pass_context
@@ -66,6 +67,7 @@ def command(
       mocap-calib batch sessions/* --cameras intrinsics.toml -o out --layout body_25 --jobs 4
       mocap-calib batch sessions/* --cameras intrinsics.toml -o out --scheduler tcp://node1:8786
     """
+    from mocap_calib.recording.counting import count
     from mocap_calib_cli import outputs
     from mocap_calib_cli.progress import Reporter
     from mocap_calib_cli.workers import open_workers
@@ -86,7 +88,8 @@ def command(
         batch.work_off(requests, workers, elsewhere=bool(shared.scheduler))
     outcomes = [batch.outcomes[request.output.name] for request in requests]
     failed = sum(outcome["status"] == "failed" for outcome in outcomes)
-    calibrated = f"{len(outcomes) - failed} of {len(outcomes)} recordings calibrated"
+    all_of_them = count(len(outcomes), "recording")
+    calibrated = f"{len(outcomes) - failed} of {all_of_them} calibrated"
     reporter.say("", *_format_outcomes(outcomes), f"{calibrated}; results in {output}")
     if as_json:
         summary = {"recordings": outcomes, "failed": failed}
@@ -203,6 +206,8 @@ class _Batch:
         self, request: "CalibrationRequest", status: str, report: dict[str, Any]
     ) -> None:
         """Note what was found; the figures are those of the largest group of cameras."""
+        from mocap_calib.recording.counting import count
+
         name = request.output.name
         verdict = report["verdict"]
         groups = len(report["groups"])
@@ -217,8 +222,8 @@ class _Batch:
             "split_half_angle_deg": verdict["split_half_angle_deg"]["median"],
         }
         self.reporter.say(
-            f"{name} {status}: {outcome['cameras']} cameras, "
-            f"{outcome['individuals']} individuals, rig {outcome['rig']}"
+            f"{name} {status}: {count(outcome['cameras'], 'camera')}, "
+            f"{count(outcome['individuals'], 'individual')}, rig {outcome['rig']}"
         )
         if groups > 1:
             self.reporter.say(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from mocap_calib_cli import options, values
+from mocap_calib_cli.numbers import POSITIVE
 
 if TYPE_CHECKING:
     from mocap_calib.io.conversion import Conversion
@@ -72,7 +73,7 @@ class _Task:
 )
 @click.option(
     "--fps",
-    type=click.FloatRange(min=0, min_open=True),
+    type=POSITIVE,
     help="Frames per second of poses, where the file does not say.",
 )
 @click.option(
