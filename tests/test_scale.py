@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from platforms import posix
 from scenes import calibrate_group, precision, recording, rotation_errors_deg, scene, truth
 
 from mocap_calib.compute.parallel import map_in_processes, map_in_threads
@@ -88,6 +89,7 @@ def inverse(number):
     return 1 // number
 
 
+@posix
 def test_processes_give_results_in_order_and_end(monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "2")
     results = map_in_processes(squared, range(50))
