@@ -25,4 +25,5 @@ def read_help(name: str) -> str:
 
 
 if __name__ == "__main__":
-    Path(__file__).with_name("cli.md").write_text(make_page(), "utf-8")
+    page = Path(__file__).with_name("cli.md")
+    page.write_text(make_page(), encoding="utf-8", newline="\n")

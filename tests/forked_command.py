@@ -18,6 +18,8 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NoReturn
 
+from mocap_calib.compute import BLAS_THREADS
+
 # what the commands import; the thread pools of these start when they are first used, not here
 PRELOADED = (
     "cv2",
@@ -93,8 +95,8 @@ def _write(descriptor: int, text: str) -> None:
 
 def serve(connection: socket.socket) -> None:
     """Fork a process for each command that comes through the connection."""
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command does before numpy comes
-    os.environ.setdefault("MKL_NUM_THREADS", "1")
+    for name in BLAS_THREADS:
+        os.environ.setdefault(name, "1")  # as the command does before numpy is imported
     for module in PRELOADED:
         importlib.import_module(module)
     while True:

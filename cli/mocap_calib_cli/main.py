@@ -5,6 +5,7 @@ bad, 2 usage, 130 interrupted.
 """
 
 import importlib
+import io
 import os
 import sys
 from typing import TYPE_CHECKING
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING
 import click
 
 from mocap_calib import __version__
+from mocap_calib.compute import BLAS_THREADS
 from mocap_calib.errors import MocapCalibError, suggest
 from mocap_calib_cli.mistakes import explain
 
@@ -103,10 +105,20 @@ def group() -> None:
 
 def main() -> None:
     """Run the command; turn a user's mistake into one line and an exit status."""
-    # read when numpy is imported; the sums of these libraries depend on the number of threads
-    for library in ("OPENBLAS", "MKL"):
-        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+    for variable in BLAS_THREADS:  # the sums of these libraries depend on the number of threads
+        os.environ.setdefault(variable, "1")
+    _speak_utf8()
     sys.exit(_run_command())
+
+
+def _speak_utf8() -> None:
+    """Make what is written UTF-8 with the same line ends on every system.
+
+    Windows writes to files and pipes in the code page of the country, which lacks most letters.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(encoding="utf-8", errors=stream.errors, newline="\n")
 
 
 def _run_command() -> int:

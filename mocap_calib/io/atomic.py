@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from mocap_calib.errors import MismatchError
+from mocap_calib.recording.pairing import compose_name
 
 
 @contextmanager
@@ -81,11 +82,12 @@ def check_no_other_files(path: Path, names: Collection[str], suffixes: Collectio
     suffixes: of files that would be read.
     """
     nested = any("/" in name for name in names)
+    own = {compose_name(name) for name in names}
     for file in sorted(path.rglob("*") if nested else path.glob("*")):
         inside = file.relative_to(path)
         hidden = any(part.startswith(".") for part in inside.parts)
         is_read = file.suffix.lower() in suffixes and file.is_file()
-        if is_read and not hidden and inside.as_posix() not in names:
+        if is_read and not hidden and compose_name(inside.as_posix()) not in own:
             raise MismatchError(
                 f"{path}: expected a new folder or one with the same files, "
                 f"found {inside.as_posix()}: choose another or remove it"

@@ -155,7 +155,7 @@ def write_results(job: Job, result: CalibrationResult) -> tuple[WrittenGroup, ..
                 reports[0]["fingerprint"] = request.fingerprint(job.hashes, job.loaded.model)
                 reports[0]["outputs"] = hash_files(work)
             text = json.dumps(reports[number], indent=1, allow_nan=False)
-            (place / REPORT).write_text(text + "\n", "utf-8")
+            (place / REPORT).write_text(text + "\n", encoding="utf-8", newline="\n")
     _clean_output(request.output, reports[0])
     remove_earlier_outputs(request.output, earlier, kept=reports[0]["outputs"].keys())
     for files in further.values():

@@ -1,5 +1,6 @@
 """Which keypoint file belongs to which camera, and whether their images are the same."""
 
+import unicodedata
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -37,6 +38,14 @@ def pair_with_cameras(
         )
     sized = tuple(_take_image_size(camera, view) for view, camera in pairs)
     return tuple(view for view, _ in pairs), sized
+
+
+def compose_name(name: str) -> str:
+    """Return a name with its accents composed (Unicode's NFC), as names are compared.
+
+    macOS takes them apart in the names of files: `é` becomes `e` and a mark.
+    """
+    return unicodedata.normalize("NFC", name)
 
 
 def match_cameras(views: Sequence[Keypoints2D], cameras: Sequence[Camera]) -> tuple[str, ...]:
@@ -139,4 +148,4 @@ def _names_alike(name: str, known: Sequence[str]) -> list[str]:
 
 def _fold_name(name: str) -> str:
     """Return the letters and digits of a name, in small letters."""
-    return "".join(character for character in name.casefold() if character.isalnum())
+    return "".join(letter for letter in compose_name(name).casefold() if letter.isalnum())

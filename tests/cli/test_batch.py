@@ -14,8 +14,10 @@ import numpy as np
 import psutil
 import pytest
 from conftest import TOOL
+from platforms import posix
 from scenes import lifted, recording, scene
 
+from mocap_calib import __version__
 from mocap_calib.config import Config, PairwiseConfig
 from mocap_calib.io.results.pair_store import remember_pairs
 from mocap_calib.io.results.pairs_json import pairs_to_json
@@ -240,8 +242,10 @@ def other_weights(asked: CalibrationRequest, monkeypatch) -> CalibrationRequest:
     return asked
 
 
-def other_version(asked: CalibrationRequest, monkeypatch) -> CalibrationRequest:
-    monkeypatch.setattr(request, "__version__", "0.1.1")
+def other_code(asked: CalibrationRequest, monkeypatch) -> CalibrationRequest:
+    """The same version, as after a change of the checkout."""
+    same_version = f"{__version__} (code {'0' * 12})"
+    monkeypatch.setattr(request, "identify_program", lambda: same_version)
     return asked
 
 
@@ -274,7 +278,7 @@ CHANGES = [
     other_input,
     other_config,
     other_weights,
-    other_version,
+    other_code,
 ]
 
 
@@ -288,10 +292,9 @@ def test_finished_is_told_by_content(change, asked, monkeypatch):
 # killed
 
 
+@posix
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "way", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT], ids=lambda s: s.name
-)
+@pytest.mark.parametrize("way", ["SIGKILL", "SIGTERM", "SIGINT"])
 @pytest.mark.parametrize(
     "moment", ["small/.unfinished/*.json", "jump/run.json"], ids=["between", "writing"]
 )
@@ -309,18 +312,12 @@ def test_a_batch_goes_on_where_it_was_killed(way, moment, sessions, once, tool, 
         text=True,
     )
     wait_for(out, moment, 1, process)
-    process.send_signal(way)
+    process.send_signal(signal.Signals[way])
     _, said = process.communicate()
-    assert (
-        process.returncode
-        == {
-            signal.SIGKILL: -signal.SIGKILL,
-            signal.SIGTERM: 128 + signal.SIGTERM,
-            signal.SIGINT: 130,
-        }[way]
-    )
+    expected = {"SIGKILL": -signal.SIGKILL, "SIGTERM": 128 + signal.SIGTERM, "SIGINT": 130}
+    assert process.returncode == expected[way]
     assert "Traceback" not in said
-    if way != signal.SIGKILL:
+    if way != "SIGKILL":
         assert [
             path.name for path in out.iterdir() if path.name.startswith(".")
         ] == [] or moment == "jump/run.json"  # amid taking it away
@@ -333,6 +330,7 @@ def test_a_batch_goes_on_where_it_was_killed(way, moment, sessions, once, tool, 
         assert contents(out / name) == contents(once / name)
 
 
+@posix
 @pytest.mark.slow
 @pytest.mark.parametrize("way", [signal.SIGKILL, signal.SIGINT], ids=lambda s: s.name)
 def test_processes_end_with_a_batch_that_is_killed(way, sessions, once, tool, tmp_path):

@@ -2,7 +2,6 @@
 
 import csv
 import json
-import resource
 import shutil
 import subprocess
 import sys
@@ -14,6 +13,7 @@ import numpy as np
 import pytest
 import yaml
 from conftest import TOOL
+from platforms import posix
 from scenes import rotation_errors_deg
 
 from mocap_calib.io.cameras.read import read_rig
@@ -22,8 +22,11 @@ from mocap_calib_cli.main import COMMANDS
 HEAVY = ("torch", "pycolmap", "scipy", "cv2", "h5py", "numpy", "rich")
 
 
+@posix
 def test_help_is_quick():
     """Measured 0.07 s of a processor, which other work on the machine hardly changes."""
+    import resource
+
     best = np.inf
     for _ in range(3):
         before = resource.getrusage(resource.RUSAGE_CHILDREN)

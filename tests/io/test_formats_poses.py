@@ -14,6 +14,7 @@ import pytest
 from corruption import complaint, corrupted
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
+from platforms import posix
 
 from mocap_calib.errors import FormatError, MismatchError, MocapCalibError
 from mocap_calib.io.poses.common import UP_AXES, PoseFile, turn_up_axis
@@ -442,6 +443,7 @@ def test_an_h5_of_something_else_is_refused(tmp_path):
         read_poses(tmp_path / "x.h5")
 
 
+@posix
 def test_a_heap_that_hdf5_reads_for_ever_is_refused():
     """The free rest of a heap of texts says it is of size 0 (found by fuzzing; HDF5 does not come
     back).

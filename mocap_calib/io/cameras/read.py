@@ -18,10 +18,11 @@ from mocap_calib.io.cameras.formats import (
     ONE_CAMERA_ENDINGS,
     CameraFormat,
 )
-from mocap_calib.io.cameras.source import CameraFile, Source, join_camera_files
+from mocap_calib.io.cameras.source import CameraFile, Source, join_camera_files, unique
 from mocap_calib.io.file import malformed, read_bytes
 from mocap_calib.io.registry import find_format, format_names
 from mocap_calib.io.units import ARBITRARY, known_unit
+from mocap_calib.recording.pairing import compose_name
 from mocap_calib.types import Camera, CameraRig
 
 
@@ -84,7 +85,7 @@ def parse_content(
     for each in _candidates(format):
         # a format that is named is taken at its word: its own complaint says more
         if format is not None or each.sniff(file):
-            return _complete(each.read(file), each, source, unit)
+            return _complete(_compose_names(each.read(file), source), each, source, unit)
     raise _unknown(file)
 
 
@@ -118,7 +119,7 @@ def _load_folder(path: Path, format: str | None, unit: str | None) -> CameraFile
     folder = Source(str(path), contents, folder=True)
     for each in _candidates(format):
         if each.sniff(folder):
-            return _complete(each.read(folder), each, str(path), unit)
+            return _complete(_compose_names(each.read(folder), str(path)), each, str(path), unit)
     parts = [
         parse_content(content, f"{path}/{name}", format, unit)
         for name, content in contents.items()
@@ -158,6 +159,16 @@ def _unknown(file: Source) -> FormatError:
         found = "another file"
     expected = f"one of: {', '.join(format_names(CAMERA_FORMATS))}"
     return malformed(file.path, expected, found, "export one of these, or name it")
+
+
+def _compose_names(found: CameraFile, source: str) -> CameraFile:
+    """Return what was found under names as they are compared, see `compose_name`.
+
+    Raises FormatError where two cameras have one name then.
+    """
+    cameras = (replace(camera, name=compose_name(camera.name)) for camera in found.cameras)
+    extrinsics = {compose_name(name): placed for name, placed in found.extrinsics.items()}
+    return replace(found, cameras=unique(cameras, source), extrinsics=extrinsics)
 
 
 def _complete(found: CameraFile, form: CameraFormat, source: str, unit: str | None) -> CameraFile:

@@ -35,10 +35,10 @@ def write_group(folder: Path, group: GroupResult, provenance: Mapping[str, Any])
     """
     rig = group.rig
     reversed_rig = group.adjusted.depth_reversed_rig
-    _write_text(folder / "cameras.yaml", format_cameras_yaml(rig, provenance))
-    _write_text(folder / "calibration.toml", format_calibration_toml(rig, provenance))
+    replace_text(folder / "cameras.yaml", [format_cameras_yaml(rig, provenance)])
+    replace_text(folder / "calibration.toml", [format_calibration_toml(rig, provenance)])
     if reversed_rig is not None:
-        _write_text(folder / REVERSED_RIG, format_calibration_toml(reversed_rig, provenance))
+        replace_text(folder / REVERSED_RIG, [format_calibration_toml(reversed_rig, provenance)])
     replace_text(folder / "matches.csv", matches_csv(group.recording, group.matches))
     write_poses_h5(folder / "poses3d.h5", group.poses, provenance)
     for individual in range(group.matches.individuals):
@@ -113,8 +113,3 @@ def _remove_stale_group(folder: Path, group: str, kept: set[str]) -> None:
 def _relative(path: Path, folder: Path) -> str:
     """Return a path relative to a folder, as `run.json` has it."""
     return path.relative_to(folder).as_posix()
-
-
-def _write_text(path: Path, text: str) -> None:
-    """Write text as UTF-8."""
-    path.write_text(text, "utf-8")

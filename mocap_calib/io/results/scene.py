@@ -18,6 +18,7 @@ from mocap_calib.errors import MismatchError
 from mocap_calib.io.atomic import write_files
 from mocap_calib.io.cameras.own import format_calibration_toml, format_intrinsics_toml
 from mocap_calib.io.keypoints.coco_writer import format_coco
+from mocap_calib.recording.pairing import compose_name
 from mocap_calib.types import CameraRig, Floats, Ints, Keypoints2D
 
 
@@ -54,7 +55,7 @@ def write_scene(path: Path, scene: SceneLike, command: str) -> None:
     recording.
     """
     own = {f"{name}.json" for name in scene.rig.names}
-    strangers = {file.name for file in (path / "keypoints").glob("*")} - own
+    strangers = {compose_name(file.name) for file in (path / "keypoints").glob("*")} - own
     if strangers:
         raise MismatchError(
             f"{path}: expected a new folder or one with the same cameras, "
