@@ -48,7 +48,7 @@ def test_bones_keep_their_lengths_and_two_animals_are_not_alike(kind, made):
 
 
 def test_animals_move_as_much_as_animals_do(kind, made):
-    """Measured between two frames: 0.04 of the largest extent on legs, 0.26 at the tip of a wing."""
+    """Measured from frame to frame: 0.04 of the largest extent on legs, 0.26 at tips of wings."""
     extent = np.ptp(made.poses, axis=2).max()
     step = np.linalg.norm(np.diff(made.poses, axis=0), axis=-1)
     assert 1e-3 < step.max() / extent < (0.35 if ANIMAL_MOTION[kind].beats else 0.1)
