@@ -19,6 +19,7 @@ from scenes import lifted, recording, scene
 
 from mocap_calib import __version__
 from mocap_calib.config import Config, PairwiseConfig
+from mocap_calib.errors import ClusterError
 from mocap_calib.io.results.pair_store import remember_pairs
 from mocap_calib.io.results.pairs_json import pairs_to_json
 from mocap_calib.io.results.scene import write_scene
@@ -179,6 +180,17 @@ def test_processes_of_this_machine_need_no_dask(monkeypatch):
         monkeypatch.setitem(sys.modules, package, None)
     with open_workers(Reporter(quiet=True), processes=2) as workers:
         assert sorted(workers(abs, [-1, -2, -3])) == [1, 2, 3]
+
+
+def test_a_scheduler_needs_dask_and_that_is_one_line(monkeypatch):
+    monkeypatch.delitem(sys.modules, "mocap_calib.compute.cluster", raising=False)
+    monkeypatch.setitem(sys.modules, "dask", None)
+    workers = open_workers(Reporter(quiet=True), scheduler="tcp://127.0.0.1:1")
+    with (
+        pytest.raises(ClusterError, match=r"^--scheduler: expected the package dask, found none"),
+        workers,
+    ):
+        pass
 
 
 # what counts as finished
