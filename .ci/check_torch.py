@@ -43,8 +43,8 @@ def main() -> None:
     if packages:
         version = report["install"][0]["metadata"]["version"]
         sys.exit(
-            f"expected the CPU build of torch, found {version} with {len(packages)} packages of "
-            "CUDA (5 GB in all); install torch into .venv first, as README.md says under "
+            f"expected the CPU build of torch, found {version} with CUDA (5 GB: "
+            f"{', '.join(packages)}); install torch into .venv first, as README.md says under "
             "Installation, and call make again"
         )
 

@@ -20,7 +20,7 @@ def make_page() -> str:
 def read_help(name: str) -> str:
     """Return the help text of a command."""
     command = [TOOL, name, "--help"]
-    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    done = subprocess.run(command, check=True, capture_output=True, encoding="utf-8")
     return done.stdout.rstrip()
 
 

@@ -196,7 +196,7 @@ def test_make_ends_in_a_line_before_it_downloads_cuda(monkeypatch):
     with pytest.raises(SystemExit) as ended:
         check.main()
     assert str(ended.value) == (
-        "expected the CPU build of torch, found 2.13.0 with 1 packages of CUDA (5 GB in all); "
+        "expected the CPU build of torch, found 2.13.0 with CUDA (5 GB: nvidia-nccl-cu13); "
         "install torch into .venv first, as README.md says under Installation, and call make again"
     )
 
@@ -210,3 +210,6 @@ def test_a_torch_that_is_there_is_left_alone(monkeypatch):
 def test_make_checks_torch_before_it_installs():
     recipe = (ROOT / "Makefile").read_text("utf-8").partition(".venv/installed: ")[2]
     assert recipe.index(".ci/check_torch.py") < recipe.index("$(INSTALL) -e .")
+    section = (ROOT / "README.md").read_text("utf-8").partition("\n## Installation\n")[2]
+    version = re.search("^torch==.*", (ROOT / "constraints.txt").read_text("utf-8"), re.MULTILINE)
+    assert f"pip install {version[0]} --index-url" in section

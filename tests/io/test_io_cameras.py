@@ -20,6 +20,7 @@ from mocap_calib.io.cameras.own import (
 )
 from mocap_calib.io.cameras.read import read_cameras, read_rig
 from mocap_calib.io.cameras.write import write_cameras
+from mocap_calib.recording.pairing import compose_name
 from mocap_calib.types import Camera, CameraRig
 
 PROVENANCE = {
@@ -77,7 +78,8 @@ def same_cameras(first, second):
         np.testing.assert_array_equal(a.distortion, b.distortion)
 
 
-NAMES = st.lists(st.text(min_size=1, max_size=8), min_size=1, max_size=5, unique=True)
+NAME = st.text(min_size=1, max_size=8).map(compose_name)  # as names are compared
+NAMES = st.lists(NAME, min_size=1, max_size=5, unique=True)
 
 
 @settings(max_examples=25, deadline=None)
