@@ -36,7 +36,7 @@ class Scene:
         return self.detections.identity
 
 
-def simulate(config: SimulateConfig) -> Scene:
+def simulate(config: SimulateConfig = SimulateConfig()) -> Scene:
     """Return a scene of people who walk about among a ring of cameras.
 
     The same configuration gives the same bytes. People, rig and detector draw from generators of
