@@ -104,14 +104,18 @@ def _equal(first: object, second: object) -> bool:
         return np.array_equal(first, second, equal_nan=True)
     if isinstance(first, tuple) and isinstance(second, tuple):
         return len(first) == len(second) and all(map(_equal, first, second))
+    if isinstance(first, float) and isinstance(second, float) and np.isnan(first):
+        return bool(np.isnan(second))
     return bool(first == second)
 
 
 def _summarise(value: object) -> str:
-    """Return the value of a field in a few words: the shape of an array, the number of records."""
+    """Return the value of a field in a few words: the shape of an array, the length of a tuple."""
     if isinstance(value, np.ndarray):
         return f"{value.dtype}{list(value.shape)}"
-    if isinstance(value, tuple) and value and isinstance(value[0], Record):
+    if isinstance(value, Record):
+        return f"{type(value).__name__}(...)"
+    if isinstance(value, tuple) and (len(value) > 4 or isinstance(next(iter(value), 0), Record)):
         return f"{len(value)} x {type(value[0]).__name__}"
     return repr(value)
 
@@ -202,6 +206,11 @@ class Camera(Record):
     def __post_init__(self) -> None:
         self._hold(f"camera {self.name}", "matrix", float, 3, 3)
         self._hold(f"camera {self.name}", "distortion", float, None)
+        if self.distortion[8:].any():
+            count = len(self.distortion)
+            raise ValueError(
+                f"camera {self.name}: distortion: expected at most 8 coefficients, got {count}"
+            )
         object.__setattr__(self, "size", tuple(self.size))
 
     def __repr__(self) -> str:

@@ -13,7 +13,7 @@ import mocap_calib as mc
 from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.poses.formats import POSE_FORMATS
 from mocap_calib.io.registry import find_format
-from mocap_calib.types import LiftedPoses
+from mocap_calib.types import Adjusted, LiftedPoses, PairwiseCalibration
 
 MATRIX = [[1000, 0, 640], [0, 1010, 360], [0, 0, 1]]
 UNIT = np.eye(3).tolist()
@@ -60,6 +60,10 @@ def test_arrays_are_kept_as_they_are():
         (lambda: camera(matrix=[[1, 2], [3]]), "camera cam1: matrix: expected numbers, got"),
         (lambda: camera(matrix="eye"), "camera cam1: matrix: expected numbers, got 'eye'"),
         (
+            lambda: camera(distortion=np.full(14, 0.1)),
+            "camera cam1: distortion: expected at most 8 coefficients, got 14",
+        ),
+        (
             lambda: mc.CameraRig([camera()], [UNIT], [0, 0, 1]),
             r"rig: translation: expected shape \(1, 3\), got \(3,\)",
         ),
@@ -91,12 +95,24 @@ def test_records_compare_by_value():
     assert rig != "rig"
 
 
+def test_scenes_compare_too():
+    config = mc.SimulateConfig(cameras=2, people=1, frames=3)
+    assert mc.simulate(config) == mc.simulate(config)
+    assert mc.simulate(config) != mc.simulate(replace(config, seed=1))
+    assert "joints=29 x str, poses=float64[3, 1, 29, 3], detections=Detections(...)" in repr(
+        mc.simulate(config)
+    )
+
+
 def test_missing_equals_missing():
     assert poses() == poses()
     assert poses() != poses(positions=np.nan_to_num(poses().positions))
     first, second = scene().files[:2]
     assert first == replace(first, positions=first.positions.copy(), missing={"(0, 0)": 1})
     assert first != second
+    pair = PairwiseCalibration(0, 1, np.eye(3), np.ones(3), np.empty((0, 3)), 9, 0, np.nan, 0, "")
+    assert pair == replace(pair, residual=float("nan"))
+    assert pair != replace(pair, residual=0.1)
 
 
 def test_records_print_in_short():
@@ -119,6 +135,11 @@ def test_records_print_in_short():
     )
     lifted = LiftedPoses(np.zeros((1, 1, 1, 4, 3)), np.zeros((1, 1, 1, 3)), np.zeros((1, 1, 1, 4)))
     assert repr(lifted).startswith("LiftedPoses(body=float64[1, 1, 1, 4, 3], ")
+    adjusted = Adjusted(rig, mc.Matches(np.zeros((2, 3, 1), int)), None, rounds=2, converged=True)
+    assert repr(adjusted) == (
+        "Adjusted(rig=CameraRig(...), matches=Matches(...), depth_reversed_rig=None, rounds=2, "
+        "converged=True)"
+    )
 
 
 # --- a recording of arrays

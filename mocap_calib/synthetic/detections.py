@@ -10,15 +10,15 @@ from mocap_calib.errors import MismatchError
 from mocap_calib.recording.views import split_by_view
 from mocap_calib.synthetic.bodies import JOINTS
 from mocap_calib.synthetic.signals import direction
-from mocap_calib.types import Bools, CameraRig, Floats, Ints, Keypoints2D, check_shape
+from mocap_calib.types import Bools, CameraRig, Floats, Ints, Keypoints2D, Record, check_shape
 
 Layout = Literal["coco17", "all"]
 
 LAYOUTS: dict[str, tuple[str, ...]] = {"coco17": JOINTS[:17], "all": JOINTS}
 
 
-@dataclass(frozen=True)
-class Detections:
+@dataclass(frozen=True, eq=False, repr=False)
+class Detections(Record):
     """Keypoints of all views.
 
     keypoints: `[keypoint]` names.

@@ -8,11 +8,11 @@ from mocap_calib.config import CAMERA_HEIGHT, ROOM_SIDE, SimulateConfig
 from mocap_calib.synthetic.bodies import JOINTS, people
 from mocap_calib.synthetic.detections import Detections, detect, keypoint_files
 from mocap_calib.synthetic.rigs import ring_rig
-from mocap_calib.types import CameraRig, Floats, Ints, Keypoints2D
+from mocap_calib.types import CameraRig, Floats, Ints, Keypoints2D, Record
 
 
-@dataclass(frozen=True)
-class Scene:
+@dataclass(frozen=True, eq=False, repr=False)
+class Scene(Record):
     """Detections, and the truth behind them.
 
     rig: in metres, +z up.
