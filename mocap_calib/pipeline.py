@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -18,19 +19,23 @@ from mocap_calib.multi_view.association import associate, label_all_frames
 from mocap_calib.multi_view.averaging import average
 from mocap_calib.multi_view.refinement import adjust_from_best_start
 from mocap_calib.multi_view.tracking import finalise_identities
-from mocap_calib.multi_view.triangulation import triangulate
-from mocap_calib.multi_view.uncertainty import assess_uncertainty
+from mocap_calib.multi_view.triangulation import check_same_cameras, triangulate
+from mocap_calib.multi_view.uncertainty import assess_uncertainty, judge_rig
 from mocap_calib.multi_view.view_graph import camera_groups, pairs_among, select_hypotheses
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
+from mocap_calib.steerpose.checkpoint import AUTO, choose_model
+from mocap_calib.steerpose.device import check_device
 from mocap_calib.steerpose.lift import lift
 from mocap_calib.steerpose.model import Lifter
 from mocap_calib.two_view.solve import PairSolver, calibrate_pairs, in_recording
 from mocap_calib.types import (
     CalibrationResult,
+    CameraRig,
     GroupResult,
     Ints,
     LiftedPoses,
     Mapper,
+    Matches,
     PairwiseCalibration,
     Progress,
     Recording,
@@ -92,12 +97,12 @@ class Observed:
 
 def calibrate(
     recording: Recording,
-    lifter: Lifter,
+    model: str | Path | Lifter = AUTO,
     config: Config = Config(),
     *,
     seed: int = 0,
     device: str = "cpu",
-    progress: Progress = silent,
+    progress: Progress | None = None,
     mapper: Mapper | None = None,
     pair_solver: PairSolver | None = None,
 ) -> CalibrationResult:
@@ -106,12 +111,20 @@ def calibrate(
     The rigs are found from a sample of the frames, whose size does not depend on the length of
     the recording. The result does not depend on the number of threads.
 
+    model: lifts the detections, as `steerpose.checkpoint.choose_model` takes it: "auto", the name
+        of a shipped model, a file of weights, "none" for geometry alone, or a loaded lifter.
+    device: where the network computes, "cpu" or "cuda".
+    progress: is told of each step, see `types.Progress`.
     mapper: where the pairs are calibrated; by default threads or processes of this machine.
     pair_solver: how a pair is calibrated; by default `two_view.solve.calibrate_pair`.
 
     Raises DegenerateError where the recording determines no rig. The cameras of a group that it
-    does not determine are left out.
+    does not determine are left out. Raises FormatError where there is no such model, and
+    MismatchError where there is no such device or the model knows too few of the joints.
     """
+    check_device(device)
+    recording, lifter = choose_model(recording, model)
+    progress = progress or silent
     clock = Clock()
     with single_threaded_libraries():
         with clock("sample"):
@@ -139,7 +152,43 @@ def calibrate(
             pairs=pairs,
         )
         groups = _calibrate_groups(observed, config, clock, seed=seed, progress=progress)
-    return _join_groups(recording, pairs, groups)
+    return _join_groups(recording, pairs, groups, config=config, seed=seed)
+
+
+def match(
+    recording: Recording,
+    rig: CameraRig,
+    model: str | Path | Lifter = AUTO,
+    config: Config = Config(),
+    *,
+    device: str = "cpu",
+    progress: Progress | None = None,
+) -> Matches:
+    """Label every detection with its individual, given where the cameras stand.
+
+    rig: of the recording's cameras, in their order. The other arguments are those of `calibrate`.
+
+    Raises MismatchError where rig and recording have other cameras, and what `calibrate` raises
+    of model and device.
+    """
+    check_same_cameras(recording, rig)
+    check_device(device)
+    recording, lifter = choose_model(recording, model)
+    progress = progress or silent
+    with single_threaded_libraries():
+        sample_frames = choose_sample_frames(recording, config.sample)
+        sample = take_sample(recording, sample_frames)
+        lifted = lift(sample, lifter, device=device, progress=progress)
+        return label_all_frames(
+            recording,
+            rig,
+            config,
+            sample_frames=sample_frames,
+            matches=associate(sample, lifted, rig, config, progress=progress),
+            sample=sample,
+            lifted=lifted,
+            progress=progress,
+        )
 
 
 def _calibrate_groups(
@@ -219,13 +268,19 @@ def _calibrate_cameras(
         adjusted=adjusted,
         matches=matches,
         uncertainty=uncertainty,
+        verdict=judge_rig(uncertainty, config.uncertainty),
         poses=poses,
         seconds=clock.seconds,
     )
 
 
 def _join_groups(
-    recording: Recording, pairs: tuple[PairwiseCalibration, ...], groups: list[GroupResult]
+    recording: Recording,
+    pairs: tuple[PairwiseCalibration, ...],
+    groups: list[GroupResult],
+    *,
+    config: Config,
+    seed: int,
 ) -> CalibrationResult:
     """Return the groups with the cameras and the pairs that are in none of them."""
     names = recording.names
@@ -239,4 +294,6 @@ def _join_groups(
         groups=tuple(groups),
         left_out=tuple(name for name in names if name not in group_of),
         unused_pairs=tuple(unused),
+        config=config,
+        seed=seed,
     )

@@ -106,6 +106,7 @@ DOORS = {  # module: where alone it is imported
     "h5netcdf": ("mocap_calib/io/",),
     "c3d": ("mocap_calib/io/",),
     "pynwb": ("mocap_calib/io/",),
+    "xarray": ("mocap_calib/io/", "mocap_calib/types.py"),  # types names it to type checkers
     "tomli_w": ("mocap_calib/io/",),
     "yaml": ("mocap_calib/io/", "mocap_calib/recording/joints.py"),
     "distributed": ("mocap_calib/compute/cluster.py",),

@@ -10,7 +10,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import click
-import numpy as np
 
 from mocap_calib.config import SampleConfig
 from mocap_calib.errors import MismatchError
@@ -110,7 +109,7 @@ def lift_sample(
     """
     sample_frames = choose_sample_frames(loaded.recording, SampleConfig())
     sample = take_sample(loaded.recording, sample_frames)
-    return sample_frames, sample, lift_with_model(sample, loaded.model, device, reporter)
+    return sample_frames, sample, lift_with_model(sample, loaded.recording.model, device, reporter)
 
 
 def lift_with_model(sample: Sample, model: str, device: str, reporter: Reporter) -> LiftedPoses:
@@ -146,8 +145,7 @@ def read_matches(path: str, recording: Recording) -> Matches:
 
 def _rig_of_recording(rig: CameraRig, recording: Recording) -> CameraRig:
     """Return the rig with the cameras of the recording alone, in their order."""
-    views = np.array([rig.names.index(name) for name in recording.names])
-    return replace(rig.select(views), cameras=recording.cameras)
+    return replace(rig.select(recording.names), cameras=recording.cameras)
 
 
 # --- stdin

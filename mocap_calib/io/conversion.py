@@ -112,7 +112,7 @@ def convert_poses(
     up: the axis of the sources' world that points up (x, y, z, -x, -y, -z); the poses are turned
         so that it is y. None: the axes are kept.
 
-    Raises FormatError and MismatchError as `read_poses` and `write_poses` do, and MismatchError
+    Raises FormatError and MismatchError as `load_poses` and `write_poses` do, and MismatchError
     where the sources contradict `fps`.
     """
     if isinstance(sources, bytes):

@@ -62,8 +62,10 @@ def choose_kind(
     return shown[0] if shown else "keypoints"
 
 
-def choose_format(kind: Kind, output: str | Path) -> str:
+def choose_format(kind: Kind, output: str | Path, option: str = "--to ") -> str:
     """Return the name of the format that the ending of the output says.
+
+    option: how users name a format, for complaints.
 
     Raises MismatchError where it says none, or several.
     """
@@ -72,13 +74,13 @@ def choose_format(kind: Kind, output: str | Path) -> str:
     if len(names) > 1:
         raise MismatchError(
             f"{output}: expected the format of {kind} beside the ending, found none; "
-            f"say --to {' or --to '.join(names)}"
+            f"say {option}{f' or {option}'.join(names)}"
         )
     if not names:
         known = ", ".join(f"{end} ({own[0]})" for end, own in by_ending.items() if len(own) == 1)
         written = ", ".join(written_names(FORMATS[kind]))
         raise MismatchError(
-            f"{output}: expected an ending of {known}, or --to and one of {written}, "
+            f"{output}: expected an ending of {known}, or {option.strip()} and one of {written}, "
             "found neither; name the format"
         )
     return names[0]

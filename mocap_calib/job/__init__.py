@@ -9,6 +9,7 @@ from mocap_calib.job.steps import (
     calibrate_job_resumably,
     find_finished,
     read_job,
+    write_result,
     write_results,
 )
 
@@ -24,5 +25,6 @@ __all__ = [
     "find_ignored_files",
     "load_recording",
     "read_job",
+    "write_result",
     "write_results",
 ]

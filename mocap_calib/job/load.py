@@ -18,10 +18,9 @@ from mocap_calib.types import Keypoints2D, Recording, Skeleton
 
 @dataclass(frozen=True)
 class LoadedRecording:
-    """A recording, the name of the model that lifts it, and what a person should know of it."""
+    """A recording, and what a person should know of it."""
 
     recording: Recording
-    model: str
     summary: RecordingSummary
 
 
@@ -47,7 +46,7 @@ def load_recording(
     summary = replace(
         summary, camera_notes=camera_file.notes, ignored_files=find_ignored_files(source.paths)
     )
-    return LoadedRecording(recording, source.model or skeleton.name, summary)
+    return LoadedRecording(replace(recording, model=source.model or skeleton.name), summary)
 
 
 def find_ignored_files(arguments: Sequence[str]) -> tuple[str, ...]:

@@ -14,7 +14,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from itertools import combinations
-from typing import Literal
 
 import numpy as np
 
@@ -24,9 +23,16 @@ from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.multi_view.bundle_adjustment import adjust
 from mocap_calib.multi_view.fit import find_outlier_cameras, find_weak_perspective, measure_fit
-from mocap_calib.types import Bools, CameraRig, Floats, Ints, Matches, Sample, Uncertainty
-
-Verdict = Literal["well determined", "weak", "not determined"]
+from mocap_calib.types import (
+    Bools,
+    CameraRig,
+    Floats,
+    Ints,
+    Matches,
+    Sample,
+    Uncertainty,
+    Verdict,
+)
 
 
 def assess_uncertainty(

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -12,13 +12,13 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
-from mocap_calib.errors import FormatError
+from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.io.atomic import write_bytes
-from mocap_calib.recording.joints import SHIPPED, parse_skeleton
+from mocap_calib.recording.joints import SHIPPED, match_names, parse_skeleton
 from mocap_calib.steerpose.model import Lifter, ModelConfig
 from mocap_calib.steerpose.steer import Architecture, Model
 from mocap_calib.steerpose.token import TokenConfig, TokenSteerer
-from mocap_calib.types import Skeleton
+from mocap_calib.types import Recording, Skeleton
 
 _KEY = "mocap_calib"  # of the description in the file's metadata
 
@@ -139,6 +139,37 @@ def _read(path: Path) -> tuple[Model, Skeleton]:
 # --- by the name that a user gives
 
 GEOMETRY_ALONE = "none"  # asks for no model: it knows no joint, and the geometry must do
+AUTO = "auto"  # asks for the model that the recording was made for
+
+
+def choose_model(recording: Recording, model: str | Path | Lifter) -> tuple[Recording, Lifter]:
+    """Return the lifter of a recording, and the recording with its joints in that vocabulary.
+
+    model: "auto", the name of a shipped model, a file of weights, or "none" for geometry alone;
+        or a lifter, whose joints the recording's vocabulary already means. Where it is not the
+        model that the recording was made for, keypoints are matched to its joints by name.
+
+    Raises FormatError, and MismatchError where a lifter has too few joints for the vocabulary.
+    """
+    if isinstance(model, Lifter):
+        _check_joints(recording, model)
+        return recording, model
+    name = recording.model if model == AUTO else str(model)
+    if name != recording.model:
+        vocabulary = match_names(recording.keypoints, load_vocabulary(name))
+        recording = replace(recording, vocabulary=vocabulary, model=name)
+    return recording, load_model(name)
+
+
+def _check_joints(recording: Recording, lifter: Lifter) -> None:
+    """Raise MismatchError where a lifter has too few joints for a recording's vocabulary."""
+    needed = int(recording.vocabulary.max(initial=-1)) + 1
+    if lifter.config.joints < needed:
+        raise MismatchError(
+            f"expected a network of the {needed} joints or more that the recording has in the "
+            f"vocabulary of {recording.model}, found one of {lifter.config.joints}; "
+            "give the model by its name or file"
+        )
 
 
 def load_model(name: str = "people") -> Lifter:

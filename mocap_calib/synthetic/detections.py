@@ -7,19 +7,18 @@ import numpy as np
 
 from mocap_calib.config import FALSE_CONFIDENCE, FALSE_COPIES, LEAST_DETECTED_JOINTS
 from mocap_calib.errors import MismatchError
-from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.recording.views import split_by_view
 from mocap_calib.synthetic.bodies import JOINTS
 from mocap_calib.synthetic.signals import direction
-from mocap_calib.types import Bools, CameraRig, Floats, Ints, Keypoints2D, check_shape
+from mocap_calib.types import Bools, CameraRig, Floats, Ints, Keypoints2D, Record, check_shape
 
 Layout = Literal["coco17", "all"]
 
 LAYOUTS: dict[str, tuple[str, ...]] = {"coco17": JOINTS[:17], "all": JOINTS}
 
 
-@dataclass(frozen=True)
-class Detections:
+@dataclass(frozen=True, eq=False, repr=False)
+class Detections(Record):
     """Keypoints of all views.
 
     keypoints: `[keypoint]` names.
@@ -78,7 +77,7 @@ def detect(  # noqa: PLR0913 - each is one plain number of the detector
     poses = poses[:, :, : len(joints)]
     individuals = poses.shape[1]
     bodies = np.concatenate([poses, _strangers(rng, poses)[:, None]], axis=1)
-    image = _replace_by_copies(rng, _project(rig, bodies))
+    image = _replace_by_copies(rng, rig.project(bodies))
     image = _swap_sides(rng, image, joints, swaps)
     real = np.arange(individuals + 1) < individuals  # [body]: the last is false
     present = real | (rng.random((*image.shape[:2], 1)) < false_detections)
@@ -119,17 +118,6 @@ def _check_detector(
             "detect: expected shares in 0..1, noise >= 0 and "
             f"layout {' or '.join(LAYOUTS)}, got {found}"
         )
-
-
-def _project(rig: CameraRig, bodies: Floats) -> Floats:
-    """Return the pixels `[view, frame, body, joint, 2]` of bodies; NaN behind the camera."""
-    views = zip(rig.cameras, rig.rotation, rig.translation, strict=True)
-    return np.stack(
-        [
-            pixels_from_points(camera, bodies @ rotation.T + translation)
-            for camera, rotation, translation in views
-        ]
-    )
 
 
 def _inside(rig: CameraRig, image: Floats) -> Bools:

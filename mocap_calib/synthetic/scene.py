@@ -13,11 +13,11 @@ from mocap_calib.synthetic.bodies import motion_times, move_person
 from mocap_calib.synthetic.detections import LAYOUTS, Detections, detect, keypoint_files
 from mocap_calib.synthetic.paths import plan_walks
 from mocap_calib.synthetic.rigs import ring_rig
-from mocap_calib.types import CameraRig, Floats, Ints, Keypoints2D
+from mocap_calib.types import CameraRig, Floats, Ints, Keypoints2D, Record
 
 
-@dataclass(frozen=True)
-class Scene:
+@dataclass(frozen=True, eq=False, repr=False)
+class Scene(Record):
     """Detections, and the truth behind them.
 
     rig: in metres, +z up.
@@ -43,7 +43,7 @@ class Scene:
         return self.detections.identity
 
 
-def simulate(config: SimulateConfig) -> Scene:
+def simulate(config: SimulateConfig = SimulateConfig()) -> Scene:
     """Return a scene of people and animals who go about among a ring of cameras.
 
     The same configuration gives the same bytes. People, rig, detector and animals draw from

@@ -21,7 +21,7 @@ from mocap_calib.io.keypoints.formats import KEYPOINT_FORMATS
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.io.keypoints.write import write_keypoints
 from mocap_calib.io.kinds import FORMATS
-from mocap_calib.io.poses.read import read_poses
+from mocap_calib.io.poses.read import load_poses
 from mocap_calib.io.poses.write import write_poses
 from mocap_calib.io.registry import format_names, names_by_ending
 from mocap_calib_cli.inputs import calibration_request
@@ -83,7 +83,7 @@ def test_poses_go_round(tool, tmp_path):
         done = tool("convert", tmp_path / source, tmp_path / target)
         assert done.returncode == 0, done.stderr
     np.testing.assert_allclose(
-        read_poses(tmp_path / "e.npz").poses.positions, poses().poses.positions * 1000, rtol=2e-7
+        load_poses(tmp_path / "e.npz").poses.positions, poses().poses.positions * 1000, rtol=2e-7
     )
     assert (
         "c3d does not hold reprojection errors"
@@ -101,7 +101,7 @@ def test_the_rate_the_unit_and_the_axis_that_points_up_can_be_said(tool, tmp_pat
         "convert", tmp_path / "a.csv", tmp_path / "a.trc", "--fps", 25, "--unit", "m", "--up", "z"
     )
     assert done.returncode == 0, done.stderr
-    found = read_poses(tmp_path / "a.trc")
+    found = load_poses(tmp_path / "a.trc")
     np.testing.assert_array_equal(
         found.poses.positions, poses(1).poses.positions[..., [1, 2, 0]]
     )  # Pose2Sim's (X, Y, Z) -> (Y, Z, X)
@@ -319,7 +319,7 @@ def test_run_writes_what_is_asked_for(tool, small, tmp_path):
     assert {"cameras.yaml", "calibration.toml", "poses3d.h5", "run.json"} <= names
     assert {"colmap/images.txt", "nerfstudio/transforms.json", "poses3d.nc", "points3d.h5"} <= names
     assert_same(read_rig(tmp_path / "out/cameras.yaml"), read_rig(tmp_path / "out/colmap"))
-    assert read_poses(tmp_path / "out/poses3d.nc").rate == 30.0
+    assert load_poses(tmp_path / "out/poses3d.nc").rate == 30.0
     report = json.loads((tmp_path / "out/run.json").read_text())
     assert report["unit"] == "arbitrary"
     assert names == {"run.json", *report["outputs"]}

@@ -46,8 +46,8 @@ def command(shared: options.SharedOptions, output: Path, target: str) -> None:
         loaded = inputs.read_recording(shared, camera_file, reporter)
         check_known_joints(loaded.recording)
         sample = take_sample(loaded.recording, slice(None))
-        lifted = inputs.lift_with_model(sample, loaded.model, shared.device, reporter)
-        views = complete_sample(sample, lifted, load_vocabulary(loaded.model))
+        lifted = inputs.lift_with_model(sample, loaded.recording.model, shared.device, reporter)
+        views = complete_sample(sample, lifted, load_vocabulary(loaded.recording.model))
         lost = write_keypoints(output, views, target)
     seen = int(sample.seen[..., sample.vocabulary >= 0].sum())
     filled = sum(int(np.isfinite(view.positions[..., 0]).sum()) for view in views) - seen

@@ -29,14 +29,14 @@ def command(rig: str, reference: str, as_json: bool) -> None:
       mocap-calib evaluate out/cameras.yaml --reference reference.toml
       mocap-calib evaluate out/cameras.yaml --reference reference.toml --json
     """
-    from mocap_calib.multi_view.evaluation import evaluate_rig, evaluation_to_dict
+    from mocap_calib.multi_view.evaluation import evaluate, evaluation_to_dict
     from mocap_calib_cli import inputs
 
     found, found_file = inputs.read_rig(rig, "CAMERAS")
     expected, expected_file = inputs.read_rig(reference, "--reference")
     for note in (*found_file.notes, *expected_file.notes):
         click.echo(note, err=True)
-    figures = evaluation_to_dict(evaluate_rig(found, expected))
+    figures = evaluation_to_dict(evaluate(found, expected))
     if as_json:
         click.echo(json.dumps(figures, indent=1, allow_nan=False))
     else:

@@ -32,7 +32,7 @@ def command(shared: options.SharedOptions, output: str) -> None:
         camera_file = inputs.load_camera_file(shared.cameras, "--cameras")
         loaded = inputs.read_recording(shared, camera_file, reporter)
         sample_frames, sample, lifted = inputs.lift_sample(loaded, shared.device, reporter)
-        lifter = load_model(loaded.model)
+        lifter = load_model(loaded.recording.model)
         solver = choose_pair_solver(shared.solver, loaded.recording, lifter, config)
         pairs = calibrate_pairs(
             sample,

@@ -26,7 +26,7 @@ from mocap_calib.recording.pairing import compose_name
 from mocap_calib.types import Camera, CameraRig
 
 
-def read_cameras(path: Path, format: str | None = None) -> tuple[Camera, ...]:
+def read_cameras(path: str | Path, format: str | None = None) -> tuple[Camera, ...]:
     """Read the intrinsics of the cameras in a file or folder.
 
     format: name of a camera format; where none is given, the content says it.
@@ -36,7 +36,7 @@ def read_cameras(path: Path, format: str | None = None) -> tuple[Camera, ...]:
     return load_cameras(path, format).cameras
 
 
-def read_rig(path: Path, format: str | None = None, unit: str | None = None) -> CameraRig:
+def read_rig(path: str | Path, format: str | None = None, unit: str | None = None) -> CameraRig:
     """Read the cameras in a file or folder and where they stand.
 
     format: name of a camera format; where none is given, the content says it.
@@ -67,11 +67,14 @@ def make_rig(found: CameraFile, source: str) -> CameraRig:
     )
 
 
-def load_cameras(path: Path, format: str | None = None, unit: str | None = None) -> CameraFile:
+def load_cameras(
+    path: str | Path, format: str | None = None, unit: str | None = None
+) -> CameraFile:
     """Read all that a file or a folder says of cameras; the arguments are those of `read_rig`.
 
     Raises FormatError and MismatchError.
     """
+    path = Path(path)
     if path.is_dir():
         return _load_folder(path, format, unit)
     return parse_content(read_bytes(path), str(path), format, unit)

@@ -27,7 +27,7 @@ def format_rig(rig: CameraRig, format: str, provenance: Mapping[str, Any]) -> Wr
 
 
 def write_cameras(
-    path: Path, rig: CameraRig, format: str, provenance: Mapping[str, Any] | None = None
+    path: str | Path, rig: CameraRig, format: str, provenance: Mapping[str, Any] | None = None
 ) -> tuple[str, ...]:
     """Write a rig in the format, whole or not at all.
 
@@ -36,6 +36,7 @@ def write_cameras(
     Returns what of the rig the format does not carry. Raises MismatchError as `format_rig` does,
     and where the folder has files of other cameras.
     """
+    path = Path(path)
     written = format_rig(rig, format, provenance or {})
     if find_format(CAMERA_FORMATS, format).folder:
         check_no_other_files(path, written.files, FOLDER_ENDINGS)

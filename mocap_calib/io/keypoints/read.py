@@ -21,18 +21,22 @@ from mocap_calib.types import Keypoints2D
 
 
 def read_keypoints(
-    paths: Sequence[str | Path], format: str | None = None, options: ReadOptions | None = None
+    paths: str | Path | Sequence[str | Path],
+    format: str | None = None,
+    options: ReadOptions | None = None,
 ) -> tuple[Keypoints2D, ...]:
     """Read the detections of each camera from files, folders and `name=path` pairs.
 
     Positions are pixels as the files have them: x to the right, y down.
 
+    paths: one of these, or several.
     format: name of a keypoint format; where none is given, the content of each file says it.
 
     Raises FormatError, in one line, for whatever is wrong with a file, and MismatchError where two
     files are of one camera.
     """
-    views, errors = read_what_can(paths, format, options)
+    several = [paths] if isinstance(paths, str | Path) else paths
+    views, errors = read_what_can(several, format, options)
     if errors:
         raise errors[0]
     return views

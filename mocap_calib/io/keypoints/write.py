@@ -24,13 +24,16 @@ def format_keypoints(views: tuple[Keypoints2D, ...], format: str) -> Written:
     return Written(files, tuple(loss.what for loss in known.loses if loss.has(views)))
 
 
-def write_keypoints(path: Path, views: tuple[Keypoints2D, ...], format: str) -> tuple[str, ...]:
+def write_keypoints(
+    path: str | Path, views: tuple[Keypoints2D, ...], format: str
+) -> tuple[str, ...]:
     """Write the cameras in the format, whole or not at all.
 
     A format with one file for all cameras writes `path`, where that has an ending; others fill the
     folder `path`. Returns what of the views is not held. Raises MismatchError as `format_keypoints`
     does, and where the folder has files of another recording.
     """
+    path = Path(path)
     written = format_keypoints(views, format)
     if len(written.files) == 1 and path.suffix:
         write_bytes(path, next(iter(written.files.values())))

@@ -36,12 +36,13 @@ def format_poses(file: PoseFile, format: str, path: Path, title: str = "") -> Wr
     return Written(files, tuple(lost))
 
 
-def write_poses(path: Path, file: PoseFile, format: str, title: str = "") -> tuple[str, ...]:
+def write_poses(path: str | Path, file: PoseFile, format: str, title: str = "") -> tuple[str, ...]:
     """Write the poses in the format, whole or not at all; the arguments are `format_poses`'.
 
     Returns what of the poses the format does not carry. Raises MismatchError where it carries too
     little.
     """
+    path = Path(path)
     written = format_poses(file, format, path, title)
     if len(written.files) == 1:
         write_bytes(path, written.files[path.name])
