@@ -81,7 +81,7 @@ def test_a_job_is_a_run(done, small, tmp_path):
     )
     job = mocap_calib.read_job(request)
     mocap_calib.write_results(job, mocap_calib.calibrate_job(job))
-    for name in ("matches.csv", "poses3d.csv", "poses3d_1.csv"):
+    for name in ("matches.csv", "poses3d_0.csv", "poses3d_1.csv"):
         assert (tmp_path / "out" / name).read_bytes() == (done[0] / name).read_bytes()
 
 

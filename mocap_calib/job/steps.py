@@ -16,7 +16,7 @@ from mocap_calib.io.cameras.read import load_cameras, parse_content
 from mocap_calib.io.cameras.source import CameraFile
 from mocap_calib.io.hashing import hash_file, hash_files
 from mocap_calib.io.poses.common import PoseFile
-from mocap_calib.io.provenance import provenance
+from mocap_calib.io.provenance import date_of_making, provenance
 from mocap_calib.io.results.further_formats import FurtherFiles, check_formats, write_formats
 from mocap_calib.io.results.group import (
     REPORT,
@@ -27,10 +27,12 @@ from mocap_calib.io.results.group import (
     write_group,
 )
 from mocap_calib.io.results.pair_store import remember_pairs
+from mocap_calib.io.zeros import unsigned_zeros
 from mocap_calib.job.load import LoadedRecording, load_recording
 from mocap_calib.job.request import CalibrationRequest
 from mocap_calib.pipeline import calibrate
-from mocap_calib.report import run_report
+from mocap_calib.recording.joints import edges_of_keypoints
+from mocap_calib.report import judge_cameras, run_report
 from mocap_calib.steerpose.checkpoint import load_model
 from mocap_calib.steerpose.device import check_device, use_threads
 from mocap_calib.steerpose.model import Lifter
@@ -46,10 +48,11 @@ _UNFINISHED = ".unfinished"
 class Job:
     """A recording that has been read: all that its calibration needs, on any machine.
 
-    hashes: SHA-256 of the inputs, by path.
+    date: when it was read, in UTC. hashes: SHA-256 of the inputs, by path.
     """
 
     request: CalibrationRequest
+    date: str
     hashes: Mapping[str, str]
     loaded: LoadedRecording
     lifter: Lifter
@@ -74,13 +77,14 @@ def read_job(request: CalibrationRequest) -> Job:
     Raises FormatError, and MismatchError also where a further format cannot be written.
     """
     check_formats(request.formats, request.fps)
+    date = date_of_making()
     hashes = request.hash_inputs()  # first: what changes from now on makes another fingerprint
     loaded = load_recording(request.keypoints, _load_camera_file(request.cameras))
     lifter = load_model(loaded.model)
     solver = choose_pair_solver(
         request.pair_solver, loaded.recording, lifter, request.config.pairwise
     )
-    return Job(request, hashes, loaded, lifter, solver)
+    return Job(request, date, hashes, loaded, lifter, solver)
 
 
 def calibrate_job(
@@ -139,7 +143,6 @@ def write_results(job: Job, result: CalibrationResult) -> tuple[WrittenGroup, ..
     """
     request = job.request
     earlier = read_outputs(request.output)
-    source = provenance("run", seed=request.seed, inputs=job.hashes)
     reports = _report_groups(job, result)
     further: dict[int, FurtherFiles] = {}
     with replace_folder(request.output) as work:
@@ -147,10 +150,7 @@ def write_results(job: Job, result: CalibrationResult) -> tuple[WrittenGroup, ..
         for number in reversed(range(len(result.groups))):
             place = work / group_folder(number)
             place.mkdir(exist_ok=True)
-            write_group(place, result.groups[number], source)
-            further[number] = _write_further_formats(
-                place, result.groups[number], request, provenance=source
-            )
+            further[number] = _write_group(place, job, result.groups[number], reports[number])
             if number == 0:
                 reports[0]["fingerprint"] = request.fingerprint(job.hashes, job.loaded.model)
                 reports[0]["outputs"] = hash_files(work)
@@ -166,13 +166,19 @@ def write_results(job: Job, result: CalibrationResult) -> tuple[WrittenGroup, ..
     )
 
 
-def _write_further_formats(
-    folder: Path, group: GroupResult, request: CalibrationRequest, *, provenance: Mapping[str, Any]
+def _write_group(
+    folder: Path, job: Job, group: GroupResult, report: Mapping[str, Any]
 ) -> FurtherFiles:
-    """Write a group in the further formats of a request; return what became of them."""
-    fps = float("nan") if request.fps is None else request.fps
-    poses = PoseFile(group.poses, fps)
-    return write_formats(folder, group.rig, poses, request.formats, provenance)
+    """Write the files of a group but its report; return what became of the further formats."""
+    request = job.request
+    source = provenance("run", seed=request.seed, inputs=job.hashes, **judge_cameras(report))
+    poses = PoseFile(
+        group.poses,
+        rate=float("nan") if request.fps is None else request.fps,
+        edges=edges_of_keypoints(job.loaded.skeleton, group.recording.vocabulary),
+    )
+    write_group(folder, group, poses, source)
+    return write_formats(folder, group.rig, poses, request.formats, source)
 
 
 def find_finished(request: CalibrationRequest) -> dict[str, Any] | None:
@@ -207,9 +213,16 @@ def _report_groups(job: Job, result: CalibrationResult) -> list[dict[str, Any]]:
         {"folder": group_folder(number), "cameras": list(group.rig.names)}
         for number, group in enumerate(result.groups)
     ]
-    shared = {"model": job.loaded.model, "solver": request.pair_solver, "groups": groups}
+    shared = {
+        "date": job.date,
+        "model": job.loaded.model,
+        "solver": request.pair_solver,
+        "groups": groups,
+    }
     return [
-        run_report(group, result, seed=request.seed, config=request.config, inputs=job.hashes)
+        unsigned_zeros(
+            run_report(group, result, seed=request.seed, config=request.config, inputs=job.hashes)
+        )
         | shared
         for group in result.groups
     ]

@@ -24,7 +24,7 @@ from mocap_calib.types import silent
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """The files of a folder of results; of run.json all but the times."""
+    """The files of a folder of results; of run.json all but the date and the times."""
     found = {
         path.relative_to(folder).as_posix(): path.read_bytes()
         for path in folder.rglob("*")
@@ -33,6 +33,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     for name in [name for name in found if name.endswith("run.json")]:
         report = json.loads(found[name])
         assert report.pop("seconds") != {}
+        assert report.pop("date")
         found[name] = json.dumps(report).encode()
     return found
 

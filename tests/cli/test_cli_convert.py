@@ -150,12 +150,13 @@ def test_a_file_that_would_pass_for_a_further_individual_is_refused_and_stays(to
     for count in (2, 1):
         write_poses(tmp_path / f"{count}.npz", poses(count), "npz")
     assert tool("convert", tmp_path / "2.npz", tmp_path / "st.trc").returncode == 0
-    before = (tmp_path / "st.trc").read_bytes()
+    assert sorted(file.name for file in tmp_path.glob("*.trc")) == ["st_0.trc", "st_1.trc"]
+    before = (tmp_path / "st_0.trc").read_bytes()
     done = tool("convert", tmp_path / "1.npz", tmp_path / "st.trc")
     assert (done.returncode, done.stderr.count("\n")) == (1, 1)
-    assert "st_1.trc: expected no file of a further individual" in done.stderr
-    assert (tmp_path / "st.trc").read_bytes() == before
-    (tmp_path / "st_1.trc").unlink()
+    assert "st_0.trc: expected no file of a further individual" in done.stderr
+    assert (tmp_path / "st_0.trc").read_bytes() == before
+    (tmp_path / "st_0.trc").unlink()
     assert tool("convert", tmp_path / "1.npz", tmp_path / "st.trc").returncode == 0
 
 
