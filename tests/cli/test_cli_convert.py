@@ -86,7 +86,7 @@ def test_poses_go_round(tool, tmp_path):
         "c3d does not hold reprojection errors"
         in tool("convert", tmp_path / "a.h5", tmp_path / "b.c3d").stderr
     )
-    assert sorted(path.name for path in (tmp_path / "d").iterdir()) == ["p.trc", "p_1.trc"]
+    assert sorted(path.name for path in (tmp_path / "d").iterdir()) == ["p_0.trc", "p_1.trc"]
 
 
 def test_the_rate_the_unit_and_the_axis_that_points_up_can_be_said(tool, tmp_path):
