@@ -18,14 +18,10 @@ from mocap_calib.types import Keypoints2D, Recording, Skeleton
 
 @dataclass(frozen=True)
 class LoadedRecording:
-    """A recording, the model that lifts it, and what a person should know of it.
-
-    model: its name. skeleton: the joints that it knows.
-    """
+    """A recording, the name of the model that lifts it, and what a person should know of it."""
 
     recording: Recording
     model: str
-    skeleton: Skeleton
     summary: RecordingSummary
 
 
@@ -51,7 +47,7 @@ def load_recording(
     summary = replace(
         summary, camera_notes=camera_file.notes, ignored_files=find_ignored_files(source.paths)
     )
-    return LoadedRecording(recording, source.model or skeleton.name, skeleton, summary)
+    return LoadedRecording(recording, source.model or skeleton.name, summary)
 
 
 def find_ignored_files(arguments: Sequence[str]) -> tuple[str, ...]:

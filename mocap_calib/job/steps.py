@@ -33,7 +33,7 @@ from mocap_calib.job.request import CalibrationRequest
 from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.joints import edges_of_keypoints
 from mocap_calib.report import judge_cameras, run_report
-from mocap_calib.steerpose.checkpoint import load_model
+from mocap_calib.steerpose.checkpoint import load_model, load_vocabulary
 from mocap_calib.steerpose.device import check_device, use_threads
 from mocap_calib.steerpose.model import Lifter
 from mocap_calib.two_view.solve import PairSolver, pair_mapper
@@ -48,11 +48,10 @@ _UNFINISHED = ".unfinished"
 class Job:
     """A recording that has been read: all that its calibration needs, on any machine.
 
-    date: when it was read, in UTC. hashes: SHA-256 of the inputs, by path.
+    hashes: SHA-256 of the inputs, by path.
     """
 
     request: CalibrationRequest
-    date: str
     hashes: Mapping[str, str]
     loaded: LoadedRecording
     lifter: Lifter
@@ -77,14 +76,14 @@ def read_job(request: CalibrationRequest) -> Job:
     Raises FormatError, and MismatchError also where a further format cannot be written.
     """
     check_formats(request.formats, request.fps)
-    date = date_of_making()
+    date_of_making()  # so that a bad SOURCE_DATE_EPOCH is said before anything is computed
     hashes = request.hash_inputs()  # first: what changes from now on makes another fingerprint
     loaded = load_recording(request.keypoints, _load_camera_file(request.cameras))
     lifter = load_model(loaded.model)
     solver = choose_pair_solver(
         request.pair_solver, loaded.recording, lifter, request.config.pairwise
     )
-    return Job(request, date, hashes, loaded, lifter, solver)
+    return Job(request, hashes, loaded, lifter, solver)
 
 
 def calibrate_job(
@@ -172,10 +171,11 @@ def _write_group(
     """Write the files of a group but its report; return what became of the further formats."""
     request = job.request
     source = provenance("run", seed=request.seed, inputs=job.hashes, **judge_cameras(report))
+    skeleton = load_vocabulary(job.loaded.model)
     poses = PoseFile(
         group.poses,
         rate=float("nan") if request.fps is None else request.fps,
-        edges=edges_of_keypoints(job.loaded.skeleton, group.recording.vocabulary),
+        edges=edges_of_keypoints(skeleton, group.recording.vocabulary),
     )
     write_group(folder, group, poses, source)
     return write_formats(folder, group.rig, poses, request.formats, source)
@@ -214,7 +214,7 @@ def _report_groups(job: Job, result: CalibrationResult) -> list[dict[str, Any]]:
         for number, group in enumerate(result.groups)
     ]
     shared = {
-        "date": job.date,
+        "date": date_of_making(),
         "model": job.loaded.model,
         "solver": request.pair_solver,
         "groups": groups,

@@ -6,6 +6,7 @@ import pytest
 
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.provenance import date_of_making, describe_judgement
+from mocap_calib.job import CalibrationRequest, KeypointSource, read_job
 
 
 def test_the_date_is_that_of_the_clock_or_of_a_reproducible_build(monkeypatch):
@@ -24,3 +25,11 @@ def test_a_date_that_is_none_is_refused_in_a_line(said, monkeypatch):
 
 def test_cameras_that_nobody_judged_have_no_comment():
     assert describe_judgement({"command": "mocap-calib average"}) == []
+
+
+def test_a_bad_date_is_said_before_anything_is_read(tmp_path, monkeypatch):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "today")
+    nothing = str(tmp_path / "nothing")
+    request = CalibrationRequest(KeypointSource((nothing,)), tmp_path / "no.toml", tmp_path / "out")
+    with pytest.raises(MismatchError, match="SOURCE_DATE_EPOCH"):
+        read_job(request)

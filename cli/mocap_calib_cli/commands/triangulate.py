@@ -26,6 +26,7 @@ def command(shared: options.SharedOptions, output: Path) -> None:
     from mocap_calib.io.results.poses_h5 import write_poses_h5
     from mocap_calib.multi_view.triangulation import triangulate
     from mocap_calib.recording.joints import edges_of_keypoints
+    from mocap_calib.steerpose.checkpoint import load_vocabulary
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.progress import Reporter
 
@@ -40,7 +41,7 @@ def command(shared: options.SharedOptions, output: Path) -> None:
         matches = inputs.read_matches(shared.matches, loaded.recording)
         poses = triangulate(loaded.recording, rig, matches, progress=reporter)
     if output.suffix == ".h5":
-        edges = edges_of_keypoints(loaded.skeleton, loaded.recording.vocabulary)
+        edges = edges_of_keypoints(load_vocabulary(loaded.model), loaded.recording.vocabulary)
         write_poses_h5(output, poses, provenance("triangulate"), edges=edges)
     else:
         with replace_folder(output.absolute().parent) as work:
