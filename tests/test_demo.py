@@ -31,7 +31,7 @@ def test_demo():
         "cameras.yaml",
         "calibration.toml",
         "poses3d.h5",
-        "poses3d.csv",
+        "poses3d_0.csv",
         "matches.csv",
         "run.json",
     ):

@@ -230,7 +230,7 @@ def test_a_run_in_python_is_that_of_the_command(done, small, tmp_path):
     recording = mocap_calib.read_recording(small / "keypoints", small / "intrinsics.toml")
     result = mocap_calib.calibrate(recording)
     assert mocap_calib.write(result, tmp_path / "out", format="colmap") == ()
-    for name in ("matches.csv", "poses3d.csv", "poses3d_1.csv"):
+    for name in ("matches.csv", "poses3d_0.csv", "poses3d_1.csv"):
         assert (tmp_path / "out" / name).read_bytes() == (done[0] / name).read_bytes()
     assert result.groups[0].rig == mocap_calib.read_rig(done[0] / "cameras.yaml")
     assert (tmp_path / "out" / "colmap").is_dir()

@@ -11,6 +11,9 @@ from mocap_calib.recording.summary import RecordingSummary
 from mocap_calib.types import CalibrationResult, GroupResult
 from mocap_calib_cli.progress import format_number, format_table
 
+_MOST_INDIVIDUALS = 20  # that have a row in a table
+_MOST_CAMERAS = 10  # that have a column
+
 # --- what was read
 
 
@@ -96,6 +99,9 @@ def describe_group(group: GroupResult, report: dict[str, Any], folder: Path) -> 
     return [
         "",
         *_describe_errors(report),
+        "",
+        *_describe_individuals(report),
+        "",
         *_describe_pairs(report),
         *_describe_weak_cameras(report),
         *_describe_rounds(group),
@@ -118,6 +124,27 @@ def _describe_errors(report: dict[str, Any]) -> list[str]:
         rows.append([camera["name"], *counts, *map(format_number, figures)])
     header = ["camera", "detections", "matched", "median px", "95 % px", "pair score"]
     return format_table(header, rows)
+
+
+def _describe_individuals(report: dict[str, Any]) -> list[str]:
+    """Return a table of the frames in which each individual was found, by camera."""
+    individuals = report["individuals"][:_MOST_INDIVIDUALS]
+    names = [camera["name"] for camera in report["cameras"]]
+    if len(names) <= _MOST_CAMERAS:
+        counts = [[str(each["cameras"].get(name, "-")) for name in names] for each in individuals]
+    else:
+        names = ["cameras"]
+        counts = [[str(len(each["cameras"]))] for each in individuals]
+    rows = [
+        [str(each["individual"]), str(each["frames"]), *cells]
+        for each, cells in zip(individuals, counts, strict=True)
+    ]
+    further = len(report["individuals"]) - len(rows)
+    return [
+        "frames in which each individual was found, in all and by camera:",
+        *format_table(["individual", "in all", *names], rows),
+        *([f"and {further} more: see run.json"] if further else []),
+    ]
 
 
 def _describe_pairs(report: dict[str, Any]) -> list[str]:

@@ -73,7 +73,8 @@ def convert_cameras(
         not known.
     provenance: how the cameras came about, for formats that have a place for it.
 
-    Cameras without extrinsics are left out, and that is noted, unless all are: FormatError. Raises
+    Cameras without extrinsics are left out, and that is noted, unless all are: FormatError. What
+    the source says of how far the cameras can be trusted is handed on. Raises
     FormatError and MismatchError as `load_cameras` and `write_cameras` do.
     """
     if isinstance(source, bytes):
@@ -84,10 +85,11 @@ def convert_cameras(
         found = load_cameras(source, format, unit)
     found = _leave_out_unplaced(found)
     rig = make_rig(_fill_sizes(found, image_size, name), name)
+    provenance = {**(provenance or {}), **found.judgement}
     known = find_format(CAMERA_FORMATS, to)
     summary = f"{count(len(rig.cameras), 'camera')}, lengths in {known.unit or rig.unit}, as {to}"
     if output is None:
-        written = format_rig(rig, to, provenance or {})
+        written = format_rig(rig, to, provenance)
         return Conversion(summary, found.notes, written.lost, written.files)
     return Conversion(summary, found.notes, write_cameras(output, rig, to, provenance))
 

@@ -16,7 +16,7 @@ from mocap_calib.io.cameras.read import load_cameras, parse_content
 from mocap_calib.io.cameras.source import CameraFile
 from mocap_calib.io.hashing import hash_file, hash_files
 from mocap_calib.io.poses.common import PoseFile
-from mocap_calib.io.provenance import provenance
+from mocap_calib.io.provenance import date_of_making, provenance
 from mocap_calib.io.results.further_formats import FurtherFiles, check_formats, write_formats
 from mocap_calib.io.results.group import (
     REPORT,
@@ -27,16 +27,18 @@ from mocap_calib.io.results.group import (
     write_group,
 )
 from mocap_calib.io.results.pair_store import remember_pairs
+from mocap_calib.io.zeros import unsigned_zeros
 from mocap_calib.job.load import LoadedRecording, load_recording
 from mocap_calib.job.request import CalibrationRequest
 from mocap_calib.pipeline import calibrate
-from mocap_calib.report import run_report
-from mocap_calib.steerpose.checkpoint import load_model
+from mocap_calib.recording.joints import edges_of_keypoints
+from mocap_calib.report import judge_cameras, run_report
+from mocap_calib.steerpose.checkpoint import load_model, load_vocabulary
 from mocap_calib.steerpose.device import use_threads
 from mocap_calib.steerpose.model import Lifter
 from mocap_calib.two_view.solve import PairSolver, pair_mapper
 from mocap_calib.two_view.solvers import choose_pair_solver
-from mocap_calib.types import CalibrationResult, Mapper, Progress, silent
+from mocap_calib.types import CalibrationResult, GroupResult, Mapper, Progress, silent
 
 # in the folder of results: the pairs of a run that is under way or was killed
 _UNFINISHED = ".unfinished"
@@ -74,6 +76,7 @@ def read_job(request: CalibrationRequest) -> Job:
     Raises FormatError, and MismatchError also where a further format cannot be written.
     """
     check_formats(request.formats, request.fps)
+    date_of_making()  # so that a bad SOURCE_DATE_EPOCH is said before anything is computed
     hashes = request.hash_inputs()  # first: what changes from now on makes another fingerprint
     loaded = load_recording(request.keypoints, _load_camera_file(request.cameras))
     lifter = load_model(loaded.recording.model)
@@ -167,7 +170,6 @@ def write_result(
     the poses.
     """
     earlier = read_outputs(output)
-    source = provenance("run", seed=result.seed, inputs=inputs)
     reports = _report_groups(result, inputs, described)
     further: dict[int, FurtherFiles] = {}
     with replace_folder(output) as work:
@@ -175,8 +177,11 @@ def write_result(
         for number in reversed(range(len(result.groups))):
             group, place = result.groups[number], work / group_folder(number)
             place.mkdir(exist_ok=True)
-            write_group(place, group, source)
-            poses = PoseFile(group.poses, float("nan") if fps is None else fps)
+            source = provenance(
+                "run", seed=result.seed, inputs=inputs, **judge_cameras(reports[number])
+            )
+            poses = _describe_poses(group, fps)
+            write_group(place, group, poses, source)
             further[number] = write_formats(place, group.rig, poses, formats, source)
             if number == 0:
                 reports[0]["fingerprint"] = fingerprint
@@ -190,6 +195,16 @@ def write_result(
             raise error
     return tuple(
         WrittenGroup(report, further[number].notes) for number, report in enumerate(reports)
+    )
+
+
+def _describe_poses(group: GroupResult, fps: float | None) -> PoseFile:
+    """Return the poses of a group with what is known beside them."""
+    skeleton = load_vocabulary(group.recording.model)
+    return PoseFile(
+        group.poses,
+        rate=float("nan") if fps is None else fps,
+        edges=edges_of_keypoints(skeleton, group.recording.vocabulary),
     )
 
 
@@ -226,9 +241,12 @@ def _report_groups(
         {"folder": group_folder(number), "cameras": list(group.rig.names)}
         for number, group in enumerate(result.groups)
     ]
+    shared = {"date": date_of_making(), **described, "groups": groups}
     return [
-        run_report(group, result, seed=result.seed, config=result.config, inputs=inputs)
-        | {"model": group.recording.model, **described, "groups": groups}
+        unsigned_zeros(
+            run_report(group, result, seed=result.seed, config=result.config, inputs=inputs)
+        )
+        | {"model": group.recording.model, **shared}
         for group in result.groups
     ]
 

@@ -34,7 +34,7 @@ from mocap_calib_cli.workers import open_workers
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """The files of a folder of results; of run.json all but the times."""
+    """The files of a folder of results; of run.json all but the date and the times."""
     found = {
         path.relative_to(folder).as_posix(): path.read_bytes()
         for path in folder.rglob("*")
@@ -43,6 +43,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     for name in [name for name in found if name.endswith("run.json")]:
         report = json.loads(found[name])
         assert report.pop("seconds") != {}
+        assert report.pop("date")
         found[name] = json.dumps(report).encode()
     return found
 

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -137,12 +138,37 @@ def test_outputs_are_what_they_should_be(done):
     with (out / "matches.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert list(rows[0]) == ["camera", "frame", "instance", "individual"]
-    with (out / "poses3d.csv").open() as file:
+    with (out / "poses3d_0.csv").open() as file:
         header = file.readline().strip().split(",")
     assert header[:6] == ["nose_x", "nose_y", "nose_z", "nose_error", "nose_ncams", "nose_score"]
     assert header[-1] == "fnum"
-    assert (out / "poses3d_1.csv").exists()
+    assert sorted(file.name for file in out.glob("*.csv")) == [
+        "matches.csv",
+        "poses3d_0.csv",
+        "poses3d_1.csv",
+    ]
     assert not list(out.parent.glob(".*"))
+
+
+def test_outputs_explain_themselves(done):
+    out, said = done
+    report = json.loads((out / "run.json").read_text("utf-8"))
+    assert list(report)[:2] == ["schema", "verdict"]
+    assert report["date"].endswith("Z")
+    error = report["points"]["mean_error_px"]
+    comment = f"# mocap-calib: this rig is {report['verdict']['rig']}"
+    for name in ("cameras.yaml", "calibration.toml"):
+        text = (out / name).read_text("utf-8")
+        assert text.startswith(comment)
+        assert not re.search(r"-0\.0\b", text)
+    metadata = tomllib.loads((out / "calibration.toml").read_text("utf-8"))["metadata"]
+    assert (metadata["adjusted"], metadata["error"]) == (True, error)
+    with h5py.File(out / "poses3d.h5") as file:
+        names = [name.decode() for name in file["keypoint_names"]]
+        edges = {frozenset((names[a], names[b])) for a, b in file["edges"]}
+        assert all({"axes", "unit", "meaning"} <= set(item.attrs) for item in file.values())
+    assert frozenset(("left_knee", "left_ankle")) in edges
+    assert "individual  in all  cam1  cam2  cam3" in said.stderr
 
 
 @pytest.mark.slow
@@ -185,7 +211,9 @@ def test_the_stages_through_pipes_are_the_run(done, small, tool, tmp_path):
             stdin=adjusted.stdout,
         )
         assert said.returncode == 0, said.stderr
-    assert (tmp_path / "p.csv").read_text() == (out / "poses3d.csv").read_text()
+    for individual in range(2):
+        name = f"poses3d_{individual}.csv"
+        assert (tmp_path / f"p_{individual}.csv").read_text() == (out / name).read_text()
     with h5py.File(tmp_path / "p.h5") as first, h5py.File(out / "poses3d.h5") as second:
         np.testing.assert_array_equal(first["position"][:], second["position"][:])
 
@@ -222,8 +250,10 @@ def test_same_seed_same_bytes_and_a_rerun_replaces(done, small, tool, tmp_path):
     reports = [json.loads((folder / "run.json").read_text()) for folder in (first, again)]
     assert reports[0].pop("seconds") != {}
     reports[1].pop("seconds")
+    assert len({report.pop("date") for report in reports}) == 2
     assert reports[0] == reports[1]
     assert sorted(file.name for file in again.glob("poses3d_*.csv")) == [
+        "poses3d_0.csv",
         "poses3d_1.csv",
         "poses3d_2024.csv",
     ]

@@ -89,7 +89,7 @@ def test_poses_go_round(tool, tmp_path):
         "c3d does not hold reprojection errors"
         in tool("convert", tmp_path / "a.h5", tmp_path / "b.c3d").stderr
     )
-    assert sorted(path.name for path in (tmp_path / "d").iterdir()) == ["p.trc", "p_1.trc"]
+    assert sorted(path.name for path in (tmp_path / "d").iterdir()) == ["p_0.trc", "p_1.trc"]
 
 
 def test_the_rate_the_unit_and_the_axis_that_points_up_can_be_said(tool, tmp_path):
@@ -153,12 +153,13 @@ def test_a_file_that_would_pass_for_a_further_individual_is_refused_and_stays(to
     for count in (2, 1):
         write_poses(tmp_path / f"{count}.npz", poses(count), "npz")
     assert tool("convert", tmp_path / "2.npz", tmp_path / "st.trc").returncode == 0
-    before = (tmp_path / "st.trc").read_bytes()
+    assert sorted(file.name for file in tmp_path.glob("*.trc")) == ["st_0.trc", "st_1.trc"]
+    before = (tmp_path / "st_0.trc").read_bytes()
     done = tool("convert", tmp_path / "1.npz", tmp_path / "st.trc")
     assert (done.returncode, done.stderr.count("\n")) == (1, 1)
-    assert "st_1.trc: expected no file of a further individual" in done.stderr
-    assert (tmp_path / "st.trc").read_bytes() == before
-    (tmp_path / "st_1.trc").unlink()
+    assert "st_0.trc: expected no file of a further individual" in done.stderr
+    assert (tmp_path / "st_0.trc").read_bytes() == before
+    (tmp_path / "st_0.trc").unlink()
     assert tool("convert", tmp_path / "1.npz", tmp_path / "st.trc").returncode == 0
 
 

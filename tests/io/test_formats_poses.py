@@ -70,6 +70,7 @@ def pose_files(draw, individuals=3, gaps=True, named=True):
         ),
         rate,
         names,
+        edges=tuple((k - 1, k) for k in range(1, len(keypoints))),
     )
 
 
@@ -106,6 +107,8 @@ def test_what_is_written_comes_back(name, data):
     assert_poses(file, back, name)
     if not single:
         assert back.individuals == file.individuals
+    if name == "poses-h5":
+        assert back.edges == file.edges
     if name != "anipose-csv":
         assert back.rate == pytest.approx(file.rate, rel=1e-7)  # c3d has a float32
     for what in lost:
@@ -141,10 +144,10 @@ def example(individuals=2, keypoints=("nose", "tail")):
 def test_formats_of_one_individual_write_a_file_each(tmp_path):
     file = example()
     lost = write_poses(tmp_path / "p.trc", file, "trc")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["p.trc", "p_1.trc"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["p_0.trc", "p_1.trc"]
     assert "reprojection errors" in lost
     back = join_individuals(
-        [load_poses(tmp_path / "p.trc"), load_poses(tmp_path / "p_1.trc")], "there"
+        [load_poses(tmp_path / "p_0.trc"), load_poses(tmp_path / "p_1.trc")], "there"
     )
     assert_poses(file, back, "trc")
 

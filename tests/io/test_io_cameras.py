@@ -20,6 +20,7 @@ from mocap_calib.io.cameras.own import (
 )
 from mocap_calib.io.cameras.read import read_cameras, read_rig
 from mocap_calib.io.cameras.write import write_cameras
+from mocap_calib.io.provenance import judgement
 from mocap_calib.recording.pairing import compose_name
 from mocap_calib.types import Camera, CameraRig
 
@@ -159,9 +160,9 @@ def test_anipose_toml_has_the_keys_that_others_read():
         "rotation",
         "translation",
     ]
-    assert {k: data["metadata"][k] for k in ("adjusted", "error", "unit")} == {
+    assert {k: data["metadata"].get(k) for k in ("adjusted", "error", "unit")} == {
         "adjusted": False,
-        "error": 0.0,
+        "error": None,
         "unit": "m",
     }
     assert data["metadata"]["provenance"] == {k: v for k, v in PROVENANCE.items() if v is not None}
@@ -169,6 +170,16 @@ def test_anipose_toml_has_the_keys_that_others_read():
         tomllib.loads(format_calibration_toml(make_rig(fisheye=True), {}))["cam_0"]["fisheye"]
         is True
     )
+
+
+def test_anipose_toml_of_an_adjusted_rig_says_so_and_its_error():
+    """As anipose does for cameras that were adjusted to the animal, which it keeps as they are."""
+    provenance = {"command": "mocap-calib run", **judgement("weak", [], 1.5)}
+    metadata = tomllib.loads(format_calibration_toml(make_rig(), provenance))["metadata"]
+    assert (metadata["adjusted"], metadata["error"]) == (True, 1.5)
+    unknown = tomllib.loads(format_calibration_toml(make_rig(), judgement("weak", [], None)))
+    assert unknown["metadata"]["adjusted"] is True
+    assert "error" not in unknown["metadata"]
 
 
 def test_files_are_the_same_bytes_every_time(tmp_path):

@@ -13,11 +13,13 @@ from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.io.cameras.read import read_cameras
 from mocap_calib.io.keypoints.read import read_keypoints
-from mocap_calib.recording.joints import load_skeleton
+from mocap_calib.recording.joints import edges_of_keypoints, load_skeleton, match_names
 from mocap_calib.recording.pairing import match_cameras, views_with_detections
 from mocap_calib.recording.sampling import take_sample
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.types import Camera, Keypoints2D, Skeleton
+
+PEOPLE = load_skeleton("people")
 
 SHARED = Path(__file__).parents[3] / "shared"
 SKELETON = Skeleton(
@@ -361,3 +363,27 @@ def test_real_recordings_are_recordings(folder):
         assert kept.sum() >= 0.98 * np.isfinite(views[k].positions[..., 0]).sum()
     # measured 0.25 s for the largest
     assert time.perf_counter() - start < 5
+
+
+def named_edges(names: tuple[str, ...]) -> set[frozenset[str]]:
+    """The edges between keypoints of these names."""
+    edges = edges_of_keypoints(PEOPLE, match_names(names, PEOPLE))
+    return {frozenset((names[a], names[b])) for a, b in edges}
+
+
+def test_edges_join_the_keypoints_that_there_are():
+    assert len(named_edges(PEOPLE.keypoints)) == len(PEOPLE.keypoints) - 1
+    assert named_edges(("spine", "left_wrist", "left_shoulder", "something")) == {
+        frozenset(("spine", "left_shoulder")),  # over the neck
+        frozenset(("left_shoulder", "left_wrist")),  # over the elbow
+    }
+    nobody = edges_of_keypoints(PEOPLE, np.array([-1, -1]))
+    assert nobody == ()
+
+
+def test_edges_close_a_trunk_without_neck_and_pelvis():
+    """COCO's keypoints: shoulders and hips make a rectangle."""
+    edges = named_edges(PEOPLE.keypoints[:17])
+    trunk = [("left_shoulder", "right_shoulder"), ("left_hip", "right_hip")]
+    trunk += [(f"{side}_shoulder", f"{side}_hip") for side in ("left", "right")]
+    assert {frozenset(pair) for pair in trunk} <= edges

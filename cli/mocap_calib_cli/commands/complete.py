@@ -22,21 +22,21 @@ def command(shared: options.SharedOptions, output: Path, target: str) -> None:
     """Write KEYPOINTS with all joints of the model.
 
     A joint that was not seen is put where the network expects it in that view; it has at most
-    half of the detection's confidence. Cameras whose detectors know different joints get the same
-    ones. Joints that the model does not know are left out.
+    half of the detection's confidence, and has a row in filled_in.tsv beside the files (camera,
+    frame, instance, keypoint): it is a guess, not a measurement. Cameras whose detectors know
+    different joints get the same ones. Joints that the model does not know are left out.
 
     \b
     Example:
       mocap-calib complete keypoints/ --cameras intrinsics.toml -o completed
     """
-    import numpy as np
-
+    from mocap_calib.io.keypoints.filled_table import FILLED_TABLE, format_filled_table
     from mocap_calib.io.keypoints.write import write_keypoints
     from mocap_calib.recording.counting import count
     from mocap_calib.recording.sampling import take_sample
     from mocap_calib.recording.synchronise import check_known_joints
     from mocap_calib.steerpose.checkpoint import load_vocabulary
-    from mocap_calib.steerpose.completion import complete_sample
+    from mocap_calib.steerpose.completion import complete_sample, find_completed
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.progress import Reporter
 
@@ -48,10 +48,11 @@ def command(shared: options.SharedOptions, output: Path, target: str) -> None:
         sample = take_sample(loaded.recording, slice(None))
         lifted = inputs.lift_with_model(sample, loaded.recording.model, shared.device, reporter)
         views = complete_sample(sample, lifted, load_vocabulary(loaded.recording.model))
-        lost = write_keypoints(output, views, target)
-    seen = int(sample.seen[..., sample.vocabulary >= 0].sum())
-    filled = sum(int(np.isfinite(view.positions[..., 0]).sum()) for view in views) - seen
+        filled = find_completed(sample, views)
+        table = {FILLED_TABLE: format_filled_table(views, filled)}
+        lost = write_keypoints(output, views, target, beside=table)
     reporter.say(
-        f"{count(filled, 'keypoint')} filled in; results in {output}",
+        f"{count(int(filled.sum()), 'keypoint')} filled in, which {FILLED_TABLE} lists; "
+        f"results in {output}",
         *(f"{target} does not hold {what}" for what in lost),
     )

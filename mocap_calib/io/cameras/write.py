@@ -6,7 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from mocap_calib.io.atomic import check_no_other_files, write_bytes, write_files
+from mocap_calib.io.cameras.comments import add_comments
 from mocap_calib.io.cameras.formats import CAMERA_FORMATS, FOLDER_ENDINGS
+from mocap_calib.io.provenance import describe_judgement
 from mocap_calib.io.registry import Written, find_format
 from mocap_calib.io.units import unit_factor
 from mocap_calib.types import CameraRig
@@ -14,6 +16,9 @@ from mocap_calib.types import CameraRig
 
 def format_rig(rig: CameraRig, format: str, provenance: Mapping[str, Any]) -> Written:
     """Return the files of a rig in the format, by the names and in the unit that the format has.
+
+    A verdict on the rig, which a provenance may have, stands in a comment where the files can hold
+    one.
 
     Raises MismatchError where the format is only read or cannot carry the rig, and where it needs
     a unit of length that is not known.
@@ -23,7 +28,8 @@ def format_rig(rig: CameraRig, format: str, provenance: Mapping[str, Any]) -> Wr
     if known.unit:
         factor = unit_factor(rig.unit, known.unit, format)
         rig = replace(rig, translation=rig.translation * factor, unit=known.unit)
-    return write(rig, provenance)
+    written = write(rig, provenance)
+    return replace(written, files=add_comments(written.files, describe_judgement(provenance)))
 
 
 def write_cameras(

@@ -78,7 +78,7 @@ def join_individuals(files: Sequence[PoseFile], source: str) -> PoseFile:
         )
     notes = tuple(note for file in files for note in file.notes)
     poses = _join_poses([file.poses for file in files])
-    return PoseFile(poses, first.rate, _join_names(files), notes)
+    return PoseFile(poses, first.rate, _join_names(files), notes, first.edges)
 
 
 def _sniff(content: bytes) -> str:
