@@ -1,4 +1,4 @@
-"""poses3d.csv: the 3D poses of one individual in the columns of anipose."""
+"""poses3d_0.csv, poses3d_1.csv, ...: the 3D poses of one individual each, in anipose's columns."""
 
 from collections.abc import Iterator
 
