@@ -129,6 +129,10 @@ def _become_command(request: dict, descriptors: list[int]) -> NoReturn:
     for stream, descriptor in enumerate(descriptors):
         os.dup2(descriptor, stream)
         os.close(descriptor)
+    # those of the process that waits have seen another kind of file
+    sys.stdin = open(0)  # noqa: SIM115 - open to the end
+    sys.stdout = open(1, "w")  # noqa: SIM115
+    sys.stderr = open(2, "w", buffering=1)  # noqa: SIM115
     os.environ.clear()
     os.environ.update(request["environment"])
     os.chdir(request["cwd"])

@@ -18,6 +18,7 @@ from platforms import posix
 from scenes import lifted, recording, scene
 
 from mocap_calib import __version__
+from mocap_calib import compute
 from mocap_calib.config import Config, PairwiseConfig
 from mocap_calib.errors import ClusterError
 from mocap_calib.io.results.pair_store import remember_pairs
@@ -185,6 +186,7 @@ def test_processes_of_this_machine_need_no_dask(monkeypatch):
 
 def test_a_scheduler_needs_dask_and_that_is_one_line(monkeypatch):
     monkeypatch.delitem(sys.modules, "mocap_calib.compute.cluster", raising=False)
+    monkeypatch.delattr(compute, "cluster", raising=False)
     monkeypatch.setitem(sys.modules, "dask", None)
     workers = open_workers(Reporter(quiet=True), scheduler="tcp://127.0.0.1:1")
     with (
