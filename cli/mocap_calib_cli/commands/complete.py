@@ -31,7 +31,7 @@ def command(shared: options.SharedOptions, output: Path, target: str) -> None:
     """
     import numpy as np
 
-    from mocap_calib.io.keypoints.write import write_keypoints
+    from mocap_calib.io.keypoints.write import find_written_format, write_keypoints
     from mocap_calib.recording.counting import count
     from mocap_calib.recording.sampling import take_sample
     from mocap_calib.recording.synchronise import check_known_joints
@@ -40,6 +40,7 @@ def command(shared: options.SharedOptions, output: Path, target: str) -> None:
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.progress import Reporter
 
+    find_written_format(target)
     outputs.check_folder(output)
     with Reporter(quiet=shared.quiet) as reporter:
         camera_file = inputs.load_camera_file(shared.cameras, "--cameras")

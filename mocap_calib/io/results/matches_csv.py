@@ -13,7 +13,7 @@ from mocap_calib.io.results.csv_text import format_csv_line, slice_frames
 from mocap_calib.types import Bools, Ints, Matches, Recording
 
 _COLUMNS = ["camera", "frame", "instance", "individual"]
-_REMEDY = "write the file as mocap-calib does"
+_REMEDY = "give the file that `match` or `run` wrote"
 _WRONG_RECORDING = "give the matches of this recording"
 
 
