@@ -19,14 +19,14 @@ from mocap_calib_cli import options, values
 )
 @options.shared_options("cameras", *options.MODEL, *options.KEYPOINTS, "quiet")
 def command(shared: options.SharedOptions, output: Path, target: str) -> None:
-    """Write KEYPOINTS with all joints of the model.
+    """Write KEYPOINTS with all joints of the model, for instance to compare two detectors.
 
-    A joint that was not seen is put where the network expects it in that view; it has at most
-    half of the detection's confidence. Cameras whose detectors know different joints get the same
+    A joint that was not seen is put where the network expects it in that view. Its confidence is
+    at most half of the detection's. Cameras whose detectors know different joints get the same
     ones. Joints that the model does not know are left out.
 
     \b
-    Example:
+    Example, in the folder examples/three_people:
       mocap-calib complete keypoints/ --cameras intrinsics.toml -o completed
     """
     import numpy as np
