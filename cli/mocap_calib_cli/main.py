@@ -101,8 +101,8 @@ def group() -> None:
       mocap-calib evaluate out/cameras.yaml --reference reference.toml
 
     `mocap-calib COMMAND --help` describes a command. The commands from `pairwise` to `triangulate`
-    are the stages of `run`, one at a time. docs/cli.md says how the shell completes commands,
-    options and names of formats.
+    are the stages of `run`, one at a time. docs/completion.md says how the shell completes
+    commands, options and names of formats.
     """
 
 
