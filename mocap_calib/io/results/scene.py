@@ -4,11 +4,14 @@
 - intrinsics.toml: cameras, without where they stand;
 - reference.toml: cameras, and where they stand (metres, +z up), in anipose's format;
 - truth.npz: `ids` (view, frame, instance) who each detection is, in file order, -1 = nobody;
-  `poses3d` (frame, individual, joint, 3) metres; `joints` names;
+  `poses3d` (frame, individual, joint, 3) metres, NaN for joints that an individual does not have;
+  `joints` names; `kinds` (individual) people, quadruped, rodent or bird;
 - README.md: what it is and how it was made.
 """
 
 import io
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -18,6 +21,7 @@ from mocap_calib.errors import MismatchError
 from mocap_calib.io.atomic import write_files
 from mocap_calib.io.cameras.own import format_calibration_toml, format_intrinsics_toml
 from mocap_calib.io.keypoints.coco_writer import format_coco
+from mocap_calib.recording.counting import count
 from mocap_calib.types import CameraRig, Floats, Ints, Keypoints2D
 
 
@@ -39,6 +43,10 @@ class SceneLike(Protocol):
     @property
     def joints(self) -> tuple[str, ...]:
         """Names of the joints of `poses`."""
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """`[individual]` "people", "quadruped", ..."""
 
     @property
     def poses(self) -> Floats:
@@ -69,11 +77,19 @@ def scene_files(scene: SceneLike, command: str) -> dict[str, bytes]:
     texts["intrinsics.toml"] = format_intrinsics_toml(scene.rig.cameras)
     texts["reference.toml"] = format_calibration_toml(scene.rig, {"command": command})
     texts["README.md"] = (
-        "A synthetic recording of people: keypoints and cameras, and the truth: where cameras "
-        f"stand, who is who, 3D.\nMade by `{command}`.\n"
+        f"A synthetic recording of {describe_kinds(scene.kinds)}: keypoints and cameras, and the "
+        f"truth: where cameras stand, who is who, 3D.\nMade by `{command}`.\n"
     )
     files = {name: text.encode() for name, text in texts.items()}
     return files | {"truth.npz": _pack_truth(scene)}
+
+
+def describe_kinds(kinds: Sequence[str]) -> str:
+    """Return who is in a scene: `3 people, 1 quadruped`. kinds: of each individual."""
+    plurals = {"people": ("person", "people")}
+    return ", ".join(
+        count(number, *plurals.get(kind, (kind,))) for kind, number in Counter(kinds).items()
+    )
 
 
 def _pack_truth(scene: SceneLike) -> bytes:
@@ -87,5 +103,6 @@ def _pack_truth(scene: SceneLike) -> bytes:
         ids=scene.identity.astype(np.int16),
         poses3d=scene.poses.astype(np.float32),
         joints=np.array(scene.joints),
+        kinds=np.array(scene.kinds),
     )
     return buffer.getvalue()
