@@ -6,12 +6,16 @@ from pathlib import Path
 
 from mocap_calib_cli.main import COMMANDS
 
+_ABOUT = (
+    "Made by `make cli-docs` from `--help`. The shell can complete commands, options and names of "
+    "formats: [how](completion.md)."
+)
 TOOL = Path(sys.executable).with_name("mocap-calib")
 
 
 def make_page() -> str:
     """Return the whole page as Markdown."""
-    lines = ["# Command line", "", "Made by `make cli-docs` from `--help`.", ""]
+    lines = ["# Command line", "", _ABOUT, ""]
     for name in COMMANDS:
         lines += [f"## mocap-calib {name}", "", "```text", read_help(name), "```", ""]
     return "\n".join(lines)

@@ -172,6 +172,13 @@ def read_stdin(what: str) -> str:
 
 # --- texts of options
 
+# how the values of options are written
+_FORMS = {
+    "--image-size": "a width and a height above 0, as 1280x720",
+    "--frame-offset": "camera:frames with a whole number, as cam1:-3",
+    "--crop-offset": "camera:x,y, as cam1:640,0",
+}
+
 
 def read_options(options: SharedOptions) -> ReadOptions:
     """Return how keypoint files are read. Raises MismatchError and click's BadParameter."""
@@ -191,10 +198,7 @@ def parse_image_size(text: str | None) -> tuple[int, int]:
         return 0, 0
     width, height = _parse_whole_numbers(text.lower().replace("x", ","), 2, "--image-size")
     if min(width, height) <= 0:
-        raise click.BadParameter(
-            f"expected a width and a height above 0, as 1280x720, found {text}",
-            param_hint="--image-size",
-        )
+        raise _wrong_form(text, "--image-size")
     return width, height
 
 
@@ -204,7 +208,7 @@ def _check_pattern(pattern: str) -> str:
         re.compile(pattern)
     except re.error as error:
         raise click.BadParameter(
-            f"expected a regular expression, found {pattern} ({error})",
+            f"expected a regular expression, as 'cam[0-9]+', found {pattern} ({error})",
             param_hint="--camera-regex",
         ) from None
     return pattern
@@ -231,9 +235,7 @@ def _split_by_camera(texts: Sequence[str], option: str) -> Mapping[str, str]:
     """Return camera -> value of each `camera:value`; the last one counts of a camera."""
     pairs = [text.rpartition(":") for text in texts]
     if not all(camera for camera, _, _ in pairs):
-        raise click.BadParameter(
-            f"expected camera:value, found {', '.join(texts)}", param_hint=option
-        )
+        raise _wrong_form(", ".join(texts), option)
     return {camera: value for camera, _, value in pairs}
 
 
@@ -241,7 +243,7 @@ def _parse_whole_numbers(text: str, count: int, option: str) -> list[int]:
     """Return `count` whole numbers with commas between them."""
     values = _parse_numbers(text, count, option)
     if any(value % 1 for value in values):
-        raise _expected_numbers(text, count, option)
+        raise _wrong_form(text, option)
     return [int(value) for value in values]
 
 
@@ -250,13 +252,12 @@ def _parse_numbers(text: str, count: int, option: str) -> list[float]:
     try:
         values = [float(part) for part in text.split(",")]
     except ValueError:
-        raise _expected_numbers(text, count, option) from None
+        raise _wrong_form(text, option) from None
     if len(values) != count or not all(abs(value) < LARGEST_EXACT_FLOAT for value in values):
-        raise _expected_numbers(text, count, option)
+        raise _wrong_form(text, option)
     return values
 
 
-def _expected_numbers(text: str, count: int, option: str) -> click.BadParameter:
-    """Return the complaint about a text that is not `count` numbers."""
-    expected = "a whole number" if count == 1 else "two numbers"
-    return click.BadParameter(f"expected {expected}, found {text}", param_hint=option)
+def _wrong_form(text: str, option: str) -> click.BadParameter:
+    """Return the complaint about a value that is not written as the option wants it."""
+    return click.BadParameter(f"expected {_FORMS[option]}, found {text}", param_hint=option)

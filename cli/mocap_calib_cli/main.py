@@ -23,15 +23,15 @@ if TYPE_CHECKING:
 # what the list of commands says of each; kept here, so that the list imports none of them
 COMMANDS = {
     "run": "Keypoints to cameras and 3D poses: all stages in one.",
-    "batch": "Many recordings, here or on a cluster; what is finished is kept.",
+    "batch": "Many recordings; what is finished is kept.",
     "inspect": "What is in keypoint files, and what would make a run fail.",
     "pairwise": "Relative poses of all pairs of cameras.",
-    "average": "Pairs to one rig.",
+    "average": "Where all cameras stand, from the pairs (the rig).",
     "match": "Who is who in all cameras.",
-    "adjust": "Bundle adjustment of the rig.",
-    "triangulate": "3D poses.",
+    "adjust": "Make the rig as exact as the keypoints allow (bundle adjustment).",
+    "triangulate": "3D poses from the rig and the matches.",
     "convert": "Keypoints, cameras and poses from one format to another.",
-    "complete": "Fill keypoints that were not seen; one set of joints for all cameras.",
+    "complete": "Fill keypoints that were not seen.",
     "evaluate": "Compare cameras with a reference calibration.",
     "simulate": "Make a synthetic recording with its truth.",
     "models": "List the networks that are shipped.",
@@ -97,9 +97,14 @@ def group() -> None:
     """Calibrate cameras from the 2D keypoints of moving people and animals, and triangulate them.
 
     \b
-    Example:
+    Example, in the folder examples/three_people:
+      mocap-calib inspect keypoints/ --cameras intrinsics.toml
       mocap-calib run keypoints/ --cameras intrinsics.toml -o out
       mocap-calib evaluate out/cameras.yaml --reference reference.toml
+
+    `mocap-calib COMMAND --help` describes a command. The commands from `pairwise` to `triangulate`
+    are the stages of `run`, one at a time. docs/completion.md says how the shell completes
+    commands, options and names of formats.
     """
 
 

@@ -32,6 +32,7 @@ from mocap_calib.io.registry import (
     find_format,
     names_by_ending,
 )
+from mocap_calib.io.units import ARBITRARY
 from mocap_calib.recording.counting import count
 from mocap_calib.recording.pairing import check_pixels
 from mocap_calib.types import Keypoints2D
@@ -87,7 +88,9 @@ def convert_cameras(
     rig = make_rig(_fill_sizes(found, image_size, name), name)
     provenance = {**(provenance or {}), **found.judgement}
     known = find_format(CAMERA_FORMATS, to)
-    summary = f"{count(len(rig.cameras), 'camera')}, lengths in {known.unit or rig.unit}, as {to}"
+    unit = known.unit or rig.unit
+    lengths = "arbitrary lengths" if unit == ARBITRARY else f"lengths in {unit}"
+    summary = f"{count(len(rig.cameras), 'camera')}, {lengths}, as {to}"
     if output is None:
         written = format_rig(rig, to, provenance)
         return Conversion(summary, found.notes, written.lost, written.files)

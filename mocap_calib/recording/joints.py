@@ -289,8 +289,9 @@ def _read_aliases(path: Path) -> dict[str, str]:
         text = path.read_text("utf-8")
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
+        came = "none" if isinstance(error, FileNotFoundError) else f"an error ({reason})"
         raise FormatError(
-            f"{path}: expected a YAML file with `aliases`, found: {reason}; check the path"
+            f"{path}: expected a YAML file with `aliases`, found {came}; check the path"
         ) from None
     fields = _read_yaml(text, str(path))
     found = fields.get("aliases") if isinstance(fields, dict) else None
@@ -307,4 +308,7 @@ def _read_yaml(text: str, source: str) -> Any:
     try:
         return yaml.safe_load(text)
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise FormatError(f"{source}: not a YAML file: {str(error).splitlines()[0]}") from None
+        reason = str(error).splitlines()[0]
+        raise FormatError(
+            f"{source}: expected a YAML file, found an error ({reason}); mend that place"
+        ) from None

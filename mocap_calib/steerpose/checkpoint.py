@@ -12,7 +12,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
-from mocap_calib.errors import FormatError, MismatchError
+from mocap_calib.errors import FormatError, MismatchError, suggest
 from mocap_calib.io.atomic import write_bytes
 from mocap_calib.recording.joints import SHIPPED, match_names, parse_skeleton
 from mocap_calib.steerpose.model import Lifter, ModelConfig
@@ -109,11 +109,15 @@ def _read_description(path: Path) -> dict[str, Any]:
     except FileNotFoundError:
         shipped = ", ".join(SHIPPED)
         raise FormatError(
-            f"{path}: expected a weights file, or a shipped model ({shipped}), found neither"
+            f"{path}: expected a shipped model ({shipped}), a file of weights, or none, "
+            f"found neither; {suggest(str(path), SHIPPED)}"
         ) from None
     except (SafetensorError, KeyError, ValueError) as error:
         reason = str(error).splitlines()[0]
-        raise FormatError(f"{path}: not weights of mocap-calib: {reason}") from None
+        raise FormatError(
+            f"{path}: expected weights that `train` wrote, found another file ({reason}); "
+            "check the path"
+        ) from None
 
 
 def _read_tensors(path: Path) -> dict[str, Tensor]:

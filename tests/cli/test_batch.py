@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +19,6 @@ from platforms import posix
 from scenes import lifted, recording, scene
 
 from mocap_calib import __version__
-from mocap_calib import compute
 from mocap_calib.config import Config, PairwiseConfig
 from mocap_calib.errors import ClusterError
 from mocap_calib.io.results.pair_store import remember_pairs
@@ -177,17 +177,26 @@ def test_each_recording_is_read_and_written_as_was_asked(tmp_path):
     assert (asked.formats, asked.fps, asked.output) == (("colmap",), 25.0, tmp_path / "out" / "one")
 
 
-def test_processes_of_this_machine_need_no_dask(monkeypatch):
+@pytest.fixture
+def without_dask(monkeypatch) -> Iterator[None]:
+    """As if Dask were not installed; the commands' answer to SIGTERM is taken back."""
+    before = signal.getsignal(signal.SIGTERM)
     for package in ("dask", "distributed"):
         monkeypatch.setitem(sys.modules, package, None)
+    monkeypatch.delitem(sys.modules, "mocap_calib.compute.cluster", raising=False)
+    monkeypatch.delattr("mocap_calib.compute.cluster", raising=False)
+    yield
+    signal.signal(signal.SIGTERM, before)
+
+
+@pytest.mark.usefixtures("without_dask")
+def test_processes_of_this_machine_need_no_dask():
     with open_workers(Reporter(quiet=True), processes=2) as workers:
         assert sorted(workers(abs, [-1, -2, -3])) == [1, 2, 3]
 
 
-def test_a_scheduler_needs_dask_and_that_is_one_line(monkeypatch):
-    monkeypatch.delitem(sys.modules, "mocap_calib.compute.cluster", raising=False)
-    monkeypatch.delattr(compute, "cluster", raising=False)
-    monkeypatch.setitem(sys.modules, "dask", None)
+@pytest.mark.usefixtures("without_dask")
+def test_a_scheduler_needs_dask_and_that_is_one_line():
     workers = open_workers(Reporter(quiet=True), scheduler="tcp://127.0.0.1:1")
     with (
         pytest.raises(ClusterError, match=r"^--scheduler: expected the package dask, found none"),

@@ -375,7 +375,7 @@ def test_every_format_is_documented():
         ("cameras", "Camera files"),
         ("poses", "3D files"),
     ):
-        section = text.split(f"\n## {title}\n")[1].split("\n## ")[0]
+        section = re.split(r"\n###? ", text.split(f"\n## {title}\n")[1])[0]
         rows = re.findall(r"^\| `(?!--)([^`]+)` \|", section, re.M)
         assert sorted(rows) == sorted(format_names(FORMATS[kind]))
         assert {each.kind for each in FORMATS[kind]} == {kind}

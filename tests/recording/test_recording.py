@@ -387,3 +387,37 @@ def test_edges_close_a_trunk_without_neck_and_pelvis():
     trunk = [("left_shoulder", "right_shoulder"), ("left_hip", "right_hip")]
     trunk += [(f"{side}_shoulder", f"{side}_hip") for side in ("left", "right")]
     assert {frozenset(pair) for pair in trunk} <= edges
+
+
+# --- names of files and cameras
+
+
+@pytest.mark.parametrize(
+    ("paths", "remedy"),
+    [
+        (
+            ("s/rat3_cam1_2024.json", "s/rat3_cam10_2024.json"),
+            'say --camera-regex "cam10|cam1|c\\.2", which finds these names in the paths',
+        ),
+        (
+            ("s/left.json", "s/cam1.json"),
+            "say which camera each file is of, as cam10=s/left.json, or which part of a path is "
+            "the name with --camera-regex, or rename one side",
+        ),
+        (
+            ("cam1/left.json", "cam1/right.json"),
+            "say which camera each file is of, as cam1=cam1/left.json, or which part of a path is "
+            "the name with --camera-regex, or rename one side",
+        ),
+    ],
+)
+def test_names_that_differ_are_told_with_the_option_that_joins_them(paths, remedy):
+    known = [camera(name) for name in ("cam1", "cam10", "c.2")]
+    views = [replace(view(Path(path).stem), source=path) for path in paths]
+    with pytest.raises(MismatchError) as refused:
+        match_cameras(views, known)
+    found = ", ".join(each.camera for each in views)
+    assert str(refused.value) == (
+        "expected a camera of the same name for each keypoint file, "
+        f"found keypoints of {found} and cameras cam1, cam10, c.2; {remedy}"
+    )

@@ -19,19 +19,19 @@ from mocap_calib_cli import options, values
 )
 @options.shared_options("cameras", *options.MODEL, *options.KEYPOINTS, "quiet")
 def command(shared: options.SharedOptions, output: Path, target: str) -> None:
-    """Write KEYPOINTS with all joints of the model.
+    """Write KEYPOINTS with all joints of the model, for instance to compare two detectors.
 
-    A joint that was not seen is put where the network expects it in that view; it has at most
-    half of the detection's confidence, and has a row in filled_in.tsv beside the files (camera,
-    frame, instance, keypoint): it is a guess, not a measurement. Cameras whose detectors know
+    A joint that was not seen is put where the network expects it in that view: it is a guess, not a
+    measurement. Its confidence is at most half of the detection's, and it has a row in
+    filled_in.tsv beside the files (camera, frame, instance, keypoint). Cameras whose detectors know
     different joints get the same ones. Joints that the model does not know are left out.
 
     \b
-    Example:
+    Example, in the folder examples/three_people:
       mocap-calib complete keypoints/ --cameras intrinsics.toml -o completed
     """
     from mocap_calib.io.keypoints.filled_table import FILLED_TABLE, format_filled_table
-    from mocap_calib.io.keypoints.write import write_keypoints
+    from mocap_calib.io.keypoints.write import find_written_format, write_keypoints
     from mocap_calib.recording.counting import count
     from mocap_calib.recording.sampling import take_sample
     from mocap_calib.recording.synchronise import check_known_joints
@@ -40,6 +40,7 @@ def command(shared: options.SharedOptions, output: Path, target: str) -> None:
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.progress import Reporter
 
+    find_written_format(target)
     outputs.check_folder(output)
     with Reporter(quiet=shared.quiet) as reporter:
         camera_file = inputs.load_camera_file(shared.cameras, "--cameras")

@@ -21,11 +21,14 @@ from mocap_calib_cli import options, values
 def command(rig: str, reference: str, as_json: bool) -> None:
     """Compare CAMERAS with a reference calibration.
 
-    Rotation and translation errors are those of all pairs, and of the cameras after alignment.
+    E_R and E_t are the errors of each pair of cameras in degrees: of its relative rotation, and of
+    the direction from one camera to the other. RRA and RTA are the shares of pairs whose E_R or E_t
+    is below a number of degrees. AUC is the mean of the smaller of the two at 1, 2, ... degrees up
+    to that number. The last line has the errors of the cameras after the two rigs were aligned.
     Cameras of the reference that CAMERAS lacks count as 180 degrees wrong.
 
     \b
-    Example:
+    Example, in the folder examples/three_people:
       mocap-calib evaluate out/cameras.yaml --reference reference.toml
       mocap-calib evaluate out/cameras.yaml --reference reference.toml --json
     """

@@ -9,11 +9,14 @@ from mocap_calib_cli import options
 @options.output_text("matches (CSV)")
 @options.shared_options("rig", *options.MODEL, *options.KEYPOINTS, "quiet")
 def command(shared: options.SharedOptions, output: str) -> None:
-    """Label every detection with its individual, given the cameras.
+    """Label every detection with its individual, given where the cameras stand.
+
+    MATCHES has a row for each detection: camera, frame, its number in the frame, and the number of
+    the individual (-1 is nobody). It is for `adjust` and `triangulate`.
 
     \b
-    Example:
-      mocap-calib match keypoints/ --rig rig.yaml -o matches.csv
+    Example, in the folder examples/three_people:
+      mocap-calib match keypoints/ --rig out/cameras.yaml -o matches.csv
     """
     from mocap_calib.io.results.matches_csv import matches_csv
     from mocap_calib.pipeline import match

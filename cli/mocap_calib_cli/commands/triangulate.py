@@ -16,8 +16,8 @@ def command(shared: options.SharedOptions, output: Path) -> None:
     """Triangulate the 3D poses of all individuals in all frames.
 
     \b
-    Example:
-      mocap-calib triangulate keypoints/ --rig cameras.yaml --matches adjusted.csv -o poses3d.h5
+    Example, in the folder examples/three_people:
+      mocap-calib triangulate keypoints/ --rig out/cameras.yaml --matches out/matches.csv -o p.h5
     """
     from mocap_calib.errors import MismatchError
     from mocap_calib.io.atomic import individual_files, replace_folder, replace_text

@@ -18,12 +18,17 @@ from mocap_calib.io.cameras.formats import (
     ONE_CAMERA_ENDINGS,
     CameraFormat,
 )
+from mocap_calib.io.cameras.intrinsics import describe_keys
 from mocap_calib.io.cameras.source import CameraFile, Source, join_camera_files, unique
 from mocap_calib.io.file import malformed, read_bytes
+from mocap_calib.io.media import name_media
 from mocap_calib.io.registry import find_format, format_names
 from mocap_calib.io.units import ARBITRARY, known_unit
 from mocap_calib.recording.pairing import compose_name
 from mocap_calib.types import Camera, CameraRig
+
+_OWN, _REPORT = "cameras.yaml", "run.json"  # what the results of a run are told by
+_REMEDY = "give what a calibration program wrote (docs/formats.md), not the keypoints"
 
 
 def read_cameras(path: str | Path, format: str | None = None) -> tuple[Camera, ...]:
@@ -54,9 +59,9 @@ def make_rig(found: CameraFile, source: str) -> CameraRig:
     if bare:
         raise malformed(
             source,
-            "extrinsics (rotation and translation) of every camera",
+            "extrinsics (rotation and translation) of every camera: where it stands",
             f"none of {', '.join(bare)}",
-            "calibrate, or remove these cameras",
+            "give a calibrated file, as the cameras.yaml of a run, or remove these cameras",
         )
     extrinsics = [found.extrinsics[camera.name] for camera in found.cameras]
     return CameraRig(
@@ -77,6 +82,8 @@ def load_cameras(
     path = Path(path)
     if path.is_dir():
         return _load_folder(path, format, unit)
+    if found := name_media(path):
+        raise malformed(str(path), _expected_formats(), found, _REMEDY)
     return parse_content(read_bytes(path), str(path), format, unit)
 
 
@@ -114,10 +121,12 @@ def _folder_looks_like_cameras(path: Path) -> bool:
 
 
 def _load_folder(path: Path, format: str | None, unit: str | None) -> CameraFile:
-    """Read a folder that is one format's files, or has a file per camera."""
+    """Read a folder that is one format's files, a run's results, or has a file per camera."""
     files = _list_files(path, FOLDER_ENDINGS)
     if not files:
         raise _no_camera_files(path, FOLDER_ENDINGS, "none")
+    if {_OWN, _REPORT} <= {file.name for file in files}:
+        return load_cameras(path / _OWN, format, unit)
     contents = {file.name: read_bytes(file) for file in files}
     folder = Source(str(path), contents, folder=True)
     for each in _candidates(format):
@@ -156,12 +165,18 @@ def _unknown(file: Source) -> FormatError:
     """Return the complaint about a file that is of no camera format."""
     if not file.content.strip():
         found = "an empty file"
+    elif file.syntax == "json" and isinstance(file.tree, dict):
+        found = f"a JSON object with {describe_keys(file.tree)}"
     elif file.syntax != "binary" and file.text.strip():
-        found = f"text that begins with {file.text.strip()[:20]!r}"
+        found = f"text that begins with {' '.join(file.text.split())[:20]!r}"
     else:
         found = "another file"
-    expected = f"one of: {', '.join(format_names(CAMERA_FORMATS))}"
-    return malformed(file.path, expected, found, "export one of these, or name it")
+    return malformed(file.path, _expected_formats(), found, _REMEDY)
+
+
+def _expected_formats() -> str:
+    """Return the formats that are read, for complaints."""
+    return f"cameras, one of: {', '.join(format_names(CAMERA_FORMATS))}"
 
 
 def _compose_names(found: CameraFile, source: str) -> CameraFile:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from mocap_calib.io.atomic import check_no_other_files, write_files
 from mocap_calib.io.cameras.source import FILE_NAME, need_names
-from mocap_calib.io.keypoints.formats import KEYPOINT_FORMATS
+from mocap_calib.io.keypoints.formats import KEYPOINT_FORMATS, KeypointFormat
 from mocap_calib.io.keypoints.items import FOLDER_SUFFIXES
 from mocap_calib.io.keypoints.losses import require_followed
 from mocap_calib.io.registry import Written, find_format
@@ -18,13 +18,20 @@ def format_keypoints(views: tuple[Keypoints2D, ...], format: str) -> Written:
 
     Raises MismatchError where the format is only read or cannot hold the detections.
     """
-    known = find_format(KEYPOINT_FORMATS, format)
+    known = find_written_format(format)
     if known.followed:
         for view in views:
             require_followed(view, known.title)
     unsigned = (replace(view, positions=view.positions + 0.0) for view in views)  # no -0.0
     files = known.writer()(tuple(unsigned))
     return Written(files, tuple(loss.what for loss in known.loses if loss.has(views)))
+
+
+def find_written_format(name: str) -> KeypointFormat:
+    """Return the format of that name. Raises MismatchError where it is not one that is written."""
+    known = find_format(KEYPOINT_FORMATS, name)
+    known.writer()
+    return known
 
 
 def write_keypoints(

@@ -14,7 +14,7 @@ from mocap_calib.recording.pairing import compose_name
 from mocap_calib.types import Bools, Ints, Matches, Recording
 
 _COLUMNS = ["camera", "frame", "instance", "individual"]
-_REMEDY = "write the file as mocap-calib does"
+_REMEDY = "give the file that `match` or `run` wrote"
 _WRONG_RECORDING = "give the matches of this recording"
 
 

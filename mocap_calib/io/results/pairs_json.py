@@ -20,7 +20,7 @@ from mocap_calib.types import Camera, PairwiseCalibration
 
 VERSION = 1
 _FORMAT = "mocap-calib pairs"
-_REMEDY = "write the file again with the first stage"
+_REMEDY = "give the file that `pairwise` wrote"
 
 
 def pair_fields(pair: PairwiseCalibration) -> dict[str, Any]:
