@@ -67,7 +67,8 @@ def read_recording(  # noqa: PLR0913 - each says one thing that files may leave 
     Raises FormatError for whatever is wrong with a file, and MismatchError where keypoints and
     cameras do not go together.
     """
-    from mocap_calib.job import KeypointSource, load_recording
+    from mocap_calib.job.load import load_recording
+    from mocap_calib.job.request import KeypointSource
 
     options = ReadOptions(
         layout=parse_layout(layout) if isinstance(layout, str) and layout else tuple(layout),
@@ -132,7 +133,7 @@ def _write_result(
 ) -> tuple[str, ...]:
     """Write the files of a run; return what a further format does not hold."""
     from mocap_calib.io.results.further_formats import check_formats
-    from mocap_calib.job import write_result
+    from mocap_calib.job.steps import write_result
 
     formats = () if format is None else (format,)
     check_formats(formats, fps)

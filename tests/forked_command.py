@@ -24,7 +24,7 @@ from mocap_calib.compute import BLAS_THREADS
 PRELOADED = (
     "cv2",
     "h5py",
-    "mocap_calib.job",
+    "mocap_calib.job.steps",
     "mocap_calib_cli.main",
     "rich.progress",
     "scipy.optimize",

@@ -20,11 +20,9 @@ from mocap_calib.io.keypoints.document import ReadOptions
 from mocap_calib.io.keypoints.layouts import parse_layout
 from mocap_calib.io.results.further_formats import check_formats
 from mocap_calib.io.results.matches_csv import read_matches_csv
-from mocap_calib.job import CalibrationRequest, KeypointSource, LoadedRecording, load_recording
+from mocap_calib.job.load import LoadedRecording, load_recording
+from mocap_calib.job.request import CalibrationRequest, KeypointSource
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
-from mocap_calib.steerpose.checkpoint import load_model
-from mocap_calib.steerpose.device import check_device, use_threads
-from mocap_calib.steerpose.lift import lift
 from mocap_calib.types import (
     CameraRig,
     Ints,
@@ -114,6 +112,10 @@ def lift_sample(
 
 def lift_with_model(sample: Sample, model: str, device: str, reporter: Reporter) -> LiftedPoses:
     """Lift the detections of a sample. Raises MismatchError where there is no such device."""
+    from mocap_calib.steerpose.checkpoint import load_model
+    from mocap_calib.steerpose.device import check_device, use_threads
+    from mocap_calib.steerpose.lift import lift
+
     use_threads(1)
     check_device(device)
     return lift(sample, load_model(model), device=device, progress=reporter)

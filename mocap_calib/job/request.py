@@ -11,7 +11,7 @@ from mocap_calib.config import PAIR_SOLVERS, Config
 from mocap_calib.io.file import plain_path
 from mocap_calib.io.hashing import hash_inputs
 from mocap_calib.io.keypoints.document import ReadOptions
-from mocap_calib.steerpose.checkpoint import identify_model
+from mocap_calib.steerpose.weights import identify_model
 
 
 @dataclass(frozen=True)

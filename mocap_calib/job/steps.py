@@ -33,9 +33,10 @@ from mocap_calib.job.request import CalibrationRequest
 from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.joints import edges_of_keypoints
 from mocap_calib.report import judge_cameras, run_report
-from mocap_calib.steerpose.checkpoint import load_model, load_vocabulary
+from mocap_calib.steerpose.checkpoint import load_model
 from mocap_calib.steerpose.device import use_threads
 from mocap_calib.steerpose.model import Lifter
+from mocap_calib.steerpose.weights import load_vocabulary
 from mocap_calib.two_view.solve import PairSolver, pair_mapper
 from mocap_calib.two_view.solvers import choose_pair_solver
 from mocap_calib.types import CalibrationResult, GroupResult, Mapper, Progress, silent

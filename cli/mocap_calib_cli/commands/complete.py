@@ -35,8 +35,8 @@ def command(shared: options.SharedOptions, output: Path, target: str) -> None:
     from mocap_calib.recording.counting import count
     from mocap_calib.recording.sampling import take_sample
     from mocap_calib.recording.synchronise import check_known_joints
-    from mocap_calib.steerpose.checkpoint import load_vocabulary
     from mocap_calib.steerpose.completion import complete_sample, find_completed
+    from mocap_calib.steerpose.weights import load_vocabulary
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.progress import Reporter
 

@@ -180,7 +180,7 @@ def _convert_cameras(task: _Task, *, unit: str | None, image_size: str | None) -
 def _convert_keypoints(task: _Task, shared: options.SharedOptions) -> "Conversion":
     """Convert keypoints; note also which files of the inputs are left out."""
     from mocap_calib.io.conversion import convert_keypoints
-    from mocap_calib.job import find_ignored_files
+    from mocap_calib.job.load import find_ignored_files
     from mocap_calib_cli.describe import describe_ignored_files
     from mocap_calib_cli.inputs import read_options
 

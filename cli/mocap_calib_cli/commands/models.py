@@ -25,7 +25,7 @@ def command(as_json: bool) -> None:
       mocap-calib models
     """
     from mocap_calib.recording.joints import load_skeleton
-    from mocap_calib.steerpose.checkpoint import models
+    from mocap_calib.steerpose.weights import models
     from mocap_calib_cli.progress import format_number, format_table
 
     cards = models()

@@ -26,7 +26,7 @@ def command(shared: options.SharedOptions, output: Path) -> None:
     from mocap_calib.io.results.poses_h5 import write_poses_h5
     from mocap_calib.multi_view.triangulation import triangulate
     from mocap_calib.recording.joints import edges_of_keypoints
-    from mocap_calib.steerpose.checkpoint import load_vocabulary
+    from mocap_calib.steerpose.weights import load_vocabulary
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.progress import Reporter
 
