@@ -58,7 +58,7 @@ def choose_kind(
     """
     kinds = _kinds_named(format, to)
     if len(kinds) == 1:
-        if format is None and to is not None:
+        if to is not None and format is None and not isinstance(sources, bytes):
             _check_kind(sources, kinds[0], to)
         return kinds[0]
     shown = [kind for kind in kinds if _looks_like(kind, sources)]
@@ -119,7 +119,7 @@ def _kinds_named(format: str | None, to: str | None) -> list[Kind]:
     return kinds
 
 
-def _check_kind(sources: Sources, kind: Kind, to: str) -> None:
+def _check_kind(sources: Sequence[str | Path], kind: Kind, to: str) -> None:
     """Raise MismatchError where the sources show another kind than that of the output's format.
 
     What shows no kind is left to the reader, which says more.

@@ -212,7 +212,7 @@ def test_keypoints_go_through_pipes():
         (["a.toml", "b", "--to", "zip"], 1, "expected a format"),
         (["a.toml", "b", "--to", "kalibr"], 1, "only read"),
         (["a.toml", "b", "--from", "anipose", "--to", "trc"], 1, "expected a format of cameras"),
-        (["a.toml", "b", "--to", "trc"], 1, "one of: poses-h5"),
+        (["a.toml", "b", "--to", "trc"], 1, "expected a format of cameras, which INPUT holds"),
         (["a.toml", "-", "--to", "colmap"], 1, "one file for stdout"),
         (["-", "b.toml"], 2, "--from"),
         (["a.toml", "a.toml", "b.yaml"], 2, "one file or folder of cameras"),
