@@ -429,6 +429,33 @@ class Poses3D:
 
 
 @dataclass(frozen=True)
+class ObservedPoints:
+    """Points and where cameras saw them: what a bundle adjuster takes.
+
+    positions: `[point, 3]` in the unit of the rig.
+    view, point: `[observation]` indices of the view and of the point that is seen.
+    pixels: `[observation, 2]` where.
+    """
+
+    positions: Floats
+    view: Ints
+    point: Ints
+    pixels: Floats
+
+    def __post_init__(self) -> None:
+        check_shape("observed points: positions", self.positions, None, 3)
+        check_shape("observed points: view", self.view, None)
+        check_shape("observed points: point", self.point, len(self.view))
+        check_shape("observed points: pixels", self.pixels, len(self.view), 2)
+
+    @classmethod
+    def none(cls) -> Self:
+        """Return no points."""
+        nothing = np.zeros(0, dtype=np.int64)
+        return cls(np.zeros((0, 3)), nothing, nothing, np.zeros((0, 2)))
+
+
+@dataclass(frozen=True)
 class GroupResult:
     """All that is found of one group of cameras that see the same bodies.
 

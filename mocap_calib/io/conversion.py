@@ -86,9 +86,10 @@ def convert_cameras(
     known = find_format(CAMERA_FORMATS, to)
     summary = f"{len(rig.cameras)} cameras, lengths in {known.unit or rig.unit}, as {to}"
     if output is None:
-        written = format_rig(rig, to, provenance or {})
+        written = format_rig(rig, to, provenance or {}, found.points)
         return Conversion(summary, found.notes, written.lost, written.files)
-    return Conversion(summary, found.notes, write_cameras(output, rig, to, provenance))
+    lost = write_cameras(output, rig, to, provenance, found.points)
+    return Conversion(summary, found.notes, lost)
 
 
 def convert_poses(

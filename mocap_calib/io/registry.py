@@ -34,6 +34,7 @@ class Format(Generic[Sniff, Read, Write]):
     single: a file holds one individual (poses).
     timed: writing needs the number of frames per second (poses).
     unit: of its lengths, "" where the format leaves that open (cameras).
+    points: it holds observed points as well, and `write` takes them (cameras).
     followed: its individuals are followed by definition: several detections that nobody follows
         are refused (keypoints).
     loses: what the format has no place for (keypoints; writers of other kinds return it).
@@ -52,6 +53,7 @@ class Format(Generic[Sniff, Read, Write]):
     timed: bool = False
     followed: bool = False
     unit: str = ""
+    points: bool = False
     loses: tuple[Loss, ...] = ()
 
     def writer(self) -> Write:

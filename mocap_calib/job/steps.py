@@ -17,7 +17,12 @@ from mocap_calib.io.cameras.source import CameraFile
 from mocap_calib.io.hashing import hash_file, hash_files
 from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.provenance import provenance
-from mocap_calib.io.results.further_formats import FurtherFiles, check_formats, write_formats
+from mocap_calib.io.results.further_formats import (
+    FurtherFiles,
+    check_formats,
+    take_points,
+    write_formats,
+)
 from mocap_calib.io.results.group import (
     REPORT,
     group_folder,
@@ -29,6 +34,7 @@ from mocap_calib.io.results.group import (
 from mocap_calib.io.results.pair_store import remember_pairs
 from mocap_calib.job.load import LoadedRecording, load_recording
 from mocap_calib.job.request import CalibrationRequest
+from mocap_calib.multi_view.observed_points import observe_points
 from mocap_calib.pipeline import calibrate
 from mocap_calib.report import run_report
 from mocap_calib.steerpose.checkpoint import load_model
@@ -36,7 +42,14 @@ from mocap_calib.steerpose.device import check_device, use_threads
 from mocap_calib.steerpose.model import Lifter
 from mocap_calib.two_view.solve import PairSolver, pair_mapper
 from mocap_calib.two_view.solvers import choose_pair_solver
-from mocap_calib.types import CalibrationResult, GroupResult, Mapper, Progress, silent
+from mocap_calib.types import (
+    CalibrationResult,
+    GroupResult,
+    Mapper,
+    ObservedPoints,
+    Progress,
+    silent,
+)
 
 # in the folder of results: the pairs of a run that is under way or was killed
 _UNFINISHED = ".unfinished"
@@ -172,7 +185,12 @@ def _write_further_formats(
     """Write a group in the further formats of a request; return what became of them."""
     fps = float("nan") if request.fps is None else request.fps
     poses = PoseFile(group.poses, fps)
-    return write_formats(folder, group.rig, poses, request.formats, provenance)
+    points = ObservedPoints.none()
+    if take_points(request.formats):
+        points = observe_points(
+            group.recording, group.rig, group.matches, request.config.triangulate
+        )
+    return write_formats(folder, group.rig, poses, request.formats, provenance, points=points)
 
 
 def find_finished(request: CalibrationRequest) -> dict[str, Any] | None:

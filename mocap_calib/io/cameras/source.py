@@ -7,7 +7,7 @@ once.
 import json
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import PurePath
 from typing import Any
@@ -17,7 +17,7 @@ import numpy as np
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.cameras.syntax import is_toml, parse_json, parse_toml, parse_yaml
 from mocap_calib.io.file import decode, find_repeated, malformed
-from mocap_calib.types import Camera, CameraRig, Floats
+from mocap_calib.types import Camera, CameraRig, Floats, ObservedPoints
 
 _BINARY = (b"MATLAB", b"\x89HDF", b"\x00")
 _PARSERS = {"json": parse_json, "toml": parse_toml, "yaml": parse_yaml}
@@ -98,12 +98,14 @@ class CameraFile:
         cameras that have them.
     unit: of the lengths, "" where the file does not say.
     notes: what a user should know of what was left out.
+    points: that the cameras see, in their order; none in most formats.
     """
 
     cameras: tuple[Camera, ...]
     extrinsics: Mapping[str, tuple[Floats, Floats]]
     unit: str = ""
     notes: tuple[str, ...] = ()
+    points: ObservedPoints = field(default_factory=ObservedPoints.none)
 
 
 # --- for readers

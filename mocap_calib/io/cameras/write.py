@@ -9,11 +9,18 @@ from mocap_calib.io.atomic import check_no_other_files, write_bytes, write_files
 from mocap_calib.io.cameras.formats import CAMERA_FORMATS, FOLDER_ENDINGS
 from mocap_calib.io.registry import Written, find_format
 from mocap_calib.io.units import unit_factor
-from mocap_calib.types import CameraRig
+from mocap_calib.types import CameraRig, ObservedPoints
 
 
-def format_rig(rig: CameraRig, format: str, provenance: Mapping[str, Any]) -> Written:
+def format_rig(
+    rig: CameraRig,
+    format: str,
+    provenance: Mapping[str, Any],
+    points: ObservedPoints | None = None,
+) -> Written:
     """Return the files of a rig in the format, by the names and in the unit that the format has.
+
+    points: that the views see; they are lost where the format has no place for points.
 
     Raises MismatchError where the format is only read or cannot carry the rig, and where it needs
     a unit of length that is not known.
@@ -23,20 +30,30 @@ def format_rig(rig: CameraRig, format: str, provenance: Mapping[str, Any]) -> Wr
     if known.unit:
         factor = unit_factor(rig.unit, known.unit, format)
         rig = replace(rig, translation=rig.translation * factor, unit=known.unit)
-    return write(rig, provenance)
+    points = points or ObservedPoints.none()
+    if known.points:
+        return write(rig, provenance, points)
+    written = write(rig, provenance)
+    count = len(points.positions)
+    return replace(written, lost=(*written.lost, f"{count} 3D points")) if count else written
 
 
 def write_cameras(
-    path: Path, rig: CameraRig, format: str, provenance: Mapping[str, Any] | None = None
+    path: Path,
+    rig: CameraRig,
+    format: str,
+    provenance: Mapping[str, Any] | None = None,
+    points: ObservedPoints | None = None,
 ) -> tuple[str, ...]:
     """Write a rig in the format, whole or not at all.
 
     path: the file, or the folder where the format is several files.
+    points: that the views see.
 
     Returns what of the rig the format does not carry. Raises MismatchError as `format_rig` does,
     and where the folder has files of other cameras.
     """
-    written = format_rig(rig, format, provenance or {})
+    written = format_rig(rig, format, provenance or {}, points)
     if find_format(CAMERA_FORMATS, format).folder:
         check_no_other_files(path, written.files, FOLDER_ENDINGS)
         write_files(path, written.files)
