@@ -60,7 +60,7 @@ IN_ONE_PLACE = {"types.py", "config.py"}  # all nouns, and all constants
 DOORS = {  # module: where alone it is imported
     "torch": ("mocap_calib/steerpose/",),
     "cv2": ("mocap_calib/geometry/epipolar.py", "mocap_calib/two_view/five_point.py"),
-    "pycolmap": ("mocap_calib/io/cameras/colmap_model.py",),
+    "pycolmap": ("mocap_calib/io/cameras/colmap_model.py", "mocap_calib/multi_view/ceres.py"),
     "h5py": ("mocap_calib/io/",),
     "h5netcdf": ("mocap_calib/io/",),
     "c3d": ("mocap_calib/io/",),
