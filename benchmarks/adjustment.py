@@ -1,14 +1,15 @@
-"""Measure bundle adjustment alone: ours, aniposelib's and scipy's, from the same start.
+"""Measure bundle adjustment alone: ours, COLMAP's, aniposelib's and scipy's, from the same start.
 
     .venv/bin/python benchmarks/adjustment.py SCRATCH [--cameras 8] [--frames 1000]
-        [--people 1] [--methods ours ours-all anipose scipy]
+        [--people 1] [--methods ours colmap ours-all colmap-all anipose scipy]
 
 One synthetic person, identities known, 2 px of noise, 5 % missing, 1 % gross errors; the cameras
 start 3 degrees and 3 % of the radius off, intrinsics fixed. SCRATCH: a folder in which the others
 get an environment of their own (aniposelib 0.8.0 from the package index). Ours is timed from
 detections to rig: choice of points, triangulation and all; `ours-all` takes all points and weighs
-detections by their confidence, which knows of the noise here. Of aniposelib, what it compiles is
-not counted.
+detections by their confidence, which knows of the noise here. `colmap` is Ceres, as in
+`adjust --solver colmap`, on the points of `ours`; `colmap-all` takes all points. Of aniposelib,
+what it compiles is not counted.
 """
 
 import argparse
@@ -29,6 +30,8 @@ from mocap_calib.geometry.rotation import (
     vector_from_matrix,
 )
 from mocap_calib.multi_view.bundle_adjustment import adjust
+from mocap_calib.multi_view.ceres import adjust_by_ceres
+from mocap_calib.multi_view.refinement import Adjuster
 from mocap_calib.multi_view.triangulation import gather_observations
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.recording.sampling import take_sample
@@ -36,10 +39,13 @@ from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.synthetic import simulate
 from mocap_calib.types import CameraRig, Floats, Matches, Sample
 
-METHODS = ("ours", "ours-all", "anipose", "scipy")
+METHODS = ("ours", "colmap", "ours-all", "colmap-all", "anipose", "scipy")
+ALL_POINTS = AdjustConfig(points=100_000, doubtful_share=0.0)
 OURS = {
-    "ours": AdjustConfig(),
-    "ours-all": AdjustConfig(points=100_000, doubtful_share=0.0, confidence_power=1.0),
+    "ours": (adjust, AdjustConfig()),
+    "colmap": (adjust_by_ceres, AdjustConfig()),
+    "ours-all": (adjust, replace(ALL_POINTS, confidence_power=1.0)),
+    "colmap-all": (adjust_by_ceres, ALL_POINTS),
 }
 PEERS = Path(__file__).with_name("adjustment_peers.py")
 
@@ -75,7 +81,7 @@ def main() -> None:
     print(f"| start | | | {figures(start, made.rig)} |")
     for method in options.methods:
         found, wall, processor = (
-            ours(OURS[method], recording, start, matches)
+            ours(*OURS[method], recording, start, matches)
             if method in OURS
             else peer(method, options.scratch, recording, start, matches)
         )
@@ -97,11 +103,15 @@ def moved(rig: CameraRig) -> CameraRig:
 
 
 def ours(
-    config: AdjustConfig, recording: Sample, start: CameraRig, matches: Matches
+    adjuster: Adjuster,
+    config: AdjustConfig,
+    recording: Sample,
+    start: CameraRig,
+    matches: Matches,
 ) -> tuple[CameraRig, float, float]:
     """Return the rig, seconds and seconds of the processor."""
     wall, processor = time.perf_counter(), time.process_time()
-    found = adjust(recording, start, matches, Config(adjust=config))
+    found = adjuster(recording, start, matches, Config(adjust=config))
     return found, time.perf_counter() - wall, time.process_time() - processor
 
 

@@ -2,6 +2,8 @@
 
     .venv/bin/python benchmarks/paper_protocol.py two-view
         --poses ../shared/poses3d/human_body29.npz
+    .venv/bin/python benchmarks/paper_protocol.py two-view --scenarios 1x5 --wrong 0.3
+        --methods five-point five-point-opencv
     .venv/bin/python benchmarks/paper_protocol.py ablation | multi-view --poses ...
     .venv/bin/python benchmarks/paper_protocol.py detectors --recordings ../shared/recordings
 
@@ -17,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from protocol_methods import METHODS, Found, Problem, load_models
-from protocol_scenes import KINDS, Subjects, Truth, scene
+from protocol_scenes import KINDS, Subjects, Truth, misplace, scene
 
 from mocap_calib.config import Config
 from mocap_calib.geometry.rotation import angle_between, direction_angle
@@ -26,6 +28,7 @@ from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.multi_view.triangulation import triangulate
 from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.joints import load_skeleton
+from mocap_calib.recording.sampling import take_sample
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.steerpose.checkpoint import load_lifter
 from mocap_calib.types import CameraRig, silent
@@ -68,6 +71,13 @@ def main() -> None:
     parser.add_argument(
         "--scenarios", nargs="*", default=["1x1", "4x1", "1x5", "4x5"], help="subjects x frames"
     )
+    parser.add_argument(
+        "--wrong",
+        type=float,
+        default=0.0,
+        metavar="SHARE",
+        help="of the points of the second view, which change places with each other",
+    )
     parser.add_argument("--methods", nargs="*", help="default: those of the table")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
@@ -79,7 +89,14 @@ def main() -> None:
 
 def two_view(options: argparse.Namespace) -> None:
     """Print the paper's Tables 1 and 2."""
-    methods = options.methods or ["five-point", "magsac", "paper-token", "paper-factorised", "ours"]
+    methods = options.methods or [
+        "five-point",
+        "five-point-opencv",
+        "magsac",
+        "paper-token",
+        "paper-factorised",
+        "ours",
+    ]
     _synthetic(options, methods)
 
 
@@ -133,6 +150,8 @@ def _scenes(
                 joints=subjects.joints,
             )
         )
+    if options.wrong:
+        made = [(misplace(sample, options.wrong), truth) for sample, truth in made]
     return [Problem(recording, 0, 1) for recording, _ in made], [truth for _, truth in made]
 
 
@@ -295,7 +314,8 @@ def _real_pairs(folder: Path, count: int, seed: int) -> tuple[list[Problem], lis
     problems, truths = [], []
     for k in rng.permutation(len(choices))[:count]:
         a, b, f = choices[k]
-        one = recording.select(frames=np.array([f])).select(views=np.array([a, b]))
+        chosen = recording.select(frames=np.array([f]), views=np.array([a, b]))
+        one = take_sample(chosen, slice(None))
         problems.append(Problem(one, 0, 1))
         views = [order[a], order[b]]
         truths.append(

@@ -4,10 +4,19 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 import torch
 
-from mocap_calib.config import FivePointConfig, PairwiseConfig, PaperConfig
+from mocap_calib.config import (
+    FIVE_POINT_CONFIDENCE,
+    FIVE_POINT_LEAST_FORWARD,
+    FIVE_POINT_LEAST_JOINTS,
+    FivePointConfig,
+    PairwiseConfig,
+    PaperConfig,
+)
+from mocap_calib.geometry.epipolar import pose_from_essential
 from mocap_calib.steerpose.checkpoint import load_steerer
 from mocap_calib.steerpose.lift import lift
 from mocap_calib.steerpose.model import Lifter
@@ -15,9 +24,16 @@ from mocap_calib.steerpose.paper.batch import TwoViews
 from mocap_calib.steerpose.paper.solver import solve_pair, solve_pairs
 from mocap_calib.steerpose.rays import rays_by_joint
 from mocap_calib.steerpose.steer import Model
-from mocap_calib.two_view.five_point import Found, all_pairs_magsac, five_point_over_matches
+from mocap_calib.two_view.five_point import (
+    Estimator,
+    Found,
+    RelativePose,
+    estimate_by_loransac,
+    five_point_over_matches,
+    match_by_pose,
+)
 from mocap_calib.two_view.solve import calibrate_pair, pair_problem
-from mocap_calib.types import Sample, silent
+from mocap_calib.types import Floats, Sample, silent
 
 TIMED = 3  # pairs that the paper's solver does alone, to know its seconds
 BATCH = 50  # of the others
@@ -57,26 +73,67 @@ def _threshold(problem: Problem) -> float:
     return FivePointConfig().inlier_px / float(np.mean(focals))
 
 
-def five_point(problems: Sequence[Problem], _: dict[str, Model]) -> Answers:
+def five_point(estimator: Estimator) -> Method:
     """Run RANSAC over instance matches, five-point on joints."""
 
     def solve(problem: Problem) -> Found | None:
-        rays = problem.recording.rays
+        rays_a, rays_b = _rays(problem)
+        rng = np.random.default_rng(0)
         return five_point_over_matches(
-            rays[problem.a], rays[problem.b], _threshold(problem), np.random.default_rng(0)
+            rays_a, rays_b, _threshold(problem), rng, estimator=estimator
         )
 
-    return _each(problems, solve)
+    return lambda problems, _: _each(problems, solve)
 
 
-def magsac(problems: Sequence[Problem], _: dict[str, Model]) -> Answers:
-    """Run MAGSAC on all cross pairs of detections."""
+def all_pairs(estimator: Estimator) -> Method:
+    """Run RANSAC on the joints of all pairs of detections of a frame."""
 
     def solve(problem: Problem) -> Found | None:
-        rays = problem.recording.rays
-        return all_pairs_magsac(rays[problem.a], rays[problem.b], _threshold(problem))
+        rays_a, rays_b = _rays(problem)
+        threshold = _threshold(problem)
+        shape = np.broadcast_shapes(rays_a[:, :, None].shape, rays_b[:, None].shape)
+        every_a = np.broadcast_to(rays_a[:, :, None], shape).reshape(-1, 3)
+        every_b = np.broadcast_to(rays_b[:, None], shape).reshape(-1, 3)
+        forward = (np.stack([every_a[:, 2], every_b[:, 2]]) > FIVE_POINT_LEAST_FORWARD).all(0)
+        trials = FivePointConfig().ransac_iterations
+        pose = estimator(every_a[forward], every_b[forward], threshold, trials=trials)
+        if pose is None:
+            return None
+        return Found(*pose, np.argwhere(match_by_pose(rays_a, rays_b, pose, threshold)))
 
-    return _each(problems, solve)
+    return lambda problems, _: _each(problems, solve)
+
+
+def opencv(method: int) -> Estimator:
+    """Return OpenCV's robust estimation of an essential matrix by this method."""
+
+    def estimate(
+        rays_a: Floats, rays_b: Floats, threshold: float, *, trials: int
+    ) -> RelativePose | None:
+        if len(rays_a) < FIVE_POINT_LEAST_JOINTS:
+            return None
+        model, mask = cv2.findEssentialMat(
+            rays_a[:, :2] / rays_a[:, 2:],
+            rays_b[:, :2] / rays_b[:, 2:],
+            np.eye(3),
+            method=method,
+            prob=FIVE_POINT_CONFIDENCE,
+            threshold=threshold,
+            maxIters=trials,
+        )
+        if model is None or model.shape != (3, 3) or not np.any(mask):
+            return None
+        inlier = mask.ravel() > 0
+        return pose_from_essential(np.asarray(model), rays_a[inlier], rays_b[inlier])
+
+    return estimate
+
+
+def _rays(problem: Problem) -> tuple[Floats, Floats]:
+    """Return the rays of both views, `[frame, I | J, keypoint, 3]`."""
+    rays = problem.recording.rays
+    return rays[problem.a], rays[problem.b]
 
 
 def ours(config: PairwiseConfig) -> Method:
@@ -139,8 +196,11 @@ def paper(architecture: str, config: PaperConfig) -> Method:
 
 
 METHODS: dict[str, Method] = {
-    "five-point": five_point,
-    "magsac": magsac,
+    "five-point": five_point(estimate_by_loransac),
+    "five-point-opencv": five_point(opencv(cv2.RANSAC)),
+    "all-pairs": all_pairs(estimate_by_loransac),
+    "all-pairs-opencv": all_pairs(opencv(cv2.RANSAC)),
+    "magsac": all_pairs(opencv(cv2.USAC_MAGSAC)),
     "paper-token": paper("token", PaperConfig()),
     "paper-token-nogeom": paper("token", PaperConfig(geometric_weight=0.0)),
     "paper-factorised": paper("factorised", PaperConfig()),

@@ -4,7 +4,7 @@ Held-out people and animals placed at random in a room, seen by random cameras, 
 """
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -201,3 +201,18 @@ def scene(
     return Sample(
         rig.cameras, joints, np.arange(frames), positions, confidence, tracked, vocabulary, rays
     ), Truth(rig, ids)
+
+
+def misplace(sample: Sample, share: float) -> Sample:
+    """Return a recording in which a share of the points of the last view change places.
+
+    A detector that takes one joint for another does so, and identities that are exchanged.
+    """
+    rng = np.random.default_rng(0)
+    seen = np.argwhere(sample.seen[-1])
+    moved = seen[np.sort(rng.permutation(len(seen))[: round(share * len(seen))])]
+    places, others = tuple(moved.T), tuple(rng.permutation(moved).T)
+    positions, rays = sample.positions.copy(), sample.rays.copy()
+    positions[-1][places] = positions[-1][others]
+    rays[-1][places] = rays[-1][others]
+    return replace(sample, positions=positions, rays=rays)

@@ -304,6 +304,9 @@ class AdjustConfig:
     still_deg: float = 0.05  # and no camera turns by more than this
 
 
+# what minimises the reprojection error; the first is the default
+ADJUST_SOLVERS = ("schur", "colmap")
+
 # Levenberg and Marquardt's iteration: steps at most, and the damping of the first step
 LM_STEPS = 50
 LM_FIRST_DAMPING = 1e-4

@@ -823,6 +823,33 @@ class Poses3D(Record):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
+class ObservedPoints(Record):
+    """Points and where cameras saw them: what a bundle adjuster takes.
+
+    positions: `[point, 3]` in the unit of the rig.
+    view, point: `[observation]` indices of the view and of the point that is seen.
+    pixels: `[observation, 2]` where.
+    """
+
+    positions: Floats
+    view: Ints
+    point: Ints
+    pixels: Floats
+
+    def __post_init__(self) -> None:
+        self._hold("observed points", "positions", float, None, 3)
+        self._hold("observed points", "view", int, None)
+        self._hold("observed points", "point", int, len(self.view))
+        self._hold("observed points", "pixels", float, len(self.view), 2)
+
+    @classmethod
+    def none(cls) -> Self:
+        """Return no points."""
+        nothing = np.zeros(0, dtype=np.int64)
+        return cls(np.zeros((0, 3)), nothing, nothing, np.zeros((0, 2)))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class GroupResult(Record):
     """All that is found of one group of cameras that see the same bodies.
 

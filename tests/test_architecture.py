@@ -98,10 +98,24 @@ def test_modules_can_be_imported_on_windows(path):
     assert not names & {"fcntl", "grp", "pty", "pwd", "resource", "termios", "tty"}
 
 
+def test_the_readme_says_what_each_dependency_is_for():
+    setup = ConfigParser()
+    setup.read(ROOT / "setup.cfg")
+    needed = re.findall(r"^([\w-]+)", setup["options"]["install_requires"], re.M)
+    readme = (ROOT / "README.md").read_text("utf-8")
+    table = readme.split("## What each dependency is for")[1].split("##")[0]
+    assert sorted(re.findall(r"^\| ([\w-]+) \|", table, re.M)[1:]) == sorted(needed)
+
+
 IN_ONE_PLACE = {"types.py", "config.py"}  # all nouns, and all constants
 DOORS = {  # module: where alone it is imported
     "torch": ("mocap_calib/steerpose/",),
-    "cv2": ("mocap_calib/geometry/epipolar.py", "mocap_calib/two_view/five_point.py"),
+    "cv2": ("mocap_calib/geometry/epipolar.py",),
+    "pycolmap": (
+        "mocap_calib/io/cameras/colmap_model.py",
+        "mocap_calib/multi_view/ceres.py",
+        "mocap_calib/two_view/five_point.py",
+    ),
     "h5py": ("mocap_calib/io/",),
     "h5netcdf": ("mocap_calib/io/",),
     "c3d": ("mocap_calib/io/",),

@@ -209,6 +209,7 @@ def write_files(files: Path) -> None:
     for name, ending in (
         ("anipose", ".toml"),
         ("colmap", ""),
+        ("colmap-binary", ""),
         ("opencv", ""),
         ("caliscope", ".toml"),
     ):

@@ -92,9 +92,10 @@ def convert_cameras(
     lengths = "arbitrary lengths" if unit == ARBITRARY else f"lengths in {unit}"
     summary = f"{count(len(rig.cameras), 'camera')}, {lengths}, as {to}"
     if output is None:
-        written = format_rig(rig, to, provenance)
+        written = format_rig(rig, to, provenance, found.points)
         return Conversion(summary, found.notes, written.lost, written.files)
-    return Conversion(summary, found.notes, write_cameras(output, rig, to, provenance))
+    lost = write_cameras(output, rig, to, provenance, found.points)
+    return Conversion(summary, found.notes, lost)
 
 
 def convert_poses(

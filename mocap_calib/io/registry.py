@@ -35,6 +35,7 @@ class Format(Generic[Sniff, Read, Write]):
     single: a file holds one individual (poses).
     timed: writing needs the number of frames per second (poses).
     unit: of its lengths, "" where the format leaves that open (cameras, poses).
+    points: it holds observed points as well, and `write` takes them (cameras).
     packages, extra: the modules that write the format where those are not always there, and the
         extra of mocap-calib that brings them.
     followed: its individuals are followed by definition: several detections that nobody follows
@@ -57,6 +58,7 @@ class Format(Generic[Sniff, Read, Write]):
     unit: str = ""
     packages: tuple[str, ...] = ()
     extra: str = ""
+    points: bool = False
     loses: tuple[Loss, ...] = ()
 
     def writer(self) -> Write:

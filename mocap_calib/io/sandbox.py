@@ -1,8 +1,9 @@
-"""Parse HDF5 in a process of its own.
+"""Parse HDF5 and COLMAP's models in a process of its own.
 
-One damaged file in some hundreds ends libhdf5 2.0.0, or never lets it come back. The process starts
-with the first such file (0.3 s) and serves until this one ends, or a large file's memory is to be
-given back. What it does not survive becomes a FormatError. Measured in docs/formats-checks.md.
+One damaged file in some hundreds ends libhdf5 2.0.0, or never lets it come back; a damaged count
+in a binary model makes COLMAP fill all memory. The process starts with the first such file (0.3 s)
+and serves until this one ends, or a large file's memory is to be given back. What it does not
+survive becomes a FormatError. Measured in docs/formats-checks.md.
 """
 
 import os
@@ -37,20 +38,45 @@ def call_contained(content: bytes, source: str, parse: Callable[[*Ts], T], *args
     """
     if not content.startswith(HDF5):
         return parse(*args)
-    worker = _worker(os.getpid())
     size = len(content)
-    seconds = _SECONDS + size / _BYTES_A_SECOND
     unpacked = min(DEFLATE * size, _MOST_UNPACKED)
-    memory = _MEMORY + _MEMORY_A_BYTE * size + _COPIES * unpacked
+    return call_elsewhere(
+        parse,
+        *args,
+        what="an HDF5 file",
+        source=source,
+        size=size,
+        cpu_seconds=_SECONDS + size / _BYTES_A_SECOND,
+        memory_bytes=_MEMORY + _MEMORY_A_BYTE * size + _COPIES * unpacked,
+    )
+
+
+def call_elsewhere(
+    parse: Callable[[*Ts], T],
+    *args: *Ts,
+    what: str,
+    source: str,
+    size: int,
+    cpu_seconds: float,
+    memory_bytes: int,
+) -> T:
+    """Return `parse(*args)` from the other process, within these limits.
+
+    parse: a function of a module, whose arguments, result and errors can be pickled.
+    what: names what is parsed, with its article. size: of it, in bytes.
+
+    Raises what it raises, and FormatError where the input ends the process or exceeds a limit.
+    """
+    worker = _worker(os.getpid())
     try:
-        return worker.call(parse, *args, cpu_seconds=seconds, memory_bytes=memory)
+        return worker.call(parse, *args, cpu_seconds=cpu_seconds, memory_bytes=memory_bytes)
     except MemoryError:
-        expected = "HDF5 of a size that memory holds"
+        expected = f"{what} of a size that memory holds"
         found = f"{size} bytes that unpack to more"
         raise malformed(source, expected, found, "check that it is whole, or split it") from None
     except WorkerEndedError as end:
-        found = f"damage that HDF5 does not survive ({end})"
-        raise malformed(source, "a whole HDF5 file", found, "copy or export it again") from None
+        found = f"damage that its reader does not survive ({end})"
+        raise malformed(source, f"{what} that is whole", found, "copy or export it again") from None
     finally:
         if size > _LARGE:
             worker.end()

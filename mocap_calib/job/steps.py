@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from mocap_calib.config import Config
 from mocap_calib.errors import ClusterError, MocapCalibError
 from mocap_calib.io.atomic import replace_folder
 from mocap_calib.io.cameras.read import load_cameras, parse_content
@@ -17,7 +18,12 @@ from mocap_calib.io.cameras.source import CameraFile
 from mocap_calib.io.hashing import hash_file, hash_files
 from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.provenance import date_of_making, provenance
-from mocap_calib.io.results.further_formats import FurtherFiles, check_formats, write_formats
+from mocap_calib.io.results.further_formats import (
+    FurtherFiles,
+    check_formats,
+    take_points,
+    write_formats,
+)
 from mocap_calib.io.results.group import (
     REPORT,
     group_folder,
@@ -30,6 +36,7 @@ from mocap_calib.io.results.pair_store import remember_pairs
 from mocap_calib.io.zeros import unsigned_zeros
 from mocap_calib.job.load import LoadedRecording, load_recording
 from mocap_calib.job.request import CalibrationRequest
+from mocap_calib.multi_view.observed_points import observe_points
 from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.joints import edges_of_keypoints
 from mocap_calib.report import judge_cameras, run_report
@@ -39,7 +46,14 @@ from mocap_calib.steerpose.model import Lifter
 from mocap_calib.steerpose.weights import load_vocabulary
 from mocap_calib.two_view.solve import PairSolver, pair_mapper
 from mocap_calib.two_view.solvers import choose_pair_solver
-from mocap_calib.types import CalibrationResult, GroupResult, Mapper, Progress, silent
+from mocap_calib.types import (
+    CalibrationResult,
+    GroupResult,
+    Mapper,
+    ObservedPoints,
+    Progress,
+    silent,
+)
 
 # in the folder of results: the pairs of a run that is under way or was killed
 _UNFINISHED = ".unfinished"
@@ -183,7 +197,8 @@ def write_result(
             )
             poses = _describe_poses(group, fps)
             write_group(place, group, poses, source)
-            further[number] = write_formats(place, group.rig, poses, formats, source)
+            points = _observe_points(group, result.config) if take_points(formats) else None
+            further[number] = write_formats(place, group.rig, poses, formats, source, points=points)
             if number == 0:
                 reports[0]["fingerprint"] = fingerprint
                 reports[0]["outputs"] = hash_files(work)
@@ -197,6 +212,11 @@ def write_result(
     return tuple(
         WrittenGroup(report, further[number].notes) for number, report in enumerate(reports)
     )
+
+
+def _observe_points(group: GroupResult, config: Config) -> ObservedPoints:
+    """Return the triangulated points of a group, and the detections that they were made of."""
+    return observe_points(group.recording, group.rig, group.matches, config.triangulate)
 
 
 def _describe_poses(group: GroupResult, fps: float | None) -> PoseFile:

@@ -23,19 +23,23 @@ _NUDGE = 1e-4  # radians, for the differences that tell how the image moves with
 
 
 @dataclass(frozen=True)
-class _Points:
+class AdjustablePoints:
     """The points that are adjusted, and what is seen of them.
 
     points: `[3, N]` in world coordinates.
+    pixels: `[view, 2, N]`, NaN = missing.
     rays: `[view, 3, N]` unit vectors in each camera's frame, NaN = missing.
     weight: `[view, N]`, what a detection counts for.
     used: `[view, N]` the detections that agree on the point.
+    noise: `[view]` standard deviation of a coordinate, in radians.
     """
 
     points: Floats
+    pixels: Floats
     rays: Floats
     weight: Floats
     used: Bools
+    noise: Floats
 
 
 def adjust(
@@ -55,16 +59,8 @@ def adjust(
     Raises UnderconstrainedCameraError for the camera that has the fewest points, where they are
     too few to constrain it, and DegenerateError where there is no match at all.
     """
-    if matches.individuals == 0:
-        raise DegenerateError(
-            "expected bodies that two views agree on, found none; "
-            "check that the files belong to these cameras and to the same time"
-        )
-    matches = per_frame_labels(matches)  # who it is in other frames does not matter here
-    noise = view_noise(sample, rig, matches, config.triangulate)
-    points = _choose_points(sample, rig, matches, noise=noise, config=config)
-    _check_every_camera(rig, points, config.adjust.least_keypoints)
-    seen = _ray_observations(rig, points, noise)
+    points = choose_points(sample, rig, matches, config)
+    seen = _ray_observations(rig, points)
     state = State(rig.rotation, rig.translation, points.points)
     *wide_scales, last_scale = config.adjust.loss_scales
     if not already_close:
@@ -73,10 +69,10 @@ def adjust(
             state = minimise(state, seen, loss_scale=loss_scale, tolerance=rough)
     state = minimise(state, seen, loss_scale=last_scale, tolerance=config.adjust.tolerance)
     adjusted = replace(rig, rotation=state.rotation, translation=state.translation)
-    return _with_size_of(rig, adjusted)
+    return with_size_of(rig, adjusted)
 
 
-def _with_size_of(reference: CameraRig, rig: CameraRig) -> CameraRig:
+def with_size_of(reference: CameraRig, rig: CameraRig) -> CameraRig:
     """Return the rig at the size of a reference, the first camera where the reference has it."""
     first = reference.centres[0]
     size = np.sqrt(((rig.centres - first) ** 2).sum())
@@ -88,13 +84,29 @@ def _with_size_of(reference: CameraRig, rig: CameraRig) -> CameraRig:
 # Which detections the rig is built on
 
 
-def _choose_points(
-    sample: Sample, rig: CameraRig, matches: Matches, *, noise: Floats, config: Config
-) -> _Points:
+def choose_points(
+    sample: Sample, rig: CameraRig, matches: Matches, config: Config
+) -> AdjustablePoints:
     """Return points of evenly spread frames that at least two views agree on.
 
-    As many as the budget allows. noise: `[view]` in radians.
+    As many as the budget allows. Raises as `adjust` does.
     """
+    if matches.individuals == 0:
+        raise DegenerateError(
+            "expected bodies that two views agree on, found none; "
+            "check that the files belong to these cameras and to the same time"
+        )
+    matches = per_frame_labels(matches)  # who it is in other frames does not matter here
+    noise = view_noise(sample, rig, matches, config.triangulate)
+    points = _agreed_points(sample, rig, matches, noise=noise, config=config)
+    _check_every_camera(rig, points, config.adjust.least_keypoints)
+    return points
+
+
+def _agreed_points(
+    sample: Sample, rig: CameraRig, matches: Matches, *, noise: Floats, config: Config
+) -> AdjustablePoints:
+    """Return points that at least two views agree on. noise: `[view]` in radians."""
     frames = _choose_frames(sample, matches, config.adjust.points)
     seen = gather_observations(sample, matches, frames)
     weight = _drop_doubtful(seen.confidence, config.adjust)
@@ -102,11 +114,13 @@ def _choose_points(
     tolerant = replace(config.triangulate, outlier=outlier)
     points, used = triangulate_rays(rig, seen.rays, weight=weight, noise=noise, config=tolerant)
     known = np.isfinite(points[0])
-    return _Points(
+    return AdjustablePoints(
         points=points[:, known],
+        pixels=seen.pixels[..., known],
         rays=seen.rays[..., known],
         weight=weight[:, known] ** config.adjust.confidence_power,
         used=used[:, known],
+        noise=noise,
     )
 
 
@@ -137,7 +151,7 @@ def _drop_doubtful(confidence: Floats, config: AdjustConfig) -> Floats:
     return kept
 
 
-def _check_every_camera(rig: CameraRig, points: _Points, least: int) -> None:
+def _check_every_camera(rig: CameraRig, points: AdjustablePoints, least: int) -> None:
     """Raise UnderconstrainedCameraError where fewer than `least` keypoints constrain a camera."""
     count = points.used.sum(1)
     view = int(count.argmin())
@@ -153,17 +167,17 @@ def _check_every_camera(rig: CameraRig, points: _Points, least: int) -> None:
 # Residuals
 
 
-def _ray_observations(rig: CameraRig, points: _Points, noise: Floats) -> RayObservations:
+def _ray_observations(rig: CameraRig, points: AdjustablePoints) -> RayObservations:
     """Return what was seen, with the metric that turns directions into residuals.
 
-    Residuals are in standard deviations of each view's own error (noise, `[view]` radians), so
-    that the loss means the same in all views.
+    Residuals are in standard deviations of each view's own error, so that the loss means the same
+    in all views.
     """
     axis = np.array([0.0, 0.0, 1.0])[:, None]
     rays = np.where(points.used[:, None], points.rays, axis)
     metrics = [
         _pixels_per_ray(camera, ray.T) / (sigma * camera.focal)
-        for camera, ray, sigma in zip(rig.cameras, rays, noise, strict=True)
+        for camera, ray, sigma in zip(rig.cameras, rays, points.noise, strict=True)
     ]
     metric = np.ascontiguousarray(np.moveaxis(np.stack(metrics), 1, -1))
     return RayObservations(

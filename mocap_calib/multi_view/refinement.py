@@ -1,6 +1,7 @@
 """Adjust the rig and match by it in turns, from one start or from several."""
 
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 
@@ -20,6 +21,33 @@ from mocap_calib.types import (
     Sample,
     silent,
 )
+
+
+class Adjuster(Protocol):
+    """What adjusts a rig to matched detections; `bundle_adjustment.adjust` is one."""
+
+    def __call__(
+        self,
+        sample: Sample,
+        rig: CameraRig,
+        matches: Matches,
+        config: Config,
+        *,
+        already_close: bool = False,
+    ) -> CameraRig:
+        """Return the rig that fits the matched detections best."""
+
+
+def choose_adjuster(name: str) -> Adjuster:
+    """Return the adjuster of that name, one of `config.ADJUST_SOLVERS`.
+
+    "schur" is the solver of this program; "colmap" is Ceres through pycolmap.
+    """
+    if name == "schur":
+        return adjust
+    from mocap_calib.multi_view.ceres import adjust_by_ceres  # noqa: PLC0415 - takes 0.3 s
+
+    return adjust_by_ceres
 
 
 def adjust_from_best_start(
@@ -60,8 +88,11 @@ def adjust_until_stable(
     *,
     lifted: LiftedPoses,
     progress: Progress,
+    adjuster: Adjuster = adjust,
 ) -> Adjusted:
     """Adjust, match by the adjusted rig, and adjust again until nothing changes.
+
+    adjuster: what adjusts, see `choose_adjuster`.
 
     It ends when no detection changes its group and no camera turns any more, or after
     `config.adjust.rounds` rounds. Raises DegenerateError where what was matched does not
@@ -69,7 +100,7 @@ def adjust_until_stable(
     """
     rounds = config.adjust.rounds
     for done in range(1, rounds + 1):
-        adjusted = adjust(sample, rig, matches, config, already_close=done > 1)
+        adjusted = adjuster(sample, rig, matches, config, already_close=done > 1)
         progress("adjust", done, rounds)
         matches_again = associate(sample, lifted, adjusted, config, progress=silent)
         still = _largest_turn_deg(rig, adjusted) < config.adjust.still_deg

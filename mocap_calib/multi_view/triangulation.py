@@ -115,7 +115,7 @@ def triangulate(
         noise=view_noise(recording, rig, matches, config),
         config=config,
     )
-    blocks = _blocks(frames, matches.individuals * keypoints)
+    blocks = frame_blocks(frames, matches.individuals * keypoints)
     for block, part in zip(blocks, map_in_threads(work, blocks), strict=True):
         found.positions[block] = part.positions
         found.error[block] = part.error
@@ -135,7 +135,7 @@ def check_same_cameras(recording: Recording, rig: CameraRig) -> None:
         )
 
 
-def _blocks(frames: int, points: int) -> list[Ints]:
+def frame_blocks(frames: int, points: int) -> list[Ints]:
     """Return the indices of the frames, as many at a time as a block has room for.
 
     points: in each frame.

@@ -1,15 +1,10 @@
-"""Training-free baselines for two views in which nobody knows who is who.
-
-Both take rays `[frame, I, keypoint, 3]` and `[frame, J, keypoint, 3]` (unit, NaN = missing) of
-the views a and b, and a threshold in radians.
-"""
+"""A training-free baseline for two views in which nobody knows who is who."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
-import cv2
 import numpy as np
 
 from mocap_calib.config import (
@@ -18,12 +13,7 @@ from mocap_calib.config import (
     FIVE_POINT_LEAST_JOINTS,
     FivePointConfig,
 )
-from mocap_calib.geometry.epipolar import (
-    depths,
-    essential_matrix,
-    pose_from_essential,
-    sampson_angle,
-)
+from mocap_calib.geometry.epipolar import depths, essential_matrix, sampson_angle
 from mocap_calib.two_view.assignment import mutual_best
 from mocap_calib.types import Bools, Floats, Ints
 
@@ -42,6 +32,18 @@ class Found(NamedTuple):
     matches: Ints
 
 
+class Estimator(Protocol):
+    """What finds a relative pose among points of which some are wrong matches."""
+
+    def __call__(
+        self, rays_a: Floats, rays_b: Floats, threshold: float, *, trials: int
+    ) -> RelativePose | None:
+        """Return R and unit t of b_from_a that most of the rays `[N, 3]` agree on.
+
+        threshold: in radians. trials: draws of five points. None where no model is found.
+        """
+
+
 @dataclass(frozen=True)
 class _Problem:
     """The rays of two views, and when a joint is an inlier (radians)."""
@@ -50,6 +52,7 @@ class _Problem:
     rays_b: Floats
     threshold: float
     config: FivePointConfig
+    estimator: Estimator
 
     @property
     def pairs_of_detections(self) -> tuple[int, int, int]:
@@ -58,18 +61,32 @@ class _Problem:
         return frames, rows, self.rays_b.shape[1]
 
 
-def all_pairs_magsac(
-    rays_a: Floats, rays_b: Floats, threshold: float, *, config: FivePointConfig | None = None
-) -> Found | None:
-    """Run MAGSAC (Barath 2019, as in OpenCV) on the joints of all pairs of detections of a frame.
+def estimate_by_loransac(
+    rays_a: Floats, rays_b: Floats, threshold: float, *, trials: int
+) -> RelativePose | None:
+    """Return the relative pose by COLMAP's LO-RANSAC of five points, as an `Estimator` does.
 
-    rays_a, rays_b: unit rays `[frame, I | J, keypoint, 3]` of both views, NaN = missing.
-    threshold: Sampson's angle in radians. Returns None where no model is found.
+    Chum, Matas and Kittler 2003: "Locally Optimized RANSAC"; the five points by Nister 2004. The
+    draws are the same in each call.
     """
-    problem = _Problem(rays_a, rays_b, threshold, config or FivePointConfig())
-    everything = np.ones(problem.pairs_of_detections, dtype=bool)
-    pose = _essential_pose(problem, everything, cv2.USAC_MAGSAC)
-    return None if pose is None else Found(*pose, _list_matches(problem, pose))
+    import pycolmap  # noqa: PLC0415 - takes 0.3 s, and other solvers of pairs do not need it
+
+    # of focal length 1, so that its pixels are radians
+    camera = pycolmap.Camera(model="SIMPLE_PINHOLE", width=1, height=1, params=[1.0, 0.0, 0.0])
+    options = pycolmap.RANSACOptions(
+        max_error=threshold,
+        confidence=FIVE_POINT_CONFIDENCE,
+        min_num_trials=trials,
+        max_num_trials=trials,
+        random_seed=0,
+    )
+    points_a, points_b = (rays[:, :2] / rays[:, 2:] for rays in (rays_a, rays_b))
+    found = pycolmap.estimate_essential_matrix(points_a, points_b, camera, camera, options)
+    if found is None:
+        return None
+    b_from_a = found["cam2_from_cam1"]
+    translation = np.array(b_from_a.translation)
+    return b_from_a.rotation.matrix(), translation / np.linalg.norm(translation)
 
 
 def five_point_over_matches(
@@ -79,6 +96,7 @@ def five_point_over_matches(
     rng: np.random.Generator,
     *,
     config: FivePointConfig | None = None,
+    estimator: Estimator = estimate_by_loransac,
 ) -> Found | None:
     """Run RANSAC over matches of detections, five-point (Nister 2004) on their joints.
 
@@ -89,10 +107,10 @@ def five_point_over_matches(
     rays_a, rays_b: unit rays `[frame, I | J, keypoint, 3]` of both views, NaN = missing.
     threshold: Sampson's angle in radians. Returns None where no model is found.
     """
-    problem = _Problem(rays_a, rays_b, threshold, config or FivePointConfig())
+    problem = _Problem(rays_a, rays_b, threshold, config or FivePointConfig(), estimator)
     best, most = None, 0.0
     for matched in _candidates(problem, rng):
-        pose = _essential_pose(problem, matched, cv2.RANSAC)
+        pose = _estimate_pose(problem, matched)
         if pose is None:
             continue
         inliers = _count_inliers(problem, pose)
@@ -100,10 +118,11 @@ def five_point_over_matches(
             best, most = pose, inliers
     if best is None:
         return None
-    again = _essential_pose(problem, _best_matches_mask(problem, best), cv2.RANSAC)
+    again = _estimate_pose(problem, match_by_pose(rays_a, rays_b, best, threshold))
     if again is not None and _count_inliers(problem, again) >= most:
         best = again
-    return Found(*best, _list_matches(problem, best))
+    matched = match_by_pose(rays_a, rays_b, best, threshold)
+    return Found(*best, matches=np.argwhere(matched).astype(np.int64))
 
 
 def _candidates(problem: _Problem, rng: np.random.Generator) -> Iterator[Bools]:
@@ -139,29 +158,13 @@ def _possible_matches(present_a: Bools, present_b: Bools) -> list[list[tuple[int
     return double or [[match] for match in single]
 
 
-def _essential_pose(problem: _Problem, matched: Bools, method: int) -> RelativePose | None:
-    """Return R and unit t by OpenCV's robust estimation from the joints of matches.
-
-    Of the four decompositions of E the one with most inliers in front of both cameras.
-    matched: `[frame, I, J]`. None where no model is found.
-    """
+def _estimate_pose(problem: _Problem, matched: Bools) -> RelativePose | None:
+    """Return R and unit t from the joints of matches `[frame, I, J]`; None where there is none."""
     rays_a, rays_b = _correspondences(problem, matched)
     if len(rays_a) < FIVE_POINT_LEAST_JOINTS:
         return None
-    model, mask = cv2.findEssentialMat(
-        rays_a[:, :2] / rays_a[:, 2:],
-        rays_b[:, :2] / rays_b[:, 2:],
-        np.eye(3),
-        method=method,
-        prob=FIVE_POINT_CONFIDENCE,
-        threshold=problem.threshold,
-        maxIters=problem.config.ransac_iterations,
-    )
-    if model is None or model.shape != (3, 3) or not np.any(mask):
-        return None
-    inlier = mask.ravel() > 0
-    matrix = np.asarray(model, dtype=np.float64)
-    return pose_from_essential(matrix, rays_a[inlier], rays_b[inlier])
+    trials = problem.config.ransac_iterations
+    return problem.estimator(rays_a, rays_b, problem.threshold, trials=trials)
 
 
 def _correspondences(problem: _Problem, matched: Bools) -> tuple[Floats, Floats]:
@@ -175,18 +178,29 @@ def _correspondences(problem: _Problem, matched: Bools) -> tuple[Floats, Floats]
     return rays_a[both], rays_b[both]
 
 
-def _inliers(problem: _Problem, pose: RelativePose) -> tuple[Ints, Ints]:
+def match_by_pose(rays_a: Floats, rays_b: Floats, pose: RelativePose, threshold: float) -> Bools:
+    """Return where two detections of a frame are each other's best match, `[frame, I, J]`.
+
+    rays_a, rays_b: unit rays `[frame, I | J, keypoint, 3]` of both views, NaN = missing.
+    threshold: Sampson's angle in radians, below which a joint agrees with the pose.
+    """
+    return mutual_best(_share(*_inliers(rays_a, rays_b, pose, threshold)), least=0.0)
+
+
+def _inliers(
+    rays_a: Floats, rays_b: Floats, pose: RelativePose, threshold: float
+) -> tuple[Ints, Ints]:
     """Return how many joints of each possible match are inliers, and how many it has.
 
     `[frame, I, J]` each.
     """
     rotation, translation = pose
-    shape = (*problem.pairs_of_detections, *problem.rays_a.shape[2:])
-    rays_a = np.broadcast_to(problem.rays_a[:, :, None], shape).reshape(-1, 3)
-    rays_b = np.broadcast_to(problem.rays_b[:, None], shape).reshape(-1, 3)
+    shape = np.broadcast_shapes(rays_a[:, :, None].shape, rays_b[:, None].shape)
+    rays_a = np.broadcast_to(rays_a[:, :, None], shape).reshape(-1, 3)
+    rays_b = np.broadcast_to(rays_b[:, None], shape).reshape(-1, 3)
     error = np.abs(sampson_angle(essential_matrix(rotation, translation), rays_a, rays_b))
     depth_a, depth_b = depths(rotation, translation, rays_a, rays_b)
-    inlier = (error < problem.threshold) & (depth_a > 0) & (depth_b > 0)
+    inlier = (error < threshold) & (depth_a > 0) & (depth_b > 0)
     seen = np.isfinite(error)
     return inlier.reshape(shape[:-1]).sum(-1), seen.reshape(shape[:-1]).sum(-1)
 
@@ -198,17 +212,7 @@ def _share(inliers: Ints, seen: Ints) -> Floats:
 
 def _count_inliers(problem: _Problem, pose: RelativePose) -> float:
     """Return how many joints of right matches are inliers."""
-    inliers, seen = _inliers(problem, pose)
+    inliers, seen = _inliers(problem.rays_a, problem.rays_b, pose, problem.threshold)
     share = _share(inliers, seen)
     right = mutual_best(share, least=0.0) & (share >= problem.config.least_fit)
     return float((inliers * right).sum())
-
-
-def _best_matches_mask(problem: _Problem, pose: RelativePose) -> Bools:
-    """Return where two detections are each other's best match, `[frame, I, J]`."""
-    return mutual_best(_share(*_inliers(problem, pose)), least=0.0)
-
-
-def _list_matches(problem: _Problem, pose: RelativePose) -> Ints:
-    """Return the best matches as rows (frame, i, j) `[match, 3]`."""
-    return np.argwhere(_best_matches_mask(problem, pose)).astype(np.int64)

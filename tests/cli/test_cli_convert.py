@@ -321,6 +321,11 @@ def test_run_writes_what_is_asked_for(tool, small, tmp_path):
     assert {"colmap/images.txt", "nerfstudio/transforms.json", "poses3d.nc", "points3d.h5"} <= names
     assert_same(read_rig(tmp_path / "out/cameras.yaml"), read_rig(tmp_path / "out/colmap"))
     assert load_poses(tmp_path / "out/poses3d.nc").rate == 30.0
+    bodies = load_poses(tmp_path / "out/poses3d.h5").poses
+    points = load_cameras(tmp_path / "out/colmap").points
+    known = np.isfinite(bodies.positions[..., 0])
+    np.testing.assert_array_equal(points.positions, bodies.positions[known])
+    assert len(points.view) == bodies.views[known].sum()
     report = json.loads((tmp_path / "out/run.json").read_text())
     assert report["unit"] == "arbitrary"
     assert names == {"run.json", *report["outputs"]}

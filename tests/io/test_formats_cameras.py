@@ -38,6 +38,7 @@ CARRIES = {
     "anipose": ((0, 4, 5, 8), True, True, False),
     "opencv": ((0, 4, 5, 8), True, True, False),
     "colmap": ((0, 4, 5, 8), True, True, False),
+    "colmap-binary": ((0, 4, 5, 8), True, True, False),
     "caliscope": ((0, 4, 5), True, True, False),
     "nerfstudio": ((0, 4, 5), True, True, False),
     "openmvg": ((0, 4, 5), True, True, True),
@@ -51,6 +52,7 @@ CARRIES = {
     "dannce": ((0, 4, 5), False, False, False),
     "4d-association": ((0,), False, True, False),
 }
+WITHOUT_UNIT = {"colmap-binary"}
 
 
 def back(rig, name, provenance=None):
@@ -98,7 +100,7 @@ def test_what_is_written_comes_back(name, data):
         )
     )
     found = back(rig, name, {"seed": 0, "path": "a b", "none": None})
-    assert found.unit == (unit or rig.unit)
+    assert found.unit == ("" if name in WITHOUT_UNIT else unit or rig.unit)
     scale = METRES[rig.unit] / METRES[unit] if unit else 1.0
     assert_same(rig, found, sizes=sizes, names=name != "4d-association", scale=scale)
 
@@ -236,7 +238,7 @@ def test_a_unit_is_never_assumed():
             with pytest.raises(MismatchError, match="--unit"):
                 format_rig(rig, name, {})
         else:
-            assert back(rig, name).unit == "arbitrary"
+            assert back(rig, name).unit == ("" if name in WITHOUT_UNIT else "arbitrary")
 
 
 def test_the_users_unit_does_not_contradict_the_file(tmp_path):
@@ -346,13 +348,13 @@ REAL = {
     "sleap_anipose_session/calibration.toml": (4, 4, "arbitrary"),
     "lightning_pose_csv/calibration.toml": (3, 3, "arbitrary"),
     "colmap/txt": (4, 4, "arbitrary"),
+    "colmap/bin": (4, 4, "arbitrary"),
     "dannce_mat/label3d_dannce.mat": (6, 6, "mm"),
     "dannce_mat/label3d_demo.mat": (6, 6, "mm"),
     "more/sleap_8cam_calibration.toml": (8, 8, "arbitrary"),
 }
 REFUSED = {
     "caliscope/charuco.toml": "sections with a camera",
-    "colmap/bin": "text model",
     "dannce_mat/com3d.mat": "params",
     "easymocap/extri_excerpt.yml": r"called extri\.yml, beside its intri\.yml",
     "kalibr_like/camera_intrinsics.yaml": "camera_model",
@@ -381,7 +383,7 @@ def test_other_files_are_refused_for_a_reason(path):
 
 
 @needs_samples
-def test_one_real_rig_in_six_formats_is_one_rig():
+def test_one_real_rig_in_seven_formats_is_one_rig():
     """The samples were made of the Pose2Sim one by other programs; what each cannot hold is left
     out (tangential terms, digits).
     """
@@ -392,6 +394,7 @@ def test_one_real_rig_in_six_formats_is_one_rig():
         ("nerfstudio/transforms.json", 1, name),
         ("openmvg/sfm_data.json", 1, name),
         ("colmap/txt", 1, name),
+        ("colmap/bin", 1, name),
     ):
         found = load_cameras(SAMPLES / path)
         np.testing.assert_allclose(found.extrinsics[called][0], rotation, atol=1e-9)
@@ -466,7 +469,13 @@ OTHERS = [
 ]
 
 
-@pytest.mark.parametrize("name", WRITTEN)
+@pytest.mark.parametrize(
+    "name",  # COLMAP takes up to 2 s for a count that is not true
+    [
+        pytest.param(name, marks=pytest.mark.slow) if name == "colmap-binary" else name
+        for name in WRITTEN
+    ],
+)
 @settings(max_examples=40, deadline=10_000, suppress_health_check=[HealthCheck.too_slow])
 @given(data=st.data())
 def test_damaged_files_load_or_are_refused_in_a_line(name, data):

@@ -266,13 +266,21 @@ def test_colmap_models_and_comments(tmp_path):
     np.testing.assert_allclose(rig.rotation[1] @ [1, 0, 0], [0, 1, 0], atol=1e-15)
     np.testing.assert_array_equal(rig.rotation[2], np.eye(3))
     for broken, reason in (
-        ("1 OPENCV 640 480 500", "8 parameters"),
-        ("1 THIN_PRISM_FISHEYE 640 480 1 1 1 1", "THIN_PRISM"),
-        ("1 PINHOLE 640", "3 cells"),
+        ("1 OPENCV 640 480 500", "without the parameters of its model"),
+        (
+            "1 PINHOLE 6 4 1 1 1 1\n2 THIN_PRISM_FISHEYE 6 4" + " 1" * 12,
+            "camera 2: expected one of the camera models .* found THIN_PRISM_FISHEYE",
+        ),
+        ("1 PINHOLE 640", "a line of cameras.txt that is not CAMERA_ID MODEL"),
+        ("1 PINHOLE 6 4 1 1 1 1\n1 PINHOLE 6 4 1 1 1 1", "two cameras with one CAMERA_ID"),
+        ("1 PINHOLE 6 4 1 1 1 1", "an image whose CAMERA_ID is of no camera"),
     ):
         (tmp_path / "cameras.txt").write_text(broken + "\n")
-        with pytest.raises(FormatError, match=f"cameras.txt: line 1: .*{reason}"):
+        with pytest.raises(FormatError, match=f"^{tmp_path}:.*{reason}"):
             load_cameras(tmp_path)
+    (tmp_path / "images.txt").write_text("1 0 0 0 0 1 2 3 1 a.png\n\n")
+    with pytest.raises(FormatError, match=r"image a.png: expected a unit quaternion"):
+        load_cameras(tmp_path)
 
 
 def test_voxelpose_of_a_sequence_and_of_two():

@@ -71,7 +71,7 @@ def test_what_it_does_not_survive_is_a_line(call, how):
     with pytest.raises(
         FormatError,
         match=(
-            rf"^there/x.h5: expected a whole HDF5 file, found "
+            rf"^there/x.h5: expected an HDF5 file that is whole, found "
             rf"damage .*\({how}\); copy or export it again$"
         ),
     ):
@@ -84,7 +84,7 @@ def test_what_it_does_not_survive_is_a_line(call, how):
 def test_memory_is_held_to_the_file():
     """1.6 GB for a file of eight bytes, to which 1 GB is allowed; six for a megabyte."""
     with pytest.raises(
-        FormatError, match=r"^there/x.h5: expected HDF5 of a size that memory holds"
+        FormatError, match=r"^there/x.h5: expected an HDF5 file of a size that memory holds"
     ):
         inside(much, 200_000_000)
     assert inside(much, 50_000_000) == 5e7

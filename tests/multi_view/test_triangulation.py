@@ -11,7 +11,9 @@ from mocap_calib.config import (
     TriangulateConfig,
 )
 from mocap_calib.geometry.rotation import matrix_from_vector
+from mocap_calib.multi_view.observed_points import observe_points
 from mocap_calib.multi_view.triangulation import (
+    frame_blocks,
     project,
     reprojection_error,
     triangulate,
@@ -112,3 +114,20 @@ def test_poses_of_true_rig_and_labels_are_the_truth():
     assert 1.0 < np.nanmedian(poses.error) < 3.5
     assert poses.unit == "m"
     assert set(np.unique(poses.views)) <= {0, 2, 3, 4}
+
+
+def test_observed_points_are_the_points_and_the_detections_of_the_poses():
+    """In several blocks of frames: every point once, a detection for each view that counted."""
+    made, found = scene(frames=400), recording(frames=400)
+    matches = truth(frames=400)
+    poses = triangulate(found, made.rig, matches)
+    points = observe_points(found, made.rig, matches)
+    known = np.isfinite(poses.positions[..., 0])
+    assert len(frame_blocks(400, known[0].size)) > 1
+    np.testing.assert_array_equal(points.positions, poses.positions[known])
+    views = np.bincount(points.point, minlength=len(points.positions))
+    np.testing.assert_array_equal(views, poses.views[known])
+    there = project(made.rig, points.positions.T)[points.view, :, points.point]
+    square = ((there - points.pixels) ** 2).sum(1)
+    error = np.sqrt(np.bincount(points.point, square) / views)
+    np.testing.assert_allclose(error, poses.error[known], rtol=1e-9)

@@ -33,7 +33,7 @@ from mocap_calib.steerpose.training.poses import PoseSet
 from mocap_calib.steerpose.training.train import train_steerer
 from mocap_calib.steerpose.training.views import fibonacci_hemisphere, hemisphere_views
 from mocap_calib.synthetic import people
-from mocap_calib.two_view.five_point import all_pairs_magsac, five_point_over_matches
+from mocap_calib.two_view.five_point import estimate_by_loransac, five_point_over_matches
 from mocap_calib.types import silent
 
 PEOPLE = load_skeleton("people")
@@ -350,10 +350,9 @@ def five_point(rays_a, rays_b, threshold):
     return five_point_over_matches(rays_a, rays_b, threshold, np.random.default_rng(0))
 
 
-@pytest.mark.parametrize("baseline", [five_point, all_pairs_magsac])
-def test_baselines_on_an_easy_pair(baseline):
+def test_the_baseline_on_an_easy_pair():
     views, vector, t = steered_scene()
-    found = baseline(views.rays_a, views.rays_b, 2.0 / views.focal)
+    found = five_point(views.rays_a, views.rays_b, 2.0 / views.focal)
     assert found is not None
     assert np.degrees(angle_between(found.rotation, matrix_numpy(vector.double().numpy()))) < 0.1
     assert np.degrees(direction_angle(found.translation, t.numpy())) < 0.1
@@ -362,7 +361,23 @@ def test_baselines_on_an_easy_pair(baseline):
     }
 
 
-def test_baselines_without_enough_joints():
+def test_loransac_finds_the_pose_among_wrong_matches_and_repeats():
+    """0.2 mrad of noise and three of ten matches wrong: 0.27 and 0.14 degrees measured."""
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-1, 1, (100, 3)) + [0, 0, 5]
+    rotation, translation = matrix_numpy(np.array([0.1, 0.6, -0.05])), np.array([-3.0, 0.2, 1.0])
+    rays = [points, points @ rotation.T + translation]
+    rays = [each / each[:, 2:] + rng.normal(0, 2e-4, each.shape) * [1, 1, 0] for each in rays]
+    rays[1][:30] = rays[1][rng.permutation(30)]
+    rays_a, rays_b = (each / np.linalg.norm(each, axis=1, keepdims=True) for each in rays)
+    found, again = (estimate_by_loransac(rays_a, rays_b, 1e-3, trials=300) for _ in range(2))
+    assert np.degrees(angle_between(found[0], rotation)) < 0.5
+    assert np.degrees(direction_angle(found[1], translation)) < 0.3
+    assert np.linalg.norm(found[1]) == pytest.approx(1.0)
+    np.testing.assert_array_equal(found[0], again[0])
+    np.testing.assert_array_equal(found[1], again[1])
+
+
+def test_the_baseline_without_enough_joints():
     nothing = np.full((1, 2, 17, 3), np.nan)
-    assert all_pairs_magsac(nothing, nothing, 0.01) is None
     assert five_point(nothing, nothing, 0.01) is None

@@ -1,10 +1,15 @@
-"""pycolmap: our text model, projected by it; its pixels are half a pixel more."""
+"""pycolmap: our text and binary models, projected by it; its pixels are half a pixel more."""
 
 import numpy as np
 import pycolmap
 from expected import FILES, POINTS, near, pixels
 
-for folder, key in (("colmap", "pixels"), ("colmap-fisheye", "pixels_fisheye")):
+for folder, key in (
+    ("colmap", "pixels"),
+    ("colmap-fisheye", "pixels_fisheye"),
+    ("colmap-binary", "pixels"),
+    ("colmap-binary-fisheye", "pixels_fisheye"),
+):
     model = pycolmap.Reconstruction(str(FILES / folder))
     images = {image.name.removesuffix(".png"): image for image in model.images.values()}
     found = []

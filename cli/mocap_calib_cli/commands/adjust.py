@@ -2,6 +2,7 @@
 
 import click
 
+from mocap_calib.config import ADJUST_SOLVERS
 from mocap_calib_cli import options, values
 
 
@@ -13,21 +14,31 @@ from mocap_calib_cli import options, values
     metavar="FILE",
     help="Where to write the matches that the adjusted cameras imply.",
 )
+@click.option(
+    "--solver",
+    type=click.Choice(ADJUST_SOLVERS),
+    default=ADJUST_SOLVERS[0],
+    metavar="NAME",
+    help="What adjusts: schur (ours), or colmap (Ceres through pycolmap, for a second opinion).",
+)
 @options.shared_options("rig", "matches", *options.MODEL, *options.KEYPOINTS, "quiet")
-def command(shared: options.SharedOptions, output: str, matches_out: str | None) -> None:
+def command(
+    shared: options.SharedOptions, output: str, matches_out: str | None, solver: str
+) -> None:
     """Adjust the cameras and match again, in turn, until no match changes (bundle adjustment).
 
     \b
     Example:
       mocap-calib adjust keypoints/ --rig rig.yaml --matches matches.csv -o cameras.yaml
       mocap-calib adjust keypoints/ --rig rig.yaml --matches matches.csv --matches-out new.csv
+      mocap-calib adjust keypoints/ --rig rig.yaml --matches matches.csv --solver colmap -o b.yaml
     """
     from mocap_calib.config import Config
     from mocap_calib.io.cameras.own import format_cameras_yaml
     from mocap_calib.io.provenance import provenance
     from mocap_calib.io.results.matches_csv import matches_csv
     from mocap_calib.multi_view.association import label_all_frames
-    from mocap_calib.multi_view.refinement import adjust_until_stable
+    from mocap_calib.multi_view.refinement import adjust_until_stable, choose_adjuster
     from mocap_calib.multi_view.tracking import finalise_identities
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.progress import Reporter
@@ -43,7 +54,13 @@ def command(shared: options.SharedOptions, output: str, matches_out: str | None)
         instances = sample.positions.shape[2]  # a frame that is not in the sample may have more
         sampled = matches.select(frames=sample_frames, instances=instances)
         adjusted = adjust_until_stable(
-            sample, rig, sampled, config, lifted=lifted, progress=reporter
+            sample,
+            rig,
+            sampled,
+            config,
+            lifted=lifted,
+            progress=reporter,
+            adjuster=choose_adjuster(solver),
         )
         if matches_out is not None:
             matches = label_all_frames(
@@ -59,5 +76,6 @@ def command(shared: options.SharedOptions, output: str, matches_out: str | None)
             matches = finalise_identities(recording, adjusted.rig, matches, config.matching)
             outputs.write_text(matches_out, matches_csv(recording, matches))
     outputs.write_text(
-        output, [format_cameras_yaml(adjusted.rig, provenance("adjust", adjusted=True))]
+        output,
+        [format_cameras_yaml(adjusted.rig, provenance("adjust", solver=solver, adjusted=True))],
     )

@@ -5,7 +5,7 @@ from typing import Any
 
 from mocap_calib.io.cameras.intrinsics import make_extrinsics
 from mocap_calib.io.cameras.source import CameraFile, Source, unique
-from mocap_calib.types import Camera, Floats
+from mocap_calib.types import Camera, Floats, ObservedPoints
 
 # `[3, 3]` rotation and `[3]` translation of cam_from_world
 Extrinsics = tuple[Floats, Floats]
@@ -17,9 +17,16 @@ _IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 
 
 def collect_cameras(
-    found: Iterable[PlacedCamera], source: str, *, unit: str = "", notes: Iterable[str] = ()
+    found: Iterable[PlacedCamera],
+    source: str,
+    *,
+    unit: str = "",
+    notes: Iterable[str] = (),
+    points: ObservedPoints | None = None,
 ) -> CameraFile:
     """Return the cameras of a file, each with its extrinsics where the file has them.
+
+    points: that these cameras see, where the file has such.
 
     Raises FormatError where there is no camera, or two have one name.
     """
@@ -29,6 +36,7 @@ def collect_cameras(
         extrinsics={camera.name: given for camera, given in placed if given is not None},
         unit=unit,
         notes=tuple(notes),
+        points=points or ObservedPoints.none(),
     )
 
 

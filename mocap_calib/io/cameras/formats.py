@@ -25,13 +25,12 @@ from mocap_calib.io.cameras import (
 )
 from mocap_calib.io.cameras.source import CameraFile, Source
 from mocap_calib.io.registry import Format, Written
-from mocap_calib.types import CameraRig
 
 Provenance = Mapping[str, Any]
 CameraFormat = Format[
     Callable[[Source], bool],
     Callable[[Source], CameraFile],
-    Callable[[CameraRig, Provenance], Written],
+    Callable[..., Written],  # of a rig, provenance and, where the format has `points`, points
 ]
 
 # in the order in which they are tried: what is particular comes first
@@ -127,12 +126,23 @@ CAMERA_FORMATS = (
     ),
     CameraFormat(
         kind="cameras",
+        name="colmap-binary",
+        title="COLMAP binary model",
+        sniff=colmap.sniff_binary,
+        read=colmap.parse_binary,
+        write=colmap.write_binary,
+        folder=True,
+        points=True,
+    ),
+    CameraFormat(
+        kind="cameras",
         name="colmap",
         title="COLMAP text model",
-        sniff=colmap.sniff,
-        read=colmap.parse,
-        write=colmap.write,
+        sniff=colmap.sniff_text,
+        read=colmap.parse_text,
+        write=colmap.write_text,
         folder=True,
+        points=True,
     ),
     CameraFormat(
         kind="cameras",

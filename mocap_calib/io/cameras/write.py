@@ -11,14 +11,19 @@ from mocap_calib.io.cameras.formats import CAMERA_FORMATS, FOLDER_ENDINGS
 from mocap_calib.io.provenance import describe_judgement
 from mocap_calib.io.registry import Written, find_format
 from mocap_calib.io.units import unit_factor
-from mocap_calib.types import CameraRig
+from mocap_calib.types import CameraRig, ObservedPoints
 
 
-def format_rig(rig: CameraRig, format: str, provenance: Mapping[str, Any]) -> Written:
+def format_rig(
+    rig: CameraRig,
+    format: str,
+    provenance: Mapping[str, Any],
+    points: ObservedPoints | None = None,
+) -> Written:
     """Return the files of a rig in the format, by the names and in the unit that the format has.
 
-    A verdict on the rig, which a provenance may have, stands in a comment where the files can hold
-    one.
+    points: that the views see; they are lost where the format has no place for points. A verdict on
+    the rig, which a provenance may have, stands in a comment where the files can hold one.
 
     Raises MismatchError where the format is only read or cannot carry the rig, and where it needs
     a unit of length that is not known.
@@ -28,22 +33,31 @@ def format_rig(rig: CameraRig, format: str, provenance: Mapping[str, Any]) -> Wr
     if known.unit:
         factor = unit_factor(rig.unit, known.unit, format)
         rig = replace(rig, translation=rig.translation * factor, unit=known.unit)
-    written = write(rig, provenance)
+    points = points or ObservedPoints.none()
+    written = write(rig, provenance, points) if known.points else write(rig, provenance)
+    if len(points.positions) and not known.points:
+        lost = f"{len(points.positions)} 3D points"
+        written = replace(written, lost=(*written.lost, lost))
     return replace(written, files=add_comments(written.files, describe_judgement(provenance)))
 
 
 def write_cameras(
-    path: str | Path, rig: CameraRig, format: str, provenance: Mapping[str, Any] | None = None
+    path: str | Path,
+    rig: CameraRig,
+    format: str,
+    provenance: Mapping[str, Any] | None = None,
+    points: ObservedPoints | None = None,
 ) -> tuple[str, ...]:
     """Write a rig in the format, whole or not at all.
 
     path: the file, or the folder where the format is several files.
+    points: that the views see.
 
     Returns what of the rig the format does not carry. Raises MismatchError as `format_rig` does,
     and where the folder has files of other cameras.
     """
     path = Path(path)
-    written = format_rig(rig, format, provenance or {})
+    written = format_rig(rig, format, provenance or {}, points)
     if find_format(CAMERA_FORMATS, format).folder:
         check_no_other_files(path, written.files, FOLDER_ENDINGS)
         write_files(path, written.files)

@@ -12,7 +12,7 @@ from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.poses.formats import POSE_FORMATS
 from mocap_calib.io.poses.write import write_poses
 from mocap_calib.io.registry import AnyFormat, find_format, written_names
-from mocap_calib.types import CameraRig
+from mocap_calib.types import CameraRig, ObservedPoints
 
 
 @dataclass(frozen=True)
@@ -65,15 +65,23 @@ def _check_unit(known: AnyFormat) -> None:
     )
 
 
+def take_points(names: Sequence[str]) -> bool:
+    """Return whether a format of these names holds observed points."""
+    return any(each.points for each in CAMERA_FORMATS if each.name in names)
+
+
 def write_formats(
     output: Path,
     rig: CameraRig,
     file: PoseFile,
     names: Sequence[str],
     provenance: Mapping[str, Any],
+    *,
+    points: ObservedPoints | None = None,
 ) -> FurtherFiles:
     """Write a rig and poses in further formats into the folder of a run.
 
+    points: for the camera formats that hold them, see `take_points`.
     Cameras go to a folder that is called as the format, poses to poses3d and the ending of the
     format (SLEAP-anipose: points3d.h5). A format that cannot hold them is left out.
     """
@@ -82,7 +90,7 @@ def write_formats(
     for name in names:
         try:
             if name in written_names(CAMERA_FORMATS):
-                lost = _write_rig(output / name, rig, name, provenance)
+                lost = _write_rig(output / name, rig, name, provenance, points)
             else:
                 lost = _write_poses(output, file, name)
         except MismatchError as error:
@@ -93,10 +101,17 @@ def write_formats(
 
 
 def _write_rig(
-    folder: Path, rig: CameraRig, name: str, provenance: Mapping[str, Any]
+    folder: Path,
+    rig: CameraRig,
+    name: str,
+    provenance: Mapping[str, Any],
+    points: ObservedPoints | None,
 ) -> tuple[str, ...]:
     """Write the files of a camera format into a folder; return what they do not hold."""
-    if find_format(CAMERA_FORMATS, name).folder:
+    known = find_format(CAMERA_FORMATS, name)
+    if known.points:
+        return write_cameras(folder, rig, name, provenance, points)
+    if known.folder:
         return write_cameras(folder, rig, name, provenance)
     file_name = next(iter(format_rig(rig, name, provenance).files))
     return write_cameras(folder / file_name, rig, name, provenance)
