@@ -22,6 +22,7 @@ from scenes import (
 from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
 from mocap_calib.multi_view.association import associate
+from mocap_calib.multi_view.refinement import adjust_until_stable
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.types import Sample, silent
 
@@ -225,7 +226,7 @@ def test_an_underconstrained_camera_is_named_and_the_rest_is_tried(monkeypatch):
             raise UnderconstrainedCameraError("camera cam3: too little", "cam3")
         return rig
 
-    monkeypatch.setattr("mocap_calib.multi_view.refinement.adjust", refusing)
+    monkeypatch.setitem(adjust_until_stable.__kwdefaults__, "adjuster", refusing)
     result = calibrate_all(recording())
     assert (result.groups[0].rig.names, result.left_out) == (("cam1", "cam2", "cam4"), ("cam3",))
     assert tried[0] == ("cam1", "cam2", "cam3", "cam4")

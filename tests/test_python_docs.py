@@ -69,7 +69,7 @@ def test_page(folder, capsys):
     assert names["matches"] == found
     assert names["session_poses"].positions.shape == names["poses"].positions.shape
     written = {path.name for path in folder.iterdir()}
-    assert {"Calib.toml", "model", "poses.trc", "poses_1.trc", "poses.nc", "openpose"} <= written
+    assert {"Calib.toml", "model", "poses_0.trc", "poses_1.trc", "poses.nc", "openpose"} <= written
 
 
 def test_the_page_says_all_names():

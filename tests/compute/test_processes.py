@@ -17,10 +17,10 @@ from mocap_calib.errors import ClusterError
 AT_WORK = """
 import sys
 from mocap_calib.compute.parallel import map_in_processes, processes
-sys.path.insert(0, sys.argv[1])
+sys.path += sys.argv[2:]
 from test_processes import say_and_sleep
 with processes(1) as workers:
-    list(workers(say_and_sleep, [sys.argv[2]]))
+    list(workers(say_and_sleep, [sys.argv[1]]))
 """
 
 
@@ -90,12 +90,6 @@ def test_no_more_is_taken_than_keeps_the_processes_busy():
     assert taken == [0, 1, 2, 3]
 
 
-def wait_for_worker(path):
-    while not path.exists():
-        time.sleep(0.01)
-    return psutil.Process(int(path.read_text()))
-
-
 def start_and_interrupt(path):
     """Have a process work for a minute, and interrupt it after a second."""
     before = signal.signal(signal.SIGALRM, signal.default_int_handler)
@@ -107,6 +101,7 @@ def start_and_interrupt(path):
         signal.signal(signal.SIGALRM, before)
 
 
+@posix
 def test_an_interruption_ends_work_that_is_under_way(tmp_path):
     start = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
@@ -117,9 +112,13 @@ def test_an_interruption_ends_work_that_is_under_way(tmp_path):
         assert not psutil.pid_exists(int(path.read_text()))
 
 
+@posix
 def test_a_process_at_work_ends_with_the_one_that_was_killed(tmp_path):
-    command = [sys.executable, "-c", AT_WORK, os.path.dirname(__file__), tmp_path / "pid"]
-    with subprocess.Popen(command) as parent:
-        worker = wait_for_worker(tmp_path / "pid")
+    said = tmp_path / "pid"
+    with subprocess.Popen([sys.executable, "-c", AT_WORK, said, *sys.path]) as parent:
+        while not said.exists():
+            assert parent.poll() is None
+            time.sleep(0.01)
+        worker = psutil.Process(int(said.read_text()))
         parent.kill()
     assert psutil.wait_procs([worker], timeout=10)[1] == []

@@ -107,6 +107,7 @@ def test_what_is_written_comes_back(name, data):
 
 JUDGED = judgement("not determined", ["inconsistent: zo\u00eb's: 'left'"], 3.25)
 WITHOUT_COMMENTS = {
+    "colmap-binary",
     "dannce",
     "nerfstudio",
     "openmvg",

@@ -152,4 +152,4 @@ def test_the_loop_on_the_command_line(tmp_path, tool):
     assert "the model of poses3d knows 17" in done.stderr
     missing = tool("run", *files, "--model", "horse", "-o", tmp_path / "no")
     assert missing.returncode == 1
-    assert "expected a weights file, or a shipped model" in missing.stderr
+    assert "expected a shipped model (people, quadruped" in missing.stderr

@@ -59,7 +59,7 @@ def build(rig: CameraRig, points: ObservedPoints) -> pycolmap.Reconstruction:
             image_id=number,
         )
         rotation = pycolmap.Rotation3d(rig.rotation[view])
-        pose = pycolmap.Rigid3d(rotation, rig.translation[view])
+        pose = pycolmap.Rigid3d(rotation, rig.translation[view] + 0.0)  # no -0 in text
         model.add_image_with_trivial_frame(image, pose)
     for position, track in zip(points.positions, _make_tracks(points), strict=True):
         model.add_point3D(position, track)
