@@ -8,8 +8,9 @@ from mocap_calib.config import AdjustConfig, Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.multi_view.labels import per_frame_labels
-from mocap_calib.multi_view.ray_residuals import RayObservations, State
-from mocap_calib.multi_view.schur import minimise
+from mocap_calib.multi_view.ray_residuals import RayObservations
+from mocap_calib.multi_view.residuals import Observations, State
+from mocap_calib.multi_view.schur import Freedom, free_poses, minimise
 from mocap_calib.multi_view.triangulation import (
     gather_observations,
     labelled_frames,
@@ -23,19 +24,29 @@ _NUDGE = 1e-4  # radians, for the differences that tell how the image moves with
 
 
 @dataclass(frozen=True)
-class _Points:
+class AdjustablePoints:
     """The points that are adjusted, and what is seen of them.
 
     points: `[3, N]` in world coordinates.
+    frame: `[N]` index of the frame and keypoint: `[N]` index of the keypoint that each is of.
+    pixels: `[view, 2, N]`, NaN = missing.
     rays: `[view, 3, N]` unit vectors in each camera's frame, NaN = missing.
-    weight: `[view, N]`, what a detection counts for.
-    used: `[view, N]` the detections that agree on the point.
+    weight: `[view, N]`, what a detection counts for; 0 where it does not agree on the point.
+    noise: `[view]` standard deviation of a coordinate, in radians.
     """
 
     points: Floats
+    frame: Ints
+    keypoint: Ints
+    pixels: Floats
     rays: Floats
     weight: Floats
-    used: Bools
+    noise: Floats
+
+    @property
+    def used(self) -> Bools:
+        """`[view, N]` the detections that agree on the point."""
+        return np.asarray(self.weight > 0)
 
 
 def adjust(
@@ -55,6 +66,21 @@ def adjust(
     Raises UnderconstrainedCameraError for the camera that has the fewest points, where they are
     too few to constrain it, and DegenerateError where there is no match at all.
     """
+    points = choose_points(sample, rig, matches, config)
+    start = State(rig.rotation, rig.translation, points.points, np.zeros((len(rig.cameras), 0)))
+    seen = _ray_observations(rig, points)
+    freedom = free_poses(len(rig.cameras))
+    found = minimise_in_steps(start, seen, freedom, config.adjust, already_close=already_close)
+    return placed_as(rig, found)
+
+
+def choose_points(
+    sample: Sample, rig: CameraRig, matches: Matches, config: Config
+) -> AdjustablePoints:
+    """Return points of evenly spread frames that at least two views agree on.
+
+    As many as the budget allows. Raises as `adjust` does.
+    """
     if matches.individuals == 0:
         raise DegenerateError(
             "expected bodies that two views agree on, found none; "
@@ -62,16 +88,33 @@ def adjust(
         )
     matches = per_frame_labels(matches)  # who it is in other frames does not matter here
     noise = view_noise(sample, rig, matches, config.triangulate)
-    points = _choose_points(sample, rig, matches, noise=noise, config=config)
+    points = _agreed_points(sample, rig, matches, noise=noise, config=config)
     _check_every_camera(rig, points, config.adjust.least_keypoints)
-    seen = _ray_observations(rig, points, noise)
-    state = State(rig.rotation, rig.translation, points.points)
-    *wide_scales, last_scale = config.adjust.loss_scales
+    return points
+
+
+def minimise_in_steps(
+    state: State,
+    seen: Observations,
+    freedom: Freedom,
+    config: AdjustConfig,
+    *,
+    already_close: bool = False,
+) -> State:
+    """Return the state of least robust cost, under a loss that is tightened in steps.
+
+    already_close: only the last step is needed.
+    """
+    *wide_scales, last_scale = config.loss_scales
     if not already_close:
-        rough = config.adjust.rough_tolerance
+        rough = config.rough_tolerance
         for loss_scale in wide_scales:
-            state = minimise(state, seen, loss_scale=loss_scale, tolerance=rough)
-    state = minimise(state, seen, loss_scale=last_scale, tolerance=config.adjust.tolerance)
+            state = minimise(state, seen, freedom, loss_scale=loss_scale, tolerance=rough)
+    return minimise(state, seen, freedom, loss_scale=last_scale, tolerance=config.tolerance)
+
+
+def placed_as(rig: CameraRig, state: State) -> CameraRig:
+    """Return the rig with its cameras where a state has them, at the size that it has."""
     adjusted = replace(rig, rotation=state.rotation, translation=state.translation)
     return _with_size_of(rig, adjusted)
 
@@ -88,25 +131,28 @@ def _with_size_of(reference: CameraRig, rig: CameraRig) -> CameraRig:
 # Which detections the rig is built on
 
 
-def _choose_points(
+def _agreed_points(
     sample: Sample, rig: CameraRig, matches: Matches, *, noise: Floats, config: Config
-) -> _Points:
-    """Return points of evenly spread frames that at least two views agree on.
-
-    As many as the budget allows. noise: `[view]` in radians.
-    """
+) -> AdjustablePoints:
+    """Return points that at least two views agree on. noise: `[view]` in radians."""
     frames = _choose_frames(sample, matches, config.adjust.points)
     seen = gather_observations(sample, matches, frames)
     weight = _drop_doubtful(seen.confidence, config.adjust)
     outlier = config.adjust.outlier_tolerance * config.triangulate.outlier
     tolerant = replace(config.triangulate, outlier=outlier)
     points, used = triangulate_rays(rig, seen.rays, weight=weight, noise=noise, config=tolerant)
-    known = np.isfinite(points[0])
-    return _Points(
+    known = np.flatnonzero(np.isfinite(points[0]))
+    shape = (len(frames), matches.individuals, len(sample.keypoints))
+    frame, _, keypoint = np.unravel_index(known, shape)
+    confidence = weight[:, known] ** config.adjust.confidence_power
+    return AdjustablePoints(
         points=points[:, known],
+        frame=frames[frame],
+        keypoint=keypoint,
+        pixels=seen.pixels[..., known],
         rays=seen.rays[..., known],
-        weight=weight[:, known] ** config.adjust.confidence_power,
-        used=used[:, known],
+        weight=np.where(used[:, known], confidence, 0.0),
+        noise=noise,
     )
 
 
@@ -137,7 +183,7 @@ def _drop_doubtful(confidence: Floats, config: AdjustConfig) -> Floats:
     return kept
 
 
-def _check_every_camera(rig: CameraRig, points: _Points, least: int) -> None:
+def _check_every_camera(rig: CameraRig, points: AdjustablePoints, least: int) -> None:
     """Raise UnderconstrainedCameraError where fewer than `least` keypoints constrain a camera."""
     count = points.used.sum(1)
     view = int(count.argmin())
@@ -153,23 +199,24 @@ def _check_every_camera(rig: CameraRig, points: _Points, least: int) -> None:
 # Residuals
 
 
-def _ray_observations(rig: CameraRig, points: _Points, noise: Floats) -> RayObservations:
+def _ray_observations(rig: CameraRig, points: AdjustablePoints) -> RayObservations:
     """Return what was seen, with the metric that turns directions into residuals.
 
-    Residuals are in standard deviations of each view's own error (noise, `[view]` radians), so
-    that the loss means the same in all views.
+    Residuals are in standard deviations of each view's own error, so that the loss means the same
+    in all views.
     """
     axis = np.array([0.0, 0.0, 1.0])[:, None]
-    rays = np.where(points.used[:, None], points.rays, axis)
+    used = points.used
+    rays = np.where(used[:, None], points.rays, axis)
     metrics = [
         _pixels_per_ray(camera, ray.T) / (sigma * camera.focal)
-        for camera, ray, sigma in zip(rig.cameras, rays, noise, strict=True)
+        for camera, ray, sigma in zip(rig.cameras, rays, points.noise, strict=True)
     ]
     metric = np.ascontiguousarray(np.moveaxis(np.stack(metrics), 1, -1))
     return RayObservations(
         rays=rays,
-        metric=np.where(points.used[:, None, None], np.nan_to_num(metric), 0.0),
-        weight=np.where(points.used, points.weight, 0.0),
+        metric=np.where(used[:, None, None], np.nan_to_num(metric), 0.0),
+        weight=points.weight,
     )
 
 

@@ -6,10 +6,18 @@ import numpy as np
 import pytest
 from scenes import scene, turn_cameras
 
-from mocap_calib.multi_view.ray_residuals import RayObservations, State, robust_cost
-from mocap_calib.multi_view.schur import _linearise, _NormalEquations, _step, minimise
+from mocap_calib.multi_view.ray_residuals import RayObservations
+from mocap_calib.multi_view.residuals import State, robust_cost
+from mocap_calib.multi_view.schur import (
+    linearise,
+    NormalEquations,
+    _step,
+    free_poses,
+    minimise,
+)
 
 SCALE = 3.0  # of the loss
+FREE = free_poses(3)
 
 
 def problem() -> tuple[State, RayObservations]:
@@ -24,7 +32,7 @@ def problem() -> tuple[State, RayObservations]:
     basis = np.linalg.svd(np.moveaxis(rays, 1, 2)[..., None, :])[2][..., 1:, :]  # [view, N, 2, 3]
     weight = rng.uniform(0, 1, (3, 100)) * (rng.random((3, 100)) > 0.1)
     seen = RayObservations(rays=rays, metric=300 * np.moveaxis(basis, 1, 3), weight=weight)
-    return State(start.rotation, start.translation, points), seen
+    return State(start.rotation, start.translation, points, np.zeros((3, 0))), seen
 
 
 def slope(seen: RayObservations, ahead: State, behind: State, distance: float) -> float:
@@ -36,7 +44,7 @@ def slope(seen: RayObservations, ahead: State, behind: State, distance: float) -
 def test_the_gradient_is_the_slope_of_the_cost(axis):
     """By central differences, of one camera and of one point; measured 1e-7 of the largest."""
     state, seen = problem()
-    equations = _linearise(state, seen, SCALE)
+    equations = linearise(state, seen, FREE, SCALE)
     nudge = 1e-6
 
     shift = np.zeros_like(state.translation)
@@ -54,7 +62,7 @@ def test_the_gradient_is_the_slope_of_the_cost(axis):
     assert 2 * equations.point_gradient[axis, 7] == pytest.approx(expected, rel=1e-4, abs=1e-4)
 
 
-def whole_system(equations: _NormalEquations) -> tuple[np.ndarray, np.ndarray]:
+def whole_system(equations: NormalEquations) -> tuple[np.ndarray, np.ndarray]:
     """Return the normal matrix and the gradient of all cameras and points, undamped."""
     views, count = len(equations.camera), equations.point_gradient.shape[1]
     rows = 6 * views
@@ -73,21 +81,21 @@ def whole_system(equations: _NormalEquations) -> tuple[np.ndarray, np.ndarray]:
 def test_the_reduced_system_gives_the_step_of_the_whole_system():
     """All unknowns but those of the first camera, solved at once: measured 3e-11 of the largest."""
     state, seen = problem()
-    equations = _linearise(state, seen, SCALE)
+    equations = linearise(state, seen, FREE, SCALE)
     damping = 0.01
     matrix, gradient = whole_system(equations)
     matrix += damping * np.diag(np.diag(matrix))
     step = -np.linalg.solve(matrix[6:, 6:], gradient[6:])
     expected = step[12:].reshape(-1, 3).T  # after the steps of the second and the third camera
-    found = _step(state, equations, damping).points - state.points
+    found = _step(state, equations, FREE, damping).points - state.points
     np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
 
 
 def test_minimising_ends_where_the_gradient_vanishes():
     state, seen = problem()
-    found = minimise(state, seen, loss_scale=SCALE, tolerance=1e-12)
-    before = _linearise(state, seen, SCALE).camera_gradient[1:]
-    after = _linearise(found, seen, SCALE).camera_gradient[1:]
+    found = minimise(state, seen, FREE, loss_scale=SCALE, tolerance=1e-12)
+    before = linearise(state, seen, FREE, SCALE).camera_gradient[1:]
+    after = linearise(found, seen, FREE, SCALE).camera_gradient[1:]
     assert np.abs(after).max() < 1e-4 * np.abs(before).max()
     assert robust_cost(found, seen, SCALE) < 0.5 * robust_cost(state, seen, SCALE)
     np.testing.assert_array_equal(found.rotation[0], state.rotation[0])
