@@ -11,6 +11,9 @@ Every message is one line: what was expected, what came, what to do. Anything el
 is a mistake of the program and keeps its traceback.
 """
 
+from collections.abc import Iterable
+from difflib import get_close_matches
+
 
 class MocapCalibError(Exception):
     """Base of all errors that a user can cause and mend."""
@@ -41,3 +44,9 @@ class UnderconstrainedCameraError(DegenerateError):
 
 class ClusterError(MocapCalibError):
     """The machines that work was sent to cannot do it."""
+
+
+def suggest(name: str, known: Iterable[str]) -> str:
+    """Return what to do about a name that is not one of the known, for the end of a message."""
+    near = get_close_matches(name, list(known), n=1)
+    return f"did you mean {near[0]}?" if near else "choose one of these"

@@ -1,12 +1,14 @@
 """What several test files share: the command, and one run of it on a small recording."""
 
+import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 import torch
+from forked_command import ForkedCommand
 from scenes import scene
 from threadpoolctl import threadpool_limits
 
@@ -21,22 +23,28 @@ Run = Callable[..., subprocess.CompletedProcess[str]]
 
 
 @pytest.fixture(scope="session")
-def tool() -> Run:
+def tool() -> Iterator[Run]:
     """Runs the command in a process of its own."""
+    command = ForkedCommand() if hasattr(os, "fork") else None
 
     def run(
-        *arguments: object, stdin: str | None = None, cwd: Path | None = None
+        *arguments: object, stdin: str = "", cwd: Path | None = None
     ) -> subprocess.CompletedProcess[str]:
+        texts = [str(argument) for argument in arguments]
+        if command:
+            return command.run(texts, stdin=stdin, cwd=cwd)
         return subprocess.run(
-            [TOOL, *map(str, arguments)],
+            [TOOL, *texts],
             input=stdin,
             capture_output=True,
-            text=True,
+            encoding="utf-8",
             check=False,
             cwd=cwd,
         )
 
-    return run
+    yield run
+    if command:
+        command.close()
 
 
 @pytest.fixture(scope="session")

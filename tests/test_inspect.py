@@ -12,6 +12,7 @@ from mocap_calib.inspection import fill_image_sizes, find_problems, inspect_view
 from mocap_calib.io.cameras.write import write_cameras
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.types import Camera, CameraRig, Keypoints2D
+from mocap_calib_cli.commands.inspect import _describe
 
 NAMES = ("nose", "left_eye", "right_eye", "left_ear", "right_ear")
 SIZE = (640, 480)
@@ -222,3 +223,25 @@ def test_the_command_says_it_as_text_and_as_json(tmp_path, tool):
     report = json.loads(tool("inspect", tmp_path, "--json").stdout)
     assert [each["level"] for each in report["findings"]] == ["CRITICAL", "CRITICAL"]
     assert report["cameras"][0]["name"] == "b"
+
+
+def test_scores_a_little_above_1_are_said_to_be_above_1():
+    """Rounded to two digits they would read `1.00`."""
+    other = view("b", seed=1)
+    other.confidence[0, 0, 0] = 1.00001
+    assert [
+        "(up to 1 + 1e-05)" in finding.message
+        for finding in found_in((view(), other))
+        if "scores" in finding.message
+    ] == [True]
+
+
+def test_every_column_is_explained():
+    report = report_of(view(frames=[1, 2, 5]), view("b", frames=[1, 2, 5], seed=1))
+    lines = _describe(report | {"findings": [{"level": "WARNING", "message": "m"}]})
+    header = lines[0].split("  ")
+    for name in ("range", "gaps", "at once", "followed", "missing", "score", "covered"):
+        assert name in map(str.strip, header)
+        assert sum(line.startswith(f"{name:<10}  ") for line in lines) == 1
+    assert "gaps        places between them where frame numbers are not there" in lines
+    assert lines[-1] == "1 finding"

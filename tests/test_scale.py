@@ -14,7 +14,7 @@ import pytest
 import torch
 from scenes import calibrate_group, precision, recording, rotation_errors_deg, scene, truth
 
-from mocap_calib.compute.parallel import map_in_processes, map_in_threads
+from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import Config, SampleConfig, TriangulateConfig
 from mocap_calib.multi_view.triangulation import gather_observations, triangulate_rays
 from mocap_calib.recording.sampling import take_sample
@@ -80,31 +80,6 @@ def test_results_come_in_order(monkeypatch):
 
 
 @pytest.mark.slow
-def squared(number):
-    return number * number, os.getpid()
-
-
-def inverse(number):
-    return 1 // number
-
-
-def test_processes_give_results_in_order_and_end(monkeypatch):
-    monkeypatch.setenv("OMP_NUM_THREADS", "2")
-    results = map_in_processes(squared, range(50))
-    first, there = next(results)
-    assert first == 0
-    os.kill(there, 0)  # it is there
-    values, pids = zip(*results, strict=True)
-    assert list(values) == [k * k for k in range(1, 50)]
-    assert os.getpid() not in pids
-    assert 1 <= len({there, *pids}) <= 2
-    for pid in {there, *pids}:
-        with pytest.raises(ProcessLookupError):
-            os.kill(pid, 0)
-    with pytest.raises(ZeroDivisionError):
-        list(map_in_processes(inverse, range(3)))
-
-
 def test_threads_change_no_byte(small, tmp_path):
     for threads in ("1", "2"):
         command = [

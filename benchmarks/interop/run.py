@@ -4,10 +4,10 @@ Each consumer is installed in an environment of its own.
 
     .venv/bin/python benchmarks/interop/run.py SCRATCH [consumer ...]
 
-Writes one rig and one set of poses in every format to SCRATCH/files, with the pixels and positions
-that must come out in expected.json; makes SCRATCH/env-CONSUMER with pip (nothing is installed
-twice), runs checks/check_CONSUMER.py there, and prints a table: what was read, by what, and the
-largest difference. docs/formats.md holds the last run.
+Writes one rig and one set of poses in every format to SCRATCH/files, and detections for SLEAP, with
+the pixels and positions that must come out in expected.json; makes SCRATCH/env-CONSUMER with pip
+(nothing is installed twice), runs checks/check_CONSUMER.py there, and prints a table: what was
+read, by what, and the largest difference. docs/formats.md holds the last run.
 """
 
 import json
@@ -23,10 +23,11 @@ from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.io.cameras.formats import CAMERA_FORMATS
 from mocap_calib.io.cameras.write import write_cameras
+from mocap_calib.io.keypoints.write import write_keypoints
 from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.poses.formats import POSE_FORMATS
 from mocap_calib.io.poses.write import write_poses
-from mocap_calib.types import Camera, CameraRig, Poses3D
+from mocap_calib.types import Camera, CameraRig, Keypoints2D, Poses3D
 
 HERE = Path(__file__).parent
 CONSTRAINTS = (
@@ -88,6 +89,24 @@ CONSUMERS: dict[str, dict[str, list[str]]] = {
         "python": ["3.12"],
         "alone": ["movement"],
         "pip": ["xarray", "h5netcdf", "h5py", "numpy", "pandas", "attrs", "loguru", "scipy"],
+    },
+    "sleap_io": {
+        "alone": ["sleap-io"],
+        "pip": [
+            "numpy",
+            "h5py",
+            "attrs",
+            "lazy-loader",
+            "simplejson",
+            "imageio",
+            "pandas",
+            "tqdm",
+            "shapely",
+            "click",
+            "h5netcdf",
+            "PyYAML",
+            "scipy",
+        ],
     },
     "ndx_pose": {"pip": ["pynwb", "ndx-pose", "numpy", "h5netcdf", "c3d", "PyYAML", "scipy"]},
 }
@@ -168,7 +187,7 @@ def _torch_only(path: Path) -> Path:
 
 
 def write_files(files: Path) -> None:
-    """One rig and one set of poses in every format, and what must come out of them."""
+    """Write a rig and poses in every format, SLEAP's detections, and what must come out of them."""
     rig, poses = make_rig(), make_poses()
     fish = replace(
         rig,
@@ -201,6 +220,8 @@ def write_files(files: Path) -> None:
                 poses,
                 form.name,
             )
+    views = make_views()
+    write_keypoints(files / "sleap", views, "sleap")
     points = np.random.default_rng(1).uniform(-0.5, 0.5, size=(20, 3))
     expected = {
         "points": points.tolist(),
@@ -222,6 +243,9 @@ def write_files(files: Path) -> None:
             for v, c in enumerate(each_rig.cameras)
         ]
         expected[key] = seen
+    expected["detections"] = {
+        view.camera: np.nan_to_num(view.positions, nan=-99.0).tolist() for view in views
+    }
     (files / "expected.json").write_text(json.dumps(expected))
 
 
@@ -253,6 +277,27 @@ def make_poses() -> PoseFile:
         "m",
     )
     return PoseFile(poses, 60.0)
+
+
+def make_views() -> tuple[Keypoints2D, ...]:
+    """Two cameras with two instances, followed in the one and in any order in the other."""
+    rng = np.random.default_rng(2)
+    positions = rng.uniform(10, 600, size=(20, 2, 3, 2))
+    positions[3, 0, 1] = np.nan
+    positions[7, 1] = np.nan
+    return tuple(
+        Keypoints2D(
+            camera=camera,
+            keypoints=("nose", "ear", "tail"),
+            frames=np.arange(20),
+            positions=positions,
+            confidence=np.where(np.isfinite(positions[..., 0]), 0.75, 0.0),
+            tracked=camera == "tracked",
+            image_size=(1280, 720),
+            source="made",
+        )
+        for camera in ("tracked", "untracked")
+    )
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from mocap_calib.io.results.group import REVERSED_RIG
+from mocap_calib.recording.counting import count
 from mocap_calib.recording.meanings import describe_unshared
 from mocap_calib.recording.summary import RecordingSummary
 from mocap_calib.types import CalibrationResult, GroupResult
@@ -45,14 +46,14 @@ def _describe_left_out(summary: RecordingSummary) -> list[str]:
     if summary.left_out:
         lines.append(f"left out, nothing detected: {', '.join(summary.left_out)}")
     if summary.lone_detections:
-        count = summary.lone_detections
-        lines.append(f"{count} detections in frames of a single camera are left out")
+        lone = count(summary.lone_detections, "detection")
+        lines.append(f"left out, in frames of a single camera: {lone}")
     return lines
 
 
 def _describe_joints(summary: RecordingSummary) -> list[str]:
     """Say how many joints there are, and how many of them the model knows."""
-    joints = f"{summary.frames} frames; {len(summary.keypoints)} joints"
+    joints = f"{count(summary.frames, 'frame')}; {count(len(summary.keypoints), 'joint')}"
     known = f"the model of {summary.skeleton} knows {summary.known}"
     unknown = f", not: {', '.join(summary.unknown)}" if summary.unknown else ""
     lines = [f"{joints}, {known}{unknown}"]
@@ -102,7 +103,7 @@ def describe_group(group: GroupResult, report: dict[str, Any], folder: Path) -> 
         *_describe_rig(report),
         *_describe_weak_perspective(report),
         *_describe_reversal(group, folder),
-        f"{len(report['individuals'])} individuals, {points} points; "
+        f"{count(len(report['individuals']), 'individual')}, {count(points, 'point')}; "
         f"lengths in {report['unit']} units; results in {folder}",
     ]
 
@@ -153,10 +154,8 @@ def _describe_rounds(group: GroupResult) -> list[str]:
     """Say that the adjustment had not come to rest."""
     if group.adjusted.converged:
         return []
-    rounds = group.adjusted.rounds
-    return [
-        f"matches still changed after {rounds} rounds of adjustment; look at matches.csv with care"
-    ]
+    rounds = count(group.adjusted.rounds, "round")
+    return [f"matches still changed after {rounds} of adjustment; look at matches.csv with care"]
 
 
 def _describe_outlier_cameras(report: dict[str, Any]) -> list[str]:

@@ -13,11 +13,13 @@ import click
 import numpy as np
 
 from mocap_calib.config import SampleConfig
+from mocap_calib.errors import MismatchError
 from mocap_calib.io.cameras.read import load_cameras, make_rig, parse_content
 from mocap_calib.io.cameras.source import CameraFile
 from mocap_calib.io.file import LARGEST_EXACT_FLOAT, decode, read_bytes
 from mocap_calib.io.keypoints.document import ReadOptions
 from mocap_calib.io.keypoints.layouts import parse_layout
+from mocap_calib.io.results.further_formats import check_formats
 from mocap_calib.io.results.matches_csv import read_matches_csv
 from mocap_calib.job import CalibrationRequest, KeypointSource, LoadedRecording, load_recording
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
@@ -50,19 +52,15 @@ def keypoint_source(options: SharedOptions) -> KeypointSource:
     )
 
 
-def calibration_request(
-    options: SharedOptions,
-    output: Path,
-    *,
-    formats: tuple[str, ...] = (),
-    fps: float | None = None,
-) -> CalibrationRequest:
+def calibration_request(options: SharedOptions, output: Path) -> CalibrationRequest:
     """Return what is asked for, with the cameras of stdin where those are meant.
 
-    formats: further ones to write. fps: frames per second, for those that need it.
-
-    Raises MismatchError and click's BadParameter.
+    Raises click's UsageError, also for further formats that could not be written in the end.
     """
+    try:
+        check_formats(options.write, options.fps)
+    except MismatchError as error:
+        raise click.UsageError(str(error)) from None
     stdin = options.cameras == STDIO
     return CalibrationRequest(
         keypoints=keypoint_source(options),
@@ -71,8 +69,8 @@ def calibration_request(
         pair_solver=options.solver,
         seed=options.seed,
         device=options.device,
-        formats=formats,
-        fps=fps,
+        formats=options.write,
+        fps=options.fps,
     )
 
 

@@ -7,12 +7,16 @@ bad, 2 usage, 130 interrupted.
 import importlib
 import os
 import sys
+from typing import TYPE_CHECKING
 
 import click
 
 from mocap_calib import __version__
-from mocap_calib.errors import MocapCalibError
+from mocap_calib.errors import MocapCalibError, suggest
 from mocap_calib_cli.mistakes import explain
+
+if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
 
 # what the list of commands says of each; kept here, so that the list imports none of them
 COMMANDS = {
@@ -47,6 +51,30 @@ class LazyGroup(click.Group):
         module = importlib.import_module(f"mocap_calib_cli.commands.{cmd_name}")
         command: click.Command = module.command
         return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Return the command that is called. Raises click's UsageError for another word."""
+        word = args[0]
+        if word not in COMMANDS and not word.startswith("-") and not ctx.resilient_parsing:
+            raise click.UsageError(
+                f"expected one of the commands {', '.join(COMMANDS)}, found {word}; "
+                f"{suggest(word, COMMANDS)}",
+                ctx,
+            )
+        return super().resolve_command(ctx, args)
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> "list[CompletionItem]":
+        """Offer the commands without importing them, and the options."""
+        from click.shell_completion import CompletionItem
+
+        commands = [
+            CompletionItem(name, help=text)
+            for name, text in COMMANDS.items()
+            if name.startswith(incomplete)
+        ]
+        return [*commands, *click.Command.shell_complete(self, ctx, incomplete)]
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the commands without importing them."""

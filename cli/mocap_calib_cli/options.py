@@ -13,6 +13,8 @@ from typing import Any, TypeVar
 import click
 
 from mocap_calib.config import PAIR_SOLVERS
+from mocap_calib_cli import values
+from mocap_calib_cli.numbers import POSITIVE, SEED
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -30,6 +32,8 @@ READING = (
 )
 KEYPOINTS = ("keypoints", *READING)
 MODEL = ("skeleton", "model", "device")
+# how a recording is calibrated, and what is written of it
+CALIBRATION = ("cameras", *MODEL, "solver", "seed", "scheduler", *READING, "write", "fps", "quiet")
 
 
 @dataclass(frozen=True)
@@ -39,6 +43,7 @@ class SharedOptions:
     keypoints ... views: the keypoint files and how to read them, see `inputs.read_options`.
     skeleton: file with names of joints of one's own. model: None = chosen by joint names.
     solver: of pairs. scheduler: address of a Dask scheduler, None = the work is done here.
+    write: further formats of the results. fps: frames per second, for formats that need it.
     """
 
     keypoints: tuple[str, ...] = ()
@@ -58,20 +63,26 @@ class SharedOptions:
     solver: str = PAIR_SOLVERS[0]
     seed: int = 0
     scheduler: str | None = None
+    write: tuple[str, ...] = ()
+    fps: float | None = None
     quiet: bool = False
 
 
 _OPTIONS = {
-    "keypoints": click.argument("keypoints", nargs=-1, required=True, metavar="KEYPOINTS..."),
+    "keypoints": click.argument(
+        "keypoints", nargs=-1, required=True, type=values.KEYPOINTS, metavar="KEYPOINTS..."
+    ),
     "format": click.option(
         "--format",
         metavar="NAME",
+        shell_complete=values.offer_keypoint_formats,
         help="Format of the keypoint files, where their content does not show it "
         "(docs/formats.md).",
     ),
     "layout": click.option(
         "--layout",
         metavar="NAME",
+        shell_complete=values.offer_layouts,
         help="Names of the keypoints in files that do not name them: body_25, body_25b, coco_17, "
         "... or a,b,c.",
     ),
@@ -107,6 +118,7 @@ _OPTIONS = {
     "cameras": click.option(
         "--cameras",
         required=True,
+        type=values.INTRINSICS,
         metavar="INTRINSICS",
         help="File or folder with the cameras' intrinsics, in any format of docs/formats.md; "
         "- reads stdin.",
@@ -114,12 +126,14 @@ _OPTIONS = {
     "rig": click.option(
         "--rig",
         required=True,
+        type=values.RIG,
         metavar="CAMERAS",
         help="File or folder with cameras and where they stand (docs/formats.md); - reads stdin.",
     ),
     "matches": click.option(
         "--matches",
         required=True,
+        type=values.MATCHES,
         metavar="MATCHES",
         help="File of the command `match`; - reads stdin.",
     ),
@@ -132,6 +146,7 @@ _OPTIONS = {
     "model": click.option(
         "--model",
         metavar="NAME|FILE|none",
+        shell_complete=values.offer_models,
         help="Network: shipped (see `models`) or one of your own; none: geometry alone. "
         "[default: by joint names]",
     ),
@@ -151,7 +166,7 @@ _OPTIONS = {
     ),
     "seed": click.option(
         "--seed",
-        type=click.IntRange(min=0),
+        type=SEED,
         default=SharedOptions.seed,
         help="The same seed gives the same results.",
     ),
@@ -159,6 +174,19 @@ _OPTIONS = {
         "--scheduler",
         metavar="ADDRESS",
         help="Dask scheduler whose workers do the work (tcp://HOST:PORT); same results.",
+    ),
+    "write": click.option(
+        "--write",
+        metavar="FORMAT",
+        shell_complete=values.offer_result_formats,
+        multiple=True,
+        help="Write this format too (colmap, movement-3d, ...: docs/formats.md); may be repeated. "
+        "Lengths are arbitrary: see `convert --unit`.",
+    ),
+    "fps": click.option(
+        "--fps",
+        type=POSITIVE,
+        help="Frames per second, for the formats that need it.",
     ),
     "quiet": click.option(
         "--quiet", "-q", is_flag=True, help="Write nothing to stderr but errors."
@@ -192,6 +220,7 @@ def output_text(what: str) -> Callable[[Command], Command]:
         "-o",
         "--output",
         default=STDIO,
+        type=values.ANY_PATH,
         metavar="FILE",
         help=f"Where to write the {what}; - is stdout.",
     )

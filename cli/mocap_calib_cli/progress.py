@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Self
 
 import click
 
+from mocap_calib.recording.counting import count
+
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
@@ -81,13 +83,18 @@ class Reporter:
         """Close the stage: it did all its steps, or another has begun."""
         now = time.monotonic()
         if self.stage and not self.terminal:
-            seconds = now - self.stage_start
-            self.say(f"{self.stage}: {self.done} of {self.total} in {seconds:.1f} s")
+            self.say(f"{self.stage}: done in {now - self.stage_start:.1f} s{self._saved_steps()}")
         if self.bars is not None and self.bar is not None:
             self.bars.update(self.bar, completed=self.done, total=self.done)
         self.stage = ""
         self.bar = None
         self.stage_start = now
+
+    def _saved_steps(self) -> str:
+        """Say that the stage needed fewer steps than it might have, if it did."""
+        if self.done >= self.total:
+            return ""
+        return f" (needed {self.done} of at most {count(self.total, 'step')})"
 
     def __enter__(self) -> Self:
         self.stage_start = time.monotonic()

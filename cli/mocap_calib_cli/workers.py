@@ -13,18 +13,19 @@ from mocap_calib_cli.progress import Reporter
 
 if TYPE_CHECKING:
     from mocap_calib.compute.cluster import Cluster
+    from mocap_calib.compute.parallel import Processes
 
 
 @contextmanager
 def open_workers(
     reporter: Reporter, *, scheduler: str | None = None, processes: int = 1
-) -> "Iterator[Cluster | None]":
+) -> "Iterator[Cluster | Processes | None]":
     """Start the workers of a scheduler, or so many processes, and end them with the block.
 
     None where the work is done in this process. Batch systems end a job with SIGTERM: from here
     on the program removes what is half written when it comes.
 
-    scheduler: address of a Dask scheduler.
+    scheduler: address of a Dask scheduler, instead of processes.
 
     Raises ClusterError where there are no such workers.
     """
@@ -32,24 +33,27 @@ def open_workers(
     if scheduler is None and processes == 1:
         yield None
         return
-    with _connect(scheduler, processes) as workers:
+    from mocap_calib.compute import parallel
+
+    with _connect(scheduler) if scheduler else parallel.processes(processes) as workers:
         place = f" by the workers of {scheduler}" if scheduler else ""
         reporter.say(f"{workers.threads} at a time{place}")
         yield workers
 
 
-def _connect(scheduler: str | None, processes: int) -> "AbstractContextManager[Cluster]":
-    """Return the workers of a scheduler, or processes; the package for it is an extra."""
+def _connect(scheduler: str) -> "AbstractContextManager[Cluster]":
+    """Return the workers of a scheduler; the package for it is an extra."""
     try:
         from mocap_calib.compute import cluster
     except ModuleNotFoundError as error:
         raise ClusterError(
-            f"expected the package {error.name}, found none; pip install 'mocap-calib[distributed]'"
+            f"--scheduler: expected the package {error.name}, found none; "
+            "pip install 'mocap-calib[distributed]'"
         ) from None
     # what it has to say comes as an error, in one line; its import has set these levels itself
     for logger in ("distributed", "distributed.client"):
         logging.getLogger(logger).setLevel(logging.CRITICAL)
-    return cluster.cluster(scheduler) if scheduler else cluster.processes(processes)
+    return cluster.cluster(scheduler)
 
 
 def _exit_on_signal(number: int, _: FrameType | None) -> None:

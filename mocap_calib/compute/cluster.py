@@ -5,7 +5,6 @@ along that others need. Results are those of `map` to the last digit where all p
 one kind.
 """
 
-import logging
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
@@ -15,7 +14,7 @@ from typing import TypeVar
 
 import dask
 from dask.typing import Key
-from distributed import Client, Future, KilledWorker, LocalCluster, as_completed
+from distributed import Client, Future, KilledWorker, as_completed
 from distributed.comm.addressing import get_address_host_port
 from distributed.comm.core import CommClosedError
 
@@ -106,25 +105,6 @@ def cluster(address: str) -> Iterator[Cluster]:
             ) from None
         with client:
             yield Cluster(client)
-
-
-@contextmanager
-def processes(count: int) -> Iterator[Cluster]:
-    """Start a cluster of `count` processes on this machine, which end with this one."""
-    with (
-        _large_pieces(),
-        LocalCluster(
-            n_workers=count,
-            threads_per_worker=1,
-            memory_limit=0,
-            dashboard_address=None,
-            # its HTTP server takes any free port: the usual one may be another cluster's
-            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
-            silence_logs=logging.ERROR,
-        ) as local,
-        Client(local, set_as_default=False) as client,
-    ):
-        yield Cluster(client)
 
 
 @contextmanager

@@ -6,16 +6,19 @@ number of threads, are held to one.
 """
 
 import os
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
+from itertools import islice
 from queue import SimpleQueue
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from threadpoolctl import threadpool_limits
 
-from mocap_calib.compute.worker import Worker
+from mocap_calib.compute.worker import Worker, WorkerEndedError
+from mocap_calib.errors import ClusterError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -60,29 +63,102 @@ def map_in_threads(function: Callable[[Item], Result], items: Iterable[Item]) ->
 
 
 def map_in_processes(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-    """Yield `function` of every item in order, computed in other processes.
+    """Yield `function` of every item as it is done, computed in other processes.
 
     For work on small arrays, where threads wait for the interpreter. The function, the items and
-    the results are pickled.
+    the results are pickled. Raises what `Processes` raises.
     """
     count = thread_count()
     if count == 1:
         yield from map(function, items)
         return
-    workers = [Worker() for _ in range(count)]
-    idle: SimpleQueue[Worker] = SimpleQueue()
-    for worker in workers:
-        idle.put(worker)
+    with processes(count) as workers:
+        yield from workers(function, items)
 
-    def call_idle_worker(item: Item) -> Result:
-        worker = idle.get()
+
+class Processes:
+    """Implements `types.Mapper` by processes of this machine, each of which uses one thread."""
+
+    def __init__(self, count: int) -> None:
+        self._workers = [Worker() for _ in range(count)]
+        self._idle: SimpleQueue[Worker] = SimpleQueue()
+        for worker in self._workers:
+            self._idle.put(worker)
+        self._pool = ThreadPoolExecutor(count)  # a thread waits for the answer of each process
+        self._calls: set[Future[Any]] = set()  # that nobody has taken the result of
+
+    @property
+    def threads(self) -> int:
+        """Number of pieces of work that can be done at a time."""
+        return len(self._workers)
+
+    def __call__(
+        self, function: Callable[[Item], Result], items: Iterable[Item], /
+    ) -> Iterator[Result]:
+        """Yield `function` of every item as it is done.
+
+        Raises what the function raises, and ClusterError where its process is killed.
+        """
+        for _, result in self.completed(function, items):
+            yield result()
+
+    def completed(
+        self, function: Callable[[Item], Result], items: Iterable[Item]
+    ) -> Iterator[tuple[Item, Callable[[], Result]]]:
+        """Yield each item when it is done, with a call that returns `function` of it.
+
+        The call raises what the function raised, and ClusterError where its process was killed.
+        No more items are taken than keep the processes busy.
+        """
+        waiting = iter(items)
+        under_way: dict[Future[Result], Item] = {}
+
+        def refill() -> None:
+            # one more than there are processes, so that none waits while the next item is made
+            for item in islice(waiting, self.threads + 1 - len(under_way)):
+                call = self._pool.submit(self._call_idle_worker, function, item)
+                self._calls.add(call)
+                under_way[call] = item
+
+        refill()
+        while under_way:
+            done, _ = wait(under_way, return_when=FIRST_COMPLETED)
+            for call in done:
+                self._calls.discard(call)
+                item = under_way.pop(call)
+                refill()
+                yield item, call.result
+
+    def _call_idle_worker(self, function: Callable[[Item], Result], item: Item) -> Result:
+        """Return `function` of an item, computed by a process that has nothing else to do."""
+        worker = self._idle.get()
         try:
             return worker.call(function, item)
+        except WorkerEndedError as error:
+            raise ClusterError(
+                f"expected a process that survives the work, found it ended by {error}; "
+                "give it more memory, or do less at a time"
+            ) from None
         finally:
-            idle.put(worker)
+            self._idle.put(worker)
 
-    try:
-        yield from map_in_threads(call_idle_worker, items)
-    finally:
-        for worker in workers:
+    def end(self) -> None:
+        """End the processes at once, whatever they do."""
+        self._pool.shutdown(wait=False, cancel_futures=True)
+        # again and again: a call that had begun may just now start the process that it needs
+        while not all(call.done() for call in self._calls):
+            for worker in self._workers:
+                worker.kill()
+            time.sleep(0.01)
+        for worker in self._workers:
             worker.end()
+
+
+@contextmanager
+def processes(count: int) -> Iterator[Processes]:
+    """Give work to `count` processes of this machine, which end with the block."""
+    found = Processes(count)
+    try:
+        yield found
+    finally:
+        found.end()

@@ -15,6 +15,7 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable, Iterator
+from queue import SimpleQueue
 from typing import Any, BinaryIO, TypeVar, TypeVarTuple, cast
 
 from mocap_calib.errors import MocapCalibError
@@ -80,6 +81,12 @@ class Worker:
             atexit.register(self.end)
         return self._process
 
+    def kill(self) -> None:
+        """Kill the process, whatever it does: a call under way raises WorkerEndedError."""
+        process = self._process
+        if process is not None:
+            process.kill()
+
     def end(self) -> str:
         """End the process, and return how it ended."""
         with self._lock:
@@ -133,13 +140,23 @@ def _receive(process: "subprocess.Popen[bytes]") -> Any:
 def _serve(calls: BinaryIO, answers: BinaryIO) -> None:
     """Answer one call after the other, until the pipe is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that calls
+    waiting: SimpleQueue[Any] = SimpleQueue()
+    threading.Thread(target=_read_calls, args=(calls, waiting), daemon=True).start()
     while True:
-        try:
-            call = pickle.load(calls)
-        except EOFError:
-            return
-        pickle.dump(_answer(*call), answers, protocol=5)
+        pickle.dump(_answer(*waiting.get()), answers, protocol=5)
         answers.flush()
+
+
+def _read_calls(calls: BinaryIO, waiting: "SimpleQueue[Any]") -> None:
+    """Hand on the calls; end this process when the one that calls is gone, amid work too."""
+    status = 1
+    try:
+        while True:
+            waiting.put(pickle.load(calls))
+    except EOFError:
+        status = 0
+    finally:
+        os._exit(status)
 
 
 def _answer(

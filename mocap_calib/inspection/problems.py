@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.config import LEAST_JOINTS, InspectConfig, SampleConfig
+from mocap_calib.config import LEAST_JOINTS, TYPICAL_PERCENTILE, InspectConfig, SampleConfig
 from mocap_calib.errors import MismatchError
 from mocap_calib.inspection.clocks import find_clock_problems
 from mocap_calib.inspection.contents import seen_points
 from mocap_calib.inspection.finding import Finding, critical, warning
+from mocap_calib.recording.counting import count
 from mocap_calib.recording.joints import SHIPPED
 from mocap_calib.recording.meanings import (
     describe_unshared,
@@ -23,6 +24,7 @@ from mocap_calib.recording.synchronise import (
     check_joints,
     check_shared_keypoints,
     join_views,
+    largest_confidence,
     recording_of_views,
 )
 from mocap_calib.types import Camera, Keypoints2D, Skeleton
@@ -152,21 +154,29 @@ def _find_weaknesses(view: Keypoints2D, config: InspectConfig) -> list[Finding]:
             )
         )
     if scores.max() > 1.0:
-        found.append(
-            warning(
-                f"{view.camera}: scores up to {scores.max():.2f} are no probabilities and will be "
-                "scaled to 0-1; nothing to do if the detector writes such"
-            )
-        )
+        found.append(warning(_describe_large_scores(view, float(scores.max()))))
     skipped = int((np.diff(view.frames) - 1).sum())
     if skipped > config.gaps * (skipped + len(view.frames)):
         found.append(
             warning(
-                f"{view.camera}: {skipped} frame numbers between the first and the last are not "
-                "there; check that none were lost"
+                f"{view.camera}: missing between the first frame and the last: "
+                f"{count(skipped, 'frame number')}; check that no frames were lost"
             )
         )
     return found
+
+
+def _describe_large_scores(view: Keypoints2D, largest: float) -> str:
+    """Say what becomes of the scores of a view of which some are above 1.
+
+    largest: of the scores.
+    """
+    excess = f"{largest:.2f}" if largest >= 1.01 else f"1 + {largest - 1:.0e}"
+    return (
+        f"{view.camera}: some scores are above 1 (up to {excess}), so all will be divided by "
+        f"{largest_confidence(view.confidence):.3g}, the {TYPICAL_PERCENTILE:.0f}th percentile, "
+        "and cut off at 1; nothing to do if the detector writes such"
+    )
 
 
 # --- names of keypoints

@@ -32,6 +32,7 @@ from mocap_calib.io.registry import (
     find_format,
     names_by_ending,
 )
+from mocap_calib.recording.counting import count
 from mocap_calib.recording.pairing import check_pixels
 from mocap_calib.types import Keypoints2D
 
@@ -84,7 +85,7 @@ def convert_cameras(
     found = _leave_out_unplaced(found)
     rig = make_rig(_fill_sizes(found, image_size, name), name)
     known = find_format(CAMERA_FORMATS, to)
-    summary = f"{len(rig.cameras)} cameras, lengths in {known.unit or rig.unit}, as {to}"
+    summary = f"{count(len(rig.cameras), 'camera')}, lengths in {known.unit or rig.unit}, as {to}"
     if output is None:
         written = format_rig(rig, to, provenance or {})
         return Conversion(summary, found.notes, written.lost, written.files)
@@ -125,7 +126,8 @@ def convert_poses(
     if up is not None:
         file = turn_up_axis(file, up)
     frames, individuals, keypoints = file.poses.positions.shape[:3]
-    summary = f"{frames} frames, {individuals} individuals, {keypoints} keypoints as {to}"
+    counts = [(frames, "frame"), (individuals, "individual"), (keypoints, "keypoint")]
+    summary = f"{', '.join(count(*each) for each in counts)} as {to}"
     if output is None:
         written = format_poses(file, to, Path("stdout"))
         return Conversion(summary, file.notes, written.lost, written.files)
@@ -159,7 +161,7 @@ def convert_keypoints(
     for view in views:
         check_pixels(view)
     frames = sum(len(view.frames) for view in views)
-    summary = f"{len(views)} camera{'s' if len(views) > 1 else ''}, {frames} frames as {to}"
+    summary = f"{count(len(views), 'camera')}, {count(frames, 'frame')} as {to}"
     notes = _collect_remarks(views)
     if output is None:
         written = format_keypoints(views, to)

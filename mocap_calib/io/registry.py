@@ -6,6 +6,7 @@ A new format is one file beside the table, one entry in it, and a row in docs/fo
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Generic, Literal, TypeVar
 
@@ -33,7 +34,9 @@ class Format(Generic[Sniff, Read, Write]):
     folder: the format is several files, by names of its own (cameras).
     single: a file holds one individual (poses).
     timed: writing needs the number of frames per second (poses).
-    unit: of its lengths, "" where the format leaves that open (cameras).
+    unit: of its lengths, "" where the format leaves that open (cameras, poses).
+    packages, extra: the modules that write the format where those are not always there, and the
+        extra of mocap-calib that brings them.
     followed: its individuals are followed by definition: several detections that nobody follows
         are refused (keypoints).
     loses: what the format has no place for (keypoints; writers of other kinds return it).
@@ -52,14 +55,25 @@ class Format(Generic[Sniff, Read, Write]):
     timed: bool = False
     followed: bool = False
     unit: str = ""
+    packages: tuple[str, ...] = ()
+    extra: str = ""
     loses: tuple[Loss, ...] = ()
 
     def writer(self) -> Write:
-        """Return what writes the format. Raises MismatchError where it is only read."""
+        """Return what writes the format.
+
+        Raises MismatchError where it is only read, and where the packages for it are not there.
+        """
         if self.write is None:
             raise MismatchError(
                 f"{self.name}: expected a format that is written, found one that is only read; "
                 "choose one that is"
+            )
+        missing = [name for name in self.packages if find_spec(name) is None]
+        if missing:
+            raise MismatchError(
+                f"{self.name}: expected the Python package {' and '.join(missing)}, found none; "
+                f"pip install 'mocap-calib[{self.extra}]'"
             )
         return self.write
 

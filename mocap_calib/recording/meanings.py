@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from mocap_calib.errors import MismatchError
+from mocap_calib.recording.counting import count
 from mocap_calib.recording.joints import match_names, normalise_name
 from mocap_calib.types import Keypoints2D, Skeleton
 
@@ -41,13 +42,13 @@ def shared_keypoints(views: Sequence[Keypoints2D], meanings: Mapping[str, str]) 
     Raises MismatchError where there are none.
     """
     first_name: dict[str, str] = {}
-    count: dict[str, int] = {}
+    counts: dict[str, int] = {}
     for view in views:
         for name in view.keypoints:
             meaning = meanings[name]
             first_name.setdefault(meaning, name)
-            count[meaning] = count.get(meaning, 0) + 1
-    shared = {meaning: name for meaning, name in first_name.items() if count[meaning] >= 2}
+            counts[meaning] = counts.get(meaning, 0) + 1
+    shared = {meaning: name for meaning, name in first_name.items() if counts[meaning] >= 2}
     if not shared:
         listed = "; ".join(
             f"{view.camera}: {', '.join(view.keypoints[:_LISTED])}" for view in views
@@ -81,7 +82,7 @@ def describe_unshared(unshared: Mapping[str, str]) -> str:
     named = [f"{name} ({camera})" for name, camera in unshared.items()]
     listed = ", ".join(named[:_LISTED_UNSHARED])
     more = ", ..." if len(named) > _LISTED_UNSHARED else ""
-    return f"{len(named)} keypoints that a single camera names are not used: {listed}{more}"
+    return f"not used, named by a single camera: {count(len(named), 'keypoint')}: {listed}{more}"
 
 
 def _view_meanings(

@@ -209,7 +209,7 @@ def _fill_view(
     """
     used = np.flatnonzero(columns >= 0)
     instances = np.arange(view.positions.shape[1])
-    largest = _largest_confidence(view.confidence)
+    largest = largest_confidence(view.confidence)
     shared_rows = np.flatnonzero(np.isin(view.frames, frames))
     for start in range(0, len(shared_rows), _BLOCK):
         rows = shared_rows[start : start + _BLOCK]
@@ -221,7 +221,7 @@ def _fill_view(
         confidence[target] = np.where(blind, 0.0, scaled)
 
 
-def _largest_confidence(confidence: Reals) -> float:
+def largest_confidence(confidence: Reals) -> float:
     """Return what confidences `[...]` are divided by to lie in 0..1.
 
     For detectors that go beyond 1, this is what they typically reach; for others it is 1.

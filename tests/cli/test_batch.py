@@ -5,11 +5,13 @@ import os
 import shutil
 import signal
 import subprocess
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 from conftest import TOOL
 from scenes import lifted, recording, scene
@@ -21,6 +23,11 @@ from mocap_calib.io.results.scene import write_scene
 from mocap_calib.job import CalibrationRequest, KeypointSource, find_finished, request
 from mocap_calib.two_view.solve import calibrate_pairs
 from mocap_calib.types import silent
+from mocap_calib_cli.commands import batch as batch_module
+from mocap_calib_cli.commands import run as run_module
+from mocap_calib_cli.options import SharedOptions
+from mocap_calib_cli.progress import Reporter
+from mocap_calib_cli.workers import open_workers
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -128,6 +135,50 @@ def test_recordings_of_one_name_are_refused(arguments, tool, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+# what is asked for
+
+
+def option_flags(command) -> set[str]:
+    return {flag for each in command.params for flag in each.opts if flag.startswith("-")}
+
+
+def test_batch_has_the_options_of_run():
+    run, many = (option_flags(module.command) for module in (run_module, batch_module))
+    assert many - run == {"--jobs"}
+    assert run - many == set()
+    assert {"--layout", "--format", "--image-size", "--views", "--frame-offset"} < many
+    assert {"--camera-regex", "--write", "--fps"} < many
+
+
+def test_each_recording_is_read_and_written_as_was_asked(tmp_path):
+    options = SharedOptions(
+        cameras="i.toml",
+        layout="a,b,c,d",
+        format="openpose",
+        image_size="640x480",
+        views="A,B",
+        frame_offset=("cam1:-1",),
+        camera_regex="cam(.)",
+        write=("colmap",),
+        fps=25.0,
+    )
+    (tmp_path / "one" / "keypoints").mkdir(parents=True)
+    (asked,) = batch_module._make_requests(options, [str(tmp_path / "one")], tmp_path / "out")
+    found = asked.keypoints.options
+    assert asked.keypoints.paths == (str(tmp_path / "one" / "keypoints"),)
+    assert (asked.keypoints.format, found.layout) == ("openpose", tuple("abcd"))
+    assert (found.image_size, found.views) == ((640, 480), ("A", "B"))
+    assert (found.frame_offset, found.camera_pattern) == ({"cam1": -1}, "cam(.)")
+    assert (asked.formats, asked.fps, asked.output) == (("colmap",), 25.0, tmp_path / "out" / "one")
+
+
+def test_processes_of_this_machine_need_no_dask(monkeypatch):
+    for package in ("dask", "distributed"):
+        monkeypatch.setitem(sys.modules, package, None)
+    with open_workers(Reporter(quiet=True), processes=2) as workers:
+        assert sorted(workers(abs, [-1, -2, -3])) == [1, 2, 3]
+
+
 # what counts as finished
 
 
@@ -198,9 +249,12 @@ def other_model(asked: CalibrationRequest, _) -> CalibrationRequest:
     return replace(asked, keypoints=replace(asked.keypoints, model="none"))
 
 
-def other_layout(asked: CalibrationRequest, _) -> CalibrationRequest:
-    options = replace(asked.keypoints.options, layout=("nose", "neck"))
-    return replace(asked, keypoints=replace(asked.keypoints, options=options))
+def other_reading(**changes):
+    def change(asked: CalibrationRequest, _) -> CalibrationRequest:
+        options = replace(asked.keypoints.options, **changes)
+        return replace(asked, keypoints=replace(asked.keypoints, options=options))
+
+    return change
 
 
 CHANGES = [
@@ -209,7 +263,14 @@ CHANGES = [
     lambda asked, _: replace(asked, seed=1),
     lambda asked, _: replace(asked, pair_solver="paper"),
     other_model,
-    other_layout,
+    other_reading(layout=("nose", "neck")),
+    other_reading(image_size=(640, 480)),
+    other_reading(views=("A", "B")),
+    other_reading(frame_offset={"cam1": 1}),
+    other_reading(camera_pattern="cam."),
+    lambda asked, _: replace(asked, keypoints=replace(asked.keypoints, format="coco")),
+    lambda asked, _: replace(asked, formats=("colmap",)),
+    lambda asked, _: replace(asked, fps=30.0),
     other_input,
     other_config,
     other_weights,
@@ -269,6 +330,32 @@ def test_a_batch_goes_on_where_it_was_killed(way, moment, sessions, once, tool, 
     assert status["walk"] == "done"
     assert status["jump"] == "kept" or moment == "jump/run.json"
     for name in names:
+        assert contents(out / name) == contents(once / name)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("way", [signal.SIGKILL, signal.SIGINT], ids=lambda s: s.name)
+def test_processes_end_with_a_batch_that_is_killed(way, sessions, once, tool, tmp_path):
+    """The second call goes on, with the same bytes as in one process."""
+    out = tmp_path / "out"
+    command = ["batch", "jump", "small", "walk", "--cameras", "intrinsics.toml", "-o", out]
+    process = subprocess.Popen(
+        [TOOL, *command, "--jobs", "2"], cwd=sessions, stderr=subprocess.PIPE, text=True
+    )
+    wait_for(out, "*/run.json", 1, process)
+    workers = psutil.Process(process.pid).children(recursive=True)
+    process.send_signal(way)
+    _, said = process.communicate()
+    assert "Traceback" not in said
+    assert process.returncode == (130 if way == signal.SIGINT else -way)
+    assert len(workers) == 2
+    assert psutil.wait_procs(workers, timeout=10)[1] == []
+    done = batch(tool, sessions, out, "--jobs", "2", "--json")
+    assert done.returncode == 0, done.stderr
+    assert "2 at a time" in done.stderr
+    status = [r["status"] for r in json.loads(done.stdout)["recordings"]]
+    assert status.count("done") >= 1
+    for name in ("jump", "small", "walk"):
         assert contents(out / name) == contents(once / name)
 
 

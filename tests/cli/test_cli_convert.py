@@ -7,6 +7,7 @@ import re
 import subprocess
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
 from conftest import TOOL
@@ -23,6 +24,8 @@ from mocap_calib.io.kinds import FORMATS
 from mocap_calib.io.poses.read import read_poses
 from mocap_calib.io.poses.write import write_poses
 from mocap_calib.io.registry import format_names, names_by_ending
+from mocap_calib_cli.inputs import calibration_request
+from mocap_calib_cli.options import SharedOptions
 
 SAY_WHICH = {
     ending: f"say --to {' or --to '.join(names)}"
@@ -323,23 +326,45 @@ def test_run_writes_what_is_asked_for(tool, small, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "reason"),
-    [("c3d", "--fps"), ("bvh", "expected one of"), ("kalibr", "expected one of")],
+    ("formats", "fps", "reason"),
+    [
+        (["bvh"], None, "--write: expected one of poses-h5, "),
+        (["kalibr"], None, "--write: expected one of poses-h5, "),  # only read
+        (["movement-3d", "nwb-3d"], 30.0, "nwb-3d: expected the Python package pynwb"),
+        (
+            ["trc"],
+            30.0,
+            "mocap-calib convert OUT/poses3d.h5 NEW --to trc --unit m --fps FPS",
+        ),
+        (["colmap", "pose2sim"], None, "convert OUT/cameras.yaml NEW --to pose2sim --unit m"),
+    ],
 )
-def test_run_knows_before_it_starts_what_it_cannot_write(tool, small, tmp_path, name, reason):
-    done = tool(
-        "run",
-        small / "keypoints",
-        "--cameras",
-        small / "intrinsics.toml",
-        "-o",
-        tmp_path / "out",
-        "--write",
-        name,
-    )
-    assert (done.returncode, done.stdout) == (1, "")
-    assert reason in done.stderr
-    assert not (tmp_path / "out").exists()
+def test_run_and_batch_know_before_they_read_what_they_cannot_write(
+    formats, fps, reason, monkeypatch
+):
+    monkeypatch.setattr("mocap_calib.io.registry.find_spec", lambda _: None)
+    options = SharedOptions(write=tuple(formats), fps=fps)
+    with pytest.raises(click.UsageError) as refused:
+        calibration_request(options, Path("out"))
+    assert reason in refused.value.message
+
+
+def test_a_format_with_times_needs_their_rate(monkeypatch):
+    monkeypatch.setattr("mocap_calib.io.registry.find_spec", lambda _: "it is there")
+    with pytest.raises(click.UsageError, match="--write nwb-3d: expected the number of frames"):
+        calibration_request(SharedOptions(write=("nwb-3d",)), Path("out"))
+    assert calibration_request(SharedOptions(write=("nwb-3d",), fps=30.0), Path("out")).fps == 30.0
+
+
+def test_a_format_that_could_not_be_written_in_the_end_is_wrong_usage(tool, tmp_path):
+    """Nothing is read: there are no such files."""
+    for command in ("run", "batch"):
+        done = tool(
+            command, "none", "--cameras", "none.toml", "--write", "trc", "-o", "out", cwd=tmp_path
+        )
+        assert (done.returncode, done.stdout) == (2, "")
+        assert "--write trc: expected a format that leaves the unit of length open" in done.stderr
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_every_format_is_documented():

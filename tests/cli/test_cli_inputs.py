@@ -66,7 +66,7 @@ def test_a_third_file_of_one_name_is_refused(twins):
 
 def test_detections_of_a_single_camera_are_counted(twins, capsys):
     read(twins)
-    assert "3 detections in frames of a single camera are left out\n" in capsys.readouterr().err
+    assert "left out, in frames of a single camera: 3 detections\n" in capsys.readouterr().err
 
 
 def test_joints_that_a_single_camera_names_are_said(tmp_path, capsys):
@@ -79,7 +79,7 @@ def test_joints_that_a_single_camera_names_are_said(tmp_path, capsys):
         (tmp_path / f"{name}.csv").write_text(dlc_csv(range(4), columns, values))
     read(tmp_path)
     assert (
-        "2 keypoints that a single camera names are not used: right_ankle (a), tail (b)\n"
+        "not used, named by a single camera: 2 keypoints: right_ankle (a), tail (b)\n"
         in capsys.readouterr().err
     )
 

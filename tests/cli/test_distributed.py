@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import psutil
 import pytest
 from conftest import TOOL
 from scenes import scene
@@ -168,31 +167,6 @@ def test_recordings_survive_a_worker(machines, tool, tmp_path):
 
 
 @pytest.mark.slow
-def test_processes_of_this_machine(tool, tmp_path):
-    """`--jobs`: the same bytes; and the processes do not outlive a command that is killed."""
-    for seed in range(2):
-        write_scene(
-            tmp_path / f"s{seed}",
-            scene(cameras=3, people=1, frames=30, seed=seed),
-            "made by a test",
-        )
-    command = ["batch", "s0", "s1", "--cameras", "intrinsics.toml", "-q", "-o"]
-    for jobs in ("1", "2"):
-        said = tool(*command, jobs, "--jobs", jobs, cwd=tmp_path)
-        assert (said.returncode, said.stderr) == (0, "")
-    assert contents(tmp_path / "1") == contents(tmp_path / "2")
-    process = subprocess.Popen([TOOL, *command, "killed", "--jobs", "2"], cwd=tmp_path)
-    while not list(tmp_path.glob("killed/*/run.json")):
-        assert process.poll() is None
-        time.sleep(0.01)
-    workers = psutil.Process(process.pid).children(recursive=True)
-    process.kill()
-    process.wait()
-    assert len(workers) >= 2
-    assert psutil.wait_procs(workers, timeout=30)[1] == []
-
-
-@pytest.mark.slow
 def test_a_scheduler_that_goes_is_one_line(machines, tmp_path):
     write_scene(tmp_path / "rig", scene(cameras=6, people=3, frames=60), "made by a test")
     command = [
@@ -249,7 +223,8 @@ def test_work_that_kills_its_workers_is_one_line():
     """As too little memory does; what else there is to do is done."""
     code = """
 import os
-from mocap_calib.compute.cluster import processes
+from distributed import LocalCluster
+from mocap_calib.compute.cluster import cluster
 from mocap_calib.errors import ClusterError
 def outcome(result):
     try:
@@ -257,9 +232,10 @@ def outcome(result):
     except ClusterError as error:
         return str(error)
 if __name__ == "__main__":
-    with processes(2) as cluster:
-        print(sorted((item, outcome(result)) for item, result in cluster.completed(os._exit, [1])))
-        print(sorted((item, outcome(result)) for item, result in cluster.completed(abs, [-2, -3])))
+    here = LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=40)
+    with here, cluster(here.scheduler_address) as workers:
+        print(sorted((item, outcome(result)) for item, result in workers.completed(os._exit, [1])))
+        print(sorted((item, outcome(result)) for item, result in workers.completed(abs, [-2, -3])))
 """
     said = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True

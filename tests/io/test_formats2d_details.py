@@ -4,6 +4,7 @@ Orders of axes, many videos in a file, old versions, several writers of one form
 """
 
 import json
+from dataclasses import replace
 
 import h5netcdf
 import h5py
@@ -273,6 +274,39 @@ def test_sleap_without_names_of_tracks_follows_nobody(tmp_path):
     (view,) = read_keypoints([tmp_path])
     assert not view.tracked
     assert set(np.unique(view.confidence)) == {0.0, 1.0}
+
+
+def test_sleap_tracks_that_nobody_follows_have_names_that_say_so(tmp_path):
+    """sleap-io opens several tracks only with names, and saves a project only of a named video."""
+    (view,) = read_keypoints(write_sample("sleap", tmp_path / "in", *recording(2)))
+    for tracked, names in ((True, ["track_0", "track_1"]), (False, ["untracked_0", "untracked_1"])):
+        folder = tmp_path / str(tracked)
+        write_keypoints(folder, (replace(view, tracked=tracked),), "sleap")
+        with h5py.File(folder / "cam.analysis.h5") as file:
+            assert [name.decode() for name in file["track_names"]] == names
+            assert file["video_path"][()] == b"cam"
+        (found,) = read_keypoints([folder])
+        assert found.tracked == tracked
+        np.testing.assert_array_equal(found.positions, view.positions)
+
+
+def test_sleap_io_s_names_of_axes_are_taken_at_their_word(tmp_path):
+    """Two individuals, three nodes, two frames: lengths alone would fit two orders."""
+    positions, confidence = recording(2)
+    positions, confidence = positions[:2], confidence[:2]
+    write_sample("sleap", tmp_path, *recording(2))
+    with h5py.File(tmp_path / "cam.analysis.h5", "a") as file:
+        del file["tracks"], file["point_scores"], file["track_occupancy"]
+        file["tracks"] = positions.transpose(2, 3, 0, 1)
+        file["tracks"].attrs["dims"] = json.dumps(["node", "xy", "frame", "track"])
+        file["point_scores"] = confidence.transpose(2, 0, 1)
+    (view,) = read_keypoints([tmp_path])
+    np.testing.assert_array_equal(view.positions, positions)
+    np.testing.assert_array_equal(view.confidence, confidence)
+    with h5py.File(tmp_path / "cam.analysis.h5", "a") as file:
+        file["tracks"].attrs["dims"] = "[" * 100_000
+    with pytest.raises(FormatError, match="a whole SLEAP analysis"):
+        read_keypoints([tmp_path])
 
 
 def test_sleap_counts_from_0_and_refuses_to_write_a_clock_that_starts_far_away(tmp_path):

@@ -8,10 +8,11 @@ from scenes import calibrate_group, calibrated, recording, rotation_errors_deg, 
 
 from mocap_calib.config import PairwiseConfig, PaperConfig
 from mocap_calib.errors import DegenerateError
+from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.steerpose.checkpoint import load_lifter
 from mocap_calib.steerpose.training.own_species import own_poses, own_skeleton, up_of_rig
 from mocap_calib.two_view.paper_pairs import PaperPairs
-from mocap_calib.types import CameraRig
+from mocap_calib.types import CameraRig, Poses3D
 
 ALONE = {"people": 1, "false_detections": 0.0, "outliers": 0.0}
 
@@ -66,6 +67,52 @@ def test_too_few_poses_are_refused():
         own_poses(few, own_skeleton("own", found.poses), np.array([0.0, 0, 1]), "test")
 
 
+def made_poses(**changes) -> Poses3D:
+    """The true bodies of three people, 60 frames, with all that a run would say of them."""
+    made = scene(**changes)
+    positions = made.poses.copy()
+    shape = positions.shape[:3]
+    return Poses3D(
+        keypoints=made.joints,
+        frames=np.arange(shape[0]),
+        positions=positions,
+        error=np.ones(shape),
+        views=np.full(shape, 4),
+        confidence=np.ones(shape),
+        unit="arbitrary",
+    )
+
+
+def test_what_was_never_seen_is_not_learnt():
+    """A keypoint without a point, two never seen together, an individual without a point.
+
+    No warning is raised (warnings are errors in tests).
+    """
+    poses = made_poses()
+    gone = poses.keypoints.index("left_small_toe")
+    early, late = (poses.keypoints.index(name) for name in ("left_ear", "right_ear"))
+    poses.positions[:, :, gone] = np.nan
+    poses.positions[:30, :, late] = np.nan
+    poses.positions[30:, :, early] = np.nan
+    poses.positions[:, 2] = np.nan
+    poses.error[np.isnan(poses.positions[..., 0])] = np.nan
+    skeleton = own_skeleton("own", poses)
+    assert set(poses.keypoints) - set(skeleton.keypoints) == {"left_small_toe"}
+    assert len(skeleton.edges) == len(skeleton.keypoints) - 1
+    learnt = own_poses(poses, skeleton, np.array([0.0, 0, 1]), "train").poses
+    assert learnt.shape == (42 * 2, len(skeleton.keypoints), 3)  # two people, 7 tenths of 60 frames
+
+
+def test_poses_without_points_are_refused_in_one_line():
+    poses = made_poses()
+    poses.positions[...] = np.nan
+    poses.error[...] = np.nan
+    with pytest.raises(DegenerateError, match="expected poses with at least 4 keypoints in 3D"):
+        own_skeleton("own", poses)
+    with pytest.raises(DegenerateError, match="at least 20 whole 3D poses to train on, found 0"):
+        own_poses(poses, load_skeleton("people"), np.array([0.0, 0, 1]), "train")
+
+
 @pytest.mark.slow
 def test_the_papers_solver_calibrates_pairs_of_the_pipeline():
     """One person, two views: the paper's pair is adjusted to the rig that ours is.
@@ -86,7 +133,8 @@ def test_the_papers_solver_calibrates_pairs_of_the_pipeline():
 @pytest.mark.slow
 def test_the_loop_on_the_command_line(tmp_path, tool):
     """simulate one -> run by geometry alone -> train on what it found -> run with that model."""
-    tool("simulate", "--people", "1", "--frames", "240", "-o", tmp_path / "one")
+    scene_options = ["--people", "1", "--cameras", "3", "--frames", "240"]
+    tool("simulate", *scene_options, "-o", tmp_path / "one")
     files = [tmp_path / "one/keypoints", "--cameras", tmp_path / "one/intrinsics.toml"]
     tool("run", *files, "--model", "none", "-o", tmp_path / "alone")
     tool(

@@ -18,7 +18,7 @@ from mocap_calib.steerpose.rays import rays_by_joint
 from mocap_calib.steerpose.training.dataset import Batch, Synthesiser
 from mocap_calib.steerpose.training.losses import lifting_loss
 from mocap_calib.steerpose.training.poses import PoseSet, load_poses
-from mocap_calib.steerpose.training.train import train_lifter
+from mocap_calib.steerpose.training.train import optimise, train_lifter
 from mocap_calib.synthetic import people
 from mocap_calib.types import silent
 
@@ -150,6 +150,20 @@ def test_same_seed_same_weights(poses):
     ]
     assert all(same)
     assert not torch.equal(first.head.weight, other.head.weight)
+
+
+@pytest.mark.parametrize("steps", [1, 19, 20, 21])
+def test_training_may_be_as_short_as_one_likes(steps):
+    """Twenty steps have a warm-up of exactly one, by which torch cannot divide."""
+    model = torch.nn.Linear(1, 1)
+    said = []
+    optimise(
+        model,
+        lambda: model(torch.ones(1)).square().sum(),
+        replace(SMALL, steps=steps),
+        progress=lambda *step: said.append(step[1:]),
+    )
+    assert said == [(done, steps) for done in range(1, steps + 1)]
 
 
 def test_training_lowers_the_loss(poses):

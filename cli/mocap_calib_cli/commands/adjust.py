@@ -2,13 +2,14 @@
 
 import click
 
-from mocap_calib_cli import options
+from mocap_calib_cli import options, values
 
 
 @click.command(name="adjust")
 @options.output_text("adjusted cameras (YAML)")
 @click.option(
     "--matches-out",
+    type=values.ANY_PATH,
     metavar="FILE",
     help="Where to write the matches that the adjusted cameras imply.",
 )

@@ -2,11 +2,11 @@
 
 import click
 
-from mocap_calib_cli import options
+from mocap_calib_cli import options, values
 
 
 @click.command(name="average")
-@click.argument("pairs", metavar="PAIRS")
+@click.argument("pairs", type=values.PAIRS, metavar="PAIRS")
 @options.output_text("cameras (YAML)")
 @options.shared_options("quiet")
 def command(shared: options.SharedOptions, pairs: str, output: str) -> None:

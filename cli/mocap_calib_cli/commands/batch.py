@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from mocap_calib_cli import options
+from mocap_calib_cli import options, values
+from mocap_calib_cli.numbers import COUNT
 
 if TYPE_CHECKING:
     from mocap_calib.compute.cluster import Cluster
+    from mocap_calib.compute.parallel import Processes
     from mocap_calib.job import CalibrationRequest, Job
     from mocap_calib.types import CalibrationResult
     from mocap_calib_cli.progress import Reporter
@@ -26,23 +28,21 @@ Outcome = dict[str, Any]
 
 @click.command(name="batch")
 @options.output_folder("Folder to write: OUT/NAME of recording NAME.")
-@click.argument("recordings", nargs=-1, required=True, metavar="RECORDINGS...")
+@click.argument(
+    "recordings", nargs=-1, required=True, type=values.RECORDINGS, metavar="RECORDINGS..."
+)
 @options.shared_options(
-    "cameras",
-    *options.MODEL,
-    "solver",
-    "seed",
-    "scheduler",
-    "quiet",
+    *options.CALIBRATION,
     cameras=click.option(
         "--cameras",
         required=True,
+        type=values.INTRINSICS,
         metavar="INTRINSICS",
         help="As for `run`; first looked for in each recording's folder, then as a path for all.",
     ),
 )
 @click.option(
-    "--jobs", type=click.IntRange(min=1), default=1, help="Recordings at a time on this machine."
+    "--jobs", type=COUNT, default=1, help="Recordings at a time, in processes of this machine."
 )
 @options.as_json("Write the summary to stdout.")
 @click.pass_context
@@ -64,8 +64,10 @@ def command(
     \b
     Example:
       mocap-calib batch sessions/* --cameras intrinsics.toml -o out
+      mocap-calib batch sessions/* --cameras intrinsics.toml -o out --layout body_25 --jobs 4
       mocap-calib batch sessions/* --cameras intrinsics.toml -o out --scheduler tcp://node1:8786
     """
+    from mocap_calib.recording.counting import count
     from mocap_calib_cli import outputs
     from mocap_calib_cli.progress import Reporter
     from mocap_calib_cli.workers import open_workers
@@ -83,10 +85,11 @@ def command(
         ) as workers,
     ):
         batch = _Batch(reporter, len(requests))
-        batch.work_off(requests, workers)
+        batch.work_off(requests, workers, elsewhere=bool(shared.scheduler))
     outcomes = [batch.outcomes[request.output.name] for request in requests]
     failed = sum(outcome["status"] == "failed" for outcome in outcomes)
-    calibrated = f"{len(outcomes) - failed} of {len(outcomes)} recordings calibrated"
+    all_of_them = count(len(outcomes), "recording")
+    calibrated = f"{len(outcomes) - failed} of {all_of_them} calibrated"
     reporter.say("", *_format_outcomes(outcomes), f"{calibrated}; results in {output}")
     if as_json:
         summary = {"recordings": outcomes, "failed": failed}
@@ -155,16 +158,26 @@ class _Batch:
         self.total = total
         self.outcomes: dict[str, Outcome] = {}
 
-    def work_off(self, requests: "Iterable[CalibrationRequest]", workers: "Cluster | None") -> None:
-        """Calibrate what is not finished; a failure is one recording's own."""
+    def work_off(
+        self,
+        requests: "Iterable[CalibrationRequest]",
+        workers: "Cluster | Processes | None",
+        *,
+        elsewhere: bool,
+    ) -> None:
+        """Calibrate what is not finished; a failure is one recording's own.
+
+        elsewhere: the workers cannot reach the folder of results.
+        """
         from mocap_calib.job import calibrate_job, calibrate_job_resumably, write_results
 
         self.reporter("batch", 0, self.total)
         jobs = self._read_unfinished(requests)
+        calibrate = calibrate_job if elsewhere else calibrate_job_resumably
         if workers is None:
-            calibrated = _calibrate_one_by_one(calibrate_job_resumably, jobs)
+            calibrated = _calibrate_one_by_one(calibrate, jobs)
         else:
-            calibrated = workers.completed(calibrate_job, jobs)
+            calibrated = workers.completed(calibrate, jobs)
         for job, get_result in calibrated:
             try:
                 report = write_results(job, get_result())[0].report
@@ -193,6 +206,8 @@ class _Batch:
         self, request: "CalibrationRequest", status: str, report: dict[str, Any]
     ) -> None:
         """Note what was found; the figures are those of the largest group of cameras."""
+        from mocap_calib.recording.counting import count
+
         name = request.output.name
         verdict = report["verdict"]
         groups = len(report["groups"])
@@ -207,8 +222,8 @@ class _Batch:
             "split_half_angle_deg": verdict["split_half_angle_deg"]["median"],
         }
         self.reporter.say(
-            f"{name} {status}: {outcome['cameras']} cameras, "
-            f"{outcome['individuals']} individuals, rig {outcome['rig']}"
+            f"{name} {status}: {count(outcome['cameras'], 'camera')}, "
+            f"{count(outcome['individuals'], 'individual')}, rig {outcome['rig']}"
         )
         if groups > 1:
             self.reporter.say(

@@ -4,13 +4,18 @@ from pathlib import Path
 
 import click
 
-from mocap_calib_cli import options
+from mocap_calib_cli import options, values
 
 
 @click.command(name="complete")
 @options.output_folder("Folder to write a keypoint file per camera to.")
 @click.option(
-    "--to", "target", default="coco", metavar="FORMAT", help="Format to write (docs/formats.md)."
+    "--to",
+    "target",
+    default="coco",
+    metavar="FORMAT",
+    shell_complete=values.offer_written_keypoint_formats,
+    help="Format to write (docs/formats.md).",
 )
 @options.shared_options("cameras", *options.MODEL, *options.KEYPOINTS, "quiet")
 def command(shared: options.SharedOptions, output: Path, target: str) -> None:
@@ -27,6 +32,7 @@ def command(shared: options.SharedOptions, output: Path, target: str) -> None:
     import numpy as np
 
     from mocap_calib.io.keypoints.write import write_keypoints
+    from mocap_calib.recording.counting import count
     from mocap_calib.recording.sampling import take_sample
     from mocap_calib.recording.synchronise import check_known_joints
     from mocap_calib.steerpose.checkpoint import load_vocabulary
@@ -46,6 +52,6 @@ def command(shared: options.SharedOptions, output: Path, target: str) -> None:
     seen = int(sample.seen[..., sample.vocabulary >= 0].sum())
     filled = sum(int(np.isfinite(view.positions[..., 0]).sum()) for view in views) - seen
     reporter.say(
-        f"{filled} keypoints filled in; results in {output}",
+        f"{count(filled, 'keypoint')} filled in; results in {output}",
         *(f"{target} does not hold {what}" for what in lost),
     )

@@ -8,13 +8,15 @@ from typing import TYPE_CHECKING
 
 import click
 
-from mocap_calib_cli import options
+from mocap_calib_cli import options, values
+from mocap_calib_cli.numbers import POSITIVE
 
 if TYPE_CHECKING:
     from mocap_calib.io.conversion import Conversion
 
 # that say nothing of other kinds of files
 _READING = tuple(name for name in options.READING if name != "format")
+_INPUT = values.PathOf("Expected what to convert, then where to write it: INPUT... OUTPUT.")
 _OPTIONS_OF = {
     "poses": {"unit", "fps", "up"},
     "cameras": {"unit", "image_size"},
@@ -48,18 +50,20 @@ class _Task:
 
 
 @click.command(name="convert")
-@click.argument("inputs", nargs=-1, required=True, metavar="INPUT...")
-@click.argument("output", metavar="OUTPUT")
+@click.argument("inputs", nargs=-1, required=True, type=_INPUT, metavar="INPUT...")
+@click.argument("output", type=values.ANY_PATH, metavar="OUTPUT")
 @click.option(
     "--from",
     "source",
     metavar="FORMAT",
+    shell_complete=values.offer_formats,
     help="Format of INPUT, where its content does not show it; needed for stdin.",
 )
 @click.option(
     "--to",
     "target",
     metavar="FORMAT",
+    shell_complete=values.offer_written_formats,
     help="Format of OUTPUT, where the ending of its name does not say it.",
 )
 @click.option(
@@ -69,7 +73,7 @@ class _Task:
 )
 @click.option(
     "--fps",
-    type=click.FloatRange(min=0, min_open=True),
+    type=POSITIVE,
     help="Frames per second of poses, where the file does not say.",
 )
 @click.option(

@@ -5,14 +5,15 @@ from typing import Any
 
 import click
 
-from mocap_calib_cli import options
+from mocap_calib_cli import options, values
 
 
 @click.command(name="evaluate")
-@click.argument("rig", metavar="CAMERAS")
+@click.argument("rig", type=values.RIG, metavar="CAMERAS")
 @click.option(
     "--reference",
     required=True,
+    type=values.REFERENCE,
     metavar="REFERENCE",
     help="File with the reference calibration; - reads stdin.",
 )

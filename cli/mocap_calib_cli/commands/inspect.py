@@ -5,23 +5,23 @@ from typing import Any
 
 import click
 
-from mocap_calib_cli import options
+from mocap_calib_cli import options, values
 
 _COLOURS = {"CRITICAL": "red", "WARNING": "yellow"}
-_COLUMNS = (
-    "camera",
-    "frames",
-    "range",
-    "gaps",
-    "detections",
-    "at once",
-    "followed",
-    "joints",
-    "missing",
-    "score",
-    "image",
-    "covered",
-)
+_COLUMNS = {  # heading -> what it means
+    "camera": "",
+    "frames": "in the file",
+    "range": "number of the first frame and of the last",
+    "gaps": "places between them where frame numbers are not there",
+    "detections": "bodies found, in all frames together",
+    "at once": "most detections in one frame",
+    "followed": "whether the file says who is who from frame to frame",
+    "joints": "names of keypoints in the file",
+    "missing": "share of the points that the file marks as not found",
+    "score": "lowest and highest score of a point, as the detector gave them",
+    "image": "width and height in pixels; ? = the file does not say",
+    "covered": "share of the image in which points were ever found",
+}
 _LISTED_GAPS = 5
 
 
@@ -34,6 +34,7 @@ _LISTED_GAPS = 5
         "--cameras",
         default="",
         show_default=False,
+        type=values.INTRINSICS,
         metavar="INTRINSICS",
         help="The cameras' intrinsics, to see whether they and the keypoints go together.",
     ),
@@ -92,6 +93,8 @@ def _inspect(shared: options.SharedOptions) -> dict[str, Any]:
 
 def _describe(report: dict[str, Any]) -> list[str]:
     """Return the report for a person."""
+    from mocap_calib.recording.counting import count
+
     lines = _describe_cameras(report)
     if report["pairs"]:
         lines += ["", "frames in which both see somebody:", *_pair_table(report)]
@@ -99,13 +102,13 @@ def _describe(report: dict[str, Any]) -> list[str]:
     for finding in report["findings"]:
         level = finding["level"]
         lines.append(click.style(f"{level}: ", fg=_COLOURS[level], bold=True) + finding["message"])
-    count = len(report["findings"])
-    ending = f"{count} finding{'s' if count > 1 else ''}" if count else "nothing stands in the way"
-    return [*lines, ending]
+    findings = count(len(report["findings"]), "finding")
+    return [*lines, findings if report["findings"] else "nothing stands in the way"]
 
 
 def _describe_cameras(report: dict[str, Any]) -> list[str]:
     """Return a table of the cameras, a line on the joints, and details of each camera."""
+    from mocap_calib.recording.counting import count
     from mocap_calib_cli.progress import format_table
 
     cameras = report["cameras"]
@@ -114,11 +117,18 @@ def _describe_cameras(report: dict[str, Any]) -> list[str]:
     model = report["model"]
     unknown = f", not: {', '.join(model['unknown'])}" if model["unknown"] else ""
     return [
-        *format_table(_COLUMNS, [_camera_row(camera) for camera in cameras]),
+        *format_table(list(_COLUMNS), [_camera_row(camera) for camera in cameras]),
         "",
-        f"joints: the model of {model['name']} knows {model['knows']}{unknown}",
+        *_explain_columns(),
+        "",
+        f"the model of {model['name']} knows {count(model['knows'], 'joint')}{unknown}",
         *(f"{camera['name']}: {line}" for camera in cameras for line in _details(camera)),
     ]
+
+
+def _explain_columns() -> list[str]:
+    """Return a line on each column of the table."""
+    return [f"{name:<10}  {meaning}" for name, meaning in _COLUMNS.items() if meaning]
 
 
 def _camera_row(camera: dict[str, Any]) -> list[str]:
@@ -145,6 +155,8 @@ def _camera_row(camera: dict[str, Any]) -> list[str]:
 
 def _details(camera: dict[str, Any]) -> list[str]:
     """Return lines on what the table has no room for."""
+    from mocap_calib.recording.counting import count
+
     lines = [camera["source"]]
     if camera["missing"]:
         customs = [
@@ -153,7 +165,7 @@ def _details(camera: dict[str, Any]) -> list[str]:
         ]
         lines.append(f"missing by {', '.join(customs)}")
     if camera["empty_frames"]:
-        lines.append(f"nobody in {camera['empty_frames']} frames")
+        lines.append(f"nobody in {count(camera['empty_frames'], 'frame')}")
     if camera["frames"]["gaps"]:
         lines.append(f"no frames {_describe_gaps(camera['frames']['gaps'])}")
     if camera["never_seen"]:

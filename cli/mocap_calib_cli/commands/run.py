@@ -10,30 +10,9 @@ from mocap_calib_cli import options
 
 @click.command(name="run")
 @options.output_folder("Folder to write; made when missing.")
-@click.option(
-    "--write",
-    "formats",
-    multiple=True,
-    metavar="FORMAT",
-    help="Write this format too (colmap, movement-3d, ...: docs/formats.md); may be repeated. "
-    "Lengths are arbitrary: see `convert --unit`.",
-)
-@click.option(
-    "--fps",
-    type=click.FloatRange(min=0, min_open=True),
-    help="Frames per second, for the formats that need it.",
-)
-@options.shared_options(
-    "cameras", *options.MODEL, "solver", "seed", "scheduler", *options.KEYPOINTS, "quiet"
-)
+@options.shared_options("keypoints", *options.CALIBRATION)
 @options.as_json("Write the content of run.json to stdout as well.")
-def command(
-    shared: options.SharedOptions,
-    output: Path,
-    formats: tuple[str, ...],
-    fps: float | None,
-    as_json: bool,
-) -> None:
+def command(shared: options.SharedOptions, output: Path, as_json: bool) -> None:
     """Calibrate the cameras that saw KEYPOINTS, find who is who, and triangulate the poses.
 
     KEYPOINTS: a folder with a file or a folder per camera, or files, or name=path pairs, or a
@@ -59,7 +38,7 @@ def command(
     from mocap_calib_cli.workers import open_workers
 
     outputs.check_folder(output)
-    request = inputs.calibration_request(shared, output, formats=formats, fps=fps)
+    request = inputs.calibration_request(shared, output)
     with (
         Reporter(quiet=shared.quiet) as reporter,
         open_workers(reporter, scheduler=shared.scheduler) as workers,

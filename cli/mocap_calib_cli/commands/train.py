@@ -16,7 +16,8 @@ from mocap_calib.config import (
     PairsConfig,
     TrainConfig,
 )
-from mocap_calib_cli import options
+from mocap_calib_cli import options, values
+from mocap_calib_cli.numbers import COUNT, POSITIVE, SHARE, WholeNumber
 
 if TYPE_CHECKING:
     from mocap_calib.steerpose.steer import Model
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from mocap_calib.types import Progress, Skeleton
 
 _DEFAULT = TrainConfig()
-_COUNT = click.IntRange(min=1)
 
 
 @click.command(name="train")
@@ -41,6 +41,7 @@ _COUNT = click.IntRange(min=1)
 @click.option(
     "--skeleton",
     metavar="NAME|FILE.yaml",
+    shell_complete=values.offer_skeletons,
     help="Vocabulary: a shipped skeleton or one of your own. "
     "[default: people; with --from: its own joints]",
 )
@@ -59,27 +60,27 @@ _COUNT = click.IntRange(min=1)
 )
 @click.option(
     "--procedural",
-    type=click.FloatRange(0, 1),
+    type=SHARE,
     metavar="SHARE",
     help="Share of bodies made from the skeleton's file. [default: half beside POSES, all without]",
 )
-@click.option("--steps", type=_COUNT, default=_DEFAULT.steps, help="Batches to train on.")
-@click.option("--batch", type=_COUNT, default=_DEFAULT.batch, help="Poses in a batch.")
+@click.option("--steps", type=COUNT, default=_DEFAULT.steps, help="Batches to train on.")
+@click.option("--batch", type=COUNT, default=_DEFAULT.batch, help="Poses in a batch.")
 @click.option(
     "--width",
-    type=click.IntRange(min=ENCODER_HEADS),
+    type=WholeNumber(min=ENCODER_HEADS),
     default=_DEFAULT.width,
     help=f"Size of a token; a multiple of {ENCODER_HEADS}.",
 )
-@click.option("--layers", type=_COUNT, default=_DEFAULT.layers, help="Layers of the encoder.")
+@click.option("--layers", type=COUNT, default=_DEFAULT.layers, help="Layers of the encoder.")
 @click.option(
     "--learning-rate",
-    type=click.FloatRange(min=0, min_open=True),
+    type=POSITIVE,
     default=_DEFAULT.learning_rate,
     help="Peak of the schedule.",
 )
 @options.shared_options("seed", "device", "quiet")
-@click.option("--threads", type=_COUNT, default=1, help="Threads of torch.")
+@click.option("--threads", type=COUNT, default=1, help="Threads of torch.")
 @click.option(
     "--data",
     default="",

@@ -14,7 +14,6 @@ from collections.abc import Mapping
 from typing import Any, cast
 
 import numpy as np
-from scipy.io import savemat
 
 from mocap_calib.io.cameras.common import PlacedCamera, collect_cameras
 from mocap_calib.io.cameras.intrinsics import make_camera, make_extrinsics, numbers, skew_in_pixels
@@ -155,6 +154,8 @@ def _describe_skew(matrix: Floats, name: str) -> str:
 
 def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
     """Write one file of all cameras. Raises MismatchError."""
+    from scipy.io import savemat  # noqa: PLC0415 - half of the time that all formats take to import
+
     params = np.empty((len(rig.cameras), 1), dtype=object)
     names = np.empty((1, len(rig.cameras)), dtype=object)
     for view, camera in enumerate(rig.cameras):

@@ -1,11 +1,14 @@
 """Read and write SLEAP's analysis .h5: `tracks` with an axis of nodes and one of frames.
 
-Traps: the axes come as MATLAB orders them, or in another order by sleap-io's `standard` preset,
-and only the lengths tell which; `point_scores` may come in a third order; tracks without names
-follow nobody; frames count from 0, so that a late start means many empty frames.
+Traps: the axes come as MATLAB orders them, or as the user of sleap-io did, which its attribute
+`dims` says; without it only the lengths tell; frames count from 0, so that a late start means many
+empty frames; tracks without names follow nobody. sleap-io opens several tracks only where each has
+a name, so that detections in any order are written under names that say so, and it saves a project
+only of a file that names a video.
 """
 
 import io
+import json
 from typing import Any
 
 import h5py
@@ -13,7 +16,7 @@ import numpy as np
 
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.file import blank, fill_missing_scores, make_view, malformed
-from mocap_calib.io.hdf5 import array, damage_refused, keys, names
+from mocap_calib.io.hdf5 import array, damage_refused, keys, names, text
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
 from mocap_calib.types import Floats, Keypoints2D
 
@@ -22,9 +25,12 @@ Axes = tuple[int, int, int, int]
 # where in `tracks` the axes frame, track, node and coordinate are
 _MATLAB: Axes = (3, 0, 2, 1)
 _STANDARD: Axes = (0, 1, 2, 3)
+_DIMENSIONS = ("frame", "track", "node", "xy")  # as sleap-io calls them
 # how many empty frames are written before and between the others
 _EMPTY_PER_FRAME = 10
 _EMPTY_AT_LEAST = 1000
+# names of tracks that follow nobody: what an instance's place in its frame is called
+_UNTRACKED = "untracked_"
 
 
 def sniff(document: Document) -> bool:
@@ -41,7 +47,7 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
         values = _values(file, len(nodes), len(individuals), source)
     values, remarks = fill_missing_scores(values)
     frames = range(len(values))
-    tracked = bool(individuals)
+    tracked = any(not name.startswith(_UNTRACKED) for name in individuals)
     return (make_view(item.origin, nodes, frames, values, tracked=tracked, remarks=remarks),)
 
 
@@ -51,6 +57,7 @@ def _values(file: Any, nodes: int, individuals: int, source: str) -> Floats:
     scores = array(file, "point_scores", source) if "point_scores" in file else np.zeros(0)
     fitting = _fitting_axes(
         tracks.shape,
+        _possible_axes(file["tracks"]),
         nodes=nodes,
         individuals=individuals,
         frames=_count_frames(file, source),
@@ -79,8 +86,18 @@ def _count_frames(file: Any, source: str) -> int:
     return max(array(file, "track_occupancy", source).shape, default=0)
 
 
+def _possible_axes(tracks: Any) -> tuple[Axes, ...]:
+    """Return the order of axes that sleap-io says of a dataset, else those of the presets."""
+    if "dims" not in tracks.attrs:
+        return _MATLAB, _STANDARD
+    dims = json.loads(text(tracks.attrs["dims"]))
+    frame, track, node, coordinate = (dims.index(name) for name in _DIMENSIONS)
+    return ((frame, track, node, coordinate),)
+
+
 def _fitting_axes(
     shape: tuple[int, ...],
+    possible: tuple[Axes, ...],
     *,
     nodes: int,
     individuals: int,
@@ -89,13 +106,12 @@ def _fitting_axes(
 ) -> list[Axes]:
     """Return the orders of axes that fit what is known of the lengths.
 
-    shape: of `tracks`. individuals, frames: 0 where the file does not say. The number of frames
-    and the shape of the scores are looked at only where more than one order fits.
+    shape: of `tracks`. possible: orders to choose from. individuals, frames: 0 where the file does
+    not say. The number of frames and the shape of the scores are looked at only where more than one
+    order fits.
     """
     fitting = [
-        axes
-        for axes in (_MATLAB, _STANDARD)
-        if _fits(axes, shape, nodes=nodes, individuals=individuals)
+        axes for axes in possible if _fits(axes, shape, nodes=nodes, individuals=individuals)
     ]
     if len(fitting) > 1 and frames:
         fitting = [axes for axes in fitting if shape[axes[0]] == frames] or fitting
@@ -118,10 +134,10 @@ def _fits(axes: Axes, shape: tuple[int, ...], *, nodes: int, individuals: int) -
 def _scores(scores: Any, axes: Axes, shape: tuple[int, ...], source: str) -> Floats:
     """Return the `[frame, track, node]` scores. Raises FormatError.
 
-    axes: of the tracks; where theirs are MATLAB's, those of the scores are (track, node, frame).
+    axes: of the tracks; those of the scores are in the same order, without the coordinates.
     """
-    if scores.ndim == 3 and axes == _MATLAB:
-        scores = scores.transpose((2, 0, 1))
+    if scores.ndim == 3:
+        scores = scores.transpose([sorted(axes[:3]).index(axis) for axis in axes[:3]])
     if scores.shape != shape:
         raise malformed(
             source, f"`point_scores` of shape {shape} (frame, track, node)", scores.shape, _REMEDY
@@ -142,7 +158,6 @@ def _format_analysis(view: Keypoints2D) -> bytes:
     instances = values.shape[1]
     seen = np.isfinite(values[..., 0])
     is_there = seen.any(-1)
-    track_names = [f"track_{k}".encode() for k in range(instances)] if view.tracked else []
     buffer = io.BytesIO()
     with h5py.File(buffer, "w") as file:
         file["tracks"] = values[..., :2].transpose(1, 3, 2, 0)
@@ -151,14 +166,22 @@ def _format_analysis(view: Keypoints2D) -> bytes:
         file["tracking_scores"] = np.where(is_there, 0.0, np.nan).T
         file["track_occupancy"] = is_there.astype(np.uint8)
         file["node_names"] = np.array([name.encode() for name in view.keypoints])
-        file["track_names"] = np.array(track_names)
+        file["track_names"] = np.array(_track_names(instances, tracked=view.tracked), dtype="S")
         file["edge_inds"] = np.zeros((0, 2), dtype=np.int32)
         file["edge_names"] = np.zeros((0, 2), dtype="S1")
         file["labels_path"] = ""
         file["provenance"] = "{}"
-        file["video_path"] = ""
+        file["video_path"] = view.camera
         file["video_ind"] = 0
     return buffer.getvalue()
+
+
+def _track_names(instances: int, *, tracked: bool) -> list[str]:
+    """Return the names of the tracks; none for a single instance that nobody follows."""
+    if instances == 1 and not tracked:
+        return []
+    prefix = "track_" if tracked else _UNTRACKED
+    return [f"{prefix}{number}" for number in range(instances)]
 
 
 def _values_from_frame_0(view: Keypoints2D) -> Floats:

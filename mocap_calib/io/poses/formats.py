@@ -53,6 +53,7 @@ POSE_FORMATS = (
         endings=(".trc",),
         single=True,
         timed=True,
+        unit="mm",
     ),
     PoseFormat(
         kind="poses",
@@ -63,6 +64,7 @@ POSE_FORMATS = (
         write=c3d_file.write,
         endings=(".c3d",),
         timed=True,
+        unit="mm",
     ),
     PoseFormat(
         kind="poses",
@@ -90,6 +92,8 @@ POSE_FORMATS = (
         write=nwb.write,
         endings=(".nwb",),
         timed=True,
+        packages=("pynwb", "ndx_pose"),
+        extra="nwb",
     ),
     PoseFormat(
         kind="poses",

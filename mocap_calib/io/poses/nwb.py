@@ -15,7 +15,6 @@ from typing import Any
 import h5py
 import numpy as np
 
-from mocap_calib.errors import MismatchError
 from mocap_calib.io.hdf5 import array
 from mocap_calib.io.keypoints.nwb import frame_numbers_and_rate
 from mocap_calib.io.poses.common import (
@@ -105,10 +104,12 @@ def _parse(file: h5py.File, source: str) -> PoseFile:
 
 
 def write(file: PoseFile, title: str) -> WrittenPoses:
-    """Write the poses through pynwb. Raises MismatchError, also where it is not installed."""
+    """Write the poses through pynwb. Raises MismatchError."""
+    import ndx_pose  # noqa: PLC0415 - an extra
+    import pynwb  # noqa: PLC0415
+
     rate = need_rate(file, "nwb-3d")
     need_keypoints(file, _NAMES, "text without / and :", "nwb-3d")
-    ndx_pose, pynwb = _import_writers()
     nwb = pynwb.NWBFile(
         session_description=title or "3D poses",
         identifier="mocap-calib",
@@ -132,19 +133,6 @@ def write(file: PoseFile, title: str) -> WrittenPoses:
         behavior.add(estimation)
     behavior.add(ndx_pose.Skeletons(skeletons=skeletons))
     return WrittenPoses(_format_file(pynwb, nwb), _LOST)
-
-
-def _import_writers() -> tuple[Any, Any]:
-    """Return the modules ndx_pose and pynwb, an extra. Raises MismatchError."""
-    try:
-        import ndx_pose  # noqa: PLC0415 - an extra
-        import pynwb  # noqa: PLC0415
-    except ImportError:
-        raise MismatchError(
-            "nwb-3d: expected pynwb and ndx-pose, found none; "
-            "install them with `pip install mocap-calib[nwb]`"
-        ) from None
-    return ndx_pose, pynwb
 
 
 def _make_series(ndx_pose: Any, poses: Poses3D, individual: int, rate: float) -> list[Any]:

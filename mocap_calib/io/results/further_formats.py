@@ -11,7 +11,7 @@ from mocap_calib.io.cameras.write import format_rig, write_cameras
 from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.poses.formats import POSE_FORMATS
 from mocap_calib.io.poses.write import write_poses
-from mocap_calib.io.registry import find_format, written_names
+from mocap_calib.io.registry import AnyFormat, find_format, written_names
 from mocap_calib.types import CameraRig
 
 
@@ -28,7 +28,12 @@ class FurtherFiles:
 
 
 def check_formats(names: Sequence[str], fps: float | None) -> None:
-    """Raise MismatchError where `write_formats` cannot write a format, or not without `fps`."""
+    """Hold the names of further formats to what a run can write, before it starts.
+
+    Raises MismatchError for a name that is not known, a format that needs `fps` where there are
+    none, one whose packages are not installed, and one that needs a unit of length: the lengths
+    of a run are arbitrary.
+    """
     poses, cameras = written_names(POSE_FORMATS), written_names(CAMERA_FORMATS)
     for name in names:
         if name not in (*poses, *cameras):
@@ -36,11 +41,28 @@ def check_formats(names: Sequence[str], fps: float | None) -> None:
                 f"--write: expected one of {', '.join((*poses, *cameras))}, found {name!r}; "
                 "choose another"
             )
-        if name in poses and find_format(POSE_FORMATS, name).timed and fps is None:
+        known: AnyFormat
+        known = find_format(POSE_FORMATS if name in poses else CAMERA_FORMATS, name)
+        known.writer()
+        _check_unit(known)
+        if known.timed and fps is None:
             raise MismatchError(
                 f"--write {name}: expected the number of frames per second, found none; "
                 "say it with --fps"
             )
+
+
+def _check_unit(known: AnyFormat) -> None:
+    """Raise MismatchError where a format needs a unit of length, with the way to write it."""
+    if not known.unit:
+        return
+    file = "cameras.yaml" if known.kind == "cameras" else "poses3d.h5"
+    rate = " --fps FPS" if known.timed else ""
+    raise MismatchError(
+        f"--write {known.name}: expected a format that leaves the unit of length open, found one "
+        f"in {known.unit}, and a run does not know lengths; leave it out, and afterwards say what "
+        f"a length of 1 is: mocap-calib convert OUT/{file} NEW --to {known.name} --unit m{rate}"
+    )
 
 
 def write_formats(

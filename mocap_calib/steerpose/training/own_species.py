@@ -47,7 +47,7 @@ def own_poses(poses: Poses3D, skeleton: Skeleton, up: Floats, split: Split) -> P
     found = match_names(poses.keypoints, skeleton)
     joints = np.full((len(bodies), len(skeleton.keypoints), 3), np.nan)
     joints[:, found[found >= 0]] = bodies[:, found >= 0]
-    least_joints = max(TRAINING_JOINTS, len(poses.keypoints) // 2)
+    least_joints = max(TRAINING_JOINTS, int((found >= 0).sum()) // 2)
     enough = np.isfinite(joints[..., 0]).sum(1) >= least_joints
     count = int(enough.sum())
     if count < OWN_SPECIES_LEAST_POSES:
@@ -61,36 +61,54 @@ def own_poses(poses: Poses3D, skeleton: Skeleton, up: Floats, split: Split) -> P
 
 def _well_triangulated(poses: Poses3D) -> Floats:
     """Return the positions `[frame, individual, keypoint, 3]`, NaN where their error is large."""
-    largest = OWN_SPECIES_LARGEST_ERROR * np.nanmedian(poses.error)
+    largest = OWN_SPECIES_LARGEST_ERROR * _median(poses.error, axis=(0, 1, 2))
     return np.where((poses.error <= largest)[..., None], poses.positions, np.nan)
 
 
 def own_skeleton(name: str, poses: Poses3D) -> Skeleton:
-    """Return a skeleton of the keypoints of the poses, joined into a tree by what is most rigid.
+    """Return a skeleton of the keypoints that have points, joined into a tree by what is rigid.
 
     The bones are those that change their length least: a minimum spanning tree.
+
+    Raises DegenerateError where no pose has enough points.
     """
-    spread, length = _lengths(poses.positions)
+    known = np.isfinite(poses.positions[..., 0])
+    most = int(known.sum(-1).max(initial=0))
+    if most < TRAINING_JOINTS:
+        raise DegenerateError(
+            f"expected poses with at least {TRAINING_JOINTS} keypoints in 3D to learn from, "
+            f"found {most} at most; record longer"
+        )
+    seen = np.flatnonzero(known.any((0, 1)))
+    keypoints = [poses.keypoints[keypoint] for keypoint in seen]
+    spread, length = _lengths(poses.positions[:, :, seen])
     spread = 1e-6 + np.nan_to_num(spread, nan=np.nanmax(spread))
     tree = minimum_spanning_tree(csr_array(np.triu(spread, 1)))
     root = int(np.nanmean(length, axis=1).argmin())  # the most central keypoint
     order, parent = breadth_first_order(tree, root, directed=False)
-    edges = [[poses.keypoints[parent[child]], poses.keypoints[child]] for child in order[1:]]
-    return parse_skeleton({"name": name, "keypoints": list(poses.keypoints), "edges": edges}, name)
+    edges = [[keypoints[parent[child]], keypoints[child]] for child in order[1:]]
+    return parse_skeleton({"name": name, "keypoints": keypoints, "edges": edges}, name)
 
 
 def _lengths(positions: Floats) -> tuple[Floats, Floats]:
     """Return the spread and the typical value `[keypoint, keypoint]` of distances of keypoints.
 
     positions: `[frame, individual, keypoint, 3]`. In sizes of the individual, by medians: some
-    points are wrong, and some individuals are children.
+    points are wrong, and some individuals are children. NaN where two are never seen together.
     """
     count = positions.shape[2]
     length = np.full((count, *positions.shape[:3]), np.nan)
     for k in range(count):
         length[k] = np.linalg.norm(positions - positions[:, :, k : k + 1], axis=-1)
-    size = np.nanmedian(length, axis=(0, 1, 3))  # [individual]
-    length = length / size[:, None]
-    typical = np.nanmedian(length, axis=1, keepdims=True)
-    spread = np.nanmedian(np.abs(length - typical), axis=(1, 2))
-    return spread, np.nanmedian(typical, axis=(1, 2))
+    size = _median(length, axis=(0, 1, 3))[0, 0]  # [individual, 1]
+    length = length / np.where(size > 0, size, np.nan)
+    typical = _median(length, axis=(1,))
+    spread = _median(np.abs(length - typical), axis=(1, 2))
+    return spread[:, 0, 0], _median(typical, axis=(1, 2))[:, 0, 0]
+
+
+def _median(values: Floats, axis: tuple[int, ...]) -> Floats:
+    """Return the medians of what is known along axes, which are kept; NaN where nothing is."""
+    unknown = np.isnan(values).all(axis, keepdims=True)
+    medians = np.nanmedian(np.where(unknown, 0.0, values), axis=axis, keepdims=True)
+    return np.where(unknown, np.nan, medians)

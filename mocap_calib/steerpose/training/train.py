@@ -95,8 +95,10 @@ def optimise(
     optimiser = torch.optim.AdamW(
         model.parameters(), lr=config.learning_rate, weight_decay=WEIGHT_DECAY
     )
+    # torch divides by the number of steps after the first in which the rate rises
+    warm_up = WARM_UP if WARM_UP * config.steps > 1 else 0.0
     schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimiser, config.learning_rate, total_steps=config.steps, pct_start=WARM_UP
+        optimiser, config.learning_rate, total_steps=config.steps, pct_start=warm_up
     )
     for step in range(config.steps):
         loss = next_loss()

@@ -1,0 +1,26 @@
+"""What is said of stages while a command works."""
+
+import re
+
+from mocap_calib_cli.progress import Reporter
+
+
+def said_of(capsys, *steps) -> list[str]:
+    with Reporter(quiet=False) as reporter:
+        for step in steps:
+            reporter(*step)
+    return re.sub(r"\d+\.\d s", "T", capsys.readouterr().err).splitlines()
+
+
+def test_a_stage_that_needed_fewer_steps_is_done_and_not_aborted(capsys):
+    assert said_of(capsys, ("adjust", 1, 6), ("adjust", 3, 6), ("match all", 7, 7)) == [
+        "adjust: done in T (needed 3 of at most 6 steps)",
+        "match all: done in T",
+    ]
+
+
+def test_the_last_stage_is_done_too(capsys):
+    assert said_of(capsys, ("pairwise", 6, 6), ("adjust", 2, 6)) == [
+        "pairwise: done in T",
+        "adjust: done in T (needed 2 of at most 6 steps)",
+    ]

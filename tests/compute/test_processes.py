@@ -1,0 +1,122 @@
+"""Processes of this machine: results and errors come back, and nothing outlives its command."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import psutil
+import pytest
+
+from mocap_calib.compute.parallel import map_in_processes, processes
+from mocap_calib.errors import ClusterError
+
+# a process that has given work to another, which says who it is and then works for a minute
+AT_WORK = """
+import sys
+from mocap_calib.compute.parallel import map_in_processes, processes
+sys.path.insert(0, sys.argv[1])
+from test_processes import say_and_sleep
+with processes(1) as workers:
+    list(workers(say_and_sleep, [sys.argv[2]]))
+"""
+
+
+def say_and_sleep(path):
+    with open(f"{path}.new", "w") as file:
+        file.write(str(os.getpid()))
+    os.replace(f"{path}.new", path)
+    time.sleep(60)
+
+
+def inverse_or_end(number):
+    if number == 3:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return 1 / number
+
+
+def squared(number):
+    return number * number, os.getpid()
+
+
+def outcome(result):
+    try:
+        return result()
+    except (ClusterError, ZeroDivisionError) as error:
+        return str(error)
+
+
+def test_one_item_that_fails_or_kills_its_process_does_not_end_the_others():
+    with processes(2) as workers:
+        assert workers.threads == 2
+        found = {
+            item: outcome(result)
+            for item, result in workers.completed(inverse_or_end, [0, 1, 2, 3, 4, 5])
+        }
+    assert found == {
+        0: "division by zero",
+        1: 1.0,
+        2: 0.5,
+        3: "expected a process that survives the work, found it ended by SIGKILL; "
+        "give it more memory, or do less at a time",
+        4: 0.25,
+        5: 0.2,
+    }
+
+
+def test_a_mapper_of_processes_ends_them(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "2")
+    results = map_in_processes(squared, range(50))
+    first, there = next(results)
+    os.kill(there, 0)  # it is there
+    values, pids = zip(*results, strict=True)
+    assert sorted([first, *values]) == [k * k for k in range(50)]
+    assert os.getpid() not in pids
+    assert 1 <= len({there, *pids}) <= 2
+    assert not any(map(psutil.pid_exists, {there, *pids}))
+    with pytest.raises(ZeroDivisionError):
+        list(map_in_processes(inverse_or_end, range(2)))
+
+
+def test_no_more_is_taken_than_keeps_the_processes_busy():
+    taken = []
+    with processes(2) as workers:
+        for _ in workers(abs, (taken.append(k) or k for k in range(9))):
+            break
+    assert taken == [0, 1, 2, 3]
+
+
+def wait_for_worker(path):
+    while not path.exists():
+        time.sleep(0.01)
+    return psutil.Process(int(path.read_text()))
+
+
+def start_and_interrupt(path):
+    """Have a process work for a minute, and interrupt it after a second."""
+    before = signal.signal(signal.SIGALRM, signal.default_int_handler)
+    try:
+        with processes(1) as workers:
+            signal.setitimer(signal.ITIMER_REAL, 1.0)
+            next(workers(say_and_sleep, [path / "one", path / "two"]))
+    finally:
+        signal.signal(signal.SIGALRM, before)
+
+
+def test_an_interruption_ends_work_that_is_under_way(tmp_path):
+    start = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        start_and_interrupt(tmp_path)
+    assert time.monotonic() - start < 20
+    assert [path.name for path in tmp_path.iterdir()] in ([], ["one"])
+    for path in tmp_path.iterdir():
+        assert not psutil.pid_exists(int(path.read_text()))
+
+
+def test_a_process_at_work_ends_with_the_one_that_was_killed(tmp_path):
+    command = [sys.executable, "-c", AT_WORK, os.path.dirname(__file__), tmp_path / "pid"]
+    with subprocess.Popen(command) as parent:
+        worker = wait_for_worker(tmp_path / "pid")
+        parent.kill()
+    assert psutil.wait_procs([worker], timeout=10)[1] == []

@@ -1,0 +1,151 @@
+"""Run `mocap-calib` in processes that are forked from one that has imported the libraries.
+
+Importing them takes more than a second, which most tests of the command would spend again. A
+command runs as it does from a shell: in a process, folder and environment of its own, with pipes
+for its streams. How a command starts from nothing is tested by other tests.
+"""
+
+import atexit
+import importlib
+import json
+import os
+import socket
+import subprocess
+import sys
+import threading
+import traceback
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import NoReturn
+
+# what the commands import; the thread pools of these start when they are first used, not here
+PRELOADED = (
+    "cv2",
+    "h5py",
+    "mocap_calib.job",
+    "mocap_calib_cli.main",
+    "rich.progress",
+    "scipy.optimize",
+    "scipy.sparse.linalg",
+    "torch",
+)
+
+
+class ForkedCommand:
+    """A process that waits for commands, and forks itself for each of them."""
+
+    def __init__(self) -> None:
+        self.connection, theirs = socket.socketpair()
+        with theirs:
+            self.server = subprocess.Popen(
+                [sys.executable, __file__, str(theirs.fileno())],
+                pass_fds=[theirs.fileno()],
+                stdin=subprocess.DEVNULL,
+            )
+
+    def run(
+        self, arguments: list[str], *, stdin: str, cwd: Path | None
+    ) -> subprocess.CompletedProcess[str]:
+        """Run the command as `subprocess.run` does with `capture_output=True`."""
+        request = {
+            "arguments": arguments,
+            "cwd": str(cwd or Path.cwd()),
+            "environment": dict(os.environ),
+        }
+        (input_read, input_write), (stdout_read, stdout_write), (stderr_read, stderr_write) = (
+            os.pipe() for _ in range(3)
+        )
+        theirs = [input_read, stdout_write, stderr_write]
+        socket.send_fds(self.connection, [_framed(request)], theirs)
+        for descriptor in theirs:
+            os.close(descriptor)
+        with ThreadPoolExecutor(3) as pool:
+            pool.submit(_write, input_write, stdin)
+            stdout = pool.submit(_read, stdout_read)
+            stderr = pool.submit(_read, stderr_read)
+        status = int.from_bytes(self.connection.recv(4), "big", signed=True)
+        return subprocess.CompletedProcess(arguments, status, stdout.result(), stderr.result())
+
+    def close(self) -> None:
+        """End the process that waits."""
+        self.connection.close()
+        self.server.wait()
+
+
+def _framed(request: dict) -> bytes:
+    """Return the request with its length in front."""
+    content = json.dumps(request).encode()
+    return len(content).to_bytes(4, "big") + content
+
+
+def _read(descriptor: int) -> str:
+    with open(descriptor, encoding="utf-8") as stream:
+        return stream.read()
+
+
+def _write(descriptor: int, text: str) -> None:
+    try:
+        with open(descriptor, "w", encoding="utf-8") as stream:
+            stream.write(text)
+    except BrokenPipeError:  # the command has not read its input
+        pass
+
+
+def serve(connection: socket.socket) -> None:
+    """Fork a process for each command that comes through the connection."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command does before numpy comes
+    os.environ.setdefault("MKL_NUM_THREADS", "1")
+    for module in PRELOADED:
+        importlib.import_module(module)
+    while True:
+        head, descriptors, _, _ = socket.recv_fds(connection, 4, 3)
+        if not head:
+            return
+        request = json.loads(_receive(connection, int.from_bytes(head, "big")))
+        child = os.fork()
+        if child == 0:
+            connection.close()
+            _become_command(request, descriptors)
+        for descriptor in descriptors:
+            os.close(descriptor)
+        _, status = os.waitpid(child, 0)
+        code = os.waitstatus_to_exitcode(status)
+        connection.sendall(code.to_bytes(4, "big", signed=True))
+
+
+def _receive(connection: socket.socket, length: int) -> bytes:
+    content = b""
+    while len(content) < length:
+        content += connection.recv(length - len(content))
+    return content
+
+
+def _become_command(request: dict, descriptors: list[int]) -> NoReturn:
+    """Run the command in this process, and end it."""
+    from mocap_calib_cli.main import main
+
+    for stream, descriptor in enumerate(descriptors):
+        os.dup2(descriptor, stream)
+        os.close(descriptor)
+    os.environ.clear()
+    os.environ.update(request["environment"])
+    os.chdir(request["cwd"])
+    sys.argv = ["mocap-calib", *request["arguments"]]
+    status = 1
+    try:
+        main()
+    except SystemExit as end:
+        status = end.code if isinstance(end.code, int) else int(end.code is not None)
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        threading._shutdown()
+        atexit._run_exitfuncs()
+        for stream in (sys.stdout, sys.stderr):
+            if stream is not None:
+                stream.flush()
+        os._exit(status)
+
+
+if __name__ == "__main__":
+    serve(socket.socket(fileno=int(sys.argv[1])))
