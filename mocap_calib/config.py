@@ -326,6 +326,8 @@ class IntrinsicsConfig:
         assumed where nothing is given.
     focal_per_camera: cameras of equal image size have focal lengths of their own; else all that is
         said of one holds for the others.
+    least_gain: share of the uncertainty that an estimate may leave: where more is left, the
+        recording does not determine the focal lengths, and they stay as given.
     k1_uncertainty: standard deviation of the first coefficient of the lens.
     k1_significance: standard deviations that k1 must be away from what was given, to be changed.
     overconfidence: by how much the variance is larger than that of independent errors, until it
@@ -339,6 +341,7 @@ class IntrinsicsConfig:
     refine: Literal["none", "focal", "focal+k1"] = "none"
     focal_uncertainty: float = 0.5
     focal_per_camera: bool = False
+    least_gain: float = 0.5
     k1_uncertainty: float = 0.2
     k1_significance: float = 3.0
     overconfidence: float = 25.0

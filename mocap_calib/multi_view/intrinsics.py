@@ -73,18 +73,20 @@ def estimate_intrinsics(
     Raises DegenerateError and UnderconstrainedCameraError where what was matched does not
     constrain the rig.
     """
-    given = sample.cameras
+    views = len(sample.cameras)
     start = _Estimate(
         rig=rig,
         sample=sample,
         matches=matches,
-        change=np.zeros((len(given), 1)),
-        sigma=np.full((len(given), 1), config.intrinsics.focal_uncertainty),
-        overconfidence=np.full((len(given), 1), config.intrinsics.overconfidence),
+        change=np.zeros((views, 1)),
+        sigma=np.full((views, 1), config.intrinsics.focal_uncertainty),
+        overconfidence=np.full((views, 1), config.intrinsics.overconfidence),
     )
-    found = _settle(start, given, config, lifted=lifted, progress=progress)
+    found = _settle(start, sample, config, lifted=lifted, progress=progress)
+    if not _focal_is_determined(found, config.intrinsics):
+        return _estimated_cameras(start)
     if config.intrinsics.refine == "focal+k1":
-        with_k1 = _settle(_with_k1(found), given, config, lifted=lifted, progress=progress)
+        with_k1 = _settle(_with_k1(found), sample, config, lifted=lifted, progress=progress)
         if _k1_is_significant(with_k1, config.intrinsics):
             found = with_k1
     return _estimated_cameras(found)
@@ -113,14 +115,12 @@ def _with_k1(found: _Estimate) -> _Estimate:
 
 
 def _settle(
-    found: _Estimate,
-    given: tuple[Camera, ...],
-    config: Config,
-    *,
-    lifted: LiftedPoses,
-    progress: Progress,
+    found: _Estimate, given: Sample, config: Config, *, lifted: LiftedPoses, progress: Progress
 ) -> _Estimate:
-    """Adjust, take the rays anew and match again, until the focal lengths and the groups stay."""
+    """Adjust, take the rays anew and match again, until the focal lengths and the groups stay.
+
+    given: the sample with the intrinsics that were given.
+    """
     rounds = config.intrinsics.rounds
     for done in range(1, rounds + 1):
         before, found = found, _adjust_once(found, given, config, lifted=lifted)
@@ -132,18 +132,18 @@ def _settle(
 
 
 def _adjust_once(
-    found: _Estimate, given: tuple[Camera, ...], config: Config, *, lifted: LiftedPoses
+    found: _Estimate, given: Sample, config: Config, *, lifted: LiftedPoses
 ) -> _Estimate:
     """Return the estimate after one adjustment of poses and intrinsics together."""
     points = choose_points(found.sample, found.rig, found.matches, config)
     focal = np.array([camera.focal for camera in found.rig.cameras])
     seen = PixelObservations(
-        cameras=given,
+        cameras=given.cameras,
         pixels=np.nan_to_num(points.pixels),
         sigma=points.noise * focal,
         weight=points.weight,
     )
-    freedom = _freedom(found, given, config.intrinsics)
+    freedom = _freedom(found, given.cameras, config.intrinsics)
     start = State(found.rig.rotation, found.rig.translation, points.points, found.change)
     state = minimise_in_steps(start, seen, freedom, config.adjust)
     covariance = find_covariance(
@@ -153,9 +153,9 @@ def _adjust_once(
         clusters=(_time_blocks(points, config.intrinsics.time_blocks), points.keypoint),
         loss_scale=config.adjust.loss_scales[-1],
     )
-    cameras = changed_cameras(given, state)
+    cameras = changed_cameras(given.cameras, state)
     rig = placed_as(replace(found.rig, cameras=cameras), state)
-    sample = with_cameras(found.sample, cameras)
+    sample = with_cameras(given, cameras)
     overconfidence = _overconfidence(covariance, freedom, config.intrinsics)
     return _Estimate(
         rig=rig,
@@ -184,9 +184,7 @@ def _time_blocks(points: AdjustablePoints, blocks: int) -> Ints:
     return np.asarray(rank * blocks // len(frames), dtype=np.int64)
 
 
-def _overconfidence(
-    covariance: Covariance, freedom: Freedom, config: IntrinsicsConfig
-) -> Floats:
+def _overconfidence(covariance: Covariance, freedom: Freedom, config: IntrinsicsConfig) -> Floats:
     """Return by how much the variance of intrinsics is larger than that of independent errors.
 
     `[view, intrinsic]`, of what the detections alone say: with s the scatter of an unknown's
@@ -222,6 +220,15 @@ def _prior(freedom: Freedom) -> Floats:
     return whole[own]
 
 
+def _focal_is_determined(found: _Estimate, config: IntrinsicsConfig) -> bool:
+    """Return whether the recording says more of the focal lengths than was known beforehand.
+
+    Two views hardly say anything: any focal length goes with some rig.
+    """
+    left = np.median(found.sigma[:, 0]) / config.focal_uncertainty
+    return bool(left < config.least_gain)
+
+
 def _k1_is_significant(found: _Estimate, config: IntrinsicsConfig) -> bool:
     """Return whether the lens of any camera has certainly another first coefficient than given."""
     ratio = np.abs(found.change[:, 1]) / found.sigma[:, 1]
@@ -232,15 +239,22 @@ def _estimated_cameras(found: _Estimate) -> tuple[EstimatedCamera, ...]:
     """Return the cameras with the standard deviations of what was estimated of them."""
     sigma = np.zeros((len(found.sigma), 2))
     sigma[:, : found.sigma.shape[1]] = found.sigma
-    return tuple(
-        EstimatedCamera(
-            name=camera.name,
-            size=camera.size,
-            matrix=camera.matrix,
-            distortion=camera.distortion,
-            fisheye=camera.fisheye,
-            focal_sigma=float(log_focal * camera.focal),
-            k1_sigma=float(k1),
-        )
-        for camera, (log_focal, k1) in zip(found.rig.cameras, sigma, strict=True)
+    return tuple(map(_estimated_camera, found.rig.cameras, sigma[:, 0], sigma[:, 1]))
+
+
+def not_estimated(camera: Camera, config: IntrinsicsConfig) -> EstimatedCamera:
+    """Return a camera that nothing was found of, as uncertain as it was beforehand."""
+    return _estimated_camera(camera, config.focal_uncertainty, 0.0)
+
+
+def _estimated_camera(camera: Camera, log_focal: float, k1: float) -> EstimatedCamera:
+    """Return a camera with the standard deviations of its log focal length and of k1."""
+    return EstimatedCamera(
+        name=camera.name,
+        size=camera.size,
+        matrix=camera.matrix,
+        distortion=camera.distortion,
+        fisheye=camera.fisheye,
+        focal_sigma=float(log_focal * camera.focal),
+        k1_sigma=float(k1),
     )

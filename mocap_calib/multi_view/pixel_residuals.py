@@ -47,9 +47,7 @@ class PixelObservations:
             behind=behind,
         )
 
-    def slopes(
-        self, _block: slice, state: State, found: Residuals, weight: Floats, /
-    ) -> Slopes:
+    def slopes(self, _block: slice, state: State, found: Residuals, weight: Floats, /) -> Slopes:
         """Return the weighed derivatives, by the chain of the lens and the division by depth."""
         image = found.in_camera[:, :2] / found.depth[:, None]
         scale = weight / self.sigma[:, None]

@@ -48,9 +48,7 @@ class RayObservations:
             behind=behind,
         )
 
-    def slopes(
-        self, block: slice, _state: State, found: Residuals, weight: Floats, /
-    ) -> Slopes:
+    def slopes(self, block: slice, _state: State, found: Residuals, weight: Floats, /) -> Slopes:
         """Return the weighed derivatives: with r = M x / (u'x), dr/dx = (M - r u') / (u'x)."""
         rays = self.rays[:, None, :, block]
         slope = self.metric[..., block] - found.residual[:, :, None] * rays

@@ -80,9 +80,7 @@ class Observations(Protocol):
     def residuals(self, block: slice, state: State) -> Residuals:
         """Return a block of points as the cameras see them."""
 
-    def slopes(
-        self, block: slice, state: State, found: Residuals, weight: Floats, /
-    ) -> Slopes:
+    def slopes(self, block: slice, state: State, found: Residuals, weight: Floats, /) -> Slopes:
         """Return the derivatives of residuals that were found, times a weight `[view, n]`."""
 
 

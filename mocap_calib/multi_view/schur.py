@@ -180,9 +180,7 @@ def _linearise_block(
 # The step
 
 
-def _step(
-    state: State, equations: NormalEquations, freedom: Freedom, damping: float
-) -> State:
+def _step(state: State, equations: NormalEquations, freedom: Freedom, damping: float) -> State:
     """Return the state after a damped Gauss-Newton step of cameras and points.
 
     First the reduced camera system S dc = -(a - W V^-1 b), where S = U - W V^-1 W' is the Schur

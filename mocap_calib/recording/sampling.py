@@ -49,9 +49,19 @@ def take_sample(recording: Recording, index: Ints | slice) -> Sample:
 
 
 def with_cameras(sample: Sample, cameras: tuple[Camera, ...]) -> Sample:
-    """Return the sample as seen by cameras of other intrinsics, with its rays."""
-    rays = map(rays_from_pixels, cameras, sample.positions)
-    return replace(sample, cameras=cameras, rays=np.stack(list(rays)))
+    """Return the sample as seen by cameras of other intrinsics, with its rays.
+
+    What the lens model cannot undo is no detection.
+    """
+    rays = np.stack(list(map(rays_from_pixels, cameras, sample.positions)))
+    blind = np.isnan(rays[..., 0])
+    return replace(
+        sample,
+        cameras=cameras,
+        rays=rays,
+        positions=np.where(blind[..., None], np.nan, sample.positions),
+        confidence=np.where(blind, 0.0, sample.confidence),
+    )
 
 
 def choose_sample_frames(recording: Recording, config: SampleConfig) -> Ints:

@@ -9,10 +9,10 @@ from scenes import scene, turn_cameras
 from mocap_calib.multi_view.ray_residuals import RayObservations
 from mocap_calib.multi_view.residuals import State, robust_cost
 from mocap_calib.multi_view.schur import (
-    linearise,
     NormalEquations,
     _step,
     free_poses,
+    linearise,
     minimise,
 )
 
