@@ -1,7 +1,7 @@
 """Every default, once. Imports nothing heavy, so that the command line can show them."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 LIFT_CONFIDENCE = 0.4  # of a view's best confidence: joints below it are hidden from the network
 LIFT_BEST_PERCENTILE = 90.0  # of a view's confidences: the view's best
@@ -313,7 +313,8 @@ LM_MOST_DAMPING = 1e8  # beyond it no step lowers the cost
 
 
 # what of the intrinsics may be estimated
-REFINEMENTS = ("none", "focal", "focal+k1")
+Refinement = Literal["none", "focal", "focal+k1"]
+REFINEMENTS: tuple[Refinement, ...] = get_args(Refinement)
 
 
 @dataclass(frozen=True)
@@ -338,7 +339,7 @@ class IntrinsicsConfig:
     time_blocks: stretches of the recording within which errors go together.
     """
 
-    refine: Literal["none", "focal", "focal+k1"] = "none"
+    refine: Refinement = "none"
     focal_uncertainty: float = 0.5
     focal_per_camera: bool = False
     least_gain: float = 0.5

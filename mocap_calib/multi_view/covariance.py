@@ -71,7 +71,7 @@ def _gradients_of_points(state: State, seen: Observations, loss_scale: float) ->
 def _inflation(weight: Floats) -> Floats:
     """Return by how much residuals of a point are too small: three of its numbers bend to them."""
     numbers = np.maximum(2 * (weight > 0).sum(0), 4)
-    return np.asarray(np.sqrt(numbers / (numbers - 3)), dtype=np.float64)
+    return np.asarray(np.sqrt(numbers / (numbers - 3)))
 
 
 def _scatter(scores: Floats, cluster: Ints) -> Floats:
@@ -82,8 +82,7 @@ def _scatter(scores: Floats, cluster: Ints) -> Floats:
     _, number = np.unique(cluster, return_inverse=True)
     count = int(number.max()) + 1
     sums = np.stack([np.bincount(number, row, minlength=count) for row in scores])
-    scatter: Floats = sums @ sums.T * (count / max(count - 1, 1))
-    return scatter
+    return np.asarray(sums @ sums.T * (count / max(count - 1, 1)), dtype=np.float64)
 
 
 def _inverse_at_size(matrix: Floats, state: State) -> Floats:
