@@ -96,7 +96,8 @@ def _inverse_at_size(matrix: Floats, state: State) -> Floats:
     moves[:, 3:] = state.translation[1:] + state.rotation[1:] @ first
     size[: moves.size] = moves.ravel()
     directions = np.linalg.svd(size[None])[2][1:].T  # all that leave the size as it is
-    scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-150))
+    stiffness = np.diag(matrix)
+    scale = 1 / np.sqrt(np.maximum(stiffness, 1e-15 * stiffness.max()))  # rounding may go below
     directions, _ = np.linalg.qr(directions / scale[:, None])
     scaled = directions.T @ (scale[:, None] * matrix * scale) @ directions
     inverse = directions @ np.linalg.pinv(scaled, rcond=1e-13, hermitian=True) @ directions.T

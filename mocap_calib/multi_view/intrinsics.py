@@ -123,7 +123,8 @@ def _settle(
     """
     rounds = config.intrinsics.rounds
     for done in range(1, rounds + 1):
-        before, found = found, _adjust_once(found, given, config, lifted=lifted)
+        before = found
+        found = _adjust_once(found, given, config, lifted=lifted, already_close=done > 1)
         progress("intrinsics", done, rounds)
         change = np.abs(found.change[:, 0] - before.change[:, 0]).max()
         if change < config.intrinsics.settled and have_same_groups(found.matches, before.matches):
@@ -132,9 +133,17 @@ def _settle(
 
 
 def _adjust_once(
-    found: _Estimate, given: Sample, config: Config, *, lifted: LiftedPoses
+    found: _Estimate,
+    given: Sample,
+    config: Config,
+    *,
+    lifted: LiftedPoses,
+    already_close: bool,
 ) -> _Estimate:
-    """Return the estimate after one adjustment of poses and intrinsics together."""
+    """Return the estimate after one adjustment of poses and intrinsics together.
+
+    already_close: it follows another such adjustment.
+    """
     points = choose_points(found.sample, found.rig, found.matches, config)
     focal = np.array([camera.focal for camera in found.rig.cameras])
     seen = PixelObservations(
@@ -145,7 +154,7 @@ def _adjust_once(
     )
     freedom = _freedom(found, given.cameras, config.intrinsics)
     start = State(found.rig.rotation, found.rig.translation, points.points, found.change)
-    state = minimise_in_steps(start, seen, freedom, config.adjust)
+    state = minimise_in_steps(start, seen, freedom, config.adjust, already_close=already_close)
     covariance = find_covariance(
         state,
         seen,
