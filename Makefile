@@ -1,5 +1,5 @@
 # Two commands for a fresh machine: `make demo` and `make test`. Both make the environment in .venv first.
-# Everything is installed through constraints.txt: a bare requirement on torch can fetch gigabytes of CUDA.
+# Everything is installed in the versions of constraints.txt, and torch without CUDA (.ci/check_torch.py).
 
 PYTHON ?= python3
 BIN := .venv/bin
@@ -42,6 +42,7 @@ cli-docs: .venv/installed
 .venv/installed: setup.cfg constraints.txt
 	@echo "== making the environment in .venv (a minute or two) =="
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	@$(BIN)/python .ci/check_torch.py
 	$(INSTALL) -e .
 	@touch $@
 

@@ -168,7 +168,7 @@ def write_scene(folder: Path, *, cameras: int, individuals: int, frames: int) ->
     """
     usual = SimulateConfig()
     of_people, of_rig, of_detector = np.random.default_rng(0).spawn(3)
-    side = 0.9 * usual.radius
+    side = 0.9 * usual.ring_radius
     bodies = people(
         of_people,
         individuals=individuals,
@@ -177,7 +177,12 @@ def write_scene(folder: Path, *, cameras: int, individuals: int, frames: int) ->
         room=(side, side),
     )
     rig = ring_rig(
-        of_rig, cameras=cameras, radius=usual.radius, height=2.2, size=usual.size, distortion="none"
+        of_rig,
+        cameras=cameras,
+        radius=usual.ring_radius,
+        height=2.2,
+        size=usual.size,
+        distortion="none",
     )
     names = LAYOUTS["coco17"]
     keypoints = folder / "keypoints"

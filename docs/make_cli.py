@@ -6,12 +6,16 @@ from pathlib import Path
 
 from mocap_calib_cli.main import COMMANDS
 
+_ABOUT = (
+    "Made by `make cli-docs` from `--help`. The shell can complete commands, options and names of "
+    "formats: [how](completion.md)."
+)
 TOOL = Path(sys.executable).with_name("mocap-calib")
 
 
 def make_page() -> str:
     """Return the whole page as Markdown."""
-    lines = ["# Command line", "", "Made by `make cli-docs` from `--help`.", ""]
+    lines = ["# Command line", "", _ABOUT, ""]
     for name in COMMANDS:
         lines += [f"## mocap-calib {name}", "", "```text", read_help(name), "```", ""]
     return "\n".join(lines)
@@ -20,9 +24,10 @@ def make_page() -> str:
 def read_help(name: str) -> str:
     """Return the help text of a command."""
     command = [TOOL, name, "--help"]
-    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    done = subprocess.run(command, check=True, capture_output=True, encoding="utf-8")
     return done.stdout.rstrip()
 
 
 if __name__ == "__main__":
-    Path(__file__).with_name("cli.md").write_text(make_page(), "utf-8")
+    page = Path(__file__).with_name("cli.md")
+    page.write_text(make_page(), encoding="utf-8", newline="\n")

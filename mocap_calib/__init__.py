@@ -1,7 +1,7 @@
 """Cameras and 3D poses from the 2D keypoints of moving people and animals.
 
-The names of `__all__` are the library, as far as most programs need it. Each is imported when it
-is first used: `import mocap_calib` itself is quick.
+The names of `__all__` are the library, as far as most programs need it; docs/python.md shows them
+at work. Each is imported when it is first used: `import mocap_calib` itself is quick.
 """
 
 from importlib import import_module
@@ -17,26 +17,15 @@ if TYPE_CHECKING:
         MocapCalibError,
         UnderconstrainedCameraError,
     )
+    from mocap_calib.front import read_recording, write
     from mocap_calib.io.cameras.read import read_cameras, read_rig
-    from mocap_calib.io.cameras.write import write_cameras
+    from mocap_calib.io.keypoints.document import ReadOptions
     from mocap_calib.io.keypoints.read import read_keypoints
-    from mocap_calib.io.keypoints.write import write_keypoints
     from mocap_calib.io.poses.read import read_poses
-    from mocap_calib.io.poses.write import write_poses
-    from mocap_calib.job import (
-        CalibrationRequest,
-        KeypointSource,
-        calibrate_job,
-        read_job,
-        write_results,
-    )
-    from mocap_calib.multi_view.evaluation import Evaluation, evaluate_rig
+    from mocap_calib.multi_view.evaluation import Evaluation, evaluate
     from mocap_calib.multi_view.triangulation import triangulate
-    from mocap_calib.pipeline import calibrate
-    from mocap_calib.recording.joints import fit_vocabulary, load_skeleton
-    from mocap_calib.recording.synchronise import make_recording
-    from mocap_calib.steerpose.checkpoint import load_model
-    from mocap_calib.synthetic import simulate
+    from mocap_calib.pipeline import calibrate, match
+    from mocap_calib.synthetic import Scene, simulate
     from mocap_calib.types import (
         CalibrationResult,
         Camera,
@@ -44,10 +33,9 @@ if TYPE_CHECKING:
         GroupResult,
         Keypoints2D,
         Matches,
+        PosedCamera,
         Poses3D,
         Recording,
-        Skeleton,
-        silent,
     )
 
 __version__ = "0.1.0"
@@ -62,26 +50,15 @@ _NAMES = {
         "MocapCalibError",
         "UnderconstrainedCameraError",
     ),
+    "front": ("read_recording", "write"),
     "io.cameras.read": ("read_cameras", "read_rig"),
-    "io.cameras.write": ("write_cameras",),
+    "io.keypoints.document": ("ReadOptions",),
     "io.keypoints.read": ("read_keypoints",),
-    "io.keypoints.write": ("write_keypoints",),
     "io.poses.read": ("read_poses",),
-    "io.poses.write": ("write_poses",),
-    "job": (
-        "CalibrationRequest",
-        "KeypointSource",
-        "calibrate_job",
-        "read_job",
-        "write_results",
-    ),
-    "multi_view.evaluation": ("Evaluation", "evaluate_rig"),
+    "multi_view.evaluation": ("Evaluation", "evaluate"),
     "multi_view.triangulation": ("triangulate",),
-    "pipeline": ("calibrate",),
-    "recording.joints": ("fit_vocabulary", "load_skeleton"),
-    "recording.synchronise": ("make_recording",),
-    "steerpose.checkpoint": ("load_model",),
-    "synthetic": ("simulate",),
+    "pipeline": ("calibrate", "match"),
+    "synthetic": ("Scene", "simulate"),
     "types": (
         "CalibrationResult",
         "Camera",
@@ -89,16 +66,14 @@ _NAMES = {
         "GroupResult",
         "Keypoints2D",
         "Matches",
+        "PosedCamera",
         "Poses3D",
         "Recording",
-        "Skeleton",
-        "silent",
     ),
 }
 _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}
 
 __all__ = [
-    "CalibrationRequest",
     "CalibrationResult",
     "Camera",
     "CameraRig",
@@ -108,35 +83,28 @@ __all__ = [
     "Evaluation",
     "FormatError",
     "GroupResult",
-    "KeypointSource",
     "Keypoints2D",
     "Matches",
     "MismatchError",
     "MocapCalibError",
+    "PosedCamera",
     "Poses3D",
+    "ReadOptions",
     "Recording",
+    "Scene",
     "SimulateConfig",
-    "Skeleton",
     "UnderconstrainedCameraError",
     "calibrate",
-    "calibrate_job",
-    "evaluate_rig",
-    "fit_vocabulary",
-    "load_model",
-    "load_skeleton",
-    "make_recording",
+    "evaluate",
+    "match",
     "read_cameras",
-    "read_job",
     "read_keypoints",
     "read_poses",
+    "read_recording",
     "read_rig",
-    "silent",
     "simulate",
     "triangulate",
-    "write_cameras",
-    "write_keypoints",
-    "write_poses",
-    "write_results",
+    "write",
 ]
 
 

@@ -7,108 +7,54 @@ Where intrinsics are to be estimated, they are from a first rig of each group: a
 intrinsics. Then everything is done with them from the beginning, as if they had been given.
 """
 
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import partial
-from typing import TypeVar
+from pathlib import Path
 
 import numpy as np
 
+from mocap_calib.compute.clock import Clock
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config
-from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
+from mocap_calib.errors import DegenerateError
 from mocap_calib.multi_view.association import associate, label_all_frames
 from mocap_calib.multi_view.averaging import average
 from mocap_calib.multi_view.intrinsics import estimate_intrinsics, not_estimated
+from mocap_calib.multi_view.observed import Observed, leave_out_underconstrained
 from mocap_calib.multi_view.refinement import adjust_from_best_start
 from mocap_calib.multi_view.tracking import finalise_identities
-from mocap_calib.multi_view.triangulation import triangulate
-from mocap_calib.multi_view.uncertainty import assess_uncertainty
-from mocap_calib.multi_view.view_graph import camera_groups, pairs_among, select_hypotheses
+from mocap_calib.multi_view.triangulation import check_same_cameras, triangulate
+from mocap_calib.multi_view.uncertainty import assess_uncertainty, judge_rig
+from mocap_calib.multi_view.view_graph import camera_groups, select_hypotheses
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
 from mocap_calib.recording.synchronise import change_cameras
+from mocap_calib.steerpose.checkpoint import AUTO, choose_model
+from mocap_calib.steerpose.device import check_device
 from mocap_calib.steerpose.lift import lift
 from mocap_calib.steerpose.model import Lifter
 from mocap_calib.two_view.solve import PairSolver, calibrate_pairs, in_recording
 from mocap_calib.types import (
     CalibrationResult,
+    CameraRig,
     EstimatedCamera,
     GroupResult,
-    Ints,
-    LiftedPoses,
     Mapper,
+    Matches,
     PairwiseCalibration,
     Progress,
     Recording,
-    Sample,
     UnusedPair,
     silent,
 )
 
-T = TypeVar("T")
-
-
-class Clock:
-    """Wall time by stage: `with clock("lift"): ...` adds to an entry of `seconds`."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-
-    @contextmanager
-    def __call__(self, stage: str) -> Iterator[None]:
-        """Take the time of what is done inside the context."""
-        start = time.perf_counter()
-        yield
-        spent = time.perf_counter() - start
-        self.seconds[stage] = self.seconds.get(stage, 0.0) + spent
-
-    def continued(self) -> "Clock":
-        """Return a clock that goes on from the entries of this one."""
-        clock = Clock()
-        clock.seconds = dict(self.seconds)
-        return clock
-
-
-@dataclass(frozen=True)
-class Observed:
-    """What is known of some cameras before a rig is built.
-
-    sample_frames: `[frame]` indices into the recording of the frames of the sample.
-    lifted: the detections of the sample, lifted. pairs: between these cameras.
-    """
-
-    recording: Recording
-    sample_frames: Ints
-    sample: Sample
-    lifted: LiftedPoses
-    pairs: tuple[PairwiseCalibration, ...]
-
-    def select(self, views: Ints) -> "Observed":
-        """Return what is known of these views (`[view]` indices) alone."""
-        return Observed(
-            recording=self.recording.select(views=views),
-            sample_frames=self.sample_frames,
-            sample=self.sample.select(views=views),
-            lifted=self.lifted.select(views),
-            pairs=pairs_among(self.pairs, views),
-        )
-
-    def without(self, camera: str) -> "Observed":
-        """Return what is known of all cameras but this one."""
-        names = self.recording.names
-        return self.select(np.array([v for v, name in enumerate(names) if name != camera]))
-
 
 def calibrate(
     recording: Recording,
-    lifter: Lifter,
+    model: str | Path | Lifter = AUTO,
     config: Config = Config(),
     *,
     seed: int = 0,
     device: str = "cpu",
-    progress: Progress = silent,
+    progress: Progress | None = None,
     mapper: Mapper | None = None,
     pair_solver: PairSolver | None = None,
 ) -> CalibrationResult:
@@ -117,12 +63,20 @@ def calibrate(
     The rigs are found from a sample of the frames, whose size does not depend on the length of
     the recording. The result does not depend on the number of threads.
 
+    model: lifts the detections, as `steerpose.checkpoint.choose_model` takes it: "auto", the name
+        of a shipped model, a file of weights, "none" for geometry alone, or a loaded lifter.
+    device: where the network computes, "cpu" or "cuda".
+    progress: is told of each step, see `types.Progress`.
     mapper: where the pairs are calibrated; by default threads or processes of this machine.
     pair_solver: how a pair is calibrated; by default `two_view.solve.calibrate_pair`.
 
     Raises DegenerateError where the recording determines no rig. The cameras of a group that it
-    does not determine are left out.
+    does not determine are left out. Raises FormatError where there is no such model, and
+    MismatchError where there is no such device or the model knows too few of the joints.
     """
+    check_device(device)
+    recording, lifter = choose_model(recording, model)
+    progress = progress or silent
     clock = Clock()
     with single_threaded_libraries():
         observe = partial(
@@ -143,7 +97,7 @@ def calibrate(
             recording = change_cameras(recording, cameras)
             observed = observe(recording)
         groups = _calibrate_groups(observed, config, clock, seed=seed, progress=progress)
-    return _join_groups(recording, observed.pairs, groups)
+    return _join_groups(recording, observed.pairs, groups, config=config, seed=seed)
 
 
 def _observe(
@@ -197,7 +151,7 @@ def _estimate_cameras(
     for views in camera_groups(cameras, observed.pairs, config.averaging):
         estimate = partial(_estimate_group, config=config, progress=progress)
         try:
-            found = _leave_out_underconstrained(observed.select(views), estimate)
+            found = leave_out_underconstrained(observed.select(views), estimate)
         except DegenerateError:
             continue
         estimated |= {camera.name: camera for camera in found}
@@ -218,6 +172,42 @@ def _estimate_group(
     )
 
 
+def match(
+    recording: Recording,
+    rig: CameraRig,
+    model: str | Path | Lifter = AUTO,
+    config: Config = Config(),
+    *,
+    device: str = "cpu",
+    progress: Progress | None = None,
+) -> Matches:
+    """Label every detection with its individual, given where the cameras stand.
+
+    rig: of the recording's cameras, in their order. The other arguments are those of `calibrate`.
+
+    Raises MismatchError where rig and recording have other cameras, and what `calibrate` raises
+    of model and device.
+    """
+    check_same_cameras(recording, rig)
+    check_device(device)
+    recording, lifter = choose_model(recording, model)
+    progress = progress or silent
+    with single_threaded_libraries():
+        sample_frames = choose_sample_frames(recording, config.sample)
+        sample = take_sample(recording, sample_frames)
+        lifted = lift(sample, lifter, device=device, progress=progress)
+        return label_all_frames(
+            recording,
+            rig,
+            config,
+            sample_frames=sample_frames,
+            matches=associate(sample, lifted, rig, config, progress=progress),
+            sample=sample,
+            lifted=lifted,
+            progress=progress,
+        )
+
+
 def _calibrate_groups(
     observed: Observed, config: Config, clock: Clock, *, seed: int, progress: Progress
 ) -> list[GroupResult]:
@@ -232,27 +222,12 @@ def _calibrate_groups(
             _calibrate_cameras, config=config, clock=clock, seed=seed, progress=progress
         )
         try:
-            groups.append(_leave_out_underconstrained(observed.select(views), calibrate_group))
+            groups.append(leave_out_underconstrained(observed.select(views), calibrate_group))
         except DegenerateError as error:
             refusals.append(error)
     if not groups:
         raise refusals[0]
     return groups
-
-
-def _leave_out_underconstrained(observed: Observed, work: Callable[[Observed], T]) -> T:
-    """Return what is found of the cameras of one group that are constrained.
-
-    A camera that sees too little that agrees with others must not cost the others their rig: it
-    is left out, and the work on the rest starts again.
-    """
-    while True:
-        try:
-            return work(observed)
-        except UnderconstrainedCameraError as error:
-            if len(observed.recording.cameras) == 2:
-                raise
-            observed = observed.without(error.camera)
 
 
 def _calibrate_cameras(
@@ -298,13 +273,19 @@ def _calibrate_cameras(
         adjusted=adjusted,
         matches=matches,
         uncertainty=uncertainty,
+        verdict=judge_rig(uncertainty, config.uncertainty),
         poses=poses,
         seconds=clock.seconds,
     )
 
 
 def _join_groups(
-    recording: Recording, pairs: tuple[PairwiseCalibration, ...], groups: list[GroupResult]
+    recording: Recording,
+    pairs: tuple[PairwiseCalibration, ...],
+    groups: list[GroupResult],
+    *,
+    config: Config,
+    seed: int,
 ) -> CalibrationResult:
     """Return the groups with the cameras and the pairs that are in none of them."""
     names = recording.names
@@ -318,4 +299,6 @@ def _join_groups(
         groups=tuple(groups),
         left_out=tuple(name for name in names if name not in group_of),
         unused_pairs=tuple(unused),
+        config=config,
+        seed=seed,
     )

@@ -9,6 +9,7 @@ import numpy as np
 from mocap_calib import __version__
 from mocap_calib.config import REPORT_FRAMES, Config, IntrinsicsConfig
 from mocap_calib.geometry.rotation import angle_between
+from mocap_calib.io.provenance import judgement
 from mocap_calib.multi_view.evaluation import median_and_max
 from mocap_calib.multi_view.triangulation import gather_observations, project
 from mocap_calib.multi_view.uncertainty import judge_rig
@@ -42,6 +43,7 @@ def run_report(
     views = range(len(group.rig.cameras))
     return {
         "schema": SCHEMA,
+        "verdict": _describe_verdict(group, config),
         "version": __version__,
         "seed": seed,
         "config": asdict(config),
@@ -54,11 +56,44 @@ def run_report(
         "unused_pairs": [asdict(pair) for pair in result.unused_pairs],
         "cameras": [_describe_camera(group, view, error[view], config) for view in views],
         "pairs": [_describe_pair(group, k, error, config) for k in range(len(group.pairs))],
-        "verdict": _describe_verdict(group, config),
         "adjust": {"rounds": group.adjusted.rounds, "converged": group.adjusted.converged},
         "individuals": _describe_individuals(group),
-        "points": _describe_points(group),
+        "points": _describe_points(group, error),
     }
+
+
+def judge_cameras(report: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what files say of how far the cameras of a group can be trusted.
+
+    report: as `run_report` returns it. The fields are those of `provenance.judgement`.
+    """
+    verdict = report["verdict"]
+    angle = verdict["split_half_angle_deg"]
+    remarks = [
+        f"rigs from halves of the joints differ by {angle['median']:.2f} deg "
+        f"({angle['max']:.2f} at most)"
+    ]
+    remarks += _name_cameras(report, "inconsistent", "errors several times those of the others")
+    remarks += _name_cameras(report, "weak", "a low pair score: do not trust it without a check")
+    remarks += _name_cameras(report, "weak_perspective", "its distance is not observable")
+    if verdict["reversal"] == "not observable":
+        remarks.append("a rig reversed in depth fits as well: nothing tells which is right")
+    if report["left_out"]:
+        remarks.append(f"cameras left out: {', '.join(report['left_out'])}")
+    error = report["points"]["mean_error_px"]
+    if error is not None:
+        remarks.append(f"reprojection error {error:.2f} px, which alone proves nothing")
+    return judgement(verdict["rig"], remarks, error)
+
+
+def _name_cameras(report: Mapping[str, Any], fault: str, meaning: str) -> list[str]:
+    """Return a line that names the cameras with a fault and says what it means, if there are any.
+
+    fault: a word of the list `faults` of a camera, or the name of a field that is true.
+    """
+    cameras = report["cameras"]
+    names = [each["name"] for each in cameras if fault in each["faults"] or each.get(fault)]
+    return [f"{fault.replace('_', ' ')}: {', '.join(names)} ({meaning})"] if names else []
 
 
 def _reprojection_errors(group: GroupResult) -> Floats:
@@ -108,15 +143,18 @@ def _describe_camera(
 
 def _describe_intrinsics(camera: Camera, config: IntrinsicsConfig) -> dict[str, Any]:
     """Return where the intrinsics of a camera come from, and how sure they are."""
-    found: dict[str, Any] = {"source": "given", "focal_px": camera.focal}
+    found = {
+        "source": "given",
+        "focal_px": camera.focal,
+        "focal_sigma_px": None,
+        "k1": float(camera.distortion[0]) if len(camera.distortion) else 0.0,
+        "k1_sigma": None,
+    }
     if isinstance(camera, EstimatedCamera):
-        doubtful = camera.focal_sigma >= config.least_gain * config.focal_uncertainty * camera.focal
-        found |= {
-            "source": "not determined" if doubtful else "estimated",
-            "focal_sigma_px": camera.focal_sigma,
-            "k1": float(camera.distortion[0]),
-            "k1_sigma": camera.k1_sigma or None,
-        }
+        least = config.least_gain * config.focal_uncertainty * camera.focal
+        found["source"] = "not determined" if camera.focal_sigma >= least else "estimated"
+        found["focal_sigma_px"] = camera.focal_sigma
+        found["k1_sigma"] = camera.k1_sigma or None
     return found
 
 
@@ -203,19 +241,44 @@ def _describe_verdict(group: GroupResult, config: Config) -> dict[str, Any]:
     }
 
 
-def _describe_individuals(group: GroupResult) -> list[dict[str, int]]:
-    """Return in how many frames each individual was matched."""
-    labels = group.matches.labels
-    return [
-        {"individual": k, "frames": int((labels == k).any((0, 2)).sum())}
-        for k in range(group.matches.individuals)
-    ]
+def _describe_individuals(group: GroupResult) -> list[dict[str, Any]]:
+    """Return in how many frames each individual was matched, in all cameras and in each."""
+    described = []
+    for individual in range(group.matches.individuals):
+        found = (group.matches.labels == individual).any(2)  # [view, frame]
+        frames = found.sum(1).tolist()
+        in_cameras = {
+            name: count for name, count in zip(group.rig.names, frames, strict=True) if count
+        }
+        described.append(
+            {"individual": individual, "frames": int(found.any(0).sum()), "cameras": in_cameras}
+        )
+    return described
 
 
-def _describe_points(group: GroupResult) -> dict[str, Any]:
-    """Return how many points were triangulated, and how well they fit."""
-    error = group.poses.error[np.isfinite(group.poses.error)]
-    return {"triangulated": len(error), "reprojection_error_px": _median_and_p95(error)}
+def _describe_points(group: GroupResult, error: Floats) -> dict[str, Any]:
+    """Return how many points were triangulated, and how well they fit.
+
+    error: `[view, frame, individual, keypoint]` reprojection errors in pixels.
+    """
+    of_points = group.poses.error[np.isfinite(group.poses.error)]
+    return {
+        "triangulated": len(of_points),
+        "reprojection_error_px": _median_and_p95(of_points),
+        "mean_error_px": _median_of_means(error),
+    }
+
+
+def _median_of_means(error: Floats) -> float | None:
+    """Return the median over the points of the mean error over the views, None without points.
+
+    error: `[view, ...]`, NaN = not seen. It is what aniposelib calls the error of a calibration
+    (CameraGroup.average_error, median).
+    """
+    views = np.isfinite(error).sum(0)
+    seen = views > 0
+    means = np.nansum(error, axis=0)[seen] / views[seen]
+    return float(np.median(means)) if len(means) else None
 
 
 def _median_and_p95(values: Floats) -> dict[str, float | None]:

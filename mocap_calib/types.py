@@ -7,12 +7,17 @@ An *instance* is a detection in one view; an *individual* is the same body in al
 docs/conventions.md has the rest.
 """
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
-from typing import Any, Protocol, Self, TypeVar
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Any, Literal, Protocol, Self, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+from mocap_calib.config import Config
+
+if TYPE_CHECKING:
+    import xarray
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -20,8 +25,12 @@ Bools = NDArray[np.bool_]
 # float32 where whole recordings are kept: that is a ten-thousandth of a pixel
 Reals = NDArray[np.floating[Any]]
 
+Verdict = Literal["well determined", "weak", "not determined"]
+
 T = TypeVar("T")
 R = TypeVar("R")
+
+# --- what all records share
 
 
 def check_shape(owner: str, array: NDArray[np.generic], *shape: int | None) -> None:
@@ -35,6 +44,102 @@ def check_shape(owner: str, array: NDArray[np.generic], *shape: int | None) -> N
     if not fits:
         expected = tuple("any" if length is None else length for length in shape)
         raise ValueError(f"{owner}: expected shape {expected}, got {array.shape}")
+
+
+def as_array(owner: str, values: ArrayLike, kind: type[Any], *shape: int | None) -> NDArray[Any]:
+    """Return values, which may be lists, as an array of the documented shape `[*shape]`.
+
+    kind: float, int or bool; arrays of 32-bit floats stay as they are. None in the shape stands
+    for any length.
+
+    Raises ValueError, which names the owner, for another shape and for what is no such number.
+    """
+    try:
+        given = np.asarray(values)
+        is_kept = kind is float and given.dtype == np.float32
+        with np.errstate(invalid="ignore"):  # NaN as a whole number
+            array = given if is_kept else np.asarray(given, dtype=kind)
+    except (TypeError, ValueError):
+        raise ValueError(f"{owner}: expected numbers, got {_shorten(values)}") from None
+    if kind is int and given.dtype.kind == "f" and not np.array_equal(given, array):
+        raise ValueError(f"{owner}: expected whole numbers, got {_shorten(values)}")
+    check_shape(owner, array, *shape)
+    return array
+
+
+class Record:
+    """What the frozen records share: they compare by value, print in short, and take lists.
+
+    Two records are equal where their arrays have equal shapes and elements; NaN equals NaN.
+    """
+
+    def __eq__(self, other: object) -> bool:
+        if type(other) is not type(self):
+            return NotImplemented
+        return all(
+            _equal(getattr(self, each.name), getattr(other, each.name))
+            for each in fields(self)  # type: ignore[arg-type]  # all records are dataclasses
+            if each.compare
+        )
+
+    # records hold arrays, which have no hash
+    __hash__ = None  # type: ignore[assignment]
+
+    def __repr__(self) -> str:
+        parts = [
+            f"{each.name}={_summarise(getattr(self, each.name))}"
+            for each in fields(self)  # type: ignore[arg-type]
+        ]
+        return f"{type(self).__name__}({', '.join(parts)})"
+
+    def _hold(self, owner: str, name: str, kind: type[Any], *shape: int | None) -> None:
+        """Hold the field of that name to its shape; a list becomes an array. Raises ValueError."""
+        array = as_array(f"{owner}: {name}", getattr(self, name), kind, *shape)
+        object.__setattr__(self, name, array)
+
+
+def _equal(first: object, second: object) -> bool:
+    """Return whether two values of a field are equal, arrays by their elements."""
+    if isinstance(first, np.ndarray) and isinstance(second, np.ndarray):
+        return np.array_equal(first, second, equal_nan=True)
+    if isinstance(first, tuple) and isinstance(second, tuple):
+        return len(first) == len(second) and all(map(_equal, first, second))
+    if isinstance(first, float) and isinstance(second, float) and np.isnan(first):
+        return bool(np.isnan(second))
+    return bool(first == second)
+
+
+def _summarise(value: object) -> str:
+    """Return the value of a field in a few words: the shape of an array, the length of a tuple."""
+    if isinstance(value, np.ndarray):
+        return f"{value.dtype}{list(value.shape)}"
+    if isinstance(value, Record):
+        return f"{type(value).__name__}(...)"
+    if isinstance(value, tuple) and (len(value) > 4 or isinstance(next(iter(value), 0), Record)):
+        return f"{len(value)} x {type(value[0]).__name__}"
+    return repr(value)
+
+
+def _shorten(value: object) -> str:
+    """Return a value as text of one line."""
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _count(number: int, what: str) -> str:
+    """Return a number with its noun: `1 camera`, `4 cameras`."""
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+
+
+def _describe_frames(frames: Ints) -> str:
+    """Return how many frames there are, and from where to where: `200 frames (0 to 199)`."""
+    span = f" ({frames[0]} to {frames[-1]})" if len(frames) else ""
+    return f"{_count(len(frames), 'frame')}{span}"
+
+
+def _describe_unit(unit: str) -> str:
+    """Return in what lengths are."""
+    return "arbitrary lengths" if unit == "arbitrary" else f"lengths in {unit}"
 
 
 class Progress(Protocol):
@@ -79,33 +184,55 @@ class Skeleton:
     layouts: tuple[dict[str, str], ...] = ()
 
 
-@dataclass(frozen=True)
-class Camera:
+# --- cameras
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Camera(Record):
     """The intrinsics of one camera.
 
-    size: (width, height) in pixels.
+    size: (width, height) in pixels, (0, 0) where nobody says.
     matrix: `[3, 3]`; pixel centres are integers (OpenCV).
     distortion: `[4 | 5 | 8]` OpenCV's k1 k2 p1 p2 k3 k4 k5 k6, or `[4]` of cv2.fisheye when
-        `fisheye` is set.
+        `fisheye` is set; none where it is left out.
     """
 
     name: str
     size: tuple[int, int]
     matrix: Floats
-    distortion: Floats
-    fisheye: bool
+    distortion: Floats = field(default_factory=lambda: np.zeros(5))
+    fisheye: bool = False
 
     def __post_init__(self) -> None:
-        check_shape(f"camera {self.name}: matrix", self.matrix, 3, 3)
-        check_shape(f"camera {self.name}: distortion", self.distortion, None)
+        self._hold(f"camera {self.name}", "matrix", float, 3, 3)
+        self._hold(f"camera {self.name}", "distortion", float, None)
+        if self.distortion[8:].any():
+            count = len(self.distortion)
+            raise ValueError(
+                f"camera {self.name}: distortion: expected at most 8 coefficients, got {count}"
+            )
+        object.__setattr__(self, "size", tuple(self.size))
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.name}, {self._describe()})"
 
     @property
     def focal(self) -> float:
         """Mean focal length in pixels."""
         return float((self.matrix[0, 0] + self.matrix[1, 1]) / 2)
 
+    def _describe(self) -> str:
+        """Return image size, focal length and kind of lens in a few words."""
+        width, height = self.size
+        lens = "no distortion"
+        if self.fisheye:
+            lens = "fisheye"
+        elif self.distortion.any():
+            lens = "distortion"
+        return f"{width} x {height}, f {self.focal:.1f} px, {lens}"
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, eq=False, repr=False)
 class EstimatedCamera(Camera):
     """A camera whose intrinsics follow from the recording itself.
 
@@ -116,13 +243,58 @@ class EstimatedCamera(Camera):
         estimated.
     """
 
-    focal_sigma: float
-    k1_sigma: float
+    focal_sigma: float = field(kw_only=True)
+    k1_sigma: float = field(kw_only=True)
 
 
-@dataclass(frozen=True)
-class CameraRig:
+@dataclass(frozen=True, eq=False, repr=False)
+class PosedCamera(Camera):
+    """One camera of a rig: its intrinsics and where it stands, as OpenCV takes them.
+
+    rotation: `[3, 3]` and translation: `[3]` of cam_from_world.
+    """
+
+    rotation: Floats = field(kw_only=True)
+    translation: Floats = field(kw_only=True)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._hold(f"camera {self.name}", "rotation", float, 3, 3)
+        self._hold(f"camera {self.name}", "translation", float, 3)
+
+    @property
+    def rvec(self) -> Floats:
+        """`[3]` rotation vector of cam_from_world in radians, as of `cv2.Rodrigues`."""
+        from mocap_calib.geometry.rotation import vector_from_matrix
+
+        return vector_from_matrix(self.rotation)
+
+    @property
+    def tvec(self) -> Floats:
+        """`[3]` translation of cam_from_world, as OpenCV calls it."""
+        return self.translation
+
+    @property
+    def P(self) -> Floats:
+        """`[3, 4]` projection matrix, K [R t]; it knows nothing of the lens's distortion."""
+        return self.matrix @ np.column_stack([self.rotation, self.translation])
+
+    @property
+    def centre(self) -> Floats:
+        """`[3]` where the camera is in world coordinates, C = -R' t."""
+        return -self.rotation.T @ self.translation
+
+    def _describe(self) -> str:
+        """Return the intrinsics and the centre in a few words."""
+        centre = ", ".join(f"{coordinate + 0.0:.4g}" for coordinate in self.centre)  # no -0
+        return f"{super()._describe()}, at ({centre})"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CameraRig(Record):
     """Cameras and where they stand.
+
+    `rig["cam1"]` is one of them, `for camera in rig` each in turn.
 
     rotation: `[view, 3, 3]` and translation: `[view, 3]` of cam_from_world.
     unit: what a length of 1 is ("m", "mm", ... or "arbitrary").
@@ -131,11 +303,27 @@ class CameraRig:
     cameras: tuple[Camera, ...]
     rotation: Floats
     translation: Floats
-    unit: str
+    unit: str = "arbitrary"
 
     def __post_init__(self) -> None:
-        check_shape("rig: rotation", self.rotation, len(self.cameras), 3, 3)
-        check_shape("rig: translation", self.translation, len(self.cameras), 3)
+        object.__setattr__(self, "cameras", tuple(self.cameras))
+        self._hold("rig", "rotation", float, len(self.cameras), 3, 3)
+        self._hold("rig", "translation", float, len(self.cameras), 3)
+
+    def __repr__(self) -> str:
+        lines = [f"  {camera.name}: {camera._describe()}" for camera in self]
+        title = f"CameraRig of {_count(len(self), 'camera')}, {_describe_unit(self.unit)}"
+        return "\n".join([title, *lines])
+
+    def __len__(self) -> int:
+        return len(self.cameras)
+
+    def __iter__(self) -> Iterator[PosedCamera]:
+        return (self._pose(view) for view in range(len(self)))
+
+    def __getitem__(self, name: str) -> PosedCamera:
+        """Return the camera of that name. Raises KeyError."""
+        return self._pose(self._index(name))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -147,23 +335,105 @@ class CameraRig:
         """`[view, 3]` camera centres in world coordinates, C = -R' t."""
         return -np.einsum("vji,vj->vi", self.rotation, self.translation)
 
+    @property
+    def rvec(self) -> Floats:
+        """`[view, 3]` rotation vectors of cam_from_world in radians."""
+        return np.array([camera.rvec for camera in self])
+
+    @property
+    def P(self) -> Floats:
+        """`[view, 3, 4]` projection matrices, K [R t]; they know nothing of distortion."""
+        return np.array([camera.P for camera in self])
+
     def relative(self, a: int, b: int) -> tuple[Floats, Floats]:
         """Return R `[3, 3]` and t `[3]` of b_from_a, for the views a and b: x_b = R x_a + t."""
         rotation = self.rotation[b] @ self.rotation[a].T
         return rotation, self.translation[b] - rotation @ self.translation[a]
 
-    def select(self, views: Ints) -> "CameraRig":
-        """Return the rig of these views (`[view]` indices) alone, in this order."""
+    def select(self, views: Ints | Sequence[str]) -> "CameraRig":
+        """Return the rig of these views (`[view]` indices or names) alone, in this order.
+
+        Raises KeyError for a name that no camera has.
+        """
+        index = [self._index(view) if isinstance(view, str) else int(view) for view in views]
         return CameraRig(
-            cameras=tuple(self.cameras[view] for view in views),
-            rotation=self.rotation[views],
-            translation=self.translation[views],
+            cameras=tuple(self.cameras[view] for view in index),
+            rotation=self.rotation[index],
+            translation=self.translation[index],
             unit=self.unit,
         )
 
+    def scale(self, factor: float, unit: str) -> "CameraRig":
+        """Return the rig with all lengths multiplied by a factor, which are in `unit` then."""
+        return replace(self, translation=factor * self.translation, unit=unit)
 
-@dataclass(frozen=True)
-class Keypoints2D:
+    def project(self, points: ArrayLike) -> Floats:
+        """Return the pixels `[view, ..., 2]` of points `[..., 3]` in world coordinates.
+
+        The distortion of the lenses is applied. NaN stays NaN, and a point behind a camera is NaN
+        there. What lies outside the image is returned like any other.
+
+        Raises ValueError where the last axis of the points is not 3.
+        """
+        from mocap_calib.geometry.projection import pixels_from_points
+
+        world = as_array("points", points, float, *np.shape(points)[:-1], 3)
+        views = zip(self.cameras, self.rotation, self.translation, strict=True)
+        return np.stack(
+            [
+                pixels_from_points(camera, world @ rotation.T + translation)
+                for camera, rotation, translation in views
+            ]
+        )
+
+    def triangulate(
+        self, pixels: ArrayLike, confidence: ArrayLike | None = None
+    ) -> tuple[Floats, Floats]:
+        """Return the points `[..., 3]` that pixels `[view, ..., 2]` show, and their errors `[...]`.
+
+        As robust as the triangulation of a run (`multi_view.points`): a
+        view that contradicts the others is left out. A point is NaN where fewer than two views
+        agree on it, or see it from almost the same side. The error is the RMS reprojection error
+        in pixels over the views that were used.
+
+        pixels: NaN = missing. confidence: `[view, ...]` weights, 0 = missing; None: all count
+        alike.
+
+        Raises ValueError for arrays of other shapes.
+        """
+        from mocap_calib.multi_view.points import triangulate_pixels
+
+        middle = np.shape(pixels)[1:-1]
+        seen = as_array("pixels", pixels, float, len(self), *middle, 2)
+        given = np.ones(seen.shape[:-1]) if confidence is None else confidence
+        weight = as_array("confidence", given, float, len(self), *middle)
+        return triangulate_pixels(self, seen, weight)
+
+    def _index(self, name: str) -> int:
+        """Return the index of the camera of that name. Raises KeyError."""
+        if name not in self.names:
+            raise KeyError(f"expected one of the cameras {', '.join(self.names)}, found {name!r}")
+        return self.names.index(name)
+
+    def _pose(self, view: int) -> PosedCamera:
+        """Return the camera of a view (index) with its extrinsics."""
+        camera = self.cameras[view]
+        intrinsics = {each.name: getattr(camera, each.name) for each in fields(Camera)}
+        return PosedCamera(
+            **intrinsics, rotation=self.rotation[view], translation=self.translation[view]
+        )
+
+
+def intrinsics_of(cameras: Sequence[Camera] | CameraRig) -> tuple[Camera, ...]:
+    """Return the cameras of a rig, or cameras as they are."""
+    return cameras.cameras if isinstance(cameras, CameraRig) else tuple(cameras)
+
+
+# --- detections
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Keypoints2D(Record):
     """What one keypoint file holds: the detections of one camera.
 
     frames: `[frame]` numbers as the file has them, ascending, each once.
@@ -190,15 +460,24 @@ class Keypoints2D:
     remarks: tuple[str, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
-        frames, instances, keypoints = self.positions.shape[:3]
-        names = len(self.keypoints)
-        check_shape(f"{self.source}: frames", self.frames, frames)
-        check_shape(f"{self.source}: positions", self.positions, None, None, names, 2)
-        check_shape(f"{self.source}: confidence", self.confidence, frames, instances, keypoints)
+        object.__setattr__(self, "keypoints", tuple(self.keypoints))
+        object.__setattr__(self, "image_size", tuple(self.image_size))
+        self._hold(self.source, "positions", float, None, None, len(self.keypoints), 2)
+        self._hold(self.source, "frames", int, len(self.positions))
+        self._hold(self.source, "confidence", float, *self.positions.shape[:3])
+
+    def __repr__(self) -> str:
+        parts = [
+            self.camera,
+            _describe_frames(self.frames),
+            f"at most {_count(self.positions.shape[1], 'instance')} a frame",
+            _count(len(self.keypoints), "keypoint"),
+        ]
+        return f"Keypoints2D({', '.join(parts)})"
 
 
-@dataclass(frozen=True)
-class Recording:
+@dataclass(frozen=True, eq=False, repr=False)
+class Recording(Record):
     """All views on one clock.
 
     frames: `[frame]` numbers that at least two views have.
@@ -207,6 +486,7 @@ class Recording:
     tracked: `[view]` the instance index names the same individual in all frames.
     vocabulary: `[keypoint]` index of each keypoint in the model's skeleton, -1 = the model has no
         such joint.
+    model: whose skeleton that is: a shipped model by name, a file of weights, or "none".
     """
 
     cameras: tuple[Camera, ...]
@@ -216,16 +496,81 @@ class Recording:
     confidence: Reals
     tracked: Bools
     vocabulary: Ints
+    model: str = field(default="people", kw_only=True)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "cameras", tuple(self.cameras))
+        object.__setattr__(self, "keypoints", tuple(self.keypoints))
         views, keypoints = len(self.cameras), len(self.keypoints)
-        frames, instances = self.positions.shape[1:3]
-        detections = (views, frames, instances, keypoints)
-        check_shape("recording: positions", self.positions, *detections, 2)
-        check_shape("recording: frames", self.frames, frames)
-        check_shape("recording: confidence", self.confidence, *detections)
-        check_shape("recording: tracked", self.tracked, views)
-        check_shape("recording: vocabulary", self.vocabulary, keypoints)
+        self._hold("recording", "positions", float, views, None, None, keypoints, 2)
+        self._hold("recording", "confidence", float, *self.positions.shape[:4])
+        self._hold("recording", "frames", int, self.positions.shape[1])
+        self._hold("recording", "tracked", bool, views)
+        self._hold("recording", "vocabulary", int, keypoints)
+
+    def __repr__(self) -> str:
+        parts = [
+            _count(len(self.cameras), "camera"),
+            _describe_frames(self.frames),
+            f"at most {_count(self.positions.shape[2], 'instance')} a frame",
+            _count(len(self.keypoints), "keypoint"),
+            f"model {self.model}",
+        ]
+        return f"{type(self).__name__}({', '.join(parts)})"
+
+    @classmethod
+    def from_arrays(
+        cls,
+        positions: ArrayLike,
+        confidence: ArrayLike | None = None,
+        *,
+        keypoints: Sequence[str],
+        cameras: "Sequence[Camera] | CameraRig",
+        frames: ArrayLike | None = None,
+        tracked: bool = False,
+    ) -> "Recording":
+        """Return the recording of detections that lie in arrays.
+
+        positions: `[view, frame, instance, keypoint, 2]` pixels, NaN = missing; or
+            `[view, frame, keypoint, 2]` of a single subject.
+        confidence: `[view, frame, instance, keypoint]` (or without instances), 0 = missing; None:
+            all that is there counts alike.
+        keypoints: `[keypoint]` names. cameras: `[view]`, in the order of the positions.
+        frames: `[frame]` numbers, ascending; None: counted from 0.
+        tracked: the instance index names the same individual in all frames; so it does for a
+            single subject.
+
+        Raises ValueError for arrays of other shapes, and MismatchError as `from_keypoints` does.
+        """
+        from mocap_calib.recording.views import views_from_arrays
+
+        views = views_from_arrays(
+            positions,
+            confidence,
+            keypoints=keypoints,
+            cameras=intrinsics_of(cameras),
+            frames=frames,
+            tracked=tracked,
+        )
+        return cls.from_keypoints(views, cameras)
+
+    @classmethod
+    def from_keypoints(
+        cls, views: "Sequence[Keypoints2D]", cameras: "Sequence[Camera] | CameraRig"
+    ) -> "Recording":
+        """Return the recording of detections that were read or made, a record for each camera.
+
+        They are joined as `read_recording` joins those of files: views and cameras by name, frames
+        by number, keypoints by what their names mean to the shipped model that knows most of them.
+
+        Raises MismatchError where they do not belong together.
+        """
+        from mocap_calib.recording.joints import fit_vocabulary
+        from mocap_calib.recording.synchronise import make_recording
+
+        names = (name for view in views for name in view.keypoints)
+        skeleton, aliases = fit_vocabulary(names, aliases_file=None)
+        return make_recording(views, intrinsics_of(cameras), skeleton, aliases)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -261,7 +606,7 @@ class Recording:
         return ("positions", "confidence")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Sample(Recording):
     """Some frames of a recording in double precision, with the rays of their detections.
 
@@ -284,8 +629,11 @@ class Sample(Recording):
         return ("positions", "confidence", "rays")
 
 
-@dataclass(frozen=True)
-class LiftedPoses:
+# --- what the stages find
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LiftedPoses(Record):
     """Every detection lifted by itself to a 3D body.
 
     Lengths are in body sizes (RMS distance of the joints from their centroid). Joints are those
@@ -312,8 +660,8 @@ class LiftedPoses:
         return LiftedPoses(self.body[views], self.centre[views], self.spread[views])
 
 
-@dataclass(frozen=True)
-class PairwiseCalibration:
+@dataclass(frozen=True, eq=False, repr=False)
+class PairwiseCalibration(Record):
     """What is found of the views a and b.
 
     rotation: `[3, 3]` and translation: `[3]` of b_from_a; the length of the translation is the
@@ -346,8 +694,8 @@ class PairwiseCalibration:
         return (self, *self.alternatives)
 
 
-@dataclass(frozen=True)
-class Averaged:
+@dataclass(frozen=True, eq=False, repr=False)
+class Averaged(Record):
     """The rig, and how well each pair agrees with it.
 
     loop_error: `[pair]` angle in radians between a pair's rotation and the rig's.
@@ -361,14 +709,22 @@ class Averaged:
     weight: Floats
 
 
-@dataclass(frozen=True)
-class Matches:
+@dataclass(frozen=True, eq=False, repr=False)
+class Matches(Record):
     """Who is who: `labels[view, frame, instance]` is the individual, -1 = nobody.
 
     One label per detection: cycle consistency by construction.
     """
 
     labels: Ints
+
+    def __post_init__(self) -> None:
+        self._hold("matches", "labels", int, None, None, None)
+
+    def __repr__(self) -> str:
+        views, frames, _ = self.labels.shape
+        parts = [_count(views, "view"), _count(frames, "frame")]
+        return f"Matches({', '.join(parts)}, {_count(self.individuals, 'individual')})"
 
     def select(
         self, *, views: Ints | None = None, frames: Ints | None = None, instances: int | None = None
@@ -388,8 +744,8 @@ class Matches:
         return int(self.labels.max(initial=-1)) + 1
 
 
-@dataclass(frozen=True)
-class Adjusted:
+@dataclass(frozen=True, eq=False, repr=False)
+class Adjusted(Record):
     """A rig after rounds of adjusting and matching, and the labels that it implies.
 
     matches: labels in the frames that were adjusted.
@@ -406,8 +762,8 @@ class Adjusted:
     converged: bool
 
 
-@dataclass(frozen=True)
-class Uncertainty:
+@dataclass(frozen=True, eq=False, repr=False)
+class Uncertainty(Record):
     """How well a rig is determined by what was seen.
 
     split_half_angle: `[pair]` radians between the relative rotations of rigs that were adjusted
@@ -425,8 +781,8 @@ class Uncertainty:
     intrinsics_angle: Floats
 
 
-@dataclass(frozen=True)
-class Poses3D:
+@dataclass(frozen=True, eq=False, repr=False)
+class Poses3D(Record):
     """Triangulated bodies.
 
     frames: `[frame]` numbers.
@@ -445,13 +801,52 @@ class Poses3D:
     confidence: Floats
     unit: str
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "keypoints", tuple(self.keypoints))
+        self._hold("poses", "positions", float, None, None, len(self.keypoints), 3)
+        points = self.positions.shape[:3]
+        self._hold("poses", "frames", int, points[0])
+        self._hold("poses", "error", float, *points)
+        self._hold("poses", "views", int, *points)
+        self._hold("poses", "confidence", float, *points)
 
-@dataclass(frozen=True)
-class GroupResult:
+    def __repr__(self) -> str:
+        parts = [
+            _describe_frames(self.frames),
+            _count(self.positions.shape[1], "individual"),
+            _count(len(self.keypoints), "keypoint"),
+            _describe_unit(self.unit),
+        ]
+        return f"Poses3D({', '.join(parts)})"
+
+    def scale(self, factor: float, unit: str) -> "Poses3D":
+        """Return the poses with all lengths multiplied by a factor, which are in `unit` then."""
+        return replace(self, positions=factor * self.positions, unit=unit)
+
+    def to_xarray(
+        self, fps: float | None = None, individuals: Sequence[str] = ()
+    ) -> "xarray.Dataset":
+        """Return the poses as a data set of `movement`: position over time, space, keypoint, ...
+
+        fps: frames per second; without, times are frame numbers. individuals: `[individual]`
+        names; without, they are individual_0, individual_1, ...
+
+        Raises MismatchError where the package xarray, an extra, is absent.
+        """
+        from mocap_calib.io.poses.common import PoseFile
+        from mocap_calib.io.poses.movement import to_dataset
+
+        rate = float("nan") if fps is None else fps
+        return to_dataset(PoseFile(self, rate, tuple(individuals)))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class GroupResult(Record):
     """All that is found of one group of cameras that see the same bodies.
 
     recording: of the cameras of the group alone; everything else is in their order.
-    matches: labels in all frames. seconds: wall time by stage.
+    matches: labels in all frames. verdict: whether the recording determines the rig.
+    seconds: wall time by stage.
     """
 
     recording: Recording
@@ -460,13 +855,23 @@ class GroupResult:
     adjusted: Adjusted
     matches: Matches
     uncertainty: Uncertainty
+    verdict: Verdict
     poses: Poses3D
     seconds: dict[str, float]
+
+    def __repr__(self) -> str:
+        return f"GroupResult({self._describe()})"
 
     @property
     def rig(self) -> CameraRig:
         """The adjusted rig."""
         return self.adjusted.rig
+
+    def _describe(self) -> str:
+        """Return the cameras and what was found of them in one line."""
+        frames, individuals = self.poses.positions.shape[:2]
+        found = f"{_count(individuals, 'individual')} in {_count(frames, 'frame')}"
+        return f"{', '.join(self.rig.names)}: rig {self.verdict}, {found}"
 
 
 @dataclass(frozen=True)
@@ -478,13 +883,23 @@ class UnusedPair:
     score: float
 
 
-@dataclass(frozen=True)
-class CalibrationResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class CalibrationResult(Record):
     """All that a run finds: a result for each group of cameras, the largest group first.
 
     left_out: names of the cameras that are in no group.
+    config, seed: what the run was made with; the model is that of the groups' recordings.
     """
 
     groups: tuple[GroupResult, ...]
     left_out: tuple[str, ...]
     unused_pairs: tuple[UnusedPair, ...]
+    config: Config = field(default_factory=Config)
+    seed: int = 0
+
+    def __repr__(self) -> str:
+        lines = [f"  {group._describe()}" for group in self.groups]
+        if self.left_out:
+            lines.append(f"  left out: {', '.join(self.left_out)}")
+        title = f"CalibrationResult of {_count(len(self.groups), 'group')} of cameras"
+        return "\n".join([title, *lines])

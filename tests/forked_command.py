@@ -18,11 +18,13 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NoReturn
 
+from mocap_calib.compute import BLAS_THREADS
+
 # what the commands import; the thread pools of these start when they are first used, not here
 PRELOADED = (
     "cv2",
     "h5py",
-    "mocap_calib.job",
+    "mocap_calib.job.steps",
     "mocap_calib_cli.main",
     "rich.progress",
     "scipy.optimize",
@@ -93,8 +95,8 @@ def _write(descriptor: int, text: str) -> None:
 
 def serve(connection: socket.socket) -> None:
     """Fork a process for each command that comes through the connection."""
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command does before numpy comes
-    os.environ.setdefault("MKL_NUM_THREADS", "1")
+    for name in BLAS_THREADS:
+        os.environ.setdefault(name, "1")  # as the command does before numpy is imported
     for module in PRELOADED:
         importlib.import_module(module)
     while True:
@@ -127,6 +129,10 @@ def _become_command(request: dict, descriptors: list[int]) -> NoReturn:
     for stream, descriptor in enumerate(descriptors):
         os.dup2(descriptor, stream)
         os.close(descriptor)
+    # those of the process that waits have seen another kind of file
+    sys.stdin = open(0)  # noqa: SIM115 - open to the end
+    sys.stdout = open(1, "w")  # noqa: SIM115
+    sys.stderr = open(2, "w", buffering=1)  # noqa: SIM115
     os.environ.clear()
     os.environ.update(request["environment"])
     os.chdir(request["cwd"])

@@ -2,6 +2,7 @@
 
 import ast
 import os
+import re
 import subprocess
 import sys
 from configparser import ConfigParser
@@ -11,6 +12,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
+TESTS = sorted((ROOT / "tests").rglob("*.py"))
 SOURCES = sorted([*(ROOT / "mocap_calib").rglob("*.py"), *(ROOT / "cli").rglob("*.py")])
 
 
@@ -57,6 +59,45 @@ def test_packages_are_listed():
     assert listed == there
 
 
+@pytest.mark.parametrize("path", SOURCES, ids=[str(p.relative_to(ROOT)) for p in SOURCES])
+def test_text_is_utf8_with_the_same_line_ends_everywhere(path):
+    """Where nothing is said, Windows writes its own line ends, in the code page of the country."""
+    for call in (node for node in ast.walk(ast.parse(path.read_text("utf-8"))) if is_text(node)):
+        said = {keyword.arg for keyword in call.keywords}
+        assert said >= {"encoding", "newline"}, f"{path}:{call.lineno}"
+
+
+def is_text(node: ast.AST) -> bool:
+    """Whether a node opens a file as text, or writes one."""
+    if not isinstance(node, ast.Call):
+        return False
+    function = ast.unparse(node.func)
+    if function == "open" or function.endswith(".open"):
+        mode = [arg.value for arg in node.args if isinstance(arg, ast.Constant)]
+        return not any("b" in str(letters) for letters in mode)
+    return function.endswith(".write_text") and function != "outputs.write_text"
+
+
+POSIX = re.compile(
+    r"\bSIG(KILL|STOP|SEGV|XCPU)\b|os\.(fork|kill|mkfifo|getuid)\b|\bimport resource\b"
+)
+
+
+@pytest.mark.parametrize("path", TESTS, ids=[str(p.relative_to(ROOT)) for p in TESTS])
+def test_what_needs_posix_says_so(path):
+    """And is skipped elsewhere."""
+    text = path.read_text("utf-8")
+    if path.name.startswith("test_") and path.name != Path(__file__).name and POSIX.search(text):
+        assert "from platforms import" in text
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=[str(p.relative_to(ROOT)) for p in SOURCES])
+def test_modules_can_be_imported_on_windows(path):
+    at_start = [n for n in ast.parse(path.read_text("utf-8")).body if isinstance(n, ast.Import)]
+    names = {alias.name for node in at_start for alias in node.names}
+    assert not names & {"fcntl", "grp", "pty", "pwd", "resource", "termios", "tty"}
+
+
 IN_ONE_PLACE = {"types.py", "config.py"}  # all nouns, and all constants
 DOORS = {  # module: where alone it is imported
     "torch": ("mocap_calib/steerpose/",),
@@ -65,6 +106,7 @@ DOORS = {  # module: where alone it is imported
     "h5netcdf": ("mocap_calib/io/",),
     "c3d": ("mocap_calib/io/",),
     "pynwb": ("mocap_calib/io/",),
+    "xarray": ("mocap_calib/io/", "mocap_calib/types.py"),  # types names it to type checkers
     "tomli_w": ("mocap_calib/io/",),
     "yaml": ("mocap_calib/io/", "mocap_calib/recording/joints.py"),
     "distributed": ("mocap_calib/compute/cluster.py",),

@@ -2,22 +2,33 @@
 
 import json
 import re
+import warnings
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from scenes import calibrated
 
 from mocap_calib.config import Config
-from mocap_calib.report import run_report
-from mocap_calib.types import CalibrationResult
+from mocap_calib.multi_view.triangulation import gather_observations, project
+from mocap_calib.report import judge_cameras, run_report
+from mocap_calib.types import CalibrationResult, GroupResult
 from mocap_calib_cli.describe import describe_group
 
 DESCRIPTION = Path(__file__).parents[1] / "docs" / "run-json.md"
-BY_NAME = {"config", "inputs", "outputs", "seconds"}  # their keys are files, stages or constants
+# their keys are files, stages, cameras or constants
+BY_NAME = {"config", "inputs", "outputs", "seconds", "cameras"}
 STATISTIC = {"median", "max", "p95"}
+NAMES = tuple(enumerate(("cam1", "cam2", "cam3", "cam4")))
+
+
+@lru_cache
+def sound_group() -> GroupResult:
+    return calibrated()
 
 
 def described() -> set[str]:
@@ -55,7 +66,7 @@ def test_every_field_of_run_json_is_described_and_nothing_else(done):
 
 
 def test_what_is_wrong_with_a_camera_is_in_its_faults():
-    found = calibrated()
+    found = sound_group()
     uncertainty = replace(
         found.uncertainty,
         outlier_cameras=np.array([False, True, True, False]),
@@ -83,7 +94,7 @@ def test_what_is_wrong_with_a_camera_is_in_its_faults():
 
 def test_every_finding_of_a_report_is_said():
     """Each at its worst gives a line more than a sound rig; what nobody says nobody mends."""
-    found = calibrated()
+    found = sound_group()
     result = CalibrationResult(groups=(found,), left_out=(), unused_pairs=())
     report = run_report(found, result, seed=0, config=Config(), inputs={})
     sound = describe_group(found, report, Path("out"))
@@ -103,3 +114,68 @@ def test_every_finding_of_a_report_is_said():
     assert len(describe_group(restless, report, Path("out"))) == len(sound) + 1
     reversible = replace(found, adjusted=replace(found.adjusted, depth_reversed_rig=found.rig))
     assert len(describe_group(reversible, report, Path("out"))) == len(sound) + 1
+
+
+def test_files_say_the_verdict_and_what_explains_it():
+    found = sound_group()
+    uncertainty = replace(
+        found.uncertainty,
+        outlier_cameras=np.array([False, True, False, False]),
+        weak_perspective=np.array([False, False, True, False]),
+    )
+    adjusted = replace(found.adjusted, depth_reversed_rig=found.rig)
+    found = replace(found, uncertainty=uncertainty, adjusted=adjusted)
+    result = CalibrationResult(groups=(found,), left_out=("cam9",), unused_pairs=())
+    report = run_report(found, result, seed=0, config=Config(), inputs={})
+    judged = judge_cameras(report)
+    assert list(report)[:2] == ["schema", "verdict"]
+    assert (judged["adjusted"], judged["verdict"]) == (True, report["verdict"]["rig"])
+    assert judged["reprojection_error_px"] == report["points"]["mean_error_px"]
+    said = "\n".join(judged["remarks"])
+    for expected in (
+        "rigs from halves of the joints differ by 0.",
+        "inconsistent: cam2 (",
+        "weak perspective: cam3 (",
+        "a rig reversed in depth fits as well",
+        "cameras left out: cam9",
+    ):
+        assert expected in said
+
+
+def test_the_error_is_what_anipose_calls_one():
+    """The median over the points of the mean over the views, as CameraGroup.average_error has it.
+
+    The mean over two to four views is below their root mean square.
+    """
+    found = sound_group()
+    result = CalibrationResult(groups=(found,), left_out=(), unused_pairs=())
+    points = run_report(found, result, seed=0, config=Config(), inputs={})["points"]
+    pixels = gather_observations(found.recording, found.matches, np.arange(60)).pixels
+    images = project(found.rig, found.poses.positions.reshape(-1, 3).T)
+    error = np.linalg.norm(images - pixels, axis=1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # points without any view
+        expected = np.nanmedian(np.nanmean(error, axis=0))
+    assert points["mean_error_px"] == pytest.approx(expected, rel=1e-12)
+    assert points["mean_error_px"] < points["reprojection_error_px"]["median"]
+
+
+def test_individuals_are_counted_by_camera():
+    found = sound_group()
+    labels = found.matches.labels.copy()
+    labels[0][labels[0] == 1] = -1
+    found = replace(found, matches=replace(found.matches, labels=labels))
+    result = CalibrationResult(groups=(found,), left_out=(), unused_pairs=())
+    report = run_report(found, result, seed=0, config=Config(), inputs={})
+    assert "cam1" in report["individuals"][0]["cameras"]
+    assert "cam1" not in report["individuals"][1]["cameras"]
+    for each in report["individuals"]:
+        seen = {name: int((labels[v] == each["individual"]).any(-1).sum()) for v, name in NAMES}
+        assert each["cameras"] == {name: count for name, count in seen.items() if count}
+    said = describe_group(found, report, Path("out"))
+    start = said.index("frames in which each individual was found, in all and by camera:")
+    assert said[start + 1].split() == ["individual", "in", "all", "cam1", "cam2", "cam3", "cam4"]
+    row = said[start + 3].split()
+    assert row[0] == "1"
+    assert row[2] == "-"
+    assert int(row[3]) == report["individuals"][1]["cameras"]["cam2"]

@@ -7,7 +7,7 @@ Each consumer is installed in an environment of its own.
 Writes one rig and one set of poses in every format to SCRATCH/files, and detections for SLEAP, with
 the pixels and positions that must come out in expected.json; makes SCRATCH/env-CONSUMER with pip
 (nothing is installed twice), runs checks/check_CONSUMER.py there, and prints a table: what was
-read, by what, and the largest difference. docs/formats.md holds the last run.
+read, by what, and the largest difference. docs/formats-checks.md holds the last run.
 """
 
 import json

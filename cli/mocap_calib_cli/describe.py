@@ -11,6 +11,9 @@ from mocap_calib.recording.summary import RecordingSummary
 from mocap_calib.types import CalibrationResult, GroupResult
 from mocap_calib_cli.progress import format_number, format_table
 
+_MOST_INDIVIDUALS = 20  # that have a row in a table
+_MOST_CAMERAS = 10  # that have a column
+
 # --- what was read
 
 
@@ -97,6 +100,9 @@ def describe_group(group: GroupResult, report: dict[str, Any], folder: Path) -> 
         "",
         *_describe_errors(report),
         *_describe_intrinsics(report),
+        "",
+        *_describe_individuals(report),
+        "",
         *_describe_pairs(report),
         *_describe_weak_cameras(report),
         *_describe_rounds(group),
@@ -123,10 +129,11 @@ def _describe_errors(report: dict[str, Any]) -> list[str]:
 
 def _describe_intrinsics(report: dict[str, Any]) -> list[str]:
     """Return a table of the intrinsics that were to be estimated, and which are not determined."""
-    sure = [camera for camera in report["cameras"] if "k1" in camera["intrinsics"]]
     rows = []
-    for camera in sure:
+    for camera in report["cameras"]:
         found = camera["intrinsics"]
+        if found["source"] == "given":
+            continue
         figures = [found["focal_px"], found["focal_sigma_px"]]
         lens = [found["k1"], found["k1_sigma"]]
         texts = [format_number(value, 0) for value in figures]
@@ -136,12 +143,33 @@ def _describe_intrinsics(report: dict[str, Any]) -> list[str]:
         return []
     header = ["camera", "intrinsics", "focal px", "+-", "k1", "+-"]
     lines = format_table(header, rows)
-    if any(camera["intrinsics"]["source"] == "not determined" for camera in sure):
+    if any(camera["intrinsics"]["source"] == "not determined" for camera in report["cameras"]):
         lines.append(
             "focal lengths that are not determined are as given or assumed: give --cameras, or "
             "record with three cameras or more from different heights and sides"
         )
     return lines
+
+
+def _describe_individuals(report: dict[str, Any]) -> list[str]:
+    """Return a table of the frames in which each individual was found, by camera."""
+    individuals = report["individuals"][:_MOST_INDIVIDUALS]
+    names = [camera["name"] for camera in report["cameras"]]
+    if len(names) <= _MOST_CAMERAS:
+        counts = [[str(each["cameras"].get(name, "-")) for name in names] for each in individuals]
+    else:
+        names = ["cameras"]
+        counts = [[str(len(each["cameras"]))] for each in individuals]
+    rows = [
+        [str(each["individual"]), str(each["frames"]), *cells]
+        for each, cells in zip(individuals, counts, strict=True)
+    ]
+    further = len(report["individuals"]) - len(rows)
+    return [
+        "frames in which each individual was found, in all and by camera:",
+        *format_table(["individual", "in all", *names], rows),
+        *([f"and {further} more: see run.json"] if further else []),
+    ]
 
 
 def _describe_pairs(report: dict[str, Any]) -> list[str]:

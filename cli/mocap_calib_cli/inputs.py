@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import cast
 
 import click
-import numpy as np
 
 from mocap_calib.config import Config, IntrinsicsConfig, Refinement, SampleConfig
 from mocap_calib.errors import MismatchError
@@ -22,11 +21,9 @@ from mocap_calib.io.keypoints.document import ReadOptions
 from mocap_calib.io.keypoints.layouts import parse_layout
 from mocap_calib.io.results.further_formats import check_formats
 from mocap_calib.io.results.matches_csv import read_matches_csv
-from mocap_calib.job import CalibrationRequest, KeypointSource, LoadedRecording, load_recording
+from mocap_calib.job.load import LoadedRecording, load_recording
+from mocap_calib.job.request import CalibrationRequest, KeypointSource
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
-from mocap_calib.steerpose.checkpoint import load_model
-from mocap_calib.steerpose.device import check_device, use_threads
-from mocap_calib.steerpose.lift import lift
 from mocap_calib.types import (
     CameraRig,
     Ints,
@@ -140,11 +137,15 @@ def lift_sample(
     """
     sample_frames = choose_sample_frames(loaded.recording, SampleConfig())
     sample = take_sample(loaded.recording, sample_frames)
-    return sample_frames, sample, lift_with_model(sample, loaded.model, device, reporter)
+    return sample_frames, sample, lift_with_model(sample, loaded.recording.model, device, reporter)
 
 
 def lift_with_model(sample: Sample, model: str, device: str, reporter: Reporter) -> LiftedPoses:
     """Lift the detections of a sample. Raises MismatchError where there is no such device."""
+    from mocap_calib.steerpose.checkpoint import load_model
+    from mocap_calib.steerpose.device import check_device, use_threads
+    from mocap_calib.steerpose.lift import lift
+
     use_threads(1)
     check_device(device)
     return lift(sample, load_model(model), device=device, progress=reporter)
@@ -176,8 +177,7 @@ def read_matches(path: str, recording: Recording) -> Matches:
 
 def _rig_of_recording(rig: CameraRig, recording: Recording) -> CameraRig:
     """Return the rig with the cameras of the recording alone, in their order."""
-    views = np.array([rig.names.index(name) for name in recording.names])
-    return replace(rig.select(views), cameras=recording.cameras)
+    return replace(rig.select(recording.names), cameras=recording.cameras)
 
 
 # --- stdin
@@ -203,6 +203,13 @@ def read_stdin(what: str) -> str:
 
 
 # --- texts of options
+
+# how the values of options are written
+_FORMS = {
+    "--image-size": "a width and a height above 0, as 1280x720",
+    "--frame-offset": "camera:frames with a whole number, as cam1:-3",
+    "--crop-offset": "camera:x,y, as cam1:640,0",
+}
 
 
 def read_options(options: SharedOptions) -> ReadOptions:
@@ -237,10 +244,7 @@ def _parse_image_size(text: str) -> tuple[int, int]:
     """Return (width, height) of `WxH`. Raises click's BadParameter."""
     width, height = _parse_whole_numbers(text.lower().replace("x", ","), 2, "--image-size")
     if min(width, height) <= 0:
-        raise click.BadParameter(
-            f"expected a width and a height above 0, as 1280x720, found {text}",
-            param_hint="--image-size",
-        )
+        raise _wrong_form(text, "--image-size")
     return width, height
 
 
@@ -250,7 +254,7 @@ def _check_pattern(pattern: str) -> str:
         re.compile(pattern)
     except re.error as error:
         raise click.BadParameter(
-            f"expected a regular expression, found {pattern} ({error})",
+            f"expected a regular expression, as 'cam[0-9]+', found {pattern} ({error})",
             param_hint="--camera-regex",
         ) from None
     return pattern
@@ -277,9 +281,7 @@ def _split_by_camera(texts: Sequence[str], option: str) -> Mapping[str, str]:
     """Return camera -> value of each `camera:value`; the last one counts of a camera."""
     pairs = [text.rpartition(":") for text in texts]
     if not all(camera for camera, _, _ in pairs):
-        raise click.BadParameter(
-            f"expected camera:value, found {', '.join(texts)}", param_hint=option
-        )
+        raise _wrong_form(", ".join(texts), option)
     return {camera: value for camera, _, value in pairs}
 
 
@@ -287,7 +289,7 @@ def _parse_whole_numbers(text: str, count: int, option: str) -> list[int]:
     """Return `count` whole numbers with commas between them."""
     values = _parse_numbers(text, count, option)
     if any(value % 1 for value in values):
-        raise _expected_numbers(text, count, option)
+        raise _wrong_form(text, option)
     return [int(value) for value in values]
 
 
@@ -296,13 +298,12 @@ def _parse_numbers(text: str, count: int, option: str) -> list[float]:
     try:
         values = [float(part) for part in text.split(",")]
     except ValueError:
-        raise _expected_numbers(text, count, option) from None
+        raise _wrong_form(text, option) from None
     if len(values) != count or not all(abs(value) < LARGEST_EXACT_FLOAT for value in values):
-        raise _expected_numbers(text, count, option)
+        raise _wrong_form(text, option)
     return values
 
 
-def _expected_numbers(text: str, count: int, option: str) -> click.BadParameter:
-    """Return the complaint about a text that is not `count` numbers."""
-    expected = "a whole number" if count == 1 else "two numbers"
-    return click.BadParameter(f"expected {expected}, found {text}", param_hint=option)
+def _wrong_form(text: str, option: str) -> click.BadParameter:
+    """Return the complaint about a value that is not written as the option wants it."""
+    return click.BadParameter(f"expected {_FORMS[option]}, found {text}", param_hint=option)

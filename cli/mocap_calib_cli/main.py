@@ -5,6 +5,7 @@ bad, 2 usage, 130 interrupted.
 """
 
 import importlib
+import io
 import os
 import sys
 from typing import TYPE_CHECKING
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING
 import click
 
 from mocap_calib import __version__
+from mocap_calib.compute import BLAS_THREADS
 from mocap_calib.errors import MocapCalibError, suggest
 from mocap_calib_cli.mistakes import explain
 
@@ -21,15 +23,15 @@ if TYPE_CHECKING:
 # what the list of commands says of each; kept here, so that the list imports none of them
 COMMANDS = {
     "run": "Keypoints to cameras and 3D poses: all stages in one.",
-    "batch": "Many recordings, here or on a cluster; what is finished is kept.",
+    "batch": "Many recordings; what is finished is kept.",
     "inspect": "What is in keypoint files, and what would make a run fail.",
     "pairwise": "Relative poses of all pairs of cameras.",
-    "average": "Pairs to one rig.",
+    "average": "Where all cameras stand, from the pairs (the rig).",
     "match": "Who is who in all cameras.",
-    "adjust": "Bundle adjustment of the rig.",
-    "triangulate": "3D poses.",
+    "adjust": "Make the rig as exact as the keypoints allow (bundle adjustment).",
+    "triangulate": "3D poses from the rig and the matches.",
     "convert": "Keypoints, cameras and poses from one format to another.",
-    "complete": "Fill keypoints that were not seen; one set of joints for all cameras.",
+    "complete": "Fill keypoints that were not seen.",
     "evaluate": "Compare cameras with a reference calibration.",
     "simulate": "Make a synthetic recording with its truth.",
     "models": "List the networks that are shipped.",
@@ -95,18 +97,33 @@ def group() -> None:
     """Calibrate cameras from the 2D keypoints of moving people and animals, and triangulate them.
 
     \b
-    Example:
+    Example, in the folder examples/three_people:
+      mocap-calib inspect keypoints/ --cameras intrinsics.toml
       mocap-calib run keypoints/ --cameras intrinsics.toml -o out
       mocap-calib evaluate out/cameras.yaml --reference reference.toml
+
+    `mocap-calib COMMAND --help` describes a command. The commands from `pairwise` to `triangulate`
+    are the stages of `run`, one at a time. docs/completion.md says how the shell completes
+    commands, options and names of formats.
     """
 
 
 def main() -> None:
     """Run the command; turn a user's mistake into one line and an exit status."""
-    # read when numpy is imported; the sums of these libraries depend on the number of threads
-    for library in ("OPENBLAS", "MKL"):
-        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+    for variable in BLAS_THREADS:  # the sums of these libraries depend on the number of threads
+        os.environ.setdefault(variable, "1")
+    _speak_utf8()
     sys.exit(_run_command())
+
+
+def _speak_utf8() -> None:
+    """Make what is written UTF-8 with the same line ends on every system.
+
+    Windows writes to files and pipes in the code page of the country, which lacks most letters.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(encoding="utf-8", errors=stream.errors, newline="\n")
 
 
 def _run_command() -> int:

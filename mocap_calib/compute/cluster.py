@@ -10,15 +10,16 @@ from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from functools import partial
 from itertools import islice
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import dask
 from dask.typing import Key
 from distributed import Client, Future, KilledWorker, as_completed
 from distributed.comm.addressing import get_address_host_port
 from distributed.comm.core import CommClosedError
+from distributed.protocol.pickle import dumps, loads
 
-from mocap_calib import __version__
+from mocap_calib.compute.program import identify_program
 from mocap_calib.errors import ClusterError
 
 T = TypeVar("T")
@@ -78,8 +79,10 @@ class Cluster:
             refill()
 
     def _submit(self, function: Callable[[T], R], item: T) -> "Future[R]":
+        # packed here: a worker of other code could fail to unpack it before it can say why
+        work = dumps((function, item))
         with _answering():
-            return self.client.submit(_same_version, __version__, function, item, pure=False)
+            return self.client.submit(_compute, identify_program(), work, pure=False)
 
 
 @contextmanager
@@ -121,13 +124,17 @@ def _large_pieces() -> dask.config.set:
     return dask.config.set({"distributed.admin.large-graph-warning-threshold": "100 GB"})
 
 
-def _same_version(version: str, function: Callable[[T], R], item: T) -> R:
-    """Compute on a worker, which must have the version of the sender."""
-    if version != __version__:
+def _compute(program: str, work: bytes) -> Any:
+    """Return, on a worker, the function of the item in `work`.
+
+    Raises ClusterError where the worker is not the program that sent it.
+    """
+    if program != identify_program():
         raise ClusterError(
-            f"expected mocap-calib {version} on every worker, found {__version__}; "
-            "install the same version"
+            f"expected mocap-calib {program} on every worker, found {identify_program()}; "
+            "install the same there"
         )
+    function, item = loads(work)
     return function(item)
 
 

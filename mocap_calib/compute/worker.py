@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator
 from queue import SimpleQueue
 from typing import Any, BinaryIO, TypeVar, TypeVarTuple, cast
 
+from mocap_calib.compute import BLAS_THREADS
 from mocap_calib.errors import MocapCalibError
 
 Arguments = TypeVarTuple("Arguments")
@@ -49,7 +50,7 @@ class Worker:
 
         function: of a module; it, its arguments and its result can be pickled.
         cpu_seconds: computing time allowed, and 20 times as much by the clock; memory_bytes:
-        memory allowed. On Windows the clock alone is held.
+        memory allowed. macOS does not hold the memory, Windows holds the clock alone.
 
         Raises WorkerEndedError where the process ends before it answers.
         """
@@ -106,8 +107,8 @@ def _start() -> "subprocess.Popen[bytes]":
     environment = {
         **os.environ,
         "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
-        "OPENBLAS_NUM_THREADS": "1",
         "OMP_NUM_THREADS": "1",
+        **dict.fromkeys(BLAS_THREADS, "1"),
     }
     return subprocess.Popen(
         [sys.executable, "-P", "-m", __name__],  # -P: no module of the working folder
@@ -174,7 +175,10 @@ def _answer(
 
 @contextlib.contextmanager
 def _limits(cpu_seconds: float, memory_bytes: int) -> Iterator[None]:
-    """Hold this process to so much more computing time, and to so much memory."""
+    """Hold this process to so much more computing time, and to so much memory.
+
+    As far as the system lets it: macOS refuses any limit of memory.
+    """
     if sys.platform == "win32" or cpu_seconds == UNLIMITED:
         yield
         return
@@ -190,12 +194,14 @@ def _limits(cpu_seconds: float, memory_bytes: int) -> Iterator[None]:
     for kind, most in limits.items():
         hard = before[kind][1]
         soft = most if hard == resource.RLIM_INFINITY else min(most, hard)
-        resource.setrlimit(kind, (soft, hard))
+        with contextlib.suppress(ValueError, OSError):
+            resource.setrlimit(kind, (soft, hard))
     try:
         yield
     finally:
         for kind, limit in before.items():
-            resource.setrlimit(kind, limit)
+            with contextlib.suppress(ValueError, OSError):
+                resource.setrlimit(kind, limit)
 
 
 if __name__ == "__main__":

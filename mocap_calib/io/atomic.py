@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from mocap_calib.errors import MismatchError
+from mocap_calib.recording.pairing import compose_name
 
 
 @contextmanager
@@ -81,22 +82,28 @@ def check_no_other_files(path: Path, names: Collection[str], suffixes: Collectio
     suffixes: of files that would be read.
     """
     nested = any("/" in name for name in names)
+    own = {compose_name(name) for name in names}
     for file in sorted(path.rglob("*") if nested else path.glob("*")):
         inside = file.relative_to(path)
         hidden = any(part.startswith(".") for part in inside.parts)
         is_read = file.suffix.lower() in suffixes and file.is_file()
-        if is_read and not hidden and inside.as_posix() not in names:
+        if is_read and not hidden and compose_name(inside.as_posix()) not in own:
             raise MismatchError(
                 f"{path}: expected a new folder or one with the same files, "
                 f"found {inside.as_posix()}: choose another or remove it"
             )
 
 
-def individual_file(path: Path, individual: int) -> Path:
-    """Return the file of an individual where each has its own: NAME, NAME_1, NAME_2, ..."""
-    if individual == 0:
-        return path
+def numbered_file(path: Path, individual: int) -> Path:
+    """Return the file of an individual where each has its own: NAME_0, NAME_1, ..."""
     return path.with_name(f"{path.stem}_{individual}{path.suffix}")
+
+
+def individual_files(path: Path, individuals: int) -> list[Path]:
+    """Return the files of so many individuals: `path` itself for one, else a numbered one each."""
+    if individuals == 1:
+        return [path]
+    return [numbered_file(path, individual) for individual in range(individuals)]
 
 
 def check_no_further_individual(path: Path, individuals: int) -> None:
@@ -104,18 +111,21 @@ def check_no_further_individual(path: Path, individuals: int) -> None:
 
     It may be a recording of that name, so it is not removed.
     """
-    further = individual_file(path, individuals)
-    if further.exists():
-        raise MismatchError(
-            f"{further}: expected no file of a further individual beside {path.name}, found one; "
-            "remove it or choose another name"
-        )
+    first = numbered_file(path, 0)
+    others = [first] if individuals == 1 else [path, numbered_file(path, individuals)]
+    for further in others:
+        if further.exists():
+            beside = path.name if individuals == 1 else first.name
+            raise MismatchError(
+                f"{further}: expected no file of a further individual beside {beside}, found one; "
+                "remove it or choose another name"
+            )
 
 
 def remove_further_individuals(path: Path, individuals: int) -> None:
     """Remove the files of individuals that an earlier run found beyond those of this one."""
     number = individuals
-    while (further := individual_file(path, number)).is_file():
+    while (further := numbered_file(path, number)).is_file():
         further.unlink()
         number += 1
 

@@ -32,6 +32,7 @@ from mocap_calib.io.registry import (
     find_format,
     names_by_ending,
 )
+from mocap_calib.io.units import ARBITRARY
 from mocap_calib.recording.counting import count
 from mocap_calib.recording.pairing import check_pixels
 from mocap_calib.types import Keypoints2D
@@ -73,7 +74,8 @@ def convert_cameras(
         not known.
     provenance: how the cameras came about, for formats that have a place for it.
 
-    Cameras without extrinsics are left out, and that is noted, unless all are: FormatError. Raises
+    Cameras without extrinsics are left out, and that is noted, unless all are: FormatError. What
+    the source says of how far the cameras can be trusted is handed on. Raises
     FormatError and MismatchError as `load_cameras` and `write_cameras` do.
     """
     if isinstance(source, bytes):
@@ -84,10 +86,13 @@ def convert_cameras(
         found = load_cameras(source, format, unit)
     found = _leave_out_unplaced(found)
     rig = make_rig(_fill_sizes(found, image_size, name), name)
+    provenance = {**(provenance or {}), **found.judgement}
     known = find_format(CAMERA_FORMATS, to)
-    summary = f"{count(len(rig.cameras), 'camera')}, lengths in {known.unit or rig.unit}, as {to}"
+    unit = known.unit or rig.unit
+    lengths = "arbitrary lengths" if unit == ARBITRARY else f"lengths in {unit}"
+    summary = f"{count(len(rig.cameras), 'camera')}, {lengths}, as {to}"
     if output is None:
-        written = format_rig(rig, to, provenance or {})
+        written = format_rig(rig, to, provenance)
         return Conversion(summary, found.notes, written.lost, written.files)
     return Conversion(summary, found.notes, write_cameras(output, rig, to, provenance))
 
@@ -112,7 +117,7 @@ def convert_poses(
     up: the axis of the sources' world that points up (x, y, z, -x, -y, -z); the poses are turned
         so that it is y. None: the axes are kept.
 
-    Raises FormatError and MismatchError as `read_poses` and `write_poses` do, and MismatchError
+    Raises FormatError and MismatchError as `load_poses` and `write_poses` do, and MismatchError
     where the sources contradict `fps`.
     """
     if isinstance(sources, bytes):

@@ -58,6 +58,10 @@ def read_bytes(path: Path) -> bytes:
     """
     try:
         content = path.read_bytes()
+    except FileNotFoundError:
+        raise malformed(str(path), "a file or folder", "none", "check the path") from None
+    except IsADirectoryError:
+        raise malformed(str(path), "a file", "a folder", "give a file in it") from None
     except (OSError, ValueError) as error:
         found = getattr(error, "strerror", None) or error
         raise malformed(str(path), "a readable file", found, "check the path") from None

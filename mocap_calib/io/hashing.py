@@ -43,6 +43,5 @@ def _entries(path: Path) -> list[Path]:
 
 def _hash_folder(folder: Path) -> str:
     """Return one SHA-256 for the names and contents of all files below a folder."""
-    files = [file for file in sorted(folder.rglob("*")) if file.is_file()]
-    lines = [f"{file.relative_to(folder)} {hash_file(file)}" for file in files]
+    lines = [f"{name} {content}" for name, content in hash_files(folder).items()]
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()

@@ -3,12 +3,14 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from mocap_calib.errors import MismatchError
+from mocap_calib.errors import MismatchError, suggest
 from mocap_calib.io.cameras.formats import CAMERA_FORMATS
 from mocap_calib.io.cameras.read import looks_like_cameras
 from mocap_calib.io.file import plain_path, read_bytes
 from mocap_calib.io.keypoints.formats import KEYPOINT_FORMATS
+from mocap_calib.io.keypoints.items import SUFFIXES
 from mocap_calib.io.keypoints.read import looks_like_keypoints
+from mocap_calib.io.media import check_no_media
 from mocap_calib.io.poses.formats import POSE_FORMATS
 from mocap_calib.io.poses.read import looks_like_poses
 from mocap_calib.io.registry import (
@@ -32,8 +34,12 @@ Sources = Sequence[str | Path] | bytes
 
 
 def check_sources(sources: Sequence[str | Path]) -> None:
-    """Raise MismatchError where a file or folder (or that of a `name=path` pair) is missing."""
+    """Raise MismatchError where a file or folder (or that of a `name=path` pair) is missing.
+
+    Raises FormatError for a video or an image.
+    """
     for path in map(plain_path, sources):
+        check_no_media(path, SUFFIXES)
         if not path.exists():
             raise MismatchError(f"{path}: expected a file or folder, found none; check the path")
 
@@ -52,6 +58,8 @@ def choose_kind(
     """
     kinds = _kinds_named(format, to)
     if len(kinds) == 1:
+        if to is not None and format is None and not isinstance(sources, bytes):
+            _check_kind(sources, kinds[0], to)
         return kinds[0]
     shown = [kind for kind in kinds if _looks_like(kind, sources)]
     if to is None:
@@ -62,8 +70,10 @@ def choose_kind(
     return shown[0] if shown else "keypoints"
 
 
-def choose_format(kind: Kind, output: str | Path) -> str:
+def choose_format(kind: Kind, output: str | Path, option: str = "--to ") -> str:
     """Return the name of the format that the ending of the output says.
+
+    option: how users name a format, for complaints.
 
     Raises MismatchError where it says none, or several.
     """
@@ -72,13 +82,13 @@ def choose_format(kind: Kind, output: str | Path) -> str:
     if len(names) > 1:
         raise MismatchError(
             f"{output}: expected the format of {kind} beside the ending, found none; "
-            f"say --to {' or --to '.join(names)}"
+            f"say {option}{f' or {option}'.join(names)}"
         )
     if not names:
         known = ", ".join(f"{end} ({own[0]})" for end, own in by_ending.items() if len(own) == 1)
         written = ", ".join(written_names(FORMATS[kind]))
         raise MismatchError(
-            f"{output}: expected an ending of {known}, or --to and one of {written}, "
+            f"{output}: expected an ending of {known}, or {option.strip()} and one of {written}, "
             "found neither; name the format"
         )
     return names[0]
@@ -95,8 +105,9 @@ def _kinds_named(format: str | None, to: str | None) -> list[Kind]:
             known = "; ".join(
                 f"{kind}: {', '.join(format_names(FORMATS[kind]))}" for kind in FORMATS
             )
+            names = [each for formats in FORMATS.values() for each in format_names(formats)]
             raise MismatchError(
-                f"{option}: expected a format ({known}), found {name!r}; use one of these"
+                f"{option}: expected a format ({known}), found {name!r}; {suggest(name, names)}"
             )
         fitting = [kind for kind in kinds if kind in having]
         if not fitting:
@@ -106,6 +117,22 @@ def _kinds_named(format: str | None, to: str | None) -> list[Kind]:
             )
         kinds = fitting
     return kinds
+
+
+def _check_kind(sources: Sequence[str | Path], kind: Kind, to: str) -> None:
+    """Raise MismatchError where the sources show another kind than that of the output's format.
+
+    What shows no kind is left to the reader, which says more.
+    """
+    if _looks_like(kind, sources):
+        return
+    other = next((each for each in FORMATS if _looks_like(each, sources)), None)
+    if other is not None:
+        names = ", ".join(written_names(FORMATS[other]))
+        raise MismatchError(
+            f"--to {to}: expected a format of {other}, which INPUT holds, found one of {kind}; "
+            f"choose one of {names}"
+        )
 
 
 def _looks_like(kind: Kind, sources: Sources) -> bool:

@@ -1,11 +1,92 @@
-"""What a result file says of how it came about."""
+"""What a result file says of how it came about, and of how far its cameras can be trusted."""
 
-from collections.abc import Mapping
+import math
+import os
+from collections.abc import Iterable, Mapping
+from datetime import UTC, datetime
 from typing import Any
 
 from mocap_calib import __version__
+from mocap_calib.errors import MismatchError
+
+# what a provenance says of the cameras beside it, and a conversion hands on: whether they were
+# adjusted, the verdict and what explains it, and the error of the points in pixels
+_JUDGEMENT = {"adjusted": bool, "verdict": str, "remarks": list, "reprojection_error_px": float}
+_ADVICE = {
+    "weak": ": check it before you measure with it",
+    "not determined": ": do not measure with it",
+}
+_VERDICTS = ("well determined", *_ADVICE)
+_LONGEST_REMARK = 1000  # characters
 
 
 def provenance(command: str, **fields: Any) -> Mapping[str, Any]:
     """Return the command, the version, and further fields (seed, hashes of the inputs, ...)."""
     return {"command": f"mocap-calib {command}", "version": __version__, **fields}
+
+
+def judgement(
+    verdict: str, remarks: Iterable[str], reprojection_error_px: float | None
+) -> dict[str, Any]:
+    """Return the fields of a provenance that say how far adjusted cameras can be trusted.
+
+    verdict: "well determined", "weak" or "not determined".
+    remarks: what explains the verdict, a line each.
+    reprojection_error_px: of the points, None where it is not known.
+    """
+    fields = {"adjusted": True, "verdict": verdict, "remarks": list(remarks)}
+    if reprojection_error_px is not None:
+        fields["reprojection_error_px"] = reprojection_error_px
+    return fields
+
+
+def read_judgement(stored: Any) -> dict[str, Any]:
+    """Return the fields of `judgement` that the provenance in a file has.
+
+    What was edited into something else is left out.
+    """
+    if not isinstance(stored, Mapping):
+        return {}
+    found = {key: stored[key] for key, kind in _JUDGEMENT.items() if type(stored.get(key)) is kind}
+    if found.get("verdict", _VERDICTS[0]) not in _VERDICTS:
+        del found["verdict"]
+    if not math.isfinite(found.get("reprojection_error_px", 0.0)):
+        del found["reprojection_error_px"]
+    if "remarks" in found:
+        found["remarks"] = [each for each in found["remarks"] if _is_remark(each)]
+    return found
+
+
+def describe_judgement(fields: Mapping[str, Any]) -> list[str]:
+    """Return lines of text for the cameras that a provenance is of; none where nobody judged."""
+    verdict = fields.get("verdict")
+    if verdict is None:
+        return []
+    return [
+        f"mocap-calib: this rig is {verdict}{_ADVICE.get(verdict, '')}",
+        *fields.get("remarks", []),
+    ]
+
+
+def date_of_making() -> str:
+    """Return the date and time in UTC, as 2026-01-31T12:00:00Z.
+
+    SOURCE_DATE_EPOCH (seconds since 1970) stands for the clock where it is set, so that all files
+    of a run can be made again to the last byte (reproducible-builds.org).
+
+    Raises MismatchError where it is no such number.
+    """
+    said = os.environ.get("SOURCE_DATE_EPOCH", "")
+    try:
+        time = datetime.fromtimestamp(int(said), UTC) if said else datetime.now(UTC)
+    except (ValueError, OverflowError, OSError):
+        raise MismatchError(
+            "SOURCE_DATE_EPOCH: expected whole seconds since 1970, "
+            f"found {said!r}; mend it or unset it"
+        ) from None
+    return time.strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
+def _is_remark(value: Any) -> bool:
+    """Return whether a value is a line of text."""
+    return isinstance(value, str) and value.isprintable() and len(value) <= _LONGEST_REMARK

@@ -10,7 +10,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Generic, Literal, TypeVar
 
-from mocap_calib.errors import MismatchError
+from mocap_calib.errors import MismatchError, suggest
 from mocap_calib.io.keypoints.losses import Loss
 
 Kind = Literal["keypoints", "cameras", "poses"]
@@ -67,7 +67,7 @@ class Format(Generic[Sniff, Read, Write]):
         if self.write is None:
             raise MismatchError(
                 f"{self.name}: expected a format that is written, found one that is only read; "
-                "choose one that is"
+                "choose one that is (docs/formats.md)"
             )
         missing = [name for name in self.packages if find_spec(name) is None]
         if missing:
@@ -98,7 +98,7 @@ def find_format(formats: Sequence[OneFormat], name: str) -> OneFormat:
     kind = formats[0].kind.removesuffix("s")
     raise MismatchError(
         f"expected one of the {kind} formats {', '.join(format_names(formats))}, found {name!r}; "
-        "choose one of these"
+        f"{suggest(name, format_names(formats))}"
     )
 
 

@@ -2,7 +2,7 @@
 
 One damaged file in some hundreds ends libhdf5 2.0.0, or never lets it come back. The process starts
 with the first such file (0.3 s) and serves until this one ends, or a large file's memory is to be
-given back. What it does not survive becomes a FormatError. Measured in docs/formats.md, "Fuzzing".
+given back. What it does not survive becomes a FormatError. Measured in docs/formats-checks.md.
 """
 
 import os

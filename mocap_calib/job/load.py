@@ -13,16 +13,15 @@ from mocap_calib.recording.joints import fit_vocabulary, load_aliases
 from mocap_calib.recording.pairing import views_named
 from mocap_calib.recording.summary import RecordingSummary, summarise_recording
 from mocap_calib.recording.synchronise import join_views, recording_of_views
-from mocap_calib.steerpose.checkpoint import load_vocabulary
+from mocap_calib.steerpose.weights import load_vocabulary
 from mocap_calib.types import Keypoints2D, Recording, Skeleton
 
 
 @dataclass(frozen=True)
 class LoadedRecording:
-    """A recording, the name of the model that lifts it, and what a person should know of it."""
+    """A recording, and what a person should know of it."""
 
     recording: Recording
-    model: str
     summary: RecordingSummary
 
 
@@ -48,7 +47,7 @@ def load_recording(
     summary = summarise_recording(recording, joined, cameras)
     notes = camera_file.notes if camera_file else (ASSUMED_NOTE,)
     summary = replace(summary, camera_notes=notes, ignored_files=find_ignored_files(source.paths))
-    return LoadedRecording(recording, source.model or skeleton.name, summary)
+    return LoadedRecording(replace(recording, model=source.model or skeleton.name), summary)
 
 
 def find_ignored_files(arguments: Sequence[str]) -> tuple[str, ...]:

@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from mocap_calib import __version__
+from mocap_calib.compute.program import identify_program
 from mocap_calib.config import PAIR_SOLVERS, Config
 from mocap_calib.io.file import plain_path
 from mocap_calib.io.hashing import hash_inputs
 from mocap_calib.io.keypoints.document import ReadOptions
-from mocap_calib.steerpose.checkpoint import identify_model
+from mocap_calib.steerpose.weights import identify_model
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class CalibrationRequest:
     def fingerprint(self, hashes: Mapping[str, str], model: str) -> str:
         """Return the SHA-256 of all that the results follow from.
 
-        That is what was asked for, the files, the configuration, the weights and the version.
+        That is what was asked for, the files, the configuration, the weights and the code.
 
         hashes: of the inputs, by path. model: the one that was chosen.
         """
@@ -78,6 +78,6 @@ class CalibrationRequest:
         return hashlib.sha256(content.encode()).hexdigest()
 
     def describe_method(self, model: str) -> str:
-        """Return how any recording is calibrated: solver, configuration, weights and version."""
-        parts = [self.pair_solver, asdict(self.config), model, identify_model(model), __version__]
-        return json.dumps(parts)
+        """Return how any recording is calibrated: solver, configuration, weights and code."""
+        method = [self.pair_solver, asdict(self.config)]
+        return json.dumps([*method, model, identify_model(model), identify_program()])

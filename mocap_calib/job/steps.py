@@ -5,7 +5,7 @@ The first and the last touch files; the one between touches none and may be done
 
 import json
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from mocap_calib.io.cameras.read import load_cameras, parse_content
 from mocap_calib.io.cameras.source import CameraFile
 from mocap_calib.io.hashing import hash_file, hash_files
 from mocap_calib.io.poses.common import PoseFile
-from mocap_calib.io.provenance import provenance
+from mocap_calib.io.provenance import date_of_making, provenance
 from mocap_calib.io.results.further_formats import FurtherFiles, check_formats, write_formats
 from mocap_calib.io.results.group import (
     REPORT,
@@ -27,13 +27,16 @@ from mocap_calib.io.results.group import (
     write_group,
 )
 from mocap_calib.io.results.pair_store import remember_pairs
+from mocap_calib.io.zeros import unsigned_zeros
 from mocap_calib.job.load import LoadedRecording, load_recording
 from mocap_calib.job.request import CalibrationRequest
 from mocap_calib.pipeline import calibrate
-from mocap_calib.report import run_report
+from mocap_calib.recording.joints import edges_of_keypoints
+from mocap_calib.report import judge_cameras, run_report
 from mocap_calib.steerpose.checkpoint import load_model
-from mocap_calib.steerpose.device import check_device, use_threads
+from mocap_calib.steerpose.device import use_threads
 from mocap_calib.steerpose.model import Lifter
+from mocap_calib.steerpose.weights import load_vocabulary
 from mocap_calib.two_view.solve import PairSolver, pair_mapper
 from mocap_calib.two_view.solvers import choose_pair_solver
 from mocap_calib.types import CalibrationResult, GroupResult, Mapper, Progress, silent
@@ -74,9 +77,10 @@ def read_job(request: CalibrationRequest) -> Job:
     Raises FormatError, and MismatchError also where a further format cannot be written.
     """
     check_formats(request.formats, request.fps)
+    date_of_making()  # so that a bad SOURCE_DATE_EPOCH is said before anything is computed
     hashes = request.hash_inputs()  # first: what changes from now on makes another fingerprint
     loaded = load_recording(request.keypoints, _load_camera_file(request.cameras))
-    lifter = load_model(loaded.model)
+    lifter = load_model(loaded.recording.model)
     solver = choose_pair_solver(
         request.pair_solver, loaded.recording, lifter, request.config.pairwise
     )
@@ -94,7 +98,6 @@ def calibrate_job(
     """
     request = job.request
     use_threads(1)
-    check_device(request.device)
     return calibrate(
         job.loaded.recording,
         job.lifter,
@@ -117,7 +120,7 @@ def calibrate_job_resumably(
     """
     request = job.request
     pairwise = mapper or pair_mapper(job.loaded.recording, request.config.pairwise)
-    method = request.describe_method(job.loaded.model)
+    method = request.describe_method(job.loaded.recording.model)
     try:
         kept = remember_pairs(pairwise, request.output / _UNFINISHED, method)
         return calibrate_job(job, progress=progress, mapper=kept)
@@ -129,35 +132,65 @@ def calibrate_job_resumably(
 
 
 def write_results(job: Job, result: CalibrationResult) -> tuple[WrittenGroup, ...]:
+    """Write all files of a run, as `write_result` does; return what was written of each group.
+
+    Raises what `write_result` raises.
+    """
+    request = job.request
+    return write_result(
+        request.output,
+        result,
+        inputs=job.hashes,
+        described={"solver": request.pair_solver},
+        fingerprint=request.fingerprint(job.hashes, job.loaded.recording.model),
+        formats=request.formats,
+        fps=request.fps,
+    )
+
+
+def write_result(
+    output: Path,
+    result: CalibrationResult,
+    *,
+    inputs: Mapping[str, str],
+    described: Mapping[str, Any],
+    fingerprint: str | None = None,
+    formats: Sequence[str] = (),
+    fps: float | None = None,
+) -> tuple[WrittenGroup, ...]:
     """Write all files of a run, together or not at all; return what was written of each group.
 
     What an earlier run wrote and this one did not is removed: further groups, individuals and
     formats, and a rig reversed in depth.
 
-    Raises MismatchError, after all else is written, where a further format of the request cannot
-    hold the rig or the poses.
+    output: the folder. inputs: SHA-256 of the files that were read, by path.
+    described: further keys of `run.json`. fingerprint: of all that the result follows from, where
+        that is known. formats, fps: as in `CalibrationRequest`.
+
+    Raises MismatchError, after all else is written, where a further format cannot hold the rig or
+    the poses.
     """
-    request = job.request
-    earlier = read_outputs(request.output)
-    source = provenance("run", seed=request.seed, inputs=job.hashes)
-    reports = _report_groups(job, result)
+    earlier = read_outputs(output)
+    reports = _report_groups(result, inputs, described)
     further: dict[int, FurtherFiles] = {}
-    with replace_folder(request.output) as work:
+    with replace_folder(output) as work:
         # the first group comes last: its report has the hashes of all other files
         for number in reversed(range(len(result.groups))):
-            place = work / group_folder(number)
+            group, place = result.groups[number], work / group_folder(number)
             place.mkdir(exist_ok=True)
-            write_group(place, result.groups[number], source)
-            further[number] = _write_further_formats(
-                place, result.groups[number], request, provenance=source
+            source = provenance(
+                "run", seed=result.seed, inputs=inputs, **judge_cameras(reports[number])
             )
+            poses = _describe_poses(group, fps)
+            write_group(place, group, poses, source)
+            further[number] = write_formats(place, group.rig, poses, formats, source)
             if number == 0:
-                reports[0]["fingerprint"] = request.fingerprint(job.hashes, job.loaded.model)
+                reports[0]["fingerprint"] = fingerprint
                 reports[0]["outputs"] = hash_files(work)
             text = json.dumps(reports[number], indent=1, allow_nan=False)
-            (place / REPORT).write_text(text + "\n", "utf-8")
-    _clean_output(request.output, reports[0])
-    remove_earlier_outputs(request.output, earlier, kept=reports[0]["outputs"].keys())
+            (place / REPORT).write_text(text + "\n", encoding="utf-8", newline="\n")
+    _clean_output(output, reports[0])
+    remove_earlier_outputs(output, earlier, kept=reports[0]["outputs"].keys())
     for files in further.values():
         for error in files.refused:
             raise error
@@ -166,13 +199,14 @@ def write_results(job: Job, result: CalibrationResult) -> tuple[WrittenGroup, ..
     )
 
 
-def _write_further_formats(
-    folder: Path, group: GroupResult, request: CalibrationRequest, *, provenance: Mapping[str, Any]
-) -> FurtherFiles:
-    """Write a group in the further formats of a request; return what became of them."""
-    fps = float("nan") if request.fps is None else request.fps
-    poses = PoseFile(group.poses, fps)
-    return write_formats(folder, group.rig, poses, request.formats, provenance)
+def _describe_poses(group: GroupResult, fps: float | None) -> PoseFile:
+    """Return the poses of a group with what is known beside them."""
+    skeleton = load_vocabulary(group.recording.model)
+    return PoseFile(
+        group.poses,
+        rate=float("nan") if fps is None else fps,
+        edges=edges_of_keypoints(skeleton, group.recording.vocabulary),
+    )
 
 
 def find_finished(request: CalibrationRequest) -> dict[str, Any] | None:
@@ -202,17 +236,20 @@ def _load_camera_file(cameras: Path | bytes | None) -> CameraFile | None:
     return load_cameras(cameras) if isinstance(cameras, Path) else parse_content(cameras, "stdin")
 
 
-def _report_groups(job: Job, result: CalibrationResult) -> list[dict[str, Any]]:
+def _report_groups(
+    result: CalibrationResult, inputs: Mapping[str, str], described: Mapping[str, Any]
+) -> list[dict[str, Any]]:
     """Return what `run.json` holds of each group, but for the hashes of the results."""
-    request = job.request
     groups = [
         {"folder": group_folder(number), "cameras": list(group.rig.names)}
         for number, group in enumerate(result.groups)
     ]
-    shared = {"model": job.loaded.model, "solver": request.pair_solver, "groups": groups}
+    shared = {"date": date_of_making(), **described, "groups": groups}
     return [
-        run_report(group, result, seed=request.seed, config=request.config, inputs=job.hashes)
-        | shared
+        unsigned_zeros(
+            run_report(group, result, seed=result.seed, config=result.config, inputs=inputs)
+        )
+        | {"model": group.recording.model, **shared}
         for group in result.groups
     ]
 

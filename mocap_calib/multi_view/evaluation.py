@@ -10,15 +10,15 @@ from mocap_calib.config import RIG_ERROR_THRESHOLDS_DEG
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.alignment import align_by_similarity
 from mocap_calib.geometry.rotation import angle_between, direction_angle
-from mocap_calib.types import CameraRig, Floats
+from mocap_calib.types import CameraRig, Floats, Record
 
 # Points on the cameras' axes take part in the alignment, so near to the centres (in spreads of the
 # centres) that they decide only what the centres leave open.
 _AXIS_LENGTH = 1e-3
 
 
-@dataclass(frozen=True)
-class Evaluation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Evaluation(Record):
     """A rig against a reference.
 
     names: cameras of the reference that the rig has.
@@ -41,8 +41,17 @@ class Evaluation:
     centre_error: Floats
     unit: str
 
+    def __repr__(self) -> str:
+        rotation = _median_and_max_text(np.degrees(self.rotation_error))
+        translation = _median_and_max_text(np.degrees(self.translation_error))
+        missing = f", missing: {', '.join(self.missing)}" if self.missing else ""
+        return (
+            f"Evaluation({len(self.pairs)} pairs, median / max: rotation {rotation} deg, "
+            f"translation {translation} deg{missing})"
+        )
 
-def evaluate_rig(rig: CameraRig, reference: CameraRig) -> Evaluation:
+
+def evaluate(rig: CameraRig, reference: CameraRig) -> Evaluation:
     """Compare all pairs of the reference's cameras, and the cameras after an alignment.
 
     The alignment is a similarity: rotation, translation and scale. Raises MismatchError where the
@@ -56,7 +65,7 @@ def evaluate_rig(rig: CameraRig, reference: CameraRig) -> Evaluation:
         )
     pairs = tuple(combinations(sorted(reference.names), 2))
     errors = np.array([_pair_error(rig, reference, a, b) for a, b in pairs])
-    found, true = _select_named(rig, names), _select_named(reference, names)
+    found, true = rig.select(names), reference.select(names)
     scale, rotation, translation = align_by_similarity(_with_axes(found), _with_axes(true))
     centres = scale * found.centres @ rotation.T + translation
     return Evaluation(
@@ -69,11 +78,6 @@ def evaluate_rig(rig: CameraRig, reference: CameraRig) -> Evaluation:
         centre_error=np.linalg.norm(centres - true.centres, axis=1),
         unit=reference.unit,
     )
-
-
-def _select_named(rig: CameraRig, names: tuple[str, ...]) -> CameraRig:
-    """Return the rig of the cameras with these names, in this order."""
-    return rig.select(np.array([rig.names.index(name) for name in names]))
 
 
 def _with_axes(rig: CameraRig) -> Floats:
@@ -154,6 +158,11 @@ def _pairs_to_list(evaluation: Evaluation) -> list[dict[str, Any]]:
         {"a": a, "b": b, "rotation_error_deg": turn, "translation_error_deg": direction}
         for (a, b), turn, direction in zip(evaluation.pairs, rotation, translation, strict=True)
     ]
+
+
+def _median_and_max_text(values: Floats) -> str:
+    """Return the median and the maximum of values `[N]` as `0.12 / 0.34`."""
+    return f"{np.median(values):.2f} / {values.max():.2f}"
 
 
 def median_and_max(values: Floats) -> dict[str, float]:

@@ -1,5 +1,6 @@
 """Triangulate points and poses from the rays of many views, in blocks of frames."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -7,11 +8,13 @@ import numpy as np
 
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import TriangulateConfig
+from mocap_calib.errors import MismatchError
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.intersection import intersect
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import (
     Bools,
+    Camera,
     CameraRig,
     Floats,
     Ints,
@@ -25,7 +28,7 @@ from mocap_calib.types import (
 _BLOCK = 8192  # points at a time: enough that calls cost little beside, few enough for the cache
 # The median distance of a normal error in the plane from its centre, sqrt(2 log 2), in standard
 # deviations of one coordinate
-_MEDIAN_DISTANCE = 1.18
+MEDIAN_DISTANCE = 1.18
 
 
 @dataclass(frozen=True)
@@ -56,17 +59,19 @@ def gather_observations(recording: Recording, matches: Matches, frames: Ints) ->
     confidence = np.zeros(shape)
     pixels[view, frame, individual] = recording.positions[view, frames[frame], instance]
     confidence[view, frame, individual] = recording.confidence[view, frames[frame], instance]
-    by_component = np.moveaxis(pixels.reshape(views, -1, 2), -1, 1)
-    by_component = np.ascontiguousarray(by_component)
+    return observe(recording.cameras, pixels.reshape(views, -1, 2), confidence.reshape(views, -1))
+
+
+def observe(cameras: Sequence[Camera], pixels: Floats, confidence: Floats) -> Observations:
+    """Return the detections with their rays.
+
+    pixels: `[view, N, 2]`, NaN = missing; confidence: `[view, N]`, 0 = missing.
+    """
+    by_component = np.ascontiguousarray(np.moveaxis(pixels, -1, 1))
     rays = [
-        lens.unproject(camera, seen)
-        for camera, seen in zip(recording.cameras, by_component, strict=True)
+        lens.unproject(camera, seen) for camera, seen in zip(cameras, by_component, strict=True)
     ]
-    return Observations(
-        pixels=by_component,
-        rays=np.stack(rays),
-        confidence=confidence.reshape(views, -1),
-    )
+    return Observations(pixels=by_component, rays=np.stack(rays), confidence=confidence)
 
 
 def labelled_frames(matches: Matches) -> Ints:
@@ -87,7 +92,10 @@ def triangulate(
     Detections are weighed by their confidence, and a view that contradicts the others is left
     out. A point needs two views that agree, whose rays are at least `config.least_angle_deg`
     apart, and lies in front of them.
+
+    Raises MismatchError where the cameras of the rig are not those of the recording.
     """
+    check_same_cameras(recording, rig)
     frames, keypoints = len(recording.frames), len(recording.keypoints)
     shape = (frames, matches.individuals, keypoints)
     found = Poses3D(
@@ -115,6 +123,16 @@ def triangulate(
         found.confidence[block] = part.confidence
         progress("triangulate", int(block[-1]) + 1, frames)
     return found
+
+
+def check_same_cameras(recording: Recording, rig: CameraRig) -> None:
+    """Raise MismatchError where a rig has other cameras than a recording, or another order."""
+    if rig.names != recording.names:
+        raise MismatchError(
+            f"expected a rig of the recording's cameras in their order "
+            f"({', '.join(recording.names)}), found {', '.join(rig.names)}; "
+            "take rig.select(recording.names)"
+        )
 
 
 def _blocks(frames: int, points: int) -> list[Ints]:
@@ -165,17 +183,32 @@ def view_noise(
     """
     frames = evenly_spaced(labelled_frames(matches), config.noise_frames)
     seen = gather_observations(recording, matches, frames)
+    angle, counted = measure_angles(rig, seen, config)
+    noise = np.full(len(rig.cameras), config.unknown_noise)
+    for view in np.flatnonzero(counted.any(1)):
+        noise[view] = np.median(angle[view, counted[view]]) / MEDIAN_DISTANCE
+    return np.maximum(noise, least_noise(rig, config))
+
+
+def measure_angles(
+    rig: CameraRig, seen: Observations, config: TriangulateConfig
+) -> tuple[Floats, Bools]:
+    """Return the angles `[view, N]` in radians between rays and the points where they meet.
+
+    Also which of them count, `[view, N]`: of points that three views see (two where there are no
+    more).
+    """
     precision = seen.confidence / config.unknown_noise**2
     points = intersect(rig, _rays_in_world(rig, seen.rays), precision)
     angle, _ = _ray_angles(rig, points, seen.rays)
     present = seen.confidence > 0
     enough = present.sum(0) >= min(3, len(rig.cameras))
-    counted = present & np.isfinite(points[0]) & enough
-    noise = np.full(len(rig.cameras), config.unknown_noise)
-    for view in np.flatnonzero(counted.any(1)):
-        noise[view] = np.median(angle[view, counted[view]]) / _MEDIAN_DISTANCE
-    least = np.array([config.least_noise_px / camera.focal for camera in rig.cameras])
-    return np.maximum(noise, least)
+    return angle, present & np.isfinite(points[0]) & enough
+
+
+def least_noise(rig: CameraRig, config: TriangulateConfig) -> Floats:
+    """Return the standard deviation `[view]` in radians below which no detector is."""
+    return np.array([config.least_noise_px / camera.focal for camera in rig.cameras])
 
 
 def triangulate_rays(

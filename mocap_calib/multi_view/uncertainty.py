@@ -14,7 +14,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from itertools import combinations
-from typing import Literal
 
 import numpy as np
 
@@ -37,9 +36,8 @@ from mocap_calib.types import (
     Matches,
     Sample,
     Uncertainty,
+    Verdict,
 )
-
-Verdict = Literal["well determined", "weak", "not determined"]
 
 
 def assess_uncertainty(

@@ -4,8 +4,9 @@ Lives below `io` because the readers and the model both need it.
 """
 
 import re
-from collections.abc import Iterable, Mapping, Set
+from collections.abc import Container, Iterable, Mapping, Set
 from importlib import resources
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -165,6 +166,43 @@ def parse_skeleton(fields: Any, source: str) -> Skeleton:
     )
 
 
+def edges_of_keypoints(skeleton: Skeleton, vocabulary: Ints) -> tuple[tuple[int, int], ...]:
+    """Return the edges of a skeleton between the keypoints of a recording, as pairs of indices.
+
+    vocabulary: `[keypoint]` index of each keypoint in the skeleton, -1 = none.
+
+    A joint that the recording lacks is passed over: what hangs on it hangs on the joint above.
+    Where there is none above, left and right are joined, and each side to the next of its side
+    (the shoulders and hips of a recording without neck and pelvis).
+    """
+    keypoints = {int(joint): k for k, joint in enumerate(vocabulary) if joint >= 0}
+    parents = {child: parent for parent, child in skeleton.edges}
+    edges: list[tuple[int, int]] = []
+    topmost: list[int] = []
+    for joint in sorted(keypoints):
+        above = _nearest_above(joint, parents, keypoints)
+        if above < 0:
+            topmost.append(joint)
+        else:
+            edges.append((above, joint))
+    pairs = [pair for pair in skeleton.symmetries if set(pair) <= set(topmost)]
+    sides = [side for pair, below in pairwise(pairs) for side in zip(pair, below, strict=True)]
+    return tuple((keypoints[a], keypoints[b]) for a, b in (*edges, *pairs, *sides))
+
+
+def _nearest_above(joint: int, parents: Mapping[int, int], known: Container[int]) -> int:
+    """Return the nearest joint above that is known, -1 where there is none.
+
+    parents: of each joint that has one. A skeleton of a user may go in circles.
+    """
+    above = joint
+    for _ in parents:
+        above = parents.get(above, -1)
+        if above < 0 or above in known:
+            return above
+    return -1
+
+
 def _strings(mapping: Mapping[Any, Any]) -> dict[str, str]:
     """Return a mapping of a YAML file, whose names may read as numbers, as strings."""
     return {str(name): str(joint) for name, joint in mapping.items()}
@@ -251,8 +289,9 @@ def _read_aliases(path: Path) -> dict[str, str]:
         text = path.read_text("utf-8")
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
+        came = "none" if isinstance(error, FileNotFoundError) else f"an error ({reason})"
         raise FormatError(
-            f"{path}: expected a YAML file with `aliases`, found: {reason}; check the path"
+            f"{path}: expected a YAML file with `aliases`, found {came}; check the path"
         ) from None
     fields = _read_yaml(text, str(path))
     found = fields.get("aliases") if isinstance(fields, dict) else None
@@ -269,4 +308,7 @@ def _read_yaml(text: str, source: str) -> Any:
     try:
         return yaml.safe_load(text)
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise FormatError(f"{source}: not a YAML file: {str(error).splitlines()[0]}") from None
+        reason = str(error).splitlines()[0]
+        raise FormatError(
+            f"{source}: expected a YAML file, found an error ({reason}); mend that place"
+        ) from None

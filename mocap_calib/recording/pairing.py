@@ -1,5 +1,7 @@
 """Which keypoint file belongs to which camera, and whether their images are the same."""
 
+import re
+import unicodedata
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -39,6 +41,14 @@ def pair_with_cameras(
     return tuple(view for view, _ in pairs), sized
 
 
+def compose_name(name: str) -> str:
+    """Return a name with its accents composed (Unicode's NFC), as names are compared.
+
+    macOS takes them apart in the names of files: `é` becomes `e` and a mark.
+    """
+    return unicodedata.normalize("NFC", name)
+
+
 def match_cameras(views: Sequence[Keypoints2D], cameras: Sequence[Camera]) -> tuple[str, ...]:
     """Return the name of the camera that each view belongs to.
 
@@ -52,11 +62,33 @@ def match_cameras(views: Sequence[Keypoints2D], cameras: Sequence[Camera]) -> tu
         found = ", ".join(view.camera for view in views) or "none"
         raise MismatchError(
             "expected a camera of the same name for each keypoint file, "
-            f"found keypoints of {found} and cameras {', '.join(known) or 'none'}; rename one side"
+            f"found keypoints of {found} and cameras {', '.join(known) or 'none'}; "
+            f"{_naming_remedy(views, known)}"
         )
     matched = tuple(name for names in alike for name in names)
     _check_one_file_each(views, matched)
     return matched
+
+
+def _naming_remedy(views: Sequence[Keypoints2D], known: Sequence[str]) -> str:
+    """Return how to tell which camera each file is of, where their names do not.
+
+    Where each path has the name of one camera in it, it is the option that finds these names.
+    """
+    if not views or not known:
+        return "rename one side"
+    pattern = "|".join(sorted(map(re.escape, known), key=len, reverse=True))
+    named = [set(re.findall(pattern, view.source)) for view in views]
+    cameras = {name for names in named for name in names}
+    if all(len(names) == 1 for names in named) and len(cameras) == len(views):
+        return f'say --camera-regex "{pattern}", which finds these names in the paths'
+    nameless = next(view for view in views if len(_names_alike(view.camera, known)) != 1)
+    taken = {_fold_name(view.camera) for view in views}
+    camera = next((name for name in known if _fold_name(name) not in taken), known[0])
+    return (
+        f"say which camera each file is of, as {camera}={nameless.source}, or which part of a path "
+        "is the name with --camera-regex, or rename one side"
+    )
 
 
 def views_named(views: Sequence[Keypoints2D], cameras: Sequence[Camera]) -> tuple[Keypoints2D, ...]:
@@ -139,4 +171,4 @@ def _names_alike(name: str, known: Sequence[str]) -> list[str]:
 
 def _fold_name(name: str) -> str:
     """Return the letters and digits of a name, in small letters."""
-    return "".join(character for character in name.casefold() if character.isalnum())
+    return "".join(letter for letter in compose_name(name).casefold() if letter.isalnum())

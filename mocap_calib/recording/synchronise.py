@@ -104,6 +104,7 @@ def recording_of_views(joined: JoinedViews) -> Recording:
         confidence=confidence,
         tracked=np.array([view.tracked for view in views]),
         vocabulary=np.array([joint_of.get(meaning, -1) for meaning in shared], dtype=np.int64),
+        model=joined.skeleton.name,
     )
 
 

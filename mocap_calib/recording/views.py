@@ -2,7 +2,45 @@
 
 from collections.abc import Sequence
 
-from mocap_calib.types import Bools, Camera, Ints, Keypoints2D, Reals
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mocap_calib.types import Bools, Camera, Ints, Keypoints2D, Reals, as_array
+
+
+def views_from_arrays(
+    positions: ArrayLike,
+    confidence: ArrayLike | None,
+    *,
+    keypoints: Sequence[str],
+    cameras: Sequence[Camera],
+    frames: ArrayLike | None,
+    tracked: bool,
+) -> tuple[Keypoints2D, ...]:
+    """Return what files would hold of the arrays of a user, see `Recording.from_arrays`.
+
+    A point is missing where its position or its confidence is; without confidences those that are
+    there have 1. Raises ValueError for arrays of other shapes.
+    """
+    given = np.asarray(positions, dtype=np.float64)
+    weight = np.ones(given.shape[:-1]) if confidence is None else np.asarray(confidence, float)
+    alone = given.ndim == 4  # no axis of instances
+    if alone:
+        given, weight = given[:, :, None], np.expand_dims(weight, min(2, weight.ndim))
+    views, names = len(cameras), len(keypoints)
+    seen = as_array("positions", given, float, views, None, None, names, 2)
+    weight = as_array("confidence", weight, float, *seen.shape[:-1])
+    present = np.isfinite(seen).all(-1) & (weight > 0)
+    numbers = np.arange(seen.shape[1]) if frames is None else frames
+    return split_by_view(
+        cameras,
+        keypoints=tuple(keypoints),
+        frames=as_array("frames", numbers, int, seen.shape[1]),
+        positions=np.where(present[..., None], seen, np.nan),
+        confidence=np.where(present, weight, 0.0),
+        tracked=np.full(views, tracked or alone),
+        source="arrays",
+    )
 
 
 def split_by_view(

@@ -1,26 +1,29 @@
 """Read and write the weights of networks: safetensors files that describe themselves."""
 
-import hashlib
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from importlib import resources
-from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
-from safetensors import SafetensorError, safe_open
+from safetensors import safe_open
 from safetensors.torch import save
 from torch import Tensor
 
-from mocap_calib.errors import FormatError
+from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.io.atomic import write_bytes
-from mocap_calib.recording.joints import SHIPPED, parse_skeleton
+from mocap_calib.recording.joints import SHIPPED, match_names, parse_skeleton
 from mocap_calib.steerpose.model import Lifter, ModelConfig
 from mocap_calib.steerpose.steer import Architecture, Model
 from mocap_calib.steerpose.token import TokenConfig, TokenSteerer
-from mocap_calib.types import Skeleton
-
-_KEY = "mocap_calib"  # of the description in the file's metadata
+from mocap_calib.steerpose.weights import (
+    DESCRIPTION,
+    GEOMETRY_ALONE,
+    load_vocabulary,
+    read_description,
+    shipped_weights,
+)
+from mocap_calib.types import Recording, Skeleton
 
 
 def save_lifter(path: Path, lifter: Model, skeleton: Skeleton, card: dict[str, object]) -> None:
@@ -34,7 +37,7 @@ def save_lifter(path: Path, lifter: Model, skeleton: Skeleton, card: dict[str, o
     tensors = {
         name: value.detach().cpu().contiguous() for name, value in lifter.state_dict().items()
     }
-    metadata = {_KEY: json.dumps(description, sort_keys=True)}
+    metadata = {DESCRIPTION: json.dumps(description, sort_keys=True)}
     write_bytes(path, save(tensors, metadata=metadata))
 
 
@@ -61,32 +64,10 @@ def load_steerer(
     """
     if isinstance(name_or_path, str) and name_or_path in SHIPPED:
         token = architecture == "token"
-        shipped = _shipped_weights(f"{name_or_path}_token" if token else name_or_path)
+        shipped = shipped_weights(f"{name_or_path}_token" if token else name_or_path)
         with resources.as_file(shipped) as path:
             return _read(path)
     return _read(Path(name_or_path))
-
-
-def models() -> dict[str, dict[str, Any]]:
-    """Return the model card of each shipped lifter, by the name of its skeleton."""
-    cards = {}
-    for name in SHIPPED:
-        with resources.as_file(_shipped_weights(name)) as path:
-            if path.is_file():
-                cards[name] = _read_description(path)["card"]
-    return cards
-
-
-def digest(name_or_path: str) -> str:
-    """Return the SHA-256 of the weights of a lifter: a shipped one, or one in a file."""
-    shipped = name_or_path in SHIPPED
-    weights = _shipped_weights(name_or_path) if shipped else Path(name_or_path)
-    return hashlib.sha256(weights.read_bytes()).hexdigest()
-
-
-def _shipped_weights(name: str) -> Traversable:
-    """Return the place of weights in the package, which may not be there."""
-    return resources.files("mocap_calib") / "weights" / f"{name}.safetensors"
 
 
 def _describe_skeleton(skeleton: Skeleton) -> dict[str, Any]:
@@ -101,21 +82,6 @@ def _describe_skeleton(skeleton: Skeleton) -> dict[str, Any]:
     }
 
 
-def _read_description(path: Path) -> dict[str, Any]:
-    """Return what a weights file says of itself. Raises FormatError."""
-    try:
-        with safe_open(path, framework="pt") as file:
-            return json.loads((file.metadata() or {})[_KEY])
-    except FileNotFoundError:
-        shipped = ", ".join(SHIPPED)
-        raise FormatError(
-            f"{path}: expected a weights file, or a shipped model ({shipped}), found neither"
-        ) from None
-    except (SafetensorError, KeyError, ValueError) as error:
-        reason = str(error).splitlines()[0]
-        raise FormatError(f"{path}: not weights of mocap-calib: {reason}") from None
-
-
 def _read_tensors(path: Path) -> dict[str, Tensor]:
     """Return the weights of a file by name."""
     with safe_open(path, framework="pt") as file:
@@ -125,7 +91,7 @@ def _read_tensors(path: Path) -> dict[str, Tensor]:
 
 def _read(path: Path) -> tuple[Model, Skeleton]:
     """Read a network and its vocabulary. Raises FormatError."""
-    description = _read_description(path)
+    description = read_description(path)
     size = description["model"]
     model: Model
     if description.get("architecture") == "token":
@@ -138,7 +104,37 @@ def _read(path: Path) -> tuple[Model, Skeleton]:
 
 # --- by the name that a user gives
 
-GEOMETRY_ALONE = "none"  # asks for no model: it knows no joint, and the geometry must do
+AUTO = "auto"  # asks for the model that the recording was made for
+
+
+def choose_model(recording: Recording, model: str | Path | Lifter) -> tuple[Recording, Lifter]:
+    """Return the lifter of a recording, and the recording with its joints in that vocabulary.
+
+    model: "auto", the name of a shipped model, a file of weights, or "none" for geometry alone;
+        or a lifter, whose joints the recording's vocabulary already means. Where it is not the
+        model that the recording was made for, keypoints are matched to its joints by name.
+
+    Raises FormatError, and MismatchError where a lifter has too few joints for the vocabulary.
+    """
+    if isinstance(model, Lifter):
+        _check_joints(recording, model)
+        return recording, model
+    name = recording.model if model == AUTO else str(model)
+    if name != recording.model:
+        vocabulary = match_names(recording.keypoints, load_vocabulary(name))
+        recording = replace(recording, vocabulary=vocabulary, model=name)
+    return recording, load_model(name)
+
+
+def _check_joints(recording: Recording, lifter: Lifter) -> None:
+    """Raise MismatchError where a lifter has too few joints for a recording's vocabulary."""
+    needed = int(recording.vocabulary.max(initial=-1)) + 1
+    if lifter.config.joints < needed:
+        raise MismatchError(
+            f"expected a network of the {needed} joints or more that the recording has in the "
+            f"vocabulary of {recording.model}, found one of {lifter.config.joints}; "
+            "give the model by its name or file"
+        )
 
 
 def load_model(name: str = "people") -> Lifter:
@@ -148,16 +144,3 @@ def load_model(name: str = "people") -> Lifter:
     """
     lifter, _ = load_lifter("people" if name == GEOMETRY_ALONE else name)
     return lifter
-
-
-def load_vocabulary(name: str) -> Skeleton:
-    """Return the joints that a model knows: none for geometry alone. Raises FormatError."""
-    if name == GEOMETRY_ALONE:
-        return Skeleton(GEOMETRY_ALONE, keypoints=(), edges=(), symmetries=(), aliases={})
-    _, skeleton = load_lifter(name)
-    return skeleton
-
-
-def identify_model(name: str) -> str:
-    """Return what tells a model from others: the SHA-256 of its weights, if it has any."""
-    return GEOMETRY_ALONE if name == GEOMETRY_ALONE else digest(name)

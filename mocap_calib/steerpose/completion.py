@@ -3,6 +3,8 @@
 Appendix D of the paper (Lee et al., BMVC 2025).
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -56,6 +58,19 @@ def complete_sample(
         tracked=sample.tracked,
         source="completed",
     )
+
+
+def find_completed(sample: Sample, views: Sequence[Keypoints2D]) -> Bools:
+    """Return which points `[view, frame, instance, keypoint]` the detector had not seen.
+
+    sample: that was completed. views: what `complete_sample` returned.
+    """
+    known = sample.vocabulary >= 0
+    present = np.stack([np.isfinite(view.positions[..., 0]) for view in views])
+    seen = np.zeros_like(present)
+    seen[..., sample.vocabulary[known]] = sample.seen[..., known]
+    completed: Bools = present & ~seen
+    return completed
 
 
 def _project_lifted(sample: Sample, lifted: LiftedPoses) -> Floats:

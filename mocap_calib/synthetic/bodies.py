@@ -54,15 +54,20 @@ def people(
             f"people: expected positive numbers, got {individuals} individuals, {frames} frames, "
             f"{fps} fps, room {room}"
         )
+    time, seen = motion_times(frames, fps)
+    walks = plan_walks(rng, time, individuals, room)
+    return np.stack([move_person(rng, time, walk) for walk in walks], axis=1)[seen]
+
+
+def motion_times(frames: int, fps: float) -> tuple[Floats, slice]:
+    """Return the times `[time]` in seconds of finer frames, and which of them are the frames."""
     finer = int(np.ceil(MOTION_RATE / fps))
     margin = 4 * int(np.ceil(fps))  # the steps at both ends need where people come from and go to
     time = np.arange((frames + 2 * margin) * finer) / (fps * finer)
-    walks = plan_walks(rng, time, individuals, room)
-    bodies = np.stack([_move_person(rng, time, walk) for walk in walks], axis=1)
-    return bodies[margin * finer : (margin + frames) * finer : finer]
+    return time, slice(margin * finer, (margin + frames) * finer, finer)
 
 
-def _move_person(rng: np.random.Generator, time: Floats, walk: Walk) -> Floats:
+def move_person(rng: np.random.Generator, time: Floats, walk: Walk) -> Floats:
     """Return the joints `[time, joint, 3]` of one random person on a walk."""
     body = random_body(rng)
     cycles = gait_cycles(time, walk, body.stature)

@@ -24,13 +24,14 @@ Angles = Mapping[tuple[str, str], tuple[float, ...]]
 
 @dataclass(frozen=True)
 class PostureRange:
-    """One way to hold the body.
+    """One way to hold the body, by its name.
 
     opposed: degrees (least, most) between the strides of left and right.
     angles: (bone without its side unless only one is meant, axis) -> (least, most) or (middle,
         amplitude, phase), in degrees.
     """
 
+    name: str
     weight: float
     opposed: tuple[float, float]
     angles: Angles
@@ -85,7 +86,8 @@ def parse_body(fields: Mapping[str, Any], skeleton: Skeleton) -> BodyPlan:
         spread=float(fields.get("spread", 0.1)),
         direction=float(fields.get("direction", 0.0)),
         postures=tuple(
-            _parse_posture(posture or {}, always, skeleton) for posture in postures.values()
+            _parse_posture(str(name), posture or {}, always, skeleton)
+            for name, posture in postures.items()
         ),
     )
 
@@ -154,11 +156,14 @@ def _parse_factors(plan: Mapping[str, Any], skeleton: Skeleton) -> Floats:
     return np.array([float(factor) for factor in factors])
 
 
-def _parse_posture(fields: Mapping[str, Any], always: Angles, skeleton: Skeleton) -> PostureRange:
+def _parse_posture(
+    name: str, fields: Mapping[str, Any], always: Angles, skeleton: Skeleton
+) -> PostureRange:
     """Return a posture, with the angles that always hold. Raises FormatError."""
     least, most = fields.get("opposed") or (0.0, 0.0)
     angles = _parse_angles(fields.get("angles") or {}, skeleton)
     return PostureRange(
+        name=name,
         weight=float(fields.get("weight", 1.0)),
         opposed=(float(least), float(most)),
         angles={**always, **angles},

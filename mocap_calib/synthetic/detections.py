@@ -1,4 +1,4 @@
-"""What a keypoint detector makes of people in the images of a rig: noise, gaps, gross errors."""
+"""What a keypoint detector makes of bodies in the images of a rig: noise, gaps, gross errors."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -7,19 +7,18 @@ import numpy as np
 
 from mocap_calib.config import FALSE_CONFIDENCE, FALSE_COPIES, LEAST_DETECTED_JOINTS
 from mocap_calib.errors import MismatchError
-from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.recording.views import split_by_view
 from mocap_calib.synthetic.bodies import JOINTS
 from mocap_calib.synthetic.signals import direction
-from mocap_calib.types import Bools, CameraRig, Floats, Ints, Keypoints2D, check_shape
+from mocap_calib.types import Bools, CameraRig, Floats, Ints, Keypoints2D, Record, check_shape
 
 Layout = Literal["coco17", "all"]
 
 LAYOUTS: dict[str, tuple[str, ...]] = {"coco17": JOINTS[:17], "all": JOINTS}
 
 
-@dataclass(frozen=True)
-class Detections:
+@dataclass(frozen=True, eq=False, repr=False)
+class Detections(Record):
     """Keypoints of all views.
 
     keypoints: `[keypoint]` names.
@@ -45,7 +44,7 @@ def detect(  # noqa: PLR0913 - each is one plain number of the detector
     rig: CameraRig,
     poses: Floats,
     *,
-    layout: Layout = "coco17",
+    layout: Layout | tuple[str, ...] = "coco17",
     noise_px: float = 0.0,
     missing: float = 0.0,
     outliers: float = 0.0,
@@ -53,16 +52,17 @@ def detect(  # noqa: PLR0913 - each is one plain number of the detector
     swaps: float = 0.0,
     shuffle: bool = True,
 ) -> Detections:
-    """Detect the poses `[frame, individual, joint, 3]` of people in every view.
+    """Detect the poses `[frame, individual, joint, 3]` of people or animals in every view.
 
     Nothing is found behind the camera or outside the image, and four joints at least make a
     detection.
 
-    poses: of the joints of `people`, in the rig's unit. noise_px: RMS error of a coordinate in
-    pixels. missing, outliers: shares of joints that are not found, that are found somewhere else on
-    or near the body. false_detections: share of frames, in each view, with a body too many. swaps:
-    share of detections that take left for right. shuffle: the order of the instances says nothing;
-    otherwise it is that of the individuals.
+    poses: in the rig's unit, NaN for joints that a body does not have. layout: names of their
+    joints; or what is detected of `people`, whose joints they are then. noise_px: RMS error of a
+    coordinate in pixels. missing, outliers: shares of joints that are not found, that are found
+    somewhere else on or near the body. false_detections: share of frames, in each view, with a
+    body too many. swaps: share of detections that take left for right. shuffle: the order of the
+    instances says nothing; otherwise it is that of the individuals.
 
     Raises MismatchError.
     """
@@ -73,11 +73,11 @@ def detect(  # noqa: PLR0913 - each is one plain number of the detector
         "swaps": swaps,
     }
     _check_detector(shares, layout, noise_px)
-    joints = LAYOUTS[layout]
+    joints = LAYOUTS[layout] if isinstance(layout, str) else layout
     poses = poses[:, :, : len(joints)]
     individuals = poses.shape[1]
     bodies = np.concatenate([poses, _strangers(rng, poses)[:, None]], axis=1)
-    image = _replace_by_copies(rng, _project(rig, bodies))
+    image = _replace_by_copies(rng, rig.project(bodies))
     image = _swap_sides(rng, image, joints, swaps)
     real = np.arange(individuals + 1) < individuals  # [body]: the last is false
     present = real | (rng.random((*image.shape[:2], 1)) < false_detections)
@@ -106,26 +106,18 @@ def keypoint_files(rig: CameraRig, detections: Detections) -> tuple[Keypoints2D,
     )
 
 
-def _check_detector(shares: dict[str, float], layout: str, noise_px: float) -> None:
+def _check_detector(
+    shares: dict[str, float], layout: str | tuple[str, ...], noise_px: float
+) -> None:
     """Raise MismatchError where a number of the detector is none that it can be."""
     wrong = [f"{name} {share}" for name, share in shares.items() if not 0 <= share <= 1]
-    if wrong or layout not in LAYOUTS or noise_px < 0:
+    unknown = isinstance(layout, str) and layout not in LAYOUTS
+    if wrong or unknown or noise_px < 0:
         found = ", ".join(wrong) or f"{noise_px}, {layout}"
         raise MismatchError(
             "detect: expected shares in 0..1, noise >= 0 and "
             f"layout {' or '.join(LAYOUTS)}, got {found}"
         )
-
-
-def _project(rig: CameraRig, bodies: Floats) -> Floats:
-    """Return the pixels `[view, frame, body, joint, 2]` of bodies; NaN behind the camera."""
-    views = zip(rig.cameras, rig.rotation, rig.translation, strict=True)
-    return np.stack(
-        [
-            pixels_from_points(camera, bodies @ rotation.T + translation)
-            for camera, rotation, translation in views
-        ]
-    )
 
 
 def _inside(rig: CameraRig, image: Floats) -> Bools:
@@ -144,8 +136,8 @@ def _strangers(rng: np.random.Generator, poses: Floats) -> Floats:
     """
     frames, individuals = poses.shape[:2]
     body = poses[rng.integers(frames, size=frames), rng.integers(individuals, size=frames)]
-    middle = body.mean(1, keepdims=True) * [1, 1, 0]
-    low, high = poses.min((0, 1, 2)), poses.max((0, 1, 2))
+    middle = np.nanmean(body, axis=1, keepdims=True) * [1, 1, 0]
+    low, high = np.nanmin(poses, axis=(0, 1, 2)), np.nanmax(poses, axis=(0, 1, 2))
     level = rng.uniform(low[:2], high[:2], (frames, 2))
     place = np.concatenate([level, np.zeros((frames, 1))], axis=1)
     turn = _rotation_about_z(np.asarray(rng.uniform(0, 2 * np.pi, frames)))

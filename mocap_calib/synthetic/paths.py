@@ -1,5 +1,6 @@
 """Where people walk: smooth paths with turns and pauses, on which nobody runs into anybody."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,14 +35,18 @@ class Walk:
 
 
 def plan_walks(
-    rng: np.random.Generator, time: Floats, individuals: int, room: tuple[float, float]
+    rng: np.random.Generator,
+    time: Floats,
+    individuals: int,
+    room: tuple[float, float],
+    others: Sequence[Walk] = (),
 ) -> list[Walk]:
     """Return a walk for each individual.
 
     Of several candidates, the one that keeps most away from those already there. time: `[time]`
-    seconds; room: (width, depth) in metres about the origin.
+    seconds; room: (width, depth) in metres about the origin; others: who is there before.
     """
-    walks: list[Walk] = []
+    walks = list(others)
     for _ in range(individuals):
         best = _plan_walk(rng, time, room)
         best_room = _elbow_room(best, walks)
@@ -53,7 +58,7 @@ def plan_walks(
             if candidate_room > best_room:
                 best, best_room = candidate, candidate_room
         walks.append(best)
-    return walks
+    return walks[len(others) :]
 
 
 def _elbow_room(candidate: Walk, others: list[Walk]) -> float:

@@ -79,12 +79,12 @@ def _sample_posture(
         column = AXES.index(axis)
         if bone == ROOT:
             facing[poses, column] = _draw_angles(rng, numbers, stride, vigour)
-        for joint in _joints_named(body, bone):
+        for joint in joints_named(body, bone):
             own_stride = stride + opposed * body.right[joint]
             turn[poses, joint, column] = _draw_angles(rng, numbers, own_stride, vigour)
 
 
-def _joints_named(body: BodyPlan, bone: str) -> list[int]:
+def joints_named(body: BodyPlan, bone: str) -> list[int]:
     """Return the joints that a name stands for: itself, or both sides."""
     return [k for k, name in enumerate(body.joints) if bone in (name, without_side(name))]
 

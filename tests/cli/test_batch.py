@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,13 +15,18 @@ import numpy as np
 import psutil
 import pytest
 from conftest import TOOL
+from platforms import posix
 from scenes import lifted, recording, scene
 
+from mocap_calib import __version__
 from mocap_calib.config import Config, PairwiseConfig
+from mocap_calib.errors import ClusterError
 from mocap_calib.io.results.pair_store import remember_pairs
 from mocap_calib.io.results.pairs_json import pairs_to_json
 from mocap_calib.io.results.scene import write_scene
-from mocap_calib.job import CalibrationRequest, KeypointSource, find_finished, request
+from mocap_calib.job import request
+from mocap_calib.job.request import CalibrationRequest, KeypointSource
+from mocap_calib.job.steps import find_finished
 from mocap_calib.two_view.solve import calibrate_pairs
 from mocap_calib.types import silent
 from mocap_calib_cli.commands import batch as batch_module
@@ -31,7 +37,7 @@ from mocap_calib_cli.workers import open_workers
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """The files of a folder of results; of run.json all but the times."""
+    """The files of a folder of results; of run.json all but the date and the times."""
     found = {
         path.relative_to(folder).as_posix(): path.read_bytes()
         for path in folder.rglob("*")
@@ -40,6 +46,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     for name in [name for name in found if name.endswith("run.json")]:
         report = json.loads(found[name])
         assert report.pop("seconds") != {}
+        assert report.pop("date")
         found[name] = json.dumps(report).encode()
     return found
 
@@ -155,7 +162,7 @@ def test_each_recording_is_read_and_written_as_was_asked(tmp_path):
         cameras="i.toml",
         layout="a,b,c,d",
         format="openpose",
-        image_size="640x480",
+        image_size=("640x480",),
         views="A,B",
         frame_offset=("cam1:-1",),
         camera_regex="cam(.)",
@@ -172,11 +179,32 @@ def test_each_recording_is_read_and_written_as_was_asked(tmp_path):
     assert (asked.formats, asked.fps, asked.output) == (("colmap",), 25.0, tmp_path / "out" / "one")
 
 
-def test_processes_of_this_machine_need_no_dask(monkeypatch):
+@pytest.fixture
+def without_dask(monkeypatch) -> Iterator[None]:
+    """As if Dask were not installed; the commands' answer to SIGTERM is taken back."""
+    before = signal.getsignal(signal.SIGTERM)
     for package in ("dask", "distributed"):
         monkeypatch.setitem(sys.modules, package, None)
+    monkeypatch.delitem(sys.modules, "mocap_calib.compute.cluster", raising=False)
+    monkeypatch.delattr("mocap_calib.compute.cluster", raising=False)
+    yield
+    signal.signal(signal.SIGTERM, before)
+
+
+@pytest.mark.usefixtures("without_dask")
+def test_processes_of_this_machine_need_no_dask():
     with open_workers(Reporter(quiet=True), processes=2) as workers:
         assert sorted(workers(abs, [-1, -2, -3])) == [1, 2, 3]
+
+
+@pytest.mark.usefixtures("without_dask")
+def test_a_scheduler_needs_dask_and_that_is_one_line():
+    workers = open_workers(Reporter(quiet=True), scheduler="tcp://127.0.0.1:1")
+    with (
+        pytest.raises(ClusterError, match=r"^--scheduler: expected the package dask, found none"),
+        workers,
+    ):
+        pass
 
 
 # what counts as finished
@@ -240,8 +268,10 @@ def other_weights(asked: CalibrationRequest, monkeypatch) -> CalibrationRequest:
     return asked
 
 
-def other_version(asked: CalibrationRequest, monkeypatch) -> CalibrationRequest:
-    monkeypatch.setattr(request, "__version__", "0.1.1")
+def other_code(asked: CalibrationRequest, monkeypatch) -> CalibrationRequest:
+    """The same version, as after a change of the checkout."""
+    same_version = f"{__version__} (code {'0' * 12})"
+    monkeypatch.setattr(request, "identify_program", lambda: same_version)
     return asked
 
 
@@ -274,7 +304,7 @@ CHANGES = [
     other_input,
     other_config,
     other_weights,
-    other_version,
+    other_code,
 ]
 
 
@@ -288,10 +318,9 @@ def test_finished_is_told_by_content(change, asked, monkeypatch):
 # killed
 
 
+@posix
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "way", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT], ids=lambda s: s.name
-)
+@pytest.mark.parametrize("way", ["SIGKILL", "SIGTERM", "SIGINT"])
 @pytest.mark.parametrize(
     "moment", ["small/.unfinished/*.json", "jump/run.json"], ids=["between", "writing"]
 )
@@ -309,18 +338,12 @@ def test_a_batch_goes_on_where_it_was_killed(way, moment, sessions, once, tool, 
         text=True,
     )
     wait_for(out, moment, 1, process)
-    process.send_signal(way)
+    process.send_signal(signal.Signals[way])
     _, said = process.communicate()
-    assert (
-        process.returncode
-        == {
-            signal.SIGKILL: -signal.SIGKILL,
-            signal.SIGTERM: 128 + signal.SIGTERM,
-            signal.SIGINT: 130,
-        }[way]
-    )
+    expected = {"SIGKILL": -signal.SIGKILL, "SIGTERM": 128 + signal.SIGTERM, "SIGINT": 130}
+    assert process.returncode == expected[way]
     assert "Traceback" not in said
-    if way != signal.SIGKILL:
+    if way != "SIGKILL":
         assert [
             path.name for path in out.iterdir() if path.name.startswith(".")
         ] == [] or moment == "jump/run.json"  # amid taking it away
@@ -333,6 +356,7 @@ def test_a_batch_goes_on_where_it_was_killed(way, moment, sessions, once, tool, 
         assert contents(out / name) == contents(once / name)
 
 
+@posix
 @pytest.mark.slow
 @pytest.mark.parametrize("way", [signal.SIGKILL, signal.SIGINT], ids=lambda s: s.name)
 def test_processes_end_with_a_batch_that_is_killed(way, sessions, once, tool, tmp_path):

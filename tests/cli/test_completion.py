@@ -3,10 +3,11 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import click
 import pytest
-from click.shell_completion import ShellComplete
+from click.shell_completion import ShellComplete, get_completion_class
 from conftest import TOOL
 
 from mocap_calib.io.kinds import FORMATS
@@ -86,6 +87,16 @@ def test_models_skeletons_and_solvers_are_offered():
 )
 def test_paths_are_offered_where_paths_are_expected(line):
     assert offered(line) == FILES
+
+
+def test_it_is_documented_for_each_shell():
+    page = (Path(__file__).parents[2] / "docs" / "completion.md").read_text("utf-8")
+    for shell in ("bash", "zsh", "fish"):
+        assert f"_MOCAP_CALIB_COMPLETE={shell}_source mocap-calib" in page
+        complete = get_completion_class(shell)(group, {}, "mocap-calib", "_MOCAP_CALIB_COMPLETE")
+        assert f"_MOCAP_CALIB_COMPLETE={shell}_complete" in complete.source_template % (
+            complete.source_vars()
+        )
 
 
 def test_every_option_that_takes_a_name_offers_something():

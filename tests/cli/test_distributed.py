@@ -14,12 +14,17 @@ from pathlib import Path
 
 import pytest
 from conftest import TOOL
+from platforms import posix
 from scenes import scene
 from test_batch import contents
 
-from mocap_calib.compute.cluster import _same_version
+from mocap_calib import __version__
+from mocap_calib.compute.cluster import _compute
+from mocap_calib.compute.program import identify_program
 from mocap_calib.errors import ClusterError
 from mocap_calib.io.results.scene import write_scene
+
+pytestmark = posix  # processes are stopped, killed and waited for
 
 DASK = Path(sys.executable).with_name("dask")
 
@@ -247,6 +252,12 @@ if __name__ == "__main__":
     ]
 
 
-def test_workers_of_another_version_are_refused():
-    with pytest.raises(ClusterError, match=r"expected mocap-calib 9\.9 on every worker"):
-        _same_version("9.9", str, 0)
+def test_workers_of_other_code_are_refused():
+    """Even of the same version; they do not unpack what they could not understand."""
+    sender = f"{__version__} (code {'0' * 12})"
+    with pytest.raises(ClusterError) as refused:
+        _compute(sender, b"of classes that are not there")
+    assert str(refused.value) == (
+        f"expected mocap-calib {sender} on every worker, found {identify_program()}; "
+        "install the same there"
+    )

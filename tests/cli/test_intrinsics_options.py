@@ -42,7 +42,7 @@ def test_what_is_estimated(typed, expected):
         (["--focal-uncertainty", "0"], "expected a share of up to 100%"),
         (["--focal-uncertainty", "5"], "expected a share of up to 100%"),
         (["--focal-uncertainty", "wide"], "expected a share of up to 100%"),
-        (["--image-size", "cam1:640"], "expected two numbers"),
+        (["--image-size", "cam1:640"], "expected a width and a height above 0"),
         (["--refine", "lens"], "--refine"),
     ],
 )

@@ -1,6 +1,7 @@
 """`mocap-calib simulate`: complete, readable, the same every time; and the example that it made."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from mocap_calib.errors import MismatchError
 from mocap_calib.io.cameras.read import read_cameras, read_rig
 from mocap_calib.io.keypoints.coco_writer import format_coco
 from mocap_calib.io.keypoints.read import read_keypoints
-from mocap_calib.synthetic import JOINTS, LAYOUTS, simulate
+from mocap_calib.synthetic import LAYOUTS, simulate
 from mocap_calib.types import Keypoints2D
 from mocap_calib_cli.commands.simulate import command, format_command
 
@@ -59,7 +60,7 @@ def check_scene(folder, scene):
     truth = np.load(folder / "truth.npz", allow_pickle=False)
     np.testing.assert_array_equal(truth["ids"], scene.identity)
     np.testing.assert_allclose(truth["poses3d"], scene.poses, atol=1e-6)
-    assert tuple(truth["joints"]) == JOINTS
+    assert tuple(truth["joints"]) == scene.joints
     rig = read_rig(folder / "reference.toml")
     assert (rig.names, rig.unit) == (scene.rig.names, "m")
     np.testing.assert_allclose(rig.rotation, scene.rig.rotation, atol=1e-12)
@@ -121,6 +122,9 @@ def test_keypoints_of_other_cameras_are_not_mixed_in(tmp_path):
         ["--distortion", "thick"],
         ["--fps", "0"],
         ["--seed", "-1"],
+        ["--kind", "fish"],
+        ["--kind", "bird:0"],
+        ["--kind", "people:2", "--people", "3"],
     ],
 )
 def test_wrong_usage(tmp_path, wrong):
@@ -136,8 +140,51 @@ def test_repeat_gives_only_what_is_unusual():
     )
 
 
+@pytest.mark.parametrize(
+    ("typed", "people", "animals"),
+    [
+        ([], 3, ()),
+        (["--people", "2"], 2, ()),
+        (["--kind", "people:2"], 2, ()),
+        (["--kind", "rodent"], 0, (("rodent", 1),)),
+        (["--kind", "bird", "--kind", "bird:2"], 0, (("bird", 3),)),
+        (["--people", "2", "--kind", "quadruped"], 2, (("quadruped", 1),)),
+        (["--kind", "quadruped:2", "--kind", "people"], 1, (("quadruped", 2),)),
+    ],
+)
+def test_kinds_of_bodies_are_chosen_and_repeated(typed, people, animals, tmp_path, monkeypatch):
+    """The command in the README makes the same scene."""
+    asked = []
+    monkeypatch.setattr("mocap_calib.synthetic.simulate", lambda config: asked.append(config) or 1)
+    run(tmp_path / "out", *typed)  # there is no scene to write
+    assert [(config.people, config.animals) for config in asked] == [(people, animals)]
+    words = format_command(asked[0]).split()[4:]
+    run(tmp_path / "out", *words)
+    assert asked[0] == asked[1]
+
+
+def test_a_mixed_scene_is_written_with_its_truth(tmp_path):
+    done = run(tmp_path, *FEW, "--kind", "quadruped")
+    assert done.exit_code == 0, done.output
+    assert "3 cameras, 12 frames, 2 people, 1 quadruped, 1" in done.stderr
+    assert "mocap-calib run --model people" in done.stderr
+    check_scene(tmp_path, simulate(replace(SCENE, animals=(("quadruped", 1),))))
+    truth = np.load(tmp_path / "truth.npz")
+    assert truth["kinds"].tolist() == ["people", "people", "quadruped"]
+    has = dict(
+        zip(truth["joints"], np.isfinite(truth["poses3d"][0, :, :, 0]).T.tolist(), strict=True)
+    )
+    assert has["nose"] == [True, True, True]
+    assert has["left_hand"] == [True, True, False]
+    assert has["tail_mid"] == [False, False, True]
+    assert "2 people, 1 quadruped" in (tmp_path / "README.md").read_text()
+
+
 def test_help_has_an_example():
-    assert "Example: mocap-calib simulate" in CliRunner().invoke(command, ["--help"]).output
+    assert (
+        "mocap-calib simulate -o scene --kind people:2 --kind quadruped"
+        in CliRunner().invoke(command, ["--help"]).output
+    )
 
 
 def test_coco_keeps_the_place_of_empty_instances_before_others():

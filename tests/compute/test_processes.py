@@ -8,6 +8,7 @@ import time
 
 import psutil
 import pytest
+from platforms import posix
 
 from mocap_calib.compute.parallel import map_in_processes, processes
 from mocap_calib.errors import ClusterError
@@ -47,6 +48,7 @@ def outcome(result):
         return str(error)
 
 
+@posix
 def test_one_item_that_fails_or_kills_its_process_does_not_end_the_others():
     with processes(2) as workers:
         assert workers.threads == 2
@@ -65,6 +67,7 @@ def test_one_item_that_fails_or_kills_its_process_does_not_end_the_others():
     }
 
 
+@posix
 def test_a_mapper_of_processes_ends_them(monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "2")
     results = map_in_processes(squared, range(50))

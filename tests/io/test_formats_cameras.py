@@ -2,10 +2,12 @@
 are refused in a line.
 """
 
+import re
 import time
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from corruption import complaint, corrupted
@@ -21,7 +23,9 @@ from mocap_calib.io.cameras.formats import CAMERA_FORMATS
 from mocap_calib.io.cameras.read import load_cameras, make_rig, parse_content, read_rig
 from mocap_calib.io.cameras.source import Source
 from mocap_calib.io.cameras.write import format_rig, write_cameras
+from mocap_calib.io.conversion import convert_cameras
 from mocap_calib.io.mat5 import read_mat
+from mocap_calib.io.provenance import describe_judgement, judgement, read_judgement
 from mocap_calib.io.registry import find_format
 from mocap_calib.io.units import METRES
 from mocap_calib.types import Camera, CameraRig
@@ -97,6 +101,85 @@ def test_what_is_written_comes_back(name, data):
     assert found.unit == (unit or rig.unit)
     scale = METRES[rig.unit] / METRES[unit] if unit else 1.0
     assert_same(rig, found, sizes=sizes, names=name != "4d-association", scale=scale)
+
+
+JUDGED = judgement("not determined", ["inconsistent: zo\u00eb's: 'left'"], 3.25)
+WITHOUT_COMMENTS = {
+    "dannce",
+    "nerfstudio",
+    "openmvg",
+    "multiview-calib",
+    "panoptic",
+    "voxelpose",
+    "4d-association",
+}
+
+
+@pytest.mark.parametrize("name", WRITTEN)
+def test_a_rig_that_is_not_determined_says_so_in_every_file_that_has_comments(name):
+    """And the cameras read as they did."""
+    rig = studio(name)
+    plain = format_rig(rig, name, {}).files
+    judged = format_rig(rig, name, JUDGED).files
+    if name in WITHOUT_COMMENTS:
+        assert judged == plain
+        return
+    for content in judged.values():
+        assert (
+            "# mocap-calib: this rig is not determined: do not measure with it\n"
+            "# inconsistent: zo\u00eb's: 'left'\n"
+        ) in content.decode()
+    found, expected = back(rig, name, JUDGED), back(rig, name)
+    np.testing.assert_array_equal(found.rotation, expected.rotation)
+    np.testing.assert_array_equal(found.translation, expected.translation)
+    assert found.names == expected.names
+
+
+@pytest.mark.parametrize("name", sorted({"opencv", "easymocap", "jarvis"}))
+def test_opencv_reads_files_with_a_comment(name, tmp_path):
+    for file, content in format_rig(studio(name), name, JUDGED).files.items():
+        (tmp_path / file).write_bytes(content)
+        storage = cv2.FileStorage(str(tmp_path / file), cv2.FILE_STORAGE_READ)
+        assert storage.isOpened()
+        assert storage.root().keys()
+
+
+@pytest.mark.parametrize("name", WRITTEN)
+def test_no_zero_of_a_text_file_has_a_sign(name):
+    """Not those that come of a product, such as the centre of a camera at the origin."""
+    rig = studio(name)
+    zeros = np.full((len(rig.cameras), 3), -0.0)
+    still = replace(rig, rotation=np.stack([np.diag([1.0, 1, 1])] * len(zeros)), translation=zeros)
+    files = format_rig(still, name, {}).files
+    assert not [
+        file for file, content in files.items() if re.search(rb"-0(\.0*)?(?![\d.e])", content)
+    ]
+
+
+@pytest.mark.parametrize("name", ["mocap-calib", "anipose"])
+@pytest.mark.parametrize("target", ["anipose", "pose2sim", "mocap-calib"])
+def test_a_conversion_hands_the_verdict_on(name, target):
+    (content,) = format_rig(studio(name), name, JUDGED).files.values()
+    assert parse_content(content, "file").judgement == JUDGED
+    (converted,) = convert_cameras(content, None, target, unit="m").files.values()
+    assert b"# mocap-calib: this rig is not determined" in converted
+    assert b"# inconsistent: zo" in converted
+
+
+@pytest.mark.parametrize(
+    ("edited", "kept"),
+    [
+        ("nothing of the kind", {}),
+        ({"verdict": "excellent", "adjusted": "yes"}, {}),
+        ({"remarks": ["a\nb: 1", 3, "fine"], "verdict": "weak"}, {"remarks": ["fine"]}),
+        ({"reprojection_error_px": float("nan")}, {}),
+    ],
+)
+def test_an_edited_judgement_makes_no_false_comment(edited, kept):
+    found = read_judgement(edited)
+    found.pop("verdict", None)
+    assert found == kept
+    assert not any("\n" in line for line in describe_judgement(read_judgement(edited)))
 
 
 @pytest.mark.parametrize("name", WRITTEN)

@@ -7,7 +7,6 @@ traceback, no hang, no flood of memory.
 import json
 import os
 import random
-import resource
 import time
 
 import h5py
@@ -20,6 +19,7 @@ from samples2d import SAMPLES, recording, write_sample
 from mocap_calib.errors import MocapCalibError
 from mocap_calib.io.keypoints.read import read_keypoints
 
+resource = pytest.importorskip("resource", reason="needs POSIX, which counts the peak of memory")
 EXAMPLES = int(os.environ.get("FUZZ_EXAMPLES", "25"))
 SECONDS = 5.0  # of computing for a file of some kilobytes
 CLOCK = 60.0  # for what waits, on a busy machine; HDF5 is given 3 s of computing by itself

@@ -4,7 +4,6 @@
 
 import json
 import random
-import resource
 from pathlib import Path
 
 import pytest
@@ -33,6 +32,7 @@ from mocap_calib.io.poses.read import parse_poses
 from mocap_calib.io.poses.write import format_poses
 from mocap_calib.io.registry import find_format
 
+resource = pytest.importorskip("resource", reason="needs POSIX, which counts the peak of memory")
 HDF5 = b"\x89HDF"
 LONGER = settings(
     max_examples=EXAMPLES,

@@ -21,6 +21,8 @@ from mocap_calib.io.cameras.own import (
 )
 from mocap_calib.io.cameras.read import read_cameras, read_rig
 from mocap_calib.io.cameras.write import write_cameras
+from mocap_calib.io.provenance import judgement
+from mocap_calib.recording.pairing import compose_name
 from mocap_calib.types import Camera, CameraRig, EstimatedCamera
 
 PROVENANCE = {
@@ -78,7 +80,8 @@ def same_cameras(first, second):
         np.testing.assert_array_equal(a.distortion, b.distortion)
 
 
-NAMES = st.lists(st.text(min_size=1, max_size=8), min_size=1, max_size=5, unique=True)
+NAME = st.text(min_size=1, max_size=8).map(compose_name)  # as names are compared
+NAMES = st.lists(NAME, min_size=1, max_size=5, unique=True)
 
 
 @settings(max_examples=25, deadline=None)
@@ -158,9 +161,9 @@ def test_anipose_toml_has_the_keys_that_others_read():
         "rotation",
         "translation",
     ]
-    assert {k: data["metadata"][k] for k in ("adjusted", "error", "unit")} == {
+    assert {k: data["metadata"].get(k) for k in ("adjusted", "error", "unit")} == {
         "adjusted": False,
-        "error": 0.0,
+        "error": None,
         "unit": "m",
     }
     assert data["metadata"]["provenance"] == {k: v for k, v in PROVENANCE.items() if v is not None}
@@ -200,6 +203,16 @@ def test_a_sigma_that_cannot_be_is_refused(sigma):
     text = format_cameras_yaml(estimated_rig(focal_sigma=sigma), PROVENANCE)
     with pytest.raises(FormatError, match="focal_sigma and k1_sigma of 0 or more"):
         parse_cameras(text, "text")
+
+
+def test_anipose_toml_of_an_adjusted_rig_says_so_and_its_error():
+    """As anipose does for cameras that were adjusted to the animal, which it keeps as they are."""
+    provenance = {"command": "mocap-calib run", **judgement("weak", [], 1.5)}
+    metadata = tomllib.loads(format_calibration_toml(make_rig(), provenance))["metadata"]
+    assert (metadata["adjusted"], metadata["error"]) == (True, 1.5)
+    unknown = tomllib.loads(format_calibration_toml(make_rig(), judgement("weak", [], None)))
+    assert unknown["metadata"]["adjusted"] is True
+    assert "error" not in unknown["metadata"]
 
 
 def test_files_are_the_same_bytes_every_time(tmp_path):

@@ -471,7 +471,7 @@ def test_a_3d_file_is_called_so(tmp_path):
 
 
 def test_a_missing_file_and_a_folder_are_refused(tmp_path):
-    with pytest.raises(FormatError, match="readable file"):
+    with pytest.raises(FormatError, match="expected a file or folder, found none"):
         read_keypoints([tmp_path / "nothing"])
     with pytest.raises(MismatchError, match="found none"):
         read_keypoints([tmp_path])

@@ -17,12 +17,13 @@ from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.io.atomic import replace_text
 from mocap_calib.io.hashing import hash_files
 from mocap_calib.io.poses.common import PoseFile
+from mocap_calib.io.poses.poses3d_h5 import parse
 from mocap_calib.io.results.further_formats import write_formats
 from mocap_calib.io.results.group import read_outputs, remove_earlier_outputs
 from mocap_calib.io.results.matches_csv import matches_csv, read_matches_csv
 from mocap_calib.io.results.pairs_json import pairs_from_json, pairs_to_json
 from mocap_calib.io.results.poses_csv import poses_csv
-from mocap_calib.io.results.poses_h5 import parse_poses_h5, write_poses_h5
+from mocap_calib.io.results.poses_h5 import parse_poses_h5, poses_to_h5, write_poses_h5
 from mocap_calib.types import Camera, CameraRig, Matches, PairwiseCalibration, Poses3D, Recording
 
 NAMES = ("left", "right, far", "3")
@@ -200,6 +201,46 @@ def test_an_h5_says_what_it_holds(tmp_path):
         assert file.attrs["unit"] == "mm"
         assert file.attrs["dimensions"] == "frame, individual, keypoint, coordinate"
         assert json.loads(file.attrs["provenance"]) == {"seed": 7}
+
+
+def test_every_dataset_of_an_h5_says_its_axes_its_unit_and_its_meaning(tmp_path):
+    edges = ((0, 1),)
+    write_poses_h5(tmp_path / "poses.h5", poses(), {}, edges=edges, fps=50.0)
+    with h5py.File(tmp_path / "poses.h5") as file:
+        said = {name: dict(dataset.attrs) for name, dataset in file.items()}
+        assert file["edges"][:].tolist() == [[0, 1]]
+        assert (file.attrs["fps"], file["frames"].attrs["fps"]) == (50.0, 50.0)
+        for dataset in file.values():
+            assert dataset.attrs["axes"].split(" (")[0].count(",") == dataset.ndim - 1
+    assert {name: attributes["unit"] for name, attributes in said.items()} == {
+        "position": "mm",
+        "error": "pixel",
+        "views": "views",
+        "confidence": "0 to 1",
+        "frames": "frame number",
+        "keypoint_names": "name",
+        "edges": "index of a keypoint",
+    }
+    assert said["position"]["axes"] == "frame, individual, keypoint, coordinate (x, y, z)"
+    assert all(attributes["meaning"] for attributes in said.values())
+    with h5py.File(io.BytesIO(poses_to_h5(poses(), {}))) as file:
+        assert "edges" not in file
+        assert "fps" not in file.attrs
+
+
+@pytest.mark.parametrize("edges", [[[0, 2]], [[-1, 0]], [[0.5, 1]], [0, 1]])
+def test_edges_of_other_keypoints_are_refused(edges):
+    content = io.BytesIO(poses_to_h5(poses(), {}))
+    with h5py.File(content, "a") as file:
+        file["edges"] = edges
+    with pytest.raises(FormatError):
+        parse(content.getvalue(), "file")
+
+
+def test_a_csv_has_no_signed_zero():
+    given_ = poses()
+    given_.positions[:] = -0.0
+    assert "-" not in poses_text(given_, 0).split("\n", 1)[1]
 
 
 def test_a_bad_poses_file_is_refused(tmp_path):

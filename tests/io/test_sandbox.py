@@ -8,6 +8,7 @@ import time
 
 import numpy as np
 import pytest
+from platforms import linux, posix
 
 from mocap_calib.errors import FormatError
 from mocap_calib.io.sandbox import HDF5, call_contained
@@ -61,6 +62,7 @@ def test_only_hdf5_is_read_elsewhere():
     assert inside(process) == inside(process)
 
 
+@posix
 @pytest.mark.parametrize(
     ("call", "how"), [(crash, "SIGSEGV"), (leave, "status 3"), (loop, "SIGXCPU")]
 )
@@ -78,6 +80,7 @@ def test_what_it_does_not_survive_is_a_line(call, how):
     assert inside(process) != os.getpid()
 
 
+@linux
 def test_memory_is_held_to_the_file():
     """1.6 GB for a file of eight bytes, to which 1 GB is allowed; six for a megabyte."""
     with pytest.raises(
@@ -123,12 +126,14 @@ def test_modules_of_the_folder_one_stands_in_are_left_alone(tmp_path, monkeypatc
     assert inside(process) != os.getpid()
 
 
+@posix
 def test_what_ended_while_nobody_asked_is_started_again():
     os.kill(inside(process), signal.SIGKILL)
     time.sleep(0.1)
     assert inside(echo, "now") == "now"
 
 
+@posix
 def test_a_fork_has_its_own():
     inside(process)
     read, write = os.pipe()

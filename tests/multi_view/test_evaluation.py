@@ -11,7 +11,7 @@ from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.multi_view.evaluation import (
     accuracy,
     area_under_curve,
-    evaluate_rig,
+    evaluate,
     evaluation_to_dict,
 )
 from mocap_calib.types import CameraRig
@@ -38,7 +38,7 @@ def without(rig: CameraRig, name: str) -> CameraRig:
 @pytest.mark.parametrize("cameras", [2, 3, 5])
 def test_the_same_rig_in_any_world_has_no_error(cameras):
     rig = scene(cameras=cameras).rig
-    figures = evaluation_to_dict(evaluate_rig(elsewhere(rig), rig))
+    figures = evaluation_to_dict(evaluate(elsewhere(rig), rig))
     for key in (
         "rotation_error_deg",
         "translation_error_deg",
@@ -56,7 +56,7 @@ def test_cameras_on_a_line_are_turned_by_their_axes():
     rig = scene(cameras=4).rig
     centres = np.outer(np.arange(4), [1.0, 0.2, 0.1]) + [0, 0, 2]
     line = replace(rig, translation=-np.einsum("vij,vj->vi", rig.rotation, centres))
-    found = evaluate_rig(elsewhere(line), line)
+    found = evaluate(elsewhere(line), line)
     assert np.degrees(found.camera_rotation).max() < 1e-6
     assert found.centre_error.max() < 1e-6
 
@@ -67,7 +67,7 @@ def test_a_known_turn_is_the_error_of_its_pairs():
     rotation[2] = matrix_from_vector(np.radians([0, 7.0, 0])) @ rotation[2]
     translation = -np.einsum("vij,vj->vi", rotation, rig.centres)
     found = replace(rig, rotation=rotation, translation=translation)
-    figures = evaluation_to_dict(evaluate_rig(found, rig))
+    figures = evaluation_to_dict(evaluate(found, rig))
     for pair in figures["pairs"]:
         expected = 7.0 if "cam3" in (pair["a"], pair["b"]) else 0.0
         assert pair["rotation_error_deg"] == pytest.approx(expected, abs=1e-6)
@@ -82,12 +82,12 @@ def test_a_known_shift_is_the_error_of_the_centre():
     centres = rig.centres.copy()
     centres[0] += [0.3, 0.0, 0.0]
     found = replace(rig, translation=-np.einsum("vij,vj->vi", rig.rotation, centres))
-    assert evaluate_rig(found, rig).centre_error.max() == pytest.approx(0.25, abs=0.06)
+    assert evaluate(found, rig).centre_error.max() == pytest.approx(0.25, abs=0.06)
 
 
 def test_a_missing_camera_counts_as_wrong_as_can_be():
     rig = scene(cameras=4).rig
-    figures = evaluation_to_dict(evaluate_rig(without(rig, "cam2"), rig))
+    figures = evaluation_to_dict(evaluate(without(rig, "cam2"), rig))
     assert figures["missing"] == ["cam2"]
     assert figures["rotation_error_deg"]["max"] == 180
     assert figures["rra"]["30"] == 0.5
@@ -97,7 +97,7 @@ def test_agrees_with_an_independent_computation():
     rig, rng = scene(cameras=5).rig, np.random.default_rng(0)
     found = replace(rig, rotation=matrix_from_vector(rng.normal(0, 0.2, (5, 3))) @ rig.rotation)
     np.testing.assert_allclose(
-        np.sort(np.degrees(evaluate_rig(found, rig).rotation_error)),
+        np.sort(np.degrees(evaluate(found, rig).rotation_error)),
         np.sort(rotation_errors_deg(found, rig)),
         atol=1e-6,
     )
@@ -115,4 +115,4 @@ def test_rigs_without_common_names_are_refused():
     rig = scene(cameras=3).rig
     other = replace(rig, cameras=tuple(replace(c, name=f"x{k}") for k, c in enumerate(rig.cameras)))
     with pytest.raises(MismatchError, match="cam1, cam2, cam3"):
-        evaluate_rig(other, rig)
+        evaluate(other, rig)

@@ -273,7 +273,7 @@ def test_run_writes_each_group_and_says_so(tool, tmp_path):
     rig = CameraRig(cameras, np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3)), "m")
     intrinsics.write_text(format_cameras_yaml(rig, {}))
     (out / "group_3").mkdir(parents=True)
-    for stale in ("group_3/run.json", "group_3/poses3d.csv", "notes.txt"):
+    for stale in ("group_3/run.json", "group_3/poses3d_0.csv", "notes.txt"):
         (out / stale).write_text("{}")
     said = tool("run", keypoints, "--cameras", intrinsics, "-o", out)
     assert said.returncode == 0, said.stderr
@@ -284,7 +284,7 @@ def test_run_writes_each_group_and_says_so(tool, tmp_path):
         "calibration.toml",
         "matches.csv",
         "poses3d.h5",
-        "poses3d.csv",
+        "poses3d_0.csv",
         "poses3d_1.csv",
         "run.json",
     }

@@ -13,11 +13,13 @@ from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.io.cameras.read import read_cameras
 from mocap_calib.io.keypoints.read import read_keypoints
-from mocap_calib.recording.joints import load_skeleton
+from mocap_calib.recording.joints import edges_of_keypoints, load_skeleton, match_names
 from mocap_calib.recording.pairing import match_cameras, views_with_detections
 from mocap_calib.recording.sampling import take_sample
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.types import Camera, Keypoints2D, Skeleton
+
+PEOPLE = load_skeleton("people")
 
 SHARED = Path(__file__).parents[3] / "shared"
 SKELETON = Skeleton(
@@ -361,3 +363,61 @@ def test_real_recordings_are_recordings(folder):
         assert kept.sum() >= 0.98 * np.isfinite(views[k].positions[..., 0]).sum()
     # measured 0.25 s for the largest
     assert time.perf_counter() - start < 5
+
+
+def named_edges(names: tuple[str, ...]) -> set[frozenset[str]]:
+    """The edges between keypoints of these names."""
+    edges = edges_of_keypoints(PEOPLE, match_names(names, PEOPLE))
+    return {frozenset((names[a], names[b])) for a, b in edges}
+
+
+def test_edges_join_the_keypoints_that_there_are():
+    assert len(named_edges(PEOPLE.keypoints)) == len(PEOPLE.keypoints) - 1
+    assert named_edges(("spine", "left_wrist", "left_shoulder", "something")) == {
+        frozenset(("spine", "left_shoulder")),  # over the neck
+        frozenset(("left_shoulder", "left_wrist")),  # over the elbow
+    }
+    nobody = edges_of_keypoints(PEOPLE, np.array([-1, -1]))
+    assert nobody == ()
+
+
+def test_edges_close_a_trunk_without_neck_and_pelvis():
+    """COCO's keypoints: shoulders and hips make a rectangle."""
+    edges = named_edges(PEOPLE.keypoints[:17])
+    trunk = [("left_shoulder", "right_shoulder"), ("left_hip", "right_hip")]
+    trunk += [(f"{side}_shoulder", f"{side}_hip") for side in ("left", "right")]
+    assert {frozenset(pair) for pair in trunk} <= edges
+
+
+# --- names of files and cameras
+
+
+@pytest.mark.parametrize(
+    ("paths", "remedy"),
+    [
+        (
+            ("s/rat3_cam1_2024.json", "s/rat3_cam10_2024.json"),
+            'say --camera-regex "cam10|cam1|c\\.2", which finds these names in the paths',
+        ),
+        (
+            ("s/left.json", "s/cam1.json"),
+            "say which camera each file is of, as cam10=s/left.json, or which part of a path is "
+            "the name with --camera-regex, or rename one side",
+        ),
+        (
+            ("cam1/left.json", "cam1/right.json"),
+            "say which camera each file is of, as cam1=cam1/left.json, or which part of a path is "
+            "the name with --camera-regex, or rename one side",
+        ),
+    ],
+)
+def test_names_that_differ_are_told_with_the_option_that_joins_them(paths, remedy):
+    known = [camera(name) for name in ("cam1", "cam10", "c.2")]
+    views = [replace(view(Path(path).stem), source=path) for path in paths]
+    with pytest.raises(MismatchError) as refused:
+        match_cameras(views, known)
+    found = ", ".join(each.camera for each in views)
+    assert str(refused.value) == (
+        "expected a camera of the same name for each keypoint file, "
+        f"found keypoints of {found} and cameras cam1, cam10, c.2; {remedy}"
+    )

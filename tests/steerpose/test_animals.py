@@ -16,13 +16,14 @@ from mocap_calib.recording.joints import (
     match_names,
     parse_skeleton,
 )
-from mocap_calib.steerpose.checkpoint import load_lifter, models
+from mocap_calib.steerpose.checkpoint import load_lifter
 from mocap_calib.steerpose.model import Lifter, ModelConfig
 from mocap_calib.steerpose.training.dataset import Synthesiser
 from mocap_calib.steerpose.training.evaluation import held_out_error
 from mocap_calib.steerpose.training.losses import lifting_loss
 from mocap_calib.steerpose.training.poses import PoseSet, load_poses, mix, procedural_poses
 from mocap_calib.steerpose.training.train import train_lifter, training_config
+from mocap_calib.steerpose.weights import models
 from mocap_calib.synthetic.body_plan import parse_body
 from mocap_calib.synthetic.procedural import (
     assemble,

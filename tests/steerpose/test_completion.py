@@ -1,5 +1,6 @@
 """Joints that were not seen, filled in by the identity rotation."""
 
+import csv
 from dataclasses import replace
 
 import numpy as np
@@ -77,6 +78,26 @@ def test_joints_of_another_skeleton_are_near_the_true_ones():
         assert np.nanmedian(np.linalg.norm(found - true, axis=-1) / extent[:, None]) < 0.1
 
 
+def check_marks(table, small, views):
+    """Hold the table to the points that the completed files have and the given ones have not."""
+    rows = list(csv.DictReader(table.splitlines(), delimiter="\t"))
+    given = read_keypoints([small / "keypoints"])
+    expected = set()
+    for before, after in zip(given, views, strict=True):
+        seen = np.zeros(after.confidence.shape, bool)
+        columns = [after.keypoints.index(name) for name in before.keypoints]
+        frames = np.searchsorted(after.frames, before.frames)
+        seen[np.ix_(frames, range(before.positions.shape[1]), columns)] = np.isfinite(
+            before.positions[..., 0]
+        )
+        for frame, instance, keypoint in np.argwhere(np.isfinite(after.positions[..., 0]) & ~seen):
+            number, name = str(after.frames[frame]), after.keypoints[keypoint]
+            expected.add((after.camera, number, str(instance), name))
+    assert list(rows[0]) == ["camera", "frame", "instance", "keypoint"]
+    assert {tuple(row.values()) for row in rows} == expected
+    assert len(rows) == len(expected) > 1000
+
+
 def test_complete_on_the_command_line(tmp_path, small, tool):
     done = tool(
         "complete",
@@ -89,6 +110,7 @@ def test_complete_on_the_command_line(tmp_path, small, tool):
     assert done.returncode == 0, done.stderr
     assert "keypoints filled in" in done.stderr
     views = read_keypoints([tmp_path / "out"])
+    check_marks((tmp_path / "out" / "filled_in.tsv").read_text("utf-8"), small, views)
     assert [view.keypoints for view in views] == [PEOPLE.keypoints] * 3
     assert all(len(view.frames) == 30 for view in views)
     refused = tool(

@@ -204,7 +204,7 @@ def test_shipped_weights_are_small_and_speak_for_themselves():
 
 def test_not_weights(tmp_path):
     (tmp_path / "w.safetensors").write_bytes(b"not weights at all")
-    with pytest.raises(FormatError, match="not weights"):
+    with pytest.raises(FormatError, match="expected weights that `train` wrote"):
         load_lifter(tmp_path / "w.safetensors")
     with pytest.raises(FormatError, match="found neither"):
         load_lifter(tmp_path / "missing.safetensors")

@@ -12,11 +12,11 @@ sys.path.append(
     str(Path(__file__).parents[3])
 )  # mocap_calib's writers need no more than what is installed here
 
-from mocap_calib.io.poses.read import read_poses
+from mocap_calib.io.poses.read import load_poses
 from mocap_calib.io.poses.write import write_poses
 
 path = FILES / "poses.nwb"
-write_poses(path, read_poses(FILES / "poses-poses-h5.h5"), "nwb-3d")
+write_poses(path, load_poses(FILES / "poses-poses-h5.h5"), "nwb-3d")
 with pynwb.NWBHDF5IO(str(path), "r") as file:
     behavior = file.read().processing["behavior"]
     found = np.full(POSITIONS.shape, np.nan)

@@ -58,4 +58,6 @@ def command(shared: options.SharedOptions, output: str, matches_out: str | None)
             )
             matches = finalise_identities(recording, adjusted.rig, matches, config.matching)
             outputs.write_text(matches_out, matches_csv(recording, matches))
-    outputs.write_text(output, [format_cameras_yaml(adjusted.rig, provenance("adjust"))])
+    outputs.write_text(
+        output, [format_cameras_yaml(adjusted.rig, provenance("adjust", adjusted=True))]
+    )

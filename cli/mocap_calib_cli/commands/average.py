@@ -10,13 +10,13 @@ from mocap_calib_cli import options, values
 @options.output_text("cameras (YAML)")
 @options.shared_options("quiet")
 def command(shared: options.SharedOptions, pairs: str, output: str) -> None:
-    """Make one rig of the pairs of `pairwise`; - reads stdin.
+    """Find where all cameras stand (the rig) from PAIRS, the file of `pairwise`; - reads stdin.
 
-    Where a pair has several answers, that one is taken which the loops through other cameras
-    confirm. Cameras that are in no pair are left out and named.
+    Where a pair has several answers, the one is taken that agrees with the pairs of other cameras.
+    Cameras that are in no pair are left out and named.
 
     \b
-    Example:
+    Example, in the folder examples/three_people:
       mocap-calib average pairs.json -o rig.yaml
       mocap-calib pairwise keypoints/ --cameras intrinsics.toml | mocap-calib average -
     """

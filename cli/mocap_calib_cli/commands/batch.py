@@ -15,7 +15,8 @@ from mocap_calib_cli.numbers import COUNT
 if TYPE_CHECKING:
     from mocap_calib.compute.cluster import Cluster
     from mocap_calib.compute.parallel import Processes
-    from mocap_calib.job import CalibrationRequest, Job
+    from mocap_calib.job.request import CalibrationRequest
+    from mocap_calib.job.steps import Job
     from mocap_calib.types import CalibrationResult
     from mocap_calib_cli.progress import Reporter
 
@@ -170,7 +171,7 @@ class _Batch:
 
         elsewhere: the workers cannot reach the folder of results.
         """
-        from mocap_calib.job import calibrate_job, calibrate_job_resumably, write_results
+        from mocap_calib.job.steps import calibrate_job, calibrate_job_resumably, write_results
 
         self.reporter("batch", 0, self.total)
         jobs = self._read_unfinished(requests)
@@ -189,7 +190,7 @@ class _Batch:
 
     def _read_unfinished(self, requests: "Iterable[CalibrationRequest]") -> "Iterator[Job]":
         """Read the recordings without results, one by one when they are asked for."""
-        from mocap_calib.job import find_finished
+        from mocap_calib.job.steps import find_finished
 
         for request in requests:
             try:
@@ -257,7 +258,7 @@ class _Batch:
 def _read(request: "CalibrationRequest") -> "Job":
     """Read a recording. Raises FormatError, and MismatchError also where it is no folder."""
     from mocap_calib.errors import MismatchError
-    from mocap_calib.job import read_job
+    from mocap_calib.job.steps import read_job
 
     folder = request.keypoints.paths[0]
     if not Path(folder).is_dir():

@@ -95,14 +95,16 @@ def command(
     """Convert INPUT to OUTPUT: between two formats of keypoints, of cameras, or of 3D poses.
 
     INPUT is a file or a folder (keypoints: any number, also name=path); - is stdin or stdout.
-    What the format of OUTPUT cannot hold is said, or refused. docs/formats.md lists the formats.
+    What the format of OUTPUT cannot hold is named, or the conversion is refused. docs/formats.md
+    lists the formats. OpenPose's files need --layout, since they do not name their keypoints.
 
     \b
-    Example:
-      mocap-calib convert calibration.toml model --to colmap
-      mocap-calib convert poses3d.h5 poses.trc --unit m --fps 60 --up z
-      mocap-calib convert openpose/ keypoints --to coco --layout body_25
-      mocap-calib convert - - --from anipose --to nerfstudio <calibration.toml >transforms.json
+    Example, in the folder examples/three_people:
+      mocap-calib convert out/calibration.toml model --to colmap
+      mocap-calib convert out/poses3d.h5 poses.trc --unit m --fps 30 --up -y
+      mocap-calib convert keypoints/ openpose --to openpose
+      mocap-calib convert openpose/ again --to csv --layout coco_17
+      mocap-calib convert - - --from anipose --to nerfstudio <out/calibration.toml >nerf.json
     """
     from mocap_calib.io import kinds
     from mocap_calib_cli import outputs
@@ -184,7 +186,7 @@ def _convert_cameras(task: _Task, *, unit: str | None, image_size: tuple[str, ..
 def _convert_keypoints(task: _Task, shared: options.SharedOptions) -> "Conversion":
     """Convert keypoints; note also which files of the inputs are left out."""
     from mocap_calib.io.conversion import convert_keypoints
-    from mocap_calib.job import find_ignored_files
+    from mocap_calib.job.load import find_ignored_files
     from mocap_calib_cli.describe import describe_ignored_files
     from mocap_calib_cli.inputs import read_options
 

@@ -21,22 +21,25 @@ from mocap_calib_cli import options, values
 def command(rig: str, reference: str, as_json: bool) -> None:
     """Compare CAMERAS with a reference calibration.
 
-    Rotation and translation errors are those of all pairs, and of the cameras after alignment.
+    E_R and E_t are the errors of each pair of cameras in degrees: of its relative rotation, and of
+    the direction from one camera to the other. RRA and RTA are the shares of pairs whose E_R or E_t
+    is below a number of degrees. AUC is the mean of the smaller of the two at 1, 2, ... degrees up
+    to that number. The last line has the errors of the cameras after the two rigs were aligned.
     Cameras of the reference that CAMERAS lacks count as 180 degrees wrong.
 
     \b
-    Example:
+    Example, in the folder examples/three_people:
       mocap-calib evaluate out/cameras.yaml --reference reference.toml
       mocap-calib evaluate out/cameras.yaml --reference reference.toml --json
     """
-    from mocap_calib.multi_view.evaluation import evaluate_rig, evaluation_to_dict
+    from mocap_calib.multi_view.evaluation import evaluate, evaluation_to_dict
     from mocap_calib_cli import inputs
 
     found, found_file = inputs.read_rig(rig, "CAMERAS")
     expected, expected_file = inputs.read_rig(reference, "--reference")
     for note in (*found_file.notes, *expected_file.notes):
         click.echo(note, err=True)
-    figures = evaluation_to_dict(evaluate_rig(found, expected))
+    figures = evaluation_to_dict(evaluate(found, expected))
     if as_json:
         click.echo(json.dumps(figures, indent=1, allow_nan=False))
     else:

@@ -9,32 +9,22 @@ from mocap_calib_cli import options
 @options.output_text("matches (CSV)")
 @options.shared_options("rig", *options.MODEL, *options.KEYPOINTS, "quiet")
 def command(shared: options.SharedOptions, output: str) -> None:
-    """Label every detection with its individual, given the cameras.
+    """Label every detection with its individual, given where the cameras stand.
+
+    MATCHES has a row for each detection: camera, frame, its number in the frame, and the number of
+    the individual (-1 is nobody). It is for `adjust` and `triangulate`.
 
     \b
-    Example:
-      mocap-calib match keypoints/ --rig rig.yaml -o matches.csv
+    Example, in the folder examples/three_people:
+      mocap-calib match keypoints/ --rig out/cameras.yaml -o matches.csv
     """
-    from mocap_calib.config import Config
     from mocap_calib.io.results.matches_csv import matches_csv
-    from mocap_calib.multi_view.association import associate, label_all_frames
+    from mocap_calib.pipeline import match
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.progress import Reporter
 
     outputs.check_text(output)
-    config = Config()
     with Reporter(quiet=shared.quiet) as reporter:
         rig, loaded = inputs.read_recording_of_rig(shared, reporter)
-        sample_frames, sample, lifted = inputs.lift_sample(loaded, shared.device, reporter)
-        sampled = associate(sample, lifted, rig, config, progress=reporter)
-        matches = label_all_frames(
-            loaded.recording,
-            rig,
-            config,
-            sample_frames=sample_frames,
-            matches=sampled,
-            sample=sample,
-            lifted=lifted,
-            progress=reporter,
-        )
+        matches = match(loaded.recording, rig, device=shared.device, progress=reporter)
     outputs.write_text(output, matches_csv(loaded.recording, matches))

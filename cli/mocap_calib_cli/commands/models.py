@@ -15,14 +15,17 @@ _ERRORS = {"joint_3d": "3D error", "steered_2d": "steered", "completed_2d": "com
 def command(as_json: bool) -> None:
     """List the shipped models: their joints, training data, terms, and errors.
 
-    `run` takes the one that knows most of the recording's joint names.
+    `run` takes the one that knows most of the recording's joint names. Errors are measured on poses
+    that were not trained on, as shares of the size of the body in the image (1 is the RMS distance
+    of its joints from their middle): of the 3D pose, of the pose seen from another camera
+    (steered), and of joints that were hidden (completed).
 
     \b
     Example:
       mocap-calib models
     """
     from mocap_calib.recording.joints import load_skeleton
-    from mocap_calib.steerpose.checkpoint import models
+    from mocap_calib.steerpose.weights import models
     from mocap_calib_cli.progress import format_number, format_table
 
     cards = models()

@@ -11,10 +11,12 @@ from mocap_calib_cli import options
 def command(shared: options.SharedOptions, output: str) -> None:
     """Find the relative pose of every pair of cameras, and who matches whom.
 
+    This is the first stage of `run`. The file it writes is for `average`.
+
     \b
-    Example:
+    Example, in the folder examples/three_people:
       mocap-calib pairwise keypoints/ --cameras intrinsics.toml -o pairs.json
-      mocap-calib pairwise keypoints/ --cameras intrinsics.toml --solver paper -o paper.json
+      mocap-calib pairwise keypoints/ --cameras intrinsics.toml --solver five-point -o b.json
     """
     import numpy as np
 
@@ -32,7 +34,7 @@ def command(shared: options.SharedOptions, output: str) -> None:
         camera_file = inputs.load_camera_file(shared.cameras, "--cameras")
         loaded = inputs.read_recording(shared, camera_file, reporter)
         sample_frames, sample, lifted = inputs.lift_sample(loaded, shared.device, reporter)
-        lifter = load_model(loaded.model)
+        lifter = load_model(loaded.recording.model)
         solver = choose_pair_solver(shared.solver, loaded.recording, lifter, config)
         pairs = calibrate_pairs(
             sample,

@@ -46,7 +46,7 @@ def command(shared: options.SharedOptions, output: Path, as_json: bool) -> None:
       mocap-calib run keypoints/ --cameras intrinsics.toml -o out --write movement-3d --fps 60
     """
     from mocap_calib.io.results.group import group_folder
-    from mocap_calib.job import calibrate_job_resumably, read_job, write_results
+    from mocap_calib.job.steps import calibrate_job_resumably, read_job, write_results
     from mocap_calib_cli import describe, inputs, outputs
     from mocap_calib_cli.progress import Reporter
     from mocap_calib_cli.workers import open_workers

@@ -9,22 +9,24 @@ from mocap_calib_cli import options
 
 @click.command(name="triangulate")
 @options.output_file(
-    "Poses: a .h5 file, or a .csv file (further individuals go to NAME_1.csv, NAME_2.csv, ...)."
+    "Poses: a .h5 file, or a .csv file (several individuals go to NAME_0.csv, NAME_1.csv, ...)."
 )
 @options.shared_options("rig", "matches", "skeleton", *options.KEYPOINTS, "quiet")
 def command(shared: options.SharedOptions, output: Path) -> None:
     """Triangulate the 3D poses of all individuals in all frames.
 
     \b
-    Example:
-      mocap-calib triangulate keypoints/ --rig cameras.yaml --matches adjusted.csv -o poses3d.h5
+    Example, in the folder examples/three_people:
+      mocap-calib triangulate keypoints/ --rig out/cameras.yaml --matches out/matches.csv -o p.h5
     """
     from mocap_calib.errors import MismatchError
-    from mocap_calib.io.atomic import individual_file, replace_folder, replace_text
+    from mocap_calib.io.atomic import individual_files, replace_folder, replace_text
     from mocap_calib.io.provenance import provenance
     from mocap_calib.io.results.poses_csv import poses_csv
     from mocap_calib.io.results.poses_h5 import write_poses_h5
     from mocap_calib.multi_view.triangulation import triangulate
+    from mocap_calib.recording.joints import edges_of_keypoints
+    from mocap_calib.steerpose.weights import load_vocabulary
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.progress import Reporter
 
@@ -39,9 +41,11 @@ def command(shared: options.SharedOptions, output: Path) -> None:
         matches = inputs.read_matches(shared.matches, loaded.recording)
         poses = triangulate(loaded.recording, rig, matches, progress=reporter)
     if output.suffix == ".h5":
-        write_poses_h5(output, poses, provenance("triangulate"))
+        edges = edges_of_keypoints(
+            load_vocabulary(loaded.recording.model), loaded.recording.vocabulary
+        )
+        write_poses_h5(output, poses, provenance("triangulate"), edges=edges)
     else:
         with replace_folder(output.absolute().parent) as work:
-            for individual in range(matches.individuals):
-                path = work / individual_file(output, individual).name
-                replace_text(path, poses_csv(poses, individual))
+            for individual, path in enumerate(individual_files(output, matches.individuals)):
+                replace_text(work / path.name, poses_csv(poses, individual))

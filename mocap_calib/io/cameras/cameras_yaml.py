@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from mocap_calib.io.cameras.common import PlacedCamera, collect_cameras, extrinsics_if_given
@@ -9,6 +10,7 @@ from mocap_calib.io.cameras.intrinsics import camera_from_fields, describe_keys
 from mocap_calib.io.cameras.own import VERSION, format_cameras_yaml
 from mocap_calib.io.cameras.source import CameraFile, Source, unique
 from mocap_calib.io.file import malformed
+from mocap_calib.io.provenance import read_judgement
 from mocap_calib.io.registry import Written
 from mocap_calib.types import CameraRig
 
@@ -36,7 +38,8 @@ def parse(source: Source) -> CameraFile:
     for camera, fields in zip(cameras, entries, strict=True):
         where = f"{source.path}: camera {camera.name}"
         placed.append((camera, extrinsics_if_given(fields, where)))
-    return collect_cameras(placed, source.path, unit=str(data.get("unit", "")))
+    file = collect_cameras(placed, source.path, unit=str(data.get("unit", "")))
+    return replace(file, judgement=read_judgement(data.get("provenance")))
 
 
 def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:

@@ -238,7 +238,8 @@ def _format_camera(camera: Camera) -> str:
 
 
 def _format_floats(values: Floats) -> str:
-    return " ".join(repr(value) for value in values.tolist())
+    unsigned = values + 0.0  # which takes the sign from zeros
+    return " ".join(repr(value) for value in unsigned.tolist())
 
 
 def _join(lines: list[str]) -> bytes:

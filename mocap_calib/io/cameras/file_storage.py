@@ -31,7 +31,7 @@ def format_matrix(key: str, matrix: Floats) -> list[str]:
 
 def _format_number(value: float) -> str:
     """Return a number with a point, without which YAML 1.1 takes `1e-05` for text."""
-    text = repr(value)
+    text = repr(value + 0.0)  # which takes the sign from a zero
     if "." in text:
         return text
     return text.replace("e", ".0e") if "e" in text else f"{text}."

@@ -14,6 +14,7 @@ from mocap_calib import __version__
 from mocap_calib.geometry.rotation import vector_from_matrix
 from mocap_calib.io.cameras.intrinsics import camera_fields, estimated_fields
 from mocap_calib.io.cameras.toml_text import dump_toml
+from mocap_calib.io.zeros import unsigned_zeros
 from mocap_calib.types import Camera, CameraRig, EstimatedCamera
 
 VERSION = 1
@@ -52,12 +53,7 @@ def format_calibration_toml(rig: CameraRig, provenance: Mapping[str, Any]) -> st
     for view, camera in enumerate(rig.cameras):
         fisheye = {"fisheye": True} if camera.fisheye else {}
         sections[f"cam_{view:0{digits}}"] = toml_fields(rig, view) | fisheye
-    metadata: dict[str, Any] = {
-        "adjusted": False,
-        "error": 0.0,
-        "unit": rig.unit,
-        "generator": f"mocap-calib {__version__}",
-    }
+    metadata = anipose_metadata(rig, provenance) | {"generator": f"mocap-calib {__version__}"}
     estimated = estimated_intrinsics(rig)
     if estimated:
         metadata["estimated_intrinsics"] = estimated
@@ -92,6 +88,18 @@ def toml_fields(rig: CameraRig, view: int) -> dict[str, Any]:
     }
 
 
+def anipose_metadata(rig: CameraRig, provenance: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what anipose says of its cameras: adjusted to the animal's points, and the error.
+
+    anipose calls error the median over the points of the mean reprojection error over the cameras,
+    in pixels, and leaves out what it does not know (calibrate.py).
+    """
+    metadata: dict[str, Any] = {"adjusted": bool(provenance.get("adjusted", False))}
+    if "reprojection_error_px" in provenance:
+        metadata["error"] = provenance["reprojection_error_px"]
+    return metadata | {"unit": rig.unit}
+
+
 def plain_fields(provenance: Mapping[str, Any]) -> dict[str, Any]:
     """Return the fields in the types that every format knows; paths and the like become text."""
     plain: dict[str, Any] = json.loads(json.dumps(provenance, default=str))
@@ -111,7 +119,7 @@ def _dump_yaml(fields: Mapping[str, Any], *, flow: bool | None) -> str:
     """Return YAML, with all characters as they are unless PyYAML would change some."""
     unicode_as_is = not re.search(_NOT_ESCAPED, json.dumps(fields, ensure_ascii=False))
     return yaml.safe_dump(
-        dict(fields),
+        unsigned_zeros(fields),
         default_flow_style=flow,
         sort_keys=False,
         allow_unicode=unicode_as_is,

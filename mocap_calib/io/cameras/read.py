@@ -18,14 +18,20 @@ from mocap_calib.io.cameras.formats import (
     ONE_CAMERA_ENDINGS,
     CameraFormat,
 )
-from mocap_calib.io.cameras.source import CameraFile, Source, join_camera_files
+from mocap_calib.io.cameras.intrinsics import describe_keys
+from mocap_calib.io.cameras.source import CameraFile, Source, join_camera_files, unique
 from mocap_calib.io.file import malformed, read_bytes
+from mocap_calib.io.media import name_media
 from mocap_calib.io.registry import find_format, format_names
 from mocap_calib.io.units import ARBITRARY, known_unit
+from mocap_calib.recording.pairing import compose_name
 from mocap_calib.types import Camera, CameraRig
 
+_OWN, _REPORT = "cameras.yaml", "run.json"  # what the results of a run are told by
+_REMEDY = "give what a calibration program wrote (docs/formats.md), not the keypoints"
 
-def read_cameras(path: Path, format: str | None = None) -> tuple[Camera, ...]:
+
+def read_cameras(path: str | Path, format: str | None = None) -> tuple[Camera, ...]:
     """Read the intrinsics of the cameras in a file or folder.
 
     format: name of a camera format; where none is given, the content says it.
@@ -35,7 +41,7 @@ def read_cameras(path: Path, format: str | None = None) -> tuple[Camera, ...]:
     return load_cameras(path, format).cameras
 
 
-def read_rig(path: Path, format: str | None = None, unit: str | None = None) -> CameraRig:
+def read_rig(path: str | Path, format: str | None = None, unit: str | None = None) -> CameraRig:
     """Read the cameras in a file or folder and where they stand.
 
     format: name of a camera format; where none is given, the content says it.
@@ -53,9 +59,9 @@ def make_rig(found: CameraFile, source: str) -> CameraRig:
     if bare:
         raise malformed(
             source,
-            "extrinsics (rotation and translation) of every camera",
+            "extrinsics (rotation and translation) of every camera: where it stands",
             f"none of {', '.join(bare)}",
-            "calibrate, or remove these cameras",
+            "give a calibrated file, as the cameras.yaml of a run, or remove these cameras",
         )
     extrinsics = [found.extrinsics[camera.name] for camera in found.cameras]
     return CameraRig(
@@ -66,13 +72,18 @@ def make_rig(found: CameraFile, source: str) -> CameraRig:
     )
 
 
-def load_cameras(path: Path, format: str | None = None, unit: str | None = None) -> CameraFile:
+def load_cameras(
+    path: str | Path, format: str | None = None, unit: str | None = None
+) -> CameraFile:
     """Read all that a file or a folder says of cameras; the arguments are those of `read_rig`.
 
     Raises FormatError and MismatchError.
     """
+    path = Path(path)
     if path.is_dir():
         return _load_folder(path, format, unit)
+    if found := name_media(path):
+        raise malformed(str(path), _expected_formats(), found, _REMEDY)
     return parse_content(read_bytes(path), str(path), format, unit)
 
 
@@ -84,7 +95,7 @@ def parse_content(
     for each in _candidates(format):
         # a format that is named is taken at its word: its own complaint says more
         if format is not None or each.sniff(file):
-            return _complete(each.read(file), each, source, unit)
+            return _complete(_compose_names(each.read(file), source), each, source, unit)
     raise _unknown(file)
 
 
@@ -110,15 +121,17 @@ def _folder_looks_like_cameras(path: Path) -> bool:
 
 
 def _load_folder(path: Path, format: str | None, unit: str | None) -> CameraFile:
-    """Read a folder that is one format's files, or has a file per camera."""
+    """Read a folder that is one format's files, a run's results, or has a file per camera."""
     files = _list_files(path, FOLDER_ENDINGS)
     if not files:
         raise _no_camera_files(path, FOLDER_ENDINGS, "none")
+    if {_OWN, _REPORT} <= {file.name for file in files}:
+        return load_cameras(path / _OWN, format, unit)
     contents = {file.name: read_bytes(file) for file in files}
     folder = Source(str(path), contents, folder=True)
     for each in _candidates(format):
         if each.sniff(folder):
-            return _complete(each.read(folder), each, str(path), unit)
+            return _complete(_compose_names(each.read(folder), str(path)), each, str(path), unit)
     parts = [
         parse_content(content, f"{path}/{name}", format, unit)
         for name, content in contents.items()
@@ -152,12 +165,28 @@ def _unknown(file: Source) -> FormatError:
     """Return the complaint about a file that is of no camera format."""
     if not file.content.strip():
         found = "an empty file"
+    elif file.syntax == "json" and isinstance(file.tree, dict):
+        found = f"a JSON object with {describe_keys(file.tree)}"
     elif file.syntax != "binary" and file.text.strip():
-        found = f"text that begins with {file.text.strip()[:20]!r}"
+        found = f"text that begins with {' '.join(file.text.split())[:20]!r}"
     else:
         found = "another file"
-    expected = f"one of: {', '.join(format_names(CAMERA_FORMATS))}"
-    return malformed(file.path, expected, found, "export one of these, or name it")
+    return malformed(file.path, _expected_formats(), found, _REMEDY)
+
+
+def _expected_formats() -> str:
+    """Return the formats that are read, for complaints."""
+    return f"cameras, one of: {', '.join(format_names(CAMERA_FORMATS))}"
+
+
+def _compose_names(found: CameraFile, source: str) -> CameraFile:
+    """Return what was found under names as they are compared, see `compose_name`.
+
+    Raises FormatError where two cameras have one name then.
+    """
+    cameras = (replace(camera, name=compose_name(camera.name)) for camera in found.cameras)
+    extrinsics = {compose_name(name): placed for name, placed in found.extrinsics.items()}
+    return replace(found, cameras=unique(cameras, source), extrinsics=extrinsics)
 
 
 def _complete(found: CameraFile, form: CameraFormat, source: str, unit: str | None) -> CameraFile:

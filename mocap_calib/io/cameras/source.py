@@ -7,7 +7,7 @@ once.
 import json
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import PurePath
 from typing import Any
@@ -17,6 +17,7 @@ import numpy as np
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.cameras.syntax import is_toml, parse_json, parse_toml, parse_yaml
 from mocap_calib.io.file import decode, find_repeated, malformed
+from mocap_calib.io.zeros import unsigned_zeros
 from mocap_calib.types import Camera, CameraRig, Floats
 
 _BINARY = (b"MATLAB", b"\x89HDF", b"\x00")
@@ -98,12 +99,15 @@ class CameraFile:
         cameras that have them.
     unit: of the lengths, "" where the file does not say.
     notes: what a user should know of what was left out.
+    judgement: how far the cameras can be trusted, as `provenance.judgement` has it, where the file
+        says so.
     """
 
     cameras: tuple[Camera, ...]
     extrinsics: Mapping[str, tuple[Floats, Floats]]
     unit: str = ""
     notes: tuple[str, ...] = ()
+    judgement: Mapping[str, Any] = field(default_factory=dict)
 
 
 # --- for readers
@@ -235,4 +239,5 @@ def without_sizes(rig: CameraRig) -> tuple[str, ...]:
 
 def to_json(value: Any) -> bytes:
     """Return readable JSON; floats come back exactly."""
-    return (json.dumps(value, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
+    text = json.dumps(unsigned_zeros(value), indent=1, ensure_ascii=False, allow_nan=False)
+    return (text + "\n").encode()

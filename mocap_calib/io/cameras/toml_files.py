@@ -12,15 +12,22 @@ translation of cam_from_world.
 """
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.cameras.common import Extrinsics, PlacedCamera, collect_cameras
 from mocap_calib.io.cameras.intrinsics import describe_keys, make_camera, make_extrinsics
-from mocap_calib.io.cameras.own import format_calibration_toml, plain_fields, toml_fields
+from mocap_calib.io.cameras.own import (
+    anipose_metadata,
+    format_calibration_toml,
+    plain_fields,
+    toml_fields,
+)
 from mocap_calib.io.cameras.source import CameraFile, Source, need_sizes, terms
 from mocap_calib.io.cameras.toml_text import dump_toml
 from mocap_calib.io.file import malformed
+from mocap_calib.io.provenance import read_judgement
 from mocap_calib.io.registry import Written
 from mocap_calib.types import Camera, CameraRig
 
@@ -85,7 +92,9 @@ def parse(source: Source) -> CameraFile:
                 f"camera {name} is shown turned by caliscope; its matrix is of the images as they "
                 "were recorded"
             )
-    return collect_cameras(placed, source.path, unit=_find_unit(data), notes=notes)
+    metadata = _find_metadata(data)
+    found = collect_cameras(placed, source.path, unit=str(metadata.get("unit", "")), notes=notes)
+    return replace(found, judgement=read_judgement(metadata.get("provenance")))
 
 
 def _is_pose2sim_camera(name: str, fields: Mapping[str, Any]) -> bool:
@@ -117,10 +126,10 @@ def _parse_extrinsics(fields: Mapping[str, Any], where: str) -> Extrinsics | Non
     return make_extrinsics(rotation, translation, where)
 
 
-def _find_unit(data: Mapping[str, Any]) -> str:
-    """Return the unit of length in the metadata, "" where it is not said."""
+def _find_metadata(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the section `metadata`, empty where there is none."""
     metadata = data.get("metadata")
-    return str(metadata.get("unit", "")) if isinstance(metadata, dict) else ""
+    return metadata if isinstance(metadata, dict) else {}
 
 
 def _tables(data: Any) -> list[dict[str, Any]]:
@@ -232,10 +241,5 @@ def _caliscope_terms(camera: Camera) -> list[float]:
 def _dump_with_metadata(
     sections: Mapping[str, Any], rig: CameraRig, provenance: Mapping[str, Any]
 ) -> bytes:
-    metadata = {
-        "adjusted": False,
-        "error": 0.0,
-        "unit": rig.unit,
-        "provenance": plain_fields(provenance),
-    }
+    metadata = anipose_metadata(rig, provenance) | {"provenance": plain_fields(provenance)}
     return dump_toml({**sections, "metadata": metadata}).encode()

@@ -1,9 +1,11 @@
-"""TOML that is written: every float with the digits that bring it back exactly."""
+"""TOML that is written: every float with the digits that bring it back exactly, no zero signed."""
 
 from collections.abc import Mapping
 from typing import Any
 
 import tomli_w
+
+from mocap_calib.io.zeros import unsigned_zeros
 
 
 def dump_toml(document: Mapping[str, Any]) -> str:
@@ -11,7 +13,7 @@ def dump_toml(document: Mapping[str, Any]) -> str:
 
     TOML has no null: fields and entries that are None are left out.
     """
-    return tomli_w.dumps(_without_none(document))
+    return tomli_w.dumps(_without_none(unsigned_zeros(document)))
 
 
 def _without_none(value: Any) -> Any:

@@ -6,7 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from mocap_calib.io.atomic import check_no_other_files, write_bytes, write_files
+from mocap_calib.io.cameras.comments import add_comments
 from mocap_calib.io.cameras.formats import CAMERA_FORMATS, FOLDER_ENDINGS
+from mocap_calib.io.provenance import describe_judgement
 from mocap_calib.io.registry import Written, find_format
 from mocap_calib.io.units import unit_factor
 from mocap_calib.types import CameraRig
@@ -14,6 +16,9 @@ from mocap_calib.types import CameraRig
 
 def format_rig(rig: CameraRig, format: str, provenance: Mapping[str, Any]) -> Written:
     """Return the files of a rig in the format, by the names and in the unit that the format has.
+
+    A verdict on the rig, which a provenance may have, stands in a comment where the files can hold
+    one.
 
     Raises MismatchError where the format is only read or cannot carry the rig, and where it needs
     a unit of length that is not known.
@@ -23,11 +28,12 @@ def format_rig(rig: CameraRig, format: str, provenance: Mapping[str, Any]) -> Wr
     if known.unit:
         factor = unit_factor(rig.unit, known.unit, format)
         rig = replace(rig, translation=rig.translation * factor, unit=known.unit)
-    return write(rig, provenance)
+    written = write(rig, provenance)
+    return replace(written, files=add_comments(written.files, describe_judgement(provenance)))
 
 
 def write_cameras(
-    path: Path, rig: CameraRig, format: str, provenance: Mapping[str, Any] | None = None
+    path: str | Path, rig: CameraRig, format: str, provenance: Mapping[str, Any] | None = None
 ) -> tuple[str, ...]:
     """Write a rig in the format, whole or not at all.
 
@@ -36,6 +42,7 @@ def write_cameras(
     Returns what of the rig the format does not carry. Raises MismatchError as `format_rig` does,
     and where the folder has files of other cameras.
     """
+    path = Path(path)
     written = format_rig(rig, format, provenance or {})
     if find_format(CAMERA_FORMATS, format).folder:
         check_no_other_files(path, written.files, FOLDER_ENDINGS)

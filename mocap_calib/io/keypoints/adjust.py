@@ -13,6 +13,7 @@ from mocap_calib.config import ReadConfig
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.file import LARGEST_FRAME
 from mocap_calib.io.keypoints.document import ReadOptions
+from mocap_calib.recording.pairing import compose_name
 from mocap_calib.types import Keypoints2D
 
 
@@ -93,12 +94,14 @@ def apply_offsets(views: Sequence[Keypoints2D], options: ReadOptions) -> tuple[K
     """
     known = {view.camera for view in views}
     for camera in options.image_sizes:
-        if camera not in known:
+        if compose_name(camera) not in known:
             raise MismatchError(
                 f"expected image sizes of the cameras {', '.join(sorted(known))}, "
                 f"found one of {camera}; change its name"
             )
-    for camera in (*options.frame_offset, *options.crop_offset):
+    frame_offset = {compose_name(camera): n for camera, n in options.frame_offset.items()}
+    crop_offset = {compose_name(camera): xy for camera, xy in options.crop_offset.items()}
+    for camera in (*frame_offset, *crop_offset):
         if camera not in known:
             raise MismatchError(
                 f"expected offsets of the cameras {', '.join(sorted(known))}, "
@@ -107,8 +110,8 @@ def apply_offsets(views: Sequence[Keypoints2D], options: ReadOptions) -> tuple[K
     return tuple(
         _apply_offset(
             view,
-            frames=options.frame_offset.get(view.camera, 0),
-            pixels=options.crop_offset.get(view.camera, (0.0, 0.0)),
+            frames=frame_offset.get(view.camera, 0),
+            pixels=crop_offset.get(view.camera, (0.0, 0.0)),
         )
         for view in views
     )

@@ -18,6 +18,7 @@ import h5py
 from mocap_calib.io.file import Origin, decode, malformed, read_bytes
 from mocap_calib.io.hdf5 import HDF5_DAMAGE
 from mocap_calib.io.sandbox import HDF5
+from mocap_calib.recording.pairing import compose_name
 
 # beginnings of files that hold something else around what is wanted: what they are, what to do
 _FOREIGN = {
@@ -28,6 +29,7 @@ _FOREIGN = {
     b"CDF\x02": ("netCDF 3", "save it as netCDF 4"),
 }
 _DAMAGED = "the file is cut or damaged: export it again"
+_LISTED_TEXT = 40  # characters of a file in a message
 _HEAD = 65536  # bytes that the first line is looked for in
 
 
@@ -59,7 +61,8 @@ class ReadOptions:
 
     def size_of(self, camera: str) -> tuple[int, int]:
         """Return the size of the images of a camera, (0, 0) where the user does not say."""
-        return self.image_sizes.get(camera, self.image_size)
+        sizes = {compose_name(name): size for name, size in self.image_sizes.items()}
+        return sizes.get(compose_name(camera), self.image_size)
 
 
 @dataclass(frozen=True)
@@ -90,8 +93,9 @@ class Document:
 
     @property
     def is_json(self) -> bool:
-        """Whether the content begins as a JSON array or object does."""
-        return re.match(rb"(\xef\xbb\xbf)?\s*[\[{]", self.content[:4096]) is not None
+        """Whether the content begins as a JSON array or object does; `[word` begins TOML."""
+        start = rb"(\xef\xbb\xbf)?\s*(\{|\[(?!\s*\[?\s*[A-Za-z_]))"
+        return re.match(start, self.content[:4096]) is not None
 
     @property
     def is_hdf5(self) -> bool:
@@ -193,9 +197,17 @@ def _describe_content(document: Document) -> str:
         if isinstance(first, dict):
             return f"a JSON list of objects with {', '.join(list(first)[:8])}"
         return f"a JSON list of {len(content)}"
-    if document.content:
-        return f"content that begins with {document.content[:16]!r}"
-    return "an empty file"
+    return _describe_bytes(document)
+
+
+def _describe_bytes(document: Document) -> str:
+    """Describe what is neither JSON nor HDF5 by its beginning."""
+    if not document.content.strip():
+        return "an empty file"
+    start = " ".join(document.head[:_LISTED_TEXT].split())
+    if start.isprintable():
+        return f"text that begins with {start!r}"
+    return f"content that begins with {document.content[:16]!r}"
 
 
 def _first_names(names: Iterable[object]) -> str:

@@ -11,6 +11,7 @@ from mocap_calib.errors import MismatchError
 from mocap_calib.io.file import find_camera, frame_number
 from mocap_calib.io.keypoints.document import Item, ReadOptions
 from mocap_calib.io.keypoints.sniffing import shows_keypoints, shows_single_frame, sniff_item
+from mocap_calib.io.media import check_no_media, check_no_media_alone
 
 FOLDER_SUFFIXES = (".json", ".csv", ".h5", ".hdf5", ".nc", ".nwb", ".slp", ".mat")
 SUFFIXES = (*FOLDER_SUFFIXES, ".txt")  # the last only where there is nothing else
@@ -30,7 +31,7 @@ def keypoint_items(
 
     format: name of the only format that is looked for; None: all of them.
 
-    Raises MismatchError.
+    Raises MismatchError, and FormatError for videos and images.
     """
     items: list[Item] = []
     for path in paths:
@@ -67,9 +68,14 @@ def _items_of_argument(argument: str, options: ReadOptions, format: str | None) 
 
 
 def _items_of_path(path: Path, options: ReadOptions, format: str | None) -> list[Item]:
-    """Return the items of a file or folder; the pattern names their cameras where it is given."""
+    """Return the items of a file or folder; the pattern names their cameras where it is given.
+
+    Raises MismatchError, and FormatError for videos and images.
+    """
+    check_no_media(path, SUFFIXES)
     items = _items_of_folder(path, format) if path.is_dir() else [Item(_stem(path), path)]
     if not items:
+        check_no_media_alone(path, SUFFIXES)
         raise MismatchError(
             f"{path}: expected keypoint files ({', '.join(SUFFIXES)}) in the folder, found none; "
             "name the files themselves"

@@ -1,6 +1,6 @@
 """Name keypoints in the order in which programs write them, for files that hold numbers alone."""
 
-from mocap_calib.errors import MismatchError
+from mocap_calib.errors import MismatchError, suggest
 from mocap_calib.io.file import malformed
 
 _COCO = (
@@ -78,7 +78,7 @@ def parse_layout(text: str) -> tuple[str, ...]:
     if len(names) < 2 or not all(names):
         raise MismatchError(
             f"expected a layout ({', '.join(LAYOUTS)}) or names of keypoints separated by commas, "
-            f"found {text}; choose one"
+            f"found {text}; {suggest(text, LAYOUTS)}"
         )
     return names
 

@@ -16,22 +16,27 @@ from mocap_calib.io.keypoints.items import keypoint_items
 from mocap_calib.io.keypoints.sniffing import require_format, sniff_item
 from mocap_calib.io.registry import find_format
 from mocap_calib.io.sandbox import call_contained
+from mocap_calib.recording.pairing import compose_name
 from mocap_calib.types import Keypoints2D
 
 
 def read_keypoints(
-    paths: Sequence[str | Path], format: str | None = None, options: ReadOptions | None = None
+    paths: str | Path | Sequence[str | Path],
+    format: str | None = None,
+    options: ReadOptions | None = None,
 ) -> tuple[Keypoints2D, ...]:
     """Read the detections of each camera from files, folders and `name=path` pairs.
 
     Positions are pixels as the files have them: x to the right, y down.
 
+    paths: one of these, or several.
     format: name of a keypoint format; where none is given, the content of each file says it.
 
     Raises FormatError, in one line, for whatever is wrong with a file, and MismatchError where two
     files are of one camera.
     """
-    views, errors = read_what_can(paths, format, options)
+    several = [paths] if isinstance(paths, str | Path) else paths
+    views, errors = read_what_can(several, format, options)
     if errors:
         raise errors[0]
     return views
@@ -111,7 +116,7 @@ def _read(item: Item, format: str | None, options: ReadOptions) -> tuple[Keypoin
         for part in split_views(view, options.views):
             scaled = convert_to_pixels(part, options.size_of(part.camera))
             read.append(_in_single_precision(scaled) if options.single_precision else scaled)
-    return tuple(read)
+    return tuple(replace(view, camera=compose_name(view.camera)) for view in read)
 
 
 def _name_camera(views: tuple[Keypoints2D, ...], item: Item) -> tuple[Keypoints2D, ...]:

@@ -67,5 +67,5 @@ def require_format(item: Item, format: str | None) -> KeypointFormat:
         remedy = remedy or "name another format, or none"
     else:
         expected = f"one of: {', '.join(format_names(KEYPOINT_FORMATS))}"
-        remedy = remedy or "export one of these"
+        remedy = remedy or "export one of these (docs/formats.md)"
     raise malformed(document.source, expected, found, remedy)

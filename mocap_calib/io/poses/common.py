@@ -54,12 +54,14 @@ class PoseFile:
     rate: frames per second, NaN where nobody says.
     individuals: `[individual]` names; those of a file without names are called individual_0, ...
     notes: what a user should know of what was left out.
+    edges: pairs of keypoints (indices) that a skeleton joins, where the file says so.
     """
 
     poses: Poses3D
     rate: float = float("nan")
     individuals: tuple[str, ...] = ()
     notes: tuple[str, ...] = field(default=())
+    edges: tuple[tuple[int, int], ...] = ()
 
     def __post_init__(self) -> None:
         count = self.poses.positions.shape[1]

@@ -10,13 +10,14 @@
 """
 
 import io
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import h5netcdf
 import h5py
 import numpy as np
 
 from mocap_calib import __version__
+from mocap_calib.errors import MismatchError
 from mocap_calib.io.hdf5 import array, integers, names
 from mocap_calib.io.keypoints.movement import read_variable
 from mocap_calib.io.poses.common import (
@@ -29,6 +30,9 @@ from mocap_calib.io.poses.common import (
 )
 from mocap_calib.io.units import known_unit
 from mocap_calib.types import Floats, Ints, Poses3D
+
+if TYPE_CHECKING:
+    import xarray
 
 _DIMENSIONS = ("time", "space", "keypoint", "individual")
 _PER_POINT = ("time", "keypoint", "individual")
@@ -119,40 +123,68 @@ def write(file: PoseFile, title: str) -> WrittenPoses:
 
     The variables frame, views and reprojection_error stand beside them; movement leaves them alone.
     """
-    poses = file.poses
-    has_rate = bool(np.isfinite(file.rate) and file.rate > 0)
+    times, labels = _coordinates(file)
     content = io.BytesIO()
     with h5netcdf.File(content, "w") as out:
-        lengths = (len(poses.frames), len(_SPACE), len(poses.keypoints), len(file.individuals))
-        out.dimensions = dict(zip(_DIMENSIONS, lengths, strict=True))
-        times = poses.frames / file.rate if has_rate else poses.frames
+        lengths = {"time": len(times)} | {name: len(names) for name, names in labels.items()}
+        out.dimensions = {name: lengths[name] for name in _DIMENSIONS}
         out.create_variable("time", ("time",), data=times)
-        _write_labels(out, "space", _SPACE)
-        _write_labels(out, "keypoint", poses.keypoints)
-        _write_labels(out, "individual", file.individuals)
-        position = poses.positions.transpose(0, 3, 2, 1)
-        out.create_variable("position", _DIMENSIONS, data=position, fillvalue=np.nan)
-        _write_per_point(out, "confidence", poses.confidence)
-        _write_per_point(out, "reprojection_error", poses.error)
-        _write_per_point(out, "views", poses.views)
-        out.create_variable("frame", ("time",), data=poses.frames)
-        for name, value in _attributes(file, title, has_rate=has_rate).items():
+        for name, names in labels.items():
+            data = np.array(names, dtype=object)
+            out.create_variable(name, (name,), data=data, dtype=h5py.string_dtype())
+        for name, (dimensions, values) in _variables(file.poses).items():
+            blank = {"fillvalue": np.nan} if name == "position" else {}
+            out.create_variable(name, dimensions, data=values, **blank)
+        for name, value in _attributes(file, title).items():
             out.attrs[name] = value
     return WrittenPoses(content.getvalue())
 
 
-def _write_labels(out: h5netcdf.File, dimension: str, labels: tuple[str, ...]) -> None:
-    data = np.array(labels, dtype=object)
-    out.create_variable(dimension, (dimension,), data=data, dtype=h5py.string_dtype())
+def to_dataset(file: PoseFile) -> "xarray.Dataset":
+    """Return the data set of xarray that the file would hold.
+
+    Raises MismatchError where xarray is not installed.
+    """
+    try:
+        import xarray  # noqa: PLC0415 - an extra
+    except ImportError:
+        raise MismatchError(
+            "to_xarray: expected the package xarray, found none; "
+            "install it with `pip install mocap-calib[xarray]`"
+        ) from None
+    times, labels = _coordinates(file)
+    coordinates = {"time": times} | {name: list(names) for name, names in labels.items()}
+    return xarray.Dataset(_variables(file.poses), coordinates, _attributes(file, title=""))
 
 
-def _write_per_point(out: h5netcdf.File, name: str, values: Floats | Ints) -> None:
-    """Write `[frame, individual, keypoint]` values."""
-    out.create_variable(name, _PER_POINT, data=values.transpose(0, 2, 1))
+def _coordinates(file: PoseFile) -> tuple[Floats | Ints, dict[str, tuple[str, ...]]]:
+    """Return the times `[frame]`, seconds where the rate is known, and the other labels."""
+    frames = file.poses.frames
+    labels = {"space": _SPACE, "keypoint": file.poses.keypoints, "individual": file.individuals}
+    return frames / file.rate if _has_rate(file) else frames, labels
 
 
-def _attributes(file: PoseFile, title: str, *, has_rate: bool) -> dict[str, Any]:
+def _variables(poses: Poses3D) -> dict[str, tuple[tuple[str, ...], Floats | Ints]]:
+    """Return the dimensions and the values of each variable."""
+    per_point: dict[str, Floats | Ints] = {
+        "confidence": poses.confidence,
+        "reprojection_error": poses.error,
+        "views": poses.views,
+    }
+    return {
+        "position": (_DIMENSIONS, poses.positions.transpose(0, 3, 2, 1)),
+        **{name: (_PER_POINT, values.transpose(0, 2, 1)) for name, values in per_point.items()},
+        "frame": (("time",), poses.frames),
+    }
+
+
+def _has_rate(file: PoseFile) -> bool:
+    return bool(np.isfinite(file.rate) and file.rate > 0)
+
+
+def _attributes(file: PoseFile, title: str) -> dict[str, Any]:
     """Return the attributes of a data set of movement, and the unit."""
+    has_rate = _has_rate(file)
     attributes: dict[str, Any] = {
         "source_software": f"mocap-calib {__version__}",
         "ds_type": "poses",

@@ -121,7 +121,7 @@ def write(file: PoseFile, title: str) -> WrittenPoses:
         skeleton = ndx_pose.Skeleton(
             name=f"{name}_skeleton",
             nodes=list(file.poses.keypoints),
-            edges=np.zeros((0, 2), dtype=np.uint8),
+            edges=np.array(file.edges, dtype=np.uint8).reshape(-1, 2),
         )
         skeletons.append(skeleton)
         estimation = ndx_pose.PoseEstimation(

@@ -1,6 +1,6 @@
 """Our own poses3d.h5, which carries all; `io.results.poses_h5` has how its datasets are written.
 
-The names of individuals and the rate (`fps`) may be missing.
+The names of individuals, the rate (`fps`) and the edges of the skeleton may be missing.
 """
 
 import io
@@ -8,7 +8,8 @@ import io
 import h5py
 import numpy as np
 
-from mocap_calib.io.hdf5 import names
+from mocap_calib.io.file import malformed
+from mocap_calib.io.hdf5 import integers, names
 from mocap_calib.io.poses.common import (
     PoseFile,
     WrittenPoses,
@@ -17,6 +18,7 @@ from mocap_calib.io.poses.common import (
     refuse_damage,
 )
 from mocap_calib.io.results.poses_h5 import parse_poses_h5, poses_to_h5
+from mocap_calib.types import Poses3D, check_shape
 
 _FORMAT = "mocap-calib poses"
 
@@ -31,13 +33,27 @@ def _is_ours(file: h5py.File) -> bool:
 
 
 def parse(content: bytes, source: str) -> PoseFile:
-    """Read the poses, the names of the individuals, and the rate. Raises FormatError."""
+    """Read the poses, the names of the individuals, the rate and the edges. Raises FormatError."""
     poses = parse_poses_h5(content, source)
     with refuse_damage(source, _FORMAT), h5py.File(io.BytesIO(content), "r") as file:
         individuals: tuple[str, ...] = ()
         if "individual_names" in file:
             individuals = names(file, "individual_names", source)
-        return PoseFile(poses, float(file.attrs.get("fps", np.nan)), individuals)
+        rate = float(file.attrs.get("fps", np.nan))
+        return PoseFile(poses, rate, individuals, edges=_read_edges(file, poses, source))
+
+
+def _read_edges(file: h5py.File, poses: Poses3D, source: str) -> tuple[tuple[int, int], ...]:
+    """Return pairs of keypoints (indices), none where the file has none. Raises FormatError."""
+    if "edges" not in file:
+        return ()
+    edges = integers(file, "edges", source)
+    check_shape("edges", edges, None, 2)
+    if edges.size and not 0 <= edges.min() <= edges.max() < len(poses.keypoints):
+        found = f"{edges.min()} to {edges.max()}"
+        expected = f"edges between the {len(poses.keypoints)} keypoints, counted from 0"
+        raise malformed(source, expected, found, "write the file again")
+    return tuple((int(a), int(b)) for a, b in edges)
 
 
 def write(file: PoseFile, title: str) -> WrittenPoses:
@@ -45,7 +61,8 @@ def write(file: PoseFile, title: str) -> WrittenPoses:
     content = poses_to_h5(
         file.poses,
         {"title": title} if title else {},
-        figures={"fps": file.rate},
+        edges=file.edges,
+        fps=file.rate,
         individuals=file.individuals,
     )
     return WrittenPoses(content)

@@ -1,4 +1,7 @@
-"""Read files of 3D poses of any format of `io.poses.formats`."""
+"""Read files of 3D poses of any format of `io.poses.formats`.
+
+`read_poses` returns the poses; `load_poses` all that a file says.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,21 +19,29 @@ from mocap_calib.io.units import ARBITRARY
 from mocap_calib.types import Floats, Poses3D
 
 
-def read_poses(path: Path, format: str | None = None, unit: str | None = None) -> PoseFile:
-    """Read the 3D poses in a file.
+def read_poses(path: str | Path, format: str | None = None, unit: str | None = None) -> Poses3D:
+    """Read the 3D poses in a file; the arguments are those of `load_poses`.
+
+    Raises FormatError and MismatchError.
+    """
+    return load_poses(path, format, unit).poses
+
+
+def load_poses(path: str | Path, format: str | None = None, unit: str | None = None) -> PoseFile:
+    """Read all that a file says of 3D poses: also frames per second and names.
 
     format: name of a pose format; where none is given, the content says it.
     unit: what a length of 1 is ("m", "cm", "mm"), where the file does not say.
 
     Raises FormatError, and MismatchError where the file states another unit.
     """
-    return parse_poses(read_bytes(path), str(path), format, unit)
+    return parse_poses(read_bytes(Path(path)), str(path), format, unit)
 
 
 def parse_poses(
     content: bytes, source: str, format: str | None = None, unit: str | None = None
 ) -> PoseFile:
-    """Return what `read_poses` does of the content of a file; `source` stands for its path."""
+    """Return what `load_poses` does of the content of a file; `source` stands for its path."""
     file = call_contained(content, source, _parse, content, source, format)
     if unit is None:
         return file
@@ -67,7 +78,7 @@ def join_individuals(files: Sequence[PoseFile], source: str) -> PoseFile:
         )
     notes = tuple(note for file in files for note in file.notes)
     poses = _join_poses([file.poses for file in files])
-    return PoseFile(poses, first.rate, _join_names(files), notes)
+    return PoseFile(poses, first.rate, _join_names(files), notes, first.edges)
 
 
 def _sniff(content: bytes) -> str:

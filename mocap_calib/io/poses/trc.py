@@ -122,7 +122,7 @@ def write(file: PoseFile, title: str) -> WrittenPoses:
     file = convert_unit(file, "m" if file.poses.unit == "m" else "mm", "trc")
     frames, positions = fill_gaps(file.poses, "trc")
     lines = _format_header(file, title, frames, rate)
-    table = positions[:, 0].reshape(len(frames), -1)
+    table = positions[:, 0].reshape(len(frames), -1) + 0.0  # which takes the sign from zeros
     for frame, row in zip(frames.tolist(), table.tolist(), strict=True):
         lines.append(f"{frame}\t{frame / rate!r}\t{_format_row(row)}")
     content = ("\n".join(lines) + "\n").encode()

@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.io.atomic import individual_file, write_bytes, write_files
+from mocap_calib.io.atomic import individual_files, write_bytes, write_files
 from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.poses.formats import POSE_FORMATS
 from mocap_calib.io.registry import Written, find_format
@@ -13,8 +13,8 @@ from mocap_calib.io.registry import Written, find_format
 def format_poses(file: PoseFile, format: str, path: Path, title: str = "") -> Written:
     """Return the files of the poses in the format, and what they do not carry.
 
-    path: gives the name of the file, or of the first of several: where a file holds one
-        individual, the others are called NAME_1, NAME_2, ...
+    path: gives the name of the file. Where a file holds one individual and there are several, the
+        files are called NAME_0, NAME_1, ...
     title: of the poses, for formats that have a place for one.
 
     Raises MismatchError where the format carries too little.
@@ -29,21 +29,22 @@ def format_poses(file: PoseFile, format: str, path: Path, title: str = "") -> Wr
         )
     files: dict[str, bytes] = {}
     lost: dict[str, None] = {}  # which keeps the order
-    for individual in range(len(file.individuals)):
-        written = known.writer()(_select_individual(file, individual), title or path.name)
-        files[individual_file(path, individual).name] = written.content
+    for individual, own in enumerate(individual_files(path, len(file.individuals))):
+        written = known.writer()(_select_individual(file, individual), title or own.name)
+        files[own.name] = written.content
         lost |= dict.fromkeys(written.lost)
     return Written(files, tuple(lost))
 
 
-def write_poses(path: Path, file: PoseFile, format: str, title: str = "") -> tuple[str, ...]:
+def write_poses(path: str | Path, file: PoseFile, format: str, title: str = "") -> tuple[str, ...]:
     """Write the poses in the format, whole or not at all; the arguments are `format_poses`'.
 
     Returns what of the poses the format does not carry. Raises MismatchError where it carries too
     little.
     """
+    path = Path(path)
     written = format_poses(file, format, path, title)
-    if len(written.files) == 1:
+    if path.name in written.files:
         write_bytes(path, written.files[path.name])
     else:
         write_files(path.absolute().parent, written.files)

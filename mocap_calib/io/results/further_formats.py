@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mocap_calib.errors import MismatchError
+from mocap_calib.errors import MismatchError, suggest
 from mocap_calib.io.cameras.formats import CAMERA_FORMATS
 from mocap_calib.io.cameras.write import format_rig, write_cameras
 from mocap_calib.io.poses.common import PoseFile
@@ -39,7 +39,7 @@ def check_formats(names: Sequence[str], fps: float | None) -> None:
         if name not in (*poses, *cameras):
             raise MismatchError(
                 f"--write: expected one of {', '.join((*poses, *cameras))}, found {name!r}; "
-                "choose another"
+                f"{suggest(name, (*poses, *cameras))}"
             )
         known: AnyFormat
         known = find_format(POSE_FORMATS if name in poses else CAMERA_FORMATS, name)

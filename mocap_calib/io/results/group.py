@@ -1,7 +1,8 @@
 """The folder of a run: which files each group of cameras has, where they lie, which are stale.
 
 The files of the largest group lie in the folder itself, those of the others in `group_2`,
-`group_3`, ... `run.json` of the largest group lists all files by their hashes.
+`group_3`, ... `run.json` of the largest group lists all files by their hashes. The poses of the
+individuals are in poses3d_0.csv, poses3d_1.csv, ..., and all together in poses3d.h5.
 """
 
 import json
@@ -9,17 +10,19 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-from mocap_calib.io.atomic import individual_file, remove_further_individuals, replace_text
-from mocap_calib.io.cameras.own import format_calibration_toml, format_cameras_yaml
+from mocap_calib.io.atomic import numbered_file, remove_further_individuals, replace_text
+from mocap_calib.io.cameras.write import format_rig
 from mocap_calib.io.hashing import hash_file
+from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.results.matches_csv import matches_csv
 from mocap_calib.io.results.poses_csv import poses_csv
 from mocap_calib.io.results.poses_h5 import write_poses_h5
-from mocap_calib.types import GroupResult
+from mocap_calib.types import CameraRig, GroupResult
 
 REPORT = "run.json"
 REVERSED_RIG = "calibration_reversed.toml"
-_POSES = "poses3d.csv"  # of the first individual; poses3d_1.csv, ... of the others
+_POSES = "poses3d.csv"  # with the number of the individual: poses3d_0.csv, ...
+_REVERSED = "this is the rig reversed in depth, which fits as well as that of calibration.toml"
 _FILES = ("cameras.yaml", "calibration.toml", REVERSED_RIG, "matches.csv", "poses3d.h5", REPORT)
 
 
@@ -28,22 +31,28 @@ def group_folder(group: int) -> str:
     return "." if group == 0 else f"group_{group + 1}"
 
 
-def write_group(folder: Path, group: GroupResult, provenance: Mapping[str, Any]) -> None:
+def write_group(
+    folder: Path, group: GroupResult, poses: PoseFile, provenance: Mapping[str, Any]
+) -> None:
     """Write the cameras, matches and poses of a group into a folder that exists.
 
-    provenance: what the files say of how they came about.
+    poses: of the group, with what is known beside. provenance: what the files say of how they
+        came about.
     """
-    rig = group.rig
+    _write_cameras(folder / "cameras.yaml", group.rig, "mocap-calib", provenance)
+    _write_cameras(folder / "calibration.toml", group.rig, "anipose", provenance)
     reversed_rig = group.adjusted.depth_reversed_rig
-    _write_text(folder / "cameras.yaml", format_cameras_yaml(rig, provenance))
-    _write_text(folder / "calibration.toml", format_calibration_toml(rig, provenance))
     if reversed_rig is not None:
-        _write_text(folder / REVERSED_RIG, format_calibration_toml(reversed_rig, provenance))
+        remarks = [_REVERSED, *provenance.get("remarks", [])]
+        remarked = {**provenance, "remarks": remarks}
+        _write_cameras(folder / REVERSED_RIG, reversed_rig, "anipose", remarked)
     replace_text(folder / "matches.csv", matches_csv(group.recording, group.matches))
-    write_poses_h5(folder / "poses3d.h5", group.poses, provenance)
+    write_poses_h5(
+        folder / "poses3d.h5", poses.poses, provenance, edges=poses.edges, fps=poses.rate
+    )
     for individual in range(group.matches.individuals):
-        path = individual_file(folder / _POSES, individual)
-        replace_text(path, poses_csv(group.poses, individual))
+        path = numbered_file(folder / _POSES, individual)
+        replace_text(path, poses_csv(poses.poses, individual))
 
 
 def remove_stale_results(folder: Path, report: Mapping[str, Any]) -> None:
@@ -100,7 +109,7 @@ def _remove_stale_group(folder: Path, group: str, kept: set[str]) -> None:
     """
     place = folder / group
     individuals = 0
-    while _relative(individual_file(place / _POSES, individuals), folder) in kept:
+    while _relative(numbered_file(place / _POSES, individuals), folder) in kept:
         individuals += 1
     remove_further_individuals(place / _POSES, individuals)
     for file in (place / name for name in _FILES):
@@ -115,6 +124,7 @@ def _relative(path: Path, folder: Path) -> str:
     return path.relative_to(folder).as_posix()
 
 
-def _write_text(path: Path, text: str) -> None:
-    """Write text as UTF-8."""
-    path.write_text(text, "utf-8")
+def _write_cameras(path: Path, rig: CameraRig, format: str, provenance: Mapping[str, Any]) -> None:
+    """Write a rig in a format that is one file."""
+    (content,) = format_rig(rig, format, provenance).files.values()
+    path.write_bytes(content)

@@ -10,10 +10,11 @@ import numpy as np
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.file import decode, malformed, read_bytes
 from mocap_calib.io.results.csv_text import format_csv_line, slice_frames
+from mocap_calib.recording.pairing import compose_name
 from mocap_calib.types import Bools, Ints, Matches, Recording
 
 _COLUMNS = ["camera", "frame", "instance", "individual"]
-_REMEDY = "write the file as mocap-calib does"
+_REMEDY = "give the file that `match` or `run` wrote"
 _WRONG_RECORDING = "give the matches of this recording"
 
 
@@ -87,7 +88,7 @@ def _parse_rows(text: str, source: str) -> tuple[list[str], Ints]:
     if len(rows) != len(numbers) or not possible.all():
         expected = "four cells a row, individuals counted from 0, -1 = nobody"
         raise malformed(source, expected, "others", _REMEDY)
-    return [row[0] for row in table[1:]], rows
+    return [compose_name(row[0]) for row in table[1:]], rows
 
 
 def _find_detections(cameras: list[str], rows: Ints, recording: Recording, source: str) -> Ints:

@@ -26,7 +26,7 @@ def remember_pairs(mapper: Mapper, folder: Path, method: str) -> Mapper:
 
     It maps functions whose results are pairs or None.
 
-    method: all that the results follow from besides the items: configuration, weights, version.
+    method: all that the results follow from besides the items: configuration, weights, code.
     """
 
     def map_unknown(function: Callable[[T], R], items: Iterable[T], /) -> Iterator[R]:

@@ -15,11 +15,12 @@ from mocap_calib.io.cameras.intrinsics import (
     numbers,
 )
 from mocap_calib.io.file import malformed, one_line
+from mocap_calib.io.zeros import unsigned_zeros
 from mocap_calib.types import Camera, PairwiseCalibration
 
 VERSION = 1
 _FORMAT = "mocap-calib pairs"
-_REMEDY = "write the file again with the first stage"
+_REMEDY = "give the file that `pairwise` wrote"
 
 
 def pair_fields(pair: PairwiseCalibration) -> dict[str, Any]:
@@ -143,7 +144,7 @@ def _check_alternatives(pair: PairwiseCalibration, source: str) -> None:
 
 def _json_list(name: str, entries: Sequence[Any]) -> str:
     """Return a member of a JSON object that is a list, with an entry a line."""
-    lines = ",\n  ".join(json.dumps(entry, ensure_ascii=False) for entry in entries)
+    lines = ",\n  ".join(json.dumps(each, ensure_ascii=False) for each in unsigned_zeros(entries))
     return f"{json.dumps(name)}: [\n  {lines}\n]"
 
 

@@ -1,4 +1,4 @@
-"""poses3d.csv: the 3D poses of one individual in the columns of anipose."""
+"""poses3d_0.csv, poses3d_1.csv, ...: the 3D poses of one individual each, in anipose's columns."""
 
 from collections.abc import Iterator
 
@@ -43,4 +43,4 @@ def _stack_columns(poses: Poses3D, individual: int, piece: slice) -> Floats:
     own = (piece, individual)
     quality = [poses.error[own], poses.views[own].astype(np.float64), poses.confidence[own]]
     table = np.concatenate([poses.positions[own], np.stack(quality, axis=-1)], axis=-1)
-    return table.reshape(len(table), -1)
+    return table.reshape(len(table), -1) + 0.0  # which takes the sign from zeros

@@ -1,13 +1,14 @@
 """poses3d.h5: the 3D poses of all individuals.
 
 Datasets: position `[frame, individual, keypoint, 3]`, error, views, confidence `[frame, individual,
-keypoint]`, frames `[frame]`, keypoint_names `[keypoint]`, and individual_names `[individual]` where
-they are given.
+keypoint]`, frames `[frame]`, keypoint_names `[keypoint]`; individual_names `[individual]` and edges
+`[edge, 2]` where they are given. Each says its axes, its unit and its meaning in attributes.
 """
 
 import io
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,29 +21,78 @@ from mocap_calib.io.file import malformed
 from mocap_calib.types import Poses3D, check_shape
 
 VERSION = 1
+Edges = Sequence[tuple[int, int]]
 _FORMAT = "mocap-calib poses"
+_POINTS = "frame, individual, keypoint"
 
 
-def write_poses_h5(path: Path, poses: Poses3D, provenance: Mapping[str, Any]) -> None:
+@dataclass(frozen=True)
+class _Dataset:
+    """What the attributes of a dataset say.
+
+    unit: empty where it is that of the poses.
+    """
+
+    axes: str
+    unit: str
+    meaning: str
+
+
+_DATASETS = {
+    "position": _Dataset(
+        f"{_POINTS}, coordinate (x, y, z)",
+        "",
+        "3D position in the world that the cameras stand in; NaN = missing",
+    ),
+    "error": _Dataset(
+        _POINTS, "pixel", "RMS reprojection error over the views used; NaN = missing or not known"
+    ),
+    "views": _Dataset(_POINTS, "views", "number of views that the point was triangulated from"),
+    "confidence": _Dataset(
+        _POINTS, "0 to 1", "mean confidence of the detections used; NaN = missing or not known"
+    ),
+    "frames": _Dataset(
+        "frame", "frame number", "number of each frame, as the keypoint files have it"
+    ),
+    "keypoint_names": _Dataset("keypoint", "name", "name of each keypoint"),
+    "individual_names": _Dataset("individual", "name", "name of each individual"),
+    "edges": _Dataset(
+        "edge, end",
+        "index of a keypoint",
+        "pairs of keypoints that the skeleton joins, counted from 0: lines to draw",
+    ),
+}
+
+
+def write_poses_h5(
+    path: Path,
+    poses: Poses3D,
+    provenance: Mapping[str, Any],
+    *,
+    edges: Edges = (),
+    fps: float = np.nan,
+) -> None:
     """Write what `poses_to_h5` gives, whole or not at all, and without a copy of it in memory."""
     with replace_file(path) as work, h5py.File(work, "w") as file:
-        _fill(file, poses, provenance)
+        _fill(file, poses, provenance, edges=edges, fps=fps)
 
 
 def poses_to_h5(
     poses: Poses3D,
     provenance: Mapping[str, Any],
     *,
-    figures: Mapping[str, float] | None = None,
+    edges: Edges = (),
+    fps: float = np.nan,
     individuals: Sequence[str] = (),
 ) -> bytes:
     """Return the poses as HDF5; the same arguments give the same bytes.
 
-    figures: further attributes (fps); NaN is left out.
+    edges: pairs of keypoints (indices) that a skeleton joins.
+    fps: frames per second, NaN where it is not known.
     individuals: `[individual]` names.
     """
     with h5py.File("poses", "w", driver="core", backing_store=False) as file:
-        _fill(file, poses, provenance, figures=figures or {}, individuals=individuals)
+        _fill(file, poses, provenance, edges=edges, fps=fps, individuals=individuals)
         file.flush()
         content: bytes = file.id.get_file_image()
     return content
@@ -73,7 +123,8 @@ def _fill(
     poses: Poses3D,
     provenance: Mapping[str, Any],
     *,
-    figures: Mapping[str, float] | None = None,
+    edges: Edges,
+    fps: float,
     individuals: Sequence[str] = (),
 ) -> None:
     """Fill an HDF5 file. No times are written: they would change its bytes."""
@@ -84,19 +135,24 @@ def _fill(
         "confidence": poses.confidence,
         "frames": poses.frames,
     }
+    if edges:
+        arrays["edges"] = np.array(edges, dtype=np.int64)
     for name, array in arrays.items():
         packed = {"compression": "gzip", "shuffle": True} if array.size else {}
         file.create_dataset(name, data=array, track_times=False, **packed)
     _write_names(file, "keypoint_names", poses.keypoints)
     if individuals:
         _write_names(file, "individual_names", individuals)
+    for name, dataset in file.items():
+        dataset.attrs["axes"] = _DATASETS[name].axes
+        dataset.attrs["unit"] = _DATASETS[name].unit or poses.unit
+        dataset.attrs["meaning"] = _DATASETS[name].meaning
     file.attrs["format"] = _FORMAT
     file.attrs["version"] = VERSION
     file.attrs["unit"] = poses.unit
     file.attrs["dimensions"] = "frame, individual, keypoint, coordinate"
-    for name, value in (figures or {}).items():
-        if np.isfinite(value):
-            file.attrs[name] = value
+    if np.isfinite(fps):
+        file.attrs["fps"] = file["frames"].attrs["fps"] = fps
     file.attrs["provenance"] = json.dumps(provenance, default=str)
 
 

@@ -4,11 +4,14 @@
 - intrinsics.toml: cameras, without where they stand;
 - reference.toml: cameras, and where they stand (metres, +z up), in anipose's format;
 - truth.npz: `ids` (view, frame, instance) who each detection is, in file order, -1 = nobody;
-  `poses3d` (frame, individual, joint, 3) metres; `joints` names;
+  `poses3d` (frame, individual, joint, 3) metres, NaN for joints that an individual does not have;
+  `joints` names; `kinds` (individual) people, quadruped, rodent or bird;
 - README.md: what it is and how it was made.
 """
 
 import io
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -18,6 +21,8 @@ from mocap_calib.errors import MismatchError
 from mocap_calib.io.atomic import write_files
 from mocap_calib.io.cameras.own import format_calibration_toml, format_intrinsics_toml
 from mocap_calib.io.keypoints.coco_writer import format_coco
+from mocap_calib.recording.counting import count
+from mocap_calib.recording.pairing import compose_name
 from mocap_calib.types import CameraRig, Floats, Ints, Keypoints2D
 
 
@@ -41,6 +46,10 @@ class SceneLike(Protocol):
         """Names of the joints of `poses`."""
 
     @property
+    def kinds(self) -> tuple[str, ...]:
+        """`[individual]` "people", "quadruped", ..."""
+
+    @property
     def poses(self) -> Floats:
         """`[frame, individual, joint, 3]` true bodies."""
 
@@ -54,7 +63,7 @@ def write_scene(path: Path, scene: SceneLike, command: str) -> None:
     recording.
     """
     own = {f"{name}.json" for name in scene.rig.names}
-    strangers = {file.name for file in (path / "keypoints").glob("*")} - own
+    strangers = {compose_name(file.name) for file in (path / "keypoints").glob("*")} - own
     if strangers:
         raise MismatchError(
             f"{path}: expected a new folder or one with the same cameras, "
@@ -69,11 +78,19 @@ def scene_files(scene: SceneLike, command: str) -> dict[str, bytes]:
     texts["intrinsics.toml"] = format_intrinsics_toml(scene.rig.cameras)
     texts["reference.toml"] = format_calibration_toml(scene.rig, {"command": command})
     texts["README.md"] = (
-        "A synthetic recording of people: keypoints and cameras, and the truth: where cameras "
-        f"stand, who is who, 3D.\nMade by `{command}`.\n"
+        f"A synthetic recording of {describe_kinds(scene.kinds)}: keypoints and cameras, and the "
+        f"truth: where cameras stand, who is who, 3D.\nMade by `{command}`.\n"
     )
     files = {name: text.encode() for name, text in texts.items()}
     return files | {"truth.npz": _pack_truth(scene)}
+
+
+def describe_kinds(kinds: Sequence[str]) -> str:
+    """Return who is in a scene: `3 people, 1 quadruped`. kinds: of each individual."""
+    plurals = {"people": ("person", "people")}
+    return ", ".join(
+        count(number, *plurals.get(kind, (kind,))) for kind, number in Counter(kinds).items()
+    )
 
 
 def _pack_truth(scene: SceneLike) -> bytes:
@@ -87,5 +104,6 @@ def _pack_truth(scene: SceneLike) -> bytes:
         ids=scene.identity.astype(np.int16),
         poses3d=scene.poses.astype(np.float32),
         joints=np.array(scene.joints),
+        kinds=np.array(scene.kinds),
     )
     return buffer.getvalue()

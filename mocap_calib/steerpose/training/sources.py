@@ -109,7 +109,7 @@ def load_vocabulary(source: TrainingSource) -> tuple[Skeleton, Mapping[str, Any]
     Raises FormatError.
     """
     if source.calibrated is not None and source.skeleton is None:
-        poses = read_poses(source.calibrated, "poses-h5").poses
+        poses = read_poses(source.calibrated, "poses-h5")
         return own_skeleton(source.calibrated.stem, poses), OWN_SPECIES_TRAINING
     name = source.skeleton_name
     return load_skeleton(name), load_section(name, "training")
@@ -127,7 +127,7 @@ def load_pose_sets(
     if source.calibrated is None:
         training = _poses_of_files(source, vocabulary, config, "train")
         return training, _poses_of_files(source, vocabulary, config, "test")
-    poses = read_poses(source.calibrated, "poses-h5").poses
+    poses = read_poses(source.calibrated, "poses-h5")
     up = _up_of_run(source.calibrated, source.up)
     return own_poses(poses, vocabulary, up, "train"), own_poses(poses, vocabulary, up, "test")
 

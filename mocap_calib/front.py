@@ -1,0 +1,165 @@
+"""What Python users call first and last: read a recording, write whatever was found.
+
+Between the two stand `pipeline.calibrate` and the methods of the records in `types`.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from mocap_calib import __version__
+from mocap_calib.errors import MismatchError
+from mocap_calib.io.cameras.read import load_cameras
+from mocap_calib.io.cameras.source import CameraFile
+from mocap_calib.io.cameras.write import write_cameras
+from mocap_calib.io.keypoints.document import ReadOptions
+from mocap_calib.io.keypoints.layouts import parse_layout
+from mocap_calib.io.keypoints.write import write_keypoints
+from mocap_calib.io.kinds import choose_format
+from mocap_calib.io.poses.common import PoseFile
+from mocap_calib.io.poses.write import write_poses
+from mocap_calib.types import (
+    CalibrationResult,
+    Camera,
+    CameraRig,
+    Keypoints2D,
+    Poses3D,
+    Recording,
+    intrinsics_of,
+)
+
+Paths = str | Path | Sequence[str | Path]
+
+
+def read_recording(  # noqa: PLR0913 - each says one thing that files may leave open
+    keypoints: Paths,
+    cameras: str | Path | Sequence[Camera] | CameraRig,
+    *,
+    format: str | None = None,
+    layout: str | Sequence[str] = (),
+    image_size: tuple[int, int] = (0, 0),
+    camera_regex: str = "",
+    frame_offset: Mapping[str, int] | None = None,
+    crop_offset: Mapping[str, tuple[float, float]] | None = None,
+    views: Sequence[str] = (),
+    skeleton: str | Path | None = None,
+    model: str | Path = "auto",
+) -> Recording:
+    """Read keypoint files and the cameras that they belong to, as `mocap-calib run` does.
+
+    keypoints: a folder with a file or a folder per camera, or files, or `name=path` pairs, or a
+        file of all cameras.
+    cameras: a file or folder with the intrinsics; or cameras that were read or made. With a rig,
+        keypoints of cameras that it does not have are left out.
+    format: name of the format of the keypoints, where their content does not show it.
+    layout: names of the keypoints in files that do not name them, or a known list ("body_25").
+    image_size: (width, height) in pixels, where the files do not say it; positions from 0 to 1 are
+        multiplied by it.
+    camera_regex: finds the name of the camera in a path: its group `camera`, its first group, or
+        all of it.
+    frame_offset: camera -> what is added to its frame numbers.
+    crop_offset: camera -> (x, y) of the part of the image in which its keypoints were found.
+    views: views in one file: endings of keypoint names ("top", "bot"), each a camera.
+    skeleton: a YAML file with your names of joints, a mapping `aliases`: your name -> joint.
+    model: whose joints the names are compared with; "auto": the shipped model that knows most of
+        them. `calibrate` uses the same unless it is told another.
+
+    Raises FormatError for whatever is wrong with a file, and MismatchError where keypoints and
+    cameras do not go together.
+    """
+    from mocap_calib.job.load import load_recording
+    from mocap_calib.job.request import KeypointSource
+
+    options = ReadOptions(
+        layout=parse_layout(layout) if isinstance(layout, str) and layout else tuple(layout),
+        image_size=image_size,
+        camera_pattern=_check_pattern(camera_regex),
+        frame_offset=frame_offset or {},
+        crop_offset=crop_offset or {},
+        views=tuple(views),
+    )
+    source = KeypointSource(
+        paths=_list_paths(keypoints),
+        format=format,
+        options=options,
+        aliases=None if skeleton is None else Path(skeleton),
+        model=None if model == "auto" else str(model),
+    )
+    known = isinstance(cameras, CameraRig)
+    return load_recording(source, _camera_file(cameras), only_known_cameras=known).recording
+
+
+def write(
+    thing: CameraRig | Poses3D | Keypoints2D | Sequence[Keypoints2D] | CalibrationResult,
+    path: str | Path,
+    format: str | None = None,
+    *,
+    fps: float | None = None,
+    individuals: Sequence[str] = (),
+) -> tuple[str, ...]:
+    """Write cameras, 3D poses, keypoints, or all that a run finds; whole or not at all.
+
+    path: the file, or the folder where the format is several files. A result fills a folder with
+        the files of `mocap-calib run`.
+    format: a name of docs/formats.md; without it the ending of the path says it. Beside the files
+        of a result, those of a format that is named are written too.
+    fps: frames per second of poses, which some formats need.
+    individuals: `[individual]` names, for poses.
+
+    Returns what of the thing the format does not hold, in words. Raises MismatchError where the
+    format cannot hold it, or its ending does not say the format.
+    """
+    path = Path(path)
+    rate = float("nan") if fps is None else fps
+    if isinstance(thing, CalibrationResult):
+        return _write_result(thing, path, format, fps)
+    if isinstance(thing, CameraRig):
+        form = format or choose_format("cameras", path, "format=")
+        return write_cameras(path, thing, form, {"version": __version__})
+    if isinstance(thing, Poses3D):
+        form = format or choose_format("poses", path, "format=")
+        return write_poses(path, PoseFile(thing, rate, tuple(individuals)), form)
+    views = (thing,) if isinstance(thing, Keypoints2D) else tuple(thing)
+    if not views or not all(isinstance(view, Keypoints2D) for view in views):
+        raise TypeError(
+            "write: expected a CameraRig, Poses3D, Keypoints2D or CalibrationResult, "
+            f"got {type(thing).__name__}"
+        )
+    return write_keypoints(path, views, format or choose_format("keypoints", path, "format="))
+
+
+def _write_result(
+    result: CalibrationResult, path: Path, format: str | None, fps: float | None
+) -> tuple[str, ...]:
+    """Write the files of a run; return what a further format does not hold."""
+    from mocap_calib.io.results.further_formats import check_formats
+    from mocap_calib.job.steps import write_result
+
+    formats = () if format is None else (format,)
+    check_formats(formats, fps)
+    groups = write_result(path, result, inputs={}, described={}, formats=formats, fps=fps)
+    return tuple(note for group in groups for note in group.notes)
+
+
+def _list_paths(keypoints: Paths) -> tuple[str, ...]:
+    """Return one path, or several, as texts."""
+    several = [keypoints] if isinstance(keypoints, str | Path) else keypoints
+    return tuple(map(str, several))
+
+
+def _camera_file(cameras: str | Path | Sequence[Camera] | CameraRig) -> CameraFile:
+    """Return what a file says of cameras, or cameras at hand as a file would say them."""
+    if isinstance(cameras, str | Path):
+        return load_cameras(cameras)
+    return CameraFile(cameras=intrinsics_of(cameras), extrinsics={})
+
+
+def _check_pattern(pattern: str) -> str:
+    """Return a regular expression that is one. Raises MismatchError."""
+    try:
+        re.compile(pattern)
+    except re.error as error:
+        raise MismatchError(
+            f"camera_regex: expected a regular expression, found {pattern} ({error}); mend it"
+        ) from None
+    return pattern

@@ -1,0 +1,49 @@
+"""The process that computes for this one, on systems that hold it to less."""
+
+import os
+
+import pytest
+from platforms import posix
+
+from mocap_calib.compute import BLAS_THREADS, worker
+
+
+@pytest.fixture
+def on_macos(monkeypatch) -> list[int]:
+    """Refuse limits of memory, as macOS does; the kinds of limits that were set."""
+    import resource
+
+    kinds = []
+
+    def set_limit(kind, _):
+        if kind == resource.RLIMIT_DATA:
+            raise ValueError("current limit exceeds maximum limit")
+        kinds.append(kind)
+
+    monkeypatch.setattr(resource, "setrlimit", set_limit)
+    return kinds
+
+
+@posix
+def test_a_system_without_limits_of_memory_computes_all_the_same(on_macos):
+    import resource
+
+    answer = worker._answer(cpu_seconds=2.0, memory_bytes=10**9, function=len, arguments=("four",))
+    assert answer == 4
+    assert on_macos == [resource.RLIMIT_CORE, resource.RLIMIT_CPU] * 2  # set, and set back
+
+
+def test_a_system_without_limits_computes_all_the_same(monkeypatch):
+    monkeypatch.setattr(worker.sys, "platform", "win32")
+    monkeypatch.setitem(worker.sys.modules, "resource", None)
+    assert worker._answer(2.0, 10**9, len, ("four",)) == 4
+
+
+def test_its_libraries_compute_on_one_thread(monkeypatch):
+    """Accelerate, which numpy has on macOS, is held by its own variable alone."""
+    assert "VECLIB_MAXIMUM_THREADS" in BLAS_THREADS
+    for variable in BLAS_THREADS:
+        monkeypatch.setenv(variable, "7")
+    other = worker.Worker()
+    assert {other.call(os.getenv, name) for name in (*BLAS_THREADS, "OMP_NUM_THREADS")} == {"1"}
+    other.end()

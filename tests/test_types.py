@@ -1,0 +1,330 @@
+"""The records: what they hold, how they compare and print, and what a rig does with points."""
+
+import sys
+from dataclasses import replace
+
+import cv2
+import h5netcdf
+import numpy as np
+import pytest
+from scenes import scene
+
+import mocap_calib as mc
+from mocap_calib.io.poses.common import PoseFile
+from mocap_calib.io.poses.formats import POSE_FORMATS
+from mocap_calib.io.registry import find_format
+from mocap_calib.types import Adjusted, LiftedPoses, PairwiseCalibration
+
+MATRIX = [[1000, 0, 640], [0, 1010, 360], [0, 0, 1]]
+UNIT = np.eye(3).tolist()
+
+
+def camera(name="cam1", **changes) -> mc.Camera:
+    return replace(mc.Camera(name, [1280, 720], MATRIX), **changes)
+
+
+def poses(**changes) -> mc.Poses3D:
+    quality = np.ones((2, 1, 2))
+    positions = np.arange(12.0).reshape(2, 1, 2, 3)
+    positions[0, 0, 0] = np.nan
+    made = mc.Poses3D(["nose", "tail"], [5, 6], positions, quality, 2 * quality, quality, "m")
+    return replace(made, **changes)
+
+
+# --- lists, equality, text
+
+
+def test_lists_become_arrays():
+    made = camera()
+    assert (made.matrix.dtype, made.matrix.shape) == (np.float64, (3, 3))
+    assert made.size == (1280, 720)
+    assert not made.distortion.any()
+    rig = mc.CameraRig([made], [UNIT], [[0, 0, 1]])
+    assert (rig.names, rig.unit, rig.translation.tolist()) == (("cam1",), "arbitrary", [[0, 0, 1]])
+    assert poses().views.dtype == np.int64
+
+
+def test_arrays_are_kept_as_they_are():
+    """No copies of whole recordings; 32 bits stay."""
+    matrix = np.eye(3)
+    assert camera(matrix=matrix).matrix is matrix
+    recording = mc.Recording.from_keypoints(scene().files, scene().rig)
+    assert recording.positions.dtype == np.float32
+    assert replace(recording, model="none").positions is recording.positions
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: camera(matrix=[1, 2, 3]), r"camera cam1: matrix: expected shape \(3, 3\), got"),
+        (lambda: camera(matrix=[[1, 2], [3]]), "camera cam1: matrix: expected numbers, got"),
+        (lambda: camera(matrix="eye"), "camera cam1: matrix: expected numbers, got 'eye'"),
+        (
+            lambda: camera(distortion=np.full(14, 0.1)),
+            "camera cam1: distortion: expected at most 8 coefficients, got 14",
+        ),
+        (
+            lambda: mc.CameraRig([camera()], [UNIT], [0, 0, 1]),
+            r"rig: translation: expected shape \(1, 3\), got \(3,\)",
+        ),
+        (lambda: poses(frames=[0.5, 1]), "poses: frames: expected whole numbers"),
+        (lambda: poses(frames=[np.nan, 1]), "poses: frames: expected whole numbers"),
+        (lambda: mc.Matches([[0, 1]]), "matches: labels: expected shape"),
+        (lambda: two_views().project([[1, 2]]), r"points: expected shape \(1, 3\), got \(1, 2\)"),
+        (lambda: two_views().triangulate([[1, 2]]), r"pixels: expected shape \(2, 2\), got"),
+        (
+            lambda: two_views().triangulate([[1, 2]] * 2, [1, 2, 3]),
+            r"confidence: expected shape \(2,\), got \(3,\)",
+        ),
+    ],
+)
+def test_what_is_wrong_is_said(make, message):
+    with pytest.raises(ValueError, match=message) as raised:
+        make()
+    assert "\n" not in str(raised.value)
+
+
+def test_records_compare_by_value():
+    assert camera() == camera()
+    assert camera() != camera("cam2")
+    assert camera() != camera(fisheye=True)
+    rig = scene().rig
+    assert rig == replace(rig, rotation=rig.rotation.copy())
+    assert rig != replace(rig, translation=rig.translation + 1e-9)
+    assert rig != rig.select(rig.names[:2])
+    assert rig != "rig"
+
+
+def test_scenes_compare_too():
+    config = mc.SimulateConfig(cameras=2, people=1, frames=3)
+    assert mc.simulate(config) == mc.simulate(config)
+    assert mc.simulate(config) != mc.simulate(replace(config, seed=1))
+    assert "joints=29 x str, poses=float64[3, 1, 29, 3], detections=Detections(...)" in repr(
+        mc.simulate(config)
+    )
+
+
+def test_missing_equals_missing():
+    assert poses() == poses()
+    assert poses() != poses(positions=np.nan_to_num(poses().positions))
+    first, second = scene().files[:2]
+    assert first == replace(first, positions=first.positions.copy(), missing={"(0, 0)": 1})
+    assert first != second
+    pair = PairwiseCalibration(0, 1, np.eye(3), np.ones(3), np.empty((0, 3)), 9, 0, np.nan, 0, "")
+    assert pair == replace(pair, residual=float("nan"))
+    assert pair != replace(pair, residual=0.1)
+
+
+def test_records_print_in_short():
+    rig = mc.CameraRig([camera(), camera("cam2", fisheye=True)], [UNIT] * 2, np.eye(3)[:2], "m")
+    assert repr(rig).splitlines() == [
+        "CameraRig of 2 cameras, lengths in m",
+        "  cam1: 1280 x 720, f 1005.0 px, no distortion, at (-1, 0, 0)",
+        "  cam2: 1280 x 720, f 1005.0 px, fisheye, at (0, -1, 0)",
+    ]
+    assert repr(camera()) == "Camera(cam1, 1280 x 720, f 1005.0 px, no distortion)"
+    assert repr(rig["cam1"]).startswith("PosedCamera(cam1, 1280 x 720")
+    assert repr(poses()) == ("Poses3D(2 frames (5 to 6), 1 individual, 2 keypoints, lengths in m)")
+    recording = mc.Recording.from_keypoints(scene().files, scene().rig)
+    assert repr(recording) == (
+        "Recording(4 cameras, 60 frames (0 to 59), at most 4 instances a frame, 17 keypoints, "
+        "model people)"
+    )
+    assert repr(mc.Matches(np.zeros((2, 3, 1), int))) == (
+        "Matches(2 views, 3 frames, 1 individual)"
+    )
+    lifted = LiftedPoses(np.zeros((1, 1, 1, 4, 3)), np.zeros((1, 1, 1, 3)), np.zeros((1, 1, 1, 4)))
+    assert repr(lifted).startswith("LiftedPoses(body=float64[1, 1, 1, 4, 3], ")
+    adjusted = Adjusted(rig, mc.Matches(np.zeros((2, 3, 1), int)), None, rounds=2, converged=True)
+    assert repr(adjusted) == (
+        "Adjusted(rig=CameraRig(...), matches=Matches(...), depth_reversed_rig=None, rounds=2, "
+        "converged=True)"
+    )
+
+
+# --- a recording of arrays
+
+
+def test_arrays_make_the_recording_that_files_make():
+    made = scene()
+    of_arrays = mc.Recording.from_arrays(
+        made.detections.positions,
+        made.detections.confidence,
+        keypoints=made.detections.keypoints,
+        cameras=made.rig,
+    )
+    assert of_arrays == mc.Recording.from_keypoints(made.files, made.rig.cameras)
+
+
+def test_a_single_subject_needs_no_axis_of_instances():
+    rng = np.random.default_rng(0)
+    positions = rng.uniform(100, 600, size=(2, 5, 4, 2))
+    positions[0, 1, 2] = np.nan
+    cameras = [camera("a"), camera("b")]
+    names = ["nose", "left_ear", "right_ear", "tail_base"]
+    alone = mc.Recording.from_arrays(
+        positions, keypoints=names, cameras=cameras, frames=range(3, 8)
+    )
+    assert alone.tracked.all()
+    assert alone.frames.tolist() == [3, 4, 5, 6, 7]
+    np.testing.assert_array_equal(alone.confidence[:, :, 0], np.isfinite(positions[..., 0]))
+    weighed = mc.Recording.from_arrays(
+        positions, np.full((2, 5, 4), 0.5), keypoints=names, cameras=cameras
+    )
+    assert np.nanmax(weighed.confidence) == 0.5
+    with pytest.raises(ValueError, match=r"positions: expected shape \(2, 'any', 'any', 3, 2\)"):
+        mc.Recording.from_arrays(positions, keypoints=names[:3], cameras=cameras)
+
+
+# --- a camera of a rig
+
+
+def two_views() -> mc.CameraRig:
+    """Two cameras a metre apart that look along z."""
+    return mc.CameraRig([camera("a"), camera("b")], [UNIT] * 2, [[0, 0, 0], [-1, 0, 0]], "m")
+
+
+def test_a_camera_of_a_rig_is_as_opencv_has_it():
+    made = scene(distortion="brown")
+    points = made.poses[0, 0]
+    found = made.rig["cam2"]
+    expected, _ = cv2.projectPoints(points, found.rvec, found.tvec, found.matrix, found.distortion)
+    np.testing.assert_allclose(made.rig.project(points)[1], expected[:, 0], atol=1e-8)
+    np.testing.assert_allclose(found.centre, made.rig.centres[1], atol=1e-12)
+    np.testing.assert_allclose(cv2.Rodrigues(found.rvec)[0], found.rotation, atol=1e-12)
+    assert [each.name for each in made.rig] == list(made.rig.names)
+    assert len(made.rig) == 4
+    np.testing.assert_array_equal(made.rig.rvec[1], found.rvec)
+    with pytest.raises(KeyError, match=r"expected one of the cameras cam1, cam2, .* found 'cam9'"):
+        made.rig["cam9"]
+
+
+def test_projection_matrices_project():
+    rig = scene().rig
+    points = np.column_stack([scene().poses[0, 0], np.ones(len(scene().poses[0, 0]))])
+    images = np.einsum("vij,nj->vni", rig.P, points)
+    np.testing.assert_allclose(
+        images[..., :2] / images[..., 2:], rig.project(points[:, :3]), atol=1e-9
+    )
+    np.testing.assert_array_equal(rig["cam1"].P, rig.P[0])
+
+
+def test_views_are_chosen_by_name_or_index():
+    rig = scene().rig
+    assert rig.select(["cam3", "cam1"]) == rig.select(np.array([2, 0]))
+    with pytest.raises(KeyError, match="found 'nobody'"):
+        rig.select(["nobody"])
+
+
+def test_lengths_get_a_unit():
+    rig = scene().rig.scale(100, "cm")
+    assert rig.unit == "cm"
+    np.testing.assert_allclose(rig.centres, 100 * scene().rig.centres)
+    np.testing.assert_allclose(
+        rig.project(100 * scene().poses), scene().rig.project(scene().poses), atol=1e-9
+    )
+    assert np.nanmax(poses().scale(2, "mm").positions) == 22
+
+
+# --- points and pixels
+
+
+def test_points_are_projected_in_any_shape():
+    rig = scene(distortion="fisheye").rig
+    points = scene().poses
+    pixels = rig.project(points)
+    assert pixels.shape == (4, *points.shape[:-1], 2)
+    np.testing.assert_array_equal(pixels[:, 3, 1, 5], rig.project(points[3, 1, 5].tolist()))
+
+
+def test_what_is_behind_a_camera_has_no_pixel():
+    pixels = two_views().project([[0, 0, 2], [0, 0, -2], [np.nan, 0, 2]])
+    assert pixels[0, 0].tolist() == [640, 360]
+    assert np.isnan(pixels[:, 1:]).all()
+
+
+@pytest.mark.parametrize("distortion", ["none", "brown", "fisheye"])
+def test_what_is_projected_is_triangulated(distortion):
+    """Measured 2e-13 m, and 2e-10 pixels."""
+    rig = scene(distortion=distortion).rig
+    points = scene().poses[:5]
+    found, error = rig.triangulate(rig.project(points))
+    np.testing.assert_allclose(found, points, rtol=0, atol=1e-10)
+    assert error.shape == points.shape[:-1]
+    assert error.max() < 1e-7
+
+
+def test_a_single_wrong_view_is_left_out():
+    """One point, four views, one of them 80 pixels off: nothing else tells how noisy views are."""
+    rig = scene().rig
+    point = scene().poses[0, 0, 0]
+    pixels = rig.project(point) + np.random.default_rng(0).normal(size=(4, 2))
+    wrong = pixels.copy()
+    wrong[1] += 80
+    found, error = rig.triangulate(wrong)
+    without, _ = rig.triangulate(np.where(np.arange(4)[:, None] == 1, np.nan, pixels))
+    np.testing.assert_allclose(found, without, atol=1e-3)  # metres; measured 1.5e-4
+    assert error < 3  # of the views that were used
+
+
+def test_the_error_is_that_of_the_reprojection():
+    rig = scene().rig
+    points = scene().poses[:3]
+    pixels = rig.project(points) + np.random.default_rng(0).normal(size=(4, *points.shape[:-1], 2))
+    found, error = rig.triangulate(pixels)
+    square = ((rig.project(found) - pixels) ** 2).sum(-1)
+    all_used = np.isclose(error, np.sqrt(square.mean(0)))
+    assert all_used.mean() > 0.9  # measured 0.98: a view in the others is left out
+
+
+def test_what_two_views_do_not_see_is_missing():
+    rig = scene().rig
+    pixels = rig.project(scene().poses[0, 0, :3])
+    pixels[1:, 0] = np.nan
+    confidence = np.ones((4, 3))
+    confidence[:3, 1] = 0
+    confidence[0, 2] = np.nan
+    found, error = rig.triangulate(pixels, confidence)
+    assert np.isnan(found[:2]).all()
+    assert np.isnan(error[:2]).all()
+    np.testing.assert_allclose(found[2], scene().poses[0, 0, 2], atol=1e-9)
+    # a hundredth of a degree apart: no depth
+    near = mc.CameraRig(two_views().cameras, [UNIT] * 2, [[0, 0, 0], [-1e-4, 0, 0]], "m")
+    assert np.isnan(near.triangulate(near.project([0, 0, 3]))[0]).all()
+
+
+def test_no_points_and_many_points():
+    rig = two_views()
+    points, error = rig.triangulate(np.empty((2, 0, 2)))
+    assert (points.shape, error.shape) == ((0, 3), (0,))
+    many = np.random.default_rng(0).uniform([-1, -1, 2], [1, 1, 4], size=(20_000, 3))
+    np.testing.assert_allclose(rig.triangulate(rig.project(many))[0], many, atol=1e-9)
+
+
+# --- xarray
+
+
+def test_a_data_set_is_what_the_file_of_movement_holds(tmp_path):
+    """The same dimensions, coordinates, values and attributes, with and without a rate."""
+    pytest.importorskip("xarray")
+    write = find_format(POSE_FORMATS, "movement-3d").writer()
+    for rate, names in ((25.0, ("ann",)), (None, ())):
+        dataset = poses().to_xarray(fps=rate, individuals=names)
+        path = tmp_path / "poses.nc"
+        path.write_bytes(write(PoseFile(poses(), rate or np.nan, names), "").content)
+        with h5netcdf.File(path) as file:
+            assert {*dataset.variables} == {*file.variables}
+            for name, variable in dataset.variables.items():
+                assert variable.dims == file[name].dimensions
+                held = file[name][()]
+                held = held.astype(str) if held.dtype.kind == "O" else held
+                np.testing.assert_array_equal(variable.values, held)
+            assert dict(dataset.attrs) == dict(file.attrs)
+    assert dataset.position.dims == ("time", "space", "keypoint", "individual")
+    assert dataset.position.sel(space="y", keypoint="tail", time=5).item() == 4.0
+
+
+def test_xarray_is_asked_for_in_a_line(monkeypatch):
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(mc.MismatchError, match=r"pip install mocap-calib\[xarray\]"):
+        poses().to_xarray()
