@@ -24,7 +24,7 @@ from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.io.cameras.own import format_intrinsics_toml
 from mocap_calib.io.cameras.read import read_cameras, read_rig
 from mocap_calib.io.keypoints.read import read_keypoints
-from mocap_calib.multi_view.evaluation import evaluate_rig
+from mocap_calib.multi_view.evaluation import evaluate
 from mocap_calib.recording.assumed import assume_cameras
 from mocap_calib.types import Camera
 
@@ -114,7 +114,7 @@ def starts(recording: Path) -> list[Figure]:
             cameras = [with_focal(each, factor * each.size[0]) for each in assume_cameras(views)]
             out = run_with(recording, Path(work) / str(factor), cameras, "focal+k1")
             rigs.append(read_rig(out / "cameras.yaml"))
-    apart = [evaluate_rig(rig, rigs[0]).rotation_error.max() for rig in rigs[1:]]
+    apart = [evaluate(rig, rigs[0]).rotation_error.max() for rig in rigs[1:]]
     return [Figure("apart", float(np.rad2deg(max(apart))), SAME_START_DEG)]
 
 
@@ -161,7 +161,7 @@ def run(recording: Path, work: Path, *arguments: str) -> Path:
 
 def median_rotation_error(out: Path, reference: Path) -> float:
     """Return the median rotation error of the pairs of cameras, in degrees."""
-    found = evaluate_rig(read_rig(out / "cameras.yaml"), read_rig(reference))
+    found = evaluate(read_rig(out / "cameras.yaml"), read_rig(reference))
     return float(np.rad2deg(np.median(found.rotation_error)))
 
 
