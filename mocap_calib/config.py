@@ -1,7 +1,7 @@
 """Every default, once. Imports nothing heavy, so that the command line can show them."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 LIFT_CONFIDENCE = 0.4  # of a view's best confidence: joints below it are hidden from the network
 LIFT_BEST_PERCENTILE = 90.0  # of a view's confidences: the view's best
@@ -315,6 +315,50 @@ LM_LEAST_DAMPING = 1e-10
 LM_MOST_DAMPING = 1e8  # beyond it no step lowers the cost
 
 
+# what of the intrinsics may be estimated
+Refinement = Literal["none", "focal", "focal+k1"]
+REFINEMENTS: tuple[Refinement, ...] = get_args(Refinement)
+
+
+@dataclass(frozen=True)
+class IntrinsicsConfig:
+    """Which intrinsics are estimated from the recording, and what is known of them beforehand.
+
+    refine: one of `REFINEMENTS`.
+    focal_uncertainty: standard deviation of the logarithm of the given focal lengths: 0.05 where
+        they are good to 5 %. Video cameras have 0.5 to 2 image widths, half or twice what is
+        assumed where nothing is given.
+    focal_per_camera: cameras of equal image size have focal lengths of their own; else all that is
+        said of one holds for the others.
+    least_gain: share of the uncertainty that an estimate may leave: where more is left, the
+        recording does not determine the focal lengths, and they stay as given.
+    k1_uncertainty: standard deviation of the first coefficient of the lens.
+    k1_significance: standard deviations that k1 must be away from what was given, to be changed.
+    overconfidence: by how much the variance is larger than that of independent errors, until it
+        has been measured. Real recordings have 2 to 100.
+    most_overconfidence: at most, where what was seen tells hardly anything.
+    rounds: of adjusting and matching, until no focal length changes by more than the share
+        `settled`.
+    time_blocks: stretches of the recording within which errors go together.
+    """
+
+    refine: Refinement = "none"
+    focal_uncertainty: float = 0.5
+    focal_per_camera: bool = False
+    least_gain: float = 0.5
+    k1_uncertainty: float = 0.2
+    k1_significance: float = 3.0
+    overconfidence: float = 25.0
+    most_overconfidence: float = 1e4
+    rounds: int = 6
+    settled: float = 1e-3
+    time_blocks: int = 20
+
+
+DEFAULT_FOCAL = 1.2  # focal length of a camera of which nothing is known, in longer image sides
+SAME_IMAGE_SIZE = 0.01  # videos of one kind of camera may lack some rows
+
+
 @dataclass(frozen=True)
 class TriangulateConfig:
     """3D poses. Errors in standard deviations of each view's own error."""
@@ -356,6 +400,7 @@ class Config:
     averaging: AveragingConfig = AveragingConfig()
     matching: MatchingConfig = MatchingConfig()
     adjust: AdjustConfig = AdjustConfig()
+    intrinsics: IntrinsicsConfig = IntrinsicsConfig()
     triangulate: TriangulateConfig = TriangulateConfig()
     uncertainty: UncertaintyConfig = UncertaintyConfig()
 

@@ -2,27 +2,31 @@
 
 sample -> lift -> pairs -> loops, and for each group of cameras that see the same bodies:
 average -> match -> adjust -> label all frames -> uncertainty -> triangulate.
+
+Where intrinsics are to be estimated, they are from a first rig of each group: average -> match ->
+intrinsics. Then everything is done with them from the beginning, as if they had been given.
 """
 
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
+from mocap_calib.compute.clock import Clock
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config
-from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
+from mocap_calib.errors import DegenerateError
 from mocap_calib.multi_view.association import associate, label_all_frames
 from mocap_calib.multi_view.averaging import average
+from mocap_calib.multi_view.intrinsics import estimate_intrinsics, not_estimated
+from mocap_calib.multi_view.observed import Observed, leave_out_underconstrained
 from mocap_calib.multi_view.refinement import adjust_from_best_start
 from mocap_calib.multi_view.tracking import finalise_identities
 from mocap_calib.multi_view.triangulation import check_same_cameras, triangulate
 from mocap_calib.multi_view.uncertainty import assess_uncertainty, judge_rig
-from mocap_calib.multi_view.view_graph import camera_groups, pairs_among, select_hypotheses
+from mocap_calib.multi_view.view_graph import camera_groups, select_hypotheses
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
+from mocap_calib.recording.synchronise import change_cameras
 from mocap_calib.steerpose.checkpoint import AUTO, choose_model
 from mocap_calib.steerpose.device import check_device
 from mocap_calib.steerpose.lift import lift
@@ -31,68 +35,16 @@ from mocap_calib.two_view.solve import PairSolver, calibrate_pairs, in_recording
 from mocap_calib.types import (
     CalibrationResult,
     CameraRig,
+    EstimatedCamera,
     GroupResult,
-    Ints,
-    LiftedPoses,
     Mapper,
     Matches,
     PairwiseCalibration,
     Progress,
     Recording,
-    Sample,
     UnusedPair,
     silent,
 )
-
-
-class Clock:
-    """Wall time by stage: `with clock("lift"): ...` adds an entry to `seconds`."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-
-    @contextmanager
-    def __call__(self, stage: str) -> Iterator[None]:
-        """Take the time of what is done inside the context."""
-        start = time.perf_counter()
-        yield
-        self.seconds[stage] = time.perf_counter() - start
-
-    def continued(self) -> "Clock":
-        """Return a clock that goes on from the entries of this one."""
-        clock = Clock()
-        clock.seconds = dict(self.seconds)
-        return clock
-
-
-@dataclass(frozen=True)
-class Observed:
-    """What is known of some cameras before a rig is built.
-
-    sample_frames: `[frame]` indices into the recording of the frames of the sample.
-    lifted: the detections of the sample, lifted. pairs: between these cameras.
-    """
-
-    recording: Recording
-    sample_frames: Ints
-    sample: Sample
-    lifted: LiftedPoses
-    pairs: tuple[PairwiseCalibration, ...]
-
-    def select(self, views: Ints) -> "Observed":
-        """Return what is known of these views (`[view]` indices) alone."""
-        return Observed(
-            recording=self.recording.select(views=views),
-            sample_frames=self.sample_frames,
-            sample=self.sample.select(views=views),
-            lifted=self.lifted.select(views),
-            pairs=pairs_among(self.pairs, views),
-        )
-
-    def without(self, camera: str) -> "Observed":
-        """Return what is known of all cameras but this one."""
-        names = self.recording.names
-        return self.select(np.array([v for v, name in enumerate(names) if name != camera]))
 
 
 def calibrate(
@@ -127,32 +79,97 @@ def calibrate(
     progress = progress or silent
     clock = Clock()
     with single_threaded_libraries():
-        with clock("sample"):
-            sample_frames = choose_sample_frames(recording, config.sample)
-            sample = take_sample(recording, sample_frames)
-        with clock("lift"):
-            lifted = lift(sample, lifter, device=device, progress=progress)
-        with clock("pairwise"):
-            pairs = calibrate_pairs(
-                sample,
-                lifted,
-                config.pairwise,
-                rng=np.random.default_rng(seed),
-                progress=progress,
-                mapper=mapper,
-                solve=pair_solver,
-            )
-        with clock("loops"):
-            pairs = select_hypotheses(pairs, config.averaging)
-        observed = Observed(
-            recording=recording,
-            sample_frames=sample_frames,
-            sample=sample,
-            lifted=lifted,
-            pairs=pairs,
+        observe = partial(
+            _observe,
+            lifter=lifter,
+            config=config,
+            clock=clock,
+            seed=seed,
+            device=device,
+            progress=progress,
+            mapper=mapper,
+            pair_solver=pair_solver,
         )
+        observed = observe(recording)
+        if config.intrinsics.refine != "none":
+            with clock("intrinsics"):
+                cameras = _estimate_cameras(observed, config, progress=progress)
+            recording = change_cameras(recording, cameras)
+            observed = observe(recording)
         groups = _calibrate_groups(observed, config, clock, seed=seed, progress=progress)
-    return _join_groups(recording, pairs, groups, config=config, seed=seed)
+    return _join_groups(recording, observed.pairs, groups, config=config, seed=seed)
+
+
+def _observe(
+    recording: Recording,
+    *,
+    lifter: Lifter,
+    config: Config,
+    clock: Clock,
+    seed: int,
+    device: str,
+    progress: Progress,
+    mapper: Mapper | None,
+    pair_solver: PairSolver | None,
+) -> Observed:
+    """Return what is known before a rig is built: sample -> lift -> pairs -> loops."""
+    with clock("sample"):
+        sample_frames = choose_sample_frames(recording, config.sample)
+        sample = take_sample(recording, sample_frames)
+    with clock("lift"):
+        lifted = lift(sample, lifter, device=device, progress=progress)
+    with clock("pairwise"):
+        pairs = calibrate_pairs(
+            sample,
+            lifted,
+            config.pairwise,
+            rng=np.random.default_rng(seed),
+            progress=progress,
+            mapper=mapper,
+            solve=pair_solver,
+        )
+    with clock("loops"):
+        pairs = select_hypotheses(pairs, config.averaging)
+    return Observed(
+        recording=recording,
+        sample_frames=sample_frames,
+        sample=sample,
+        lifted=lifted,
+        pairs=pairs,
+    )
+
+
+def _estimate_cameras(
+    observed: Observed, config: Config, *, progress: Progress
+) -> tuple[EstimatedCamera, ...]:
+    """Return all cameras with the intrinsics estimated from the rig of their group.
+
+    Cameras of which nothing can be estimated stay as they were given.
+    """
+    cameras = observed.recording.cameras
+    estimated: dict[str, EstimatedCamera] = {}
+    for views in camera_groups(cameras, observed.pairs, config.averaging):
+        estimate = partial(_estimate_group, config=config, progress=progress)
+        try:
+            found = leave_out_underconstrained(observed.select(views), estimate)
+        except DegenerateError:
+            continue
+        estimated |= {camera.name: camera for camera in found}
+    return tuple(
+        estimated.get(camera.name) or not_estimated(camera, config.intrinsics) for camera in cameras
+    )
+
+
+def _estimate_group(
+    observed: Observed, *, config: Config, progress: Progress
+) -> tuple[EstimatedCamera, ...]:
+    """Return the cameras of one group with intrinsics from a rig of theirs."""
+    sample, lifted = observed.sample, observed.lifted
+    averaged = average(observed.recording.cameras, observed.pairs, config.averaging)
+    matches = associate(sample, lifted, averaged.rig, config, progress=progress)
+    return estimate_intrinsics(
+        sample, averaged.rig, matches, config, lifted=lifted, progress=progress
+    )
 
 
 def match(
@@ -201,9 +218,11 @@ def _calibrate_groups(
     groups: list[GroupResult] = []
     refusals: list[DegenerateError] = []
     for views in camera_groups(observed.recording.cameras, observed.pairs, config.averaging):
-        group = observed.select(views)
+        calibrate_group = partial(
+            _calibrate_cameras, config=config, clock=clock, seed=seed, progress=progress
+        )
         try:
-            groups.append(_calibrate_group(group, config, clock, seed=seed, progress=progress))
+            groups.append(leave_out_underconstrained(observed.select(views), calibrate_group))
         except DegenerateError as error:
             refusals.append(error)
     if not groups:
@@ -211,28 +230,14 @@ def _calibrate_groups(
     return groups
 
 
-def _calibrate_group(
-    observed: Observed, config: Config, clock: Clock, *, seed: int, progress: Progress
-) -> GroupResult:
-    """Calibrate the cameras of one group that are constrained.
-
-    A camera that sees too little that agrees with others must not cost the others their rig: it
-    is left out, and the rest starts again.
-    """
-    while True:
-        own = clock.continued()
-        try:
-            return _calibrate_cameras(observed, config, own, seed=seed, progress=progress)
-        except UnderconstrainedCameraError as error:
-            if len(observed.recording.cameras) == 2:
-                raise
-            observed = observed.without(error.camera)
-
-
 def _calibrate_cameras(
-    observed: Observed, config: Config, clock: Clock, *, seed: int, progress: Progress
+    observed: Observed, *, config: Config, clock: Clock, seed: int, progress: Progress
 ) -> GroupResult:
-    """Calibrate cameras that see the same bodies: average -> ... -> triangulate."""
+    """Calibrate cameras that see the same bodies: average -> ... -> triangulate.
+
+    clock: what was spent before; it is not changed.
+    """
+    clock = clock.continued()
     recording, sample, lifted = observed.recording, observed.sample, observed.lifted
     with clock("average"):
         averaged = average(recording.cameras, observed.pairs, config.averaging)

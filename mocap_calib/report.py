@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from mocap_calib import __version__
-from mocap_calib.config import REPORT_FRAMES, Config
+from mocap_calib.config import REPORT_FRAMES, Config, IntrinsicsConfig
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.io.provenance import judgement
 from mocap_calib.multi_view.evaluation import median_and_max
@@ -15,7 +15,14 @@ from mocap_calib.multi_view.triangulation import gather_observations, project
 from mocap_calib.multi_view.uncertainty import judge_rig
 from mocap_calib.multi_view.view_graph import alternative_taken
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.types import CalibrationResult, Floats, GroupResult, PairwiseCalibration
+from mocap_calib.types import (
+    CalibrationResult,
+    Camera,
+    EstimatedCamera,
+    Floats,
+    GroupResult,
+    PairwiseCalibration,
+)
 
 SCHEMA = 2  # goes up when a key of run.json goes or changes its meaning
 
@@ -127,10 +134,28 @@ def _describe_camera(
         "unmatched": int((detected & ~matched).sum()),
         "faults": _name_faults(group, view),
         "weak_perspective": bool(group.uncertainty.weak_perspective[view]),
+        "intrinsics": _describe_intrinsics(group.rig.cameras[view], config.intrinsics),
         "reprojection_error_px": _median_and_p95(error),
         "pair_score": score,
         "weak": score < config.averaging.weak_score,
     }
+
+
+def _describe_intrinsics(camera: Camera, config: IntrinsicsConfig) -> dict[str, Any]:
+    """Return where the intrinsics of a camera come from, and how sure they are."""
+    found = {
+        "source": "given",
+        "focal_px": camera.focal,
+        "focal_sigma_px": None,
+        "k1": float(camera.distortion[0]) if len(camera.distortion) else 0.0,
+        "k1_sigma": None,
+    }
+    if isinstance(camera, EstimatedCamera):
+        least = config.least_gain * config.focal_uncertainty * camera.focal
+        found["source"] = "not determined" if camera.focal_sigma >= least else "estimated"
+        found["focal_sigma_px"] = camera.focal_sigma
+        found["k1_sigma"] = camera.k1_sigma or None
+    return found
 
 
 def _name_faults(group: GroupResult, view: int) -> list[str]:
@@ -210,6 +235,7 @@ def _describe_verdict(group: GroupResult, config: Config) -> dict[str, Any]:
     return {
         "rig": judge_rig(uncertainty, config.uncertainty),
         "split_half_angle_deg": median_and_max(np.degrees(uncertainty.split_half_angle)),
+        "intrinsics_angle_deg": median_and_max(np.degrees(uncertainty.intrinsics_angle)),
         "reversal": "not observable" if reversal else "none found",
         "translation": "not observable" if uncertainty.weak_perspective.any() else "observed",
     }

@@ -233,6 +233,21 @@ class Camera(Record):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
+class EstimatedCamera(Camera):
+    """A camera whose intrinsics follow from the recording itself.
+
+    Its principal point is the given one, or the middle of the image.
+
+    focal_sigma: standard deviation of its focal length, in pixels.
+    k1_sigma: standard deviation of the first coefficient of the lens, 0 where that was not
+        estimated.
+    """
+
+    focal_sigma: float = field(kw_only=True)
+    k1_sigma: float = field(kw_only=True)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class PosedCamera(Camera):
     """One camera of a rig: its intrinsics and where it stands, as OpenCV takes them.
 
@@ -756,11 +771,14 @@ class Uncertainty(Record):
     outlier_cameras: `[view]` cameras whose errors are several times those of the others.
     weak_perspective: `[view]` cameras in whose images perspective drowns in noise: their distance
         follows from their focal length alone.
+    intrinsics_angle: `[pair]` radians by which the relative rotations change where the estimated
+        focal lengths change by a standard deviation; 0 where they were given.
     """
 
     split_half_angle: Floats
     outlier_cameras: Bools
     weak_perspective: Bools
+    intrinsics_angle: Floats
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -99,6 +99,7 @@ def describe_group(group: GroupResult, report: dict[str, Any], folder: Path) -> 
     return [
         "",
         *_describe_errors(report),
+        *_describe_intrinsics(report),
         "",
         *_describe_individuals(report),
         "",
@@ -124,6 +125,30 @@ def _describe_errors(report: dict[str, Any]) -> list[str]:
         rows.append([camera["name"], *counts, *map(format_number, figures)])
     header = ["camera", "detections", "matched", "median px", "95 % px", "pair score"]
     return format_table(header, rows)
+
+
+def _describe_intrinsics(report: dict[str, Any]) -> list[str]:
+    """Return a table of the intrinsics that were to be estimated, and which are not determined."""
+    rows = []
+    for camera in report["cameras"]:
+        found = camera["intrinsics"]
+        if found["source"] == "given":
+            continue
+        figures = [found["focal_px"], found["focal_sigma_px"]]
+        lens = [found["k1"], found["k1_sigma"]]
+        texts = [format_number(value, 0) for value in figures]
+        texts += ["-" if value is None else format_number(value, 3) for value in lens]
+        rows.append([camera["name"], found["source"], *texts])
+    if not rows:
+        return []
+    header = ["camera", "intrinsics", "focal px", "+-", "k1", "+-"]
+    lines = format_table(header, rows)
+    if any(camera["intrinsics"]["source"] == "not determined" for camera in report["cameras"]):
+        lines.append(
+            "focal lengths that are not determined are as given or assumed: give --cameras, or "
+            "record with three cameras or more from different heights and sides"
+        )
+    return lines
 
 
 def _describe_individuals(report: dict[str, Any]) -> list[str]:
@@ -202,7 +227,19 @@ def _describe_rig(report: dict[str, Any]) -> list[str]:
     angle = verdict["split_half_angle_deg"]
     return [
         f"rig: {verdict['rig']}; rigs from halves of the joints differ by {angle['median']:.1f} "
-        f"deg (split-half angle; {angle['max']:.1f} at most)"
+        f"deg (split-half angle; {angle['max']:.1f} at most)",
+        *_describe_intrinsics_angle(verdict),
+    ]
+
+
+def _describe_intrinsics_angle(verdict: dict[str, Any]) -> list[str]:
+    """Say by how much the rig is uncertain because its focal lengths are."""
+    angle = verdict["intrinsics_angle_deg"]
+    if not angle["max"]:
+        return []
+    return [
+        f"estimated focal lengths leave the rotations uncertain by {angle['median']:.1f} deg "
+        f"({angle['max']:.1f} at most)"
     ]
 
 

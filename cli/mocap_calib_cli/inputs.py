@@ -8,10 +8,11 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import click
 
-from mocap_calib.config import SampleConfig
+from mocap_calib.config import Config, IntrinsicsConfig, Refinement, SampleConfig
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.cameras.read import load_cameras, make_rig, parse_content
 from mocap_calib.io.cameras.source import CameraFile
@@ -58,17 +59,46 @@ def calibration_request(options: SharedOptions, output: Path) -> CalibrationRequ
         check_formats(options.write, options.fps)
     except MismatchError as error:
         raise click.UsageError(str(error)) from None
-    stdin = options.cameras == STDIO
+    intrinsics = intrinsics_config(options)
     return CalibrationRequest(
         keypoints=keypoint_source(options),
-        cameras=read_stdin("--cameras").encode() if stdin else Path(options.cameras),
+        cameras=_intrinsics_source(options.cameras),
         output=output,
         pair_solver=options.solver,
         seed=options.seed,
         device=options.device,
+        config=Config(intrinsics=intrinsics),
         formats=options.write,
         fps=options.fps,
     )
+
+
+def intrinsics_config(options: SharedOptions) -> IntrinsicsConfig:
+    """Return which intrinsics are estimated. Raises click's UsageError."""
+    refine = options.refine or ("none" if options.cameras else "focal+k1")
+    if refine == "none" and not options.cameras:
+        raise click.UsageError(
+            "--refine none: expected intrinsics that stay as they are, found none; "
+            "give --cameras, or leave it out"
+        )
+    if refine == "none" and (options.focal_uncertainty or options.focal_per_camera):
+        option = "--focal-uncertainty" if options.focal_uncertainty else "--focal-per-camera"
+        raise click.UsageError(
+            f"{option}: expected focal lengths that are estimated, found none; say --refine focal"
+        )
+    default = IntrinsicsConfig()
+    return IntrinsicsConfig(
+        refine=cast(Refinement, refine),
+        focal_uncertainty=options.focal_uncertainty or default.focal_uncertainty,
+        focal_per_camera=options.focal_per_camera,
+    )
+
+
+def _intrinsics_source(cameras: str) -> Path | bytes | None:
+    """Return the file of the intrinsics, or its content on stdin; None where there is none."""
+    if cameras == STDIO:
+        return read_stdin("--cameras").encode()
+    return Path(cameras) if cameras else None
 
 
 def read_recording(
@@ -184,9 +214,11 @@ _FORMS = {
 
 def read_options(options: SharedOptions) -> ReadOptions:
     """Return how keypoint files are read. Raises MismatchError and click's BadParameter."""
+    size_of_all, sizes = parse_image_sizes(options.image_size)
     return ReadOptions(
         layout=parse_layout(options.layout) if options.layout else (),
-        image_size=parse_image_size(options.image_size),
+        image_size=size_of_all,
+        image_sizes=sizes,
         camera_pattern=_check_pattern(options.camera_regex or ""),
         frame_offset=_parse_frame_offsets(options.frame_offset),
         crop_offset=_parse_crop_offsets(options.crop_offset),
@@ -194,10 +226,22 @@ def read_options(options: SharedOptions) -> ReadOptions:
     )
 
 
-def parse_image_size(text: str | None) -> tuple[int, int]:
-    """Return (width, height) of `WxH`, (0, 0) of nothing. Raises click's BadParameter."""
-    if text is None:
-        return 0, 0
+def parse_image_sizes(
+    texts: Sequence[str],
+) -> tuple[tuple[int, int], dict[str, tuple[int, int]]]:
+    """Return (width, height) of all cameras, of `WxH`, and of single ones, of `CAM:WxH`.
+
+    (0, 0) where the former is not said; the last one counts. Raises click's BadParameter.
+    """
+    sizes = {}
+    for text in texts:
+        camera, _, size = text.rpartition(":")
+        sizes[camera] = _parse_image_size(size)
+    return sizes.pop("", (0, 0)), sizes
+
+
+def _parse_image_size(text: str) -> tuple[int, int]:
+    """Return (width, height) of `WxH`. Raises click's BadParameter."""
     width, height = _parse_whole_numbers(text.lower().replace("x", ","), 2, "--image-size")
     if min(width, height) <= 0:
         raise _wrong_form(text, "--image-size")

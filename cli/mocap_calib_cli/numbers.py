@@ -38,6 +38,25 @@ class WholeNumber(click.IntRange):
             self.fail(f"expected a whole number{bounds}, found {value}", param, ctx)
 
 
+class Percentage(click.FloatRange):
+    """A share above 0 and up to 1, as `5%` or `0.05`."""
+
+    name = "percentage"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
+        """Return the share. Raises click's BadParameter."""
+        text = str(value).strip()
+        try:
+            share = float(text.removesuffix("%")) / (100 if text.endswith("%") else 1)
+        except ValueError:
+            share = math.nan
+        if not 0 < share <= 1:
+            self.fail(f"expected a share of up to 100%, as 5% or 0.05, found {value}", param, ctx)
+        return share
+
+
 def _describe_bounds(kind: click.IntRange | click.FloatRange) -> str:
     """Return what the bounds of a number are, in words."""
     if kind.max is not None:
@@ -49,4 +68,5 @@ COUNT = WholeNumber(min=1)
 SEED = WholeNumber(min=0)
 SHARE = Number(min=0, max=1)
 NOT_NEGATIVE = Number(min=0)
+PERCENTAGE = Percentage(min=0, max=1)
 POSITIVE = Number(min=0, min_open=True)

@@ -12,9 +12,9 @@ from typing import Any, TypeVar
 
 import click
 
-from mocap_calib.config import PAIR_SOLVERS
+from mocap_calib.config import PAIR_SOLVERS, REFINEMENTS
 from mocap_calib_cli import values
-from mocap_calib_cli.numbers import POSITIVE, SEED
+from mocap_calib_cli.numbers import PERCENTAGE, POSITIVE, SEED
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -33,7 +33,18 @@ READING = (
 KEYPOINTS = ("keypoints", *READING)
 MODEL = ("skeleton", "model", "device")
 # how a recording is calibrated, and what is written of it
-CALIBRATION = ("cameras", *MODEL, "solver", "seed", "scheduler", *READING, "write", "fps", "quiet")
+INTRINSICS = ("cameras", "refine", "focal_uncertainty", "focal_per_camera")
+CALIBRATION = (
+    *INTRINSICS,
+    *MODEL,
+    "solver",
+    "seed",
+    "scheduler",
+    *READING,
+    "write",
+    "fps",
+    "quiet",
+)
 
 
 @dataclass(frozen=True)
@@ -41,6 +52,7 @@ class SharedOptions:
     """What was typed, as text; options that the command does not have are as if left out.
 
     keypoints ... views: the keypoint files and how to read them, see `inputs.read_options`.
+    cameras ... focal_per_camera: what is known of the intrinsics, see `inputs.intrinsics_config`.
     skeleton: file with names of joints of one's own. model: None = chosen by joint names.
     solver: of pairs. scheduler: address of a Dask scheduler, None = the work is done here.
     write: further formats of the results. fps: frames per second, for formats that need it.
@@ -49,12 +61,15 @@ class SharedOptions:
     keypoints: tuple[str, ...] = ()
     format: str | None = None
     layout: str | None = None
-    image_size: str | None = None
+    image_size: tuple[str, ...] = ()
     camera_regex: str | None = None
     frame_offset: tuple[str, ...] = ()
     crop_offset: tuple[str, ...] = ()
     views: str | None = None
     cameras: str = ""
+    refine: str | None = None
+    focal_uncertainty: float | None = None
+    focal_per_camera: bool = False
     rig: str = ""
     matches: str = ""
     skeleton: Path | None = None
@@ -88,9 +103,10 @@ _OPTIONS = {
     ),
     "image_size": click.option(
         "--image-size",
-        metavar="WxH",
-        help="Size of the images in pixels, where the files do not say it; positions from 0 to 1 "
-        "are multiplied by it.",
+        metavar="WxH|CAM:WxH",
+        multiple=True,
+        help="Size of the images in pixels, where the files do not say it, of all cameras or of "
+        "one; positions from 0 to 1 are multiplied by it.",
     ),
     "camera_regex": click.option(
         "--camera-regex",
@@ -122,6 +138,26 @@ _OPTIONS = {
         metavar="INTRINSICS",
         help="File or folder with the cameras' intrinsics, in any format of docs/formats.md; "
         "- reads stdin.",
+    ),
+    "refine": click.option(
+        "--refine",
+        type=click.Choice(REFINEMENTS),
+        metavar="WHAT",
+        help="What of the intrinsics is estimated with the rig: none, focal (length), or focal+k1 "
+        "(and the first coefficient of the lens). [default: none, without --cameras focal+k1]",
+    ),
+    "focal_uncertainty": click.option(
+        "--focal-uncertainty",
+        type=PERCENTAGE,
+        metavar="SHARE",
+        help="How good the focal lengths in INTRINSICS are, as 5%; they are estimated within it. "
+        "[default: 50%]",
+    ),
+    "focal_per_camera": click.option(
+        "--focal-per-camera",
+        is_flag=True,
+        help="Estimate the intrinsics of each camera by itself. [default: cameras of equal image "
+        "size change alike]",
     ),
     "rig": click.option(
         "--rig",

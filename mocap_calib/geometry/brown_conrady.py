@@ -47,6 +47,18 @@ def distort(k: Coefficients, image: Floats) -> Floats:
     return distorted
 
 
+def jacobian(k: Coefficients, image: Floats) -> Floats:
+    """Return the derivatives `[2, 2, N]` of `distort` by the points of the plane z = 1."""
+    xx, xy, yy = _slopes(k, image)
+    return np.stack([np.stack([xx, xy]), np.stack([xy, yy])])
+
+
+def slope_by_k1(k: Coefficients, image: Floats) -> Floats:
+    """Return the derivatives `[2, N]` of `distort` by k1."""
+    square = (image**2).sum(0)
+    return image * square / _polynomial(square, k.k4, k.k5, k.k6)
+
+
 def undistort(k: Coefficients, distorted: Floats, *, miss: float) -> Floats:
     """Return the points of the plane z = 1 that the lens puts at `distorted`, `[2, N]` both.
 
@@ -81,6 +93,17 @@ def _undistort_carefully(k: Coefficients, distorted: Floats, *, miss: float) -> 
 
 def _newton_step(k: Coefficients, image: Floats, distorted: Floats) -> Floats:
     """Return Newton's step `[2, N]` from `image` towards the points that the lens distorts so."""
+    xx, xy, yy = _slopes(k, image)
+    determinant = xx * yy - xy * xy
+    determinant = np.where(np.abs(determinant) > 1e-9, determinant, 1e-9)
+    error = distorted - distort(k, image)
+    step_x = yy * error[0] - xy * error[1]
+    step_y = xx * error[1] - xy * error[0]
+    return np.stack([step_x, step_y]) / determinant
+
+
+def _slopes(k: Coefficients, image: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the entries xx, xy and yy `[N]` of the Jacobian of `distort`, which is symmetric."""
     x, y = image
     square = x * x + y * y
     above = _polynomial(square, k.k1, k.k2, k.k3)
@@ -89,16 +112,10 @@ def _newton_step(k: Coefficients, image: Floats, distorted: Floats) -> Floats:
     above_slope = k.k1 + square * (2 * k.k2 + 3 * square * k.k3)
     below_slope = k.k4 + square * (2 * k.k5 + 3 * square * k.k6)
     slope = (above_slope - radial * below_slope) / below  # d radial / d r^2
-    # the Jacobian of `distort`, which is symmetric
     xx = radial + 2 * x * x * slope + 2 * k.p1 * y + 6 * k.p2 * x
     yy = radial + 2 * y * y * slope + 2 * k.p2 * x + 6 * k.p1 * y
     xy = 2 * x * y * slope + 2 * k.p1 * x + 2 * k.p2 * y
-    determinant = xx * yy - xy * xy
-    determinant = np.where(np.abs(determinant) > 1e-9, determinant, 1e-9)
-    error = distorted - distort(k, image)
-    step_x = yy * error[0] - xy * error[1]
-    step_y = xx * error[1] - xy * error[0]
-    return np.stack([step_x, step_y]) / determinant
+    return xx, xy, yy
 
 
 @lru_cache

@@ -6,6 +6,7 @@ from mocap_calib.types import Camera, Floats
 
 _NEWTON_STEPS = 20
 _SETTLED = 1e-15  # of a step, in radians
+_LEAST_RADIUS = 1e-5  # nearer to the axis than this, derivatives are those at this distance
 
 
 def coefficients(camera: Camera) -> Floats:
@@ -18,6 +19,22 @@ def distort(k: Floats, image: Floats) -> Floats:
     radius = np.hypot(image[0], image[1])
     distorted, _ = _distorted_radius(k, np.arctan(radius))
     return image * np.where(radius > 1e-12, distorted / np.maximum(radius, 1e-12), 1.0)
+
+
+def jacobian(k: Floats, image: Floats) -> Floats:
+    """Return the derivatives `[2, 2, N]` of `distort` by the points of the plane z = 1."""
+    radius = np.maximum(np.hypot(image[0], image[1]), _LEAST_RADIUS)
+    distorted, slope = _distorted_radius(k, np.arctan(radius))
+    radial = distorted / radius
+    by_radius = (slope / (1 + radius**2) - radial) / radius**2  # d radial / d r, over r
+    outer = image[:, None] * image[None]
+    return np.eye(2)[..., None] * radial + outer * by_radius
+
+
+def slope_by_k1(image: Floats) -> Floats:
+    """Return the derivatives `[2, N]` of `distort` by k1."""
+    radius = np.maximum(np.hypot(image[0], image[1]), _LEAST_RADIUS)
+    return image * (np.arctan(radius) ** 3 / radius)
 
 
 def rays(k: Floats, distorted: Floats, *, miss: float) -> Floats:

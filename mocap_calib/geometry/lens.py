@@ -5,11 +5,26 @@ failures (its fixed-point iteration diverges at strong lenses; its fisheye inver
 tan(theta), which breaks near 90 degrees).
 """
 
+from dataclasses import replace
+from typing import NamedTuple
+
 import numpy as np
 
 from mocap_calib.config import LENS_MISS_PX
 from mocap_calib.geometry import brown_conrady, kannala_brandt
 from mocap_calib.types import Camera, Floats
+
+
+class Slopes(NamedTuple):
+    """How pixels move with what they are images of.
+
+    image: `[2, 2, N]` by the points of the plane z = 1.
+    log_focal: `[2, N]` by the logarithm of the focal lengths. k1: `[2, N]` by that coefficient.
+    """
+
+    image: Floats
+    log_focal: Floats
+    k1: Floats
 
 
 def project(camera: Camera, points: Floats) -> Floats:
@@ -40,6 +55,41 @@ def unproject(camera: Camera, pixels: Floats) -> Floats:
             image = brown_conrady.undistort(brown_conrady.coefficients(camera), image, miss=miss)
         length = 1 / np.sqrt(1 + image[0] ** 2 + image[1] ** 2)
         return np.concatenate([image * length, length[None]])
+
+
+def image_slopes(camera: Camera, image: Floats) -> Slopes:
+    """Return the derivatives of the pixels of points `[2, N]` of the plane z = 1."""
+    focal, _ = _focal_and_middle(camera)
+    if camera.fisheye:
+        fisheye = kannala_brandt.coefficients(camera)
+        distorted = kannala_brandt.distort(fisheye, image)
+        by_image = kannala_brandt.jacobian(fisheye, image)
+        by_k1 = kannala_brandt.slope_by_k1(image)
+    else:
+        brown = brown_conrady.coefficients(camera)
+        distorted = brown_conrady.distort(brown, image)
+        by_image = brown_conrady.jacobian(brown, image)
+        by_k1 = brown_conrady.slope_by_k1(brown, image)
+    return Slopes(
+        image=focal[:, None, None] * by_image,
+        log_focal=focal[:, None] * distorted,
+        k1=focal[:, None] * by_k1,
+    )
+
+
+def change_intrinsics(camera: Camera, *, log_focal: float, k1: float) -> Camera:
+    """Return the camera with other intrinsics.
+
+    log_focal is added to the logarithm of both focal lengths, and k1 to the first coefficient of
+    the lens.
+    """
+    matrix = camera.matrix.copy()
+    matrix[[0, 1], [0, 1]] *= np.exp(log_focal)
+    distortion = camera.distortion.copy()
+    if not len(distortion):
+        distortion = np.zeros(4 if camera.fisheye else 5)
+    distortion[0] += k1
+    return replace(camera, matrix=matrix, distortion=distortion)
 
 
 def _focal_and_middle(camera: Camera) -> tuple[Floats, Floats]:

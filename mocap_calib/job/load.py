@@ -8,6 +8,7 @@ from mocap_calib.io.cameras.source import CameraFile
 from mocap_calib.io.keypoints.items import find_superseded_files
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.job.request import KeypointSource
+from mocap_calib.recording.assumed import ASSUMED_NOTE, assume_cameras
 from mocap_calib.recording.joints import fit_vocabulary, load_aliases
 from mocap_calib.recording.pairing import views_named
 from mocap_calib.recording.summary import RecordingSummary, summarise_recording
@@ -25,10 +26,11 @@ class LoadedRecording:
 
 
 def load_recording(
-    source: KeypointSource, camera_file: CameraFile, *, only_known_cameras: bool = False
+    source: KeypointSource, camera_file: CameraFile | None, *, only_known_cameras: bool = False
 ) -> LoadedRecording:
     """Read keypoints and join them with their cameras.
 
+    camera_file: None where nothing is known of the cameras but the sizes of their images.
     only_known_cameras: leave out keypoints of cameras that the file does not have, as a rig does
         not have those that were left out of it; unless that leaves none.
 
@@ -36,16 +38,15 @@ def load_recording(
     """
     options = replace(source.options, single_precision=True)
     views = read_keypoints(source.paths, source.format, options)
-    cameras = camera_file.cameras
+    cameras = camera_file.cameras if camera_file else assume_cameras(views)
     if only_known_cameras:
         views = views_named(views, cameras) or views
     skeleton, aliases = _choose_vocabulary(source, views)
     joined = join_views(views, cameras, skeleton, aliases)
     recording = recording_of_views(joined)
     summary = summarise_recording(recording, joined, cameras)
-    summary = replace(
-        summary, camera_notes=camera_file.notes, ignored_files=find_ignored_files(source.paths)
-    )
+    notes = camera_file.notes if camera_file else (ASSUMED_NOTE,)
+    summary = replace(summary, camera_notes=notes, ignored_files=find_ignored_files(source.paths))
     return LoadedRecording(replace(recording, model=source.model or skeleton.name), summary)
 
 

@@ -37,7 +37,8 @@ class KeypointSource:
 class CalibrationRequest:
     """Which recording to calibrate, how, and where the results go.
 
-    cameras: a file or folder with the intrinsics, or the content of such a file.
+    cameras: a file or folder with the intrinsics, or the content of such a file; None: nothing is
+        known of them but the sizes of the images.
     output: the folder of the results.
     pair_solver: how a pair of views is calibrated, one of `config.PAIR_SOLVERS`.
     device: where the network computes, "cpu" or "cuda".
@@ -46,7 +47,7 @@ class CalibrationRequest:
     """
 
     keypoints: KeypointSource
-    cameras: Path | bytes
+    cameras: Path | bytes | None
     output: Path
     pair_solver: str = PAIR_SOLVERS[0]
     seed: int = 0

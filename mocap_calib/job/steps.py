@@ -249,8 +249,10 @@ def find_finished(request: CalibrationRequest) -> dict[str, Any] | None:
     return report
 
 
-def _load_camera_file(cameras: Path | bytes) -> CameraFile:
+def _load_camera_file(cameras: Path | bytes | None) -> CameraFile | None:
     """Return what a file or folder, or the content of a file, says of cameras."""
+    if cameras is None:
+        return None
     return load_cameras(cameras) if isinstance(cameras, Path) else parse_content(cameras, "stdin")
 
 

@@ -8,8 +8,9 @@ from mocap_calib.config import AdjustConfig, Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.multi_view.labels import per_frame_labels
-from mocap_calib.multi_view.ray_residuals import RayObservations, State
-from mocap_calib.multi_view.schur import minimise
+from mocap_calib.multi_view.ray_residuals import RayObservations
+from mocap_calib.multi_view.residuals import Observations, State
+from mocap_calib.multi_view.schur import Freedom, free_poses, minimise
 from mocap_calib.multi_view.triangulation import (
     gather_observations,
     labelled_frames,
@@ -27,19 +28,25 @@ class AdjustablePoints:
     """The points that are adjusted, and what is seen of them.
 
     points: `[3, N]` in world coordinates.
+    frame: `[N]` index of the frame and keypoint: `[N]` index of the keypoint that each is of.
     pixels: `[view, 2, N]`, NaN = missing.
     rays: `[view, 3, N]` unit vectors in each camera's frame, NaN = missing.
-    weight: `[view, N]`, what a detection counts for.
-    used: `[view, N]` the detections that agree on the point.
+    weight: `[view, N]`, what a detection counts for; 0 where it does not agree on the point.
     noise: `[view]` standard deviation of a coordinate, in radians.
     """
 
     points: Floats
+    frame: Ints
+    keypoint: Ints
     pixels: Floats
     rays: Floats
     weight: Floats
-    used: Bools
     noise: Floats
+
+    @property
+    def used(self) -> Bools:
+        """`[view, N]` the detections that agree on the point."""
+        return np.asarray(self.weight > 0)
 
 
 def adjust(
@@ -60,28 +67,11 @@ def adjust(
     too few to constrain it, and DegenerateError where there is no match at all.
     """
     points = choose_points(sample, rig, matches, config)
+    start = State(rig.rotation, rig.translation, points.points, np.zeros((len(rig.cameras), 0)))
     seen = _ray_observations(rig, points)
-    state = State(rig.rotation, rig.translation, points.points)
-    *wide_scales, last_scale = config.adjust.loss_scales
-    if not already_close:
-        rough = config.adjust.rough_tolerance
-        for loss_scale in wide_scales:
-            state = minimise(state, seen, loss_scale=loss_scale, tolerance=rough)
-    state = minimise(state, seen, loss_scale=last_scale, tolerance=config.adjust.tolerance)
-    adjusted = replace(rig, rotation=state.rotation, translation=state.translation)
-    return with_size_of(rig, adjusted)
-
-
-def with_size_of(reference: CameraRig, rig: CameraRig) -> CameraRig:
-    """Return the rig at the size of a reference, the first camera where the reference has it."""
-    first = reference.centres[0]
-    size = np.sqrt(((rig.centres - first) ** 2).sum())
-    reference_size = np.sqrt(((reference.centres - first) ** 2).sum())
-    centres = first + (rig.centres - first) * (reference_size / size)
-    return replace(rig, translation=-np.einsum("vij,vj->vi", rig.rotation, centres))
-
-
-# Which detections the rig is built on
+    freedom = free_poses(len(rig.cameras))
+    found = minimise_in_steps(start, seen, freedom, config.adjust, already_close=already_close)
+    return placed_as(rig, found)
 
 
 def choose_points(
@@ -103,6 +93,44 @@ def choose_points(
     return points
 
 
+def minimise_in_steps(
+    state: State,
+    seen: Observations,
+    freedom: Freedom,
+    config: AdjustConfig,
+    *,
+    already_close: bool = False,
+) -> State:
+    """Return the state of least robust cost, under a loss that is tightened in steps.
+
+    already_close: only the last step is needed.
+    """
+    *wide_scales, last_scale = config.loss_scales
+    if not already_close:
+        rough = config.rough_tolerance
+        for loss_scale in wide_scales:
+            state = minimise(state, seen, freedom, loss_scale=loss_scale, tolerance=rough)
+    return minimise(state, seen, freedom, loss_scale=last_scale, tolerance=config.tolerance)
+
+
+def placed_as(rig: CameraRig, state: State) -> CameraRig:
+    """Return the rig with its cameras where a state has them, at the size that it has."""
+    adjusted = replace(rig, rotation=state.rotation, translation=state.translation)
+    return with_size_of(rig, adjusted)
+
+
+def with_size_of(reference: CameraRig, rig: CameraRig) -> CameraRig:
+    """Return the rig at the size of a reference, the first camera where the reference has it."""
+    first = reference.centres[0]
+    size = np.sqrt(((rig.centres - first) ** 2).sum())
+    reference_size = np.sqrt(((reference.centres - first) ** 2).sum())
+    centres = first + (rig.centres - first) * (reference_size / size)
+    return replace(rig, translation=-np.einsum("vij,vj->vi", rig.rotation, centres))
+
+
+# Which detections the rig is built on
+
+
 def _agreed_points(
     sample: Sample, rig: CameraRig, matches: Matches, *, noise: Floats, config: Config
 ) -> AdjustablePoints:
@@ -113,13 +141,17 @@ def _agreed_points(
     outlier = config.adjust.outlier_tolerance * config.triangulate.outlier
     tolerant = replace(config.triangulate, outlier=outlier)
     points, used = triangulate_rays(rig, seen.rays, weight=weight, noise=noise, config=tolerant)
-    known = np.isfinite(points[0])
+    known = np.flatnonzero(np.isfinite(points[0]))
+    shape = (len(frames), matches.individuals, len(sample.keypoints))
+    frame, _, keypoint = np.unravel_index(known, shape)
+    confidence = weight[:, known] ** config.adjust.confidence_power
     return AdjustablePoints(
         points=points[:, known],
+        frame=frames[frame],
+        keypoint=keypoint,
         pixels=seen.pixels[..., known],
         rays=seen.rays[..., known],
-        weight=weight[:, known] ** config.adjust.confidence_power,
-        used=used[:, known],
+        weight=np.where(used[:, known], confidence, 0.0),
         noise=noise,
     )
 
@@ -174,7 +206,8 @@ def _ray_observations(rig: CameraRig, points: AdjustablePoints) -> RayObservatio
     in all views.
     """
     axis = np.array([0.0, 0.0, 1.0])[:, None]
-    rays = np.where(points.used[:, None], points.rays, axis)
+    used = points.used
+    rays = np.where(used[:, None], points.rays, axis)
     metrics = [
         _pixels_per_ray(camera, ray.T) / (sigma * camera.focal)
         for camera, ray, sigma in zip(rig.cameras, rays, points.noise, strict=True)
@@ -182,8 +215,8 @@ def _ray_observations(rig: CameraRig, points: AdjustablePoints) -> RayObservatio
     metric = np.ascontiguousarray(np.moveaxis(np.stack(metrics), 1, -1))
     return RayObservations(
         rays=rays,
-        metric=np.where(points.used[:, None, None], np.nan_to_num(metric), 0.0),
-        weight=np.where(points.used, points.weight, 0.0),
+        metric=np.where(used[:, None, None], np.nan_to_num(metric), 0.0),
+        weight=points.weight,
     )
 
 

@@ -18,25 +18,45 @@ from mocap_calib.config import (
     LM_STEPS,
 )
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.multi_view.ray_residuals import (
-    RayObservations,
+from mocap_calib.multi_view.residuals import (
+    Observations,
     State,
     blocks_of,
     jacobian,
     robust_cost,
 )
-from mocap_calib.types import Floats
+from mocap_calib.types import Floats, Ints
 
 
 @dataclass(frozen=True)
-class _NormalEquations:
+class Freedom:
+    """What of the cameras may change, and how far their intrinsics are likely to.
+
+    basis: `[C view, free]` 1 where an unknown of a camera is one of the free ones, else 0.
+    precision: `[view, intrinsic]` inverse variance of a change of intrinsics, as much of it as
+        one view of those that share them has.
+    """
+
+    basis: Floats
+    precision: Floats
+
+    @property
+    def intrinsics(self) -> Ints:
+        """Index `[view, intrinsic]` of the free unknown that each of the intrinsics is."""
+        views, intrinsics = self.precision.shape
+        by_view = self.basis.reshape(views, 6 + intrinsics, -1)
+        return np.asarray(by_view[:, 6:].argmax(2), dtype=np.int64)
+
+
+@dataclass(frozen=True)
+class NormalEquations:
     """The Gauss-Newton system about a state, with A and B the Jacobians of cameras and points.
 
-    camera: `[view, 6, 6]` the blocks U = A'A of the cameras.
-    camera_gradient: `[view, 6]` a = A'r.
+    camera: `[view, C, C]` the blocks U = A'A of the cameras, of C unknowns each.
+    camera_gradient: `[view, C]` a = A'r.
     point: `[3, 3, N]` the blocks V = B'B of the points.
     point_gradient: `[3, N]` b = B'r.
-    mixed: `[view, 6, 3, N]` the blocks W = A'B of a camera and a point.
+    mixed: `[view, C, 3, N]` the blocks W = A'B of a camera and a point.
     """
 
     camera: Floats
@@ -46,18 +66,47 @@ class _NormalEquations:
     mixed: Floats
 
 
-def minimise(state: State, seen: RayObservations, *, loss_scale: float, tolerance: float) -> State:
+def free_poses(views: int) -> Freedom:
+    """Return the freedom of cameras whose intrinsics are known.
+
+    The first camera stays where it is: it is the frame of the world.
+    """
+    return Freedom(basis=np.eye(6 * views)[:, 6:], precision=np.zeros((views, 0)))
+
+
+def free_intrinsics(group: Ints, sigma: Floats) -> Freedom:
+    """Return the freedom of cameras some of whose intrinsics are adjusted with their poses.
+
+    group: `[view]` cameras of one number share the changes of their intrinsics.
+    sigma: `[view, intrinsic]` standard deviation of a change, the same in all views of a group.
+    """
+    views, intrinsics = sigma.shape
+    first_free = 6 * (views - 1)
+    groups, of_view, sizes = np.unique(group, return_inverse=True, return_counts=True)
+    basis = np.zeros((views, 6 + intrinsics, first_free + len(groups) * intrinsics))
+    for view in range(views):
+        if view > 0:
+            basis[view, :6, 6 * (view - 1) : 6 * view] = np.eye(6)
+        start = first_free + of_view[view] * intrinsics
+        basis[view, 6:, start : start + intrinsics] = np.eye(intrinsics)
+    precision = 1 / (sigma**2 * sizes[of_view][:, None])
+    return Freedom(basis=basis.reshape(-1, basis.shape[2]), precision=precision)
+
+
+def minimise(
+    state: State, seen: Observations, freedom: Freedom, *, loss_scale: float, tolerance: float
+) -> State:
     """Return the state of least robust cost: Cauchy's loss at `loss_scale` standard deviations.
 
-    The first camera stays where it is; the scale of the rig is free. It ends when a step lowers
-    the cost by no more than the share `tolerance`.
+    The scale of the rig is free. It ends when a step lowers the cost by no more than the share
+    `tolerance`.
     """
     damping = LM_FIRST_DAMPING
-    cost = robust_cost(state, seen, loss_scale)
-    equations = _linearise(state, seen, loss_scale)
+    cost = total_cost(state, seen, freedom, loss_scale)
+    equations = linearise(state, seen, freedom, loss_scale)
     for _ in range(LM_STEPS):
-        candidate = _step(state, equations, damping)
-        candidate_cost = robust_cost(candidate, seen, loss_scale)
+        candidate = _step(state, equations, freedom, damping)
+        candidate_cost = total_cost(candidate, seen, freedom, loss_scale)
         if not candidate_cost < cost:
             damping *= LM_DAMPING_FACTOR
             if damping > LM_MOST_DAMPING:
@@ -69,22 +118,31 @@ def minimise(state: State, seen: RayObservations, *, loss_scale: float, toleranc
         damping = max(damping / LM_DAMPING_FACTOR, LM_LEAST_DAMPING)
         if converged:
             break
-        equations = _linearise(state, seen, loss_scale)
+        equations = linearise(state, seen, freedom, loss_scale)
     return state
+
+
+def total_cost(state: State, seen: Observations, freedom: Freedom, loss_scale: float) -> float:
+    """Return the robust cost of a state and of how far its intrinsics have changed."""
+    unlikely = float((freedom.precision * state.intrinsics**2).sum())
+    return robust_cost(state, seen, loss_scale) + unlikely
 
 
 # The normal equations
 
 
-def _linearise(state: State, seen: RayObservations, loss_scale: float) -> _NormalEquations:
+def linearise(
+    state: State, seen: Observations, freedom: Freedom, loss_scale: float
+) -> NormalEquations:
     """Return the normal equations about a state."""
     views, count = seen.weight.shape
-    equations = _NormalEquations(
-        camera=np.zeros((views, 6, 6)),
-        camera_gradient=np.zeros((views, 6)),
+    unknowns = 6 + state.intrinsics.shape[1]
+    equations = NormalEquations(
+        camera=np.zeros((views, unknowns, unknowns)),
+        camera_gradient=np.zeros((views, unknowns)),
         point=np.empty((3, 3, count)),
         point_gradient=np.empty((3, count)),
-        mixed=np.empty((views, 6, 3, count)),
+        mixed=np.empty((views, unknowns, 3, count)),
     )
     work = partial(
         _linearise_block, state=state, seen=seen, loss_scale=loss_scale, equations=equations
@@ -92,6 +150,9 @@ def _linearise(state: State, seen: RayObservations, loss_scale: float) -> _Norma
     for camera, camera_gradient in map_in_threads(work, blocks_of(state.points)):
         equations.camera[:] += camera
         equations.camera_gradient[:] += camera_gradient
+    own = np.arange(6, unknowns)
+    equations.camera[:, own, own] += freedom.precision
+    equations.camera_gradient[:, own] += freedom.precision * state.intrinsics
     return equations
 
 
@@ -99,13 +160,13 @@ def _linearise_block(
     block: slice,
     *,
     state: State,
-    seen: RayObservations,
+    seen: Observations,
     loss_scale: float,
-    equations: _NormalEquations,
+    equations: NormalEquations,
 ) -> tuple[Floats, Floats]:
     """Fill in the equations of a block of points.
 
-    Returns what the block adds to the cameras' blocks `[view, 6, 6]` and gradient `[view, 6]`.
+    Returns what the block adds to the cameras' blocks `[view, C, C]` and gradient `[view, C]`.
     """
     found = jacobian(block, state, seen, loss_scale)
     equations.point[..., block] = np.einsum("vkin,vkjn->ijn", found.point, found.point)
@@ -119,42 +180,42 @@ def _linearise_block(
 # The step
 
 
-def _step(state: State, equations: _NormalEquations, damping: float) -> State:
+def _step(state: State, equations: NormalEquations, freedom: Freedom, damping: float) -> State:
     """Return the state after a damped Gauss-Newton step of cameras and points.
 
     First the reduced camera system S dc = -(a - W V^-1 b), where S = U - W V^-1 W' is the Schur
     complement of V; then each point by itself, dp = -V^-1 (b + W' dc).
     """
-    inverse, schur, gradient = _eliminate_points(equations, damping)
-    cameras = _solve_cameras(schur, gradient)
+    inverse, schur, gradient = eliminate_points(equations, damping)
+    cameras = _solve_cameras(schur, gradient, freedom.basis)
     from_cameras = cameras @ equations.mixed.reshape(len(cameras), -1)  # W' dc
     gradient = equations.point_gradient + from_cameras.reshape(state.points.shape)
     points = -np.einsum("ijn,jn->in", inverse, gradient)
-    return _move(state, cameras.reshape(-1, 6), points)
+    return _move(state, cameras.reshape(len(state.rotation), -1), points)
 
 
-def _eliminate_points(equations: _NormalEquations, damping: float) -> tuple[Floats, Floats, Floats]:
-    """Return V^-1 `[3, 3, N]`, S `[6 view, 6 view]` and a - W V^-1 b `[6 view]`."""
-    views, count = len(equations.camera), equations.point_gradient.shape[1]
+def eliminate_points(equations: NormalEquations, damping: float) -> tuple[Floats, Floats, Floats]:
+    """Return V^-1 `[3, 3, N]`, S `[C view, C view]` and a - W V^-1 b `[C view]`."""
+    (views, unknowns), count = equations.camera_gradient.shape, equations.point.shape[2]
     blocks = blocks_of(equations.point_gradient)
     work = partial(_eliminate_block, equations=equations, damping=damping)
     inverse = np.empty((3, 3, count))
-    schur = np.zeros((6 * views, 6 * views))
+    schur = np.zeros((unknowns * views, unknowns * views))
     gradient = equations.camera_gradient.reshape(-1).copy()
     for block, (of_block, matrix, side) in zip(blocks, map_in_threads(work, blocks), strict=True):
         inverse[..., block] = of_block
         schur -= matrix
         gradient -= side
     for view, camera in enumerate(equations.camera):
-        own = slice(6 * view, 6 * view + 6)
+        own = slice(unknowns * view, unknowns * (view + 1))
         schur[own, own] += camera + damping * np.diag(np.diag(camera))
     return inverse, schur, gradient
 
 
 def _eliminate_block(
-    block: slice, *, equations: _NormalEquations, damping: float
+    block: slice, *, equations: NormalEquations, damping: float
 ) -> tuple[Floats, Floats, Floats]:
-    """Return V^-1 `[3, 3, n]`, W V^-1 W' `[6 view, 6 view]` and W V^-1 b `[6 view]` of a block."""
+    """Return V^-1 `[3, 3, n]`, W V^-1 W' `[C view, C view]` and W V^-1 b `[C view]` of a block."""
     inverse = _damped_inverse(equations.point[..., block], damping)
     mixed = equations.mixed.reshape(-1, *equations.point_gradient.shape)[..., block]
     rows = len(mixed)
@@ -178,25 +239,26 @@ def _damped_inverse(matrix: Floats, damping: float) -> Floats:
     return np.ascontiguousarray(inverse, dtype=np.float64)
 
 
-def _solve_cameras(schur: Floats, gradient: Floats) -> Floats:
-    """Return the step of the cameras `[6 view]`, S dc = -gradient; that of the first is zero."""
-    free = slice(6, None)  # the first camera is the frame of the world
-    matrix = schur[free, free]
+def _solve_cameras(schur: Floats, gradient: Floats, basis: Floats) -> Floats:
+    """Return the step of the cameras `[C view]`, S dc = -gradient, in the space of a basis.
+
+    basis: `[C view, free]` as in `Freedom`.
+    """
+    matrix = basis.T @ schur @ basis
     stiffness = np.diag(matrix)
     # rounding may leave a direction that nothing constrains below zero
     scale = 1 / np.sqrt(np.maximum(stiffness, 1e-15 * stiffness.max() + 1e-150))
     scaled = scale[:, None] * matrix * scale + 1e-12 * np.eye(len(matrix))
-    step = np.zeros(len(gradient))
-    step[free] = -scale * np.linalg.solve(scaled, scale * gradient[free])
-    return step
+    return basis @ (-scale * np.linalg.solve(scaled, scale * (gradient @ basis)))
 
 
 def _move(state: State, cameras: Floats, points: Floats) -> State:
-    """Return the state after steps of the cameras `[view, 6]` and of the points `[3, N]`."""
+    """Return the state after steps of the cameras `[view, C]` and of the points `[3, N]`."""
     rotation = matrix_from_vector(cameras[:, :3])
-    translation = np.einsum("vij,vj->vi", rotation, state.translation) + cameras[:, 3:]
+    translation = np.einsum("vij,vj->vi", rotation, state.translation) + cameras[:, 3:6]
     return State(
         rotation=rotation @ state.rotation,
         translation=translation,
         points=state.points + points,
+        intrinsics=state.intrinsics + cameras[:, 6:],
     )

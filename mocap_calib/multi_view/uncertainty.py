@@ -20,12 +20,17 @@ import numpy as np
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import Config, UncertaintyConfig
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
+from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.multi_view.bundle_adjustment import adjust
 from mocap_calib.multi_view.fit import find_outlier_cameras, find_weak_perspective, measure_fit
+from mocap_calib.multi_view.intrinsics import shared_intrinsics
+from mocap_calib.recording.sampling import with_cameras
 from mocap_calib.types import (
     Bools,
+    Camera,
     CameraRig,
+    EstimatedCamera,
     Floats,
     Ints,
     Matches,
@@ -44,17 +49,20 @@ def assess_uncertainty(
         split_half_angle=split_half_angle(sample, rig, matches, config, seed=seed),
         outlier_cameras=find_outlier_cameras(fit, config.uncertainty),
         weak_perspective=find_weak_perspective(fit),
+        intrinsics_angle=intrinsics_angle(sample, rig, matches, config),
     )
 
 
 def judge_rig(uncertainty: Uncertainty, config: UncertaintyConfig) -> Verdict:
     """Return what the uncertainty means for the rig: the verdict on the camera that is worst off.
 
-    What counts for a camera is the median split-half angle of its pairs. No rig with an outlier
+    What counts for a camera is the median split-half angle of its pairs, and twice the angle that
+    is due to estimated focal lengths: both are twice an error of the rig. No rig with an outlier
     camera is well determined.
     """
     outlier_cameras = uncertainty.outlier_cameras
-    angle = _angle_of_worst_camera(uncertainty.split_half_angle, len(outlier_cameras))
+    twice_error = np.hypot(uncertainty.split_half_angle, 2 * uncertainty.intrinsics_angle)
+    angle = _angle_of_worst_camera(twice_error, len(outlier_cameras))
     worst = np.rad2deg(angle)
     mostly_outliers = 2 * outlier_cameras.sum() > len(outlier_cameras)
     if worst > config.weak_deg or mostly_outliers:
@@ -84,6 +92,49 @@ def split_half_angle(
     first, second = relative[::2], relative[1::2]
     angle = np.nan_to_num(angle_between(first, second), nan=np.pi)  # [split, pair]
     return np.sqrt((angle**2).mean(0))
+
+
+def intrinsics_angle(sample: Sample, rig: CameraRig, matches: Matches, config: Config) -> Floats:
+    """Return the angle `[pair]` in radians that estimated focal lengths are uncertain by.
+
+    Of the relative rotation of each pair of cameras, when focal lengths that were estimated
+    together become longer by a standard deviation and the rig is adjusted again; RMS where
+    several were estimated. It is 0 where they were given.
+    """
+    a, b = _pairs(len(rig.cameras))
+    sigma = np.array([_log_focal_sigma(camera) for camera in rig.cameras])
+    group = shared_intrinsics(rig.cameras, config.intrinsics)
+    relative = rig.rotation[b] @ np.swapaxes(rig.rotation[a], -1, -2)
+    square = np.zeros(len(a))
+    for number in np.unique(group[sigma > 0]):
+        log_focal = np.where(group == number, sigma, 0.0)
+        rotation = _rotation_with_focal(sample, rig, matches, config, log_focal=log_focal)
+        changed = rotation[b] @ np.swapaxes(rotation[a], -1, -2)
+        square += np.nan_to_num(angle_between(relative, changed), nan=np.pi) ** 2
+    return np.sqrt(square)
+
+
+def _log_focal_sigma(camera: Camera) -> float:
+    """Return the standard deviation of the logarithm of a focal length, 0 where it was given."""
+    return camera.focal_sigma / camera.focal if isinstance(camera, EstimatedCamera) else 0.0
+
+
+def _rotation_with_focal(
+    sample: Sample, rig: CameraRig, matches: Matches, config: Config, *, log_focal: Floats
+) -> Floats:
+    """Return the rotations `[view, 3, 3]` of the rig with focal lengths changed by `[view]`.
+
+    NaN where nothing goes with these.
+    """
+    cameras = tuple(
+        change_intrinsics(camera, log_focal=change, k1=0.0)
+        for camera, change in zip(rig.cameras, log_focal, strict=True)
+    )
+    changed = replace(rig, cameras=cameras)
+    try:
+        return adjust(with_cameras(sample, cameras), changed, matches, config).rotation
+    except DegenerateError:
+        return np.full_like(rig.rotation, np.nan)
 
 
 def _angle_of_worst_camera(split_half_angle: Floats, views: int) -> float:

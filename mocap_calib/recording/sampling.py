@@ -6,13 +6,14 @@ calibration looks at a sample whose size does not grow; only labels and 3D poses
 frames, and those in blocks.
 """
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 
 from mocap_calib.config import SampleConfig
 from mocap_calib.geometry.projection import rays_from_pixels
-from mocap_calib.types import Bools, Floats, Ints, Recording, Sample
+from mocap_calib.types import Bools, Camera, Floats, Ints, Recording, Sample
 
 
 def evenly_spaced(values: Ints, count: int) -> Ints:
@@ -44,6 +45,22 @@ def take_sample(recording: Recording, index: Ints | slice) -> Sample:
         tracked=part.tracked,
         vocabulary=part.vocabulary,
         rays=np.stack(rays),
+    )
+
+
+def with_cameras(sample: Sample, cameras: tuple[Camera, ...]) -> Sample:
+    """Return the sample as seen by cameras of other intrinsics, with its rays.
+
+    What the lens model cannot undo is no detection.
+    """
+    rays = np.stack(list(map(rays_from_pixels, cameras, sample.positions)))
+    blind = np.isnan(rays[..., 0])
+    return replace(
+        sample,
+        cameras=cameras,
+        rays=rays,
+        positions=np.where(blind[..., None], np.nan, sample.positions),
+        confidence=np.where(blind, 0.0, sample.confidence),
     )
 
 

@@ -4,7 +4,7 @@ Files and cameras are joined by name, frames by number, keypoints by meaning.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -106,6 +106,21 @@ def recording_of_views(joined: JoinedViews) -> Recording:
         vocabulary=np.array([joint_of.get(meaning, -1) for meaning in shared], dtype=np.int64),
         model=joined.skeleton.name,
     )
+
+
+def change_cameras(recording: Recording, cameras: tuple[Camera, ...]) -> Recording:
+    """Return the recording with cameras of other intrinsics.
+
+    What their lens models cannot undo is no detection.
+    """
+    positions, confidence = recording.positions.copy(), recording.confidence.copy()
+    for camera, seen, known in zip(cameras, positions, confidence, strict=True):
+        for start in range(0, len(seen), _BLOCK):
+            block = slice(start, start + _BLOCK)
+            blind = ~np.isfinite(rays_from_pixels(camera, seen[block])).all(axis=-1)
+            seen[block][blind] = np.nan
+            known[block][blind] = 0.0
+    return replace(recording, cameras=cameras, positions=positions, confidence=confidence)
 
 
 def check_joints(recording: Recording) -> None:

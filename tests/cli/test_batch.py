@@ -162,7 +162,7 @@ def test_each_recording_is_read_and_written_as_was_asked(tmp_path):
         cameras="i.toml",
         layout="a,b,c,d",
         format="openpose",
-        image_size="640x480",
+        image_size=("640x480",),
         views="A,B",
         frame_offset=("cam1:-1",),
         camera_regex="cam(.)",

@@ -28,7 +28,7 @@ from mocap_calib.io.mat5 import read_mat
 from mocap_calib.io.provenance import describe_judgement, judgement, read_judgement
 from mocap_calib.io.registry import find_format
 from mocap_calib.io.units import METRES
-from mocap_calib.types import Camera, CameraRig
+from mocap_calib.types import Camera, CameraRig, EstimatedCamera
 
 SAMPLES = Path(__file__).parents[3] / "shared" / "formats" / "samples"
 WRITTEN = [each.name for each in CAMERA_FORMATS if each.write]
@@ -136,6 +136,19 @@ def test_a_rig_that_is_not_determined_says_so_in_every_file_that_has_comments(na
     np.testing.assert_array_equal(found.rotation, expected.rotation)
     np.testing.assert_array_equal(found.translation, expected.translation)
     assert found.names == expected.names
+
+
+@pytest.mark.parametrize("name", sorted(set(WRITTEN) - WITHOUT_COMMENTS))
+def test_estimated_intrinsics_are_said_in_every_file_that_has_comments(name):
+    rig = studio(name)
+    first, *others = rig.cameras
+    fields = {key: getattr(first, key) for key in Camera.__dataclass_fields__}
+    estimated = EstimatedCamera(**fields, focal_sigma=12.34, k1_sigma=0.0)
+    for content in format_rig(replace(rig, cameras=(estimated, *others)), name, {}).files.values():
+        assert (
+            f"# camera {first.name}: intrinsics estimated from the recording, "
+            f"focal length {first.focal:.1f} +- 12.3 px\n"
+        ) in content.decode()
 
 
 @pytest.mark.parametrize("name", sorted({"opencv", "easymocap", "jarvis"}))

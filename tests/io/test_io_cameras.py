@@ -4,6 +4,7 @@ one line.
 
 import json
 import tomllib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from mocap_calib.io.cameras.read import read_cameras, read_rig
 from mocap_calib.io.cameras.write import write_cameras
 from mocap_calib.io.provenance import judgement
 from mocap_calib.recording.pairing import compose_name
-from mocap_calib.types import Camera, CameraRig
+from mocap_calib.types import Camera, CameraRig, EstimatedCamera
 
 PROVENANCE = {
     "seed": 0,
@@ -170,6 +171,38 @@ def test_anipose_toml_has_the_keys_that_others_read():
         tomllib.loads(format_calibration_toml(make_rig(fisheye=True), {}))["cam_0"]["fisheye"]
         is True
     )
+
+
+def estimated_rig(focal_sigma: object = 12.5, k1_sigma: object = 0.0) -> CameraRig:
+    """A rig whose second camera's intrinsics were estimated."""
+    rig = make_rig()
+    given_, guessed = rig.cameras
+    fields = {key: getattr(guessed, key) for key in Camera.__dataclass_fields__}
+    estimated = EstimatedCamera(**fields, focal_sigma=focal_sigma, k1_sigma=k1_sigma)
+    return replace(rig, cameras=(given_, estimated))
+
+
+def test_estimated_intrinsics_are_marked_and_come_back():
+    rig = estimated_rig(focal_sigma=12.5, k1_sigma=0.02)
+    text = format_cameras_yaml(rig, PROVENANCE)
+    first, second = yaml.safe_load(text)["cameras"]
+    assert "estimated" not in first
+    assert second["estimated"] == {"focal_sigma": 12.5, "k1_sigma": 0.02}
+    first, second = parse_cameras(text, "text")
+    assert type(first) is Camera
+    assert (second.focal_sigma, second.k1_sigma) == (12.5, 0.02)
+
+    toml = format_calibration_toml(rig, PROVENANCE)
+    expected = {"cam_2": {"focal_sigma": 12.5, "k1_sigma": 0.02}}
+    assert tomllib.loads(toml)["metadata"]["estimated_intrinsics"] == expected
+    assert len(parse_cameras(toml, "text")) == 2
+
+
+@pytest.mark.parametrize("sigma", [-1.0, float("nan"), "wide", [1.0, 2.0]])
+def test_a_sigma_that_cannot_be_is_refused(sigma):
+    text = format_cameras_yaml(estimated_rig(focal_sigma=sigma), PROVENANCE)
+    with pytest.raises(FormatError, match="focal_sigma and k1_sigma of 0 or more"):
+        parse_cameras(text, "text")
 
 
 def test_anipose_toml_of_an_adjusted_rig_says_so_and_its_error():

@@ -6,10 +6,23 @@ import numpy as np
 import pytest
 from scenes import scene, turn_cameras
 
-from mocap_calib.multi_view.ray_residuals import RayObservations, State, robust_cost
-from mocap_calib.multi_view.schur import _linearise, _NormalEquations, _step, minimise
+from mocap_calib.geometry import lens
+from mocap_calib.multi_view.pixel_residuals import PixelObservations
+from mocap_calib.multi_view.ray_residuals import RayObservations
+from mocap_calib.multi_view.residuals import State, robust_cost
+from mocap_calib.multi_view.schur import (
+    Freedom,
+    NormalEquations,
+    _step,
+    free_intrinsics,
+    free_poses,
+    linearise,
+    minimise,
+    total_cost,
+)
 
 SCALE = 3.0  # of the loss
+FREE = free_poses(3)
 
 
 def problem() -> tuple[State, RayObservations]:
@@ -24,7 +37,35 @@ def problem() -> tuple[State, RayObservations]:
     basis = np.linalg.svd(np.moveaxis(rays, 1, 2)[..., None, :])[2][..., 1:, :]  # [view, N, 2, 3]
     weight = rng.uniform(0, 1, (3, 100)) * (rng.random((3, 100)) > 0.1)
     seen = RayObservations(rays=rays, metric=300 * np.moveaxis(basis, 1, 3), weight=weight)
-    return State(start.rotation, start.translation, points), seen
+    return State(start.rotation, start.translation, points, np.zeros((3, 0))), seen
+
+
+def problem_with_intrinsics(
+    distortion: str,
+) -> tuple[State, PixelObservations, Freedom]:
+    """Return three cameras about a hundred points that they see with noise and gross errors."""
+    rng = np.random.default_rng(0)
+    true = scene(cameras=3, distortion=distortion).rig
+    points = rng.uniform(-1, 1, (3, 100)) + np.array([[0], [0], [1.0]])
+    pixels = np.stack(
+        [
+            lens.project(camera, rotation @ points + translation[:, None])
+            for camera, rotation, translation in zip(
+                true.cameras, true.rotation, true.translation, strict=True
+            )
+        ]
+    )
+    pixels += rng.normal(0, 3, pixels.shape) + (rng.random((3, 1, 100)) < 0.05) * 100
+    seen = PixelObservations(
+        cameras=true.cameras,
+        pixels=pixels,
+        sigma=np.array([2.0, 3.0, 4.0]),
+        weight=(rng.random((3, 100)) > 0.1).astype(np.float64),
+    )
+    start = turn_cameras(true, 1.0)
+    intrinsics = np.array([[0.05, -0.02], [0.1, 0.03], [-0.1, 0.0]])
+    state = State(start.rotation, start.translation, points, intrinsics)
+    return state, seen, free_intrinsics(np.arange(3), np.full((3, 2), 0.2))
 
 
 def slope(seen: RayObservations, ahead: State, behind: State, distance: float) -> float:
@@ -36,7 +77,7 @@ def slope(seen: RayObservations, ahead: State, behind: State, distance: float) -
 def test_the_gradient_is_the_slope_of_the_cost(axis):
     """By central differences, of one camera and of one point; measured 1e-7 of the largest."""
     state, seen = problem()
-    equations = _linearise(state, seen, SCALE)
+    equations = linearise(state, seen, FREE, SCALE)
     nudge = 1e-6
 
     shift = np.zeros_like(state.translation)
@@ -54,7 +95,51 @@ def test_the_gradient_is_the_slope_of_the_cost(axis):
     assert 2 * equations.point_gradient[axis, 7] == pytest.approx(expected, rel=1e-4, abs=1e-4)
 
 
-def whole_system(equations: _NormalEquations) -> tuple[np.ndarray, np.ndarray]:
+@pytest.mark.parametrize("distortion", ["brown", "fisheye"])
+@pytest.mark.parametrize("intrinsic", [0, 1])
+def test_the_gradient_by_intrinsics_is_the_slope_of_the_cost(distortion, intrinsic):
+    """Log focal length and k1 of one camera, with what is known beforehand: measured 1e-8."""
+    state, seen, freedom = problem_with_intrinsics(distortion)
+    equations = linearise(state, seen, freedom, SCALE)
+    nudge = np.zeros_like(state.intrinsics)
+    nudge[1, intrinsic] = 1e-6
+    costs = [
+        total_cost(replace(state, intrinsics=state.intrinsics + step), seen, freedom, SCALE)
+        for step in (nudge, -nudge)
+    ]
+    slope = (costs[0] - costs[1]) / 2e-6
+    assert 2 * equations.camera_gradient[1, 6 + intrinsic] == pytest.approx(slope, rel=1e-5)
+
+
+def test_cameras_that_share_intrinsics_keep_them_alike_and_others_have_their_own():
+    """Noise-free pixels of focal lengths 10 % longer for two cameras, 5 % shorter for the third."""
+    state, seen, _ = problem_with_intrinsics("none")
+    true = replace(state, intrinsics=np.log([[1.1], [1.1], [0.95]]))
+    exact = replace(seen, pixels=np.zeros_like(seen.pixels))
+    pixels = exact.residuals(slice(None), true).residual * seen.sigma[:, None, None]
+    group, sigma = np.array([0, 0, 2]), np.full((3, 1), 1e3)
+    found = minimise(
+        replace(state, intrinsics=np.zeros((3, 1))),
+        replace(seen, pixels=pixels),
+        free_intrinsics(group, sigma),
+        loss_scale=SCALE,
+        tolerance=1e-12,
+    )
+    np.testing.assert_allclose(found.intrinsics, true.intrinsics, atol=1e-5)
+    assert found.intrinsics[0, 0] == found.intrinsics[1, 0]
+
+
+def test_what_is_known_beforehand_counts_once_for_all_views_that_share_it():
+    """Of views that saw nothing only that is left: the change goes back to zero."""
+    state, seen, _ = problem_with_intrinsics("none")
+    blind = replace(seen, weight=np.zeros_like(seen.weight))
+    freedom = free_intrinsics(np.array([0, 0, 2]), np.full((3, 1), 0.1))
+    state = replace(state, intrinsics=np.array([[0.3], [0.3], [0.2]]))
+    assert total_cost(state, blind, freedom, SCALE) == pytest.approx(3.0**2 + 2.0**2)
+    np.testing.assert_array_equal(freedom.intrinsics, [[12], [12], [13]])
+
+
+def whole_system(equations: NormalEquations) -> tuple[np.ndarray, np.ndarray]:
     """Return the normal matrix and the gradient of all cameras and points, undamped."""
     views, count = len(equations.camera), equations.point_gradient.shape[1]
     rows = 6 * views
@@ -73,21 +158,21 @@ def whole_system(equations: _NormalEquations) -> tuple[np.ndarray, np.ndarray]:
 def test_the_reduced_system_gives_the_step_of_the_whole_system():
     """All unknowns but those of the first camera, solved at once: measured 3e-11 of the largest."""
     state, seen = problem()
-    equations = _linearise(state, seen, SCALE)
+    equations = linearise(state, seen, FREE, SCALE)
     damping = 0.01
     matrix, gradient = whole_system(equations)
     matrix += damping * np.diag(np.diag(matrix))
     step = -np.linalg.solve(matrix[6:, 6:], gradient[6:])
     expected = step[12:].reshape(-1, 3).T  # after the steps of the second and the third camera
-    found = _step(state, equations, damping).points - state.points
+    found = _step(state, equations, FREE, damping).points - state.points
     np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
 
 
 def test_minimising_ends_where_the_gradient_vanishes():
     state, seen = problem()
-    found = minimise(state, seen, loss_scale=SCALE, tolerance=1e-12)
-    before = _linearise(state, seen, SCALE).camera_gradient[1:]
-    after = _linearise(found, seen, SCALE).camera_gradient[1:]
+    found = minimise(state, seen, FREE, loss_scale=SCALE, tolerance=1e-12)
+    before = linearise(state, seen, FREE, SCALE).camera_gradient[1:]
+    after = linearise(found, seen, FREE, SCALE).camera_gradient[1:]
     assert np.abs(after).max() < 1e-4 * np.abs(before).max()
     assert robust_cost(found, seen, SCALE) < 0.5 * robust_cost(state, seen, SCALE)
     np.testing.assert_array_equal(found.rotation[0], state.rotation[0])

@@ -42,6 +42,7 @@ def uncertainty(split_half_angle: np.ndarray, outliers: tuple[int, ...] = ()) ->
         split_half_angle=split_half_angle,
         outlier_cameras=np.isin(views, outliers),
         weak_perspective=np.zeros(len(views), dtype=bool),
+        intrinsics_angle=np.zeros_like(split_half_angle),
     )
 
 

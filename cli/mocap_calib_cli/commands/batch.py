@@ -36,8 +36,9 @@ Outcome = dict[str, Any]
     *options.CALIBRATION,
     cameras=click.option(
         "--cameras",
-        required=True,
-        type=values.INTRINSICS,
+        default="",
+        show_default=False,
+        type=values.ANY_PATH,
         metavar="INTRINSICS",
         help="As for `run`; first looked for in each recording's folder, then as a path for all.",
     ),
@@ -143,9 +144,9 @@ def _find_keypoints(folder: Path) -> str:
 
 
 def _find_cameras(folder: Path, cameras: str) -> str:
-    """Return the cameras in the folder of a recording, else those for all."""
+    """Return the cameras in the folder of a recording, else those for all; none where none are."""
     within = folder / cameras
-    return str(within) if within.exists() else cameras
+    return str(within) if cameras and within.exists() else cameras
 
 
 # --- what becomes of them

@@ -155,16 +155,22 @@ def _convert_poses(
     )
 
 
-def _convert_cameras(task: _Task, *, unit: str | None, image_size: str | None) -> "Conversion":
+def _convert_cameras(task: _Task, *, unit: str | None, image_size: tuple[str, ...]) -> "Conversion":
     """Convert the cameras of one input. Raises click's UsageError where there are more."""
     from mocap_calib.io.conversion import convert_cameras
     from mocap_calib.io.hashing import hash_inputs
     from mocap_calib.io.provenance import provenance
-    from mocap_calib_cli.inputs import parse_image_size
+    from mocap_calib_cli.inputs import parse_image_sizes
 
     if len(task.inputs) > 1:
         raise click.UsageError(
             f"expected one file or folder of cameras, found {len(task.inputs)}; give the folder"
+        )
+    size_of_all, sizes = parse_image_sizes(image_size)
+    if sizes:
+        raise click.UsageError(
+            f"--image-size: expected one size for all cameras, found that of {min(sizes)}; "
+            "say WIDTHxHEIGHT"
         )
     return convert_cameras(
         task.path,
@@ -172,7 +178,7 @@ def _convert_cameras(task: _Task, *, unit: str | None, image_size: str | None) -
         task.target,
         format=task.source,
         unit=unit,
-        image_size=parse_image_size(image_size),
+        image_size=size_of_all,
         provenance=provenance("convert", inputs=hash_inputs(task.inputs)),
     )
 

@@ -5,20 +5,32 @@ from pathlib import Path
 
 import click
 
-from mocap_calib_cli import options
+from mocap_calib_cli import options, values
 
 
 @click.command(name="run")
 @options.output_folder("Folder to write; made when missing.")
-@options.shared_options("keypoints", *options.CALIBRATION)
+@options.shared_options(
+    "keypoints",
+    *options.CALIBRATION,
+    cameras=click.option(
+        "--cameras",
+        default="",
+        show_default=False,
+        type=values.ANY_PATH,
+        metavar="INTRINSICS",
+        help="File or folder with the cameras' intrinsics, in any format of docs/formats.md; "
+        "- reads stdin. Without it they are estimated from the recording.",
+    ),
+)
 @options.as_json("Write the content of run.json to stdout as well.")
 def command(shared: options.SharedOptions, output: Path, as_json: bool) -> None:
     """Calibrate the cameras that saw KEYPOINTS, find who is who, and triangulate the poses.
 
     KEYPOINTS: a folder with a file or a folder per camera, or files, or name=path pairs, or a
     file of all cameras. The name of a camera is that of its file or folder; it must be a name in
-    INTRINSICS. docs/formats.md lists the formats. A run that was killed goes on from the pairs of
-    cameras it had finished.
+    INTRINSICS, where there are any. docs/formats.md lists the formats. A run that was killed goes
+    on from the pairs of cameras it had finished.
 
     Groups of cameras that share too little to be placed against each other are calibrated
     separately: the results of the largest are in OUT, those of the others in OUT/group_2,
@@ -28,6 +40,8 @@ def command(shared: options.SharedOptions, output: Path, as_json: bool) -> None:
     Example:
       mocap-calib run keypoints/ --cameras intrinsics.toml -o out
       mocap-calib run left=a.json right=b.json --cameras intrinsics.toml -o out --json
+      mocap-calib run keypoints/ --image-size 1920x1080 -o out
+      mocap-calib run keypoints/ --cameras rough.toml --refine focal --focal-uncertainty 5% -o out
       mocap-calib run keypoints/ --cameras intrinsics.toml -o out --write colmap
       mocap-calib run keypoints/ --cameras intrinsics.toml -o out --write movement-3d --fps 60
     """

@@ -3,8 +3,27 @@
 from collections.abc import Mapping, Sequence
 from pathlib import PurePath
 
+from mocap_calib.types import CameraRig, EstimatedCamera
+
 _WITH_COMMENTS = (".toml", ".yaml", ".yml", ".txt")
 _FILE_STORAGE = b"%YAML:1.0\n---\n"  # OpenCV's header comes before any comment
+
+
+def describe_estimates(rig: CameraRig) -> list[str]:
+    """Return a line for each camera whose intrinsics were estimated from the recording."""
+    return [
+        f"camera {camera.name}: intrinsics estimated from the recording, "
+        f"focal length {camera.focal:.1f} +- {camera.focal_sigma:.1f} px{_describe_k1(camera)}"
+        for camera in rig.cameras
+        if isinstance(camera, EstimatedCamera)
+    ]
+
+
+def _describe_k1(camera: EstimatedCamera) -> str:
+    """Return what is known of the lens, nothing where it was not estimated."""
+    if not camera.k1_sigma:
+        return ""
+    return f", k1 {camera.distortion[0]:.3f} +- {camera.k1_sigma:.3f}"
 
 
 def add_comments(files: Mapping[str, bytes], lines: Sequence[str]) -> dict[str, bytes]:

@@ -3,13 +3,14 @@
 Everything here raises FormatError for what cannot be.
 """
 
+from dataclasses import fields as dataclass_fields
 from typing import Any
 
 import numpy as np
 
 from mocap_calib.geometry.rotation import matrix_from_vector, nearest_rotation
 from mocap_calib.io.file import malformed
-from mocap_calib.types import Camera, Floats
+from mocap_calib.types import Camera, EstimatedCamera, Floats
 
 _PINHOLE_LENGTHS = (4, 5, 8)
 _FISHEYE_LENGTHS = (4,)
@@ -88,13 +89,22 @@ def make_extrinsics(rotation: Any, translation: Any, source: str) -> tuple[Float
 
 def camera_fields(camera: Camera) -> dict[str, Any]:
     """Return the fields of a camera in our own files."""
+    estimated: dict[str, Any] = {}
+    if isinstance(camera, EstimatedCamera):
+        estimated = {"estimated": estimated_fields(camera)}
     return {
         "name": camera.name,
         "size": list(camera.size),
         "model": "fisheye" if camera.fisheye else "opencv",
         "K": camera.matrix.tolist(),
         "distortion": camera.distortion.tolist(),
+        **estimated,
     }
+
+
+def estimated_fields(camera: EstimatedCamera) -> dict[str, float]:
+    """Return how sure the intrinsics of a camera are that were estimated from a recording."""
+    return {"focal_sigma": camera.focal_sigma, "k1_sigma": camera.k1_sigma}
 
 
 def camera_from_fields(fields: Any, source: str) -> Camera:
@@ -107,13 +117,29 @@ def camera_from_fields(fields: Any, source: str) -> Camera:
     model = fields.get("model", "opencv")
     if model not in _MODELS:
         raise malformed(where, "the model opencv, fisheye or pinhole", model, "convert the camera")
-    return make_camera(
+    camera = make_camera(
         name=name,
         size=fields.get("size"),
         matrix=fields["K"],
         distortion=[] if model == "pinhole" else fields.get("distortion", []),
         fisheye=model == "fisheye",
         source=where,
+    )
+    return _mark_estimated(camera, fields["estimated"], where) if "estimated" in fields else camera
+
+
+def _mark_estimated(camera: Camera, fields: Any, source: str) -> EstimatedCamera:
+    """Return a camera with the fields of `estimated_fields`. Raises FormatError."""
+    expected = "estimated: focal_sigma and k1_sigma of 0 or more"
+    if not isinstance(fields, dict) or fields.keys() != {"focal_sigma", "k1_sigma"}:
+        raise malformed(source, expected, describe_keys(fields), "write the file again")
+    sigma = numbers([fields["focal_sigma"], fields["k1_sigma"]], expected, source)
+    if sigma.shape != (2,) or not np.isfinite(sigma).all() or (sigma < 0).any():
+        raise malformed(source, expected, sigma.tolist(), "write the file again")
+    return EstimatedCamera(
+        **{field.name: getattr(camera, field.name) for field in dataclass_fields(camera)},
+        focal_sigma=float(sigma[0]),
+        k1_sigma=float(sigma[1]),
     )
 
 

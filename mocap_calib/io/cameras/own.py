@@ -12,10 +12,10 @@ import yaml
 
 from mocap_calib import __version__
 from mocap_calib.geometry.rotation import vector_from_matrix
-from mocap_calib.io.cameras.intrinsics import camera_fields
+from mocap_calib.io.cameras.intrinsics import camera_fields, estimated_fields
 from mocap_calib.io.cameras.toml_text import dump_toml
 from mocap_calib.io.zeros import unsigned_zeros
-from mocap_calib.types import Camera, CameraRig
+from mocap_calib.types import Camera, CameraRig, EstimatedCamera
 
 VERSION = 1
 CONVENTION = "x_camera = R x_world + t; x right, y down, z forward; pixel centres are integers"
@@ -54,9 +54,21 @@ def format_calibration_toml(rig: CameraRig, provenance: Mapping[str, Any]) -> st
         fisheye = {"fisheye": True} if camera.fisheye else {}
         sections[f"cam_{view:0{digits}}"] = toml_fields(rig, view) | fisheye
     metadata = anipose_metadata(rig, provenance) | {"generator": f"mocap-calib {__version__}"}
+    estimated = estimated_intrinsics(rig)
+    if estimated:
+        metadata["estimated_intrinsics"] = estimated
     if provenance:
         metadata["provenance"] = plain_fields(provenance)
     return dump_toml(sections | {"metadata": metadata})
+
+
+def estimated_intrinsics(rig: CameraRig) -> dict[str, dict[str, float]]:
+    """Return, by camera, how sure the intrinsics are that were estimated from the recording."""
+    return {
+        camera.name: estimated_fields(camera)
+        for camera in rig.cameras
+        if isinstance(camera, EstimatedCamera)
+    }
 
 
 def format_intrinsics_toml(cameras: tuple[Camera, ...]) -> str:

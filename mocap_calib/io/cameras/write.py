@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from mocap_calib.io.atomic import check_no_other_files, write_bytes, write_files
-from mocap_calib.io.cameras.comments import add_comments
+from mocap_calib.io.cameras.comments import add_comments, describe_estimates
 from mocap_calib.io.cameras.formats import CAMERA_FORMATS, FOLDER_ENDINGS
 from mocap_calib.io.provenance import describe_judgement
 from mocap_calib.io.registry import Written, find_format
@@ -23,7 +23,8 @@ def format_rig(
     """Return the files of a rig in the format, by the names and in the unit that the format has.
 
     points: that the views see; they are lost where the format has no place for points. A verdict on
-    the rig, which a provenance may have, stands in a comment where the files can hold one.
+    the rig, which a provenance may have, and intrinsics that were estimated stand in comments where
+    the files can hold them.
 
     Raises MismatchError where the format is only read or cannot carry the rig, and where it needs
     a unit of length that is not known.
@@ -38,7 +39,8 @@ def format_rig(
     if len(points.positions) and not known.points:
         lost = f"{len(points.positions)} 3D points"
         written = replace(written, lost=(*written.lost, lost))
-    return replace(written, files=add_comments(written.files, describe_judgement(provenance)))
+    remarks = [*describe_judgement(provenance), *describe_estimates(rig)]
+    return replace(written, files=add_comments(written.files, remarks))
 
 
 def write_cameras(

@@ -90,9 +90,15 @@ def _check_shares(view: Keypoints2D, size: tuple[int, int]) -> None:
 def apply_offsets(views: Sequence[Keypoints2D], options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Return the views with the user's offsets of frames and pixels.
 
-    Raises MismatchError for offsets of cameras that are not there.
+    Raises MismatchError for offsets, and image sizes, of cameras that are not there.
     """
     known = {view.camera for view in views}
+    for camera in options.image_sizes:
+        if compose_name(camera) not in known:
+            raise MismatchError(
+                f"expected image sizes of the cameras {', '.join(sorted(known))}, "
+                f"found one of {camera}; change its name"
+            )
     frame_offset = {compose_name(camera): n for camera, n in options.frame_offset.items()}
     crop_offset = {compose_name(camera): xy for camera, xy in options.crop_offset.items()}
     for camera in (*frame_offset, *crop_offset):

@@ -18,6 +18,7 @@ import h5py
 from mocap_calib.io.file import Origin, decode, malformed, read_bytes
 from mocap_calib.io.hdf5 import HDF5_DAMAGE
 from mocap_calib.io.sandbox import HDF5
+from mocap_calib.recording.pairing import compose_name
 
 # beginnings of files that hold something else around what is wanted: what they are, what to do
 _FOREIGN = {
@@ -38,7 +39,7 @@ class ReadOptions:
 
     layout: names of the keypoints, in the file's order.
     image_size: (width, height) in pixels, where the file has none; positions that are shares of
-        the image are multiplied by it.
+        the image are multiplied by it. image_sizes: camera -> its own.
     camera_pattern: regular expression that finds the camera's name in a path (its group `camera`,
         or its first group, or all of it), and perhaps the frame number (group `frame`).
     frame_offset: camera -> added to its frame numbers.
@@ -56,6 +57,12 @@ class ReadOptions:
     crop_offset: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     views: tuple[str, ...] = ()
     single_precision: bool = False
+    image_sizes: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+
+    def size_of(self, camera: str) -> tuple[int, int]:
+        """Return the size of the images of a camera, (0, 0) where the user does not say."""
+        sizes = {compose_name(name): size for name, size in self.image_sizes.items()}
+        return sizes.get(compose_name(camera), self.image_size)
 
 
 @dataclass(frozen=True)

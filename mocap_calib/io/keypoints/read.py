@@ -114,7 +114,7 @@ def _read(item: Item, format: str | None, options: ReadOptions) -> tuple[Keypoin
     read = []
     for view in views:
         for part in split_views(view, options.views):
-            scaled = convert_to_pixels(part, options.image_size)
+            scaled = convert_to_pixels(part, options.size_of(part.camera))
             read.append(_in_single_precision(scaled) if options.single_precision else scaled)
     return tuple(replace(view, camera=compose_name(view.camera)) for view in read)
 

@@ -41,7 +41,8 @@ def sniff(document: Document) -> bool:
 def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Read one camera, in pixels of the image size that the user gives. Raises FormatError."""
     source = item.origin.source
-    if options.image_size == (0, 0):
+    size = options.size_of(item.origin.camera)
+    if size == (0, 0):
         raise malformed(
             source,
             "the size of the images, of which positions are shares",
@@ -59,9 +60,9 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
         item.origin,
         options.layout,
         numbers,
-        _in_pixels(values, options.image_size, is_unscored=is_unscored),
+        _in_pixels(values, size, is_unscored=is_unscored),
         tracked=False,
-        image_size=options.image_size,
+        image_size=size,
         rows=file_names,
         remarks=(NO_SCORE,) if is_unscored else (),
     )

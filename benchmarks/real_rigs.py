@@ -1,0 +1,169 @@
+"""Measure runs on real recordings whose intrinsics are unknown or rough, one row each.
+
+    .venv/bin/python benchmarks/real_rigs.py [--recordings ../shared/recordings] [PART ...]
+
+PART is a row's name, or a part of it; without one all rows are made. Each run is a process of its
+own that sees the keypoints, and the intrinsics that the row says, alone. Rotation errors come from
+`mocap-calib evaluate`; reference and true intrinsics are looked at for judging only. Exit status 1
+where a figure is beyond its bound.
+"""
+
+import argparse
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from mocap_calib.geometry.lens import change_intrinsics
+from mocap_calib.io.cameras.own import format_intrinsics_toml
+from mocap_calib.io.cameras.read import read_cameras, read_rig
+from mocap_calib.io.keypoints.read import read_keypoints
+from mocap_calib.multi_view.evaluation import evaluate
+from mocap_calib.recording.assumed import assume_cameras
+from mocap_calib.types import Camera
+
+PROGRAM = "from mocap_calib_cli.main import main; main()"
+# median E_R in degrees; relative error of the focal lengths
+UNKNOWN = {
+    "h36m_S1_walking": (1.0, 0.015),
+    "h36m_S1_mix": (1.0, 0.015),
+    "h36m_S5_multi3": (1.0, 0.015),
+    "pose2sim_single": (1.5, np.inf),
+    "shelf": (2.3, np.inf),
+}
+STARTED = ("h36m_S1_walking", "h36m_S5_multi3")
+STARTS = (0.6, 1.2, 2.4)  # image widths
+SAME_START_DEG = 0.05
+ROUGH = 1.2  # times the true focal lengths
+ROUGH_DEG = 0.2  # worse than with unknown intrinsics
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One figure of a row, and the bound that it is held to."""
+
+    what: str
+    value: float
+    bound: float
+
+    def __str__(self) -> str:
+        mark = "" if self.value <= self.bound else " **beyond**"
+        return f"{self.what} {self.value:.3f} (<= {self.bound:g}){mark}"
+
+
+def main() -> None:
+    """Print one row after the other, as Markdown, and exit with 1 where one is beyond its bound."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("parts", nargs="*", metavar="PART")
+    parser.add_argument("--recordings", type=Path, default=Path("../shared/recordings"))
+    given = parser.parse_args()
+    print("| row | figures | wall (s) |\n|---|---|---|")
+    good = True
+    for name, measure in rows(given.recordings):
+        if given.parts and not any(part in name for part in given.parts):
+            continue
+        start = time.perf_counter()
+        figures = measure()
+        seconds = time.perf_counter() - start
+        print(f"| {name} | {', '.join(map(str, figures))} | {seconds:.0f} |", flush=True)
+        good = good and all(figure.value <= figure.bound for figure in figures)
+    sys.exit(0 if good else 1)
+
+
+def rows(recordings: Path) -> Iterator[tuple[str, Callable[[], list[Figure]]]]:
+    """Yield the name of each row, and what measures it."""
+    for name, (rotation, focal) in UNKNOWN.items():
+        measure = partial(unknown, recordings / name, rotation_bound=rotation, focal_bound=focal)
+        yield f"{name}, no intrinsics", measure
+    for name in STARTED:
+        yield f"{name}, starts of {STARTS} widths", partial(starts, recordings / name)
+    for name in UNKNOWN:
+        yield f"{name}, focal lengths {ROUGH:g} times as long", partial(rough, recordings / name)
+
+
+# Rows
+
+
+def unknown(recording: Path, *, rotation_bound: float, focal_bound: float) -> list[Figure]:
+    """Calibrate a recording without intrinsics."""
+    with tempfile.TemporaryDirectory() as work:
+        out = run(recording, Path(work))
+        found = {camera.name: camera for camera in read_cameras(out / "cameras.yaml")}
+        rotation = median_rotation_error(out, recording / "reference.toml")
+    true = read_cameras(recording / "intrinsics.toml")
+    focal = max(abs(found[camera.name].focal / camera.focal - 1) for camera in true)
+    return [Figure("E_R", rotation, rotation_bound), Figure("focal", focal, focal_bound)]
+
+
+def starts(recording: Path) -> list[Figure]:
+    """Calibrate from several focal lengths: all must end at the same rig."""
+    views = read_keypoints([recording / "keypoints"])
+    sizes = {camera.name: camera.size for camera in read_cameras(recording / "intrinsics.toml")}
+    views = tuple(replace(view, image_size=sizes[view.camera]) for view in views)
+    with tempfile.TemporaryDirectory() as work:
+        rigs = []
+        for factor in STARTS:
+            cameras = [with_focal(each, factor * each.size[0]) for each in assume_cameras(views)]
+            out = run_with(recording, Path(work) / str(factor), cameras, "focal+k1")
+            rigs.append(read_rig(out / "cameras.yaml"))
+    apart = [evaluate(rig, rigs[0]).rotation_error.max() for rig in rigs[1:]]
+    return [Figure("apart", float(np.rad2deg(max(apart))), SAME_START_DEG)]
+
+
+def rough(recording: Path) -> list[Figure]:
+    """Calibrate with focal lengths that are too long, and without intrinsics."""
+    reference = recording / "reference.toml"
+    true = read_cameras(recording / "intrinsics.toml")
+    cameras = [with_focal(camera, ROUGH * camera.focal) for camera in true]
+    with tempfile.TemporaryDirectory() as work:
+        out = run_with(recording, Path(work) / "rough", cameras, "focal")
+        error = median_rotation_error(out, reference)
+        without = median_rotation_error(run(recording, Path(work) / "unknown"), reference)
+    return [Figure("E_R", error, round(without + ROUGH_DEG, 3))]
+
+
+# Steps
+
+
+def with_focal(camera: Camera, focal: float) -> Camera:
+    """Return the camera with another mean focal length."""
+    return change_intrinsics(camera, log_focal=float(np.log(focal / camera.focal)), k1=0.0)
+
+
+def run_with(recording: Path, work: Path, cameras: list[Camera], refine: str) -> Path:
+    """Calibrate a recording with these intrinsics, some of which are refined."""
+    work.mkdir()
+    intrinsics = work / "intrinsics.toml"
+    intrinsics.write_text(format_intrinsics_toml(tuple(cameras)), "utf-8")
+    return run(recording, work, "--cameras", str(intrinsics), "--refine", refine)
+
+
+def run(recording: Path, work: Path, *arguments: str) -> Path:
+    """Calibrate a recording in a process of its own; return the folder of its results."""
+    out = work / "out"
+    command = [sys.executable, "-P", "-c", PROGRAM, "run", str(recording / "keypoints")]
+    sizes = []
+    if not arguments:  # the cameras' files say the sizes otherwise
+        for camera in read_cameras(recording / "intrinsics.toml"):
+            sizes += ["--image-size", "{}:{}x{}".format(camera.name, *camera.size)]
+    command += [*sizes, *arguments, "-o", str(out), "--seed", "0", "--quiet"]
+    subprocess.run(command, check=True)
+    return out
+
+
+def median_rotation_error(out: Path, reference: Path) -> float:
+    """Return the median rotation error of the pairs of cameras, in degrees."""
+    found = evaluate(read_rig(out / "cameras.yaml"), read_rig(reference))
+    return float(np.rad2deg(np.median(found.rotation_error)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,74 @@
+"""Residuals of cameras and points against observed pixels, for lenses that are adjusted too."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mocap_calib.geometry import lens
+from mocap_calib.multi_view.residuals import (
+    Residuals,
+    Slopes,
+    State,
+    points_in_cameras,
+    positive_depth,
+)
+from mocap_calib.types import Camera, Floats
+
+
+@dataclass(frozen=True)
+class PixelObservations:
+    """What the cameras saw of N points.
+
+    cameras: with the intrinsics that a state changes: log focal length and, where it has two
+        intrinsics, k1.
+    pixels: `[view, 2, N]`, any number where nothing was seen.
+    sigma: `[view]` standard deviation of a coordinate, in pixels.
+    weight: `[view, N]`, 0 = not seen.
+    """
+
+    cameras: tuple[Camera, ...]
+    pixels: Floats
+    sigma: Floats
+    weight: Floats
+
+    def residuals(self, block: slice, state: State) -> Residuals:
+        """Return a block of points as the cameras see them."""
+        in_camera = points_in_cameras(block, state)
+        depth, behind = positive_depth(in_camera, in_camera[:, 2])
+        on_plane = in_camera / depth[:, None]
+        on_plane[:, 2] = 1.0  # also what is behind, which fits nothing there
+        cameras = changed_cameras(self.cameras, state)
+        images = map(lens.project, cameras, on_plane)
+        gap = np.stack(list(images)) - self.pixels[..., block]
+        return Residuals(
+            in_camera=in_camera,
+            depth=depth,
+            residual=gap / self.sigma[:, None, None],
+            behind=behind,
+        )
+
+    def slopes(self, _block: slice, state: State, found: Residuals, weight: Floats, /) -> Slopes:
+        """Return the weighed derivatives, by the chain of the lens and the division by depth."""
+        image = found.in_camera[:, :2] / found.depth[:, None]
+        scale = weight / self.sigma[:, None]
+        views, _, count = image.shape
+        by_point = np.empty((views, 2, 3, count))
+        by_intrinsic = np.empty((views, 2, state.intrinsics.shape[1], count))
+        for view, camera in enumerate(changed_cameras(self.cameras, state)):
+            slopes = lens.image_slopes(camera, image[view])
+            by_image = slopes.image * (scale[view] / found.depth[view])
+            by_point[view, :, :2] = by_image
+            by_point[view, :, 2] = -np.einsum("kin,in->kn", by_image, image[view])
+            both = np.stack([slopes.log_focal, slopes.k1], axis=1)
+            by_intrinsic[view] = both[:, : by_intrinsic.shape[2]] * scale[view]
+        return Slopes(in_camera=by_point, intrinsics=by_intrinsic)
+
+
+def changed_cameras(cameras: tuple[Camera, ...], state: State) -> tuple[Camera, ...]:
+    """Return the cameras with the intrinsics of a state."""
+    changes = np.zeros((len(cameras), 2))
+    changes[:, : state.intrinsics.shape[1]] = state.intrinsics
+    return tuple(
+        lens.change_intrinsics(camera, log_focal=log_focal, k1=k1)
+        for camera, (log_focal, k1) in zip(cameras, changes, strict=True)
+    )

@@ -1,0 +1,175 @@
+"""Robust cost of cameras and points against what was seen, and its derivatives, in blocks.
+
+What was seen are rays, where the lenses are known (`ray_residuals`), or pixels, where they are
+adjusted too (`pixel_residuals`). The loss is Cauchy's.
+
+Arrays are kept by component, `[view, component, N]`, so that every step runs along all points at
+once, in blocks of points that threads share.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Protocol
+
+import numpy as np
+
+from mocap_calib.compute.parallel import map_in_threads
+from mocap_calib.types import Bools, Floats
+
+_BLOCK = 1024  # points at a time: what is computed of them stays in the cache
+
+# Cosine between ray and point that stands for all points behind the camera: such a point fits
+# nothing, and moves nothing.
+_BEHIND = 1e-6
+
+
+@dataclass(frozen=True)
+class State:
+    """What is adjusted.
+
+    rotation: `[view, 3, 3]` and translation: `[view, 3]` of cam_from_world.
+    points: `[3, N]` in world coordinates.
+    intrinsics: `[view, intrinsic]` changes of log focal length and k1; none of either where the
+        lenses are known.
+    """
+
+    rotation: Floats
+    translation: Floats
+    points: Floats
+    intrinsics: Floats
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Points about a state as the cameras see them.
+
+    in_camera: `[view, 3, n]` the points in each camera's frame.
+    depth: `[view, n]` distance along the viewing direction, never zero or below.
+    residual: `[view, 2, n]` in standard deviations.
+    behind: `[view, n]` the point is behind the camera.
+    """
+
+    in_camera: Floats
+    depth: Floats
+    residual: Floats
+    behind: Bools
+
+
+@dataclass(frozen=True)
+class Slopes:
+    """Derivatives of the residuals.
+
+    in_camera: `[view, 2, 3, n]` by the points in each camera's frame.
+    intrinsics: `[view, 2, intrinsic, n]`.
+    """
+
+    in_camera: Floats
+    intrinsics: Floats
+
+
+class Observations(Protocol):
+    """What the cameras saw of N points.
+
+    weight: `[view, N]`, 0 = not seen.
+    """
+
+    @property
+    def weight(self) -> Floats:
+        """What each detection counts for."""
+
+    def residuals(self, block: slice, state: State) -> Residuals:
+        """Return a block of points as the cameras see them."""
+
+    def slopes(self, block: slice, state: State, found: Residuals, weight: Floats, /) -> Slopes:
+        """Return the derivatives of residuals that were found, times a weight `[view, n]`."""
+
+
+@dataclass(frozen=True)
+class Jacobian:
+    """Derivatives of the residuals, and the residuals, both weighed by the robust loss.
+
+    camera: `[view, 2, 6 + intrinsic, n]` by a rotation of the camera's frame (3), a translation
+        (3), and the intrinsics.
+    point: `[view, 2, 3, n]` by the point in world coordinates.
+    residual: `[view, 2, n]`.
+    """
+
+    camera: Floats
+    point: Floats
+    residual: Floats
+
+
+def blocks_of(points: Floats) -> list[slice]:
+    """Return the blocks of points `[3, N]` that are worked on at a time."""
+    return [slice(start, start + _BLOCK) for start in range(0, points.shape[1], _BLOCK)]
+
+
+def points_in_cameras(block: slice, state: State) -> Floats:
+    """Return a block of points in each camera's frame, `[view, 3, n]`."""
+    rotated = np.matmul(state.rotation, state.points[:, block])
+    return rotated + state.translation[:, :, None]
+
+
+def positive_depth(in_camera: Floats, depth: Floats) -> tuple[Floats, Bools]:
+    """Return depths `[view, n]` that are never zero or below, and which points are behind.
+
+    in_camera: `[view, 3, n]` the points in each camera's frame.
+    """
+    size = np.abs(in_camera).max(1)
+    depth = np.maximum(depth, _BEHIND * size)
+    return depth, depth <= 2 * _BEHIND * size
+
+
+def robust_cost(state: State, seen: Observations, loss_scale: float) -> float:
+    """Return the robust cost: the sum of w s^2 log(1 + r'r / s^2)."""
+    work = partial(_cost_of_block, state=state, seen=seen, loss_scale=loss_scale)
+    return sum(map_in_threads(work, blocks_of(state.points))) * loss_scale**2
+
+
+def _cost_of_block(block: slice, *, state: State, seen: Observations, loss_scale: float) -> float:
+    """Return what a block of points adds to the cost, divided by s^2."""
+    residual = seen.residuals(block, state).residual
+    square = np.einsum("vkn,vkn->vn", residual, residual)
+    loss = np.log1p(square / loss_scale**2)
+    return float((seen.weight[:, block] * loss).sum())
+
+
+def jacobian(block: slice, state: State, seen: Observations, loss_scale: float) -> Jacobian:
+    """Return the derivatives of the residuals of a block of points.
+
+    A rotation w about the camera's centre and a translation t move a point x in the camera's
+    frame by w x x + t; the point p in the world moves it by R p.
+    """
+    found = seen.residuals(block, state)
+    robust = _robust_weight(found, seen.weight[:, block], loss_scale)
+    slopes = seen.slopes(block, state, found, robust)
+    return Jacobian(
+        camera=_camera_derivatives(slopes, found.in_camera),
+        point=np.einsum("vkin,vij->vkjn", slopes.in_camera, state.rotation),
+        residual=found.residual * robust[:, None],
+    )
+
+
+def _robust_weight(residuals: Residuals, weight: Floats, loss_scale: float) -> Floats:
+    """Return the square root of Cauchy's weight, w / (1 + r'r / s^2), `[view, n]`."""
+    square = np.einsum("vkn,vkn->vn", residuals.residual, residuals.residual)
+    weight = np.where(residuals.behind, 0.0, weight)
+    return np.sqrt(weight / (1 + square / loss_scale**2))
+
+
+def _camera_derivatives(slopes: Slopes, in_camera: Floats) -> Floats:
+    """Return the derivatives by rotations, translations and intrinsics of the cameras.
+
+    `[view, 2, 6 + intrinsic, n]`; in_camera: `[view, 3, n]` the points.
+    """
+    slope = slopes.in_camera
+    views, rows, _, count = slope.shape
+    camera = np.empty((views, rows, 6 + slopes.intrinsics.shape[2], count))
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        camera[:, :, i] = (
+            slope[:, :, k] * in_camera[:, None, j] - slope[:, :, j] * in_camera[:, None, k]
+        )
+    camera[:, :, 3:6] = slope
+    camera[:, :, 6:] = slopes.intrinsics
+    return camera
