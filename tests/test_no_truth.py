@@ -4,6 +4,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[1]
 WRITERS = {"mocap_calib/io/results/scene.py"}  # what `simulate` writes
 JUDGES = {
@@ -34,6 +36,7 @@ def test_no_module_names_them():
             assert inside in JUDGES or "reference.toml" not in text, inside
 
 
+@pytest.mark.slow
 def test_a_run_opens_neither(small, tmp_path):
     """Watched by an audit hook: every file that Python opens during a run.
 

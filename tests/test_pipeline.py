@@ -115,6 +115,7 @@ def test_equivariant_to_the_order_of_frames():
     assert rotation_errors_deg(first.rig, second.rig).max() < 0.1
 
 
+@pytest.mark.slow
 def test_same_seed_same_bytes():
     first, second = run(recording(**SMALL)), run(recording(**SMALL))
     assert first.rig.rotation.tobytes() == second.rig.rotation.tobytes()

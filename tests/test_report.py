@@ -65,6 +65,7 @@ def test_every_field_of_run_json_is_described_and_nothing_else(done):
     assert found == expected
 
 
+@pytest.mark.slow
 def test_what_is_wrong_with_a_camera_is_in_its_faults():
     found = sound_group()
     uncertainty = replace(

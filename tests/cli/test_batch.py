@@ -400,6 +400,7 @@ def test_a_run_goes_on_where_it_was_killed(tool, tmp_path):
     )  # and nothing is left of the first attempt
 
 
+@pytest.mark.slow
 def test_pairs_found_before_are_not_made_again(tmp_path):
     made = []
 

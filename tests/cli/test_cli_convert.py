@@ -34,6 +34,7 @@ SAY_WHICH = {
 EXAMPLE = Path(__file__).parents[2] / "examples" / "three_people"
 
 
+@pytest.mark.slow
 def test_cameras_go_round_through_files_and_folders(tool, tmp_path):
     write_cameras(tmp_path / "a.toml", rig(), "anipose")
     at = tmp_path / "a.toml"
@@ -49,6 +50,7 @@ def test_cameras_go_round_through_files_and_folders(tool, tmp_path):
     assert_same(rig(), read_rig(tmp_path / "back.yaml"))
 
 
+@pytest.mark.slow
 def test_cameras_go_through_pipes(tmp_path):
     write_cameras(tmp_path / "a.toml", rig(), "anipose")
     steps = [
@@ -108,6 +110,7 @@ def test_the_rate_the_unit_and_the_axis_that_points_up_can_be_said(tool, tmp_pat
     assert (found.rate, found.poses.unit) == (25.0, "m")
 
 
+@pytest.mark.slow
 def test_keypoints_go_round(tool, tmp_path):
     keypoints = EXAMPLE / "keypoints"
     for source, target, name in (
@@ -163,6 +166,7 @@ def test_a_file_that_would_pass_for_a_further_individual_is_refused_and_stays(to
     assert tool("convert", tmp_path / "1.npz", tmp_path / "st.trc").returncode == 0
 
 
+@pytest.mark.slow
 def test_the_content_says_the_kind_and_the_remedy_works(tool, tmp_path):
     """Endings that poses have too; a calibration beside the keypoints; SLEAP's analysis of three
     frames, which looks like 3D.

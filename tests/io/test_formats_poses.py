@@ -255,6 +255,7 @@ def test_a_trc_is_what_opensim_reads(tmp_path):
     assert [line.split("\t")[0] for line in lines[5:]] == ["3", "4", "5", "6", "7", "8"]
 
 
+@pytest.mark.slow
 def test_a_long_c3d_keeps_all_its_frames(tmp_path):
     """More than a 16-bit header counts: the writer that does not say so is the trap."""
     frames = np.arange(66_000)
@@ -395,6 +396,7 @@ def test_two_formats_of_one_real_session_agree():
 # --- damage
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", HERE)
 @settings(max_examples=60, deadline=10_000, suppress_health_check=[HealthCheck.too_slow])
 @given(data=st.data())
@@ -438,6 +440,7 @@ def test_an_h5_of_something_else_is_refused(tmp_path):
         load_poses(tmp_path / "x.h5")
 
 
+@pytest.mark.slow
 @posix
 def test_a_heap_that_hdf5_reads_for_ever_is_refused():
     """The free rest of a heap of texts says it is of size 0 (found by fuzzing; HDF5 does not come

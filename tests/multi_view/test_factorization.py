@@ -102,6 +102,7 @@ def test_strangers_are_calibrated_by_geometry_alone():
     assert not found.uncertainty.weak_perspective.any()
 
 
+@pytest.mark.slow
 def test_telescopes_are_calibrated_up_to_a_reversal_and_say_so():
     """One pixel of noise, a twentieth of a pixel of perspective.
 

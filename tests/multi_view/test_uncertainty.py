@@ -46,6 +46,7 @@ def uncertainty(split_half_angle: np.ndarray, outliers: tuple[int, ...] = ()) ->
     )
 
 
+@pytest.mark.slow
 def test_moving_people_determine_the_rig_and_a_statue_with_faults_does_not():
     """Measured: 0.3 deg for people who move, far more for a statue whose errors never change."""
     found = calibrated()
@@ -72,6 +73,7 @@ def test_the_verdict_is_that_of_the_camera_that_is_worst_off(degrees, outliers, 
     assert judge_rig(found, UncertaintyConfig()) == word
 
 
+@pytest.mark.slow
 def test_a_camera_out_of_step_is_an_outlier_and_no_other():
     """One of four cameras, 15 frames late: 6.2 times the errors of the others.
 
@@ -89,6 +91,7 @@ def test_a_camera_out_of_step_is_an_outlier_and_no_other():
     assert judge_rig(out_of_step, UncertaintyConfig()) != "well determined"
 
 
+@pytest.mark.slow
 def test_a_camera_that_a_half_does_not_hold_does_not_speak_against_the_others():
     """A camera that shows one joint, which one half always lacks.
 

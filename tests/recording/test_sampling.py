@@ -44,6 +44,7 @@ def test_rare_moments_are_chosen():
     assert 57 in choose_sample_frames(rare, SampleConfig(detections=1, least_frames=10))
 
 
+@pytest.mark.slow
 def test_one_overcrowded_frame_costs_no_more_than_itself():
     """30 false detections in one frame of one camera, which is labelled all the same.
 

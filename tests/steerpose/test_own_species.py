@@ -17,6 +17,7 @@ from mocap_calib.types import CameraRig, Poses3D
 ALONE = {"people": 1, "false_detections": 0.0, "outliers": 0.0}
 
 
+@pytest.mark.slow
 def test_the_own_skeleton_joins_what_is_rigid():
     """Simulated people: a tree over all joints, with the bones of the arms and legs in it.
 
