@@ -17,7 +17,6 @@ from mocap_calib.multi_view.view_graph import alternative_taken
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import (
     CalibrationResult,
-    Camera,
     EstimatedCamera,
     Floats,
     GroupResult,
@@ -134,21 +133,24 @@ def _describe_camera(
         "unmatched": int((detected & ~matched).sum()),
         "faults": _name_faults(group, view),
         "weak_perspective": bool(group.uncertainty.weak_perspective[view]),
-        "intrinsics": _describe_intrinsics(group.rig.cameras[view], config.intrinsics),
+        "intrinsics": _describe_intrinsics(group, view, config.intrinsics),
         "reprojection_error_px": _median_and_p95(error),
         "pair_score": score,
         "weak": score < config.averaging.weak_score,
     }
 
 
-def _describe_intrinsics(camera: Camera, config: IntrinsicsConfig) -> dict[str, Any]:
+def _describe_intrinsics(group: GroupResult, view: int, config: IntrinsicsConfig) -> dict[str, Any]:
     """Return where the intrinsics of a camera come from, and how sure they are."""
+    camera, uncertainty = group.rig.cameras[view], group.uncertainty
     found = {
         "source": "given",
         "focal_px": camera.focal,
         "focal_sigma_px": None,
         "k1": float(camera.distortion[0]) if len(camera.distortion) else 0.0,
         "k1_sigma": None,
+        "focal_change": _finite_or_none(uncertainty.focal_change[view]),
+        "focal_change_sigma": _finite_or_none(uncertainty.focal_sigma[view]),
     }
     if isinstance(camera, EstimatedCamera):
         least = config.least_gain * config.focal_uncertainty * camera.focal
@@ -160,7 +162,9 @@ def _describe_intrinsics(camera: Camera, config: IntrinsicsConfig) -> dict[str, 
 
 def _name_faults(group: GroupResult, view: int) -> list[str]:
     """Return the names of what is wrong with a camera."""
-    return ["inconsistent"] if group.uncertainty.outlier_cameras[view] else []
+    uncertainty = group.uncertainty
+    faults = {"inconsistent": uncertainty.outlier_cameras, "focal": uncertainty.wrong_focal}
+    return [fault for fault, has_it in faults.items() if has_it[view]]
 
 
 def _pair_score(group: GroupResult, view: int) -> float:

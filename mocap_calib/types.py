@@ -771,6 +771,9 @@ class Uncertainty(Record):
     outlier_cameras: `[view]` cameras whose errors are several times those of the others.
     weak_perspective: `[view]` cameras in whose images perspective drowns in noise: their distance
         follows from their focal length alone.
+    focal_change: `[view]` what the logarithm of a given focal length would change by if it were
+        free, and focal_sigma: `[view]` its standard deviation; NaN where they were estimated.
+    wrong_focal: `[view]` cameras whose given focal lengths are certainly wrong.
     intrinsics_angle: `[pair]` radians by which the relative rotations change where the estimated
         focal lengths change by a standard deviation; 0 where they were given.
     """
@@ -779,6 +782,9 @@ class Uncertainty(Record):
     outlier_cameras: Bools
     weak_perspective: Bools
     intrinsics_angle: Floats
+    focal_change: Floats
+    focal_sigma: Floats
+    wrong_focal: Bools
 
 
 @dataclass(frozen=True, eq=False, repr=False)

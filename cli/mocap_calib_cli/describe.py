@@ -107,6 +107,7 @@ def describe_group(group: GroupResult, report: dict[str, Any], folder: Path) -> 
         *_describe_weak_cameras(report),
         *_describe_rounds(group),
         *_describe_outlier_cameras(report),
+        *_describe_wrong_focal(report),
         *_describe_rig(report),
         *_describe_weak_perspective(report),
         *_describe_reversal(group, folder),
@@ -218,6 +219,17 @@ def _describe_outlier_cameras(report: dict[str, Any]) -> list[str]:
     return [
         f"inconsistent: {', '.join(names)}: errors several times those of the other cameras; "
         "out of step (shift it with --frame-offset), moved, or with other intrinsics"
+    ]
+
+
+def _describe_wrong_focal(report: dict[str, Any]) -> list[str]:
+    """Say which focal lengths are wrong, by how much, and how sure that is."""
+    changes = {each["name"]: each["intrinsics"] for each in report["cameras"]}
+    return [
+        f"focal: {name}: its focal length fits better changed by "
+        f"{changes[name]['focal_change']:+.1%} (+- {changes[name]['focal_change_sigma']:.1%}); "
+        "check its intrinsics and the size of its images, or say --refine focal"
+        for name in _cameras_with_fault(report, "focal")
     ]
 
 

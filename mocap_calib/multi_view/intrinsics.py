@@ -57,6 +57,15 @@ class _Estimate:
     overconfidence: Floats
 
 
+@dataclass(frozen=True)
+class _Adjusted:
+    """What one adjustment of poses and intrinsics together ends at; see `_Estimate`."""
+
+    state: State
+    sigma: Floats
+    overconfidence: Floats
+
+
 def estimate_intrinsics(
     sample: Sample,
     rig: CameraRig,
@@ -73,15 +82,7 @@ def estimate_intrinsics(
     Raises DegenerateError and UnderconstrainedCameraError where what was matched does not
     constrain the rig.
     """
-    views = len(sample.cameras)
-    start = _Estimate(
-        rig=rig,
-        sample=sample,
-        matches=matches,
-        change=np.zeros((views, 1)),
-        sigma=np.full((views, 1), config.intrinsics.focal_uncertainty),
-        overconfidence=np.full((views, 1), config.intrinsics.overconfidence),
-    )
+    start = _start(sample, rig, matches, config.intrinsics)
     found = _settle(start, sample, config, lifted=lifted, progress=progress)
     if not _focal_is_determined(found, config.intrinsics):
         return _estimated_cameras(start)
@@ -90,6 +91,37 @@ def estimate_intrinsics(
         if _k1_is_significant(with_k1, config.intrinsics):
             found = with_k1
     return _estimated_cameras(found)
+
+
+def check_focal_lengths(
+    sample: Sample, rig: CameraRig, matches: Matches, config: Config
+) -> tuple[Floats, Floats]:
+    """Return what each focal length would change by if it were free, and with what sigma.
+
+    Of the logarithms, `[view]` both, for a rig that has been adjusted with the focal lengths that
+    were given. Right ones change by no more than a few standard deviations, which are 1 to 2 % in
+    rigs of four views and far more in those of two.
+
+    Raises as `bundle_adjustment.adjust` does.
+    """
+    alone = replace(IntrinsicsConfig(), refine="focal", focal_per_camera=True)
+    start = _start(sample, rig, matches, alone)
+    free = replace(config, intrinsics=alone)
+    adjusted = _adjust(start, sample.cameras, free, already_close=True)
+    return adjusted.state.intrinsics[:, 0], adjusted.sigma[:, 0]
+
+
+def _start(sample: Sample, rig: CameraRig, matches: Matches, config: IntrinsicsConfig) -> _Estimate:
+    """Return the focal lengths that were given, as the start of their estimate."""
+    views = len(sample.cameras)
+    return _Estimate(
+        rig=rig,
+        sample=sample,
+        matches=matches,
+        change=np.zeros((views, 1)),
+        sigma=np.full((views, 1), config.focal_uncertainty),
+        overconfidence=np.full((views, 1), config.overconfidence),
+    )
 
 
 def shared_intrinsics(cameras: tuple[Camera, ...], config: IntrinsicsConfig) -> Ints:
@@ -144,15 +176,33 @@ def _adjust_once(
 
     already_close: it follows another such adjustment.
     """
+    adjusted = _adjust(found, given.cameras, config, already_close=already_close)
+    cameras = changed_cameras(given.cameras, adjusted.state)
+    rig = placed_as(replace(found.rig, cameras=cameras), adjusted.state)
+    sample = with_cameras(given, cameras)
+    return _Estimate(
+        rig=rig,
+        sample=sample,
+        matches=associate(sample, lifted, rig, config, progress=silent),
+        change=adjusted.state.intrinsics,
+        sigma=adjusted.sigma,
+        overconfidence=adjusted.overconfidence,
+    )
+
+
+def _adjust(
+    found: _Estimate, given: tuple[Camera, ...], config: Config, *, already_close: bool
+) -> _Adjusted:
+    """Adjust poses and intrinsics together to the detections that are matched."""
     points = choose_points(found.sample, found.rig, found.matches, config)
     focal = np.array([camera.focal for camera in found.rig.cameras])
     seen = PixelObservations(
-        cameras=given.cameras,
+        cameras=given,
         pixels=np.nan_to_num(points.pixels),
         sigma=points.noise * focal,
         weight=points.weight,
     )
-    freedom = _freedom(found, given.cameras, config.intrinsics)
+    freedom = _freedom(found, given, config.intrinsics)
     start = State(found.rig.rotation, found.rig.translation, points.points, found.change)
     state = minimise_in_steps(start, seen, freedom, config.adjust, already_close=already_close)
     covariance = find_covariance(
@@ -162,17 +212,10 @@ def _adjust_once(
         clusters=(_time_blocks(points, config.intrinsics.time_blocks), points.keypoint),
         loss_scale=config.adjust.loss_scales[-1],
     )
-    cameras = changed_cameras(given.cameras, state)
-    rig = placed_as(replace(found.rig, cameras=cameras), state)
-    sample = with_cameras(given, cameras)
-    overconfidence = _overconfidence(covariance, freedom, config.intrinsics)
-    return _Estimate(
-        rig=rig,
-        sample=sample,
-        matches=associate(sample, lifted, rig, config, progress=silent),
-        change=state.intrinsics,
+    return _Adjusted(
+        state=state,
         sigma=_sigma(covariance, freedom, found.overconfidence),
-        overconfidence=overconfidence,
+        overconfidence=_overconfidence(covariance, freedom, config.intrinsics),
     )
 
 

@@ -24,7 +24,7 @@ from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.multi_view.bundle_adjustment import adjust
 from mocap_calib.multi_view.fit import find_outlier_cameras, find_weak_perspective, measure_fit
-from mocap_calib.multi_view.intrinsics import shared_intrinsics
+from mocap_calib.multi_view.intrinsics import check_focal_lengths, shared_intrinsics
 from mocap_calib.recording.sampling import with_cameras
 from mocap_calib.types import (
     Bools,
@@ -45,11 +45,15 @@ def assess_uncertainty(
 ) -> Uncertainty:
     """Return how well the sample determines the rig, and which cameras stand out."""
     fit = measure_fit(sample, rig, matches, config)
+    focal_change, focal_sigma = _free_focal_lengths(sample, rig, matches, config)
     return Uncertainty(
         split_half_angle=split_half_angle(sample, rig, matches, config, seed=seed),
         outlier_cameras=find_outlier_cameras(fit, config.uncertainty),
         weak_perspective=find_weak_perspective(fit),
         intrinsics_angle=intrinsics_angle(sample, rig, matches, config),
+        focal_change=focal_change,
+        focal_sigma=focal_sigma,
+        wrong_focal=find_wrong_focal(focal_change, focal_sigma, config.uncertainty),
     )
 
 
@@ -58,9 +62,9 @@ def judge_rig(uncertainty: Uncertainty, config: UncertaintyConfig) -> Verdict:
 
     What counts for a camera is the median split-half angle of its pairs, and twice the angle that
     is due to estimated focal lengths: both are twice an error of the rig. No rig with an outlier
-    camera is well determined.
+    camera, or a wrong focal length, is well determined.
     """
-    outlier_cameras = uncertainty.outlier_cameras
+    outlier_cameras = uncertainty.outlier_cameras | uncertainty.wrong_focal
     twice_error = np.hypot(uncertainty.split_half_angle, 2 * uncertainty.intrinsics_angle)
     angle = _angle_of_worst_camera(twice_error, len(outlier_cameras))
     worst = np.rad2deg(angle)
@@ -92,6 +96,28 @@ def split_half_angle(
     first, second = relative[::2], relative[1::2]
     angle = np.nan_to_num(angle_between(first, second), nan=np.pi)  # [split, pair]
     return np.sqrt((angle**2).mean(0))
+
+
+def find_wrong_focal(change: Floats, sigma: Floats, config: UncertaintyConfig) -> Bools:
+    """Return the cameras `[view]` whose focal lengths are certainly other than was given.
+
+    change, sigma: `[view]` of their logarithms, as of `check_focal_lengths`; NaN = not known.
+    """
+    certain = np.abs(change) > config.focal_significance * sigma
+    return np.asarray(certain & (np.abs(change) > config.least_focal_change))
+
+
+def _free_focal_lengths(
+    sample: Sample, rig: CameraRig, matches: Matches, config: Config
+) -> tuple[Floats, Floats]:
+    """Return what `check_focal_lengths` does, NaN where focal lengths were not given."""
+    unknown = np.full(len(rig.cameras), np.nan)
+    if any(isinstance(camera, EstimatedCamera) for camera in rig.cameras):
+        return unknown, unknown
+    try:
+        return check_focal_lengths(sample, rig, matches, config)
+    except DegenerateError:
+        return unknown, unknown
 
 
 def intrinsics_angle(sample: Sample, rig: CameraRig, matches: Matches, config: Config) -> Floats:

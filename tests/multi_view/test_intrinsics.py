@@ -8,8 +8,12 @@ from scenes import lifted, recording, rotation_errors_deg, scene, truth, turn_ca
 
 from mocap_calib.config import Config, IntrinsicsConfig
 from mocap_calib.multi_view.bundle_adjustment import adjust
-from mocap_calib.multi_view.intrinsics import estimate_intrinsics, shared_intrinsics
-from mocap_calib.multi_view.uncertainty import intrinsics_angle, judge_rig
+from mocap_calib.multi_view.intrinsics import (
+    check_focal_lengths,
+    estimate_intrinsics,
+    shared_intrinsics,
+)
+from mocap_calib.multi_view.uncertainty import find_wrong_focal, intrinsics_angle, judge_rig
 from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.sampling import with_cameras
 from mocap_calib.steerpose.checkpoint import load_lifter
@@ -142,6 +146,21 @@ def test_a_rig_is_as_uncertain_as_its_focal_lengths():
         intrinsics_angle(sample, uncertain(rig, sigma), matches, config) for sigma in (0.05, 0.1)
     )
     np.testing.assert_allclose(large / small, 2, atol=0.5)
+
+
+def test_a_wrong_focal_length_is_found_and_right_ones_are_not_accused():
+    """One of four given 20 % too long: measured 40 sigma; the others within 1 sigma."""
+    changes = {"false_detections": 0.0}
+    sample, config = recording(**changes), Config()
+    wrong = (*sample.cameras[:2], *with_focal(sample.cameras[2:3], 1.2), sample.cameras[3])
+    for cameras, expected in ((sample.cameras, []), (wrong, [2])):
+        seen = with_cameras(sample, cameras)
+        start = replace(scene(**changes).rig, cameras=cameras)
+        rig = adjust(seen, start, truth(**changes), config)
+        change, sigma = check_focal_lengths(seen, rig, truth(**changes), config)
+        found = find_wrong_focal(change, sigma, config.uncertainty)
+        assert np.flatnonzero(found).tolist() == expected
+    assert change[2] == pytest.approx(-np.log(1.2), abs=0.06)
 
 
 @pytest.mark.slow

@@ -43,6 +43,9 @@ def uncertainty(split_half_angle: np.ndarray, outliers: tuple[int, ...] = ()) ->
         outlier_cameras=np.isin(views, outliers),
         weak_perspective=np.zeros(len(views), dtype=bool),
         intrinsics_angle=np.zeros_like(split_half_angle),
+        focal_change=np.zeros(len(views)),
+        focal_sigma=np.ones(len(views)),
+        wrong_focal=np.zeros(len(views), dtype=bool),
     )
 
 
