@@ -4,7 +4,8 @@
 PYTHON ?= python3
 BIN := .venv/bin
 WORKERS := -n 2 --dist loadfile --no-loadscope-reorder  # the scenes of a file are made once
-INSTALL := $(BIN)/pip install --disable-pip-version-check -c constraints.txt
+# what is used is compiled when it is used: that is a small part of what is installed
+INSTALL := $(BIN)/pip install --disable-pip-version-check --no-compile -c constraints.txt
 
 .PHONY: demo test test-quick fuzz lint benchmark cli-docs clean
 
