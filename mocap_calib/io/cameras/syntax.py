@@ -15,7 +15,8 @@ _YAML_CHARACTERS = 2_000_000
 _YAML_VALUES = 50_000
 _YAML_LEVELS = 50
 _TOML_LINE = r"^[ \t]*\[\[?[\w .\"'-]+\]\]?\s*(#.*)?$|^[\w\"' .-]+="
-_OTHER_START = r"\s*(\{|%YAML|---)"
+# a name in our own YAML may hold a line that looks like TOML
+_OTHER_START = r"(\s*#[^\n]*\n)*\s*(\{|%YAML|---|format: mocap-calib)"
 
 
 def is_toml(text: str) -> bool:
