@@ -29,7 +29,6 @@ from mocap_calib.io.results.group import (
     group_folder,
     read_outputs,
     remove_earlier_outputs,
-    remove_stale_results,
     write_group,
 )
 from mocap_calib.io.results.pair_store import remember_pairs
@@ -174,8 +173,8 @@ def write_result(
 ) -> tuple[WrittenGroup, ...]:
     """Write all files of a run, together or not at all; return what was written of each group.
 
-    What an earlier run wrote and this one did not is removed: further groups, individuals and
-    formats, and a rig reversed in depth.
+    What the `run.json` of an earlier run lists and this one did not write is removed: further
+    groups, individuals and formats, and a rig reversed in depth.
 
     output: the folder. inputs: SHA-256 of the files that were read, by path.
     described: further keys of `run.json`. fingerprint: of all that the result follows from, where
@@ -204,7 +203,7 @@ def write_result(
                 reports[0]["outputs"] = hash_files(work)
             text = json.dumps(reports[number], indent=1, allow_nan=False)
             (place / REPORT).write_text(text + "\n", encoding="utf-8", newline="\n")
-    _clean_output(output, reports[0])
+    _remove_unfinished(output)
     remove_earlier_outputs(output, earlier, kept=reports[0]["outputs"].keys())
     for files in further.values():
         for error in files.refused:
@@ -245,7 +244,7 @@ def find_finished(request: CalibrationRequest) -> dict[str, Any] | None:
     except (OSError, ValueError, LookupError, TypeError, AttributeError):
         return None
     # if it was killed at the very end, the run did not come to this
-    _clean_output(request.output, report)
+    _remove_unfinished(request.output)
     return report
 
 
@@ -272,12 +271,6 @@ def _report_groups(
         | {"model": group.recording.model, **shared}
         for group in result.groups
     ]
-
-
-def _clean_output(output: Path, report: Mapping[str, Any]) -> None:
-    """Leave nothing of earlier runs beside the results that `run.json` lists."""
-    remove_stale_results(output, report)
-    _remove_unfinished(output)
 
 
 def _remove_unfinished(output: Path) -> None:
