@@ -22,7 +22,7 @@ from mocap_calib.io.results.further_formats import write_formats
 from mocap_calib.io.results.group import read_outputs, remove_earlier_outputs
 from mocap_calib.io.results.matches_csv import matches_csv, read_matches_csv
 from mocap_calib.io.results.pairs_json import pairs_from_json, pairs_to_json
-from mocap_calib.io.results.poses_csv import poses_csv
+from mocap_calib.io.results.poses_csv import check_poses_csv, poses_csv, write_poses_csv
 from mocap_calib.io.results.poses_h5 import parse_poses_h5, poses_to_h5, write_poses_h5
 from mocap_calib.types import Camera, CameraRig, Matches, PairwiseCalibration, Poses3D, Recording
 
@@ -410,6 +410,28 @@ def test_a_damaged_report_lists_no_outputs(tmp_path, content):
     (tmp_path / "run.json").write_text(content, "utf-8")
     assert read_outputs(tmp_path) == {}
     assert read_outputs(tmp_path / "nowhere") == {}
+
+
+def test_poses_csv_leaves_no_file_that_passes_for_a_further_individual(tmp_path):
+    """Neither the file of one beside those of several, nor those of several beside that of one."""
+    path = tmp_path / "p.csv"
+    nobody = np.full((2, 2, 2), np.nan)
+    poses = Poses3D(
+        ("a", "b"), np.arange(2), nobody[..., None] * np.ones(3), nobody, nobody == 0, nobody, "m"
+    )
+    with pytest.raises(
+        MismatchError, match=r"p\.csv: expected at least one individual, found none"
+    ):
+        check_poses_csv(path, 0)
+    check_poses_csv(path, 2)
+    write_poses_csv(path, poses)
+    assert [file.name for file in sorted(tmp_path.iterdir())] == ["p_0.csv", "p_1.csv"]
+    check_poses_csv(path, 2)
+    with pytest.raises(MismatchError, match=r"p_0\.csv: expected no file of a further individual"):
+        check_poses_csv(path, 1)
+    path.touch()
+    with pytest.raises(MismatchError, match=r"p\.csv: expected no file of a further individual"):
+        check_poses_csv(path, 2)
 
 
 def test_a_format_that_cannot_hold_the_poses_is_left_out(tmp_path):
