@@ -21,6 +21,7 @@ from mocap_calib.io.provenance import date_of_making, provenance
 from mocap_calib.io.results.further_formats import (
     FurtherFiles,
     check_formats,
+    check_recording,
     take_points,
     write_formats,
 )
@@ -93,6 +94,7 @@ def read_job(request: CalibrationRequest) -> Job:
     date_of_making()  # so that a bad SOURCE_DATE_EPOCH is said before anything is computed
     hashes = request.hash_inputs()  # first: what changes from now on makes another fingerprint
     loaded = load_recording(request.keypoints, _load_camera_file(request.cameras))
+    check_recording(request.formats, loaded.recording, request.fps)
     lifter = load_model(loaded.recording.model)
     solver = choose_pair_solver(
         request.pair_solver, loaded.recording, lifter, request.config.pairwise

@@ -15,10 +15,12 @@ from hypothesis import strategies as st
 
 from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.io.atomic import replace_text
+from mocap_calib.io.cameras.formats import CAMERA_FORMATS
 from mocap_calib.io.hashing import hash_files
 from mocap_calib.io.poses.common import PoseFile
+from mocap_calib.io.poses.formats import POSE_FORMATS
 from mocap_calib.io.poses.poses3d_h5 import parse
-from mocap_calib.io.results.further_formats import write_formats
+from mocap_calib.io.results.further_formats import check_recording, write_formats
 from mocap_calib.io.results.group import read_outputs, remove_earlier_outputs
 from mocap_calib.io.results.matches_csv import matches_csv, read_matches_csv
 from mocap_calib.io.results.pairs_json import pairs_from_json, pairs_to_json
@@ -447,3 +449,24 @@ def test_a_format_that_cannot_hold_the_poses_is_left_out(tmp_path):
     assert ["unit" in str(error) for error in files.refused] == [True]
     assert files.notes
     assert all(note.startswith("sleap-anipose does not hold ") for note in files.notes)
+
+
+@pytest.mark.parametrize(
+    ("format", "change", "said"),
+    [
+        ("colmap", {"name": "cam 1"}, "'cam 1'; rename the camera, or write colmap-binary"),
+        ("opencv", {"name": "cam/1"}, "characters that a file name may have, found 'cam/1'"),
+        ("nerfstudio", {"distortion": np.ones(8)}, "5 distortion coefficients"),
+        ("openmvg", {"size": (0, 0)}, "expected the image size of camera left, found none"),
+    ],
+)
+def test_what_a_format_cannot_hold_of_the_cameras_is_said_before_a_run(format, change, said):
+    """And what it can hold passes, whatever the format."""
+    formats = (*CAMERA_FORMATS, *POSE_FORMATS)
+    every = [each.name for each in formats if each.write and not (each.unit or each.packages)]
+    of = replace(recording(), cameras=tuple(map(camera, ("left", "right", "3"))))
+    check_recording(every, of, 30.0)
+    unfit = replace(of, cameras=(replace(of.cameras[0], **change), *of.cameras[1:]))
+    with pytest.raises(MismatchError) as caught:
+        check_recording([format], unfit, None)
+    assert said in str(caught.value)

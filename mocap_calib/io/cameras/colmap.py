@@ -42,6 +42,7 @@ _LINE_OF_POINTS = b"\n\n"
 _SECONDS, _BYTES_A_SECOND = 1.0, 1e6
 _MEMORY, _MEMORY_A_BYTE = 300_000_000, 100
 _NO_SPACES = (r"[^\s\x00-\x1f\x7f-\xa0\ud800-\udfff]+", "no spaces")
+_WITH_SPACES = "rename the camera, or write colmap-binary, which can hold spaces"
 _NO_CONTROLS = (r"[^\x00-\x1f\x7f-\x9f\ud800-\udfff]+", "no control characters")
 
 
@@ -130,7 +131,7 @@ def write_binary(rig: CameraRig, provenance: Mapping[str, Any], points: Observed
 
 def write_text(rig: CameraRig, provenance: Mapping[str, Any], points: ObservedPoints) -> Written:
     """Write a text model, with the unit; an image is called NAME.png. Raises MismatchError."""
-    need_names(rig.names, *_NO_SPACES, "colmap")
+    need_names(rig.names, *_NO_SPACES, "colmap", _WITH_SPACES)
     written = _write(rig, points, "colmap", _TEXT)
     cameras = _CAMERAS + _TEXT
     unit = b"%s %s\n" % (_UNIT, rig.unit.encode())

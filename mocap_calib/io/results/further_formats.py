@@ -5,14 +5,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from mocap_calib.errors import MismatchError, suggest
 from mocap_calib.io.cameras.formats import CAMERA_FORMATS
 from mocap_calib.io.cameras.write import format_rig, write_cameras
-from mocap_calib.io.poses.common import PoseFile
+from mocap_calib.io.poses.common import PoseFile, bare_poses
 from mocap_calib.io.poses.formats import POSE_FORMATS
-from mocap_calib.io.poses.write import write_poses
+from mocap_calib.io.poses.write import format_poses, write_poses
 from mocap_calib.io.registry import AnyFormat, find_format, written_names
-from mocap_calib.types import CameraRig, ObservedPoints
+from mocap_calib.io.units import ARBITRARY
+from mocap_calib.types import CameraRig, ObservedPoints, Recording
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,27 @@ def check_formats(names: Sequence[str], fps: float | None) -> None:
                 f"--write {name}: expected the number of frames per second, found none; "
                 "say it with --fps"
             )
+
+
+def check_recording(names: Sequence[str], recording: Recording, fps: float | None) -> None:
+    """Hold a recording to what the further formats can hold, before it is calibrated.
+
+    Each format is tried on its cameras and keypoints, which stand at the origin.
+
+    names, fps: that `check_formats` has passed.
+
+    Raises MismatchError where a format has no place for a lens, or for a name.
+    """
+    count = len(recording.cameras)
+    rig = CameraRig(recording.cameras, np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3)))
+    positions = np.zeros((1, 1, len(recording.keypoints), 3))
+    poses = bare_poses(recording.keypoints, np.zeros(1, int), positions, unit=ARBITRARY)
+    file = PoseFile(poses, rate=float("nan") if fps is None else fps)
+    for name in names:
+        if name in written_names(CAMERA_FORMATS):
+            format_rig(rig, name, {})
+        else:
+            format_poses(file, name, Path("poses"))
 
 
 def _check_unit(known: AnyFormat) -> None:
