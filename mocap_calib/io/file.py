@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from mocap_calib.errors import FormatError
-from mocap_calib.recording.pairing import compose_name
 from mocap_calib.types import Bools, Floats, Ints, Keypoints2D
 
 NO_SCORE = "no scores in the file: every point counts fully"
@@ -42,23 +41,7 @@ def malformed(source: str, expected: str, found: object, remedy: str) -> FormatE
     )
 
 
-# --- names, paths and content
-
-
-def camera_name(name: str, source: str) -> str:
-    """Return the name of a camera as names are compared, see `compose_name`.
-
-    source: the file that it is of.
-
-    Raises FormatError where it is no text, as that of a file whose name is not UTF-8: no file that
-    is written could hold it.
-    """
-    try:
-        name.encode()
-    except UnicodeEncodeError:
-        remedy = "rename the file or the camera, or say name=path"
-        raise malformed(source, "a camera name in UTF-8", name, remedy) from None
-    return compose_name(name)
+# --- paths and content
 
 
 def plain_path(argument: str | Path) -> Path:

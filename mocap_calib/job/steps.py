@@ -19,10 +19,10 @@ from mocap_calib.io.hashing import hash_file, hash_files
 from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.provenance import date_of_making, provenance
 from mocap_calib.io.results.further_formats import (
-    FurtherFiles,
+    WriteOutcome,
+    any_holds_points,
     check_formats,
     check_recording,
-    take_points,
     write_formats,
 )
 from mocap_calib.io.results.group import (
@@ -187,7 +187,7 @@ def write_result(
     """
     earlier = read_outputs(output)
     reports = _report_groups(result, inputs, described)
-    further: dict[int, FurtherFiles] = {}
+    further: dict[int, WriteOutcome] = {}
     with replace_folder(output) as work:
         # the first group comes last: its report has the hashes of all other files
         for number in reversed(range(len(result.groups))):
@@ -198,7 +198,7 @@ def write_result(
             )
             poses = _describe_poses(group, fps)
             write_group(place, group, poses, source)
-            points = _observe_points(group, result.config) if take_points(formats) else None
+            points = _observe_points(group, result.config) if any_holds_points(formats) else None
             further[number] = write_formats(place, group.rig, poses, formats, source, points=points)
             if number == 0:
                 reports[0]["fingerprint"] = fingerprint

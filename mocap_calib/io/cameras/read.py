@@ -20,8 +20,9 @@ from mocap_calib.io.cameras.formats import (
 )
 from mocap_calib.io.cameras.intrinsics import describe_keys
 from mocap_calib.io.cameras.source import CameraFile, Source, join_camera_files, unique
-from mocap_calib.io.file import camera_name, malformed, read_bytes
+from mocap_calib.io.file import malformed, read_bytes
 from mocap_calib.io.media import name_media
+from mocap_calib.io.names import camera_name
 from mocap_calib.io.registry import find_format, format_names
 from mocap_calib.io.units import ARBITRARY, known_unit
 from mocap_calib.recording.pairing import compose_name

@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from mocap_calib.errors import MismatchError, MocapCalibError
-from mocap_calib.io.file import camera_name, check_cameras, malformed
+from mocap_calib.io.file import check_cameras, malformed
 from mocap_calib.io.keypoints.adjust import apply_offsets, convert_to_pixels, split_views
 from mocap_calib.io.keypoints.document import Item, ReadOptions
 from mocap_calib.io.keypoints.formats import KEYPOINT_FORMATS
 from mocap_calib.io.keypoints.items import keypoint_items
 from mocap_calib.io.keypoints.sniffing import require_format, sniff_item
+from mocap_calib.io.names import camera_name
 from mocap_calib.io.registry import find_format
 from mocap_calib.io.sandbox import call_contained
 from mocap_calib.types import Keypoints2D

@@ -19,11 +19,11 @@ from mocap_calib.types import CameraRig, ObservedPoints, Recording
 
 
 @dataclass(frozen=True)
-class FurtherFiles:
-    """What became of the further formats.
+class WriteOutcome:
+    """What was lost or left out when further formats were written.
 
-    notes: a line for all that a format does not hold.
-    refused: errors of the formats that cannot hold the rig or the poses, and were not written.
+    notes: a line for each thing that a format that was written does not hold.
+    refused: an error for each format that was not written, as it cannot hold the rig or the poses.
     """
 
     notes: tuple[str, ...] = ()
@@ -89,8 +89,8 @@ def _check_unit(known: AnyFormat) -> None:
     )
 
 
-def take_points(names: Sequence[str]) -> bool:
-    """Return whether a format of these names holds observed points."""
+def any_holds_points(names: Sequence[str]) -> bool:
+    """Return whether any format of these names has a place for observed points."""
     return any(each.points for each in CAMERA_FORMATS if each.name in names)
 
 
@@ -102,10 +102,10 @@ def write_formats(
     provenance: Mapping[str, Any],
     *,
     points: ObservedPoints | None = None,
-) -> FurtherFiles:
+) -> WriteOutcome:
     """Write a rig and poses in further formats into the folder of a run.
 
-    points: for the camera formats that hold them, see `take_points`.
+    points: for the camera formats that hold them, see `any_holds_points`.
     Cameras go to a folder that is called as the format, poses to poses3d and the ending of the
     format (SLEAP-anipose: points3d.h5). A format that cannot hold them is left out.
     """
@@ -121,7 +121,7 @@ def write_formats(
             refused.append(error)
         else:
             notes += [f"{name} does not hold {what}" for what in lost]
-    return FurtherFiles(tuple(notes), tuple(refused))
+    return WriteOutcome(tuple(notes), tuple(refused))
 
 
 def _write_rig(
