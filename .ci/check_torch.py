@@ -2,6 +2,9 @@
 
 Called by make in its environment before it installs. Whoever wants CUDA, or has the CPU build from
 elsewhere, installs torch first: what is there is left alone.
+
+Requirements are read by the copy of `packaging` that pip brings, as the environment has nothing but
+pip yet. Where a pip has no such copy (some systems take it out), nothing is checked.
 """
 
 import importlib.util
@@ -10,7 +13,10 @@ import subprocess
 import sys
 from typing import Any
 
-from pip._vendor.packaging.requirements import Requirement
+try:
+    from pip._vendor.packaging.requirements import Requirement
+except ImportError:
+    Requirement = None
 
 PIP = (sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet")
 ASK = ("install", "--dry-run", "--no-deps", "--report", "-", "-c", "constraints.txt", "torch")
@@ -33,7 +39,7 @@ def find_cuda_packages(report: dict[str, Any]) -> list[str]:
 
 def main() -> None:
     """End with a line on stderr where pip would install CUDA."""
-    if importlib.util.find_spec("torch"):
+    if Requirement is None or importlib.util.find_spec("torch"):
         return
     done = subprocess.run([*PIP, *ASK], stdout=subprocess.PIPE, check=False)
     if done.returncode:

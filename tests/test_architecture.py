@@ -112,6 +112,7 @@ DOORS = {  # module: where alone it is imported
     "torch": ("mocap_calib/steerpose/",),
     "cv2": ("mocap_calib/geometry/epipolar.py",),
     "pycolmap": (
+        "mocap_calib/geometry/colmap.py",
         "mocap_calib/io/cameras/colmap_model.py",
         "mocap_calib/multi_view/ceres.py",
         "mocap_calib/two_view/five_point.py",

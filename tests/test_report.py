@@ -141,6 +141,9 @@ def test_files_say_the_verdict_and_what_explains_it():
         "cameras left out: cam9",
     ):
         assert expected in said
+    shown = "\n".join(describe_group(found, report, Path("out")))  # the digits of the files
+    for angle in re.findall(r"differ by .* deg|[0-9.]+ at most", said):
+        assert angle in shown
 
 
 def test_the_error_is_what_anipose_calls_one():

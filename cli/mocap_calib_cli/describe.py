@@ -238,8 +238,8 @@ def _describe_rig(report: dict[str, Any]) -> list[str]:
     verdict = report["verdict"]
     angle = verdict["split_half_angle_deg"]
     return [
-        f"rig: {verdict['rig']}; rigs from halves of the joints differ by {angle['median']:.1f} "
-        f"deg (split-half angle; {angle['max']:.1f} at most)",
+        f"rig: {verdict['rig']}; rigs from halves of the joints differ by {angle['median']:.2f} "
+        f"deg (split-half angle; {angle['max']:.2f} at most)",
         *_describe_intrinsics_angle(verdict),
     ]
 
@@ -250,8 +250,8 @@ def _describe_intrinsics_angle(verdict: dict[str, Any]) -> list[str]:
     if not angle["max"]:
         return []
     return [
-        f"estimated focal lengths leave the rotations uncertain by {angle['median']:.1f} deg "
-        f"({angle['max']:.1f} at most)"
+        f"estimated focal lengths leave the rotations uncertain by {angle['median']:.2f} deg "
+        f"({angle['max']:.2f} at most)"
     ]
 
 

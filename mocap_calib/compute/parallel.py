@@ -6,14 +6,13 @@ number of threads, are held to one.
 """
 
 import os
-import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from itertools import islice
 from queue import SimpleQueue
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from threadpoolctl import threadpool_limits
 
@@ -85,7 +84,6 @@ class Processes:
         for worker in self._workers:
             self._idle.put(worker)
         self._pool = ThreadPoolExecutor(count)  # a thread waits for the answer of each process
-        self._calls: set[Future[Any]] = set()  # that nobody has taken the result of
 
     @property
     def threads(self) -> int:
@@ -117,14 +115,12 @@ class Processes:
             # one more than there are processes, so that none waits while the next item is made
             for item in islice(waiting, self.threads + 1 - len(under_way)):
                 call = self._pool.submit(self._call_idle_worker, function, item)
-                self._calls.add(call)
                 under_way[call] = item
 
         refill()
         while under_way:
             done, _ = wait(under_way, return_when=FIRST_COMPLETED)
             for call in done:
-                self._calls.discard(call)
                 item = under_way.pop(call)
                 refill()
                 yield item, call.result
@@ -145,11 +141,9 @@ class Processes:
     def end(self) -> None:
         """End the processes at once, whatever they do."""
         self._pool.shutdown(wait=False, cancel_futures=True)
-        # again and again: a call that had begun may just now start the process that it needs
-        while not all(call.done() for call in self._calls):
-            for worker in self._workers:
-                worker.kill()
-            time.sleep(0.01)
+        for worker in self._workers:
+            worker.kill()
+        self._pool.shutdown()  # the calls under way fail now, and no process starts again
         for worker in self._workers:
             worker.end()
 

@@ -36,7 +36,9 @@ class Worker:
     """The other process; started at the first call, and anew after it has ended."""
 
     def __init__(self) -> None:
-        self._lock = threading.RLock()
+        self._lock = threading.RLock()  # held during a call
+        self._start_lock = threading.Lock()  # so that nothing starts after the process was killed
+        self._killed = False
         self._process: subprocess.Popen[bytes] | None = None
 
     def call(
@@ -74,17 +76,22 @@ class Worker:
         return cast(Result, answer)
 
     def _running(self) -> "subprocess.Popen[bytes]":
-        """Return the process, started if there is none."""
+        """Return the process, started if there is none. Raises WorkerEndedError after `kill`."""
         if self._process is not None and self._process.poll() is not None:
             self.end()  # it ended between two calls: no reason to refuse this one
-        if self._process is None:
-            self._process = _start()
-            atexit.register(self.end)
-        return self._process
+        with self._start_lock:
+            if self._killed:
+                raise WorkerEndedError("the program that called it")
+            if self._process is None:
+                self._process = _start()
+                atexit.register(self.end)
+            return self._process
 
     def kill(self) -> None:
-        """Kill the process, whatever it does: a call under way raises WorkerEndedError."""
-        process = self._process
+        """Kill the process for good: a call under way and all later ones raise WorkerEndedError."""
+        with self._start_lock:
+            self._killed = True
+            process = self._process
         if process is not None:
             process.kill()
 

@@ -122,14 +122,6 @@ def check_no_further_individual(path: Path, individuals: int) -> None:
             )
 
 
-def remove_further_individuals(path: Path, individuals: int) -> None:
-    """Remove the files of individuals that an earlier run found beyond those of this one."""
-    number = individuals
-    while (further := numbered_file(path, number)).is_file():
-        further.unlink()
-        number += 1
-
-
 def _check_no_folder(path: Path) -> None:
     if path.is_dir():
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))

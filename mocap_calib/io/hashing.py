@@ -25,14 +25,16 @@ def hash_inputs(paths: Iterable[str | Path]) -> dict[str, str]:
 
     A folder within a folder, such as that of a camera's frames, has one hash for all its files
     and their names. What is neither file nor folder (a pipe has been read already) is left out.
+    Bytes of a path that are not UTF-8 are escaped, as files say these paths.
     """
     found = [entry for path in map(Path, paths) for entry in _entries(path)]
     hashes = {}
     for path in found:
+        name = str(path).encode(errors="backslashreplace").decode()
         if path.is_file():
-            hashes[str(path)] = hash_file(path)
+            hashes[name] = hash_file(path)
         elif path.is_dir():
-            hashes[str(path)] = _hash_folder(path)
+            hashes[name] = _hash_folder(path)
     return hashes
 
 
@@ -44,4 +46,4 @@ def _entries(path: Path) -> list[Path]:
 def _hash_folder(folder: Path) -> str:
     """Return one SHA-256 for the names and contents of all files below a folder."""
     lines = [f"{name} {content}" for name, content in hash_files(folder).items()]
-    return hashlib.sha256("\n".join(lines).encode()).hexdigest()
+    return hashlib.sha256("\n".join(lines).encode(errors="backslashreplace")).hexdigest()

@@ -19,9 +19,10 @@ from mocap_calib.io.hashing import hash_file, hash_files
 from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.provenance import date_of_making, provenance
 from mocap_calib.io.results.further_formats import (
-    FurtherFiles,
+    WriteOutcome,
+    any_holds_points,
     check_formats,
-    take_points,
+    check_recording,
     write_formats,
 )
 from mocap_calib.io.results.group import (
@@ -29,7 +30,6 @@ from mocap_calib.io.results.group import (
     group_folder,
     read_outputs,
     remove_earlier_outputs,
-    remove_stale_results,
     write_group,
 )
 from mocap_calib.io.results.pair_store import remember_pairs
@@ -94,6 +94,7 @@ def read_job(request: CalibrationRequest) -> Job:
     date_of_making()  # so that a bad SOURCE_DATE_EPOCH is said before anything is computed
     hashes = request.hash_inputs()  # first: what changes from now on makes another fingerprint
     loaded = load_recording(request.keypoints, _load_camera_file(request.cameras))
+    check_recording(request.formats, loaded.recording, request.fps)
     lifter = load_model(loaded.recording.model)
     solver = choose_pair_solver(
         request.pair_solver, loaded.recording, lifter, request.config.pairwise
@@ -174,8 +175,8 @@ def write_result(
 ) -> tuple[WrittenGroup, ...]:
     """Write all files of a run, together or not at all; return what was written of each group.
 
-    What an earlier run wrote and this one did not is removed: further groups, individuals and
-    formats, and a rig reversed in depth.
+    What the `run.json` of an earlier run lists and this one did not write is removed: further
+    groups, individuals and formats, and a rig reversed in depth.
 
     output: the folder. inputs: SHA-256 of the files that were read, by path.
     described: further keys of `run.json`. fingerprint: of all that the result follows from, where
@@ -186,7 +187,7 @@ def write_result(
     """
     earlier = read_outputs(output)
     reports = _report_groups(result, inputs, described)
-    further: dict[int, FurtherFiles] = {}
+    further: dict[int, WriteOutcome] = {}
     with replace_folder(output) as work:
         # the first group comes last: its report has the hashes of all other files
         for number in reversed(range(len(result.groups))):
@@ -197,14 +198,14 @@ def write_result(
             )
             poses = _describe_poses(group, fps)
             write_group(place, group, poses, source)
-            points = _observe_points(group, result.config) if take_points(formats) else None
+            points = _observe_points(group, result.config) if any_holds_points(formats) else None
             further[number] = write_formats(place, group.rig, poses, formats, source, points=points)
             if number == 0:
                 reports[0]["fingerprint"] = fingerprint
                 reports[0]["outputs"] = hash_files(work)
             text = json.dumps(reports[number], indent=1, allow_nan=False)
             (place / REPORT).write_text(text + "\n", encoding="utf-8", newline="\n")
-    _clean_output(output, reports[0])
+    _remove_unfinished(output)
     remove_earlier_outputs(output, earlier, kept=reports[0]["outputs"].keys())
     for files in further.values():
         for error in files.refused:
@@ -245,7 +246,7 @@ def find_finished(request: CalibrationRequest) -> dict[str, Any] | None:
     except (OSError, ValueError, LookupError, TypeError, AttributeError):
         return None
     # if it was killed at the very end, the run did not come to this
-    _clean_output(request.output, report)
+    _remove_unfinished(request.output)
     return report
 
 
@@ -272,12 +273,6 @@ def _report_groups(
         | {"model": group.recording.model, **shared}
         for group in result.groups
     ]
-
-
-def _clean_output(output: Path, report: Mapping[str, Any]) -> None:
-    """Leave nothing of earlier runs beside the results that `run.json` lists."""
-    remove_stale_results(output, report)
-    _remove_unfinished(output)
 
 
 def _remove_unfinished(output: Path) -> None:

@@ -10,7 +10,8 @@ import numpy as np
 import pycolmap
 
 from mocap_calib.config import Config
-from mocap_calib.io.cameras.colmap_model import build
+from mocap_calib.geometry.colmap import build_model, silent_colmap
+from mocap_calib.geometry.projection import CORNER_OFFSET
 from mocap_calib.multi_view.bundle_adjustment import AdjustablePoints, choose_points, with_size_of
 from mocap_calib.types import Camera, CameraRig, Floats, Matches, ObservedPoints, Sample
 
@@ -56,7 +57,7 @@ def _build_model(rig: CameraRig, points: AdjustablePoints) -> pycolmap.Reconstru
     view, point = np.nonzero(points.used)
     pixels = _resize_pixels(points.pixels[view, :, point], scale[view, None])
     observed = ObservedPoints(points.points.T, view, point, pixels)
-    return build(replace(rig, cameras=tuple(cameras)), observed)
+    return build_model(replace(rig, cameras=tuple(cameras)), observed)
 
 
 def _resize(camera: Camera, scale: float) -> Camera:
@@ -70,7 +71,7 @@ def _resize(camera: Camera, scale: float) -> Camera:
 
 def _resize_pixels(pixels: Floats, scale: float | Floats) -> Floats:
     """Return where pixels are in an image `scale` times as large: its corner stays, at -1/2."""
-    return (pixels + 0.5) * scale - 0.5
+    return (pixels + CORNER_OFFSET) * scale - CORNER_OFFSET
 
 
 def _solve(model: pycolmap.Reconstruction, *, loss_scale: float, tolerance: float) -> None:
@@ -86,4 +87,5 @@ def _solve(model: pycolmap.Reconstruction, *, loss_scale: float, tolerance: floa
     options.ceres.solver_options.num_threads = 1  # so that the same input gives the same digits
     options.ceres.solver_options.max_num_iterations = _STEPS
     options.ceres.solver_options.function_tolerance = tolerance
-    pycolmap.create_default_ceres_bundle_adjuster(options, problem, model).solve()
+    with silent_colmap():
+        pycolmap.create_default_ceres_bundle_adjuster(options, problem, model).solve()

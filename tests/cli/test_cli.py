@@ -18,6 +18,7 @@ from platforms import posix
 from scenes import rotation_errors_deg
 
 from mocap_calib.io.cameras.read import read_rig
+from mocap_calib.io.hashing import hash_files
 from mocap_calib_cli.main import COMMANDS
 
 HEAVY = ("torch", "pycolmap", "scipy", "cv2", "h5py", "numpy", "rich")
@@ -268,11 +269,16 @@ def test_adjust_takes_a_recording_with_an_overcrowded_frame(small, tool, tmp_pat
 
 @pytest.mark.slow
 def test_same_seed_same_bytes_and_a_rerun_replaces(done, small, tool, tmp_path):
+    """What an earlier run lists is taken away; what is somebody's own stays, whatever its name."""
     first, _ = done
     again = tmp_path / "out"
     again.mkdir()
-    for stale in ("poses3d_2.csv", "poses3d_3.csv", "poses3d_2024.csv", "notes.txt"):
-        (again / stale).write_text("mine")
+    for stale in ("poses3d_2.csv", "poses3d_3.csv"):
+        (again / stale).write_text("earlier")
+    (again / "run.json").write_text(json.dumps({"outputs": hash_files(again)}))
+    own = ("calibration_reversed.toml", "poses3d_4.csv", "poses3d_2024.csv", "notes.txt")
+    for name in own:
+        (again / name).write_text("mine")
     said = tool(
         "run", small / "keypoints", "--cameras", small / "intrinsics.toml", "-o", again, "--quiet"
     )
@@ -285,12 +291,9 @@ def test_same_seed_same_bytes_and_a_rerun_replaces(done, small, tool, tmp_path):
     reports[1].pop("seconds")
     assert len({report.pop("date") for report in reports}) == 2
     assert reports[0] == reports[1]
-    assert sorted(file.name for file in again.glob("poses3d_*.csv")) == [
-        "poses3d_0.csv",
-        "poses3d_1.csv",
-        "poses3d_2024.csv",
-    ]
-    assert (again / "notes.txt").read_text() == "mine"
+    written = {file.name for file in first.iterdir()}
+    assert {file.name for file in again.iterdir()} == {*written, *own}
+    assert {(again / name).read_text() for name in own} == {"mine"}
 
 
 def test_cameras_are_matched_by_name_not_by_place(small, tool, tmp_path):

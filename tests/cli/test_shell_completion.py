@@ -15,6 +15,7 @@ from mocap_calib.recording.joints import SHIPPED
 from mocap_calib_cli.main import COMMANDS, group
 
 FILES = [("file", "")]
+NUMBERS = (click.IntRange, click.FloatRange, click.types.BoolParamType)
 
 
 def offered(line: str) -> list[tuple[str, str]]:
@@ -73,6 +74,8 @@ def test_models_skeletons_and_solvers_are_offered():
     assert values("train x --skeleton r") == {"rodent", "r"}
     assert values("pairwise x --solver ") == {"search", "paper", "five-point"}
     assert values("convert a b --unit ") == {"m", "cm", "mm"}
+    assert values("simulate --kind ") == {"people", "quadruped", "rodent", "bird"}
+    assert values("simulate --kind r") == {"rodent"}
 
 
 @pytest.mark.parametrize(
@@ -100,7 +103,7 @@ def test_it_is_documented_for_each_shell():
 
 
 def test_every_option_that_takes_a_name_offers_something():
-    """Those that take free text are listed here."""
+    """All options are looked at but numbers and flags; those that take free text are listed."""
     free = {"image-size", "camera-regex", "frame-offset", "crop-offset", "views", "scheduler"}
     free |= {"data", "terms", "up"}
     for name in COMMANDS:
@@ -108,7 +111,7 @@ def test_every_option_that_takes_a_name_offers_something():
         command = group.get_command(context, name)
         for param in command.params:
             long = max(param.opts, key=len).removeprefix("--")
-            if isinstance(param.type, click.types.StringParamType) and long not in free:
+            if not isinstance(param.type, NUMBERS) and long not in free:
                 assert param.shell_complete(context, ""), f"{name} --{long}"
 
 

@@ -132,6 +132,11 @@ def test_wrong_usage(tmp_path, wrong):
     assert not (tmp_path / "new").exists()
 
 
+def test_a_kind_without_its_number_is_told_so(tmp_path):
+    said = run(tmp_path / "new", "--kind", "rodent:").stderr
+    assert "expected a number after the colon, as rodent:2, found none" in said
+
+
 def test_repeat_gives_only_what_is_unusual():
     assert format_command(SimulateConfig()) == "mocap-calib simulate -o OUT --seed 0"
     assert (

@@ -10,6 +10,7 @@ import pycolmap
 import pytest
 
 from mocap_calib.errors import FormatError, MismatchError
+from mocap_calib.geometry.colmap import silent_colmap
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.io.cameras.colmap import LENSES
@@ -226,3 +227,13 @@ def test_names_with_spaces_are_for_the_binary_model():
     }
     with pytest.raises(MismatchError, match="no spaces"):
         format_rig(rig, "colmap", {})
+
+
+def test_the_log_level_of_the_process_that_writes_and_reads_stays(tmp_path):
+    """It is the user's, who may use pycolmap as well."""
+    before = pycolmap.logging.minloglevel
+    write_cameras(tmp_path / "model", rig_of_three(), "colmap-binary")
+    load_cameras(tmp_path / "model")
+    with silent_colmap():
+        assert pycolmap.logging.minloglevel == int(pycolmap.logging.FATAL)
+    assert pycolmap.logging.minloglevel == before < int(pycolmap.logging.FATAL)

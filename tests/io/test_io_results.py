@@ -15,14 +15,16 @@ from hypothesis import strategies as st
 
 from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.io.atomic import replace_text
+from mocap_calib.io.cameras.formats import CAMERA_FORMATS
 from mocap_calib.io.hashing import hash_files
 from mocap_calib.io.poses.common import PoseFile
+from mocap_calib.io.poses.formats import POSE_FORMATS
 from mocap_calib.io.poses.poses3d_h5 import parse
-from mocap_calib.io.results.further_formats import write_formats
+from mocap_calib.io.results.further_formats import check_recording, write_formats
 from mocap_calib.io.results.group import read_outputs, remove_earlier_outputs
 from mocap_calib.io.results.matches_csv import matches_csv, read_matches_csv
 from mocap_calib.io.results.pairs_json import pairs_from_json, pairs_to_json
-from mocap_calib.io.results.poses_csv import poses_csv
+from mocap_calib.io.results.poses_csv import check_poses_csv, poses_csv, write_poses_csv
 from mocap_calib.io.results.poses_h5 import parse_poses_h5, poses_to_h5, write_poses_h5
 from mocap_calib.types import Camera, CameraRig, Matches, PairwiseCalibration, Poses3D, Recording
 
@@ -412,6 +414,28 @@ def test_a_damaged_report_lists_no_outputs(tmp_path, content):
     assert read_outputs(tmp_path / "nowhere") == {}
 
 
+def test_poses_csv_leaves_no_file_that_passes_for_a_further_individual(tmp_path):
+    """Neither the file of one beside those of several, nor those of several beside that of one."""
+    path = tmp_path / "p.csv"
+    nobody = np.full((2, 2, 2), np.nan)
+    poses = Poses3D(
+        ("a", "b"), np.arange(2), nobody[..., None] * np.ones(3), nobody, nobody == 0, nobody, "m"
+    )
+    with pytest.raises(
+        MismatchError, match=r"p\.csv: expected at least one individual, found none"
+    ):
+        check_poses_csv(path, 0)
+    check_poses_csv(path, 2)
+    write_poses_csv(path, poses)
+    assert [file.name for file in sorted(tmp_path.iterdir())] == ["p_0.csv", "p_1.csv"]
+    check_poses_csv(path, 2)
+    with pytest.raises(MismatchError, match=r"p_0\.csv: expected no file of a further individual"):
+        check_poses_csv(path, 1)
+    path.touch()
+    with pytest.raises(MismatchError, match=r"p\.csv: expected no file of a further individual"):
+        check_poses_csv(path, 2)
+
+
 def test_a_format_that_cannot_hold_the_poses_is_left_out(tmp_path):
     """The others are written: c3d asks for a unit of length, which a run does not know."""
     positions = np.arange(12.0).reshape(2, 1, 2, 3)
@@ -425,3 +449,24 @@ def test_a_format_that_cannot_hold_the_poses_is_left_out(tmp_path):
     assert ["unit" in str(error) for error in files.refused] == [True]
     assert files.notes
     assert all(note.startswith("sleap-anipose does not hold ") for note in files.notes)
+
+
+@pytest.mark.parametrize(
+    ("format", "change", "said"),
+    [
+        ("colmap", {"name": "cam 1"}, "'cam 1'; rename the camera, or write colmap-binary"),
+        ("opencv", {"name": "cam/1"}, "characters that a file name may have, found 'cam/1'"),
+        ("nerfstudio", {"distortion": np.ones(8)}, "5 distortion coefficients"),
+        ("openmvg", {"size": (0, 0)}, "expected the image size of camera left, found none"),
+    ],
+)
+def test_what_a_format_cannot_hold_of_the_cameras_is_said_before_a_run(format, change, said):
+    """And what it can hold passes, whatever the format."""
+    formats = (*CAMERA_FORMATS, *POSE_FORMATS)
+    every = [each.name for each in formats if each.write and not (each.unit or each.packages)]
+    of = replace(recording(), cameras=tuple(map(camera, ("left", "right", "3"))))
+    check_recording(every, of, 30.0)
+    unfit = replace(of, cameras=(replace(of.cameras[0], **change), *of.cameras[1:]))
+    with pytest.raises(MismatchError) as caught:
+        check_recording([format], unfit, None)
+    assert said in str(caught.value)

@@ -1,17 +1,20 @@
 """Names with accents: macOS takes them apart in names of files, people type them composed."""
 
+import os
 import unicodedata
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from platforms import linux
 from scenes import scene
 from test_io_results import matches, recording
 
 from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.io.atomic import check_no_other_files
 from mocap_calib.io.cameras.read import read_cameras
+from mocap_calib.io.hashing import hash_inputs
 from mocap_calib.io.keypoints.document import ReadOptions
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.io.results.matches_csv import matches_csv, read_matches_csv
@@ -74,3 +77,14 @@ def test_files_that_are_written_again_are_no_others(tmp_path):
     check_no_other_files(tmp_path, [f"{NAME}.json"], [".json"])
     with pytest.raises(MismatchError, match="expected a new folder or one with the same files"):
         check_no_other_files(tmp_path, ["other.json"], [".json"])
+
+
+@linux
+def test_a_name_of_a_file_that_is_not_utf8_is_no_camera_but_can_be_given_one(files, tmp_path):
+    """No file could hold such a name; the path is escaped where results say it."""
+    path = tmp_path / os.fsdecode(b"c\xff4.json")
+    path.write_bytes(files["keypoints/cam1.json"])
+    with pytest.raises(FormatError, match=r"expected a camera name in UTF-8, found .*; rename the"):
+        read_keypoints([path])
+    assert read_keypoints([f"cam4={path}"])[0].camera == "cam4"
+    assert list(hash_inputs([path])) == [f"{tmp_path}/c\\udcff4.json"]

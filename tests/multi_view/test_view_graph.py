@@ -14,6 +14,7 @@ from mocap_calib.config import AveragingConfig, PairwiseConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.rotation import angle_between, matrix_from_vector
 from mocap_calib.io.cameras.own import format_cameras_yaml
+from mocap_calib.io.hashing import hash_files
 from mocap_calib.io.keypoints.coco_writer import format_coco
 from mocap_calib.multi_view.averaging import average
 from mocap_calib.multi_view.view_graph import (
@@ -273,8 +274,10 @@ def test_run_writes_each_group_and_says_so(tool, tmp_path):
     rig = CameraRig(cameras, np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3)), "m")
     intrinsics.write_text(format_cameras_yaml(rig, {}))
     (out / "group_3").mkdir(parents=True)
-    for stale in ("group_3/run.json", "group_3/poses3d_0.csv", "notes.txt"):
+    for stale in ("group_3/run.json", "group_3/poses3d_0.csv"):
         (out / stale).write_text("{}")
+    (out / "run.json").write_text(json.dumps({"outputs": hash_files(out)}))
+    (out / "notes.txt").write_text("mine")
     said = tool("run", keypoints, "--cameras", intrinsics, "-o", out)
     assert said.returncode == 0, said.stderr
     assert "2 groups of cameras" in said.stderr

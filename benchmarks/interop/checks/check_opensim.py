@@ -18,7 +18,7 @@ def values(table):
     )
 
 
-for individual, name in enumerate(("poses-trc.trc", "poses-trc_1.trc")):
+for individual, name in enumerate(("poses-trc_0.trc", "poses-trc_1.trc")):
     table = opensim.TimeSeriesTableVec3(str(FILES / name))
     assert list(table.getColumnLabels()) == EXPECTED["keypoints"]
     assert table.getTableMetaDataString("Units") == "m"

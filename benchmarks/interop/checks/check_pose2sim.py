@@ -16,7 +16,7 @@ found = [
 ]
 near(f"Pose2Sim {version('pose2sim')} Calib.toml (px)", found, list(pixels().values()), 1e-6)
 assert len(computeP(path, undistort=True)) == 3
-coordinates, _, _, markers, _ = read_trc(str(FILES / "poses-trc.trc"))
+coordinates, _, _, markers, _ = read_trc(str(FILES / "poses-trc_0.trc"))
 assert list(markers) == EXPECTED["keypoints"], markers
 near(
     "its TRC reader (m)",

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -10,8 +10,12 @@ from mocap_calib.config import ANIMAL_MOTION, SimulateConfig
 from mocap_calib_cli import options
 from mocap_calib_cli.numbers import COUNT, NOT_NEGATIVE, POSITIVE, SEED, SHARE, Number
 
+if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
+
 _DEFAULT = SimulateConfig()
 _FLAGS = {"noise_px": "--noise", "arc_deg": "--arc"}  # where the field is not called as the option
+_KINDS = ("people", *ANIMAL_MOTION)
 _SAID_APART = ("people", "animals", "size", "shuffle", "seed")
 
 
@@ -25,10 +29,20 @@ class _Kind(click.ParamType[tuple[str, int]]):
     ) -> tuple[str, int]:
         """Return the kind and the number. Raises click's BadParameter."""
         kind, colon, number = value.partition(":")
-        known = ("people", *ANIMAL_MOTION)
-        if kind not in known:
-            self.fail(f"expected one of {', '.join(known)}, found {kind}", param, ctx)
+        if kind not in _KINDS:
+            found = kind or "nothing"
+            self.fail(f"expected one of {', '.join(_KINDS)}, found {found}", param, ctx)
+        if colon and not number:
+            self.fail(f"expected a number after the colon, as {kind}:2, found none", param, ctx)
         return kind, COUNT.convert(number, param, ctx) if colon else 1
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> "list[CompletionItem]":
+        """Return the kinds that begin as what was typed."""
+        from click.shell_completion import CompletionItem
+
+        return [CompletionItem(kind) for kind in _KINDS if kind.startswith(incomplete)]
 
 
 @click.command(

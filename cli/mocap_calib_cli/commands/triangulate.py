@@ -20,9 +20,8 @@ def command(shared: options.SharedOptions, output: Path) -> None:
       mocap-calib triangulate keypoints/ --rig out/cameras.yaml --matches out/matches.csv -o p.h5
     """
     from mocap_calib.errors import MismatchError
-    from mocap_calib.io.atomic import individual_files, replace_folder, replace_text
     from mocap_calib.io.provenance import provenance
-    from mocap_calib.io.results.poses_csv import poses_csv
+    from mocap_calib.io.results.poses_csv import check_poses_csv, write_poses_csv
     from mocap_calib.io.results.poses_h5 import write_poses_h5
     from mocap_calib.multi_view.triangulation import triangulate
     from mocap_calib.recording.joints import edges_of_keypoints
@@ -39,6 +38,8 @@ def command(shared: options.SharedOptions, output: Path) -> None:
     with Reporter(quiet=shared.quiet) as reporter:
         rig, loaded = inputs.read_recording_of_rig(shared, reporter)
         matches = inputs.read_matches(shared.matches, loaded.recording)
+        if output.suffix == ".csv":
+            check_poses_csv(output, matches.individuals)
         poses = triangulate(loaded.recording, rig, matches, progress=reporter)
     if output.suffix == ".h5":
         edges = edges_of_keypoints(
@@ -46,6 +47,4 @@ def command(shared: options.SharedOptions, output: Path) -> None:
         )
         write_poses_h5(output, poses, provenance("triangulate"), edges=edges)
     else:
-        with replace_folder(output.absolute().parent) as work:
-            for individual, path in enumerate(individual_files(output, matches.individuals)):
-                replace_text(work / path.name, poses_csv(poses, individual))
+        write_poses_csv(output, poses)

@@ -1,7 +1,7 @@
 """COLMAP's models, binary and text: folders of cameras, images, points3D, rigs and frames.
 
-pycolmap reads and writes them (`colmap_model.py`). It is loaded late, as it takes 0.3 s, and it
-reads in a process of its own, as models are other people's files.
+pycolmap reads them (`colmap_model.py`) and writes them (`geometry.colmap`). It is loaded late, as
+it takes 0.3 s, and it reads in a process of its own, as models are other people's files.
 
 * An image is a camera here: a rig that stands still has one image a camera, called after it.
 * There is no unit of length; a comment `# unit: m` in cameras.txt says ours.
@@ -42,6 +42,7 @@ _LINE_OF_POINTS = b"\n\n"
 _SECONDS, _BYTES_A_SECOND = 1.0, 1e6
 _MEMORY, _MEMORY_A_BYTE = 300_000_000, 100
 _NO_SPACES = (r"[^\s\x00-\x1f\x7f-\xa0\ud800-\udfff]+", "no spaces")
+_WITH_SPACES = "rename the camera, or write colmap-binary, which can hold spaces"
 _NO_CONTROLS = (r"[^\x00-\x1f\x7f-\x9f\ud800-\udfff]+", "no control characters")
 
 
@@ -130,7 +131,7 @@ def write_binary(rig: CameraRig, provenance: Mapping[str, Any], points: Observed
 
 def write_text(rig: CameraRig, provenance: Mapping[str, Any], points: ObservedPoints) -> Written:
     """Write a text model, with the unit; an image is called NAME.png. Raises MismatchError."""
-    need_names(rig.names, *_NO_SPACES, "colmap")
+    need_names(rig.names, *_NO_SPACES, "colmap", _WITH_SPACES)
     written = _write(rig, points, "colmap", _TEXT)
     cameras = _CAMERAS + _TEXT
     unit = b"%s %s\n" % (_UNIT, rig.unit.encode())
@@ -139,11 +140,11 @@ def write_text(rig: CameraRig, provenance: Mapping[str, Any], points: ObservedPo
 
 def _write(rig: CameraRig, points: ObservedPoints, name: str, ending: str) -> Written:
     """Write the files of a model with this ending. name: of the format. Raises MismatchError."""
-    from mocap_calib.io.cameras import colmap_model  # noqa: PLC0415 - takes 0.3 s
+    from mocap_calib.geometry.colmap import build_model, silent_colmap  # noqa: PLC0415 - 0.3 s
 
     need_sizes(rig, name)
-    model = colmap_model.build(rig, points)
-    with tempfile.TemporaryDirectory() as work:
+    with silent_colmap(), tempfile.TemporaryDirectory() as work:
+        model = build_model(rig, points)
         write = model.write_binary if ending == _BINARY else model.write_text
         write(work)
         files = {file + ending: (Path(work) / (file + ending)).read_bytes() for file in _FILES}

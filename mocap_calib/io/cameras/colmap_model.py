@@ -1,20 +1,21 @@
-"""A rig and observed points as a `pycolmap.Reconstruction`, and back.
+"""A COLMAP model in a folder as cameras, and the points that they see.
 
-COLMAP has (0, 0) at the corner of the first pixel, we have it at its centre: half a pixel is added
-and taken off in this module alone.
+COLMAP has (0, 0) at the corner of the first pixel, we have it at its centre: half a pixel is taken
+off here, which `geometry.colmap` adds.
 """
 
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pycolmap
 
+from mocap_calib.geometry.colmap import silent_colmap
+from mocap_calib.geometry.projection import CORNER_OFFSET
 from mocap_calib.io.cameras.colmap import LENSES
 from mocap_calib.io.cameras.common import (
-    CORNER_OFFSET,
     PlacedCamera,
     camera_of_image,
     collect_cameras,
@@ -23,9 +24,7 @@ from mocap_calib.io.cameras.common import (
 from mocap_calib.io.cameras.intrinsics import make_camera, make_extrinsics
 from mocap_calib.io.cameras.source import CameraFile, unique
 from mocap_calib.io.file import malformed
-from mocap_calib.types import Camera, CameraRig, ObservedPoints
-
-pycolmap.logging.minloglevel = int(pycolmap.logging.FATAL)  # what is wrong comes as an exception
+from mocap_calib.types import Camera, ObservedPoints
 
 _LENGTHS_OF_QUATERNIONS = (0.5, 2.0)  # what rounding of a unit quaternion may leave, and more
 _REMEDY = "export the model again"
@@ -40,76 +39,6 @@ _REASONS = {
 }
 
 
-# --- to COLMAP
-
-
-def build(rig: CameraRig, points: ObservedPoints) -> pycolmap.Reconstruction:
-    """Return a model with an image for each view, numbered from 1, and a track for each point.
-
-    The 2D points of an image are the observations of its view, in their order.
-    """
-    model = pycolmap.Reconstruction()
-    for view, camera in enumerate(rig.cameras):
-        number = view + 1
-        model.add_camera_with_trivial_rig(_make_colmap_camera(camera, number))
-        image = pycolmap.Image(
-            name=f"{camera.name}.png",
-            keypoints=points.pixels[points.view == view] + CORNER_OFFSET,
-            camera_id=number,
-            image_id=number,
-        )
-        rotation = pycolmap.Rotation3d(rig.rotation[view])
-        pose = pycolmap.Rigid3d(rotation, rig.translation[view] + 0.0)  # no -0 in text
-        model.add_image_with_trivial_frame(image, pose)
-    for position, track in zip(points.positions, _make_tracks(points), strict=True):
-        model.add_point3D(position, track)
-    model.update_point_3d_errors()
-    return model
-
-
-def _make_colmap_camera(camera: Camera, number: int) -> pycolmap.Camera:
-    """Return the camera in the smallest model of COLMAP that has its lens."""
-    lens = np.pad(camera.distortion, (0, 8))[:8]
-    if camera.fisheye:
-        model, lens = "OPENCV_FISHEYE", lens[:4]
-    elif lens[4:].any():
-        model = "FULL_OPENCV"
-    else:
-        model, lens = "OPENCV", lens[:4]
-    focal = camera.matrix[[0, 1], [0, 1]]
-    middle = camera.matrix[:2, 2] + CORNER_OFFSET
-    width, height = camera.size
-    return pycolmap.Camera(
-        camera_id=number,
-        model=model,
-        width=width,
-        height=height,
-        params=np.concatenate([focal, middle, lens]),
-    )
-
-
-def _make_tracks(points: ObservedPoints) -> Iterator[pycolmap.Track]:
-    """Yield the track of each point: the image and the number within it of each observation."""
-    within = np.empty(len(points.view), dtype=np.int64)
-    for view in np.unique(points.view):
-        own = points.view == view
-        within[own] = np.arange(own.sum())
-    order = np.argsort(points.point, kind="stable")
-    image = (points.view[order] + 1).tolist()
-    within_image = within[order].tolist()
-    ends = np.cumsum(np.bincount(points.point, minlength=len(points.positions))).tolist()
-    start = 0
-    for end in ends:
-        track = pycolmap.Track()
-        for k in range(start, end):
-            track.add_element(image[k], within_image[k])
-        start = end
-        yield track
-
-
-# --- from COLMAP
-
-
 def read(folder: Path, *, with_images: bool, unit: str, source: str) -> CameraFile:
     """Read the images of a model as cameras, with the points that they see.
 
@@ -118,7 +47,8 @@ def read(folder: Path, *, with_images: bool, unit: str, source: str) -> CameraFi
 
     Raises FormatError.
     """
-    model = _load(folder, source)
+    with silent_colmap():
+        model = _load(folder, source)
     lenses = {
         number: _make_camera(camera, f"{source}: camera {number}")
         for number, camera in sorted(model.cameras.items())

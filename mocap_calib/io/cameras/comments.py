@@ -32,11 +32,11 @@ def add_comments(files: Mapping[str, bytes], lines: Sequence[str]) -> dict[str, 
     JSON and binary files stay as they are.
     """
     comment = "".join(f"# {line}\n" for line in lines).encode()
-    return {name: _add_comment(name, content, comment) for name, content in files.items()}
+    return {name: _put_at_head(name, content, comment) for name, content in files.items()}
 
 
-def _add_comment(name: str, content: bytes, comment: bytes) -> bytes:
-    """Return the content of a file with a comment at its head, if it can have one."""
+def _put_at_head(name: str, content: bytes, comment: bytes) -> bytes:
+    """Return the content of one file with a comment at its head, if its syntax has comments."""
     if PurePath(name).suffix not in _WITH_COMMENTS:
         return content
     header = _FILE_STORAGE if content.startswith(_FILE_STORAGE) else b""

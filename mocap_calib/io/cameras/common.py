@@ -11,8 +11,6 @@ from mocap_calib.types import Camera, Floats, ObservedPoints
 Extrinsics = tuple[Floats, Floats]
 PlacedCamera = tuple[Camera, Extrinsics | None]
 
-# COLMAP and nerfstudio have (0, 0) at the corner of the first pixel, we have it at its centre
-CORNER_OFFSET = 0.5
 _IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 
 

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from mocap_calib.geometry.projection import CORNER_OFFSET
 from mocap_calib.io.cameras.common import (
-    CORNER_OFFSET,
     Extrinsics,
     PlacedCamera,
     camera_of_image,

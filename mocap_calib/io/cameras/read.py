@@ -22,6 +22,7 @@ from mocap_calib.io.cameras.intrinsics import describe_keys
 from mocap_calib.io.cameras.source import CameraFile, Source, join_camera_files, unique
 from mocap_calib.io.file import malformed, read_bytes
 from mocap_calib.io.media import name_media
+from mocap_calib.io.names import camera_name
 from mocap_calib.io.registry import find_format, format_names
 from mocap_calib.io.units import ARBITRARY, known_unit
 from mocap_calib.recording.pairing import compose_name
@@ -182,9 +183,9 @@ def _expected_formats() -> str:
 def _compose_names(found: CameraFile, source: str) -> CameraFile:
     """Return what was found under names as they are compared, see `compose_name`.
 
-    Raises FormatError where two cameras have one name then.
+    Raises FormatError where a name is no text, or two cameras have one name then.
     """
-    cameras = (replace(camera, name=compose_name(camera.name)) for camera in found.cameras)
+    cameras = (replace(each, name=camera_name(each.name, source)) for each in found.cameras)
     extrinsics = {compose_name(name): placed for name, placed in found.extrinsics.items()}
     return replace(found, cameras=unique(cameras, source), extrinsics=extrinsics)
 

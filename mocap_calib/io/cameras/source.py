@@ -212,7 +212,13 @@ def terms(camera: Camera, count: int, name: str, remedy: str = "write another fo
     return padded[:count]
 
 
-def need_names(cameras: Iterable[str], pattern: str, words: str, owner: str) -> None:
+def need_names(
+    cameras: Iterable[str],
+    pattern: str,
+    words: str,
+    owner: str,
+    remedy: str = "rename the camera",
+) -> None:
     """Raise MismatchError where a camera's name does not match the pattern.
 
     words: describe the pattern.
@@ -220,7 +226,7 @@ def need_names(cameras: Iterable[str], pattern: str, words: str, owner: str) -> 
     for camera in cameras:
         if not re.fullmatch(pattern, camera):
             raise MismatchError(
-                f"{owner}: expected camera names of {words}, found {camera!r}; rename the camera"
+                f"{owner}: expected camera names of {words}, found {camera!r}; {remedy}"
             )
 
 

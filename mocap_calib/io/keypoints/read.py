@@ -14,9 +14,9 @@ from mocap_calib.io.keypoints.document import Item, ReadOptions
 from mocap_calib.io.keypoints.formats import KEYPOINT_FORMATS
 from mocap_calib.io.keypoints.items import keypoint_items
 from mocap_calib.io.keypoints.sniffing import require_format, sniff_item
+from mocap_calib.io.names import camera_name
 from mocap_calib.io.registry import find_format
 from mocap_calib.io.sandbox import call_contained
-from mocap_calib.recording.pairing import compose_name
 from mocap_calib.types import Keypoints2D
 
 
@@ -116,7 +116,8 @@ def _read(item: Item, format: str | None, options: ReadOptions) -> tuple[Keypoin
         for part in split_views(view, options.views):
             scaled = convert_to_pixels(part, options.size_of(part.camera))
             read.append(_in_single_precision(scaled) if options.single_precision else scaled)
-    return tuple(replace(view, camera=compose_name(view.camera)) for view in read)
+    source = str(item.path)
+    return tuple(replace(view, camera=camera_name(view.camera, source)) for view in read)
 
 
 def _name_camera(views: tuple[Keypoints2D, ...], item: Item) -> tuple[Keypoints2D, ...]:

@@ -5,22 +5,25 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from mocap_calib.errors import MismatchError, suggest
 from mocap_calib.io.cameras.formats import CAMERA_FORMATS
 from mocap_calib.io.cameras.write import format_rig, write_cameras
-from mocap_calib.io.poses.common import PoseFile
+from mocap_calib.io.poses.common import PoseFile, bare_poses
 from mocap_calib.io.poses.formats import POSE_FORMATS
-from mocap_calib.io.poses.write import write_poses
+from mocap_calib.io.poses.write import format_poses, write_poses
 from mocap_calib.io.registry import AnyFormat, find_format, written_names
-from mocap_calib.types import CameraRig, ObservedPoints
+from mocap_calib.io.units import ARBITRARY
+from mocap_calib.types import CameraRig, ObservedPoints, Recording
 
 
 @dataclass(frozen=True)
-class FurtherFiles:
-    """What became of the further formats.
+class WriteOutcome:
+    """What was lost or left out when further formats were written.
 
-    notes: a line for all that a format does not hold.
-    refused: errors of the formats that cannot hold the rig or the poses, and were not written.
+    notes: a line for each thing that a format that was written does not hold.
+    refused: an error for each format that was not written, as it cannot hold the rig or the poses.
     """
 
     notes: tuple[str, ...] = ()
@@ -52,6 +55,27 @@ def check_formats(names: Sequence[str], fps: float | None) -> None:
             )
 
 
+def check_recording(names: Sequence[str], recording: Recording, fps: float | None) -> None:
+    """Hold a recording to what the further formats can hold, before it is calibrated.
+
+    Each format is tried on its cameras and keypoints, which stand at the origin.
+
+    names, fps: that `check_formats` has passed.
+
+    Raises MismatchError where a format has no place for a lens, or for a name.
+    """
+    count = len(recording.cameras)
+    rig = CameraRig(recording.cameras, np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3)))
+    positions = np.zeros((1, 1, len(recording.keypoints), 3))
+    poses = bare_poses(recording.keypoints, np.zeros(1, int), positions, unit=ARBITRARY)
+    file = PoseFile(poses, rate=float("nan") if fps is None else fps)
+    for name in names:
+        if name in written_names(CAMERA_FORMATS):
+            format_rig(rig, name, {})
+        else:
+            format_poses(file, name, Path("poses"))
+
+
 def _check_unit(known: AnyFormat) -> None:
     """Raise MismatchError where a format needs a unit of length, with the way to write it."""
     if not known.unit:
@@ -65,8 +89,8 @@ def _check_unit(known: AnyFormat) -> None:
     )
 
 
-def take_points(names: Sequence[str]) -> bool:
-    """Return whether a format of these names holds observed points."""
+def any_holds_points(names: Sequence[str]) -> bool:
+    """Return whether any format of these names has a place for observed points."""
     return any(each.points for each in CAMERA_FORMATS if each.name in names)
 
 
@@ -78,10 +102,10 @@ def write_formats(
     provenance: Mapping[str, Any],
     *,
     points: ObservedPoints | None = None,
-) -> FurtherFiles:
+) -> WriteOutcome:
     """Write a rig and poses in further formats into the folder of a run.
 
-    points: for the camera formats that hold them, see `take_points`.
+    points: for the camera formats that hold them, see `any_holds_points`.
     Cameras go to a folder that is called as the format, poses to poses3d and the ending of the
     format (SLEAP-anipose: points3d.h5). A format that cannot hold them is left out.
     """
@@ -97,7 +121,7 @@ def write_formats(
             refused.append(error)
         else:
             notes += [f"{name} does not hold {what}" for what in lost]
-    return FurtherFiles(tuple(notes), tuple(refused))
+    return WriteOutcome(tuple(notes), tuple(refused))
 
 
 def _write_rig(

@@ -10,7 +10,7 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-from mocap_calib.io.atomic import numbered_file, remove_further_individuals, replace_text
+from mocap_calib.io.atomic import numbered_file, replace_text
 from mocap_calib.io.cameras.write import format_rig
 from mocap_calib.io.hashing import hash_file
 from mocap_calib.io.poses.common import PoseFile
@@ -23,7 +23,6 @@ REPORT = "run.json"
 REVERSED_RIG = "calibration_reversed.toml"
 _POSES = "poses3d.csv"  # with the number of the individual: poses3d_0.csv, ...
 _REVERSED = "this is the rig reversed in depth, which fits as well as that of calibration.toml"
-_FILES = ("cameras.yaml", "calibration.toml", REVERSED_RIG, "matches.csv", "poses3d.h5", REPORT)
 
 
 def group_folder(group: int) -> str:
@@ -55,22 +54,6 @@ def write_group(
         replace_text(path, poses_csv(poses.poses, individual))
 
 
-def remove_stale_results(folder: Path, report: Mapping[str, Any]) -> None:
-    """Remove what earlier runs left in the folder of a run that its own results do not replace.
-
-    These are files of further groups, of further individuals, and a rig reversed in depth. Other
-    files stay, and so do their folders.
-
-    report: what `run.json` of the largest group holds.
-    """
-    kept = {REPORT, *report["outputs"]}
-    groups = len(report["groups"])
-    while (folder / group_folder(groups) / REPORT).is_file():
-        groups += 1
-    for group in range(groups):
-        _remove_stale_group(folder, group_folder(group), kept)
-
-
 def read_outputs(folder: Path) -> dict[str, str]:
     """Return the hash of each file that `run.json` in a folder lists; none where it lists none."""
     try:
@@ -82,6 +65,8 @@ def read_outputs(folder: Path) -> dict[str, str]:
 
 def remove_earlier_outputs(folder: Path, earlier: Mapping[str, str], kept: Collection[str]) -> None:
     """Remove the files that an earlier run wrote, unless they are kept or were changed since.
+
+    Other files stay, whatever their names. A folder that is empty then goes too.
 
     earlier: hash of each, by path within the folder. kept: paths within the folder.
     """
@@ -100,28 +85,6 @@ def _remove_empty_folders(path: Path, root: Path) -> None:
     while path != root and not any(path.iterdir()):
         path.rmdir()
         path = path.parent
-
-
-def _remove_stale_group(folder: Path, group: str, kept: set[str]) -> None:
-    """Remove the files of a group that are not kept, and its folder where nothing else is in it.
-
-    kept: names of files, relative to the folder of the run.
-    """
-    place = folder / group
-    individuals = 0
-    while _relative(numbered_file(place / _POSES, individuals), folder) in kept:
-        individuals += 1
-    remove_further_individuals(place / _POSES, individuals)
-    for file in (place / name for name in _FILES):
-        if _relative(file, folder) not in kept:
-            file.unlink(missing_ok=True)
-    if not any(place.iterdir()):
-        place.rmdir()
-
-
-def _relative(path: Path, folder: Path) -> str:
-    """Return a path relative to a folder, as `run.json` has it."""
-    return path.relative_to(folder).as_posix()
 
 
 def _write_cameras(path: Path, rig: CameraRig, format: str, provenance: Mapping[str, Any]) -> None:

@@ -1,13 +1,40 @@
 """poses3d_0.csv, poses3d_1.csv, ...: the 3D poses of one individual each, in anipose's columns."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 
+from mocap_calib.errors import MismatchError
+from mocap_calib.io.atomic import (
+    check_no_further_individual,
+    individual_files,
+    replace_folder,
+    replace_text,
+)
 from mocap_calib.io.results.csv_text import format_csv_line, slice_frames
 from mocap_calib.types import Floats, Poses3D
 
 _FIELDS = ("x", "y", "z", "error", "ncams", "score")  # of each keypoint
+
+
+def check_poses_csv(path: Path, individuals: int) -> None:
+    """Raise MismatchError where `write_poses_csv` should not write so many individuals.
+
+    That is where there is none, and where a file there would pass for one more.
+    """
+    if not individuals:
+        raise MismatchError(
+            f"{path}: expected at least one individual, found none; nothing to write"
+        )
+    check_no_further_individual(path, individuals)
+
+
+def write_poses_csv(path: Path, poses: Poses3D) -> None:
+    """Write one individual to `path`, several to NAME_0.csv, NAME_1.csv, ..., all or none."""
+    with replace_folder(path.absolute().parent) as work:
+        for individual, own in enumerate(individual_files(path, poses.positions.shape[1])):
+            replace_text(work / own.name, poses_csv(poses, individual))
 
 
 def poses_csv(poses: Poses3D, individual: int) -> Iterator[str]:
