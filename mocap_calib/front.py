@@ -115,7 +115,7 @@ def write(
         return _write_result(thing, path, format, fps)
     if isinstance(thing, CameraRig):
         form = format or choose_format("cameras", path, "format=")
-        return write_cameras(path, thing, form, {"version": __version__})
+        return write_cameras(path, thing, form, {"version": __version__, **thing.judgement})
     if isinstance(thing, Poses3D):
         form = format or choose_format("poses", path, "format=")
         return write_poses(path, PoseFile(thing, rate, tuple(individuals)), form)

@@ -7,6 +7,7 @@ Where intrinsics are to be estimated, they are from a first rig of each group: a
 intrinsics. Then everything is done with them from the beginning, as if they had been given.
 """
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -27,6 +28,7 @@ from mocap_calib.multi_view.uncertainty import assess_uncertainty, judge_rig
 from mocap_calib.multi_view.view_graph import camera_groups, select_hypotheses
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
 from mocap_calib.recording.synchronise import change_cameras
+from mocap_calib.report import judge_rig_of_group
 from mocap_calib.steerpose.checkpoint import AUTO, choose_model
 from mocap_calib.steerpose.device import check_device
 from mocap_calib.steerpose.lift import lift
@@ -295,10 +297,17 @@ def _join_groups(
         for pair in pairs
         if names[pair.a] not in group_of or group_of[names[pair.a]] != group_of.get(names[pair.b])
     )
-    return CalibrationResult(
+    result = CalibrationResult(
         groups=tuple(groups),
         left_out=tuple(name for name in names if name not in group_of),
         unused_pairs=tuple(unused),
         config=config,
         seed=seed,
     )
+    return replace(result, groups=tuple(_judge_rig(group, result) for group in groups))
+
+
+def _judge_rig(group: GroupResult, result: CalibrationResult) -> GroupResult:
+    """Return the group with a rig that says how far it can be trusted."""
+    rig = replace(group.rig, judgement=judge_rig_of_group(group, result))
+    return replace(group, adjusted=replace(group.adjusted, rig=rig))

@@ -5,6 +5,7 @@ import inspect
 import json
 import subprocess
 import sys
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from scenes import PEOPLE, scene
 
 import mocap_calib
 from mocap_calib.io.poses.read import load_poses
+from mocap_calib.io.provenance import judgement
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.steerpose.checkpoint import choose_model
 from mocap_calib_cli.options import READING
@@ -207,6 +209,20 @@ def test_what_is_written_is_read_again(files, tmp_path):
     assert any("name" in what for what in lost)
 
 
+@pytest.mark.parametrize("ending", ["toml", "yaml"])
+def test_the_verdict_on_a_rig_goes_from_file_to_file(ending, files, tmp_path):
+    """Also of some of the cameras, and in another unit."""
+    judged = judgement("weak", ["rigs differ"], 1.5)
+    rig = replace(mocap_calib.read_rig(files / "rig.toml"), judgement=judged)
+    mocap_calib.write(rig.select(["cam1", "cam2"]).scale(100, "cm"), tmp_path / f"a.{ending}")
+    again = mocap_calib.read_rig(tmp_path / f"a.{ending}")
+    mocap_calib.write(again, tmp_path / "b.toml")
+    text = (tmp_path / "b.toml").read_text("utf-8")
+    assert text.startswith("# mocap-calib: this rig is weak: check it before you measure with it\n")
+    metadata = tomllib.loads(text)["metadata"]
+    assert (metadata["adjusted"], metadata["error"], again.judgement) == (True, 1.5, judged)
+
+
 def test_what_cannot_be_written_is_said_in_a_line(files, tmp_path):
     rig = mocap_calib.read_rig(files / "rig.toml")
     view = mocap_calib.read_keypoints(files / "keypoints")[0]
@@ -233,7 +249,9 @@ def test_a_run_in_python_is_that_of_the_command(done, small, tmp_path):
     assert lost.startswith("colmap does not hold frame, individual and keypoint of a point")
     for name in ("matches.csv", "poses3d_0.csv", "poses3d_1.csv"):
         assert (tmp_path / "out" / name).read_bytes() == (done[0] / name).read_bytes()
-    assert result.groups[0].rig == mocap_calib.read_rig(done[0] / "cameras.yaml")
+    rig = mocap_calib.read_rig(done[0] / "cameras.yaml")
+    assert (result.groups[0].rig, result.groups[0].rig.judgement) == (rig, rig.judgement)
+    assert rig.judgement["verdict"] == result.groups[0].verdict
     assert (tmp_path / "out" / "colmap").is_dir()
     own, command = (
         json.loads((folder / "run.json").read_text("utf-8"))

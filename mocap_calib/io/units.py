@@ -2,9 +2,10 @@
 
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.file import malformed
+from mocap_calib.types import ARBITRARY, METRES
 
-ARBITRARY = "arbitrary"
-METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+__all__ = ["ARBITRARY", "METRES", "known_unit", "unit_factor"]
+
 _WORDS = {
     "m": ("metre", "meter"),
     "cm": ("centimetre", "centimeter"),

@@ -69,6 +69,7 @@ def make_rig(found: CameraFile, source: str) -> CameraRig:
         rotation=np.stack([rotation for rotation, _ in extrinsics]),
         translation=np.stack([translation for _, translation in extrinsics]),
         unit=found.unit,
+        judgement=found.judgement,
     )
 
 
