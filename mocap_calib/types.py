@@ -284,6 +284,11 @@ class EstimatedCamera(Camera):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
+class AssumedCamera(Camera):
+    """A camera of which nothing is known but the size of its images: its intrinsics are a guess."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class PosedCamera(Camera):
     """One camera of a rig: its intrinsics and where it stands, as OpenCV takes them.
 

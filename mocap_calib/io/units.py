@@ -27,7 +27,7 @@ def unit_factor(source: str, target: str, owner: str) -> float:
             found = "an arbitrary unit" if unit == ARBITRARY else f"the unit {unit!r}"
             raise MismatchError(
                 f"{owner}: expected lengths in {' or '.join(METRES)}, found {found}; "
-                "say what a length of 1 is with `mocap-calib convert --unit`"
+                "say what a length of 1 is with `mocap-calib convert --unit`, in Python with scale"
             )
     # the quotient of the powers of ten is exact this way round
     if METRES[source] >= METRES[target]:

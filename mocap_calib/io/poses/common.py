@@ -84,9 +84,14 @@ def describe_poses(poses: Poses3D, fps: float | None, individuals: Sequence[str]
     count = poses.positions.shape[1]
     if len(individuals) not in (0, count):
         raise ValueError(f"individuals: expected {count} names, got {len(individuals)}")
+    check_rate(fps)
+    return PoseFile(poses, float("nan") if fps is None else fps, tuple(individuals))
+
+
+def check_rate(fps: float | None) -> None:
+    """Raise ValueError where frames per second are said and are not above 0."""
     if fps is not None and not 0 < fps < np.inf:
         raise ValueError(f"fps: expected a number above 0, got {fps}")
-    return PoseFile(poses, float("nan") if fps is None else fps, tuple(individuals))
 
 
 @dataclass(frozen=True)
