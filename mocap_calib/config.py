@@ -318,6 +318,8 @@ LM_MOST_DAMPING = 1e8  # beyond it no step lowers the cost
 # what of the intrinsics may be estimated
 Refinement = Literal["none", "focal", "focal+k1"]
 REFINEMENTS: tuple[Refinement, ...] = get_args(Refinement)
+# ... where nobody knows them, if nothing else is said
+ASSUMED_REFINEMENT: Refinement = "focal+k1"
 
 
 @dataclass(frozen=True)

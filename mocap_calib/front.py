@@ -4,11 +4,14 @@ Between the two stand `pipeline.calibrate` and the methods of the records in `ty
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from mocap_calib import __version__
-from mocap_calib.errors import MismatchError
+from mocap_calib.errors import MismatchError, MocapCalibError
+from mocap_calib.io.cameras.formats import CAMERA_FORMATS
 from mocap_calib.io.cameras.read import load_cameras
 from mocap_calib.io.cameras.source import CameraFile
 from mocap_calib.io.cameras.write import write_cameras
@@ -16,7 +19,8 @@ from mocap_calib.io.keypoints.document import ReadOptions
 from mocap_calib.io.keypoints.layouts import parse_layout
 from mocap_calib.io.keypoints.write import write_keypoints
 from mocap_calib.io.kinds import choose_format
-from mocap_calib.io.poses.common import PoseFile
+from mocap_calib.io.poses.common import check_rate, describe_poses
+from mocap_calib.io.poses.formats import POSE_FORMATS
 from mocap_calib.io.poses.write import write_poses
 from mocap_calib.types import (
     CalibrationResult,
@@ -29,19 +33,25 @@ from mocap_calib.types import (
 )
 
 Paths = str | Path | Sequence[str | Path]
+ImageSizes = tuple[int, int] | Mapping[str, tuple[int, int]]
+
+# options of the command in messages of the library, but for those in commands between backticks
+_OPTION = re.compile(r"(`[^`]*`)|(?<![\w-])--([a-z]+(?:-[a-z]+)*)")
+_SIZE = re.compile(r"image_size= (?:([^;]+?):)?WIDTHxHEIGHT")
+_ARGUMENTS = {"write": "format", "to": "format", "from": "format"}  # the others have the same name
 
 
 def read_recording(  # noqa: PLR0913 - each says one thing that files may leave open
     keypoints: Paths,
-    cameras: str | Path | Sequence[Camera] | CameraRig,
+    cameras: str | Path | Sequence[Camera] | CameraRig | None = None,
     *,
     format: str | None = None,
     layout: str | Sequence[str] = (),
-    image_size: tuple[int, int] = (0, 0),
+    image_size: ImageSizes = (0, 0),
     camera_regex: str = "",
     frame_offset: Mapping[str, int] | None = None,
     crop_offset: Mapping[str, tuple[float, float]] | None = None,
-    views: Sequence[str] = (),
+    views: str | Sequence[str] = (),
     skeleton: str | Path | None = None,
     model: str | Path = "auto",
 ) -> Recording:
@@ -50,16 +60,17 @@ def read_recording(  # noqa: PLR0913 - each says one thing that files may leave 
     keypoints: a folder with a file or a folder per camera, or files, or `name=path` pairs, or a
         file of all cameras.
     cameras: a file or folder with the intrinsics; or cameras that were read or made. With a rig,
-        keypoints of cameras that it does not have are left out.
+        keypoints of cameras that it does not have are left out. None: nothing is known of them but
+        the sizes of their images, and `calibrate` estimates their intrinsics.
     format: name of the format of the keypoints, where their content does not show it.
     layout: names of the keypoints in files that do not name them, or a known list ("body_25").
-    image_size: (width, height) in pixels, where the files do not say it; positions from 0 to 1 are
-        multiplied by it.
+    image_size: (width, height) in pixels, or camera -> (width, height), where the files do not say
+        it; positions from 0 to 1 are multiplied by it.
     camera_regex: finds the name of the camera in a path: its group `camera`, its first group, or
         all of it.
     frame_offset: camera -> what is added to its frame numbers.
     crop_offset: camera -> (x, y) of the part of the image in which its keypoints were found.
-    views: views in one file: endings of keypoint names ("top", "bot"), each a camera.
+    views: views in one file: endings of keypoint names ("top", "bot" or "top,bot"), each a camera.
     skeleton: a YAML file with your names of joints, a mapping `aliases`: your name -> joint.
     model: whose joints the names are compared with; "auto": the shipped model that knows most of
         them. `calibrate` uses the same unless it is told another.
@@ -70,23 +81,26 @@ def read_recording(  # noqa: PLR0913 - each says one thing that files may leave 
     from mocap_calib.job.load import load_recording
     from mocap_calib.job.request import KeypointSource
 
-    options = ReadOptions(
-        layout=parse_layout(layout) if isinstance(layout, str) and layout else tuple(layout),
-        image_size=image_size,
-        camera_pattern=_check_pattern(camera_regex),
-        frame_offset=frame_offset or {},
-        crop_offset=crop_offset or {},
-        views=tuple(views),
-    )
-    source = KeypointSource(
-        paths=_list_paths(keypoints),
-        format=format,
-        options=options,
-        aliases=None if skeleton is None else Path(skeleton),
-        model=None if model == "auto" else str(model),
-    )
+    sizes = image_size if isinstance(image_size, Mapping) else {}
     known = isinstance(cameras, CameraRig)
-    return load_recording(source, _camera_file(cameras), only_known_cameras=known).recording
+    with _options_as_arguments():
+        options = ReadOptions(
+            layout=parse_layout(layout) if isinstance(layout, str) and layout else tuple(layout),
+            image_size=(0, 0) if isinstance(image_size, Mapping) else image_size,
+            image_sizes=sizes,
+            camera_pattern=_check_pattern(camera_regex),
+            frame_offset=frame_offset or {},
+            crop_offset=crop_offset or {},
+            views=tuple(views.split(",") if isinstance(views, str) and views else views),
+        )
+        source = KeypointSource(
+            paths=_list_paths(keypoints),
+            format=format,
+            options=options,
+            aliases=None if skeleton is None else Path(skeleton),
+            model=None if model == "auto" else str(model),
+        )
+        return load_recording(source, _camera_file(cameras), only_known_cameras=known).recording
 
 
 def write(
@@ -103,29 +117,49 @@ def write(
         the files of `mocap-calib run`.
     format: a name of docs/formats.md; without it the ending of the path says it. Beside the files
         of a result, those of a format that is named are written too.
-    fps: frames per second of poses, which some formats need.
-    individuals: `[individual]` names, for poses.
+    fps: frames per second of poses, which some formats need; also for the poses of a result.
+    individuals: `[individual]` names, for `Poses3D`.
 
     Returns what of the thing the format does not hold, in words. Raises MismatchError where the
-    format cannot hold it, or its ending does not say the format.
+    format cannot hold it, or its ending does not say the format; TypeError for other things; and
+    ValueError for `fps` and `individuals` of things that have none, and for wrong ones.
     """
     path = Path(path)
-    rate = float("nan") if fps is None else fps
-    if isinstance(thing, CalibrationResult):
-        return _write_result(thing, path, format, fps)
-    if isinstance(thing, CameraRig):
-        form = format or choose_format("cameras", path, "format=")
-        return write_cameras(path, thing, form, {"version": __version__})
-    if isinstance(thing, Poses3D):
-        form = format or choose_format("poses", path, "format=")
-        return write_poses(path, PoseFile(thing, rate, tuple(individuals)), form)
-    views = (thing,) if isinstance(thing, Keypoints2D) else tuple(thing)
+    check_rate(fps)
+    with _options_as_arguments():
+        if isinstance(thing, CalibrationResult):
+            _refuse_arguments(thing, individuals=individuals)
+            return _write_result(thing, path, format, fps)
+        if isinstance(thing, Poses3D):
+            file = describe_poses(thing, fps, individuals)
+            return write_poses(path, file, format or choose_format("poses", path, "format="))
+        _refuse_arguments(thing, fps=fps, individuals=individuals)
+        if isinstance(thing, CameraRig):
+            form = format or choose_format("cameras", path, "format=")
+            return write_cameras(path, thing, form, {"version": __version__, **thing.judgement})
+        views = _list_views(thing)
+        return write_keypoints(path, views, format or choose_format("keypoints", path, "format="))
+
+
+def _list_views(thing: object) -> tuple[Keypoints2D, ...]:
+    """Return the keypoints of one camera, or of several. Raises TypeError for anything else."""
+    views = tuple(thing) if isinstance(thing, Iterable) else (thing,)
     if not views or not all(isinstance(view, Keypoints2D) for view in views):
         raise TypeError(
-            "write: expected a CameraRig, Poses3D, Keypoints2D or CalibrationResult, "
-            f"got {type(thing).__name__}"
+            "write: expected a CameraRig, Poses3D, Keypoints2D (one, or a list) or "
+            f"CalibrationResult, got {type(thing).__name__}"
         )
-    return write_keypoints(path, views, format or choose_format("keypoints", path, "format="))
+    return views
+
+
+def _refuse_arguments(thing: object, **arguments: Any) -> None:
+    """Raise ValueError where an argument is given that says nothing about the thing."""
+    for name, value in arguments.items():
+        if value is not None and value != ():
+            raise ValueError(
+                f"write: expected {name}= with 3D poses, got it with {type(thing).__name__}; "
+                "leave it out"
+            )
 
 
 def _write_result(
@@ -136,9 +170,42 @@ def _write_result(
     from mocap_calib.job.steps import write_result
 
     formats = () if format is None else (format,)
+    for each in (*CAMERA_FORMATS, *POSE_FORMATS):
+        if each.name == format and each.unit:
+            raise MismatchError(
+                f"format={format}: expected a format that leaves the unit of length open, found "
+                f"one in {each.unit}, and a result does not know lengths; write the {each.kind} "
+                "of a group by themselves, after .scale(factor, unit)"
+            )
     check_formats(formats, fps)
     groups = write_result(path, result, inputs={}, described={}, formats=formats, fps=fps)
     return tuple(note for group in groups for note in group.notes)
+
+
+@contextmanager
+def _options_as_arguments() -> Iterator[None]:
+    """Let messages that name options of the command (`--fps`) name arguments (`fps=`)."""
+    try:
+        yield
+    except MocapCalibError as error:
+        said = _OPTION.sub(_name_argument, str(error))
+        error.args = (_SIZE.sub(_write_size, said),)
+        raise
+
+
+def _name_argument(option: re.Match[str]) -> str:
+    """Return the argument that an option is in Python; a command in backticks stays as it is."""
+    command, name = option.groups()
+    return command or f"{_ARGUMENTS.get(name, name.replace('-', '_'))}="
+
+
+def _write_size(found: re.Match[str]) -> str:
+    """Return an image size as Python has it."""
+    return (
+        f"image_size={{{found[1]!r}: (WIDTH, HEIGHT)}}"
+        if found[1]
+        else "image_size=(WIDTH, HEIGHT)"
+    )
 
 
 def _list_paths(keypoints: Paths) -> tuple[str, ...]:
@@ -147,10 +214,20 @@ def _list_paths(keypoints: Paths) -> tuple[str, ...]:
     return tuple(map(str, several))
 
 
-def _camera_file(cameras: str | Path | Sequence[Camera] | CameraRig) -> CameraFile:
-    """Return what a file says of cameras, or cameras at hand as a file would say them."""
+def _camera_file(cameras: str | Path | Sequence[Camera] | CameraRig | None) -> CameraFile | None:
+    """Return what a file says of cameras, or cameras at hand as a file would say them.
+
+    Raises TypeError for anything else.
+    """
+    if cameras is None:
+        return None
     if isinstance(cameras, str | Path):
         return load_cameras(cameras)
+    if not isinstance(cameras, Iterable) or not all(isinstance(each, Camera) for each in cameras):
+        raise TypeError(
+            "cameras: expected a path, a CameraRig, a list of Camera, or None, "
+            f"got {type(cameras).__name__}"
+        )
     return CameraFile(cameras=intrinsics_of(cameras), extrinsics={})
 
 

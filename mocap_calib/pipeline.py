@@ -7,6 +7,7 @@ Where intrinsics are to be estimated, they are from a first rig of each group: a
 intrinsics. Then everything is done with them from the beginning, as if they had been given.
 """
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -14,8 +15,8 @@ import numpy as np
 
 from mocap_calib.compute.clock import Clock
 from mocap_calib.compute.parallel import single_threaded_libraries
-from mocap_calib.config import Config
-from mocap_calib.errors import DegenerateError
+from mocap_calib.config import ASSUMED_REFINEMENT, REFINEMENTS, Config, Refinement
+from mocap_calib.errors import DegenerateError, MismatchError
 from mocap_calib.multi_view.association import associate, label_all_frames
 from mocap_calib.multi_view.averaging import average
 from mocap_calib.multi_view.intrinsics import estimate_intrinsics, not_estimated
@@ -27,12 +28,14 @@ from mocap_calib.multi_view.uncertainty import assess_uncertainty, judge_rig
 from mocap_calib.multi_view.view_graph import camera_groups, select_hypotheses
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
 from mocap_calib.recording.synchronise import change_cameras
+from mocap_calib.report import judge_rig_of_group
 from mocap_calib.steerpose.checkpoint import AUTO, choose_model
 from mocap_calib.steerpose.device import check_device
 from mocap_calib.steerpose.lift import lift
 from mocap_calib.steerpose.model import Lifter
 from mocap_calib.two_view.solve import PairSolver, calibrate_pairs, in_recording
 from mocap_calib.types import (
+    AssumedCamera,
     CalibrationResult,
     CameraRig,
     EstimatedCamera,
@@ -52,6 +55,7 @@ def calibrate(
     model: str | Path | Lifter = AUTO,
     config: Config = Config(),
     *,
+    refine: Refinement | None = None,
     seed: int = 0,
     device: str = "cpu",
     progress: Progress | None = None,
@@ -65,6 +69,8 @@ def calibrate(
 
     model: lifts the detections, as `steerpose.checkpoint.choose_model` takes it: "auto", the name
         of a shipped model, a file of weights, "none" for geometry alone, or a loaded lifter.
+    refine: which intrinsics are estimated, "none", "focal" or "focal+k1"; None: what `config` says,
+        or focal lengths and lenses where nothing is known of the cameras (`AssumedCamera`).
     device: where the network computes, "cpu" or "cuda".
     progress: is told of each step, see `types.Progress`.
     mapper: where the pairs are calibrated; by default threads or processes of this machine.
@@ -72,9 +78,11 @@ def calibrate(
 
     Raises DegenerateError where the recording determines no rig. The cameras of a group that it
     does not determine are left out. Raises FormatError where there is no such model, and
-    MismatchError where there is no such device or the model knows too few of the joints.
+    MismatchError where there is no such device, the model knows too few of the joints, or
+    intrinsics that nobody knows are not to be estimated.
     """
     check_device(device)
+    config = _choose_refinement(recording, config, refine)
     recording, lifter = choose_model(recording, model)
     progress = progress or silent
     clock = Clock()
@@ -98,6 +106,26 @@ def calibrate(
             observed = observe(recording)
         groups = _calibrate_groups(observed, config, clock, seed=seed, progress=progress)
     return _join_groups(recording, observed.pairs, groups, config=config, seed=seed)
+
+
+def _choose_refinement(recording: Recording, config: Config, refine: Refinement | None) -> Config:
+    """Return the configuration with the intrinsics that are estimated of these cameras.
+
+    Raises MismatchError where there is no such choice, or not for these cameras.
+    """
+    assumed = any(isinstance(camera, AssumedCamera) for camera in recording.cameras)
+    chosen = refine or config.intrinsics.refine
+    if refine is None and chosen == "none" and assumed:
+        chosen = ASSUMED_REFINEMENT
+    if chosen not in REFINEMENTS:
+        known = ", ".join(REFINEMENTS)
+        raise MismatchError(f"refine: expected one of {known}, found {chosen!r}; choose one")
+    if chosen == "none" and assumed:
+        raise MismatchError(
+            "refine: expected focal or focal+k1, as nothing is known of the intrinsics, "
+            "found none; give the intrinsics, or leave it out"
+        )
+    return replace(config, intrinsics=replace(config.intrinsics, refine=chosen))
 
 
 def _observe(
@@ -295,10 +323,17 @@ def _join_groups(
         for pair in pairs
         if names[pair.a] not in group_of or group_of[names[pair.a]] != group_of.get(names[pair.b])
     )
-    return CalibrationResult(
+    result = CalibrationResult(
         groups=tuple(groups),
         left_out=tuple(name for name in names if name not in group_of),
         unused_pairs=tuple(unused),
         config=config,
         seed=seed,
     )
+    return replace(result, groups=tuple(_judge_rig(group, result) for group in groups))
+
+
+def _judge_rig(group: GroupResult, result: CalibrationResult) -> GroupResult:
+    """Return the group with a rig that says how far it can be trusted."""
+    rig = replace(group.rig, judgement=judge_rig_of_group(group, result))
+    return replace(group, adjusted=replace(group.adjusted, rig=rig))

@@ -61,10 +61,27 @@ def run_report(
     }
 
 
+def judge_rig_of_group(group: GroupResult, result: CalibrationResult) -> dict[str, Any]:
+    """Return what `judge_cameras` says of a group, without the rest of its report."""
+    error = _reprojection_errors(group)
+    views = range(len(group.rig.cameras))
+    return judge_cameras(
+        {
+            "verdict": _describe_verdict(group, result.config),
+            "left_out": result.left_out,
+            "cameras": [
+                _describe_camera(group, view, error[view], result.config) for view in views
+            ],
+            "points": _describe_points(group, error),
+        }
+    )
+
+
 def judge_cameras(report: Mapping[str, Any]) -> dict[str, Any]:
     """Return what files say of how far the cameras of a group can be trusted.
 
-    report: as `run_report` returns it. The fields are those of `provenance.judgement`.
+    report: what `run_report` returns, or the part of it that is looked at here. The fields are
+        those of `provenance.judgement`.
     """
     verdict = report["verdict"]
     angle = verdict["split_half_angle_deg"]

@@ -7,7 +7,7 @@ An *instance* is a detection in one view; an *individual* is the same body in al
 docs/conventions.md has the rest.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, Literal, Protocol, Self, TypeVar
 
@@ -24,6 +24,13 @@ Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 # float32 where whole recordings are kept: that is a ten-thousandth of a pixel
 Reals = NDArray[np.floating[Any]]
+
+# which views: one name, indices or names of views, or a mask
+Views = str | Ints | Bools | Sequence[int] | Sequence[str]
+
+# what a length of 1 may be: a unit in metres, or nobody knows
+METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+ARBITRARY = "arbitrary"
 
 Verdict = Literal["well determined", "weak", "not determined"]
 
@@ -67,10 +74,21 @@ def as_array(owner: str, values: ArrayLike, kind: type[Any], *shape: int | None)
     return array
 
 
+def check_names(owner: str, names: Sequence[str]) -> None:
+    """Raise ValueError where names are one text, or one of them is there twice."""
+    if isinstance(names, str):
+        raise ValueError(f"{owner}: expected a list of names, got the text {_shorten(names)}")
+    twice = sorted({name for name in names if list(names).count(name) > 1})
+    if twice:
+        raise ValueError(f"{owner}: expected each name once, got {_shorten(twice)} several times")
+
+
 class Record:
     """What the frozen records share: they compare by value, print in short, and take lists.
 
     Two records are equal where their arrays have equal shapes and elements; NaN equals NaN.
+    Cameras and rigs copy the arrays that they are made of; recordings and all that is as large as
+    they are do not: what is written into the array of a caller changes the record.
     """
 
     def __eq__(self, other: object) -> bool:
@@ -96,6 +114,11 @@ class Record:
         """Hold the field of that name to its shape; a list becomes an array. Raises ValueError."""
         array = as_array(f"{owner}: {name}", getattr(self, name), kind, *shape)
         object.__setattr__(self, name, array)
+
+    def _copy(self, owner: str, name: str, kind: type[Any], *shape: int | None) -> None:
+        """Hold the field to its shape in an array of its own. Raises ValueError."""
+        self._hold(owner, name, kind, *shape)
+        object.__setattr__(self, name, np.array(getattr(self, name)))
 
 
 def _equal(first: object, second: object) -> bool:
@@ -139,7 +162,20 @@ def _describe_frames(frames: Ints) -> str:
 
 def _describe_unit(unit: str) -> str:
     """Return in what lengths are."""
-    return "arbitrary lengths" if unit == "arbitrary" else f"lengths in {unit}"
+    return "arbitrary lengths" if unit == ARBITRARY else f"lengths in {unit}"
+
+
+def _check_unit(owner: str, unit: str) -> None:
+    """Raise ValueError for what is no unit of length."""
+    if unit not in (ARBITRARY, *METRES):
+        known = ", ".join(METRES)
+        raise ValueError(f"{owner}: unit: expected one of {known}, {ARBITRARY}, got {unit!r}")
+
+
+def _check_factor(owner: str, factor: float) -> None:
+    """Raise ValueError for a factor of lengths that is not a number above 0."""
+    if not 0 < factor < np.inf:
+        raise ValueError(f"{owner}: factor: expected a number above 0, got {factor}")
 
 
 class Progress(Protocol):
@@ -204,8 +240,8 @@ class Camera(Record):
     fisheye: bool = False
 
     def __post_init__(self) -> None:
-        self._hold(f"camera {self.name}", "matrix", float, 3, 3)
-        self._hold(f"camera {self.name}", "distortion", float, None)
+        self._copy(f"camera {self.name}", "matrix", float, 3, 3)
+        self._copy(f"camera {self.name}", "distortion", float, None)
         if self.distortion[8:].any():
             count = len(self.distortion)
             raise ValueError(
@@ -248,6 +284,11 @@ class EstimatedCamera(Camera):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
+class AssumedCamera(Camera):
+    """A camera of which nothing is known but the size of its images: its intrinsics are a guess."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class PosedCamera(Camera):
     """One camera of a rig: its intrinsics and where it stands, as OpenCV takes them.
 
@@ -259,8 +300,8 @@ class PosedCamera(Camera):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._hold(f"camera {self.name}", "rotation", float, 3, 3)
-        self._hold(f"camera {self.name}", "translation", float, 3)
+        self._copy(f"camera {self.name}", "rotation", float, 3, 3)
+        self._copy(f"camera {self.name}", "translation", float, 3)
 
     @property
     def rvec(self) -> Floats:
@@ -298,17 +339,22 @@ class CameraRig(Record):
 
     rotation: `[view, 3, 3]` and translation: `[view, 3]` of cam_from_world.
     unit: what a length of 1 is ("m", "mm", ... or "arbitrary").
+    judgement: how far the cameras can be trusted, as `io.provenance.judgement` has it: of a rig
+        that was calibrated, and of one in a file that says so. Files that are written say it too.
     """
 
     cameras: tuple[Camera, ...]
     rotation: Floats
     translation: Floats
-    unit: str = "arbitrary"
+    unit: str = ARBITRARY
+    judgement: Mapping[str, Any] = field(default_factory=dict, compare=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "cameras", tuple(self.cameras))
-        self._hold("rig", "rotation", float, len(self.cameras), 3, 3)
-        self._hold("rig", "translation", float, len(self.cameras), 3)
+        object.__setattr__(self, "cameras", _without_poses(self.cameras))
+        check_names("rig: cameras", self.names)
+        _check_unit("rig", self.unit)
+        self._copy("rig", "rotation", float, len(self.cameras), 3, 3)
+        self._copy("rig", "translation", float, len(self.cameras), 3)
 
     def __repr__(self) -> str:
         lines = [f"  {camera.name}: {camera._describe()}" for camera in self]
@@ -323,7 +369,13 @@ class CameraRig(Record):
 
     def __getitem__(self, name: str) -> PosedCamera:
         """Return the camera of that name. Raises KeyError."""
-        return self._pose(self._index(name))
+        return self._pose(_find_name(self.names, name))
+
+    def __contains__(self, camera: object) -> bool:
+        """Return whether a camera, or one of that name, is in the rig."""
+        if isinstance(camera, str):
+            return camera in self.names
+        return any(camera == each for each in self)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -350,21 +402,25 @@ class CameraRig(Record):
         rotation = self.rotation[b] @ self.rotation[a].T
         return rotation, self.translation[b] - rotation @ self.translation[a]
 
-    def select(self, views: Ints | Sequence[str]) -> "CameraRig":
-        """Return the rig of these views (`[view]` indices or names) alone, in this order.
+    def select(self, views: Views) -> "CameraRig":
+        """Return the rig of these views (indices, names, or a mask) alone, in this order.
 
-        Raises KeyError for a name that no camera has.
+        Raises KeyError for a name that no camera has, and ValueError for a mask of another length.
         """
-        index = [self._index(view) if isinstance(view, str) else int(view) for view in views]
-        return CameraRig(
+        index = _find_views(self.names, views)
+        return replace(
+            self,
             cameras=tuple(self.cameras[view] for view in index),
             rotation=self.rotation[index],
             translation=self.translation[index],
-            unit=self.unit,
         )
 
     def scale(self, factor: float, unit: str) -> "CameraRig":
-        """Return the rig with all lengths multiplied by a factor, which are in `unit` then."""
+        """Return the rig with all lengths multiplied by a factor, which are in `unit` then.
+
+        Raises ValueError for a factor that is not above 0, and for what is no unit.
+        """
+        _check_factor("rig", factor)
         return replace(self, translation=factor * self.translation, unit=unit)
 
     def project(self, points: ArrayLike) -> Floats:
@@ -396,8 +452,8 @@ class CameraRig(Record):
         agree on it, or see it from almost the same side. The error is the RMS reprojection error
         in pixels over the views that were used.
 
-        pixels: NaN = missing. confidence: `[view, ...]` weights, 0 = missing; None: all count
-        alike.
+        pixels: NaN (or infinite) = missing. confidence: `[view, ...]` weights, 0 = missing; None:
+        all count alike.
 
         Raises ValueError for arrays of other shapes.
         """
@@ -407,26 +463,57 @@ class CameraRig(Record):
         seen = as_array("pixels", pixels, float, len(self), *middle, 2)
         given = np.ones(seen.shape[:-1]) if confidence is None else confidence
         weight = as_array("confidence", given, float, len(self), *middle)
+        seen = np.where(np.isfinite(seen), seen, np.nan)
+        weight = np.where(np.isfinite(weight), weight, 0.0)
         return triangulate_pixels(self, seen, weight)
-
-    def _index(self, name: str) -> int:
-        """Return the index of the camera of that name. Raises KeyError."""
-        if name not in self.names:
-            raise KeyError(f"expected one of the cameras {', '.join(self.names)}, found {name!r}")
-        return self.names.index(name)
 
     def _pose(self, view: int) -> PosedCamera:
         """Return the camera of a view (index) with its extrinsics."""
         camera = self.cameras[view]
-        intrinsics = {each.name: getattr(camera, each.name) for each in fields(Camera)}
         return PosedCamera(
-            **intrinsics, rotation=self.rotation[view], translation=self.translation[view]
+            **_intrinsic_fields(camera),
+            rotation=self.rotation[view],
+            translation=self.translation[view],
         )
 
 
 def intrinsics_of(cameras: Sequence[Camera] | CameraRig) -> tuple[Camera, ...]:
-    """Return the cameras of a rig, or cameras as they are."""
-    return cameras.cameras if isinstance(cameras, CameraRig) else tuple(cameras)
+    """Return the cameras of a rig, or cameras, without where they stand."""
+    return cameras.cameras if isinstance(cameras, CameraRig) else _without_poses(cameras)
+
+
+def _without_poses(cameras: Iterable[Camera]) -> tuple[Camera, ...]:
+    """Return the cameras; of those of a rig (`PosedCamera`) the intrinsics alone."""
+    return tuple(
+        Camera(**_intrinsic_fields(each)) if isinstance(each, PosedCamera) else each
+        for each in cameras
+    )
+
+
+def _intrinsic_fields(camera: Camera) -> dict[str, Any]:
+    """Return the fields that all cameras have."""
+    return {each.name: getattr(camera, each.name) for each in fields(Camera)}
+
+
+def _find_views(names: tuple[str, ...], views: Views) -> Ints:
+    """Return the `[view]` indices of views that are given by index, name or mask.
+
+    names: of all cameras.
+
+    Raises KeyError for a name that no camera has, and ValueError for a mask of another length.
+    """
+    given = [views] if isinstance(views, str) else views
+    if np.asarray(given).dtype == np.bool_:
+        return np.flatnonzero(as_array("views", given, bool, len(names)))
+    index = [_find_name(names, view) if isinstance(view, str) else int(view) for view in given]
+    return np.array(index, dtype=np.int64)
+
+
+def _find_name(names: tuple[str, ...], name: str) -> int:
+    """Return the index of the camera of that name. Raises KeyError."""
+    if name not in names:
+        raise KeyError(f"expected one of the cameras {', '.join(names)}, found {name!r}")
+    return names.index(name)
 
 
 # --- detections
@@ -499,7 +586,7 @@ class Recording(Record):
     model: str = field(default="people", kw_only=True)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "cameras", tuple(self.cameras))
+        object.__setattr__(self, "cameras", _without_poses(self.cameras))
         object.__setattr__(self, "keypoints", tuple(self.keypoints))
         views, keypoints = len(self.cameras), len(self.keypoints)
         self._hold("recording", "positions", float, views, None, None, keypoints, 2)
@@ -536,11 +623,12 @@ class Recording(Record):
         confidence: `[view, frame, instance, keypoint]` (or without instances), 0 = missing; None:
             all that is there counts alike.
         keypoints: `[keypoint]` names. cameras: `[view]`, in the order of the positions.
-        frames: `[frame]` numbers, ascending; None: counted from 0.
+        frames: `[frame]` numbers, ascending, each once; None: counted from 0.
         tracked: the instance index names the same individual in all frames; so it does for a
             single subject.
 
-        Raises ValueError for arrays of other shapes, and MismatchError as `from_keypoints` does.
+        Raises ValueError for arrays of other shapes, for frames that do not ascend and for names
+        that occur twice, and MismatchError as `from_keypoints` does.
         """
         from mocap_calib.recording.views import views_from_arrays
 
@@ -583,21 +671,24 @@ class Recording(Record):
         return np.isfinite(self.positions[..., 0])
 
     def select(
-        self, *, views: Ints | None = None, frames: Ints | Bools | slice | None = None
+        self, *, views: Views | None = None, frames: Ints | Bools | slice | None = None
     ) -> Self:
         """Return the recording with these views and these frames alone, in this order.
 
-        views: `[view]` indices. frames: `[frame]` indices (not numbers) or mask, or a slice. What
-        is not given stays whole and is not copied.
+        views: `[view]` indices or mask, or names. frames: `[frame]` indices (not numbers) or mask,
+        or a slice. What is not given stays whole and is not copied.
+
+        Raises KeyError for a name that no camera has, and ValueError for a mask of another length.
         """
         found = self
         if frames is not None:
             parts = {name: getattr(found, name)[:, frames] for name in self._by_view_and_frame}
             found = replace(found, frames=found.frames[frames], **parts)
-        if views is not None and not np.array_equal(views, np.arange(len(self.cameras))):
-            parts = {name: getattr(found, name)[views] for name in self._by_view_and_frame}
-            cameras = tuple(self.cameras[view] for view in views)
-            found = replace(found, cameras=cameras, tracked=found.tracked[views], **parts)
+        index = None if views is None else _find_views(self.names, views)
+        if index is not None and not np.array_equal(index, np.arange(len(self.cameras))):
+            parts = {name: getattr(found, name)[index] for name in self._by_view_and_frame}
+            cameras = tuple(self.cameras[view] for view in index)
+            found = replace(found, cameras=cameras, tracked=found.tracked[index], **parts)
         return found
 
     @property
@@ -809,6 +900,7 @@ class Poses3D(Record):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "keypoints", tuple(self.keypoints))
+        _check_unit("poses", self.unit)
         self._hold("poses", "positions", float, None, None, len(self.keypoints), 3)
         points = self.positions.shape[:3]
         self._hold("poses", "frames", int, points[0])
@@ -826,7 +918,11 @@ class Poses3D(Record):
         return f"Poses3D({', '.join(parts)})"
 
     def scale(self, factor: float, unit: str) -> "Poses3D":
-        """Return the poses with all lengths multiplied by a factor, which are in `unit` then."""
+        """Return the poses with all lengths multiplied by a factor, which are in `unit` then.
+
+        Raises ValueError for a factor that is not above 0, and for what is no unit.
+        """
+        _check_factor("poses", factor)
         return replace(self, positions=factor * self.positions, unit=unit)
 
     def to_xarray(
@@ -837,13 +933,13 @@ class Poses3D(Record):
         fps: frames per second; without, times are frame numbers. individuals: `[individual]`
         names; without, they are individual_0, individual_1, ...
 
-        Raises MismatchError where the package xarray, an extra, is absent.
+        Raises MismatchError where the package xarray, an extra, is absent, and ValueError for
+        other numbers of names, names that occur twice and a rate that is not above 0.
         """
-        from mocap_calib.io.poses.common import PoseFile
+        from mocap_calib.io.poses.common import describe_poses
         from mocap_calib.io.poses.movement import to_dataset
 
-        rate = float("nan") if fps is None else fps
-        return to_dataset(PoseFile(self, rate, tuple(individuals)))
+        return to_dataset(describe_poses(self, fps, individuals))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -890,14 +986,14 @@ class GroupResult(Record):
     uncertainty: Uncertainty
     verdict: Verdict
     poses: Poses3D
-    seconds: dict[str, float]
+    seconds: dict[str, float] = field(compare=False)
 
     def __repr__(self) -> str:
         return f"GroupResult({self._describe()})"
 
     @property
     def rig(self) -> CameraRig:
-        """The adjusted rig."""
+        """The adjusted rig, with the verdict on it among its `judgement`."""
         return self.adjusted.rig
 
     def _describe(self) -> str:

@@ -5,7 +5,9 @@ import inspect
 import json
 import subprocess
 import sys
+import tomllib
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +15,12 @@ import pytest
 from scenes import PEOPLE, scene
 
 import mocap_calib
+from mocap_calib import pipeline
 from mocap_calib.io.poses.read import load_poses
+from mocap_calib.io.provenance import judgement
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.steerpose.checkpoint import choose_model
+from mocap_calib.types import AssumedCamera
 from mocap_calib_cli.options import READING
 
 HEAVY = ("numpy", "torch", "scipy", "cv2", "h5py", "yaml")
@@ -105,7 +110,7 @@ def test_type_checkers_see_the_same_names():
         (mocap_calib.triangulate, ["recording", "rig", "matches"]),
         (mocap_calib.evaluate, ["rig", "reference"]),
         (mocap_calib.simulate, []),
-        (mocap_calib.read_recording, ["keypoints", "cameras"]),
+        (mocap_calib.read_recording, ["keypoints"]),
         (mocap_calib.write, ["thing", "path"]),
     ],
 )
@@ -187,6 +192,59 @@ def test_options_are_those_of_the_command(files):
         mocap_calib.read_recording(files / "keypoints", files / "rig.toml", layout="body_99")
 
 
+def test_without_cameras_their_intrinsics_are_a_guess_that_is_estimated(files, monkeypatch):
+    """Image sizes are those of the files, or said for all cameras or for each."""
+    read = mocap_calib.read_recording(files / "keypoints")
+    assert {type(camera) for camera in read.cameras} == {AssumedCamera}
+    assert read.cameras[0].focal == 1536
+    asked = []
+
+    def stop(_, *, config, **others):  # noqa: ARG001
+        asked.append(config.intrinsics.refine)
+        raise mocap_calib.DegenerateError
+
+    monkeypatch.setattr(pipeline, "_observe", stop)
+    given = mocap_calib.read_recording(files / "keypoints", files / "rig.toml")
+    for recording, refine in ((read, None), (read, "focal"), (given, None), (given, "focal")):
+        with pytest.raises(mocap_calib.DegenerateError):
+            mocap_calib.calibrate(recording, refine=refine)
+    assert asked == ["focal+k1", "focal", "none", "focal"]
+    with pytest.raises(mocap_calib.MismatchError, match="nothing is known of the intrinsics"):
+        mocap_calib.calibrate(read, refine="none")
+    with pytest.raises(mocap_calib.MismatchError, match="refine: expected one of none, focal"):
+        mocap_calib.calibrate(read, refine="k1")
+
+
+def test_messages_name_arguments(tmp_path):
+    """What the command calls `--image-size` is `image_size=` here."""
+    view = replace(scene().files[0], tracked=True)
+    views = [replace(view, camera=name) for name in "ab"]
+    mocap_calib.write(views, tmp_path / "keypoints", format="deeplabcut-csv")
+    read = partial(mocap_calib.read_recording, tmp_path / "keypoints")
+    with pytest.raises(mocap_calib.MismatchError) as raised:
+        read()
+    assert "say image_size={'a': (WIDTH, HEIGHT)}, or give the intrinsics with cameras=" in str(
+        raised.value
+    )
+    assert read(image_size={"a": (1280, 720), "b": (720, 1280)}).cameras[1].size == (720, 1280)
+    for suffixes in ("top,bot", ("top", "bot")):
+        with pytest.raises(
+            mocap_calib.MismatchError, match=r"_top or _bot, found .*; change views="
+        ):
+            read(views=suffixes)
+    with pytest.raises(TypeError, match=r"cameras: expected a path, a CameraRig, .* got int"):
+        read(42)
+    with pytest.raises(TypeError, match=r"cameras: expected a path, a CameraRig, .* got list"):
+        read(["cam1.yaml"])
+
+
+@pytest.mark.parametrize("device", ["xyz", "meta", "cuda:99"])
+def test_a_device_that_is_not_there(device, files):
+    recording = mocap_calib.read_recording(files / "keypoints", files / "rig.toml")
+    with pytest.raises(mocap_calib.MismatchError, match=f"device.*{device}.*; use cpu"):
+        mocap_calib.calibrate(recording, device=device)
+
+
 # --- writing
 
 
@@ -207,6 +265,20 @@ def test_what_is_written_is_read_again(files, tmp_path):
     assert any("name" in what for what in lost)
 
 
+@pytest.mark.parametrize("ending", ["toml", "yaml"])
+def test_the_verdict_on_a_rig_goes_from_file_to_file(ending, files, tmp_path):
+    """Also of some of the cameras, and in another unit."""
+    judged = judgement("weak", ["rigs differ"], 1.5)
+    rig = replace(mocap_calib.read_rig(files / "rig.toml"), judgement=judged)
+    mocap_calib.write(rig.select(["cam1", "cam2"]).scale(100, "cm"), tmp_path / f"a.{ending}")
+    again = mocap_calib.read_rig(tmp_path / f"a.{ending}")
+    mocap_calib.write(again, tmp_path / "b.toml")
+    text = (tmp_path / "b.toml").read_text("utf-8")
+    assert text.startswith("# mocap-calib: this rig is weak: check it before you measure with it\n")
+    metadata = tomllib.loads(text)["metadata"]
+    assert (metadata["adjusted"], metadata["error"], again.judgement) == (True, 1.5, judged)
+
+
 def test_what_cannot_be_written_is_said_in_a_line(files, tmp_path):
     rig = mocap_calib.read_rig(files / "rig.toml")
     view = mocap_calib.read_keypoints(files / "keypoints")[0]
@@ -214,10 +286,51 @@ def test_what_cannot_be_written_is_said_in_a_line(files, tmp_path):
         mocap_calib.write(rig, tmp_path / "rig.txt")
     with pytest.raises(mocap_calib.MismatchError, match="say format=deeplabcut-csv or format=csv"):
         mocap_calib.write(view, tmp_path / "view.csv")
-    with pytest.raises(mocap_calib.MismatchError, match="frames per second"):
+    with pytest.raises(mocap_calib.MismatchError, match=r"found none; say it with fps=$"):
         mocap_calib.write(_poses(), tmp_path / "poses.trc")
-    with pytest.raises(TypeError, match=r"expected a CameraRig, .* got str"):
-        mocap_calib.write("rig", tmp_path / "rig.toml")
+    with pytest.raises(mocap_calib.MismatchError, match="in Python with scale"):
+        mocap_calib.write(replace(rig, unit="arbitrary"), tmp_path / "a.toml", format="pose2sim")
+    matches = mocap_calib.Matches([[[0]]])
+    recording = mocap_calib.Recording.from_keypoints(scene().files, scene().rig)
+    for thing in ("rig", rig["cam1"], recording, matches, scene(), None, [], [rig]):
+        with pytest.raises(TypeError, match=f"CameraRig, Poses3D, .* got {type(thing).__name__}"):
+            mocap_calib.write(thing, tmp_path / "thing.toml")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"fps": 0}, "fps: expected a number above 0, got 0"),
+        ({"fps": float("nan")}, "fps: expected a number above 0, got nan"),
+        ({"individuals": ["a", "a"]}, "individuals: expected each name once"),
+        ({"individuals": "a"}, "individuals: expected a list of names, got the text 'a'"),
+        ({"individuals": ["a", "b"]}, "individuals: expected 1 names, got 2"),
+    ],
+)
+def test_what_is_said_of_poses_is_checked(arguments, message, tmp_path):
+    with pytest.raises(ValueError, match=message):
+        mocap_calib.write(_poses(), tmp_path / "poses.trc", **{"fps": 50, **arguments})
+    assert not list(tmp_path.iterdir())
+
+
+def test_arguments_that_say_nothing_are_refused(files, tmp_path):
+    rig = mocap_calib.read_rig(files / "rig.toml")
+    result = mocap_calib.CalibrationResult((), (), ())
+    for thing, arguments in (
+        (rig, {"fps": 50}),
+        (rig, {"individuals": ["ann"]}),
+        (scene().files, {"fps": 50}),
+        (result, {"individuals": ["ann"]}),
+    ):
+        with pytest.raises(ValueError, match=f"expected {next(iter(arguments))}= with 3D poses"):
+            mocap_calib.write(thing, tmp_path / "out.toml", **arguments)
+    with pytest.raises(
+        mocap_calib.MismatchError, match=r"^format=: expected one of .* found 'trk'"
+    ):
+        mocap_calib.write(result, tmp_path / "out", format="trk")
+    with pytest.raises(mocap_calib.MismatchError, match=r"in m, .*after .scale\(factor, unit\)"):
+        mocap_calib.write(result, tmp_path / "out", format="pose2sim")
     assert not list(tmp_path.iterdir())
 
 
@@ -233,7 +346,9 @@ def test_a_run_in_python_is_that_of_the_command(done, small, tmp_path):
     assert lost.startswith("colmap does not hold frame, individual and keypoint of a point")
     for name in ("matches.csv", "poses3d_0.csv", "poses3d_1.csv"):
         assert (tmp_path / "out" / name).read_bytes() == (done[0] / name).read_bytes()
-    assert result.groups[0].rig == mocap_calib.read_rig(done[0] / "cameras.yaml")
+    rig = mocap_calib.read_rig(done[0] / "cameras.yaml")
+    assert (result.groups[0].rig, result.groups[0].rig.judgement) == (rig, rig.judgement)
+    assert rig.judgement["verdict"] == result.groups[0].verdict
     assert (tmp_path / "out" / "colmap").is_dir()
     own, command = (
         json.loads((folder / "run.json").read_text("utf-8"))

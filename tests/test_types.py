@@ -1,7 +1,8 @@
 """The records: what they hold, how they compare and print, and what a rig does with points."""
 
 import sys
-from dataclasses import replace
+import warnings
+from dataclasses import fields, replace
 
 import cv2
 import h5netcdf
@@ -45,9 +46,12 @@ def test_lists_become_arrays():
 
 
 def test_arrays_are_kept_as_they_are():
-    """No copies of whole recordings; 32 bits stay."""
-    matrix = np.eye(3)
-    assert camera(matrix=matrix).matrix is matrix
+    """No copies of whole recordings; 32 bits stay. Cameras and rigs have arrays of their own."""
+    matrix, translation = np.eye(3), np.zeros((1, 3))
+    made = camera(matrix=matrix)
+    rig = mc.CameraRig([made], [UNIT], translation)
+    matrix[0, 0], translation[0, 0] = 9, 9
+    assert (made.matrix[0, 0], rig.translation[0, 0]) == (1, 0)
     recording = mc.Recording.from_keypoints(scene().files, scene().rig)
     assert recording.positions.dtype == np.float32
     assert replace(recording, model="none").positions is recording.positions
@@ -67,6 +71,23 @@ def test_arrays_are_kept_as_they_are():
             lambda: mc.CameraRig([camera()], [UNIT], [0, 0, 1]),
             r"rig: translation: expected shape \(1, 3\), got \(3,\)",
         ),
+        (
+            lambda: mc.CameraRig([camera(), camera()], [UNIT] * 2, np.eye(3)[:2]),
+            r"rig: cameras: expected each name once, got \['cam1'\] several times",
+        ),
+        (lambda: two_views().scale(1, "parsec"), "rig: unit: expected one of m, .*got 'parsec'"),
+        (lambda: two_views().scale(np.nan, "m"), "rig: factor: expected a number above 0, got nan"),
+        (lambda: two_views().scale(0, "m"), "rig: factor: expected a number above 0, got 0"),
+        (lambda: poses().scale(-1, "m"), "poses: factor: expected a number above 0, got -1"),
+        (lambda: poses(unit="ell"), "poses: unit: expected one of m, .*got 'ell'"),
+        (lambda: two_views().select([True] * 3), r"views: expected shape \(2,\), got \(3,\)"),
+        (lambda: of_arrays(keypoints=["nose"] * 4), "keypoints: expected each name once"),
+        (lambda: of_arrays(keypoints="nose"), "keypoints: expected a list of names, got the text"),
+        (lambda: of_arrays(frames=[0] * 5), "frames: expected numbers that ascend, each once"),
+        (lambda: of_arrays(frames=[4, 3, 2, 1, 0]), "frames: expected numbers that ascend"),
+        (lambda: of_arrays(cameras=[camera()] * 2), "cameras: expected each name once"),
+        (lambda: poses().to_xarray(fps=0), "fps: expected a number above 0, got 0"),
+        (lambda: poses().to_xarray(individuals=["a", "b"]), "expected 1 names, got 2"),
         (lambda: poses(frames=[0.5, 1]), "poses: frames: expected whole numbers"),
         (lambda: poses(frames=[np.nan, 1]), "poses: frames: expected whole numbers"),
         (lambda: mc.Matches([[0, 1]]), "matches: labels: expected shape"),
@@ -82,6 +103,21 @@ def test_what_is_wrong_is_said(make, message):
     with pytest.raises(ValueError, match=message) as raised:
         make()
     assert "\n" not in str(raised.value)
+
+
+def test_cameras_of_a_rig_are_cameras_of_a_recording_and_of_another_rig():
+    rig = scene().rig
+    assert mc.CameraRig(list(rig), rig.rotation, rig.translation, rig.unit) == rig
+    recording = mc.Recording.from_keypoints(scene().files, list(rig))
+    assert {type(each) for each in recording.cameras} == {mc.Camera}
+    assert replace(recording, cameras=list(rig)) == recording
+
+
+def test_wall_time_is_no_result():
+    compared = {each.name for each in fields(mc.GroupResult) if each.compare}
+    assert "seconds" not in compared
+    assert "rig" not in compared
+    assert "adjusted" in compared
 
 
 def test_records_compare_by_value():
@@ -174,6 +210,14 @@ def test_a_single_subject_needs_no_axis_of_instances():
         mc.Recording.from_arrays(positions, keypoints=names[:3], cameras=cameras)
 
 
+def of_arrays(**changes) -> mc.Recording:
+    """A recording of one subject in two views and five frames."""
+    positions = np.random.default_rng(0).uniform(100, 600, size=(2, 5, 4, 2))
+    names = ["nose", "left_ear", "right_ear", "tail_base"]
+    arguments = {"keypoints": names, "cameras": [camera("a"), camera("b")], **changes}
+    return mc.Recording.from_arrays(positions, **arguments)
+
+
 # --- a camera of a rig
 
 
@@ -210,6 +254,15 @@ def test_projection_matrices_project():
 def test_views_are_chosen_by_name_or_index():
     rig = scene().rig
     assert rig.select(["cam3", "cam1"]) == rig.select(np.array([2, 0]))
+    assert rig.select([False, True, False, True]) == rig.select(["cam2", "cam4"])
+    assert rig.select("cam2").names == ("cam2",)
+    assert ("cam1" in rig, rig["cam1"] in rig, "cam9" in rig) == (True, True, False)
+    recording = mc.Recording.from_keypoints(scene().files, rig)
+    assert recording.select(views=["cam3", "cam1"]).names == ("cam3", "cam1")
+    mask = np.array([False, True, False, True])
+    assert recording.select(views=mask) == recording.select(views=np.array([1, 3]))
+    with pytest.raises(KeyError, match="found 'nobody'"):
+        recording.select(views=["nobody"])
     with pytest.raises(KeyError, match="found 'nobody'"):
         rig.select(["nobody"])
 
@@ -282,7 +335,10 @@ def test_what_two_views_do_not_see_is_missing():
     confidence = np.ones((4, 3))
     confidence[:3, 1] = 0
     confidence[0, 2] = np.nan
-    found, error = rig.triangulate(pixels, confidence)
+    pixels[1, 2] = np.inf
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found, error = rig.triangulate(pixels, confidence)
     assert np.isnan(found[:2]).all()
     assert np.isnan(error[:2]).all()
     np.testing.assert_allclose(found[2], scene().poses[0, 0, 2], atol=1e-9)

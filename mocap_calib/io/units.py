@@ -2,9 +2,10 @@
 
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.file import malformed
+from mocap_calib.types import ARBITRARY, METRES
 
-ARBITRARY = "arbitrary"
-METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+__all__ = ["ARBITRARY", "METRES", "known_unit", "unit_factor"]
+
 _WORDS = {
     "m": ("metre", "meter"),
     "cm": ("centimetre", "centimeter"),
@@ -26,7 +27,7 @@ def unit_factor(source: str, target: str, owner: str) -> float:
             found = "an arbitrary unit" if unit == ARBITRARY else f"the unit {unit!r}"
             raise MismatchError(
                 f"{owner}: expected lengths in {' or '.join(METRES)}, found {found}; "
-                "say what a length of 1 is with `mocap-calib convert --unit`"
+                "say what a length of 1 is with `mocap-calib convert --unit`, in Python with scale"
             )
     # the quotient of the powers of ten is exact this way round
     if METRES[source] >= METRES[target]:

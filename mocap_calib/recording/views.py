@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mocap_calib.types import Bools, Camera, Ints, Keypoints2D, Reals, as_array
+from mocap_calib.types import Bools, Camera, Ints, Keypoints2D, Reals, as_array, check_names
 
 
 def views_from_arrays(
@@ -20,8 +20,13 @@ def views_from_arrays(
     """Return what files would hold of the arrays of a user, see `Recording.from_arrays`.
 
     A point is missing where its position or its confidence is; without confidences those that are
-    there have 1. Raises ValueError for arrays of other shapes.
+    there have 1.
+
+    Raises ValueError for arrays of other shapes, for frames that do not ascend and for names that
+    occur twice.
     """
+    check_names("keypoints", keypoints)
+    check_names("cameras", [camera.name for camera in cameras])
     given = np.asarray(positions, dtype=np.float64)
     weight = np.ones(given.shape[:-1]) if confidence is None else np.asarray(confidence, float)
     alone = given.ndim == 4  # no axis of instances
@@ -31,11 +36,14 @@ def views_from_arrays(
     seen = as_array("positions", given, float, views, None, None, names, 2)
     weight = as_array("confidence", weight, float, *seen.shape[:-1])
     present = np.isfinite(seen).all(-1) & (weight > 0)
-    numbers = np.arange(seen.shape[1]) if frames is None else frames
+    given_frames = np.arange(seen.shape[1]) if frames is None else frames
+    numbers = as_array("frames", given_frames, int, seen.shape[1])
+    if (np.diff(numbers) <= 0).any():
+        raise ValueError("frames: expected numbers that ascend, each once; sort the frames")
     return split_by_view(
         cameras,
         keypoints=tuple(keypoints),
-        frames=as_array("frames", numbers, int, seen.shape[1]),
+        frames=numbers,
         positions=np.where(present[..., None], seen, np.nan),
         confidence=np.where(present, weight, 0.0),
         tracked=np.full(views, tracked or alone),

@@ -14,9 +14,14 @@ def use_threads(count: int) -> None:
 
 
 def check_device(device: str) -> None:
-    """Raise MismatchError where there is no such device ("cpu" or "cuda")."""
-    if device == "cuda" and not torch.cuda.is_available():
+    """Raise MismatchError where there is no such device ("cpu", "cuda" or "cuda:1")."""
+    try:
+        wanted = torch.device(device)
+    except (RuntimeError, TypeError):
+        wanted = None
+    if wanted is None or wanted.type not in ("cpu", "cuda"):
+        raise MismatchError(f"device: expected cpu or cuda, found {device!r}; use cpu")
+    if wanted.type == "cuda" and (wanted.index or 0) >= torch.cuda.device_count():
         raise MismatchError(
-            "--device cuda: expected a CUDA device and a torch built for it, found none; "
-            "use --device cpu"
+            f"device {device}: expected a CUDA device and a torch built for it, found none; use cpu"
         )

@@ -69,7 +69,8 @@ def make_rig(found: CameraFile, source: str) -> CameraRig:
         cameras=found.cameras,
         rotation=np.stack([rotation for rotation, _ in extrinsics]),
         translation=np.stack([translation for _, translation in extrinsics]),
-        unit=found.unit,
+        unit=found.unit or ARBITRARY,
+        judgement=found.judgement,
     )
 
 

@@ -18,7 +18,7 @@ from mocap_calib.io.file import find_repeated, malformed, one_line
 from mocap_calib.io.hdf5 import HDF5_DAMAGE
 from mocap_calib.io.sandbox import HDF5
 from mocap_calib.io.units import unit_factor
-from mocap_calib.types import Floats, Ints, Poses3D
+from mocap_calib.types import Floats, Ints, Poses3D, check_names
 
 # what h5py, numpy, zipfile and c3d raise on files that are cut or damaged
 DAMAGE = (
@@ -69,6 +69,29 @@ class PoseFile:
             object.__setattr__(self, "individuals", tuple(f"individual_{k}" for k in range(count)))
         if len(self.individuals) != count:
             raise ValueError(f"{len(self.individuals)} names for {count} individuals")
+
+
+def describe_poses(poses: Poses3D, fps: float | None, individuals: Sequence[str]) -> PoseFile:
+    """Return poses with what a user says beside.
+
+    fps: frames per second; None: not known. individuals: `[individual]` names; none: see
+        `PoseFile`.
+
+    Raises ValueError for another number of names, names that occur twice, and a rate that is not
+    above 0.
+    """
+    check_names("individuals", individuals)
+    count = poses.positions.shape[1]
+    if len(individuals) not in (0, count):
+        raise ValueError(f"individuals: expected {count} names, got {len(individuals)}")
+    check_rate(fps)
+    return PoseFile(poses, float("nan") if fps is None else fps, tuple(individuals))
+
+
+def check_rate(fps: float | None) -> None:
+    """Raise ValueError where frames per second are said and are not above 0."""
+    if fps is not None and not 0 < fps < np.inf:
+        raise ValueError(f"fps: expected a number above 0, got {fps}")
 
 
 @dataclass(frozen=True)
