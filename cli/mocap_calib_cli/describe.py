@@ -22,6 +22,7 @@ def describe_recording(summary: RecordingSummary) -> list[str]:
     return [
         *summary.camera_notes,
         *_describe_cameras(summary),
+        *summary.filled_in,
         *_describe_left_out(summary),
         *_describe_joints(summary),
         *describe_ignored_files(summary.ignored_files),

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mocap_calib.io.cameras.source import CameraFile
+from mocap_calib.io.keypoints.filled_table import describe_filled
 from mocap_calib.io.keypoints.items import find_superseded_files
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.job.request import KeypointSource
@@ -46,7 +47,12 @@ def load_recording(
     recording = recording_of_views(joined)
     summary = summarise_recording(recording, joined, cameras)
     notes = camera_file.notes if camera_file else (ASSUMED_NOTE,)
-    summary = replace(summary, camera_notes=notes, ignored_files=find_ignored_files(source.paths))
+    summary = replace(
+        summary,
+        camera_notes=notes,
+        ignored_files=find_ignored_files(source.paths),
+        filled_in=describe_filled(joined.files),
+    )
     return LoadedRecording(replace(recording, model=source.model or skeleton.name), summary)
 
 

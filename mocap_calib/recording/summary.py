@@ -36,6 +36,7 @@ class RecordingSummary:
     skeleton: name of the skeleton of the model.
     camera_notes: what the file of the cameras lacks, a line each.
     ignored_files: keypoint files beside which another file of the same name was read.
+    filled_in: a line for each camera with keypoints that were completed, not measured.
     """
 
     cameras: tuple[CameraSummary, ...]
@@ -49,6 +50,7 @@ class RecordingSummary:
     skeleton: str
     camera_notes: tuple[str, ...] = ()
     ignored_files: tuple[str, ...] = ()
+    filled_in: tuple[str, ...] = ()
 
     @property
     def known(self) -> int:

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from conversion_samples import poses, rig
 
-from mocap_calib.io.keypoints.filled_table import FILLED_TABLE, format_filled_table
+from mocap_calib.io.keypoints.filled_table import FILLED_TABLE, describe_filled, format_filled_table
+from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.io.keypoints.write import format_keypoints, write_keypoints
 from mocap_calib.io.poses.write import format_poses
 from mocap_calib.io.results.pairs_json import pairs_to_json
@@ -76,3 +77,10 @@ def test_what_was_filled_in_is_listed_beside_a_file_or_in_the_folder(tmp_path):
         "folder/a.json",
         "folder/filled_in.tsv",
     ]
+    said = "a: 1 keypoint filled in by `complete`, not measured"
+    for place in ("all.csv", "folder"):
+        assert describe_filled(read_keypoints([tmp_path / place])) == (said,)
+    renamed = read_keypoints([f"left={tmp_path / 'folder' / 'a.json'}"])
+    assert describe_filled(renamed) == (said.replace("a:", "left:"),)
+    (tmp_path / "folder" / FILLED_TABLE).write_bytes(b'camera\na\n"\0\xff')
+    assert describe_filled(renamed) == ()

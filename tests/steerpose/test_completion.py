@@ -1,6 +1,7 @@
 """Joints that were not seen, filled in by the identity rotation."""
 
 import csv
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +9,10 @@ import torch
 from scenes import PEOPLE, lifted, recording, scene
 
 from mocap_calib.geometry.projection import pixels_from_points
+from mocap_calib.io.cameras.read import load_cameras
 from mocap_calib.io.keypoints.read import read_keypoints
+from mocap_calib.job.load import load_recording
+from mocap_calib.job.request import KeypointSource
 from mocap_calib.steerpose.checkpoint import load_lifter
 from mocap_calib.steerpose.completion import complete, complete_sample
 from mocap_calib.steerpose.lift import lift
@@ -113,6 +117,13 @@ def test_complete_on_the_command_line(tmp_path, small, tool):
     check_marks((tmp_path / "out" / "filled_in.tsv").read_text("utf-8"), small, views)
     assert [view.keypoints for view in views] == [PEOPLE.keypoints] * 3
     assert all(len(view.frames) == 30 for view in views)
+    source = KeypointSource((str(tmp_path / "out"),))
+    said = load_recording(source, load_cameras(small / "intrinsics.toml")).summary.filled_in
+    assert [line.partition(": ")[0] for line in said] == ["cam1", "cam2", "cam3"]
+    inspected = tool("inspect", tmp_path / "out").stdout
+    for line in said:
+        assert re.fullmatch(r"cam\d: \d+ keypoints filled in by `complete`, not measured", line)
+        assert f"WARNING: {line}\n" in inspected
     refused = tool(
         "complete",
         small / "keypoints",

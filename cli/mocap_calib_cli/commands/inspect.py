@@ -65,6 +65,7 @@ def _inspect(shared: options.SharedOptions) -> dict[str, Any]:
     """Return what the files hold, and the findings."""
     from mocap_calib.config import InspectConfig
     from mocap_calib.inspection import Finding, fill_image_sizes, find_problems, inspect_views
+    from mocap_calib.io.keypoints.filled_table import describe_filled
     from mocap_calib.io.keypoints.read import read_what_can
     from mocap_calib.recording.joints import fit_vocabulary
     from mocap_calib_cli import inputs
@@ -82,7 +83,7 @@ def _inspect(shared: options.SharedOptions) -> dict[str, Any]:
     found = [
         *(Finding(True, str(error)) for error in errors),
         *problems,
-        *(Finding(False, note) for note in notes),
+        *(Finding(False, note) for note in (*notes, *describe_filled(views))),
     ]
     report["findings"] = [
         {"level": "CRITICAL" if each.critical else "WARNING", "message": each.message}
