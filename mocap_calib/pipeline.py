@@ -15,11 +15,11 @@ import numpy as np
 
 from mocap_calib.compute.clock import Clock
 from mocap_calib.compute.parallel import single_threaded_libraries
-from mocap_calib.config import ASSUMED_REFINEMENT, REFINEMENTS, Config, Refinement
-from mocap_calib.errors import DegenerateError, MismatchError
+from mocap_calib.config import Config, Refinement
+from mocap_calib.errors import DegenerateError
 from mocap_calib.multi_view.association import associate, label_all_frames
 from mocap_calib.multi_view.averaging import average
-from mocap_calib.multi_view.intrinsics import estimate_intrinsics, not_estimated
+from mocap_calib.multi_view.intrinsics import choose_refinement, estimate_intrinsics, not_estimated
 from mocap_calib.multi_view.observed import Observed, leave_out_underconstrained
 from mocap_calib.multi_view.refinement import adjust_from_best_start
 from mocap_calib.multi_view.tracking import finalise_identities
@@ -28,14 +28,13 @@ from mocap_calib.multi_view.uncertainty import assess_uncertainty, judge_rig
 from mocap_calib.multi_view.view_graph import camera_groups, select_hypotheses
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
 from mocap_calib.recording.synchronise import change_cameras
-from mocap_calib.report import judge_rig_of_group
+from mocap_calib.report import judge_rigs
 from mocap_calib.steerpose.checkpoint import AUTO, choose_model
 from mocap_calib.steerpose.device import check_device
 from mocap_calib.steerpose.lift import lift
 from mocap_calib.steerpose.model import Lifter
 from mocap_calib.two_view.solve import PairSolver, calibrate_pairs, in_recording
 from mocap_calib.types import (
-    AssumedCamera,
     CalibrationResult,
     CameraRig,
     EstimatedCamera,
@@ -82,7 +81,8 @@ def calibrate(
     intrinsics that nobody knows are not to be estimated.
     """
     check_device(device)
-    config = _choose_refinement(recording, config, refine)
+    intrinsics = choose_refinement(recording.cameras, config.intrinsics, refine)
+    config = replace(config, intrinsics=intrinsics)
     recording, lifter = choose_model(recording, model)
     progress = progress or silent
     clock = Clock()
@@ -106,26 +106,6 @@ def calibrate(
             observed = observe(recording)
         groups = _calibrate_groups(observed, config, clock, seed=seed, progress=progress)
     return _join_groups(recording, observed.pairs, groups, config=config, seed=seed)
-
-
-def _choose_refinement(recording: Recording, config: Config, refine: Refinement | None) -> Config:
-    """Return the configuration with the intrinsics that are estimated of these cameras.
-
-    Raises MismatchError where there is no such choice, or not for these cameras.
-    """
-    assumed = any(isinstance(camera, AssumedCamera) for camera in recording.cameras)
-    chosen = refine or config.intrinsics.refine
-    if refine is None and chosen == "none" and assumed:
-        chosen = ASSUMED_REFINEMENT
-    if chosen not in REFINEMENTS:
-        known = ", ".join(REFINEMENTS)
-        raise MismatchError(f"refine: expected one of {known}, found {chosen!r}; choose one")
-    if chosen == "none" and assumed:
-        raise MismatchError(
-            "refine: expected focal or focal+k1, as nothing is known of the intrinsics, "
-            "found none; give the intrinsics, or leave it out"
-        )
-    return replace(config, intrinsics=replace(config.intrinsics, refine=chosen))
 
 
 def _observe(
@@ -330,10 +310,4 @@ def _join_groups(
         config=config,
         seed=seed,
     )
-    return replace(result, groups=tuple(_judge_rig(group, result) for group in groups))
-
-
-def _judge_rig(group: GroupResult, result: CalibrationResult) -> GroupResult:
-    """Return the group with a rig that says how far it can be trusted."""
-    rig = replace(group.rig, judgement=judge_rig_of_group(group, result))
-    return replace(group, adjusted=replace(group.adjusted, rig=rig))
+    return judge_rigs(result)

@@ -1,7 +1,7 @@
 """Put all numbers of a run into the form that run.json holds; docs/run-json.md describes it."""
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -61,17 +61,24 @@ def run_report(
     }
 
 
-def judge_rig_of_group(group: GroupResult, result: CalibrationResult) -> dict[str, Any]:
+def judge_rigs(result: CalibrationResult) -> CalibrationResult:
+    """Return the result with rigs that say how far they can be trusted."""
+    groups = []
+    for group in result.groups:
+        rig = replace(group.rig, judgement=_judge_group(group, result))
+        groups.append(replace(group, adjusted=replace(group.adjusted, rig=rig)))
+    return replace(result, groups=tuple(groups))
+
+
+def _judge_group(group: GroupResult, result: CalibrationResult) -> dict[str, Any]:
     """Return what `judge_cameras` says of a group, without the rest of its report."""
-    error = _reprojection_errors(group)
+    config, error = result.config, _reprojection_errors(group)
     views = range(len(group.rig.cameras))
     return judge_cameras(
         {
-            "verdict": _describe_verdict(group, result.config),
+            "verdict": _describe_verdict(group, config),
             "left_out": result.left_out,
-            "cameras": [
-                _describe_camera(group, view, error[view], result.config) for view in views
-            ],
+            "cameras": [_describe_camera(group, view, error[view], config) for view in views],
             "points": _describe_points(group, error),
         }
     )

@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mocap_calib.config import Config
+from mocap_calib.records import Record, as_array, check_names, check_shape
+from mocap_calib.wording import count
 
 if TYPE_CHECKING:
     import xarray
@@ -37,127 +39,11 @@ Verdict = Literal["well determined", "weak", "not determined"]
 T = TypeVar("T")
 R = TypeVar("R")
 
-# --- what all records share
-
-
-def check_shape(owner: str, array: NDArray[np.generic], *shape: int | None) -> None:
-    """Hold an array to its documented shape `[*shape]`; None stands for any length.
-
-    Raises ValueError, which names the owner and both shapes.
-    """
-    fits = array.ndim == len(shape) and all(
-        expected in (None, found) for expected, found in zip(shape, array.shape, strict=True)
-    )
-    if not fits:
-        expected = tuple("any" if length is None else length for length in shape)
-        raise ValueError(f"{owner}: expected shape {expected}, got {array.shape}")
-
-
-def as_array(owner: str, values: ArrayLike, kind: type[Any], *shape: int | None) -> NDArray[Any]:
-    """Return values, which may be lists, as an array of the documented shape `[*shape]`.
-
-    kind: float, int or bool; arrays of 32-bit floats stay as they are. None in the shape stands
-    for any length.
-
-    Raises ValueError, which names the owner, for another shape and for what is no such number.
-    """
-    try:
-        given = np.asarray(values)
-        is_kept = kind is float and given.dtype == np.float32
-        with np.errstate(invalid="ignore"):  # NaN as a whole number
-            array = given if is_kept else np.asarray(given, dtype=kind)
-    except (TypeError, ValueError):
-        raise ValueError(f"{owner}: expected numbers, got {_shorten(values)}") from None
-    if kind is int and given.dtype.kind == "f" and not np.array_equal(given, array):
-        raise ValueError(f"{owner}: expected whole numbers, got {_shorten(values)}")
-    check_shape(owner, array, *shape)
-    return array
-
-
-def check_names(owner: str, names: Sequence[str]) -> None:
-    """Raise ValueError where names are one text, or one of them is there twice."""
-    if isinstance(names, str):
-        raise ValueError(f"{owner}: expected a list of names, got the text {_shorten(names)}")
-    twice = sorted({name for name in names if list(names).count(name) > 1})
-    if twice:
-        raise ValueError(f"{owner}: expected each name once, got {_shorten(twice)} several times")
-
-
-class Record:
-    """What the frozen records share: they compare by value, print in short, and take lists.
-
-    Two records are equal where their arrays have equal shapes and elements; NaN equals NaN.
-    Cameras and rigs copy the arrays that they are made of; recordings and all that is as large as
-    they are do not: what is written into the array of a caller changes the record.
-    """
-
-    def __eq__(self, other: object) -> bool:
-        if type(other) is not type(self):
-            return NotImplemented
-        return all(
-            _equal(getattr(self, each.name), getattr(other, each.name))
-            for each in fields(self)  # type: ignore[arg-type]  # all records are dataclasses
-            if each.compare
-        )
-
-    # records hold arrays, which have no hash
-    __hash__ = None  # type: ignore[assignment]
-
-    def __repr__(self) -> str:
-        parts = [
-            f"{each.name}={_summarise(getattr(self, each.name))}"
-            for each in fields(self)  # type: ignore[arg-type]
-        ]
-        return f"{type(self).__name__}({', '.join(parts)})"
-
-    def _hold(self, owner: str, name: str, kind: type[Any], *shape: int | None) -> None:
-        """Hold the field of that name to its shape; a list becomes an array. Raises ValueError."""
-        array = as_array(f"{owner}: {name}", getattr(self, name), kind, *shape)
-        object.__setattr__(self, name, array)
-
-    def _copy(self, owner: str, name: str, kind: type[Any], *shape: int | None) -> None:
-        """Hold the field to its shape in an array of its own. Raises ValueError."""
-        self._hold(owner, name, kind, *shape)
-        object.__setattr__(self, name, np.array(getattr(self, name)))
-
-
-def _equal(first: object, second: object) -> bool:
-    """Return whether two values of a field are equal, arrays by their elements."""
-    if isinstance(first, np.ndarray) and isinstance(second, np.ndarray):
-        return np.array_equal(first, second, equal_nan=True)
-    if isinstance(first, tuple) and isinstance(second, tuple):
-        return len(first) == len(second) and all(map(_equal, first, second))
-    if isinstance(first, float) and isinstance(second, float) and np.isnan(first):
-        return bool(np.isnan(second))
-    return bool(first == second)
-
-
-def _summarise(value: object) -> str:
-    """Return the value of a field in a few words: the shape of an array, the length of a tuple."""
-    if isinstance(value, np.ndarray):
-        return f"{value.dtype}{list(value.shape)}"
-    if isinstance(value, Record):
-        return f"{type(value).__name__}(...)"
-    if isinstance(value, tuple) and (len(value) > 4 or isinstance(next(iter(value), 0), Record)):
-        return f"{len(value)} x {type(value[0]).__name__}"
-    return repr(value)
-
-
-def _shorten(value: object) -> str:
-    """Return a value as text of one line."""
-    text = " ".join(repr(value).split())
-    return text if len(text) <= 60 else f"{text[:57]}..."
-
-
-def _count(number: int, what: str) -> str:
-    """Return a number with its noun: `1 camera`, `4 cameras`."""
-    return f"{number} {what}" if number == 1 else f"{number} {what}s"
-
 
 def _describe_frames(frames: Ints) -> str:
     """Return how many frames there are, and from where to where: `200 frames (0 to 199)`."""
     span = f" ({frames[0]} to {frames[-1]})" if len(frames) else ""
-    return f"{_count(len(frames), 'frame')}{span}"
+    return f"{count(len(frames), 'frame')}{span}"
 
 
 def _describe_unit(unit: str) -> str:
@@ -243,9 +129,9 @@ class Camera(Record):
         self._copy(f"camera {self.name}", "matrix", float, 3, 3)
         self._copy(f"camera {self.name}", "distortion", float, None)
         if self.distortion[8:].any():
-            count = len(self.distortion)
+            given = len(self.distortion)
             raise ValueError(
-                f"camera {self.name}: distortion: expected at most 8 coefficients, got {count}"
+                f"camera {self.name}: distortion: expected at most 8 coefficients, got {given}"
             )
         object.__setattr__(self, "size", tuple(self.size))
 
@@ -358,7 +244,7 @@ class CameraRig(Record):
 
     def __repr__(self) -> str:
         lines = [f"  {camera.name}: {camera._describe()}" for camera in self]
-        title = f"CameraRig of {_count(len(self), 'camera')}, {_describe_unit(self.unit)}"
+        title = f"CameraRig of {count(len(self), 'camera')}, {_describe_unit(self.unit)}"
         return "\n".join([title, *lines])
 
     def __len__(self) -> int:
@@ -557,8 +443,8 @@ class Keypoints2D(Record):
         parts = [
             self.camera,
             _describe_frames(self.frames),
-            f"at most {_count(self.positions.shape[1], 'instance')} a frame",
-            _count(len(self.keypoints), "keypoint"),
+            f"at most {count(self.positions.shape[1], 'instance')} a frame",
+            count(len(self.keypoints), "keypoint"),
         ]
         return f"Keypoints2D({', '.join(parts)})"
 
@@ -597,10 +483,10 @@ class Recording(Record):
 
     def __repr__(self) -> str:
         parts = [
-            _count(len(self.cameras), "camera"),
+            count(len(self.cameras), "camera"),
             _describe_frames(self.frames),
-            f"at most {_count(self.positions.shape[2], 'instance')} a frame",
-            _count(len(self.keypoints), "keypoint"),
+            f"at most {count(self.positions.shape[2], 'instance')} a frame",
+            count(len(self.keypoints), "keypoint"),
             f"model {self.model}",
         ]
         return f"{type(self).__name__}({', '.join(parts)})"
@@ -814,8 +700,8 @@ class Matches(Record):
 
     def __repr__(self) -> str:
         views, frames, _ = self.labels.shape
-        parts = [_count(views, "view"), _count(frames, "frame")]
-        return f"Matches({', '.join(parts)}, {_count(self.individuals, 'individual')})"
+        parts = [count(views, "view"), count(frames, "frame")]
+        return f"Matches({', '.join(parts)}, {count(self.individuals, 'individual')})"
 
     def select(
         self, *, views: Ints | None = None, frames: Ints | None = None, instances: int | None = None
@@ -911,8 +797,8 @@ class Poses3D(Record):
     def __repr__(self) -> str:
         parts = [
             _describe_frames(self.frames),
-            _count(self.positions.shape[1], "individual"),
-            _count(len(self.keypoints), "keypoint"),
+            count(self.positions.shape[1], "individual"),
+            count(len(self.keypoints), "keypoint"),
             _describe_unit(self.unit),
         ]
         return f"Poses3D({', '.join(parts)})"
@@ -999,7 +885,7 @@ class GroupResult(Record):
     def _describe(self) -> str:
         """Return the cameras and what was found of them in one line."""
         frames, individuals = self.poses.positions.shape[:2]
-        found = f"{_count(individuals, 'individual')} in {_count(frames, 'frame')}"
+        found = f"{count(individuals, 'individual')} in {count(frames, 'frame')}"
         return f"{', '.join(self.rig.names)}: rig {self.verdict}, {found}"
 
 
@@ -1030,5 +916,5 @@ class CalibrationResult(Record):
         lines = [f"  {group._describe()}" for group in self.groups]
         if self.left_out:
             lines.append(f"  left out: {', '.join(self.left_out)}")
-        title = f"CalibrationResult of {_count(len(self.groups), 'group')} of cameras"
+        title = f"CalibrationResult of {count(len(self.groups), 'group')} of cameras"
         return "\n".join([title, *lines])

@@ -15,7 +15,7 @@ from scenes import calibrated
 
 from mocap_calib.config import Config
 from mocap_calib.multi_view.triangulation import gather_observations, project
-from mocap_calib.report import judge_cameras, judge_rig_of_group, run_report
+from mocap_calib.report import judge_cameras, judge_rigs, run_report
 from mocap_calib.types import CalibrationResult, GroupResult
 from mocap_calib_cli.describe import describe_group
 
@@ -129,7 +129,7 @@ def test_files_say_the_verdict_and_what_explains_it():
     result = CalibrationResult(groups=(found,), left_out=("cam9",), unused_pairs=())
     report = run_report(found, result, seed=0, config=Config(), inputs={})
     judged = judge_cameras(report)
-    assert judge_rig_of_group(found, result) == judged
+    assert judge_rigs(result).groups[0].rig.judgement == judged
     assert list(report)[:2] == ["schema", "verdict"]
     assert (judged["adjusted"], judged["verdict"]) == (True, report["verdict"]["rig"])
     assert judged["reprojection_error_px"] == report["points"]["mean_error_px"]

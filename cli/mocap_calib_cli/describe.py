@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import Any
 
 from mocap_calib.io.results.group import REVERSED_RIG
-from mocap_calib.recording.counting import count
 from mocap_calib.recording.meanings import describe_unshared
 from mocap_calib.recording.summary import RecordingSummary
 from mocap_calib.types import CalibrationResult, GroupResult
+from mocap_calib.wording import count
 from mocap_calib_cli.progress import format_number, format_table
 
 _MOST_INDIVIDUALS = 20  # that have a row in a table

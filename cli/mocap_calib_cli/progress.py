@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Self
 
 import click
 
-from mocap_calib.recording.counting import count
+from mocap_calib.wording import count
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID

@@ -11,7 +11,6 @@ from mocap_calib.errors import MismatchError
 from mocap_calib.inspection.clocks import find_clock_problems
 from mocap_calib.inspection.contents import seen_points
 from mocap_calib.inspection.finding import Finding, critical, warning
-from mocap_calib.recording.counting import count
 from mocap_calib.recording.joints import SHIPPED
 from mocap_calib.recording.meanings import (
     describe_unshared,
@@ -28,6 +27,7 @@ from mocap_calib.recording.synchronise import (
     recording_of_views,
 )
 from mocap_calib.types import Camera, Keypoints2D, Skeleton
+from mocap_calib.wording import count
 
 _LISTED = 6  # names in one message
 

@@ -33,9 +33,9 @@ from mocap_calib.io.registry import (
     names_by_ending,
 )
 from mocap_calib.io.units import ARBITRARY
-from mocap_calib.recording.counting import count
 from mocap_calib.recording.pairing import check_pixels
 from mocap_calib.types import Keypoints2D
+from mocap_calib.wording import count
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ import numpy as np
 
 from mocap_calib.errors import FormatError
 from mocap_calib.types import Bools, Floats, Ints, Keypoints2D
+from mocap_calib.wording import one_line
 
 NO_SCORE = "no scores in the file: every point counts fully"
 MOST_INSTANCES = 1000  # in a frame
@@ -25,12 +26,6 @@ _NOT_WHOLE = r"-[0-9.]+|[0-9]*\.[0-9]+"
 
 
 # --- complaints
-
-
-def one_line(value: object, width: int = 80) -> str:
-    """Return `value` as text without line breaks, shortened to `width` characters."""
-    text = " ".join(str(value).split())
-    return text if len(text) <= width else f"{text[: width - 3]}..."
 
 
 def malformed(source: str, expected: str, found: object, remedy: str) -> FormatError:

@@ -10,7 +10,8 @@ from mocap_calib.config import RIG_ERROR_THRESHOLDS_DEG
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.alignment import align_by_similarity
 from mocap_calib.geometry.rotation import angle_between, direction_angle
-from mocap_calib.types import CameraRig, Floats, Record
+from mocap_calib.records import Record
+from mocap_calib.types import CameraRig, Floats
 
 # Points on the cameras' axes take part in the alignment, so near to the centres (in spreads of the
 # centres) that they decide only what the centres leave open.

@@ -3,9 +3,9 @@
 from collections.abc import Mapping, Sequence
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.recording.counting import count
 from mocap_calib.recording.joints import match_names, normalise_name
 from mocap_calib.types import Keypoints2D, Skeleton
+from mocap_calib.wording import count
 
 _LISTED_UNSHARED = 6  # names in a message
 _LISTED = 12  # names of one file in a message

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mocap_calib.types import Bools, Camera, Ints, Keypoints2D, Reals, as_array, check_names
+from mocap_calib.records import as_array, check_names
+from mocap_calib.types import Bools, Camera, Ints, Keypoints2D, Reals
 
 
 def views_from_arrays(

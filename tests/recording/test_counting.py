@@ -2,9 +2,9 @@
 
 from dataclasses import replace
 
-from mocap_calib.recording.counting import count
 from mocap_calib.recording.meanings import describe_unshared
 from mocap_calib.recording.summary import RecordingSummary
+from mocap_calib.wording import count
 from mocap_calib_cli.describe import describe_recording
 
 

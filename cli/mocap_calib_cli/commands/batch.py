@@ -69,7 +69,7 @@ def command(
       mocap-calib batch sessions/* --cameras intrinsics.toml -o out --layout body_25 --jobs 4
       mocap-calib batch sessions/* --cameras intrinsics.toml -o out --scheduler tcp://node1:8786
     """
-    from mocap_calib.recording.counting import count
+    from mocap_calib.wording import count
     from mocap_calib_cli import outputs
     from mocap_calib_cli.progress import Reporter
     from mocap_calib_cli.workers import open_workers
@@ -208,7 +208,7 @@ class _Batch:
         self, request: "CalibrationRequest", status: str, report: dict[str, Any]
     ) -> None:
         """Note what was found; the figures are those of the largest group of cameras."""
-        from mocap_calib.recording.counting import count
+        from mocap_calib.wording import count
 
         name = request.output.name
         verdict = report["verdict"]

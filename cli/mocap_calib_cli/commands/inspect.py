@@ -94,7 +94,7 @@ def _inspect(shared: options.SharedOptions) -> dict[str, Any]:
 
 def _describe(report: dict[str, Any]) -> list[str]:
     """Return the report for a person."""
-    from mocap_calib.recording.counting import count
+    from mocap_calib.wording import count
 
     lines = _describe_cameras(report)
     if report["pairs"]:
@@ -109,7 +109,7 @@ def _describe(report: dict[str, Any]) -> list[str]:
 
 def _describe_cameras(report: dict[str, Any]) -> list[str]:
     """Return a table of the cameras, a line on the joints, and details of each camera."""
-    from mocap_calib.recording.counting import count
+    from mocap_calib.wording import count
     from mocap_calib_cli.progress import format_table
 
     cameras = report["cameras"]
@@ -156,7 +156,7 @@ def _camera_row(camera: dict[str, Any]) -> list[str]:
 
 def _details(camera: dict[str, Any]) -> list[str]:
     """Return lines on what the table has no room for."""
-    from mocap_calib.recording.counting import count
+    from mocap_calib.wording import count
 
     lines = [camera["source"]]
     if camera["missing"]:

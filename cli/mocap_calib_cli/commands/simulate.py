@@ -155,8 +155,8 @@ def command(
       mocap-calib simulate -o scene --kind people:2 --kind quadruped
     """
     from mocap_calib.io.results.scene import describe_kinds, write_scene
-    from mocap_calib.recording.counting import count
     from mocap_calib.synthetic import simulate
+    from mocap_calib.wording import count
     from mocap_calib_cli.progress import Reporter
 
     config = SimulateConfig(**fields, **_count_kinds(people, kinds))

@@ -14,11 +14,13 @@ import h5py
 import numpy as np
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.io.file import find_repeated, malformed, one_line
+from mocap_calib.io.file import find_repeated, malformed
 from mocap_calib.io.hdf5 import HDF5_DAMAGE
 from mocap_calib.io.sandbox import HDF5
 from mocap_calib.io.units import unit_factor
-from mocap_calib.types import Floats, Ints, Poses3D, check_names
+from mocap_calib.records import check_names
+from mocap_calib.types import Floats, Ints, Poses3D
+from mocap_calib.wording import one_line
 
 # what h5py, numpy, zipfile and c3d raise on files that are cut or damaged
 DAMAGE = (

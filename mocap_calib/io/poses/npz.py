@@ -11,7 +11,8 @@ import numpy as np
 
 from mocap_calib.io.poses.common import PoseFile, WrittenPoses, refuse_damage
 from mocap_calib.io.units import known_unit
-from mocap_calib.types import Poses3D, check_shape
+from mocap_calib.records import check_shape
+from mocap_calib.types import Poses3D
 
 _ARRAYS = ("positions", "error", "views", "confidence", "frames")
 _ZIP = b"PK\x03\x04"

@@ -14,9 +14,10 @@ from mocap_calib.io.cameras.intrinsics import (
     describe_keys,
     numbers,
 )
-from mocap_calib.io.file import malformed, one_line
+from mocap_calib.io.file import malformed
 from mocap_calib.io.zeros import unsigned_zeros
 from mocap_calib.types import Camera, PairwiseCalibration
+from mocap_calib.wording import one_line
 
 VERSION = 1
 _FORMAT = "mocap-calib pairs"

@@ -18,7 +18,8 @@ import numpy as np
 from mocap_calib.io import hdf5
 from mocap_calib.io.atomic import replace_file
 from mocap_calib.io.file import malformed
-from mocap_calib.types import Poses3D, check_shape
+from mocap_calib.records import check_shape
+from mocap_calib.types import Poses3D
 
 VERSION = 1
 Edges = Sequence[tuple[int, int]]
