@@ -47,3 +47,11 @@ def test_its_libraries_compute_on_one_thread(monkeypatch):
     other = worker.Worker()
     assert {other.call(os.getenv, name) for name in (*BLAS_THREADS, "OMP_NUM_THREADS")} == {"1"}
     other.end()
+
+
+def test_a_process_that_was_killed_is_not_started_again():
+    other = worker.Worker()
+    other.kill()
+    with pytest.raises(worker.WorkerEndedError):
+        other.call(len, "four")
+    assert other.end() == "it was not there"
