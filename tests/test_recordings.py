@@ -63,4 +63,4 @@ def read_reference(path: Path, like: CameraRig) -> tuple[CameraRig, list[str]]:
     by_name = {e["name"]: e for e in entries}
     rotation = matrix_from_vector(np.array([by_name[n]["rotation"] for n in like.names], float))
     translation = np.array([by_name[n]["translation"] for n in like.names], float)
-    return CameraRig(like.cameras, rotation, translation, "reference"), [e["name"] for e in entries]
+    return CameraRig(like.cameras, rotation, translation, "arbitrary"), [e["name"] for e in entries]

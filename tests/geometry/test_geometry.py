@@ -1,5 +1,7 @@
 """Laws of the geometry. Tolerances are a few times the rounding error measured."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -337,7 +339,7 @@ def rays_of_many_views(
     rng: np.random.Generator, views: int, points: int = 50
 ) -> tuple[CameraRig, np.ndarray, np.ndarray]:
     """A rig, points `[3, N]`, and the exact rays `[view, 3, N]` to them in the world's axes."""
-    cameras = (CAMERAS["plain"],) * views
+    cameras = tuple(replace(CAMERAS["plain"], name=f"cam{view}") for view in range(views))
     rig = CameraRig(cameras, rotations(rng, views), rng.normal(size=(views, 3)) * 3, "m")
     position = rng.uniform(-1, 1, (3, points))
     offset = position - rig.centres[:, :, None]
