@@ -19,13 +19,14 @@ from mocap_calib.config import Config, Refinement
 from mocap_calib.errors import DegenerateError
 from mocap_calib.multi_view.association import associate, label_all_frames
 from mocap_calib.multi_view.averaging import average
-from mocap_calib.multi_view.intrinsics import choose_refinement, estimate_intrinsics, not_estimated
+from mocap_calib.multi_view.intrinsics import estimate_intrinsics, not_estimated
 from mocap_calib.multi_view.observed import Observed, leave_out_underconstrained
 from mocap_calib.multi_view.refinement import adjust_from_best_start
 from mocap_calib.multi_view.tracking import finalise_identities
 from mocap_calib.multi_view.triangulation import check_same_cameras, triangulate
 from mocap_calib.multi_view.uncertainty import assess_uncertainty, judge_rig
 from mocap_calib.multi_view.view_graph import camera_groups, select_hypotheses
+from mocap_calib.recording.assumed import choose_refinement
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
 from mocap_calib.recording.synchronise import change_cameras
 from mocap_calib.report import judge_rigs

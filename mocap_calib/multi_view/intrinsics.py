@@ -6,20 +6,15 @@ thousands of them weigh no more than some hundred (`covariance`): what is known 
 for as much more.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mocap_calib.config import (
-    ASSUMED_REFINEMENT,
-    REFINEMENTS,
     SAME_IMAGE_SIZE,
     Config,
     IntrinsicsConfig,
-    Refinement,
 )
-from mocap_calib.errors import MismatchError
 from mocap_calib.multi_view.association import associate, have_same_groups
 from mocap_calib.multi_view.bundle_adjustment import (
     AdjustablePoints,
@@ -33,7 +28,6 @@ from mocap_calib.multi_view.residuals import State
 from mocap_calib.multi_view.schur import Freedom, free_intrinsics
 from mocap_calib.recording.sampling import with_cameras
 from mocap_calib.types import (
-    AssumedCamera,
     Camera,
     CameraRig,
     EstimatedCamera,
@@ -74,30 +68,6 @@ class _Adjusted:
     state: State
     sigma: Floats
     overconfidence: Floats
-
-
-def choose_refinement(
-    cameras: Sequence[Camera], config: IntrinsicsConfig, refine: Refinement | None
-) -> IntrinsicsConfig:
-    """Return the configuration with which intrinsics of these cameras are estimated.
-
-    refine: None: as `config` says, or focal lengths and lenses of cameras that nobody knows.
-
-    Raises MismatchError where there is no such choice, or not for these cameras.
-    """
-    assumed = any(isinstance(camera, AssumedCamera) for camera in cameras)
-    chosen = refine or config.refine
-    if refine is None and chosen == "none" and assumed:
-        chosen = ASSUMED_REFINEMENT
-    if chosen not in REFINEMENTS:
-        known = ", ".join(REFINEMENTS)
-        raise MismatchError(f"refine: expected one of {known}, found {chosen!r}; choose one")
-    if chosen == "none" and assumed:
-        raise MismatchError(
-            "refine: expected focal or focal+k1, as nothing is known of the intrinsics, "
-            "found none; give the intrinsics, or leave it out"
-        )
-    return replace(config, refine=chosen)
 
 
 def estimate_intrinsics(

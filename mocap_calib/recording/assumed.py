@@ -1,12 +1,19 @@
 """Cameras of which nothing is known but the size of their images."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from mocap_calib.config import DEFAULT_FOCAL
+from mocap_calib.config import (
+    ASSUMED_REFINEMENT,
+    DEFAULT_FOCAL,
+    REFINEMENTS,
+    IntrinsicsConfig,
+    Refinement,
+)
 from mocap_calib.errors import MismatchError
-from mocap_calib.types import AssumedCamera, Keypoints2D
+from mocap_calib.types import AssumedCamera, Camera, Keypoints2D
 
 ASSUMED_NOTE = (
     "no intrinsics were given: focal lengths and lenses are estimated together with the rig"
@@ -21,6 +28,30 @@ def assume_cameras(views: Sequence[Keypoints2D]) -> tuple[AssumedCamera, ...]:
     Raises MismatchError where the size of the images is not known.
     """
     return tuple(_assume_camera(view) for view in views)
+
+
+def choose_refinement(
+    cameras: Sequence[Camera], config: IntrinsicsConfig, refine: Refinement | None
+) -> IntrinsicsConfig:
+    """Return the configuration with which intrinsics of these cameras are estimated.
+
+    refine: None: as `config` says, or focal lengths and lenses of cameras that nobody knows.
+
+    Raises MismatchError where there is no such choice, or not for these cameras.
+    """
+    assumed = any(isinstance(camera, AssumedCamera) for camera in cameras)
+    chosen = refine or config.refine
+    if refine is None and chosen == "none" and assumed:
+        chosen = ASSUMED_REFINEMENT
+    if chosen not in REFINEMENTS:
+        known = ", ".join(REFINEMENTS)
+        raise MismatchError(f"refine: expected one of {known}, found {chosen!r}; choose one")
+    if chosen == "none" and assumed:
+        raise MismatchError(
+            "refine: expected focal or focal+k1, as nothing is known of the intrinsics, "
+            "found none; give the intrinsics, or leave it out"
+        )
+    return replace(config, refine=chosen)
 
 
 def _assume_camera(view: Keypoints2D) -> AssumedCamera:
