@@ -124,6 +124,7 @@ def test_same_seed_same_bytes():
     assert first.poses.positions.tobytes() == second.poses.positions.tobytes()
 
 
+@pytest.mark.slow
 def test_nothing_is_changed_in_the_recording():
     found = recording(**SMALL)
     before = [found.positions.copy(), found.rays.copy(), found.confidence.copy()]
@@ -136,6 +137,7 @@ def weak(result) -> bool:
     return max(p.score for p in result.pairs) < Config().averaging.weak_score
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seeds", [(1, 2), (3, 4), (5, 6, 7)])
 def test_views_of_different_times_are_no_confident_calibration(seeds):
     """Each view from a recording of its own: refused, or called weak.
@@ -153,6 +155,7 @@ def test_views_of_different_times_are_no_confident_calibration(seeds):
         return
 
 
+@pytest.mark.slow
 def test_one_recording_is_not_weak():
     assert not weak(run(recording(**SMALL)))
 
@@ -174,6 +177,7 @@ def test_two_views_that_share_a_moment():
     assert np.isfinite(result.poses.error).any(-1).sum() == 8
 
 
+@pytest.mark.slow
 def test_noise_alone_is_not_a_calibration():
     """Random dots in every view: an error, or a result whose scores say what it is worth; never a
     confident rig.
@@ -195,6 +199,7 @@ def test_noise_alone_is_not_a_calibration():
         return
 
 
+@pytest.mark.slow
 def test_a_camera_that_nothing_holds_costs_the_others_nothing():
     """One camera's keypoints are noise: it is left out, by name.
 
@@ -217,6 +222,7 @@ def test_a_camera_that_nothing_holds_costs_the_others_nothing():
     assert rotation_errors_deg(found.rig, reference).max() < 0.3
 
 
+@pytest.mark.slow
 def test_an_underconstrained_camera_is_named_and_the_rest_is_tried(monkeypatch):
     """Adjustment refuses the third of four cameras, whatever they are called."""
     tried = []
