@@ -15,6 +15,8 @@ import tempfile
 import time
 from pathlib import Path
 
+from mocap_calib.config import ADJUST_SOLVERS
+
 TOOL = Path(sys.executable).with_name("mocap-calib")
 NAMES = (
     "shelf",
@@ -23,7 +25,6 @@ NAMES = (
     "acinoset_lily_run",
     "panoptic_band1_projected",
 )
-SOLVERS = ("schur", "colmap")
 
 
 def main() -> None:
@@ -34,7 +35,7 @@ def main() -> None:
     parser.add_argument("names", nargs="*", default=NAMES, metavar="NAME")
     parser.add_argument("--recordings", type=Path, default=Path("../shared/recordings"))
     options = parser.parse_args()
-    columns = [f"{solver} {what}" for solver in SOLVERS for what in ("E_R", "E_t", "s")]
+    columns = [f"{solver} {what}" for solver in ADJUST_SOLVERS for what in ("E_R", "E_t", "s")]
     print(f"| recording | {' | '.join(columns)} | rigs apart, median / max (deg) |")
     print("|---" * (len(columns) + 2) + "|")
     for name in options.names:
@@ -51,7 +52,7 @@ def row(recording: Path, work: Path) -> str:
     run("average", f"{work}/pairs.json", "-o", rig)
     run("match", keypoints, "--rig", rig, "-o", matches, "-q")
     cells = []
-    for solver in SOLVERS:
+    for solver in ADJUST_SOLVERS:
         found = f"{work}/{solver}.yaml"
         start = time.perf_counter()
         asked = ("--rig", rig, "--matches", matches, "--solver", solver, "-o", found)

@@ -12,7 +12,13 @@ from typing import cast
 
 import click
 
-from mocap_calib.config import Config, IntrinsicsConfig, Refinement, SampleConfig
+from mocap_calib.config import (
+    ASSUMED_REFINEMENT,
+    Config,
+    IntrinsicsConfig,
+    Refinement,
+    SampleConfig,
+)
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.cameras.read import load_cameras, make_rig, parse_content
 from mocap_calib.io.cameras.source import CameraFile
@@ -75,7 +81,7 @@ def calibration_request(options: SharedOptions, output: Path) -> CalibrationRequ
 
 def intrinsics_config(options: SharedOptions) -> IntrinsicsConfig:
     """Return which intrinsics are estimated. Raises click's UsageError."""
-    refine = options.refine or ("none" if options.cameras else "focal+k1")
+    refine = options.refine or ("none" if options.cameras else ASSUMED_REFINEMENT)
     if refine == "none" and not options.cameras:
         raise click.UsageError(
             "--refine none: expected intrinsics that stay as they are, found none; "

@@ -16,7 +16,7 @@ from mocap_calib.io.atomic import replace_folder
 from mocap_calib.io.cameras.read import load_cameras, parse_content
 from mocap_calib.io.cameras.source import CameraFile
 from mocap_calib.io.hashing import hash_file, hash_files
-from mocap_calib.io.poses.common import PoseFile
+from mocap_calib.io.poses.common import PoseFile, describe_poses
 from mocap_calib.io.provenance import date_of_making, provenance
 from mocap_calib.io.results.further_formats import (
     WriteOutcome,
@@ -223,11 +223,8 @@ def _observe_points(group: GroupResult, config: Config) -> ObservedPoints:
 def _describe_poses(group: GroupResult, fps: float | None) -> PoseFile:
     """Return the poses of a group with what is known beside them."""
     skeleton = load_vocabulary(group.recording.model)
-    return PoseFile(
-        group.poses,
-        rate=float("nan") if fps is None else fps,
-        edges=edges_of_keypoints(skeleton, group.recording.vocabulary),
-    )
+    edges = edges_of_keypoints(skeleton, group.recording.vocabulary)
+    return describe_poses(group.poses, fps, edges=edges)
 
 
 def find_finished(request: CalibrationRequest) -> dict[str, Any] | None:

@@ -8,8 +8,7 @@ from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import TriangulateConfig
 from mocap_calib.multi_view.triangulation import (
     frame_blocks,
-    gather_observations,
-    triangulate_rays,
+    triangulate_frames,
     view_noise,
 )
 from mocap_calib.types import CameraRig, Floats, Ints, Matches, ObservedPoints, Recording
@@ -53,9 +52,8 @@ def _observe_block(
     config: TriangulateConfig,
 ) -> ObservedPoints:
     """Return the points in the frames with these indices, with their detections."""
-    seen = gather_observations(recording, matches, frames)
-    points, used = triangulate_rays(
-        rig, seen.rays, weight=seen.confidence, noise=noise, config=config
+    seen, points, used = triangulate_frames(
+        frames, recording=recording, rig=rig, matches=matches, noise=noise, config=config
     )
     known = np.isfinite(points[0])
     view, point = np.nonzero(used[:, known])

@@ -144,6 +144,28 @@ def frame_blocks(frames: int, points: int) -> list[Ints]:
     return [np.arange(start, min(start + size, frames)) for start in range(0, frames, size)]
 
 
+def triangulate_frames(
+    frames: Ints,
+    *,
+    recording: Recording,
+    rig: CameraRig,
+    matches: Matches,
+    noise: Floats,
+    config: TriangulateConfig,
+) -> tuple[Observations, Floats, Bools]:
+    """Return what is seen in the frames with these indices, and the points that it is of.
+
+    noise: `[view]` standard deviations in radians, see `view_noise`.
+    Returns the detections; `[3, N]` points in world coordinates, NaN = unknown; and `[view, N]`
+    the detections that each is made of.
+    """
+    seen = gather_observations(recording, matches, frames)
+    points, used = triangulate_rays(
+        rig, seen.rays, weight=seen.confidence, noise=noise, config=config
+    )
+    return seen, points, used
+
+
 def _triangulate_block(
     frames: Ints,
     *,
@@ -154,9 +176,8 @@ def _triangulate_block(
     config: TriangulateConfig,
 ) -> Poses3D:
     """Return the poses in the frames with these indices."""
-    seen = gather_observations(recording, matches, frames)
-    points, used = triangulate_rays(
-        rig, seen.rays, weight=seen.confidence, noise=noise, config=config
+    seen, points, used = triangulate_frames(
+        frames, recording=recording, rig=rig, matches=matches, noise=noise, config=config
     )
     error = reprojection_error(rig, points, pixels=seen.pixels, used=used)
     views = used.sum(0)

@@ -163,10 +163,10 @@ def _rotation_with_focal(
         return np.full_like(rig.rotation, np.nan)
 
 
-def _angle_of_worst_camera(split_half_angle: Floats, views: int) -> float:
-    """Return the largest of the cameras' angles, a camera's being the median of its pairs'."""
+def _angle_of_worst_camera(angle: Floats, views: int) -> float:
+    """Return the largest angle of a camera, which is the median of those of its pairs."""
     a, b = _pairs(views)
-    medians = [np.median(split_half_angle[(a == view) | (b == view)]) for view in range(views)]
+    medians = [np.median(angle[(a == view) | (b == view)]) for view in range(views)]
     return float(max(medians))
 
 

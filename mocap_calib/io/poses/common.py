@@ -73,11 +73,15 @@ class PoseFile:
             raise ValueError(f"{len(self.individuals)} names for {count} individuals")
 
 
-def describe_poses(poses: Poses3D, fps: float | None, individuals: Sequence[str]) -> PoseFile:
-    """Return poses with what a user says beside.
+def describe_poses(
+    poses: Poses3D,
+    fps: float | None,
+    individuals: Sequence[str] = (),
+    edges: tuple[tuple[int, int], ...] = (),
+) -> PoseFile:
+    """Return poses with what is known beside.
 
-    fps: frames per second; None: not known. individuals: `[individual]` names; none: see
-        `PoseFile`.
+    fps: frames per second; None: not known. individuals, edges: see `PoseFile`.
 
     Raises ValueError for another number of names, names that occur twice, and a rate that is not
     above 0.
@@ -87,7 +91,8 @@ def describe_poses(poses: Poses3D, fps: float | None, individuals: Sequence[str]
     if len(individuals) not in (0, count):
         raise ValueError(f"individuals: expected {count} names, got {len(individuals)}")
     check_rate(fps)
-    return PoseFile(poses, float("nan") if fps is None else fps, tuple(individuals))
+    rate = float("nan") if fps is None else fps
+    return PoseFile(poses, rate, tuple(individuals), edges=edges)
 
 
 def check_rate(fps: float | None) -> None:

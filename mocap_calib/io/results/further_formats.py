@@ -10,7 +10,7 @@ import numpy as np
 from mocap_calib.errors import MismatchError, suggest
 from mocap_calib.io.cameras.formats import CAMERA_FORMATS
 from mocap_calib.io.cameras.write import format_rig, write_cameras
-from mocap_calib.io.poses.common import PoseFile, bare_poses
+from mocap_calib.io.poses.common import PoseFile, bare_poses, describe_poses
 from mocap_calib.io.poses.formats import POSE_FORMATS
 from mocap_calib.io.poses.write import format_poses, write_poses
 from mocap_calib.io.registry import AnyFormat, find_format, written_names
@@ -68,7 +68,7 @@ def check_recording(names: Sequence[str], recording: Recording, fps: float | Non
     rig = CameraRig(recording.cameras, np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3)))
     positions = np.zeros((1, 1, len(recording.keypoints), 3))
     poses = bare_poses(recording.keypoints, np.zeros(1, int), positions, unit=ARBITRARY)
-    file = PoseFile(poses, rate=float("nan") if fps is None else fps)
+    file = describe_poses(poses, fps)
     for name in names:
         if name in written_names(CAMERA_FORMATS):
             format_rig(rig, name, {})
@@ -133,10 +133,9 @@ def _write_rig(
 ) -> tuple[str, ...]:
     """Write the files of a camera format into a folder; return what they do not hold."""
     known = find_format(CAMERA_FORMATS, name)
-    if known.points:
-        return write_cameras(folder, rig, name, provenance, points)
+    held = points if known.points else None  # that others do not hold points need not be said
     if known.folder:
-        return write_cameras(folder, rig, name, provenance)
+        return write_cameras(folder, rig, name, provenance, held)
     file_name = next(iter(format_rig(rig, name, provenance).files))
     return write_cameras(folder / file_name, rig, name, provenance)
 
