@@ -394,6 +394,58 @@ class UncertaintyConfig:
     same_rig_deg: float = 10.0  # two rigs whose cameras turn by no more than this are one answer
 
 
+@dataclass(frozen=True)
+class MovedConfig:
+    """Whether a camera was bumped or moved during the recording (multi_view/moved.py).
+
+    Shares are of the weighed squared errors of a camera, or of its robust cost.
+
+    What is looked at:
+    detections: of one camera, about, in frames that are evenly spread.
+    least_joints: that a detection and a body have in common.
+    least_detections: of an epoch of a camera, and least_share: of its detections.
+
+    Which cameras stand out, by their errors over time in the rig of all:
+    loose: tolerance of an error, in RMS angular sizes of a detection: wider than what a bump of a
+        few degrees makes, so that both epochs still speak.
+    suspicious_gain: share of the errors that a change of the pose at one moment explains. Sound
+        recordings: at most 0.06, and 0.12 of a fly under telescopes; a camera moved by 0.2 m at
+        5 m: 0.07 to 0.1; bumped by 2 degrees: 0.2 to 0.8.
+    suspicious_step: by which the mean cost (0..1) of its detections rises or falls at one moment.
+        Sound: at most 0.28; a bump of 20 degrees: 0.7 to 0.9.
+
+    Of those, whether another pose from one moment on explains it:
+    hypotheses: poses that single detections ask for.
+    tolerance_noises: of an error, in standard deviations, in the end.
+    steps: of Gauss and Newton, down to a tenth of the widest tolerance.
+    rounds: of poses, and of the moments between them.
+    explained: cost (0..1) below which a detection is explained by the pose of the camera.
+    large_gain: by which the mean cost (0..1) falls with other poses that were proposed, so that
+        these are taken, and not what small steps of the present pose come to.
+    most_changes: that are looked for in one camera.
+    least_gain: share by which the cost falls with a change.
+    least_contrast: a change must explain so many times what one more change would: errors that
+        drift with the subject, by lenses and wrong focal lengths, fall bit by bit.
+    """
+
+    detections: int = 150
+    least_joints: int = 4
+    least_detections: int = 12
+    least_share: float = 0.04
+    loose: float = 0.3
+    suspicious_gain: float = 0.04
+    suspicious_step: float = 0.3
+    hypotheses: int = 60
+    tolerance_noises: float = 3.0
+    steps: int = 6
+    rounds: int = 3
+    explained: float = 0.5
+    large_gain: float = 0.1
+    most_changes: int = 3
+    least_gain: float = 0.03
+    least_contrast: float = 6.0
+
+
 REPORT_FRAMES = 2000  # whose reprojection errors run.json tells
 RIG_ERROR_THRESHOLDS_DEG = (5, 10, 20, 30)  # at which `evaluate` tells the accuracy
 
@@ -410,6 +462,7 @@ class Config:
     intrinsics: IntrinsicsConfig = IntrinsicsConfig()
     triangulate: TriangulateConfig = TriangulateConfig()
     uncertainty: UncertaintyConfig = UncertaintyConfig()
+    moved: MovedConfig = MovedConfig()
 
 
 @dataclass(frozen=True)
@@ -418,6 +471,26 @@ class ReadConfig:
 
     largest_share: float = 1.5  # positions no larger than this are shares of the image, not pixels
     least_share: float = -0.25  # a share below this is on another scale, such as -1 to 1
+
+
+@dataclass(frozen=True)
+class CopyConfig:
+    """When two files have the same detections (recording/copies.py).
+
+    tolerance: of the coordinates, as a share of where the detections are: files keep three
+        decimals, or single precision. Of the shared recordings no
+        detection of one camera was within a pixel of another camera's in all its keypoints.
+    least_detections: distinct ones, of the file that has fewer; with fewer nothing is said.
+    compared_detections: of that file, evenly spread.
+    candidates: detections whose mean is that of another one, that are compared with it.
+    least_share: of the compared detections, that must be in the other file at one shift.
+    """
+
+    tolerance: float = 2e-5
+    least_detections: int = 20
+    compared_detections: int = 200
+    candidates: int = 20
+    least_share: float = 0.9
 
 
 # Files and cameras that make a recording (recording/synchronise.py)

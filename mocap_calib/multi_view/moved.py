@@ -1,0 +1,277 @@
+"""Find cameras that were bumped or moved during the recording, and the frames.
+
+A camera that was moved bends the rig of all, so it is judged by bodies that the others place: first,
+cheaply, by the rig of all without its rays; then, where it stands out, by the rig that the others
+make without it. Its errors over time tell the rest (`changes`).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mocap_calib.config import EPOCH_MARK, Config
+from mocap_calib.errors import DegenerateError
+from mocap_calib.geometry.rotation import angle_between
+from mocap_calib.multi_view.changes import (
+    Epochs,
+    find_epochs,
+    last_moments,
+    stands_out,
+)
+from mocap_calib.multi_view.labels import per_frame_labels
+from mocap_calib.multi_view.observed import Observed
+from mocap_calib.multi_view.refinement import adjust_until_stable
+from mocap_calib.multi_view.resection import CameraPoses, Sightings, sightings_of
+from mocap_calib.multi_view.triangulation import (
+    gather_observations,
+    least_noise,
+    triangulate_rays,
+    view_noise,
+)
+from mocap_calib.recording.mending import Moved
+from mocap_calib.recording.sampling import evenly_spaced, take_sample
+from mocap_calib.types import (
+    CameraRig,
+    Fault,
+    Floats,
+    GroupResult,
+    Ints,
+    Matches,
+    Recording,
+    Sample,
+    silent,
+)
+
+
+@dataclass(frozen=True)
+class _Placed:
+    """Cameras that place bodies.
+
+    rig: of all views of a recording. matches: labels of its frames, frame by frame.
+    noise: `[view]` of each, in radians.
+    """
+
+    rig: CameraRig
+    matches: Matches
+    noise: Floats
+
+    @classmethod
+    def of(cls, recording: Recording, rig: CameraRig, matches: Matches, config: Config) -> "_Placed":
+        """Return cameras whose noise is measured on the matches."""
+        matches = per_frame_labels(matches)
+        return cls(rig, matches, view_noise(recording, rig, matches, config.triangulate))
+
+
+@dataclass(frozen=True)
+class _Judged:
+    """A view in the rig of the others.
+
+    view: its index. epochs: its poses. frames: `[detection]` indices into the recording.
+    others: indices `[view]`, and rig: of these.
+    gain: by how much its changes lower its cost. error: RMS error of all views, in radians.
+    """
+
+    view: int
+    epochs: Epochs
+    frames: Ints
+    others: Ints
+    rig: CameraRig
+    gain: float
+    error: float
+
+
+def find_moved_cameras(
+    observed: Observed, group: GroupResult, config: Config
+) -> tuple[Fault, ...]:
+    """Return a fault for each time that a camera of a group was moved; of one camera.
+
+    A camera that was moved blurs the places of all, so the one is named without which the errors
+    of all are smallest; when that is mended, another may be. Of two cameras none is named, as
+    both have the errors.
+    """
+    if len(group.rig) <= 2:
+        return ()
+    names = observed.recording.names
+    observed = observed.select(np.array([names.index(name) for name in group.rig.names]))
+    instances = observed.sample.positions.shape[2]
+    matches = group.matches.select(frames=observed.sample_frames, instances=instances)
+    all_views = _Placed.of(observed.sample, group.rig, matches, config)
+    found = [
+        judged
+        for view in range(len(group.rig))
+        if (judged := _judge_by_all(observed, all_views, view, config)) is not None
+    ]
+    found.sort(key=lambda judged: -judged.gain)
+    again = [
+        judged
+        for first in found[: config.moved.candidates]
+        if (judged := _judge_by_others(observed, all_views, first, config)) is not None
+    ]
+    if not again:
+        return ()
+    moved = min(again, key=lambda judged: judged.error)
+    return _describe_changes(observed, group, moved, config)
+
+
+def _judge_by_all(
+    observed: Observed, placed: _Placed, view: int, config: Config
+) -> _Judged | None:
+    """Return a view by the bodies of the present rig, None where nothing speaks for a change."""
+    frames = _choose_frames(observed.sample, config)
+    others = np.delete(np.arange(len(placed.rig)), view)
+    bodies = _place_bodies(observed.sample, placed, frames, config, without=view)
+    seen = sightings_of(observed.sample.rays[view][frames], bodies, config.moved.least_joints)
+    start = CameraPoses(placed.rig.rotation[[view]], placed.rig.translation[[view]])
+    if not stands_out(start, seen, config.moved):
+        return None
+    return _judge(observed, view, (others, placed), start, (frames, seen), config)
+
+
+def _judge_by_others(
+    observed: Observed, placed: _Placed, first: _Judged, config: Config
+) -> _Judged | None:
+    """Return a view by the rig of the others, adjusted without it; None where none is moved."""
+    part = observed.select(first.others)
+    try:
+        adjusted = adjust_until_stable(
+            part.sample,
+            first.rig,
+            placed.matches.select(views=first.others),
+            config,
+            lifted=part.lifted,
+            progress=silent,
+        )
+    except DegenerateError:
+        return None
+    clean = _Placed.of(part.sample, adjusted.rig, adjusted.matches, config)
+    frames = _choose_frames(observed.sample, config)
+    bodies = _place_bodies(part.sample, clean, frames, config)
+    rays = observed.sample.rays[first.view][frames]
+    seen = sightings_of(rays, bodies, config.moved.least_joints)
+    if len(seen.frame) < 2 * config.moved.least_detections:
+        return None
+    start = first.epochs.poses[:1]
+    return _judge(observed, first.view, (first.others, clean), start, (frames, seen), config)
+
+
+def _judge(
+    observed: Observed,
+    view: int,
+    others: tuple[Ints, _Placed],
+    start: CameraPoses,
+    looked_at: tuple[Ints, Sightings],
+    config: Config,
+) -> _Judged | None:
+    """Return the epochs of a view, None where there is only one.
+
+    others: `[view]` indices of the others, and the cameras that place the bodies.
+    looked_at: `[frame]` indices into the sample, and what the view saw there.
+    """
+    (index, placed), (frames, seen) = others, looked_at
+    least = config.triangulate.least_noise_px / observed.sample.cameras[view].focal
+    epochs, gain = find_epochs(start, seen, config.moved, least_noise=least)
+    if gain == 0:
+        return None
+    own = epochs.tolerance / config.moved.tolerance_noises
+    whole = len(placed.rig) == len(observed.sample.cameras)
+    noise = np.append(placed.noise[index] if whole else placed.noise, own)
+    return _Judged(
+        view=view,
+        epochs=epochs,
+        frames=observed.sample_frames[frames[seen.frame]],
+        others=index,
+        rig=placed.rig.select(index) if whole else placed.rig,
+        gain=gain,
+        error=float(np.sqrt((noise**2).mean())),
+    )
+
+
+def _choose_frames(sample: Sample, config: Config) -> Ints:
+    """Return evenly spread frames (indices into the sample) with about so many detections a view.
+
+    So many of all views together as eight views have: large rigs say the same many times.
+    """
+    detections = sample.seen.any(-1).sum(2)  # [view, frame]
+    usual = max(1.0, float(detections.mean()))
+    views = max(1.0, len(detections) / 8)
+    wanted = max(config.moved.least_frames, config.moved.detections / usual / views)
+    return evenly_spaced(np.arange(len(sample.frames)), round(wanted))
+
+
+def _place_bodies(
+    recording: Recording, placed: _Placed, frames: Ints, config: Config, without: int | None = None
+) -> Floats:
+    """Return the bodies `[frame, body, joint, 3]` of some frames (indices), NaN = missing.
+
+    without: a view whose rays do not count.
+    """
+    seen = gather_observations(recording, placed.matches, frames)
+    weight = seen.confidence.copy()
+    if without is not None:
+        weight[without] = 0.0
+    points, _ = triangulate_rays(
+        placed.rig, seen.rays, weight=weight, noise=placed.noise, config=config.triangulate
+    )
+    return points.T.reshape(len(frames), placed.matches.individuals, len(recording.keypoints), 3)
+
+
+# --- the frame, and what is said of it
+
+
+def _describe_changes(
+    observed: Observed, group: GroupResult, moved: _Judged, config: Config
+) -> tuple[Fault, ...]:
+    """Return a fault for each change of a view."""
+    recording, poses = observed.recording, moved.epochs.poses
+    matches = group.matches.select(views=moved.others)
+    placed = _Placed.of(recording.select(views=moved.others), moved.rig, matches, config)
+    camera = recording.names[moved.view].rpartition(EPOCH_MARK)
+    name = camera[0] if camera[0] and camera[2].isdigit() else recording.names[moved.view]
+    centres = -np.einsum("pji,pj->pi", poses.rotation, poses.translation)
+    faults = []
+    for change in range(len(moved.epochs.starts)):
+        index = _find_frame(recording, placed, moved, change, config)
+        frame = int(recording.frames[index])
+        pair = poses.rotation[change], poses.rotation[change + 1]
+        angle = float(np.rad2deg(angle_between(*pair)))
+        shift = float(np.linalg.norm(centres[change + 1] - centres[change]))
+        faults.append(
+            Fault(
+                camera=name,
+                word="moved",
+                says=f"moved at frame {frame}, turned by {angle:.1f} deg",
+                evidence={
+                    "frame": frame,
+                    "angle_deg": angle,
+                    "centre_shift": shift,
+                    "gain": moved.gain,
+                },
+                mend=Moved(name, frame),
+            )
+        )
+    return tuple(faults)
+
+
+def _find_frame(
+    recording: Recording, placed: _Placed, moved: _Judged, change: int, config: Config
+) -> int:
+    """Return the index of the first frame after a change, to the frame.
+
+    The frames about it are looked at ever more closely.
+    """
+    start = int(moved.epochs.starts[change])
+    near = config.moved.near_detections
+    first = int(moved.frames[max(0, start - near)])
+    last = int(moved.frames[min(len(moved.frames) - 1, start + near)])
+    pair = moved.epochs.poses[change : change + 2]
+    part = recording.select(views=moved.others)
+    while True:
+        frames = evenly_spaced(np.arange(first, last + 1), config.moved.detections)
+        bodies = _place_bodies(part, placed, frames, config)
+        rays = take_sample(recording.select(views=[moved.view]), frames).rays[0]
+        seen = sightings_of(rays, bodies, config.moved.least_joints)
+        before, after = last_moments(pair, seen, moved.epochs.tolerance, config.moved)
+        if len(frames) == last - first + 1:
+            return int(frames[after])
+        margin = max(1, (last - first) // len(frames))
+        first, last = int(frames[before]) - margin, int(frames[after]) + margin
