@@ -7,18 +7,14 @@ import pytest
 
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.projection import pixels_from_points
-from mocap_calib.recording.mending import (
+from mocap_calib.recording.mended_intrinsics import (
     Cropped,
     Exchanged,
-    Mirrored,
-    Moved,
     Refocused,
     Resized,
     Rotated,
-    Sides,
-    apply_mends,
-    exchanged_sides,
 )
+from mocap_calib.recording.mending import Mirrored, Moved, Sides, apply_mends, exchanged_sides
 from mocap_calib.recording.synchronise import hide_blind_spots
 from mocap_calib.types import Camera, EstimatedCamera, Recording
 
