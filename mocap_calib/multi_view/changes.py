@@ -44,7 +44,6 @@ def find_epochs(
     config: MovedConfig,
     *,
     least_noise: float,
-    rng: np.random.Generator,
 ) -> tuple[Epochs, float]:
     """Return the epochs of a camera, and by how much their changes lower its cost, a share of it.
 
@@ -54,7 +53,7 @@ def find_epochs(
     """
     loose = config.loose * float(np.median(seen.angular_size))
     found = [_refine(np.zeros(0, np.int64), start, seen, config, (loose, least_noise))]
-    proposed = start + propose_poses(start, seen, config, rng)
+    proposed = start + propose_poses(start, seen, config)
     costs = costs_of(proposed, seen, config.loose * seen.angular_size, config.least_joints)
     for _ in range(config.most_changes + 1):
         split = _propose_split(found[-1], proposed, costs, seen, config)
@@ -72,6 +71,43 @@ def own_costs(epochs: Epochs, tolerance: float, seen: Sightings, config: MovedCo
     """Return the cost `[detection]` of each detection under the pose of its epoch."""
     cost = costs_of(epochs.poses, seen, tolerance, config.least_joints)
     return cost[_epoch_of(epochs.starts, len(seen.frame)), np.arange(len(seen.frame))]
+
+
+def stands_out(start: CameraPoses, seen: Sightings, config: MovedConfig) -> bool:
+    """Return whether the errors of a camera change at some moment more than those of others do.
+
+    start: its pose in the rig. Cheap: nothing is refined.
+    """
+    detections, least = len(seen.frame), _least(seen, config)
+    if detections < 2 * least:
+        return False
+    tolerance = config.loose * float(np.median(seen.angular_size))
+    problem = linearise(start, seen, tolerance, config.least_joints)
+    normal, target = problem.normal[0], problem.target[0]
+    gains, moments = split_gains(normal, target, 0, detections, least)
+    left = problem.square[0].sum() - _explained(normal.sum(0), target.sum(0))
+    cost = costs_of(start, seen, tolerance, config.least_joints)[0].cumsum()
+    before, after = cost[moments - 1] / moments, (cost[-1] - cost[moments - 1]) / (
+        detections - moments
+    )
+    balance = 2 * np.sqrt(moments * (detections - moments)) / detections
+    step = np.abs(after - before) * balance
+    return bool(
+        gains.max() > config.suspicious_gain * left or step.max() > config.suspicious_step
+    )
+
+
+def last_moments(
+    pair: CameraPoses, seen: Sightings, tolerance: float, config: MovedConfig
+) -> tuple[int, int]:
+    """Return the last frame (index) that shows the pose before a change, and the first after it.
+
+    pair: the poses before and after.
+    """
+    cost = np.nan_to_num(costs_of(pair, seen, tolerance, config.least_joints))
+    total = np.concatenate([[0.0], (cost[0] - cost[1]).cumsum()])
+    moment = int(np.clip(total.argmin(), 1, len(seen.frame) - 1))
+    return int(seen.frame[moment - 1]), int(seen.frame[moment])
 
 
 def split_gains(

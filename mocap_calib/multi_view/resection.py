@@ -10,6 +10,7 @@ import numpy as np
 
 from mocap_calib.config import MovedConfig
 from mocap_calib.geometry.rotation import matrix_from_vector, nearest_rotation, skew
+from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Bools, Floats, Ints
 
 _ENTRIES = 2_000_000  # of arrays of poses, detections, bodies and joints at a time
@@ -109,21 +110,19 @@ def costs_of(
     return _compare(poses, seen, np.broadcast_to(tolerance, len(seen.frame)), least_joints).cost
 
 
-def propose_poses(
-    start: CameraPoses, seen: Sightings, config: MovedConfig, rng: np.random.Generator
-) -> CameraPoses:
+def propose_poses(start: CameraPoses, seen: Sightings, config: MovedConfig) -> CameraPoses:
     """Return the poses that single detections ask for, if the camera turned where it stands.
 
     start: one pose, whose centre is kept. Each is the rotation that turns one body as seen from
-    there into one detection of its frame (Kabsch).
+    there into one detection of its frame (Kabsch); of several bodies each has its turn.
     """
-    count = min(config.hypotheses, len(seen.frame))
-    chosen = np.sort(rng.choice(len(seen.frame), count, replace=False))
+    chosen = evenly_spaced(np.arange(len(seen.frame)), config.hypotheses)
     bodies, rays = seen.bodies[seen.frame[chosen]], seen.rays[chosen]
     common = np.isfinite(bodies[..., 0]) & np.isfinite(rays[:, None, :, 0])  # [N, body, joint]
     possible = common.sum(-1) >= config.least_joints
-    drawn = np.where(possible, rng.random(possible.shape), -1.0).argmax(1)
-    every = np.arange(count)
+    every = np.arange(len(chosen))
+    turn = every % np.maximum(possible.sum(1), 1)
+    drawn = (possible & (possible.cumsum(1) == turn[:, None] + 1)).argmax(1)
     centre = -start.rotation[0].T @ start.translation[0]
     used = common[every, drawn][..., None]
     toward = np.where(used, bodies[every, drawn] - centre, 0.0)
