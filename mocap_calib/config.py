@@ -485,11 +485,8 @@ class Config:
     intrinsics: IntrinsicsConfig = IntrinsicsConfig()
     triangulate: TriangulateConfig = TriangulateConfig()
     uncertainty: UncertaintyConfig = UncertaintyConfig()
-<<<<<<< HEAD
     moved: MovedConfig = MovedConfig()
-=======
     mend: MendConfig = MendConfig()
->>>>>>> main
 
 
 @dataclass(frozen=True)
