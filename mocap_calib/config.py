@@ -420,8 +420,8 @@ class MovedConfig:
     steps: of Gauss and Newton, down to a tenth of the widest tolerance.
     rounds: of poses, and of the moments between them.
     explained: cost (0..1) below which a detection is explained by the pose of the camera.
-    large_gain: by which the mean cost (0..1) falls with other poses that were proposed, so that
-        these are taken, and not what small steps of the present pose come to.
+    large_gain: by which the mean cost (0..1) falls with other poses that were proposed, for these
+        to be tried beside small steps of the present pose.
     most_changes: that are looked for in one camera.
     least_gain: share by which the cost falls with a change.
     least_contrast: a change must explain so many times what one more change would: errors that
@@ -446,7 +446,7 @@ class MovedConfig:
     steps: int = 6
     rounds: int = 3
     explained: float = 0.5
-    large_gain: float = 0.1
+    large_gain: float = 0.03
     most_changes: int = 3
     least_gain: float = 0.03
     least_contrast: float = 6.0

@@ -56,12 +56,16 @@ def find_epochs(
     proposed = start + propose_poses(start, seen, config)
     costs = costs_of(proposed, seen, config.loose * seen.angular_size, config.least_joints)
     for _ in range(config.most_changes + 1):
-        split = _propose_split(found[-1], proposed, costs, seen, config)
-        if split is None:
+        tried = []
+        for split in _propose_splits(found[-1], proposed, costs, seen, config):
+            widest = loose if split.is_large else 2 * found[-1].tolerance
+            starts, poses = _with_split(found[-1], split)
+            tried.append(_refine(starts, poses, seen, config, (widest, least_noise)))
+        if not tried:
             break
-        widest = loose if split.is_large else 2 * found[-1].tolerance
-        found.append(_refine(*_with_split(found[-1], split), seen, config, (widest, least_noise)))
-        before, after = _mean_costs(found[-2:], seen, config)
+        best = int(_mean_costs(tried, seen, config).argmin())
+        before, after = _mean_costs([found[-1], tried[best]], seen, config)
+        found.append(tried[best])
         if before < (1 + config.least_gain) * after:
             break
     return _choose_number(found, _mean_costs(found, seen, config), config)
@@ -87,14 +91,13 @@ def stands_out(start: CameraPoses, seen: Sightings, config: MovedConfig) -> bool
     gains, moments = split_gains(normal, target, 0, detections, least)
     left = problem.square[0].sum() - _explained(normal.sum(0), target.sum(0))
     cost = costs_of(start, seen, tolerance, config.least_joints)[0].cumsum()
-    before, after = cost[moments - 1] / moments, (cost[-1] - cost[moments - 1]) / (
-        detections - moments
+    before, after = (
+        cost[moments - 1] / moments,
+        (cost[-1] - cost[moments - 1]) / (detections - moments),
     )
     balance = 2 * np.sqrt(moments * (detections - moments)) / detections
     step = np.abs(after - before) * balance
-    return bool(
-        gains.max() > config.suspicious_gain * left or step.max() > config.suspicious_step
-    )
+    return bool(gains.max() > config.suspicious_gain * left or step.max() > config.suspicious_step)
 
 
 def last_moments(
@@ -179,13 +182,12 @@ class _Split:
     is_large: bool
 
 
-def _propose_split(
+def _propose_splits(
     epochs: Epochs, proposed: CameraPoses, costs: Floats, seen: Sightings, config: MovedConfig
-) -> _Split | None:
-    """Return the epoch that may best be two, None where no epoch is long enough.
+) -> list[_Split]:
+    """Return the epochs that may best be two: by small steps of the pose, and by proposed poses.
 
-    It is the best change by small steps of the pose, unless proposed poses explain much more.
-    costs: `[pose, detection]` of the proposed poses.
+    None where no epoch is long enough. costs: `[pose, detection]` of the proposed poses.
     """
     least = _least(seen, config)
     bounds = np.concatenate([[0], epochs.starts, [len(seen.frame)]])
@@ -195,12 +197,9 @@ def _propose_split(
             span = (int(first), int(last))
             small.append(_small_split(epochs, epoch, span, least, seen, config))
             large.append(_large_split(epoch, span, least, proposed, np.nan_to_num(costs)))
-    if not small:
-        return None
-    best_small = max(small, key=lambda split: split.gain)
-    best_large = max(large, key=lambda split: split.gain)
-    is_large = best_large.gain > config.large_gain * len(seen.frame)
-    return best_large if is_large else best_small
+    best = [max(splits, key=lambda split: split.gain) for splits in (small, large) if splits]
+    worth = config.large_gain * len(seen.frame)
+    return [split for split in best if not split.is_large or split.gain > worth]
 
 
 def _small_split(
@@ -296,9 +295,7 @@ def _move_starts(starts: Ints, cost: Floats, least: int) -> Ints:
     return moved
 
 
-def _choose_number(
-    found: list[Epochs], costs: Floats, config: MovedConfig
-) -> tuple[Epochs, float]:
+def _choose_number(found: list[Epochs], costs: Floats, config: MovedConfig) -> tuple[Epochs, float]:
     """Return the epochs that are believed, of those with 0, 1, 2, ... changes, and their gain.
 
     costs: `[change]` of each.

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mocap_calib.config import EPOCH_MARK, Config
+from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.multi_view.changes import (
@@ -28,6 +28,7 @@ from mocap_calib.multi_view.triangulation import (
     triangulate_rays,
     view_noise,
 )
+from mocap_calib.recording.epochs import own_name
 from mocap_calib.recording.mending import Moved
 from mocap_calib.recording.sampling import evenly_spaced, take_sample
 from mocap_calib.types import (
@@ -56,7 +57,9 @@ class _Placed:
     noise: Floats
 
     @classmethod
-    def of(cls, recording: Recording, rig: CameraRig, matches: Matches, config: Config) -> "_Placed":
+    def of(
+        cls, recording: Recording, rig: CameraRig, matches: Matches, config: Config
+    ) -> "_Placed":
         """Return cameras whose noise is measured on the matches."""
         matches = per_frame_labels(matches)
         return cls(rig, matches, view_noise(recording, rig, matches, config.triangulate))
@@ -80,9 +83,7 @@ class _Judged:
     error: float
 
 
-def find_moved_cameras(
-    observed: Observed, group: GroupResult, config: Config
-) -> tuple[Fault, ...]:
+def find_moved_cameras(observed: Observed, group: GroupResult, config: Config) -> tuple[Fault, ...]:
     """Return a fault for each time that a camera of a group was moved; of one camera.
 
     A camera that was moved blurs the places of all, so the one is named without which the errors
@@ -113,9 +114,7 @@ def find_moved_cameras(
     return _describe_changes(observed, group, moved, config)
 
 
-def _judge_by_all(
-    observed: Observed, placed: _Placed, view: int, config: Config
-) -> _Judged | None:
+def _judge_by_all(observed: Observed, placed: _Placed, view: int, config: Config) -> _Judged | None:
     """Return a view by the bodies of the present rig, None where nothing speaks for a change."""
     frames = _choose_frames(observed.sample, config)
     others = np.delete(np.arange(len(placed.rig)), view)
@@ -225,8 +224,7 @@ def _describe_changes(
     recording, poses = observed.recording, moved.epochs.poses
     matches = group.matches.select(views=moved.others)
     placed = _Placed.of(recording.select(views=moved.others), moved.rig, matches, config)
-    camera = recording.names[moved.view].rpartition(EPOCH_MARK)
-    name = camera[0] if camera[0] and camera[2].isdigit() else recording.names[moved.view]
+    name = own_name(recording.names[moved.view], recording.names)
     centres = -np.einsum("pji,pj->pi", poses.rotation, poses.translation)
     faults = []
     for change in range(len(moved.epochs.starts)):

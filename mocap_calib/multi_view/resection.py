@@ -152,9 +152,7 @@ def refine_poses(
     return poses
 
 
-def linearise(
-    poses: CameraPoses, seen: Sightings, tolerance: float, least_joints: int
-) -> Linear:
+def linearise(poses: CameraPoses, seen: Sightings, tolerance: float, least_joints: int) -> Linear:
     """Return the least-squares problem of poses, of all detections by the bodies that fit best."""
     every = np.full(len(seen.frame), tolerance)
     points = seen.bodies[seen.frame, _compare(poses, seen, every, least_joints).body]
@@ -162,9 +160,7 @@ def linearise(
     return _linearise(poses, points, seen.rays, counted=counted, tolerance=tolerance)
 
 
-def typical_error(
-    poses: CameraPoses, seen: Sightings, counted: Bools, least_joints: int
-) -> float:
+def typical_error(poses: CameraPoses, seen: Sightings, counted: Bools, least_joints: int) -> float:
     """Return the median angle in radians of joints from those of their bodies.
 
     Of each body in a frame the detection counts that is nearest to it: others are of strangers.
