@@ -552,6 +552,7 @@ class InspectConfig:
     outside: float = 0.01  # share of the points outside the image
     enough_frames: int = 20  # that two cameras see together
     low_confidence: float = 0.1
+    copies: CopyConfig = CopyConfig(least_detections=1)  # `run` refuses only what is certain
     gaps: float = 0.1  # share of the frame numbers between the first and the last
 
 

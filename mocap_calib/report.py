@@ -13,7 +13,7 @@ from mocap_calib.multi_view.evaluation import median_and_max
 from mocap_calib.multi_view.triangulation import gather_observations, project
 from mocap_calib.multi_view.uncertainty import judge_rig
 from mocap_calib.multi_view.view_graph import alternative_taken
-from mocap_calib.recording.epochs import epoch_folder, list_epochs, views_by_camera
+from mocap_calib.recording.epochs import describe_epochs, views_by_camera
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import (
     CalibrationResult,
@@ -53,7 +53,7 @@ def run_report(
         "keypoints": list(group.recording.keypoints),
         "left_out": list(result.left_out),
         "unused_pairs": [asdict(pair) for pair in result.unused_pairs],
-        "epochs": _describe_epochs(group),
+        "epochs": describe_epochs(group.rig.names, group.recording.frames),
         "cameras": _describe_cameras(group, error, config, result.faults),
         "pairs": [_describe_pair(group, k, error, config) for k in range(len(group.pairs))],
         "adjust": {"rounds": group.adjusted.rounds, "converged": group.adjusted.converged},
@@ -93,20 +93,6 @@ def _describe_frames(group: GroupResult) -> dict[str, int]:
     return {"first": int(frames[0]), "last": int(frames[-1]), "count": len(frames)}
 
 
-def _describe_epochs(group: GroupResult) -> list[dict[str, Any]]:
-    """Return the parts of the recording in which no camera was moved."""
-    epochs = list_epochs(group.rig.names, group.recording.frames)
-    return [
-        {
-            "folder": epoch_folder(number),
-            "first": epoch.first,
-            "last": epoch.last,
-            "moved": list(epoch.moved),
-        }
-        for number, epoch in enumerate(epochs)
-    ]
-
-
 def _describe_cameras(
     group: GroupResult, error: Floats, config: Config, faults: Sequence[Fault]
 ) -> list[dict[str, Any]]:
@@ -118,7 +104,9 @@ def _describe_cameras(
     described = []
     for name, own in views.items():
         its_faults = [fault for fault in faults if fault.camera == name]
-        described.append(_describe_camera(group, name, own, error[own], config, its_faults))
+        described.append(
+            _describe_camera(group, name, own, error=error[own], config=config, faults=its_faults)
+        )
     return described
 
 
@@ -126,6 +114,7 @@ def _describe_camera(
     group: GroupResult,
     name: str,
     views: list[int],
+    *,
     error: Floats,
     config: Config,
     faults: Sequence[Fault],

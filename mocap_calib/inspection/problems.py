@@ -55,7 +55,7 @@ def find_problems(
         *_find_other_scales(usable, config),
         *find_clock_problems(usable, report["pairs"], config),
         *_find_name_problems(usable, meanings, known_joints=report["model"]["knows"]),
-        *_find_copies(usable, meanings),
+        *_find_copies(usable, meanings, config),
         *(finding for view in views for finding in _find_weaknesses(view, config)),
     ]
     if cameras and not any(finding.critical for finding in found):
@@ -96,11 +96,13 @@ def _find_too_few_views(usable: Sequence[Keypoints2D]) -> list[Finding]:
     ]
 
 
-def _find_copies(usable: Sequence[Keypoints2D], meanings: Mapping[str, str]) -> list[Finding]:
+def _find_copies(
+    usable: Sequence[Keypoints2D], meanings: Mapping[str, str], config: InspectConfig
+) -> list[Finding]:
     """Name the pairs of cameras with the same detections."""
     return [
-        critical(f"the same detections are in {copy.says}; give each camera its own file")
-        for copy in find_copies(usable, meanings)
+        critical(f"{copy.says}; give each camera its own file")
+        for copy in find_copies(usable, meanings, config.copies)
     ]
 
 

@@ -210,7 +210,9 @@ def write_result(
             )
             poses = _describe_poses(group, fps)
             write_group(place, group, poses, source)
-            further[number] = _write_further(place, group, poses, formats, source, result.config)
+            further[number] = _write_further(
+                place, group, poses, formats=formats, source=source, config=result.config
+            )
             if number == 0:
                 reports[0]["fingerprint"] = fingerprint
                 reports[0]["outputs"] = hash_files(work)
@@ -230,6 +232,7 @@ def _write_further(
     folder: Path,
     group: GroupResult,
     poses: PoseFile,
+    *,
     formats: Sequence[str],
     source: Mapping[str, Any],
     config: Config,

@@ -7,6 +7,7 @@ change would (binary segmentation, Scott and Knott 1974).
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -192,11 +193,11 @@ def _propose_splits(
     least = _least(seen, config)
     bounds = np.concatenate([[0], epochs.starts, [len(seen.frame)]])
     small, large = [], []
-    for epoch, (first, last) in enumerate(zip(bounds[:-1], bounds[1:], strict=True)):
+    for epoch, (first, last) in enumerate(pairwise(bounds.tolist())):
         if last - first >= 2 * least:
-            span = (int(first), int(last))
-            small.append(_small_split(epochs, epoch, span, least, seen, config))
-            large.append(_large_split(epoch, span, least, proposed, np.nan_to_num(costs)))
+            span = (first, last)
+            small.append(_small_split(epochs, epoch, span, least=least, seen=seen, config=config))
+            large.append(_large_split(epoch, span, proposed, np.nan_to_num(costs), least=least))
     best = [max(splits, key=lambda split: split.gain) for splits in (small, large) if splits]
     worth = config.large_gain * len(seen.frame)
     return [split for split in best if not split.is_large or split.gain > worth]
@@ -206,6 +207,7 @@ def _small_split(
     epochs: Epochs,
     epoch: int,
     span: tuple[int, int],
+    *,
     least: int,
     seen: Sightings,
     config: MovedConfig,
@@ -219,7 +221,7 @@ def _small_split(
 
 
 def _large_split(
-    epoch: int, span: tuple[int, int], least: int, proposed: CameraPoses, costs: Floats
+    epoch: int, span: tuple[int, int], proposed: CameraPoses, costs: Floats, *, least: int
 ) -> _Split:
     """Return the best split of an epoch by two of the proposed poses."""
     first, last = span

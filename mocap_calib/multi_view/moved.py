@@ -1,8 +1,8 @@
 """Find cameras that were bumped or moved during the recording, and the frames.
 
-A camera that was moved bends the rig of all, so it is judged by bodies that the others place: first,
-cheaply, by the rig of all without its rays; then, where it stands out, by the rig that the others
-make without it. Its errors over time tell the rest (`changes`).
+A camera that was moved bends the rig of all, so it is judged by bodies that the others place:
+first, cheaply, by the rig of all without its rays; then, where it stands out, by the rig that the
+others make without it. Its errors over time tell the rest (`changes`).
 """
 
 from dataclasses import dataclass
@@ -24,7 +24,6 @@ from mocap_calib.multi_view.refinement import adjust_until_stable
 from mocap_calib.multi_view.resection import CameraPoses, Sightings, sightings_of
 from mocap_calib.multi_view.triangulation import (
     gather_observations,
-    least_noise,
     triangulate_rays,
     view_noise,
 )
@@ -123,7 +122,14 @@ def _judge_by_all(observed: Observed, placed: _Placed, view: int, config: Config
     start = CameraPoses(placed.rig.rotation[[view]], placed.rig.translation[[view]])
     if not stands_out(start, seen, config.moved):
         return None
-    return _judge(observed, view, (others, placed), start, (frames, seen), config)
+    return _judge(
+        observed,
+        view,
+        others=(others, placed),
+        start=start,
+        looked_at=(frames, seen),
+        config=config,
+    )
 
 
 def _judge_by_others(
@@ -149,13 +155,20 @@ def _judge_by_others(
     seen = sightings_of(rays, bodies, config.moved.least_joints)
     if len(seen.frame) < 2 * config.moved.least_detections:
         return None
-    start = first.epochs.poses[:1]
-    return _judge(observed, first.view, (first.others, clean), start, (frames, seen), config)
+    return _judge(
+        observed,
+        first.view,
+        others=(first.others, clean),
+        start=first.epochs.poses[:1],
+        looked_at=(frames, seen),
+        config=config,
+    )
 
 
 def _judge(
     observed: Observed,
     view: int,
+    *,
     others: tuple[Ints, _Placed],
     start: CameraPoses,
     looked_at: tuple[Ints, Sightings],

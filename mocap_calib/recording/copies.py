@@ -17,6 +17,7 @@ from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Floats, Ints, Keypoints2D
 from mocap_calib.wording import count
 
+_DEFAULT = CopyConfig()
 _BLOCK = 4096  # frames at a time, so that long recordings need no more memory than they hold
 
 
@@ -33,15 +34,15 @@ class Copy:
 
     @property
     def says(self) -> str:
-        """Which files and cameras have the same detections, for a person."""
+        """Which cameras and files have the same detections, for a person."""
         first, second = self.first, self.second
         later = ""
         if self.shift:
             view = second if self.shift > 0 else first
             later = f", {count(abs(self.shift), 'frame')} later in {view.camera}"
         return (
-            f"{first.source} (camera {first.camera}) and "
-            f"{second.source} (camera {second.camera}){later}"
+            f"{first.camera} and {second.camera} have the same detections "
+            f"({first.source}, {second.source}{later})"
         )
 
 
@@ -67,15 +68,13 @@ def check_copies(views: Sequence[Keypoints2D], meanings: Mapping[str, str]) -> N
     if copies:
         raise MismatchError(
             "expected a file of its own for each camera, "
-            f"found the same detections in {copies[0].says}; "
+            f"found that {copies[0].says}; "
             "give each camera its own file, or leave one of the two out"
         )
 
 
 def find_copies(
-    views: Sequence[Keypoints2D],
-    meanings: Mapping[str, str],
-    config: CopyConfig = CopyConfig(),
+    views: Sequence[Keypoints2D], meanings: Mapping[str, str], config: CopyConfig = _DEFAULT
 ) -> list[Copy]:
     """Return the pairs of views with the same detections, in any order, at a constant shift.
 

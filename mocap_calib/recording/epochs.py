@@ -6,6 +6,7 @@ is written has it once, under its own name, and a rig for each epoch of the reco
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -77,8 +78,21 @@ def list_epochs(views: Sequence[str], frames: Ints) -> tuple[Epoch, ...]:
         names = sorted(holding, key=lambda name: holding[name])
         index = np.array([holding[name] for name in names], dtype=np.int64)
         moved = tuple(own_name(view, views) for view in views if number and starts[view] == first)
-        epochs.append(Epoch(first, int(last), index, tuple(names), moved))
+        epochs.append(Epoch(int(first), int(last), index, tuple(names), moved))
     return tuple(epochs)
+
+
+def describe_epochs(views: Sequence[str], frames: Ints) -> list[dict[str, Any]]:
+    """Return the epochs of a recording as `run.json` has them. views, frames: see `list_epochs`."""
+    return [
+        {
+            "folder": epoch_folder(number),
+            "first": epoch.first,
+            "last": epoch.last,
+            "moved": list(epoch.moved),
+        }
+        for number, epoch in enumerate(list_epochs(views, frames))
+    ]
 
 
 def recording_of_epoch(recording: Recording, epoch: Epoch) -> Recording:

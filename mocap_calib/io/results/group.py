@@ -2,8 +2,9 @@
 
 The files of the largest group lie in the folder itself, those of the others in `group_2`,
 `group_3`, ... Where a camera was moved, the cameras of the first epoch lie there, and those of the
-later ones in `epoch_2`, `epoch_3`, ... `run.json` of the largest group lists all files by their hashes. The poses of the
-individuals are in poses3d_0.csv, poses3d_1.csv, ..., and all together in poses3d.h5.
+later ones in `epoch_2`, `epoch_3`, ... `run.json` of the largest group lists all files by their
+hashes. The poses of the individuals are in poses3d_0.csv, poses3d_1.csv, ..., and all together in
+poses3d.h5.
 """
 
 import json
