@@ -64,12 +64,13 @@ def find_epochs(
             tried.append(_refine(starts, poses, seen, config, (widest, least_noise)))
         if not tried:
             break
-        best = int(_mean_costs(tried, seen, config).argmin())
-        before, after = _mean_costs([found[-1], tried[best]], seen, config)
+        best = int(_total_costs(tried, seen, config)[0].argmin())
+        (before, after), _ = _total_costs([found[-1], tried[best]], seen, config)
         found.append(tried[best])
         if before < (1 + config.least_gain) * after:
             break
-    return _choose_number(found, _mean_costs(found, seen, config), config)
+    costs, detections = _total_costs(found, seen, config)
+    return _choose_number(found, costs, detections, config)
 
 
 def own_costs(epochs: Epochs, tolerance: float, seen: Sightings, config: MovedConfig) -> Floats:
@@ -156,8 +157,8 @@ def _least(seen: Sightings, config: MovedConfig) -> int:
     return max(config.least_detections, int(np.ceil(config.least_share * len(seen.frame))))
 
 
-def _mean_costs(found: list[Epochs], seen: Sightings, config: MovedConfig) -> Floats:
-    """Return the mean cost of the detections, for each of several numbers of epochs.
+def _total_costs(found: list[Epochs], seen: Sightings, config: MovedConfig) -> tuple[Floats, int]:
+    """Return the cost for each of several numbers of epochs, and of how many detections.
 
     All at the tolerance of the finest, of the detections that one of them explains: the others are
     of strangers.
@@ -165,7 +166,7 @@ def _mean_costs(found: list[Epochs], seen: Sightings, config: MovedConfig) -> Fl
     tolerance = min(epochs.tolerance for epochs in found)
     costs = np.array([own_costs(epochs, tolerance, seen, config) for epochs in found])
     explained = (costs < config.explained).any(0)
-    return np.asarray(costs[:, explained].mean(1)) if explained.any() else np.ones(len(found))
+    return np.asarray(costs[:, explained].sum(1)), int(explained.sum())
 
 
 @dataclass(frozen=True)
@@ -297,15 +298,18 @@ def _move_starts(starts: Ints, cost: Floats, least: int) -> Ints:
     return moved
 
 
-def _choose_number(found: list[Epochs], costs: Floats, config: MovedConfig) -> tuple[Epochs, float]:
+def _choose_number(
+    found: list[Epochs], costs: Floats, detections: int, config: MovedConfig
+) -> tuple[Epochs, float]:
     """Return the epochs that are believed, of those with 0, 1, 2, ... changes, and their gain.
 
-    costs: `[change]` of each.
+    costs: `[change]` of each, of so many detections.
     """
+    least = max(config.least_gain, config.least_evidence / max(detections, 1))
     gains = costs[:-1] / np.maximum(costs[1:], 1e-12) - 1
     further = np.append(np.maximum(gains[1:], 0.0), 0.0)
     for changes in range(min(len(gains), config.most_changes), 0, -1):
-        enough = gains[:changes].min() >= config.least_gain
+        enough = gains[:changes].min() >= least
         if enough and gains[changes - 1] >= config.least_contrast * further[changes - 1]:
             return found[changes], float(costs[0] / costs[changes] - 1)
     return found[0], 0.0
