@@ -69,7 +69,7 @@ class _Judged:
     """A view in the rig of the others.
 
     view: its index. epochs: its poses. frames: `[detection]` indices into the recording.
-    others: indices `[view]`, and rig: of these.
+    others: indices `[view]`, rig: of these, and noise: `[view]` in radians, of these.
     gain: by how much its changes lower its cost. error: RMS error of all views, in radians.
     """
 
@@ -78,6 +78,7 @@ class _Judged:
     frames: Ints
     others: Ints
     rig: CameraRig
+    noise: Floats
     gain: float
     error: float
 
@@ -186,15 +187,16 @@ def _judge(
         return None
     own = epochs.tolerance / config.moved.tolerance_noises
     whole = len(placed.rig) == len(observed.sample.cameras)
-    noise = np.append(placed.noise[index] if whole else placed.noise, own)
+    noise = placed.noise[index] if whole else placed.noise
     return _Judged(
         view=view,
         epochs=epochs,
         frames=observed.sample_frames[frames[seen.frame]],
         others=index,
         rig=placed.rig.select(index) if whole else placed.rig,
+        noise=noise,
         gain=gain,
-        error=float(np.sqrt((noise**2).mean())),
+        error=float(np.sqrt(np.mean(np.append(noise, own) ** 2))),
     )
 
 
@@ -235,54 +237,60 @@ def _describe_changes(
 ) -> tuple[Fault, ...]:
     """Return a fault for each change of a view."""
     recording, poses = observed.recording, moved.epochs.poses
-    matches = group.matches.select(views=moved.others)
-    placed = _Placed.of(recording.select(views=moved.others), moved.rig, matches, config)
     name = own_name(recording.names[moved.view], recording.names)
     centres = -np.einsum("pji,pj->pi", poses.rotation, poses.translation)
+    angles = np.rad2deg(angle_between(poses.rotation[:-1], poses.rotation[1:])).tolist()
+    shifts = np.linalg.norm(np.diff(centres, axis=0), axis=1).tolist()
     faults = []
-    for change in range(len(moved.epochs.starts)):
-        index = _find_frame(recording, placed, moved, change, config)
+    for change, (angle, shift) in enumerate(zip(angles, shifts, strict=True)):
+        index = _find_frame(recording, group.matches, moved, change, config)
         frame = int(recording.frames[index])
-        pair = poses.rotation[change], poses.rotation[change + 1]
-        angle = float(np.rad2deg(angle_between(*pair)))
-        shift = float(np.linalg.norm(centres[change + 1] - centres[change]))
-        faults.append(
-            Fault(
-                camera=name,
-                word="moved",
-                says=f"moved at frame {frame}, turned by {angle:.1f} deg",
-                evidence={
-                    "frame": frame,
-                    "angle_deg": angle,
-                    "centre_shift": shift,
-                    "gain": moved.gain,
-                },
-                mend=Moved(name, frame),
-            )
-        )
+        evidence = {
+            "frame": frame,
+            "angle_deg": angle,
+            "centre_shift": shift,
+            "gain": moved.gain,
+        }
+        says = f"moved at frame {frame}, turned by {angle:.1f} deg"
+        faults.append(Fault(name, "moved", says, evidence, Moved(name, frame)))
     return tuple(faults)
 
 
 def _find_frame(
-    recording: Recording, placed: _Placed, moved: _Judged, change: int, config: Config
+    recording: Recording, matches: Matches, moved: _Judged, change: int, config: Config
 ) -> int:
-    """Return the index of the first frame after a change, to the frame.
+    """Return the index of the first frame after a change that shows the view.
 
-    The frames about it are looked at ever more closely.
+    The frames about it are looked at ever more closely, down to each single one.
+    matches: labels of the whole recording.
     """
     start = int(moved.epochs.starts[change])
     near = config.moved.near_detections
     first = int(moved.frames[max(0, start - near)])
     last = int(moved.frames[min(len(moved.frames) - 1, start + near)])
+    found = int(moved.frames[start])
     pair = moved.epochs.poses[change : change + 2]
-    part = recording.select(views=moved.others)
     while True:
         frames = evenly_spaced(np.arange(first, last + 1), config.moved.detections)
-        bodies = _place_bodies(part, placed, frames, config)
-        rays = take_sample(recording.select(views=[moved.view]), frames).rays[0]
-        seen = sightings_of(rays, bodies, config.moved.least_joints)
+        seen = _sightings_in(recording, matches, moved, frames, config)
+        if len(seen.frame) < 2:
+            return found
         before, after = last_moments(pair, seen, moved.epochs.tolerance, config.moved)
-        if len(frames) == last - first + 1:
-            return int(frames[after])
-        margin = max(1, (last - first) // len(frames))
-        first, last = int(frames[before]) - margin, int(frames[after]) + margin
+        found = int(frames[after])
+        margin = (last - first) // len(frames)
+        closer = max(first, int(frames[before]) - margin), min(last, found + margin)
+        if len(frames) == last - first + 1 or closer == (first, last):
+            return found
+        first, last = closer
+
+
+def _sightings_in(
+    recording: Recording, matches: Matches, moved: _Judged, frames: Ints, config: Config
+) -> Sightings:
+    """Return what a view saw in some frames (indices), by the bodies that the others place."""
+    part = recording.select(views=moved.others, frames=frames)
+    labels = per_frame_labels(matches.select(views=moved.others, frames=frames))
+    placed = _Placed(moved.rig, labels, moved.noise)
+    bodies = _place_bodies(part, placed, np.arange(len(frames)), config)
+    own = take_sample(recording.select(views=[moved.view], frames=frames), slice(None))
+    return sightings_of(own.rays[0], bodies, config.moved.least_joints)
