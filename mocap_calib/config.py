@@ -401,7 +401,8 @@ class MovedConfig:
     Shares are of the weighed squared errors of a camera, or of its robust cost.
 
     What is looked at:
-    detections: of one camera, about, in at least `least_frames` frames that are evenly spread.
+    glanced_detections: of one camera, about, in at least `least_frames` frames that are evenly
+        spread, by which it stands out, and detections: by which it is judged.
     least_joints: that a detection and a body have in common.
     least_detections: of an epoch of a camera, and least_share: of its detections.
 
@@ -436,7 +437,8 @@ class MovedConfig:
     near_detections: on either side, among which the frame of a change is looked for.
     """
 
-    detections: int = 150
+    glanced_detections: int = 120
+    detections: int = 300
     least_frames: int = 40
     least_joints: int = 4
     least_detections: int = 12
@@ -451,7 +453,7 @@ class MovedConfig:
     explained: float = 0.5
     large_gain: float = 0.03
     most_changes: int = 3
-    least_gain: float = 0.03
+    least_gain: float = 0.02
     least_evidence: float = 8.0
     least_contrast: float = 6.0
     candidates: int = 2

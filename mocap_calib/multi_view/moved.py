@@ -86,9 +86,9 @@ class _Judged:
 def find_moved_cameras(observed: Observed, group: GroupResult, config: Config) -> tuple[Fault, ...]:
     """Return a fault for each time that a camera of a group was moved; of one camera.
 
-    A camera that was moved blurs the places of all, so the one is named without which the errors
-    of all are smallest; when that is mended, another may be. Of two cameras none is named, as
-    both have the errors.
+    A camera that was moved blurs the places of all. The one is named whose changes explain most, and
+    without which the errors of all are smallest; when that is mended, another may be. Of two
+    cameras none is named, as both have the errors.
     """
     if len(group.rig) <= 2:
         return ()
@@ -110,26 +110,28 @@ def find_moved_cameras(observed: Observed, group: GroupResult, config: Config) -
     ]
     if not again:
         return ()
-    moved = min(again, key=lambda judged: judged.error)
+    moved = min(again, key=lambda judged: judged.error / (1 + judged.gain))
     return _describe_changes(observed, group, moved, config)
 
 
 def _judge_by_all(observed: Observed, placed: _Placed, view: int, config: Config) -> _Judged | None:
     """Return a view by the bodies of the present rig, None where nothing speaks for a change."""
-    frames = _choose_frames(observed.sample, config)
     others = np.delete(np.arange(len(placed.rig)), view)
-    bodies = _place_bodies(observed.sample, placed, frames, config, without=view)
-    seen = sightings_of(observed.sample.rays[view][frames], bodies, config.moved.least_joints)
     start = CameraPoses(placed.rig.rotation[[view]], placed.rig.translation[[view]])
-    if not stands_out(start, seen, config.moved):
+
+    def look_at(detections: int) -> tuple[Ints, Sightings]:
+        """Return some frames, and what the view saw there."""
+        frames = _choose_frames(observed.sample, detections, config)
+        bodies = _place_bodies(observed.sample, placed, frames, config, without=view)
+        rays = observed.sample.rays[view][frames]
+        return frames, sightings_of(rays, bodies, config.moved.least_joints)
+
+    _, glance = look_at(config.moved.glanced_detections)
+    if not stands_out(start, glance, config.moved):
         return None
+    looked_at = look_at(config.moved.detections)
     return _judge(
-        observed,
-        view,
-        others=(others, placed),
-        start=start,
-        looked_at=(frames, seen),
-        config=config,
+        observed, view, others=(others, placed), start=start, looked_at=looked_at, config=config
     )
 
 
@@ -150,7 +152,7 @@ def _judge_by_others(
     except DegenerateError:
         return None
     clean = _Placed.of(part.sample, adjusted.rig, adjusted.matches, config)
-    frames = _choose_frames(observed.sample, config)
+    frames = _choose_frames(observed.sample, config.moved.detections, config)
     bodies = _place_bodies(part.sample, clean, frames, config)
     rays = observed.sample.rays[first.view][frames]
     seen = sightings_of(rays, bodies, config.moved.least_joints)
@@ -200,16 +202,16 @@ def _judge(
     )
 
 
-def _choose_frames(sample: Sample, config: Config) -> Ints:
-    """Return evenly spread frames (indices into the sample) with about so many detections a view.
+def _choose_frames(sample: Sample, wanted: int, config: Config) -> Ints:
+    """Return evenly spread frames (indices into the sample) with so many detections a view, about.
 
     So many of all views together as eight views have: large rigs say the same many times.
     """
     detections = sample.seen.any(-1).sum(2)  # [view, frame]
     usual = max(1.0, float(detections.mean()))
     views = max(1.0, len(detections) / 8)
-    wanted = max(config.moved.least_frames, config.moved.detections / usual / views)
-    return evenly_spaced(np.arange(len(sample.frames)), round(wanted))
+    count = max(config.moved.least_frames, round(wanted / usual / views))
+    return evenly_spaced(np.arange(len(sample.frames)), count)
 
 
 def _place_bodies(
