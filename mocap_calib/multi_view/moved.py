@@ -86,8 +86,8 @@ class _Judged:
 def find_moved_cameras(observed: Observed, group: GroupResult, config: Config) -> tuple[Fault, ...]:
     """Return a fault for each time that a camera of a group was moved; of one camera.
 
-    A camera that was moved blurs the places of all. The one is named whose changes explain most, and
-    without which the errors of all are smallest; when that is mended, another may be. Of two
+    A camera that was moved blurs the places of all. The one is named whose changes explain most,
+    and without which the errors of all are smallest; when that is mended, another may be. Of two
     cameras none is named, as both have the errors.
     """
     if len(group.rig) <= 2:
