@@ -461,6 +461,26 @@ class MovedConfig:
 
 
 @dataclass(frozen=True)
+class UnrelatedConfig:
+    """Whether a camera saw another scene than the others (multi_view/unrelated.py).
+
+    Only cameras without a pair of sufficient score are looked at. Shares are of the detections of
+    a camera that lie where the others place a body, to within `tolerance` of their angular size.
+    Measured: 0.01 and 0.04 of cameras of other recordings, whose groups have 0.85 to 0.93 usually;
+    0.5 to 1 in sound recordings, but 0.12 to 0.32 in one of poor detections.
+
+    detections: of one camera, about, that are looked at.
+    most_explained: share, of what is usual among the others, that an unrelated camera may have.
+    least_usual: share that the others must have, for this to mean anything.
+    """
+
+    detections: int = 150
+    tolerance: float = 0.15
+    most_explained: float = 0.2
+    least_usual: float = 0.4
+
+
+@dataclass(frozen=True)
 class MendConfig:
     """What is done where files of a camera are wrong.
 
@@ -492,6 +512,7 @@ class Config:
     triangulate: TriangulateConfig = TriangulateConfig()
     uncertainty: UncertaintyConfig = UncertaintyConfig()
     moved: MovedConfig = MovedConfig()
+    unrelated: UnrelatedConfig = UnrelatedConfig()
     mend: MendConfig = MendConfig()
 
 

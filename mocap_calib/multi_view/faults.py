@@ -11,6 +11,7 @@ from mocap_calib.errors import DegenerateError
 from mocap_calib.multi_view.explained import explained_share, usual_angle
 from mocap_calib.multi_view.moved import find_moved_cameras
 from mocap_calib.multi_view.observed import Observed
+from mocap_calib.multi_view.unrelated import find_unrelated_cameras
 from mocap_calib.recording.mending import apply_mends
 from mocap_calib.types import CalibrationResult, Fault, Mend, Recording
 
@@ -51,8 +52,12 @@ def find_faults(observed: Observed, result: CalibrationResult, config: Config) -
     observed: what was known before the rigs were built. result: what was found with the files as
         they are.
     """
+    groups = result.groups
+    moved = [fault for group in groups for fault in find_moved_cameras(observed, group, config)]
+    if moved:
+        return tuple(moved)
     return tuple(
-        fault for group in result.groups for fault in find_moved_cameras(observed, group, config)
+        fault for group in groups for fault in find_unrelated_cameras(observed, group, config)
     )
 
 

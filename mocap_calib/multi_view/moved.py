@@ -20,13 +20,9 @@ from mocap_calib.multi_view.changes import (
 )
 from mocap_calib.multi_view.labels import per_frame_labels
 from mocap_calib.multi_view.observed import Observed
+from mocap_calib.multi_view.placed import PlacedCameras, choose_frames, place_bodies
 from mocap_calib.multi_view.refinement import adjust_until_stable
 from mocap_calib.multi_view.resection import CameraPoses, Sightings, sightings_of
-from mocap_calib.multi_view.triangulation import (
-    gather_observations,
-    triangulate_rays,
-    view_noise,
-)
 from mocap_calib.recording.epochs import own_name
 from mocap_calib.recording.mending import Moved
 from mocap_calib.recording.sampling import evenly_spaced, take_sample
@@ -38,30 +34,8 @@ from mocap_calib.types import (
     Ints,
     Matches,
     Recording,
-    Sample,
     silent,
 )
-
-
-@dataclass(frozen=True)
-class _Placed:
-    """Cameras that place bodies.
-
-    rig: of all views of a recording. matches: labels of its frames, frame by frame.
-    noise: `[view]` of each, in radians.
-    """
-
-    rig: CameraRig
-    matches: Matches
-    noise: Floats
-
-    @classmethod
-    def of(
-        cls, recording: Recording, rig: CameraRig, matches: Matches, config: Config
-    ) -> "_Placed":
-        """Return cameras whose noise is measured on the matches."""
-        matches = per_frame_labels(matches)
-        return cls(rig, matches, view_noise(recording, rig, matches, config.triangulate))
 
 
 @dataclass(frozen=True)
@@ -96,7 +70,7 @@ def find_moved_cameras(observed: Observed, group: GroupResult, config: Config) -
     observed = observed.select(np.array([names.index(name) for name in group.rig.names]))
     instances = observed.sample.positions.shape[2]
     matches = group.matches.select(frames=observed.sample_frames, instances=instances)
-    all_views = _Placed.of(observed.sample, group.rig, matches, config)
+    all_views = PlacedCameras.of(observed.sample, group.rig, matches, config)
     found = [
         judged
         for view in range(len(group.rig))
@@ -114,15 +88,17 @@ def find_moved_cameras(observed: Observed, group: GroupResult, config: Config) -
     return _describe_changes(observed, group, moved, config)
 
 
-def _judge_by_all(observed: Observed, placed: _Placed, view: int, config: Config) -> _Judged | None:
+def _judge_by_all(
+    observed: Observed, placed: PlacedCameras, view: int, config: Config
+) -> _Judged | None:
     """Return a view by the bodies of the present rig, None where nothing speaks for a change."""
     others = np.delete(np.arange(len(placed.rig)), view)
     start = CameraPoses(placed.rig.rotation[[view]], placed.rig.translation[[view]])
 
     def look_at(detections: int) -> tuple[Ints, Sightings]:
         """Return some frames, and what the view saw there."""
-        frames = _choose_frames(observed.sample, detections, config)
-        bodies = _place_bodies(observed.sample, placed, frames, config, without=view)
+        frames = choose_frames(observed.sample, detections, config)
+        bodies = place_bodies(observed.sample, placed, frames, config, without=view)
         rays = observed.sample.rays[view][frames]
         return frames, sightings_of(rays, bodies, config.moved.least_joints)
 
@@ -136,7 +112,7 @@ def _judge_by_all(observed: Observed, placed: _Placed, view: int, config: Config
 
 
 def _judge_by_others(
-    observed: Observed, placed: _Placed, first: _Judged, config: Config
+    observed: Observed, placed: PlacedCameras, first: _Judged, config: Config
 ) -> _Judged | None:
     """Return a view by the rig of the others, adjusted without it; None where none is moved."""
     part = observed.select(first.others)
@@ -151,9 +127,9 @@ def _judge_by_others(
         )
     except DegenerateError:
         return None
-    clean = _Placed.of(part.sample, adjusted.rig, adjusted.matches, config)
-    frames = _choose_frames(observed.sample, config.moved.detections, config)
-    bodies = _place_bodies(part.sample, clean, frames, config)
+    clean = PlacedCameras.of(part.sample, adjusted.rig, adjusted.matches, config)
+    frames = choose_frames(observed.sample, config.moved.detections, config)
+    bodies = place_bodies(part.sample, clean, frames, config)
     rays = observed.sample.rays[first.view][frames]
     seen = sightings_of(rays, bodies, config.moved.least_joints)
     if len(seen.frame) < 2 * config.moved.least_detections:
@@ -172,7 +148,7 @@ def _judge(
     observed: Observed,
     view: int,
     *,
-    others: tuple[Ints, _Placed],
+    others: tuple[Ints, PlacedCameras],
     start: CameraPoses,
     looked_at: tuple[Ints, Sightings],
     config: Config,
@@ -200,35 +176,6 @@ def _judge(
         gain=gain,
         error=float(np.sqrt(np.mean(np.append(noise, own) ** 2))),
     )
-
-
-def _choose_frames(sample: Sample, wanted: int, config: Config) -> Ints:
-    """Return evenly spread frames (indices into the sample) with so many detections a view, about.
-
-    So many of all views together as eight views have: large rigs say the same many times.
-    """
-    detections = sample.seen.any(-1).sum(2)  # [view, frame]
-    usual = max(1.0, float(detections.mean()))
-    views = max(1.0, len(detections) / 8)
-    count = max(config.moved.least_frames, round(wanted / usual / views))
-    return evenly_spaced(np.arange(len(sample.frames)), count)
-
-
-def _place_bodies(
-    recording: Recording, placed: _Placed, frames: Ints, config: Config, without: int | None = None
-) -> Floats:
-    """Return the bodies `[frame, body, joint, 3]` of some frames (indices), NaN = missing.
-
-    without: a view whose rays do not count.
-    """
-    seen = gather_observations(recording, placed.matches, frames)
-    weight = seen.confidence.copy()
-    if without is not None:
-        weight[without] = 0.0
-    points, _ = triangulate_rays(
-        placed.rig, seen.rays, weight=weight, noise=placed.noise, config=config.triangulate
-    )
-    return points.T.reshape(len(frames), placed.matches.individuals, len(recording.keypoints), 3)
 
 
 # --- the frame, and what is said of it
@@ -292,7 +239,7 @@ def _sightings_in(
     """Return what a view saw in some frames (indices), by the bodies that the others place."""
     part = recording.select(views=moved.others, frames=frames)
     labels = per_frame_labels(matches.select(views=moved.others, frames=frames))
-    placed = _Placed(moved.rig, labels, moved.noise)
-    bodies = _place_bodies(part, placed, np.arange(len(frames)), config)
+    placed = PlacedCameras(moved.rig, labels, moved.noise)
+    bodies = place_bodies(part, placed, np.arange(len(frames)), config)
     own = take_sample(recording.select(views=[moved.view], frames=frames), slice(None))
     return sightings_of(own.rays[0], bodies, config.moved.least_joints)
