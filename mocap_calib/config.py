@@ -432,6 +432,9 @@ class MovedConfig:
         drift with the subject, by lenses and wrong focal lengths, fall bit by bit. Measured: 13 to
         70 where a camera was moved; up to 4.4 of the fly under telescopes, 3 elsewhere.
 
+    most_noise: of the camera in its epochs, in angular sizes of its detections: with more, it is
+        something else that is wrong. Measured: 0.03 to 0.07; 0.32 of a camera of another recording.
+
     In the end:
     candidates: cameras that are tried, each in the rig that the others make without it.
     near_detections: on either side, among which the frame of a change is looked for.
@@ -456,6 +459,7 @@ class MovedConfig:
     least_gain: float = 0.02
     least_evidence: float = 8.0
     least_contrast: float = 6.0
+    most_noise: float = 0.15
     candidates: int = 2
     near_detections: int = 5
 

@@ -161,9 +161,9 @@ def _judge(
     (index, placed), (frames, seen) = others, looked_at
     least = config.triangulate.least_noise_px / observed.sample.cameras[view].focal
     epochs, gain = find_epochs(start, seen, config.moved, least_noise=least)
-    if gain == 0:
-        return None
     own = epochs.tolerance / config.moved.tolerance_noises
+    if gain == 0 or own > config.moved.most_noise * float(np.median(seen.angular_size)):
+        return None
     whole = len(placed.rig) == len(observed.sample.cameras)
     noise = placed.noise[index] if whole else placed.noise
     return _Judged(
