@@ -394,6 +394,41 @@ class UncertaintyConfig:
     same_rig_deg: float = 10.0  # two rigs whose cameras turn by no more than this are one answer
 
 
+@dataclass(frozen=True)
+class SubframeConfig:
+    """Offsets of clocks within about a frame; see `multi_view.time_offsets`.
+
+    enabled: look for them at all.
+    screen_points: triangulated points that a first look takes, and points: that an estimate takes.
+    stretch: frames that follow each other, of which the points come; further stretches are spread
+        over the recording.
+    least_smoothness: 1 = points move without jerks, 0 = as frames of different times would have
+        them. Measured: 0.6 to 0.96 in recordings of moving subjects, 0.15 and 0.26 in samples of
+        single frames, 0.26 in one whose subjects hardly move, 0.40 in one of a still body.
+    least_points: whose motion is known in a recording that says anything of its clocks.
+    screen_significance: standard deviations that a first look must find for more.
+    significance, least_offset: standard deviations, and frames, that an offset must have to be
+        used. Measured: at most 2.5 standard deviations in ten recordings in step, 4 to 14 where
+        clocks are off by a quarter of a frame to a frame.
+    uncertainty: standard deviation of an offset before anything is known, in frames.
+    rounds: of adjusting, each with the motion of the one before, until no offset changes by more
+        than `settled` frames.
+    """
+
+    enabled: bool = True
+    screen_points: int = 4000
+    points: int = 12_000
+    stretch: int = 10
+    least_smoothness: float = 0.5
+    least_points: int = 200
+    screen_significance: float = 3.0
+    significance: float = 5.0
+    least_offset: float = 0.1
+    uncertainty: float = 2.0
+    rounds: int = 7
+    settled: float = 0.01
+
+
 REPORT_FRAMES = 2000  # whose reprojection errors run.json tells
 RIG_ERROR_THRESHOLDS_DEG = (5, 10, 20, 30)  # at which `evaluate` tells the accuracy
 
@@ -410,6 +445,7 @@ class Config:
     intrinsics: IntrinsicsConfig = IntrinsicsConfig()
     triangulate: TriangulateConfig = TriangulateConfig()
     uncertainty: UncertaintyConfig = UncertaintyConfig()
+    subframe: SubframeConfig = SubframeConfig()
 
 
 @dataclass(frozen=True)

@@ -740,6 +740,37 @@ class Adjusted(Record):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
+class TimeOffsets(Record):
+    """By what part of a frame the cameras' clocks differ.
+
+    tau: `[view]` frames by which a camera's images are later than those of the first camera that
+        have the same number, and sigma: `[view]` its standard deviation. NaN where what was seen
+        does not tell: nothing moves, or frames do not follow each other.
+    used: `[view]` the offsets that are large and certain enough for the rig and the poses to be
+        made with them.
+    """
+
+    tau: Floats
+    sigma: Floats
+    used: Bools
+
+    def __post_init__(self) -> None:
+        self._hold("time offsets", "tau", float, None)
+        self._hold("time offsets", "sigma", float, len(self.tau))
+        self._hold("time offsets", "used", bool, len(self.tau))
+
+    @classmethod
+    def unknown(cls, views: int) -> "TimeOffsets":
+        """Return that nothing is known of the clocks of so many views."""
+        return cls(np.full(views, np.nan), np.full(views, np.nan), np.zeros(views, dtype=bool))
+
+    @property
+    def applied(self) -> Floats:
+        """`[view]` the offsets that are used, 0 elsewhere."""
+        return np.where(self.used, self.tau, 0.0)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Uncertainty(Record):
     """How well a rig is determined by what was seen.
 
