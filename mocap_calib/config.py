@@ -413,6 +413,8 @@ class SubframeConfig:
     uncertainty: standard deviation of an offset before anything is known, in frames.
     rounds: of adjusting, each with the motion of the one before, until no offset changes by more
         than `settled` frames.
+    held_out: share of the detections that are left out, and must be better predicted with the
+        offsets than without.
     """
 
     enabled: bool = True
@@ -427,6 +429,7 @@ class SubframeConfig:
     uncertainty: float = 2.0
     rounds: int = 7
     settled: float = 0.01
+    held_out: float = 0.15
 
 
 REPORT_FRAMES = 2000  # whose reprojection errors run.json tells

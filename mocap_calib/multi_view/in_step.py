@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from mocap_calib.config import TriangulateConfig
+from mocap_calib.config import Config, TriangulateConfig
 from mocap_calib.geometry import lens
-from mocap_calib.multi_view.motion import Motion, motion_between, usual_step
-from mocap_calib.multi_view.triangulation import triangulate
-from mocap_calib.types import CameraRig, Floats, Ints, Matches, Poses3D, Reals, Recording
+from mocap_calib.multi_view.motion import usual_step
+from mocap_calib.multi_view.triangulation import gather_observations, project, triangulate
+from mocap_calib.types import CameraRig, Floats, Ints, Matches, Poses3D, Recording
 
 _PASSES = 2  # the second triangulates what the first has brought nearer together
 _BLOCK = 1000  # frames at a time
@@ -30,36 +30,68 @@ def bring_in_step(
     in_step = recording
     for _ in range(_PASSES):
         poses = triangulate(in_step, rig, matches, config)
-        positions = recording.positions.copy()
-        for view in np.flatnonzero(tau):
-            _move_view(positions[view], matches.labels[view], rig, view, poses, float(tau[view]))
-        in_step = replace(recording, positions=positions)
+        in_step = _move_detections(recording, rig, matches, poses, -tau)
     return in_step
 
 
-def _move_view(
-    detections: Reals, labels: Ints, rig: CameraRig, view: int, poses: Poses3D, offset: float
-) -> None:
-    """Move the detections `[frame, instance, keypoint, 2]` of a view to the time of the poses.
+def held_out_error(
+    recording: Recording,
+    rig: CameraRig,
+    matches: Matches,
+    tau: Floats,
+    config: Config,
+) -> float:
+    """Return how far detections are from the points that are triangulated without them.
 
-    labels: `[frame, instance]` the individual that each is of.
+    The median in radians, over a share of the detections that is the same in every call. Points
+    and detections are compared at the time of the detections, by the offsets tau `[view]` in frames
+    of the clocks.
     """
+    options = config.subframe
+    rng = np.random.default_rng(0)
+    held_out = rng.random(recording.confidence.shape) < options.held_out
+    rest = replace(
+        recording,
+        positions=np.where(held_out[..., None], np.nan, recording.positions),
+        confidence=np.where(held_out, 0, recording.confidence),
+    )
+    rest = bring_in_step(rest, rig, matches, tau, config.triangulate)
+    poses = triangulate(rest, rig, matches, config.triangulate)
+    tested = replace(
+        recording, positions=np.where(held_out[..., None], recording.positions, np.nan)
+    )
+    tested = _move_detections(tested, rig, matches, poses, -tau)
+    seen = gather_observations(tested, matches, np.arange(len(recording.frames)))
+    gap = project(rig, poses.positions.reshape(-1, 3).T) - seen.pixels
+    focal = np.array([camera.focal for camera in rig.cameras])
+    error = np.sqrt((gap**2).sum(1)) / focal[:, None]
+    return float(np.nanmedian(error)) if np.isfinite(error).any() else np.inf
+
+
+def _move_detections(
+    recording: Recording, rig: CameraRig, matches: Matches, poses: Poses3D, time: Floats
+) -> Recording:
+    """Return the recording with detections moved as their points move in a time `[view]`."""
+    positions = recording.positions.copy()
     frames = len(poses.frames)
-    for start in range(0, frames, _BLOCK):
-        block = np.arange(start, min(start + _BLOCK, frames))
-        shift = _image_motion(rig, view, poses, block, offset)
-        frame, instance = np.nonzero(labels[block] >= 0)
-        of_detection = shift[frame, labels[block][frame, instance]]
-        detections[block[frame], instance] -= np.nan_to_num(of_detection).astype(detections.dtype)
+    for view in np.flatnonzero(time).tolist():
+        for start in range(0, frames, _BLOCK):
+            block = np.arange(start, min(start + _BLOCK, frames))
+            shift = _image_motion(rig, view, poses, block, float(time[view]))
+            labels = matches.labels[view, block]
+            frame, instance = np.nonzero(labels >= 0)
+            moved = np.nan_to_num(shift[frame, labels[frame, instance]])
+            positions[view, block[frame], instance] += moved.astype(positions.dtype)
+    return replace(recording, positions=positions)
 
 
-def _image_motion(rig: CameraRig, view: int, poses: Poses3D, block: Ints, offset: float) -> Floats:
-    """Return how far poses of some frames move in a view's images in an offset in frames.
+def _image_motion(rig: CameraRig, view: int, poses: Poses3D, block: Ints, time: float) -> Floats:
+    """Return how far poses of some frames move in a view's images in a time in frames.
 
     `[frame, individual, keypoint, 2]` in pixels, NaN where it is not known.
     """
     points = poses.positions[block].reshape(-1, 3).T
-    moved = points + motion_of(poses, block).displacement(np.array([offset]))[0]
+    moved = points + time * velocity_in(poses, block)
     rotation, translation = rig.rotation[view], rig.translation[view][:, None]
     now, then = (
         lens.project(rig.cameras[view], rotation @ where + translation) for where in (points, moved)
@@ -67,11 +99,12 @@ def _image_motion(rig: CameraRig, view: int, poses: Poses3D, block: Ints, offset
     return (then - now).T.reshape(*poses.positions[block].shape[:3], 2)
 
 
-def motion_of(poses: Poses3D, block: Ints) -> Motion:
-    """Return how the points of some frames move, in the order frame, individual, keypoint.
+def velocity_in(poses: Poses3D, block: Ints) -> Floats:
+    """Return the velocity `[3, N]` of the points of some frames, in lengths by frame.
 
-    block: `[frame]` indices, one after the other. Where a neighbour is not known, or its frame
-    does not follow, a point moves as the other one says; NaN where neither is.
+    block: `[frame]` indices, one after the other. Points are in the order frame, individual,
+    keypoint. Where a neighbour is not known, or its frame does not follow, a point moves as the
+    other one says; NaN where neither is.
     """
     step = usual_step(poses.frames)
     from_last = _steps(poses, block - 1, step)
@@ -80,7 +113,7 @@ def motion_of(poses: Poses3D, block: Ints) -> Motion:
         np.where(np.isfinite(one), one, other)
         for one, other in ((from_last, to_next), (to_next, from_last))
     )
-    return motion_between(-from_last, np.zeros_like(to_next), to_next, step)
+    return (from_last + to_next) / (2 * step)
 
 
 def _steps(poses: Poses3D, first: Ints, step: int) -> Floats:

@@ -19,7 +19,8 @@ from mocap_calib.multi_view.bundle_adjustment import (
     observe_rays,
 )
 from mocap_calib.multi_view.covariance import find_covariance
-from mocap_calib.multi_view.motion import Motion, motion_between, smoothness, usual_step
+from mocap_calib.multi_view.in_step import held_out_error
+from mocap_calib.multi_view.motion import smoothness, usual_step
 from mocap_calib.multi_view.ray_residuals import RayObservations, TimedRayObservations
 from mocap_calib.multi_view.residuals import State
 from mocap_calib.multi_view.schur import Freedom, free_clocks, minimise
@@ -31,10 +32,12 @@ from mocap_calib.types import Bools, CameraRig, Floats, Ints, Matches, Recording
 class _Tracks:
     """Points of frames that follow each other, and what was seen of some of them.
 
-    points: all. own: `[N]` indices of those that are known `step` frames before and after, too.
+    frames: `[frame]` indices into the recording. points: all of these frames.
+    own: `[N]` indices of the points that are known `step` frames before and after, too.
     before, after: `[N]` indices of the neighbours. seen: of the points `own`.
     """
 
+    frames: Ints
     points: AdjustablePoints
     own: Ints
     before: Ints
@@ -42,10 +45,9 @@ class _Tracks:
     step: int
     seen: RayObservations
 
-    def motion(self, positions: Floats) -> Motion:
-        """Return how the points `own` move, given where all are `[3, M]`."""
-        neighbours = (positions[:, index] for index in (self.before, self.own, self.after))
-        return motion_between(*neighbours, self.step)
+    def velocity(self, positions: Floats) -> Floats:
+        """Return the velocity `[3, N]` of the points `own`, given where all are `[3, M]`."""
+        return (positions[:, self.after] - positions[:, self.before]) / (2 * self.step)
 
 
 @dataclass(frozen=True)
@@ -71,19 +73,37 @@ def find_time_offsets(
     where it finds something is more looked at.
     """
     views, options = len(rig.cameras), config.subframe
-    others = np.arange(views) > 0
+    others, none = np.arange(views) > 0, np.zeros(views, dtype=bool)
     tracks = _find_tracks(recording, rig, matches, config, budget=options.screen_points)
     if not _is_determined(tracks, options):
         return TimeOffsets.unknown(views), rig
-    first = _estimate(tracks, rig, others, config, rounds=1)
-    if not _are_significant(first, options.screen_significance, options).any():
-        return _describe(first, np.zeros(views, dtype=bool)), rig
+    found = _estimate(tracks, rig, others, config, rounds=1)
+    if not _exceed(found, options.screen_significance, options.least_offset / 2).any():
+        return TimeOffsets(found.tau, found.sigma, none), rig
     tracks = _find_tracks(recording, rig, matches, config, budget=options.points)
     found = _estimate(tracks, rig, others, config, rounds=options.rounds)
-    used = _are_significant(found, options.significance, options)
-    if not used.any():
-        return _describe(found, used), rig
-    return _describe(found, used), _estimate(tracks, rig, used, config, rounds=options.rounds).rig
+    used = _exceed(found, options.significance, options.least_offset)
+    if used.any():
+        # the others' clocks agree with the first one's
+        alone = _estimate(tracks, rig, used, config, rounds=options.rounds)
+        offsets = TimeOffsets(
+            np.where(used, alone.tau, found.tau), np.where(used, alone.sigma, found.sigma), used
+        )
+        part, labels = recording.select(frames=tracks.frames), matches.select(frames=tracks.frames)
+        if _predicts_better(alone, part, rig, labels, config):
+            return offsets, alone.rig
+    return TimeOffsets(found.tau, found.sigma, none), rig
+
+
+def _predicts_better(
+    found: _Estimate, recording: Recording, rig: CameraRig, matches: Matches, config: Config
+) -> bool:
+    """Return whether detections that are left out are better predicted with the offsets.
+
+    recording, matches: of the frames that are looked at. rig: that without offsets.
+    """
+    error = held_out_error(recording, found.rig, matches, found.tau, config)
+    return error < held_out_error(recording, rig, matches, np.zeros(len(rig.cameras)), config)
 
 
 # Which points
@@ -105,6 +125,7 @@ def _find_tracks(
     last_one[next_one[next_one >= 0]] = np.flatnonzero(next_one >= 0)
     own = np.flatnonzero((next_one >= 0) & (last_one >= 0))
     return _Tracks(
+        frames=frames,
         points=points,
         own=own,
         before=last_one[own],
@@ -138,8 +159,9 @@ def _is_determined(tracks: _Tracks, config: SubframeConfig) -> bool:
     """Return whether points move, and smoothly, from frame to frame."""
     if len(tracks.own) < config.least_points:
         return False
-    motion = tracks.motion(tracks.points.points)
-    return smoothness(motion, tracks.step) >= config.least_smoothness
+    points = tracks.points.points
+    moved = smoothness(points[:, tracks.before], points[:, tracks.own], points[:, tracks.after])
+    return moved >= config.least_smoothness
 
 
 # Offsets
@@ -157,7 +179,7 @@ def _estimate(
     tau = np.zeros(len(free))
     adjusted, before = rig, tau
     for _ in range(rounds):
-        seen = TimedRayObservations(tracks.seen, tracks.motion(positions))
+        seen = TimedRayObservations(tracks.seen, tracks.velocity(positions))
         start = State(
             adjusted.rotation, adjusted.translation, positions[:, tracks.own], tau[:, None]
         )
@@ -216,12 +238,7 @@ def _sigma(
     return np.sqrt(by_view @ np.diag(covariance.sandwich))
 
 
-def _are_significant(found: _Estimate, significance: float, config: SubframeConfig) -> Bools:
-    """Return `[view]` which offsets are so many standard deviations, and large enough."""
+def _exceed(found: _Estimate, significance: float, least: float) -> Bools:
+    """Return `[view]` which offsets are so many standard deviations, and so many frames."""
     size = np.abs(found.tau)
-    return (size > significance * found.sigma) & (size > config.least_offset)
-
-
-def _describe(found: _Estimate, used: Bools) -> TimeOffsets:
-    """Return the offsets as a record."""
-    return TimeOffsets(tau=found.tau, sigma=found.sigma, used=used)
+    return (size > significance * found.sigma) & (size > least)
