@@ -405,14 +405,15 @@ class SubframeConfig:
     least_smoothness: 1 = points move without jerks, 0 = as frames of different times would have
         them. Measured: 0.6 to 0.96 in recordings of moving subjects, 0.15 and 0.26 in samples of
         single frames, 0.26 in one whose subjects hardly move, 0.40 in one of a still body.
-    least_points: whose motion is known in a recording that says anything of its clocks.
+    least_points: that move and that a view sees, for its clock to be told.
     screen_significance: standard deviations that a first look must find for more.
     significance, least_offset: standard deviations, and frames, that an offset must have to be
         used. Measured: at most 2.5 standard deviations in ten recordings in step, 4 to 14 where
         clocks are off by a quarter of a frame to a frame.
     uncertainty: standard deviation of an offset before anything is known, in frames.
     rounds: of adjusting, each with the motion of the one before, until no offset changes by more
-        than `settled` frames.
+        than `settled` frames. Each ends when a step lowers the cost by no more than the share
+        `tolerance`.
     held_out: share of the detections that are left out, and must be better predicted with the
         offsets than without.
     """
@@ -422,13 +423,14 @@ class SubframeConfig:
     points: int = 12_000
     stretch: int = 10
     least_smoothness: float = 0.5
-    least_points: int = 200
+    least_points: int = 100
     screen_significance: float = 3.0
     significance: float = 5.0
     least_offset: float = 0.1
     uncertainty: float = 2.0
     rounds: int = 7
     settled: float = 0.01
+    tolerance: float = 1e-4
     held_out: float = 0.15
 
 

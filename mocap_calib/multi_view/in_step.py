@@ -1,7 +1,9 @@
 """Bring what cameras saw at times of their own to the time of the first camera.
 
 A detection moves in the image as its triangulated point moves in the offset of the camera's clock:
-a prediction of motion in 3D. Images are not interpolated.
+a prediction of motion in 3D. Images are not interpolated. The motion is taken to be straight:
+single points tell more noise than acceleration, and detections that were left out are predicted
+better so.
 """
 
 from dataclasses import replace
@@ -91,7 +93,7 @@ def _image_motion(rig: CameraRig, view: int, poses: Poses3D, block: Ints, time: 
     `[frame, individual, keypoint, 2]` in pixels, NaN where it is not known.
     """
     points = poses.positions[block].reshape(-1, 3).T
-    moved = points + time * velocity_in(poses, block)
+    moved = points + time * _velocity(poses, block)
     rotation, translation = rig.rotation[view], rig.translation[view][:, None]
     now, then = (
         lens.project(rig.cameras[view], rotation @ where + translation) for where in (points, moved)
@@ -99,7 +101,7 @@ def _image_motion(rig: CameraRig, view: int, poses: Poses3D, block: Ints, time: 
     return (then - now).T.reshape(*poses.positions[block].shape[:3], 2)
 
 
-def velocity_in(poses: Poses3D, block: Ints) -> Floats:
+def _velocity(poses: Poses3D, block: Ints) -> Floats:
     """Return the velocity `[3, N]` of the points of some frames, in lengths by frame.
 
     block: `[frame]` indices, one after the other. Points are in the order frame, individual,

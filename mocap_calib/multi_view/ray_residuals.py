@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mocap_calib.multi_view.motion import Motion
 from mocap_calib.multi_view.residuals import (
     Residuals,
     Slopes,
@@ -69,11 +70,11 @@ class TimedRayObservations:
     A state's one intrinsic of a camera is the offset of its clock in frames: it sees each point
     where that is so much later.
 
-    velocity: `[3, N]` of the points in the world, in lengths by frame.
+    motion: of the points in the world.
     """
 
     rays: RayObservations
-    velocity: Floats
+    motion: Motion
 
     @property
     def weight(self) -> Floats:
@@ -82,16 +83,13 @@ class TimedRayObservations:
 
     def residuals(self, block: slice, state: State) -> Residuals:
         """Return a block of points as the cameras see them, each at its own time."""
-        moved = state.intrinsics[:, :, None] * self._velocity_in_cameras(block, state)
-        return self.rays.residuals_of(block, points_in_cameras(block, state) + moved)
+        moved = self.motion.select(block).displacement(state.intrinsics[:, 0])
+        in_camera = points_in_cameras(block, state) + np.matmul(state.rotation, moved)
+        return self.rays.residuals_of(block, in_camera)
 
     def slopes(self, block: slice, state: State, found: Residuals, weight: Floats, /) -> Slopes:
-        """Return the weighed derivatives; those by the offset follow from the velocity."""
+        """Return the weighed derivatives; those by the offset follow from the velocity then."""
         by_point = self.rays.slopes(block, state, found, weight).in_camera
-        velocity = self._velocity_in_cameras(block, state)
-        by_offset = np.einsum("vkin,vin->vkn", by_point, velocity)
+        velocity = self.motion.select(block).velocity_after(state.intrinsics[:, 0])
+        by_offset = np.einsum("vkin,vin->vkn", by_point, np.matmul(state.rotation, velocity))
         return Slopes(in_camera=by_point, intrinsics=by_offset[:, :, None])
-
-    def _velocity_in_cameras(self, block: slice, state: State) -> Floats:
-        """Return the velocity `[view, 3, n]` of a block of points in each camera's axes."""
-        return np.matmul(state.rotation, self.velocity[:, block])

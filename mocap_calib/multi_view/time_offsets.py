@@ -20,21 +20,27 @@ from mocap_calib.multi_view.bundle_adjustment import (
 )
 from mocap_calib.multi_view.covariance import find_covariance
 from mocap_calib.multi_view.in_step import held_out_error
-from mocap_calib.multi_view.motion import smoothness, usual_step
+from mocap_calib.multi_view.labels import per_frame_labels
+from mocap_calib.multi_view.motion import Motion, motion_between, smoothness, usual_step
 from mocap_calib.multi_view.ray_residuals import RayObservations, TimedRayObservations
 from mocap_calib.multi_view.residuals import State
-from mocap_calib.multi_view.schur import Freedom, free_clocks, minimise
+from mocap_calib.multi_view.schur import free_clocks, minimise
+from mocap_calib.multi_view.triangulation import labelled_frames
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Matches, Recording, TimeOffsets
+
+_COUNTED_FRAMES = 200  # that tell how many points a frame has
 
 
 @dataclass(frozen=True)
 class _Tracks:
     """Points of frames that follow each other, and what was seen of some of them.
 
-    frames: `[frame]` indices into the recording. points: all of these frames.
+    frames: `[frame]` indices into the recording. points: all M of these frames.
     own: `[N]` indices of the points that are known `step` frames before and after, too.
-    before, after: `[N]` indices of the neighbours. seen: of the points `own`.
+    before, after: `[N]` indices of these neighbours. seen: of the points `own`.
+    leader: `[M]` index of the point of `own` that a point moves with when the rig changes; its own
+        index where there is none beside it.
     """
 
     frames: Ints
@@ -42,23 +48,33 @@ class _Tracks:
     own: Ints
     before: Ints
     after: Ints
+    leader: Ints
     step: int
     seen: RayObservations
 
-    def velocity(self, positions: Floats) -> Floats:
-        """Return the velocity `[3, N]` of the points `own`, given where all are `[3, M]`."""
-        return (positions[:, self.after] - positions[:, self.before]) / (2 * self.step)
+    def motion(self, positions: Floats) -> Motion:
+        """Return how the points `own` move, given where all are `[3, M]`."""
+        before, here, after = (positions[:, i] for i in (self.before, self.own, self.after))
+        return motion_between(here - before, after - here, self.step)
+
+    def move(self, positions: Floats, own: Floats) -> Floats:
+        """Return where all points `[3, M]` are after the points `own` have moved to `[3, N]`.
+
+        The others are not adjusted: each moves as its neighbour does.
+        """
+        moved = np.zeros_like(positions)
+        moved[:, self.own] = own - positions[:, self.own]
+        return positions + moved[:, self.leader]
 
 
 @dataclass(frozen=True)
 class _Estimate:
-    """Offsets of clocks and the rig that goes with them.
+    """Offsets of clocks, in frames, and the rig that goes with them.
 
-    positions: `[3, M]` of all points. tau, sigma: `[view]` in frames.
+    tau, sigma: `[view]`, 0 where an offset is not free.
     """
 
     rig: CameraRig
-    positions: Floats
     tau: Floats
     sigma: Floats
 
@@ -72,27 +88,45 @@ def find_time_offsets(
     offset is used. What a first look takes does not depend on the length of the recording; only
     where it finds something is more looked at.
     """
-    views, options = len(rig.cameras), config.subframe
-    others, none = np.arange(views) > 0, np.zeros(views, dtype=bool)
+    options = config.subframe
     tracks = _find_tracks(recording, rig, matches, config, budget=options.screen_points)
-    if not _is_determined(tracks, options):
-        return TimeOffsets.unknown(views), rig
-    found = _estimate(tracks, rig, others, config, rounds=1)
+    free = _determined_views(tracks, options)
+    if not free.any():
+        return TimeOffsets.unknown(len(rig.cameras)), rig
+    found = _estimate(tracks, rig, free, config, first_look=True)
+    none = np.zeros(len(rig.cameras), dtype=bool)
     if not _exceed(found, options.screen_significance, options.least_offset / 2).any():
-        return TimeOffsets(found.tau, found.sigma, none), rig
+        return _describe(found, free, none), rig
     tracks = _find_tracks(recording, rig, matches, config, budget=options.points)
-    found = _estimate(tracks, rig, others, config, rounds=options.rounds)
+    found = _estimate(tracks, rig, free, config)
     used = _exceed(found, options.significance, options.least_offset)
     if used.any():
-        # the others' clocks agree with the first one's
-        alone = _estimate(tracks, rig, used, config, rounds=options.rounds)
-        offsets = TimeOffsets(
-            np.where(used, alone.tau, found.tau), np.where(used, alone.sigma, found.sigma), used
-        )
+        alone = _estimate(tracks, rig, used, config)  # other clocks agree with the first one
         part, labels = recording.select(frames=tracks.frames), matches.select(frames=tracks.frames)
         if _predicts_better(alone, part, rig, labels, config):
-            return offsets, alone.rig
-    return TimeOffsets(found.tau, found.sigma, none), rig
+            both = replace(
+                alone,
+                tau=np.where(used, alone.tau, found.tau),
+                sigma=np.where(used, alone.sigma, found.sigma),
+            )
+            return _describe(both, free, used), alone.rig
+    return _describe(found, free, none), rig
+
+
+def _describe(found: _Estimate, free: Bools, used: Bools) -> TimeOffsets:
+    """Return the offsets as a record; free, used: `[view]`."""
+    known = free | (np.arange(len(free)) == 0)
+    return TimeOffsets(
+        tau=np.where(known, found.tau, np.nan),
+        sigma=np.where(known, found.sigma, np.nan),
+        used=used,
+    )
+
+
+def _exceed(found: _Estimate, significance: float, least: float) -> Bools:
+    """Return `[view]` which offsets are so many standard deviations, and so many frames."""
+    size = np.abs(found.tau)
+    return (size > significance * found.sigma) & (size > least)
 
 
 def _predicts_better(
@@ -116,93 +150,109 @@ def _find_tracks(
     frames = _choose_stretches(matches, len(recording.keypoints), budget, config.subframe.stretch)
     points = agreed_points(recording, rig, matches, frames=frames, config=config)
     step = usual_step(recording.frames)
-    index = np.full((len(recording.frames) + 1, matches.individuals, len(recording.keypoints)), -1)
-    index[points.frame, points.individual, points.keypoint] = np.arange(len(points.frame))
-    follows = np.append(np.diff(recording.frames) == step, [False, False])  # [frame + 1]
-    next_one = index[points.frame + 1, points.individual, points.keypoint]
-    next_one = np.where(follows[points.frame], next_one, -1)
-    last_one = np.full(len(points.frame), -1)
-    last_one[next_one[next_one >= 0]] = np.flatnonzero(next_one >= 0)
-    own = np.flatnonzero((next_one >= 0) & (last_one >= 0))
+    before, after = _find_neighbours(points, recording.frames, step)
+    between = (before >= 0) & (after >= 0)
+    own = np.flatnonzero(between)
+    leader = np.arange(len(between))
+    for neighbour in (before, after):
+        leader = np.where(~between & (neighbour >= 0) & between[neighbour], neighbour, leader)
     return _Tracks(
         frames=frames,
         points=points,
         own=own,
-        before=last_one[own],
-        after=next_one[own],
+        before=before[own],
+        after=after[own],
+        leader=leader,
         step=step,
         seen=observe_rays(rig, points.select(own)),
     )
 
 
+def _find_neighbours(points: AdjustablePoints, frames: Ints, step: int) -> tuple[Ints, Ints]:
+    """Return the indices `[M]` of the points a step before and after; -1 = none.
+
+    frames: `[frame]` numbers of the frames of the recording.
+    """
+    present, rank = np.unique(points.frame, return_inverse=True)
+    shape = (len(present) + 1, points.individual.max(initial=0) + 1)
+    index = np.full((*shape, points.keypoint.max(initial=0) + 1), -1)
+    index[rank, points.individual, points.keypoint] = np.arange(len(rank))
+    follows = np.append(np.diff(frames[present]) == step, False)[: len(present)]
+    next_one = index[rank + 1, points.individual, points.keypoint]
+    after = np.where(follows[rank], next_one, -1)
+    before = np.full(len(rank), -1)
+    before[after[after >= 0]] = np.flatnonzero(after >= 0)
+    return before, after
+
+
 def _choose_stretches(matches: Matches, keypoints: int, budget: int, stretch: int) -> Ints:
     """Return indices of frames in stretches that are evenly spread, of about `budget` points."""
-    individuals = (_count_labels(matches) >= 2).sum(1)  # [frame] that two views see
-    starts = np.arange(0, len(individuals), stretch)
-    points = np.add.reduceat(individuals, starts) * keypoints
-    starts, points = starts[points > 0], points[points > 0]
-    share = min(1.0, budget / max(float(points.sum()), 1.0))
-    starts = evenly_spaced(starts, max(1, round(share * len(starts))))
+    labelled = labelled_frames(matches)
+    some = per_frame_labels(matches.select(frames=evenly_spaced(labelled, _COUNTED_FRAMES))).labels
+    individuals = np.arange(some.max(initial=0) + 1)
+    views = (some[..., None] == individuals).any(2).sum(0)  # [frame, individual]
+    points = max(1.0, (views >= 2).sum(1).mean()) * keypoints  # in a frame
+    starts = np.unique(labelled // stretch) * stretch
+    starts = evenly_spaced(starts, max(1, round(budget / (points * stretch))))
     frames = (starts[:, None] + np.arange(stretch)).ravel()
-    return frames[frames < len(individuals)]
+    return frames[frames < matches.labels.shape[1]]
 
 
-def _count_labels(matches: Matches) -> Ints:
-    """Return how many views see each individual, `[frame, individual]`."""
-    view, frame, instance = np.nonzero(matches.labels >= 0)
-    count = np.zeros((matches.labels.shape[1], matches.individuals), dtype=np.int64)
-    np.add.at(count, (frame, matches.labels[view, frame, instance]), 1)
-    return count
+def _determined_views(tracks: _Tracks, config: SubframeConfig) -> Bools:
+    """Return the views `[view]` whose clocks can be told from the first one's.
 
-
-def _is_determined(tracks: _Tracks, config: SubframeConfig) -> bool:
-    """Return whether points move, and smoothly, from frame to frame."""
-    if len(tracks.own) < config.least_points:
-        return False
+    Points must move, and smoothly, from frame to frame, and views see enough of them.
+    """
     points = tracks.points.points
-    moved = smoothness(points[:, tracks.before], points[:, tracks.own], points[:, tracks.after])
-    return moved >= config.least_smoothness
+    enough = (tracks.seen.weight > 0).sum(1) >= config.least_points
+    neighbours = (points[:, index] for index in (tracks.before, tracks.own, tracks.after))
+    if not enough[0] or smoothness(*neighbours) < config.least_smoothness:
+        return np.zeros(len(enough), dtype=bool)
+    return enough & (np.arange(len(enough)) > 0)
 
 
 # Offsets
 
 
 def _estimate(
-    tracks: _Tracks, rig: CameraRig, free: Bools, config: Config, *, rounds: int
+    tracks: _Tracks, rig: CameraRig, free: Bools, config: Config, *, first_look: bool = False
 ) -> _Estimate:
     """Adjust poses, points and the offsets of some clocks (free: `[view]`) in rounds.
 
-    Each round starts from the motion that the one before ended with.
+    Each round starts from the motion that the one before ended with. A first look is one round, to
+    no great precision.
     """
-    freedom = free_clocks(free, config.subframe.uncertainty)
-    positions = tracks.points.points.copy()
-    tau = np.zeros(len(free))
-    adjusted, before = rig, tau
-    for _ in range(rounds):
-        seen = TimedRayObservations(tracks.seen, tracks.velocity(positions))
-        start = State(
-            adjusted.rotation, adjusted.translation, positions[:, tracks.own], tau[:, None]
+    options, last_scale = config.subframe, config.adjust.loss_scales[-1]
+    freedom = free_clocks(free, options.uncertainty)
+    positions, adjusted, tau = tracks.points.points, rig, np.zeros(len(free))
+    for _ in range(1 if first_look else options.rounds):
+        before = tau
+        seen = TimedRayObservations(tracks.seen, tracks.motion(positions))
+        own = positions[:, tracks.own]
+        state = minimise(
+            State(adjusted.rotation, adjusted.translation, own, tau[:, None]),
+            seen,
+            freedom,
+            loss_scale=last_scale,
+            tolerance=config.adjust.rough_tolerance if first_look else options.tolerance,
         )
-        state = _at_size_of(rig, _adjust(start, seen, freedom, config))
+        state = _at_size_of(rig, state)
         adjusted = replace(rig, rotation=state.rotation, translation=state.translation)
-        positions[:, tracks.own] = state.points
-        before, tau = tau, state.intrinsics[:, 0]
-        if np.abs(tau - before).max() < config.subframe.settled:
+        positions = tracks.move(positions, state.points)
+        tau = state.intrinsics[:, 0]
+        if np.abs(tau - before).max() < options.settled:
             break
-    sigma = _sigma(state, seen, freedom, tracks, config)
-    return _Estimate(rig=adjusted, positions=positions, tau=tau, sigma=sigma)
-
-
-def _adjust(start: State, seen: TimedRayObservations, freedom: Freedom, config: Config) -> State:
-    """Return the state of least cost; the rig has been adjusted before, if without offsets."""
-    adjust = config.adjust
-    return minimise(
-        start,
+    points = tracks.points.select(tracks.own)
+    covariance = find_covariance(
+        state,
         seen,
         freedom,
-        loss_scale=adjust.loss_scales[-1],
-        tolerance=adjust.rough_tolerance,
+        clusters=(points.time_blocks(config.intrinsics.time_blocks), points.keypoint),
+        loss_scale=last_scale,
     )
+    of_view = freedom.basis.reshape(len(free), -1, freedom.basis.shape[1])[:, -1]
+    sigma = np.sqrt(of_view @ np.diag(covariance.sandwich))
+    return _Estimate(rig=adjusted, tau=tau, sigma=sigma)
 
 
 def _at_size_of(rig: CameraRig, state: State) -> State:
@@ -220,25 +270,3 @@ def _at_size_of(rig: CameraRig, state: State) -> State:
         points=first[:, None] + (state.points - first[:, None]) / size,
         intrinsics=state.intrinsics / size,
     )
-
-
-def _sigma(
-    state: State, seen: TimedRayObservations, freedom: Freedom, tracks: _Tracks, config: Config
-) -> Floats:
-    """Return the standard deviation `[view]` of the offsets, 0 of those that are not free."""
-    points = tracks.points.select(tracks.own)
-    covariance = find_covariance(
-        state,
-        seen,
-        freedom,
-        clusters=(points.time_blocks(config.intrinsics.time_blocks), points.keypoint),
-        loss_scale=config.adjust.loss_scales[-1],
-    )
-    by_view = freedom.basis.reshape(len(state.rotation), 7, -1)[:, 6]
-    return np.sqrt(by_view @ np.diag(covariance.sandwich))
-
-
-def _exceed(found: _Estimate, significance: float, least: float) -> Bools:
-    """Return `[view]` which offsets are so many standard deviations, and so many frames."""
-    size = np.abs(found.tau)
-    return (size > significance * found.sigma) & (size > least)
