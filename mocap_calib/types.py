@@ -952,7 +952,9 @@ class ObservedPoints(Record):
 class GroupResult(Record):
     """All that is found of one group of cameras that see the same bodies.
 
-    recording: of the cameras of the group alone; everything else is in their order.
+    recording: of the cameras of the group alone; everything else is in their order. Its detections
+        are where the cameras would have seen them at the time of the first one, where
+        `time_offsets` are used.
     matches: labels in all frames. verdict: whether the recording determines the rig.
     seconds: wall time by stage.
     """
@@ -965,6 +967,7 @@ class GroupResult(Record):
     uncertainty: Uncertainty
     verdict: Verdict
     poses: Poses3D
+    time_offsets: TimeOffsets
     seconds: dict[str, float] = field(compare=False)
 
     def __repr__(self) -> str:
@@ -974,6 +977,15 @@ class GroupResult(Record):
     def rig(self) -> CameraRig:
         """The adjusted rig, with the verdict on it among its `judgement`."""
         return self.adjusted.rig
+
+    @property
+    def clock_offsets(self) -> dict[str, float]:
+        """By camera, the frames by which its clock is ahead of its images; without those of 0.
+
+        An image of a camera shows what the first camera sees so many frames later.
+        """
+        offsets = self.time_offsets.applied.tolist()
+        return {name: tau for name, tau in zip(self.rig.names, offsets, strict=True) if tau}
 
     def _describe(self) -> str:
         """Return the cameras and what was found of them in one line."""

@@ -89,6 +89,8 @@ def find_time_offsets(
     where it finds something is more looked at.
     """
     options = config.subframe
+    if not options.enabled:
+        return TimeOffsets.unknown(len(rig.cameras)), rig
     tracks = _find_tracks(recording, rig, matches, config, budget=options.screen_points)
     free = _determined_views(tracks, options)
     if not free.any():
