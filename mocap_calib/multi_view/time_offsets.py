@@ -97,15 +97,16 @@ def find_time_offsets(
         return TimeOffsets.unknown(len(rig.cameras)), rig
     found = _estimate(tracks, rig, free, config, first_look=True)
     none = np.zeros(len(rig.cameras), dtype=bool)
-    if not _exceed(found, options.screen_significance, options.least_offset / 2).any():
+    if not _are_usable(found, options.screen_significance, options, share=0.5).any():
         return _describe(found, free, none), rig
     tracks = _find_tracks(recording, rig, matches, config, budget=options.points)
     found = _estimate(tracks, rig, free, config)
-    used = _exceed(found, options.significance, options.least_offset)
+    used = _are_usable(found, options.significance, options)
     if used.any():
         alone = _estimate(tracks, rig, used, config)  # other clocks agree with the first one
+        in_reach = np.abs(alone.tau).max() <= options.most_offset
         part, labels = recording.select(frames=tracks.frames), matches.select(frames=tracks.frames)
-        if _predicts_better(alone, part, rig, labels, config):
+        if in_reach and _predicts_better(alone, part, rig, labels, config):
             both = replace(
                 alone,
                 tau=np.where(used, alone.tau, found.tau),
@@ -125,10 +126,18 @@ def _describe(found: _Estimate, free: Bools, used: Bools) -> TimeOffsets:
     )
 
 
-def _exceed(found: _Estimate, significance: float, least: float) -> Bools:
-    """Return `[view]` which offsets are so many standard deviations, and so many frames."""
+def _are_usable(
+    found: _Estimate, significance: float, config: SubframeConfig, *, share: float = 1.0
+) -> Bools:
+    """Return `[view]` which offsets are so many standard deviations, and large enough.
+
+    None is where one is too large for the motion that is known of points: clocks that differ by
+    whole frames are to be mended first. share: of the least offset that does, too.
+    """
     size = np.abs(found.tau)
-    return (size > significance * found.sigma) & (size > least)
+    large_enough = size > share * config.least_offset
+    in_reach = size.max() <= config.most_offset
+    return (size > significance * found.sigma) & large_enough & in_reach
 
 
 def _predicts_better(
@@ -242,7 +251,8 @@ def _estimate(
         adjusted = replace(rig, rotation=state.rotation, translation=state.translation)
         positions = tracks.move(positions, state.points)
         tau = state.intrinsics[:, 0]
-        if np.abs(tau - before).max() < options.settled:
+        settled = np.abs(tau - before).max() < options.settled
+        if settled or np.abs(tau).max() > options.most_offset:
             break
     points = tracks.points.select(tracks.own)
     covariance = find_covariance(

@@ -101,6 +101,22 @@ def test_one_camera_ahead_of_all_others_is_the_first():
     assert found.used.tolist() == [False, True, True, True]
 
 
+def test_offsets_of_whole_frames_are_left_to_others():
+    """A clock that is two frames off is beyond what is known of the motion."""
+    recording, matches = off()
+    late = np.roll(np.arange(FRAMES), 2)
+    positions, confidence, labels = (
+        array.copy() for array in (recording.positions, recording.confidence, matches.labels)
+    )
+    for array in (positions, confidence, labels):
+        array[1] = array[1, late]
+    recording = replace(recording, positions=positions, confidence=confidence)
+    start = finer_scene().rig
+    found, rig = find_time_offsets(recording, start, Matches(labels), Config())
+    assert rig is start
+    assert not found.used.any()
+
+
 def not_determined(recording: Recording, matches: Matches) -> bool:
     start = adjusted(recording, matches)
     found, rig = find_time_offsets(recording, start, matches, Config())
