@@ -7,6 +7,7 @@ from mocap_calib.multi_view.in_step import bring_in_step
 from mocap_calib.multi_view.observed import Observed
 from mocap_calib.multi_view.time_offsets import find_time_offsets
 from mocap_calib.recording.sampling import take_sample
+from mocap_calib.recording.synchronise import hide_blind_spots
 from mocap_calib.types import Adjusted, Matches, TimeOffsets
 
 
@@ -23,6 +24,7 @@ def settle_clocks(
     if not offsets.used.any():
         return observed, adjusted, offsets
     recording = bring_in_step(recording, rig, matches, offsets.applied, config.triangulate)
+    recording = hide_blind_spots(recording)  # some may now lie beyond what the lens model knows
     sample = take_sample(recording, observed.sample_frames)
     in_step = replace(observed, recording=recording, sample=sample)
     return in_step, replace(adjusted, rig=rig), offsets
