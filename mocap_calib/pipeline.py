@@ -22,8 +22,8 @@ from mocap_calib.judging import judge_rigs
 from mocap_calib.multi_view.association import associate, label_all_frames
 from mocap_calib.multi_view.averaging import average
 from mocap_calib.multi_view.clocks import settle_clocks
+from mocap_calib.multi_view.estimated_cameras import estimate_cameras
 from mocap_calib.multi_view.faults import mend_faults
-from mocap_calib.multi_view.intrinsics import estimate_intrinsics, not_estimated
 from mocap_calib.multi_view.observed import Observed, leave_out_underconstrained
 from mocap_calib.multi_view.refinement import adjust_from_best_start
 from mocap_calib.multi_view.tracking import finalise_identities
@@ -41,7 +41,6 @@ from mocap_calib.two_view.solve import PairSolver, calibrate_pairs, in_recording
 from mocap_calib.types import (
     CalibrationResult,
     CameraRig,
-    EstimatedCamera,
     GroupResult,
     Mapper,
     Matches,
@@ -125,7 +124,7 @@ def _calibrate_recording(
     observed = observe(hide_blind_spots(recording))
     if config.intrinsics.refine != "none":
         with clock("intrinsics"):
-            cameras = _estimate_cameras(observed, config, progress=progress)
+            cameras = estimate_cameras(observed, config, progress=progress)
         observed = observe(hide_blind_spots(replace(recording, cameras=cameras)))
     groups = _calibrate_groups(observed, config, clock, seed=seed, progress=progress)
     return observed, _join_groups(observed, groups, config=config, seed=seed)
@@ -167,38 +166,6 @@ def _observe(
         sample=sample,
         lifted=lifted,
         pairs=pairs,
-    )
-
-
-def _estimate_cameras(
-    observed: Observed, config: Config, *, progress: Progress
-) -> tuple[EstimatedCamera, ...]:
-    """Return all cameras with the intrinsics estimated from the rig of their group.
-
-    Cameras of which nothing can be estimated stay as they were given.
-    """
-    cameras = observed.recording.cameras
-    estimated: dict[str, EstimatedCamera] = {}
-    for views in camera_groups(cameras, observed.pairs, config.averaging):
-        estimate = partial(_estimate_group, config=config, progress=progress)
-        try:
-            found = leave_out_underconstrained(observed.select(views), estimate)
-        except DegenerateError:
-            continue
-        estimated |= {camera.name: camera for camera in found}
-    return tuple(
-        estimated.get(camera.name) or not_estimated(camera, config.intrinsics) for camera in cameras
-    )
-
-
-def _estimate_group(
-    observed: Observed, *, config: Config, progress: Progress
-) -> tuple[EstimatedCamera, ...]:
-    """Return the cameras of one group with intrinsics from a rig of theirs."""
-    averaged = average(observed.recording.cameras, observed.pairs, config.averaging)
-    matches = associate(observed.sample, observed.lifted, averaged.rig, config, progress=progress)
-    return estimate_intrinsics(
-        observed.sample, averaged.rig, matches, config, lifted=observed.lifted, progress=progress
     )
 
 
