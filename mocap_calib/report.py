@@ -14,6 +14,7 @@ from mocap_calib.multi_view.triangulation import gather_observations, project
 from mocap_calib.multi_view.uncertainty import judge_rig
 from mocap_calib.multi_view.view_graph import alternative_taken
 from mocap_calib.recording.epochs import describe_epochs, views_by_camera
+from mocap_calib.recording.mending import describe_faults
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import (
     CalibrationResult,
@@ -134,8 +135,9 @@ def _describe_camera(
         "matched": int(matched.sum()),
         "unmatched": int((detected & ~matched).sum()),
         "faults": _name_faults(group, views, faults),
-        "fault_evidence": _describe_faults(faults),
+        "fault_evidence": describe_faults(faults),
         "weak_perspective": bool(group.uncertainty.weak_perspective[views].any()),
+        "clock": _describe_clock(group, views[0]),
         "intrinsics": _describe_intrinsics(group, views[0], config.intrinsics),
         "reprojection_error_px": _median_and_p95(error),
         "pair_score": score,
@@ -163,6 +165,16 @@ def _describe_intrinsics(group: GroupResult, view: int, config: IntrinsicsConfig
     return found
 
 
+def _describe_clock(group: GroupResult, view: int) -> dict[str, Any]:
+    """Return by what part of a frame the clock of a camera is off, and whether that was used."""
+    offsets = group.time_offsets
+    return {
+        "subframe_offset": _finite_or_none(offsets.tau[view]),
+        "sigma": _finite_or_none(offsets.sigma[view]),
+        "used": bool(offsets.used[view]),
+    }
+
+
 def _name_faults(group: GroupResult, views: list[int], faults: Sequence[Fault]) -> list[str]:
     """Return the words for what is wrong with a camera, each once.
 
@@ -173,29 +185,6 @@ def _name_faults(group: GroupResult, views: list[int], faults: Sequence[Fault]) 
     words = [fault.word for fault in faults]
     found = [word for word, of_view in measured.items() if of_view[views].any()]
     return list(dict.fromkeys([*words, *found]))
-
-
-def _describe_faults(faults: Sequence[Fault]) -> dict[str, Any]:
-    """Return what is wrong with a camera by word; what it has several times, under `further`."""
-    described: dict[str, Any] = {}
-    for fault in faults:
-        if fault.word in described:
-            described[fault.word].setdefault("further", []).append(_describe_fault(fault))
-        else:
-            described[fault.word] = _describe_fault(fault)
-    return described
-
-
-def _describe_fault(fault: Fault) -> dict[str, Any]:
-    """Return what is wrong with a camera, the numbers it rests on, and how it was mended."""
-    mend = fault.mend
-    return {
-        "says": fault.says,
-        "mended": mend is not None,
-        "advice": mend.advice if mend else None,
-        "option": mend.option if mend and mend.option else None,
-        **fault.evidence,
-    }
 
 
 def _pair_score(group: GroupResult, view: int) -> float:

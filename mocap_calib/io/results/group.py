@@ -48,7 +48,9 @@ def write_group(
         place.mkdir(exist_ok=True)
         own = epoch_provenance(provenance, epochs, number)
         rig = rig_of_epoch(group.rig, epoch)
-        _write_cameras(place / "cameras.yaml", rig, "mocap-calib", own)
+        clocks = _clock_offsets(group, epoch)
+        with_clocks = {**own, "clock_offset_frames": clocks} if clocks else own
+        _write_cameras(place / "cameras.yaml", rig, "mocap-calib", with_clocks)
         _write_cameras(place / "calibration.toml", rig, "anipose", own)
         if reversed_rig is not None:
             remarked = {**own, "remarks": [_REVERSED, *own.get("remarks", [])]}
@@ -61,6 +63,15 @@ def write_group(
     for individual in range(group.matches.individuals):
         path = numbered_file(folder / _POSES, individual)
         replace_text(path, poses_csv(poses.poses, individual))
+
+
+def _clock_offsets(group: GroupResult, epoch: Epoch) -> dict[str, float]:
+    """Return the offsets of the clocks of an epoch's cameras, by their own names."""
+    views = {
+        name: group.rig.names[view] for name, view in zip(epoch.names, epoch.views, strict=True)
+    }
+    offsets = group.clock_offsets
+    return {name: offsets[view] for name, view in views.items() if view in offsets}
 
 
 def epoch_provenance(
