@@ -394,6 +394,23 @@ class UncertaintyConfig:
     same_rig_deg: float = 10.0  # two rigs whose cameras turn by no more than this are one answer
 
 
+@dataclass(frozen=True)
+class ResectionConfig:
+    """The search for the projection of one camera from points that others know.
+
+    tolerance: at which a joint costs half, in median distances of image points from their middle.
+    """
+
+    least_joints: int = 6  # of a detection that takes part in a hypothesis
+    hypotheses: int = 300
+    frames_single: int = 4  # of a hypothesis where there is one subject,
+    frames_several: int = 2  # and where any detection may be anybody
+    frames_scored: int = 60
+    hypotheses_refined: int = 6
+    tolerance: float = 0.1
+    rounds: int = 8
+
+
 REPORT_FRAMES = 2000  # whose reprojection errors run.json tells
 RIG_ERROR_THRESHOLDS_DEG = (5, 10, 20, 30)  # at which `evaluate` tells the accuracy
 
