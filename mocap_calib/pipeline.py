@@ -7,6 +7,7 @@ Where intrinsics are to be estimated, they are from a first rig of each group: a
 intrinsics. Then everything is done with them from the beginning, as if they had been given.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -17,8 +18,10 @@ from mocap_calib.compute.clock import Clock
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config, Refinement
 from mocap_calib.errors import DegenerateError
+from mocap_calib.judging import judge_rigs
 from mocap_calib.multi_view.association import associate, label_all_frames
 from mocap_calib.multi_view.averaging import average
+from mocap_calib.multi_view.faults import mend_faults
 from mocap_calib.multi_view.intrinsics import estimate_intrinsics, not_estimated
 from mocap_calib.multi_view.observed import Observed, leave_out_underconstrained
 from mocap_calib.multi_view.refinement import adjust_from_best_start
@@ -28,8 +31,7 @@ from mocap_calib.multi_view.uncertainty import assess_uncertainty, judge_rig
 from mocap_calib.multi_view.view_graph import camera_groups, select_hypotheses
 from mocap_calib.recording.assumed import choose_refinement
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
-from mocap_calib.recording.synchronise import change_cameras
-from mocap_calib.report import judge_rigs
+from mocap_calib.recording.synchronise import hide_blind_spots
 from mocap_calib.steerpose.checkpoint import AUTO, choose_model
 from mocap_calib.steerpose.device import check_device
 from mocap_calib.steerpose.lift import lift
@@ -42,7 +44,6 @@ from mocap_calib.types import (
     GroupResult,
     Mapper,
     Matches,
-    PairwiseCalibration,
     Progress,
     Recording,
     UnusedPair,
@@ -87,26 +88,46 @@ def calibrate(
     recording, lifter = choose_model(recording, model)
     progress = progress or silent
     clock = Clock()
+    observe = partial(
+        _observe,
+        lifter=lifter,
+        config=config,
+        clock=clock,
+        seed=seed,
+        device=device,
+        progress=progress,
+        mapper=mapper,
+        pair_solver=pair_solver,
+    )
+    calibrate_once = partial(
+        _calibrate_recording,
+        observe=observe,
+        config=config,
+        clock=clock,
+        seed=seed,
+        progress=progress,
+    )
     with single_threaded_libraries():
-        observe = partial(
-            _observe,
-            lifter=lifter,
-            config=config,
-            clock=clock,
-            seed=seed,
-            device=device,
-            progress=progress,
-            mapper=mapper,
-            pair_solver=pair_solver,
-        )
-        observed = observe(recording)
-        if config.intrinsics.refine != "none":
-            with clock("intrinsics"):
-                cameras = _estimate_cameras(observed, config, progress=progress)
-            recording = change_cameras(recording, cameras)
-            observed = observe(recording)
-        groups = _calibrate_groups(observed, config, clock, seed=seed, progress=progress)
-    return _join_groups(recording, observed.pairs, groups, config=config, seed=seed)
+        return mend_faults(recording, calibrate_once(recording), calibrate_once)
+
+
+def _calibrate_recording(
+    recording: Recording,
+    *,
+    observe: Callable[[Recording], Observed],
+    config: Config,
+    clock: Clock,
+    seed: int,
+    progress: Progress,
+) -> tuple[Observed, CalibrationResult]:
+    """Calibrate all groups of cameras of a recording as it is."""
+    observed = observe(hide_blind_spots(recording))
+    if config.intrinsics.refine != "none":
+        with clock("intrinsics"):
+            cameras = _estimate_cameras(observed, config, progress=progress)
+        observed = observe(hide_blind_spots(replace(recording, cameras=cameras)))
+    groups = _calibrate_groups(observed, config, clock, seed=seed, progress=progress)
+    return observed, _join_groups(observed, groups, config=config, seed=seed)
 
 
 def _observe(
@@ -199,7 +220,7 @@ def match(
     """
     check_same_cameras(recording, rig)
     check_device(device)
-    recording, lifter = choose_model(recording, model)
+    recording, lifter = choose_model(hide_blind_spots(recording), model)
     progress = progress or silent
     with single_threaded_libraries():
         sample_frames = choose_sample_frames(recording, config.sample)
@@ -289,19 +310,14 @@ def _calibrate_cameras(
 
 
 def _join_groups(
-    recording: Recording,
-    pairs: tuple[PairwiseCalibration, ...],
-    groups: list[GroupResult],
-    *,
-    config: Config,
-    seed: int,
+    observed: Observed, groups: list[GroupResult], *, config: Config, seed: int
 ) -> CalibrationResult:
     """Return the groups with the cameras and the pairs that are in none of them."""
-    names = recording.names
+    names = observed.recording.names
     group_of = {name: k for k, group in enumerate(groups) for name in group.rig.names}
     unused = (
         UnusedPair(names[pair.a], names[pair.b], pair.score)
-        for pair in pairs
+        for pair in observed.pairs
         if names[pair.a] not in group_of or group_of[names[pair.a]] != group_of.get(names[pair.b])
     )
     result = CalibrationResult(

@@ -9,7 +9,7 @@ docs/conventions.md has the rest.
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Any, Literal, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, Protocol, Self, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,6 +35,25 @@ METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 ARBITRARY = "arbitrary"
 
 Verdict = Literal["well determined", "weak", "not determined"]
+
+# what may be wrong with the files of a camera; docs/run-json.md says what each means
+FaultWord = Literal[
+    "clock",
+    "rate",
+    "dropped",
+    "focal",
+    "mirrored",
+    "sides",
+    "rotated",
+    "resized",
+    "cropped",
+    "exchanged",
+    "duplicate",
+    "moved",
+    "unrelated",
+    "inconsistent",
+]
+FAULT_WORDS: tuple[FaultWord, ...] = get_args(FaultWord)
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -606,6 +625,49 @@ class Sample(Recording):
         return ("positions", "confidence", "rays")
 
 
+# --- what is wrong with a recording
+
+
+class Mend(Protocol):
+    """How the files of one camera are put right; see `recording.mending` for all there are."""
+
+    @property
+    def camera(self) -> str:
+        """Name of the camera."""
+
+    @property
+    def word(self) -> FaultWord:
+        """The fault that it mends."""
+
+    @property
+    def advice(self) -> str:
+        """What a user should do about the files."""
+
+    @property
+    def option(self) -> str:
+        """How a user states it beforehand: `--mirrored cam2`."""
+
+    def apply(self, recording: Recording) -> Recording:
+        """Return the recording with the detections or the intrinsics of the camera put right."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Fault(Record):
+    """What is wrong with the files of one camera.
+
+    camera: its name. word: one of `FAULT_WORDS`.
+    says: the same for a person, in full, without the name of the camera.
+    evidence: the numbers that it rests on, by what they are.
+    mend: how it was mended, None where it is only named.
+    """
+
+    camera: str
+    word: FaultWord
+    says: str
+    evidence: Mapping[str, float | int | str] = field(default_factory=dict)
+    mend: Mend | None = None
+
+
 # --- what the stages find
 
 
@@ -904,6 +966,7 @@ class CalibrationResult(Record):
 
     left_out: names of the cameras that are in no group.
     config, seed: what the run was made with; the model is that of the groups' recordings.
+    faults: what is wrong with the files of single cameras.
     """
 
     groups: tuple[GroupResult, ...]
@@ -911,9 +974,11 @@ class CalibrationResult(Record):
     unused_pairs: tuple[UnusedPair, ...]
     config: Config = field(default_factory=Config)
     seed: int = 0
+    faults: tuple[Fault, ...] = ()
 
     def __repr__(self) -> str:
         lines = [f"  {group._describe()}" for group in self.groups]
+        lines += [f"  {fault.camera}: {fault.says}" for fault in self.faults]
         if self.left_out:
             lines.append(f"  left out: {', '.join(self.left_out)}")
         title = f"CalibrationResult of {count(len(self.groups), 'group')} of cameras"
