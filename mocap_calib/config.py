@@ -433,12 +433,13 @@ class DiagnosisConfig:
     resection: ResectionConfig = ResectionConfig()
     fit: CameraFitConfig = CameraFitConfig()
     # the rig of the other cameras
-    rounds: int = 2
-    points: int = 6000
+    rounds: int = 1
+    points: int = 4000
     frames: int = 200  # whose points a camera is held against,
     keypoints: int = 4000  # and so many keypoints in them
     rough_keypoints: int = 300  # that tell which explanations are worth a closer look,
-    rough_margin: float = 1.0  # which cost no more than this above the best
+    rough_steps: int = 10  # at each loss scale, for that:
+    rough_margin: float = 1.0  # those that cost no more than this above the best
     time_blocks: int = 20  # stretches of the recording within which errors go together
     least_forward: float = 0.15  # z of a unit ray that is looked at
     focal_noise: float = 0.005  # of the focal length: error of a keypoint, roughly
@@ -449,7 +450,7 @@ class DiagnosisConfig:
     suspicious_outside: float = 0.02  # share of its keypoints outside its images
     suspicious_frames: int = 80  # that are looked at for it,
     suspicious_keypoints: int = 1500  # and keypoints of a camera
-    candidates: int = 6  # cameras that are looked at closely
+    candidates: int = 5  # suspicious cameras that are looked at closely
 
     # what an explanation must show
     least_keypoints: int = 100

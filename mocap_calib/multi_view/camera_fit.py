@@ -18,6 +18,7 @@ from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.types import Camera, Floats, Ints
 
 Unknown = Literal["log_scale", "x", "y", "log_focal"]
+_MOST_LOG = 3.0  # no focal length is so many times another: beyond it a fit has run away
 _FAR = 1e6  # pixels: the residual of what is behind the camera
 
 
@@ -183,6 +184,9 @@ def _linearise(
 
     What is behind the camera has a large residual and no slope.
     """
+    logs = [k for k, name in enumerate(free) if name.startswith("log")]
+    unknowns = unknowns.copy()
+    unknowns[logs] = unknowns[logs].clip(-_MOST_LOG, _MOST_LOG)
     value: dict[Unknown, float] = dict(zip(free, unknowns.tolist(), strict=True))
     if "log_focal" in value:
         camera = lens.change_intrinsics(camera, log_focal=value["log_focal"], k1=0.0)

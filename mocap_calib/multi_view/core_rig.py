@@ -17,22 +17,25 @@ from mocap_calib.multi_view.triangulation import (
     triangulate_rays,
     view_noise,
 )
+from mocap_calib.multi_view.uncertainty import angle_of_worst_camera, split_half_angle
 from mocap_calib.multi_view.view_graph import camera_groups
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.types import CameraRig, Floats, Ints, silent
+from mocap_calib.types import CameraRig, Floats, Ints, Matches, Sample, silent
 
 
 @dataclass(frozen=True)
 class CoreRig:
     """Cameras that agree, and what they know.
 
-    frames: `[frame]` indices into the sample.
+    sample, matches: of these cameras. frames: `[frame]` indices into the sample of some frames.
     points: `[frame, individual, keypoint, 3]` in the rig's world, NaN = not known. Individuals are
         those of a frame, in any order.
     pair_score: mean over the pairs of the rig.
     """
 
+    sample: Sample
     rig: CameraRig
+    matches: Matches
     frames: Ints
     points: Floats
     pair_score: float
@@ -79,8 +82,17 @@ def _build_core(observed: Observed, config: Config) -> CoreRig:
     )
     shape = (len(frames), labels.individuals, len(sample.keypoints), 3)
     return CoreRig(
+        sample=sample,
         rig=rig,
+        matches=labels,
         frames=frames,
         points=points.T.reshape(shape),
         pair_score=float(np.mean([pair.score for pair in observed.pairs])),
     )
+
+
+def is_determined(core: CoreRig, config: Config, *, seed: int) -> bool:
+    """Return whether what was seen determines the rig, by the yardstick of the verdict."""
+    angle = split_half_angle(core.sample, core.rig, core.matches, config, seed=seed)
+    worst = angle_of_worst_camera(angle, len(core.rig))
+    return bool(np.rad2deg(worst) <= config.uncertainty.weak_deg)

@@ -10,6 +10,7 @@ from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError
 from mocap_calib.multi_view.explained import explained_share, usual_angle
 from mocap_calib.multi_view.observed import Observed
+from mocap_calib.multi_view.odd_cameras import find_odd_cameras
 from mocap_calib.recording.mending import apply_mends
 from mocap_calib.types import CalibrationResult, Fault, Mend, Recording
 
@@ -50,8 +51,7 @@ def find_faults(observed: Observed, result: CalibrationResult, config: Config) -
     observed: what was known before the rigs were built. result: what was found with the files as
         they are.
     """
-    del observed, result, config
-    return ()
+    return find_odd_cameras(observed, result, config)
 
 
 def mends_of(faults: Sequence[Fault]) -> tuple[Mend, ...]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from mocap_calib.config import Config, DiagnosisConfig
 from mocap_calib.multi_view.camera_fit import CameraFit, CameraPose, Seen, fit_camera
-from mocap_calib.multi_view.core_rig import CoreRig, find_core_rig
+from mocap_calib.multi_view.core_rig import CoreRig, find_core_rig, is_determined
 from mocap_calib.multi_view.explanations import (
     Explanation,
     explanations,
@@ -23,7 +23,7 @@ from mocap_calib.multi_view.explanations import (
 from mocap_calib.multi_view.observed import Observed
 from mocap_calib.multi_view.resection import Resection, Sighting, decompose, resect
 from mocap_calib.multi_view.triangulation import MEDIAN_DISTANCE
-from mocap_calib.multi_view.suspicion import find_signs, is_turned, rolls
+from mocap_calib.multi_view.suspicion import Signs, find_signs, is_turned, rolls
 from mocap_calib.recording.mending import exchanged_sides
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import CalibrationResult, CameraRig, Fault, Floats, Ints
@@ -35,10 +35,12 @@ _LEAST_CAMERAS = 3  # of two nobody can say which is odd
 class Finding:
     """How one explanation fits a camera.
 
+    core: the rig of the others.
     gain: what it lowers the robust cost of a keypoint by, against the intrinsics and the labels as
         they are given. keypoints: how many tell.
     """
 
+    core: CoreRig
     explanation: Explanation
     fit: CameraFit
     gain: float
@@ -48,21 +50,6 @@ class Finding:
     def evidence(self) -> float:
         """The gain of all keypoints together."""
         return self.gain * self.keypoints
-
-
-@dataclass(frozen=True)
-class _Subject:
-    """A camera and what the others know.
-
-    pose_of: a start for each labelling (exchanged sides or not) that can be resected.
-    """
-
-    core: CoreRig
-    view: int
-    resections: dict[bool, Resection]
-    points: Floats
-    frame: Ints
-    instance: Ints
 
 
 def find_odd_cameras(
@@ -75,20 +62,22 @@ def find_odd_cameras(
     if len(observed.recording.cameras) < _LEAST_CAMERAS:
         return ()
     signs = find_signs(observed, result, config)
-    if not signs.suspicious(config.diagnosis).any():
-        return ()
-    best: Finding | None = None
-    for view in _most_suspicious(signs.suspicious(config.diagnosis), signs.pairs, config.diagnosis):
-        found = diagnose(observed, view, config, seed=result.seed)
-        if found is not None and (best is None or found.evidence > best.evidence):
-            best = found
-    return () if best is None else (_name_fault(best, config.diagnosis),)
+    found = [
+        diagnose(observed, view, config, seed=result.seed)
+        for view in _most_suspicious(signs, config.diagnosis)
+    ]
+    certain = sorted((each for each in found if each is not None), key=lambda f: -f.evidence)
+    for finding in certain:
+        if is_determined(finding.core, config, seed=result.seed):
+            return (_name_fault(finding, config.diagnosis),)
+    return ()
 
 
-def _most_suspicious(suspicious, pairs: Floats, config: DiagnosisConfig) -> list[int]:
-    """Return the views that are looked at closely, the most suspicious first."""
-    order = np.lexsort((pairs, ~suspicious))
-    return [int(view) for view in order[: config.candidates]]
+def _most_suspicious(signs: Signs, config: DiagnosisConfig) -> list[int]:
+    """Return the suspicious views, those of the worst pairs first; as many as are looked at."""
+    suspicious = np.flatnonzero(signs.suspicious(config))
+    order = np.argsort(signs.pairs[suspicious], kind="stable")
+    return [int(view) for view in suspicious[order][: config.candidates]]
 
 
 def diagnose(observed: Observed, view: int, config: Config, *, seed: int) -> Finding | None:
@@ -120,7 +109,7 @@ def explain(
     seen = _seen_by(tried, points, frame, instance, config.diagnosis)
     if not seen or len(seen["given"].points) < config.diagnosis.least_keypoints:
         return ()
-    return _fit_all(tried, seen, resections, best, config.diagnosis)
+    return _fit_all(tried, seen, resections, core, config.diagnosis)
 
 
 def _resect_both(
@@ -190,12 +179,14 @@ def _fit_all(
     tried: Sequence[Explanation],
     seen: dict[str, Seen],
     resections: dict[bool, Resection],
-    best: Resection,
+    core: CoreRig,
     config: DiagnosisConfig,
 ) -> tuple[Finding, ...]:
     """Return the findings of the explanations that a part of the keypoints does not rule out."""
+    best = min(resections.values(), key=lambda each: each.cost)
     few = evenly_spaced(np.arange(len(seen["given"].points)), config.rough_keypoints)
     noise = config.focal_noise * tried[0].camera.focal
+    quick = replace(config.fit, steps=config.rough_steps)
     rough: dict[str, tuple[float, CameraPose]] = {}
     for each in tried:
         part = seen[each.name].select(few)
@@ -206,7 +197,7 @@ def _fit_all(
             for pose in _starts(resection, part.points)
         ]
         for start in starts:
-            fit = fit_camera(each.camera, part, start, config.fit, noise=noise, free=each.free)
+            fit = fit_camera(each.camera, part, start, quick, noise=noise, free=each.free)
             cost = _cost(fit, noise)
             if each.name not in rough or cost < rough[each.name][0]:
                 rough[each.name] = (cost, fit.pose)
@@ -223,6 +214,7 @@ def _fit_all(
     given = _cost(fits["given"], sharpest)
     return tuple(
         Finding(
+            core=core,
             explanation=each,
             fit=fits[each.name],
             gain=given - _cost(fits[each.name], sharpest),
