@@ -447,6 +447,7 @@ class DiagnosisConfig:
     # what makes a camera suspicious; each may cost time but accuses nobody
     suspicious_pairs: float = 0.8  # of the score of the others' pairs
     suspicious_errors: float = 2.5  # times those of the others
+    suspicious_exchanged: float = 0.15  # share of its detections
     suspicious_outside: float = 0.02  # share of its keypoints outside its images
     suspicious_frames: int = 80  # that are looked at for it,
     suspicious_keypoints: int = 1500  # and keypoints of a camera
@@ -455,6 +456,8 @@ class DiagnosisConfig:
     # what an explanation must show
     least_keypoints: int = 100
     least_gain: float = 0.1  # of mirrored and exchanged sides
+    least_exchanged: float = 0.25  # share of the detections whose sides are exchanged,
+    all_exchanged: float = 0.85  # and the share from which on all are
     least_resize: float = 0.1  # of the logarithm of the factor
     resize_gain: float = 0.05
     resize_significance: float = 100.0
@@ -472,7 +475,18 @@ class DiagnosisConfig:
     effective_keypoints: int = 400
 
 
-PLAIN_FACTORS = (1 / 4, 1 / 3, 1 / 2, 2 / 3, 3 / 4, 4 / 3, 3 / 2, 2.0, 3.0, 4.0)  # of resized images
+PLAIN_FACTORS = (
+    1 / 4,
+    1 / 3,
+    1 / 2,
+    2 / 3,
+    3 / 4,
+    4 / 3,
+    3 / 2,
+    2.0,
+    3.0,
+    4.0,
+)  # of resized images
 
 
 @dataclass(frozen=True)

@@ -37,9 +37,7 @@ class Seen:
 
     def select(self, index: Ints) -> "Seen":
         """Return some of the points (`[n]` indices)."""
-        return Seen(
-            self.points[index], self.pixels[index], self.block[index], self.keypoint[index]
-        )
+        return Seen(self.points[index], self.pixels[index], self.block[index], self.keypoint[index])
 
 
 @dataclass(frozen=True)

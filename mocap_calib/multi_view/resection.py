@@ -15,6 +15,10 @@ from mocap_calib.config import ResectionConfig
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Bools, Floats, Ints
 
+_FITS = 0.5  # cost below which a detection may show a body
+_CLEARLY = 0.5  # of the other cost: one of two readings is clearly better
+_LEAST_COMPARED = 3  # joints of a detection and a body that are compared
+
 
 @dataclass(frozen=True)
 class Sighting:
@@ -35,11 +39,13 @@ class Resection:
     projection: `[3, 4]` P, with P X in front of the camera where its third row is positive.
     individual: `[frame, instance]` whom each detection shows, -1 = nobody.
     cost: 0..1, mean over the detections of their robust errors; 1 where nothing fits.
+    tolerance: distance in the image at which a joint costs half.
     """
 
     projection: Floats
     individual: Ints
     cost: float
+    tolerance: float
 
 
 @dataclass(frozen=True)
@@ -74,27 +80,42 @@ def resect(sighting: Sighting, config: ResectionConfig, *, seed: int) -> Resecti
         if best is None or found.cost < best.cost:
             best = found
     assert best is not None
-    return Resection(similar.undo(best.projection), best.individual, best.cost)
+    return Resection(
+        similar.undo(best.projection),
+        best.individual,
+        best.cost,
+        best.tolerance * similar.image_size,
+    )
 
 
-def match(
-    scene: Sighting, projection: Floats, tolerance: float
-) -> tuple[Ints, float]:
+def match(scene: Sighting, projection: Floats, tolerance: float) -> tuple[Ints, float]:
     """Return whom each detection shows, `[frame, instance]`, and the cost of a projection.
 
     tolerance: distance in the image at which a joint costs half.
     """
-    joint_cost = _joint_costs(scene, projection, tolerance)
-    seen = np.isfinite(scene.image[..., 0])
-    both = seen[:, :, None] & np.isfinite(scene.points[..., 0])[:, None]
-    count = both.sum(-1)
-    cost = np.where(both, joint_cost, 0.0).sum(-1) / np.maximum(count, 1)
-    cost = np.where(count >= 3, cost, 1.0)  # [frame, instance, individual]
-    individual = cost.argmin(-1)
+    cost = _detection_costs(scene, projection, tolerance)
     least = cost.min(-1)
-    detected = seen.any(-1) & np.isfinite(scene.points[..., 0]).any((1, 2))[:, None]
+    detected = np.isfinite(scene.image[..., 0]).any(-1)
+    detected &= np.isfinite(scene.points[..., 0]).any((1, 2))[:, None]
     mean = float(least[detected].mean()) if detected.any() else 1.0
-    return np.where(detected & (least < 0.5), individual, -1), mean
+    return np.where(detected & (least < _FITS), cost.argmin(-1), -1), mean
+
+
+def exchanged_share(given: Sighting, exchanged: Sighting, resection: Resection) -> float:
+    """Return the share of the detections that fit with exchanged sides alone.
+
+    given, exchanged: the same detections with the sides as given and exchanged. Those that fit
+    with neither, or about as well with both, are not counted.
+    """
+    costs = [
+        _detection_costs(each, resection.projection, resection.tolerance).min(-1)
+        for each in (given, exchanged)
+    ]
+    fits = [
+        (cost < _FITS) & (cost < _CLEARLY * other)
+        for cost, other in zip(costs, reversed(costs), strict=True)
+    ]
+    return float(fits[1].sum()) / max(int(fits[0].sum() + fits[1].sum()), 1)
 
 
 def decompose(projection: Floats) -> Decomposition:
@@ -231,6 +252,16 @@ def _solve(system: Floats, points: Floats) -> Floats:
     return sign[..., None, None] * projection
 
 
+def _detection_costs(scene: Sighting, projection: Floats, tolerance: float) -> Floats:
+    """Return `[frame, instance, individual]` mean costs in 0..1, 1 where nothing compares."""
+    joint_cost = _joint_costs(scene, projection, tolerance)
+    known = np.isfinite(scene.points[..., 0])[:, None]
+    both = np.isfinite(scene.image[..., 0])[:, :, None] & known
+    count = both.sum(-1)
+    cost = np.where(both, joint_cost, 0.0).sum(-1) / np.maximum(count, 1)
+    return np.where(count >= _LEAST_COMPARED, cost, 1.0)
+
+
 def _joint_costs(scene: Sighting, projection: Floats, tolerance: float) -> Floats:
     """Return `[frame, instance, individual, keypoint]` in 0..1, NaN where something is missing."""
     seen = scene.points @ projection[:, :3].T + projection[:, 3]
@@ -261,4 +292,4 @@ def _refine(scene: Sighting, projection: Floats, config: ResectionConfig) -> Res
         weight = np.nan_to_num(1 / (1 + square) ** 2 / depth**2)
         projection = _solve(_normal_equations(points, image, weight), points)
     individual, cost = match(scene, projection, tolerance)
-    return Resection(projection, individual, cost)
+    return Resection(projection, individual, cost, tolerance)

@@ -5,17 +5,28 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocap_calib.config import Config, DiagnosisConfig
+from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.multi_view.camera_fit import CameraPose, Seen, Unknown, fit_camera
+from mocap_calib.multi_view.observed import Observed
 from mocap_calib.multi_view.triangulation import (
     gather_observations,
     labelled_frames,
     triangulate_rays,
     view_noise,
 )
-from mocap_calib.multi_view.observed import Observed
+from mocap_calib.recording.mending import exchanged_sides
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.types import Bools, CalibrationResult, CameraRig, Floats, GroupResult, Matches, Sample
+from mocap_calib.types import (
+    Bools,
+    CalibrationResult,
+    CameraRig,
+    Floats,
+    Matches,
+    Sample,
+)
 
+_LEAST_PAIRED = 4  # keypoints of a detection that tell whether its sides are exchanged
+_CLEARLY = 0.5  # of the error as given
 _FREE: tuple[Unknown, ...] = ("log_focal", "x", "y")
 
 
@@ -27,6 +38,7 @@ class Signs:
     the others' pairs. outside: share of its keypoints outside its images. roll: in degrees,
     against the other cameras of its group; NaN where they do not agree on which way is down.
     errors: of its keypoints, as a multiple of those of the others.
+    exchanged: share of its detections that fit far better with left and right exchanged.
     intrinsics: Wald's statistic of other intrinsics, where these differ by much.
     """
 
@@ -35,6 +47,7 @@ class Signs:
     outside: Floats
     roll: Floats
     errors: Floats
+    exchanged: Floats
     intrinsics: Floats
 
     def suspicious(self, config: DiagnosisConfig) -> Bools:
@@ -44,6 +57,7 @@ class Signs:
             | (self.pairs < config.suspicious_pairs)
             | (self.outside > config.suspicious_outside)
             | (self.errors > config.suspicious_errors)
+            | (self.exchanged > config.suspicious_exchanged)
             | (self.intrinsics > config.crop_significance)
             | is_turned(self.roll, config)
         )
@@ -70,6 +84,7 @@ def find_signs(observed: Observed, result: CalibrationResult, config: Config) ->
         outside=_share_outside(observed),
         roll=np.full(views, np.nan),
         errors=np.zeros(views),
+        exchanged=np.zeros(views),
         intrinsics=np.zeros(views),
     )
     if len(members) < 3:
@@ -77,8 +92,9 @@ def find_signs(observed: Observed, result: CalibrationResult, config: Config) ->
     sample = observed.sample.select(views=members)
     matches = group.adjusted.matches
     signs.roll[members] = rolls(group.rig, config.diagnosis)
-    errors, intrinsics = _hold_against_others(sample, group.rig, matches, config)
-    signs.errors[members], signs.intrinsics[members] = errors, intrinsics
+    errors, exchanged, intrinsics = _hold_against_others(sample, group.rig, matches, config)
+    signs.errors[members], signs.exchanged[members] = errors, exchanged
+    signs.intrinsics[members] = intrinsics
     return signs
 
 
@@ -135,8 +151,8 @@ def _roll(rotation: Floats, down: Floats) -> float:
 
 def _hold_against_others(
     sample: Sample, rig: CameraRig, matches: Matches, config: Config
-) -> tuple[Floats, Floats]:
-    """Return the errors and the statistic of other intrinsics of each camera, `[view]` both.
+) -> tuple[Floats, Floats, Floats]:
+    """Return the errors, the exchanged share and the statistic of intrinsics of each camera.
 
     Each camera is held against the points that the others know by the rig as it is.
     """
@@ -146,6 +162,7 @@ def _hold_against_others(
     seen = gather_observations(sample, matches, frames)
     views = len(rig)
     angles, significance = np.full(views, np.nan), np.zeros(views)
+    exchanged = np.zeros(views)
     keypoints = len(sample.keypoints)
     for view, camera in enumerate(rig.cameras):
         others = seen.confidence.copy()
@@ -156,6 +173,7 @@ def _hold_against_others(
         both = np.flatnonzero(np.isfinite(points[0]) & np.isfinite(seen.pixels[view, 0]))
         if len(both) < diagnosis.least_keypoints:
             continue
+        exchanged[view] = _exchanged_share(rig, view, points, seen.pixels[view], sample.keypoints)
         both = evenly_spaced(both, diagnosis.suspicious_keypoints)
         known = Seen(
             points=points[:, both].T,
@@ -166,19 +184,39 @@ def _hold_against_others(
         start = CameraPose(rig.rotation[view], rig.translation[view])
         rough = diagnosis.focal_noise * camera.focal
         fit = fit_camera(camera, known, start, diagnosis.fit, noise=rough, free=_FREE)
-        angles[view] = np.median(fit_error(rig, view, known)) / camera.focal
+        angles[view] = np.median(_fit_error(rig, view, known)) / camera.focal
         size = np.array(camera.size) if all(camera.size) else np.full(2, 2 * camera.focal)
         much = abs(fit.unknowns[0]) > diagnosis.least_focal_change
         much |= bool((np.abs(fit.unknowns[1:]) > diagnosis.least_crop * size).any())
         significance[view] = fit.significance if much else 0.0
     others_angle = np.array([np.nanmedian(np.delete(angles, v)) for v in range(views)])
-    return np.nan_to_num(angles / others_angle, nan=np.inf), significance
+    return np.nan_to_num(angles / others_angle, nan=np.inf), exchanged, significance
 
 
-def fit_error(rig: CameraRig, view: int, known: Seen) -> Floats:
+def _exchanged_share(
+    rig: CameraRig, view: int, points: Floats, pixels: Floats, keypoints: tuple[str, ...]
+) -> float:
+    """Return the share of a camera's detections that fit far better with sides exchanged.
+
+    points: `[3, N]`; pixels: `[2, N]`, N = detections x keypoints.
+    """
+    order = exchanged_sides(keypoints)
+    paired = order != np.arange(len(order))
+    if not paired.any():
+        return 0.0
+    in_camera = points.T @ rig.rotation[view].T + rig.translation[view]
+    image = pixels_from_points(rig.cameras[view], in_camera).reshape(-1, len(order), 2)
+    given = pixels.T.reshape(-1, len(order), 2)
+    errors = [np.linalg.norm(image - seen, axis=-1)[:, paired] for seen in (given, given[:, order])]
+    both = np.isfinite(errors[0]) & np.isfinite(errors[1])
+    count = both.sum(1)
+    mean = [np.where(both, error, 0.0).sum(1) / np.maximum(count, 1) for error in errors]
+    told = count >= _LEAST_PAIRED
+    return float((mean[1] < _CLEARLY * mean[0])[told].mean()) if told.any() else 0.0
+
+
+def _fit_error(rig: CameraRig, view: int, known: Seen) -> Floats:
     """Return the distances `[N]` in pixels of points from where a camera of the rig saw them."""
-    from mocap_calib.geometry.projection import pixels_from_points
-
     in_camera = known.points @ rig.rotation[view].T + rig.translation[view]
     error = np.linalg.norm(pixels_from_points(rig.cameras[view], in_camera) - known.pixels, axis=1)
     return np.nan_to_num(error, nan=np.inf)
