@@ -33,7 +33,7 @@ def find_odd_cameras(
         diagnose(observed, view, config, seed=result.seed)
         for view in _most_suspicious(signs, config.diagnosis)
     ]
-    certain = sorted((each for each in found if each is not None), key=lambda f: -f.evidence)
+    certain = sorted((each for each in found if each is not None), key=_certainty, reverse=True)
     for finding in certain:
         if is_determined(finding.core, config, seed=result.seed):
             return (_name_fault(finding, config.diagnosis),)
@@ -45,6 +45,16 @@ def _most_suspicious(signs: Signs, config: DiagnosisConfig) -> list[int]:
     suspicious = np.flatnonzero(signs.suspicious(config))
     order = np.argsort(signs.pairs[suspicious], kind="stable")
     return [int(view) for view in suspicious[order][: config.candidates]]
+
+
+def _certainty(finding: Finding) -> float:
+    """Return what the camera has most of that is odd, of several that may be.
+
+    Any camera beside an odd one looks odd itself, but not beside others that agree. Of two halves
+    of a rig that see left and right differently, the one whose bodies are lifted more alike is
+    right: its pairs have the better scores.
+    """
+    return finding.evidence * finding.core.pair_score**2
 
 
 def diagnose(observed: Observed, view: int, config: Config, *, seed: int) -> Finding | None:
