@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError
-from mocap_calib.multi_view.explained import explained_share, usual_angle
+from mocap_calib.multi_view.explained import explained_share, usual_distance
 from mocap_calib.multi_view.observed import Observed
 from mocap_calib.multi_view.odd_cameras import find_odd_cameras
 from mocap_calib.recording.mending import apply_mends
@@ -79,8 +79,9 @@ def _calibrate_mended(
 
 def _explains_more(mended: Calibrated, before: Calibrated) -> bool:
     """Return whether more of what was seen is explained with the mends than before."""
-    width = usual_angle(before[1])
+    yardstick = usual_distance(before[1], before[0].recording)
     after, given = (
-        explained_share(result, observed.recording, width) for observed, result in (mended, before)
+        explained_share(result, observed.recording, yardstick)
+        for observed, result in (mended, before)
     )
     return after > given
