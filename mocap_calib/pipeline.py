@@ -1,7 +1,7 @@
 """The order of the stages and nothing else.
 
 sample -> lift -> pairs -> loops, and for each group of cameras that see the same bodies:
-average -> match -> adjust -> label all frames -> uncertainty -> triangulate.
+average -> match -> adjust -> label all frames -> clocks -> uncertainty -> triangulate.
 
 Where intrinsics are to be estimated, they are from a first rig of each group: average -> match ->
 intrinsics. Then everything is done with them from the beginning, as if they had been given.
@@ -21,8 +21,9 @@ from mocap_calib.errors import DegenerateError
 from mocap_calib.judging import judge_rigs
 from mocap_calib.multi_view.association import associate, label_all_frames
 from mocap_calib.multi_view.averaging import average
+from mocap_calib.multi_view.clocks import settle_clocks
+from mocap_calib.multi_view.estimated_cameras import estimate_cameras
 from mocap_calib.multi_view.faults import mend_faults
-from mocap_calib.multi_view.intrinsics import estimate_intrinsics, not_estimated
 from mocap_calib.multi_view.observed import Observed, leave_out_underconstrained
 from mocap_calib.multi_view.refinement import adjust_from_best_start
 from mocap_calib.multi_view.tracking import finalise_identities
@@ -40,7 +41,6 @@ from mocap_calib.two_view.solve import PairSolver, calibrate_pairs, in_recording
 from mocap_calib.types import (
     CalibrationResult,
     CameraRig,
-    EstimatedCamera,
     GroupResult,
     Mapper,
     Matches,
@@ -124,7 +124,7 @@ def _calibrate_recording(
     observed = observe(hide_blind_spots(recording))
     if config.intrinsics.refine != "none":
         with clock("intrinsics"):
-            cameras = _estimate_cameras(observed, config, progress=progress)
+            cameras = estimate_cameras(observed, config, progress=progress)
         observed = observe(hide_blind_spots(replace(recording, cameras=cameras)))
     groups = _calibrate_groups(observed, config, clock, seed=seed, progress=progress)
     return observed, _join_groups(observed, groups, config=config, seed=seed)
@@ -166,39 +166,6 @@ def _observe(
         sample=sample,
         lifted=lifted,
         pairs=pairs,
-    )
-
-
-def _estimate_cameras(
-    observed: Observed, config: Config, *, progress: Progress
-) -> tuple[EstimatedCamera, ...]:
-    """Return all cameras with the intrinsics estimated from the rig of their group.
-
-    Cameras of which nothing can be estimated stay as they were given.
-    """
-    cameras = observed.recording.cameras
-    estimated: dict[str, EstimatedCamera] = {}
-    for views in camera_groups(cameras, observed.pairs, config.averaging):
-        estimate = partial(_estimate_group, config=config, progress=progress)
-        try:
-            found = leave_out_underconstrained(observed.select(views), estimate)
-        except DegenerateError:
-            continue
-        estimated |= {camera.name: camera for camera in found}
-    return tuple(
-        estimated.get(camera.name) or not_estimated(camera, config.intrinsics) for camera in cameras
-    )
-
-
-def _estimate_group(
-    observed: Observed, *, config: Config, progress: Progress
-) -> tuple[EstimatedCamera, ...]:
-    """Return the cameras of one group with intrinsics from a rig of theirs."""
-    sample, lifted = observed.sample, observed.lifted
-    averaged = average(observed.recording.cameras, observed.pairs, config.averaging)
-    matches = associate(sample, lifted, averaged.rig, config, progress=progress)
-    return estimate_intrinsics(
-        sample, averaged.rig, matches, config, lifted=lifted, progress=progress
     )
 
 
@@ -248,11 +215,9 @@ def _calibrate_groups(
     groups: list[GroupResult] = []
     refusals: list[DegenerateError] = []
     for views in camera_groups(observed.recording.cameras, observed.pairs, config.averaging):
-        calibrate_group = partial(
-            _calibrate_cameras, config=config, clock=clock, seed=seed, progress=progress
-        )
+        work = partial(_calibrate_cameras, config=config, clock=clock, seed=seed, progress=progress)
         try:
-            groups.append(leave_out_underconstrained(observed.select(views), calibrate_group))
+            groups.append(leave_out_underconstrained(observed.select(views), work))
         except DegenerateError as error:
             refusals.append(error)
     if not groups:
@@ -277,11 +242,10 @@ def _calibrate_cameras(
         adjusted = adjust_from_best_start(
             sample, averaged.rig, matches, config, lifted=lifted, progress=progress
         )
-    rig = adjusted.rig
     with clock("match all"):
         matches = label_all_frames(
             recording,
-            rig,
+            adjusted.rig,
             config,
             sample_frames=observed.sample_frames,
             matches=adjusted.matches,
@@ -289,10 +253,12 @@ def _calibrate_cameras(
             lifted=lifted,
             progress=progress,
         )
-        matches = finalise_identities(recording, rig, matches, config.matching)
+        matches = finalise_identities(recording, adjusted.rig, matches, config.matching)
+    with clock("clocks"):
+        observed, adjusted, offsets = settle_clocks(observed, adjusted, matches, config)
+    recording, sample, rig = observed.recording, observed.sample, adjusted.rig
     with clock("verdict"):
-        instances = sample.positions.shape[2]
-        sampled = matches.select(frames=observed.sample_frames, instances=instances)
+        sampled = matches.select(frames=observed.sample_frames, instances=sample.positions.shape[2])
         uncertainty = assess_uncertainty(sample, rig, sampled, config, seed=seed)
     with clock("triangulate"):
         poses = triangulate(recording, rig, matches, config.triangulate, progress=progress)
@@ -305,6 +271,7 @@ def _calibrate_cameras(
         uncertainty=uncertainty,
         verdict=judge_rig(uncertainty, config.uncertainty),
         poses=poses,
+        time_offsets=offsets,
         seconds=clock.seconds,
     )
 

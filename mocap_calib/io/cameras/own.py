@@ -25,8 +25,11 @@ _NOT_ESCAPED = "[\x85\u2028\u2029]"  # line breaks that PyYAML reads back as spa
 def format_cameras_yaml(rig: CameraRig, provenance: Mapping[str, Any]) -> str:
     """Return our own file: plain YAML, lengths in the rig's unit.
 
-    provenance: whatever says how the rig came about.
+    provenance: whatever says how the rig came about. What its field clock_offset_frames says by
+        the names of cameras is written beside each.
     """
+    offsets = provenance.get("clock_offset_frames", {})
+    provenance = {key: provenance[key] for key in provenance if key != "clock_offset_frames"}
     header = {
         "format": "mocap-calib cameras",
         "version": VERSION,
@@ -41,7 +44,8 @@ def format_cameras_yaml(rig: CameraRig, provenance: Mapping[str, Any]) -> str:
             "t": rig.translation[view].tolist(),
             "centre": rig.centres[view].tolist(),
         }
-        cameras.append(camera_fields(camera) | extrinsics)
+        clock = {"clock_offset_frames": offsets[camera.name]} if camera.name in offsets else {}
+        cameras.append(camera_fields(camera) | extrinsics | clock)
     # flow style (None) puts the rows of a matrix on a line each
     return _dump_yaml(header, flow=False) + _dump_yaml({"cameras": cameras}, flow=None)
 

@@ -38,7 +38,10 @@ def write_group(
     poses: of the group, with what is known beside. provenance: what the files say of how they
         came about.
     """
-    _write_cameras(folder / "cameras.yaml", group.rig, "mocap-calib", provenance)
+    own = provenance
+    if group.clock_offsets:
+        own = {**provenance, "clock_offset_frames": group.clock_offsets}
+    _write_cameras(folder / "cameras.yaml", group.rig, "mocap-calib", own)
     _write_cameras(folder / "calibration.toml", group.rig, "anipose", provenance)
     reversed_rig = group.adjusted.depth_reversed_rig
     if reversed_rig is not None:
