@@ -95,7 +95,7 @@ def match(scene: Sighting, projection: Floats, tolerance: float) -> tuple[Ints, 
     """
     cost = _detection_costs(scene, projection, tolerance)
     least = cost.min(-1)
-    detected = np.isfinite(scene.image[..., 0]).any(-1)
+    detected: Bools = np.asarray(np.isfinite(scene.image[..., 0]).any(-1))
     detected &= np.isfinite(scene.points[..., 0]).any((1, 2))[:, None]
     mean = float(least[detected].mean()) if detected.any() else 1.0
     return np.where(detected & (least < _FITS), cost.argmin(-1), -1), mean
@@ -112,7 +112,7 @@ def exchanged_share(given: Sighting, exchanged: Sighting, resection: Resection) 
         for each in (given, exchanged)
     ]
     fits = [
-        (cost < _FITS) & (cost < _CLEARLY * other)
+        np.asarray((cost < _FITS) & (cost < _CLEARLY * other))
         for cost, other in zip(costs, reversed(costs), strict=True)
     ]
     return float(fits[1].sum()) / max(int(fits[0].sum() + fits[1].sum()), 1)

@@ -51,9 +51,14 @@ class Signs:
     intrinsics: Floats
 
     def suspicious(self, config: DiagnosisConfig) -> Bools:
-        """Return `[view]` whether a camera deserves a closer look."""
+        """Return `[view]` whether a camera deserves a closer look.
+
+        Where half of the cameras are apart, either half may be the odd one.
+        """
+        halves = 2 * self.apart.sum() >= len(self.apart)
         return (
             self.apart
+            | halves
             | (self.pairs < config.suspicious_pairs)
             | (self.outside > config.suspicious_outside)
             | (self.errors > config.suspicious_errors)
