@@ -455,7 +455,8 @@ class DiagnosisConfig:
 
     # what an explanation must show
     least_keypoints: int = 100
-    least_gain: float = 0.1  # of mirrored and exchanged sides
+    least_gain: float = 0.1  # of mirrored and exchanged sides; below it an explanation is weak
+    rival: float = 0.5  # of the evidence: so much for another camera makes a weak one ambiguous
     least_exchanged: float = 0.25  # share of the detections whose sides are exchanged,
     all_exchanged: float = 0.85  # and the share from which on all are
     least_resize: float = 0.1  # of the logarithm of the factor

@@ -34,6 +34,8 @@ def find_odd_cameras(
         for view in _most_suspicious(signs, config.diagnosis)
     ]
     certain = sorted((each for each in found if each is not None), key=_certainty, reverse=True)
+    if _is_ambiguous(certain, config.diagnosis):
+        return ()
     for finding in certain:
         if is_determined(finding.core, config, seed=result.seed):
             return (_name_fault(finding, config.diagnosis),)
@@ -45,6 +47,16 @@ def _most_suspicious(signs: Signs, config: DiagnosisConfig) -> list[int]:
     suspicious = np.flatnonzero(signs.suspicious(config))
     order = np.argsort(signs.pairs[suspicious], kind="stable")
     return [int(view) for view in suspicious[order][: config.candidates]]
+
+
+def _is_ambiguous(certain: list[Finding], config: DiagnosisConfig) -> bool:
+    """Return whether a weak explanation of one camera has a rival that explains another.
+
+    One camera with a wrong focal length makes a rig of three in which each looks odd.
+    """
+    if len(certain) < 2 or certain[0].gain >= config.least_gain:
+        return False
+    return _certainty(certain[1]) > config.rival * _certainty(certain[0])
 
 
 def _certainty(finding: Finding) -> float:

@@ -96,7 +96,7 @@ def match(scene: Sighting, projection: Floats, tolerance: float) -> tuple[Ints, 
     cost = _detection_costs(scene, projection, tolerance)
     least = cost.min(-1)
     detected: Bools = np.asarray(np.isfinite(scene.image[..., 0]).any(-1))
-    detected &= np.isfinite(scene.points[..., 0]).any((1, 2))[:, None]
+    detected &= np.asarray(np.isfinite(scene.points[..., 0]).any((1, 2)))[:, None]
     mean = float(least[detected].mean()) if detected.any() else 1.0
     return np.where(detected & (least < _FITS), cost.argmin(-1), -1), mean
 
