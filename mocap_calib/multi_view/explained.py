@@ -1,36 +1,64 @@
 """How much of what was seen a result explains: the yardstick for whether a mend is right."""
 
+from collections.abc import Mapping
+from dataclasses import dataclass
+
 import numpy as np
 
 from mocap_calib.config import REPORT_FRAMES
 from mocap_calib.multi_view.triangulation import gather_observations, project
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.types import CalibrationResult, Floats, GroupResult, Recording
+from mocap_calib.types import CalibrationResult, Camera, Floats, GroupResult, Recording
 
 
-def explained_share(result: CalibrationResult, recording: Recording, width: float) -> float:
+@dataclass(frozen=True)
+class Yardstick:
+    """Which distance from a point still counts for much.
+
+    angle: in radians. focal: focal lengths by the names of cameras, which make pixels of it; with
+        and without a mend of intrinsics the same pixels must count alike.
+    """
+
+    angle: float
+    focal: Mapping[str, float]
+
+    def width(self, camera: Camera) -> float:
+        """Return the distance in pixels for a camera."""
+        return self.angle * self.focal.get(camera.name, camera.focal)
+
+
+def usual_distance(result: CalibrationResult, recording: Recording) -> Yardstick:
+    """Return the median distance of keypoints from the points of the largest group.
+
+    recording: of all cameras.
+    """
+    group = result.groups[0]
+    focal = np.array([camera.focal for camera in group.rig.cameras])
+    angle = distances_from_points(group) / focal[:, None, None, None]
+    return Yardstick(
+        angle=float(np.median(angle[np.isfinite(angle)])),
+        focal={camera.name: camera.focal for camera in recording.cameras},
+    )
+
+
+def explained_share(result: CalibrationResult, recording: Recording, yardstick: Yardstick) -> float:
     """Return the share (0..1) of all detected keypoints that the largest group explains.
 
-    A keypoint counts 1 / (1 + (e / width)^2), e being its angle from the triangulated point, and
-    nothing where it was matched with nobody or its camera was left out.
+    A keypoint counts 1 / (1 + (e / width)^2), e being its distance in pixels from the triangulated
+    point, and nothing where it was matched with nobody or its camera was left out.
 
-    recording: of all cameras, in the frames of the groups. width: radians.
+    recording: of all cameras, in the frames of the groups.
     """
     group = result.groups[0]
     frames = evenly_spaced(np.arange(len(recording.frames)), REPORT_FRAMES)
     detected = int(np.isfinite(recording.positions[:, frames, ..., 0]).sum())
-    fit = 1 / (1 + (angles_from_points(group) / width) ** 2)
+    width = np.array([yardstick.width(camera) for camera in group.rig.cameras])
+    fit = 1 / (1 + (distances_from_points(group) / width[:, None, None, None]) ** 2)
     return float(np.nansum(fit)) / max(detected, 1)
 
 
-def usual_angle(result: CalibrationResult) -> float:
-    """Return the median angle in radians of keypoints from the points of the largest group."""
-    angle = angles_from_points(result.groups[0])
-    return float(np.median(angle[np.isfinite(angle)]))
-
-
-def angles_from_points(group: GroupResult) -> Floats:
-    """Return the distances of matched keypoints from the triangulated points, in radians.
+def distances_from_points(group: GroupResult) -> Floats:
+    """Return the distances of matched keypoints from the triangulated points, in pixels.
 
     `[view, frame, individual, keypoint]`, of an even sample of the frames, NaN = missing.
     """
@@ -38,6 +66,5 @@ def angles_from_points(group: GroupResult) -> Floats:
     pixels = gather_observations(group.recording, group.matches, frames).pixels
     points = group.poses.positions[frames]
     gap = project(group.rig, points.reshape(-1, 3).T) - pixels
-    focal = np.array([camera.focal for camera in group.rig.cameras])
-    angle = np.linalg.norm(gap, axis=1) / focal[:, None]
-    return angle.reshape(len(angle), *points.shape[:3])
+    distance = np.linalg.norm(gap, axis=1)
+    return np.asarray(distance.reshape(len(distance), *points.shape[:3]))

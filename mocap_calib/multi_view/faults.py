@@ -8,9 +8,10 @@ from dataclasses import replace
 
 from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError
-from mocap_calib.multi_view.explained import explained_share, usual_angle
+from mocap_calib.multi_view.explained import explained_share, usual_distance
 from mocap_calib.multi_view.moved import find_moved_cameras
 from mocap_calib.multi_view.observed import Observed
+from mocap_calib.multi_view.odd_cameras import find_odd_cameras
 from mocap_calib.multi_view.unrelated import find_unrelated_cameras
 from mocap_calib.recording.mending import apply_mends
 from mocap_calib.types import CalibrationResult, Fault, Mend, Recording
@@ -35,11 +36,15 @@ def mend_faults(
         if not mends_of(found):
             faults += found
             break
-        mended = (
-            _calibrate_mended(recording, (*faults, *found), calibrate) if config.apply else None
-        )
-        if mended is None or not _explains_more(mended, (observed, result)):
-            faults += tuple(replace(fault, mend=None) for fault in found)
+        mended = None
+        if config.apply:
+            mended = _calibrate_mended(recording, (*faults, *found), calibrate)
+        if mended is None:
+            faults += _only_named(found)
+            break
+        gain = _gain(mended, (observed, result))
+        if gain <= 0:
+            faults += _only_named(found) if gain > -config.refuting_loss else ()
             break
         observed, result = mended
         faults += found
@@ -54,8 +59,9 @@ def find_faults(observed: Observed, result: CalibrationResult, config: Config) -
     """
     groups = result.groups
     moved = [fault for group in groups for fault in find_moved_cameras(observed, group, config)]
-    if moved:
-        return tuple(moved)
+    odd = () if moved else find_odd_cameras(observed, result, config)
+    if moved or odd:
+        return (*moved, *odd)
     return tuple(
         fault for group in groups for fault in find_unrelated_cameras(observed, group, config)
     )
@@ -84,10 +90,16 @@ def _calibrate_mended(
         return None
 
 
-def _explains_more(mended: Calibrated, before: Calibrated) -> bool:
-    """Return whether more of what was seen is explained with the mends than before."""
-    width = usual_angle(before[1])
+def _only_named(faults: Sequence[Fault]) -> tuple[Fault, ...]:
+    """Return the faults as they are where nothing is mended."""
+    return tuple(replace(fault, mend=None) for fault in faults)
+
+
+def _gain(mended: Calibrated, before: Calibrated) -> float:
+    """Return by how much (-1 to 1) more of what was seen is explained with the mends than before."""
+    yardstick = usual_distance(before[1], before[0].recording)
     after, given = (
-        explained_share(result, observed.recording, width) for observed, result in (mended, before)
+        explained_share(result, observed.recording, yardstick)
+        for observed, result in (mended, before)
     )
-    return after > given
+    return after - given

@@ -66,7 +66,7 @@ def judge_rig(uncertainty: Uncertainty, config: UncertaintyConfig) -> Verdict:
     """
     outlier_cameras = uncertainty.outlier_cameras | uncertainty.wrong_focal
     twice_error = np.hypot(uncertainty.split_half_angle, 2 * uncertainty.intrinsics_angle)
-    angle = _angle_of_worst_camera(twice_error, len(outlier_cameras))
+    angle = angle_of_worst_camera(twice_error, len(outlier_cameras))
     worst = np.rad2deg(angle)
     mostly_outliers = 2 * outlier_cameras.sum() > len(outlier_cameras)
     if worst > config.weak_deg or mostly_outliers:
@@ -163,7 +163,7 @@ def _rotation_with_focal(
         return np.full_like(rig.rotation, np.nan)
 
 
-def _angle_of_worst_camera(angle: Floats, views: int) -> float:
+def angle_of_worst_camera(angle: Floats, views: int) -> float:
     """Return the largest angle of a camera, which is the median of those of its pairs."""
     a, b = _pairs(views)
     medians = [np.median(angle[(a == view) | (b == view)]) for view in range(views)]

@@ -1,0 +1,98 @@
+"""The rig of all cameras but one, and the points that these know."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mocap_calib.config import Config
+from mocap_calib.errors import DegenerateError
+from mocap_calib.multi_view.association import associate
+from mocap_calib.multi_view.averaging import average
+from mocap_calib.multi_view.labels import per_frame_labels
+from mocap_calib.multi_view.observed import Observed, leave_out_underconstrained
+from mocap_calib.multi_view.refinement import adjust_until_stable
+from mocap_calib.multi_view.triangulation import (
+    gather_observations,
+    labelled_frames,
+    triangulate_rays,
+    view_noise,
+)
+from mocap_calib.multi_view.uncertainty import angle_of_worst_camera, split_half_angle
+from mocap_calib.multi_view.view_graph import camera_groups
+from mocap_calib.recording.sampling import evenly_spaced
+from mocap_calib.types import CameraRig, Floats, Ints, Matches, Sample, silent
+
+
+@dataclass(frozen=True)
+class CoreRig:
+    """Cameras that agree, and what they know.
+
+    sample, matches: of these cameras. frames: `[frame]` indices into the sample of some frames.
+    points: `[frame, individual, keypoint, 3]` in the rig's world, NaN = not known. Individuals are
+        those of a frame, in any order.
+    pair_score: mean over the pairs of the rig.
+    """
+
+    sample: Sample
+    rig: CameraRig
+    matches: Matches
+    frames: Ints
+    points: Floats
+    pair_score: float
+
+
+def find_core_rig(observed: Observed, view: int, config: Config) -> CoreRig | None:
+    """Return the rig of the cameras besides one (index); None where they make none."""
+    others = observed.without(observed.recording.names[view])
+    rough = replace(
+        config,
+        adjust=replace(
+            config.adjust, rounds=config.diagnosis.rounds, points=config.diagnosis.points
+        ),
+    )
+
+    def build(some: Observed) -> CoreRig:
+        """Return the rig of some cameras."""
+        return _build_core(some, rough)
+
+    try:
+        group = camera_groups(others.recording.cameras, others.pairs, config.averaging)[0]
+        return leave_out_underconstrained(others.select(group), build)
+    except DegenerateError:
+        return None
+
+
+def _build_core(observed: Observed, config: Config) -> CoreRig:
+    """Return the rig of these cameras: average -> match -> adjust -> triangulate."""
+    sample, lifted = observed.sample, observed.lifted
+    averaged = average(observed.recording.cameras, observed.pairs, config.averaging)
+    matches = associate(sample, lifted, averaged.rig, config, progress=silent)
+    adjusted = adjust_until_stable(
+        sample, averaged.rig, matches, config, lifted=lifted, progress=silent
+    )
+    rig, labels = adjusted.rig, per_frame_labels(adjusted.matches)
+    frames = evenly_spaced(labelled_frames(labels), config.diagnosis.frames)
+    seen = gather_observations(sample, labels, frames)
+    points, _ = triangulate_rays(
+        rig,
+        seen.rays,
+        weight=seen.confidence,
+        noise=view_noise(sample, rig, labels, config.triangulate),
+        config=config.triangulate,
+    )
+    shape = (len(frames), labels.individuals, len(sample.keypoints), 3)
+    return CoreRig(
+        sample=sample,
+        rig=rig,
+        matches=labels,
+        frames=frames,
+        points=points.T.reshape(shape),
+        pair_score=float(np.mean([pair.score for pair in observed.pairs])),
+    )
+
+
+def is_determined(core: CoreRig, config: Config, *, seed: int) -> bool:
+    """Return whether what was seen determines the rig, by the yardstick of the verdict."""
+    angle = split_half_angle(core.sample, core.rig, core.matches, config, seed=seed)
+    worst = angle_of_worst_camera(angle, len(core.rig))
+    return bool(np.rad2deg(worst) <= config.uncertainty.weak_deg)

@@ -1,0 +1,166 @@
+"""One camera of a synthetic scene is damaged: it is found, named and mended."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import calibrate_all, recording, rotation_errors_deg, scene
+
+from mocap_calib.config import Config, DiagnosisConfig, MendConfig
+from mocap_calib.multi_view.camera_fit import CameraFit, CameraPose
+from mocap_calib.multi_view.explanations import (
+    describe,
+    explanations,
+    is_acceptable,
+    mend_of,
+    plain_factor,
+)
+from mocap_calib.multi_view.suspicion import is_turned, rolls
+from mocap_calib.recording.mended_intrinsics import Cropped, Resized, Rotated
+from mocap_calib.recording.mending import Mirrored, Sides
+from mocap_calib.types import Recording
+
+ODD = 1
+CHANGES = {"people": 1, "cameras": 4, "frames": 120, "false_detections": 0.0}
+
+
+def plain(**changes) -> Recording:
+    sample = recording(**{**CHANGES, **changes})
+    fields = ("cameras", "keypoints", "frames", "positions", "confidence", "tracked", "vocabulary")
+    return Recording(**{name: getattr(sample, name) for name in fields}, model=sample.model)
+
+
+def damage(given: Recording, what: str) -> Recording:
+    """Change the detections of one camera; all these changes but the crop are their own inverse."""
+    name, positions = given.names[ODD], given.positions.copy()
+    width, height = given.cameras[ODD].size
+    if what == "mirrored":
+        return Mirrored(name, sides=True).apply(given)
+    if what == "flipped":
+        return Mirrored(name, sides=False).apply(given)
+    if what == "sides":
+        return Sides(name).apply(given)
+    if what == "half":
+        positions[ODD] /= 2
+    if what == "cropped":
+        positions[ODD] -= (0.2 * width, 0.15 * height)
+    if what == "turned":
+        x, y = np.moveaxis(given.positions[ODD], -1, 0)
+        positions[ODD] = np.stack([height - 1 - y, x], axis=-1)
+    return replace(given, positions=positions)
+
+
+EXPECTED = {
+    "mirrored": Mirrored,
+    "flipped": Mirrored,
+    "sides": Sides,
+    "half": Resized,
+    "cropped": Cropped,
+    "turned": Rotated,
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cameras", [3, 4])
+@pytest.mark.parametrize("what", EXPECTED)
+def test_a_damaged_camera_is_named_and_mended(what, cameras):
+    """The median error after the mend, measured 0.1 to 0.4 deg, 1.5 where a crop is estimated."""
+    changes = {**CHANGES, "cameras": cameras}
+    given = plain(cameras=cameras)
+    result = calibrate_all(damage(given, what))
+    assert [(fault.camera, type(fault.mend)) for fault in result.faults] == [
+        (given.names[ODD], EXPECTED[what])
+    ]
+    (mend,) = (fault.mend for fault in result.faults)
+    if what == "half":
+        assert mend.factor == 0.5
+    if what in ("mirrored", "flipped"):
+        assert mend.sides == (what == "mirrored")
+    if what == "turned":
+        assert mend.degrees == 90
+    errors = rotation_errors_deg(result.groups[0].rig, scene(**changes).rig)
+    assert np.median(errors) < (3.0 if what == "cropped" else 1.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("people", [1, 3])
+def test_nobody_is_accused_where_all_is_sound(people):
+    result = calibrate_all(plain(people=people))
+    assert result.faults == ()
+
+
+@pytest.mark.slow
+def test_of_several_people_a_mirrored_camera_is_named():
+    given = plain(people=3)
+    result = calibrate_all(damage(given, "mirrored"))
+    assert [(fault.camera, fault.word) for fault in result.faults] == [
+        (given.names[ODD], "mirrored")
+    ]
+
+
+@pytest.mark.slow
+def test_of_two_cameras_nobody_is_named():
+    given = plain(cameras=2)
+    assert calibrate_all(damage(given, "sides")).faults == ()
+
+
+@pytest.mark.slow
+def test_a_fault_is_named_but_not_mended_where_that_is_forbidden():
+    given = plain()
+    config = Config(mend=MendConfig(apply=False))
+    (fault,) = calibrate_all(damage(given, "half"), config=config).faults
+    assert (fault.camera, fault.word, fault.mend) == (given.names[ODD], "resized", None)
+
+
+def test_a_camera_on_its_side_is_seen_beside_upright_ones():
+    rig = scene(**CHANGES).rig
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    rotation, translation = rig.rotation.copy(), rig.translation.copy()
+    rotation[ODD], translation[ODD] = turn @ rotation[ODD], turn @ translation[ODD]
+    found = rolls(replace(rig, rotation=rotation, translation=translation), DiagnosisConfig())
+    # images turned clockwise: what is down lies to the left
+    assert found[ODD] == pytest.approx(90, abs=10)
+    assert is_turned(found, DiagnosisConfig()).tolist() == [False, True, False, False]
+    assert not is_turned(rolls(rig, DiagnosisConfig()), DiagnosisConfig()).any()
+
+
+def test_factors_near_a_plain_one_are_plain():
+    config = DiagnosisConfig()
+    assert plain_factor(0.53, config) == 0.5
+    assert plain_factor(1.95, config) == 2.0
+    assert plain_factor(1.1, config) == 1.1
+
+
+def fit_of(unknowns, sigma) -> CameraFit:
+    return CameraFit(
+        pose=CameraPose(np.eye(3), np.zeros(3)),
+        unknowns=np.array(unknowns, float),
+        covariance=np.diag(np.array(sigma, float) ** 2),
+        error=np.ones(10),
+    )
+
+
+def test_a_crop_moves_what_is_seen_to_the_left_and_up_and_hides_the_rest():
+    config = DiagnosisConfig()
+    given = plain()
+    width, height = given.cameras[ODD].size
+    by_name = {each.name: each for each in explanations(damage(given, "cropped"), ODD)}
+    cropped = by_name["cropped"]
+    fit = fit_of([-0.2 * width, -0.15 * height], [10, 10])
+    assert is_acceptable(cropped, fit, config)
+    assert mend_of(cropped, fit, config) == Cropped(
+        given.names[ODD], round(0.2 * width), round(0.15 * height)
+    )
+    assert not is_acceptable(cropped, fit_of([0.2 * width, 0], [10, 10]), config)
+    assert not is_acceptable(cropped, fit_of([-0.02 * width, 0], [1, 1]), config)
+    # what is seen reaches beyond what so large a crop would have left
+    assert not is_acceptable(cropped, fit_of([-0.8 * width, 0], [10, 10]), config)
+
+
+def test_explanations_have_names_of_their_own_and_mends_say_what_is_wrong():
+    found = explanations(plain(), ODD)
+    assert found[0].name == "given"
+    assert len({each.name for each in found}) == len(found)
+    said = [describe(each.mend) for each in found if each.mend is not None]
+    assert len(set(said)) == len(said)
+    assert describe(Resized("c", 0.5)) == "images resized by 0.5 against its intrinsics"

@@ -1,0 +1,136 @@
+"""The projection of a camera from points that others know."""
+
+import numpy as np
+import pytest
+
+from mocap_calib.config import CameraFitConfig, ResectionConfig
+from mocap_calib.geometry.projection import pixels_from_points
+from mocap_calib.geometry.rotation import angle_between, matrix_from_vector
+from mocap_calib.multi_view.camera_fit import CameraPose, Seen, fit_camera
+from mocap_calib.multi_view.projective_resection import (
+    Sighting,
+    decompose,
+    exchanged_share,
+    resect,
+)
+from mocap_calib.types import Camera
+
+MATRIX = np.array([[900.0, 0.0, 630.0], [0.0, 910.0, 350.0], [0.0, 0.0, 1.0]])
+CAMERA = Camera("c", (1280, 720), MATRIX, np.array([-0.2, 0.1, 0.001, -0.002, 0.0]))
+POSE = CameraPose(matrix_from_vector(np.array([0.1, 0.7, -0.2])), np.array([0.3, -0.1, 5.0]))
+
+
+def bodies(frames=40, individuals=1, keypoints=12, seed=0):
+    rng = np.random.default_rng(seed)
+    body = 0.5 * rng.normal(size=(individuals, keypoints, 3))
+    place = rng.uniform(-1.2, 1.2, size=(frames, individuals, 1, 3))
+    return body + place + 0.1 * rng.normal(size=(frames, individuals, keypoints, 3))
+
+
+def project(points, matrix=MATRIX, pose=POSE):
+    seen = (points @ pose.rotation.T + pose.translation) @ matrix.T
+    return seen[..., :2] / seen[..., 2:]
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_decompose_returns_the_intrinsics_and_the_pose_of_a_projection(mirrored):
+    matrix = MATRIX * np.array([-1.0 if mirrored else 1.0, 1.0, 1.0])
+    projection = 3.7 * matrix @ np.column_stack([POSE.rotation, POSE.translation])
+    found = decompose(projection)
+    np.testing.assert_allclose(found.matrix, matrix, rtol=1e-9, atol=1e-7)
+    np.testing.assert_allclose(found.rotation, POSE.rotation, atol=1e-12)
+    np.testing.assert_allclose(found.translation, POSE.translation, atol=1e-10)
+
+
+@pytest.mark.parametrize("individuals", [1, 3])
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_exact_points_give_the_exact_projection_whoever_is_who(individuals, mirrored):
+    points = bodies(individuals=individuals)
+    matrix = MATRIX * np.array([-1.0 if mirrored else 1.0, 1.0, 1.0])
+    rng = np.random.default_rng(1)
+    order = np.array([rng.permutation(individuals) for _ in points])
+    image = np.take_along_axis(project(points, matrix), order[..., None, None], axis=1)
+    found = resect(Sighting(points, image), ResectionConfig(), seed=0)
+    parts = decompose(found.projection)
+    np.testing.assert_allclose(parts.matrix, matrix, rtol=1e-4, atol=0.1)
+    assert angle_between(parts.rotation, POSE.rotation) < 1e-4
+    np.testing.assert_array_equal(found.individual, order)
+    assert found.cost < 1e-3
+
+
+def test_a_third_of_wrong_detections_and_noise_do_not_matter():
+    points = bodies(frames=80)
+    rng = np.random.default_rng(2)
+    image = project(points) + 2 * rng.normal(size=(80, 1, 12, 2))
+    image[::3] = rng.uniform((0, 0), (1280, 720), size=image[::3].shape)
+    found = decompose(resect(Sighting(points, image), ResectionConfig(), seed=0).projection)
+    # measured: 0.4 deg and 1 %
+    assert np.degrees(angle_between(found.rotation, POSE.rotation)) < 2.0
+    np.testing.assert_allclose(np.diag(found.matrix)[:2], [900, 910], rtol=0.05)
+
+
+def test_without_enough_frames_there_is_no_projection():
+    points = bodies(frames=2)
+    assert resect(Sighting(points, project(points)), ResectionConfig(), seed=0) is None
+    nothing = np.full((2, 1, 12, 2), np.nan)
+    assert resect(Sighting(points, nothing), ResectionConfig(), seed=0) is None
+
+
+def test_the_share_of_exchanged_sides_is_counted():
+    points = bodies(frames=80)
+    order = np.array([1, 0, 3, 2, 5, 4, *range(6, 12)])
+    image = project(points)
+    image[::4] = image[::4][:, :, order]
+    given, exchanged = Sighting(points, image), Sighting(points, image[:, :, order])
+    found = resect(given, ResectionConfig(), seed=0)
+    assert exchanged_share(given, exchanged, found) == pytest.approx(0.25, abs=0.03)
+
+
+def seen_of(points, pixels):
+    number = np.arange(len(points))
+    return Seen(points, pixels, number * 10 // len(points), number % 12)
+
+
+@pytest.mark.parametrize(
+    ("free", "values", "tolerance"),
+    [
+        (("log_scale",), [np.log(0.5)], 1e-6),
+        (("x", "y"), [-150.0, -80.0], 1e-3),
+        (("log_focal",), [0.3], 1e-6),
+        ((), [], 0.0),
+    ],
+)
+def test_what_images_hide_is_found_from_exact_points(free, values, tolerance):
+    points = bodies().reshape(-1, 3)
+    value = dict(zip(free, values, strict=True))
+    matrix = MATRIX.copy()
+    matrix[[0, 1], [0, 1]] *= np.exp(value.get("log_focal", 0.0))
+    taken = Camera("c", CAMERA.size, matrix, CAMERA.distortion)
+    pixels = pixels_from_points(taken, points @ POSE.rotation.T + POSE.translation)
+    pixels = np.exp(value.get("log_scale", 0.0)) * pixels
+    pixels += (value.get("x", 0.0), value.get("y", 0.0))
+    start = CameraPose(
+        matrix_from_vector(np.array([0.0, 0.1, 0.05])) @ POSE.rotation,
+        POSE.translation + (0.1, 0.0, 0.3),
+    )
+    found = fit_camera(
+        CAMERA, seen_of(points, pixels), start, CameraFitConfig(), noise=20.0, free=free
+    )
+    np.testing.assert_allclose(found.unknowns, values, atol=max(tolerance, 1e-12))
+    assert angle_between(found.pose.rotation, POSE.rotation) < 1e-6
+    assert found.error.max() < 1e-3
+
+
+def test_the_uncertainty_of_a_crop_covers_its_error():
+    """Wald's statistic of the errors of two unknowns is 2 on average; 30 draws: 2 +- 0.4."""
+    points = bodies().reshape(-1, 3)
+    in_camera = points @ POSE.rotation.T + POSE.translation
+    statistics = []
+    for seed in range(30):
+        noise = 2 * np.random.default_rng(seed).normal(size=(len(points), 2))
+        pixels = pixels_from_points(CAMERA, in_camera) + noise
+        found = fit_camera(
+            CAMERA, seen_of(points, pixels), POSE, CameraFitConfig(), noise=2.0, free=("x", "y")
+        )
+        statistics.append(found.significance)
+    assert 0.8 < np.mean(statistics) < 4.0
