@@ -102,6 +102,71 @@ class SampleConfig:
     postures: int = 16  # classes of posture in each view
 
 
+# what is done about clocks that differ: found and mended, found and said, or not looked at
+SyncMode = Literal["auto", "check", "off"]
+SYNC_MODES: tuple[SyncMode, ...] = get_args(SyncMode)
+# frames of one camera for a frame of another: equal, or one of them skips every second
+CLOCK_RATES = (1.0, 0.5, 2.0)
+RATE_LEAST_SHARE = 0.3  # of the frames that a camera of another rate shows, of those looked at
+# lost frames are few at a time: a step of a clock by more frames costs so many times as much
+SMALL_STEP = 3
+LARGE_STEP_PRICE = 3.0
+
+
+@dataclass(frozen=True)
+class SyncConfig:
+    """How the clocks of the cameras are compared before there is a rig.
+
+    mode: one of `SYNC_MODES`.
+    window: frames by which a camera may be early or late.
+
+    What is looked at:
+    frames, detections: at most so many in all stretches together.
+    stretch_windows: length of a stretch, in windows.
+    least_frames: that a view sees, and that two views have in common at an offset.
+
+    The search for the rotation of a pair (two_view/timing.py):
+    axes: of the bodies' joints that are compared: bodies differ in few ways.
+    pose_tolerance: RMS joint distance of two lifts of one body.
+    shapes, shapes_compared, alike: bodies of one view, each with so many of those of the other
+        that are the most alike, give the candidates.
+    searched_bodies, refined_bodies: of one view, on which candidates are scored and refined.
+    hypotheses_refined, separation_deg, refinements: candidates that are refined, and how often.
+    block_frames, block_share: frames of a block of time, which has an offset of its own, and the
+        share of them in which both views must see somebody.
+    """
+
+    mode: SyncMode = "auto"
+    window: int = 60
+    frames: int = 400
+    detections: int = 5000
+    stretch_windows: float = 3.0
+    least_frames: int = 20
+    axes: int = 10
+    pose_tolerance: float = 0.35
+    shapes: int = 60
+    shapes_compared: int = 400
+    alike: int = 2
+    searched_bodies: int = 60
+    refined_bodies: int = 200
+    hypotheses_refined: int = 3
+    separation_deg: float = 15.0
+    refinements: int = 3
+    block_frames: int = 30
+    block_share: float = 0.6
+    rate_gain: float = 0.05
+    step_price: float = 4.0
+    decisive: float = 5.0
+    decisive_of_good: float = 3.0
+    good_score: float = 1.0
+    least_gain: float = 0.05
+    ambiguity: float = 2.5
+    least_blocks: int = 6
+    linear_steps: int = 4
+    linear_error: float = 1.0
+    evidence_blocks: int = 25
+
+
 @dataclass(frozen=True)
 class PairwiseConfig:
     """Relative poses of pairs. Lengths in body sizes; image errors are measured at the body."""
@@ -403,6 +468,7 @@ class Config:
     """All stages."""
 
     sample: SampleConfig = SampleConfig()
+    sync: SyncConfig = SyncConfig()
     pairwise: PairwiseConfig = PairwiseConfig()
     averaging: AveragingConfig = AveragingConfig()
     matching: MatchingConfig = MatchingConfig()

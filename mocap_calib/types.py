@@ -606,6 +606,84 @@ class Sample(Recording):
         return ("positions", "confidence", "rays")
 
 
+# how a camera's clock differs from the common one
+ClockKind = Literal["in step", "clock", "rate", "dropped", "not known"]
+
+
+@dataclass(frozen=True)
+class CameraClock:
+    """How the clock of one camera differs from the one that most cameras share.
+
+    kind: "in step"; "clock", its frame numbers are off by `offset`; "rate", it has `rate` frames
+        for each of the others; "dropped", it lost frames and numbered the others without gaps;
+        "not known", where what was seen does not tell.
+    offset: what its frame numbers have too much, in frames: of the first frame, where that changes.
+    rate: frames of this camera for one of the common clock.
+    table: (frame, offset) of the frames of the common clock from which on an offset holds.
+    evidence: the numbers that this rests on.
+    """
+
+    camera: str
+    kind: ClockKind = "not known"
+    offset: int = 0
+    rate: float = 1.0
+    table: tuple[tuple[int, int], ...] = ()
+    evidence: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Clocks(Record):
+    """Which frame each camera shows at each frame of a clock that is common to all.
+
+    frames: `[frame]` numbers of the common clock: those of the first camera that is on it.
+    source: `[view, frame]` index into the frames of the recording that was given, -1 = none.
+    cameras: `[view]` what was found of each; it may have been found and not applied.
+    subframe: `[view]` what of an offset is less than a frame, in frames: what a camera shows at a
+        frame of the common clock, it saw so much later.
+    """
+
+    frames: Ints
+    source: Ints
+    cameras: tuple[CameraClock, ...]
+    subframe: Floats
+
+    def __post_init__(self) -> None:
+        self._hold("clocks", "frames", int, None)
+        self._hold("clocks", "source", int, len(self.cameras), len(self.frames))
+        self._hold("clocks", "subframe", float, len(self.cameras))
+
+    @classmethod
+    def of_one(cls, recording: Recording, cameras: Iterable[CameraClock] = ()) -> Self:
+        """Return the clocks of a recording that stays as it is.
+
+        cameras: `[view]` what was found of each; not known, where that is left out.
+        """
+        views, frames = len(recording.cameras), len(recording.frames)
+        return cls(
+            frames=recording.frames,
+            source=np.tile(np.arange(frames), (views, 1)),
+            cameras=tuple(cameras) or tuple(map(CameraClock, recording.names)),
+            subframe=np.zeros(views),
+        )
+
+    def changes(self, recording: Recording) -> bool:
+        """Return whether a camera shows other frames than the recording says."""
+        return not (
+            np.array_equal(self.frames, recording.frames)
+            and (self.source == np.arange(len(self.frames))).all()
+        )
+
+    def select(self, views: Views) -> "Clocks":
+        """Return the clocks of these views (indices, names or a mask) alone, in this order."""
+        index = _find_views(tuple(each.camera for each in self.cameras), views)
+        return Clocks(
+            frames=self.frames,
+            source=self.source[index],
+            cameras=tuple(self.cameras[view] for view in index),
+            subframe=self.subframe[index],
+        )
+
+
 # --- what the stages find
 
 

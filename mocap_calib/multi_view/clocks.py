@@ -1,0 +1,308 @@
+"""Find how the clocks of cameras differ, from lifted bodies, before there is a rig.
+
+compare pairs in time -> constant offsets -> rates and lost frames -> hold against in step.
+
+A clock is called different only where the evidence is decisive: the cameras agree better than they
+do in step, under the best rotation of each pair in either case, by several standard errors over
+blocks of time; and no other offset that is no neighbour does nearly as well.
+"""
+
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from mocap_calib.config import CLOCK_RATES, RATE_LEAST_SHARE, SyncConfig
+from mocap_calib.multi_view.clock_paths import (
+    Agreements,
+    Pair,
+    Ridge,
+    agreement_table,
+    best_constant,
+    constant_offsets,
+    follow_ridge,
+    ridge_of,
+    standardise,
+    step_price,
+)
+from mocap_calib.multi_view.clock_evidence import (
+    along_map,
+    is_decisive,
+    standard_errors,
+    weigh_clock,
+)
+from mocap_calib.multi_view.clock_kinds import StretchNumbers, describe_clock
+from mocap_calib.recording.retiming import clocks_from
+from mocap_calib.two_view.timing import FrameAgreement, ViewInTime, compare_in_time
+from mocap_calib.types import Clocks, Ints, LiftedPoses, Recording
+
+
+@dataclass(frozen=True)
+class Timing:
+    """How the frames of all cameras go together, as found so far.
+
+    ridges: `[view]`; rates: `[view]`.
+    """
+
+    ridges: tuple[Ridge, ...]
+    rates: tuple[float, ...]
+
+    @property
+    def maps(self) -> Ints:
+        """`[view, stretch, frame]` own frames of each camera, -1 = none."""
+        return np.stack([ridge.frames for ridge in self.ridges])
+
+    def with_ridge(self, view: int, ridge: Ridge, rate: float) -> "Timing":
+        """Return the timing with another map of one camera."""
+        ridges, rates = list(self.ridges), list(self.rates)
+        ridges[view], rates[view] = ridge, rate
+        return Timing(tuple(ridges), tuple(rates))
+
+
+def find_clocks(
+    recording: Recording, lifted: LiftedPoses, stretches: Ints, config: SyncConfig, *, seed: int
+) -> Clocks:
+    """Return how the clocks of the cameras differ.
+
+    lifted: the bodies of all frames of the stretches, one stretch after the other.
+    stretches: `[stretch, frame]` indices of the frames, -1 = not in the recording.
+    """
+    views = views_in_time(lifted, stretches, config)
+    window = min(config.window, stretches.shape[1] // 3)
+    config = replace(config, window=window)
+    found = _compare_all(views, config, seed)
+    if not found or window < 1:
+        return Clocks.of_one(recording)
+    values = {pair: standardise(each) for pair, each in found.items()}
+    agreements = Agreements(len(views), found, values, window)
+    timing = _find_timing(agreements, _choose_rates(found, len(views), config), config)
+    timing = _on_common_clock(agreements, timing, config)
+    evidence = [
+        weigh_clock(agreements, views, view, maps=timing.maps, rates=timing.rates, config=config)
+        for view in range(len(views))
+    ]
+    numbers = StretchNumbers.of(recording, stretches)
+    cameras = tuple(
+        describe_clock(name, ridge.frames, rate, numbers, each, config)
+        for name, ridge, rate, each in zip(
+            recording.names, timing.ridges, timing.rates, evidence, strict=True
+        )
+    )
+    return clocks_from(recording, cameras)
+
+
+def views_in_time(lifted: LiftedPoses, stretches: Ints, config: SyncConfig) -> list[ViewInTime]:
+    """Return the bodies of each view in stretches of consecutive frames.
+
+    lifted, stretches: as of `find_clocks`.
+    """
+    seen = np.isfinite(lifted.body).all((-2, -1))
+    body = np.where(seen[..., None, None], lifted.body, 0.0)
+    covariance = np.einsum("vfijx,vfikx->jk", body, body, optimize=True)
+    axes = np.linalg.eigh(covariance)[1][:, -config.axes :]
+    compact = np.einsum("vfijx,jk->vfikx", body, axes, optimize=True) / np.sqrt(len(axes))
+    row = np.cumsum(stretches.ravel() >= 0).reshape(stretches.shape) - 1
+    missing = stretches < 0
+    row = np.where(missing, 0, row)
+    return [
+        ViewInTime(of_view[row].astype(np.float32), seen_by[row] & ~missing[..., None])
+        for of_view, seen_by in zip(compact, seen, strict=True)
+    ]
+
+
+def _compare_all(
+    views: list[ViewInTime], config: SyncConfig, seed: int
+) -> dict[Pair, FrameAgreement]:
+    """Return how the pairs of views agree in time; pairs of which one sees too little are not."""
+    pairs = list(combinations(range(len(views)), 2))
+    generators = np.random.default_rng(seed).spawn(len(pairs))
+    compared = (
+        ((a, b), compare_in_time(views[a], views[b], config, rng))
+        for (a, b), rng in zip(pairs, generators, strict=True)
+    )
+    return {pair: each for pair, each in compared if each is not None}
+
+
+def _choose_rates(
+    found: dict[Pair, FrameAgreement], views: int, config: SyncConfig
+) -> tuple[float, ...]:
+    """Return the rate of each camera: another than 1 where most of its pairs say so."""
+    rates = [1.0] * views
+    for rate in (0.5, 2.0):
+        for view in range(views):
+            said = []
+            for (a, b), each in sorted(found.items()):
+                if view in (a, b) and rates[a] == rates[b] == 1.0:
+                    said.append(each.rate == (rate if view == b else 1 / rate))
+            if sum(said) > len(said) / 2:
+                rates[view] = rate
+    return tuple(rates)
+
+
+def _find_timing(agreements: Agreements, rates: tuple[float, ...], config: SyncConfig) -> Timing:
+    """Return the maps of all cameras that agree best with each other."""
+    equal = [view for view, rate in enumerate(rates) if rate == 1.0]
+    inside = {p: v for p, v in agreements.values.items() if p[0] in equal and p[1] in equal}
+    offsets = np.zeros(agreements.views, dtype=np.int64)
+    if inside:
+        offsets = constant_offsets(replace(agreements, values=inside), config.least_frames)
+    timing = _constant_timing(agreements, offsets, rates)
+    timing, restless = _add_steps(agreements, timing, config)
+    if restless > 1 and equal:
+        other = _follow_one(agreements, rates, equal[0], config)
+        if _total(agreements, other) > _total(agreements, timing):
+            return other
+    return timing
+
+
+def _total(agreements: Agreements, timing: Timing) -> float:
+    """Return how well all cameras agree with each other, less the price of their steps."""
+    total = 0.0
+    for view, (ridge, rate) in enumerate(zip(timing.ridges, timing.rates, strict=True)):
+        table = agreement_table(agreements, view, timing.maps, rate, agreements.shape[1])
+        agreement, shown = along_map(table, ridge.frames, rate)
+        total += 0.5 * float(agreement[shown].sum()) - ridge.cost
+    return total
+
+
+def _constant_timing(agreements: Agreements, offsets: Ints, rates: tuple[float, ...]) -> Timing:
+    """Return the timing of constant offsets `[view]`; those of cameras of other rates are found."""
+    stretches, frames = agreements.shape
+    own = np.arange(frames) + offsets[:, None]
+    own = np.where((own >= 0) & (own < frames), own, -1)
+    maps = np.repeat(own[:, None], stretches, axis=1)
+    other = np.array(rates) != 1.0
+    maps[other] = -1
+    nothing = np.zeros((stretches, frames))
+    timing = Timing(tuple(Ridge(each, 0, nothing, 0.0, 0.0) for each in maps), rates)
+    for view in [*np.flatnonzero(other), *np.flatnonzero(~other)]:
+        table = agreement_table(agreements, view, timing.maps, rates[view])
+        offset = offsets[view] + agreements.window
+        if other[view] or not 0 <= offset < table.shape[2]:
+            offset = best_constant(table)
+        ridge = ridge_of(table, np.full(maps.shape[1:], offset), rates[view], 0.0, frames)
+        timing = timing.with_ridge(view, ridge, rates[view])
+    return timing
+
+
+def _add_steps(
+    agreements: Agreements, timing: Timing, config: SyncConfig
+) -> tuple[Timing, int]:
+    """Return the timing with steps in the maps that are decisively better for them.
+
+    And how many cameras would gain by steps, decisively or not.
+
+    One camera after the other, the one that gains most first: the faults of one camera show in the
+    tables of all.
+    """
+    steady = list(range(agreements.views))
+    restless = 0
+    while steady:
+        gains = []
+        for view in steady:
+            ridge, before = _with_steps(agreements, timing, view, config), timing.ridges[view]
+            difference = ridge.agreement - before.agreement
+            if ridge.steps:
+                partners = len(agreements.partners(view))
+                score = float(ridge.agreement[ridge.frames >= 0].mean()) / partners
+                sure = is_decisive(standard_errors(difference, config), score, config)
+                gains.append((ridge.total - before.total - ridge.cost, sure, view, ridge))
+        restless = max(restless, len(gains))
+        gains = [each for each in gains if each[1]]
+        if not gains:
+            break
+        _, _, view, ridge = max(gains, key=lambda each: each[0])
+        steady.remove(view)
+        ridge, rate = _as_rate(agreements, timing, view, ridge)
+        timing = timing.with_ridge(view, ridge, rate)
+        timing = _settle_constants(agreements, timing)
+    return timing, restless
+
+
+def _with_steps(agreements: Agreements, timing: Timing, view: int, config: SyncConfig) -> Ridge:
+    """Return the map of one camera with steps, where they pay."""
+    rate = timing.rates[view]
+    # lost frames add up: in the end a clock may be off by more than at the beginning
+    reach = min(2 * agreements.window, agreements.shape[1] // 2)
+    table = agreement_table(agreements, view, timing.maps, rate, reach)
+    price = step_price(agreements, view, config)
+    return ridge_of(table, follow_ridge(table, price), rate, price, agreements.shape[1])
+
+
+def _as_rate(
+    agreements: Agreements, timing: Timing, view: int, stepped: Ridge
+) -> tuple[Ridge, float]:
+    """Return the map and the rate of a camera: without steps where another rate agrees as well."""
+    frames = agreements.shape[1]
+    best = float(stepped.agreement[stepped.frames >= 0].mean())
+    found = stepped, timing.rates[view]
+    for rate in CLOCK_RATES:
+        table = agreement_table(agreements, view, timing.maps, rate)
+        path = np.full(table.shape[:2], best_constant(table))
+        ridge = ridge_of(table, path, rate, 0.0, frames)
+        mean = float(ridge.agreement[ridge.frames >= 0].mean()) if ridge.total else -np.inf
+        if mean > best and (ridge.frames >= 0).sum() > RATE_LEAST_SHARE * stepped.frames.size:
+            best, found = mean, (ridge, rate)
+    return found
+
+
+def _settle_constants(agreements: Agreements, timing: Timing) -> Timing:
+    """Return the timing with the constant offsets that agree best with the maps of the others."""
+    frames = agreements.shape[1]
+    for view, ridge in enumerate(timing.ridges):
+        if not ridge.steps:
+            table = agreement_table(agreements, view, timing.maps, timing.rates[view])
+            path = np.full(table.shape[:2], best_constant(table))
+            new = ridge_of(table, path, timing.rates[view], 0.0, frames)
+            timing = timing.with_ridge(view, new, timing.rates[view])
+    return timing
+
+
+def _follow_one(
+    agreements: Agreements, rates: tuple[float, ...], root: int, config: SyncConfig
+) -> Timing:
+    """Return the timing in which all cameras follow the clock of one, and then of each other."""
+    stretches, frames = agreements.shape
+    nothing = np.zeros((stretches, frames))
+    missing = Ridge(np.full((stretches, frames), -1), 0, nothing, 0.0, 0.0)
+    whole = replace(missing, frames=np.tile(np.arange(frames), (stretches, 1)))
+    ridges = [missing] * agreements.views
+    ridges[root] = whole
+    timing = Timing(tuple(ridges), rates)
+    others = [view for view in range(agreements.views) if view != root]
+    for view in others * 3:
+        ridge = _with_steps(agreements, timing, view, config)
+        timing = timing.with_ridge(view, ridge, rates[view])
+    table = agreement_table(agreements, root, timing.maps, 1.0)
+    path = np.full((stretches, frames), agreements.window)
+    return timing.with_ridge(root, ridge_of(table, path, 1.0, 0.0, frames), 1.0)
+
+
+def _on_common_clock(agreements: Agreements, timing: Timing, config: SyncConfig) -> Timing:
+    """Return the timing by the clock that most cameras share; among equals, the first camera's."""
+    frames = agreements.shape[1]
+    time = np.arange(frames)
+    offsets = []
+    for ridge, rate in zip(timing.ridges, timing.rates, strict=True):
+        known = ridge.frames[0] >= 0
+        if rate == 1.0 and not ridge.steps and known.any():
+            offsets.append(int((ridge.frames[0] - time)[known][0]))
+    if not offsets:
+        return timing
+    common = max(offsets, key=lambda each: (offsets.count(each), -offsets.index(each)))
+    if common == 0:
+        return timing
+    moved = []
+    for ridge, rate in zip(timing.ridges, timing.rates, strict=True):
+        # at time t of the common clock, what was shown at time t - common so far
+        index = time - common
+        inside = (index >= 0) & (index < frames)
+        index = np.where(inside, index, 0)
+        moved.append(
+            replace(
+                ridge,
+                frames=np.where(inside, ridge.frames[:, index], -1),
+                agreement=np.where(inside, ridge.agreement[:, index], 0.0),
+            )
+        )
+    return Timing(tuple(moved), timing.rates)
