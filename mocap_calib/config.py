@@ -459,6 +459,21 @@ class UncertaintyConfig:
     same_rig_deg: float = 10.0  # two rigs whose cameras turn by no more than this are one answer
 
 
+@dataclass(frozen=True)
+class MendConfig:
+    """What is done where files of a camera are wrong.
+
+    apply: they are mended for this run where there is one right way; else they are only named.
+    rounds: of finding and mending faults: one may hide another.
+    """
+
+    apply: bool = True
+    rounds: int = 3
+
+
+MENDING = ("auto", "none")  # whether faults are mended; the first is the default
+SIDE_WORDS = ("left", "right")  # that names of paired keypoints begin with, once spelt out
+EPOCH_MARK = "@"  # between the name of a camera and the frame from which on it stands elsewhere
 REPORT_FRAMES = 2000  # whose reprojection errors run.json tells
 RIG_ERROR_THRESHOLDS_DEG = (5, 10, 20, 30)  # at which `evaluate` tells the accuracy
 
@@ -476,6 +491,7 @@ class Config:
     intrinsics: IntrinsicsConfig = IntrinsicsConfig()
     triangulate: TriangulateConfig = TriangulateConfig()
     uncertainty: UncertaintyConfig = UncertaintyConfig()
+    mend: MendConfig = MendConfig()
 
 
 @dataclass(frozen=True)

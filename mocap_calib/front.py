@@ -27,6 +27,7 @@ from mocap_calib.types import (
     Camera,
     CameraRig,
     Keypoints2D,
+    Mend,
     Poses3D,
     Recording,
     intrinsics_of,
@@ -54,6 +55,7 @@ def read_recording(  # noqa: PLR0913 - each says one thing that files may leave 
     views: str | Sequence[str] = (),
     skeleton: str | Path | None = None,
     model: str | Path = "auto",
+    mends: Sequence[Mend] = (),
 ) -> Recording:
     """Read keypoint files and the cameras that they belong to, as `mocap-calib run` does.
 
@@ -74,6 +76,7 @@ def read_recording(  # noqa: PLR0913 - each says one thing that files may leave 
     skeleton: a YAML file with your names of joints, a mapping `aliases`: your name -> joint.
     model: whose joints the names are compared with; "auto": the shipped model that knows most of
         them. `calibrate` uses the same unless it is told another.
+    mends: what is known to be wrong with the files: `Mirrored("cam2")`, `Rotated("cam1", 90)`, ...
 
     Raises FormatError for whatever is wrong with a file, and MismatchError where keypoints and
     cameras do not go together.
@@ -99,6 +102,7 @@ def read_recording(  # noqa: PLR0913 - each says one thing that files may leave 
             options=options,
             aliases=None if skeleton is None else Path(skeleton),
             model=None if model == "auto" else str(model),
+            mends=tuple(mends),
         )
         return load_recording(source, _camera_file(cameras), only_known_cameras=known).recording
 

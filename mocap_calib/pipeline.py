@@ -1,12 +1,13 @@
 """The order of the stages and nothing else.
 
-sample -> lift -> pairs -> loops, and for each group of cameras that see the same bodies:
+clocks -> sample -> lift -> pairs -> loops, and for each group of cameras that see the same bodies:
 average -> match -> adjust -> label all frames -> uncertainty -> triangulate.
 
 Where intrinsics are to be estimated, they are from a first rig of each group: average -> match ->
 intrinsics. Then everything is done with them from the beginning, as if they had been given.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -16,9 +17,13 @@ import numpy as np
 from mocap_calib.compute.clock import Clock
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config, Refinement
-from mocap_calib.errors import DegenerateError
+from mocap_calib.errors import DegenerateError, MismatchError
+from mocap_calib.judging import judge_rigs
 from mocap_calib.multi_view.association import associate, label_all_frames
 from mocap_calib.multi_view.averaging import average
+from mocap_calib.multi_view.clock_faults import clock_faults
+from mocap_calib.multi_view.clocks import find_clocks
+from mocap_calib.multi_view.faults import mend_faults
 from mocap_calib.multi_view.intrinsics import estimate_intrinsics, not_estimated
 from mocap_calib.multi_view.observed import Observed, leave_out_underconstrained
 from mocap_calib.multi_view.refinement import adjust_from_best_start
@@ -27,22 +32,24 @@ from mocap_calib.multi_view.triangulation import check_same_cameras, triangulate
 from mocap_calib.multi_view.uncertainty import assess_uncertainty, judge_rig
 from mocap_calib.multi_view.view_graph import camera_groups, select_hypotheses
 from mocap_calib.recording.assumed import choose_refinement
+from mocap_calib.recording.retiming import retime
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
-from mocap_calib.recording.synchronise import change_cameras
-from mocap_calib.report import judge_rigs
+from mocap_calib.recording.stretches import choose_stretches
+from mocap_calib.recording.synchronise import hide_blind_spots
 from mocap_calib.steerpose.checkpoint import AUTO, choose_model
 from mocap_calib.steerpose.device import check_device
 from mocap_calib.steerpose.lift import lift
 from mocap_calib.steerpose.model import Lifter
+from mocap_calib.steerpose.remembered import RememberedLift
 from mocap_calib.two_view.solve import PairSolver, calibrate_pairs, in_recording
 from mocap_calib.types import (
     CalibrationResult,
     CameraRig,
+    Clocks,
     EstimatedCamera,
     GroupResult,
     Mapper,
     Matches,
-    PairwiseCalibration,
     Progress,
     Recording,
     UnusedPair,
@@ -87,36 +94,79 @@ def calibrate(
     recording, lifter = choose_model(recording, model)
     progress = progress or silent
     clock = Clock()
+    lift_sample = RememberedLift(lifter, device, progress)
+    observe = partial(
+        _observe,
+        lift_sample=lift_sample,
+        config=config,
+        clock=clock,
+        seed=seed,
+        progress=progress,
+        mapper=mapper,
+        pair_solver=pair_solver,
+    )
+    calibrate_once = partial(
+        _calibrate_recording,
+        observe=observe,
+        config=config,
+        clock=clock,
+        seed=seed,
+        progress=progress,
+    )
     with single_threaded_libraries():
-        observe = partial(
-            _observe,
-            lifter=lifter,
-            config=config,
-            clock=clock,
-            seed=seed,
-            device=device,
-            progress=progress,
-            mapper=mapper,
-            pair_solver=pair_solver,
-        )
-        observed = observe(recording)
-        if config.intrinsics.refine != "none":
-            with clock("intrinsics"):
-                cameras = _estimate_cameras(observed, config, progress=progress)
-            recording = change_cameras(recording, cameras)
-            observed = observe(recording)
-        groups = _calibrate_groups(observed, config, clock, seed=seed, progress=progress)
-    return _join_groups(recording, observed.pairs, groups, config=config, seed=seed)
+        with clock("clocks"):
+            clocks = synchronise(recording, lift_sample, config, seed=seed)
+        recording = retime(recording, clocks)
+        result = mend_faults(recording, calibrate_once(recording), calibrate_once)
+    faults = clock_faults(clocks, applied=config.sync.mode == "auto")
+    return judge_rigs(replace(result, clocks=clocks, faults=(*faults, *result.faults)))
+
+
+def synchronise(
+    recording: Recording, lift_sample: RememberedLift, config: Config, *, seed: int
+) -> Clocks:
+    """Return which frame each camera shows at each frame of a clock that is common to all.
+
+    Where clocks are only to be checked, the frames stay what they are.
+    """
+    if config.sync.mode == "off":
+        return Clocks.of_one(recording)
+    stretches = choose_stretches(recording, config.sync)
+    sample = take_sample(hide_blind_spots(recording), stretches[stretches >= 0])
+    try:
+        lifted = lift_sample(sample)
+    except MismatchError:  # the model knows too few of the joints: said where they are needed
+        return Clocks.of_one(recording)
+    clocks = find_clocks(recording, lifted, stretches, config.sync, seed=seed)
+    return clocks if config.sync.mode == "auto" else Clocks.of_one(recording, clocks.cameras)
+
+
+def _calibrate_recording(
+    recording: Recording,
+    *,
+    observe: Callable[[Recording], Observed],
+    config: Config,
+    clock: Clock,
+    seed: int,
+    progress: Progress,
+) -> tuple[Observed, CalibrationResult]:
+    """Calibrate all groups of cameras of a recording as it is."""
+    observed = observe(hide_blind_spots(recording))
+    if config.intrinsics.refine != "none":
+        with clock("intrinsics"):
+            cameras = _estimate_cameras(observed, config, progress=progress)
+        observed = observe(hide_blind_spots(replace(recording, cameras=cameras)))
+    groups = _calibrate_groups(observed, config, clock, seed=seed, progress=progress)
+    return observed, _join_groups(observed, groups, config=config, seed=seed)
 
 
 def _observe(
     recording: Recording,
     *,
-    lifter: Lifter,
+    lift_sample: RememberedLift,
     config: Config,
     clock: Clock,
     seed: int,
-    device: str,
     progress: Progress,
     mapper: Mapper | None,
     pair_solver: PairSolver | None,
@@ -126,7 +176,7 @@ def _observe(
         sample_frames = choose_sample_frames(recording, config.sample)
         sample = take_sample(recording, sample_frames)
     with clock("lift"):
-        lifted = lift(sample, lifter, device=device, progress=progress)
+        lifted = lift_sample(sample)
     with clock("pairwise"):
         pairs = calibrate_pairs(
             sample,
@@ -199,7 +249,7 @@ def match(
     """
     check_same_cameras(recording, rig)
     check_device(device)
-    recording, lifter = choose_model(recording, model)
+    recording, lifter = choose_model(hide_blind_spots(recording), model)
     progress = progress or silent
     with single_threaded_libraries():
         sample_frames = choose_sample_frames(recording, config.sample)
@@ -289,19 +339,14 @@ def _calibrate_cameras(
 
 
 def _join_groups(
-    recording: Recording,
-    pairs: tuple[PairwiseCalibration, ...],
-    groups: list[GroupResult],
-    *,
-    config: Config,
-    seed: int,
+    observed: Observed, groups: list[GroupResult], *, config: Config, seed: int
 ) -> CalibrationResult:
     """Return the groups with the cameras and the pairs that are in none of them."""
-    names = recording.names
+    names = observed.recording.names
     group_of = {name: k for k, group in enumerate(groups) for name in group.rig.names}
     unused = (
         UnusedPair(names[pair.a], names[pair.b], pair.score)
-        for pair in pairs
+        for pair in observed.pairs
         if names[pair.a] not in group_of or group_of[names[pair.a]] != group_of.get(names[pair.b])
     )
     result = CalibrationResult(
@@ -310,5 +355,6 @@ def _join_groups(
         unused_pairs=tuple(unused),
         config=config,
         seed=seed,
+        clocks=Clocks.of_one(observed.recording),
     )
     return judge_rigs(result)

@@ -1,7 +1,7 @@
 """Put all numbers of a run into the form that run.json holds; docs/run-json.md describes it."""
 
-from collections.abc import Mapping
-from dataclasses import asdict, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -9,7 +9,6 @@ import numpy as np
 from mocap_calib import __version__
 from mocap_calib.config import REPORT_FRAMES, Config, IntrinsicsConfig
 from mocap_calib.geometry.rotation import angle_between
-from mocap_calib.io.provenance import judgement
 from mocap_calib.multi_view.evaluation import median_and_max
 from mocap_calib.multi_view.triangulation import gather_observations, project
 from mocap_calib.multi_view.uncertainty import judge_rig
@@ -18,6 +17,7 @@ from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import (
     CalibrationResult,
     EstimatedCamera,
+    Fault,
     Floats,
     GroupResult,
     PairwiseCalibration,
@@ -53,7 +53,9 @@ def run_report(
         "keypoints": list(group.recording.keypoints),
         "left_out": list(result.left_out),
         "unused_pairs": [asdict(pair) for pair in result.unused_pairs],
-        "cameras": [_describe_camera(group, view, error[view], config) for view in views],
+        "cameras": [
+            _describe_camera(group, view, error[view], config, result.faults) for view in views
+        ],
         "pairs": [_describe_pair(group, k, error, config) for k in range(len(group.pairs))],
         "adjust": {"rounds": group.adjusted.rounds, "converged": group.adjusted.converged},
         "individuals": _describe_individuals(group),
@@ -61,62 +63,18 @@ def run_report(
     }
 
 
-def judge_rigs(result: CalibrationResult) -> CalibrationResult:
-    """Return the result with rigs that say how far they can be trusted."""
-    groups = []
-    for group in result.groups:
-        rig = replace(group.rig, judgement=_judge_group(group, result))
-        groups.append(replace(group, adjusted=replace(group.adjusted, rig=rig)))
-    return replace(result, groups=tuple(groups))
-
-
-def _judge_group(group: GroupResult, result: CalibrationResult) -> dict[str, Any]:
-    """Return what `judge_cameras` says of a group, without the rest of its report."""
+def rig_report(group: GroupResult, result: CalibrationResult) -> dict[str, Any]:
+    """Return the part of `run_report` that says how far the cameras of a group can be trusted."""
     config, error = result.config, _reprojection_errors(group)
     views = range(len(group.rig.cameras))
-    return judge_cameras(
-        {
-            "verdict": _describe_verdict(group, config),
-            "left_out": result.left_out,
-            "cameras": [_describe_camera(group, view, error[view], config) for view in views],
-            "points": _describe_points(group, error),
-        }
-    )
-
-
-def judge_cameras(report: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what files say of how far the cameras of a group can be trusted.
-
-    report: what `run_report` returns, or the part of it that is looked at here. The fields are
-        those of `provenance.judgement`.
-    """
-    verdict = report["verdict"]
-    angle = verdict["split_half_angle_deg"]
-    remarks = [
-        f"rigs from halves of the joints differ by {angle['median']:.2f} deg "
-        f"({angle['max']:.2f} at most)"
-    ]
-    remarks += _name_cameras(report, "inconsistent", "errors several times those of the others")
-    remarks += _name_cameras(report, "weak", "a low pair score: do not trust it without a check")
-    remarks += _name_cameras(report, "weak_perspective", "its distance is not observable")
-    if verdict["reversal"] == "not observable":
-        remarks.append("a rig reversed in depth fits as well: nothing tells which is right")
-    if report["left_out"]:
-        remarks.append(f"cameras left out: {', '.join(report['left_out'])}")
-    error = report["points"]["mean_error_px"]
-    if error is not None:
-        remarks.append(f"reprojection error {error:.2f} px, which alone proves nothing")
-    return judgement(verdict["rig"], remarks, error)
-
-
-def _name_cameras(report: Mapping[str, Any], fault: str, meaning: str) -> list[str]:
-    """Return a line that names the cameras with a fault and says what it means, if there are any.
-
-    fault: a word of the list `faults` of a camera, or the name of a field that is true.
-    """
-    cameras = report["cameras"]
-    names = [each["name"] for each in cameras if fault in each["faults"] or each.get(fault)]
-    return [f"{fault.replace('_', ' ')}: {', '.join(names)} ({meaning})"] if names else []
+    return {
+        "verdict": _describe_verdict(group, config),
+        "left_out": list(result.left_out),
+        "cameras": [
+            _describe_camera(group, view, error[view], config, result.faults) for view in views
+        ],
+        "points": _describe_points(group, error),
+    }
 
 
 def _reprojection_errors(group: GroupResult) -> Floats:
@@ -140,12 +98,13 @@ def _describe_frames(group: GroupResult) -> dict[str, int]:
 
 
 def _describe_camera(
-    group: GroupResult, view: int, error: Floats, config: Config
+    group: GroupResult, view: int, error: Floats, config: Config, faults: Sequence[Fault]
 ) -> dict[str, Any]:
     """Return what is known of one camera.
 
-    error: `[frame, individual, keypoint]` reprojection errors in pixels.
+    error: `[frame, individual, keypoint]` reprojection errors in pixels. faults: of all cameras.
     """
+    own_faults = [fault for fault in faults if fault.camera == group.rig.names[view]]
     detected = group.recording.seen[view].any(-1)
     matched = detected & (group.matches.labels[view] >= 0)
     score = _pair_score(group, view)
@@ -155,7 +114,8 @@ def _describe_camera(
         "detections": int(detected.sum()),
         "matched": int(matched.sum()),
         "unmatched": int((detected & ~matched).sum()),
-        "faults": _name_faults(group, view),
+        "faults": _name_faults(group, view, own_faults),
+        "fault_evidence": {fault.word: _describe_fault(fault) for fault in own_faults},
         "weak_perspective": bool(group.uncertainty.weak_perspective[view]),
         "intrinsics": _describe_intrinsics(group, view, config.intrinsics),
         "reprojection_error_px": _median_and_p95(error),
@@ -184,11 +144,24 @@ def _describe_intrinsics(group: GroupResult, view: int, config: IntrinsicsConfig
     return found
 
 
-def _name_faults(group: GroupResult, view: int) -> list[str]:
-    """Return the names of what is wrong with a camera."""
+def _name_faults(group: GroupResult, view: int, faults: Sequence[Fault]) -> list[str]:
+    """Return the words for what is wrong with a camera, each once. faults: of this camera."""
     uncertainty = group.uncertainty
-    faults = {"inconsistent": uncertainty.outlier_cameras, "focal": uncertainty.wrong_focal}
-    return [fault for fault, has_it in faults.items() if has_it[view]]
+    measured = {"inconsistent": uncertainty.outlier_cameras, "focal": uncertainty.wrong_focal}
+    words = [fault.word for fault in faults]
+    return list(dict.fromkeys([*words, *(word for word, found in measured.items() if found[view])]))
+
+
+def _describe_fault(fault: Fault) -> dict[str, Any]:
+    """Return what is wrong with a camera, the numbers it rests on, and how it was mended."""
+    mend = fault.mend
+    return {
+        "says": fault.says,
+        "mended": mend is not None,
+        "advice": mend.advice if mend else None,
+        "option": mend.option if mend and mend.option else None,
+        **fault.evidence,
+    }
 
 
 def _pair_score(group: GroupResult, view: int) -> float:

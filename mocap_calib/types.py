@@ -9,12 +9,12 @@ docs/conventions.md has the rest.
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Any, Literal, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, Protocol, Self, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mocap_calib.config import Config
+from mocap_calib.config import EPOCH_MARK, Config
 from mocap_calib.records import Record, as_array, check_names, check_shape
 from mocap_calib.wording import count
 
@@ -35,6 +35,25 @@ METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 ARBITRARY = "arbitrary"
 
 Verdict = Literal["well determined", "weak", "not determined"]
+
+# what may be wrong with the files of a camera; docs/run-json.md says what each means
+FaultWord = Literal[
+    "clock",
+    "rate",
+    "dropped",
+    "focal",
+    "mirrored",
+    "sides",
+    "rotated",
+    "resized",
+    "cropped",
+    "exchanged",
+    "duplicate",
+    "moved",
+    "unrelated",
+    "inconsistent",
+]
+FAULT_WORDS: tuple[FaultWord, ...] = get_args(FaultWord)
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -636,19 +655,22 @@ class Clocks(Record):
     """Which frame each camera shows at each frame of a clock that is common to all.
 
     frames: `[frame]` numbers of the common clock: those of the first camera that is on it.
-    source: `[view, frame]` index into the frames of the recording that was given, -1 = none.
+    given: `[frame]` numbers in the recording as it was given, which are those of the files.
+    source: `[view, frame]` index into these frames, -1 = none.
     cameras: `[view]` what was found of each; it may have been found and not applied.
     subframe: `[view]` what of an offset is less than a frame, in frames: what a camera shows at a
         frame of the common clock, it saw so much later.
     """
 
     frames: Ints
+    given: Ints
     source: Ints
     cameras: tuple[CameraClock, ...]
     subframe: Floats
 
     def __post_init__(self) -> None:
         self._hold("clocks", "frames", int, None)
+        self._hold("clocks", "given", int, None)
         self._hold("clocks", "source", int, len(self.cameras), len(self.frames))
         self._hold("clocks", "subframe", float, len(self.cameras))
 
@@ -661,27 +683,80 @@ class Clocks(Record):
         views, frames = len(recording.cameras), len(recording.frames)
         return cls(
             frames=recording.frames,
+            given=recording.frames,
             source=np.tile(np.arange(frames), (views, 1)),
             cameras=tuple(cameras) or tuple(map(CameraClock, recording.names)),
             subframe=np.zeros(views),
         )
 
-    def changes(self, recording: Recording) -> bool:
-        """Return whether a camera shows other frames than the recording says."""
-        return not (
-            np.array_equal(self.frames, recording.frames)
-            and (self.source == np.arange(len(self.frames))).all()
-        )
+    @property
+    def changed(self) -> bool:
+        """Whether a camera shows other frames than the recording that was given says."""
+        same = np.array_equal(self.frames, self.given)
+        return not (same and bool((self.source == np.arange(len(self.frames))).all()))
+
+    def numbers(self, camera: str) -> Ints:
+        """Return the numbers `[frame]` in the files of what a camera shows.
+
+        Where it shows nothing, that of the common clock. Raises KeyError for an unknown name.
+        """
+        names = tuple(each.camera for each in self.cameras)
+        source = self.source[_find_name(names, camera.partition(EPOCH_MARK)[0])]
+        return np.where(source >= 0, self.given[source], self.frames)
 
     def select(self, views: Views) -> "Clocks":
         """Return the clocks of these views (indices, names or a mask) alone, in this order."""
         index = _find_views(tuple(each.camera for each in self.cameras), views)
         return Clocks(
             frames=self.frames,
+            given=self.given,
             source=self.source[index],
             cameras=tuple(self.cameras[view] for view in index),
             subframe=self.subframe[index],
         )
+
+
+# --- what is wrong with a recording
+
+
+class Mend(Protocol):
+    """How the files of one camera are put right; see `recording.mending` for all there are."""
+
+    @property
+    def camera(self) -> str:
+        """Name of the camera."""
+
+    @property
+    def word(self) -> FaultWord:
+        """The fault that it mends."""
+
+    @property
+    def advice(self) -> str:
+        """What a user should do about the files."""
+
+    @property
+    def option(self) -> str:
+        """How a user states it beforehand: `--mirrored cam2`."""
+
+    def apply(self, recording: Recording) -> Recording:
+        """Return the recording with the detections or the intrinsics of the camera put right."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Fault(Record):
+    """What is wrong with the files of one camera.
+
+    camera: its name. word: one of `FAULT_WORDS`.
+    says: the same for a person, in full, without the name of the camera.
+    evidence: the numbers that it rests on, by what they are.
+    mend: how it was mended, None where it is only named.
+    """
+
+    camera: str
+    word: FaultWord
+    says: str
+    evidence: Mapping[str, float | int | str] = field(default_factory=dict)
+    mend: Mend | None = None
 
 
 # --- what the stages find
@@ -982,6 +1057,8 @@ class CalibrationResult(Record):
 
     left_out: names of the cameras that are in no group.
     config, seed: what the run was made with; the model is that of the groups' recordings.
+    faults: what is wrong with the files of single cameras.
+    clocks: how the clocks of all cameras differ, also of those left out; groups are on one clock.
     """
 
     groups: tuple[GroupResult, ...]
@@ -989,9 +1066,12 @@ class CalibrationResult(Record):
     unused_pairs: tuple[UnusedPair, ...]
     config: Config = field(default_factory=Config)
     seed: int = 0
+    faults: tuple[Fault, ...] = ()
+    clocks: Clocks = field(kw_only=True)
 
     def __repr__(self) -> str:
         lines = [f"  {group._describe()}" for group in self.groups]
+        lines += [f"  {fault.camera}: {fault.says}" for fault in self.faults]
         if self.left_out:
             lines.append(f"  left out: {', '.join(self.left_out)}")
         title = f"CalibrationResult of {count(len(self.groups), 'group')} of cameras"

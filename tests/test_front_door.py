@@ -129,7 +129,8 @@ def test_a_name_that_is_not_there():
 
 def test_a_recording_is_read_with_the_options_of_the_command():
     parameters = inspect.signature(mocap_calib.read_recording).parameters
-    assert {*READING, "skeleton", "model"} <= set(parameters)
+    reading = set(READING) - {"mirrored", "sides", "rotated", "resized", "exchanged"}
+    assert {*reading, "skeleton", "model", "mends"} <= set(parameters)
 
 
 @pytest.fixture(scope="module")

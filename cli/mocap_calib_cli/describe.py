@@ -107,6 +107,7 @@ def describe_group(group: GroupResult, report: dict[str, Any], folder: Path) -> 
         *_describe_pairs(report),
         *_describe_weak_cameras(report),
         *_describe_rounds(group),
+        *_describe_faults(report),
         *_describe_outlier_cameras(report),
         *_describe_wrong_focal(report),
         *_describe_rig(report),
@@ -210,6 +211,19 @@ def _describe_rounds(group: GroupResult) -> list[str]:
         return []
     rounds = count(group.adjusted.rounds, "round")
     return [f"matches still changed after {rounds} of adjustment; look at matches.csv with care"]
+
+
+def _describe_faults(report: dict[str, Any]) -> list[str]:
+    """Say what is wrong with the files of cameras, and what was done about it."""
+    lines = []
+    for camera in report["cameras"]:
+        for fault in camera["fault_evidence"].values():
+            line = f"{camera['name']}: {fault['says']}"
+            if fault["mended"]:
+                line += f"; mended for this run: {fault['advice']}"
+                line += f", or say {fault['option']}" if fault["option"] else ""
+            lines.append(line)
+    return lines
 
 
 def _describe_outlier_cameras(report: dict[str, Any]) -> list[str]:

@@ -1,11 +1,9 @@
-"""From what was typed to what the library takes: files, stdin, and the texts of options.
+"""From what was typed to what the library takes: files and stdin.
 
 Imports numpy and the readers: commands import this module when they run, so that --help is quick.
 """
 
-import re
 import sys
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import cast
@@ -16,15 +14,14 @@ from mocap_calib.config import (
     ASSUMED_REFINEMENT,
     Config,
     IntrinsicsConfig,
+    MendConfig,
     Refinement,
     SampleConfig,
 )
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.cameras.read import load_cameras, make_rig, parse_content
 from mocap_calib.io.cameras.source import CameraFile
-from mocap_calib.io.file import LARGEST_EXACT_FLOAT, decode, read_bytes
-from mocap_calib.io.keypoints.document import ReadOptions
-from mocap_calib.io.keypoints.layouts import parse_layout
+from mocap_calib.io.file import decode, read_bytes
 from mocap_calib.io.results.further_formats import check_formats
 from mocap_calib.io.results.matches_csv import read_matches_csv
 from mocap_calib.job.load import LoadedRecording, load_recording
@@ -41,6 +38,7 @@ from mocap_calib.types import (
 from mocap_calib_cli.describe import describe_recording
 from mocap_calib_cli.options import STDIO, SharedOptions
 from mocap_calib_cli.progress import Reporter
+from mocap_calib_cli.texts import read_options, stated_mends
 
 # --- keypoints and recordings
 
@@ -53,6 +51,7 @@ def keypoint_source(options: SharedOptions) -> KeypointSource:
         options=read_options(options),
         aliases=options.skeleton,
         model=options.model,
+        mends=stated_mends(options),
     )
 
 
@@ -73,7 +72,7 @@ def calibration_request(options: SharedOptions, output: Path) -> CalibrationRequ
         pair_solver=options.solver,
         seed=options.seed,
         device=options.device,
-        config=Config(intrinsics=intrinsics),
+        config=Config(intrinsics=intrinsics, mend=MendConfig(apply=options.mend != "none")),
         formats=options.write,
         fps=options.fps,
     )
@@ -206,110 +205,3 @@ def read_stdin(what: str) -> str:
         )
     meta["stdin"] = what
     return decode(sys.stdin.buffer.read(), "stdin")
-
-
-# --- texts of options
-
-# how the values of options are written
-_FORMS = {
-    "--image-size": "a width and a height above 0, as 1280x720",
-    "--frame-offset": "camera:frames with a whole number, as cam1:-3",
-    "--crop-offset": "camera:x,y, as cam1:640,0",
-}
-
-
-def read_options(options: SharedOptions) -> ReadOptions:
-    """Return how keypoint files are read. Raises MismatchError and click's BadParameter."""
-    size_of_all, sizes = parse_image_sizes(options.image_size)
-    return ReadOptions(
-        layout=parse_layout(options.layout) if options.layout else (),
-        image_size=size_of_all,
-        image_sizes=sizes,
-        camera_pattern=_check_pattern(options.camera_regex or ""),
-        frame_offset=_parse_frame_offsets(options.frame_offset),
-        crop_offset=_parse_crop_offsets(options.crop_offset),
-        views=tuple(options.views.split(",")) if options.views else (),
-    )
-
-
-def parse_image_sizes(
-    texts: Sequence[str],
-) -> tuple[tuple[int, int], dict[str, tuple[int, int]]]:
-    """Return (width, height) of all cameras, of `WxH`, and of single ones, of `CAM:WxH`.
-
-    (0, 0) where the former is not said; the last one counts. Raises click's BadParameter.
-    """
-    sizes = {}
-    for text in texts:
-        camera, _, size = text.rpartition(":")
-        sizes[camera] = _parse_image_size(size)
-    return sizes.pop("", (0, 0)), sizes
-
-
-def _parse_image_size(text: str) -> tuple[int, int]:
-    """Return (width, height) of `WxH`. Raises click's BadParameter."""
-    width, height = _parse_whole_numbers(text.lower().replace("x", ","), 2, "--image-size")
-    if min(width, height) <= 0:
-        raise _wrong_form(text, "--image-size")
-    return width, height
-
-
-def _check_pattern(pattern: str) -> str:
-    """Return a regular expression that is one. Raises click's BadParameter."""
-    try:
-        re.compile(pattern)
-    except re.error as error:
-        raise click.BadParameter(
-            f"expected a regular expression, as 'cam[0-9]+', found {pattern} ({error})",
-            param_hint="--camera-regex",
-        ) from None
-    return pattern
-
-
-def _parse_frame_offsets(texts: Sequence[str]) -> dict[str, int]:
-    """Return camera -> offset of each `CAM:N`."""
-    option = "--frame-offset"
-    offsets = _split_by_camera(texts, option)
-    return {camera: _parse_whole_numbers(text, 1, option)[0] for camera, text in offsets.items()}
-
-
-def _parse_crop_offsets(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """Return camera -> (x, y) of each `CAM:X,Y`."""
-    option = "--crop-offset"
-    offsets = {}
-    for camera, text in _split_by_camera(texts, option).items():
-        x, y = _parse_numbers(text, 2, option)
-        offsets[camera] = (x, y)
-    return offsets
-
-
-def _split_by_camera(texts: Sequence[str], option: str) -> Mapping[str, str]:
-    """Return camera -> value of each `camera:value`; the last one counts of a camera."""
-    pairs = [text.rpartition(":") for text in texts]
-    if not all(camera for camera, _, _ in pairs):
-        raise _wrong_form(", ".join(texts), option)
-    return {camera: value for camera, _, value in pairs}
-
-
-def _parse_whole_numbers(text: str, count: int, option: str) -> list[int]:
-    """Return `count` whole numbers with commas between them."""
-    values = _parse_numbers(text, count, option)
-    if any(value % 1 for value in values):
-        raise _wrong_form(text, option)
-    return [int(value) for value in values]
-
-
-def _parse_numbers(text: str, count: int, option: str) -> list[float]:
-    """Return `count` numbers with commas between them."""
-    try:
-        values = [float(part) for part in text.split(",")]
-    except ValueError:
-        raise _wrong_form(text, option) from None
-    if len(values) != count or not all(abs(value) < LARGEST_EXACT_FLOAT for value in values):
-        raise _wrong_form(text, option)
-    return values
-
-
-def _wrong_form(text: str, option: str) -> click.BadParameter:
-    """Return the complaint about a value that is not written as the option wants it."""
-    return click.BadParameter(f"expected {_FORMS[option]}, found {text}", param_hint=option)

@@ -12,24 +12,17 @@ from typing import Any, TypeVar
 
 import click
 
-from mocap_calib.config import PAIR_SOLVERS, REFINEMENTS
+from mocap_calib.config import MENDING, PAIR_SOLVERS, REFINEMENTS
 from mocap_calib_cli import values
+from mocap_calib_cli.file_options import FILE_OPTIONS
 from mocap_calib_cli.numbers import PERCENTAGE, POSITIVE, SEED
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 STDIO = "-"
 
-# how keypoint files are to be read, where they do not say it themselves
-READING = (
-    "format",
-    "layout",
-    "image_size",
-    "camera_regex",
-    "frame_offset",
-    "crop_offset",
-    "views",
-)
+# how keypoint files are to be read where they do not say it themselves, and what is wrong there
+READING = tuple(name for name in FILE_OPTIONS if name not in ("moved", "mend"))
 KEYPOINTS = ("keypoints", *READING)
 MODEL = ("skeleton", "model", "device")
 # how a recording is calibrated, and what is written of it
@@ -41,6 +34,8 @@ CALIBRATION = (
     "seed",
     "scheduler",
     *READING,
+    "moved",
+    "mend",
     "write",
     "fps",
     "quiet",
@@ -51,7 +46,8 @@ CALIBRATION = (
 class SharedOptions:
     """What was typed, as text; options that the command does not have are as if left out.
 
-    keypoints ... views: the keypoint files and how to read them, see `inputs.read_options`.
+    keypoints ... views: the keypoint files and how to read them, see `texts.read_options`.
+    mirrored ... moved: what is known to be wrong with them, see `texts.stated_mends`.
     cameras ... focal_per_camera: what is known of the intrinsics, see `inputs.intrinsics_config`.
     skeleton: file with names of joints of one's own. model: None = chosen by joint names.
     solver: of pairs. scheduler: address of a Dask scheduler, None = the work is done here.
@@ -66,6 +62,13 @@ class SharedOptions:
     frame_offset: tuple[str, ...] = ()
     crop_offset: tuple[str, ...] = ()
     views: str | None = None
+    mirrored: tuple[str, ...] = ()
+    sides: tuple[str, ...] = ()
+    rotated: tuple[str, ...] = ()
+    resized: tuple[str, ...] = ()
+    exchanged: tuple[str, ...] = ()
+    moved: tuple[str, ...] = ()
+    mend: str = MENDING[0]
     cameras: str = ""
     refine: str | None = None
     focal_uncertainty: float | None = None
@@ -84,52 +87,9 @@ class SharedOptions:
 
 
 _OPTIONS = {
+    **FILE_OPTIONS,
     "keypoints": click.argument(
         "keypoints", nargs=-1, required=True, type=values.KEYPOINTS, metavar="KEYPOINTS..."
-    ),
-    "format": click.option(
-        "--format",
-        metavar="NAME",
-        shell_complete=values.offer_keypoint_formats,
-        help="Format of the keypoint files, where their content does not show it "
-        "(docs/formats.md).",
-    ),
-    "layout": click.option(
-        "--layout",
-        metavar="NAME",
-        shell_complete=values.offer_layouts,
-        help="Names of the keypoints in files that do not name them: body_25, body_25b, coco_17, "
-        "... or a,b,c.",
-    ),
-    "image_size": click.option(
-        "--image-size",
-        metavar="WxH|CAM:WxH",
-        multiple=True,
-        help="Size of the images in pixels, where the files do not say it, of all cameras or of "
-        "one; positions from 0 to 1 are multiplied by it.",
-    ),
-    "camera_regex": click.option(
-        "--camera-regex",
-        metavar="REGEX",
-        help="Finds the camera's name in a path: its group `camera`, its first group, or all of "
-        "it.",
-    ),
-    "frame_offset": click.option(
-        "--frame-offset",
-        metavar="CAM:N",
-        multiple=True,
-        help="Added to the frame numbers of a camera; may be given for each camera.",
-    ),
-    "crop_offset": click.option(
-        "--crop-offset",
-        metavar="CAM:X,Y",
-        multiple=True,
-        help="Corner of the part of the image in which a camera's keypoints were found.",
-    ),
-    "views": click.option(
-        "--views",
-        metavar="A,B",
-        help="Views in one file: endings of keypoint names (paw_A, paw_B), each a camera.",
     ),
     "cameras": click.option(
         "--cameras",

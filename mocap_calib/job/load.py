@@ -11,6 +11,7 @@ from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.job.request import KeypointSource
 from mocap_calib.recording.assumed import ASSUMED_NOTE, assume_cameras
 from mocap_calib.recording.joints import fit_vocabulary, load_aliases
+from mocap_calib.recording.mending import apply_mends
 from mocap_calib.recording.pairing import views_named
 from mocap_calib.recording.summary import RecordingSummary, summarise_recording
 from mocap_calib.recording.synchronise import join_views, recording_of_views
@@ -44,7 +45,7 @@ def load_recording(
         views = views_named(views, cameras) or views
     skeleton, aliases = _choose_vocabulary(source, views)
     joined = join_views(views, cameras, skeleton, aliases)
-    recording = recording_of_views(joined)
+    recording = apply_mends(recording_of_views(joined), source.mends)
     summary = summarise_recording(recording, joined, cameras)
     notes = camera_file.notes if camera_file else (ASSUMED_NOTE,)
     summary = replace(

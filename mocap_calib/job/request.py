@@ -12,6 +12,7 @@ from mocap_calib.io.file import plain_path
 from mocap_calib.io.hashing import hash_inputs
 from mocap_calib.io.keypoints.document import ReadOptions
 from mocap_calib.steerpose.weights import identify_model
+from mocap_calib.types import Mend
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,7 @@ class KeypointSource:
     aliases: a YAML file with other names of joints, see `load_aliases`.
     model: name of a shipped model, a weights file, or "none" for geometry alone; None: the
         shipped model that knows most of the joints.
+    mends: what is known to be wrong with the files, put right in this order.
     """
 
     paths: tuple[str, ...]
@@ -31,6 +33,7 @@ class KeypointSource:
     options: ReadOptions = field(default_factory=ReadOptions)
     aliases: Path | None = None
     model: str | None = None
+    mends: tuple[Mend, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -36,10 +36,11 @@ from mocap_calib.io.results.pair_store import remember_pairs
 from mocap_calib.io.zeros import unsigned_zeros
 from mocap_calib.job.load import LoadedRecording, load_recording
 from mocap_calib.job.request import CalibrationRequest
+from mocap_calib.judging import judge_cameras
 from mocap_calib.multi_view.observed_points import observe_points
 from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.joints import edges_of_keypoints
-from mocap_calib.report import judge_cameras, run_report
+from mocap_calib.report import run_report
 from mocap_calib.steerpose.checkpoint import load_model
 from mocap_calib.steerpose.device import use_threads
 from mocap_calib.steerpose.model import Lifter

@@ -13,7 +13,7 @@ def retime(recording: Recording, clocks: Clocks) -> Recording:
 
     A recording that is in step is returned as it is.
     """
-    if not clocks.changes(recording):
+    if not clocks.changed:
         return recording
     view = np.arange(len(recording.cameras))[:, None]
     missing = clocks.source < 0
@@ -38,6 +38,7 @@ def clocks_from(recording: Recording, cameras: tuple[CameraClock, ...]) -> Clock
     shown = (source >= 0).sum(0) >= 2
     return Clocks(
         frames=frames[shown],
+        given=recording.frames,
         source=source[:, shown],
         cameras=cameras,
         subframe=np.zeros(len(cameras)),
@@ -78,5 +79,8 @@ def _common_frames(frames: Ints, cameras: tuple[CameraClock, ...]) -> Ints:
 def _source_of(camera: CameraClock, frames: Ints, given: Ints) -> Ints:
     """Return the indices `[frame]` into the frames that were given, -1 = the camera has none."""
     own = own_frames(camera, frames)
+    # no frame is shown twice: where some were lost, the camera shows nothing for as long
+    latest = np.maximum.accumulate(own)
+    repeated = np.r_[False, own[1:] <= latest[:-1]]
     place = np.minimum(np.searchsorted(given, own), len(given) - 1)
-    return np.where(given[place] == own, place, -1)
+    return np.where((given[place] == own) & ~repeated, place, -1)

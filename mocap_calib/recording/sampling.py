@@ -25,27 +25,26 @@ def evenly_spaced(values: Ints, count: int) -> Ints:
 def take_sample(recording: Recording, index: Ints | slice) -> Sample:
     """Return some frames in double precision, with their rays.
 
-    The sample has as many instances as these frames show.
+    The sample has as many instances as these frames show. What the lens model cannot undo is no
+    detection.
 
     index: `[frame]` indices of the frames (not numbers), or a slice.
     """
     part = recording.select(frames=index)
     shown = np.flatnonzero(np.isfinite(part.positions).any((0, 1, 3, 4)))
     instances = shown.max(initial=0) + 1
-    positions = part.positions[:, :, :instances]
-    rays = [
-        rays_from_pixels(camera, seen) for camera, seen in zip(part.cameras, positions, strict=True)
-    ]
-    return Sample(
+    positions = part.positions[:, :, :instances].astype(np.float64)
+    sample = Sample(
         cameras=part.cameras,
         keypoints=part.keypoints,
         frames=part.frames,
-        positions=positions.astype(np.float64),
+        positions=positions,
         confidence=part.confidence[:, :, :instances].astype(np.float64),
         tracked=part.tracked,
         vocabulary=part.vocabulary,
-        rays=np.stack(rays),
+        rays=np.empty((*positions.shape[:4], 3)),
     )
+    return with_cameras(sample, part.cameras)
 
 
 def with_cameras(sample: Sample, cameras: tuple[Camera, ...]) -> Sample:

@@ -92,7 +92,7 @@ def recording_of_views(joined: JoinedViews) -> Recording:
     frames = _shared_frames(views)
     shared = shared_keypoints(views, joined.meanings)
     positions, confidence = _fill_arrays(
-        views, joined.cameras, frames=frames, meanings=joined.meanings, shared=shared
+        views, frames=frames, meanings=joined.meanings, shared=shared
     )
     _check_covisible(confidence)
     joint_of = {normalise_name(joint): k for k, joint in enumerate(joined.skeleton.keypoints)}
@@ -108,19 +108,24 @@ def recording_of_views(joined: JoinedViews) -> Recording:
     )
 
 
-def change_cameras(recording: Recording, cameras: tuple[Camera, ...]) -> Recording:
-    """Return the recording with cameras of other intrinsics.
+def hide_blind_spots(recording: Recording) -> Recording:
+    """Return the recording without the detections that the cameras' lens models cannot undo.
 
-    What their lens models cannot undo is no detection.
+    With right intrinsics there are hardly any.
     """
-    positions, confidence = recording.positions.copy(), recording.confidence.copy()
-    for camera, seen, known in zip(cameras, positions, confidence, strict=True):
+    blind = np.zeros(recording.confidence.shape, dtype=bool)
+    for view, (camera, seen) in enumerate(zip(recording.cameras, recording.positions, strict=True)):
         for start in range(0, len(seen), _BLOCK):
             block = slice(start, start + _BLOCK)
-            blind = ~np.isfinite(rays_from_pixels(camera, seen[block])).all(axis=-1)
-            seen[block][blind] = np.nan
-            known[block][blind] = 0.0
-    return replace(recording, cameras=cameras, positions=positions, confidence=confidence)
+            rays = rays_from_pixels(camera, seen[block])
+            blind[view, block] = np.isnan(rays[..., 0]) & np.isfinite(seen[block][..., 0])
+    if not blind.any():
+        return recording
+    return replace(
+        recording,
+        positions=np.where(blind[..., None], np.float32(np.nan), recording.positions),
+        confidence=np.where(blind, np.float32(0.0), recording.confidence),
+    )
 
 
 def check_joints(recording: Recording) -> None:
@@ -175,7 +180,6 @@ def _shared_frames(views: Sequence[Keypoints2D]) -> Ints:
 
 def _fill_arrays(
     views: Sequence[Keypoints2D],
-    cameras: Sequence[Camera],
     *,
     frames: Ints,
     meanings: Mapping[str, str],
@@ -192,11 +196,10 @@ def _fill_arrays(
     positions = np.full((*shape, 2), np.nan, dtype=np.float32)
     confidence = np.zeros(shape, dtype=np.float32)
     column_of = {meaning: column for column, meaning in enumerate(shared)}
-    for v, (view, camera) in enumerate(zip(views, cameras, strict=True)):
+    for v, view in enumerate(views):
         columns = [column_of.get(meanings[name], -1) for name in view.keypoints]
         _fill_view(
             view,
-            camera,
             frames=frames,
             columns=np.array(columns, dtype=np.int64),
             positions=positions[v],
@@ -207,7 +210,6 @@ def _fill_arrays(
 
 def _fill_view(
     view: Keypoints2D,
-    camera: Camera,
     *,
     frames: Ints,
     columns: Ints,
@@ -215,8 +217,6 @@ def _fill_view(
     confidence: Reals,
 ) -> None:
     """Fill the arrays of one view of a recording in place.
-
-    What the lens model cannot undo is no detection.
 
     frames: `[frame]` numbers of the recording.
     columns: `[keypoint]` index in the recording of each keypoint of the view, -1 = not shared.
@@ -232,9 +232,9 @@ def _fill_view(
         target = np.ix_(np.searchsorted(frames, view.frames[rows]), instances, columns[used])
         seen = view.positions[rows][:, :, used].astype(np.float32)
         scaled = (view.confidence[rows][:, :, used] / largest).clip(0.0, 1.0)
-        blind: Bools = np.asarray(~np.isfinite(rays_from_pixels(camera, seen)).all(axis=-1))
-        positions[target] = np.where(blind[..., None], np.nan, seen)
-        confidence[target] = np.where(blind, 0.0, scaled)
+        missing: Bools = np.asarray(~np.isfinite(seen).all(axis=-1))
+        positions[target] = np.where(missing[..., None], np.nan, seen)
+        confidence[target] = np.where(missing, 0.0, scaled)
 
 
 def largest_confidence(confidence: Reals) -> float:

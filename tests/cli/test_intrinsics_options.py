@@ -12,8 +12,9 @@ from mocap_calib.errors import MismatchError
 from mocap_calib.io.keypoints.document import ReadOptions
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib_cli.commands.run import command as run
-from mocap_calib_cli.inputs import intrinsics_config, parse_image_sizes
+from mocap_calib_cli.inputs import intrinsics_config
 from mocap_calib_cli.options import SharedOptions
+from mocap_calib_cli.texts import parse_image_sizes
 
 
 @pytest.mark.parametrize(

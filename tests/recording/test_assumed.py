@@ -4,11 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import PEOPLE, scene
+from scenes import scene
 
 from mocap_calib.errors import MismatchError
 from mocap_calib.recording.assumed import assume_cameras
-from mocap_calib.recording.synchronise import change_cameras, make_recording
 
 FILES = scene(cameras=2, frames=5).files
 
@@ -28,17 +27,3 @@ def test_where_the_image_size_is_not_known_it_is_asked_for():
     said = "b.csv: expected the size of the images of camera cam2.*--image-size cam2:WIDTHxHEIGHT"
     with pytest.raises(MismatchError, match=said):
         assume_cameras((FILES[0], unknown))
-
-
-def test_what_another_lens_cannot_undo_is_no_detection_any_more():
-    """A strong barrel lens folds within the image: what lies beyond has no ray."""
-    cameras = assume_cameras(FILES)
-    recording = make_recording(FILES, cameras, PEOPLE, {})
-    barrel = np.array([-3.0, 0, 0, 0, 0])
-    folded = tuple(replace(camera, distortion=barrel) for camera in cameras)
-    changed = change_cameras(recording, folded)
-    lost = recording.seen & ~changed.seen
-    assert 0 < lost.sum() < recording.seen.sum()
-    assert (changed.confidence[lost] == 0).all()
-    assert changed.cameras == folded
-    np.testing.assert_array_equal(change_cameras(recording, cameras).positions, recording.positions)

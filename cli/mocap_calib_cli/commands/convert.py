@@ -160,7 +160,7 @@ def _convert_cameras(task: _Task, *, unit: str | None, image_size: tuple[str, ..
     from mocap_calib.io.conversion import convert_cameras
     from mocap_calib.io.hashing import hash_inputs
     from mocap_calib.io.provenance import provenance
-    from mocap_calib_cli.inputs import parse_image_sizes
+    from mocap_calib_cli.texts import parse_image_sizes
 
     if len(task.inputs) > 1:
         raise click.UsageError(
@@ -188,7 +188,7 @@ def _convert_keypoints(task: _Task, shared: options.SharedOptions) -> "Conversio
     from mocap_calib.io.conversion import convert_keypoints
     from mocap_calib.job.load import find_ignored_files
     from mocap_calib_cli.describe import describe_ignored_files
-    from mocap_calib_cli.inputs import read_options
+    from mocap_calib_cli.texts import read_options
 
     done = convert_keypoints(
         task.sources,

@@ -68,10 +68,10 @@ def _inspect(shared: options.SharedOptions) -> dict[str, Any]:
     from mocap_calib.io.keypoints.filled_table import describe_filled
     from mocap_calib.io.keypoints.read import read_what_can
     from mocap_calib.recording.joints import fit_vocabulary
-    from mocap_calib_cli import inputs
+    from mocap_calib_cli import inputs, texts
 
     config = InspectConfig()
-    views, errors = read_what_can(shared.keypoints, shared.format, inputs.read_options(shared))
+    views, errors = read_what_can(shared.keypoints, shared.format, texts.read_options(shared))
     file = inputs.load_camera_file(shared.cameras, "--cameras") if shared.cameras else None
     cameras, notes = (file.cameras, file.notes) if file else ((), ())
     names = (name for view in views for name in view.keypoints)

@@ -1,0 +1,80 @@
+"""Name the cameras whose clocks differ, for `CalibrationResult.faults`."""
+
+from dataclasses import dataclass
+
+from mocap_calib.recording.mending import find_view
+from mocap_calib.recording.retiming import clocks_from, retime
+from mocap_calib.types import CameraClock, Clocks, Fault, FaultWord, Recording
+from mocap_calib.wording import count
+
+
+@dataclass(frozen=True)
+class Retimed:
+    """The clock of a camera differs from that of the others."""
+
+    clock: CameraClock
+
+    @property
+    def camera(self) -> str:
+        """Name of the camera."""
+        return self.clock.camera
+
+    @property
+    def word(self) -> FaultWord:
+        """The fault that it mends."""
+        assert self.clock.kind in ("clock", "rate", "dropped")
+        return self.clock.kind
+
+    @property
+    def advice(self) -> str:
+        """What a user should do about the files."""
+        return "number its frames by the clock of the others"
+
+    @property
+    def option(self) -> str:
+        """How a user states it beforehand; there is none for lost frames."""
+        if self.clock.kind == "clock":
+            return f"--frame-offset {self.camera}:{-self.clock.offset}"
+        return ""
+
+    def apply(self, recording: Recording) -> Recording:
+        """Return the recording with the camera on the clock of the others.
+
+        Raises MismatchError where the recording does not have it.
+        """
+        view = find_view(recording, self.camera)
+        cameras = [CameraClock(name, "in step") for name in recording.names]
+        cameras[view] = self.clock
+        return retime(recording, clocks_from(recording, tuple(cameras)))
+
+
+def clock_faults(clocks: Clocks, *, applied: bool) -> tuple[Fault, ...]:
+    """Return the faults of the cameras whose clocks differ.
+
+    applied: the recording was put on one clock.
+    """
+    return tuple(
+        Fault(
+            camera=each.camera,
+            word=each.kind,
+            says=describe_clock_fault(each),
+            evidence=dict(each.evidence),
+            mend=Retimed(each) if applied else None,
+        )
+        for each in clocks.cameras
+        if each.kind in ("clock", "rate", "dropped")
+    )
+
+
+def describe_clock_fault(clock: CameraClock) -> str:
+    """Return how a clock differs, for a person, without the name of the camera."""
+    if clock.kind == "clock":
+        late = "late" if clock.offset > 0 else "early"
+        return f"its clock is {count(abs(clock.offset), 'frame')} {late}"
+    if clock.kind == "rate" and clock.rate != 1.0:
+        return f"it has {clock.rate:g} frames for each of the other cameras"
+    last = clock.table[-1][1] - clock.table[0][1]
+    drift = f"its clock changes by {count(abs(last), 'frame')} over the recording"
+    if clock.kind == "rate":
+        return f"{drift}, evenly: its frame rate is another"
+    return f"it lost frames and numbered the others without gaps: {drift}"
