@@ -107,6 +107,7 @@ SyncMode = Literal["auto", "check", "off"]
 SYNC_MODES: tuple[SyncMode, ...] = get_args(SyncMode)
 # frames of one camera for a frame of another: equal, or one of them skips every second
 CLOCK_RATES = (1.0, 0.5, 2.0)
+CROWDED_QUANTILE = 0.95  # of the frames have no more detections than are compared
 RATE_LEAST_SHARE = 0.3  # of the frames that a camera of another rate shows, of those looked at
 # lost frames are few at a time: a step of a clock by more frames costs so many times as much
 SMALL_STEP = 3

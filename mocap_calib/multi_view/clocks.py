@@ -12,7 +12,7 @@ from itertools import combinations
 
 import numpy as np
 
-from mocap_calib.config import CLOCK_RATES, RATE_LEAST_SHARE, SyncConfig
+from mocap_calib.config import CLOCK_RATES, CROWDED_QUANTILE, RATE_LEAST_SHARE, SyncConfig
 from mocap_calib.multi_view.clock_paths import (
     Agreements,
     Pair,
@@ -104,10 +104,20 @@ def views_in_time(lifted: LiftedPoses, stretches: Ints, config: SyncConfig) -> l
     row = np.cumsum(stretches.ravel() >= 0).reshape(stretches.shape) - 1
     missing = stretches < 0
     row = np.where(missing, 0, row)
+    first = np.argsort(~seen, axis=2, kind="stable")
+    seen = np.take_along_axis(seen, first, 2)
+    compact = np.take_along_axis(compact, first[..., None, None], 2).astype(np.float32)
     return [
-        ViewInTime(of_view[row].astype(np.float32), seen_by[row] & ~missing[..., None])
+        _without_crowd(ViewInTime(of_view[row], seen_by[row] & ~missing[..., None]))
         for of_view, seen_by in zip(compact, seen, strict=True)
     ]
+
+
+def _without_crowd(view: ViewInTime) -> ViewInTime:
+    """Return the view with as many instances as nearly all frames have, those seen first."""
+    several = view.seen.sum(-1)[view.seen.any(-1)]
+    count = max(1, int(np.quantile(several, CROWDED_QUANTILE))) if len(several) else 1
+    return ViewInTime(view.body[:, :, :count], view.seen[:, :, :count])
 
 
 def _compare_all(

@@ -89,9 +89,7 @@ def compare_in_time(
 
 def agree_in_all_frames(a: ViewInTime, b: ViewInTime, rotation: Floats) -> Singles:
     """Return the agreement `[stretch, frame of a, frame of b]` under one rotation b_from_a."""
-    frames = np.arange(a.seen.shape[1])
-    cosine = _compare(a, b, rotation[None], frames)
-    return _agreement_of_frames(cosine, a.seen, b.seen)[0]
+    return _agreement(a, b, rotation[None], np.arange(a.seen.shape[1]))[0]
 
 
 def diagonals(values: Singles, window: int, rate: float = 1.0, rows: Ints | None = None) -> Singles:
@@ -108,37 +106,54 @@ def diagonals(values: Singles, window: int, rate: float = 1.0, rows: Ints | None
     return np.where(inside, np.take_along_axis(values, index, -1), np.float32(np.nan))
 
 
-def _compare(a: ViewInTime, b: ViewInTime, rotation: Floats, rows: Ints) -> Singles:
-    """Return tr(R' b a') / J `[hypothesis, stretch, row, instance, frame, instance]`.
-
-    1 where two bodies are equal, -1 where one of them is not there. rows: `[row]` frames of a.
-    """
-    body, seen = a.body[:, rows], a.seen[:, rows]
-    stretches, count, instances, axes, _ = body.shape
-    turned = body.reshape(1, stretches, -1, 3) @ rotation.astype(np.float32).swapaxes(1, 2)[:, None]
-    left = turned.reshape(len(rotation), stretches, count * instances, axes * 3)
-    right = b.body.reshape(stretches, -1, axes * 3).swapaxes(1, 2)
-    cosine = (left @ right).reshape(*left.shape[:2], count, instances, *b.seen.shape[1:])
-    both = seen[..., None, None] & b.seen[:, None, None]
-    return np.where(both, cosine, np.float32(-1.0))
-
-
-def _agreement_of_frames(cosine: Singles, seen_a: Bools, seen_b: Bools) -> Singles:
+def _agreement(a: ViewInTime, b: ViewInTime, rotation: Floats, rows: Ints) -> Singles:
     """Return how well the bodies of two frames match, `[hypothesis, stretch, row, frame]`.
 
-    Each body counts with the other view's most alike. cosine: as of `_compare`; seen_a:
-    `[stretch, row, instance]`; seen_b: `[stretch, frame, instance]`.
+    Each body counts with the other view's most alike; NaN where a view sees nobody. The instances
+    of a frame are few: a product of matrices for each two of them keeps the arrays small.
+
+    rotation: `[hypothesis, 3, 3]` b_from_a. rows: `[row]` frames of a.
     """
-    best_of_a, best_of_b = cosine.max(5), cosine.max(3)
-    total = _alike(best_of_a).sum(3) + _alike(best_of_b).sum(4)
-    count_a, count_b = seen_a.sum(-1)[..., None], seen_b.sum(-1)[:, None]
-    known = (count_a > 0) & (count_b > 0)
+    seen_a = a.seen[:, rows]
+    turned = _turn(a.body[:, rows], rotation)  # [hypothesis, stretch, instance, row, 3 axis]
+    other = np.moveaxis(_flatten(b.body), 1, 3)  # [stretch, instance, 3 axis, frame]
+    nowhere = np.full((*turned.shape[:2], len(rows), other.shape[3]), -1.0, dtype=np.float32)
+    best_of_b = [nowhere] * other.shape[1]
+    total = np.zeros_like(nowhere)
+    for i in range(turned.shape[2]):
+        best_of_a = nowhere
+        for j in range(other.shape[1]):
+            cosine = turned[:, :, i] @ other[:, j]
+            both = seen_a[..., i][..., None] & b.seen[:, None, :, j]
+            cosine = np.where(both, cosine, np.float32(-1.0))
+            best_of_a = np.maximum(best_of_a, cosine)
+            best_of_b[j] = np.maximum(best_of_b[j], cosine)
+        total += _alike(best_of_a)
+    if len(best_of_b) == turned.shape[2] == 1:
+        total *= np.float32(2.0)
+    else:
+        total += sum(map(_alike, best_of_b))
+    count_a, count_b = seen_a.sum(-1)[..., None], b.seen.sum(-1)[:, None]
     mean = total / np.maximum(count_a + count_b, 1).astype(np.float32)
-    return np.where(known, mean, np.float32(np.nan))
+    return np.where((count_a > 0) & (count_b > 0), mean, np.float32(np.nan))
+
+
+def _turn(body: Singles, rotation: Floats) -> Singles:
+    """Return bodies `[stretch, row, instance, axis, 3]` turned by rotations, ready to be compared.
+
+    `[hypothesis, stretch, instance, row, 3 axis]`.
+    """
+    turned = body.reshape(1, -1, 3) @ rotation.astype(np.float32).swapaxes(1, 2)
+    return np.moveaxis(_flatten(turned.reshape(len(rotation), *body.shape)), 3, 2)
+
+
+def _flatten(body: Singles) -> Singles:
+    """Return bodies `[..., axis, 3]` as vectors `[..., 3 axis]`."""
+    return body.reshape(*body.shape[:-2], -1)
 
 
 def _alike(cosine: Singles) -> Singles:
-    """Return 0..1 how alike two bodies are; 0 where one is not there."""
+    """Return 0..1 how alike two bodies are, given tr(R' b a') / J; 0 where one is not there."""
     square = np.float32(SyncConfig.pose_tolerance**2)
     return np.where(cosine > -1.0, np.exp((cosine - 1.0) / square), np.float32(0.0))
 
@@ -175,12 +190,11 @@ def _score_at_any_time(
     a: ViewInTime, b: ViewInTime, rotation: Floats, rows: Ints, config: SyncConfig
 ) -> Floats:
     """Return the mean agreement `[hypothesis, rate]` of blocks of time, each at its best offset."""
-    cells = len(rows) * a.seen.shape[2] * b.seen.size
+    cells = len(rows) * b.seen.size
     each = max(1, _CELLS // max(cells, 1))
     scores = []
     for start in range(0, len(rotation), each):
-        cosine = _compare(a, b, rotation[start : start + each], rows)
-        values = _agreement_of_frames(cosine, a.seen[:, rows], b.seen)
+        values = _agreement(a, b, rotation[start : start + each], rows)
         by_rate = [_best_in_blocks(values, rate, rows, config)[0] for rate in CLOCK_RATES]
         scores.append(np.stack(by_rate, 1))
     return np.concatenate(scores)
@@ -222,23 +236,22 @@ def _align(
 
     rows: `[row]` frames of a.
     """
-    cosine = _compare(a, b, rotation[None], rows)
-    values = _agreement_of_frames(cosine, a.seen[:, rows], b.seen)
+    values = _agreement(a, b, rotation[None], rows)
     _, offsets = _best_in_blocks(values, rate, rows, config)
     blocks = offsets.shape[-1]
     block = np.minimum(np.arange(len(rows)) // max(len(rows) // blocks, 1), blocks - 1)
     offset = offsets[0][:, block]
     column = np.round(rows * rate).astype(np.int64) + offset - config.window
-    inside = (offset >= 0) & (column >= 0) & (column < b.seen.shape[1])
-    stretch, row = np.nonzero(inside)
-    matched = cosine[0, stretch, row, :, column[stretch, row]]  # [frame, instance, instance]
-    weight = _alike(matched)
-    mutual = (matched >= matched.max(2, keepdims=True)) & (matched >= matched.max(1, keepdims=True))
-    frame, i, j = np.nonzero(mutual & (weight > 0))
+    stretch, row = np.nonzero((offset >= 0) & (column >= 0) & (column < b.seen.shape[1]))
+    of_a, of_b = (stretch, rows[row]), (stretch, column[stretch, row])
+    body_a, body_b = a.body[of_a], b.body[of_b]  # [match, instance, axis, 3]
+    both = a.seen[of_a][:, :, None] & b.seen[of_b][:, None]
+    turned = _flatten(body_a @ rotation.T.astype(np.float32))
+    cosine = np.where(both, turned @ _flatten(body_b).swapaxes(1, 2), np.float32(-1.0))
+    mutual = (cosine >= cosine.max(2, keepdims=True)) & (cosine >= cosine.max(1, keepdims=True))
+    frame, i, j = np.nonzero(mutual & both)
     if not len(frame):
         return rotation
-    body_a = a.body[stretch[frame], rows[row[frame]], i]
-    body_b = b.body[stretch[frame], column[stretch[frame], row[frame]], j]
-    weighted = weight[frame, i, j][:, None, None] * body_b
-    covariance = weighted.reshape(-1, 3).T @ body_a.reshape(-1, 3)
+    weighted = _alike(cosine[frame, i, j])[:, None, None] * body_b[frame, j]
+    covariance = weighted.reshape(-1, 3).T @ body_a[frame, i].reshape(-1, 3)
     return nearest_rotation(covariance.astype(np.float64))
