@@ -109,9 +109,8 @@ SYNC_MODES: tuple[SyncMode, ...] = get_args(SyncMode)
 CLOCK_RATES = (1.0, 0.5, 2.0)
 CROWDED_QUANTILE = 0.95  # of the frames have no more detections than are compared
 RATE_LEAST_SHARE = 0.3  # of the frames that a camera of another rate shows, of those looked at
-# lost frames are few at a time: a step of a clock by more frames costs so many times as much
-SMALL_STEP = 3
-LARGE_STEP_PRICE = 3.0
+LARGEST_STEP = 4  # frames that a camera may be ahead by at once, where the others lost so many
+VOTE_TOLERANCE = 1  # frames: so near are the offsets at which cameras agree that say the same
 
 
 @dataclass(frozen=True)
@@ -160,6 +159,11 @@ class SyncConfig:
     decisive: float = 5.0
     decisive_of_good: float = 3.0
     good_score: float = 1.0
+    least_score: float = 0.4
+    unanimous_votes: float = 0.75
+    unanimous_gain: float = 0.2
+    decisive_of_unanimous: float = 1.5
+    distant: int = 4
     least_gain: float = 0.05
     ambiguity: float = 2.5
     least_blocks: int = 6

@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from mocap_calib.config import SyncConfig
+from mocap_calib.config import VOTE_TOLERANCE, SyncConfig
 from mocap_calib.multi_view.clock_paths import (
     Agreements,
     Pair,
+    Ridge,
     agreement_table,
     standardise,
 )
@@ -19,9 +20,10 @@ def weigh_clock(
     agreements: Agreements,
     views: list[ViewInTime],
     view: int,
+    ridge: Ridge,
     *,
+    rate: float,
     maps: Ints,
-    rates: tuple[float, ...],
     config: SyncConfig,
 ) -> dict[str, float]:
     """Return the evidence for the map of one camera, against that of a camera in step.
@@ -29,16 +31,19 @@ def weigh_clock(
     score: agreement with the other cameras, in standard deviations over all pairs of frames.
     gain: by how much it is more than in step; sigma: that, in standard errors.
     margin: by how many standard errors it is more than at any one offset that is no neighbour.
+    votes: the share of the other cameras that agree best at this offset, each by itself.
 
     maps: `[view, stretch, frame]` own frames of all cameras, -1 = none.
     """
     partners = max(len(agreements.partners(view)), 1)
     reach = agreements.shape[1]
-    table = agreement_table(agreements, view, maps, rates[view], reach)
-    own = maps[view]
-    agreement, shown = along_map(table, own, rates[view])
+    table = agreement_table(agreements, view, maps, rate, window=reach)
+    own = ridge.frames
+    agreement, shown = along_map(table, own, rate)
+    if ridge.steps:
+        agreement = ridge.held_out
     if not shown.any():
-        return {"score": 0.0, "gain": 0.0, "sigma": 0.0, "margin": 0.0}
+        return {"score": 0.0, "gain": 0.0, "sigma": 0.0, "margin": 0.0, "votes": 0.0}
     evidence = {"score": float(agreement[shown].mean()) / partners, "gain": 0.0, "sigma": 0.0}
     time = np.arange(own.shape[1])
     if (own != time)[own >= 0].any():
@@ -49,6 +54,8 @@ def weigh_clock(
         difference = (agreement - alternative) / partners
         evidence["gain"] = float(difference[shown].mean())
         evidence["sigma"] = standard_errors(difference, config, shown)
+    evidence["partners"] = partners
+    evidence["votes"] = _votes(agreements, view, maps, rate)
     evidence["margin"] = _margin(table, agreement, shown, config)
     return evidence
 
@@ -115,6 +122,18 @@ def _refit_in_step(
         if found is not None:
             values[a, b] = standardise(agreements.found[a, b], found.values)
     return replace(agreements, values=values)
+
+
+def _votes(agreements: Agreements, view: int, maps: Ints, rate: float) -> float:
+    """Return the share of the other cameras that agree best near the map of a camera."""
+    own, time = maps[view], np.arange(maps.shape[2])
+    place = np.median((own - np.round(rate * time))[own >= 0]) + agreements.window
+    votes = []
+    for other in agreements.partners(view):
+        table = agreement_table(agreements, view, maps, rate, partners=[other])
+        curve = table.sum((0, 1))
+        votes.append(abs(curve.argmax() - place) <= VOTE_TOLERANCE)
+    return float(np.mean(votes))
 
 
 def _margin(table: Floats, agreement: Floats, shown: Bools, config: SyncConfig) -> float:

@@ -48,8 +48,15 @@ def describe_clock(
     if rate == 1.0 and not offset[known].any():
         return CameraClock(camera, "in step" if sure else "not known", evidence=evidence)
     steps = _count_steps(offset, known)
-    decisive = is_decisive(evidence["sigma"], evidence["score"], config)
-    if not decisive or evidence["gain"] < config.least_gain or not (sure or steps):
+    unanimous = not steps and np.abs(offset[known]).min() >= config.distant and (
+        evidence["votes"] >= config.unanimous_votes
+        and evidence["partners"] > 1
+        and evidence["gain"] >= config.unanimous_gain
+        and evidence["sigma"] >= config.decisive_of_unanimous
+    )
+    decisive = unanimous or is_decisive(evidence["sigma"], evidence["score"], config)
+    likely = evidence["gain"] >= config.least_gain and evidence["score"] >= config.least_score
+    if not (decisive and likely and (sure or steps)):
         return CameraClock(camera, "not known", evidence=evidence)
     table = _table(offset, known, rate, numbers)
     kind: ClockKind = "clock"

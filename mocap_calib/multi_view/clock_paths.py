@@ -10,12 +10,12 @@ Agreement is counted in standard deviations over all pairs of frames of two view
 median: what is not known counts as nothing.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from mocap_calib.config import LARGE_STEP_PRICE, SMALL_STEP, SyncConfig
+from mocap_calib.config import LARGEST_STEP, SyncConfig
 from mocap_calib.two_view.timing import FrameAgreement, Singles, diagonals
 from mocap_calib.types import Floats, Ints
 
@@ -29,6 +29,8 @@ class Ridge:
     frames: `[stretch, frame]` own frames, -1 = none. steps: how often the offset changes.
     agreement: `[stretch, frame]` with all others together, 0 where nothing is known; total: its
         sum. cost: the price of the steps.
+    held_out: `[stretch, frame]` the agreement with each half of the others of the map that follows
+        from the other half: steps that fit noise agree with nobody else.
     """
 
     frames: Ints
@@ -36,6 +38,7 @@ class Ridge:
     agreement: Floats
     total: float
     cost: float
+    held_out: Floats
 
 
 @dataclass(frozen=True)
@@ -134,7 +137,8 @@ def _at(curve: Floats, offset: Ints) -> Floats:
 
 
 def agreement_table(
-    agreements: Agreements, view: int, maps: Ints, rate: float, window: int | None = None
+    agreements: Agreements, view: int, maps: Ints, rate: float, *, window: int | None = None,
+    partners: Sequence[int] | None = None,
 ) -> Floats:
     """Return how well each frame of a camera agrees with the others, `[stretch, frame, offset]`.
 
@@ -142,7 +146,7 @@ def agreement_table(
     None: the window in which clocks may differ.
 
     maps: `[view, stretch, frame]` own frames of all cameras, -1 = none; that of the camera itself
-        is not looked at.
+        is not looked at. partners: the other cameras, None: all that it is compared with.
     """
     stretches, frames = agreements.shape
     time = np.arange(maps.shape[2])
@@ -152,8 +156,10 @@ def agreement_table(
     inside = (column >= 0) & (column < frames) & exact[:, None]
     column = np.where(inside, column, 0)
     table = np.zeros((stretches, *column.shape))
-    for other in agreements.partners(view):
+    for other in agreements.partners(view) if partners is None else partners:
         values = agreements.between(view, other)
+        if values is None:
+            continue
         row = maps[other]
         for stretch in range(stretches):
             known = inside & (row[stretch] >= 0)[:, None]
@@ -169,8 +175,9 @@ def best_constant(table: Floats) -> int:
 def follow_ridge(table: Floats, price: float) -> Ints:
     """Return the index of an offset `[stretch, frame]` for each frame, which seldom changes.
 
-    It maximises the agreement less a price for each step (Viterbi's algorithm); a step by more than
-    a few frames costs several times as much.
+    It maximises the agreement less a price for each step (Viterbi's algorithm). A camera that lost
+    frames falls behind by one of its frames at a time, as it never shows an earlier one again;
+    where the others lost some, it is ahead by several at once.
 
     table: `[stretch, frame, offset]`.
     """
@@ -180,29 +187,22 @@ def follow_ridge(table: Floats, price: float) -> Ints:
 def _follow(table: Floats, price: float) -> Ints:
     """Return the path `[frame]` through one stretch `[frame, offset]`."""
     frames, offsets = table.shape
-    near = np.arange(offsets)[:, None] + np.arange(-SMALL_STEP, SMALL_STEP + 1)
-    near = near.clip(0, offsets - 1)
+    stay = np.arange(offsets)
+    steps = np.array([0, 1, *range(-1, -LARGEST_STEP - 1, -1)])  # from where an offset is reached
+    sources = (stay + steps[:, None]).clip(0, offsets - 1)
+    prices = price * (steps != 0)[:, None]
     origin = np.zeros((frames, offsets), dtype=np.int64)
     total = table[0].copy()
     for frame in range(1, frames):
-        far = int(total.argmax())
-        beside = np.take_along_axis(near, total[near].argmax(1)[:, None], 1)[:, 0]
-        sources = np.stack([np.arange(offsets), beside, np.full(offsets, far)])
-        value = total[sources] - price * np.array([[0.0], [1.0], [LARGE_STEP_PRICE]])
+        value = total[sources] - prices
         best = value.argmax(0)
-        origin[frame] = sources[best, np.arange(offsets)]
-        total = value.max(0) + table[frame]
+        origin[frame] = sources[best, stay]
+        total = value[best, stay] + table[frame]
     path = np.zeros(frames, dtype=np.int64)
     path[-1] = total.argmax()
     for frame in range(frames - 1, 0, -1):
         path[frame - 1] = origin[frame, path[frame]]
     return path
-
-
-def step_costs(path: Ints, price: float) -> float:
-    """Return the price of all steps of a path `[stretch, frame]`."""
-    size = np.abs(np.diff(path, axis=1))
-    return float(price * ((size > 0) + (LARGE_STEP_PRICE - 1) * (size > SMALL_STEP)).sum())
 
 
 def ridge_of(
@@ -217,10 +217,11 @@ def ridge_of(
     shown = (own >= 0) & (own < frames) & np.isclose(rate * time % 1, 0)
     agreement = np.take_along_axis(table, path[..., None], 2)[..., 0]
     steps = int((np.diff(path, axis=1) != 0).sum())
-    cost = step_costs(path, price)
-    return Ridge(np.where(shown, own, -1), steps, agreement, float(agreement.sum()), cost)
+    cost = price * steps
+    own = np.where(shown, own, -1)
+    return Ridge(own, steps, agreement, float(agreement.sum()), cost, agreement)
 
 
-def step_price(agreements: Agreements, view: int, config: SyncConfig) -> float:
-    """Return the price of a step of a camera: agreement with its partners errs alike."""
-    return float(config.step_price * np.sqrt(len(agreements.partners(view))))
+def step_price(partners: int, config: SyncConfig) -> float:
+    """Return the price of a step of a camera with so many partners, with which it errs alike."""
+    return float(config.step_price * np.sqrt(partners))

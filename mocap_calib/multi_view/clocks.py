@@ -7,6 +7,7 @@ do in step, under the best rotation of each pair in either case, by several stan
 blocks of time; and no other offset that is no neighbour does nearly as well.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -34,7 +35,7 @@ from mocap_calib.multi_view.clock_evidence import (
 from mocap_calib.multi_view.clock_kinds import StretchNumbers, describe_clock
 from mocap_calib.recording.retiming import clocks_from
 from mocap_calib.two_view.timing import FrameAgreement, ViewInTime, compare_in_time
-from mocap_calib.types import Clocks, Ints, LiftedPoses, Recording
+from mocap_calib.types import Clocks, Floats, Ints, LiftedPoses, Recording
 
 
 @dataclass(frozen=True)
@@ -78,8 +79,8 @@ def find_clocks(
     timing = _find_timing(agreements, _choose_rates(found, len(views), config), config)
     timing = _on_common_clock(agreements, timing, config)
     evidence = [
-        weigh_clock(agreements, views, view, maps=timing.maps, rates=timing.rates, config=config)
-        for view in range(len(views))
+        weigh_clock(agreements, views, view, ridge, rate=rate, maps=timing.maps, config=config)
+        for view, (ridge, rate) in enumerate(zip(timing.ridges, timing.rates, strict=True))
     ]
     numbers = StretchNumbers.of(recording, stretches)
     cameras = tuple(
@@ -169,7 +170,7 @@ def _total(agreements: Agreements, timing: Timing) -> float:
     """Return how well all cameras agree with each other, less the price of their steps."""
     total = 0.0
     for view, (ridge, rate) in enumerate(zip(timing.ridges, timing.rates, strict=True)):
-        table = agreement_table(agreements, view, timing.maps, rate, agreements.shape[1])
+        table = agreement_table(agreements, view, timing.maps, rate, window=agreements.shape[1])
         agreement, shown = along_map(table, ridge.frames, rate)
         total += 0.5 * float(agreement[shown].sum()) - ridge.cost
     return total
@@ -184,7 +185,7 @@ def _constant_timing(agreements: Agreements, offsets: Ints, rates: tuple[float, 
     other = np.array(rates) != 1.0
     maps[other] = -1
     nothing = np.zeros((stretches, frames))
-    timing = Timing(tuple(Ridge(each, 0, nothing, 0.0, 0.0) for each in maps), rates)
+    timing = Timing(tuple(Ridge(each, 0, nothing, 0.0, 0.0, nothing) for each in maps), rates)
     for view in [*np.flatnonzero(other), *np.flatnonzero(~other)]:
         table = agreement_table(agreements, view, timing.maps, rates[view])
         offset = offsets[view] + agreements.window
@@ -211,10 +212,10 @@ def _add_steps(
         gains = []
         for view in steady:
             ridge, before = _with_steps(agreements, timing, view, config), timing.ridges[view]
-            difference = ridge.agreement - before.agreement
+            difference = ridge.held_out - before.agreement
             if ridge.steps:
                 partners = len(agreements.partners(view))
-                score = float(ridge.agreement[ridge.frames >= 0].mean()) / partners
+                score = float(ridge.held_out[ridge.frames >= 0].mean()) / partners
                 sure = is_decisive(standard_errors(difference, config), score, config)
                 gains.append((ridge.total - before.total - ridge.cost, sure, view, ridge))
         restless = max(restless, len(gains))
@@ -234,9 +235,32 @@ def _with_steps(agreements: Agreements, timing: Timing, view: int, config: SyncC
     rate = timing.rates[view]
     # lost frames add up: in the end a clock may be off by more than at the beginning
     reach = min(2 * agreements.window, agreements.shape[1] // 2)
-    table = agreement_table(agreements, view, timing.maps, rate, reach)
-    price = step_price(agreements, view, config)
-    return ridge_of(table, follow_ridge(table, price), rate, price, agreements.shape[1])
+    partners = agreements.partners(view)
+    halves = [
+        agreement_table(agreements, view, timing.maps, rate, window=reach, partners=half)
+        for half in (partners[::2], partners[1::2])
+    ]
+    table, price = sum(halves), step_price(len(partners), config)
+    ridge = ridge_of(table, follow_ridge(table, price), rate, price, agreements.shape[1])
+    if not ridge.steps or len(partners) < 2:
+        return ridge
+    return replace(ridge, held_out=_hold_out(halves, partners, rate, config))
+
+
+def _hold_out(
+    halves: Sequence[Floats], partners: Sequence[int], rate: float, config: SyncConfig
+) -> Floats:
+    """Return the agreement `[stretch, frame]` of maps from one half of the others with the other.
+
+    halves: two tables `[stretch, frame, offset]`.
+    """
+    held_out = np.zeros(halves[0].shape[:2])
+    for given, other, count in zip(
+        halves, halves[::-1], (len(partners[::2]), len(partners[1::2])), strict=True
+    ):
+        path = follow_ridge(given, step_price(count, config))
+        held_out += ridge_of(other, path, rate, 0.0, given.shape[1]).agreement
+    return held_out
 
 
 def _as_rate(
@@ -274,7 +298,7 @@ def _follow_one(
     """Return the timing in which all cameras follow the clock of one, and then of each other."""
     stretches, frames = agreements.shape
     nothing = np.zeros((stretches, frames))
-    missing = Ridge(np.full((stretches, frames), -1), 0, nothing, 0.0, 0.0)
+    missing = Ridge(np.full((stretches, frames), -1), 0, nothing, 0.0, 0.0, nothing)
     whole = replace(missing, frames=np.tile(np.arange(frames), (stretches, 1)))
     ridges = [missing] * agreements.views
     ridges[root] = whole
@@ -313,6 +337,7 @@ def _on_common_clock(agreements: Agreements, timing: Timing, config: SyncConfig)
                 ridge,
                 frames=np.where(inside, ridge.frames[:, index], -1),
                 agreement=np.where(inside, ridge.agreement[:, index], 0.0),
+                held_out=np.where(inside, ridge.held_out[:, index], 0.0),
             )
         )
     return Timing(tuple(moved), timing.rates)
