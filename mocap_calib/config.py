@@ -119,6 +119,8 @@ class SyncConfig:
 
     mode: one of `SYNC_MODES`.
     window: frames by which a camera may be early or late.
+    rates: cameras whose frame rates are known to be others: (name, frames of this camera for one
+        of the others).
 
     What is looked at:
     frames, detections: at most so many in all stretches together.
@@ -138,6 +140,7 @@ class SyncConfig:
 
     mode: SyncMode = "auto"
     window: int = 60
+    rates: tuple[tuple[str, float], ...] = ()
     frames: int = 400
     detections: int = 5000
     stretch_windows: float = 3.0
@@ -155,15 +158,19 @@ class SyncConfig:
     block_frames: int = 30
     block_share: float = 0.6
     rate_gain: float = 0.05
-    step_price: float = 4.0
+    step_price: float = 3.0
+    most_steps: float = 0.3
+    wandering_score: float = 1.6
     decisive: float = 5.0
     decisive_of_good: float = 3.0
-    good_score: float = 1.0
-    least_score: float = 0.4
+    good_score: float = 1.2
+    least_score: float = 0.5
+    least_votes: float = 0.5
     unanimous_votes: float = 0.75
     unanimous_gain: float = 0.2
     decisive_of_unanimous: float = 1.5
     distant: int = 4
+    least_rate_gain: float = 0.5
     least_gain: float = 0.05
     ambiguity: float = 2.5
     least_blocks: int = 6

@@ -21,7 +21,7 @@ from mocap_calib.errors import DegenerateError, MismatchError
 from mocap_calib.judging import judge_rigs
 from mocap_calib.multi_view.association import associate, label_all_frames
 from mocap_calib.multi_view.averaging import average
-from mocap_calib.multi_view.clock_faults import clock_faults
+from mocap_calib.multi_view.clock_faults import add_clocks
 from mocap_calib.multi_view.clocks import find_clocks
 from mocap_calib.multi_view.faults import mend_faults
 from mocap_calib.multi_view.intrinsics import estimate_intrinsics, not_estimated
@@ -32,7 +32,7 @@ from mocap_calib.multi_view.triangulation import check_same_cameras, triangulate
 from mocap_calib.multi_view.uncertainty import assess_uncertainty, judge_rig
 from mocap_calib.multi_view.view_graph import camera_groups, select_hypotheses
 from mocap_calib.recording.assumed import choose_refinement
-from mocap_calib.recording.retiming import retime
+from mocap_calib.recording.retiming import clocks_of_rates, retime
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
 from mocap_calib.recording.stretches import choose_stretches
 from mocap_calib.recording.synchronise import hide_blind_spots
@@ -118,8 +118,7 @@ def calibrate(
             clocks = synchronise(recording, lift_sample, config, seed=seed)
         recording = retime(recording, clocks)
         result = mend_faults(recording, calibrate_once(recording), calibrate_once)
-    faults = clock_faults(clocks, applied=config.sync.mode == "auto")
-    return judge_rigs(replace(result, clocks=clocks, faults=(*faults, *result.faults)))
+    return judge_rigs(add_clocks(result, clocks))
 
 
 def synchronise(
@@ -127,18 +126,23 @@ def synchronise(
 ) -> Clocks:
     """Return which frame each camera shows at each frame of a clock that is common to all.
 
-    Where clocks are only to be checked, the frames stay what they are.
+    Rates that somebody said come first. Where clocks are only to be checked, the frames stay what
+    they are.
     """
+    said = clocks_of_rates(recording, dict(config.sync.rates))
+    recording = retime(recording, said)
     if config.sync.mode == "off":
-        return Clocks.of_one(recording)
+        return said
     stretches = choose_stretches(recording, config.sync)
     sample = take_sample(hide_blind_spots(recording), stretches[stretches >= 0])
     try:
         lifted = lift_sample(sample)
     except MismatchError:  # the model knows too few of the joints: said where they are needed
-        return Clocks.of_one(recording)
-    clocks = find_clocks(recording, lifted, stretches, config.sync, seed=seed)
-    return clocks if config.sync.mode == "auto" else Clocks.of_one(recording, clocks.cameras)
+        return said
+    found = find_clocks(recording, lifted, stretches, config.sync, seed=seed)
+    if config.sync.mode == "check":
+        found = Clocks.of_one(recording, found.cameras)
+    return found.after(said)
 
 
 def _calibrate_recording(

@@ -34,6 +34,8 @@ Views = str | Ints | Bools | Sequence[int] | Sequence[str]
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 ARBITRARY = "arbitrary"
 
+NO_FRAME = np.iinfo(np.int64).min  # the number of a frame that a camera does not have
+
 Verdict = Literal["well determined", "weak", "not determined"]
 
 # what may be wrong with the files of a camera; docs/run-json.md says what each means
@@ -236,6 +238,36 @@ class PosedCamera(Camera):
         return f"{super()._describe()}, at ({centre})"
 
 
+# how a camera's clock differs from the common one
+ClockKind = Literal["in step", "clock", "rate", "dropped", "not known"]
+
+
+@dataclass(frozen=True)
+class CameraClock:
+    """How the clock of one camera differs from the one that most cameras share.
+
+    kind: "in step"; "clock", its frame numbers are off by `offset`; "rate", it has `rate` frames
+        for each of the others; "dropped", it lost frames and numbered the others without gaps;
+        "not known", where what was seen does not tell.
+    offset: what its frame numbers have too much, in frames: of the first frame, where that changes.
+    rate: frames of this camera for one of the common clock.
+    table: (frame, offset) of the frames of the common clock from which on an offset holds.
+    evidence: the numbers that this rests on.
+    """
+
+    camera: str
+    kind: ClockKind = "not known"
+    offset: int = 0
+    rate: float = 1.0
+    table: tuple[tuple[int, int], ...] = ()
+    evidence: Mapping[str, float] = field(default_factory=dict, compare=False)
+
+    @property
+    def differs(self) -> bool:
+        """Whether it is known to differ from the common clock."""
+        return self.kind in ("clock", "rate", "dropped")
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class CameraRig(Record):
     """Cameras and where they stand.
@@ -246,6 +278,7 @@ class CameraRig(Record):
     unit: what a length of 1 is ("m", "mm", ... or "arbitrary").
     judgement: how far the cameras can be trusted, as `io.provenance.judgement` has it: of a rig
         that was calibrated, and of one in a file that says so. Files that are written say it too.
+    clocks: of the cameras whose frames are not numbered by the clock of the others.
     """
 
     cameras: tuple[Camera, ...]
@@ -253,6 +286,7 @@ class CameraRig(Record):
     translation: Floats
     unit: str = ARBITRARY
     judgement: Mapping[str, Any] = field(default_factory=dict, compare=False)
+    clocks: tuple[CameraClock, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "cameras", _without_poses(self.cameras))
@@ -318,6 +352,9 @@ class CameraRig(Record):
             cameras=tuple(self.cameras[view] for view in index),
             rotation=self.rotation[index],
             translation=self.translation[index],
+            clocks=tuple(
+                clock for clock in self.clocks if clock.camera in {self.names[k] for k in index}
+            ),
         )
 
     def scale(self, factor: float, unit: str) -> "CameraRig":
@@ -625,31 +662,6 @@ class Sample(Recording):
         return ("positions", "confidence", "rays")
 
 
-# how a camera's clock differs from the common one
-ClockKind = Literal["in step", "clock", "rate", "dropped", "not known"]
-
-
-@dataclass(frozen=True)
-class CameraClock:
-    """How the clock of one camera differs from the one that most cameras share.
-
-    kind: "in step"; "clock", its frame numbers are off by `offset`; "rate", it has `rate` frames
-        for each of the others; "dropped", it lost frames and numbered the others without gaps;
-        "not known", where what was seen does not tell.
-    offset: what its frame numbers have too much, in frames: of the first frame, where that changes.
-    rate: frames of this camera for one of the common clock.
-    table: (frame, offset) of the frames of the common clock from which on an offset holds.
-    evidence: the numbers that this rests on.
-    """
-
-    camera: str
-    kind: ClockKind = "not known"
-    offset: int = 0
-    rate: float = 1.0
-    table: tuple[tuple[int, int], ...] = ()
-    evidence: Mapping[str, float] = field(default_factory=dict)
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Clocks(Record):
     """Which frame each camera shows at each frame of a clock that is common to all.
@@ -696,13 +708,23 @@ class Clocks(Record):
         return not (same and bool((self.source == np.arange(len(self.frames))).all()))
 
     def numbers(self, camera: str) -> Ints:
-        """Return the numbers `[frame]` in the files of what a camera shows.
+        """Return the numbers `[frame]` in its files of what a camera shows, -1 where nothing.
 
-        Where it shows nothing, that of the common clock. Raises KeyError for an unknown name.
+        Raises KeyError for an unknown name.
         """
         names = tuple(each.camera for each in self.cameras)
         source = self.source[_find_name(names, camera.partition(EPOCH_MARK)[0])]
-        return np.where(source >= 0, self.given[source], self.frames)
+        return np.where(source >= 0, self.given[source], NO_FRAME)
+
+    def after(self, first: "Clocks") -> "Clocks":
+        """Return what both change, the clocks of another recording being changed first."""
+        source = np.take_along_axis(first.source, np.maximum(self.source, 0), axis=1)
+        cameras = tuple(
+            late if late.differs or not early.differs else early
+            for early, late in zip(first.cameras, self.cameras, strict=True)
+        )
+        source = np.where(self.source >= 0, source, -1)
+        return replace(self, given=first.given, source=source, cameras=cameras)
 
     def select(self, views: Views) -> "Clocks":
         """Return the clocks of these views (indices, names or a mask) alone, in this order."""

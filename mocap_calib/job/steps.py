@@ -198,7 +198,7 @@ def write_result(
                 "run", seed=result.seed, inputs=inputs, **judge_cameras(reports[number])
             )
             poses = _describe_poses(group, fps)
-            write_group(place, group, poses, source)
+            write_group(place, group, poses, source, clocks=result.clocks)
             points = _observe_points(group, result.config) if any_holds_points(formats) else None
             further[number] = write_formats(place, group.rig, poses, formats, source, points=points)
             if number == 0:

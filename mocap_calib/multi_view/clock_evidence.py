@@ -60,9 +60,7 @@ def weigh_clock(
     return evidence
 
 
-def standard_errors(
-    difference: Floats, config: SyncConfig, shown: Bools | None = None
-) -> float:
+def standard_errors(difference: Floats, config: SyncConfig, shown: Bools | None = None) -> float:
     """Return the mean of `[stretch, frame]` in its standard errors, over blocks of time.
 
     Neighbouring frames err alike: blocks are what is independent. shown: `[stretch, frame]` the

@@ -1,10 +1,20 @@
 """Name the cameras whose clocks differ, for `CalibrationResult.faults`."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import cast
 
+from mocap_calib.config import EPOCH_MARK
 from mocap_calib.recording.mending import find_view
 from mocap_calib.recording.retiming import clocks_from, retime
-from mocap_calib.types import CameraClock, Clocks, Fault, FaultWord, Recording
+from mocap_calib.types import (
+    CalibrationResult,
+    CameraClock,
+    Clocks,
+    Fault,
+    FaultWord,
+    GroupResult,
+    Recording,
+)
 from mocap_calib.wording import count
 
 
@@ -22,8 +32,7 @@ class Retimed:
     @property
     def word(self) -> FaultWord:
         """The fault that it mends."""
-        assert self.clock.kind in ("clock", "rate", "dropped")
-        return self.clock.kind
+        return cast(FaultWord, self.clock.kind)
 
     @property
     def advice(self) -> str:
@@ -48,6 +57,32 @@ class Retimed:
         return retime(recording, clocks_from(recording, tuple(cameras)))
 
 
+def add_clocks(result: CalibrationResult, clocks: Clocks) -> CalibrationResult:
+    """Return the result with the clocks of its cameras, and the faults that they are.
+
+    clocks: by which the recording was put on one clock; where they change nothing, what differs was
+        found and not applied.
+    """
+    groups = result.groups
+    if clocks.changed:
+        groups = tuple(_with_clocks(group, clocks) for group in groups)
+    faults = clock_faults(clocks, applied=clocks.changed)
+    return replace(result, groups=groups, clocks=clocks, faults=(*faults, *result.faults))
+
+
+def _with_clocks(group: GroupResult, clocks: Clocks) -> GroupResult:
+    """Return the group with a rig that says which of its cameras have other clocks."""
+    different = [clock for clock in clocks.cameras if clock.differs]
+    own = tuple(
+        replace(clock, camera=name)
+        for name in group.rig.names
+        for clock in different
+        if name.partition(EPOCH_MARK)[0] == clock.camera
+    )
+    rig = replace(group.rig, clocks=own)
+    return replace(group, adjusted=replace(group.adjusted, rig=rig))
+
+
 def clock_faults(clocks: Clocks, *, applied: bool) -> tuple[Fault, ...]:
     """Return the faults of the cameras whose clocks differ.
 
@@ -56,13 +91,13 @@ def clock_faults(clocks: Clocks, *, applied: bool) -> tuple[Fault, ...]:
     return tuple(
         Fault(
             camera=each.camera,
-            word=each.kind,
+            word=cast(FaultWord, each.kind),
             says=describe_clock_fault(each),
             evidence=dict(each.evidence),
             mend=Retimed(each) if applied else None,
         )
         for each in clocks.cameras
-        if each.kind in ("clock", "rate", "dropped")
+        if each.differs and each.evidence  # what somebody said is no finding
     )
 
 

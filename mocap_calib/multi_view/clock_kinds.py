@@ -33,6 +33,7 @@ def describe_clock(
     camera: str,
     own: Ints,
     rate: float,
+    *,
     numbers: StretchNumbers,
     evidence: dict[str, float],
     config: SyncConfig,
@@ -48,14 +49,19 @@ def describe_clock(
     if rate == 1.0 and not offset[known].any():
         return CameraClock(camera, "in step" if sure else "not known", evidence=evidence)
     steps = _count_steps(offset, known)
-    unanimous = not steps and np.abs(offset[known]).min() >= config.distant and (
-        evidence["votes"] >= config.unanimous_votes
-        and evidence["partners"] > 1
-        and evidence["gain"] >= config.unanimous_gain
-        and evidence["sigma"] >= config.decisive_of_unanimous
+    unanimous = (
+        not steps
+        and np.abs(offset[known]).min() >= config.distant
+        and (
+            evidence["votes"] >= config.unanimous_votes
+            and evidence["partners"] > 1
+            and evidence["gain"] >= config.unanimous_gain
+            and evidence["sigma"] >= config.decisive_of_unanimous
+        )
     )
     decisive = unanimous or is_decisive(evidence["sigma"], evidence["score"], config)
     likely = evidence["gain"] >= config.least_gain and evidence["score"] >= config.least_score
+    likely = likely and (bool(steps) or evidence["votes"] >= config.least_votes)
     if not (decisive and likely and (sure or steps)):
         return CameraClock(camera, "not known", evidence=evidence)
     table = _table(offset, known, rate, numbers)

@@ -137,7 +137,12 @@ def _at(curve: Floats, offset: Ints) -> Floats:
 
 
 def agreement_table(
-    agreements: Agreements, view: int, maps: Ints, rate: float, *, window: int | None = None,
+    agreements: Agreements,
+    view: int,
+    maps: Ints,
+    rate: float,
+    *,
+    window: int | None = None,
     partners: Sequence[int] | None = None,
 ) -> Floats:
     """Return how well each frame of a camera agrees with the others, `[stretch, frame, offset]`.
@@ -205,9 +210,7 @@ def _follow(table: Floats, price: float) -> Ints:
     return path
 
 
-def ridge_of(
-    table: Floats, path: Ints, rate: float, price: float, frames: int
-) -> Ridge:
+def ridge_of(table: Floats, path: Ints, rate: float, price: float, frames: int) -> Ridge:
     """Return the map that a path `[stretch, frame]` through a table stands for.
 
     frames: of the camera.

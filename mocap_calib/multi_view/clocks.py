@@ -14,6 +14,13 @@ from itertools import combinations
 import numpy as np
 
 from mocap_calib.config import CLOCK_RATES, CROWDED_QUANTILE, RATE_LEAST_SHARE, SyncConfig
+from mocap_calib.multi_view.clock_evidence import (
+    along_map,
+    is_decisive,
+    standard_errors,
+    weigh_clock,
+)
+from mocap_calib.multi_view.clock_kinds import StretchNumbers, describe_clock
 from mocap_calib.multi_view.clock_paths import (
     Agreements,
     Pair,
@@ -26,16 +33,9 @@ from mocap_calib.multi_view.clock_paths import (
     standardise,
     step_price,
 )
-from mocap_calib.multi_view.clock_evidence import (
-    along_map,
-    is_decisive,
-    standard_errors,
-    weigh_clock,
-)
-from mocap_calib.multi_view.clock_kinds import StretchNumbers, describe_clock
 from mocap_calib.recording.retiming import clocks_from
 from mocap_calib.two_view.timing import FrameAgreement, ViewInTime, compare_in_time
-from mocap_calib.types import Clocks, Floats, Ints, LiftedPoses, Recording
+from mocap_calib.types import Bools, Clocks, Floats, Ints, LiftedPoses, Recording
 
 
 @dataclass(frozen=True)
@@ -76,15 +76,15 @@ def find_clocks(
         return Clocks.of_one(recording)
     values = {pair: standardise(each) for pair, each in found.items()}
     agreements = Agreements(len(views), found, values, window)
-    timing = _find_timing(agreements, _choose_rates(found, len(views), config), config)
-    timing = _on_common_clock(agreements, timing, config)
+    timing = _find_timing(agreements, _choose_rates(found, len(views)), config)
+    timing = _on_common_clock(agreements, timing)
     evidence = [
         weigh_clock(agreements, views, view, ridge, rate=rate, maps=timing.maps, config=config)
         for view, (ridge, rate) in enumerate(zip(timing.ridges, timing.rates, strict=True))
     ]
     numbers = StretchNumbers.of(recording, stretches)
     cameras = tuple(
-        describe_clock(name, ridge.frames, rate, numbers, each, config)
+        describe_clock(name, ridge.frames, rate, numbers=numbers, evidence=each, config=config)
         for name, ridge, rate, each in zip(
             recording.names, timing.ridges, timing.rates, evidence, strict=True
         )
@@ -103,7 +103,7 @@ def views_in_time(lifted: LiftedPoses, stretches: Ints, config: SyncConfig) -> l
     axes = np.linalg.eigh(covariance)[1][:, -config.axes :]
     compact = np.einsum("vfijx,jk->vfikx", body, axes, optimize=True) / np.sqrt(len(axes))
     row = np.cumsum(stretches.ravel() >= 0).reshape(stretches.shape) - 1
-    missing = stretches < 0
+    missing: Bools = np.asarray(stretches < 0)
     row = np.where(missing, 0, row)
     first = np.argsort(~seen, axis=2, kind="stable")
     seen = np.take_along_axis(seen, first, 2)
@@ -134,9 +134,7 @@ def _compare_all(
     return {pair: each for pair, each in compared if each is not None}
 
 
-def _choose_rates(
-    found: dict[Pair, FrameAgreement], views: int, config: SyncConfig
-) -> tuple[float, ...]:
+def _choose_rates(found: dict[Pair, FrameAgreement], views: int) -> tuple[float, ...]:
     """Return the rate of each camera: another than 1 where most of its pairs say so."""
     rates = [1.0] * views
     for rate in (0.5, 2.0):
@@ -158,12 +156,24 @@ def _find_timing(agreements: Agreements, rates: tuple[float, ...], config: SyncC
     if inside:
         offsets = constant_offsets(replace(agreements, values=inside), config.least_frames)
     timing = _constant_timing(agreements, offsets, rates)
+    timing = _try_rates(agreements, timing, config)
     timing, restless = _add_steps(agreements, timing, config)
     if restless > 1 and equal:
         other = _follow_one(agreements, rates, equal[0], config)
-        if _total(agreements, other) > _total(agreements, timing):
+        good = _mean_score(agreements, other) >= config.wandering_score
+        if good and _total(agreements, other) > _total(agreements, timing):
             return other
     return timing
+
+
+def _mean_score(agreements: Agreements, timing: Timing) -> float:
+    """Return how well cameras agree with each other, in standard deviations, of pairs of frames."""
+    scores = [
+        float(ridge.held_out[ridge.frames >= 0].mean()) / len(agreements.partners(view))
+        for view, ridge in enumerate(timing.ridges)
+        if (ridge.frames >= 0).any() and agreements.partners(view)
+    ]
+    return float(np.mean(scores))
 
 
 def _total(agreements: Agreements, timing: Timing) -> float:
@@ -196,9 +206,26 @@ def _constant_timing(agreements: Agreements, offsets: Ints, rates: tuple[float, 
     return timing
 
 
-def _add_steps(
-    agreements: Agreements, timing: Timing, config: SyncConfig
-) -> tuple[Timing, int]:
+def _try_rates(agreements: Agreements, timing: Timing, config: SyncConfig) -> Timing:
+    """Return the timing with the rate of the camera that agrees much better at another rate.
+
+    Where bodies move slowly, no pair by itself tells rates apart.
+    """
+    best, found = config.least_rate_gain, timing
+    for view, ridge in enumerate(timing.ridges):
+        partners = max(len(agreements.partners(view)), 1)
+        stepped, rate = _as_rate(agreements, timing, view, ridge)
+        if rate == timing.rates[view]:
+            continue
+        shown = stepped.frames >= 0
+        gain = float((stepped.agreement - ridge.agreement)[shown].mean()) / partners
+        sigma = standard_errors(stepped.agreement - ridge.agreement, config, shown)
+        if gain > best and sigma >= config.decisive_of_good:
+            best, found = gain, timing.with_ridge(view, stepped, rate)
+    return found if found is timing else _settle_constants(agreements, found)
+
+
+def _add_steps(agreements: Agreements, timing: Timing, config: SyncConfig) -> tuple[Timing, int]:
     """Return the timing with steps in the maps that are decisively better for them.
 
     And how many cameras would gain by steps, decisively or not.
@@ -216,7 +243,8 @@ def _add_steps(
             if ridge.steps:
                 partners = len(agreements.partners(view))
                 score = float(ridge.held_out[ridge.frames >= 0].mean()) / partners
-                sure = is_decisive(standard_errors(difference, config), score, config)
+                sigma = standard_errors(difference, config)
+                sure = is_decisive(sigma, score, config) and _is_plausible(ridge, score, config)
                 gains.append((ridge.total - before.total - ridge.cost, sure, view, ridge))
         restless = max(restless, len(gains))
         gains = [each for each in gains if each[1]]
@@ -230,6 +258,22 @@ def _add_steps(
     return timing, restless
 
 
+def _is_plausible(ridge: Ridge, score: float, config: SyncConfig) -> bool:
+    """Return whether a map looks like that of a camera that lost frames.
+
+    It loses some of the frames, and falls back steadily; where the other cameras lost frames as
+    well it wanders, which needs good agreement to be told from noise.
+
+    score: agreement with each of the others, in standard deviations.
+    """
+    few = ridge.steps <= config.most_steps * ridge.frames.size
+    net = 0
+    for own in ridge.frames:
+        offset = (own - np.arange(len(own)))[own >= 0]
+        net += abs(int(offset[-1] - offset[0])) if len(offset) else 0
+    return few and (net >= ridge.steps / 2 or score >= config.wandering_score)
+
+
 def _with_steps(agreements: Agreements, timing: Timing, view: int, config: SyncConfig) -> Ridge:
     """Return the map of one camera with steps, where they pay."""
     rate = timing.rates[view]
@@ -240,7 +284,7 @@ def _with_steps(agreements: Agreements, timing: Timing, view: int, config: SyncC
         agreement_table(agreements, view, timing.maps, rate, window=reach, partners=half)
         for half in (partners[::2], partners[1::2])
     ]
-    table, price = sum(halves), step_price(len(partners), config)
+    table, price = halves[0] + halves[1], step_price(len(partners), config)
     ridge = ridge_of(table, follow_ridge(table, price), rate, price, agreements.shape[1])
     if not ridge.steps or len(partners) < 2:
         return ridge
@@ -312,7 +356,7 @@ def _follow_one(
     return timing.with_ridge(root, ridge_of(table, path, 1.0, 0.0, frames), 1.0)
 
 
-def _on_common_clock(agreements: Agreements, timing: Timing, config: SyncConfig) -> Timing:
+def _on_common_clock(agreements: Agreements, timing: Timing) -> Timing:
     """Return the timing by the clock that most cameras share; among equals, the first camera's."""
     frames = agreements.shape[1]
     time = np.arange(frames)
@@ -327,7 +371,7 @@ def _on_common_clock(agreements: Agreements, timing: Timing, config: SyncConfig)
     if common == 0:
         return timing
     moved = []
-    for ridge, rate in zip(timing.ridges, timing.rates, strict=True):
+    for ridge in timing.ridges:
         # at time t of the common clock, what was shown at time t - common so far
         index = time - common
         inside = (index >= 0) & (index < frames)

@@ -77,7 +77,7 @@ def compare_in_time(
         rate = CLOCK_RATES[int(_prefer_equal_rates(score[k], config).argmax())]
         turned = rotation[k]
         for _ in range(config.refinements):
-            turned = _align(a, b, turned, rate, rows, config)
+            turned = _align(a, b, turned, rate=rate, rows=rows, config=config)
         found.append((turned, rate))
     score = _score_at_any_time(a, b, np.stack([turned for turned, _ in found]), rows, config)
     judged = _prefer_equal_rates(score, config)
@@ -230,7 +230,13 @@ def count_blocks(frames: int, config: SyncConfig) -> int:
 
 
 def _align(
-    a: ViewInTime, b: ViewInTime, rotation: Floats, rate: float, rows: Ints, config: SyncConfig
+    a: ViewInTime,
+    b: ViewInTime,
+    rotation: Floats,
+    *,
+    rate: float,
+    rows: Ints,
+    config: SyncConfig,
 ) -> Floats:
     """Return the rotation that aligns the bodies best that match at the best offset of each block.
 

@@ -17,7 +17,7 @@ from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.results.matches_csv import matches_csv
 from mocap_calib.io.results.poses_csv import poses_csv
 from mocap_calib.io.results.poses_h5 import write_poses_h5
-from mocap_calib.types import CameraRig, GroupResult
+from mocap_calib.types import CameraRig, Clocks, GroupResult
 
 REPORT = "run.json"
 REVERSED_RIG = "calibration_reversed.toml"
@@ -31,12 +31,17 @@ def group_folder(group: int) -> str:
 
 
 def write_group(
-    folder: Path, group: GroupResult, poses: PoseFile, provenance: Mapping[str, Any]
+    folder: Path,
+    group: GroupResult,
+    poses: PoseFile,
+    provenance: Mapping[str, Any],
+    *,
+    clocks: Clocks,
 ) -> None:
     """Write the cameras, matches and poses of a group into a folder that exists.
 
     poses: of the group, with what is known beside. provenance: what the files say of how they
-        came about.
+        came about. clocks: of all cameras.
     """
     _write_cameras(folder / "cameras.yaml", group.rig, "mocap-calib", provenance)
     _write_cameras(folder / "calibration.toml", group.rig, "anipose", provenance)
@@ -45,7 +50,7 @@ def write_group(
         remarks = [_REVERSED, *provenance.get("remarks", [])]
         remarked = {**provenance, "remarks": remarks}
         _write_cameras(folder / REVERSED_RIG, reversed_rig, "anipose", remarked)
-    replace_text(folder / "matches.csv", matches_csv(group.recording, group.matches))
+    replace_text(folder / "matches.csv", matches_csv(group.recording, group.matches, clocks))
     write_poses_h5(
         folder / "poses3d.h5", poses.poses, provenance, edges=poses.edges, fps=poses.rate
     )
