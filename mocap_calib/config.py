@@ -171,7 +171,7 @@ class SyncConfig:
     decisive_of_unanimous: float = 1.5
     distant: int = 4
     least_rate_gain: float = 0.5
-    least_gain: float = 0.05
+    least_gain: float = 0.03
     ambiguity: float = 2.5
     least_blocks: int = 6
     linear_steps: int = 4

@@ -121,6 +121,28 @@ def calibrate(
     return judge_rigs(add_clocks(result, clocks))
 
 
+def compare_clocks(
+    recording: Recording,
+    model: str | Path | Lifter = AUTO,
+    config: Config = Config(),
+    *,
+    seed: int = 0,
+    device: str = "cpu",
+    progress: Progress | None = None,
+) -> Clocks:
+    """Return how the clocks of the cameras differ, as `calibrate` finds it; nothing is changed.
+
+    The arguments are those of `calibrate`. Raises FormatError where there is no such model, and
+    MismatchError where there is no such device.
+    """
+    check_device(device)
+    recording, lifter = choose_model(recording, model)
+    checked = replace(config, sync=replace(config.sync, mode="check"))
+    with single_threaded_libraries():
+        lift_sample = RememberedLift(lifter, device, progress or silent)
+        return synchronise(recording, lift_sample, checked, seed=seed)
+
+
 def synchronise(
     recording: Recording, lift_sample: RememberedLift, config: Config, *, seed: int
 ) -> Clocks:

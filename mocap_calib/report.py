@@ -9,6 +9,7 @@ import numpy as np
 from mocap_calib import __version__
 from mocap_calib.config import REPORT_FRAMES, Config, IntrinsicsConfig
 from mocap_calib.geometry.rotation import angle_between
+from mocap_calib.multi_view.clock_faults import describe_clock
 from mocap_calib.multi_view.evaluation import median_and_max
 from mocap_calib.multi_view.triangulation import gather_observations, project
 from mocap_calib.multi_view.uncertainty import judge_rig
@@ -16,8 +17,6 @@ from mocap_calib.multi_view.view_graph import alternative_taken
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import (
     CalibrationResult,
-    CameraClock,
-    Clocks,
     EstimatedCamera,
     Fault,
     Floats,
@@ -53,7 +52,7 @@ def run_report(
         "unit": group.rig.unit,
         "frames": _describe_frames(group),
         "keypoints": list(group.recording.keypoints),
-        "clocks": [_describe_clock(clock, result.clocks) for clock in result.clocks.cameras],
+        "clocks": [describe_clock(clock, result.clocks) for clock in result.clocks.cameras],
         "left_out": list(result.left_out),
         "unused_pairs": [asdict(pair) for pair in result.unused_pairs],
         "cameras": [
@@ -63,19 +62,6 @@ def run_report(
         "adjust": {"rounds": group.adjusted.rounds, "converged": group.adjusted.converged},
         "individuals": _describe_individuals(group),
         "points": _describe_points(group, error),
-    }
-
-
-def _describe_clock(clock: CameraClock, clocks: Clocks) -> dict[str, Any]:
-    """Return how the clock of a camera differs from that of the others."""
-    return {
-        "camera": clock.camera,
-        "kind": clock.kind,
-        "offset_frames": clock.offset,
-        "rate": float(clock.rate),
-        "table": [{"frame": frame, "offset": offset} for frame, offset in clock.table],
-        "applied": clock.differs and clocks.changed,
-        "evidence": dict(clock.evidence),
     }
 
 

@@ -213,6 +213,17 @@ def _describe_rounds(group: GroupResult) -> list[str]:
     return [f"matches still changed after {rounds} of adjustment; look at matches.csv with care"]
 
 
+def describe_unknown_clocks(result: CalibrationResult) -> list[str]:
+    """Say that the clocks of the cameras could not be compared, where that is so."""
+    looked = result.config.sync.mode != "off"
+    if looked and all(clock.kind == "not known" for clock in result.clocks.cameras):
+        return [
+            "the clocks of the cameras are taken as they are: too little moves, or too few frames "
+            "are shared, to compare them"
+        ]
+    return []
+
+
 def _describe_faults(report: dict[str, Any]) -> list[str]:
     """Say what is wrong with the files of cameras, and what was done about it."""
     lines = []

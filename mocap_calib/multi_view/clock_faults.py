@@ -1,7 +1,7 @@
 """Name the cameras whose clocks differ, for `CalibrationResult.faults`."""
 
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import Any, cast
 
 from mocap_calib.config import EPOCH_MARK
 from mocap_calib.recording.mending import find_view
@@ -113,3 +113,16 @@ def describe_clock_fault(clock: CameraClock) -> str:
     if clock.kind == "rate":
         return f"{drift}, evenly: its frame rate is another"
     return f"it lost frames and numbered the others without gaps: {drift}"
+
+
+def describe_clock(clock: CameraClock, clocks: Clocks) -> dict[str, Any]:
+    """Return how the clock of a camera differs from that of the others, as run.json has it."""
+    return {
+        "camera": clock.camera,
+        "kind": clock.kind,
+        "offset_frames": clock.offset,
+        "rate": float(clock.rate),
+        "table": [{"frame": frame, "offset": offset} for frame, offset in clock.table],
+        "applied": clock.differs and clocks.changed,
+        "evidence": dict(clock.evidence),
+    }

@@ -1,5 +1,6 @@
 """Say what kind of difference a clock has, and from which frame on which offset holds."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,7 +36,7 @@ def describe_clock(
     rate: float,
     *,
     numbers: StretchNumbers,
-    evidence: dict[str, float],
+    evidence: Mapping[str, float],
     config: SyncConfig,
 ) -> CameraClock:
     """Return what kind of clock a camera has, given its map and the evidence for it.
@@ -49,17 +50,10 @@ def describe_clock(
     if rate == 1.0 and not offset[known].any():
         return CameraClock(camera, "in step" if sure else "not known", evidence=evidence)
     steps = _count_steps(offset, known)
-    unanimous = (
-        not steps
-        and np.abs(offset[known]).min() >= config.distant
-        and (
-            evidence["votes"] >= config.unanimous_votes
-            and evidence["partners"] > 1
-            and evidence["gain"] >= config.unanimous_gain
-            and evidence["sigma"] >= config.decisive_of_unanimous
-        )
+    size = 0 if steps else int(np.abs(offset[known]).min())
+    decisive = _is_unanimous(size, evidence, config) or is_decisive(
+        evidence["sigma"], evidence["score"], config
     )
-    decisive = unanimous or is_decisive(evidence["sigma"], evidence["score"], config)
     likely = evidence["gain"] >= config.least_gain and evidence["score"] >= config.least_score
     likely = likely and (bool(steps) or evidence["votes"] >= config.least_votes)
     if not (decisive and likely and (sure or steps)):
@@ -71,6 +65,24 @@ def describe_clock(
     elif steps:
         kind = "dropped"
     return CameraClock(camera, kind, table[0][1], rate, table, evidence)
+
+
+def _is_unanimous(size: int, evidence: Mapping[str, float], config: SyncConfig) -> bool:
+    """Return whether the other cameras, each by itself, say that a camera is off by so much.
+
+    Standard errors are doubtful where bodies move slowly; that nearly all cameras agree best at the
+    same offset is no accident, nor that all do so, where they agree well, and by two frames.
+
+    size: frames. evidence: as of `weigh_clock`.
+    """
+    if evidence["partners"] < 2 or evidence["sigma"] <= 0:
+        return False
+    far = size >= config.distant and evidence["votes"] >= config.unanimous_votes
+    far = far and evidence["gain"] >= config.unanimous_gain
+    if far and evidence["sigma"] >= config.decisive_of_unanimous:
+        return True
+    good = evidence["score"] >= config.good_score and evidence["partners"] > 2
+    return good and size > 1 and evidence["votes"] == 1.0 and evidence["sigma"] >= 1.0
 
 
 def _count_steps(offset: Ints, known: Bools) -> int:

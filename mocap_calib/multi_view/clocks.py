@@ -97,7 +97,7 @@ def views_in_time(lifted: LiftedPoses, stretches: Ints, config: SyncConfig) -> l
 
     lifted, stretches: as of `find_clocks`.
     """
-    seen = np.isfinite(lifted.body).all((-2, -1))
+    seen: Bools = np.asarray(np.isfinite(lifted.body).all((-2, -1)))
     body = np.where(seen[..., None, None], lifted.body, 0.0)
     covariance = np.einsum("vfijx,vfikx->jk", body, body, optimize=True)
     axes = np.linalg.eigh(covariance)[1][:, -config.axes :]
@@ -106,11 +106,11 @@ def views_in_time(lifted: LiftedPoses, stretches: Ints, config: SyncConfig) -> l
     missing: Bools = np.asarray(stretches < 0)
     row = np.where(missing, 0, row)
     first = np.argsort(~seen, axis=2, kind="stable")
-    seen = np.take_along_axis(seen, first, 2)
+    seen_first: Bools = np.take_along_axis(seen, first, 2)
     compact = np.take_along_axis(compact, first[..., None, None], 2).astype(np.float32)
     return [
         _without_crowd(ViewInTime(of_view[row], seen_by[row] & ~missing[..., None]))
-        for of_view, seen_by in zip(compact, seen, strict=True)
+        for of_view, seen_by in zip(compact, seen_first, strict=True)
     ]
 
 
