@@ -167,7 +167,7 @@ class SyncConfig:
     least_score: float = 0.5
     least_votes: float = 0.5
     unanimous_votes: float = 0.75
-    unanimous_gain: float = 0.2
+    unanimous_gain: float = 0.1
     decisive_of_unanimous: float = 1.5
     distant: int = 4
     least_rate_gain: float = 0.5

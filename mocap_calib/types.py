@@ -633,6 +633,17 @@ class Recording(Record):
             found = replace(found, cameras=cameras, tracked=found.tracked[index], **parts)
         return found
 
+    def show(self, source: Ints, frames: Ints) -> Self:
+        """Return the recording in which each view shows other frames than it did.
+
+        source: `[view, frame]` index of what is shown, -1 = nothing. frames: `[frame]` numbers.
+        """
+        view, missing = np.arange(len(self.cameras))[:, None], source < 0
+        parts = {name: getattr(self, name)[view, source] for name in self._by_view_and_frame}
+        for name, part in parts.items():
+            part[missing] = 0.0 if name == "confidence" else np.nan
+        return replace(self, frames=frames, **parts)
+
     @property
     def _by_view_and_frame(self) -> tuple[str, ...]:
         """Names of the arrays whose first axes are view and frame."""

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes import PEOPLE, recording, scene
+import scenes
+from scenes import PEOPLE, scene
 
 import mocap_calib
 from mocap_calib import pipeline
@@ -317,7 +318,7 @@ def test_what_is_said_of_poses_is_checked(arguments, message, tmp_path):
 
 def test_arguments_that_say_nothing_are_refused(files, tmp_path):
     rig = mocap_calib.read_rig(files / "rig.toml")
-    result = mocap_calib.CalibrationResult((), (), (), clocks=Clocks.of_one(recording()))
+    result = mocap_calib.CalibrationResult((), (), (), clocks=Clocks.of_one(scenes.recording()))
     for thing, arguments in (
         (rig, {"fps": 50}),
         (rig, {"individuals": ["ann"]}),

@@ -81,7 +81,7 @@ def _is_unanimous(size: int, evidence: Mapping[str, float], config: SyncConfig) 
     far = far and evidence["gain"] >= config.unanimous_gain
     if far and evidence["sigma"] >= config.decisive_of_unanimous:
         return True
-    good = evidence["score"] >= config.good_score and evidence["partners"] > 2
+    good = evidence["score"] >= config.good_score
     return good and size > 1 and evidence["votes"] == 1.0 and evidence["sigma"] >= 1.0
 
 

@@ -1,7 +1,6 @@
 """Put all cameras of a recording on one clock, once it is known how their clocks differ."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 
@@ -17,13 +16,7 @@ def retime(recording: Recording, clocks: Clocks) -> Recording:
     """
     if not clocks.changed:
         return recording
-    view = np.arange(len(recording.cameras))[:, None]
-    missing = clocks.source < 0
-    positions = recording.positions[view, clocks.source]
-    confidence = recording.confidence[view, clocks.source]
-    positions[missing] = np.nan
-    confidence[missing] = 0.0
-    return replace(recording, frames=clocks.frames, positions=positions, confidence=confidence)
+    return recording.show(clocks.source, clocks.frames)
 
 
 def clocks_from(recording: Recording, cameras: tuple[CameraClock, ...]) -> Clocks:

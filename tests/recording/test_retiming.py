@@ -123,7 +123,7 @@ def test_stretches_are_of_bounded_number_whatever_the_length():
     long = replace(long, frames=frames)
     stretches = choose_stretches(long, config)
     assert stretches.shape == (4, 30)
-    assert stretches[0, 0] == 0 and stretches[-1, -1] == 4999
+    assert (stretches[0, 0], stretches[-1, -1]) == (0, 4999)
     assert (np.diff(stretches, axis=1) == 1).all()
 
 
