@@ -136,6 +136,24 @@ class SyncConfig:
     hypotheses_refined, separation_deg, refinements: candidates that are refined, and how often.
     block_frames, block_share: frames of a block of time, which has an offset of its own, and the
         share of them in which both views must see somebody.
+
+    What decides (multi_view/clocks.py). Agreement is counted in standard deviations over all pairs
+    of frames of two views. Measured in step: 1.5 to 4.5 where people and animals move (H36M,
+    HumanEva, dogs, mice by DANNCE, Pose2Sim), 1.0 in a slow crowd (Shelf) and 0.4 in 120 frames of
+    it, 0.8 in sparse frames (MVOR), 0.7 for poor lifts (AcinoSet), below 0.3 where nothing can be
+    said (sleap mouse, caliscope). The best constant offsets were exact in all that reached 0.6.
+    step_price: of a step of a clock, in standard deviations; most_steps: share of the frames;
+        least_step_gain: by which steps must agree better than a constant offset; wandering_score:
+        agreement from which on steps may go either way, as where several cameras lost frames.
+    decisive: standard errors over `evidence_blocks` blocks of time (at least `least_blocks`) that
+        decide; decisive_of_good: where the agreement reaches `good_score`.
+    least_gain, least_score, least_votes: agreement that an offset must gain and reach, and the
+        share of the other cameras that agree best there.
+    unanimous_votes, unanimous_gain, decisive_of_unanimous: what decides where the others, each by
+        itself, say the same offset of at least `distant` frames.
+    ambiguity: standard errors by which any distant offset must be worse.
+    linear_steps, linear_error: steps, and frames off a line, of a clock of another rate.
+    least_rate_gain: agreement that another rate must gain.
     """
 
     mode: SyncMode = "auto"
@@ -160,6 +178,7 @@ class SyncConfig:
     rate_gain: float = 0.05
     step_price: float = 3.0
     most_steps: float = 0.3
+    least_step_gain: float = 0.1
     wandering_score: float = 1.6
     decisive: float = 5.0
     decisive_of_good: float = 3.0

@@ -244,7 +244,9 @@ def _add_steps(agreements: Agreements, timing: Timing, config: SyncConfig) -> tu
                 partners = len(agreements.partners(view))
                 score = float(ridge.held_out[ridge.frames >= 0].mean()) / partners
                 sigma = standard_errors(difference, config)
+                gain = float(difference[ridge.frames >= 0].mean()) / partners
                 sure = is_decisive(sigma, score, config) and _is_plausible(ridge, score, config)
+                sure = sure and gain >= config.least_step_gain
                 gains.append((ridge.total - before.total - ridge.cost, sure, view, ridge))
         restless = max(restless, len(gains))
         gains = [each for each in gains if each[1]]
