@@ -1,4 +1,4 @@
-"""Measure runs on real recordings whose intrinsics are unknown or rough, one row each.
+"""Measure runs on real recordings whose intrinsics or clocks are rough or unknown, one row each.
 
     .venv/bin/python benchmarks/real_rigs.py [--recordings ../shared/recordings] [PART ...]
 
@@ -20,13 +20,17 @@ from pathlib import Path
 
 import numpy as np
 
+from mocap_calib.config import Config
+from mocap_calib.front import read_recording
 from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.io.cameras.own import format_intrinsics_toml
 from mocap_calib.io.cameras.read import read_cameras, read_rig
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.multi_view.evaluation import evaluate
+from mocap_calib.multi_view.in_step import held_out_error
+from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.assumed import assume_cameras
-from mocap_calib.types import Camera
+from mocap_calib.types import Camera, GroupResult, Recording
 
 PROGRAM = "from mocap_calib_cli.main import main; main()"
 # median E_R in degrees; relative error of the focal lengths
@@ -42,6 +46,21 @@ STARTS = (0.6, 1.2, 2.4)  # image widths
 SAME_START_DEG = 0.05
 ROUGH = 1.2  # times the true focal lengths
 ROUGH_DEG = 0.2  # worse than with unknown intrinsics
+# every second frame of each camera, of some the odd ones: they are half a frame late then
+HALF_RATE = {"shelf": (0, 1, 0, 1, 1)}
+HALF_RATE_FRAMES = 0.1  # error of an offset
+HALF_RATE_DEG = 0.4
+CLOCKS_IN_STEP = (
+    "h36m_S1_walking",
+    "h36m_S5_multi3",
+    "humaneva_S1_projected",
+    "panoptic_band1_projected",
+    "two_dogs_projected",
+    "dannce_two_mice_projected",
+)
+CLOCK_SHARE = 0.08  # of the time of a run that looking at clocks may take
+CLOCKS_OFF = ("acinoset_lily_run",)
+CLOCKS_UNKNOWN = ("shelf", "pose2sim_single", "mvor_openpose", "eks_fly", "caliscope_4cam")
 
 
 @dataclass(frozen=True)
@@ -87,6 +106,12 @@ def rows(recordings: Path) -> Iterator[tuple[str, Callable[[], list[Figure]]]]:
         yield f"{name}, starts of {STARTS} widths", partial(starts, recordings / name)
     for name in UNKNOWN:
         yield f"{name}, focal lengths {ROUGH:g} times as long", partial(rough, recordings / name)
+    for name, phase in HALF_RATE.items():
+        yield f"{name}, clocks at half the rate", partial(half_rate, recordings / name, phase)
+    for name in CLOCKS_IN_STEP:
+        yield f"{name}, clocks in step", partial(clocks_in_step, recordings / name)
+    for name in (*CLOCKS_OFF, *CLOCKS_UNKNOWN):
+        yield f"{name}, clocks", partial(clocks, recordings / name, off=name in CLOCKS_OFF)
 
 
 # Rows
@@ -130,7 +155,63 @@ def rough(recording: Path) -> list[Figure]:
     return [Figure("E_R", error, round(without + ROUGH_DEG, 3))]
 
 
+def half_rate(recording: Path, phase: tuple[int, ...]) -> list[Figure]:
+    """Calibrate every second frame of each camera, from that of its phase on."""
+    whole = read_recording(recording / "keypoints", recording / "intrinsics.toml")
+    frames = len(whole.frames) // 2
+    parts = {
+        name: np.stack([of[start::2][:frames] for of, start in zip(arrays, phase, strict=True)])
+        for name, arrays in (("positions", whole.positions), ("confidence", whole.confidence))
+    }
+    found, _ = with_and_without_clocks(replace(whole, frames=np.arange(frames), **parts))
+    true = (np.array(phase) - phase[0]) / 2
+    errors = evaluate(found.rig, read_rig(recording / "reference.toml"))
+    return [
+        Figure("offset", float(np.abs(found.time_offsets.tau - true).max()), HALF_RATE_FRAMES),
+        Figure("E_R", float(np.rad2deg(np.median(errors.rotation_error))), HALF_RATE_DEG),
+    ]
+
+
+def clocks_in_step(recording: Path) -> list[Figure]:
+    """Calibrate a recording in step: nothing must change where clocks are looked at."""
+    given = read_recording(recording / "keypoints", recording / "intrinsics.toml")
+    found, without = with_and_without_clocks(given)
+    same = found.rig == without.rig and found.poses == without.poses
+    seconds = found.seconds["clocks"] / sum(without.seconds.values())
+    return [Figure("changed", float(not same), 0.0), Figure("time", seconds, CLOCK_SHARE)]
+
+
+def clocks(recording: Path, *, off: bool) -> list[Figure]:
+    """Calibrate a recording with clocks and without, and tell what was found.
+
+    off: the offsets must be used.
+    """
+    given = read_recording(recording / "keypoints", recording / "intrinsics.toml")
+    found, without = with_and_without_clocks(given)
+    used = found.time_offsets.applied
+    rest, rest_without = (
+        held_out_error(given, group.rig, without.matches, tau, Config())
+        for group, tau in ((found, used), (without, 0 * used))
+    )
+    ratio = float(np.nanmedian(found.poses.error) / np.nanmedian(without.poses.error))
+    offsets = zip(found.rig.names, found.time_offsets.tau.tolist(), strict=True)
+    return [
+        *(Figure(f"{name} (frames)", tau, np.inf) for name, tau in offsets if np.isfinite(tau)),
+        Figure("not used", float(off and not used.any()), 0.0),
+        Figure("error with / without", ratio, 1.0),
+        Figure("held out with / without", rest / rest_without, 1.0),
+    ]
+
+
 # Steps
+
+
+def with_and_without_clocks(recording: Recording) -> tuple[GroupResult, GroupResult]:
+    """Return what is found of the largest group where clocks are looked at, and where not."""
+    config = Config()
+    without = replace(config, subframe=replace(config.subframe, enabled=False))
+    found, blind = (calibrate(recording, config=each).groups[0] for each in (config, without))
+    return found, blind
 
 
 def with_focal(camera: Camera, focal: float) -> Camera:

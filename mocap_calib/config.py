@@ -137,11 +137,12 @@ class SyncConfig:
     block_frames, block_share: frames of a block of time, which has an offset of its own, and the
         share of them in which both views must see somebody.
 
-    What decides (multi_view/clocks.py). Agreement is counted in standard deviations over all pairs
-    of frames of two views. Measured in step: 1.5 to 4.5 where people and animals move (H36M,
-    HumanEva, dogs, mice by DANNCE, Pose2Sim), 1.0 in a slow crowd (Shelf) and 0.4 in 120 frames of
-    it, 0.8 in sparse frames (MVOR), 0.7 for poor lifts (AcinoSet), below 0.3 where nothing can be
-    said (sleap mouse, caliscope). The best constant offsets were exact in all that reached 0.6.
+    What decides (multi_view/clock_search.py and beside it). Agreement is counted in standard
+    deviations over all pairs of frames of two views. Measured in step: 1.5 to 4.5 where people and
+    animals move (H36M, HumanEva, dogs, mice by DANNCE, Pose2Sim), 1.0 in a slow crowd (Shelf) and
+    0.4 in 120 frames of it, 0.8 in sparse frames (MVOR), 0.7 for poor lifts (AcinoSet), below 0.3
+    where nothing can be said (sleap mouse, caliscope). The best constant offsets were exact in all
+    that reached 0.6.
     step_price: of a step of a clock, in standard deviations; most_steps: share of the frames;
         least_step_gain: by which steps must agree better than a constant offset; wandering_score:
         agreement from which on steps may go either way, as where several cameras lost frames.
@@ -178,7 +179,7 @@ class SyncConfig:
     rate_gain: float = 0.05
     step_price: float = 3.0
     most_steps: float = 0.3
-    least_step_gain: float = 0.1
+    least_step_gain: float = 0.04
     wandering_score: float = 1.6
     decisive: float = 5.0
     decisive_of_good: float = 3.0
@@ -491,6 +492,49 @@ class UncertaintyConfig:
 
 
 @dataclass(frozen=True)
+class SubframeConfig:
+    """Offsets of clocks within about a frame; see `multi_view.time_offsets`.
+
+    enabled: look for them at all.
+    screen_points: triangulated points that a first look takes, and points: that an estimate takes.
+    stretch: frames that follow each other, of which the points come; further stretches are spread
+        over the recording.
+    least_smoothness: 1 = points move without jerks, 0 = as frames of different times would have
+        them. Measured: 0.6 to 0.96 in recordings of moving subjects, 0.15 and 0.26 in samples of
+        single frames, 0.26 in one whose subjects hardly move, 0.40 in one of a still body.
+    least_points: that move and that a view sees, for its clock to be told.
+    screen_significance: standard deviations that a first look must find for more.
+    significance, least_offset: standard deviations, and frames, that an offset must have to be
+        used. Measured: at most 3.6 standard deviations in a hundred parts of eleven recordings in
+        step; 6 to 60 in seven of them where cameras take every second or third frame.
+    most_offset: frames beyond which none is used: points are known to move straight, or on a
+        parabola, from a frame before to a frame after. Offsets of 2 frames and more end anywhere.
+    uncertainty: standard deviation of an offset before anything is known, in frames.
+    rounds: of adjusting, each with the motion of the one before, until no offset changes by more
+        than `settled` frames. Each ends when a step lowers the cost by no more than the share
+        `tolerance`.
+    held_out: share of the detections that are left out, and must be better predicted with the
+        offsets than without.
+    """
+
+    enabled: bool = True
+    screen_points: int = 4000
+    points: int = 12_000
+    stretch: int = 10
+    least_smoothness: float = 0.5
+    least_points: int = 100
+    screen_significance: float = 3.0
+    significance: float = 5.0
+    least_offset: float = 0.1
+    most_offset: float = 1.2
+    uncertainty: float = 2.0
+    rounds: int = 7
+    settled: float = 0.01
+    tolerance: float = 1e-4
+    held_out: float = 0.15
+
+
+@dataclass(frozen=True)
 class MendConfig:
     """What is done where files of a camera are wrong.
 
@@ -522,6 +566,7 @@ class Config:
     intrinsics: IntrinsicsConfig = IntrinsicsConfig()
     triangulate: TriangulateConfig = TriangulateConfig()
     uncertainty: UncertaintyConfig = UncertaintyConfig()
+    subframe: SubframeConfig = SubframeConfig()
     mend: MendConfig = MendConfig()
 
 

@@ -1,7 +1,8 @@
 """The order of the stages and nothing else.
 
-clocks -> sample -> lift -> pairs -> loops, and for each group of cameras that see the same bodies:
-average -> match -> adjust -> label all frames -> uncertainty -> triangulate.
+synchronise -> sample -> lift -> pairs -> loops, and for each group of cameras that see the same
+bodies:
+average -> match -> adjust -> label all frames -> clocks -> uncertainty -> triangulate.
 
 Where intrinsics are to be estimated, they are from a first rig of each group: average -> match ->
 intrinsics. Then everything is done with them from the beginning, as if they had been given.
@@ -17,14 +18,15 @@ import numpy as np
 from mocap_calib.compute.clock import Clock
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config, Refinement
-from mocap_calib.errors import DegenerateError, MismatchError
+from mocap_calib.errors import DegenerateError
 from mocap_calib.judging import judge_rigs
 from mocap_calib.multi_view.association import associate, label_all_frames
 from mocap_calib.multi_view.averaging import average
 from mocap_calib.multi_view.clock_faults import add_clocks
-from mocap_calib.multi_view.clocks import find_clocks
+from mocap_calib.multi_view.clocks import settle_clocks
+from mocap_calib.multi_view.common_clock import synchronise
+from mocap_calib.multi_view.estimated_cameras import estimate_cameras
 from mocap_calib.multi_view.faults import mend_faults
-from mocap_calib.multi_view.intrinsics import estimate_intrinsics, not_estimated
 from mocap_calib.multi_view.observed import Observed, leave_out_underconstrained
 from mocap_calib.multi_view.refinement import adjust_from_best_start
 from mocap_calib.multi_view.tracking import finalise_identities
@@ -32,9 +34,8 @@ from mocap_calib.multi_view.triangulation import check_same_cameras, triangulate
 from mocap_calib.multi_view.uncertainty import assess_uncertainty, judge_rig
 from mocap_calib.multi_view.view_graph import camera_groups, select_hypotheses
 from mocap_calib.recording.assumed import choose_refinement
-from mocap_calib.recording.retiming import clocks_of_rates, retime
+from mocap_calib.recording.retiming import retime
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
-from mocap_calib.recording.stretches import choose_stretches
 from mocap_calib.recording.synchronise import hide_blind_spots
 from mocap_calib.steerpose.checkpoint import AUTO, choose_model
 from mocap_calib.steerpose.device import check_device
@@ -46,7 +47,6 @@ from mocap_calib.types import (
     CalibrationResult,
     CameraRig,
     Clocks,
-    EstimatedCamera,
     GroupResult,
     Mapper,
     Matches,
@@ -114,57 +114,11 @@ def calibrate(
         progress=progress,
     )
     with single_threaded_libraries():
-        with clock("clocks"):
+        with clock("synchronise"):
             clocks = synchronise(recording, lift_sample, config, seed=seed)
         recording = retime(recording, clocks)
         result = mend_faults(recording, calibrate_once(recording), calibrate_once)
     return judge_rigs(add_clocks(result, clocks))
-
-
-def compare_clocks(
-    recording: Recording,
-    model: str | Path | Lifter = AUTO,
-    config: Config = Config(),
-    *,
-    seed: int = 0,
-    device: str = "cpu",
-    progress: Progress | None = None,
-) -> Clocks:
-    """Return how the clocks of the cameras differ, as `calibrate` finds it; nothing is changed.
-
-    The arguments are those of `calibrate`. Raises FormatError where there is no such model, and
-    MismatchError where there is no such device.
-    """
-    check_device(device)
-    recording, lifter = choose_model(recording, model)
-    checked = replace(config, sync=replace(config.sync, mode="check"))
-    with single_threaded_libraries():
-        lift_sample = RememberedLift(lifter, device, progress or silent)
-        return synchronise(recording, lift_sample, checked, seed=seed)
-
-
-def synchronise(
-    recording: Recording, lift_sample: RememberedLift, config: Config, *, seed: int
-) -> Clocks:
-    """Return which frame each camera shows at each frame of a clock that is common to all.
-
-    Rates that somebody said come first. Where clocks are only to be checked, the frames stay what
-    they are.
-    """
-    said = clocks_of_rates(recording, dict(config.sync.rates))
-    recording = retime(recording, said)
-    if config.sync.mode == "off":
-        return said
-    stretches = choose_stretches(recording, config.sync)
-    sample = take_sample(hide_blind_spots(recording), stretches[stretches >= 0])
-    try:
-        lifted = lift_sample(sample)
-    except MismatchError:  # the model knows too few of the joints: said where they are needed
-        return said
-    found = find_clocks(recording, lifted, stretches, config.sync, seed=seed)
-    if config.sync.mode == "check":
-        found = Clocks.of_one(recording, found.cameras)
-    return found.after(said)
 
 
 def _calibrate_recording(
@@ -180,7 +134,7 @@ def _calibrate_recording(
     observed = observe(hide_blind_spots(recording))
     if config.intrinsics.refine != "none":
         with clock("intrinsics"):
-            cameras = _estimate_cameras(observed, config, progress=progress)
+            cameras = estimate_cameras(observed, config, progress=progress)
         observed = observe(hide_blind_spots(replace(recording, cameras=cameras)))
     groups = _calibrate_groups(observed, config, clock, seed=seed, progress=progress)
     return observed, _join_groups(observed, groups, config=config, seed=seed)
@@ -221,39 +175,6 @@ def _observe(
         sample=sample,
         lifted=lifted,
         pairs=pairs,
-    )
-
-
-def _estimate_cameras(
-    observed: Observed, config: Config, *, progress: Progress
-) -> tuple[EstimatedCamera, ...]:
-    """Return all cameras with the intrinsics estimated from the rig of their group.
-
-    Cameras of which nothing can be estimated stay as they were given.
-    """
-    cameras = observed.recording.cameras
-    estimated: dict[str, EstimatedCamera] = {}
-    for views in camera_groups(cameras, observed.pairs, config.averaging):
-        estimate = partial(_estimate_group, config=config, progress=progress)
-        try:
-            found = leave_out_underconstrained(observed.select(views), estimate)
-        except DegenerateError:
-            continue
-        estimated |= {camera.name: camera for camera in found}
-    return tuple(
-        estimated.get(camera.name) or not_estimated(camera, config.intrinsics) for camera in cameras
-    )
-
-
-def _estimate_group(
-    observed: Observed, *, config: Config, progress: Progress
-) -> tuple[EstimatedCamera, ...]:
-    """Return the cameras of one group with intrinsics from a rig of theirs."""
-    sample, lifted = observed.sample, observed.lifted
-    averaged = average(observed.recording.cameras, observed.pairs, config.averaging)
-    matches = associate(sample, lifted, averaged.rig, config, progress=progress)
-    return estimate_intrinsics(
-        sample, averaged.rig, matches, config, lifted=lifted, progress=progress
     )
 
 
@@ -303,11 +224,9 @@ def _calibrate_groups(
     groups: list[GroupResult] = []
     refusals: list[DegenerateError] = []
     for views in camera_groups(observed.recording.cameras, observed.pairs, config.averaging):
-        calibrate_group = partial(
-            _calibrate_cameras, config=config, clock=clock, seed=seed, progress=progress
-        )
+        work = partial(_calibrate_cameras, config=config, clock=clock, seed=seed, progress=progress)
         try:
-            groups.append(leave_out_underconstrained(observed.select(views), calibrate_group))
+            groups.append(leave_out_underconstrained(observed.select(views), work))
         except DegenerateError as error:
             refusals.append(error)
     if not groups:
@@ -332,11 +251,10 @@ def _calibrate_cameras(
         adjusted = adjust_from_best_start(
             sample, averaged.rig, matches, config, lifted=lifted, progress=progress
         )
-    rig = adjusted.rig
     with clock("match all"):
         matches = label_all_frames(
             recording,
-            rig,
+            adjusted.rig,
             config,
             sample_frames=observed.sample_frames,
             matches=adjusted.matches,
@@ -344,10 +262,12 @@ def _calibrate_cameras(
             lifted=lifted,
             progress=progress,
         )
-        matches = finalise_identities(recording, rig, matches, config.matching)
+        matches = finalise_identities(recording, adjusted.rig, matches, config.matching)
+    with clock("clocks"):
+        observed, adjusted, offsets = settle_clocks(observed, adjusted, matches, config)
+    recording, sample, rig = observed.recording, observed.sample, adjusted.rig
     with clock("verdict"):
-        instances = sample.positions.shape[2]
-        sampled = matches.select(frames=observed.sample_frames, instances=instances)
+        sampled = matches.select(frames=observed.sample_frames, instances=sample.positions.shape[2])
         uncertainty = assess_uncertainty(sample, rig, sampled, config, seed=seed)
     with clock("triangulate"):
         poses = triangulate(recording, rig, matches, config.triangulate, progress=progress)
@@ -360,6 +280,7 @@ def _calibrate_cameras(
         uncertainty=uncertainty,
         verdict=judge_rig(uncertainty, config.uncertainty),
         poses=poses,
+        time_offsets=offsets,
         seconds=clock.seconds,
     )
 

@@ -119,6 +119,7 @@ def _describe_camera(
         "faults": _name_faults(group, view, own_faults),
         "fault_evidence": {fault.word: _describe_fault(fault) for fault in own_faults},
         "weak_perspective": bool(group.uncertainty.weak_perspective[view]),
+        "clock": _describe_clock(group, view),
         "intrinsics": _describe_intrinsics(group, view, config.intrinsics),
         "reprojection_error_px": _median_and_p95(error),
         "pair_score": score,
@@ -144,6 +145,16 @@ def _describe_intrinsics(group: GroupResult, view: int, config: IntrinsicsConfig
         found["focal_sigma_px"] = camera.focal_sigma
         found["k1_sigma"] = camera.k1_sigma or None
     return found
+
+
+def _describe_clock(group: GroupResult, view: int) -> dict[str, Any]:
+    """Return by what part of a frame the clock of a camera is off, and whether that was used."""
+    offsets = group.time_offsets
+    return {
+        "subframe_offset": _finite_or_none(offsets.tau[view]),
+        "sigma": _finite_or_none(offsets.sigma[view]),
+        "used": bool(offsets.used[view]),
+    }
 
 
 def _name_faults(group: GroupResult, view: int, faults: Sequence[Fault]) -> list[str]:

@@ -926,6 +926,37 @@ class Adjusted(Record):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
+class TimeOffsets(Record):
+    """By what part of a frame the cameras' clocks differ.
+
+    tau: `[view]` frames by which a camera's images are later than those of the first camera that
+        have the same number, and sigma: `[view]` its standard deviation. NaN where what was seen
+        does not tell: nothing moves, or frames do not follow each other.
+    used: `[view]` the offsets that are large and certain enough for the rig and the poses to be
+        made with them.
+    """
+
+    tau: Floats
+    sigma: Floats
+    used: Bools
+
+    def __post_init__(self) -> None:
+        self._hold("time offsets", "tau", float, None)
+        self._hold("time offsets", "sigma", float, len(self.tau))
+        self._hold("time offsets", "used", bool, len(self.tau))
+
+    @classmethod
+    def unknown(cls, views: int) -> "TimeOffsets":
+        """Return that nothing is known of the clocks of so many views."""
+        return cls(np.full(views, np.nan), np.full(views, np.nan), np.zeros(views, dtype=bool))
+
+    @property
+    def applied(self) -> Floats:
+        """`[view]` the offsets that are used, 0 elsewhere."""
+        return np.where(self.used, self.tau, 0.0)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Uncertainty(Record):
     """How well a rig is determined by what was seen.
 
@@ -1045,7 +1076,9 @@ class ObservedPoints(Record):
 class GroupResult(Record):
     """All that is found of one group of cameras that see the same bodies.
 
-    recording: of the cameras of the group alone; everything else is in their order.
+    recording: of the cameras of the group alone; everything else is in their order. Its detections
+        are where the cameras would have seen them at the time of the first one, where
+        `time_offsets` are used.
     matches: labels in all frames. verdict: whether the recording determines the rig.
     seconds: wall time by stage.
     """
@@ -1058,6 +1091,7 @@ class GroupResult(Record):
     uncertainty: Uncertainty
     verdict: Verdict
     poses: Poses3D
+    time_offsets: TimeOffsets
     seconds: dict[str, float] = field(compare=False)
 
     def __repr__(self) -> str:
@@ -1067,6 +1101,15 @@ class GroupResult(Record):
     def rig(self) -> CameraRig:
         """The adjusted rig, with the verdict on it among its `judgement`."""
         return self.adjusted.rig
+
+    @property
+    def clock_offsets(self) -> dict[str, float]:
+        """By camera, the frames by which its clock is ahead of its images; without those of 0.
+
+        An image of a camera shows what the first camera sees so many frames later.
+        """
+        offsets = self.time_offsets.applied.tolist()
+        return {name: tau for name, tau in zip(self.rig.names, offsets, strict=True) if tau}
 
     def _describe(self) -> str:
         """Return the cameras and what was found of them in one line."""

@@ -17,7 +17,7 @@ from mocap_calib.config import Config
 from mocap_calib.judging import judge_cameras, judge_rigs
 from mocap_calib.multi_view.triangulation import gather_observations, project
 from mocap_calib.report import run_report
-from mocap_calib.types import CalibrationResult, Clocks, GroupResult
+from mocap_calib.types import CalibrationResult, Clocks, GroupResult, TimeOffsets
 from mocap_calib_cli.describe import describe_group
 
 DESCRIPTION = Path(__file__).parents[1] / "docs" / "run-json.md"
@@ -70,6 +70,28 @@ def test_every_field_of_run_json_is_described_and_nothing_else(done):
     found = {field for field in fields_of(report) if not field.startswith(empty)}
     assert len(found) > 40
     assert found == expected
+
+
+@pytest.mark.slow
+def test_offsets_of_clocks_are_reported_where_they_are_used(tmp_path):
+    found = sound_group()
+    offsets = TimeOffsets(
+        tau=np.array([0.0, 0.3, 0.04, np.nan]),
+        sigma=np.array([0.0, 0.02, 0.03, np.nan]),
+        used=np.array([False, True, False, False]),
+    )
+    found = replace(found, time_offsets=offsets)
+    assert found.clock_offsets == {"cam2": 0.3}
+    clocks = Clocks.of_one(found.recording)
+    result = CalibrationResult(groups=(found,), left_out=(), unused_pairs=(), clocks=clocks)
+    report = run_report(found, result, seed=0, config=Config(), inputs={})
+    clocks = [camera["clock"] for camera in report["cameras"]]
+    assert clocks[1] == {"subframe_offset": 0.3, "sigma": 0.02, "used": True}
+    assert clocks[2] == {"subframe_offset": 0.04, "sigma": 0.03, "used": False}
+    assert clocks[3] == {"subframe_offset": None, "sigma": None, "used": False}
+    assert not any(camera["faults"] for camera in report["cameras"])
+    lines = "\n".join(describe_group(found, report, tmp_path))
+    assert "frames later than cam1: cam2 +0.30 (+- 0.02)" in lines
 
 
 @pytest.mark.slow

@@ -108,6 +108,7 @@ def describe_group(group: GroupResult, report: dict[str, Any], folder: Path) -> 
         *_describe_weak_cameras(report),
         *_describe_rounds(group),
         *_describe_faults(report),
+        *_describe_clocks(report),
         *_describe_outlier_cameras(report),
         *_describe_wrong_focal(report),
         *_describe_rig(report),
@@ -235,6 +236,23 @@ def _describe_faults(report: dict[str, Any]) -> list[str]:
                 line += f", or say {fault['option']}" if fault["option"] else ""
             lines.append(line)
     return lines
+
+
+def _describe_clocks(report: dict[str, Any]) -> list[str]:
+    """Say by what part of a frame clocks are off, where that was used."""
+    clocks = {camera["name"]: camera["clock"] for camera in report["cameras"]}
+    used = [
+        f"{name} {clock['subframe_offset']:+.2f} (+- {clock['sigma']:.2f})"
+        for name, clock in clocks.items()
+        if clock["used"]
+    ]
+    if not used:
+        return []
+    first = report["cameras"][0]["name"]
+    return [
+        f"clocks, frames later than {first}: {', '.join(used)}; rig and poses are made with that, "
+        f"poses at the clock of {first}"
+    ]
 
 
 def _describe_outlier_cameras(report: dict[str, Any]) -> list[str]:

@@ -18,7 +18,16 @@ from mocap_calib.multi_view.triangulation import (
     view_noise,
 )
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Matches, Sample
+from mocap_calib.types import (
+    Bools,
+    Camera,
+    CameraRig,
+    Floats,
+    Ints,
+    Matches,
+    Recording,
+    Sample,
+)
 
 _NUDGE = 1e-4  # radians, for the differences that tell how the image moves with a ray
 
@@ -28,7 +37,7 @@ class AdjustablePoints:
     """The points that are adjusted, and what is seen of them.
 
     points: `[3, N]` in world coordinates.
-    frame: `[N]` index of the frame and keypoint: `[N]` index of the keypoint that each is of.
+    frame, individual, keypoint: `[N]` indices of what each is of.
     pixels: `[view, 2, N]`, NaN = missing.
     rays: `[view, 3, N]` unit vectors in each camera's frame, NaN = missing.
     weight: `[view, N]`, what a detection counts for; 0 where it does not agree on the point.
@@ -37,6 +46,7 @@ class AdjustablePoints:
 
     points: Floats
     frame: Ints
+    individual: Ints
     keypoint: Ints
     pixels: Floats
     rays: Floats
@@ -47,6 +57,24 @@ class AdjustablePoints:
     def used(self) -> Bools:
         """`[view, N]` the detections that agree on the point."""
         return np.asarray(self.weight > 0)
+
+    def select(self, points: Ints) -> "AdjustablePoints":
+        """Return some of the points, given their indices."""
+        return AdjustablePoints(
+            points=self.points[:, points],
+            frame=self.frame[points],
+            individual=self.individual[points],
+            keypoint=self.keypoint[points],
+            pixels=self.pixels[..., points],
+            rays=self.rays[..., points],
+            weight=self.weight[:, points],
+            noise=self.noise,
+        )
+
+    def time_blocks(self, blocks: int) -> Ints:
+        """Return the stretch of the recording `[N]` that each point belongs to, of so many."""
+        frames, rank = np.unique(self.frame, return_inverse=True)
+        return np.asarray(rank * blocks // len(frames), dtype=np.int64)
 
 
 def adjust(
@@ -68,7 +96,7 @@ def adjust(
     """
     points = choose_points(sample, rig, matches, config)
     start = State(rig.rotation, rig.translation, points.points, np.zeros((len(rig.cameras), 0)))
-    seen = _ray_observations(rig, points)
+    seen = observe_rays(rig, points)
     freedom = free_poses(len(rig.cameras))
     found = minimise_in_steps(start, seen, freedom, config.adjust, already_close=already_close)
     return placed_as(rig, found)
@@ -87,8 +115,8 @@ def choose_points(
             "check that the files belong to these cameras and to the same time"
         )
     matches = per_frame_labels(matches)  # who it is in other frames does not matter here
-    noise = view_noise(sample, rig, matches, config.triangulate)
-    points = _agreed_points(sample, rig, matches, noise=noise, config=config)
+    frames = _choose_frames(sample, matches, config.adjust.points)
+    points = agreed_points(sample, rig, matches, frames=frames, config=config)
     _check_every_camera(rig, points, config.adjust.least_keypoints)
     return points
 
@@ -131,23 +159,24 @@ def with_size_of(reference: CameraRig, rig: CameraRig) -> CameraRig:
 # Which detections the rig is built on
 
 
-def _agreed_points(
-    sample: Sample, rig: CameraRig, matches: Matches, *, noise: Floats, config: Config
+def agreed_points(
+    recording: Recording, rig: CameraRig, matches: Matches, *, frames: Ints, config: Config
 ) -> AdjustablePoints:
-    """Return points that at least two views agree on. noise: `[view]` in radians."""
-    frames = _choose_frames(sample, matches, config.adjust.points)
-    seen = gather_observations(sample, matches, frames)
+    """Return the points of frames (`[frame]` indices) that at least two views agree on."""
+    noise = view_noise(recording, rig, matches, config.triangulate)
+    seen = gather_observations(recording, matches, frames)
     weight = _drop_doubtful(seen.confidence, config.adjust)
     outlier = config.adjust.outlier_tolerance * config.triangulate.outlier
     tolerant = replace(config.triangulate, outlier=outlier)
     points, used = triangulate_rays(rig, seen.rays, weight=weight, noise=noise, config=tolerant)
     known = np.flatnonzero(np.isfinite(points[0]))
-    shape = (len(frames), matches.individuals, len(sample.keypoints))
-    frame, _, keypoint = np.unravel_index(known, shape)
+    shape = (len(frames), matches.individuals, len(recording.keypoints))
+    frame, individual, keypoint = np.unravel_index(known, shape)
     confidence = weight[:, known] ** config.adjust.confidence_power
     return AdjustablePoints(
         points=points[:, known],
         frame=frames[frame],
+        individual=individual,
         keypoint=keypoint,
         pixels=seen.pixels[..., known],
         rays=seen.rays[..., known],
@@ -199,7 +228,7 @@ def _check_every_camera(rig: CameraRig, points: AdjustablePoints, least: int) ->
 # Residuals
 
 
-def _ray_observations(rig: CameraRig, points: AdjustablePoints) -> RayObservations:
+def observe_rays(rig: CameraRig, points: AdjustablePoints) -> RayObservations:
     """Return what was seen, with the metric that turns directions into residuals.
 
     Residuals are in standard deviations of each view's own error, so that the loss means the same

@@ -17,7 +17,6 @@ from mocap_calib.config import (
 )
 from mocap_calib.multi_view.association import associate, have_same_groups
 from mocap_calib.multi_view.bundle_adjustment import (
-    AdjustablePoints,
     choose_points,
     minimise_in_steps,
     placed_as,
@@ -213,7 +212,7 @@ def _adjust(
         state,
         seen,
         freedom,
-        clusters=(_time_blocks(points, config.intrinsics.time_blocks), points.keypoint),
+        clusters=(points.time_blocks(config.intrinsics.time_blocks), points.keypoint),
         loss_scale=config.adjust.loss_scales[-1],
     )
     return _Adjusted(
@@ -232,12 +231,6 @@ def _freedom(found: _Estimate, given: tuple[Camera, ...], config: IntrinsicsConf
     sigma = np.array([config.focal_uncertainty, config.k1_uncertainty])
     sigma = sigma[: found.change.shape[1]] / np.sqrt(found.overconfidence)
     return free_intrinsics(shared_intrinsics(given, config), sigma)
-
-
-def _time_blocks(points: AdjustablePoints, blocks: int) -> Ints:
-    """Return the stretch of the recording `[N]` that each point belongs to."""
-    frames, rank = np.unique(points.frame, return_inverse=True)
-    return np.asarray(rank * blocks // len(frames), dtype=np.int64)
 
 
 def _overconfidence(covariance: Covariance, freedom: Freedom, config: IntrinsicsConfig) -> Floats:

@@ -1,5 +1,7 @@
 """Residuals of cameras and points against observed rays, for lenses that are known.
 
+Clocks may differ: `TimedRayObservations`.
+
 Residuals are taken in the plane that touches the unit sphere at the observed ray, to first order in
 pixels: any lens will do, without its derivatives.
 """
@@ -8,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mocap_calib.multi_view.motion import Motion
 from mocap_calib.multi_view.residuals import (
     Residuals,
     Slopes,
@@ -37,7 +40,10 @@ class RayObservations:
 
         x is the point in the camera's frame, u the observed ray and M its metric.
         """
-        in_camera = points_in_cameras(block, state)
+        return self.residuals_of(block, points_in_cameras(block, state))
+
+    def residuals_of(self, block: slice, in_camera: Floats) -> Residuals:
+        """Return the residuals of a block of points `[view, 3, n]` in each camera's frame."""
         along = np.einsum("vin,vin->vn", self.rays[..., block], in_camera)
         depth, behind = positive_depth(in_camera, along)
         offset = np.einsum("vkin,vin->vkn", self.metric[..., block], in_camera)
@@ -55,3 +61,35 @@ class RayObservations:
         slope = slope * (weight / found.depth)[:, None, None]
         views, rows, _, count = slope.shape
         return Slopes(in_camera=slope, intrinsics=np.empty((views, rows, 0, count)))
+
+
+@dataclass(frozen=True)
+class TimedRayObservations:
+    """What cameras whose clocks differ saw of N points that move.
+
+    A state's one intrinsic of a camera is the offset of its clock in frames: it sees each point
+    where that is so much later.
+
+    motion: of the points in the world.
+    """
+
+    rays: RayObservations
+    motion: Motion
+
+    @property
+    def weight(self) -> Floats:
+        """What each detection counts for."""
+        return self.rays.weight
+
+    def residuals(self, block: slice, state: State) -> Residuals:
+        """Return a block of points as the cameras see them, each at its own time."""
+        moved = self.motion.select(block).displacement(state.intrinsics[:, 0])
+        in_camera = points_in_cameras(block, state) + np.matmul(state.rotation, moved)
+        return self.rays.residuals_of(block, in_camera)
+
+    def slopes(self, block: slice, state: State, found: Residuals, weight: Floats, /) -> Slopes:
+        """Return the weighed derivatives; those by the offset follow from the velocity then."""
+        by_point = self.rays.slopes(block, state, found, weight).in_camera
+        velocity = self.motion.select(block).velocity_after(state.intrinsics[:, 0])
+        by_offset = np.einsum("vkin,vin->vkn", by_point, np.matmul(state.rotation, velocity))
+        return Slopes(in_camera=by_point, intrinsics=by_offset[:, :, None])

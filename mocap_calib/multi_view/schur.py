@@ -25,7 +25,7 @@ from mocap_calib.multi_view.residuals import (
     jacobian,
     robust_cost,
 )
-from mocap_calib.types import Floats, Ints
+from mocap_calib.types import Bools, Floats, Ints
 
 
 @dataclass(frozen=True)
@@ -91,6 +91,20 @@ def free_intrinsics(group: Ints, sigma: Floats) -> Freedom:
         basis[view, 6:, start : start + intrinsics] = np.eye(intrinsics)
     precision = 1 / (sigma**2 * sizes[of_view][:, None])
     return Freedom(basis=basis.reshape(-1, basis.shape[2]), precision=precision)
+
+
+def free_clocks(free: Bools, sigma: float) -> Freedom:
+    """Return the freedom of cameras the offsets of whose clocks are adjusted with their poses.
+
+    free: `[view]` the cameras whose clocks may change; that of the first camera must stay.
+    sigma: standard deviation of an offset, in frames.
+    """
+    every = np.eye(7 * len(free)).reshape(len(free), 7, -1)
+    unknown = np.ones((len(free), 7), dtype=bool)
+    unknown[0, :6] = False
+    unknown[:, 6] = free
+    basis = every.reshape(7 * len(free), -1)[:, unknown.ravel()]
+    return Freedom(basis=basis, precision=np.full((len(free), 1), sigma**-2))
 
 
 def minimise(

@@ -108,7 +108,7 @@ def _compare_clocks(report: dict[str, Any], shared: options.SharedOptions) -> No
     """Add to the report how the clocks of the cameras differ, and a finding for each that does."""
     from mocap_calib.job.load import load_recording
     from mocap_calib.multi_view.clock_faults import clock_faults, describe_clock
-    from mocap_calib.pipeline import compare_clocks
+    from mocap_calib.multi_view.common_clock import compare_clocks
     from mocap_calib.steerpose.device import use_threads
     from mocap_calib_cli import inputs
 

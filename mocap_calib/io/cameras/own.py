@@ -18,6 +18,7 @@ from mocap_calib.io.zeros import unsigned_zeros
 from mocap_calib.types import Camera, CameraClock, CameraRig, ClockKind, EstimatedCamera
 
 VERSION = 1
+SUBFRAME = "clock_subframe_offset"  # of a camera: what part of a frame its images are late
 CONVENTION = "x_camera = R x_world + t; x right, y down, z forward; pixel centres are integers"
 _NOT_ESCAPED = "[\x85\u2028\u2029]"  # line breaks that PyYAML reads back as spaces
 
@@ -25,8 +26,11 @@ _NOT_ESCAPED = "[\x85\u2028\u2029]"  # line breaks that PyYAML reads back as spa
 def format_cameras_yaml(rig: CameraRig, provenance: Mapping[str, Any]) -> str:
     """Return our own file: plain YAML, lengths in the rig's unit.
 
-    provenance: whatever says how the rig came about.
+    provenance: whatever says how the rig came about. What its field clock_subframe_offset says by
+        the names of cameras is written beside each.
     """
+    offsets = provenance.get(SUBFRAME, {})
+    provenance = {key: provenance[key] for key in provenance if key != SUBFRAME}
     header = {
         "format": "mocap-calib cameras",
         "version": VERSION,
@@ -41,7 +45,8 @@ def format_cameras_yaml(rig: CameraRig, provenance: Mapping[str, Any]) -> str:
             "t": rig.translation[view].tolist(),
             "centre": rig.centres[view].tolist(),
         }
-        cameras.append(camera_fields(camera) | extrinsics | clock_fields(rig, camera.name))
+        part = {SUBFRAME: offsets[camera.name]} if camera.name in offsets else {}
+        cameras.append(camera_fields(camera) | extrinsics | clock_fields(rig, camera.name) | part)
     # flow style (None) puts the rows of a matrix on a line each
     return _dump_yaml(header, flow=False) + _dump_yaml({"cameras": cameras}, flow=None)
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from mocap_calib.io.atomic import numbered_file, replace_text
+from mocap_calib.io.cameras.own import SUBFRAME
 from mocap_calib.io.cameras.write import format_rig
 from mocap_calib.io.hashing import hash_file
 from mocap_calib.io.poses.common import PoseFile
@@ -43,7 +44,10 @@ def write_group(
     poses: of the group, with what is known beside. provenance: what the files say of how they
         came about. clocks: of all cameras.
     """
-    _write_cameras(folder / "cameras.yaml", group.rig, "mocap-calib", provenance)
+    own = provenance
+    if group.clock_offsets:
+        own = {**provenance, SUBFRAME: group.clock_offsets}
+    _write_cameras(folder / "cameras.yaml", group.rig, "mocap-calib", own)
     _write_cameras(folder / "calibration.toml", group.rig, "anipose", provenance)
     reversed_rig = group.adjusted.depth_reversed_rig
     if reversed_rig is not None:
