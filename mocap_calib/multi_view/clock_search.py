@@ -53,8 +53,9 @@ def find_timing(agreements: Agreements, rates: tuple[float, ...], config: SyncCo
     timing = _try_rates(agreements, timing, config)
     timing, restless = _add_steps(agreements, timing, config)
     if restless > 1 and equal:
-        other = _follow_one(agreements, rates, equal[0], config)
-        good = _mean_score(agreements, other) >= config.wandering_score
+        followed = (_follow_one(agreements, rates, root, config) for root in equal)
+        other = max(followed, key=lambda each: _total(agreements, each))
+        good = _median_score(agreements, other) >= config.wandering_score
         gained = _total(agreements, other) - _total(agreements, timing)
         compared = len(agreements.values) * np.prod(agreements.shape)
         if good and gained >= config.least_step_gain * compared:
@@ -62,14 +63,17 @@ def find_timing(agreements: Agreements, rates: tuple[float, ...], config: SyncCo
     return timing
 
 
-def _mean_score(agreements: Agreements, timing: Timing) -> float:
-    """Return how well cameras agree with each other, in standard deviations, of pairs of frames."""
+def _median_score(agreements: Agreements, timing: Timing) -> float:
+    """Return how well a usual camera agrees with the others, in standard deviations.
+
+    A pair whose rotation is wrong, as of a gait seen from the other side, spoils two cameras.
+    """
     scores = [
         float(ridge.held_out[ridge.frames >= 0].mean()) / len(agreements.partners(view))
         for view, ridge in enumerate(timing.ridges)
         if (ridge.frames >= 0).any() and agreements.partners(view)
     ]
-    return float(np.mean(scores))
+    return float(np.median(scores))
 
 
 def _total(agreements: Agreements, timing: Timing) -> float:
