@@ -168,7 +168,7 @@ def rough(recording: Path) -> list[Figure]:
 def late(recording: Path, offsets: tuple[int, ...]) -> list[Figure]:
     """Calibrate a recording whose cameras are late by whole frames, and the same in step."""
     names = [camera.name for camera in read_cameras(recording / "intrinsics.toml")]
-    by_camera = dict(zip(names, offsets, strict=True))
+    by_camera = {name: by - min(offsets) for name, by in zip(names, offsets, strict=True)}
     files = recording / "keypoints", recording / "intrinsics.toml"
     moved = calibrate(read_recording(*files, frame_offset=by_camera))
     in_step = calibrate(read_recording(*files))
