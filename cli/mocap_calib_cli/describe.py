@@ -108,6 +108,7 @@ def describe_group(group: GroupResult, report: dict[str, Any], folder: Path) -> 
         *_describe_weak_cameras(report),
         *_describe_rounds(group),
         *_describe_faults(report),
+        *_describe_epochs(report, folder),
         *_describe_clocks(report),
         *_describe_outlier_cameras(report),
         *_describe_wrong_focal(report),
@@ -214,17 +215,6 @@ def _describe_rounds(group: GroupResult) -> list[str]:
     return [f"matches still changed after {rounds} of adjustment; look at matches.csv with care"]
 
 
-def describe_unknown_clocks(result: CalibrationResult) -> list[str]:
-    """Say that the clocks of the cameras could not be compared, where that is so."""
-    looked = result.config.sync.mode != "off"
-    if looked and all(clock.kind == "not known" for clock in result.clocks.cameras):
-        return [
-            "the clocks of the cameras are taken as they are: too little moves, or too few frames "
-            "are shared, to compare them"
-        ]
-    return []
-
-
 def _describe_faults(report: dict[str, Any]) -> list[str]:
     """Say what is wrong with the files of cameras, and what was done about it."""
     lines = []
@@ -236,6 +226,18 @@ def _describe_faults(report: dict[str, Any]) -> list[str]:
                 line += f", or say {fault['option']}" if fault["option"] else ""
             lines.append(line)
     return lines
+
+
+def _describe_epochs(report: dict[str, Any], folder: Path) -> list[str]:
+    """Say where the rig of each part of the recording is, where a camera was moved."""
+    epochs = report["epochs"]
+    if len(epochs) == 1:
+        return []
+    places = [
+        f"frames {epoch['first']} to {epoch['last']} in {folder / epoch['folder']}"
+        for epoch in epochs
+    ]
+    return [f"{len(epochs)} rigs, as cameras were moved: {', '.join(places)}"]
 
 
 def _describe_clocks(report: dict[str, Any]) -> list[str]:

@@ -126,3 +126,14 @@ def describe_clock(clock: CameraClock, clocks: Clocks) -> dict[str, Any]:
         "applied": clock.differs and clocks.changed,
         "evidence": dict(clock.evidence),
     }
+
+
+def describe_unknown_clocks(result: CalibrationResult) -> list[str]:
+    """Say that the clocks of the cameras could not be compared, where that is so."""
+    looked = result.config.sync.mode != "off"
+    if looked and all(clock.kind == "not known" for clock in result.clocks.cameras):
+        return [
+            "the clocks of the cameras are taken as they are: too little moves, or too few frames "
+            "are shared, to compare them"
+        ]
+    return []

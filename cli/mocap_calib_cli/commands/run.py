@@ -34,7 +34,8 @@ def command(shared: options.SharedOptions, output: Path, as_json: bool) -> None:
 
     Groups of cameras that share too little to be placed against each other are calibrated
     separately: the results of the largest are in OUT, those of the others in OUT/group_2,
-    OUT/group_3, ...
+    OUT/group_3, ... Where a camera was moved during the recording, OUT has the cameras up to
+    then, and OUT/epoch_2, OUT/epoch_3, ... those from each move on.
 
     \b
     Example:
@@ -49,6 +50,7 @@ def command(shared: options.SharedOptions, output: Path, as_json: bool) -> None:
     """
     from mocap_calib.io.results.group import group_folder
     from mocap_calib.job.steps import calibrate_job_resumably, read_job, write_results
+    from mocap_calib.multi_view.clock_faults import describe_unknown_clocks
     from mocap_calib_cli import describe, inputs, outputs
     from mocap_calib_cli.progress import Reporter
     from mocap_calib_cli.workers import open_workers
@@ -65,7 +67,7 @@ def command(shared: options.SharedOptions, output: Path, as_json: bool) -> None:
     written = write_results(job, result)
 
     reporter.say(*describe.describe_groups(result))
-    reporter.say(*describe.describe_unknown_clocks(result))
+    reporter.say(*describe_unknown_clocks(result))
     for number, (group, files) in enumerate(zip(result.groups, written, strict=True)):
         folder = output / group_folder(number)
         reporter.say(*describe.describe_group(group, files.report, folder))

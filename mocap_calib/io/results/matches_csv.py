@@ -10,6 +10,7 @@ import numpy as np
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.file import decode, malformed, read_bytes
 from mocap_calib.io.results.csv_text import format_csv_line, slice_frames
+from mocap_calib.recording.epochs import own_name
 from mocap_calib.recording.pairing import compose_name
 from mocap_calib.types import NO_FRAME, Bools, Clocks, Ints, Matches, Recording
 
@@ -23,14 +24,14 @@ def matches_csv(
 ) -> Iterator[str]:
     """Yield CSV in pieces, with a row per detection.
 
-    Columns: the camera's name, the frame number in the camera's own file, the instance (order in
-    the file), and the individual (-1 = nobody).
+    Columns: the camera's own name, the frame number in its own file, the instance (order in the
+    file), and the individual (-1 = nobody).
 
     clocks: by which the recording was put on one clock, None where it is as the files have it.
     """
     yield format_csv_line(_COLUMNS)
     for view, name in enumerate(recording.names):
-        camera = format_csv_line([name]).rstrip("\n")
+        camera = format_csv_line([own_name(name, recording.names)]).rstrip("\n")
         numbers = recording.frames if clocks is None else clocks.numbers(name)
         for piece in slice_frames(len(recording.frames)):
             seen = np.isfinite(recording.positions[view, piece, :, :, 0]).any(axis=-1)
