@@ -1,6 +1,7 @@
 """The order of the stages and nothing else.
 
-sample -> lift -> pairs -> loops, and for each group of cameras that see the same bodies:
+synchronise -> sample -> lift -> pairs -> loops, and for each group of cameras that see the same
+bodies:
 average -> match -> adjust -> label all frames -> clocks -> uncertainty -> triangulate.
 
 Where intrinsics are to be estimated, they are from a first rig of each group: average -> match ->
@@ -21,7 +22,9 @@ from mocap_calib.errors import DegenerateError
 from mocap_calib.judging import judge_rigs
 from mocap_calib.multi_view.association import associate, label_all_frames
 from mocap_calib.multi_view.averaging import average
+from mocap_calib.multi_view.clock_faults import add_clocks
 from mocap_calib.multi_view.clocks import settle_clocks
+from mocap_calib.multi_view.common_clock import synchronise
 from mocap_calib.multi_view.estimated_cameras import estimate_cameras
 from mocap_calib.multi_view.faults import mend_faults
 from mocap_calib.multi_view.observed import Observed, leave_out_underconstrained
@@ -31,16 +34,19 @@ from mocap_calib.multi_view.triangulation import check_same_cameras, triangulate
 from mocap_calib.multi_view.uncertainty import assess_uncertainty, judge_rig
 from mocap_calib.multi_view.view_graph import camera_groups, select_hypotheses
 from mocap_calib.recording.assumed import choose_refinement
+from mocap_calib.recording.retiming import retime
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
 from mocap_calib.recording.synchronise import hide_blind_spots
 from mocap_calib.steerpose.checkpoint import AUTO, choose_model
 from mocap_calib.steerpose.device import check_device
 from mocap_calib.steerpose.lift import lift
 from mocap_calib.steerpose.model import Lifter
+from mocap_calib.steerpose.remembered import RememberedLift
 from mocap_calib.two_view.solve import PairSolver, calibrate_pairs, in_recording
 from mocap_calib.types import (
     CalibrationResult,
     CameraRig,
+    Clocks,
     GroupResult,
     Mapper,
     Matches,
@@ -88,13 +94,13 @@ def calibrate(
     recording, lifter = choose_model(recording, model)
     progress = progress or silent
     clock = Clock()
+    lift_sample = RememberedLift(lifter, device, progress)
     observe = partial(
         _observe,
-        lifter=lifter,
+        lift_sample=lift_sample,
         config=config,
         clock=clock,
         seed=seed,
-        device=device,
         progress=progress,
         mapper=mapper,
         pair_solver=pair_solver,
@@ -108,7 +114,11 @@ def calibrate(
         progress=progress,
     )
     with single_threaded_libraries():
-        return mend_faults(recording, calibrate_once(recording), calibrate_once)
+        with clock("synchronise"):
+            clocks = synchronise(recording, lift_sample, config, seed=seed)
+        recording = retime(recording, clocks)
+        result = mend_faults(recording, calibrate_once(recording), calibrate_once)
+    return judge_rigs(add_clocks(result, clocks))
 
 
 def _calibrate_recording(
@@ -133,11 +143,10 @@ def _calibrate_recording(
 def _observe(
     recording: Recording,
     *,
-    lifter: Lifter,
+    lift_sample: RememberedLift,
     config: Config,
     clock: Clock,
     seed: int,
-    device: str,
     progress: Progress,
     mapper: Mapper | None,
     pair_solver: PairSolver | None,
@@ -147,7 +156,7 @@ def _observe(
         sample_frames = choose_sample_frames(recording, config.sample)
         sample = take_sample(recording, sample_frames)
     with clock("lift"):
-        lifted = lift(sample, lifter, device=device, progress=progress)
+        lifted = lift_sample(sample)
     with clock("pairwise"):
         pairs = calibrate_pairs(
             sample,
@@ -293,5 +302,6 @@ def _join_groups(
         unused_pairs=tuple(unused),
         config=config,
         seed=seed,
+        clocks=Clocks.of_one(observed.recording),
     )
     return judge_rigs(result)

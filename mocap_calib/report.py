@@ -9,6 +9,7 @@ import numpy as np
 from mocap_calib import __version__
 from mocap_calib.config import REPORT_FRAMES, Config, IntrinsicsConfig
 from mocap_calib.geometry.rotation import angle_between
+from mocap_calib.multi_view.clock_faults import describe_clock
 from mocap_calib.multi_view.evaluation import median_and_max
 from mocap_calib.multi_view.triangulation import gather_observations, project
 from mocap_calib.multi_view.uncertainty import judge_rig
@@ -52,6 +53,7 @@ def run_report(
         "unit": group.rig.unit,
         "frames": _describe_frames(group),
         "keypoints": list(group.recording.keypoints),
+        "clocks": [describe_clock(clock, result.clocks) for clock in result.clocks.cameras],
         "left_out": list(result.left_out),
         "unused_pairs": [asdict(pair) for pair in result.unused_pairs],
         "epochs": describe_epochs(group.rig.names, group.recording.frames),

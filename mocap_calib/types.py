@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, Self, TypeVar, get_arg
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mocap_calib.config import Config
+from mocap_calib.config import EPOCH_MARK, Config
 from mocap_calib.records import Record, as_array, check_names, check_shape
 from mocap_calib.wording import count
 
@@ -33,6 +33,8 @@ Views = str | Ints | Bools | Sequence[int] | Sequence[str]
 # what a length of 1 may be: a unit in metres, or nobody knows
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 ARBITRARY = "arbitrary"
+
+NO_FRAME = np.iinfo(np.int64).min  # the number of a frame that a camera does not have
 
 Verdict = Literal["well determined", "weak", "not determined"]
 
@@ -236,6 +238,36 @@ class PosedCamera(Camera):
         return f"{super()._describe()}, at ({centre})"
 
 
+# how a camera's clock differs from the common one
+ClockKind = Literal["in step", "clock", "rate", "dropped", "not known"]
+
+
+@dataclass(frozen=True)
+class CameraClock:
+    """How the clock of one camera differs from the one that most cameras share.
+
+    kind: "in step"; "clock", its frame numbers are off by `offset`; "rate", it has `rate` frames
+        for each of the others; "dropped", it lost frames and numbered the others without gaps;
+        "not known", where what was seen does not tell.
+    offset: what its frame numbers have too much, in frames: of the first frame, where that changes.
+    rate: frames of this camera for one of the common clock.
+    table: (frame, offset) of the frames of the common clock from which on an offset holds.
+    evidence: the numbers that this rests on.
+    """
+
+    camera: str
+    kind: ClockKind = "not known"
+    offset: int = 0
+    rate: float = 1.0
+    table: tuple[tuple[int, int], ...] = ()
+    evidence: Mapping[str, float] = field(default_factory=dict, compare=False)
+
+    @property
+    def differs(self) -> bool:
+        """Whether it is known to differ from the common clock."""
+        return self.kind in ("clock", "rate", "dropped")
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class CameraRig(Record):
     """Cameras and where they stand.
@@ -246,6 +278,7 @@ class CameraRig(Record):
     unit: what a length of 1 is ("m", "mm", ... or "arbitrary").
     judgement: how far the cameras can be trusted, as `io.provenance.judgement` has it: of a rig
         that was calibrated, and of one in a file that says so. Files that are written say it too.
+    clocks: of the cameras whose frames are not numbered by the clock of the others.
     """
 
     cameras: tuple[Camera, ...]
@@ -253,6 +286,7 @@ class CameraRig(Record):
     translation: Floats
     unit: str = ARBITRARY
     judgement: Mapping[str, Any] = field(default_factory=dict, compare=False)
+    clocks: tuple[CameraClock, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "cameras", _without_poses(self.cameras))
@@ -318,6 +352,9 @@ class CameraRig(Record):
             cameras=tuple(self.cameras[view] for view in index),
             rotation=self.rotation[index],
             translation=self.translation[index],
+            clocks=tuple(
+                clock for clock in self.clocks if clock.camera in {self.names[k] for k in index}
+            ),
         )
 
     def scale(self, factor: float, unit: str) -> "CameraRig":
@@ -596,6 +633,17 @@ class Recording(Record):
             found = replace(found, cameras=cameras, tracked=found.tracked[index], **parts)
         return found
 
+    def show(self, source: Ints, frames: Ints) -> Self:
+        """Return the recording in which each view shows other frames than it did.
+
+        source: `[view, frame]` index of what is shown, -1 = nothing. frames: `[frame]` numbers.
+        """
+        view, missing = np.arange(len(self.cameras))[:, None], source < 0
+        parts = {name: getattr(self, name)[view, source] for name in self._by_view_and_frame}
+        for name, part in parts.items():
+            part[missing] = 0.0 if name == "confidence" else np.nan
+        return replace(self, frames=frames, **parts)
+
     @property
     def _by_view_and_frame(self) -> tuple[str, ...]:
         """Names of the arrays whose first axes are view and frame."""
@@ -623,6 +671,82 @@ class Sample(Recording):
     @property
     def _by_view_and_frame(self) -> tuple[str, ...]:
         return ("positions", "confidence", "rays")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Clocks(Record):
+    """Which frame each camera shows at each frame of a clock that is common to all.
+
+    frames: `[frame]` numbers of the common clock: those of the first camera that is on it.
+    given: `[frame]` numbers in the recording as it was given, which are those of the files.
+    source: `[view, frame]` index into these frames, -1 = none.
+    cameras: `[view]` what was found of each; it may have been found and not applied.
+    subframe: `[view]` what of an offset is less than a frame, in frames: what a camera shows at a
+        frame of the common clock, it saw so much later.
+    """
+
+    frames: Ints
+    given: Ints
+    source: Ints
+    cameras: tuple[CameraClock, ...]
+    subframe: Floats
+
+    def __post_init__(self) -> None:
+        self._hold("clocks", "frames", int, None)
+        self._hold("clocks", "given", int, None)
+        self._hold("clocks", "source", int, len(self.cameras), len(self.frames))
+        self._hold("clocks", "subframe", float, len(self.cameras))
+
+    @classmethod
+    def of_one(cls, recording: Recording, cameras: Iterable[CameraClock] = ()) -> Self:
+        """Return the clocks of a recording that stays as it is.
+
+        cameras: `[view]` what was found of each; not known, where that is left out.
+        """
+        views, frames = len(recording.cameras), len(recording.frames)
+        return cls(
+            frames=recording.frames,
+            given=recording.frames,
+            source=np.tile(np.arange(frames), (views, 1)),
+            cameras=tuple(cameras) or tuple(map(CameraClock, recording.names)),
+            subframe=np.zeros(views),
+        )
+
+    @property
+    def changed(self) -> bool:
+        """Whether a camera shows other frames than the recording that was given says."""
+        same = np.array_equal(self.frames, self.given)
+        return not (same and bool((self.source == np.arange(len(self.frames))).all()))
+
+    def numbers(self, camera: str) -> Ints:
+        """Return the numbers `[frame]` in its files of what a camera shows, -1 where nothing.
+
+        Raises KeyError for an unknown name.
+        """
+        names = tuple(each.camera for each in self.cameras)
+        source = self.source[_find_name(names, camera.partition(EPOCH_MARK)[0])]
+        return np.where(source >= 0, self.given[source], NO_FRAME)
+
+    def after(self, first: "Clocks") -> "Clocks":
+        """Return what both change, the clocks of another recording being changed first."""
+        source = np.take_along_axis(first.source, np.maximum(self.source, 0), axis=1)
+        cameras = tuple(
+            late if late.differs or not early.differs else early
+            for early, late in zip(first.cameras, self.cameras, strict=True)
+        )
+        source = np.where(self.source >= 0, source, -1)
+        return replace(self, given=first.given, source=source, cameras=cameras)
+
+    def select(self, views: Views) -> "Clocks":
+        """Return the clocks of these views (indices, names or a mask) alone, in this order."""
+        index = _find_views(tuple(each.camera for each in self.cameras), views)
+        return Clocks(
+            frames=self.frames,
+            given=self.given,
+            source=self.source[index],
+            cameras=tuple(self.cameras[view] for view in index),
+            subframe=self.subframe[index],
+        )
 
 
 # --- what is wrong with a recording
@@ -1010,6 +1134,7 @@ class CalibrationResult(Record):
     left_out: names of the cameras that are in no group.
     config, seed: what the run was made with; the model is that of the groups' recordings.
     faults: what is wrong with the files of single cameras.
+    clocks: how the clocks of all cameras differ, also of those left out; groups are on one clock.
     """
 
     groups: tuple[GroupResult, ...]
@@ -1018,6 +1143,7 @@ class CalibrationResult(Record):
     config: Config = field(default_factory=Config)
     seed: int = 0
     faults: tuple[Fault, ...] = ()
+    clocks: Clocks = field(kw_only=True)
 
     def __repr__(self) -> str:
         lines = [f"  {group._describe()}" for group in self.groups]

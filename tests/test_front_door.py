@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scenes
 from scenes import PEOPLE, scene
 
 import mocap_calib
@@ -20,7 +21,7 @@ from mocap_calib.io.poses.read import load_poses
 from mocap_calib.io.provenance import judgement
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.steerpose.checkpoint import choose_model
-from mocap_calib.types import AssumedCamera
+from mocap_calib.types import AssumedCamera, Clocks
 from mocap_calib_cli.options import READING
 
 HEAVY = ("numpy", "torch", "scipy", "cv2", "h5py", "yaml")
@@ -317,7 +318,7 @@ def test_what_is_said_of_poses_is_checked(arguments, message, tmp_path):
 
 def test_arguments_that_say_nothing_are_refused(files, tmp_path):
     rig = mocap_calib.read_rig(files / "rig.toml")
-    result = mocap_calib.CalibrationResult((), (), ())
+    result = mocap_calib.CalibrationResult((), (), (), clocks=Clocks.of_one(scenes.recording()))
     for thing, arguments in (
         (rig, {"fps": 50}),
         (rig, {"individuals": ["ann"]}),

@@ -17,12 +17,12 @@ from mocap_calib.config import Config
 from mocap_calib.judging import judge_cameras, judge_rigs
 from mocap_calib.multi_view.triangulation import gather_observations, project
 from mocap_calib.report import run_report
-from mocap_calib.types import CalibrationResult, GroupResult, TimeOffsets
+from mocap_calib.types import CalibrationResult, Clocks, GroupResult, TimeOffsets
 from mocap_calib_cli.describe import describe_group
 
 DESCRIPTION = Path(__file__).parents[1] / "docs" / "run-json.md"
 # their keys are files, stages, cameras or constants
-BY_NAME = {"config", "inputs", "outputs", "seconds", "cameras", "fault_evidence"}
+BY_NAME = {"config", "inputs", "outputs", "seconds", "cameras", "fault_evidence", "evidence"}
 STATISTIC = {"median", "max", "p95"}
 NAMES = tuple(enumerate(("cam1", "cam2", "cam3", "cam4")))
 
@@ -64,6 +64,7 @@ def test_every_field_of_run_json_is_described_and_nothing_else(done):
         "pairs[].alternatives",
         "left_out",
         "cameras[].fault",
+        "clocks[].table",
         "epochs[].moved",
     )
     expected = {field for field in described() if not field.startswith(empty)}
@@ -82,7 +83,8 @@ def test_offsets_of_clocks_are_reported_where_they_are_used(tmp_path):
     )
     found = replace(found, time_offsets=offsets)
     assert found.clock_offsets == {"cam2": 0.3}
-    result = CalibrationResult(groups=(found,), left_out=(), unused_pairs=())
+    clocks = Clocks.of_one(found.recording)
+    result = CalibrationResult(groups=(found,), left_out=(), unused_pairs=(), clocks=clocks)
     report = run_report(found, result, seed=0, config=Config(), inputs={})
     clocks = [camera["clock"] for camera in report["cameras"]]
     assert clocks[1] == {"subframe_offset": 0.3, "sigma": 0.02, "used": True}
@@ -102,7 +104,9 @@ def test_what_is_wrong_with_a_camera_is_in_its_faults():
         weak_perspective=np.array([False, False, True, True]),
     )
     found = replace(found, uncertainty=uncertainty)
-    result = CalibrationResult(groups=(found,), left_out=(), unused_pairs=())
+    result = CalibrationResult(
+        groups=(found,), left_out=(), unused_pairs=(), clocks=Clocks.of_one(found.recording)
+    )
     report = run_report(found, result, seed=0, config=Config(), inputs={})
     faults = [camera["faults"] for camera in report["cameras"]]
     assert faults == [
@@ -124,7 +128,9 @@ def test_what_is_wrong_with_a_camera_is_in_its_faults():
 def test_every_finding_of_a_report_is_said():
     """Each at its worst gives a line more than a sound rig; what nobody says nobody mends."""
     found = sound_group()
-    result = CalibrationResult(groups=(found,), left_out=(), unused_pairs=())
+    result = CalibrationResult(
+        groups=(found,), left_out=(), unused_pairs=(), clocks=Clocks.of_one(found.recording)
+    )
     report = run_report(found, result, seed=0, config=Config(), inputs={})
     sound = describe_group(found, report, Path("out"))
     camera, pair = report["cameras"][0], report["pairs"][0]
@@ -154,7 +160,9 @@ def test_files_say_the_verdict_and_what_explains_it():
     )
     adjusted = replace(found.adjusted, depth_reversed_rig=found.rig)
     found = replace(found, uncertainty=uncertainty, adjusted=adjusted)
-    result = CalibrationResult(groups=(found,), left_out=("cam9",), unused_pairs=())
+    result = CalibrationResult(
+        groups=(found,), left_out=("cam9",), unused_pairs=(), clocks=Clocks.of_one(found.recording)
+    )
     report = run_report(found, result, seed=0, config=Config(), inputs={})
     judged = judge_cameras(report)
     assert judge_rigs(result).groups[0].rig.judgement == judged
@@ -181,7 +189,9 @@ def test_the_error_is_what_anipose_calls_one():
     The mean over two to four views is below their root mean square.
     """
     found = sound_group()
-    result = CalibrationResult(groups=(found,), left_out=(), unused_pairs=())
+    result = CalibrationResult(
+        groups=(found,), left_out=(), unused_pairs=(), clocks=Clocks.of_one(found.recording)
+    )
     points = run_report(found, result, seed=0, config=Config(), inputs={})["points"]
     pixels = gather_observations(found.recording, found.matches, np.arange(60)).pixels
     images = project(found.rig, found.poses.positions.reshape(-1, 3).T)
@@ -198,7 +208,9 @@ def test_individuals_are_counted_by_camera():
     labels = found.matches.labels.copy()
     labels[0][labels[0] == 1] = -1
     found = replace(found, matches=replace(found.matches, labels=labels))
-    result = CalibrationResult(groups=(found,), left_out=(), unused_pairs=())
+    result = CalibrationResult(
+        groups=(found,), left_out=(), unused_pairs=(), clocks=Clocks.of_one(found.recording)
+    )
     report = run_report(found, result, seed=0, config=Config(), inputs={})
     assert "cam1" in report["individuals"][0]["cameras"]
     assert "cam1" not in report["individuals"][1]["cameras"]

@@ -17,6 +17,8 @@ from mocap_calib.config import (
     MendConfig,
     Refinement,
     SampleConfig,
+    SyncConfig,
+    SyncMode,
 )
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.cameras.read import load_cameras, make_rig, parse_content
@@ -26,6 +28,7 @@ from mocap_calib.io.results.further_formats import check_formats
 from mocap_calib.io.results.matches_csv import read_matches_csv
 from mocap_calib.job.load import LoadedRecording, load_recording
 from mocap_calib.job.request import CalibrationRequest, KeypointSource
+from mocap_calib.recording.retiming import clocks_of_rig, retime
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
 from mocap_calib.types import (
     CameraRig,
@@ -38,7 +41,7 @@ from mocap_calib.types import (
 from mocap_calib_cli.describe import describe_recording
 from mocap_calib_cli.options import STDIO, SharedOptions
 from mocap_calib_cli.progress import Reporter
-from mocap_calib_cli.texts import read_options, stated_mends
+from mocap_calib_cli.texts import parse_rates, read_options, stated_mends
 
 # --- keypoints and recordings
 
@@ -61,7 +64,8 @@ def calibration_request(options: SharedOptions, output: Path) -> CalibrationRequ
     Raises click's UsageError, also for further formats that could not be written in the end.
     """
     try:
-        check_formats(options.write, options.fps)
+        fps, _ = parse_rates(options.fps)
+        check_formats(options.write, fps)
     except MismatchError as error:
         raise click.UsageError(str(error)) from None
     intrinsics = intrinsics_config(options)
@@ -72,10 +76,22 @@ def calibration_request(options: SharedOptions, output: Path) -> CalibrationRequ
         pair_solver=options.solver,
         seed=options.seed,
         device=options.device,
-        config=Config(intrinsics=intrinsics, mend=MendConfig(apply=options.mend != "none")),
+        config=Config(
+            intrinsics=intrinsics,
+            mend=MendConfig(apply=options.mend != "none"),
+            sync=sync_config(options),
+        ),
         formats=options.write,
-        fps=options.fps,
+        fps=fps,
     )
+
+
+def sync_config(options: SharedOptions) -> SyncConfig:
+    """Return what is done about clocks that differ. Raises click's BadParameter."""
+    of_all, single = parse_rates(options.fps)
+    rates = tuple((camera, rate / (of_all or rate)) for camera, rate in single.items())
+    mode = cast(SyncMode, options.sync)
+    return SyncConfig(mode=mode, window=options.sync_window, rates=rates)
 
 
 def intrinsics_config(options: SharedOptions) -> IntrinsicsConfig:
@@ -126,11 +142,15 @@ def read_recording_of_rig(
 ) -> tuple[CameraRig, LoadedRecording]:
     """Read a rig and the keypoints of its cameras; the rig has those with keypoints alone.
 
+    They are put on one clock, where the rig says that those of its cameras differ.
+
     Raises FormatError and MismatchError.
     """
     rig, camera_file = read_rig(options.rig, "--rig")
     loaded = read_recording(options, camera_file, reporter, of_rig=True)
-    return _rig_of_recording(rig, loaded.recording), loaded
+    rig = _rig_of_recording(rig, loaded.recording)
+    clocks = clocks_of_rig(loaded.recording, rig)
+    return rig, replace(loaded, recording=retime(loaded.recording, clocks), clocks=clocks)
 
 
 def lift_sample(
@@ -175,9 +195,13 @@ def read_rig(path: str, option: str) -> tuple[CameraRig, CameraFile]:
     return make_rig(found, "stdin" if path == STDIO else path), found
 
 
-def read_matches(path: str, recording: Recording) -> Matches:
-    """Return the matches in a file or on stdin. Raises FormatError and MismatchError."""
-    return read_matches_csv(read_stdin("--matches") if path == STDIO else Path(path), recording)
+def read_matches(path: str, loaded: LoadedRecording) -> Matches:
+    """Return the matches in a file or on stdin. Raises FormatError and MismatchError.
+
+    loaded: on the clock of its rig.
+    """
+    source = read_stdin("--matches") if path == STDIO else Path(path)
+    return read_matches_csv(source, loaded.recording, loaded.clocks)
 
 
 def _rig_of_recording(rig: CameraRig, recording: Recording) -> CameraRig:

@@ -12,10 +12,10 @@ from typing import Any, TypeVar
 
 import click
 
-from mocap_calib.config import MENDING, PAIR_SOLVERS, REFINEMENTS
+from mocap_calib.config import MENDING, PAIR_SOLVERS, REFINEMENTS, SYNC_MODES, SyncConfig
 from mocap_calib_cli import values
 from mocap_calib_cli.file_options import FILE_OPTIONS
-from mocap_calib_cli.numbers import PERCENTAGE, POSITIVE, SEED
+from mocap_calib_cli.numbers import PERCENTAGE, SEED
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -36,6 +36,8 @@ CALIBRATION = (
     *READING,
     "moved",
     "mend",
+    "sync",
+    "sync_window",
     "write",
     "fps",
     "quiet",
@@ -51,7 +53,8 @@ class SharedOptions:
     cameras ... focal_per_camera: what is known of the intrinsics, see `inputs.intrinsics_config`.
     skeleton: file with names of joints of one's own. model: None = chosen by joint names.
     solver: of pairs. scheduler: address of a Dask scheduler, None = the work is done here.
-    write: further formats of the results. fps: frames per second, for formats that need it.
+    write: further formats of the results. fps: frames per second, see `texts.parse_rates`.
+    sync, sync_window: what is done about clocks that differ, see `inputs.sync_config`.
     """
 
     keypoints: tuple[str, ...] = ()
@@ -82,7 +85,9 @@ class SharedOptions:
     seed: int = 0
     scheduler: str | None = None
     write: tuple[str, ...] = ()
-    fps: float | None = None
+    fps: tuple[str, ...] = ()
+    sync: str = SyncConfig.mode
+    sync_window: int = SyncConfig.window
     quiet: bool = False
 
 
@@ -181,8 +186,24 @@ _OPTIONS = {
     ),
     "fps": click.option(
         "--fps",
-        type=POSITIVE,
-        help="Frames per second, for the formats that need it.",
+        metavar="FPS|CAM:FPS",
+        multiple=True,
+        help="Frames per second, for the formats that need it; and of a single camera whose rate "
+        "is another.",
+    ),
+    "sync": click.option(
+        "--sync",
+        type=click.Choice(SYNC_MODES),
+        default=SharedOptions.sync,
+        help="What is done where the clocks of cameras differ: auto puts them on one clock for "
+        "this run, check only says so, off does not look.",
+    ),
+    "sync_window": click.option(
+        "--sync-window",
+        type=click.IntRange(min=1),
+        default=SharedOptions.sync_window,
+        metavar="FRAMES",
+        help="By how much a camera may be early or late.",
     ),
     "quiet": click.option(
         "--quiet", "-q", is_flag=True, help="Write nothing to stderr but errors."

@@ -24,6 +24,7 @@ _FORMS = {
     "--rotated": "camera:degrees with 90, 180 or 270, as cam1:90",
     "--resized": "camera:factor above 0, as cam1:0.5",
     "--exchanged": "two cameras, as cam1,cam2",
+    "--fps": "frames per second above 0, or camera:frames per second, as cam1:25",
     "--moved": "camera:frame with a whole number, as cam1:500",
 }
 
@@ -55,6 +56,26 @@ def stated_mends(options: SharedOptions) -> tuple[Mend, ...]:
         *_parse_resized(options.resized),
         *_parse_moved(options.moved),
     )
+
+
+def parse_rates(texts: Sequence[str]) -> tuple[float | None, dict[str, float]]:
+    """Return the frames per second of all cameras, None where not said, and those of single ones.
+
+    Raises click's BadParameter, also where single ones are said and not that of the others.
+    """
+    option, rates = "--fps", dict[str, float]()
+    for text in texts:
+        camera, _, rate = text.rpartition(":")
+        (rates[camera],) = _parse_numbers(rate, 1, option)
+        if rates[camera] <= 0:
+            raise _wrong_form(text, option)
+    of_all = rates.pop("", None)
+    if rates and of_all is None:
+        raise click.BadParameter(
+            f"expected that of the other cameras too, as --fps 30, found {', '.join(texts)} alone",
+            param_hint=option,
+        )
+    return of_all, rates
 
 
 def _parse_exchanged(texts: Sequence[str]) -> list[Mend]:

@@ -16,15 +16,19 @@ from mocap_calib.recording.pairing import views_named
 from mocap_calib.recording.summary import RecordingSummary, summarise_recording
 from mocap_calib.recording.synchronise import join_views, recording_of_views
 from mocap_calib.steerpose.weights import load_vocabulary
-from mocap_calib.types import Keypoints2D, Recording, Skeleton
+from mocap_calib.types import Clocks, Keypoints2D, Recording, Skeleton
 
 
 @dataclass(frozen=True)
 class LoadedRecording:
-    """A recording, and what a person should know of it."""
+    """A recording, and what a person should know of it.
+
+    clocks: by which it was put on one clock since it was read, None where it was not.
+    """
 
     recording: Recording
     summary: RecordingSummary
+    clocks: Clocks | None = None
 
 
 def load_recording(

@@ -209,7 +209,7 @@ def write_result(
                 "run", seed=result.seed, inputs=inputs, **judge_cameras(reports[number])
             )
             poses = _describe_poses(group, fps)
-            write_group(place, group, poses, source)
+            write_group(place, group, poses, source, clocks=result.clocks)
             further[number] = _write_further(
                 place, group, poses, formats=formats, source=source, config=result.config
             )

@@ -109,7 +109,9 @@ def rig_of_epoch(rig: CameraRig, epoch: Epoch) -> CameraRig:
     if epoch.names == rig.names:
         return rig
     part = rig.select(epoch.views)
-    return replace(part, cameras=_name_cameras(part.cameras, epoch))
+    own = dict(zip(part.names, epoch.names, strict=True))
+    clocks = tuple(replace(clock, camera=own[clock.camera]) for clock in part.clocks)
+    return replace(part, cameras=_name_cameras(part.cameras, epoch), clocks=clocks)
 
 
 def _name_cameras(cameras: tuple[Camera, ...], epoch: Epoch) -> tuple[Camera, ...]:

@@ -167,7 +167,7 @@ def test_each_recording_is_read_and_written_as_was_asked(tmp_path):
         frame_offset=("cam1:-1",),
         camera_regex="cam(.)",
         write=("colmap",),
-        fps=25.0,
+        fps=("25",),
     )
     (tmp_path / "one" / "keypoints").mkdir(parents=True)
     (asked,) = batch_module._make_requests(options, [str(tmp_path / "one")], tmp_path / "out")

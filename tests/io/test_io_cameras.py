@@ -153,10 +153,10 @@ def test_our_yaml_is_plain_and_says_its_convention():
 def test_our_yaml_says_the_offsets_of_clocks_beside_the_cameras():
     rig = make_rig()
     name = rig.names[1]
-    text = format_cameras_yaml(rig, {**PROVENANCE, "clock_offset_frames": {name: -0.45}})
+    text = format_cameras_yaml(rig, {**PROVENANCE, "clock_subframe_offset": {name: -0.45}})
     fields = yaml.safe_load(text)
-    assert "clock_offset_frames" not in fields["provenance"]
-    assert [each.get("clock_offset_frames") for each in fields["cameras"]] == [None, -0.45]
+    assert "clock_subframe_offset" not in fields["provenance"]
+    assert [each.get("clock_subframe_offset") for each in fields["cameras"]] == [None, -0.45]
     assert parse_rig(text, "cameras.yaml").names == rig.names
 
 

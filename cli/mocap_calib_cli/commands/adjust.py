@@ -49,7 +49,7 @@ def command(
     with Reporter(quiet=shared.quiet) as reporter:
         rig, loaded = inputs.read_recording_of_rig(shared, reporter)
         recording = loaded.recording
-        matches = inputs.read_matches(shared.matches, recording)
+        matches = inputs.read_matches(shared.matches, loaded)
         sample_frames, sample, lifted = inputs.lift_sample(loaded, shared.device, reporter)
         instances = sample.positions.shape[2]  # a frame that is not in the sample may have more
         sampled = matches.select(frames=sample_frames, instances=instances)
@@ -74,7 +74,7 @@ def command(
                 progress=reporter,
             )
             matches = finalise_identities(recording, adjusted.rig, matches, config.matching)
-            outputs.write_text(matches_out, matches_csv(recording, matches))
+            outputs.write_text(matches_out, matches_csv(recording, matches, loaded.clocks))
     outputs.write_text(
         output,
         [format_cameras_yaml(adjusted.rig, provenance("adjust", solver=solver, adjusted=True))],

@@ -39,8 +39,13 @@ _LISTED_GAPS = 5
         help="The cameras' intrinsics, to see whether they and the keypoints go together.",
     ),
 )
+@click.option(
+    "--sync",
+    is_flag=True,
+    help="Find out whether the clocks of the cameras differ, which takes some seconds.",
+)
 @options.as_json("Write everything as JSON.")
-def command(shared: options.SharedOptions, as_json: bool) -> None:
+def command(shared: options.SharedOptions, sync: bool, as_json: bool) -> None:
     """Say what is in KEYPOINTS, and what would make a run fail.
 
     Of each camera: frames and gaps, individuals, joints, missing points, scores; of each pair of
@@ -53,11 +58,13 @@ def command(shared: options.SharedOptions, as_json: bool) -> None:
       mocap-calib inspect openpose/ --layout body_25b --json
     """
     report = _inspect(shared)
+    if sync and not _is_critical(report):
+        _compare_clocks(report, shared)
     if as_json:
         click.echo(json.dumps(report, indent=1, allow_nan=False))
     else:
         click.echo("\n".join(_describe(report)))
-    if any(finding["level"] == "CRITICAL" for finding in report["findings"]):
+    if _is_critical(report):
         raise click.exceptions.Exit(1)
 
 
@@ -90,6 +97,34 @@ def _inspect(shared: options.SharedOptions) -> dict[str, Any]:
         for each in found
     ]
     return report
+
+
+def _is_critical(report: dict[str, Any]) -> bool:
+    """Return whether a run could not work."""
+    return any(finding["level"] == "CRITICAL" for finding in report["findings"])
+
+
+def _compare_clocks(report: dict[str, Any], shared: options.SharedOptions) -> None:
+    """Add to the report how the clocks of the cameras differ, and a finding for each that does."""
+    from mocap_calib.job.load import load_recording
+    from mocap_calib.multi_view.clock_faults import clock_faults, describe_clock
+    from mocap_calib.multi_view.common_clock import compare_clocks
+    from mocap_calib.steerpose.device import use_threads
+    from mocap_calib_cli import inputs
+
+    use_threads(1)
+    file = inputs.load_camera_file(shared.cameras, "--cameras") if shared.cameras else None
+    recording = load_recording(inputs.keypoint_source(shared), file).recording
+    clocks = compare_clocks(recording, recording.model)
+    report["clocks"] = [describe_clock(clock, clocks) for clock in clocks.cameras]
+    for fault in clock_faults(clocks, applied=True):
+        option = fault.mend.option if fault.mend else ""
+        advice = f"; say {option}" if option else "; a run mends it"
+        message = f"{fault.camera}: {fault.says}{advice}"
+        report["findings"].append({"level": "WARNING", "message": message})
+    if all(clock.kind == "not known" for clock in clocks.cameras):
+        message = "too little moves, or too few frames are shared, to compare the cameras' clocks"
+        report["findings"].append({"level": "WARNING", "message": message})
 
 
 def _describe(report: dict[str, Any]) -> list[str]:

@@ -27,4 +27,4 @@ def command(shared: options.SharedOptions, output: str) -> None:
     with Reporter(quiet=shared.quiet) as reporter:
         rig, loaded = inputs.read_recording_of_rig(shared, reporter)
         matches = match(loaded.recording, rig, device=shared.device, progress=reporter)
-    outputs.write_text(output, matches_csv(loaded.recording, matches))
+    outputs.write_text(output, matches_csv(loaded.recording, matches, loaded.clocks))

@@ -45,9 +45,12 @@ def command(shared: options.SharedOptions, output: Path, as_json: bool) -> None:
       mocap-calib run keypoints/ --cameras rough.toml --refine focal --focal-uncertainty 5% -o out
       mocap-calib run keypoints/ --cameras intrinsics.toml -o out --write colmap
       mocap-calib run keypoints/ --cameras intrinsics.toml -o out --write movement-3d --fps 60
+      mocap-calib run keypoints/ --cameras intrinsics.toml -o out --fps 60 --fps cam2:30
+      mocap-calib run keypoints/ --cameras intrinsics.toml -o out --sync check
     """
     from mocap_calib.io.results.group import group_folder
     from mocap_calib.job.steps import calibrate_job_resumably, read_job, write_results
+    from mocap_calib.multi_view.clock_faults import describe_unknown_clocks
     from mocap_calib_cli import describe, inputs, outputs
     from mocap_calib_cli.progress import Reporter
     from mocap_calib_cli.workers import open_workers
@@ -64,6 +67,7 @@ def command(shared: options.SharedOptions, output: Path, as_json: bool) -> None:
     written = write_results(job, result)
 
     reporter.say(*describe.describe_groups(result))
+    reporter.say(*describe_unknown_clocks(result))
     for number, (group, files) in enumerate(zip(result.groups, written, strict=True)):
         folder = output / group_folder(number)
         reporter.say(*describe.describe_group(group, files.report, folder))

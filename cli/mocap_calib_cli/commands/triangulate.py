@@ -37,7 +37,7 @@ def command(shared: options.SharedOptions, output: Path) -> None:
     outputs.check_file(output)
     with Reporter(quiet=shared.quiet) as reporter:
         rig, loaded = inputs.read_recording_of_rig(shared, reporter)
-        matches = inputs.read_matches(shared.matches, loaded.recording)
+        matches = inputs.read_matches(shared.matches, loaded)
         if output.suffix == ".csv":
             check_poses_csv(output, matches.individuals)
         poses = triangulate(loaded.recording, rig, matches, progress=reporter)

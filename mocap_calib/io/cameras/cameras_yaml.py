@@ -7,7 +7,7 @@ from typing import Any
 
 from mocap_calib.io.cameras.common import PlacedCamera, collect_cameras, extrinsics_if_given
 from mocap_calib.io.cameras.intrinsics import camera_from_fields, describe_keys
-from mocap_calib.io.cameras.own import VERSION, format_cameras_yaml
+from mocap_calib.io.cameras.own import VERSION, format_cameras_yaml, read_clock
 from mocap_calib.io.cameras.source import CameraFile, Source, unique
 from mocap_calib.io.file import malformed
 from mocap_calib.io.provenance import read_judgement
@@ -39,7 +39,14 @@ def parse(source: Source) -> CameraFile:
         where = f"{source.path}: camera {camera.name}"
         placed.append((camera, extrinsics_if_given(fields, where)))
     file = collect_cameras(placed, source.path, unit=str(data.get("unit", "")))
-    return replace(file, judgement=read_judgement(data.get("provenance")))
+    clocks = (
+        read_clock(fields, camera.name) for camera, fields in zip(cameras, entries, strict=True)
+    )
+    return replace(
+        file,
+        judgement=read_judgement(data.get("provenance")),
+        clocks=tuple(clock for clock in clocks if clock is not None),
+    )
 
 
 def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:

@@ -15,9 +15,10 @@ from mocap_calib.geometry.rotation import vector_from_matrix
 from mocap_calib.io.cameras.intrinsics import camera_fields, estimated_fields
 from mocap_calib.io.cameras.toml_text import dump_toml
 from mocap_calib.io.zeros import unsigned_zeros
-from mocap_calib.types import Camera, CameraRig, EstimatedCamera
+from mocap_calib.types import Camera, CameraClock, CameraRig, ClockKind, EstimatedCamera
 
 VERSION = 1
+SUBFRAME = "clock_subframe_offset"  # of a camera: what part of a frame its images are late
 CONVENTION = "x_camera = R x_world + t; x right, y down, z forward; pixel centres are integers"
 _NOT_ESCAPED = "[\x85\u2028\u2029]"  # line breaks that PyYAML reads back as spaces
 
@@ -25,11 +26,11 @@ _NOT_ESCAPED = "[\x85\u2028\u2029]"  # line breaks that PyYAML reads back as spa
 def format_cameras_yaml(rig: CameraRig, provenance: Mapping[str, Any]) -> str:
     """Return our own file: plain YAML, lengths in the rig's unit.
 
-    provenance: whatever says how the rig came about. What its field clock_offset_frames says by
+    provenance: whatever says how the rig came about. What its field clock_subframe_offset says by
         the names of cameras is written beside each.
     """
-    offsets = provenance.get("clock_offset_frames", {})
-    provenance = {key: provenance[key] for key in provenance if key != "clock_offset_frames"}
+    offsets = provenance.get(SUBFRAME, {})
+    provenance = {key: provenance[key] for key in provenance if key != SUBFRAME}
     header = {
         "format": "mocap-calib cameras",
         "version": VERSION,
@@ -44,10 +45,40 @@ def format_cameras_yaml(rig: CameraRig, provenance: Mapping[str, Any]) -> str:
             "t": rig.translation[view].tolist(),
             "centre": rig.centres[view].tolist(),
         }
-        clock = {"clock_offset_frames": offsets[camera.name]} if camera.name in offsets else {}
-        cameras.append(camera_fields(camera) | extrinsics | clock)
+        part = {SUBFRAME: offsets[camera.name]} if camera.name in offsets else {}
+        cameras.append(camera_fields(camera) | extrinsics | clock_fields(rig, camera.name) | part)
     # flow style (None) puts the rows of a matrix on a line each
     return _dump_yaml(header, flow=False) + _dump_yaml({"cameras": cameras}, flow=None)
+
+
+def clock_fields(rig: CameraRig, camera: str) -> dict[str, Any]:
+    """Return what is written of the clock of a camera, nothing where it is that of the others."""
+    clock = next((each for each in rig.clocks if each.camera == camera), None)
+    if clock is None or not clock.differs:
+        return {}
+    if clock.kind == "clock":
+        return {"clock_offset_frames": clock.offset}
+    table = [list(row) for row in clock.table]
+    return {"clock_offset_frames": table, "clock_rate": float(clock.rate)}
+
+
+def read_clock(fields: Mapping[str, Any], camera: str) -> CameraClock | None:
+    """Return the clock that `clock_fields` wrote, None where there is none or it makes no sense."""
+    offset, rate = fields.get("clock_offset_frames"), fields.get("clock_rate", 1.0)
+    if type(offset) is int:
+        return CameraClock(camera, "clock", offset)
+    if not isinstance(offset, list) or not offset or not _is_positive(rate):
+        return None
+    if not all(isinstance(row, list) and list(map(type, row)) == [int, int] for row in offset):
+        return None
+    kind: ClockKind = "dropped" if rate == 1.0 else "rate"
+    table = tuple((row[0], row[1]) for row in offset)
+    return CameraClock(camera, kind, table[0][1], float(rate), table)
+
+
+def _is_positive(value: Any) -> bool:
+    """Return whether a value that was read is a number above 0."""
+    return type(value) in (int, float) and 0 < value < float("inf")
 
 
 def format_calibration_toml(rig: CameraRig, provenance: Mapping[str, Any]) -> str:

@@ -72,6 +72,7 @@ def make_rig(found: CameraFile, source: str) -> CameraRig:
         translation=np.stack([translation for _, translation in extrinsics]),
         unit=found.unit or ARBITRARY,
         judgement=found.judgement,
+        clocks=found.clocks,
     )
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from mocap_calib.io.atomic import numbered_file, replace_text
+from mocap_calib.io.cameras.own import SUBFRAME
 from mocap_calib.io.cameras.write import format_rig
 from mocap_calib.io.hashing import hash_file
 from mocap_calib.io.poses.common import PoseFile
@@ -20,7 +21,7 @@ from mocap_calib.io.results.matches_csv import matches_csv
 from mocap_calib.io.results.poses_csv import poses_csv
 from mocap_calib.io.results.poses_h5 import write_poses_h5
 from mocap_calib.recording.epochs import Epoch, epoch_folder, list_epochs, rig_of_epoch
-from mocap_calib.types import CameraRig, GroupResult
+from mocap_calib.types import CameraRig, Clocks, GroupResult
 
 REPORT = "run.json"
 REVERSED_RIG = "calibration_reversed.toml"
@@ -34,12 +35,17 @@ def group_folder(group: int) -> str:
 
 
 def write_group(
-    folder: Path, group: GroupResult, poses: PoseFile, provenance: Mapping[str, Any]
+    folder: Path,
+    group: GroupResult,
+    poses: PoseFile,
+    provenance: Mapping[str, Any],
+    *,
+    clocks: Clocks,
 ) -> None:
     """Write the cameras, matches and poses of a group into a folder that exists.
 
     poses: of the group, with what is known beside. provenance: what the files say of how they
-        came about.
+        came about. clocks: of all cameras.
     """
     epochs = list_epochs(group.rig.names, group.recording.frames)
     reversed_rig = group.adjusted.depth_reversed_rig
@@ -48,15 +54,15 @@ def write_group(
         place.mkdir(exist_ok=True)
         own = epoch_provenance(provenance, epochs, number)
         rig = rig_of_epoch(group.rig, epoch)
-        clocks = _clock_offsets(group, epoch)
-        with_clocks = {**own, "clock_offset_frames": clocks} if clocks else own
+        parts = _clock_offsets(group, epoch)
+        with_clocks = {**own, SUBFRAME: parts} if parts else own
         _write_cameras(place / "cameras.yaml", rig, "mocap-calib", with_clocks)
         _write_cameras(place / "calibration.toml", rig, "anipose", own)
         if reversed_rig is not None:
             remarked = {**own, "remarks": [_REVERSED, *own.get("remarks", [])]}
             reversed_epoch = rig_of_epoch(reversed_rig, epoch)
             _write_cameras(place / REVERSED_RIG, reversed_epoch, "anipose", remarked)
-    replace_text(folder / "matches.csv", matches_csv(group.recording, group.matches))
+    replace_text(folder / "matches.csv", matches_csv(group.recording, group.matches, clocks))
     write_poses_h5(
         folder / "poses3d.h5", poses.poses, provenance, edges=poses.edges, fps=poses.rate
     )

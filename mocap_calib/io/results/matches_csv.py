@@ -12,28 +12,33 @@ from mocap_calib.io.file import decode, malformed, read_bytes
 from mocap_calib.io.results.csv_text import format_csv_line, slice_frames
 from mocap_calib.recording.epochs import own_name
 from mocap_calib.recording.pairing import compose_name
-from mocap_calib.types import Bools, Ints, Matches, Recording
+from mocap_calib.types import NO_FRAME, Bools, Clocks, Ints, Matches, Recording
 
 _COLUMNS = ["camera", "frame", "instance", "individual"]
 _REMEDY = "give the file that `match` or `run` wrote"
 _WRONG_RECORDING = "give the matches of this recording"
 
 
-def matches_csv(recording: Recording, matches: Matches) -> Iterator[str]:
+def matches_csv(
+    recording: Recording, matches: Matches, clocks: Clocks | None = None
+) -> Iterator[str]:
     """Yield CSV in pieces, with a row per detection.
 
-    Columns: the camera's own name, the frame number, the instance (order in the file), and the
-    individual (-1 = nobody).
+    Columns: the camera's own name, the frame number in its own file, the instance (order in the
+    file), and the individual (-1 = nobody).
+
+    clocks: by which the recording was put on one clock, None where it is as the files have it.
     """
     yield format_csv_line(_COLUMNS)
     for view, name in enumerate(recording.names):
         camera = format_csv_line([own_name(name, recording.names)]).rstrip("\n")
+        numbers = recording.frames if clocks is None else clocks.numbers(name)
         for piece in slice_frames(len(recording.frames)):
             seen = np.isfinite(recording.positions[view, piece, :, :, 0]).any(axis=-1)
             frame, instance = np.nonzero(seen)
             individual = matches.labels[view, piece][frame, instance]
             rows = zip(
-                recording.frames[piece][frame].tolist(),
+                numbers[piece][frame].tolist(),
                 instance.tolist(),
                 individual.tolist(),
                 strict=True,
@@ -41,8 +46,13 @@ def matches_csv(recording: Recording, matches: Matches) -> Iterator[str]:
             yield "".join(f"{camera},{f},{i},{who}\n" for f, i, who in rows)
 
 
-def read_matches_csv(path_or_text: Path | str, recording: Recording) -> Matches:
+def read_matches_csv(
+    path_or_text: Path | str, recording: Recording, clocks: Clocks | None = None
+) -> Matches:
     """Return the matches in a file or a text, as `matches_csv` writes them.
+
+    clocks: as of `matches_csv`; rows of frames that a camera does not show on the common clock are
+        left out.
 
     A detection that has no row is nobody's. Raises FormatError for bad content and MismatchError
     for a camera, frame or instance that the recording lacks.
@@ -54,6 +64,8 @@ def read_matches_csv(path_or_text: Path | str, recording: Recording) -> Matches:
         source = "matches"
         text = path_or_text
     cameras, rows = _parse_rows(text, source)
+    if clocks is not None:
+        cameras, rows = _on_common_clock(cameras, rows, clocks)
     detections = _find_detections(cameras, rows[:, :2], recording, source)
     individual = rows[:, 2]
     _check_once(detections, "each detection once", source)
@@ -90,6 +102,26 @@ def _parse_rows(text: str, source: str) -> tuple[list[str], Ints]:
         expected = "four cells a row, individuals counted from 0, -1 = nobody"
         raise malformed(source, expected, "others", _REMEDY)
     return [compose_name(row[0]) for row in table[1:]], rows
+
+
+def _on_common_clock(cameras: list[str], rows: Ints, clocks: Clocks) -> tuple[list[str], Ints]:
+    """Return the rows with frame numbers of the common clock, of what is shown on it.
+
+    cameras: `[row]` names; rows: `[row, 3]` frame, instance, individual.
+    """
+    numbered = rows.copy()
+    kept = np.ones(len(rows), dtype=bool)
+    names = np.array(cameras)
+    for clock in clocks.cameras:
+        own = clocks.numbers(clock.camera)
+        shown = np.flatnonzero(own != NO_FRAME)
+        of_camera = np.flatnonzero(names == clock.camera)
+        if not len(shown) or not len(of_camera):
+            continue
+        place = np.searchsorted(own[shown], rows[of_camera, 0]).clip(max=len(shown) - 1)
+        kept[of_camera] = own[shown[place]] == rows[of_camera, 0]
+        numbered[of_camera, 0] = clocks.frames[shown[place]]
+    return [cameras[row] for row in np.flatnonzero(kept)], numbered[kept]
 
 
 def _find_detections(cameras: list[str], rows: Ints, recording: Recording, source: str) -> Ints:

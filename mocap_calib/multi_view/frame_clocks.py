@@ -1,0 +1,110 @@
+"""Find how the clocks of cameras differ, from lifted bodies, before there is a rig.
+
+compare pairs in time -> constant offsets -> rates and lost frames -> hold against in step.
+
+A clock is called different only where the evidence is decisive: the cameras agree better than they
+do in step, under the best rotation of each pair in either case, by several standard errors over
+blocks of time; and no other offset that is no neighbour does nearly as well.
+"""
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+
+from mocap_calib.config import CROWDED_QUANTILE, SyncConfig
+from mocap_calib.multi_view.clock_evidence import weigh_clock
+from mocap_calib.multi_view.clock_kinds import StretchNumbers, describe_clock
+from mocap_calib.multi_view.clock_paths import Agreements, Pair, standardise
+from mocap_calib.multi_view.clock_search import find_timing, on_common_clock
+from mocap_calib.recording.retiming import clocks_from
+from mocap_calib.two_view.timing import FrameAgreement, ViewInTime, compare_in_time
+from mocap_calib.types import Bools, Clocks, Ints, LiftedPoses, Recording
+
+
+def find_clocks(
+    recording: Recording, lifted: LiftedPoses, stretches: Ints, config: SyncConfig, *, seed: int
+) -> Clocks:
+    """Return how the clocks of the cameras differ.
+
+    lifted: the bodies of all frames of the stretches, one stretch after the other.
+    stretches: `[stretch, frame]` indices of the frames, -1 = not in the recording.
+    """
+    views = views_in_time(lifted, stretches, config)
+    window = min(config.window, stretches.shape[1] // 3)
+    config = replace(config, window=window)
+    found = _compare_all(views, config, seed)
+    if not found or window < 1:
+        return Clocks.of_one(recording)
+    values = {pair: standardise(each) for pair, each in found.items()}
+    agreements = Agreements(len(views), found, values, window)
+    timing = find_timing(agreements, _choose_rates(found, len(views)), config)
+    timing = on_common_clock(agreements, timing)
+    evidence = [
+        weigh_clock(agreements, views, view, ridge, rate=rate, maps=timing.maps, config=config)
+        for view, (ridge, rate) in enumerate(zip(timing.ridges, timing.rates, strict=True))
+    ]
+    numbers = StretchNumbers.of(recording, stretches)
+    cameras = tuple(
+        describe_clock(name, ridge.frames, rate, numbers=numbers, evidence=each, config=config)
+        for name, ridge, rate, each in zip(
+            recording.names, timing.ridges, timing.rates, evidence, strict=True
+        )
+    )
+    return clocks_from(recording, cameras)
+
+
+def views_in_time(lifted: LiftedPoses, stretches: Ints, config: SyncConfig) -> list[ViewInTime]:
+    """Return the bodies of each view in stretches of consecutive frames.
+
+    lifted, stretches: as of `find_clocks`.
+    """
+    seen: Bools = np.asarray(np.isfinite(lifted.body).all((-2, -1)))
+    body = np.where(seen[..., None, None], lifted.body, 0.0)
+    covariance = np.einsum("vfijx,vfikx->jk", body, body, optimize=True)
+    axes = np.linalg.eigh(covariance)[1][:, -config.axes :]
+    compact = np.einsum("vfijx,jk->vfikx", body, axes, optimize=True) / np.sqrt(len(axes))
+    row = np.cumsum(stretches.ravel() >= 0).reshape(stretches.shape) - 1
+    missing: Bools = np.asarray(stretches < 0)
+    row = np.where(missing, 0, row)
+    first = np.argsort(~seen, axis=2, kind="stable")
+    seen_first: Bools = np.take_along_axis(seen, first, 2)
+    compact = np.take_along_axis(compact, first[..., None, None], 2).astype(np.float32)
+    return [
+        _without_crowd(ViewInTime(of_view[row], seen_by[row] & ~missing[..., None]))
+        for of_view, seen_by in zip(compact, seen_first, strict=True)
+    ]
+
+
+def _without_crowd(view: ViewInTime) -> ViewInTime:
+    """Return the view with as many instances as nearly all frames have, those seen first."""
+    several = view.seen.sum(-1)[view.seen.any(-1)]
+    count = max(1, int(np.quantile(several, CROWDED_QUANTILE))) if len(several) else 1
+    return ViewInTime(view.body[:, :, :count], view.seen[:, :, :count])
+
+
+def _compare_all(
+    views: list[ViewInTime], config: SyncConfig, seed: int
+) -> dict[Pair, FrameAgreement]:
+    """Return how the pairs of views agree in time; pairs of which one sees too little are not."""
+    pairs = list(combinations(range(len(views)), 2))
+    generators = np.random.default_rng(seed).spawn(len(pairs))
+    compared = (
+        ((a, b), compare_in_time(views[a], views[b], config, rng))
+        for (a, b), rng in zip(pairs, generators, strict=True)
+    )
+    return {pair: each for pair, each in compared if each is not None}
+
+
+def _choose_rates(found: dict[Pair, FrameAgreement], views: int) -> tuple[float, ...]:
+    """Return the rate of each camera: another than 1 where most of its pairs say so."""
+    rates = [1.0] * views
+    for rate in (0.5, 2.0):
+        for view in range(views):
+            said = []
+            for (a, b), each in sorted(found.items()):
+                if view in (a, b) and rates[a] == rates[b] == 1.0:
+                    said.append(each.rate == (rate if view == b else 1 / rate))
+            if sum(said) > len(said) / 2:
+                rates[view] = rate
+    return tuple(rates)

@@ -1,0 +1,43 @@
+"""Choose stretches of consecutive frames, in which it shows whether clocks differ."""
+
+import numpy as np
+
+from mocap_calib.config import SyncConfig
+from mocap_calib.types import Ints, Recording
+
+
+def choose_stretches(recording: Recording, config: SyncConfig) -> Ints:
+    """Return the frames `[stretch, frame]` (indices, -1 = not in the recording) of stretches.
+
+    Within a stretch, frames follow each other by the usual distance of frame numbers. A short
+    recording is one stretch; of a long one there are several, which begin with its first frame and
+    are spread over it, each several windows long, and no more in all than the configuration says.
+    """
+    frames = recording.frames
+    step = usual_step(frames)
+    position = np.round((frames - frames[0]) / step).astype(np.int64)
+    on_grid = frames[0] + position * step == frames
+    length = int(position[-1]) + 1
+    budget = _frame_budget(recording, config)
+    each = max(int(config.stretch_windows * config.window), 1)
+    count = max(1, budget // each)
+    if length <= max(budget, each):
+        starts, each = np.zeros(1, dtype=np.int64), length
+    else:
+        starts = np.unique(np.linspace(0, max(length - each, 0), count).astype(np.int64))
+    index = np.full(length, -1, dtype=np.int64)
+    index[position[on_grid]] = np.flatnonzero(on_grid)
+    return index[starts[:, None] + np.arange(min(each, length))]
+
+
+def usual_step(frames: Ints) -> int:
+    """Return the usual distance of frame numbers `[frame]`; 1 where there is but one frame."""
+    steps = np.diff(frames)
+    return int(np.median(steps)) if len(steps) else 1
+
+
+def _frame_budget(recording: Recording, config: SyncConfig) -> int:
+    """Return how many frames have as many detections in all views as are looked at."""
+    some = recording.select(frames=slice(None, None, max(1, len(recording.frames) // 200)))
+    detections = some.seen.any(-1).sum() / max(len(some.frames), 1)
+    return int(min(config.frames, config.detections / max(detections, 1.0)))

@@ -1,0 +1,88 @@
+"""Clocks that differ, from the command line: found, mended, said, and kept in all files."""
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+from scenes import scene
+
+from mocap_calib.io.cameras.read import read_rig
+from mocap_calib.io.poses.read import read_poses
+from mocap_calib.io.results.scene import write_scene
+from mocap_calib.multi_view.evaluation import evaluate
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Return a folder with a simulated recording in step."""
+    folder = tmp_path_factory.mktemp("clocks")
+    made = scene(cameras=3, people=1, frames=150, fps=12.0)
+    write_scene(folder, made, "made by a test")
+    return folder
+
+
+def run(tool, made, out, *options):
+    """Calibrate the recording in a folder; return how that ended."""
+    done = tool(
+        "run", made / "keypoints", "--cameras", made / "intrinsics.toml", "-o", made / out, *options
+    )
+    assert done.returncode == 0, done.stderr
+    return done
+
+
+@pytest.mark.slow
+def test_a_late_camera_is_put_on_the_clock_of_the_others(made, tool):
+    """Measured: the rig differs by 0.02 deg from that of cameras in step."""
+    late = ("--frame-offset", "cam2:5")
+    run(tool, made, "in_step")
+    done = run(tool, made, "late", *late)
+    assert "cam2: its clock is 5 frames late; mended for this run" in done.stderr
+    assert "--frame-offset cam2:-5" in done.stderr
+    report = json.loads((made / "late" / "run.json").read_text("utf-8"))
+    assert [camera["faults"] for camera in report["cameras"]] == [[], ["clock"], []]
+    clocks = {clock["camera"]: clock for clock in report["clocks"]}
+    assert [clocks[name]["offset_frames"] for name in ("cam1", "cam2", "cam3")] == [0, 5, 0]
+    assert clocks["cam2"]["applied"]
+    cameras = yaml.safe_load((made / "late" / "cameras.yaml").read_text("utf-8"))["cameras"]
+    assert [camera.get("clock_offset_frames") for camera in cameras] == [None, 5, None]
+    rigs = [read_rig(made / out / "cameras.yaml") for out in ("in_step", "late")]
+    assert np.rad2deg(evaluate(*rigs).rotation_error.max()) < 0.2
+
+    poses = made / "again.h5"
+    arguments = ("--rig", made / "late" / "cameras.yaml", "--matches", made / "late/matches.csv")
+    done = tool("triangulate", made / "keypoints", *arguments, "-o", poses, *late)
+    assert done.returncode == 0, done.stderr
+    again, before = (read_poses(path) for path in (poses, made / "late" / "poses3d.h5"))
+    np.testing.assert_array_equal(again.frames, before.frames)
+    np.testing.assert_allclose(again.positions, before.positions, rtol=0, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_what_is_said_beforehand_is_not_found_again(made, tool):
+    done = run(tool, made, "said", "--frame-offset", "cam2:5", "--frame-offset", "cam2:0")
+    assert "its clock" not in done.stderr
+    off = run(tool, made, "off", "--sync", "off")
+    assert "its clock" not in off.stderr
+    for name in ("cameras.yaml", "matches.csv", "poses3d_0.csv"):
+        assert (made / "said" / name).read_bytes() == (made / "off" / name).read_bytes()
+
+
+@pytest.mark.slow
+def test_a_check_changes_nothing(made, tool):
+    late = ("--frame-offset", "cam2:5")
+    done = run(tool, made, "checked", "--sync", "check", *late)
+    assert "cam2: its clock is 5 frames late" in done.stderr
+    assert "mended" not in done.stderr
+    run(tool, made, "late_off", "--sync", "off", *late)
+    checked, off = (made / out / "matches.csv" for out in ("checked", "late_off"))
+    assert checked.read_bytes() == off.read_bytes()
+    given = ("--cameras", made / "intrinsics.toml")
+    seen = tool("inspect", made / "keypoints", *given, "--sync", *late)
+    assert "cam2: its clock is 5 frames late; say --frame-offset cam2:-5" in seen.stdout
+
+
+def test_the_rate_of_one_camera_needs_that_of_the_others(made, tool):
+    done = tool("run", made / "keypoints", "-o", made / "none", "--fps", "cam2:15")
+    assert done.returncode == 2
+    assert "expected that of the other cameras too" in done.stderr
