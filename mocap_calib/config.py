@@ -455,6 +455,9 @@ class DiagnosisConfig:
 
     # what an explanation must show
     least_keypoints: int = 100
+    # share of its detections; measured 0.45 and more where a camera is odd, 0.05 where a rig of
+    # nearly affine cameras was accused
+    least_matched: float = 0.25
     least_gain: float = 0.1  # of mirrored and exchanged sides; below it an explanation is weak
     rival: float = 0.5  # of the evidence: so much for another camera makes a weak one ambiguous
     least_exchanged: float = 0.25  # share of the detections whose sides are exchanged,
