@@ -1,4 +1,6 @@
-"""Measure runs on real recordings whose intrinsics or clocks are rough or unknown, one row each.
+"""Measure runs on real recordings as labs have them, one row each.
+
+Intrinsics or clocks are rough or unknown, or a camera was bumped.
 
     .venv/bin/python benchmarks/real_rigs.py [--recordings ../shared/recordings] [PART ...]
 
@@ -9,6 +11,7 @@ where a figure is beyond its bound.
 """
 
 import argparse
+import json
 import subprocess
 import sys
 import tempfile
@@ -23,9 +26,12 @@ import numpy as np
 from mocap_calib.config import Config
 from mocap_calib.front import read_recording
 from mocap_calib.geometry.lens import change_intrinsics
+from mocap_calib.geometry.projection import pixels_from_points, rays_from_pixels
+from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.io.cameras.own import format_intrinsics_toml
 from mocap_calib.io.cameras.read import read_cameras, read_rig
 from mocap_calib.io.keypoints.read import read_keypoints
+from mocap_calib.io.keypoints.write import write_keypoints
 from mocap_calib.multi_view.evaluation import evaluate
 from mocap_calib.multi_view.in_step import held_out_error
 from mocap_calib.pipeline import calibrate
@@ -46,6 +52,11 @@ STARTS = (0.6, 1.2, 2.4)  # image widths
 SAME_START_DEG = 0.05
 ROUGH = 1.2  # times the true focal lengths
 ROUGH_DEG = 0.2  # worse than with unknown intrinsics
+BUMPED = ("h36m_S1_mix", "h36m_S5_multi3", "humaneva_S1_projected", "shelf", "acinoset_lily_run")
+BUMPS_DEG = (2, 10)
+BUMP_AXIS = np.array([0.3, 0.9, 0.3])  # a camera mostly turns aside
+BUMPED_FRAME = 0.02  # share of the recording
+BUMPED_DEG = 1.0  # worse than without the bump
 # every second frame of each camera, of some the odd ones: they are half a frame late then
 HALF_RATE = {"shelf": (0, 1, 0, 1, 1)}
 HALF_RATE_FRAMES = 0.1  # error of an offset
@@ -106,6 +117,10 @@ def rows(recordings: Path) -> Iterator[tuple[str, Callable[[], list[Figure]]]]:
         yield f"{name}, starts of {STARTS} widths", partial(starts, recordings / name)
     for name in UNKNOWN:
         yield f"{name}, focal lengths {ROUGH:g} times as long", partial(rough, recordings / name)
+    for name in BUMPED:
+        for degrees in BUMPS_DEG:
+            measure = partial(moved, recordings / name, degrees=degrees)
+            yield f"{name}, moved: a camera turned by {degrees} deg at half time", measure
     for name, phase in HALF_RATE.items():
         yield f"{name}, clocks at half the rate", partial(half_rate, recordings / name, phase)
     for name in CLOCKS_IN_STEP:
@@ -153,6 +168,38 @@ def rough(recording: Path) -> list[Figure]:
         error = median_rotation_error(out, reference)
         without = median_rotation_error(run(recording, Path(work) / "unknown"), reference)
     return [Figure("E_R", error, round(without + ROUGH_DEG, 3))]
+
+
+def moved(recording: Path, *, degrees: float) -> list[Figure]:
+    """Calibrate a recording whose second camera was turned at half time: the frame, both epochs."""
+    reference = read_rig(recording / "reference.toml")
+    intrinsics = ("--cameras", str(recording / "intrinsics.toml"))
+    turn = matrix_from_vector(np.deg2rad(degrees) * BUMP_AXIS)
+    with tempfile.TemporaryDirectory() as folder:
+        work = Path(folder)
+        (work / "sound").mkdir()
+        sound = run(recording, work / "sound", *intrinsics)
+        allowed = median_rotation_error(sound, recording / "reference.toml") + BUMPED_DEG
+        name, start, frames = bump(recording, work / "keypoints", turn)
+        out = run(work, work, *intrinsics)
+        report = json.loads((out / "run.json").read_text("utf-8"))
+        later = report["epochs"][1:] or [{"folder": ".", "first": np.inf}]
+        rigs = [
+            read_rig(out / each["folder"] / "cameras.yaml") for each in ({"folder": "."}, *later)
+        ]
+    others = [each["name"] for each in report["cameras"] if each["faults"] and each["name"] != name]
+    rotation, translation = reference.rotation.copy(), reference.translation.copy()
+    view = reference.names.index(name)
+    rotation[view], translation[view] = turn @ rotation[view], turn @ translation[view]
+    after = replace(reference, rotation=rotation, translation=translation)
+    errors = [evaluate(rigs[0], reference), evaluate(rigs[-1], after)]
+    before_deg, after_deg = (float(np.rad2deg(np.median(e.rotation_error))) for e in errors)
+    return [
+        Figure("frame off by", abs(later[0]["first"] - start) / frames, BUMPED_FRAME),
+        Figure("E_R before", before_deg, round(allowed, 3)),
+        Figure("E_R after", after_deg, round(allowed, 3)),
+        Figure("sound cameras accused", len(others), 0),
+    ]
 
 
 def half_rate(recording: Path, phase: tuple[int, ...]) -> list[Figure]:
@@ -204,6 +251,34 @@ def clocks(recording: Path, *, off: bool) -> list[Figure]:
 
 
 # Steps
+
+
+def bump(recording: Path, folder: Path, turn: np.ndarray) -> tuple[str, int, int]:
+    """Write the keypoints of a recording whose second camera is turned at half its frames.
+
+    Returns its name, the first frame that is changed, and how many frames it has.
+    """
+    folder.mkdir()
+    cameras = {camera.name: camera for camera in read_cameras(recording / "intrinsics.toml")}
+    bumped = list(cameras)[1]
+    for view in read_keypoints([recording / "keypoints"]):
+        camera, positions = cameras[view.camera], view.positions.astype(np.float64)
+        if view.camera == bumped:
+            half = len(view.frames) // 2
+            rays = rays_from_pixels(camera, positions[half:])
+            seen = pixels_from_points(camera, rays @ turn.T)
+            inside = ((seen >= 0) & (seen <= np.array(camera.size))).all(-1, keepdims=True)
+            positions[half:] = np.where(inside, seen, np.nan)
+            start, frames = int(view.frames[half]), len(view.frames)
+        missing = ~np.isfinite(positions).all(-1)
+        changed = replace(
+            view,
+            positions=positions,
+            confidence=np.where(missing, 0.0, view.confidence),
+            image_size=camera.size,
+        )
+        write_keypoints(folder / f"{view.camera}.json", (changed,), "coco")
+    return bumped, start, frames
 
 
 def with_and_without_clocks(recording: Recording) -> tuple[GroupResult, GroupResult]:

@@ -484,6 +484,96 @@ PLAIN_FACTORS = (1 / 4, 1 / 3, 1 / 2, 2 / 3, 3 / 4, 4 / 3, 3 / 2, 2.0, 3.0, 4.0)
 
 
 @dataclass(frozen=True)
+class MovedConfig:
+    """Whether a camera was bumped or moved during the recording (multi_view/moved.py).
+
+    Shares are of the weighed squared errors of a camera, or of its robust cost.
+
+    What is looked at:
+    glanced_detections: of one camera, about, in at least `least_frames` frames that are evenly
+        spread, by which it stands out, and detections: by which it is judged.
+    least_joints: that a detection and a body have in common.
+    least_detections: of an epoch of a camera, and least_share: of its detections.
+
+    Which cameras stand out, by their errors over time in the rig of all:
+    loose: tolerance of an error, in RMS angular sizes of a detection: wider than what a bump of a
+        few degrees makes, so that both epochs still speak.
+    suspicious_gain: share of the errors that a change of the pose at one moment explains. Sound
+        recordings: at most 0.06, and 0.12 of a fly under telescopes; a camera moved by 0.2 m at
+        5 m: 0.07 to 0.1; bumped by 2 degrees: 0.2 to 0.8.
+    suspicious_step: by which the mean cost (0..1) of its detections rises or falls at one moment.
+        Sound: at most 0.28; a bump of 20 degrees: 0.7 to 0.9.
+
+    Of those, whether another pose from one moment on explains it:
+    hypotheses: poses that single detections ask for.
+    tolerance_noises: of an error, in standard deviations, in the end.
+    steps: of Gauss and Newton, down to a tenth of the widest tolerance.
+    rounds: of poses, and of the moments between them.
+    explained: cost (0..1) below which a detection is explained by the pose of the camera.
+    large_gain: by which the mean cost (0..1) falls with other poses that were proposed, for these
+        to be tried beside small steps of the present pose.
+    most_changes: that are looked for in one camera.
+    least_gain: share by which the cost falls with a change, and least_evidence: that share times
+        the number of detections, so that few of them, whose errors go together, do not suffice.
+        Measured: at most 4.8 where nothing was moved (19 of the fly, see least_contrast), 10 to 16
+        of a camera moved by 0.2 m.
+    least_contrast: a change must explain so many times what one more change would: errors that
+        drift with the subject, by lenses and wrong focal lengths, fall bit by bit. Measured: 13 to
+        70 where a camera was moved; up to 4.4 of the fly under telescopes, 3 elsewhere.
+
+    most_noise: of the camera in its epochs, in angular sizes of its detections: with more, it is
+        something else that is wrong. Measured: 0.03 to 0.07; 0.32 of a camera of another recording.
+
+    In the end:
+    candidates: cameras that are tried, each in the rig that the others make without it.
+    near_detections: on either side, among which the frame of a change is looked for.
+    """
+
+    glanced_detections: int = 120
+    detections: int = 300
+    least_frames: int = 40
+    least_joints: int = 4
+    least_detections: int = 12
+    least_share: float = 0.04
+    loose: float = 0.3
+    suspicious_gain: float = 0.04
+    suspicious_step: float = 0.3
+    hypotheses: int = 60
+    tolerance_noises: float = 3.0
+    steps: int = 6
+    rounds: int = 3
+    explained: float = 0.5
+    large_gain: float = 0.03
+    most_changes: int = 3
+    least_gain: float = 0.02
+    least_evidence: float = 8.0
+    least_contrast: float = 6.0
+    most_noise: float = 0.15
+    candidates: int = 2
+    near_detections: int = 5
+
+
+@dataclass(frozen=True)
+class UnrelatedConfig:
+    """Whether a camera saw another scene than the others (multi_view/unrelated.py).
+
+    Only cameras without a pair of sufficient score are looked at. Shares are of the detections of
+    a camera that lie where the others place a body, to within `tolerance` of their angular size.
+    Measured: 0.01 and 0.04 of cameras of other recordings, whose groups have 0.85 to 0.93 usually;
+    0.5 to 1 in sound recordings, but 0.12 to 0.32 in one of poor detections.
+
+    detections: of one camera, about, that are looked at.
+    most_explained: share, of what is usual among the others, that an unrelated camera may have.
+    least_usual: share that the others must have, for this to mean anything.
+    """
+
+    detections: int = 150
+    tolerance: float = 0.15
+    most_explained: float = 0.2
+    least_usual: float = 0.4
+
+
+@dataclass(frozen=True)
 class SubframeConfig:
     """Offsets of clocks within about a frame; see `multi_view.time_offsets`.
 
@@ -557,6 +647,8 @@ class Config:
     intrinsics: IntrinsicsConfig = IntrinsicsConfig()
     triangulate: TriangulateConfig = TriangulateConfig()
     uncertainty: UncertaintyConfig = UncertaintyConfig()
+    moved: MovedConfig = MovedConfig()
+    unrelated: UnrelatedConfig = UnrelatedConfig()
     subframe: SubframeConfig = SubframeConfig()
     diagnosis: DiagnosisConfig = DiagnosisConfig()
     mend: MendConfig = MendConfig()
@@ -568,6 +660,26 @@ class ReadConfig:
 
     largest_share: float = 1.5  # positions no larger than this are shares of the image, not pixels
     least_share: float = -0.25  # a share below this is on another scale, such as -1 to 1
+
+
+@dataclass(frozen=True)
+class CopyConfig:
+    """When two files have the same detections (recording/copies.py).
+
+    tolerance: of the coordinates, as a share of where the detections are: files keep three
+        decimals, or single precision. Of the shared recordings no
+        detection of one camera was within a pixel of another camera's in all its keypoints.
+    least_detections: distinct ones, of the file that has fewer; with fewer nothing is said.
+    compared_detections: of that file, evenly spread.
+    candidates: detections whose mean is that of another one, that are compared with it.
+    least_share: of the compared detections, that must be in the other file at one shift.
+    """
+
+    tolerance: float = 2e-5
+    least_detections: int = 20
+    compared_detections: int = 200
+    candidates: int = 20
+    least_share: float = 0.9
 
 
 # Files and cameras that make a recording (recording/synchronise.py)
@@ -605,6 +717,7 @@ class InspectConfig:
     outside: float = 0.01  # share of the points outside the image
     enough_frames: int = 20  # that two cameras see together
     low_confidence: float = 0.1
+    copies: CopyConfig = CopyConfig(least_detections=1)  # `run` refuses only what is certain
     gaps: float = 0.1  # share of the frame numbers between the first and the last
 
 

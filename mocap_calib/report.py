@@ -13,6 +13,8 @@ from mocap_calib.multi_view.evaluation import median_and_max
 from mocap_calib.multi_view.triangulation import gather_observations, project
 from mocap_calib.multi_view.uncertainty import judge_rig
 from mocap_calib.multi_view.view_graph import alternative_taken
+from mocap_calib.recording.epochs import describe_epochs, views_by_camera
+from mocap_calib.recording.mending import describe_faults
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import (
     CalibrationResult,
@@ -39,7 +41,6 @@ def run_report(
     inputs: path -> SHA-256. What is not known is None.
     """
     error = _reprojection_errors(group)
-    views = range(len(group.rig.cameras))
     return {
         "schema": SCHEMA,
         "verdict": _describe_verdict(group, config),
@@ -53,9 +54,8 @@ def run_report(
         "keypoints": list(group.recording.keypoints),
         "left_out": list(result.left_out),
         "unused_pairs": [asdict(pair) for pair in result.unused_pairs],
-        "cameras": [
-            _describe_camera(group, view, error[view], config, result.faults) for view in views
-        ],
+        "epochs": describe_epochs(group.rig.names, group.recording.frames),
+        "cameras": _describe_cameras(group, error, config, result.faults),
         "pairs": [_describe_pair(group, k, error, config) for k in range(len(group.pairs))],
         "adjust": {"rounds": group.adjusted.rounds, "converged": group.adjusted.converged},
         "individuals": _describe_individuals(group),
@@ -66,13 +66,10 @@ def run_report(
 def rig_report(group: GroupResult, result: CalibrationResult) -> dict[str, Any]:
     """Return the part of `run_report` that says how far the cameras of a group can be trusted."""
     config, error = result.config, _reprojection_errors(group)
-    views = range(len(group.rig.cameras))
     return {
         "verdict": _describe_verdict(group, config),
         "left_out": list(result.left_out),
-        "cameras": [
-            _describe_camera(group, view, error[view], config, result.faults) for view in views
-        ],
+        "cameras": _describe_cameras(group, error, config, result.faults),
         "points": _describe_points(group, error),
     }
 
@@ -97,28 +94,51 @@ def _describe_frames(group: GroupResult) -> dict[str, int]:
     return {"first": int(frames[0]), "last": int(frames[-1]), "count": len(frames)}
 
 
+def _describe_cameras(
+    group: GroupResult, error: Floats, config: Config, faults: Sequence[Fault]
+) -> list[dict[str, Any]]:
+    """Return what is known of each camera, which has several views where it was moved.
+
+    error: `[view, frame, individual, keypoint]` reprojection errors in pixels. faults: of all.
+    """
+    views = views_by_camera(group.rig.names)
+    described = []
+    for name, own in views.items():
+        its_faults = [fault for fault in faults if fault.camera == name]
+        described.append(
+            _describe_camera(group, name, own, error=error[own], config=config, faults=its_faults)
+        )
+    return described
+
+
 def _describe_camera(
-    group: GroupResult, view: int, error: Floats, config: Config, faults: Sequence[Fault]
+    group: GroupResult,
+    name: str,
+    views: list[int],
+    *,
+    error: Floats,
+    config: Config,
+    faults: Sequence[Fault],
 ) -> dict[str, Any]:
     """Return what is known of one camera.
 
-    error: `[frame, individual, keypoint]` reprojection errors in pixels. faults: of all cameras.
+    views: its indices, of which one holds at a time. error: `[view, frame, individual, keypoint]`
+    reprojection errors in pixels. faults: of this camera.
     """
-    own_faults = [fault for fault in faults if fault.camera == group.rig.names[view]]
-    detected = group.recording.seen[view].any(-1)
-    matched = detected & (group.matches.labels[view] >= 0)
-    score = _pair_score(group, view)
+    detected = group.recording.seen[views].any(-1)
+    matched = detected & (group.matches.labels[views] >= 0)
+    score = min(_pair_score(group, view) for view in views)
     return {
-        "name": group.rig.names[view],
+        "name": name,
         "frames": int(detected.any(-1).sum()),
         "detections": int(detected.sum()),
         "matched": int(matched.sum()),
         "unmatched": int((detected & ~matched).sum()),
-        "faults": _name_faults(group, view, own_faults),
-        "fault_evidence": {fault.word: _describe_fault(fault) for fault in own_faults},
-        "weak_perspective": bool(group.uncertainty.weak_perspective[view]),
-        "clock": _describe_clock(group, view),
-        "intrinsics": _describe_intrinsics(group, view, config.intrinsics),
+        "faults": _name_faults(group, views, faults),
+        "fault_evidence": describe_faults(faults),
+        "weak_perspective": bool(group.uncertainty.weak_perspective[views].any()),
+        "clock": _describe_clock(group, views[0]),
+        "intrinsics": _describe_intrinsics(group, views[0], config.intrinsics),
         "reprojection_error_px": _median_and_p95(error),
         "pair_score": score,
         "weak": score < config.averaging.weak_score,
@@ -155,24 +175,16 @@ def _describe_clock(group: GroupResult, view: int) -> dict[str, Any]:
     }
 
 
-def _name_faults(group: GroupResult, view: int, faults: Sequence[Fault]) -> list[str]:
-    """Return the words for what is wrong with a camera, each once. faults: of this camera."""
+def _name_faults(group: GroupResult, views: list[int], faults: Sequence[Fault]) -> list[str]:
+    """Return the words for what is wrong with a camera, each once.
+
+    views: indices of the camera's. faults: of this camera.
+    """
     uncertainty = group.uncertainty
     measured = {"inconsistent": uncertainty.outlier_cameras, "focal": uncertainty.wrong_focal}
     words = [fault.word for fault in faults]
-    return list(dict.fromkeys([*words, *(word for word, found in measured.items() if found[view])]))
-
-
-def _describe_fault(fault: Fault) -> dict[str, Any]:
-    """Return what is wrong with a camera, the numbers it rests on, and how it was mended."""
-    mend = fault.mend
-    return {
-        "says": fault.says,
-        "mended": mend is not None,
-        "advice": mend.advice if mend else None,
-        "option": mend.option if mend and mend.option else None,
-        **fault.evidence,
-    }
+    found = [word for word, of_view in measured.items() if of_view[views].any()]
+    return list(dict.fromkeys([*words, *found]))
 
 
 def _pair_score(group: GroupResult, view: int) -> float:
@@ -256,12 +268,12 @@ def _describe_verdict(group: GroupResult, config: Config) -> dict[str, Any]:
 def _describe_individuals(group: GroupResult) -> list[dict[str, Any]]:
     """Return in how many frames each individual was matched, in all cameras and in each."""
     described = []
+    views = views_by_camera(group.rig.names)
     for individual in range(group.matches.individuals):
         found = (group.matches.labels == individual).any(2)  # [view, frame]
         frames = found.sum(1).tolist()
-        in_cameras = {
-            name: count for name, count in zip(group.rig.names, frames, strict=True) if count
-        }
+        counts = {name: sum(frames[view] for view in own) for name, own in views.items()}
+        in_cameras = {name: count for name, count in counts.items() if count}
         described.append(
             {"individual": individual, "frames": int(found.any(0).sum()), "cameras": in_cameras}
         )

@@ -108,6 +108,7 @@ def describe_group(group: GroupResult, report: dict[str, Any], folder: Path) -> 
         *_describe_weak_cameras(report),
         *_describe_rounds(group),
         *_describe_faults(report),
+        *_describe_epochs(report, folder),
         *_describe_clocks(report),
         *_describe_outlier_cameras(report),
         *_describe_wrong_focal(report),
@@ -225,6 +226,18 @@ def _describe_faults(report: dict[str, Any]) -> list[str]:
                 line += f", or say {fault['option']}" if fault["option"] else ""
             lines.append(line)
     return lines
+
+
+def _describe_epochs(report: dict[str, Any], folder: Path) -> list[str]:
+    """Say where the rig of each part of the recording is, where a camera was moved."""
+    epochs = report["epochs"]
+    if len(epochs) == 1:
+        return []
+    places = [
+        f"frames {epoch['first']} to {epoch['last']} in {folder / epoch['folder']}"
+        for epoch in epochs
+    ]
+    return [f"{len(epochs)} rigs, as cameras were moved: {', '.join(places)}"]
 
 
 def _describe_clocks(report: dict[str, Any]) -> list[str]:

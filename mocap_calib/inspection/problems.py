@@ -1,7 +1,6 @@
 """What stands in the way of a run, each with its remedy."""
 
 from collections.abc import Mapping, Sequence
-from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,7 @@ from mocap_calib.errors import MismatchError
 from mocap_calib.inspection.clocks import find_clock_problems
 from mocap_calib.inspection.contents import seen_points
 from mocap_calib.inspection.finding import Finding, critical, warning
+from mocap_calib.recording.copies import find_copies
 from mocap_calib.recording.joints import SHIPPED
 from mocap_calib.recording.meanings import (
     describe_unshared,
@@ -55,7 +55,7 @@ def find_problems(
         *_find_other_scales(usable, config),
         *find_clock_problems(usable, report["pairs"], config),
         *_find_name_problems(usable, meanings, known_joints=report["model"]["knows"]),
-        *_find_copies(usable),
+        *_find_copies(usable, meanings, config),
         *(finding for view in views for finding in _find_weaknesses(view, config)),
     ]
     if cameras and not any(finding.critical for finding in found):
@@ -96,15 +96,13 @@ def _find_too_few_views(usable: Sequence[Keypoints2D]) -> list[Finding]:
     ]
 
 
-def _find_copies(usable: Sequence[Keypoints2D]) -> list[Finding]:
+def _find_copies(
+    usable: Sequence[Keypoints2D], meanings: Mapping[str, str], config: InspectConfig
+) -> list[Finding]:
     """Name the pairs of cameras with the same detections."""
     return [
-        critical(
-            f"{a.camera} and {b.camera} have the same detections ({a.source}, {b.source}); "
-            "give each camera its own file"
-        )
-        for a, b in combinations(usable, 2)
-        if np.array_equal(a.positions, b.positions, equal_nan=True)
+        critical(f"{copy.says}; give each camera its own file")
+        for copy in find_copies(usable, meanings, config.copies)
     ]
 
 

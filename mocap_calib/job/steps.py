@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from mocap_calib.config import Config
 from mocap_calib.errors import ClusterError, MocapCalibError
 from mocap_calib.io.atomic import replace_folder
@@ -27,6 +29,7 @@ from mocap_calib.io.results.further_formats import (
 )
 from mocap_calib.io.results.group import (
     REPORT,
+    epoch_provenance,
     group_folder,
     read_outputs,
     remove_earlier_outputs,
@@ -39,6 +42,14 @@ from mocap_calib.job.request import CalibrationRequest
 from mocap_calib.judging import judge_cameras
 from mocap_calib.multi_view.observed_points import observe_points
 from mocap_calib.pipeline import calibrate
+from mocap_calib.recording.epochs import (
+    Epoch,
+    epoch_folder,
+    list_epochs,
+    own_names,
+    recording_of_epoch,
+    rig_of_epoch,
+)
 from mocap_calib.recording.joints import edges_of_keypoints
 from mocap_calib.report import run_report
 from mocap_calib.steerpose.checkpoint import load_model
@@ -199,8 +210,9 @@ def write_result(
             )
             poses = _describe_poses(group, fps)
             write_group(place, group, poses, source)
-            points = _observe_points(group, result.config) if any_holds_points(formats) else None
-            further[number] = write_formats(place, group.rig, poses, formats, source, points=points)
+            further[number] = _write_further(
+                place, group, poses, formats=formats, source=source, config=result.config
+            )
             if number == 0:
                 reports[0]["fingerprint"] = fingerprint
                 reports[0]["outputs"] = hash_files(work)
@@ -216,9 +228,42 @@ def write_result(
     )
 
 
-def _observe_points(group: GroupResult, config: Config) -> ObservedPoints:
-    """Return the triangulated points of a group, and the detections that they were made of."""
-    return observe_points(group.recording, group.rig, group.matches, config.triangulate)
+def _write_further(
+    folder: Path,
+    group: GroupResult,
+    poses: PoseFile,
+    *,
+    formats: Sequence[str],
+    source: Mapping[str, Any],
+    config: Config,
+) -> WriteOutcome:
+    """Write the further formats of a group: of later epochs the cameras alone."""
+    epochs = list_epochs(group.rig.names, group.recording.frames)
+    outcomes = []
+    for number, epoch in enumerate(epochs):
+        points = _observe_points(group, epoch, config) if any_holds_points(formats) else None
+        outcomes.append(
+            write_formats(
+                folder / epoch_folder(number),
+                rig_of_epoch(group.rig, epoch),
+                None if number else poses,
+                formats,
+                epoch_provenance(source, epochs, number),
+                points=points,
+            )
+        )
+    notes = dict.fromkeys(note for outcome in outcomes for note in outcome.notes)
+    refused = [error for outcome in outcomes for error in outcome.refused]
+    return WriteOutcome(tuple(notes), tuple(refused[:1]) if len(epochs) > 1 else tuple(refused))
+
+
+def _observe_points(group: GroupResult, epoch: Epoch, config: Config) -> ObservedPoints:
+    """Return the triangulated points of an epoch, and the detections that they were made of."""
+    recording = recording_of_epoch(group.recording, epoch)
+    frames = np.flatnonzero(np.isin(group.recording.frames, recording.frames))
+    matches = group.matches.select(views=epoch.views, frames=frames)
+    rig = rig_of_epoch(group.rig, epoch)
+    return observe_points(recording, rig, matches, config.triangulate)
 
 
 def _describe_poses(group: GroupResult, fps: float | None) -> PoseFile:
@@ -260,7 +305,7 @@ def _report_groups(
 ) -> list[dict[str, Any]]:
     """Return what `run.json` holds of each group, but for the hashes of the results."""
     groups = [
-        {"folder": group_folder(number), "cameras": list(group.rig.names)}
+        {"folder": group_folder(number), "cameras": list(own_names(group.rig.names))}
         for number, group in enumerate(result.groups)
     ]
     shared = {"date": date_of_making(), **described, "groups": groups}

@@ -9,8 +9,10 @@ from dataclasses import replace
 from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError
 from mocap_calib.multi_view.explained import explained_share, usual_distance
+from mocap_calib.multi_view.moved import find_moved_cameras
 from mocap_calib.multi_view.observed import Observed
 from mocap_calib.multi_view.odd_cameras import find_odd_cameras
+from mocap_calib.multi_view.unrelated import find_unrelated_cameras
 from mocap_calib.recording.mending import apply_mends
 from mocap_calib.types import CalibrationResult, Fault, Mend, Recording
 
@@ -51,7 +53,16 @@ def find_faults(observed: Observed, result: CalibrationResult, config: Config) -
     observed: what was known before the rigs were built. result: what was found with the files as
         they are.
     """
-    return find_odd_cameras(observed, result, config)
+    groups = result.groups
+    moved = [fault for group in groups for fault in find_moved_cameras(observed, group, config)]
+    if moved:
+        return tuple(moved)
+    odd = find_odd_cameras(observed, result, config)
+    if odd:
+        return odd
+    return tuple(
+        fault for group in groups for fault in find_unrelated_cameras(observed, group, config)
+    )
 
 
 def mends_of(faults: Sequence[Fault]) -> tuple[Mend, ...]:
@@ -61,8 +72,8 @@ def mends_of(faults: Sequence[Fault]) -> tuple[Mend, ...]:
 
 def _new_faults(found: Sequence[Fault], known: Sequence[Fault]) -> tuple[Fault, ...]:
     """Return the faults that are not known yet."""
-    names = {(fault.camera, fault.word) for fault in known}
-    return tuple(fault for fault in found if (fault.camera, fault.word) not in names)
+    names = {(fault.camera, fault.word, fault.mend) for fault in known}
+    return tuple(fault for fault in found if (fault.camera, fault.word, fault.mend) not in names)
 
 
 def _calibrate_mended(

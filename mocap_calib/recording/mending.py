@@ -4,8 +4,9 @@ Each mend is a frozen record that turns a recording into another one; all stages
 Those of detections are here, those of intrinsics in `mended_intrinsics`.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from mocap_calib.errors import MismatchError
 from mocap_calib.recording.joints import normalise_name
 from mocap_calib.types import (
     Bools,
+    Fault,
     FaultWord,
     Ints,
     Mend,
@@ -164,6 +166,29 @@ class Moved:
                 break
             view += 1
         return view
+
+
+def describe_faults(faults: Sequence[Fault]) -> dict[str, Any]:
+    """Return what is wrong with a camera by word; what it has several times, under `further`."""
+    described: dict[str, Any] = {}
+    for fault in faults:
+        if fault.word in described:
+            described[fault.word].setdefault("further", []).append(_describe_fault(fault))
+        else:
+            described[fault.word] = _describe_fault(fault)
+    return described
+
+
+def _describe_fault(fault: Fault) -> dict[str, Any]:
+    """Return what is wrong with a camera, the numbers it rests on, and how it was mended."""
+    mend = fault.mend
+    return {
+        "says": fault.says,
+        "mended": mend is not None,
+        "advice": mend.advice if mend else None,
+        "option": mend.option if mend and mend.option else None,
+        **fault.evidence,
+    }
 
 
 def find_view(recording: Recording, camera: str) -> int:

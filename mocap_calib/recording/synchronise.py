@@ -11,6 +11,7 @@ import numpy as np
 from mocap_calib.config import CROWDED_SHARE, LEAST_JOINTS, TYPICAL_PERCENTILE
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.projection import rays_from_pixels
+from mocap_calib.recording.copies import check_copies
 from mocap_calib.recording.joints import normalise_name
 from mocap_calib.recording.meanings import keypoint_meanings, shared_keypoints
 from mocap_calib.recording.pairing import match_cameras, pair_with_cameras
@@ -86,9 +87,11 @@ def make_recording(
 def recording_of_views(joined: JoinedViews) -> Recording:
     """Return the recording of views that have been joined, see `make_recording`.
 
-    Raises MismatchError where they share no frames, keypoints or detections.
+    Raises MismatchError where they share no frames, keypoints or detections, and where a file was
+    given twice.
     """
     views = joined.views
+    check_copies(views, joined.meanings)
     frames = _shared_frames(views)
     shared = shared_keypoints(views, joined.meanings)
     positions, confidence = _fill_arrays(

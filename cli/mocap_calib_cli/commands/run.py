@@ -34,7 +34,8 @@ def command(shared: options.SharedOptions, output: Path, as_json: bool) -> None:
 
     Groups of cameras that share too little to be placed against each other are calibrated
     separately: the results of the largest are in OUT, those of the others in OUT/group_2,
-    OUT/group_3, ...
+    OUT/group_3, ... Where a camera was moved during the recording, OUT has the cameras up to
+    then, and OUT/epoch_2, OUT/epoch_3, ... those from each move on.
 
     \b
     Example:

@@ -28,7 +28,8 @@ from mocap_calib.io.units import ARBITRARY, known_unit
 from mocap_calib.recording.pairing import compose_name
 from mocap_calib.types import Camera, CameraRig
 
-_OWN, _REPORT = "cameras.yaml", "run.json"  # what the results of a run are told by
+_OWN = "cameras.yaml"  # what the results of a run are told by, beside one of these
+_BESIDE_OWN = {"run.json", "calibration.toml"}
 _REMEDY = "give what a calibration program wrote (docs/formats.md), not the keypoints"
 
 
@@ -127,7 +128,8 @@ def _load_folder(path: Path, format: str | None, unit: str | None) -> CameraFile
     files = _list_files(path, FOLDER_ENDINGS)
     if not files:
         raise _no_camera_files(path, FOLDER_ENDINGS, "none")
-    if {_OWN, _REPORT} <= {file.name for file in files}:
+    names = {file.name for file in files}
+    if _OWN in names and names & _BESIDE_OWN:
         return load_cameras(path / _OWN, format, unit)
     contents = {file.name: read_bytes(file) for file in files}
     folder = Source(str(path), contents, folder=True)

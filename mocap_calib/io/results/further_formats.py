@@ -97,7 +97,7 @@ def any_holds_points(names: Sequence[str]) -> bool:
 def write_formats(
     output: Path,
     rig: CameraRig,
-    file: PoseFile,
+    file: PoseFile | None,
     names: Sequence[str],
     provenance: Mapping[str, Any],
     *,
@@ -105,6 +105,7 @@ def write_formats(
 ) -> WriteOutcome:
     """Write a rig and poses in further formats into the folder of a run.
 
+    file: the poses, None where cameras alone are to be written.
     points: for the camera formats that hold them, see `any_holds_points`.
     Cameras go to a folder that is called as the format, poses to poses3d and the ending of the
     format (SLEAP-anipose: points3d.h5). A format that cannot hold them is left out.
@@ -115,8 +116,10 @@ def write_formats(
         try:
             if name in written_names(CAMERA_FORMATS):
                 lost = _write_rig(output / name, rig, name, provenance, points)
-            else:
+            elif file is not None:
                 lost = _write_poses(output, file, name)
+            else:
+                continue
         except MismatchError as error:
             refused.append(error)
         else:

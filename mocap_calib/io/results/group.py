@@ -1,12 +1,14 @@
 """The folder of a run: which files each group of cameras has, where they lie, which are stale.
 
 The files of the largest group lie in the folder itself, those of the others in `group_2`,
-`group_3`, ... `run.json` of the largest group lists all files by their hashes. The poses of the
-individuals are in poses3d_0.csv, poses3d_1.csv, ..., and all together in poses3d.h5.
+`group_3`, ... Where a camera was moved, the cameras of the first epoch lie there, and those of the
+later ones in `epoch_2`, `epoch_3`, ... `run.json` of the largest group lists all files by their
+hashes. The poses of the individuals are in poses3d_0.csv, poses3d_1.csv, ..., and all together in
+poses3d.h5.
 """
 
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,7 @@ from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.results.matches_csv import matches_csv
 from mocap_calib.io.results.poses_csv import poses_csv
 from mocap_calib.io.results.poses_h5 import write_poses_h5
+from mocap_calib.recording.epochs import Epoch, epoch_folder, list_epochs, rig_of_epoch
 from mocap_calib.types import CameraRig, GroupResult
 
 REPORT = "run.json"
@@ -38,16 +41,21 @@ def write_group(
     poses: of the group, with what is known beside. provenance: what the files say of how they
         came about.
     """
-    own = provenance
-    if group.clock_offsets:
-        own = {**provenance, "clock_offset_frames": group.clock_offsets}
-    _write_cameras(folder / "cameras.yaml", group.rig, "mocap-calib", own)
-    _write_cameras(folder / "calibration.toml", group.rig, "anipose", provenance)
+    epochs = list_epochs(group.rig.names, group.recording.frames)
     reversed_rig = group.adjusted.depth_reversed_rig
-    if reversed_rig is not None:
-        remarks = [_REVERSED, *provenance.get("remarks", [])]
-        remarked = {**provenance, "remarks": remarks}
-        _write_cameras(folder / REVERSED_RIG, reversed_rig, "anipose", remarked)
+    for number, epoch in enumerate(epochs):
+        place = folder / epoch_folder(number)
+        place.mkdir(exist_ok=True)
+        own = epoch_provenance(provenance, epochs, number)
+        rig = rig_of_epoch(group.rig, epoch)
+        clocks = _clock_offsets(group, epoch)
+        with_clocks = {**own, "clock_offset_frames": clocks} if clocks else own
+        _write_cameras(place / "cameras.yaml", rig, "mocap-calib", with_clocks)
+        _write_cameras(place / "calibration.toml", rig, "anipose", own)
+        if reversed_rig is not None:
+            remarked = {**own, "remarks": [_REVERSED, *own.get("remarks", [])]}
+            reversed_epoch = rig_of_epoch(reversed_rig, epoch)
+            _write_cameras(place / REVERSED_RIG, reversed_epoch, "anipose", remarked)
     replace_text(folder / "matches.csv", matches_csv(group.recording, group.matches))
     write_poses_h5(
         folder / "poses3d.h5", poses.poses, provenance, edges=poses.edges, fps=poses.rate
@@ -55,6 +63,30 @@ def write_group(
     for individual in range(group.matches.individuals):
         path = numbered_file(folder / _POSES, individual)
         replace_text(path, poses_csv(poses.poses, individual))
+
+
+def _clock_offsets(group: GroupResult, epoch: Epoch) -> dict[str, float]:
+    """Return the offsets of the clocks of an epoch's cameras, by their own names."""
+    views = {
+        name: group.rig.names[view] for name, view in zip(epoch.names, epoch.views, strict=True)
+    }
+    offsets = group.clock_offsets
+    return {name: offsets[view] for name, view in views.items() if view in offsets}
+
+
+def epoch_provenance(
+    provenance: Mapping[str, Any], epochs: Sequence[Epoch], number: int
+) -> dict[str, Any]:
+    """Return what files of an epoch (index) say of how they came about, and when they hold."""
+    if len(epochs) == 1:
+        return dict(provenance)
+    epoch = epochs[number]
+    remarks = [f"holds for the frames {epoch.first} to {epoch.last}"]
+    if number:
+        remarks.append(f"moved at frame {epoch.first}: {', '.join(epoch.moved)}")
+    if number + 1 < len(epochs):
+        remarks.append(f"the rig from frame {epochs[number + 1].first} on: another folder epoch_N")
+    return {**provenance, "remarks": [*remarks, *provenance.get("remarks", [])]}
 
 
 def read_outputs(folder: Path) -> dict[str, str]:

@@ -10,6 +10,7 @@ import numpy as np
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.file import decode, malformed, read_bytes
 from mocap_calib.io.results.csv_text import format_csv_line, slice_frames
+from mocap_calib.recording.epochs import own_name
 from mocap_calib.recording.pairing import compose_name
 from mocap_calib.types import Bools, Ints, Matches, Recording
 
@@ -21,12 +22,12 @@ _WRONG_RECORDING = "give the matches of this recording"
 def matches_csv(recording: Recording, matches: Matches) -> Iterator[str]:
     """Yield CSV in pieces, with a row per detection.
 
-    Columns: the camera's name, the frame number, the instance (order in the file), and the
+    Columns: the camera's own name, the frame number, the instance (order in the file), and the
     individual (-1 = nobody).
     """
     yield format_csv_line(_COLUMNS)
     for view, name in enumerate(recording.names):
-        camera = format_csv_line([name]).rstrip("\n")
+        camera = format_csv_line([own_name(name, recording.names)]).rstrip("\n")
         for piece in slice_frames(len(recording.frames)):
             seen = np.isfinite(recording.positions[view, piece, :, :, 0]).any(axis=-1)
             frame, instance = np.nonzero(seen)

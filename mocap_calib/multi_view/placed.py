@@ -1,0 +1,69 @@
+"""Bodies that cameras of a group place, by which one camera is judged that may be wrong."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mocap_calib.config import Config
+from mocap_calib.multi_view.labels import per_frame_labels
+from mocap_calib.multi_view.triangulation import (
+    gather_observations,
+    triangulate_rays,
+    view_noise,
+)
+from mocap_calib.recording.sampling import evenly_spaced
+from mocap_calib.types import CameraRig, Floats, Ints, Matches, Recording, Sample
+
+
+@dataclass(frozen=True)
+class PlacedCameras:
+    """Cameras that place bodies.
+
+    rig: of all views of a recording. matches: labels of its frames, frame by frame.
+    noise: `[view]` of each, in radians.
+    """
+
+    rig: CameraRig
+    matches: Matches
+    noise: Floats
+
+    @classmethod
+    def of(
+        cls, recording: Recording, rig: CameraRig, matches: Matches, config: Config
+    ) -> "PlacedCameras":
+        """Return cameras whose noise is measured on the matches."""
+        matches = per_frame_labels(matches)
+        return cls(rig, matches, view_noise(recording, rig, matches, config.triangulate))
+
+
+def choose_frames(sample: Sample, wanted: int, config: Config) -> Ints:
+    """Return evenly spread frames (indices into the sample) with so many detections a view, about.
+
+    So many of all views together as eight views have: large rigs say the same many times.
+    """
+    detections = sample.seen.any(-1).sum(2)  # [view, frame]
+    usual = max(1.0, float(detections.mean()))
+    views = max(1.0, len(detections) / 8)
+    count = max(config.moved.least_frames, round(wanted / usual / views))
+    return evenly_spaced(np.arange(len(sample.frames)), count)
+
+
+def place_bodies(
+    recording: Recording,
+    placed: PlacedCameras,
+    frames: Ints,
+    config: Config,
+    without: int | None = None,
+) -> Floats:
+    """Return the bodies `[frame, body, joint, 3]` of some frames (indices), NaN = missing.
+
+    without: a view whose rays do not count.
+    """
+    seen = gather_observations(recording, placed.matches, frames)
+    weight = seen.confidence.copy()
+    if without is not None:
+        weight[without] = 0.0
+    points, _ = triangulate_rays(
+        placed.rig, seen.rays, weight=weight, noise=placed.noise, config=config.triangulate
+    )
+    return points.T.reshape(len(frames), placed.matches.individuals, len(recording.keypoints), 3)

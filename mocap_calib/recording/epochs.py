@@ -1,0 +1,130 @@
+"""Cameras that were moved: which of them holds from which frame on.
+
+A camera that was moved is two views: `cam2` up to a frame, and `cam2@573` from frame 573 on. What
+is written has it once, under its own name, and a rig for each epoch of the recording.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from mocap_calib.config import EPOCH_MARK
+from mocap_calib.types import Camera, CameraRig, Ints, Recording
+
+
+@dataclass(frozen=True)
+class Epoch:
+    """A part of a recording in which no camera is moved.
+
+    first, last: frame numbers. views: `[camera]` indices of the views that hold then.
+    names: of the cameras, their own. moved: names of those that were moved at the first frame.
+    """
+
+    first: int
+    last: int
+    views: Ints
+    names: tuple[str, ...]
+    moved: tuple[str, ...]
+
+
+def epoch_folder(number: int) -> str:
+    """Return the folder of an epoch, counted from 0, relative to that of its group."""
+    return "." if number == 0 else f"epoch_{number + 1}"
+
+
+def own_name(view: str, views: Sequence[str]) -> str:
+    """Return the name of the camera that a view is of: its own, unless it is a later epoch.
+
+    views: names of all. The camera up to its first move must be among them.
+    """
+    name, start = _split_name(view)
+    return view if start is None or name not in views else name
+
+
+def own_names(views: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of the cameras that views are of, each once."""
+    return tuple(dict.fromkeys(own_name(view, views) for view in views))
+
+
+def views_by_camera(views: Sequence[str]) -> dict[str, list[int]]:
+    """Return the indices of the views of each camera, by its own name.
+
+    views: names.
+    """
+    found: dict[str, list[int]] = {name: [] for name in own_names(views)}
+    for index, view in enumerate(views):
+        found[own_name(view, views)].append(index)
+    return found
+
+
+def list_epochs(views: Sequence[str], frames: Ints) -> tuple[Epoch, ...]:
+    """Return the epochs of a recording, one where no camera was moved.
+
+    views: names. frames: `[frame]` numbers, ascending.
+    """
+    starts = {view: _start_of(view, views) for view in views}
+    possible = {start for start in starts.values() if frames[0] < start <= frames[-1]}
+    firsts = [int(frames[0]), *sorted(possible)]
+    epochs = []
+    for number, first in enumerate(firsts):
+        last = frames[frames < firsts[number + 1]].max() if first != firsts[-1] else frames[-1]
+        holding = {
+            own_name(view, views): k
+            for k, view in sorted(enumerate(views), key=lambda item: starts[item[1]])
+            if starts[view] <= first
+        }
+        names = sorted(holding, key=lambda name: holding[name])
+        index = np.array([holding[name] for name in names], dtype=np.int64)
+        moved = tuple(own_name(view, views) for view in views if number and starts[view] == first)
+        epochs.append(Epoch(int(first), int(last), index, tuple(names), moved))
+    return tuple(epochs)
+
+
+def describe_epochs(views: Sequence[str], frames: Ints) -> list[dict[str, Any]]:
+    """Return the epochs of a recording as `run.json` has them. views, frames: see `list_epochs`."""
+    return [
+        {
+            "folder": epoch_folder(number),
+            "first": epoch.first,
+            "last": epoch.last,
+            "moved": list(epoch.moved),
+        }
+        for number, epoch in enumerate(list_epochs(views, frames))
+    ]
+
+
+def recording_of_epoch(recording: Recording, epoch: Epoch) -> Recording:
+    """Return the views that hold in an epoch, in its frames, under the cameras' own names."""
+    if epoch.names == recording.names:
+        return recording
+    frames = (recording.frames >= epoch.first) & (recording.frames <= epoch.last)
+    part = recording.select(views=epoch.views, frames=frames)
+    return replace(part, cameras=_name_cameras(part.cameras, epoch))
+
+
+def rig_of_epoch(rig: CameraRig, epoch: Epoch) -> CameraRig:
+    """Return the cameras of a rig where they stand in an epoch, under their own names."""
+    if epoch.names == rig.names:
+        return rig
+    part = rig.select(epoch.views)
+    return replace(part, cameras=_name_cameras(part.cameras, epoch))
+
+
+def _name_cameras(cameras: tuple[Camera, ...], epoch: Epoch) -> tuple[Camera, ...]:
+    """Return the cameras of an epoch under their own names."""
+    named = zip(cameras, epoch.names, strict=True)
+    return tuple(replace(camera, name=name) for camera, name in named)
+
+
+def _start_of(view: str, views: Sequence[str]) -> int | float:
+    """Return the frame number from which on a view holds, -inf for the first of a camera."""
+    name, start = _split_name(view)
+    return -np.inf if start is None or name not in views else start
+
+
+def _split_name(view: str) -> tuple[str, int | None]:
+    """Return the name of the camera of a view, and the frame from which on it holds, if any."""
+    name, mark, start = view.rpartition(EPOCH_MARK)
+    return (name, int(start)) if mark and start.isascii() and start.isdigit() else (view, None)

@@ -1,0 +1,45 @@
+"""Cameras of another recording form a group of their own, or are named."""
+
+from dataclasses import replace
+
+import pytest
+from scenes import PEOPLE, calibrate_all, recording, scene
+
+from mocap_calib.recording.synchronise import make_recording
+
+
+def put_together(first, second, views: int, others: int):
+    """The recording of some cameras of one scene and of some of another one."""
+    files, cameras = [], []
+    for made, tag, count in ((first, "A", views), (second, "B", others)):
+        for file, camera in list(zip(made.files, made.rig.cameras, strict=True))[:count]:
+            files.append(replace(file, camera=tag + file.camera, source=tag + file.source))
+            cameras.append(replace(camera, name=tag + camera.name))
+    return make_recording(files, cameras, PEOPLE, {})
+
+
+@pytest.mark.slow
+def test_a_camera_of_another_recording_is_named_or_stays_outside():
+    """It never ends in a rig that is well determined."""
+    together = put_together(scene(people=2), scene(people=2, seed=1), 3, 1)
+    result = calibrate_all(together)
+    (stranger,) = (name for name in together.names if name.startswith("B"))
+    inside = any(stranger in group.rig.names for group in result.groups)
+    named = [fault.camera for fault in result.faults if fault.word == "unrelated"]
+    assert named == ([stranger] if inside else [])
+    assert all(
+        group.verdict != "well determined" for group in result.groups if stranger in group.rig.names
+    )
+
+
+@pytest.mark.slow
+def test_two_and_two_cameras_of_two_recordings_are_two_groups():
+    together = put_together(scene(people=2), scene(people=2, seed=1), 2, 2)
+    result = calibrate_all(together)
+    for group in result.groups:
+        assert len({name[0] for name in group.rig.names}) == 1 or group.verdict != "well determined"
+
+
+@pytest.mark.slow
+def test_cameras_of_one_recording_are_related():
+    assert calibrate_all(recording(people=2)).faults == ()
