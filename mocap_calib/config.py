@@ -492,6 +492,95 @@ class UncertaintyConfig:
 
 
 @dataclass(frozen=True)
+class ResectionConfig:
+    """The search for the projection of one camera from points that others know.
+
+    tolerance: at which a joint costs half, in median distances of image points from their middle.
+    """
+
+    least_joints: int = 6  # of a detection that takes part in a hypothesis
+    hypotheses: int = 300
+    frames_single: int = 4  # of a hypothesis where there is one subject,
+    frames_several: int = 2  # and where any detection may be anybody
+    frames_scored: int = 60
+    hypotheses_refined: int = 6
+    tolerance: float = 0.1
+    rounds: int = 8
+
+
+@dataclass(frozen=True)
+class CameraFitConfig:
+    """A camera fitted to known points. Loss scales are in standard deviations."""
+
+    loss_scales: tuple[float, ...] = (8.0, 4.0, 2.0)
+    steps: int = 30  # at each loss scale, at most
+    tolerance: float = 1e-6  # share of the cost: a step that lowers it by less is the last
+    first_damping: float = 1e-3
+    damping_factor: float = 10.0
+    most_damping: float = 1e6
+
+
+@dataclass(frozen=True)
+class DiagnosisConfig:
+    """Which camera is odd, and what explains it.
+
+    A gain is what an explanation lowers the robust cost of a keypoint by, on average.
+    """
+
+    resection: ResectionConfig = ResectionConfig()
+    fit: CameraFitConfig = CameraFitConfig()
+    # the rig of the other cameras
+    rounds: int = 1
+    points: int = 4000
+    frames: int = 200  # whose points a camera is held against,
+    keypoints: int = 4000  # and so many keypoints in them
+    rough_keypoints: int = 300  # that tell which explanations are worth a closer look,
+    rough_steps: int = 10  # at each loss scale, for that:
+    rough_margin: float = 1.0  # those that cost no more than this above the best
+    time_blocks: int = 20  # stretches of the recording within which errors go together
+    least_forward: float = 0.15  # z of a unit ray that is looked at
+    focal_noise: float = 0.005  # of the focal length: error of a keypoint, roughly
+
+    # what makes a camera suspicious; each may cost time but accuses nobody
+    suspicious_pairs: float = 0.8  # of the score of the others' pairs
+    suspicious_errors: float = 2.5  # times those of the others
+    suspicious_exchanged: float = 0.15  # share of its detections
+    suspicious_outside: float = 0.02  # share of its keypoints outside its images
+    suspicious_frames: int = 80  # that are looked at for it,
+    suspicious_keypoints: int = 1500  # and keypoints of a camera
+    candidates: int = 5  # suspicious cameras that are looked at closely
+
+    # what an explanation must show
+    least_keypoints: int = 100
+    # share of its detections; measured 0.45 and more where a camera is odd, 0.05 where a rig of
+    # nearly affine cameras was accused
+    least_matched: float = 0.25
+    least_gain: float = 0.1  # of mirrored and exchanged sides; below it an explanation is weak
+    rival: float = 0.5  # of the evidence: so much for another camera makes a weak one ambiguous
+    least_exchanged: float = 0.25  # share of the detections whose sides are exchanged,
+    all_exchanged: float = 0.85  # and the share from which on all are
+    least_resize: float = 0.1  # of the logarithm of the factor
+    resize_gain: float = 0.05
+    resize_significance: float = 100.0
+    plain_factor: float = 0.12  # of the logarithm: as near to a plain factor, it is meant
+    crop_significance: float = 40.0
+    least_crop: float = 0.05  # of a side of the image
+    crop_outside: float = 0.005  # share of the keypoints that a crop would have cut off
+    focal_significance: float = 40.0
+    least_focal_change: float = 0.05
+    upright_deg: float = 30.0  # that upright cameras roll at most
+    roll_deg: float = 20.0  # from a quarter turn, of a camera whose images are turned
+    # nats by which the intrinsics as given may fit better than turned ones, of independent errors
+    # of which there are as many as `effective_keypoints`
+    rotation_prior: float = 3.0
+    effective_keypoints: int = 400
+
+
+# of resized images
+PLAIN_FACTORS = (1 / 4, 1 / 3, 1 / 2, 2 / 3, 3 / 4, 4 / 3, 3 / 2, 2.0, 3.0, 4.0)
+
+
+@dataclass(frozen=True)
 class MovedConfig:
     """Whether a camera was bumped or moved during the recording (multi_view/moved.py).
 
@@ -579,92 +668,6 @@ class UnrelatedConfig:
     tolerance: float = 0.15
     most_explained: float = 0.2
     least_usual: float = 0.4
-
-
-@dataclass(frozen=True)
-class ResectionConfig:
-    """The search for the projection of one camera from points that others know.
-
-    tolerance: at which a joint costs half, in median distances of image points from their middle.
-    """
-
-    least_joints: int = 6  # of a detection that takes part in a hypothesis
-    hypotheses: int = 300
-    frames_single: int = 4  # of a hypothesis where there is one subject,
-    frames_several: int = 2  # and where any detection may be anybody
-    frames_scored: int = 60
-    hypotheses_refined: int = 6
-    tolerance: float = 0.1
-    rounds: int = 8
-
-
-@dataclass(frozen=True)
-class CameraFitConfig:
-    """A camera fitted to known points. Loss scales are in standard deviations."""
-
-    loss_scales: tuple[float, ...] = (8.0, 4.0, 2.0)
-    steps: int = 30  # at each loss scale, at most
-    tolerance: float = 1e-6  # share of the cost: a step that lowers it by less is the last
-    first_damping: float = 1e-3
-    damping_factor: float = 10.0
-    most_damping: float = 1e6
-
-
-@dataclass(frozen=True)
-class DiagnosisConfig:
-    """Which camera is odd, and what explains it.
-
-    A gain is what an explanation lowers the robust cost of a keypoint by, on average.
-    """
-
-    resection: ResectionConfig = ResectionConfig()
-    fit: CameraFitConfig = CameraFitConfig()
-    # the rig of the other cameras
-    rounds: int = 1
-    points: int = 4000
-    frames: int = 200  # whose points a camera is held against,
-    keypoints: int = 4000  # and so many keypoints in them
-    rough_keypoints: int = 300  # that tell which explanations are worth a closer look,
-    rough_steps: int = 10  # at each loss scale, for that:
-    rough_margin: float = 1.0  # those that cost no more than this above the best
-    time_blocks: int = 20  # stretches of the recording within which errors go together
-    least_forward: float = 0.15  # z of a unit ray that is looked at
-    focal_noise: float = 0.005  # of the focal length: error of a keypoint, roughly
-
-    # what makes a camera suspicious; each may cost time but accuses nobody
-    suspicious_pairs: float = 0.8  # of the score of the others' pairs
-    suspicious_errors: float = 2.5  # times those of the others
-    suspicious_exchanged: float = 0.15  # share of its detections
-    suspicious_outside: float = 0.02  # share of its keypoints outside its images
-    suspicious_frames: int = 80  # that are looked at for it,
-    suspicious_keypoints: int = 1500  # and keypoints of a camera
-    candidates: int = 5  # suspicious cameras that are looked at closely
-
-    # what an explanation must show
-    least_keypoints: int = 100
-    least_gain: float = 0.1  # of mirrored and exchanged sides; below it an explanation is weak
-    rival: float = 0.5  # of the evidence: so much for another camera makes a weak one ambiguous
-    least_exchanged: float = 0.25  # share of the detections whose sides are exchanged,
-    all_exchanged: float = 0.85  # and the share from which on all are
-    least_resize: float = 0.1  # of the logarithm of the factor
-    resize_gain: float = 0.05
-    resize_significance: float = 100.0
-    plain_factor: float = 0.12  # of the logarithm: as near to a plain factor, it is meant
-    crop_significance: float = 40.0
-    least_crop: float = 0.05  # of a side of the image
-    crop_outside: float = 0.005  # share of the keypoints that a crop would have cut off
-    focal_significance: float = 40.0
-    least_focal_change: float = 0.05
-    upright_deg: float = 30.0  # that upright cameras roll at most
-    roll_deg: float = 20.0  # from a quarter turn, of a camera whose images are turned
-    # nats by which the intrinsics as given may fit better than turned ones, of independent errors
-    # of which there are as many as `effective_keypoints`
-    rotation_prior: float = 3.0
-    effective_keypoints: int = 400
-
-
-# of resized images
-PLAIN_FACTORS = (1 / 4, 1 / 3, 1 / 2, 2 / 3, 3 / 4, 4 / 3, 3 / 2, 2.0, 3.0, 4.0)
 
 
 @dataclass(frozen=True)

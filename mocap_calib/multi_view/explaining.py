@@ -10,7 +10,7 @@ from mocap_calib.multi_view.camera_fit import CameraFit, CameraPose, Seen, fit_c
 from mocap_calib.multi_view.core_rig import CoreRig, find_core_rig
 from mocap_calib.multi_view.explanations import Explanation, explanations
 from mocap_calib.multi_view.observed import Observed
-from mocap_calib.multi_view.projective_resection import (
+from mocap_calib.multi_view.projection_search import (
     Resection,
     Sighting,
     decompose,
@@ -66,6 +66,8 @@ def explain(observed: Observed, view: int, config: Config, *, seed: int) -> tupl
     sample = observed.sample.select(frames=core.frames)
     best = min(resections.values(), key=lambda each: each.cost)
     frame, instance = np.nonzero(best.individual >= 0)
+    if len(frame) < config.diagnosis.least_matched * _count_comparable(sightings[False]):
+        return ()
     points = core.points[frame, best.individual[frame, instance]]
     tried = explanations(sample, view)
     turned = _turn_of(core.rig, resections, sample.cameras[view], config.diagnosis)
@@ -76,6 +78,12 @@ def explain(observed: Observed, view: int, config: Config, *, seed: int) -> tupl
     findings = _fit_all(tried, seen, resections, core, config.diagnosis)
     share = exchanged_share(sightings[False], sightings[True], best)
     return tuple(replace(each, exchanged=share) for each in findings)
+
+
+def _count_comparable(sighting: Sighting) -> int:
+    """Return the number of detections in frames of which the others know anybody."""
+    known = np.isfinite(sighting.points[..., 0]).any((1, 2))
+    return int(np.isfinite(sighting.image[known][..., 0]).any(-1).sum())
 
 
 def _sightings(

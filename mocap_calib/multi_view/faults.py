@@ -96,7 +96,7 @@ def _only_named(faults: Sequence[Fault]) -> tuple[Fault, ...]:
 
 
 def _gain(mended: Calibrated, before: Calibrated) -> float:
-    """Return by how much (-1 to 1) more of what was seen is explained with the mends than before."""
+    """Return by how much (-1 to 1) more of what was seen the mends explain."""
     yardstick = usual_distance(before[1], before[0].recording)
     after, given = (
         explained_share(result, observed.recording, yardstick)

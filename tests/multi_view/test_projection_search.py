@@ -7,7 +7,7 @@ from mocap_calib.config import CameraFitConfig, ResectionConfig
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.geometry.rotation import angle_between, matrix_from_vector
 from mocap_calib.multi_view.camera_fit import CameraPose, Seen, fit_camera
-from mocap_calib.multi_view.projective_resection import (
+from mocap_calib.multi_view.projection_search import (
     Sighting,
     decompose,
     exchanged_share,
