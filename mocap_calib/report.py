@@ -171,7 +171,7 @@ def _describe_clock(group: GroupResult, view: int) -> dict[str, Any]:
     """Return by what part of a frame the clock of a camera is off, and whether that was used."""
     offsets = group.time_offsets
     return {
-        "subframe_offset": _finite_or_none(offsets.tau[view]),
+        "subframe_offset": _finite_or_none(-offsets.tau[view] + 0.0),
         "sigma": _finite_or_none(offsets.sigma[view]),
         "used": bool(offsets.used[view]),
     }

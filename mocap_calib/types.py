@@ -1104,12 +1104,12 @@ class GroupResult(Record):
 
     @property
     def clock_offsets(self) -> dict[str, float]:
-        """By camera, the frames by which its clock is ahead of its images; without those of 0.
+        """By camera, what its frame numbers have too much, a part of a frame; without those of 0.
 
-        An image of a camera shows what the first camera sees so many frames later.
+        An image with the number n shows what the first camera sees at n less that.
         """
-        offsets = self.time_offsets.applied.tolist()
-        return {name: tau for name, tau in zip(self.rig.names, offsets, strict=True) if tau}
+        offsets = (-self.time_offsets.applied).tolist()
+        return {name: part for name, part in zip(self.rig.names, offsets, strict=True) if part}
 
     def _describe(self) -> str:
         """Return the cameras and what was found of them in one line."""

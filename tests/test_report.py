@@ -82,17 +82,17 @@ def test_offsets_of_clocks_are_reported_where_they_are_used(tmp_path):
         used=np.array([False, True, False, False]),
     )
     found = replace(found, time_offsets=offsets)
-    assert found.clock_offsets == {"cam2": 0.3}
+    assert found.clock_offsets == {"cam2": -0.3}
     clocks = Clocks.of_one(found.recording)
     result = CalibrationResult(groups=(found,), left_out=(), unused_pairs=(), clocks=clocks)
     report = run_report(found, result, seed=0, config=Config(), inputs={})
     clocks = [camera["clock"] for camera in report["cameras"]]
-    assert clocks[1] == {"subframe_offset": 0.3, "sigma": 0.02, "used": True}
-    assert clocks[2] == {"subframe_offset": 0.04, "sigma": 0.03, "used": False}
+    assert clocks[1] == {"subframe_offset": -0.3, "sigma": 0.02, "used": True}
+    assert clocks[2] == {"subframe_offset": -0.04, "sigma": 0.03, "used": False}
     assert clocks[3] == {"subframe_offset": None, "sigma": None, "used": False}
     assert not any(camera["faults"] for camera in report["cameras"])
     lines = "\n".join(describe_group(found, report, tmp_path))
-    assert "frames later than cam1: cam2 +0.30 (+- 0.02)" in lines
+    assert "frames late beside cam1: cam2 -0.30 (+- 0.02)" in lines
 
 
 @pytest.mark.slow

@@ -252,7 +252,7 @@ def _describe_clocks(report: dict[str, Any]) -> list[str]:
         return []
     first = report["cameras"][0]["name"]
     return [
-        f"clocks, frames later than {first}: {', '.join(used)}; rig and poses are made with that, "
+        f"clocks, frames late beside {first}: {', '.join(used)}; rig and poses are made with that, "
         f"poses at the clock of {first}"
     ]
 

@@ -18,7 +18,7 @@ from mocap_calib.io.zeros import unsigned_zeros
 from mocap_calib.types import Camera, CameraClock, CameraRig, ClockKind, EstimatedCamera
 
 VERSION = 1
-SUBFRAME = "clock_subframe_offset"  # of a camera: what part of a frame its images are late
+SUBFRAME = "clock_subframe_offset"  # of a camera: the part of a frame that comes to its offset
 CONVENTION = "x_camera = R x_world + t; x right, y down, z forward; pixel centres are integers"
 _NOT_ESCAPED = "[\x85\u2028\u2029]"  # line breaks that PyYAML reads back as spaces
 
