@@ -486,6 +486,16 @@ class UncertaintyConfig:
     # keypoints; 2.6, 5.5 and 8.3 where one is wrong by 5, 10 and 20 %.
     focal_significance: float = 5.0
     least_focal_change: float = 0.03
+    # Of a camera whose focal length is not that of two others or more of the same image size, which
+    # are alike to `equal_focal`: by how many nats of likelihood it has rather theirs. Measured
+    # where sigma is 5 %: 1.2, 4.9 and 9.6 where one is wrong by 10, 20 and 30 %. Errors beyond
+    # sigma, which the cameras of real rigs share: up to 3.5 % of shelf.
+    equal_focal: float = 0.04
+    equal_focal_nats: float = 3.0
+    focal_systematic: float = 0.02
+    # of the weighed mean of all changes, where they are alike: measured at most 2.7 in sound rigs;
+    # 2.4, 5.3 and 8 where all are wrong by 10, 20 and 30 % and each is uncertain by 5 %
+    common_focal_significance: float = 4.0
     misfit_limit: float = 4.0  # usual errors: no error counts for more in the misfit of a rig
     same_misfit: float = 1.05  # ratio of the misfits of two rigs that fit equally well
     same_rig_deg: float = 10.0  # two rigs whose cameras turn by no more than this are one answer

@@ -26,7 +26,7 @@ def find_odd_cameras(
 
     observed: what was known before the rigs were built. result: what was found.
     """
-    if len(observed.recording.cameras) < _LEAST_CAMERAS:
+    if len(observed.recording.cameras) < _LEAST_CAMERAS or _all_focal_lengths_wrong(result):
         return ()
     signs = find_signs(observed, result, config)
     found = [
@@ -40,6 +40,11 @@ def find_odd_cameras(
         if is_determined(finding.core, config, seed=result.seed):
             return (_name_fault(finding, config.diagnosis),)
     return ()
+
+
+def _all_focal_lengths_wrong(result: CalibrationResult) -> bool:
+    """Return whether the rig has no camera left that another could be held against."""
+    return bool(result.groups[0].uncertainty.wrong_focal.all())
 
 
 def _most_suspicious(signs: Signs, config: DiagnosisConfig) -> list[int]:

@@ -25,6 +25,7 @@ from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.multi_view.bundle_adjustment import adjust
 from mocap_calib.multi_view.fit import find_outlier_cameras, find_weak_perspective, measure_fit
 from mocap_calib.multi_view.intrinsics import check_focal_lengths, shared_intrinsics
+from mocap_calib.multi_view.wrong_focal import find_wrong_focal
 from mocap_calib.recording.sampling import with_cameras
 from mocap_calib.types import (
     Bools,
@@ -53,7 +54,9 @@ def assess_uncertainty(
         intrinsics_angle=intrinsics_angle(sample, rig, matches, config),
         focal_change=focal_change,
         focal_sigma=focal_sigma,
-        wrong_focal=find_wrong_focal(focal_change, focal_sigma, config.uncertainty),
+        wrong_focal=find_wrong_focal(
+            rig.cameras, focal_change, focal_sigma, config.uncertainty
+        ),
     )
 
 
@@ -96,15 +99,6 @@ def split_half_angle(
     first, second = relative[::2], relative[1::2]
     angle = np.nan_to_num(angle_between(first, second), nan=np.pi)  # [split, pair]
     return np.sqrt((angle**2).mean(0))
-
-
-def find_wrong_focal(change: Floats, sigma: Floats, config: UncertaintyConfig) -> Bools:
-    """Return the cameras `[view]` whose focal lengths are certainly other than was given.
-
-    change, sigma: `[view]` of their logarithms, as of `check_focal_lengths`; NaN = not known.
-    """
-    certain = np.abs(change) > config.focal_significance * sigma
-    return np.asarray(certain & (np.abs(change) > config.least_focal_change))
 
 
 def _free_focal_lengths(

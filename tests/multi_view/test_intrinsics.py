@@ -13,7 +13,8 @@ from mocap_calib.multi_view.intrinsics import (
     estimate_intrinsics,
     shared_intrinsics,
 )
-from mocap_calib.multi_view.uncertainty import find_wrong_focal, intrinsics_angle, judge_rig
+from mocap_calib.multi_view.uncertainty import intrinsics_angle, judge_rig
+from mocap_calib.multi_view.wrong_focal import find_wrong_focal
 from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.sampling import with_cameras
 from mocap_calib.steerpose.checkpoint import load_lifter
@@ -158,7 +159,7 @@ def test_a_wrong_focal_length_is_found_and_right_ones_are_not_accused():
         start = replace(scene(**changes).rig, cameras=cameras)
         rig = adjust(seen, start, truth(**changes), config)
         change, sigma = check_focal_lengths(seen, rig, truth(**changes), config)
-        found = find_wrong_focal(change, sigma, config.uncertainty)
+        found = find_wrong_focal(cameras, change, sigma, config.uncertainty)
         assert np.flatnonzero(found).tolist() == expected
     assert change[2] == pytest.approx(-np.log(1.2), abs=0.06)
 
