@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError
+from mocap_calib.multi_view.exchanged import find_exchanged_cameras
 from mocap_calib.multi_view.explained import explained_share, usual_distance
 from mocap_calib.multi_view.moved import find_moved_cameras
 from mocap_calib.multi_view.observed import Observed
@@ -59,9 +60,14 @@ def find_faults(observed: Observed, result: CalibrationResult, config: Config) -
     """
     groups = result.groups
     moved = [fault for group in groups for fault in find_moved_cameras(observed, group, config)]
-    odd = () if moved else find_odd_cameras(observed, result, config)
-    if moved or odd:
-        return (*moved, *odd)
+    if moved:
+        return tuple(moved)
+    exchanged = [
+        fault for group in groups for fault in find_exchanged_cameras(observed, group, config)
+    ]
+    odd = exchanged or find_odd_cameras(observed, result, config)
+    if odd:
+        return tuple(odd)
     return tuple(
         fault for group in groups for fault in find_unrelated_cameras(observed, group, config)
     )

@@ -54,9 +54,7 @@ def assess_uncertainty(
         intrinsics_angle=intrinsics_angle(sample, rig, matches, config),
         focal_change=focal_change,
         focal_sigma=focal_sigma,
-        wrong_focal=find_wrong_focal(
-            rig.cameras, focal_change, focal_sigma, config.uncertainty
-        ),
+        wrong_focal=find_wrong_focal(rig.cameras, focal_change, focal_sigma, config.uncertainty),
     )
 
 
