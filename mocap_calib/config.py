@@ -569,6 +569,10 @@ class DiagnosisConfig:
     rival: float = 0.5  # of the evidence: so much for another camera makes a weak one ambiguous
     least_exchanged: float = 0.25  # share of the detections whose sides are exchanged,
     all_exchanged: float = 0.85  # and the share from which on all are
+    # of the logarithm of the network's spread, by which it rises where the sides of the one of
+    # three cameras were right. Measured: 0.05 to 0.08; where they were exchanged -0.05 to -0.08
+    # (HumanEva), 0.02 of mostly upper bodies (MVOR)
+    unnatural_sides: float = 0.03
     least_resize: float = 0.1  # of the logarithm of the factor
     resize_gain: float = 0.05
     resize_significance: float = 100.0
@@ -614,7 +618,7 @@ class ExchangedConfig:
     points: int = 4000
     time_blocks: int = 20
     least_gain: float = 0.002
-    least_significance: float = 4.0
+    least_significance: float = 3.0
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from mocap_calib.multi_view.explained import explained_share, usual_distance
 from mocap_calib.multi_view.moved import find_moved_cameras
 from mocap_calib.multi_view.observed import Observed
 from mocap_calib.multi_view.odd_cameras import find_odd_cameras
+from mocap_calib.multi_view.sides import exchanged_instead
 from mocap_calib.multi_view.unrelated import find_unrelated_cameras
 from mocap_calib.recording.mending import apply_mends
 from mocap_calib.types import CalibrationResult, Fault, Mend, Recording
@@ -40,6 +41,10 @@ def mend_faults(
         mended = None
         if config.apply:
             mended = _calibrate_mended(recording, (*faults, *found), calibrate)
+            others = exchanged_instead(found, observed, mended[0], result.config) if mended else ()
+            if others:
+                found = others
+                mended = _calibrate_mended(recording, (*faults, *found), calibrate)
         if mended is None:
             faults += _only_named(found)
             break

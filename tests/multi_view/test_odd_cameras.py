@@ -16,7 +16,7 @@ from mocap_calib.multi_view.explanations import (
     plain_factor,
 )
 from mocap_calib.multi_view.suspicion import is_turned, rolls
-from mocap_calib.recording.mended_intrinsics import Cropped, Resized, Rotated
+from mocap_calib.recording.mended_intrinsics import Cropped, Exchanged, Resized, Rotated
 from mocap_calib.recording.mending import Mirrored, Sides
 from mocap_calib.types import Recording
 
@@ -164,3 +164,24 @@ def test_explanations_have_names_of_their_own_and_mends_say_what_is_wrong():
     said = [describe(each.mend) for each in found if each.mend is not None]
     assert len(set(said)) == len(said)
     assert describe(Resized("c", 0.5)) == "images resized by 0.5 against its intrinsics"
+
+
+@pytest.mark.slow
+def test_exchanged_files_are_named_and_mended():
+    """Two cameras whose focal lengths differ by 25 %."""
+    given = plain()
+    positions, cameras = given.positions.copy(), list(given.cameras)
+    positions[1] *= 1.2
+    matrix = np.diag([1.2, 1.2, 1.0]) @ cameras[1].matrix
+    size = tuple(round(1.2 * length) for length in cameras[1].size)
+    cameras[1] = replace(cameras[1], size=size, matrix=matrix)
+    cameras[0] = replace(cameras[0], size=size)
+    zoomed = replace(given, cameras=tuple(cameras), positions=positions)
+    exchanged = Exchanged(given.names[0], given.names[1])
+    result = calibrate_all(exchanged.apply(zoomed))
+    assert [(fault.camera, fault.mend) for fault in result.faults] == [
+        (given.names[0], exchanged),
+        (given.names[1], exchanged),
+    ]
+    errors = rotation_errors_deg(result.groups[0].rig, scene(**CHANGES).rig)
+    assert np.median(errors) < 1.0
