@@ -93,27 +93,50 @@ def _likely_pairs(group: GroupResult, config: ExchangedConfig) -> list[tuple[int
 def _try_exchange(
     sample: Sample, rig: CameraRig, matches: Matches, views: tuple[int, int], config: Config
 ) -> _Finding | None:
-    """Return what it helps to exchange the intrinsics of two views, None where nothing fits."""
+    """Return what it helps to exchange the intrinsics of two views, None where nothing fits.
+
+    Against the files as they are, and against one of the two having intrinsics as the other: a
+    single wrong focal length is no exchange.
+    """
     a, b = views
-    cameras = list(rig.cameras)
-    cameras[a] = replace(rig.cameras[b], name=rig.cameras[a].name)
-    cameras[b] = replace(rig.cameras[a], name=rig.cameras[b].name)
-    exchanged = with_cameras(sample, tuple(cameras))
-    start = replace(rig, cameras=tuple(cameras))
     try:
-        given, other = (
-            _errors(some, adjust(some, begin, matches, config, already_close=True), matches, config)
-            for some, begin in ((sample, rig), (exchanged, start))
-        )
+        exchanged = _errors_with(sample, rig, matches, {a: b, b: a}, config)
+        others = [
+            _errors_with(sample, rig, matches, source, config) for source in ({}, {a: b}, {b: a})
+        ]
     except DegenerateError:
         return None
-    usual = float(np.nanmedian(given))
-    lower = np.log1p((given / usual) ** 2) - np.log1p((other / usual) ** 2)
+    usual = float(np.nanmedian(others[0]))
+    gains = [_compare(given / usual, exchanged / usual, config.exchanged) for given in others]
+    gain, significance = (float(min(values)) for values in zip(*gains, strict=True))
+    return _Finding(views, gain, significance)
+
+
+def _compare(given: Floats, other: Floats, config: ExchangedConfig) -> tuple[float, float]:
+    """Return the gain of a keypoint and its significance; errors `[view, N]` in usual ones."""
+    lower = np.log1p(given**2) - np.log1p(other**2)
     count = max(int(np.isfinite(lower).sum()), 1)
-    blocks = np.array_split(np.nansum(lower, axis=0), config.exchanged.time_blocks)
+    blocks = np.array_split(np.nansum(lower, axis=0), config.time_blocks)
     parts = np.array([block.sum() for block in blocks])
     scatter = float(np.std(parts)) * np.sqrt(len(parts))
-    return _Finding(views, float(parts.sum()) / count, float(parts.sum()) / max(scatter, 1e-12))
+    return float(parts.sum()) / count, float(parts.sum()) / max(scatter, 1e-12)
+
+
+def _errors_with(
+    sample: Sample, rig: CameraRig, matches: Matches, source: dict[int, int], config: Config
+) -> Floats:
+    """Return the errors in a rig adjusted with the intrinsics of other views.
+
+    source: the view whose intrinsics a view has, where they are not its own.
+    """
+    cameras = tuple(
+        replace(rig.cameras[source.get(view, view)], name=camera.name)
+        for view, camera in enumerate(rig.cameras)
+    )
+    changed = with_cameras(sample, cameras)
+    start = replace(rig, cameras=cameras)
+    adjusted = adjust(changed, start, matches, config, already_close=True)
+    return _errors(changed, adjusted, matches, config)
 
 
 def _errors(sample: Sample, rig: CameraRig, matches: Matches, config: Config) -> Floats:
