@@ -107,7 +107,7 @@ def _best_explanation(
             except DegenerateError:
                 new = _only_named(new)
         if new:
-            tried.append(_Explanation(new, _gain(mended, calibrated), mended))
+            tried.append(_Explanation(new, _gain(recording, mended, calibrated), mended))
     return max(tried, key=lambda explanation: explanation.gain, default=None)
 
 
@@ -122,13 +122,13 @@ def _only_named(faults: Sequence[Fault]) -> tuple[Fault, ...]:
     return tuple(replace(fault, mend=None) for fault in faults)
 
 
-def _gain(mended: Calibrated, before: Calibrated) -> float:
-    """Return by how much (-1 to 1) more of what was seen the mends explain."""
+def _gain(recording: Recording, mended: Calibrated, before: Calibrated) -> float:
+    """Return by how much (-1 to 1) more of what was seen the mends explain.
+
+    recording: as it was handed in, with what lenses cannot undo before they are mended.
+    """
     yardstick = usual_distance(before[1], before[0].recording)
-    after, given = (
-        explained_share(result, observed.recording, yardstick)
-        for observed, result in (mended, before)
-    )
+    after, given = (explained_share(result, recording, yardstick) for _, result in (mended, before))
     return after - given
 
 
