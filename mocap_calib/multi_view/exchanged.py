@@ -44,7 +44,7 @@ def find_exchanged_cameras(
 ) -> tuple[Fault, ...]:
     """Return the faults of the two cameras whose files are exchanged; nothing where none are."""
     rig, matches = group.adjusted.rig, group.adjusted.matches
-    likely = _likely_pairs(group, config.exchanged)
+    likely = likely_pairs(group, config.exchanged)
     if not likely:
         return ()
     names = observed.recording.names
@@ -70,7 +70,7 @@ def _is_decisive(found: _Finding, config: ExchangedConfig) -> bool:
     return found.gain > config.least_gain and found.significance > config.least_significance
 
 
-def _likely_pairs(group: GroupResult, config: ExchangedConfig) -> list[tuple[int, int]]:
+def likely_pairs(group: GroupResult, config: ExchangedConfig) -> list[tuple[int, int]]:
     """Return the pairs of views whose focal lengths would change to those of each other.
 
     The likeliest first.
@@ -84,9 +84,10 @@ def _likely_pairs(group: GroupResult, config: ExchangedConfig) -> list[tuple[int
     for a, b in combinations(range(len(focal)), 2):
         ends, other = np.array([a, b]), focal[[b, a]] - focal[[a, b]]
         squares = change[ends] ** 2 - (change[ends] - other) ** 2
-        nats = float((squares / (2 * variance[ends])).sum())
-        if nats > config.least_nats and abs(focal[a] - focal[b]) > config.least_difference:
-            found.append((nats, (a, b)))
+        nats = squares / (2 * variance[ends])
+        likelier = nats.sum() > config.least_nats and (nats > 0).all()
+        if likelier and abs(focal[a] - focal[b]) > config.least_difference:
+            found.append((float(nats.sum()), (a, b)))
     return [views for _, views in sorted(found, reverse=True)[: config.candidates]]
 
 
