@@ -69,6 +69,19 @@ CLOCKS_IN_STEP = (
     "two_dogs_projected",
     "dannce_two_mice_projected",
 )
+# `run` with and without a look at the frames of clocks: nothing changes, and it costs little
+IN_STEP = (
+    "h36m_S1_walking",
+    "h36m_S1_mix",
+    "h36m_S6_mix",
+    "h36m_S5_multi3",
+    "humaneva_S1_projected",
+    "panoptic_band1_projected",
+    "two_dogs_projected",
+    "dannce_two_mice_projected",
+)
+SYNC_SHARE = 0.2  # of the processor time of a run without it
+RESULTS = ("cameras.yaml", "calibration.toml", "matches.csv", "poses3d_*.csv")
 # frames by which cameras are made late, from the first on
 WHOLE_FRAMES = (
     ("h36m_S1_walking", (0, 3, -5, 8)),
@@ -79,7 +92,14 @@ WHOLE_FRAMES = (
 WHOLE_FRAMES_DEG = 0.05  # by which the rig may differ from that in step
 CLOCK_SHARE = 0.08  # of the time of a run that looking at clocks may take
 CLOCKS_OFF = ("acinoset_lily_run",)
-CLOCKS_UNKNOWN = ("shelf", "pose2sim_single", "mvor_openpose", "eks_fly", "caliscope_4cam")
+CLOCKS_UNKNOWN = (
+    "shelf",
+    "pose2sim_single",
+    "mvor_openpose",
+    "eks_fly",
+    "caliscope_4cam",
+    "sleap_anipose_mouse",
+)
 
 
 @dataclass(frozen=True)
@@ -127,6 +147,10 @@ def rows(recordings: Path) -> Iterator[tuple[str, Callable[[], list[Figure]]]]:
         yield f"{name}, focal lengths {ROUGH:g} times as long", partial(rough, recordings / name)
     for name, offsets in WHOLE_FRAMES:
         yield f"{name}, offsets {offsets}", partial(late, recordings / name, offsets)
+    for name in IN_STEP:
+        yield f"{name}, in step, same bytes", partial(synced, recordings / name, in_step=True)
+    for name in (*CLOCKS_OFF, *CLOCKS_UNKNOWN):
+        yield f"{name}, frames of clocks", partial(synced, recordings / name, in_step=False)
     for name in BUMPED:
         for degrees in BUMPS_DEG:
             measure = partial(moved, recordings / name, degrees=degrees)
@@ -198,6 +222,36 @@ def late(recording: Path, offsets: tuple[int, ...]) -> list[Figure]:
         Figure("offsets wrong by", float(wrong), 0.0),
         Figure("E_R", errors[0], round(errors[1] + WHOLE_FRAMES_DEG, 3)),
     ]
+
+
+def synced(recording: Path, *, in_step: bool) -> list[Figure]:
+    """Calibrate with `--sync auto` and `--sync off`: what is found, and whether it is of use.
+
+    Where no clock is changed the results must be the same bytes; others must not have a larger
+    median reprojection error. in_step: it is known that no clock may be changed.
+    """
+    intrinsics = ("--cameras", str(recording / "intrinsics.toml"))
+    seconds, outs = [], []
+    with tempfile.TemporaryDirectory() as work:
+        for mode in ("off", "auto"):
+            folder = Path(work) / mode
+            folder.mkdir()
+            before = os.times()
+            outs.append(run(recording, folder, *intrinsics, "--sync", mode))
+            after = os.times()
+            user, system = after.children_user, after.children_system
+            seconds.append(user - before.children_user + system - before.children_system)
+        off, auto = (results_of(out) for out in outs)
+        clocks_found = json.loads((outs[1] / "run.json").read_text("utf-8"))["clocks"]
+        errors = [median_error(out) for out in outs]
+    applied = [each for each in clocks_found if each["applied"]]
+    figures = [Figure("additional time", seconds[1] / seconds[0] - 1, SYNC_SHARE)]
+    for each in applied:
+        bound = -np.inf if in_step else np.inf
+        figures.append(Figure(f"{each['camera']} {each['kind']}", each["offset"], bound))
+    if applied:
+        return [*figures, Figure("error with / without", errors[1] / errors[0], 1.0)]
+    return [*figures, Figure("other bytes", float(auto != off), 0.0)]
 
 
 def moved(recording: Path, *, degrees: float) -> list[Figure]:
