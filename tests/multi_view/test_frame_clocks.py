@@ -179,5 +179,7 @@ def test_a_mend_of_one_camera_leaves_the_others():
 def test_few_pairs_of_many_cameras_are_compared(views):
     pairs = choose_pairs(views)
     partners = np.bincount(np.ravel(pairs), minlength=views)
-    assert pairs == sorted(set(pairs)) and all(a < b for a, b in pairs)
-    assert len(pairs) <= 3 * views and partners.min() >= min(views - 1, 5)
+    assert pairs == sorted(set(pairs))
+    assert all(a < b for a, b in pairs)
+    assert len(pairs) <= 3 * views
+    assert partners.min() >= min(views - 1, 5)
