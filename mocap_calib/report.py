@@ -12,7 +12,6 @@ from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.multi_view.clock_faults import describe_clock
 from mocap_calib.multi_view.evaluation import median_and_max
 from mocap_calib.multi_view.triangulation import gather_observations, project
-from mocap_calib.multi_view.uncertainty import judge_rig
 from mocap_calib.multi_view.view_graph import alternative_taken
 from mocap_calib.recording.epochs import describe_epochs, views_by_camera
 from mocap_calib.recording.mending import describe_faults
@@ -44,7 +43,7 @@ def run_report(
     error = _reprojection_errors(group)
     return {
         "schema": SCHEMA,
-        "verdict": _describe_verdict(group, config),
+        "verdict": _describe_verdict(group),
         "version": __version__,
         "seed": seed,
         "config": asdict(config),
@@ -69,7 +68,7 @@ def rig_report(group: GroupResult, result: CalibrationResult) -> dict[str, Any]:
     """Return the part of `run_report` that says how far the cameras of a group can be trusted."""
     config, error = result.config, _reprojection_errors(group)
     return {
-        "verdict": _describe_verdict(group, config),
+        "verdict": _describe_verdict(group),
         "left_out": list(result.left_out),
         "cameras": _describe_cameras(group, error, config, result.faults),
         "points": _describe_points(group, error),
@@ -254,12 +253,12 @@ def _describe_alternative(
     return {"score": other.score, "turned_deg": float(np.degrees(turn))}
 
 
-def _describe_verdict(group: GroupResult, config: Config) -> dict[str, Any]:
+def _describe_verdict(group: GroupResult) -> dict[str, Any]:
     """Return whether the recording determines the rig, and what it leaves open."""
     uncertainty = group.uncertainty
     reversal = group.adjusted.depth_reversed_rig is not None
     return {
-        "rig": judge_rig(uncertainty, config.uncertainty),
+        "rig": group.verdict,
         "split_half_angle_deg": median_and_max(np.degrees(uncertainty.split_half_angle)),
         "intrinsics_angle_deg": median_and_max(np.degrees(uncertainty.intrinsics_angle)),
         "reversal": "not observable" if reversal else "none found",

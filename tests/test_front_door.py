@@ -220,7 +220,10 @@ def test_without_cameras_their_intrinsics_are_a_guess_that_is_estimated(files, m
 def test_messages_name_arguments(tmp_path):
     """What the command calls `--image-size` is `image_size=` here."""
     view = replace(scene().files[0], tracked=True)
-    views = [replace(view, camera=name) for name in "ab"]
+    views = [
+        replace(view, camera=name, positions=view.positions + shift)
+        for name, shift in (("a", 0.0), ("b", 7.5))
+    ]
     mocap_calib.write(views, tmp_path / "keypoints", format="deeplabcut-csv")
     read = partial(mocap_calib.read_recording, tmp_path / "keypoints")
     with pytest.raises(mocap_calib.MismatchError) as raised:

@@ -269,13 +269,20 @@ def _describe_outlier_cameras(report: dict[str, Any]) -> list[str]:
 
 
 def _describe_wrong_focal(report: dict[str, Any]) -> list[str]:
-    """Say which focal lengths are wrong, by how much, and how sure that is."""
-    changes = {each["name"]: each["intrinsics"] for each in report["cameras"]}
+    """Say which focal lengths would change, by how much, and how sure that is.
+
+    Of those that were mended the fault itself says it.
+    """
+    changes = {
+        each["name"]: each["intrinsics"]
+        for each in report["cameras"]
+        if "focal" in each["faults"] and "focal" not in each["fault_evidence"]
+    }
     return [
         f"focal: {name}: its focal length fits better changed by "
-        f"{changes[name]['focal_change']:+.1%} (+- {changes[name]['focal_change_sigma']:.1%}); "
+        f"{found['focal_change']:+.1%} (+- {found['focal_change_sigma']:.1%}); "
         "check its intrinsics and the size of its images, or say --refine focal"
-        for name in _cameras_with_fault(report, "focal")
+        for name, found in changes.items()
     ]
 
 

@@ -47,7 +47,7 @@ def explained_share(result: CalibrationResult, recording: Recording, yardstick: 
     A keypoint counts 1 / (1 + (e / width)^2), e being its distance in pixels from the triangulated
     point, and nothing where it was matched with nobody or its camera was left out.
 
-    recording: of all cameras, in the frames of the groups.
+    recording: with all that was detected, in the frames of the groups.
     """
     group = result.groups[0]
     frames = evenly_spaced(np.arange(len(recording.frames)), REPORT_FRAMES)

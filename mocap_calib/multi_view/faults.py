@@ -1,10 +1,12 @@
 """What is wrong with the files of single cameras, as a calibration shows it, and mending it.
 
-A mend counts only where the calibration of the mended recording explains more of what was seen.
+Faults of several kinds may explain the same errors. Each explanation is tried, and the one with
+which a calibration explains most of what was seen counts; where none explains more than the files
+as they are, nothing is mended.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError
@@ -14,62 +16,99 @@ from mocap_calib.multi_view.observed import Observed
 from mocap_calib.multi_view.odd_cameras import find_odd_cameras
 from mocap_calib.multi_view.unrelated import find_unrelated_cameras
 from mocap_calib.recording.mending import apply_mends
-from mocap_calib.types import CalibrationResult, Fault, Mend, Recording
+from mocap_calib.types import CalibrationResult, Fault, FaultWord, GroupResult, Mend, Recording
 
 # what was known before the rigs of a recording were built, and all that was found
 Calibrated = tuple[Observed, CalibrationResult]
+Calibrate = Callable[[Recording], Calibrated]
+
+# mends that put an estimate in the place of what was given: the rig is no better than that
+_ESTIMATED: tuple[FaultWord, ...] = ("cropped",)
+
+
+@dataclass(frozen=True)
+class _Explanation:
+    """Faults that may explain errors, and what follows from mending them.
+
+    gain: -1 to 1, by how much more of what was seen is explained. calibrated: with the mends.
+    """
+
+    faults: tuple[Fault, ...]
+    gain: float
+    calibrated: Calibrated
 
 
 def mend_faults(
-    recording: Recording, calibrated: Calibrated, calibrate: Callable[[Recording], Calibrated]
+    recording: Recording, calibrated: Calibrated, calibrate: Calibrate
 ) -> CalibrationResult:
     """Return what is found of a recording with the faults of its cameras named, and mended.
 
     recording: as it was handed in. calibrated: what was found of it. calibrate: finds the same of
         a recording that was mended.
     """
-    observed, result = calibrated
-    config = result.config.mend
+    config = calibrated[1].config.mend
     faults: tuple[Fault, ...] = ()
     for _ in range(config.rounds):
-        found = _new_faults(find_faults(observed, result, result.config), faults)
-        if not mends_of(found):
-            faults += found
+        best = _best_explanation(recording, calibrated, faults, calibrate)
+        if best is None or best.gain <= -config.refuting_loss:
             break
-        mended = None
-        if config.apply:
-            mended = _calibrate_mended(recording, (*faults, *found), calibrate)
-        if mended is None:
-            faults += _only_named(found)
+        if best.gain <= 0 or not config.apply:
+            faults += _only_named(best.faults)
             break
-        gain = _gain(mended, (observed, result))
-        if gain <= 0:
-            faults += _only_named(found) if gain > -config.refuting_loss else ()
-            break
-        observed, result = mended
-        faults += found
-    return replace(result, faults=faults)
+        calibrated = best.calibrated
+        faults += best.faults
+    observed, result = calibrated
+    named = {fault.camera for fault in faults}
+    unrelated = (
+        fault
+        for group in result.groups
+        for fault in find_unrelated_cameras(observed, group, result.config)
+        if fault.camera not in named
+    )
+    faults = (*faults, *unrelated)
+    groups = tuple(_judge_estimated(group, faults) for group in result.groups)
+    return replace(result, groups=groups, faults=faults)
 
 
-def find_faults(observed: Observed, result: CalibrationResult, config: Config) -> tuple[Fault, ...]:
-    """Return what is wrong with the files of cameras that stand out.
+def find_explanations(
+    observed: Observed, result: CalibrationResult, config: Config
+) -> tuple[tuple[Fault, ...], ...]:
+    """Return faults of cameras that stand out, each of which may explain the same errors.
 
     observed: what was known before the rigs were built. result: what was found with the files as
         they are.
     """
-    groups = result.groups
-    moved = [fault for group in groups for fault in find_moved_cameras(observed, group, config)]
-    odd = () if moved else find_odd_cameras(observed, result, config)
-    if moved or odd:
-        return (*moved, *odd)
-    return tuple(
-        fault for group in groups for fault in find_unrelated_cameras(observed, group, config)
+    moved = (
+        fault for group in result.groups for fault in find_moved_cameras(observed, group, config)
     )
+    return tuple(moved), find_odd_cameras(observed, result, config)
 
 
 def mends_of(faults: Sequence[Fault]) -> tuple[Mend, ...]:
     """Return the mends of faults; one of two cameras counts once."""
     return tuple(dict.fromkeys(fault.mend for fault in faults if fault.mend is not None))
+
+
+def _best_explanation(
+    recording: Recording, calibrated: Calibrated, known: tuple[Fault, ...], calibrate: Calibrate
+) -> _Explanation | None:
+    """Return the new faults whose mends explain most, None where there are none.
+
+    known: faults that are mended already.
+    """
+    observed, result = calibrated
+    tried = []
+    for found in find_explanations(observed, result, result.config):
+        new = _new_faults(found, known)
+        mended = calibrated
+        if mends_of(new):
+            try:
+                mended = calibrate(apply_mends(recording, mends_of((*known, *new))))
+            except DegenerateError:
+                new = _only_named(new)
+        if new:
+            tried.append(_Explanation(new, _gain(recording, mended, calibrated), mended))
+    return max(tried, key=lambda explanation: explanation.gain, default=None)
 
 
 def _new_faults(found: Sequence[Fault], known: Sequence[Fault]) -> tuple[Fault, ...]:
@@ -78,28 +117,24 @@ def _new_faults(found: Sequence[Fault], known: Sequence[Fault]) -> tuple[Fault, 
     return tuple(fault for fault in found if (fault.camera, fault.word, fault.mend) not in names)
 
 
-def _calibrate_mended(
-    recording: Recording,
-    faults: Sequence[Fault],
-    calibrate: Callable[[Recording], Calibrated],
-) -> Calibrated | None:
-    """Return what is found of a recording whose faults are mended, None where that fails."""
-    try:
-        return calibrate(apply_mends(recording, mends_of(faults)))
-    except DegenerateError:
-        return None
-
-
 def _only_named(faults: Sequence[Fault]) -> tuple[Fault, ...]:
     """Return the faults as they are where nothing is mended."""
     return tuple(replace(fault, mend=None) for fault in faults)
 
 
-def _gain(mended: Calibrated, before: Calibrated) -> float:
-    """Return by how much (-1 to 1) more of what was seen the mends explain."""
+def _gain(recording: Recording, mended: Calibrated, before: Calibrated) -> float:
+    """Return by how much (-1 to 1) more of what was seen the mends explain.
+
+    recording: as it was handed in, with what lenses cannot undo before they are mended.
+    """
     yardstick = usual_distance(before[1], before[0].recording)
-    after, given = (
-        explained_share(result, observed.recording, yardstick)
-        for observed, result in (mended, before)
-    )
+    after, given = (explained_share(result, recording, yardstick) for _, result in (mended, before))
     return after - given
+
+
+def _judge_estimated(group: GroupResult, faults: Sequence[Fault]) -> GroupResult:
+    """Return the group, which is weak at best where a mend of it is no more than an estimate."""
+    estimated = {fault.camera for fault in faults if fault.mend and fault.word in _ESTIMATED}
+    if group.verdict == "well determined" and estimated & set(group.rig.names):
+        return replace(group, verdict="weak")
+    return group

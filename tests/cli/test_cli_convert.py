@@ -338,15 +338,15 @@ def test_run_writes_what_is_asked_for(tool, small, tmp_path):
 @pytest.mark.parametrize(
     ("formats", "fps", "reason"),
     [
-        (["bvh"], None, "--write: expected one of poses-h5, "),
-        (["kalibr"], None, "--write: expected one of poses-h5, "),  # only read
-        (["movement-3d", "nwb-3d"], 30.0, "nwb-3d: expected the Python package pynwb"),
+        (["bvh"], (), "--write: expected one of poses-h5, "),
+        (["kalibr"], (), "--write: expected one of poses-h5, "),  # only read
+        (["movement-3d", "nwb-3d"], ("30",), "nwb-3d: expected the Python package pynwb"),
         (
             ["trc"],
-            30.0,
+            ("30",),
             "mocap-calib convert OUT/poses3d.h5 NEW --to trc --unit m --fps FPS",
         ),
-        (["colmap", "pose2sim"], None, "convert OUT/cameras.yaml NEW --to pose2sim --unit m"),
+        (["colmap", "pose2sim"], (), "convert OUT/cameras.yaml NEW --to pose2sim --unit m"),
     ],
 )
 def test_run_and_batch_know_before_they_read_what_they_cannot_write(
@@ -363,7 +363,8 @@ def test_a_format_with_times_needs_their_rate(monkeypatch):
     monkeypatch.setattr("mocap_calib.io.registry.find_spec", lambda _: "it is there")
     with pytest.raises(click.UsageError, match="--write nwb-3d: expected the number of frames"):
         calibration_request(SharedOptions(write=("nwb-3d",)), Path("out"))
-    assert calibration_request(SharedOptions(write=("nwb-3d",), fps=30.0), Path("out")).fps == 30.0
+    options = SharedOptions(write=("nwb-3d",), fps=("30",))
+    assert calibration_request(options, Path("out")).fps == 30.0
 
 
 def test_a_format_that_could_not_be_written_in_the_end_is_wrong_usage(tool, tmp_path):

@@ -22,7 +22,6 @@ GIVEN = {
         ("run", "--seed", "abc", "a whole number of 0 or more"),
         ("batch", "--seed", "-1", "a whole number of 0 or more"),
         ("batch", "--jobs", "0", "a whole number of 1 or more"),
-        ("run", "--fps", "0", "a number above 0"),
         ("convert", "--fps", "nan", "a number above 0"),
         ("simulate", "--frames", "1e3", "a whole number of 1 or more"),
         ("simulate", "--noise", "inf", "a number of 0 or more"),

@@ -105,7 +105,18 @@ def test_it_is_documented_for_each_shell():
 def test_every_option_that_takes_a_name_offers_something():
     """All options are looked at but numbers and flags; those that take free text are listed."""
     free = {"image-size", "camera-regex", "frame-offset", "crop-offset", "views", "scheduler"}
-    free |= {"data", "terms", "up", "mirrored", "sides", "rotated", "resized", "exchanged", "moved"}
+    free |= {
+        "data",
+        "terms",
+        "up",
+        "mirrored",
+        "sides",
+        "rotated",
+        "resized",
+        "exchanged",
+        "moved",
+        "fps",
+    }
     for name in COMMANDS:
         context = click.Context(group)
         command = group.get_command(context, name)
