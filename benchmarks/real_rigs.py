@@ -12,6 +12,7 @@ where a figure is beyond its bound.
 
 import argparse
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -69,6 +70,19 @@ CLOCKS_IN_STEP = (
     "two_dogs_projected",
     "dannce_two_mice_projected",
 )
+# `run` with and without a look at the frames of clocks: nothing changes, and it costs little
+IN_STEP = (
+    "h36m_S1_walking",
+    "h36m_S1_mix",
+    "h36m_S6_mix",
+    "h36m_S5_multi3",
+    "humaneva_S1_projected",
+    "panoptic_band1_projected",
+    "two_dogs_projected",
+    "dannce_two_mice_projected",
+)
+SYNC_SHARE = 0.2  # of the processor time of a run without it
+RESULTS = ("cameras.yaml", "calibration.toml", "matches.csv", "poses3d_*.csv")
 # frames by which cameras are made late, from the first on
 WHOLE_FRAMES = (
     ("h36m_S1_walking", (0, 3, -5, 8)),
@@ -79,7 +93,14 @@ WHOLE_FRAMES = (
 WHOLE_FRAMES_DEG = 0.05  # by which the rig may differ from that in step
 CLOCK_SHARE = 0.08  # of the time of a run that looking at clocks may take
 CLOCKS_OFF = ("acinoset_lily_run",)
-CLOCKS_UNKNOWN = ("shelf", "pose2sim_single", "mvor_openpose", "eks_fly", "caliscope_4cam")
+CLOCKS_UNKNOWN = (
+    "shelf",
+    "pose2sim_single",
+    "mvor_openpose",
+    "eks_fly",
+    "caliscope_4cam",
+    "sleap_anipose_mouse",
+)
 
 
 @dataclass(frozen=True)
@@ -131,12 +152,21 @@ def rows(recordings: Path) -> Iterator[tuple[str, Callable[[], list[Figure]]]]:
         for degrees in BUMPS_DEG:
             measure = partial(moved, recordings / name, degrees=degrees)
             yield f"{name}, moved: a camera turned by {degrees} deg at half time", measure
+    yield from clock_rows(recordings)
+
+
+def clock_rows(recordings: Path) -> Iterator[tuple[str, Callable[[], list[Figure]]]]:
+    """Yield the rows about clocks of recordings as they are, like `rows`."""
     for name, phase in HALF_RATE.items():
         yield f"{name}, clocks at half the rate", partial(half_rate, recordings / name, phase)
     for name in CLOCKS_IN_STEP:
         yield f"{name}, clocks in step", partial(clocks_in_step, recordings / name)
     for name in (*CLOCKS_OFF, *CLOCKS_UNKNOWN):
         yield f"{name}, clocks", partial(clocks, recordings / name, off=name in CLOCKS_OFF)
+    for name in IN_STEP:
+        yield f"{name}, in step, same bytes", partial(synced, recordings / name, in_step=True)
+    for name in (*CLOCKS_OFF, *CLOCKS_UNKNOWN):
+        yield f"{name}, frames of clocks", partial(synced, recordings / name, in_step=False)
 
 
 # Rows
@@ -198,6 +228,39 @@ def late(recording: Path, offsets: tuple[int, ...]) -> list[Figure]:
         Figure("offsets wrong by", float(wrong), 0.0),
         Figure("E_R", errors[0], round(errors[1] + WHOLE_FRAMES_DEG, 3)),
     ]
+
+
+def synced(recording: Path, *, in_step: bool) -> list[Figure]:
+    """Calibrate with and without a look at the frames of clocks.
+
+    in_step: the results must be the same bytes. Others too where no clock is changed; where one
+    is, detections must be no farther from points that are triangulated without them.
+    """
+    intrinsics = recording / "intrinsics.toml"
+    outs, seconds = [], []
+    with tempfile.TemporaryDirectory() as work:
+        for mode in ("off", "auto"):
+            before = os.times()
+            out = run(recording, Path(work, mode), "--cameras", str(intrinsics), "--sync", mode)
+            spent = np.array(os.times()) - before
+            outs.append({p.name: p.read_bytes() for part in RESULTS for p in out.glob(part)})
+            seconds.append(spent[2:4].sum())  # of the processor, by the other process
+    figures = [Figure("additional time", seconds[1] / seconds[0] - 1, SYNC_SHARE)]
+    same = len(outs[0]) >= len(RESULTS) and outs[0] == outs[1]
+    if same or in_step:
+        return [*figures, Figure("other bytes", float(not same), 0.0)]
+    given, off = (
+        read_recording(recording / "keypoints", intrinsics),
+        replace(Config().sync, mode="off"),
+    )
+    found, blind = calibrate(given), calibrate(given, config=replace(Config(), sync=off))
+    rest, rest_blind = (
+        held_out_error(of.recording, of.rig, of.matches, of.time_offsets.applied, Config())
+        for of in (found.groups[0], blind.groups[0])
+    )
+    clocks_found = (each for each in found.clocks.cameras if each.differs)
+    figures += [Figure(f"{c.camera}: {c.kind}", c.offset, np.inf) for c in clocks_found]
+    return [*figures, Figure("held out with / without", rest / rest_blind, 1.0)]
 
 
 def moved(recording: Path, *, degrees: float) -> list[Figure]:

@@ -157,18 +157,20 @@ def agreement_table(
     time = np.arange(maps.shape[2])
     exact = np.isclose(rate * time % 1, 0)
     reach = agreements.window if window is None else window
-    column = np.round(rate * time).astype(np.int64)[:, None] + np.arange(-reach, reach + 1)
-    inside = (column >= 0) & (column < frames) & exact[:, None]
-    column = np.where(inside, column, 0)
-    table = np.zeros((stretches, *column.shape))
+    # own frames `start` to `start + 2 reach` of an array with nothing in front and behind
+    start = np.round(rate * time).astype(np.int64)
+    behind = reach + max(int(start[-1]) - frames + 1, 0)
+    table = np.zeros((stretches, len(time), 2 * reach + 1))
     for other in agreements.partners(view) if partners is None else partners:
         values = agreements.between(view, other)
         if values is None:
             continue
-        row = maps[other]
+        # the last row has nothing: it stands for no frame
+        framed = np.pad(values, ((0, 0), (0, 1), (reach, behind)))
+        windows = np.lib.stride_tricks.sliding_window_view(framed, 2 * reach + 1, axis=2)
+        row = np.where(exact & (maps[other] >= 0), maps[other], values.shape[1])
         for stretch in range(stretches):
-            known = inside & (row[stretch] >= 0)[:, None]
-            table[stretch] += np.where(known, values[stretch][row[stretch][:, None], column], 0.0)
+            table[stretch] += windows[stretch][row[stretch], start]
     return table
 
 

@@ -52,7 +52,7 @@ def find_timing(agreements: Agreements, rates: tuple[float, ...], config: SyncCo
     timing = _constant_timing(agreements, offsets, rates)
     timing = _try_rates(agreements, timing, config)
     timing, restless = _add_steps(agreements, timing, config)
-    if restless > 1 and equal:
+    if restless >= config.least_restless_gain and equal:
         followed = (_follow_one(agreements, rates, root, config) for root in equal)
         other = max(followed, key=lambda each: _total(agreements, each))
         good = _median_score(agreements, other) >= config.wandering_score
@@ -125,16 +125,16 @@ def _try_rates(agreements: Agreements, timing: Timing, config: SyncConfig) -> Ti
     return found if found is timing else _settle_constants(agreements, found)
 
 
-def _add_steps(agreements: Agreements, timing: Timing, config: SyncConfig) -> tuple[Timing, int]:
+def _add_steps(agreements: Agreements, timing: Timing, config: SyncConfig) -> tuple[Timing, float]:
     """Return the timing with steps in the maps that are decisively better for them.
 
-    And how many cameras would gain by steps, decisively or not.
+    And by how much a camera would gain by steps, decisively or not, where several would have some.
 
     One camera after the other, the one that gains most first: the faults of one camera show in the
     tables of all.
     """
     steady = list(range(agreements.views))
-    restless = 0
+    restless = -np.inf
     while steady:
         gains = []
         for view in steady:
@@ -147,12 +147,14 @@ def _add_steps(agreements: Agreements, timing: Timing, config: SyncConfig) -> tu
                 gain = float(difference[ridge.frames >= 0].mean()) / partners
                 sure = is_decisive(sigma, score, config) and _is_plausible(ridge, score, config)
                 sure = sure and gain >= config.least_step_gain
-                gains.append((ridge.total - before.total - ridge.cost, sure, view, ridge))
-        restless = max(restless, len(gains))
-        gains = [each for each in gains if each[1]]
-        if not gains:
+                net = ridge.total - before.total - ridge.cost
+                gains.append((gain, net, sure, view, ridge))
+        if len(gains) > 1:
+            restless = max(restless, *(each[0] for each in gains))
+        sure_gains = [each[1:] for each in gains if each[2]]
+        if not sure_gains:
             break
-        _, _, view, ridge = max(gains, key=lambda each: each[0])
+        _, _, view, ridge = max(sure_gains, key=lambda each: each[0])
         steady.remove(view)
         ridge, rate = _as_rate(agreements, timing, view, ridge)
         timing = timing.with_ridge(view, ridge, rate)

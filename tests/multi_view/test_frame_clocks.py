@@ -10,7 +10,7 @@ from scenes import lifted, recording
 from mocap_calib.config import SyncConfig
 from mocap_calib.multi_view.clock_faults import Retimed, clock_faults
 from mocap_calib.multi_view.clock_paths import follow_ridge
-from mocap_calib.multi_view.frame_clocks import find_clocks
+from mocap_calib.multi_view.frame_clocks import choose_pairs, find_clocks
 from mocap_calib.recording.retiming import clocks_from, retime
 from mocap_calib.types import CameraClock, LiftedPoses
 
@@ -173,3 +173,13 @@ def test_a_mend_of_one_camera_leaves_the_others():
     np.testing.assert_array_equal(mended.frames, clocks.frames)
     both = np.isin(mended.frames, made.frames)
     np.testing.assert_array_equal(mended.positions[:2, both], made.positions[:2])
+
+
+@pytest.mark.parametrize("views", [2, 3, 7, 8, 9, 40])
+def test_few_pairs_of_many_cameras_are_compared(views):
+    pairs = choose_pairs(views)
+    partners = np.bincount(np.ravel(pairs), minlength=views)
+    assert pairs == sorted(set(pairs))
+    assert all(a < b for a, b in pairs)
+    assert len(pairs) <= 3 * views
+    assert partners.min() >= min(views - 1, 5)
