@@ -101,10 +101,12 @@ def is_acceptable(explanation: Explanation, fit: CameraFit, config: DiagnosisCon
     """Return whether the unknowns of an explanation are what it says, and are significant."""
     if explanation.name == "resized":
         change = abs(float(fit.unknowns[0]))
-        return change > config.least_resize and fit.significance > config.resize_significance
+        likely = config.least_resize < change < config.most_resize
+        return likely and fit.significance > config.resize_significance
     if explanation.name == "focal":
         change = abs(float(fit.unknowns[0]))
-        return change > config.least_focal_change and fit.significance > config.focal_significance
+        likely = config.least_focal_change < change < config.most_focal_change
+        return likely and fit.significance > config.focal_significance
     if explanation.name == "cropped":
         return fit.significance > config.crop_significance and _may_be_cropped(
             explanation, fit, config

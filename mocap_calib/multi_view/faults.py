@@ -105,22 +105,47 @@ def _best_explanation(
     known: faults that are mended already.
     """
     observed, result = calibrated
-    tried = []
+    tried: list[tuple[tuple[Fault, ...], Calibrated]] = []
     for found in find_explanations(observed, result, result.config):
         new = _new_faults(found, known)
-        mended = calibrated
-        if mends_of(new):
-            try:
-                mended = calibrate(apply_mends(recording, mends_of((*known, *new))))
-                others = exchanged_instead(new, observed, mended[0], result.config)
-                if others:
-                    new = others
-                    mended = calibrate(apply_mends(recording, mends_of((*known, *new))))
-            except DegenerateError:
-                new = _only_named(new)
         if new:
-            tried.append(_Explanation(new, _gain(recording, mended, calibrated), mended))
-    return max(tried, key=lambda explanation: explanation.gain, default=None)
+            tried.append(_calibrate_mended(recording, calibrated, known, new, calibrate))
+    if not tried:
+        return None
+    shares = _explained_shares(recording, [calibrated, *(mended for _, mended in tried)])
+    gains = [share - shares[0] for share in shares[1:]]
+    margin = result.config.mend.moved_margin
+    ranks = [gain - margin * _has_moved(new) for gain, (new, _) in zip(gains, tried, strict=True)]
+    best = ranks.index(max(ranks))
+    return _Explanation(tried[best][0], gains[best], tried[best][1])
+
+
+def _has_moved(faults: Sequence[Fault]) -> bool:
+    """Return whether a camera was moved, says one of the faults."""
+    return any(fault.word == "moved" for fault in faults)
+
+
+def _calibrate_mended(
+    recording: Recording,
+    calibrated: Calibrated,
+    known: tuple[Fault, ...],
+    new: tuple[Fault, ...],
+    calibrate: Calibrate,
+) -> tuple[tuple[Fault, ...], Calibrated]:
+    """Return new faults, and what is found with them and the known ones mended.
+
+    Where nothing can be calibrated with the mends they are only named, and nothing has changed.
+    """
+    if not mends_of(new):
+        return new, calibrated
+    try:
+        mended = calibrate(apply_mends(recording, mends_of((*known, *new))))
+        others = exchanged_instead(new, calibrated[0], mended[0], calibrated[1].config)
+        if not others:
+            return new, mended
+        return others, calibrate(apply_mends(recording, mends_of((*known, *others))))
+    except DegenerateError:
+        return _only_named(new), calibrated
 
 
 def _new_faults(found: Sequence[Fault], known: Sequence[Fault]) -> tuple[Fault, ...]:
@@ -134,14 +159,17 @@ def _only_named(faults: Sequence[Fault]) -> tuple[Fault, ...]:
     return tuple(replace(fault, mend=None) for fault in faults)
 
 
-def _gain(recording: Recording, mended: Calibrated, before: Calibrated) -> float:
-    """Return by how much (-1 to 1) more of what was seen the mends explain.
+def _explained_shares(recording: Recording, rivals: Sequence[Calibrated]) -> list[float]:
+    """Return the share (0..1) of what was seen that each of some results explains.
+
+    By the yardstick of the one with the smallest errors: a loose one makes all look alike.
 
     recording: as it was handed in, with what lenses cannot undo before they are mended.
     """
-    yardstick = usual_distance(before[1], before[0].recording)
-    after, given = (explained_share(result, recording, yardstick) for _, result in (mended, before))
-    return after - given
+    yardsticks = [usual_distance(result, observed.recording) for observed, result in rivals]
+    smallest = min(yardstick.angle for yardstick in yardsticks)
+    strict = replace(yardsticks[0], angle=smallest)
+    return [explained_share(result, recording, strict) for _, result in rivals]
 
 
 def _judge_estimated(group: GroupResult, faults: Sequence[Fault]) -> GroupResult:

@@ -194,7 +194,7 @@ def _hold_against_others(
         much = abs(fit.unknowns[0]) > diagnosis.least_focal_change
         much |= bool((np.abs(fit.unknowns[1:]) > diagnosis.least_crop * size).any())
         significance[view] = fit.significance if much else 0.0
-    others_angle = np.array([np.nanmedian(np.delete(angles, v)) for v in range(views)])
+    others_angle = np.array([_median_of_known(np.delete(angles, v)) for v in range(views)])
     return np.nan_to_num(angles / others_angle, nan=np.inf), exchanged, significance
 
 
@@ -225,3 +225,9 @@ def _fit_error(rig: CameraRig, view: int, known: Seen) -> Floats:
     in_camera = known.points @ rig.rotation[view].T + rig.translation[view]
     error = np.linalg.norm(pixels_from_points(rig.cameras[view], in_camera) - known.pixels, axis=1)
     return np.nan_to_num(error, nan=np.inf)
+
+
+def _median_of_known(values: Floats) -> float:
+    """Return the median of the values that are not NaN, NaN where there is none."""
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else np.nan

@@ -15,9 +15,10 @@ def choose_stretches(recording: Recording, config: SyncConfig) -> Ints:
     """
     frames = recording.frames
     step = usual_step(frames)
-    position = np.round((frames - frames[0]) / step).astype(np.int64)
-    on_grid = frames[0] + position * step == frames
-    length = int(position[-1]) + 1
+    first = frames.min()  # frames may come in any order
+    position = np.round((frames - first) / step).astype(np.int64)
+    on_grid = first + position * step == frames
+    length = int(position.max()) + 1
     budget = _frame_budget(recording, config)
     each = max(int(config.stretch_windows * config.window), 1)
     count = max(1, budget // each)
