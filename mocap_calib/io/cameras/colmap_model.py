@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
+from mocap_calib.errors import FormatError
 from mocap_calib.geometry.colmap import silent_colmap
 from mocap_calib.geometry.projection import CORNER_OFFSET
 from mocap_calib.io.cameras.colmap import LENSES
@@ -28,6 +29,7 @@ from mocap_calib.types import Camera, ObservedPoints
 
 _LENGTHS_OF_QUATERNIONS = (0.5, 2.0)  # what rounding of a unit quaternion may leave, and more
 _REMEDY = "export the model again"
+_REFUSALS = (ValueError, LookupError, RuntimeError, TypeError, OverflowError)  # of pycolmap
 # what COLMAP complains of, by a part of the condition in its code that does not hold
 _REASONS = {
     "VerifyParams": "a camera without the parameters of its model",
@@ -67,14 +69,18 @@ def _load(folder: Path, source: str) -> pycolmap.Reconstruction:
     except MemoryError:
         found = "one whose counts no memory holds"
         raise malformed(source, "a COLMAP model", found, _REMEDY) from None
-    except (ValueError, LookupError, RuntimeError, TypeError, OverflowError) as error:
-        said = str(error)
-        known = (reason for part, reason in _REASONS.items() if part in said)
-        reason = next(known, f"maybe it is cut or damaged ({said.rpartition('] ')[2]})")
-        found = f"one that COLMAP does not read: {reason}"
-        raise malformed(source, "a COLMAP model", found, _REMEDY) from None
+    except _REFUSALS as error:
+        raise _refusal(error, source) from None
     _check_sizes(model, folder, source)
     return model
+
+
+def _refusal(error: Exception, source: str) -> FormatError:
+    """Return the complaint about a model that COLMAP does not take."""
+    said = str(error)
+    known = (reason for part, reason in _REASONS.items() if part in said)
+    reason = next(known, f"maybe it is cut or damaged ({said.rpartition('] ')[2]})")
+    return malformed(source, "a COLMAP model", f"one that COLMAP does not read: {reason}", _REMEDY)
 
 
 def _check_sizes(model: pycolmap.Reconstruction, folder: Path, source: str) -> None:
@@ -86,7 +92,10 @@ def _check_sizes(model: pycolmap.Reconstruction, folder: Path, source: str) -> N
     files = sorted(folder.glob("*.bin"))
     with tempfile.TemporaryDirectory(dir=folder) as again:
         if files:
-            model.write_binary(again)
+            try:
+                model.write_binary(again)
+            except _REFUSALS as error:  # parts that do not go together show only here
+                raise _refusal(error, source) from None
         for file in files:
             expected, found = (Path(at, file.name).stat().st_size for at in (again, folder))
             if expected != found:
