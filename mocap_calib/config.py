@@ -148,7 +148,8 @@ class SyncConfig:
         agreement from which on steps may go either way, as where several cameras lost frames.
     least_restless_gain: by steps of one of several cameras, held out, for which maps are looked for
         from every camera as root. In step no camera gains 0.003 (0.05 in a slow crowd, Shelf);
-        where all cameras lost 2 % or 5 % of the frames one gains 0.039 to 0.22.
+        where all cameras lost 2 % of the frames one gains 0.039 to 0.22 in four recordings, and
+        none in one of poor agreement (panoptic), whose clocks are not known then.
     decisive: standard errors over `evidence_blocks` blocks of time (at least `least_blocks`) that
         decide; decisive_of_good: where the agreement reaches `good_score`.
     least_gain, least_score, least_votes: agreement that an offset must gain and reach, and the
@@ -729,7 +730,7 @@ class SubframeConfig:
         over the recording.
     least_smoothness: 1 = points move without jerks, 0 = as frames of different times would have
         them. Measured: 0.6 to 0.96 in recordings of moving subjects, 0.15 and 0.26 in samples of
-        single frames, 0.26 in one whose subjects hardly move, 0.40 in one of a still body.
+        single frames, 0.26 in one whose subjects hardly move, 0.40 of a fly.
     least_points: that move and that a view sees, for its clock to be told.
     screen_significance: standard deviations that a first look must find for more.
     significance, least_offset: standard deviations, and frames, that an offset must have to be

@@ -7,15 +7,14 @@ from typing import Any
 import numpy as np
 
 from mocap_calib import __version__
-from mocap_calib.config import REPORT_FRAMES, Config, IntrinsicsConfig
+from mocap_calib.config import Config, IntrinsicsConfig
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.multi_view.clock_faults import describe_clock
 from mocap_calib.multi_view.evaluation import median_and_max
-from mocap_calib.multi_view.triangulation import gather_observations, project
+from mocap_calib.multi_view.explained import distances_from_points
 from mocap_calib.multi_view.view_graph import alternative_taken
 from mocap_calib.recording.epochs import describe_epochs, views_by_camera
 from mocap_calib.recording.mending import describe_faults
-from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import (
     CalibrationResult,
     EstimatedCamera,
@@ -40,7 +39,7 @@ def run_report(
 
     inputs: path -> SHA-256. What is not known is None.
     """
-    error = _reprojection_errors(group)
+    error = distances_from_points(group)
     return {
         "schema": SCHEMA,
         "verdict": _describe_verdict(group),
@@ -66,27 +65,13 @@ def run_report(
 
 def rig_report(group: GroupResult, result: CalibrationResult) -> dict[str, Any]:
     """Return the part of `run_report` that says how far the cameras of a group can be trusted."""
-    config, error = result.config, _reprojection_errors(group)
+    config, error = result.config, distances_from_points(group)
     return {
         "verdict": _describe_verdict(group),
         "left_out": list(result.left_out),
         "cameras": _describe_cameras(group, error, config, result.faults),
         "points": _describe_points(group, error),
     }
-
-
-def _reprojection_errors(group: GroupResult) -> Floats:
-    """Return the distances of labelled detections from the triangulated points, in pixels.
-
-    `[view, frame, individual, keypoint]`, of an even sample of the frames: the report on a long
-    recording need not cost its length in memory.
-    """
-    frames = evenly_spaced(np.arange(len(group.recording.frames)), REPORT_FRAMES)
-    pixels = gather_observations(group.recording, group.matches, frames).pixels
-    points = group.poses.positions[frames]
-    images = project(group.rig, points.reshape(-1, 3).T)
-    error = np.linalg.norm(images - pixels, axis=1)
-    return error.reshape(len(error), *points.shape[:3])
 
 
 def _describe_frames(group: GroupResult) -> dict[str, int]:

@@ -189,6 +189,11 @@ class EstimatedCamera(Camera):
     focal_sigma: float = field(kw_only=True)
     k1_sigma: float = field(kw_only=True)
 
+    @classmethod
+    def of(cls, camera: Camera, *, focal_sigma: float, k1_sigma: float) -> Self:
+        """Return a camera with the standard deviations of what was estimated of it."""
+        return cls(**_intrinsic_fields(camera), focal_sigma=focal_sigma, k1_sigma=k1_sigma)
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class AssumedCamera(Camera):
@@ -681,21 +686,17 @@ class Clocks(Record):
     given: `[frame]` numbers in the recording as it was given, which are those of the files.
     source: `[view, frame]` index into these frames, -1 = none.
     cameras: `[view]` what was found of each; it may have been found and not applied.
-    subframe: `[view]` what of an offset is less than a frame, in frames: what a camera shows at a
-        frame of the common clock, it saw so much later.
     """
 
     frames: Ints
     given: Ints
     source: Ints
     cameras: tuple[CameraClock, ...]
-    subframe: Floats
 
     def __post_init__(self) -> None:
         self._hold("clocks", "frames", int, None)
         self._hold("clocks", "given", int, None)
         self._hold("clocks", "source", int, len(self.cameras), len(self.frames))
-        self._hold("clocks", "subframe", float, len(self.cameras))
 
     @classmethod
     def of_one(cls, recording: Recording, cameras: Iterable[CameraClock] = ()) -> Self:
@@ -709,7 +710,6 @@ class Clocks(Record):
             given=recording.frames,
             source=np.tile(np.arange(frames), (views, 1)),
             cameras=tuple(cameras) or tuple(map(CameraClock, recording.names)),
-            subframe=np.zeros(views),
         )
 
     @property
@@ -745,7 +745,6 @@ class Clocks(Record):
             given=self.given,
             source=self.source[index],
             cameras=tuple(self.cameras[view] for view in index),
-            subframe=self.subframe[index],
         )
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from mocap_calib.config import CameraFitConfig
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.rotation import matrix_from_vector
+from mocap_calib.multi_view.covariance import scatter_of
 from mocap_calib.types import Camera, Floats, Ints
 
 Unknown = Literal["log_scale", "x", "y", "log_focal"]
@@ -164,14 +165,8 @@ def _covariance(now: _Linearised, seen: Seen, scale: float) -> Floats:
     """Return the sandwich covariance `[parameter, parameter]`."""
     weighted = now.jacobian * _weights(now, scale)
     bread = np.linalg.pinv(np.einsum("pcn,qcn->pq", weighted, now.jacobian))
-    scores = np.einsum("pcn,cn->np", weighted, now.residual)
-    filling = np.zeros_like(bread)
-    for cluster in (seen.block, seen.keypoint):
-        _, number = np.unique(cluster, return_inverse=True)
-        count = int(number.max(initial=0)) + 1
-        sums = np.zeros((count, scores.shape[1]))
-        np.add.at(sums, number, scores)
-        filling += sums.T @ sums * (count / max(count - 1, 1))
+    scores = np.einsum("pcn,cn->pn", weighted, now.residual)
+    filling = scatter_of(scores, seen.block) + scatter_of(scores, seen.keypoint)
     return np.asarray(bread @ filling @ bread)
 
 

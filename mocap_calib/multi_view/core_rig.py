@@ -8,15 +8,10 @@ from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError
 from mocap_calib.multi_view.association import associate
 from mocap_calib.multi_view.averaging import average
-from mocap_calib.multi_view.labels import per_frame_labels
 from mocap_calib.multi_view.observed import Observed, leave_out_underconstrained
+from mocap_calib.multi_view.placed import PlacedCameras, place_bodies
 from mocap_calib.multi_view.refinement import adjust_until_stable
-from mocap_calib.multi_view.triangulation import (
-    gather_observations,
-    labelled_frames,
-    triangulate_rays,
-    view_noise,
-)
+from mocap_calib.multi_view.triangulation import labelled_frames
 from mocap_calib.multi_view.uncertainty import angle_of_worst_camera, split_half_angle
 from mocap_calib.multi_view.view_graph import camera_groups
 from mocap_calib.recording.sampling import evenly_spaced
@@ -70,23 +65,14 @@ def _build_core(observed: Observed, config: Config) -> CoreRig:
     adjusted = adjust_until_stable(
         sample, averaged.rig, matches, config, lifted=lifted, progress=silent
     )
-    rig, labels = adjusted.rig, per_frame_labels(adjusted.matches)
-    frames = evenly_spaced(labelled_frames(labels), config.diagnosis.frames)
-    seen = gather_observations(sample, labels, frames)
-    points, _ = triangulate_rays(
-        rig,
-        seen.rays,
-        weight=seen.confidence,
-        noise=view_noise(sample, rig, labels, config.triangulate),
-        config=config.triangulate,
-    )
-    shape = (len(frames), labels.individuals, len(sample.keypoints), 3)
+    placed = PlacedCameras.of(sample, adjusted.rig, adjusted.matches, config)
+    frames = evenly_spaced(labelled_frames(placed.matches), config.diagnosis.frames)
     return CoreRig(
         sample=sample,
-        rig=rig,
-        matches=labels,
+        rig=placed.rig,
+        matches=placed.matches,
         frames=frames,
-        points=points.T.reshape(shape),
+        points=place_bodies(sample, placed, frames, config),
         pair_score=float(np.mean([pair.score for pair in observed.pairs])),
     )
 

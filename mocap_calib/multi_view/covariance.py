@@ -55,7 +55,7 @@ def find_covariance(
     scores *= _inflation(seen.weight)
     return Covariance(
         bread=_inverse_at_size(freedom.basis.T @ schur @ freedom.basis, state),
-        scatter=np.sum([_scatter(scores, cluster) for cluster in clusters], axis=0),
+        scatter=np.sum([scatter_of(scores, cluster) for cluster in clusters], axis=0),
     )
 
 
@@ -74,7 +74,7 @@ def _inflation(weight: Floats) -> Floats:
     return np.asarray(np.sqrt(numbers / (numbers - 3)))
 
 
-def _scatter(scores: Floats, cluster: Ints) -> Floats:
+def scatter_of(scores: Floats, cluster: Ints) -> Floats:
     """Return the scatter `[free, free]` of the summed scores of clusters.
 
     scores: `[free, N]`; cluster: `[N]`.

@@ -12,14 +12,9 @@ import numpy as np
 from mocap_calib.config import Config, ExchangedConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.multi_view.bundle_adjustment import adjust
+from mocap_calib.multi_view.fit import measure_distances
 from mocap_calib.multi_view.observed import Observed
-from mocap_calib.multi_view.triangulation import (
-    gather_observations,
-    labelled_frames,
-    project,
-    triangulate_rays,
-    view_noise,
-)
+from mocap_calib.multi_view.triangulation import view_noise
 from mocap_calib.recording.mended_intrinsics import Exchanged
 from mocap_calib.recording.sampling import with_cameras
 from mocap_calib.types import CameraRig, Fault, Floats, GroupResult, Matches, Sample
@@ -142,12 +137,6 @@ def _errors_with(
 
 def _errors(sample: Sample, rig: CameraRig, matches: Matches, config: Config) -> Floats:
     """Return the distances `[view, N]` in pixels of keypoints from the points; NaN = missing."""
-    seen = gather_observations(sample, matches, labelled_frames(matches))
     noise = view_noise(sample, rig, matches, config.triangulate)
-    # what does not fit is to be counted, not left out
-    all_rays = replace(config.triangulate, outlier=np.inf)
-    points, _ = triangulate_rays(
-        rig, seen.rays, weight=seen.confidence, noise=noise, config=all_rays
-    )
-    error = np.linalg.norm(project(rig, points) - seen.pixels, axis=1)
+    seen, _, error = measure_distances(sample, rig, matches, noise, config)
     return np.where(seen.confidence > 0, error, np.nan)

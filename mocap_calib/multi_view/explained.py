@@ -60,7 +60,8 @@ def explained_share(result: CalibrationResult, recording: Recording, yardstick: 
 def distances_from_points(group: GroupResult) -> Floats:
     """Return the distances of matched keypoints from the triangulated points, in pixels.
 
-    `[view, frame, individual, keypoint]`, of an even sample of the frames, NaN = missing.
+    `[view, frame, individual, keypoint]`, NaN = missing; of an even sample of the frames, so that
+    a long recording need not cost its length in memory.
     """
     frames = evenly_spaced(np.arange(len(group.recording.frames)), REPORT_FRAMES)
     pixels = gather_observations(group.recording, group.matches, frames).pixels

@@ -45,6 +45,9 @@ def mend_faults(
 ) -> CalibrationResult:
     """Return what is found of a recording with the faults of its cameras named, and mended.
 
+    Where mending is forbidden the mends are tried all the same, since they tell which of several
+    explanations is right; the result stays that of the files as they are.
+
     recording: as it was handed in. calibrated: what was found of it. calibrate: finds the same of
         a recording that was mended.
     """

@@ -6,6 +6,7 @@ import numpy as np
 
 from mocap_calib.config import Config, UncertaintyConfig
 from mocap_calib.multi_view.triangulation import (
+    Observations,
     gather_observations,
     labelled_frames,
     points_in_cameras,
@@ -37,15 +38,9 @@ class Fit:
 
 def measure_fit(sample: Sample, rig: CameraRig, matches: Matches, config: Config) -> Fit:
     """Return how well the rig fits the matched detections in all frames of the sample."""
-    seen = gather_observations(sample, matches, labelled_frames(matches))
     noise = view_noise(sample, rig, matches, config.triangulate)
-    # what does not fit is to be counted, not left out
-    all_rays = replace(config.triangulate, outlier=np.inf)
-    points, _ = triangulate_rays(
-        rig, seen.rays, weight=seen.confidence, noise=noise, config=all_rays
-    )
+    seen, points, error = measure_distances(sample, rig, matches, noise, config)
     counted = (seen.confidence > 0) & np.isfinite(points[0])
-    error = np.linalg.norm(project(rig, points) - seen.pixels, axis=1)
     focal = np.array([camera.focal for camera in rig.cameras])
     return Fit(
         misfit=_misfit(error[counted], config.uncertainty.misfit_limit),
@@ -53,6 +48,22 @@ def measure_fit(sample: Sample, rig: CameraRig, matches: Matches, config: Config
         noise=noise * focal,
         perspective=_perspective(rig, points, counted) * focal,
     )
+
+
+def measure_distances(
+    sample: Sample, rig: CameraRig, matches: Matches, noise: Floats, config: Config
+) -> tuple[Observations, Floats, Floats]:
+    """Return what is matched, the points that it is of, and how far apart the two are.
+
+    noise: `[view]` in radians. Points `[3, N]`; distances `[view, N]` in pixels, NaN = not known.
+    """
+    seen = gather_observations(sample, matches, labelled_frames(matches))
+    # what does not fit is to be counted, not left out
+    all_rays = replace(config.triangulate, outlier=np.inf)
+    points, _ = triangulate_rays(
+        rig, seen.rays, weight=seen.confidence, noise=noise, config=all_rays
+    )
+    return seen, points, np.linalg.norm(project(rig, points) - seen.pixels, axis=1)
 
 
 def fit_equally_well(first: Fit, second: Fit, config: UncertaintyConfig) -> bool:

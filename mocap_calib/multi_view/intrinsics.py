@@ -298,12 +298,6 @@ def not_estimated(camera: Camera, config: IntrinsicsConfig) -> EstimatedCamera:
 
 def _estimated_camera(camera: Camera, log_focal: float, k1: float) -> EstimatedCamera:
     """Return a camera with the standard deviations of its log focal length and of k1."""
-    return EstimatedCamera(
-        name=camera.name,
-        size=camera.size,
-        matrix=camera.matrix,
-        distortion=camera.distortion,
-        fisheye=camera.fisheye,
-        focal_sigma=float(log_focal * camera.focal),
-        k1_sigma=float(k1),
+    return EstimatedCamera.of(
+        camera, focal_sigma=float(log_focal * camera.focal), k1_sigma=float(k1)
     )

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mocap_calib.types import Floats, Ints
+from mocap_calib.types import Floats
 
 _USUAL_SHARE = 0.98  # of the motions, the smaller ones
 
@@ -42,11 +42,6 @@ def motion_between(from_last: Floats, to_next: Floats, step: int) -> Motion:
         velocity=(to_next + from_last) / (2 * step),
         acceleration=(to_next - from_last) / step**2,
     )
-
-
-def usual_step(frames: Ints) -> int:
-    """Return by how much frame numbers `[frame]` go up mostly: these frames follow each other."""
-    return max(1, int(np.median(np.diff(frames)))) if len(frames) > 1 else 1
 
 
 def smoothness(before: Floats, points: Floats, after: Floats) -> float:

@@ -66,11 +66,7 @@ def find_moved_cameras(observed: Observed, group: GroupResult, config: Config) -
     """
     if len(group.rig) <= 2:
         return ()
-    names = observed.recording.names
-    observed = observed.select(np.array([names.index(name) for name in group.rig.names]))
-    instances = observed.sample.positions.shape[2]
-    matches = group.matches.select(frames=observed.sample_frames, instances=instances)
-    all_views = PlacedCameras.of(observed.sample, group.rig, matches, config)
+    observed, all_views = PlacedCameras.of_group(observed, group, config)
     found = [
         judged
         for view in range(len(group.rig))

@@ -6,13 +6,22 @@ import numpy as np
 
 from mocap_calib.config import Config
 from mocap_calib.multi_view.labels import per_frame_labels
+from mocap_calib.multi_view.observed import Observed
 from mocap_calib.multi_view.triangulation import (
     gather_observations,
     triangulate_rays,
     view_noise,
 )
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.types import CameraRig, Floats, Ints, Matches, Recording, Sample
+from mocap_calib.types import (
+    CameraRig,
+    Floats,
+    GroupResult,
+    Ints,
+    Matches,
+    Recording,
+    Sample,
+)
 
 
 @dataclass(frozen=True)
@@ -34,6 +43,20 @@ class PlacedCameras:
         """Return cameras whose noise is measured on the matches."""
         matches = per_frame_labels(matches)
         return cls(rig, matches, view_noise(recording, rig, matches, config.triangulate))
+
+    @classmethod
+    def of_group(
+        cls, observed: Observed, group: GroupResult, config: Config
+    ) -> tuple[Observed, "PlacedCameras"]:
+        """Return what was known of the cameras of a group alone, and these cameras.
+
+        observed: of all cameras.
+        """
+        names = observed.recording.names
+        own = observed.select(np.array([names.index(name) for name in group.rig.names]))
+        instances = own.sample.positions.shape[2]
+        matches = group.matches.select(frames=own.sample_frames, instances=instances)
+        return own, cls.of(own.sample, group.rig, matches, config)
 
 
 def choose_frames(sample: Sample, wanted: int, config: Config) -> Ints:

@@ -25,11 +25,7 @@ def find_unrelated_cameras(
     doubtful = np.flatnonzero(best < config.averaging.weak_score).tolist()
     if len(group.rig) <= 2 or not doubtful:
         return ()
-    names = observed.recording.names
-    observed = observed.select(np.array([names.index(name) for name in group.rig.names]))
-    instances = observed.sample.positions.shape[2]
-    matches = group.matches.select(frames=observed.sample_frames, instances=instances)
-    placed = PlacedCameras.of(observed.sample, group.rig, matches, config)
+    observed, placed = PlacedCameras.of_group(observed, group, config)
     frames = choose_frames(observed.sample, config.unrelated.detections, config)
     shares = np.array(
         [_explained(observed, placed, view, frames, config) for view in range(len(group.rig))]

@@ -159,16 +159,8 @@ class Refocused:
         camera = recording.cameras[find_view(recording, self.camera)]
         matrix = camera.matrix.copy()
         matrix[[0, 1], [0, 1]] *= self.focal / camera.focal
-        estimated = EstimatedCamera(
-            name=camera.name,
-            size=camera.size,
-            matrix=matrix,
-            distortion=camera.distortion,
-            fisheye=camera.fisheye,
-            focal_sigma=self.sigma,
-            k1_sigma=0.0,
-        )
-        return _with_camera(recording, estimated)
+        refocused = EstimatedCamera.of(camera, focal_sigma=self.sigma, k1_sigma=0.0)
+        return _with_camera(recording, replace(refocused, matrix=matrix))
 
 
 def _turn_clockwise(camera: Camera) -> Camera:

@@ -36,7 +36,6 @@ def clocks_from(recording: Recording, cameras: tuple[CameraClock, ...]) -> Clock
         given=recording.frames,
         source=source[:, shown],
         cameras=cameras,
-        subframe=np.zeros(len(cameras)),
     )
 
 

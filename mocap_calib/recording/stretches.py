@@ -32,9 +32,8 @@ def choose_stretches(recording: Recording, config: SyncConfig) -> Ints:
 
 
 def usual_step(frames: Ints) -> int:
-    """Return the usual distance of frame numbers `[frame]`; 1 where there is but one frame."""
-    steps = np.diff(frames)
-    return int(np.median(steps)) if len(steps) else 1
+    """Return by how much frame numbers `[frame]` go up mostly: these frames follow each other."""
+    return max(1, int(np.median(np.diff(frames)))) if len(frames) > 1 else 1
 
 
 def _frame_budget(recording: Recording, config: SyncConfig) -> int:

@@ -10,12 +10,13 @@ from scenes import PEOPLE, calibrate_group, rotation_errors_deg, scene
 from mocap_calib.config import Config, SimulateConfig
 from mocap_calib.multi_view.bundle_adjustment import adjust
 from mocap_calib.multi_view.in_step import bring_in_step, held_out_error
-from mocap_calib.multi_view.motion import Motion, motion_between, smoothness, usual_step
+from mocap_calib.multi_view.motion import Motion, motion_between, smoothness
 from mocap_calib.multi_view.ray_residuals import RayObservations, TimedRayObservations
 from mocap_calib.multi_view.residuals import State
 from mocap_calib.multi_view.time_offsets import find_time_offsets
 from mocap_calib.multi_view.triangulation import triangulate
 from mocap_calib.recording.sampling import take_sample
+from mocap_calib.recording.stretches import usual_step
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.synthetic import Scene, simulate
 from mocap_calib.types import CameraRig, Floats, Matches, Recording

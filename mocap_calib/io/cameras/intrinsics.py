@@ -3,7 +3,6 @@
 Everything here raises FormatError for what cannot be.
 """
 
-from dataclasses import fields as dataclass_fields
 from typing import Any
 
 import numpy as np
@@ -136,11 +135,7 @@ def _mark_estimated(camera: Camera, fields: Any, source: str) -> EstimatedCamera
     sigma = numbers([fields["focal_sigma"], fields["k1_sigma"]], expected, source)
     if sigma.shape != (2,) or not np.isfinite(sigma).all() or (sigma < 0).any():
         raise malformed(source, expected, sigma.tolist(), "write the file again")
-    return EstimatedCamera(
-        **{field.name: getattr(camera, field.name) for field in dataclass_fields(camera)},
-        focal_sigma=float(sigma[0]),
-        k1_sigma=float(sigma[1]),
-    )
+    return EstimatedCamera.of(camera, focal_sigma=float(sigma[0]), k1_sigma=float(sigma[1]))
 
 
 def describe_keys(fields: Any) -> str:
