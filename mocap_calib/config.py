@@ -443,7 +443,6 @@ class IntrinsicsConfig:
     most_overconfidence: at most, where what was seen tells hardly anything.
     rounds: of adjusting and matching, until no focal length changes by more than the share
         `settled`.
-    time_blocks: stretches of the recording within which errors go together.
     """
 
     refine: Refinement = "none"
@@ -456,7 +455,6 @@ class IntrinsicsConfig:
     most_overconfidence: float = 1e4
     rounds: int = 6
     settled: float = 1e-3
-    time_blocks: int = 20
 
 
 DEFAULT_FOCAL = 1.2  # focal length of a camera of which nothing is known, in longer image sides
@@ -478,6 +476,7 @@ class TriangulateConfig:
 class UncertaintyConfig:
     """Whether a recording determines its rig, and whether all cameras agree on it."""
 
+    time_blocks: int = 20  # stretches of the recording within which errors go together
     splits: int = 4  # of the joints into halves: those of one split may agree by chance
     # Between rigs of halves of the joints, which differ by about twice the error of the whole rig:
     # the rig is good to about 2 deg, to 5 deg, or not determined.

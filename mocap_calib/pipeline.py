@@ -279,6 +279,7 @@ def _calibrate_cameras(
         matches=matches,
         uncertainty=uncertainty,
         verdict=judge_rig(uncertainty, config.uncertainty),
+        reasons=(),
         poses=poses,
         time_offsets=offsets,
         seconds=clock.seconds,

@@ -36,7 +36,9 @@ ARBITRARY = "arbitrary"
 
 NO_FRAME = np.iinfo(np.int64).min  # the number of a frame that a camera does not have
 
-Verdict = Literal["well determined", "weak", "not determined"]
+# how far a rig can be trusted, the best first; docs/how-good.md says what each means
+Verdict = Literal["well determined", "usable", "weak", "not determined"]
+VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
 
 # what may be wrong with the files of a camera; docs/run-json.md says what each means
 FaultWord = Literal[
@@ -1078,7 +1080,8 @@ class GroupResult(Record):
     recording: of the cameras of the group alone; everything else is in their order. Its detections
         are where the cameras would have seen them at the time of the first one, where
         `time_offsets` are used.
-    matches: labels in all frames. verdict: whether the recording determines the rig.
+    matches: labels in all frames. verdict: how far the rig can be trusted.
+    reasons: why it is no better, and what to do about it, a line each.
     seconds: wall time by stage.
     """
 
@@ -1089,6 +1092,7 @@ class GroupResult(Record):
     matches: Matches
     uncertainty: Uncertainty
     verdict: Verdict
+    reasons: tuple[str, ...]
     poses: Poses3D
     time_offsets: TimeOffsets
     seconds: dict[str, float] = field(compare=False)

@@ -8,6 +8,7 @@ from typing import Any
 
 from mocap_calib import __version__
 from mocap_calib.errors import MismatchError
+from mocap_calib.types import VERDICTS
 
 # what a provenance says of the cameras beside it, and a conversion hands on: whether they were
 # adjusted, the verdict and what explains it, and the error of the points in pixels
@@ -16,7 +17,6 @@ _ADVICE = {
     "weak": ": check it before you measure with it",
     "not determined": ": do not measure with it",
 }
-_VERDICTS = ("well determined", *_ADVICE)
 _LONGEST_REMARK = 1000  # characters
 
 
@@ -30,7 +30,7 @@ def judgement(
 ) -> dict[str, Any]:
     """Return the fields of a provenance that say how far adjusted cameras can be trusted.
 
-    verdict: "well determined", "weak" or "not determined".
+    verdict: one of `types.VERDICTS`.
     remarks: what explains the verdict, a line each.
     reprojection_error_px: of the points, None where it is not known.
     """
@@ -48,7 +48,7 @@ def read_judgement(stored: Any) -> dict[str, Any]:
     if not isinstance(stored, Mapping):
         return {}
     found = {key: stored[key] for key, kind in _JUDGEMENT.items() if type(stored.get(key)) is kind}
-    if found.get("verdict", _VERDICTS[0]) not in _VERDICTS:
+    if found.get("verdict", VERDICTS[0]) not in VERDICTS:
         del found["verdict"]
     if not math.isfinite(found.get("reprojection_error_px", 0.0)):
         del found["reprojection_error_px"]

@@ -212,7 +212,7 @@ def _adjust(
         state,
         seen,
         freedom,
-        clusters=(points.time_blocks(config.intrinsics.time_blocks), points.keypoint),
+        clusters=(points.time_blocks(config.uncertainty.time_blocks), points.keypoint),
         loss_scale=config.adjust.loss_scales[-1],
     )
     return _Adjusted(

@@ -260,7 +260,7 @@ def _estimate(
         state,
         seen,
         freedom,
-        clusters=(points.time_blocks(config.intrinsics.time_blocks), points.keypoint),
+        clusters=(points.time_blocks(config.uncertainty.time_blocks), points.keypoint),
         loss_scale=last_scale,
     )
     of_view = freedom.basis.reshape(len(free), -1, freedom.basis.shape[1])[:, -1]
