@@ -25,10 +25,11 @@ def judge_cameras(report: Mapping[str, Any]) -> dict[str, Any]:
         those of `provenance.judgement`.
     """
     verdict = report["verdict"]
-    angle = verdict["split_half_angle_deg"]
+    sigma = verdict["rotation_sigma_deg"]
     remarks = [
-        f"rigs from halves of the joints differ by {angle['median']:.2f} deg "
-        f"({angle['max']:.2f} at most)"
+        f"cameras may be turned by {sigma['median']:.2f} deg ({sigma['max']:.2f} at most), "
+        "a standard deviation",
+        *verdict["reasons"],
     ]
     remarks += _describe_faults(report)
     remarks += _name_cameras(report, "inconsistent", "errors several times those of the others")

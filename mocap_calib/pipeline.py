@@ -2,7 +2,7 @@
 
 synchronise -> sample -> lift -> pairs -> loops, and for each group of cameras that see the same
 bodies:
-average -> match -> adjust -> label all frames -> clocks -> uncertainty -> triangulate.
+average -> match -> adjust -> label all frames -> clocks -> uncertainty -> triangulate -> verdict.
 
 Where intrinsics are to be estimated, they are from a first rig of each group: average -> match ->
 intrinsics. Then everything is done with them from the beginning, as if they had been given.
@@ -31,7 +31,8 @@ from mocap_calib.multi_view.observed import Observed, leave_out_underconstrained
 from mocap_calib.multi_view.refinement import adjust_from_best_start
 from mocap_calib.multi_view.tracking import finalise_identities
 from mocap_calib.multi_view.triangulation import check_same_cameras, triangulate
-from mocap_calib.multi_view.uncertainty import assess_uncertainty, judge_rig
+from mocap_calib.multi_view.uncertainty import assess_uncertainty
+from mocap_calib.multi_view.verdict import judge_group
 from mocap_calib.multi_view.view_graph import camera_groups, select_hypotheses
 from mocap_calib.recording.assumed import choose_refinement
 from mocap_calib.recording.retiming import retime
@@ -266,24 +267,24 @@ def _calibrate_cameras(
     with clock("clocks"):
         observed, adjusted, offsets = settle_clocks(observed, adjusted, matches, config)
     recording, sample, rig = observed.recording, observed.sample, adjusted.rig
-    with clock("verdict"):
+    with clock("uncertainty"):
         sampled = matches.select(frames=observed.sample_frames, instances=sample.positions.shape[2])
         uncertainty = assess_uncertainty(sample, rig, sampled, config, seed=seed)
     with clock("triangulate"):
         poses = triangulate(recording, rig, matches, config.triangulate, progress=progress)
-    return GroupResult(
+    group = GroupResult(
         recording=recording,
         pairs=in_recording(observed.pairs, observed.sample_frames),
         averaged=averaged,
         adjusted=adjusted,
         matches=matches,
         uncertainty=uncertainty,
-        verdict=judge_rig(uncertainty, config.uncertainty),
-        reasons=(),
         poses=poses,
         time_offsets=offsets,
-        seconds=clock.seconds,
     )
+    with clock("verdict"):
+        group = judge_group(group, config, used_frames=observed.sample_frames)
+    return replace(group, seconds=clock.seconds)
 
 
 def _join_groups(
