@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from mocap_calib.io.provenance import advice_on
 from mocap_calib.io.results.group import REVERSED_RIG
 from mocap_calib.recording.meanings import describe_unshared
 from mocap_calib.recording.summary import RecordingSummary
@@ -110,6 +111,7 @@ def describe_group(group: GroupResult, report: dict[str, Any], folder: Path) -> 
         *_describe_rounds(group),
         *describe_faults(report, folder),
         *_describe_rig(report),
+        *_describe_reasons(group),
         *_describe_weak_perspective(report),
         *_describe_reversal(group, folder),
         f"{count(len(report['individuals']), 'individual')}, {count(points, 'point')}; "
@@ -221,6 +223,12 @@ def _describe_rig(report: dict[str, Any]) -> list[str]:
         f"deg (split-half angle; {angle['max']:.2f} at most)",
         *_describe_intrinsics_angle(verdict),
     ]
+
+
+def _describe_reasons(group: GroupResult) -> list[str]:
+    """Say what a verdict that is not the best means, unless a warning does, and why it is so."""
+    advice = [f"usable{advice_on(group.verdict)}"] if group.verdict == "usable" else []
+    return [*advice, *(f"  {reason}" for reason in group.reasons)]
 
 
 def _describe_intrinsics_angle(verdict: dict[str, Any]) -> list[str]:

@@ -14,6 +14,7 @@ from mocap_calib.types import VERDICTS
 # adjusted, the verdict and what explains it, and the error of the points in pixels
 _JUDGEMENT = {"adjusted": bool, "verdict": str, "remarks": list, "reprojection_error_px": float}
 _ADVICE = {
+    "usable": ": its cameras are good to about 3 deg, which may be too little for angles of joints",
     "weak": ": check it before you measure with it",
     "not determined": ": do not measure with it",
 }
@@ -40,6 +41,14 @@ def judgement(
     return fields
 
 
+def advice_on(verdict: str) -> str:
+    """Return what a verdict means for the use of a rig, to go on with after it; may be empty.
+
+    verdict: one of `types.VERDICTS`.
+    """
+    return _ADVICE.get(verdict, "")
+
+
 def read_judgement(stored: Any) -> dict[str, Any]:
     """Return the fields of `judgement` that the provenance in a file has.
 
@@ -63,7 +72,7 @@ def describe_judgement(fields: Mapping[str, Any]) -> list[str]:
     if verdict is None:
         return []
     return [
-        f"mocap-calib: this rig is {verdict}{_ADVICE.get(verdict, '')}",
+        f"mocap-calib: this rig is {verdict}{advice_on(verdict)}",
         *fields.get("remarks", []),
     ]
 
