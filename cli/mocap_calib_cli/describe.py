@@ -10,7 +10,7 @@ from mocap_calib.recording.meanings import describe_unshared
 from mocap_calib.recording.summary import RecordingSummary
 from mocap_calib.types import CalibrationResult, GroupResult
 from mocap_calib.wording import count
-from mocap_calib_cli.describe_faults import describe_faults
+from mocap_calib_cli.describe_faults import describe_faults, describe_measured_faults
 from mocap_calib_cli.progress import format_number, format_table
 
 _MOST_INDIVIDUALS = 20  # that have a row in a table
@@ -119,16 +119,36 @@ def describe_group(group: GroupResult, report: dict[str, Any], folder: Path) -> 
     ]
 
 
+def describe_adjusted(group: GroupResult, report: dict[str, Any]) -> list[str]:
+    """Say what a person wants to know of a rig that was adjusted by itself.
+
+    report: what `rig_report` returns.
+    """
+    return [
+        *_describe_errors(report),
+        *_describe_rounds(group),
+        *describe_measured_faults(report),
+        *_describe_rig(report),
+        *_describe_reasons(group),
+        *_describe_weak_perspective(report),
+    ]
+
+
 def _describe_errors(report: dict[str, Any]) -> list[str]:
-    """Return a table of the cameras: detections, reprojection errors, pair scores."""
-    rows = []
-    for camera in report["cameras"]:
-        error = camera["reprojection_error_px"]
-        counts = [str(camera["detections"]), str(camera["matched"])]
-        figures = [error["median"], error["p95"], camera["pair_score"]]
-        rows.append([camera["name"], *counts, *map(format_number, figures)])
-    header = ["camera", "detections", "matched", "median px", "95 % px", "pair score"]
-    return format_table(header, rows)
+    """Return a table of the cameras: detections, reprojection errors, pair scores if known."""
+    cameras = report["cameras"]
+    errors = [camera["reprojection_error_px"] for camera in cameras]
+    columns = {
+        "camera": [camera["name"] for camera in cameras],
+        "detections": [str(camera["detections"]) for camera in cameras],
+        "matched": [str(camera["matched"]) for camera in cameras],
+        "median px": [format_number(error["median"]) for error in errors],
+        "95 % px": [format_number(error["p95"]) for error in errors],
+        "pair score": [format_number(camera["pair_score"]) for camera in cameras],
+    }
+    if all(camera["pair_score"] is None for camera in cameras):
+        del columns["pair score"]
+    return format_table(list(columns), zip(*columns.values(), strict=True))
 
 
 def _describe_intrinsics(report: dict[str, Any]) -> list[str]:
