@@ -115,7 +115,7 @@ def _describe_camera(
     """
     detected = group.recording.seen[views].any(-1)
     matched = detected & (group.matches.labels[views] >= 0)
-    score = min(_pair_score(group, view) for view in views)
+    score = min(_pair_score(group, view) for view in views)  # NaN where no pairs are known
     return {
         "name": name,
         "frames": int(detected.any(-1).sum()),
@@ -129,7 +129,7 @@ def _describe_camera(
         "clock": _describe_clock(group, views[0]),
         "intrinsics": _describe_intrinsics(group, views[0], config.intrinsics),
         "reprojection_error_px": _median_and_p95(error),
-        "pair_score": score,
+        "pair_score": _finite_or_none(score),
         "weak": score < config.averaging.weak_score,
     }
 
@@ -200,8 +200,11 @@ def _name_faults(group: GroupResult, views: list[int], faults: Sequence[Fault]) 
 
 
 def _pair_score(group: GroupResult, view: int) -> float:
-    """Return the score of the camera's best pair: its place in the rig rests on this pair."""
-    return max(pair.score for pair in group.pairs if view in (pair.a, pair.b))
+    """Return the score of the camera's best pair: its place in the rig rests on this pair.
+
+    NaN where no pair is known.
+    """
+    return max((pair.score for pair in group.pairs if view in (pair.a, pair.b)), default=np.nan)
 
 
 def _describe_pair(group: GroupResult, index: int, error: Floats, config: Config) -> dict[str, Any]:
