@@ -477,8 +477,9 @@ class UncertaintyConfig:
     """Whether a recording determines its rig, and whether all cameras agree on it."""
 
     time_blocks: int = 20  # stretches of the recording within which errors go together
-    points: int = 5000  # that the covariance of a rig is found with
-    parts: int = 6  # of the moments, and of the joints, that a rig is adjusted without
+    points: int = 2500  # that the covariance of a rig is found with
+    least_distance: float = 0.02  # of a point from a camera, in usual ones
+    parts: int = 5  # of the moments, and of the joints, that a rig is adjusted without
     # by how much more rigs without a part differ than first order tells. Measured: 0.9 to 1.5 in
     # thirteen recordings, 2.7 and 3.7 in two that hardly determine their rigs
     usual_bend: float = 1.3

@@ -286,7 +286,7 @@ def _format_outcomes(outcomes: Iterable[Outcome]) -> list[str]:
     """Return the outcomes as a table."""
     from mocap_calib_cli.progress import format_number, format_table
 
-    header = ["recording", "status", "cameras", "individuals", "split-half deg", "rig"]
+    header = ["recording", "status", "cameras", "individuals", "sigma deg", "rig"]
     rows = []
     for outcome in outcomes:
         counts = [str(outcome.get(name, "-")) for name in ("cameras", "individuals")]
