@@ -27,11 +27,11 @@ def judge_cameras(report: Mapping[str, Any], reasons: Sequence[str]) -> dict[str
     report: what `run_report` or `rig_report` returns. reasons: of the group, for its verdict.
     """
     verdict = report["verdict"]
-    angle = verdict["split_half_angle_deg"]
+    sigma = verdict["rotation_sigma_deg"]
     remarks = [
+        f"cameras may be turned by {sigma['median']:.2f} deg ({sigma['max']:.2f} at most), "
+        "a standard deviation",
         *reasons,
-        f"rigs from halves of the joints differ by {angle['median']:.2f} deg "
-        f"({angle['max']:.2f} at most)",
     ]
     remarks += _describe_faults(report)
     remarks += _name_cameras(report, "inconsistent", "errors several times those of the others")

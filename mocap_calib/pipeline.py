@@ -2,7 +2,7 @@
 
 synchronise -> sample -> lift -> pairs -> loops, and for each group of cameras that see the same
 bodies:
-average -> match -> adjust -> label all frames -> clocks -> uncertainty -> triangulate.
+average -> match -> adjust -> label all frames -> clocks -> uncertainty -> triangulate -> verdict.
 
 Where intrinsics are to be estimated, they are from a first rig of each group: average -> match ->
 intrinsics. Then everything is done with them from the beginning, as if they had been given.

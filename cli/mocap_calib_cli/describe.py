@@ -145,6 +145,7 @@ def _describe_errors(report: dict[str, Any]) -> list[str]:
         "median px": [format_number(error["median"]) for error in errors],
         "95 % px": [format_number(error["p95"]) for error in errors],
         "pair score": [format_number(camera["pair_score"]) for camera in cameras],
+        "sigma deg": [format_number(camera["rotation_sigma_deg"]) for camera in cameras],
     }
     if all(camera["pair_score"] is None for camera in cameras):
         del columns["pair score"]
@@ -235,13 +236,13 @@ def _describe_rounds(group: GroupResult) -> list[str]:
 
 
 def _describe_rig(report: dict[str, Any]) -> list[str]:
-    """Say the verdict on the rig, and the split-half angle that it rests on."""
+    """Say the verdict on the rig, and how far its cameras may be off."""
     verdict = report["verdict"]
-    angle = verdict["split_half_angle_deg"]
+    turn, shift = verdict["rotation_sigma_deg"], verdict["centre_sigma_percent"]
     return [
-        f"rig: {verdict['rig']}; rigs from halves of the joints differ by {angle['median']:.2f} "
-        f"deg (split-half angle; {angle['max']:.2f} at most)",
-        *_describe_intrinsics_angle(verdict),
+        f"rig: {verdict['rig']}; cameras may be turned by {turn['median']:.2f} deg "
+        f"({turn['max']:.2f} at most) and shifted by {shift['median']:.1f} % of the rig "
+        f"({shift['max']:.1f} at most), a standard deviation each",
     ]
 
 
@@ -249,17 +250,6 @@ def _describe_reasons(group: GroupResult) -> list[str]:
     """Say what a verdict that is not the best means, unless a warning does, and why it is so."""
     advice = [f"usable{advice_on(group.verdict)}"] if group.verdict == "usable" else []
     return [*advice, *(f"  {reason}" for reason in group.reasons)]
-
-
-def _describe_intrinsics_angle(verdict: dict[str, Any]) -> list[str]:
-    """Say by how much the rig is uncertain because its focal lengths are."""
-    angle = verdict["intrinsics_angle_deg"]
-    if not angle["max"]:
-        return []
-    return [
-        f"estimated focal lengths leave the rotations uncertain by {angle['median']:.2f} deg "
-        f"({angle['max']:.2f} at most)"
-    ]
 
 
 def _describe_weak_perspective(report: dict[str, Any]) -> list[str]:

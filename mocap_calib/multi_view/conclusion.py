@@ -1,12 +1,15 @@
 """What follows from an adjusted rig: how far it can be trusted, and the poses of the bodies."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from mocap_calib.compute.clock import Clock
 from mocap_calib.config import Config
 from mocap_calib.multi_view.observed import Observed
 from mocap_calib.multi_view.triangulation import triangulate
-from mocap_calib.multi_view.uncertainty import assess_uncertainty, judge_rig
+from mocap_calib.multi_view.uncertainty import assess_uncertainty
+from mocap_calib.multi_view.verdict import judge_group
 from mocap_calib.two_view.solve import in_recording
 from mocap_calib.types import (
     Adjusted,
@@ -42,24 +45,24 @@ def conclude(
         recording and the sample were made. clock: its stages, and those of before, are returned.
     """
     recording, sample, rig = observed.recording, observed.sample, adjusted.rig
-    with clock("verdict"):
+    with clock("uncertainty"):
         sampled = matches.select(frames=observed.sample_frames, instances=sample.positions.shape[2])
         uncertainty = assess_uncertainty(sample, rig, sampled, config, seed=seed)
     with clock("triangulate"):
         poses = triangulate(recording, rig, matches, config.triangulate, progress=progress)
-    return GroupResult(
+    group = GroupResult(
         recording=recording,
         pairs=in_recording(observed.pairs, observed.sample_frames),
         averaged=averaged,
         adjusted=adjusted,
         matches=matches,
         uncertainty=uncertainty,
-        verdict=judge_rig(uncertainty, config.uncertainty),
-        reasons=(),
         poses=poses,
         time_offsets=offsets,
-        seconds=clock.seconds,
     )
+    with clock("verdict"):
+        group = judge_group(group, config, used_frames=observed.sample_frames)
+    return replace(group, seconds=clock.seconds)
 
 
 def conclude_without_pairs(

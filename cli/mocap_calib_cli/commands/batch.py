@@ -227,7 +227,7 @@ class _Batch:
             "left_out": report["left_out"],
             "individuals": len(report["individuals"]),
             "rig": verdict["rig"],
-            "split_half_angle_deg": verdict["split_half_angle_deg"]["median"],
+            "rotation_sigma_deg": verdict["rotation_sigma_deg"]["max"],
         }
         self.reporter.say(
             f"{name} {status}: {count(outcome['cameras'], 'camera')}, "
@@ -290,7 +290,7 @@ def _format_outcomes(outcomes: Iterable[Outcome]) -> list[str]:
     rows = []
     for outcome in outcomes:
         counts = [str(outcome.get(name, "-")) for name in ("cameras", "individuals")]
-        angle = format_number(outcome.get("split_half_angle_deg"))
+        angle = format_number(outcome.get("rotation_sigma_deg"))
         rows.append([outcome["name"], outcome["status"], *counts, angle, outcome["rig"] or "-"])
     return format_table(header, rows)
 
