@@ -155,20 +155,22 @@ def test_a_batch_counts_the_verdicts_apart(batch_with, tmp_path):
         "4 of 5 recordings calibrated: 1 well determined, 1 usable, 1 weak, 1 not determined, "
         f"1 refused; results in {tmp_path / 'out'}\n"
     ) in done.stderr
+    assert [each.get("reasons") for each in summary["recordings"]] == [[REASON]] * 4 + [None]
+    assert done.stderr.count(f"  {REASON}\n") == 4
 
 
 def test_a_batch_ends_as_a_run_does(batch_with, tmp_path):
     done = batch_with("--whole", "-q")
     assert done.exit_code == 1
-    assert [
-        line.partition(": do not")[0].partition(": check")[0] for line in (done.stderr.splitlines())
-    ] == [
-        f"mocap-calib: {tmp_path / 'out' / 'weak'}: rig weak",
-        f"mocap-calib: {tmp_path / 'out' / 'not_determined'}: rig not determined",
-    ]
+    weak, because, not_determined, again = done.stderr.splitlines()
+    assert weak.startswith(f"mocap-calib: {tmp_path / 'out' / 'weak'}: rig weak: check")
+    assert not_determined.startswith(
+        f"mocap-calib: {tmp_path / 'out' / 'not_determined'}: rig not determined: do not"
+    )
+    assert because == again == f"  {REASON}"
     kept = batch_with("--whole", "-q", "--accept", "not-determined")
     assert kept.exit_code == 0
-    assert len(kept.stderr.splitlines()) == 2
+    assert kept.stderr.count("mocap-calib: ") == 2  # also of what was kept
     assert batch_with("--whole", "-q", "--strict").exit_code == 1
 
 
