@@ -47,9 +47,9 @@ def find_still_subjects(
         return []
     return [
         warning(
-            "hardly anything moves: from frame to frame bodies are at most "
-            f"{np.median(known):.0%} of their size apart (moving subjects: 30 % and more), and "
-            "still ones do not determine where cameras stand; let somebody walk about and turn"
+            f"hardly anything moves: between frames bodies are {np.median(known):.0%} of their "
+            f"size apart, expected {config.least_motion:.0%} or more; still subjects do not "
+            "determine where cameras stand: let somebody walk about and turn"
         )
     ]
 
