@@ -227,6 +227,7 @@ class _Batch:
             "left_out": report["left_out"],
             "individuals": len(report["individuals"]),
             "rig": verdict["rig"],
+            "reasons": verdict["reasons"],
             "rotation_sigma_deg": verdict["rotation_sigma_deg"]["max"],
         }
         self.reporter.say(
@@ -238,7 +239,14 @@ class _Batch:
                 f"{name}: {groups} groups of cameras that share too little, each calibrated by "
                 "itself; counted is the largest"
             )
-        warn_of_verdict(self.reporter, verdict["rig"], request.output, self.shared)
+        self.reporter.say(*(f"  {reason}" for reason in verdict["reasons"]))
+        warn_of_verdict(
+            self.reporter,
+            verdict["rig"],
+            request.output,
+            self.shared,
+            reasons=verdict["reasons"],
+        )
         self._note(request, outcome)
 
     def _note_failure(self, request: "CalibrationRequest", error: Exception) -> None:
