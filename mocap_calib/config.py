@@ -484,6 +484,9 @@ class UncertaintyConfig:
     # by how much more rigs of parts differ than first order tells. Measured: 0.8 to 1.4 in
     # recordings that determine their rigs (1.7 in one draw), 1.6 to 3.6 in four that hardly do
     usual_bend: float = 1.2
+    # Free focal lengths go back most of the way to the true ones, and the rig with them: it was off
+    # by so many times what it changes by. Measured 1.1 to 1.25 where all are wrong by 20 or 30 %.
+    focal_reach: float = 1.2
     # An outlier camera has so many times the errors of the others. Measured: 1 to 2.6 where the
     # cameras agree, 3.8 between telescopes, 5 to 18 where one is out of step.
     outlier_factor: float = 4.0

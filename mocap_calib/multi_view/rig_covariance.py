@@ -34,6 +34,9 @@ from mocap_calib.multi_view.schur import free_poses
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Matches, RigCovariance, Sample
 
 
+_MOMENTS_OF_A_PART = 4  # at least
+
+
 @dataclass(frozen=True)
 class _Fitted:
     """A rig adjusted to points of a sample."""
@@ -216,9 +219,13 @@ def _halves(fitted: _Fitted, config: Config, *, seed: int) -> float:
 
 
 def _parts(points: AdjustablePoints, count: int, *, seed: int) -> Iterator[Ints]:
-    """Yield the part `[N]` of the recording, and then the part of the joints, of each point."""
-    _, stretch = np.unique(points.time_blocks(count), return_inverse=True)
-    yield stretch
+    """Yield the part `[N]` of the recording, and then the part of the joints, of each point.
+
+    None of the recording where it has hardly more moments than parts: each part of so few would
+    weigh too much.
+    """
+    if len(np.unique(points.frame)) >= _MOMENTS_OF_A_PART * count:
+        yield points.time_blocks(count)
     joints, joint = np.unique(points.keypoint, return_inverse=True)
     # neighbours on the body err alike, and have neighbouring numbers
     yield (np.random.default_rng(seed).permutation(len(joints)) % min(count, len(joints)))[joint]
