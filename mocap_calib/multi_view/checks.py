@@ -59,6 +59,7 @@ def check_rig(group: GroupResult, config: Config, *, used_frames: Ints) -> tuple
     }
     return (
         Check("convergence", 0.0 if group.adjusted.converged else 1.0, 0.0),
+        Check("moments", limits.least_moments / max(_moments(group), 1), 1.0),
         Check("held-out frames", _held_out(group, used_frames), limits.held_out),
         Check("bones", _bones(group.poses.positions), limits.bones),
         Check("loops", _broken_loops(group, config), limits.broken_loops),
@@ -75,6 +76,11 @@ def _of_worst(name: str, values: Floats, limit: float, *, group: GroupResult) ->
 
 
 # Of the whole rig
+
+
+def _moments(group: GroupResult) -> int:
+    """Return in how many frames bodies are matched."""
+    return int((group.matches.labels >= 0).any((0, 2)).sum())
 
 
 def _held_out(group: GroupResult, used_frames: Ints) -> float:

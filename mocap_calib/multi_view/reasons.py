@@ -14,6 +14,10 @@ MEANING = {
         "adjusting and matching did not come to an end",
         "look for a camera with large errors, and record longer",
     ),
+    "moments": (
+        "bodies are matched in few frames only: what all joints of a moment share does not show",
+        "record longer",
+    ),
     "held-out frames": (
         "errors are {value:.2f} times as large in frames that were not used",
         "check that the cameras stayed where they are",

@@ -33,7 +33,6 @@ from mocap_calib.multi_view.residuals import State
 from mocap_calib.multi_view.schur import free_poses
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Matches, RigCovariance, Sample
 
-
 _MOMENTS_OF_A_PART = 4  # at least
 
 
@@ -235,6 +234,8 @@ def _turns(kept: Ints, *, fitted: _Fitted, config: Config) -> Floats:
     """Return the turns `[view, 3]` of the cameras when only some points (indices) are kept."""
     state = fitted.state
     some = replace(state, points=state.points[:, kept])
-    found = _settle(some, fitted.seen.select(kept), config)
+    tolerance = config.uncertainty.bend_tolerance
+    rougher = replace(config, adjust=replace(config.adjust, tolerance=tolerance))
+    found = _settle(some, fitted.seen.select(kept), rougher)
     bent = replace(fitted.rig, rotation=found.rotation, translation=found.translation)
     return rig_change(fitted.rig, bent)[:, :3]
