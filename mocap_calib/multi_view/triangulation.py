@@ -11,6 +11,7 @@ from mocap_calib.config import TriangulateConfig
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.intersection import intersect
+from mocap_calib.geometry.point_covariance import median_angles
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import (
     Bools,
@@ -204,17 +205,20 @@ def view_noise(
     """
     frames = evenly_spaced(labelled_frames(matches), config.noise_frames)
     seen = gather_observations(recording, matches, frames)
-    angle, counted = measure_angles(rig, seen, config)
+    error, counted = measure_errors(rig, seen, config)
     noise = np.full(len(rig.cameras), config.unknown_noise)
     for view in np.flatnonzero(counted.any(1)):
-        noise[view] = np.median(angle[view, counted[view]]) / MEDIAN_DISTANCE
+        noise[view] = np.median(error[view, counted[view]])
     return np.maximum(noise, least_noise(rig, config))
 
 
-def measure_angles(
+def measure_errors(
     rig: CameraRig, seen: Observations, config: TriangulateConfig
 ) -> tuple[Floats, Bools]:
-    """Return the angles `[view, N]` in radians between rays and the points where they meet.
+    """Return angles `[view, N]` in radians whose medians are the views' standard deviations.
+
+    They are those between rays and the points where they meet, over their medians where each ray
+    has an error of one standard deviation (`geometry.point_covariance`).
 
     Also which of them count, `[view, N]`: of points that three views see (two where there are no
     more).
@@ -224,7 +228,8 @@ def measure_angles(
     angle, _ = _ray_angles(rig, points, seen.rays)
     present = seen.confidence > 0
     enough = present.sum(0) >= min(3, len(rig.cameras))
-    return angle, present & np.isfinite(points[0]) & enough
+    counted = present & np.isfinite(points[0]) & enough
+    return angle / median_angles(rig, points, seen.confidence), counted
 
 
 def least_noise(rig: CameraRig, config: TriangulateConfig) -> Floats:
