@@ -6,6 +6,7 @@ the distance d along the unit vector u has J' J = (I - u u') / d^2.
 
 import numpy as np
 
+from mocap_calib.config import INTERSECT_LOSS_SCALE
 from mocap_calib.geometry import symmetric
 from mocap_calib.geometry.intersection import normal_matrix
 from mocap_calib.geometry.symmetric import Entries
@@ -16,16 +17,22 @@ from mocap_calib.types import CameraRig, Floats
 _LEAST_SHARE = 0.05
 
 
-def point_covariance(rig: CameraRig, points: Floats, weight: Floats, variance: Floats) -> Entries:
-    """Return the covariances of points that minimise the weighed squared angles of their rays.
+def point_covariance(
+    rig: CameraRig, points: Floats, world: Floats, *, precision: Floats, variance: Floats
+) -> Entries:
+    """Return the covariances of points that `intersect` found.
 
-    points: `[3, N]` in world coordinates. weight: `[view, N]` of the rays, 0 = not used.
-    variance: `[view, N]` of their angles, radians squared, of one coordinate.
+    points: `[3, N]` in world coordinates. world: `[view, 3, N]` unit rays in the world's axes.
+    precision: `[view, N]` what they were weighed by, 0 = not used.
+    variance: `[view, N]` of one coordinate of the rays' angles, in radians squared.
 
-    With N = sum w J'J they are N^-1 (sum w^2 s^2 J'J) N^-1, which is N^-1 where the weights are
-    the inverse variances. Huge where fewer than two rays are used, or all are in one line.
+    With the robust weights w and N = sum w J'J they are N^-1 (sum w^2 s^2 J'J) N^-1: N^-1 itself
+    where the weights are the inverse variances. Huge where the rays used are all in one line.
     """
     direction, inverse_square = _from_centres(rig, points)
+    along = np.einsum("vin,vin->vn", direction, np.nan_to_num(world))
+    error = np.maximum(1 - along * along, 0.0) * precision
+    weight = precision / (1 + error / INTERSECT_LOSS_SCALE**2) ** 2
     by_weight = normal_matrix(direction, weight * inverse_square)
     by_error = normal_matrix(direction, weight**2 * variance * inverse_square)
     return symmetric.sandwich(symmetric.invert(by_weight), by_error)

@@ -9,6 +9,7 @@ from mocap_calib.config import TriangulateConfig
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.intersection import intersect
+from mocap_calib.geometry.point_covariance import point_covariance
 from mocap_calib.geometry.rays import are_apart, ray_angles, rays_in_world
 from mocap_calib.multi_view.noise import view_noise
 from mocap_calib.multi_view.observations import Observations, gather_observations
@@ -20,6 +21,7 @@ from mocap_calib.types import (
     Matches,
     Poses3D,
     Progress,
+    Reals,
     Recording,
     silent,
 )
@@ -39,7 +41,8 @@ def triangulate(
 
     Detections are weighed by their confidence, and a view that contradicts the others is left
     out. A point needs two views that agree, whose rays are at least `config.least_angle_deg`
-    apart, and lies in front of them.
+    apart, and lies in front of them. Its covariance is what the detectors' noise does to it: see
+    `Poses3D`.
 
     Raises MismatchError where the cameras of the rig are not those of the recording.
     """
@@ -54,6 +57,7 @@ def triangulate(
         views=np.empty(shape, dtype=np.int64),
         confidence=np.empty(shape),
         unit=rig.unit,
+        covariance=np.empty((*shape, 6), dtype=np.float32),
     )
     work = partial(
         _triangulate_block,
@@ -69,6 +73,7 @@ def triangulate(
         found.error[block] = part.error
         found.views[block] = part.views
         found.confidence[block] = part.confidence
+        found.covariance[block] = part.covariance
         progress("triangulate", int(block[-1]) + 1, frames)
     return found
 
@@ -130,6 +135,7 @@ def _triangulate_block(
     error = reprojection_error(rig, points, pixels=seen.pixels, used=used)
     views = used.sum(0)
     confidence = (seen.confidence * used).sum(0) / np.maximum(views, 1)
+    covariance = _covariance(rig, points, seen, used=used, noise=noise)
     shape = (len(frames), matches.individuals, len(recording.keypoints))
     return Poses3D(
         keypoints=recording.keypoints,
@@ -139,7 +145,28 @@ def _triangulate_block(
         views=views.reshape(shape),
         confidence=confidence.reshape(shape),
         unit=rig.unit,
+        covariance=covariance.T.reshape(*shape, 6),
     )
+
+
+def _covariance(
+    rig: CameraRig, points: Floats, seen: Observations, *, used: Bools, noise: Floats
+) -> Reals:
+    """Return the entries `[6, N]` of the covariances of points, NaN where these are.
+
+    used: `[view, N]` the detections that they are made of; noise: `[view]` of these in radians,
+    which does not depend on their confidence.
+    """
+    variance = np.broadcast_to(noise[:, None] ** 2, used.shape)
+    entries = point_covariance(
+        rig,
+        points,
+        rays_in_world(rig, seen.rays),
+        precision=np.where(used, seen.confidence / variance, 0.0),
+        variance=variance,
+    )
+    with np.errstate(over="ignore"):  # points that are nearly at infinity
+        return np.where(np.isfinite(points[0]), np.stack(entries), np.nan).astype(np.float32)
 
 
 def triangulate_rays(
