@@ -22,8 +22,12 @@ def solve(matrix: Entries, side: Floats) -> Floats:
 
 
 def invert(matrix: Entries) -> Entries:
-    """Return the inverse matrices; of a singular one, something large."""
-    size = np.maximum(trace(matrix), 1e-300)
+    """Return the inverses of matrices that are not negative.
+
+    Of a singular matrix it is something large, and of zero zero.
+    """
+    size = trace(matrix)
+    size = np.where(size == 0, np.inf, size)
     cofactors, determinant = _cofactors(tuple(entry / size for entry in matrix))
     return tuple(entry / determinant / size for entry in cofactors)
 

@@ -1,7 +1,8 @@
 """A numpy archive of the arrays of `Poses3D`, for scripts; it carries all.
 
 `numpy.load` reads it: positions, error, views, confidence, frames, and keypoints, individuals, fps,
-unit and title; covariance where that is known. Pickled objects, which could run anything, are not read.
+unit and title; covariance where that is known. Pickled objects, which could run anything, are not
+read.
 """
 
 import io
