@@ -31,8 +31,8 @@ from mocap_calib.geometry.rotation import (
 )
 from mocap_calib.multi_view.bundle_adjustment import adjust
 from mocap_calib.multi_view.ceres import adjust_by_ceres
+from mocap_calib.multi_view.observations import gather_observations
 from mocap_calib.multi_view.refinement import Adjuster
-from mocap_calib.multi_view.triangulation import gather_observations
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.recording.sampling import take_sample
 from mocap_calib.recording.synchronise import make_recording

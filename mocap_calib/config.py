@@ -385,12 +385,12 @@ FACTORIZATION_SWEEPS = 50
 
 @dataclass(frozen=True)
 class AdjustConfig:
-    """Bundle adjustment. Loss scales are in standard deviations of each view's own error."""
+    """Bundle adjustment. Loss scales are in standard deviations of each view's own residuals."""
 
     points: int = 20_000
     # Rays this many times farther off than an outlier of triangulation may still constrain a point:
     # the rig is not yet right, and the robust loss deals with outliers.
-    outlier_tolerance: float = 4.0
+    outlier_tolerance: float = 5.0
     loss_scales: tuple[float, ...] = (6.0, 3.0, 1.5)  # one after the other, to tighten the loss
     # Share of the cost: a step that lowers it by less is the last one at the last loss scale ...
     tolerance: float = 1e-5
@@ -465,6 +465,9 @@ SAME_IMAGE_SIZE = 0.01  # videos of one kind of camera may lack some rows
 class TriangulateConfig:
     """3D poses. Errors in standard deviations of each view's own error."""
 
+    # Standard deviations of what points leave of the errors, sqrt(1 - 3 / (2 V)) of V rays. Of 3 to
+    # 5, as measured on 13 recordings, 4 gives the smallest errors of the bodies; 5 has 1 % of
+    # points more, which are worse.
     outlier: float = 4.0
     least_angle_deg: float = 2.0  # between the rays of a point
     noise_frames: int = 200  # that tell how large each view's error is

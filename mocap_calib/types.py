@@ -1057,6 +1057,10 @@ class Poses3D(Record):
     views: `[frame, individual, keypoint]` number of views used.
     confidence: `[frame, individual, keypoint]` mean confidence of the detections used.
     unit: of the positions, as the rig's.
+    covariance: `[frame, individual, keypoint, 6]` xx, xy, xz, yy, yz, zz of the errors of the
+        positions in the unit squared, as far as they are due to the detectors' noise: where a rig
+        is wrong, or a detector sees a joint elsewhere than it is, the errors are larger. 32-bit
+        floats. NaN = missing, or not known where it is left out.
     """
 
     keypoints: tuple[str, ...]
@@ -1066,6 +1070,7 @@ class Poses3D(Record):
     views: Ints
     confidence: Floats
     unit: str
+    covariance: Reals = field(default_factory=lambda: np.zeros(0, dtype=np.float32))
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "keypoints", tuple(self.keypoints))
@@ -1076,6 +1081,10 @@ class Poses3D(Record):
         self._hold("poses", "error", float, *points)
         self._hold("poses", "views", int, *points)
         self._hold("poses", "confidence", float, *points)
+        if np.shape(self.covariance) == (0,):  # nobody knows: takes no memory
+            unknown = np.broadcast_to(np.float32(np.nan), (*points, 6))
+            object.__setattr__(self, "covariance", unknown)
+        self._hold("poses", "covariance", float, *points, 6)
 
     def __repr__(self) -> str:
         parts = [
@@ -1092,7 +1101,24 @@ class Poses3D(Record):
         Raises ValueError for a factor that is not above 0, and for what is no unit.
         """
         _check_factor("poses", factor)
-        return replace(self, positions=factor * self.positions, unit=unit)
+        covariance = (factor**2 * self.covariance).astype(np.float32)
+        positions = factor * self.positions
+        return replace(self, positions=positions, covariance=covariance, unit=unit)
+
+    def turn(self, rotation: Floats) -> "Poses3D":
+        """Return the poses in other axes, to which a rotation `[3, 3]` turns those of the world."""
+        rows = ((0, 1, 2), (1, 3, 4), (2, 4, 5))
+        matrix = rotation @ self.covariance[..., rows] @ rotation.T
+        entries = matrix[..., (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)].astype(np.float32)
+        return replace(self, positions=self.positions @ rotation.T, covariance=entries)
+
+    @property
+    def sigma(self) -> Floats:
+        """`[frame, individual, keypoint]` RMS distance of a point from the true one, in the unit.
+
+        As far as it is due to the detectors' noise: what follows from `covariance`.
+        """
+        return np.sqrt(self.covariance[..., [0, 3, 5]].sum(-1, dtype=np.float64))
 
     def to_xarray(
         self, fps: float | None = None, individuals: Sequence[str] = ()

@@ -15,7 +15,8 @@ from scenes import calibrated
 
 from mocap_calib.config import Config
 from mocap_calib.judging import judge_cameras, judge_rigs
-from mocap_calib.multi_view.triangulation import gather_observations, project
+from mocap_calib.multi_view.observations import gather_observations
+from mocap_calib.multi_view.triangulation import project
 from mocap_calib.multi_view.verdict import judge_group
 from mocap_calib.report import run_report
 from mocap_calib.types import CalibrationResult, Clocks, GroupResult, TimeOffsets

@@ -16,7 +16,8 @@ from scenes import calibrate_group, precision, recording, rotation_errors_deg, s
 
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import Config, SampleConfig, TriangulateConfig
-from mocap_calib.multi_view.triangulation import gather_observations, triangulate_rays
+from mocap_calib.multi_view.observations import gather_observations
+from mocap_calib.multi_view.triangulation import triangulate_rays
 from mocap_calib.recording.sampling import take_sample
 from mocap_calib.steerpose.checkpoint import load_lifter
 from mocap_calib.steerpose.lift import lift

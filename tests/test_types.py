@@ -45,6 +45,21 @@ def test_lists_become_arrays():
     assert poses().views.dtype == np.int64
 
 
+def test_covariances_of_points_scale_with_the_square_and_may_be_unknown():
+    assert np.isnan(poses().covariance).all()
+    assert np.isnan(poses().sigma).all()
+    known = poses(covariance=np.tile([4.0, 0, 0, 9, 0, 3], (2, 1, 2, 1)))
+    assert known.covariance.shape == (2, 1, 2, 6)
+    np.testing.assert_allclose(known.sigma, 4.0)
+    scaled = known.scale(1000.0, "mm")
+    assert scaled.covariance.dtype == np.float32
+    np.testing.assert_allclose(scaled.covariance, 1e6 * known.covariance)
+    turned = known.turn(np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]]))
+    np.testing.assert_allclose(turned.covariance[0, 0, 0], [9, 0, 0, 3, 0, 4], atol=1e-6)
+    with pytest.raises(ValueError, match="poses: covariance: expected shape"):
+        poses(covariance=np.zeros((2, 1, 2, 3)))
+
+
 def test_arrays_are_kept_as_they_are():
     """No copies of whole recordings; 32 bits stay. Cameras and rigs have arrays of their own."""
     matrix, translation = np.eye(3), np.zeros((1, 3))

@@ -22,9 +22,9 @@ from mocap_calib.config import (
     INTERSECT_STEPS,
     INTERSECT_TIGHTENING_SCALES,
 )
+from mocap_calib.geometry import symmetric
+from mocap_calib.geometry.symmetric import Entries
 from mocap_calib.types import Bools, CameraRig, Floats, Ints
-
-_RIDGE = 1e-10  # added to the diagonal of normal equations that are scaled to a weight of 1
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,7 @@ def _intersect_lines(rays: _Rays) -> Floats:
     along = np.einsum("vi,vin->vn", rays.centres, rays.direction)
     projected = np.einsum("vin,vn->in", rays.direction, weight * along)
     side = rays.centres.T @ weight - projected
-    return _solve_symmetric(_normal_matrix(rays.direction, weight), side)
+    return symmetric.solve(normal_matrix(rays.direction, weight), side)
 
 
 def _refine(rays: _Rays, points: Floats, steps: int) -> Floats:
@@ -170,7 +170,7 @@ def _gauss_newton_step(rays: _Rays, points: Floats, *, loss_scale: float) -> Flo
     weight /= np.maximum(weight.sum(0), 1e-300)
     weighted = np.einsum("vin,vn->in", offset, weight)
     projected = np.einsum("vin,vn->in", rays.direction, weight * along)
-    return -_solve_symmetric(_normal_matrix(rays.direction, weight), weighted - projected)
+    return -symmetric.solve(normal_matrix(rays.direction, weight), weighted - projected)
 
 
 def _squared_error(rays: _Rays, points: Floats) -> Floats:
@@ -194,8 +194,11 @@ def _lengths(offset: Floats, direction: Floats) -> tuple[Floats, Floats]:
     return np.maximum(square, 1e-18), along
 
 
-def _normal_matrix(direction: Floats, weight: Floats) -> tuple[Floats, ...]:
-    """Return sum w (I - u u') as its six entries xx, xy, xz, yy, yz, zz, each `[N]`."""
+def normal_matrix(direction: Floats, weight: Floats) -> Entries:
+    """Return sum w (I - u u') over the views, as its entries.
+
+    direction: `[view, 3, N]` unit vectors u; weight: `[view, N]`.
+    """
     x, y, z = direction[:, 0], direction[:, 1], direction[:, 2]
     wx, wy, wz = x * weight, y * weight, z * weight
     total = weight.sum(0)
@@ -212,24 +215,3 @@ def _normal_matrix(direction: Floats, weight: Floats) -> tuple[Floats, ...]:
 def _sum_over_views(first: Floats, second: Floats) -> Floats:
     """Return the sums `[N]` of the products of two arrays `[view, N]`."""
     return np.einsum("vn,vn->n", first, second)
-
-
-def _solve_symmetric(matrix: tuple[Floats, ...], side: Floats) -> Floats:
-    """Return the solutions `[3, N]` of symmetric 3 x 3 systems, by cofactors.
-
-    matrix: the entries xx, xy, xz, yy, yz, zz, each `[N]`. side: `[3, N]`.
-    """
-    xx, xy, xz, yy, yz, zz = matrix
-    xx, yy, zz = xx + _RIDGE, yy + _RIDGE, zz + _RIDGE
-    cofactor_xx = yy * zz - yz * yz
-    cofactor_xy = xz * yz - xy * zz
-    cofactor_xz = xy * yz - xz * yy
-    cofactor_yy = xx * zz - xz * xz
-    cofactor_yz = xy * xz - xx * yz
-    cofactor_zz = xx * yy - xy * xy
-    determinant = xx * cofactor_xx + xy * cofactor_xy + xz * cofactor_xz
-    determinant = np.where(np.abs(determinant) > 1e-300, determinant, np.inf)
-    x = cofactor_xx * side[0] + cofactor_xy * side[1] + cofactor_xz * side[2]
-    y = cofactor_xy * side[0] + cofactor_yy * side[1] + cofactor_yz * side[2]
-    z = cofactor_xz * side[0] + cofactor_yz * side[1] + cofactor_zz * side[2]
-    return np.stack([x, y, z]) / determinant

@@ -8,15 +8,12 @@ from mocap_calib.config import AdjustConfig, Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.multi_view.labels import per_frame_labels
+from mocap_calib.multi_view.noise import view_residual
+from mocap_calib.multi_view.observations import gather_observations, labelled_frames
 from mocap_calib.multi_view.ray_residuals import RayObservations
 from mocap_calib.multi_view.residuals import Observations, State
 from mocap_calib.multi_view.schur import Freedom, free_poses, minimise
-from mocap_calib.multi_view.triangulation import (
-    gather_observations,
-    labelled_frames,
-    triangulate_rays,
-    view_noise,
-)
+from mocap_calib.multi_view.triangulation import triangulate_rays
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import (
     Bools,
@@ -163,7 +160,7 @@ def agreed_points(
     recording: Recording, rig: CameraRig, matches: Matches, *, frames: Ints, config: Config
 ) -> AdjustablePoints:
     """Return the points of frames (`[frame]` indices) that at least two views agree on."""
-    noise = view_noise(recording, rig, matches, config.triangulate)
+    noise = view_residual(recording, rig, matches, config.triangulate)
     seen = gather_observations(recording, matches, frames)
     weight = _drop_doubtful(seen.confidence, config.adjust)
     outlier = config.adjust.outlier_tolerance * config.triangulate.outlier

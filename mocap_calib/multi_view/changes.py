@@ -12,6 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from mocap_calib.config import MovedConfig
+from mocap_calib.multi_view.noise import MEDIAN_DISTANCE
 from mocap_calib.multi_view.resection import (
     CameraPoses,
     Sightings,
@@ -21,7 +22,6 @@ from mocap_calib.multi_view.resection import (
     refine_poses,
     typical_error,
 )
-from mocap_calib.multi_view.triangulation import MEDIAN_DISTANCE
 from mocap_calib.types import Bools, Floats, Ints
 
 

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocap_calib.config import REPORT_FRAMES, Config
-from mocap_calib.multi_view.triangulation import gather_observations, project
+from mocap_calib.multi_view.observations import gather_observations
+from mocap_calib.multi_view.triangulation import project
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Check, Floats, GroupResult, Ints
 

@@ -8,11 +8,11 @@ from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError
 from mocap_calib.multi_view.association import associate
 from mocap_calib.multi_view.averaging import average
+from mocap_calib.multi_view.observations import labelled_frames
 from mocap_calib.multi_view.observed import Observed, leave_out_underconstrained
 from mocap_calib.multi_view.placed import PlacedCameras, place_bodies
 from mocap_calib.multi_view.refinement import adjust_until_stable
 from mocap_calib.multi_view.rig_covariance import rig_covariance
-from mocap_calib.multi_view.triangulation import labelled_frames
 from mocap_calib.multi_view.view_graph import camera_groups
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import CameraRig, Floats, Ints, Matches, Sample, silent

@@ -13,8 +13,8 @@ from mocap_calib.config import Config, ExchangedConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.multi_view.bundle_adjustment import adjust
 from mocap_calib.multi_view.fit import measure_distances
+from mocap_calib.multi_view.noise import view_residual
 from mocap_calib.multi_view.observed import Observed
-from mocap_calib.multi_view.triangulation import view_noise
 from mocap_calib.recording.mended_intrinsics import Exchanged
 from mocap_calib.recording.sampling import with_cameras
 from mocap_calib.types import CameraRig, Fault, Floats, GroupResult, Matches, Sample
@@ -137,6 +137,6 @@ def _errors_with(
 
 def _errors(sample: Sample, rig: CameraRig, matches: Matches, config: Config) -> Floats:
     """Return the distances `[view, N]` in pixels of keypoints from the points; NaN = missing."""
-    noise = view_noise(sample, rig, matches, config.triangulate)
+    noise = view_residual(sample, rig, matches, config.triangulate)
     seen, _, error = measure_distances(sample, rig, matches, noise, config)
     return np.where(seen.confidence > 0, error, np.nan)

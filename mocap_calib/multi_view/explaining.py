@@ -9,6 +9,7 @@ from mocap_calib.config import Config, DiagnosisConfig
 from mocap_calib.multi_view.camera_fit import CameraFit, CameraPose, Seen, fit_camera
 from mocap_calib.multi_view.core_rig import CoreRig, find_core_rig
 from mocap_calib.multi_view.explanations import Explanation, explanations
+from mocap_calib.multi_view.noise import MEDIAN_DISTANCE
 from mocap_calib.multi_view.observed import Observed
 from mocap_calib.multi_view.projection_search import (
     Resection,
@@ -18,7 +19,6 @@ from mocap_calib.multi_view.projection_search import (
     resect,
 )
 from mocap_calib.multi_view.suspicion import is_turned, rolls
-from mocap_calib.multi_view.triangulation import MEDIAN_DISTANCE
 from mocap_calib.recording.mending import exchanged_sides
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Camera, CameraRig, Floats, Ints

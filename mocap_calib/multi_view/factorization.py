@@ -17,7 +17,7 @@ from mocap_calib.config import (
     FACTORIZATION_VIEWS,
 )
 from mocap_calib.geometry.rotation import nearest_rotation
-from mocap_calib.multi_view.triangulation import gather_observations
+from mocap_calib.multi_view.observations import gather_observations
 from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Matches, Sample
 
 _REVERSE_DEPTH = np.diag([1.0, 1.0, -1.0])

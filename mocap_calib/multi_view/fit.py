@@ -5,15 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mocap_calib.config import Config, UncertaintyConfig
-from mocap_calib.multi_view.triangulation import (
-    Observations,
-    gather_observations,
-    labelled_frames,
-    points_in_cameras,
-    project,
-    triangulate_rays,
-    view_noise,
-)
+from mocap_calib.geometry.rays import points_in_cameras
+from mocap_calib.multi_view.noise import view_residual
+from mocap_calib.multi_view.observations import Observations, gather_observations, labelled_frames
+from mocap_calib.multi_view.triangulation import project, triangulate_rays
 from mocap_calib.types import Bools, CameraRig, Floats, Matches, Sample
 
 
@@ -38,7 +33,7 @@ class Fit:
 
 def measure_fit(sample: Sample, rig: CameraRig, matches: Matches, config: Config) -> Fit:
     """Return how well the rig fits the matched detections in all frames of the sample."""
-    noise = view_noise(sample, rig, matches, config.triangulate)
+    noise = view_residual(sample, rig, matches, config.triangulate)
     seen, points, error = measure_distances(sample, rig, matches, noise, config)
     counted = (seen.confidence > 0) & np.isfinite(points[0])
     focal = np.array([camera.focal for camera in rig.cameras])

@@ -6,11 +6,8 @@ import numpy as np
 
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import TriangulateConfig
-from mocap_calib.multi_view.triangulation import (
-    frame_blocks,
-    triangulate_frames,
-    view_noise,
-)
+from mocap_calib.multi_view.noise import view_noise
+from mocap_calib.multi_view.triangulation import frame_blocks, triangulate_frames
 from mocap_calib.types import CameraRig, Floats, Ints, Matches, ObservedPoints, Recording
 
 

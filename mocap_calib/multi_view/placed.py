@@ -6,12 +6,10 @@ import numpy as np
 
 from mocap_calib.config import Config
 from mocap_calib.multi_view.labels import per_frame_labels
+from mocap_calib.multi_view.noise import view_noise
+from mocap_calib.multi_view.observations import gather_observations
 from mocap_calib.multi_view.observed import Observed
-from mocap_calib.multi_view.triangulation import (
-    gather_observations,
-    triangulate_rays,
-    view_noise,
-)
+from mocap_calib.multi_view.triangulation import triangulate_rays
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import (
     CameraRig,

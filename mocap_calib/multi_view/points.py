@@ -4,15 +4,9 @@ import numpy as np
 
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import TriangulateConfig
-from mocap_calib.multi_view.triangulation import (
-    MEDIAN_DISTANCE,
-    Observations,
-    least_noise,
-    measure_angles,
-    observe,
-    reprojection_error,
-    triangulate_rays,
-)
+from mocap_calib.multi_view.noise import least_noise, measure_errors
+from mocap_calib.multi_view.observations import Observations, observe
+from mocap_calib.multi_view.triangulation import reprojection_error, triangulate_rays
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import CameraRig, Floats
 
@@ -62,11 +56,11 @@ def _noise_of_few(rig: CameraRig, seen: Observations, config: TriangulateConfig)
 
     The median of few points is not robust: views with few have that of all views together.
     """
-    angle, counted = measure_angles(rig, seen, config)
+    error, counted = measure_errors(rig, seen, config)
     together = config.unknown_noise
     if counted.any():
-        together = float(np.median(angle[counted])) / MEDIAN_DISTANCE
+        together = float(np.median(error[counted]))
     noise = np.full(len(rig), together)
     for view in np.flatnonzero(counted.sum(1) >= _LEAST_POINTS):
-        noise[view] = np.median(angle[view, counted[view]]) / MEDIAN_DISTANCE
+        noise[view] = np.median(error[view, counted[view]])
     return np.maximum(noise, least_noise(rig, config))

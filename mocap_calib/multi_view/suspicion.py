@@ -7,13 +7,10 @@ import numpy as np
 from mocap_calib.config import Config, DiagnosisConfig
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.multi_view.camera_fit import CameraPose, Seen, Unknown, fit_camera
+from mocap_calib.multi_view.noise import view_noise
+from mocap_calib.multi_view.observations import gather_observations, labelled_frames
 from mocap_calib.multi_view.observed import Observed
-from mocap_calib.multi_view.triangulation import (
-    gather_observations,
-    labelled_frames,
-    triangulate_rays,
-    view_noise,
-)
+from mocap_calib.multi_view.triangulation import triangulate_rays
 from mocap_calib.recording.mending import exchanged_sides
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import (

@@ -1,7 +1,5 @@
 """Triangulate points and poses from the rays of many views, in blocks of frames."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -11,72 +9,24 @@ from mocap_calib.config import TriangulateConfig
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.intersection import intersect
-from mocap_calib.recording.sampling import evenly_spaced
+from mocap_calib.geometry.point_covariance import point_covariance
+from mocap_calib.geometry.rays import are_apart, ray_angles, rays_in_world
+from mocap_calib.multi_view.noise import view_noise
+from mocap_calib.multi_view.observations import Observations, gather_observations
 from mocap_calib.types import (
     Bools,
-    Camera,
     CameraRig,
     Floats,
     Ints,
     Matches,
     Poses3D,
     Progress,
+    Reals,
     Recording,
     silent,
 )
 
 _BLOCK = 8192  # points at a time: enough that calls cost little beside, few enough for the cache
-# The median distance of a normal error in the plane from its centre, sqrt(2 log 2), in standard
-# deviations of one coordinate
-MEDIAN_DISTANCE = 1.18
-
-
-@dataclass(frozen=True)
-class Observations:
-    """Detections by point and by component.
-
-    pixels: `[view, 2, N]`, NaN = missing.
-    rays: `[view, 3, N]` unit vectors in each camera's frame, NaN = missing.
-    confidence: `[view, N]`, 0 = missing.
-    """
-
-    pixels: Floats
-    rays: Floats
-    confidence: Floats
-
-
-def gather_observations(recording: Recording, matches: Matches, frames: Ints) -> Observations:
-    """Return the detections of all individuals in the frames with these indices `[frame]`.
-
-    N = frames x individuals x keypoints, in that order.
-    """
-    labels = matches.labels[:, frames]
-    view, frame, instance = np.nonzero(labels >= 0)
-    individual = labels[view, frame, instance]
-    views, keypoints = len(recording.cameras), len(recording.keypoints)
-    shape = (views, len(frames), matches.individuals, keypoints)
-    pixels = np.full((*shape, 2), np.nan)
-    confidence = np.zeros(shape)
-    pixels[view, frame, individual] = recording.positions[view, frames[frame], instance]
-    confidence[view, frame, individual] = recording.confidence[view, frames[frame], instance]
-    return observe(recording.cameras, pixels.reshape(views, -1, 2), confidence.reshape(views, -1))
-
-
-def observe(cameras: Sequence[Camera], pixels: Floats, confidence: Floats) -> Observations:
-    """Return the detections with their rays.
-
-    pixels: `[view, N, 2]`, NaN = missing; confidence: `[view, N]`, 0 = missing.
-    """
-    by_component = np.ascontiguousarray(np.moveaxis(pixels, -1, 1))
-    rays = [
-        lens.unproject(camera, seen) for camera, seen in zip(cameras, by_component, strict=True)
-    ]
-    return Observations(pixels=by_component, rays=np.stack(rays), confidence=confidence)
-
-
-def labelled_frames(matches: Matches) -> Ints:
-    """Return the indices `[frame]` of the frames with any label."""
-    return np.flatnonzero((matches.labels >= 0).any((0, 2)))
 
 
 def triangulate(
@@ -91,7 +41,8 @@ def triangulate(
 
     Detections are weighed by their confidence, and a view that contradicts the others is left
     out. A point needs two views that agree, whose rays are at least `config.least_angle_deg`
-    apart, and lies in front of them.
+    apart, and lies in front of them. Its covariance is what the detectors' noise does to it: see
+    `Poses3D`.
 
     Raises MismatchError where the cameras of the rig are not those of the recording.
     """
@@ -106,6 +57,7 @@ def triangulate(
         views=np.empty(shape, dtype=np.int64),
         confidence=np.empty(shape),
         unit=rig.unit,
+        covariance=np.empty((*shape, 6), dtype=np.float32),
     )
     work = partial(
         _triangulate_block,
@@ -121,6 +73,7 @@ def triangulate(
         found.error[block] = part.error
         found.views[block] = part.views
         found.confidence[block] = part.confidence
+        found.covariance[block] = part.covariance
         progress("triangulate", int(block[-1]) + 1, frames)
     return found
 
@@ -182,6 +135,7 @@ def _triangulate_block(
     error = reprojection_error(rig, points, pixels=seen.pixels, used=used)
     views = used.sum(0)
     confidence = (seen.confidence * used).sum(0) / np.maximum(views, 1)
+    covariance = _covariance(rig, points, seen, used=used, noise=noise)
     shape = (len(frames), matches.individuals, len(recording.keypoints))
     return Poses3D(
         keypoints=recording.keypoints,
@@ -191,45 +145,28 @@ def _triangulate_block(
         views=views.reshape(shape),
         confidence=confidence.reshape(shape),
         unit=rig.unit,
+        covariance=covariance.T.reshape(*shape, 6),
     )
 
 
-def view_noise(
-    recording: Recording, rig: CameraRig, matches: Matches, config: TriangulateConfig
-) -> Floats:
-    """Return the robust standard deviation `[view]` of each view's angular error, in radians.
+def _covariance(
+    rig: CameraRig, points: Floats, seen: Observations, *, used: Bools, noise: Floats
+) -> Reals:
+    """Return the entries `[6, N]` of the covariances of points, NaN where these are.
 
-    Measured in an even sample of the frames that have labels, on one coordinate of the points
-    that three views see (two where there are no more).
+    used: `[view, N]` the detections that they are made of; noise: `[view]` of these in radians,
+    which does not depend on their confidence.
     """
-    frames = evenly_spaced(labelled_frames(matches), config.noise_frames)
-    seen = gather_observations(recording, matches, frames)
-    angle, counted = measure_angles(rig, seen, config)
-    noise = np.full(len(rig.cameras), config.unknown_noise)
-    for view in np.flatnonzero(counted.any(1)):
-        noise[view] = np.median(angle[view, counted[view]]) / MEDIAN_DISTANCE
-    return np.maximum(noise, least_noise(rig, config))
-
-
-def measure_angles(
-    rig: CameraRig, seen: Observations, config: TriangulateConfig
-) -> tuple[Floats, Bools]:
-    """Return the angles `[view, N]` in radians between rays and the points where they meet.
-
-    Also which of them count, `[view, N]`: of points that three views see (two where there are no
-    more).
-    """
-    precision = seen.confidence / config.unknown_noise**2
-    points = intersect(rig, _rays_in_world(rig, seen.rays), precision)
-    angle, _ = _ray_angles(rig, points, seen.rays)
-    present = seen.confidence > 0
-    enough = present.sum(0) >= min(3, len(rig.cameras))
-    return angle, present & np.isfinite(points[0]) & enough
-
-
-def least_noise(rig: CameraRig, config: TriangulateConfig) -> Floats:
-    """Return the standard deviation `[view]` in radians below which no detector is."""
-    return np.array([config.least_noise_px / camera.focal for camera in rig.cameras])
+    variance = np.broadcast_to(noise[:, None] ** 2, used.shape)
+    entries = point_covariance(
+        rig,
+        points,
+        rays_in_world(rig, seen.rays),
+        precision=np.where(used, seen.confidence / variance, 0.0),
+        variance=variance,
+    )
+    with np.errstate(over="ignore"):  # points that are nearly at infinity
+        return np.where(np.isfinite(points[0]), np.stack(entries), np.nan).astype(np.float32)
 
 
 def triangulate_rays(
@@ -245,54 +182,23 @@ def triangulate_rays(
     they see it from almost the same side.
     """
     known = np.where(np.isfinite(rays[:, 0]), weight, 0.0)
-    rays_in_world = _rays_in_world(rig, rays)
-    points = intersect(rig, rays_in_world, known / noise[:, None] ** 2)
-    angle, in_front = _ray_angles(rig, points, rays)
-    used = (weight > 0) & in_front & (angle < config.outlier * noise[:, None])
-    apart = _are_apart(rays_in_world, used, np.deg2rad(config.least_angle_deg))
+    world = rays_in_world(rig, rays)
+    points = intersect(rig, world, known / noise[:, None] ** 2)
+    angle, in_front = ray_angles(rig, points, rays)
+    limit = config.outlier * noise[:, None] * _share_left(known > 0)
+    used = (weight > 0) & in_front & (angle < limit)
+    apart = are_apart(world, used, np.deg2rad(config.least_angle_deg))
     good = (used.sum(0) >= 2) & apart
     return np.where(good, points, np.nan), used & good
 
 
-def _are_apart(rays: Floats, used: Bools, least_angle: float) -> Bools:
-    """Return whether the used rays of each point are far enough apart, `[N]`.
+def _share_left(seen: Bools) -> Floats:
+    """Return what points leave of the errors of their rays, `[N]`: sqrt(1 - 3 / (2 V)) of V rays.
 
-    rays: `[view, 3, N]` in world coordinates; used: `[view, N]`; least_angle: in radians. The mean
-    of two rays is half-way between them, so half of the angle is asked of the ray that is farthest
-    from the mean.
+    seen: `[view, N]`. The point takes three of the 2 V numbers.
     """
-    mean = np.einsum("vin,vn->in", rays, used.astype(np.float64))
-    mean /= np.maximum(np.sqrt((mean**2).sum(0)), 1e-12)
-    cosine = np.where(used, np.einsum("vin,in->vn", rays, mean), 1.0)
-    return cosine.min(0) < np.cos(least_angle / 2)
-
-
-def _rays_in_world(rig: CameraRig, rays: Floats) -> Floats:
-    """Return rays `[view, 3, N]` of the cameras' frames in world coordinates, zero = missing."""
-    return np.matmul(np.swapaxes(rig.rotation, 1, 2), np.nan_to_num(rays))
-
-
-def _ray_angles(rig: CameraRig, points: Floats, rays: Floats) -> tuple[Floats, Bools]:
-    """Return the angles between rays and points, and whether the points are in front of the views.
-
-    points: `[3, N]`; rays: `[view, 3, N]`. Angles `[view, N]` in radians, pi where something is
-    missing; in front `[view, N]`.
-    """
-    in_camera = points_in_cameras(rig, points)
-    along = np.einsum("vin,vin->vn", in_camera, rays)
-    z, x, y = (_cross(in_camera, rays, i) for i in range(3))
-    across = np.sqrt(z * z + x * x + y * y)
-    angle = np.arctan2(across, along)
-    return np.where(np.isnan(angle), np.pi, angle), along > 0
-
-
-def _cross(first: Floats, second: Floats, i: int) -> Floats:
-    """Return one component `[view, N]` of the cross product of vectors `[view, 3, N]`.
-
-    The components come in the order z, x, y for i = 0, 1, 2.
-    """
-    j = (i + 1) % 3
-    return first[:, i] * second[:, j] - first[:, j] * second[:, i]
+    rays = np.maximum(seen.sum(0), 2)
+    return np.asarray(np.sqrt(1 - 3 / (2 * rays)))
 
 
 def reprojection_error(rig: CameraRig, points: Floats, *, pixels: Floats, used: Bools) -> Floats:
@@ -305,11 +211,6 @@ def reprojection_error(rig: CameraRig, points: Floats, *, pixels: Floats, used: 
     total = np.where(used & np.isfinite(square), square, 0.0).sum(0)
     count = used.sum(0)
     return np.where(count > 0, np.sqrt(total / np.maximum(count, 1)), np.nan)
-
-
-def points_in_cameras(rig: CameraRig, points: Floats) -> Floats:
-    """Return points `[3, N]` in world coordinates in each camera's frame, `[view, 3, N]`."""
-    return np.matmul(rig.rotation, points) + rig.translation[:, :, None]
 
 
 def project(rig: CameraRig, points: Floats) -> Floats:

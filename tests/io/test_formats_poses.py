@@ -33,6 +33,7 @@ QUALITY = {
     "anipose-csv",
     "movement-3d",
 }  # formats that carry errors, views and confidences
+COVARIANCE = {"poses-h5", "npz"}  # and those that carry covariances too
 UNIT = {"c3d": "mm", "anipose-csv": "arbitrary"}
 
 
@@ -67,6 +68,7 @@ def pose_files(draw, individuals=3, gaps=True, named=True):
             views,
             confidence,
             draw(st.sampled_from(["m", "mm"])),
+            np.where(missing[..., None], np.nan, rng.random((*missing.shape, 6), np.float32)),
         ),
         rate,
         names,
@@ -92,6 +94,10 @@ def assert_poses(file, back, name):
     if name in QUALITY:
         for field in ("error", "views", "confidence"):
             np.testing.assert_array_equal(getattr(back.poses, field), getattr(file.poses, field))
+    if name in COVARIANCE:
+        np.testing.assert_array_equal(back.poses.covariance, file.poses.covariance)
+    else:
+        assert np.isnan(back.poses.covariance).all()
 
 
 @pytest.mark.parametrize("name", HERE)
@@ -113,6 +119,7 @@ def test_what_is_written_comes_back(name, data):
         assert back.rate == pytest.approx(file.rate, rel=1e-7)  # c3d has a float32
     for what in lost:
         assert "\n" not in what
+    assert (name in COVARIANCE) == ("covariances" not in lost)
     assert (name in QUALITY) == (
         not any("errors" in what for what in lost) or not np.isfinite(file.poses.error).any()
     )
@@ -137,6 +144,7 @@ def example(individuals=2, keypoints=("nose", "tail")):
         np.where(np.isfinite(quality), 3, 0),
         quality,
         "m",
+        rng.random((5, individuals, len(keypoints), 6), np.float32),
     )
     return PoseFile(poses, 60.0)
 
@@ -454,3 +462,31 @@ def test_a_heap_that_hdf5_reads_for_ever_is_refused():
     content[at + 8 : at + 16] = bytes(8)
     with pytest.raises(FormatError, match="SIGXCPU"):
         parse_poses(bytes(content), "x", "sleap-anipose")
+
+
+def test_covariances_go_with_the_unit_the_axes_and_the_individual(tmp_path):
+    """Turned with the points, and joined in the order of the files."""
+    file = example()
+    entries = file.poses.covariance
+    for up in UP_AXES:
+        turned = turn_up_axis(file, up).poses
+        np.testing.assert_allclose(turned.sigma, file.poses.sigma, rtol=1e-6)
+        for k in range(2):  # a variance along an axis is that along the axis it becomes
+            axis = np.zeros((1, 1, 1, 3))
+            axis[..., k] = 1
+            along = replace(file.poses, positions=np.broadcast_to(axis, file.poses.positions.shape))
+            to = np.abs(turn_up_axis(replace(file, poses=along), up).poses.positions[0, 0, 0])
+            found = turned.covariance[..., [0, 3, 5]][..., to.argmax()]
+            np.testing.assert_allclose(found, entries[..., [0, 3][k]], rtol=1e-6)
+    for k in range(2):
+        one = replace(
+            file.poses,
+            positions=file.poses.positions[:, [k]],
+            error=file.poses.error[:, [k]],
+            views=file.poses.views[:, [k]],
+            confidence=file.poses.confidence[:, [k]],
+            covariance=entries[:, [k]],
+        )
+        write_poses(tmp_path / f"{k}.npz", PoseFile(one, 60.0), "npz")
+    back = join_individuals([load_poses(tmp_path / f"{k}.npz") for k in range(2)], "there")
+    np.testing.assert_array_equal(back.poses.covariance, entries)

@@ -170,6 +170,7 @@ def poses(frames=5, individuals=2, keypoints=("nose", "tail, base"), seed=0):
     positions[missing] = np.nan
     error = np.where(missing, np.nan, rng.random(missing.shape))
     views = np.where(missing, 0, rng.integers(2, 6, missing.shape))
+    covariance = np.where(missing[..., None], np.nan, rng.random((*missing.shape, 6)))
     return Poses3D(
         keypoints,
         np.arange(frames) * 3 + 7,
@@ -178,6 +179,7 @@ def poses(frames=5, individuals=2, keypoints=("nose", "tail, base"), seed=0):
         views,
         np.where(missing, np.nan, rng.random(missing.shape)),
         "mm",
+        covariance.astype(np.float32),
     )
 
 
@@ -187,8 +189,20 @@ def test_poses_come_back_from_h5(tmp_path, sizes):
     write_poses_h5(tmp_path / "poses.h5", given_, {"seed": 0})
     back = parse_poses_h5((tmp_path / "poses.h5").read_bytes(), "poses.h5")
     assert (back.keypoints, back.unit) == (given_.keypoints, given_.unit)
-    for name in ("frames", "positions", "error", "views", "confidence"):
+    for name in ("frames", "positions", "error", "views", "confidence", "covariance"):
         np.testing.assert_array_equal(getattr(back, name), getattr(given_, name))
+    assert back.covariance.dtype == np.float32
+
+
+def test_a_file_without_covariances_is_read(tmp_path):
+    given_ = replace(poses(), covariance=np.zeros(0))
+    write_poses_h5(tmp_path / "poses.h5", given_, {})
+    with h5py.File(tmp_path / "poses.h5") as file:
+        assert "covariance" not in file
+    back = parse_poses_h5((tmp_path / "poses.h5").read_bytes(), "poses.h5")
+    assert back == given_
+    assert back.covariance.shape == (5, 2, 2, 6)
+    assert np.isnan(back.covariance).all()
 
 
 def test_the_same_poses_are_the_same_bytes(tmp_path):
@@ -219,6 +233,7 @@ def test_every_dataset_of_an_h5_says_its_axes_its_unit_and_its_meaning(tmp_path)
         "error": "pixel",
         "views": "views",
         "confidence": "0 to 1",
+        "covariance": "mm^2",
         "frames": "frame number",
         "keypoint_names": "name",
         "edges": "index of a keypoint",

@@ -12,7 +12,13 @@ import io
 import numpy as np
 
 from mocap_calib.io.file import decode, malformed
-from mocap_calib.io.poses.common import PoseFile, WrittenPoses, lost_names, mark_missing
+from mocap_calib.io.poses.common import (
+    PoseFile,
+    WrittenPoses,
+    lost_covariance,
+    lost_names,
+    mark_missing,
+)
 from mocap_calib.io.results.poses_csv import poses_csv
 from mocap_calib.io.units import ARBITRARY
 from mocap_calib.types import Floats, Ints, Poses3D
@@ -110,4 +116,4 @@ def write(file: PoseFile, title: str) -> WrittenPoses:
     """Write the one individual."""
     lost_unit = () if file.poses.unit == ARBITRARY else (f"the unit ({file.poses.unit})",)
     content = "".join(poses_csv(file.poses, 0)).encode()
-    return WrittenPoses(content, (*lost_unit, *lost_names(file)))
+    return WrittenPoses(content, (*lost_unit, *lost_covariance(file), *lost_names(file)))

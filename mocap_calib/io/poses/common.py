@@ -52,7 +52,7 @@ UP_AXES = tuple(_UP)
 class PoseFile:
     """Poses and what files say beside.
 
-    poses: where a file lacks them, error and confidence are NaN and views 0.
+    poses: where a file lacks them, error, confidence and covariance are NaN and views 0.
     rate: frames per second, NaN where nobody says.
     individuals: `[individual]` names; those of a file without names are called individual_0, ...
     notes: what a user should know of what was left out.
@@ -200,8 +200,7 @@ def convert_unit(file: PoseFile, unit: str, owner: str) -> PoseFile:
     Raises MismatchError where the poses' own unit is not known.
     """
     factor = unit_factor(file.poses.unit, unit, owner)
-    poses = replace(file.poses, positions=file.poses.positions * factor, unit=unit)
-    return replace(file, poses=poses)
+    return replace(file, poses=file.poses.scale(factor, unit))
 
 
 def turn_up_axis(file: PoseFile, up: str) -> PoseFile:
@@ -210,7 +209,7 @@ def turn_up_axis(file: PoseFile, up: str) -> PoseFile:
     up: x, y, z, -x, -y or -z; the other axes follow.
     """
     turn = np.array(_UP[up], dtype=np.float64)
-    return replace(file, poses=replace(file.poses, positions=file.poses.positions @ turn.T))
+    return replace(file, poses=file.poses.turn(turn))
 
 
 def fill_gaps(poses: Poses3D, owner: str) -> tuple[Ints, Floats]:
@@ -260,7 +259,12 @@ def lost_quality(file: PoseFile) -> tuple[str, ...]:
         "numbers of views": poses.views.any(),
         "confidences": np.isfinite(poses.confidence).any(),
     }
-    return tuple(name for name, any_ in has.items() if any_)
+    return (*(name for name, any_ in has.items() if any_), *lost_covariance(file))
+
+
+def lost_covariance(file: PoseFile) -> tuple[str, ...]:
+    """Return what is lost by a format that has no room for the covariances of points."""
+    return ("covariances",) if np.isfinite(file.poses.covariance).any() else ()
 
 
 def lost_names(file: PoseFile) -> tuple[str, ...]:

@@ -25,6 +25,7 @@ from mocap_calib.io.poses.common import (
     WrittenPoses,
     attribute,
     is_hdf5_that,
+    lost_covariance,
     mark_missing,
     refuse_damage,
 )
@@ -137,7 +138,7 @@ def write(file: PoseFile, title: str) -> WrittenPoses:
             out.create_variable(name, dimensions, data=values, **blank)
         for name, value in _attributes(file, title).items():
             out.attrs[name] = value
-    return WrittenPoses(content.getvalue())
+    return WrittenPoses(content.getvalue(), lost_covariance(file))
 
 
 def to_dataset(file: PoseFile) -> "xarray.Dataset":

@@ -1,10 +1,12 @@
 """A numpy archive of the arrays of `Poses3D`, for scripts; it carries all.
 
 `numpy.load` reads it: positions, error, views, confidence, frames, and keypoints, individuals, fps,
-unit and title. Pickled objects, which could run anything, are not read.
+unit and title; covariance where that is known. Pickled objects, which could run anything, are not
+read.
 """
 
 import io
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -12,9 +14,10 @@ import numpy as np
 from mocap_calib.io.poses.common import PoseFile, WrittenPoses, refuse_damage
 from mocap_calib.io.units import known_unit
 from mocap_calib.records import check_shape
-from mocap_calib.types import Poses3D
+from mocap_calib.types import Poses3D, Reals
 
 _ARRAYS = ("positions", "error", "views", "confidence", "frames")
+_COVARIANCE = "covariance"  # where it is known
 _ZIP = b"PK\x03\x04"
 
 
@@ -35,11 +38,17 @@ def parse(content: bytes, source: str) -> PoseFile:
                 views=file["views"].astype(np.int64, casting="safe"),
                 confidence=file["confidence"].astype(np.float64),
                 unit=known_unit(str(file["unit"]), source),
+                **_read_covariance(file),
             )
             individuals = tuple(map(str, file["individuals"]))
             rate = float(file["fps"])
         _check_shapes(poses, individuals)
         return PoseFile(poses, rate, individuals)
+
+
+def _read_covariance(file: Mapping[str, Any]) -> dict[str, Reals]:
+    """Return the covariance by its name, nothing where a file does not have it."""
+    return {_COVARIANCE: file[_COVARIANCE].astype(np.float32)} if _COVARIANCE in file else {}
 
 
 def _check_shapes(poses: Poses3D, individuals: tuple[str, ...]) -> None:
@@ -54,6 +63,8 @@ def _check_shapes(poses: Poses3D, individuals: tuple[str, ...]) -> None:
 def write(file: PoseFile, title: str) -> WrittenPoses:
     """Write the archive."""
     arrays: dict[str, Any] = {name: getattr(file.poses, name) for name in _ARRAYS}
+    if np.isfinite(file.poses.covariance).any():
+        arrays[_COVARIANCE] = file.poses.covariance
     content = io.BytesIO()
     np.savez_compressed(
         content,

@@ -23,6 +23,7 @@ from mocap_calib.io.poses.common import (
     attribute,
     bare_poses,
     is_hdf5_that,
+    lost_covariance,
     mark_missing,
     need_keypoints,
     need_rate,
@@ -132,7 +133,7 @@ def write(file: PoseFile, title: str) -> WrittenPoses:
         )
         behavior.add(estimation)
     behavior.add(ndx_pose.Skeletons(skeletons=skeletons))
-    return WrittenPoses(_format_file(pynwb, nwb), _LOST)
+    return WrittenPoses(_format_file(pynwb, nwb), (*_LOST, *lost_covariance(file)))
 
 
 def _make_series(ndx_pose: Any, poses: Poses3D, individual: int, rate: float) -> list[Any]:

@@ -119,6 +119,7 @@ def _join_poses(parts: Sequence[Poses3D]) -> Poses3D:
     error: Floats = np.full(shape, np.nan)
     views = np.zeros(shape, dtype=np.int64)
     confidence: Floats = np.full(shape, np.nan)
+    covariance = np.full((*shape, 6), np.nan, dtype=np.float32)
     start = 0
     for part in parts:
         end = start + part.positions.shape[1]
@@ -127,6 +128,7 @@ def _join_poses(parts: Sequence[Poses3D]) -> Poses3D:
         error[rows, start:end] = part.error
         views[rows, start:end] = part.views
         confidence[rows, start:end] = part.confidence
+        covariance[rows, start:end] = part.covariance
         start = end
     return replace(
         parts[0],
@@ -135,6 +137,7 @@ def _join_poses(parts: Sequence[Poses3D]) -> Poses3D:
         error=error,
         views=views,
         confidence=confidence,
+        covariance=covariance,
     )
 
 

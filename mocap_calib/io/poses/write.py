@@ -60,5 +60,6 @@ def _select_individual(file: PoseFile, individual: int) -> PoseFile:
         error=file.poses.error[:, only],
         views=file.poses.views[:, only],
         confidence=file.poses.confidence[:, only],
+        covariance=file.poses.covariance[:, only],
     )
     return replace(file, poses=poses, individuals=(file.individuals[individual],))

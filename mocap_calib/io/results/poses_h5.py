@@ -1,8 +1,9 @@
 """poses3d.h5: the 3D poses of all individuals.
 
 Datasets: position `[frame, individual, keypoint, 3]`, error, views, confidence `[frame, individual,
-keypoint]`, frames `[frame]`, keypoint_names `[keypoint]`; individual_names `[individual]` and edges
-`[edge, 2]` where they are given. Each says its axes, its unit and its meaning in attributes.
+keypoint]`, frames `[frame]`, keypoint_names `[keypoint]`; covariance `[frame, individual, keypoint,
+6]`, individual_names `[individual]` and edges `[edge, 2]` where they are known. Each says its axes,
+its unit and its meaning in attributes.
 """
 
 import io
@@ -19,19 +20,20 @@ from mocap_calib.io import hdf5
 from mocap_calib.io.atomic import replace_file
 from mocap_calib.io.file import malformed
 from mocap_calib.records import check_shape
-from mocap_calib.types import Poses3D
+from mocap_calib.types import Poses3D, Reals
 
 VERSION = 1
 Edges = Sequence[tuple[int, int]]
 _FORMAT = "mocap-calib poses"
 _POINTS = "frame, individual, keypoint"
+_SQUARE = "^2"
 
 
 @dataclass(frozen=True)
 class _Dataset:
     """What the attributes of a dataset say.
 
-    unit: empty where it is that of the poses.
+    unit: empty where it is that of the poses, `_SQUARE` where it is that squared.
     """
 
     axes: str
@@ -51,6 +53,11 @@ _DATASETS = {
     "views": _Dataset(_POINTS, "views", "number of views that the point was triangulated from"),
     "confidence": _Dataset(
         _POINTS, "0 to 1", "mean confidence of the detections used; NaN = missing or not known"
+    ),
+    "covariance": _Dataset(
+        f"{_POINTS}, entry (xx, xy, xz, yy, yz, zz)",
+        _SQUARE,
+        "covariance of the position, as far as it is due to the detectors' noise; NaN = missing",
     ),
     "frames": _Dataset(
         "frame", "frame number", "number of each frame, as the keypoint files have it"
@@ -136,6 +143,8 @@ def _fill(
         "confidence": poses.confidence,
         "frames": poses.frames,
     }
+    if np.isfinite(poses.covariance).any():
+        arrays["covariance"] = poses.covariance
     if edges:
         arrays["edges"] = np.array(edges, dtype=np.int64)
     for name, array in arrays.items():
@@ -146,7 +155,8 @@ def _fill(
         _write_names(file, "individual_names", individuals)
     for name, dataset in file.items():
         dataset.attrs["axes"] = _DATASETS[name].axes
-        dataset.attrs["unit"] = _DATASETS[name].unit or poses.unit
+        unit = _DATASETS[name].unit
+        dataset.attrs["unit"] = unit if unit not in ("", _SQUARE) else poses.unit + unit
         dataset.attrs["meaning"] = _DATASETS[name].meaning
     file.attrs["format"] = _FORMAT
     file.attrs["version"] = VERSION
@@ -175,4 +185,11 @@ def _read(file: h5py.File, source: str) -> Poses3D:
         views=hdf5.integers(file, "views", source),
         confidence=hdf5.array(file, "confidence", source).astype(np.float64),
         unit=str(file.attrs["unit"]),
+        **_read_covariance(file, source),
     )
+
+
+def _read_covariance(file: h5py.File, source: str) -> dict[str, Reals]:
+    """Return the covariance by its name, nothing where a file does not have it."""
+    name = "covariance"
+    return {name: hdf5.array(file, name, source).astype(np.float32)} if name in file else {}
