@@ -763,6 +763,40 @@ class SubframeConfig:
 
 
 @dataclass(frozen=True)
+class VerifyConfig:
+    """Whether a calibration goes with keypoints, and which camera moved since.
+
+    least_matched: share of the detections of a camera, of what is usual among the others, that must
+        match as the calibration has it; one with fewer is looked for anew.
+    least_error_deg: what models of lenses and detectors do not know of any camera, at least.
+    significance: chance that any camera of a rig that did not move is said to have moved, if the
+        errors of the rest were normal. The ratio of variances was at most 5.1 in the fifteen shared
+        recordings by their references, but for a mouse whose cameras are not determined (11); where
+        a camera is turned by 1 degree it was 15 and more in nine of them, 11 in one with few
+        keypoints (Pose2Sim), and 2 to 4 where references differ by 2 to 5 degrees from ours.
+    least_turn_deg, least_shift: degrees, or sizes of the rig, by which a camera must have moved.
+    least_focal_change: of the logarithm of a focal length that is another, and focal_significance:
+        its squared distance from 0 in standard deviations.
+    pair_disagreement: by how much the variance of two cameras is larger than that of their errors:
+        with no third camera nothing tells. Measured for whole rigs: 0.1 to 5, and 12 to 33 where
+        references differ by 2 to 5 degrees from ours.
+    well_determined_deg, usable_deg, weak_deg: expected errors of the worst camera.
+    """
+
+    least_matched: float = 0.3
+    least_error_deg: float = 0.02
+    significance: float = 3e-3
+    least_turn_deg: float = 0.3
+    least_shift: float = 0.005
+    least_focal_change: float = 0.03
+    focal_significance: float = 40.0
+    pair_disagreement: float = 10.0
+    well_determined_deg: float = 1.0
+    usable_deg: float = 3.0
+    weak_deg: float = 10.0
+
+
+@dataclass(frozen=True)
 class MendConfig:
     """What is done where files of a camera are wrong.
 
@@ -807,6 +841,7 @@ class Config:
     subframe: SubframeConfig = SubframeConfig()
     exchanged: ExchangedConfig = ExchangedConfig()
     diagnosis: DiagnosisConfig = DiagnosisConfig()
+    verify: VerifyConfig = VerifyConfig()
     mend: MendConfig = MendConfig()
 
 

@@ -30,10 +30,12 @@ class RigCovariance(Record):
 
     matrix: `[view, 6, view, 6]` of small turns of the cameras (3, radians, about the axes of the
         world) and of shifts of their centres (3, in sizes of the rig).
+    independent: the same if all detections erred independently: too small, but of the right shape.
     size: of the rig: RMS distance of the centres from their middle, in the unit of the rig.
     """
 
     matrix: Floats
+    independent: Floats
     size: float
 
     @property
@@ -76,9 +78,12 @@ def rig_covariance(
         clusters=(points.time_blocks(config.uncertainty.time_blocks), points.keypoint),
         loss_scale=config.adjust.loss_scales[-1],
     )
-    whole = freedom.basis @ found.sandwich @ freedom.basis.T
     adjusted = replace(rig, rotation=state.rotation, translation=state.translation)
-    return _in_the_world(whole.reshape(views, 6, views, 6), adjusted)
+    real, independent = (
+        _in_the_world((freedom.basis @ free @ freedom.basis.T).reshape(views, 6, views, 6), adjusted)
+        for free in (found.sandwich, found.bread)
+    )
+    return RigCovariance(matrix=real, independent=independent, size=rig_size(adjusted))
 
 
 def project_out_similarity(change: Floats, rig: CameraRig) -> Floats:
@@ -87,16 +92,23 @@ def project_out_similarity(change: Floats, rig: CameraRig) -> Floats:
     change: `[view, 6, ...]` turns about the axes of the world (radians) and shifts of the centres,
         in sizes of the rig.
     """
-    views = len(rig.cameras)
+    flat = change.reshape(6 * len(rig.cameras), -1)
+    basis, _ = np.linalg.qr(gauge_of(rig).reshape(len(flat), 7))
+    return (flat - basis @ (basis.T @ flat)).reshape(change.shape)
+
+
+def gauge_of(rig: CameraRig) -> Floats:
+    """Return the changes `[view, 6, 7]` that similarities of the world make of all cameras.
+
+    Turns about the axes of the world, shifts in sizes of the rig, as of `RigCovariance`.
+    """
     offset = (rig.centres - rig.centres.mean(0)) / rig_size(rig)
-    gauge = np.zeros((views, 6, 7))
+    gauge = np.zeros((len(rig.cameras), 6, 7))
     gauge[:, :3, :3] = -np.eye(3)  # the world turns by phi: all cameras turn by -phi ...
     gauge[:, 3:, :3] = -skew(offset)  # ... and their centres go about its middle
     gauge[:, 3:, 3:6] = np.eye(3)
     gauge[:, 3:, 6] = offset
-    basis, _ = np.linalg.qr(gauge.reshape(6 * views, 7))
-    flat = change.reshape(6 * views, -1)
-    return (flat - basis @ (basis.T @ flat)).reshape(change.shape)
+    return gauge
 
 
 def rig_size(rig: CameraRig) -> float:
@@ -105,8 +117,8 @@ def rig_size(rig: CameraRig) -> float:
     return float(np.sqrt((offset**2).sum(1).mean()))
 
 
-def _in_the_world(matrix: Floats, rig: CameraRig) -> RigCovariance:
-    """Return a covariance of poses as that of turns and shifts in the world.
+def _in_the_world(matrix: Floats, rig: CameraRig) -> Floats:
+    """Return a covariance of poses as that `[view, 6, view, 6]` of turns and shifts in the world.
 
     matrix: `[view, 6, view, 6]` of turns w and translations d in the frames of the cameras, the
         first of which stays: R <- exp(w) R and t <- exp(w) t + d move the centre by -R' d.
@@ -118,4 +130,4 @@ def _in_the_world(matrix: Floats, rig: CameraRig) -> RigCovariance:
     turned = np.einsum("vij,vjwk,wlk->viwl", to_world, matrix, to_world)
     half = project_out_similarity(turned.reshape(views, 6, -1), rig)
     whole = project_out_similarity(half.reshape(6 * views, 6 * views).T.reshape(views, 6, -1), rig)
-    return RigCovariance(matrix=whole.reshape(views, 6, views, 6), size=size)
+    return whole.reshape(views, 6, views, 6)
