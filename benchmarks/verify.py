@@ -117,7 +117,11 @@ def damages(
         for factor in ZOOMS:
             camera = change_intrinsics(rig.cameras[view], log_focal=np.log(factor), k1=0.0)
             cameras = (*rig.cameras[:view], camera, *rig.cameras[view + 1 :])
-            yield f"focal {factor - 1:+.0%}".replace("%", " %"), (name,), replace(rig, cameras=cameras)
+            yield (
+                f"focal {factor - 1:+.0%}".replace("%", " %"),
+                (name,),
+                replace(rig, cameras=cameras),
+            )
     if len(rig) >= 5:
         pairs = list(combinations(range(len(rig)), 2))
         for pair in rng.permutation(pairs)[:AXES].tolist():
@@ -134,9 +138,7 @@ def direction(rng: np.random.Generator) -> np.ndarray:
     return np.asarray(vector / np.linalg.norm(vector))
 
 
-def move(
-    rig: CameraRig, view: int, turn: np.ndarray, shift: np.ndarray | float = 0.0
-) -> CameraRig:
+def move(rig: CameraRig, view: int, turn: np.ndarray, shift: np.ndarray | float = 0.0) -> CameraRig:
     """Return the rig with one camera turned about its centre, and the centre shifted."""
     rotation, translation = rig.rotation.copy(), rig.translation.copy()
     rotation[view] = matrix_from_vector(turn) @ rotation[view]

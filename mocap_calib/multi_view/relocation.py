@@ -21,7 +21,7 @@ from mocap_calib.multi_view.triangulation import (
     triangulate_rays,
 )
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.types import CameraRig, Floats, Ints, Matches, Sample
+from mocap_calib.types import CameraRig, Floats, Ints, Sample
 
 _REFINED = 8  # poses that are refined, of those that single detections ask for
 
@@ -79,9 +79,7 @@ class KnownPoints:
         return whole.select(index)
 
 
-def place_points(
-    sample: Sample, placed: PlacedCameras, views: Ints, config: Config
-) -> KnownPoints:
+def place_points(sample: Sample, placed: PlacedCameras, views: Ints, config: Config) -> KnownPoints:
     """Return the points that some views (indices) place, as the rig has these cameras."""
     frames = evenly_spaced(labelled_frames(placed.matches), config.diagnosis.frames)
     seen = gather_observations(sample, placed.matches, frames)

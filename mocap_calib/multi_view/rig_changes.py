@@ -32,7 +32,8 @@ class RigChange(Record):
 
     moved: `[view]` cameras that stand elsewhere than the others say.
     turn: `[view]` radians and shift: `[view]` rig sizes by which a camera stands elsewhere, if it
-        and the moved ones alone may; turn_sigma and shift_sigma: their RMS errors.
+        and the moved ones alone may; turn_sigma and shift_sigma: their RMS errors. Shifts are NaN
+        where a single camera would be left.
     difference: `[view]` radians between the rotations of both rigs, those of the cameras that
         stand where they did being aligned. It has all that the keypoints leave open.
     disagreement: variance that the cameras in place differ by, in those of their errors.
@@ -67,7 +68,7 @@ def find_changes(
     left = np.delete(_angles(given, refitted), moved)
     if np.rad2deg(left.max()) > config.weak_deg:  # another rig: no camera of it is to blame
         moved, refitted = [], _in_coordinates_of(given, adjusted, problem.others([]))
-    alone = _stand_alone(given, refitted, covariance)
+    alone = _aligned_turns(given, refitted, covariance)
     for view in range(problem.views):
         free = {*moved, view}
         if len(problem.others(free)) >= 2:
@@ -85,31 +86,30 @@ def find_changes(
     )
 
 
-def _stand_alone(given: CameraRig, refitted: CameraRig, covariance: RigCovariance) -> Floats:
-    """Return turn, shift and their errors `[4, view]` of two rigs that are aligned as a whole."""
-    change = _difference(given, refitted)
-    turn, shift = np.linalg.norm(change[:, :3], axis=1), np.linalg.norm(change[:, 3:], axis=1)
-    return np.stack([turn, shift, covariance.rotation_sigma, covariance.centre_sigma])
+def _aligned_turns(given: CameraRig, refitted: CameraRig, covariance: RigCovariance) -> Floats:
+    """Return turn, shift and their errors `[4, view]` of two rigs that are aligned as a whole.
+
+    Two cameras alone can be aligned at any distance: shifts are not known.
+    """
+    unknown = np.full(len(given), np.nan)
+    return np.stack([_angles(given, refitted), unknown, covariance.rotation_sigma, unknown])
 
 
-def _compare_two(
-    problem: "_Problem", covariance: RigCovariance, config: VerifyConfig
-) -> RigChange:
+def _compare_two(problem: "_Problem", covariance: RigCovariance, config: VerifyConfig) -> RigChange:
     """Return whether two cameras stand otherwise to each other than was given."""
     given, both = problem.given, np.arange(2)
     refitted = _in_coordinates_of(given, problem.adjusted, both)
     before, after = given.relative(0, 1)[0], problem.adjusted.relative(0, 1)[0]
     turn = float(angle_between(before, after))
-    _, shift, _, shift_sigma = _stand_alone(given, refitted, covariance)
     disagreement = problem.cost([]) / problem.freedom([])
     chance = chdtrc(problem.freedom([]), problem.cost([]) / config.pair_disagreement)
     moved = chance < config.significance and np.rad2deg(turn) > config.well_determined_deg
     return RigChange(
         moved=np.full(2, moved),
         turn=np.full(2, turn),
-        shift=shift,
+        shift=np.full(2, np.nan),
         turn_sigma=np.full(2, covariance.pair_sigma(0, 1)),
-        shift_sigma=shift_sigma,
+        shift_sigma=np.full(2, np.nan),
         difference=np.full(2, turn),
         disagreement=disagreement,
         refitted=refitted,
@@ -199,7 +199,7 @@ class _Problem:
         covariance = np.linalg.inv(slope.T @ self.precision @ slope)
         poses = covariance @ (slope.T @ self.precision @ left)
         left = left - slope @ poses
-        return float(left @ self.precision @ left), poses, covariance
+        return float(left @ self.precision @ left), poses, np.asarray(covariance)
 
 
 def _explaining(problem: _Problem) -> list[int]:

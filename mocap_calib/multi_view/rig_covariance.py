@@ -80,7 +80,9 @@ def rig_covariance(
     )
     adjusted = replace(rig, rotation=state.rotation, translation=state.translation)
     real, independent = (
-        _in_the_world((freedom.basis @ free @ freedom.basis.T).reshape(views, 6, views, 6), adjusted)
+        _in_the_world(
+            (freedom.basis @ free @ freedom.basis.T).reshape(views, 6, views, 6), adjusted
+        )
         for free in (found.sandwich, found.bread)
     )
     return RigCovariance(matrix=real, independent=independent, size=rig_size(adjusted))

@@ -2,17 +2,24 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from mocap_calib.config import Config
 from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.geometry.rotation import angle_between
+from mocap_calib.io.provenance import judgement
 from mocap_calib.multi_view.camera_fit import CameraFit, CameraPose
 from mocap_calib.multi_view.placed import PlacedCameras
 from mocap_calib.multi_view.relocation import place_points, refit_camera, typical_error
 from mocap_calib.multi_view.rig_changes import RigChange
 from mocap_calib.multi_view.rig_covariance import RigCovariance, rig_size
+from mocap_calib.multi_view.verify_words import (
+    describe_refits,
+    explain_cameras,
+    judge_calibration,
+)
 from mocap_calib.types import (
     Adjusted,
     Camera,
@@ -22,13 +29,9 @@ from mocap_calib.types import (
     Ints,
     PlaceWord,
     Sample,
-    Verdict,
     Verification,
     VerifiedCamera,
 )
-
-_CALIBRATE = "calibrate anew: `mocap-calib run`"
-_TELLING = 2.0  # standard deviations from which on a turn or a shift is worth a word
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,7 @@ def describe_rig(
     sample: Sample,
     look: SecondLook,
     rig: CameraRig,
+    *,
     change: RigChange,
     covariance: RigCovariance,
     config: Config,
@@ -58,21 +62,55 @@ def describe_rig(
     mended, focal = _refit(look.sample, placed, change, config)
     checked = {
         camera.name: camera
-        for camera in _describe_cameras(look.sample, placed, mended, focal, change, config)
+        for camera in _describe_cameras(
+            look.sample, placed, mended, focal=focal, change=change, config=config
+        )
     }
     cameras = tuple(
         checked.get(name) or _describe_unchecked(name, _has_detections(sample, view, config))
         for view, name in enumerate(rig.names)
     )
     sigma = covariance.rotation_sigma
-    verdict, reasons = _judge(cameras, change, sigma, given.names, config)
+    verdict, doubts = judge_calibration(cameras, change, sigma, given.names, config.verify)
+    errors = [camera.refitted_px for camera in checked.values() if camera.refitted_px < np.inf]
+    remarks = [*describe_refits(cameras), *doubts]
+    said = judgement(verdict, remarks, float(np.mean(errors)) if errors else None)
+    whole = _put_back(rig, look.views, mended)
     return Verification(
         cameras=cameras,
         verdict=verdict,
-        reasons=(*_explain_cameras(cameras), *reasons),
-        rig=_put_back(rig, look.views, mended),
+        reasons=(*explain_cameras(cameras), *doubts),
+        rig=replace(whole, judgement=said),
         clocks=Clocks.of_one(sample),
     )
+
+
+def verification_to_dict(found: Verification) -> dict[str, Any]:
+    """Return the figures under the keys of `mocap-calib verify --json`; angles in degrees."""
+    return {
+        "verdict": found.verdict,
+        "passes": found.passes,
+        "named": list(found.named),
+        "reasons": list(found.reasons),
+        "unit": found.rig.unit,
+        "cameras": [_camera_to_dict(camera) for camera in found.cameras],
+    }
+
+
+def _camera_to_dict(camera: VerifiedCamera) -> dict[str, Any]:
+    """Return the figures of one camera; None where nothing tells."""
+    figures = {
+        "turn_deg": np.rad2deg(camera.turn),
+        "turn_sigma_deg": np.rad2deg(camera.turn_sigma),
+        "shift": camera.shift,
+        "shift_sigma": camera.shift_sigma,
+        "relative_shift": camera.relative_shift,
+        "focal_change": np.expm1(camera.focal_change),
+        "error_px": camera.error_px,
+        "refitted_px": camera.refitted_px,
+    }
+    known = {key: float(value) if np.isfinite(value) else None for key, value in figures.items()}
+    return {"name": camera.name, "place": camera.word, **known}
 
 
 # --- where the cameras that moved are now
@@ -154,6 +192,7 @@ def _describe_cameras(
     sample: Sample,
     placed: PlacedCameras,
     mended: CameraRig,
+    *,
     focal: Floats,
     change: RigChange,
     config: Config,
@@ -202,98 +241,6 @@ def _describe_unchecked(name: str, has_detections: bool) -> VerifiedCamera:
 
 def _has_detections(sample: Sample, view: int, config: Config) -> bool:
     """Return whether a view sees enough, while others see somebody, for it to be placed."""
-    detected = sample.seen.any(-1)
+    detected = np.asarray(sample.seen.any(-1))
     others = np.delete(detected, view, axis=0).any(2).sum(0) >= 2
     return bool(detected[view, others].sum() >= config.moved.least_detections)
-
-
-# --- words
-
-
-def _judge(
-    cameras: tuple[VerifiedCamera, ...],
-    change: RigChange,
-    sigma: Floats,
-    names: tuple[str, ...],
-    config: Config,
-) -> tuple[Verdict, list[str]]:
-    """Return the verdict on a calibration, and why it is no better.
-
-    It is that on the camera that is worst off: how far it is from where the keypoints have it, and
-    how uncertain that is; the cameras that moved being where they are now. sigma: `[view]`
-    radians; names: of these views.
-    """
-    settings = config.verify
-    uncertain = np.rad2deg(sigma)
-    apart = np.where(change.moved, 0.0, np.rad2deg(change.difference))
-    expected = np.hypot(uncertain, apart)
-    worst = int(expected.argmax())
-    unexplained = change.disagreement > settings.pair_disagreement
-    unsaid = unexplained and apart.max() > settings.well_determined_deg
-    unplaced = any(camera.word == "inconsistent" for camera in cameras)
-    reasons = []
-    if uncertain.max() > settings.usable_deg:
-        reasons.append(
-            f"the keypoints leave {names[int(uncertain.argmax())]} uncertain by "
-            f"{uncertain.max():.1f} deg: record longer, with subjects that move through the room"
-        )
-    if unsaid:
-        reasons.append(
-            f"the cameras stand up to {apart.max():.1f} deg ({names[int(apart.argmax())]}) from "
-            f"where these keypoints have them, and no single one explains it: {_CALIBRATE}"
-        )
-    elif expected[worst] > settings.usable_deg:
-        reasons.append(
-            f"{names[worst]} may be off by {expected[worst]:.1f} deg, by these keypoints"
-        )
-    if expected[worst] > settings.weak_deg:
-        return "not determined", reasons
-    if expected[worst] > settings.usable_deg or unsaid or unplaced:
-        return "weak", reasons
-    usable = expected[worst] > settings.well_determined_deg
-    return ("usable" if usable else "well determined"), reasons
-
-
-def _explain_cameras(cameras: tuple[VerifiedCamera, ...]) -> list[str]:
-    """Return a line for each camera with which something is wrong, and what to do about it."""
-    lines = []
-    if len(cameras) == 2 and all(camera.word == "moved" for camera in cameras):
-        first, second = cameras
-        turn = f"{_deg(first.turn)} +- {_deg(first.turn_sigma)} deg"
-        return [
-            f"{first.name} or {second.name} moved, by {turn} against the other; with two cameras "
-            f"nobody can say which: {_CALIBRATE}"
-        ]
-    for camera in cameras:
-        if camera.word == "moved":
-            lines.append(f"{camera.name} {describe_move(camera)}: put it back, or {_CALIBRATE}")
-        if camera.word == "focal":
-            change = np.expm1(camera.focal_change)
-            lines.append(
-                f"{camera.name}: its focal length is {change:+.1%} of what is given (zoom, or "
-                f"images of another size): mend its intrinsics, or {_CALIBRATE}"
-            )
-        if camera.word == "inconsistent":
-            lines.append(
-                f"{camera.name}: nothing that it sees goes with the other cameras, wherever it "
-                "stands: check its files and its clock"
-            )
-        if camera.word == "not checked":
-            lines.append(f"{camera.name}: sees too little with the others to be checked")
-    return lines
-
-
-def describe_move(camera: VerifiedCamera) -> str:
-    """Return by how much a camera moved, for a person: `is turned by 2.1 +- 0.2 deg`."""
-    parts = []
-    if camera.turn > _TELLING * camera.turn_sigma:
-        parts.append(f"turned by {_deg(camera.turn)} +- {_deg(camera.turn_sigma)} deg")
-    if camera.shift > _TELLING * camera.shift_sigma:
-        sigma = camera.relative_shift * camera.shift_sigma / camera.shift
-        parts.append(f"shifted by {camera.relative_shift:.1%} +- {sigma:.1%} of the rig's size")
-    return f"is {' and '.join(parts)}" if parts else "stands elsewhere"
-
-
-def _deg(angle: float) -> str:
-    """Return an angle of radians as a number of degrees."""
-    return f"{np.rad2deg(angle):.2g}" if np.rad2deg(angle) < 1 else f"{np.rad2deg(angle):.1f}"

@@ -1,4 +1,4 @@
-"""Judge a calibration that was given by keypoints of moving subjects: which camera moved since?
+"""Judge a calibration that was given by the keypoints of moving subjects.
 
 match by the given rig -> find the cameras that match nobody -> adjust from the given rig ->
 compare the two rigs -> refit the cameras that moved, in the given coordinates.
@@ -85,7 +85,7 @@ def verify_rig(
     look = _look_again(sample, lifted, rig, config, progress=progress)
     covariance = rig_covariance(look.sample, look.adjusted.rig, look.adjusted.matches, config)
     change = find_changes(rig.select(look.views), look.adjusted.rig, covariance, config.verify)
-    return describe_rig(sample, look, rig, change, covariance, config)
+    return describe_rig(sample, look, rig, change=change, covariance=covariance, config=config)
 
 
 def _look_again(
@@ -103,6 +103,8 @@ def _look_again(
             adjusted = _adjust(part, bodies, start.select(kept), config, progress)
         except UnderconstrainedCameraError as error:
             kept = kept[kept != rig.names.index(error.camera)]
+        except DegenerateError:
+            break
         else:
             return SecondLook(kept, part, adjusted)
     raise DegenerateError(
