@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtrc, fdtrc
 
-from mocap_calib.config import VerifyConfig
+from mocap_calib.config import Config
 from mocap_calib.geometry.alignment import align_by_similarity
-from mocap_calib.geometry.rotation import angle_between, vector_from_matrix
+from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.multi_view.evaluation import with_axes
-from mocap_calib.multi_view.rig_covariance import RigCovariance, gauge_of, rig_size
+from mocap_calib.multi_view.rig_covariance import gauge_of, rig_change
 from mocap_calib.records import Record
-from mocap_calib.types import Bools, CameraRig, Floats, Ints
+from mocap_calib.types import Bools, CameraRig, Floats, Ints, RigCovariance
 
 _POSE = 6  # numbers that say where a camera stands
 _GAUGE = 7  # of them, in a whole rig, that a similarity takes away
@@ -54,19 +54,23 @@ class RigChange(Record):
 
 
 def find_changes(
-    given: CameraRig, adjusted: CameraRig, covariance: RigCovariance, config: VerifyConfig
+    given: CameraRig,
+    adjusted: CameraRig,
+    covariances: tuple[RigCovariance, RigCovariance],
+    config: Config,
 ) -> RigChange:
     """Return which cameras were moved between two rigs of the same cameras, and by how much.
 
-    covariance: of the adjusted rig.
+    covariances: of the adjusted rig, as of `first_order_covariances`.
     """
-    problem = _Problem.of(given, adjusted, covariance, config)
+    covariance, _ = covariances
+    problem = _Problem.of(given, adjusted, covariances, config)
     if problem.views == 2:
         return _compare_two(problem, covariance, config)
     moved = _significant(problem, _explaining(problem), config)
     refitted = _in_coordinates_of(given, adjusted, problem.others(moved))
     left = np.delete(_angles(given, refitted), moved)
-    if np.rad2deg(left.max()) > config.weak_deg:  # another rig: no camera of it is to blame
+    if np.rad2deg(left.max()) > config.verdict.weak_deg:  # another rig: no camera of it is to blame
         moved, refitted = [], _in_coordinates_of(given, adjusted, problem.others([]))
     alone = _aligned_turns(given, refitted, covariance)
     for view in range(problem.views):
@@ -95,15 +99,18 @@ def _aligned_turns(given: CameraRig, refitted: CameraRig, covariance: RigCovaria
     return np.stack([_angles(given, refitted), unknown, covariance.rotation_sigma, unknown])
 
 
-def _compare_two(problem: "_Problem", covariance: RigCovariance, config: VerifyConfig) -> RigChange:
+def _compare_two(problem: "_Problem", covariance: RigCovariance, config: Config) -> RigChange:
     """Return whether two cameras stand otherwise to each other than was given."""
     given, both = problem.given, np.arange(2)
     refitted = _in_coordinates_of(given, problem.adjusted, both)
     before, after = given.relative(0, 1)[0], problem.adjusted.relative(0, 1)[0]
     turn = float(angle_between(before, after))
     disagreement = problem.cost([]) / problem.freedom([])
-    chance = chdtrc(problem.freedom([]), problem.cost([]) / config.pair_disagreement)
-    moved = chance < config.significance and np.rad2deg(turn) > config.well_determined_deg
+    chance = chdtrc(problem.freedom([]), problem.cost([]) / config.verify.pair_disagreement)
+    moved = (
+        chance < config.verify.significance
+        and np.rad2deg(turn) > config.verdict.well_determined_deg
+    )
     return RigChange(
         moved=np.full(2, moved),
         turn=np.full(2, turn),
@@ -134,8 +141,8 @@ class _Problem:
         cls,
         given: CameraRig,
         adjusted: CameraRig,
-        covariance: RigCovariance,
-        config: VerifyConfig,
+        covariances: tuple[RigCovariance, RigCovariance],
+        config: Config,
     ) -> "_Problem":
         """Return the problem of two rigs.
 
@@ -145,10 +152,11 @@ class _Problem:
         size = _POSE * len(given)
         whole = np.linalg.svd(gauge_of(adjusted).reshape(size, _GAUGE), full_matrices=True)[0]
         basis = whole[:, _GAUGE:]
-        independent = basis.T @ covariance.independent.reshape(size, size) @ basis
-        real = basis.T @ covariance.matrix.reshape(size, size) @ basis
+        real, independent = (
+            basis.T @ covariance.matrix.reshape(size, size) @ basis for covariance in covariances
+        )
         excess = np.trace(np.linalg.solve(independent, real)) / len(real)
-        floor = np.deg2rad(config.least_error_deg) ** 2 * np.eye(len(real))
+        floor = np.deg2rad(config.verify.least_error_deg) ** 2 * np.eye(len(real))
         precision = np.linalg.inv(max(1.0, excess) * independent + floor)
         return cls(given, adjusted, basis, precision)
 
@@ -193,7 +201,7 @@ class _Problem:
         free = sorted(free)
         rest = self.others(free)
         aligned = _in_coordinates_of(self.adjusted, self.given, rest)
-        left = self.basis.T @ _difference(aligned, self.adjusted).ravel()
+        left = self.basis.T @ rig_change(self.adjusted, aligned).ravel()
         columns = np.eye(_POSE * self.views).reshape(-1, self.views, _POSE)[:, free]
         slope = self.basis.T @ columns.reshape(_POSE * self.views, -1)
         covariance = np.linalg.inv(slope.T @ self.precision @ slope)
@@ -216,7 +224,7 @@ def _explaining(problem: _Problem) -> list[int]:
     return free
 
 
-def _significant(problem: _Problem, free: list[int], config: VerifyConfig) -> list[int]:
+def _significant(problem: _Problem, free: list[int], config: Config) -> list[int]:
     """Return which of the free views are certainly moved, and by enough to matter.
 
     The least certain one is put back until all are certain.
@@ -226,7 +234,7 @@ def _significant(problem: _Problem, free: list[int], config: VerifyConfig) -> li
         chance = [_chance(problem, view, free) for view in free]
         small = [_is_small(problem, view, free, config) for view in free]
         worst = max(range(len(free)), key=lambda k: (small[k], chance[k]))
-        if not small[worst] and chance[worst] * problem.views < config.significance:
+        if not small[worst] and chance[worst] * problem.views < config.verify.significance:
             break
         del free[worst]
     return free
@@ -240,25 +248,15 @@ def _chance(problem: _Problem, view: int, free: list[int]) -> float:
     return float(fdtrc(_POSE, freedom, max(explained, 0.0) / _POSE / max(1.0, cost / freedom)))
 
 
-def _is_small(problem: _Problem, view: int, free: list[int], config: VerifyConfig) -> bool:
+def _is_small(problem: _Problem, view: int, free: list[int], config: Config) -> bool:
     """Return whether a camera stands so near to where it did that nobody minds."""
     turn, shift, _, _ = problem.free_pose(view, free)
-    return np.rad2deg(turn) < config.least_turn_deg and shift < config.least_shift
-
-
-def _difference(given: CameraRig, adjusted: CameraRig) -> Floats:
-    """Return the turns about the axes of the world and the shifts, `[view, 6]`.
-
-    As `RigCovariance` has them: from the adjusted rig to the given one, in radians and rig sizes.
-    """
-    turn = vector_from_matrix(np.swapaxes(adjusted.rotation, 1, 2) @ given.rotation)
-    shift = (given.centres - adjusted.centres) / rig_size(adjusted)
-    return np.concatenate([turn, shift], axis=1)
+    return np.rad2deg(turn) < config.verify.least_turn_deg and shift < config.verify.least_shift
 
 
 def _angles(given: CameraRig, other: CameraRig) -> Floats:
     """Return the angles `[view]` in radians between the rotations of two rigs."""
-    return np.linalg.norm(_difference(given, other)[:, :3], axis=1)
+    return np.asarray(angle_between(given.rotation, other.rotation))
 
 
 def _in_coordinates_of(reference: CameraRig, rig: CameraRig, views: Ints) -> CameraRig:

@@ -14,7 +14,7 @@ from mocap_calib.multi_view.camera_fit import CameraFit, CameraPose
 from mocap_calib.multi_view.placed import PlacedCameras
 from mocap_calib.multi_view.relocation import place_points, refit_camera, typical_error
 from mocap_calib.multi_view.rig_changes import RigChange
-from mocap_calib.multi_view.rig_covariance import RigCovariance, rig_size
+from mocap_calib.multi_view.rig_covariance import rig_size
 from mocap_calib.multi_view.verify_words import (
     describe_refits,
     explain_cameras,
@@ -28,6 +28,7 @@ from mocap_calib.types import (
     Floats,
     Ints,
     PlaceWord,
+    RigCovariance,
     Sample,
     Verification,
     VerifiedCamera,
@@ -71,7 +72,7 @@ def describe_rig(
         for view, name in enumerate(rig.names)
     )
     sigma = covariance.rotation_sigma
-    verdict, doubts = judge_calibration(cameras, change, sigma, given.names, config.verify)
+    verdict, doubts = judge_calibration(cameras, change, sigma, given.names, config)
     errors = [camera.refitted_px for camera in checked.values() if camera.refitted_px < np.inf]
     remarks = [*describe_refits(cameras), *doubts]
     said = judgement(verdict, remarks, float(np.mean(errors)) if errors else None)
@@ -139,7 +140,7 @@ def _refit(
         pose = (free if focal[view] else plain).pose
         turn = np.rad2deg(angle_between(pose.rotation, start.rotation))
         # a telescope sees the same from the opposite side (Necker's cube): the rig of all does not
-        pose = pose if turn < config.verify.weak_deg else start
+        pose = pose if turn < config.verdict.weak_deg else start
         rig = _with_camera(rig, view, camera, pose)
     return rig, focal
 

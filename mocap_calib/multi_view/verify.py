@@ -18,7 +18,7 @@ from mocap_calib.multi_view.placed import PlacedCameras
 from mocap_calib.multi_view.refinement import adjust_until_stable
 from mocap_calib.multi_view.relocation import find_lost_camera
 from mocap_calib.multi_view.rig_changes import find_changes
-from mocap_calib.multi_view.rig_covariance import rig_covariance
+from mocap_calib.multi_view.rig_covariance import first_order_covariances, rig_covariance
 from mocap_calib.multi_view.triangulation import check_same_cameras
 from mocap_calib.multi_view.verified import SecondLook, describe_rig
 from mocap_calib.recording.retiming import retime
@@ -74,17 +74,26 @@ def verify(
         clocks = synchronise(recording, lift_sample, config, seed=seed)
         recording = hide_blind_spots(retime(recording, clocks))
         sample = take_sample(recording, choose_sample_frames(recording, config.sample))
-        found = verify_rig(sample, lift_sample(sample), rig, config, progress=progress)
+        lifted = lift_sample(sample)
+        found = verify_rig(sample, lifted, rig, config, seed=seed, progress=progress)
     return replace(found, clocks=clocks)
 
 
 def verify_rig(
-    sample: Sample, lifted: LiftedPoses, rig: CameraRig, config: Config, *, progress: Progress
+    sample: Sample,
+    lifted: LiftedPoses,
+    rig: CameraRig,
+    config: Config,
+    *,
+    seed: int,
+    progress: Progress,
 ) -> Verification:
     """Return what a sample of a recording says of a rig. Raises as `verify` does."""
     look = _look_again(sample, lifted, rig, config, progress=progress)
-    covariance = rig_covariance(look.sample, look.adjusted.rig, look.adjusted.matches, config)
-    change = find_changes(rig.select(look.views), look.adjusted.rig, covariance, config.verify)
+    adjusted, matches = look.adjusted.rig, look.adjusted.matches
+    covariances = first_order_covariances(look.sample, adjusted, matches, config)
+    change = find_changes(rig.select(look.views), adjusted, covariances, config)
+    covariance = rig_covariance(look.sample, adjusted, matches, config, seed=seed)
     return describe_rig(sample, look, rig, change=change, covariance=covariance, config=config)
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mocap_calib.config import VerifyConfig
+from mocap_calib.config import Config
 from mocap_calib.multi_view.rig_changes import RigChange
 from mocap_calib.types import Floats, Verdict, VerifiedCamera
 
@@ -15,7 +15,7 @@ def judge_calibration(
     change: RigChange,
     sigma: Floats,
     names: tuple[str, ...],
-    config: VerifyConfig,
+    config: Config,
 ) -> tuple[Verdict, list[str]]:
     """Return the verdict on a calibration, and why it is no better.
 
@@ -27,11 +27,11 @@ def judge_calibration(
     apart = np.where(change.moved, 0.0, np.rad2deg(change.difference))
     expected = np.hypot(uncertain, apart)
     worst = int(expected.argmax())
-    unexplained = change.disagreement > config.pair_disagreement
-    unsaid = unexplained and apart.max() > config.well_determined_deg
+    unexplained = change.disagreement > config.verify.pair_disagreement
+    unsaid = unexplained and apart.max() > config.verdict.well_determined_deg
     unplaced = any(camera.word == "inconsistent" for camera in cameras)
     reasons = []
-    if uncertain.max() > config.usable_deg:
+    if uncertain.max() > config.verdict.usable_deg:
         reasons.append(
             f"the keypoints leave {names[int(uncertain.argmax())]} uncertain by "
             f"{uncertain.max():.1f} deg: record longer, with subjects that move through the room"
@@ -41,15 +41,15 @@ def judge_calibration(
             f"the cameras stand up to {apart.max():.1f} deg ({names[int(apart.argmax())]}) from "
             f"where these keypoints have them, and no single one explains it: {_CALIBRATE}"
         )
-    elif expected[worst] > config.usable_deg:
+    elif expected[worst] > config.verdict.usable_deg:
         reasons.append(
             f"{names[worst]} may be off by {expected[worst]:.1f} deg, by these keypoints"
         )
-    if expected[worst] > config.weak_deg:
+    if expected[worst] > config.verdict.weak_deg:
         return "not determined", reasons
-    if expected[worst] > config.usable_deg or unsaid or unplaced:
+    if expected[worst] > config.verdict.usable_deg or unsaid or unplaced:
         return "weak", reasons
-    usable = expected[worst] > config.well_determined_deg
+    usable = expected[worst] > config.verdict.well_determined_deg
     return ("usable" if usable else "well determined"), reasons
 
 

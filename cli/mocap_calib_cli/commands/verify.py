@@ -32,7 +32,6 @@ _CALIBRATION = values.PathOf(
     shell_complete=values.offer_written_camera_formats,
     help="Format of FILE, where its ending does not say it (docs/formats.md).",
 )
-@click.option("--strict", is_flag=True, help="Exit status 1 where the verdict is weak, too.")
 @options.shared_options(
     "rig",
     "keypoints",
@@ -41,6 +40,7 @@ _CALIBRATION = values.PathOf(
     "sync",
     "sync_window",
     "seed",
+    "strict",
     "quiet",
     rig=click.argument("rig", type=_CALIBRATION, metavar="CAMERAS"),
 )
@@ -51,7 +51,6 @@ def command(
     shared: options.SharedOptions,
     output: str | None,
     target: str | None,
-    strict: bool,
     as_json: bool,
 ) -> None:
     """Judge the calibration CAMERAS by KEYPOINTS of moving subjects, and say which camera moved.
@@ -75,7 +74,7 @@ def command(
     from mocap_calib.config import Config
     from mocap_calib.multi_view.verified import verification_to_dict
     from mocap_calib.multi_view.verify import verify
-    from mocap_calib_cli import inputs, outputs
+    from mocap_calib_cli import inputs, outputs, verdicts
     from mocap_calib_cli.progress import Reporter
 
     outputs.check_text(output)
@@ -99,8 +98,7 @@ def command(
         click.echo("\n".join(_describe(found, absent)))
     if output is not None and form is not None:
         _write(output, form, given, found)
-    doubtful = strict and found.verdict == "weak"
-    context.exit(0 if found.passes and not doubtful else 1)
+    context.exit(1 if found.named else verdicts.exit_status(found.verdict, shared))
 
 
 def _choose_format(output: str | None, target: str | None) -> str | None:
