@@ -68,7 +68,7 @@ def describe_rig(
         )
     }
     cameras = tuple(
-        checked.get(name) or _describe_unchecked(name, _has_detections(sample, view, config))
+        checked.get(name) or _describe_unchecked(name, has_detections(sample, view, config))
         for view, name in enumerate(rig.names)
     )
     sigma = covariance.rotation_sigma
@@ -240,7 +240,7 @@ def _describe_unchecked(name: str, has_detections: bool) -> VerifiedCamera:
     )
 
 
-def _has_detections(sample: Sample, view: int, config: Config) -> bool:
+def has_detections(sample: Sample, view: int, config: Config) -> bool:
     """Return whether a view sees enough, while others see somebody, for it to be placed."""
     detected = np.asarray(sample.seen.any(-1))
     others = np.delete(detected, view, axis=0).any(2).sum(0) >= 2

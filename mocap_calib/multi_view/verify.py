@@ -20,7 +20,7 @@ from mocap_calib.multi_view.relocation import find_lost_camera
 from mocap_calib.multi_view.rig_changes import find_changes
 from mocap_calib.multi_view.rig_covariance import first_order_covariances, rig_covariance
 from mocap_calib.multi_view.triangulation import check_same_cameras
-from mocap_calib.multi_view.verified import SecondLook, describe_rig
+from mocap_calib.multi_view.verified import SecondLook, describe_rig, has_detections
 from mocap_calib.recording.retiming import retime
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
 from mocap_calib.recording.synchronise import hide_blind_spots
@@ -62,8 +62,9 @@ def verify(
     Identities need not be known. Clocks that differ are put in step first, as `config.sync` says.
     Of two cameras nobody can say which one moved: both are named.
 
-    Raises MismatchError where rig and recording have other cameras, DegenerateError where no two
-    cameras of the rig agree on anybody, and what `calibrate` raises of model and device.
+    Raises MismatchError where rig and recording have other cameras, DegenerateError where not most
+    cameras of the rig, two at least, agree on anybody, and what `calibrate` raises of model and
+    device.
     """
     check_same_cameras(recording, rig)
     check_device(device)
@@ -106,7 +107,7 @@ def _look_again(
     """
     matches = associate(sample, lifted, rig, config, progress=progress)
     start, kept = _find_lost_cameras(sample, rig, matches, config)
-    while len(kept) >= 2:
+    while _are_most(kept, sample, config):
         part, bodies = sample.select(views=kept), lifted.select(kept)
         try:
             adjusted = _adjust(part, bodies, start.select(kept), config, progress)
@@ -117,9 +118,19 @@ def _look_again(
         else:
             return SecondLook(kept, part, adjusted)
     raise DegenerateError(
-        "expected two cameras that agree on somebody, as the calibration has them, found none; "
+        "expected a calibration most of whose cameras agree on somebody, found another; "
         "check that the keypoints belong to it, or calibrate anew: `mocap-calib run`"
     )
+
+
+def _are_most(kept: Ints, sample: Sample, config: Config) -> bool:
+    """Return whether some views (indices) are two, and most of those that see somebody.
+
+    Otherwise it is another calibration, and no camera of it is to blame.
+    """
+    lost = np.setdiff1d(np.arange(len(sample.cameras)), kept).tolist()
+    contradicting = sum(has_detections(sample, view, config) for view in lost)
+    return len(kept) >= 2 and len(kept) > contradicting
 
 
 def _adjust(
