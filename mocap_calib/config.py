@@ -798,16 +798,18 @@ class VerifyConfig:
         match as the calibration has it; one with fewer is looked for anew.
     least_error_deg: what models of lenses and detectors do not know of any camera, at least.
     significance: chance that any camera of a rig that did not move is said to have moved, if the
-        errors of the rest were normal. The ratio of variances was at most 5.1 in the fifteen shared
-        recordings by their references, but for a mouse whose cameras are not determined (11); where
-        a camera is turned by 1 degree it was 15 and more in nine of them, 11 in one with few
-        keypoints (Pose2Sim), and 2 to 4 where references differ by 2 to 5 degrees from ours.
+        errors of the rest were normal: a ratio of variances of 29, 10, 7 and 6 for 3, 4, 5 and 6
+        cameras. Measured by references of fifteen recordings: 0.2 to 5.2, and 69 of a mouse whose
+        cameras are not determined, where none is named; where one camera is turned by 1 degree,
+        10 and more in nine of them (medians 32 to 280), median 11 in one of few keypoints
+        (Pose2Sim), and 1.5 to 4 where references differ by 2 to 6 degrees from ours.
     least_turn_deg, least_shift: degrees, or sizes of the rig, by which a camera must have moved.
     least_focal_change: of the logarithm of a focal length that is another, and focal_significance:
         its squared distance from 0 in standard deviations.
-    pair_disagreement: by how much the variance of two cameras is larger than that of their errors:
-        with no third camera nothing tells. Measured for whole rigs: 0.1 to 5, and 12 to 33 where
-        references differ by 2 to 5 degrees from ours.
+    pair_disagreement: variance, in that of their errors, up to which cameras go together: two
+        cameras, with no third one to compare with, and all that are in place, whose differences
+        are else said. Measured: 0.1 to 5 in eleven recordings, 9 to 30 in three whose references
+        differ by 2 to 6 degrees from ours.
     """
 
     least_matched: float = 0.3
