@@ -33,7 +33,6 @@ from mocap_calib.multi_view.residuals import State
 from mocap_calib.multi_view.schur import free_poses
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Matches, RigCovariance, Sample
 
-
 _MOMENTS_OF_A_PART = 4  # at least
 
 
