@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from mocap_calib.io.poses.read import read_poses
     from mocap_calib.multi_view.evaluation import Evaluation, evaluate
     from mocap_calib.multi_view.triangulation import triangulate
+    from mocap_calib.multi_view.verify import verify
     from mocap_calib.pipeline import calibrate, match
     from mocap_calib.recording.mended_intrinsics import (
         Cropped,
@@ -45,6 +46,8 @@ if TYPE_CHECKING:
         PosedCamera,
         Poses3D,
         Recording,
+        Verification,
+        VerifiedCamera,
     )
 
 __version__ = "0.1.0"
@@ -66,6 +69,7 @@ _NAMES = {
     "io.poses.read": ("read_poses",),
     "multi_view.evaluation": ("Evaluation", "evaluate"),
     "multi_view.triangulation": ("triangulate",),
+    "multi_view.verify": ("verify",),
     "pipeline": ("calibrate", "match"),
     "recording.mended_intrinsics": ("Cropped", "Exchanged", "Refocused", "Resized", "Rotated"),
     "recording.mending": ("Mirrored", "Moved", "Sides"),
@@ -81,6 +85,8 @@ _NAMES = {
         "PosedCamera",
         "Poses3D",
         "Recording",
+        "Verification",
+        "VerifiedCamera",
     ),
 }
 _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}
@@ -115,6 +121,8 @@ __all__ = [
     "Sides",
     "SimulateConfig",
     "UnderconstrainedCameraError",
+    "Verification",
+    "VerifiedCamera",
     "calibrate",
     "evaluate",
     "match",
@@ -125,6 +133,7 @@ __all__ = [
     "read_rig",
     "simulate",
     "triangulate",
+    "verify",
     "write",
 ]
 

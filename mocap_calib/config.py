@@ -800,6 +800,38 @@ class SubframeConfig:
 
 
 @dataclass(frozen=True)
+class VerifyConfig:
+    """Whether a calibration goes with keypoints, and which camera moved since.
+
+    least_matched: share of the detections of a camera, of what is usual among the others, that must
+        match as the calibration has it; one with fewer is looked for anew.
+    least_error_deg: what models of lenses and detectors do not know of any camera, at least.
+    significance: chance that any camera of a rig that did not move is said to have moved, if the
+        errors of the rest were normal: a ratio of variances of 29, 10, 7 and 6 for 3, 4, 5 and 6
+        cameras. Measured by references of fifteen recordings: 0.2 to 5.2, and 69 of a mouse whose
+        cameras are not determined, where none is named; where one camera is turned by 1 degree,
+        10 and more in nine of them (medians 32 to 280), median 11 in one of few keypoints
+        (Pose2Sim), and 1.5 to 4 where references differ by 2 to 6 degrees from ours.
+    least_turn_deg, least_shift: degrees, or sizes of the rig, by which a camera must have moved.
+    least_focal_change: of the logarithm of a focal length that is another, and focal_significance:
+        its squared distance from 0 in standard deviations.
+    pair_disagreement: variance, in that of their errors, up to which cameras go together: two
+        cameras, with no third one to compare with, and all that are in place, whose differences
+        are else said. Measured: 0.1 to 5 in eleven recordings, 9 to 30 in three whose references
+        differ by 2 to 6 degrees from ours.
+    """
+
+    least_matched: float = 0.3
+    least_error_deg: float = 0.02
+    significance: float = 3e-3
+    least_turn_deg: float = 0.3
+    least_shift: float = 0.005
+    least_focal_change: float = 0.03
+    focal_significance: float = 40.0
+    pair_disagreement: float = 10.0
+
+
+@dataclass(frozen=True)
 class MendConfig:
     """What is done where files of a camera are wrong.
 
@@ -845,6 +877,7 @@ class Config:
     subframe: SubframeConfig = SubframeConfig()
     exchanged: ExchangedConfig = ExchangedConfig()
     diagnosis: DiagnosisConfig = DiagnosisConfig()
+    verify: VerifyConfig = VerifyConfig()
     mend: MendConfig = MendConfig()
 
 

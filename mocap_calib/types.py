@@ -1248,3 +1248,78 @@ class CalibrationResult(Record):
             lines.append(f"  left out: {', '.join(self.left_out)}")
         title = f"CalibrationResult of {count(len(self.groups), 'group')} of cameras"
         return "\n".join([title, *lines])
+
+
+# --- what a second look says of a calibration
+
+# where a camera of a calibration is: docs/verify.md says what each means
+PlaceWord = Literal["in place", "moved", "focal", "inconsistent", "not checked"]
+PLACE_WORDS: tuple[PlaceWord, ...] = get_args(PlaceWord)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class VerifiedCamera(Record):
+    """What keypoints say of one camera of a calibration.
+
+    word: one of `PLACE_WORDS`.
+    turn: radians, and shift: in the unit of the rig, by which the camera stands elsewhere than the
+        calibration says, as the other cameras have it; turn_sigma, shift_sigma: their standard
+        deviations. NaN where nothing tells.
+    relative_shift: the same in sizes of the rig (RMS distance of the cameras from their middle).
+    focal_change: of the logarithm of its focal length, 0 where that is as given.
+    error_px: median distance in pixels between what it saw and where the points that the other
+        cameras know would be seen, with the camera as given; refitted_px: the same with the camera
+        as `Verification.rig` has it. Both with the other cameras as that rig has them.
+    """
+
+    name: str
+    word: PlaceWord
+    turn: float
+    turn_sigma: float
+    shift: float
+    shift_sigma: float
+    relative_shift: float
+    focal_change: float
+    error_px: float
+    refitted_px: float
+
+    @property
+    def named(self) -> bool:
+        """Whether something is wrong with it."""
+        return self.word in ("moved", "focal", "inconsistent")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Verification(Record):
+    """How far a calibration that was given goes with keypoints, and which cameras moved since.
+
+    cameras: in the order of the recording. verdict: how far the calibration can be trusted.
+    reasons: why it is no better, and what to do about it, a line each.
+    rig: the calibration with the cameras that moved, or have another focal length, where they are
+        now; all else as given, in its coordinates and its unit.
+    clocks: how the clocks of the cameras differ, beyond what the calibration says of them.
+    """
+
+    cameras: tuple[VerifiedCamera, ...]
+    verdict: Verdict
+    reasons: tuple[str, ...]
+    rig: CameraRig
+    clocks: Clocks
+
+    def __repr__(self) -> str:
+        lines = [f"  {camera.name}: {camera.word}" for camera in self.cameras]
+        return "\n".join([f"Verification: {self.verdict}", *lines])
+
+    def __getitem__(self, name: str) -> VerifiedCamera:
+        """Return what is said of the camera of that name. Raises KeyError."""
+        return self.cameras[_find_name(tuple(camera.name for camera in self.cameras), name)]
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """Names of the cameras with which something is wrong."""
+        return tuple(camera.name for camera in self.cameras if camera.named)
+
+    @property
+    def passes(self) -> bool:
+        """Whether no camera is named, and the keypoints determine that."""
+        return not self.named and self.verdict != "not determined"

@@ -51,6 +51,8 @@ def _describe_left_out(summary: RecordingSummary) -> list[str]:
     lines = []
     if summary.left_out:
         lines.append(f"left out, nothing detected: {', '.join(summary.left_out)}")
+    if summary.unknown_cameras:
+        lines.append(f"left out, not among the cameras: {', '.join(summary.unknown_cameras)}")
     if summary.lone_detections:
         lone = count(summary.lone_detections, "detection")
         lines.append(f"left out, in frames of a single camera: {lone}")

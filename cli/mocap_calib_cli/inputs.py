@@ -146,7 +146,16 @@ def read_recording_of_rig(
 
     Raises FormatError and MismatchError.
     """
-    rig, camera_file = read_rig(options.rig, "--rig")
+    return read_recording_of(*read_rig(options.rig, "--rig"), options, reporter)
+
+
+def read_recording_of(
+    rig: CameraRig, camera_file: CameraFile, options: SharedOptions, reporter: Reporter
+) -> tuple[CameraRig, LoadedRecording]:
+    """Read the keypoints of a rig, as `read_recording_of_rig` does.
+
+    camera_file: all that the file of the rig says.
+    """
     loaded = read_recording(options, camera_file, reporter, of_rig=True)
     rig = _rig_of_recording(rig, loaded.recording)
     clocks = clocks_of_rig(loaded.recording, rig)

@@ -32,6 +32,7 @@ COMMANDS = {
     "triangulate": "3D poses from the rig and the matches.",
     "convert": "Keypoints, cameras and poses from one format to another.",
     "complete": "Fill keypoints that were not seen.",
+    "verify": "Judge an existing calibration by keypoints: which camera moved since?",
     "evaluate": "Compare cameras with a reference calibration.",
     "simulate": "Make a synthetic recording with its truth.",
     "models": "List the networks that are shipped.",

@@ -134,6 +134,7 @@ _KINDS = ("poses", "keypoints", "cameras")
 
 offer_keypoint_formats = _offer(partial(_list_formats, "keypoints"))
 offer_written_keypoint_formats = _offer(partial(_list_formats, "keypoints", written=True))
+offer_written_camera_formats = _offer(partial(_list_formats, "cameras", written=True))
 offer_formats = _offer(partial(_list_formats, *_KINDS))
 offer_written_formats = _offer(partial(_list_formats, *_KINDS, written=True))
 # the lengths of a run are arbitrary

@@ -45,8 +45,9 @@ def load_recording(
     options = replace(source.options, single_precision=True)
     views = read_keypoints(source.paths, source.format, options)
     cameras = camera_file.cameras if camera_file else assume_cameras(views)
-    if only_known_cameras:
-        views = views_named(views, cameras) or views
+    known = views_named(views, cameras) if only_known_cameras else ()
+    unknown = tuple(view.camera for view in views if known and view not in known)
+    views = known or views
     skeleton, aliases = _choose_vocabulary(source, views)
     joined = join_views(views, cameras, skeleton, aliases)
     recording = apply_mends(recording_of_views(joined), source.mends)
@@ -55,6 +56,7 @@ def load_recording(
     summary = replace(
         summary,
         camera_notes=notes,
+        unknown_cameras=unknown,
         ignored_files=find_ignored_files(source.paths),
         filled_in=describe_filled(joined.files),
     )

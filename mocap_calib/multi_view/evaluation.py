@@ -67,7 +67,7 @@ def evaluate(rig: CameraRig, reference: CameraRig) -> Evaluation:
     pairs = tuple(combinations(sorted(reference.names), 2))
     errors = np.array([_pair_error(rig, reference, a, b) for a, b in pairs])
     found, true = rig.select(names), reference.select(names)
-    scale, rotation, translation = align_by_similarity(_with_axes(found), _with_axes(true))
+    scale, rotation, translation = align_by_similarity(with_axes(found), with_axes(true))
     centres = scale * found.centres @ rotation.T + translation
     return Evaluation(
         names=names,
@@ -81,7 +81,7 @@ def evaluate(rig: CameraRig, reference: CameraRig) -> Evaluation:
     )
 
 
-def _with_axes(rig: CameraRig) -> Floats:
+def with_axes(rig: CameraRig) -> Floats:
     """Return the centres, and near each six points on the camera's axes, `[7 camera, 3]`.
 
     Where the centres are on a line, those of two cameras for instance, they leave the rotation

@@ -58,13 +58,24 @@ def rig_covariance(
         fitted = _fit(sample, rig, matches, config)
     except DegenerateError:
         return RigCovariance.unknown(len(rig.cameras))
-    first_order = _first_order(fitted, config)
+    first_order, _ = _first_order(fitted, config)
     bend = _bend(fitted, first_order, config, seed=seed) / config.uncertainty.usual_bend
     # what parts of the errors do more than in proportion, all of them together do once more
     inflation = max(1.0, bend) ** 2
     # a single moment does not show what all joints of a moment share: it counts twice
     moments = 1 + 1 / len(np.unique(fitted.points.frame))
     return replace(first_order, matrix=first_order.matrix * inflation**2 * moments)
+
+
+def first_order_covariances(
+    sample: Sample, rig: CameraRig, matches: Matches, config: Config
+) -> tuple[RigCovariance, RigCovariance]:
+    """Return the covariance of an adjusted rig of first order, and the one of independent errors.
+
+    The second is what it would be if all detections erred independently: too small, but it has
+    the shape that the images give it. Raises as `bundle_adjustment.adjust` does.
+    """
+    return _first_order(_fit(sample, rig, matches, config), config)
 
 
 def rig_change(before: CameraRig, after: CameraRig) -> Floats:
@@ -87,16 +98,23 @@ def project_out_similarity(change: Floats, rig: CameraRig) -> Floats:
     change: `[view, 6, ...]` turns about the axes of the world (radians) and shifts of the centres,
         in sizes of the rig.
     """
-    views = len(rig.cameras)
+    flat = change.reshape(6 * len(rig.cameras), -1)
+    basis, _ = np.linalg.qr(gauge_of(rig).reshape(len(flat), 7))
+    return np.asarray((flat - basis @ (basis.T @ flat)).reshape(change.shape))
+
+
+def gauge_of(rig: CameraRig) -> Floats:
+    """Return the changes `[view, 6, 7]` that similarities of the world make of all cameras.
+
+    Turns about the axes of the world, shifts in sizes of the rig, as of `RigCovariance`.
+    """
     offset = (rig.centres - rig.centres.mean(0)) / rig_size(rig)
-    gauge = np.zeros((views, 6, 7))
+    gauge = np.zeros((len(rig.cameras), 6, 7))
     gauge[:, :3, :3] = -np.eye(3)  # the world turns by phi: all cameras turn by -phi ...
     gauge[:, 3:, :3] = -skew(offset)  # ... and their centres go about its middle
     gauge[:, 3:, 3:6] = np.eye(3)
     gauge[:, 3:, 6] = offset
-    basis, _ = np.linalg.qr(gauge.reshape(6 * views, 7))
-    flat = change.reshape(6 * views, -1)
-    return np.asarray((flat - basis @ (basis.T @ flat)).reshape(change.shape))
+    return gauge
 
 
 def rig_size(rig: CameraRig) -> float:
@@ -141,8 +159,8 @@ def _settle(state: State, seen: RayObservations, config: Config) -> State:
     return minimise_in_steps(state, seen, freedom, config.adjust, already_close=True)
 
 
-def _first_order(fitted: _Fitted, config: Config) -> RigCovariance:
-    """Return the covariance of first order."""
+def _first_order(fitted: _Fitted, config: Config) -> tuple[RigCovariance, RigCovariance]:
+    """Return the covariance of first order, and that of independent errors."""
     views, points = len(fitted.rig.cameras), fitted.points
     freedom = free_poses(views)
     found = find_covariance(
@@ -152,8 +170,11 @@ def _first_order(fitted: _Fitted, config: Config) -> RigCovariance:
         clusters=(points.time_blocks(config.uncertainty.time_blocks), points.keypoint),
         loss_scale=config.adjust.loss_scales[-1],
     )
-    whole = freedom.basis @ found.sandwich @ freedom.basis.T
-    return _in_the_world(whole.reshape(views, 6, views, 6), fitted.rig)
+    real, independent = (
+        (freedom.basis @ free @ freedom.basis.T).reshape(views, 6, views, 6)
+        for free in (found.sandwich, found.bread)
+    )
+    return _in_the_world(real, fitted.rig), _in_the_world(independent, fitted.rig)
 
 
 def _in_the_world(matrix: Floats, rig: CameraRig) -> RigCovariance:

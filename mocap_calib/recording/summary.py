@@ -37,6 +37,7 @@ class RecordingSummary:
     camera_notes: what the file of the cameras lacks, a line each.
     ignored_files: keypoint files beside which another file of the same name was read.
     filled_in: a line for each camera with keypoints that were completed, not measured.
+    unknown_cameras: names of keypoint files that no camera of the rig belongs to.
     """
 
     cameras: tuple[CameraSummary, ...]
@@ -51,6 +52,7 @@ class RecordingSummary:
     camera_notes: tuple[str, ...] = ()
     ignored_files: tuple[str, ...] = ()
     filled_in: tuple[str, ...] = ()
+    unknown_cameras: tuple[str, ...] = ()
 
     @property
     def known(self) -> int:

@@ -43,7 +43,9 @@ def test_commands_and_options_are_offered():
     assert values("run --c") == {"--cameras", "--camera-regex", "--crop-offset"}
 
 
-@pytest.mark.parametrize("command", ["run", "batch", "inspect", "pairwise", "complete", "match"])
+@pytest.mark.parametrize(
+    "command", ["run", "batch", "inspect", "pairwise", "complete", "match", "verify"]
+)
 def test_formats_of_keypoints_and_layouts_are_offered_wherever_they_are_read(command):
     assert values(f"{command} x --format ") == read("keypoints")
     assert values(f"{command} x --format deep") == {"deeplabcut-h5", "deeplabcut-csv"}
@@ -82,7 +84,10 @@ def test_models_skeletons_and_solvers_are_offered():
     "line",
     [
         *(f"{name} " for name in ("run", "batch", "inspect", "pairwise", "average", "match")),
-        *(f"{name} " for name in ("adjust", "triangulate", "convert", "complete", "evaluate")),
+        *(
+            f"{name} "
+            for name in ("adjust", "triangulate", "convert", "complete", "evaluate", "verify")
+        ),
         *("train ", "convert a ", "train --from ", "run --skeleton ", "run -o ", "match -o "),
         *("run --cameras ", "batch --cameras ", "inspect --cameras ", "match --rig "),
         *("adjust --matches ", "adjust --matches-out ", "evaluate --reference "),

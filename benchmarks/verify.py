@@ -1,0 +1,158 @@
+"""Turns, shifts and zooms cameras of good calibrations, and counts what `verify` says of them.
+
+    .venv/bin/python benchmarks/verify.py [--recordings ../shared/recordings] [NAME ...]
+
+Each recording is judged by its reference calibration, which must pass, and by the same with one
+camera turned about its own centre (each camera, about random axes), shifted, or with another focal
+length, with two cameras turned, and described in another world. A cell counts the trials in which
+the right cameras, and no others, are named.
+"""
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+
+import mocap_calib as mc
+from mocap_calib.config import Config
+from mocap_calib.errors import DegenerateError
+from mocap_calib.geometry.lens import change_intrinsics
+from mocap_calib.geometry.rotation import matrix_from_vector
+from mocap_calib.multi_view.rig_covariance import rig_size
+from mocap_calib.multi_view.verify import verify_rig
+from mocap_calib.recording.sampling import choose_sample_frames, take_sample
+from mocap_calib.recording.synchronise import hide_blind_spots
+from mocap_calib.steerpose.checkpoint import choose_model
+from mocap_calib.steerpose.lift import lift
+from mocap_calib.types import CameraRig, LiftedPoses, Sample, silent
+
+NAMES = (
+    "h36m_S1_walking",
+    "h36m_S1_mix",
+    "h36m_S6_mix",
+    "h36m_S5_multi3",
+    "shelf",
+    "pose2sim_single",
+    "humaneva_S1_projected",
+    "panoptic_band1_projected",
+    "two_dogs_projected",
+    "dannce_two_mice_projected",
+    "acinoset_lily_run",
+    "mvor_openpose",
+    "caliscope_4cam",
+    "eks_fly",
+    "sleap_anipose_mouse",
+)
+TURNS_DEG = (1.0, 2.0, 5.0)
+AXES = 2  # random ones, for each camera
+SHIFTS = (0.03,)  # sizes of the rig
+ZOOMS = (1.1,)  # factors of the focal length
+KINDS = ("turn 1", "turn 2", "turn 5", "shift 3 %", "focal +10 %", "two turned 2", "other world")
+
+
+def main() -> None:
+    """One row a recording, as Markdown on stdout."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("names", nargs="*", default=NAMES, metavar="NAME")
+    parser.add_argument("--recordings", type=Path, default=Path("../shared/recordings"))
+    options = parser.parse_args()
+    print("| recording | verdict | named |", " | ".join(KINDS), "|")
+    print("|---" * (3 + len(KINDS)) + "|")
+    for name in options.names:
+        print(row(options.recordings / name), flush=True)
+
+
+def row(folder: Path) -> str:
+    """Judge the reference of a recording, and damaged ones."""
+    sample, lifted, rig = read(folder)
+    sound = verify_rig(sample, lifted, rig, Config(), seed=0, progress=silent)
+    counts = {kind: [0, 0] for kind in KINDS}
+    for kind, expected, damaged in damages(rig, np.random.default_rng(0)):
+        sample = replace(sample, cameras=damaged.cameras)
+        counts[kind][0] += judge(sample, lifted, damaged) == expected
+        counts[kind][1] += 1
+    cells = [f"{right} of {trials}" if trials else "-" for right, trials in counts.values()]
+    named = ", ".join(sound.named) or "none"
+    return f"| {' | '.join([folder.name, sound.verdict, named, *cells])} |"
+
+
+def read(folder: Path) -> tuple[Sample, LiftedPoses, CameraRig]:
+    """Return the sample of a recording, what was lifted, and the reference calibration."""
+    rig = mc.read_rig(folder / "reference.toml")
+    recording = mc.read_recording(folder / "keypoints", rig)
+    rig = replace(rig.select(recording.names), cameras=recording.cameras)
+    recording, lifter = choose_model(recording, "auto")
+    recording = hide_blind_spots(recording)
+    sample = take_sample(recording, choose_sample_frames(recording, Config().sample))
+    return sample, lift(sample, lifter, progress=silent), rig
+
+
+def judge(sample: Sample, lifted: LiftedPoses, rig: CameraRig) -> tuple[str, ...]:
+    """Return the cameras that are named."""
+    sample = take_sample(sample, slice(None))  # the rays are those of the cameras of the rig
+    try:
+        return verify_rig(sample, lifted, rig, Config(), seed=0, progress=silent).named
+    except DegenerateError:
+        return ("none agree",)
+
+
+def damages(
+    rig: CameraRig, rng: np.random.Generator
+) -> Iterator[tuple[str, tuple[str, ...], CameraRig]]:
+    """Yield kind, names of the cameras that are to be named, and the damaged rig."""
+    size = rig_size(rig)
+    for view, name in enumerate(rig.names):
+        for _ in range(AXES):
+            axis = direction(rng)
+            for degrees in TURNS_DEG:
+                yield f"turn {degrees:g}", (name,), move(rig, view, axis * np.deg2rad(degrees))
+        for share in SHIFTS:
+            shift = share * size * direction(rng)
+            yield f"shift {share * 100:g} %", (name,), move(rig, view, np.zeros(3), shift)
+        for factor in ZOOMS:
+            camera = change_intrinsics(rig.cameras[view], log_focal=np.log(factor), k1=0.0)
+            cameras = (*rig.cameras[:view], camera, *rig.cameras[view + 1 :])
+            yield (
+                f"focal {factor - 1:+.0%}".replace("%", " %"),
+                (name,),
+                replace(rig, cameras=cameras),
+            )
+    if len(rig) >= 5:
+        pairs = list(combinations(range(len(rig)), 2))
+        for pair in rng.permutation(pairs)[:AXES].tolist():
+            moved = rig
+            for view in pair:
+                moved = move(moved, view, direction(rng) * np.deg2rad(2.0))
+            yield "two turned 2", tuple(rig.names[view] for view in sorted(pair)), moved
+    yield "other world", (), another_world(rig, rng)
+
+
+def direction(rng: np.random.Generator) -> np.ndarray:
+    """Return a random unit vector."""
+    vector = rng.normal(size=3)
+    return np.asarray(vector / np.linalg.norm(vector))
+
+
+def move(rig: CameraRig, view: int, turn: np.ndarray, shift: np.ndarray | float = 0.0) -> CameraRig:
+    """Return the rig with one camera turned about its centre, and the centre shifted."""
+    rotation, translation = rig.rotation.copy(), rig.translation.copy()
+    rotation[view] = matrix_from_vector(turn) @ rotation[view]
+    translation[view] = -rotation[view] @ (rig.centres[view] + shift)
+    return replace(rig, rotation=rotation, translation=translation)
+
+
+def another_world(rig: CameraRig, rng: np.random.Generator) -> CameraRig:
+    """Return the rig in other coordinates and another unit."""
+    turn = matrix_from_vector(2.0 * direction(rng))
+    centres = 1000 * (rig.centres @ turn.T + 10 * rng.normal(size=3))
+    rotation = rig.rotation @ turn.T
+    return replace(rig, rotation=rotation, translation=-np.einsum("vij,vj->vi", rotation, centres))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,183 @@
+"""mocap-calib verify: whether a calibration still goes with what the cameras see."""
+
+import json
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import click
+
+from mocap_calib_cli import options, values
+
+if TYPE_CHECKING:
+    from mocap_calib.types import CameraRig, Verification
+
+_CALIBRATION = values.PathOf(
+    "Expected a calibration, then the keypoints to judge it by: CAMERAS KEYPOINTS..."
+)
+
+
+@click.command(name="verify")
+@click.option(
+    "-o",
+    "--output",
+    type=values.ANY_PATH,
+    metavar="FILE",
+    help="Where to write CAMERAS with the cameras that moved where they are now; all else, "
+    "coordinates and unit too, stays as given.",
+)
+@click.option(
+    "--to",
+    "target",
+    metavar="FORMAT",
+    shell_complete=values.offer_written_camera_formats,
+    help="Format of FILE, where its ending does not say it (docs/formats.md).",
+)
+@options.shared_options(
+    "rig",
+    "keypoints",
+    *options.READING,
+    *options.MODEL,
+    "sync",
+    "sync_window",
+    "seed",
+    "strict",
+    "quiet",
+    rig=click.argument("rig", type=_CALIBRATION, metavar="CAMERAS"),
+)
+@options.as_json("Figures as JSON instead of a table.")
+@click.pass_context
+def command(
+    context: click.Context,
+    shared: options.SharedOptions,
+    output: str | None,
+    target: str | None,
+    as_json: bool,
+) -> None:
+    """Judge the calibration CAMERAS by KEYPOINTS of moving subjects, and say which camera moved.
+
+    CAMERAS: anyone's, by a board, a wand or keypoints, in any camera format with extrinsics and in
+    any unit. Identities need not be known. KEYPOINTS: see `run`.
+
+    Each camera is compared with where the others and the keypoints have it. It is named where it
+    stands elsewhere by more than errors explain, has another focal length, or sees nothing that
+    goes with the others. The verdict is that of `run`, on CAMERAS with the named cameras where
+    they are now. Of two cameras nobody can say which one moved.
+
+    The exit status is 0 where no camera is named and the keypoints determine that, else 1.
+
+    \b
+    Example, in the folder examples/three_people:
+      mocap-calib verify reference.toml keypoints/
+      mocap-calib verify reference.toml keypoints/ -o mended.toml --to anipose
+      mocap-calib verify reference.toml keypoints/ --json --strict
+    """
+    from mocap_calib.config import Config
+    from mocap_calib.multi_view.verified import verification_to_dict
+    from mocap_calib.multi_view.verify import verify
+    from mocap_calib_cli import inputs, outputs, verdicts
+    from mocap_calib_cli.progress import Reporter
+
+    outputs.check_text(output)
+    form = _choose_format(output, target)
+    with Reporter(quiet=shared.quiet) as reporter:
+        given, camera_file = inputs.read_rig(shared.rig, "CAMERAS")
+        rig, loaded = inputs.read_recording_of(given, camera_file, shared, reporter)
+        found = verify(
+            loaded.recording,
+            rig,
+            config=Config(sync=inputs.sync_config(shared)),
+            seed=shared.seed,
+            device=shared.device,
+            progress=reporter,
+        )
+    absent = [name for name in given.names if name not in rig.names]
+    if as_json:
+        figures = verification_to_dict(found) | {"without_keypoints": absent}
+        click.echo(json.dumps(figures, indent=1, allow_nan=False))
+    else:
+        click.echo("\n".join(_describe(found, absent)))
+    if output is not None and form is not None:
+        _write(output, form, given, found)
+    context.exit(1 if found.named else verdicts.exit_status(found.verdict, shared))
+
+
+def _choose_format(output: str | None, target: str | None) -> str | None:
+    """Return the format of the file to write. Raises MismatchError where nothing says it."""
+    from mocap_calib.io.kinds import choose_format
+
+    if output is None and target is not None:
+        raise click.UsageError("--to: expected a file to write, found none; give -o FILE")
+    return None if output is None else target or choose_format("cameras", output)
+
+
+def _describe(found: "Verification", absent: list[str]) -> list[str]:
+    """Return the cameras as a table, the verdict, and what to do."""
+    from mocap_calib.multi_view.clock_faults import clock_faults
+
+    lines = [*_camera_table(found), ""]
+    if absent:
+        lines.append(f"not checked, no keypoints: {', '.join(absent)}")
+    lines += [
+        f"{fault.camera}: {fault.says}, in these keypoints; taken into account"
+        for fault in clock_faults(found.clocks, applied=found.clocks.changed)
+    ]
+    named = f"; named: {', '.join(found.named)}" if found.named else "; no camera is named"
+    return [*lines, f"calibration: {found.verdict}{named}", *found.reasons]
+
+
+def _camera_table(found: "Verification") -> list[str]:
+    """Return a table of the cameras: how far each is from where it is given, and its errors."""
+    from mocap_calib.multi_view.verified import verification_to_dict
+    from mocap_calib_cli.progress import format_number, format_table
+
+    unit = found.rig.unit
+    rows = []
+    for camera in verification_to_dict(found)["cameras"]:
+        share = camera["relative_shift"]
+        cells = [format_number(camera["turn_deg"]), format_number(camera["turn_sigma_deg"])]
+        cells.append(format_number(None if share is None else 100 * share))
+        cells += [_format_length(camera["shift"]), _format_length(camera["shift_sigma"])]
+        cells += [format_number(camera["error_px"]), format_number(camera["refitted_px"])]
+        rows.append([camera["name"], *cells, camera["place"]])
+    lengths = [f"shift {unit}" if unit != "arbitrary" else "shift", "+-"]
+    header = ["camera", "turn deg", "+-", "shift %", *lengths, "error px", "refitted px", "place"]
+    return format_table(header, rows)
+
+
+def _format_length(value: float | None) -> str:
+    """Return a length to two digits, a dash where there is none."""
+    return "-" if value is None else f"{value:.2g}"
+
+
+def _write(output: str, form: str, given: "CameraRig", found: "Verification") -> None:
+    """Write the calibration with the cameras that moved where they are now.
+
+    Cameras that nothing places are left out. Of two cameras nobody knows where they are.
+    """
+    from mocap_calib import __version__
+    from mocap_calib.io.cameras.write import write_cameras
+
+    if len(found.cameras) == 2 and found.named:
+        click.echo(f"{output}: not written, nobody can say which of two cameras moved", err=True)
+        return
+    lost = [camera.name for camera in found.cameras if camera.word == "inconsistent"]
+    rig = replace(_mend(given, found), judgement=found.rig.judgement)
+    rig = rig.select([name for name in given.names if name not in lost])
+    notes = write_cameras(output, rig, form, {"version": __version__, **rig.judgement})
+    for note in notes:
+        click.echo(f"{output}: without {note}", err=True)
+    if lost:
+        click.echo(f"{output}: without {', '.join(lost)}, which nothing places", err=True)
+
+
+def _mend(given: "CameraRig", found: "Verification") -> "CameraRig":
+    """Return the rig of the file with the cameras that moved where they are now."""
+    rotation, translation, cameras = given.rotation.copy(), given.translation.copy(), []
+    for view, camera in enumerate(given.cameras):
+        moved = camera.name in found.named
+        pose = found.rig[camera.name] if moved else None
+        if pose is not None:
+            rotation[view], translation[view] = pose.rotation, pose.translation
+        focal = pose is not None and found[camera.name].word == "focal"
+        cameras.append(found.rig.cameras[found.rig.names.index(camera.name)] if focal else camera)
+    return replace(given, cameras=tuple(cameras), rotation=rotation, translation=translation)
