@@ -1,0 +1,111 @@
+"""Hold what was found of a group of cameras, and how sure it is said to be, against the truth."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from mocap_calib.config import EPOCH_MARK, Config
+from mocap_calib.geometry.rotation import angle_between, nearest_rotation, vector_from_matrix
+from mocap_calib.multi_view.rig_covariance import (
+    RigCovariance,
+    project_out_similarity,
+    rig_covariance,
+    rig_size,
+)
+from mocap_calib.recording.sampling import choose_sample_frames, take_sample
+from mocap_calib.types import CameraRig, Floats, GroupResult
+
+
+def judge_group(group: GroupResult, truth: Sequence[CameraRig]) -> dict[str, Any]:
+    """Return the verdict on a group, and errors and sigmas of its cameras.
+
+    truth: rigs of cameras that belong together. Where the group has cameras of several of them, no
+    errors are given (`true` is false).
+    Angles are in degrees, lengths in percent of the size of the rig; `*_distance` are the squared
+    Mahalanobis distances of the errors of a camera (3 degrees of freedom). `pair_deg` is the
+    largest angle between relative rotations of two cameras and the true ones.
+    """
+    found: dict[str, Any] = {
+        "cameras": list(group.rig.names),
+        "verdict": group.verdict,
+        "reasons": list(group.reasons),
+        "true": False,
+    }
+    true = find_truth(group.rig, truth)
+    if true is None:
+        return found
+    error, covariance = rig_error(group.rig, true), stated_covariance(group)
+    turn, shift = slice(0, 3), slice(3, 6)
+    return found | {
+        "true": True,
+        "pair_deg": worst_pair_deg(group.rig, true),
+        "rotation_deg": np.degrees(norms(error[:, turn])).tolist(),
+        "rotation_sigma_deg": np.degrees(covariance.rotation_sigma).tolist(),
+        "rotation_distance": mahalanobis(error[:, turn], covariance.matrix[:, turn, :, turn]),
+        "centre": (100 * norms(error[:, shift])).tolist(),
+        "centre_sigma": (100 * covariance.centre_sigma).tolist(),
+        "centre_distance": mahalanobis(error[:, shift], covariance.matrix[:, shift, :, shift]),
+    }
+
+
+def stated_covariance(group: GroupResult) -> RigCovariance:
+    """Return the covariance of the rig of a group as the run states it."""
+    config = Config()
+    frames = choose_sample_frames(group.recording, config.sample)
+    sample = take_sample(group.recording, frames)
+    matches = group.matches.select(frames=frames, instances=sample.positions.shape[2])
+    return rig_covariance(sample, group.rig, matches, config)
+
+
+def find_truth(rig: CameraRig, truth: Sequence[CameraRig]) -> CameraRig | None:
+    """Return where the cameras of a rig truly stand; None where they are of several rigs."""
+    names = [name.partition(EPOCH_MARK)[0] for name in rig.names]
+    for each in truth:
+        if set(names) <= set(each.names):
+            where = [each.names.index(name) for name in names]
+            placed = {"rotation": each.rotation[where], "translation": each.translation[where]}
+            return replace(rig, **placed)
+    return None
+
+
+def rig_error(rig: CameraRig, true: CameraRig) -> Floats:
+    """Return by how much cameras must be turned and shifted to be right, `[view, 6]`.
+
+    As in a `RigCovariance`: turns about the axes of the world in radians, shifts of the centres in
+    sizes of the rig, after the best similarity to the first order. The first alignment is by the
+    rotations, so that it is good where the centres are on a line too.
+    """
+    turn = nearest_rotation(np.einsum("vji,vjk->ik", rig.rotation, true.rotation))
+    offset = rig.centres - rig.centres.mean(0)
+    aligned = (true.centres - true.centres.mean(0)) @ turn.T
+    scale = (offset * aligned).sum() / (aligned**2).sum()
+    rotation = true.rotation @ turn.T
+    turned = vector_from_matrix(np.swapaxes(rig.rotation, 1, 2) @ rotation)
+    shifted = (scale * aligned - offset) / rig_size(rig)
+    return project_out_similarity(np.concatenate([turned, shifted], axis=1), rig)
+
+
+def worst_pair_deg(rig: CameraRig, true: CameraRig) -> float:
+    """Return the largest angle between relative rotations of two cameras and the true ones."""
+    angles = (
+        angle_between(rig.relative(a, b)[0], true.relative(a, b)[0])
+        for a, b in combinations(range(len(rig.cameras)), 2)
+    )
+    return float(np.degrees(max(angles)))
+
+
+def mahalanobis(error: Floats, covariance: Floats) -> list[float]:
+    """Return e' C^-1 e of the error `[view, 3]` of each camera.
+
+    covariance: `[view, 3, view, 3]`.
+    """
+    inverse = np.linalg.pinv(np.einsum("vivj->vij", covariance), hermitian=True)
+    return np.einsum("vi,vij,vj->v", error, inverse, error).tolist()
+
+
+def norms(vectors: Floats) -> Floats:
+    """Return the lengths of vectors `[view, 3]`."""
+    return np.linalg.norm(vectors, axis=1)
