@@ -7,15 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.config import EPOCH_MARK, Config
+from mocap_calib.config import EPOCH_MARK
 from mocap_calib.geometry.rotation import angle_between, nearest_rotation, vector_from_matrix
-from mocap_calib.multi_view.rig_covariance import (
-    RigCovariance,
-    project_out_similarity,
-    rig_covariance,
-    rig_size,
-)
-from mocap_calib.recording.sampling import choose_sample_frames, take_sample
+from mocap_calib.multi_view.rig_covariance import project_out_similarity, rig_size
 from mocap_calib.types import CameraRig, Floats, GroupResult
 
 
@@ -37,7 +31,7 @@ def judge_group(group: GroupResult, truth: Sequence[CameraRig]) -> dict[str, Any
     true = find_truth(group.rig, truth)
     if true is None:
         return found
-    error, covariance = rig_error(group.rig, true), stated_covariance(group)
+    error, covariance = rig_error(group.rig, true), group.uncertainty.covariance
     turn, shift = slice(0, 3), slice(3, 6)
     return found | {
         "true": True,
@@ -49,15 +43,6 @@ def judge_group(group: GroupResult, truth: Sequence[CameraRig]) -> dict[str, Any
         "centre_sigma": (100 * covariance.centre_sigma).tolist(),
         "centre_distance": mahalanobis(error[:, shift], covariance.matrix[:, shift, :, shift]),
     }
-
-
-def stated_covariance(group: GroupResult) -> RigCovariance:
-    """Return the covariance of the rig of a group as the run states it."""
-    config = Config()
-    frames = choose_sample_frames(group.recording, config.sample)
-    sample = take_sample(group.recording, frames)
-    matches = group.matches.select(frames=frames, instances=sample.positions.shape[2])
-    return rig_covariance(sample, group.rig, matches, config)
 
 
 def find_truth(rig: CameraRig, truth: Sequence[CameraRig]) -> CameraRig | None:

@@ -24,6 +24,7 @@ from mocap_calib.io.keypoints.coco_writer import format_coco
 from mocap_calib.types import Keypoints2D
 
 TOOL = [str(Path(sys.executable).with_name("mocap-calib"))]
+ANY_VERDICT = ("--accept", "not-determined")
 
 
 def main() -> None:
@@ -46,6 +47,7 @@ def main() -> None:
         "none",
         "-o",
         out / "alone",
+        *ANY_VERDICT,
     )
     report("one mouse, geometry alone", out / "alone", out / "one/reference.toml")
     run(
@@ -73,6 +75,7 @@ def main() -> None:
                 model,
                 "-o",
                 out / "two",
+                *ANY_VERDICT,
             )
             report(name, out / "two", two / "reference.toml")
         except subprocess.CalledProcessError as error:

@@ -289,6 +289,7 @@ def run(recording: Path, work: Path, *arguments: str) -> Path:
         for camera in read_cameras(recording / "intrinsics.toml"):
             sizes += ["--image-size", "{}:{}x{}".format(camera.name, *camera.size)]
     command += [*sizes, *arguments, "-o", str(out), "--seed", "0", "--quiet"]
+    command += ["--accept", "not-determined"]
     subprocess.run(command, check=True)
     return out
 

@@ -477,11 +477,11 @@ class UncertaintyConfig:
     """Whether a recording determines its rig, and whether all cameras agree on it."""
 
     time_blocks: int = 20  # stretches of the recording within which errors go together
-    splits: int = 4  # of the joints into halves: those of one split may agree by chance
-    # Between rigs of halves of the joints, which differ by about twice the error of the whole rig:
-    # the rig is good to about 2 deg, to 5 deg, or not determined.
-    well_determined_deg: float = 4.0
-    weak_deg: float = 10.0
+    points: int = 5000  # that the covariance of a rig is found with
+    parts: int = 6  # of the moments, and of the joints, that a rig is adjusted without
+    # by how much more rigs without a part differ than first order tells. Measured: 0.9 to 1.5 in
+    # thirteen recordings, 2.7 and 3.7 in two that hardly determine their rigs
+    usual_bend: float = 1.3
     # An outlier camera has so many times the errors of the others. Measured: 1 to 2.6 where the
     # cameras agree, 3.8 between telescopes, 5 to 18 where one is out of step.
     outlier_factor: float = 4.0
@@ -503,6 +503,33 @@ class UncertaintyConfig:
     misfit_limit: float = 4.0  # usual errors: no error counts for more in the misfit of a rig
     same_misfit: float = 1.05  # ratio of the misfits of two rigs that fit equally well
     same_rig_deg: float = 10.0  # two rigs whose cameras turn by no more than this are one answer
+
+
+@dataclass(frozen=True)
+class VerdictConfig:
+    """What a rig is called; docs/how-good.md has the rule.
+
+    Expected errors of the worst camera, in degrees: below the first the rig is well determined,
+    below the second usable, below the third weak. Each limit is of what sound recordings show; the
+    values measured are in docs/how-good.md.
+    """
+
+    well_determined_deg: float = 1.0
+    usable_deg: float = 3.0
+    weak_deg: float = 10.0
+    few_frames: int = 30  # so few are the first thing to do something about
+    facing_deg: float = 150.0  # between the viewing directions of cameras that face each other
+
+    # limits of the checks
+    held_out: float = 1.3  # times the errors in the frames that the rig was made of
+    bones: float = 0.3  # share by which the steadiest distances on a body vary
+    broken_loops: float = 0.75  # share of the pairs of cameras
+    clock_frames: float = 0.5
+    clock_significance: float = 5.0
+    lens: float = 4.0  # standard deviations of the slope of errors along the radius
+    over_time: float = 3.0  # largest error of a stretch of time, in median ones
+    unmatched: float = 0.3  # share of the detections of a camera
+    errors: float = 0.1  # of a keypoint, in sizes of the body in the image
 
 
 @dataclass(frozen=True)
@@ -802,6 +829,7 @@ class Config:
     intrinsics: IntrinsicsConfig = IntrinsicsConfig()
     triangulate: TriangulateConfig = TriangulateConfig()
     uncertainty: UncertaintyConfig = UncertaintyConfig()
+    verdict: VerdictConfig = VerdictConfig()
     moved: MovedConfig = MovedConfig()
     unrelated: UnrelatedConfig = UnrelatedConfig()
     subframe: SubframeConfig = SubframeConfig()

@@ -1,6 +1,6 @@
 """Say in a few lines how far the cameras of a group can be trusted; files of cameras hold them."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,22 +13,25 @@ def judge_rigs(result: CalibrationResult) -> CalibrationResult:
     """Return the result with rigs that say how far they can be trusted."""
     groups = []
     for group in result.groups:
-        rig = replace(group.rig, judgement=judge_cameras(rig_report(group, result)))
+        judged = judge_cameras(rig_report(group, result), group.reasons)
+        rig = replace(group.rig, judgement=judged)
         groups.append(replace(group, adjusted=replace(group.adjusted, rig=rig)))
     return replace(result, groups=tuple(groups))
 
 
-def judge_cameras(report: Mapping[str, Any]) -> dict[str, Any]:
+def judge_cameras(report: Mapping[str, Any], reasons: Sequence[str]) -> dict[str, Any]:
     """Return what files say of how far the cameras of a group can be trusted.
 
-    report: what `run_report` or `rig_report` returns. The fields are
-        those of `provenance.judgement`.
+    The fields are those of `provenance.judgement`.
+
+    report: what `run_report` or `rig_report` returns. reasons: of the group, for its verdict.
     """
     verdict = report["verdict"]
-    angle = verdict["split_half_angle_deg"]
+    sigma = verdict["rotation_sigma_deg"]
     remarks = [
-        f"rigs from halves of the joints differ by {angle['median']:.2f} deg "
-        f"({angle['max']:.2f} at most)"
+        f"cameras may be turned by {sigma['median']:.2f} deg ({sigma['max']:.2f} at most), "
+        "a standard deviation",
+        *reasons,
     ]
     remarks += _describe_faults(report)
     remarks += _name_cameras(report, "inconsistent", "errors several times those of the others")

@@ -2,7 +2,7 @@
 
 synchronise -> sample -> lift -> pairs -> loops, and for each group of cameras that see the same
 bodies:
-average -> match -> adjust -> label all frames -> clocks -> uncertainty -> triangulate.
+average -> match -> adjust -> label all frames -> clocks -> uncertainty -> triangulate -> verdict.
 
 Where intrinsics are to be estimated, they are from a first rig of each group: average -> match ->
 intrinsics. Then everything is done with them from the beginning, as if they had been given.
@@ -25,13 +25,13 @@ from mocap_calib.multi_view.averaging import average
 from mocap_calib.multi_view.clock_faults import add_clocks
 from mocap_calib.multi_view.clocks import settle_clocks
 from mocap_calib.multi_view.common_clock import synchronise
+from mocap_calib.multi_view.conclusion import conclude
 from mocap_calib.multi_view.estimated_cameras import estimate_cameras
 from mocap_calib.multi_view.faults import mend_faults
 from mocap_calib.multi_view.observed import Observed, leave_out_underconstrained
 from mocap_calib.multi_view.refinement import adjust_from_best_start
 from mocap_calib.multi_view.tracking import finalise_identities
-from mocap_calib.multi_view.triangulation import check_same_cameras, triangulate
-from mocap_calib.multi_view.uncertainty import assess_uncertainty, judge_rig
+from mocap_calib.multi_view.triangulation import check_same_cameras
 from mocap_calib.multi_view.view_graph import camera_groups, select_hypotheses
 from mocap_calib.recording.assumed import choose_refinement
 from mocap_calib.recording.retiming import retime
@@ -42,7 +42,7 @@ from mocap_calib.steerpose.device import check_device
 from mocap_calib.steerpose.lift import lift
 from mocap_calib.steerpose.model import Lifter
 from mocap_calib.steerpose.remembered import RememberedLift
-from mocap_calib.two_view.solve import PairSolver, calibrate_pairs, in_recording
+from mocap_calib.two_view.solve import PairSolver, calibrate_pairs
 from mocap_calib.types import (
     CalibrationResult,
     CameraRig,
@@ -265,24 +265,16 @@ def _calibrate_cameras(
         matches = finalise_identities(recording, adjusted.rig, matches, config.matching)
     with clock("clocks"):
         observed, adjusted, offsets = settle_clocks(observed, adjusted, matches, config)
-    recording, sample, rig = observed.recording, observed.sample, adjusted.rig
-    with clock("verdict"):
-        sampled = matches.select(frames=observed.sample_frames, instances=sample.positions.shape[2])
-        uncertainty = assess_uncertainty(sample, rig, sampled, config, seed=seed)
-    with clock("triangulate"):
-        poses = triangulate(recording, rig, matches, config.triangulate, progress=progress)
-    return GroupResult(
-        recording=recording,
-        pairs=in_recording(observed.pairs, observed.sample_frames),
-        averaged=averaged,
-        adjusted=adjusted,
-        matches=matches,
-        uncertainty=uncertainty,
-        verdict=judge_rig(uncertainty, config.uncertainty),
-        reasons=(),
-        poses=poses,
-        time_offsets=offsets,
-        seconds=clock.seconds,
+    return conclude(
+        observed,
+        averaged,
+        adjusted,
+        matches,
+        offsets,
+        config=config,
+        clock=clock,
+        seed=seed,
+        progress=progress,
     )
 
 

@@ -16,7 +16,9 @@ from mocap_calib.multi_view.view_graph import alternative_taken
 from mocap_calib.recording.epochs import describe_epochs, views_by_camera
 from mocap_calib.recording.mending import describe_faults
 from mocap_calib.types import (
+    ARBITRARY,
     CalibrationResult,
+    Check,
     EstimatedCamera,
     Fault,
     Floats,
@@ -113,7 +115,7 @@ def _describe_camera(
     """
     detected = group.recording.seen[views].any(-1)
     matched = detected & (group.matches.labels[views] >= 0)
-    score = min(_pair_score(group, view) for view in views)
+    score = min(_pair_score(group, view) for view in views)  # NaN where no pairs are known
     return {
         "name": name,
         "frames": int(detected.any(-1).sum()),
@@ -123,11 +125,35 @@ def _describe_camera(
         "faults": _name_faults(group, views, faults),
         "fault_evidence": describe_faults(faults),
         "weak_perspective": bool(group.uncertainty.weak_perspective[views].any()),
+        **_describe_sigma(group, views[0]),
         "clock": _describe_clock(group, views[0]),
         "intrinsics": _describe_intrinsics(group, views[0], config.intrinsics),
         "reprojection_error_px": _median_and_p95(error),
-        "pair_score": score,
+        "pair_score": _finite_or_none(score),
         "weak": score < config.averaging.weak_score,
+    }
+
+
+def _describe_sigma(group: GroupResult, view: int) -> dict[str, float | None]:
+    """Return how far a camera may be off: its rotation, and its place after the best similarity."""
+    covariance = group.uncertainty.covariance
+    centre = float(covariance.centre_sigma[view])
+    return {
+        "rotation_sigma_deg": float(np.degrees(covariance.rotation_sigma[view])),
+        "centre_sigma_percent": 100 * centre,
+        "centre_sigma": None if group.rig.unit == ARBITRARY else centre * covariance.size,
+        "focal_turn_deg": float(np.degrees(group.uncertainty.focal_turn[view])),
+    }
+
+
+def _describe_check(check: Check) -> dict[str, Any]:
+    """Return what a check found, and whether that is what sound recordings show."""
+    return {
+        "name": check.name,
+        "value": _finite_or_none(check.value),
+        "limit": check.limit,
+        "camera": check.camera or None,
+        "passed": check.passed,
     }
 
 
@@ -174,8 +200,11 @@ def _name_faults(group: GroupResult, views: list[int], faults: Sequence[Fault]) 
 
 
 def _pair_score(group: GroupResult, view: int) -> float:
-    """Return the score of the camera's best pair: its place in the rig rests on this pair."""
-    return max(pair.score for pair in group.pairs if view in (pair.a, pair.b))
+    """Return the score of the camera's best pair: its place in the rig rests on this pair.
+
+    NaN where no pair is known.
+    """
+    return max((pair.score for pair in group.pairs if view in (pair.a, pair.b)), default=np.nan)
 
 
 def _describe_pair(group: GroupResult, index: int, error: Floats, config: Config) -> dict[str, Any]:
@@ -197,6 +226,9 @@ def _describe_pair(group: GroupResult, index: int, error: Floats, config: Config
         "frames": pair.frames,
         "matches": _count_matches(group, pair),
         "reprojection_error_px": _median_and_p95(error[:, in_both].ravel()),
+        "rotation_sigma_deg": float(
+            np.degrees(group.uncertainty.covariance.pair_sigma(pair.a, pair.b))
+        ),
         "sampled_matches": len(pair.matches),
         "score": pair.score,
         "source": pair.source,
@@ -244,8 +276,11 @@ def _describe_verdict(group: GroupResult) -> dict[str, Any]:
     reversal = group.adjusted.depth_reversed_rig is not None
     return {
         "rig": group.verdict,
-        "split_half_angle_deg": median_and_max(np.degrees(uncertainty.split_half_angle)),
-        "intrinsics_angle_deg": median_and_max(np.degrees(uncertainty.intrinsics_angle)),
+        "reasons": list(group.reasons),
+        "rotation_sigma_deg": median_and_max(np.degrees(uncertainty.covariance.rotation_sigma)),
+        "centre_sigma_percent": median_and_max(100 * uncertainty.covariance.centre_sigma),
+        "focal_turn_deg": median_and_max(np.degrees(uncertainty.focal_turn)),
+        "checks": [_describe_check(check) for check in group.checks],
         "reversal": "not observable" if reversal else "none found",
         "translation": "not observable" if uncertainty.weak_perspective.any() else "observed",
     }

@@ -958,28 +958,93 @@ class TimeOffsets(Record):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
+class RigCovariance(Record):
+    """How far the cameras of a rig may be from where they should be, after the best similarity.
+
+    matrix: `[view, 6, view, 6]` covariance of small turns of the cameras (3, radians, about the
+        axes of the world) and of shifts of their centres (3, in sizes of the rig).
+    size: of the rig: RMS distance of the centres from their middle, in the unit of the rig.
+    """
+
+    matrix: Floats
+    size: float
+
+    @classmethod
+    def unknown(cls, views: int) -> "RigCovariance":
+        """Return that of a rig of which nothing is known."""
+        variance = np.concatenate([np.full(3, np.pi**2), np.ones(3)])
+        matrix = np.diag(np.tile(variance, views)).reshape(views, 6, views, 6)
+        return cls(matrix=matrix, size=1.0)
+
+    @property
+    def rotation_sigma(self) -> Floats:
+        """`[view]` RMS angle in radians by which a camera is turned from its true rotation."""
+        return np.sqrt(np.einsum("vivi->v", self.matrix[:, :3, :, :3]))
+
+    @property
+    def centre_sigma(self) -> Floats:
+        """`[view]` RMS distance of a centre from the true one, in sizes of the rig."""
+        return np.sqrt(np.einsum("vivi->v", self.matrix[:, 3:, :, 3:]))
+
+    def pair_sigma(self, a: int, b: int) -> float:
+        """Return the RMS angle in radians between the relative rotation of two views and its truth.
+
+        a, b: indices of the views.
+        """
+        parts = self.matrix[[a, b], :3][:, :, [a, b], :3]
+        signs = np.array([-1.0, 1.0])
+        return float(np.sqrt(np.einsum("a,b,aibi->", signs, signs, parts)))
+
+    def with_changes(self, changes: Floats) -> "RigCovariance":
+        """Return that of a rig whose cameras may besides be off by each of some changes.
+
+        changes: `[change, view, 6]`, as large as their standard deviations.
+        """
+        more = np.einsum("cvi,cwj->viwj", changes, changes)
+        return replace(self, matrix=self.matrix + more)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Uncertainty(Record):
     """How well a rig is determined by what was seen.
 
-    split_half_angle: `[pair]` radians between the relative rotations of rigs that were adjusted
-        to halves of the joints; about twice the error of the rig.
+    covariance: of where the cameras stand; what wrong focal lengths may do is part of it.
+    focal_turn: `[view]` radians that a camera may be turned by because of focal lengths: those
+        given, by what the rig changes by when they are free; or the uncertainty of estimated ones.
     outlier_cameras: `[view]` cameras whose errors are several times those of the others.
     weak_perspective: `[view]` cameras in whose images perspective drowns in noise: their distance
         follows from their focal length alone.
     focal_change: `[view]` what the logarithm of a given focal length would change by if it were
         free, and focal_sigma: `[view]` its standard deviation; NaN where they were estimated.
     wrong_focal: `[view]` cameras whose given focal lengths are certainly wrong.
-    intrinsics_angle: `[pair]` radians by which the relative rotations change where the estimated
-        focal lengths change by a standard deviation; 0 where they were given.
     """
 
-    split_half_angle: Floats
+    covariance: RigCovariance
+    focal_turn: Floats
     outlier_cameras: Bools
     weak_perspective: Bools
-    intrinsics_angle: Floats
     focal_change: Floats
     focal_sigma: Floats
     wrong_focal: Bools
+
+
+@dataclass(frozen=True)
+class Check:
+    """A look at a rig that is independent of its covariance; docs/how-good.md has them all.
+
+    name: of what was looked at. value: what was found; NaN = nothing to look at. limit: the
+    largest value of sound recordings. camera: the one that it was found of, "" = all.
+    """
+
+    name: str
+    value: float
+    limit: float
+    camera: str = ""
+
+    @property
+    def passed(self) -> bool:
+        """Whether the value is one of sound recordings."""
+        return not self.value > self.limit
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -1080,8 +1145,9 @@ class GroupResult(Record):
     recording: of the cameras of the group alone; everything else is in their order. Its detections
         are where the cameras would have seen them at the time of the first one, where
         `time_offsets` are used.
-    matches: labels in all frames. verdict: how far the rig can be trusted.
-    reasons: why it is no better, and what to do about it, a line each.
+    matches: labels in all frames.
+    verdict: how far the rig can be trusted. reasons: why it is no better, and what to do about it,
+        a line each. checks: what else was looked at.
     seconds: wall time by stage.
     """
 
@@ -1091,11 +1157,12 @@ class GroupResult(Record):
     adjusted: Adjusted
     matches: Matches
     uncertainty: Uncertainty
-    verdict: Verdict
-    reasons: tuple[str, ...]
     poses: Poses3D
     time_offsets: TimeOffsets
-    seconds: dict[str, float] = field(compare=False)
+    verdict: Verdict = "not determined"  # until it is judged
+    reasons: tuple[str, ...] = ()
+    checks: tuple[Check, ...] = ()
+    seconds: dict[str, float] = field(default_factory=dict, compare=False)
 
     def __repr__(self) -> str:
         return f"GroupResult({self._describe()})"

@@ -166,7 +166,7 @@ def test_files_say_the_verdict_and_what_explains_it():
         groups=(found,), left_out=("cam9",), unused_pairs=(), clocks=Clocks.of_one(found.recording)
     )
     report = run_report(found, result, seed=0, config=Config(), inputs={})
-    judged = judge_cameras(report)
+    judged = judge_cameras(report, found.reasons)
     assert judge_rigs(result).groups[0].rig.judgement == judged
     assert list(report)[:2] == ["schema", "verdict"]
     assert (judged["adjusted"], judged["verdict"]) == (True, report["verdict"]["rig"])

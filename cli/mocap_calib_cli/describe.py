@@ -4,12 +4,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from mocap_calib.io.provenance import advice_on
 from mocap_calib.io.results.group import REVERSED_RIG
 from mocap_calib.recording.meanings import describe_unshared
 from mocap_calib.recording.summary import RecordingSummary
 from mocap_calib.types import CalibrationResult, GroupResult
 from mocap_calib.wording import count
-from mocap_calib_cli.describe_faults import describe_faults
+from mocap_calib_cli.describe_faults import describe_faults, describe_measured_faults
 from mocap_calib_cli.progress import format_number, format_table
 
 _MOST_INDIVIDUALS = 20  # that have a row in a table
@@ -110,6 +111,7 @@ def describe_group(group: GroupResult, report: dict[str, Any], folder: Path) -> 
         *_describe_rounds(group),
         *describe_faults(report, folder),
         *_describe_rig(report),
+        *_describe_reasons(group),
         *_describe_weak_perspective(report),
         *_describe_reversal(group, folder),
         f"{count(len(report['individuals']), 'individual')}, {count(points, 'point')}; "
@@ -117,16 +119,37 @@ def describe_group(group: GroupResult, report: dict[str, Any], folder: Path) -> 
     ]
 
 
+def describe_adjusted(group: GroupResult, report: dict[str, Any]) -> list[str]:
+    """Say what a person wants to know of a rig that was adjusted by itself.
+
+    report: what `rig_report` returns.
+    """
+    return [
+        *_describe_errors(report),
+        *_describe_rounds(group),
+        *describe_measured_faults(report),
+        *_describe_rig(report),
+        *_describe_reasons(group),
+        *_describe_weak_perspective(report),
+    ]
+
+
 def _describe_errors(report: dict[str, Any]) -> list[str]:
-    """Return a table of the cameras: detections, reprojection errors, pair scores."""
-    rows = []
-    for camera in report["cameras"]:
-        error = camera["reprojection_error_px"]
-        counts = [str(camera["detections"]), str(camera["matched"])]
-        figures = [error["median"], error["p95"], camera["pair_score"]]
-        rows.append([camera["name"], *counts, *map(format_number, figures)])
-    header = ["camera", "detections", "matched", "median px", "95 % px", "pair score"]
-    return format_table(header, rows)
+    """Return a table of the cameras: detections, reprojection errors, pair scores if known."""
+    cameras = report["cameras"]
+    errors = [camera["reprojection_error_px"] for camera in cameras]
+    columns = {
+        "camera": [camera["name"] for camera in cameras],
+        "detections": [str(camera["detections"]) for camera in cameras],
+        "matched": [str(camera["matched"]) for camera in cameras],
+        "median px": [format_number(error["median"]) for error in errors],
+        "95 % px": [format_number(error["p95"]) for error in errors],
+        "pair score": [format_number(camera["pair_score"]) for camera in cameras],
+        "sigma deg": [format_number(camera["rotation_sigma_deg"]) for camera in cameras],
+    }
+    if all(camera["pair_score"] is None for camera in cameras):
+        del columns["pair score"]
+    return format_table(list(columns), zip(*columns.values(), strict=True))
 
 
 def _describe_intrinsics(report: dict[str, Any]) -> list[str]:
@@ -213,25 +236,20 @@ def _describe_rounds(group: GroupResult) -> list[str]:
 
 
 def _describe_rig(report: dict[str, Any]) -> list[str]:
-    """Say the verdict on the rig, and the split-half angle that it rests on."""
+    """Say the verdict on the rig, and how far its cameras may be off."""
     verdict = report["verdict"]
-    angle = verdict["split_half_angle_deg"]
+    turn, shift = verdict["rotation_sigma_deg"], verdict["centre_sigma_percent"]
     return [
-        f"rig: {verdict['rig']}; rigs from halves of the joints differ by {angle['median']:.2f} "
-        f"deg (split-half angle; {angle['max']:.2f} at most)",
-        *_describe_intrinsics_angle(verdict),
+        f"rig: {verdict['rig']}; cameras may be turned by {turn['median']:.2f} deg "
+        f"({turn['max']:.2f} at most) and shifted by {shift['median']:.1f} % of the rig "
+        f"({shift['max']:.1f} at most), a standard deviation each",
     ]
 
 
-def _describe_intrinsics_angle(verdict: dict[str, Any]) -> list[str]:
-    """Say by how much the rig is uncertain because its focal lengths are."""
-    angle = verdict["intrinsics_angle_deg"]
-    if not angle["max"]:
-        return []
-    return [
-        f"estimated focal lengths leave the rotations uncertain by {angle['median']:.2f} deg "
-        f"({angle['max']:.2f} at most)"
-    ]
+def _describe_reasons(group: GroupResult) -> list[str]:
+    """Say what a verdict that is not the best means, unless a warning does, and why it is so."""
+    advice = [f"usable{advice_on(group.verdict)}"] if group.verdict == "usable" else []
+    return [*advice, *(f"  {reason}" for reason in group.reasons)]
 
 
 def _describe_weak_perspective(report: dict[str, Any]) -> list[str]:

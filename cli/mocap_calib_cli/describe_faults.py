@@ -10,9 +10,13 @@ def describe_faults(report: dict[str, Any], folder: Path) -> list[str]:
         *_describe_mended(report),
         *_describe_epochs(report, folder),
         *_describe_clocks(report),
-        *_describe_outlier_cameras(report),
-        *_describe_wrong_focal(report),
+        *describe_measured_faults(report),
     ]
+
+
+def describe_measured_faults(report: dict[str, Any]) -> list[str]:
+    """Say what the errors of the adjusted rig show to be wrong with cameras."""
+    return [*_describe_outlier_cameras(report), *_describe_wrong_focal(report)]
 
 
 def _describe_mended(report: dict[str, Any]) -> list[str]:

@@ -1,7 +1,7 @@
 """The command `mocap-calib`: the list of its commands, and the one place where errors end.
 
 Results go to stdout, messages to stderr. Exit status: 0 done, 1 the data or the calibration is
-bad, 2 usage, 130 interrupted.
+bad, 2 usage, 130 interrupted; docs/cli.md has a table.
 """
 
 import importlib

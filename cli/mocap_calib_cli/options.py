@@ -25,6 +25,7 @@ STDIO = "-"
 READING = tuple(name for name in FILE_OPTIONS if name not in ("moved", "mend"))
 KEYPOINTS = ("keypoints", *READING)
 MODEL = ("skeleton", "model", "device")
+VERDICT = ("strict", "accept")
 # how a recording is calibrated, and what is written of it
 INTRINSICS = ("cameras", "refine", "focal_uncertainty", "focal_per_camera")
 CALIBRATION = (
@@ -40,6 +41,7 @@ CALIBRATION = (
     "sync_window",
     "write",
     "fps",
+    *VERDICT,
     "quiet",
 )
 
@@ -55,6 +57,7 @@ class SharedOptions:
     solver: of pairs. scheduler: address of a Dask scheduler, None = the work is done here.
     write: further formats of the results. fps: frames per second, see `texts.parse_rates`.
     sync, sync_window: what is done about clocks that differ, see `inputs.sync_config`.
+    strict, accept: which verdicts will do, see `verdicts.exit_status`.
     """
 
     keypoints: tuple[str, ...] = ()
@@ -88,6 +91,8 @@ class SharedOptions:
     fps: tuple[str, ...] = ()
     sync: str = SyncConfig.mode
     sync_window: int = SyncConfig.window
+    strict: bool = False
+    accept: str | None = None
     quiet: bool = False
 
 
@@ -205,8 +210,19 @@ _OPTIONS = {
         metavar="FRAMES",
         help="By how much a camera may be early or late.",
     ),
+    "strict": click.option(
+        "--strict", is_flag=True, help="Exit status 1 where the rig is weak, too."
+    ),
+    "accept": click.option(
+        "--accept",
+        type=click.Choice(["not-determined"]),
+        help="Exit status 0 also where the rig is not determined.",
+    ),
     "quiet": click.option(
-        "--quiet", "-q", is_flag=True, help="Write nothing to stderr but errors."
+        "--quiet",
+        "-q",
+        is_flag=True,
+        help="Write nothing to stderr but errors, and warnings of doubtful rigs.",
     ),
 }
 

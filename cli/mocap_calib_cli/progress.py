@@ -21,8 +21,8 @@ class Reporter:
     """Implements `types.Progress`, and writes whatever else there is to say to stderr.
 
     On a terminal, a stage that lasts longer than a second has a bar; elsewhere a stage has a line
-    when it is finished. Nothing is written when `quiet`. Use it as a context: a stage that failed
-    is not reported as finished.
+    when it is finished. Nothing but warnings is written when `quiet`. Use it as a context: a stage
+    that failed is not reported as finished.
     """
 
     def __init__(self, *, quiet: bool) -> None:
@@ -38,8 +38,11 @@ class Reporter:
 
     def say(self, *lines: str) -> None:
         """Write lines to stderr."""
-        if self.quiet:
-            return
+        if not self.quiet:
+            self.warn(*lines)
+
+    def warn(self, *lines: str) -> None:
+        """Write lines to stderr that nobody may miss, also when `quiet`."""
         for line in lines:
             click.echo(line, err=True)
 

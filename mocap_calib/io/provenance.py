@@ -1,9 +1,11 @@
 """What a result file says of how it came about, and of how far its cameras can be trusted."""
 
+import json
 import math
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
+from itertools import takewhile
 from typing import Any
 
 from mocap_calib import __version__
@@ -14,15 +16,24 @@ from mocap_calib.types import VERDICTS
 # adjusted, the verdict and what explains it, and the error of the points in pixels
 _JUDGEMENT = {"adjusted": bool, "verdict": str, "remarks": list, "reprojection_error_px": float}
 _ADVICE = {
+    "usable": ": its cameras are good to about 3 deg, which may be too little for angles of joints",
     "weak": ": check it before you measure with it",
     "not determined": ": do not measure with it",
 }
+_SAYS = "mocap-calib: this rig is "  # before the verdict, in comments; remarks follow, indented
+_INDENT = "  "
 _LONGEST_REMARK = 1000  # characters
 
 
 def provenance(command: str, **fields: Any) -> Mapping[str, Any]:
     """Return the command, the version, and further fields (seed, hashes of the inputs, ...)."""
     return {"command": f"mocap-calib {command}", "version": __version__, **fields}
+
+
+def plain_fields(provenance: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields in the types that every format knows; paths and the like become text."""
+    plain: dict[str, Any] = json.loads(json.dumps(provenance, default=str))
+    return plain
 
 
 def judgement(
@@ -38,6 +49,14 @@ def judgement(
     if reprojection_error_px is not None:
         fields["reprojection_error_px"] = reprojection_error_px
     return fields
+
+
+def advice_on(verdict: str) -> str:
+    """Return what a verdict means for the use of a rig, to go on with after it; may be empty.
+
+    verdict: one of `types.VERDICTS`.
+    """
+    return _ADVICE.get(verdict, "")
 
 
 def read_judgement(stored: Any) -> dict[str, Any]:
@@ -63,9 +82,25 @@ def describe_judgement(fields: Mapping[str, Any]) -> list[str]:
     if verdict is None:
         return []
     return [
-        f"mocap-calib: this rig is {verdict}{_ADVICE.get(verdict, '')}",
-        *fields.get("remarks", []),
+        f"{_SAYS}{verdict}{advice_on(verdict)}",
+        *(_INDENT + remark for remark in fields.get("remarks", [])),
     ]
+
+
+def read_description(lines: Sequence[str]) -> dict[str, Any]:
+    """Return the fields of `judgement` that `describe_judgement` wrote among lines of text.
+
+    The error in pixels stands in a remark alone, rounded. Empty where nothing was written.
+    """
+    first = next((k for k, line in enumerate(lines) if line.startswith(_SAYS)), None)
+    if first is None:
+        return {}
+    verdict = lines[first].removeprefix(_SAYS).partition(":")[0]
+    if verdict not in VERDICTS:
+        return {}
+    remarks = takewhile(lambda line: line.startswith(_INDENT), lines[first + 1 :])
+    said = [line.removeprefix(_INDENT) for line in remarks]
+    return read_judgement(judgement(verdict, said, None))
 
 
 def date_of_making() -> str:

@@ -205,9 +205,8 @@ def write_result(
         for number in reversed(range(len(result.groups))):
             group, place = result.groups[number], work / group_folder(number)
             place.mkdir(exist_ok=True)
-            source = provenance(
-                "run", seed=result.seed, inputs=inputs, **judge_cameras(reports[number])
-            )
+            judged = judge_cameras(reports[number], group.reasons)
+            source = provenance("run", seed=result.seed, inputs=inputs, **judged)
             poses = _describe_poses(group, fps)
             write_group(place, group, poses, source, clocks=result.clocks)
             further[number] = _write_further(

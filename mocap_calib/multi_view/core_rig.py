@@ -11,8 +11,8 @@ from mocap_calib.multi_view.averaging import average
 from mocap_calib.multi_view.observed import Observed, leave_out_underconstrained
 from mocap_calib.multi_view.placed import PlacedCameras, place_bodies
 from mocap_calib.multi_view.refinement import adjust_until_stable
+from mocap_calib.multi_view.rig_covariance import rig_covariance
 from mocap_calib.multi_view.triangulation import labelled_frames
-from mocap_calib.multi_view.uncertainty import angle_of_worst_camera, split_half_angle
 from mocap_calib.multi_view.view_graph import camera_groups
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import CameraRig, Floats, Ints, Matches, Sample, silent
@@ -79,6 +79,5 @@ def _build_core(observed: Observed, config: Config) -> CoreRig:
 
 def is_determined(core: CoreRig, config: Config, *, seed: int) -> bool:
     """Return whether what was seen determines the rig, by the yardstick of the verdict."""
-    angle = split_half_angle(core.sample, core.rig, core.matches, config, seed=seed)
-    worst = angle_of_worst_camera(angle, len(core.rig))
-    return bool(np.rad2deg(worst) <= config.uncertainty.weak_deg)
+    found = rig_covariance(core.sample, core.rig, core.matches, config, seed=seed)
+    return bool(np.rad2deg(found.rotation_sigma.max()) < config.verdict.usable_deg)

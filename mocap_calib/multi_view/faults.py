@@ -17,6 +17,7 @@ from mocap_calib.multi_view.observed import Observed
 from mocap_calib.multi_view.odd_cameras import find_odd_cameras
 from mocap_calib.multi_view.sides import exchanged_instead
 from mocap_calib.multi_view.unrelated import find_unrelated_cameras
+from mocap_calib.multi_view.verdict import no_better_than
 from mocap_calib.recording.mending import apply_mends
 from mocap_calib.types import CalibrationResult, Fault, FaultWord, GroupResult, Mend, Recording
 
@@ -178,6 +179,10 @@ def _explained_shares(recording: Recording, rivals: Sequence[Calibrated]) -> lis
 def _judge_estimated(group: GroupResult, faults: Sequence[Fault]) -> GroupResult:
     """Return the group, which is weak at best where a mend of it is no more than an estimate."""
     estimated = {fault.camera for fault in faults if fault.mend and fault.word in _ESTIMATED}
-    if group.verdict == "well determined" and estimated & set(group.rig.names):
-        return replace(group, verdict="weak")
-    return group
+    names = [name for name in group.rig.names if name in estimated]
+    if not names:
+        return group
+    reason = (
+        f"{', '.join(names)}: how its images were cut is an estimate; say --cropped, or undo it"
+    )
+    return no_better_than(group, "weak", reason)

@@ -96,14 +96,27 @@ def estimate_intrinsics(
     return _estimated_cameras(found)
 
 
-def check_focal_lengths(
-    sample: Sample, rig: CameraRig, matches: Matches, config: Config
-) -> tuple[Floats, Floats]:
-    """Return what each focal length would change by if it were free, and with what sigma.
+@dataclass(frozen=True)
+class FreeFocal:
+    """What becomes of a rig when its focal lengths are free.
 
-    Of the logarithms, `[view]` both, for a rig that has been adjusted with the focal lengths that
-    were given. Right ones change by no more than a few standard deviations, which are 1 to 2 % in
-    rigs of four views and far more in those of two.
+    change, sigma: `[view]` of the logarithms of the focal lengths.
+    rig: adjusted with them; its cameras are those that were given.
+    """
+
+    change: Floats
+    sigma: Floats
+    rig: CameraRig
+
+
+def free_focal_lengths(
+    sample: Sample, rig: CameraRig, matches: Matches, config: Config
+) -> FreeFocal:
+    """Return what each focal length would change by if it were free, and how the rig would.
+
+    For a rig that has been adjusted with the focal lengths that were given. Right ones change by no
+    more than a few standard deviations, which are 1 to 2 % in rigs of four views and far more in
+    those of two.
 
     Raises as `bundle_adjustment.adjust` does.
     """
@@ -111,7 +124,11 @@ def check_focal_lengths(
     start = _start(sample, rig, matches, alone)
     free = replace(config, intrinsics=alone)
     adjusted = _adjust(start, sample.cameras, free, already_close=True)
-    return adjusted.state.intrinsics[:, 0], adjusted.sigma[:, 0]
+    return FreeFocal(
+        change=adjusted.state.intrinsics[:, 0],
+        sigma=adjusted.sigma[:, 0],
+        rig=placed_as(rig, adjusted.state),
+    )
 
 
 def _start(sample: Sample, rig: CameraRig, matches: Matches, config: IntrinsicsConfig) -> _Estimate:

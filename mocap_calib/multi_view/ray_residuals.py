@@ -18,7 +18,7 @@ from mocap_calib.multi_view.residuals import (
     points_in_cameras,
     positive_depth,
 )
-from mocap_calib.types import Floats
+from mocap_calib.types import Floats, Ints
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,14 @@ class RayObservations:
     rays: Floats
     metric: Floats
     weight: Floats
+
+    def select(self, points: Ints) -> "RayObservations":
+        """Return what was seen of some of the points, given their indices."""
+        return RayObservations(
+            rays=self.rays[..., points],
+            metric=self.metric[..., points],
+            weight=self.weight[:, points],
+        )
 
     def residuals(self, block: slice, state: State) -> Residuals:
         """Return a block of points as the cameras see them: r = M x / (u'x).

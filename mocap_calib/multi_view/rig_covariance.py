@@ -4,81 +4,77 @@ Errors of detections go together, by the moment and by the joint (`covariance`).
 in the world, how it is turned and how large it is means nothing: what counts is how far its
 cameras are from where they should be after the best similarity between the two. So no camera is
 the fixed one, and all have a share of what is not known.
+
+The covariance is of first order: it holds where a rig bends in proportion to what pulls at it.
+Rigs that are hardly determined bend more. Adjusting again without a part of the moments, or of
+the joints, shows that (the delete-a-group jackknife; Shao and Wu 1989: "A General Theory for
+Jackknife Variance Estimation").
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
+from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import Config
-from mocap_calib.geometry.rotation import skew
+from mocap_calib.errors import DegenerateError
+from mocap_calib.geometry.rotation import skew, vector_from_matrix
 from mocap_calib.multi_view.bundle_adjustment import (
+    AdjustablePoints,
     choose_points,
     minimise_in_steps,
     observe_rays,
 )
 from mocap_calib.multi_view.covariance import find_covariance
+from mocap_calib.multi_view.ray_residuals import RayObservations
 from mocap_calib.multi_view.residuals import State
 from mocap_calib.multi_view.schur import free_poses
-from mocap_calib.records import Record
-from mocap_calib.types import CameraRig, Floats, Matches, Sample
+from mocap_calib.types import CameraRig, Floats, Ints, Matches, RigCovariance, Sample
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class RigCovariance(Record):
-    """The covariance of where the cameras of a rig stand, after the best similarity.
+@dataclass(frozen=True)
+class _Fitted:
+    """A rig adjusted to points of a sample."""
 
-    matrix: `[view, 6, view, 6]` of small turns of the cameras (3, radians, about the axes of the
-        world) and of shifts of their centres (3, in sizes of the rig).
-    size: of the rig: RMS distance of the centres from their middle, in the unit of the rig.
-    """
-
-    matrix: Floats
-    size: float
-
-    @property
-    def rotation_sigma(self) -> Floats:
-        """`[view]` RMS angle in radians by which a camera is turned from its true rotation."""
-        return np.sqrt(np.einsum("vivi->v", self.matrix[:, :3, :, :3]))
-
-    @property
-    def centre_sigma(self) -> Floats:
-        """`[view]` RMS distance of a centre from the true one, in sizes of the rig."""
-        return np.sqrt(np.einsum("vivi->v", self.matrix[:, 3:, :, 3:]))
-
-    def pair_sigma(self, a: int, b: int) -> float:
-        """Return the RMS angle in radians between the relative rotation of two views and its truth.
-
-        a, b: indices of the views.
-        """
-        parts = self.matrix[[a, b], :3][:, :, [a, b], :3]
-        signs = np.array([-1.0, 1.0])
-        return float(np.sqrt(np.einsum("a,b,aibi->", signs, signs, parts)))
+    rig: CameraRig
+    points: AdjustablePoints
+    seen: RayObservations
+    state: State
 
 
 def rig_covariance(
-    sample: Sample, rig: CameraRig, matches: Matches, config: Config
+    sample: Sample, rig: CameraRig, matches: Matches, config: Config, *, seed: int
 ) -> RigCovariance:
     """Return the covariance of a rig that has been adjusted to what was matched.
 
-    Raises as `bundle_adjustment.adjust` does.
+    Intrinsics count as known. Everything is as uncertain as can be where the matched detections do
+    not constrain the rig.
     """
-    views = len(rig.cameras)
-    points = choose_points(sample, rig, matches, config)
-    seen = observe_rays(rig, points)
-    start = State(rig.rotation, rig.translation, points.points, np.zeros((views, 0)))
-    freedom = free_poses(views)
-    state = minimise_in_steps(start, seen, freedom, config.adjust, already_close=True)
-    found = find_covariance(
-        state,
-        seen,
-        freedom,
-        clusters=(points.time_blocks(config.uncertainty.time_blocks), points.keypoint),
-        loss_scale=config.adjust.loss_scales[-1],
-    )
-    whole = freedom.basis @ found.sandwich @ freedom.basis.T
-    adjusted = replace(rig, rotation=state.rotation, translation=state.translation)
-    return _in_the_world(whole.reshape(views, 6, views, 6), adjusted)
+    try:
+        fitted = _fit(sample, rig, matches, config)
+    except DegenerateError:
+        return RigCovariance.unknown(len(rig.cameras))
+    first_order = _first_order(fitted, config)
+    bent = _jackknife(fitted, config, seed=seed)
+    expected = np.einsum("vivi->", first_order.matrix[:, :3, :, :3])
+    ratio = np.sqrt(bent / max(expected, 1e-30)) / config.uncertainty.usual_bend
+    return replace(first_order, matrix=first_order.matrix * max(1.0, ratio) ** 2)
+
+
+def rig_change(before: CameraRig, after: CameraRig) -> Floats:
+    """Return how cameras turn and shift from one rig to another, after the best similarity.
+
+    `[view, 6]`: turns about the axes of the world of the first rig (3, radians), and shifts of the
+    centres (3, in sizes of the rig). Both rigs have the same cameras; their first cameras are
+    about the same, so that the worlds are.
+    """
+    turn = vector_from_matrix(np.swapaxes(before.rotation, 1, 2) @ after.rotation)
+    scale = rig_size(before) / rig_size(after)
+    offsets = [rig.centres - rig.centres.mean(0) for rig in (before, after)]
+    shift = (scale * offsets[1] - offsets[0]) / rig_size(before)
+    return project_out_similarity(np.concatenate([turn, shift], axis=1), before)
 
 
 def project_out_similarity(change: Floats, rig: CameraRig) -> Floats:
@@ -96,13 +92,46 @@ def project_out_similarity(change: Floats, rig: CameraRig) -> Floats:
     gauge[:, 3:, 6] = offset
     basis, _ = np.linalg.qr(gauge.reshape(6 * views, 7))
     flat = change.reshape(6 * views, -1)
-    return (flat - basis @ (basis.T @ flat)).reshape(change.shape)
+    return np.asarray((flat - basis @ (basis.T @ flat)).reshape(change.shape))
 
 
 def rig_size(rig: CameraRig) -> float:
     """Return the RMS distance of the centres of a rig from their middle, in its unit."""
     offset = rig.centres - rig.centres.mean(0)
     return float(np.sqrt((offset**2).sum(1).mean()))
+
+
+def _fit(sample: Sample, rig: CameraRig, matches: Matches, config: Config) -> _Fitted:
+    """Return the rig adjusted again, to as many points as the covariance needs."""
+    # what detections say together is not said better by more of them
+    fewer = replace(config, adjust=replace(config.adjust, points=config.uncertainty.points))
+    points = choose_points(sample, rig, matches, fewer)
+    seen = observe_rays(rig, points)
+    start = State(rig.rotation, rig.translation, points.points, np.zeros((len(rig.cameras), 0)))
+    state = _settle(start, seen, config)
+    adjusted = replace(rig, rotation=state.rotation, translation=state.translation)
+    return _Fitted(rig=adjusted, points=points, seen=seen, state=state)
+
+
+def _settle(state: State, seen: RayObservations, config: Config) -> State:
+    """Return the state at the minimum that it is close to."""
+    freedom = free_poses(len(state.rotation))
+    return minimise_in_steps(state, seen, freedom, config.adjust, already_close=True)
+
+
+def _first_order(fitted: _Fitted, config: Config) -> RigCovariance:
+    """Return the covariance of first order."""
+    views, points = len(fitted.rig.cameras), fitted.points
+    freedom = free_poses(views)
+    found = find_covariance(
+        fitted.state,
+        fitted.seen,
+        freedom,
+        clusters=(points.time_blocks(config.uncertainty.time_blocks), points.keypoint),
+        loss_scale=config.adjust.loss_scales[-1],
+    )
+    whole = freedom.basis @ found.sandwich @ freedom.basis.T
+    return _in_the_world(whole.reshape(views, 6, views, 6), fitted.rig)
 
 
 def _in_the_world(matrix: Floats, rig: CameraRig) -> RigCovariance:
@@ -119,3 +148,41 @@ def _in_the_world(matrix: Floats, rig: CameraRig) -> RigCovariance:
     half = project_out_similarity(turned.reshape(views, 6, -1), rig)
     whole = project_out_similarity(half.reshape(6 * views, 6 * views).T.reshape(views, 6, -1), rig)
     return RigCovariance(matrix=whole.reshape(views, 6, views, 6), size=size)
+
+
+# What first order does not tell
+
+
+def _jackknife(fitted: _Fitted, config: Config, *, seed: int) -> float:
+    """Return the variance of all turns together by what rigs without a part differ by.
+
+    In square radians: what the trace of the covariance of the turns should be.
+    """
+    variance = 0.0
+    for part in _parts(fitted.points, config.uncertainty.parts, seed=seed):
+        count = int(part.max()) + 1
+        if count < 2:
+            continue
+        kept = (np.flatnonzero(part != left_out) for left_out in range(count))
+        work = partial(_turns_without, fitted=fitted, config=config)
+        turns = np.stack(list(map_in_threads(work, kept)))  # [part, view, 3]
+        variance += (count - 1) / count * float(((turns - turns.mean(0)) ** 2).sum())
+    return variance
+
+
+def _parts(points: AdjustablePoints, count: int, *, seed: int) -> Iterator[Ints]:
+    """Yield the part `[N]` of the recording, and then the part of the joints, of each point."""
+    _, stretch = np.unique(points.time_blocks(count), return_inverse=True)
+    yield stretch
+    joints, joint = np.unique(points.keypoint, return_inverse=True)
+    # neighbours on the body err alike, and have neighbouring numbers
+    yield (np.random.default_rng(seed).permutation(len(joints)) % count)[joint]
+
+
+def _turns_without(kept: Ints, *, fitted: _Fitted, config: Config) -> Floats:
+    """Return the turns `[view, 3]` of the cameras when only some points (indices) are kept."""
+    state = fitted.state
+    some = replace(state, points=state.points[:, kept])
+    found = _settle(some, fitted.seen.select(kept), config)
+    bent = replace(fitted.rig, rotation=found.rotation, translation=found.translation)
+    return rig_change(fitted.rig, bent)[:, :3]

@@ -16,7 +16,7 @@ def find_wrong_focal(
 ) -> Bools:
     """Return the cameras `[view]` whose focal lengths are certainly other than was given.
 
-    change, sigma: `[view]` of their logarithms, as of `check_focal_lengths`; NaN = not known.
+    change, sigma: `[view]` of their logarithms, as of `FreeFocal`; NaN = not known.
     """
     large = np.abs(change) > config.least_focal_change
     certain = np.abs(change) > config.focal_significance * sigma

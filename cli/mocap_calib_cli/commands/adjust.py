@@ -1,9 +1,15 @@
 """mocap-calib adjust: bundle adjustment."""
 
+from typing import TYPE_CHECKING
+
 import click
 
 from mocap_calib.config import ADJUST_SOLVERS
 from mocap_calib_cli import options, values
+
+if TYPE_CHECKING:
+    from mocap_calib.types import CalibrationResult
+    from mocap_calib_cli.progress import Reporter
 
 
 @click.command(name="adjust")
@@ -21,11 +27,21 @@ from mocap_calib_cli import options, values
     metavar="NAME",
     help="What adjusts: schur (ours), or colmap (Ceres through pycolmap, for a second opinion).",
 )
-@options.shared_options("rig", "matches", *options.MODEL, *options.KEYPOINTS, "quiet")
+@options.shared_options(
+    "rig", "matches", *options.MODEL, *options.KEYPOINTS, *options.VERDICT, "quiet"
+)
+@click.pass_context
 def command(
-    shared: options.SharedOptions, output: str, matches_out: str | None, solver: str
+    context: click.Context,
+    shared: options.SharedOptions,
+    output: str,
+    matches_out: str | None,
+    solver: str,
 ) -> None:
     """Adjust the cameras and match again, in turn, until no match changes (bundle adjustment).
+
+    Errors and verdict are those of the frames that calibration looks at. The exit status is 1
+    where the rig is not determined, as that of `run`.
 
     \b
     Example:
@@ -34,15 +50,15 @@ def command(
       mocap-calib adjust keypoints/ --rig rig.yaml --matches matches.csv --solver colmap -o b.yaml
     """
     from mocap_calib.config import Config
-    from mocap_calib.io.cameras.own import format_cameras_yaml
-    from mocap_calib.io.provenance import provenance
     from mocap_calib.io.results.matches_csv import matches_csv
     from mocap_calib.multi_view.association import label_all_frames
+    from mocap_calib.multi_view.conclusion import conclude_without_pairs
     from mocap_calib.multi_view.refinement import adjust_until_stable, choose_adjuster
     from mocap_calib.multi_view.tracking import finalise_identities
-    from mocap_calib_cli import inputs, outputs
+    from mocap_calib_cli import inputs, outputs, verdicts
     from mocap_calib_cli.progress import Reporter
 
+    verdicts.check_demands(shared)
     outputs.check_text(output)
     outputs.check_text(matches_out)
     config = Config()
@@ -75,7 +91,31 @@ def command(
             )
             matches = finalise_identities(recording, adjusted.rig, matches, config.matching)
             outputs.write_text(matches_out, matches_csv(recording, matches, loaded.clocks))
-    outputs.write_text(
-        output,
-        [format_cameras_yaml(adjusted.rig, provenance("adjust", solver=solver, adjusted=True))],
-    )
+        result = conclude_without_pairs(sample, lifted, rig, adjusted, config)
+    _write_judged(result, output, shared, reporter, solver=solver)
+    context.exit(verdicts.exit_status(result.groups[0].verdict, shared))
+
+
+def _write_judged(
+    result: "CalibrationResult",
+    output: str,
+    shared: options.SharedOptions,
+    reporter: "Reporter",
+    *,
+    solver: str,
+) -> None:
+    """Write the cameras with the verdict on them, and say the errors and the verdict."""
+    from mocap_calib.io.cameras.write import format_rig
+    from mocap_calib.io.provenance import provenance
+    from mocap_calib.judging import judge_cameras
+    from mocap_calib.report import rig_report
+    from mocap_calib_cli import describe, outputs, verdicts
+
+    (group,) = result.groups
+    report = rig_report(group, result)
+    source = provenance("adjust", solver=solver, **judge_cameras(report, group.reasons))
+    (content,) = format_rig(group.rig, "mocap-calib", source).files.values()
+    outputs.write_text(output, [content.decode()])
+    reporter.say("", *describe.describe_adjusted(group, report))
+    place = "adjusted cameras" if output == options.STDIO else output
+    verdicts.warn_of_verdict(reporter, group.verdict, place, shared, reasons=group.reasons)

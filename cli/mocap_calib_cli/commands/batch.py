@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 Outcome = dict[str, Any]
 
+_REFUSED = "refused"  # stands for the verdict where files or data do not allow a calibration
+
 
 @click.command(name="batch")
 @options.output_folder("Folder to write: OUT/NAME of recording NAME.")
@@ -61,7 +63,8 @@ def command(
     RECORDINGS: a folder of keypoint files each, or a folder with such a folder named `keypoints`
     in it. Results that are there already are kept if they follow from the same files, options,
     weights and version: call it again to go on. A recording that fails is reported and the others
-    go on; the exit status is 1 then.
+    go on; the exit status is 1 then, as it is where the rig of a recording is not determined, and
+    with --strict also where one is weak.
 
     \b
     Example:
@@ -69,11 +72,11 @@ def command(
       mocap-calib batch sessions/* --cameras intrinsics.toml -o out --layout body_25 --jobs 4
       mocap-calib batch sessions/* --cameras intrinsics.toml -o out --scheduler tcp://node1:8786
     """
-    from mocap_calib.wording import count
-    from mocap_calib_cli import outputs
+    from mocap_calib_cli import outputs, verdicts
     from mocap_calib_cli.progress import Reporter
     from mocap_calib_cli.workers import open_workers
 
+    verdicts.check_demands(shared)
     if shared.scheduler and jobs > 1:
         raise click.UsageError(
             "--jobs is for this machine, --scheduler for others; give one of them"
@@ -86,17 +89,18 @@ def command(
             reporter, scheduler=shared.scheduler, processes=min(jobs, len(requests))
         ) as workers,
     ):
-        batch = _Batch(reporter, len(requests))
+        batch = _Batch(reporter, len(requests), shared)
         batch.work_off(requests, workers, elsewhere=bool(shared.scheduler))
     outcomes = [batch.outcomes[request.output.name] for request in requests]
     failed = sum(outcome["status"] == "failed" for outcome in outcomes)
-    all_of_them = count(len(outcomes), "recording")
-    calibrated = f"{len(outcomes) - failed} of {all_of_them} calibrated"
-    reporter.say("", *_format_outcomes(outcomes), f"{calibrated}; results in {output}")
+    counts = _count_verdicts(outcomes)
+    summary = _describe_counts(counts, total=len(outcomes), failed=failed)
+    reporter.say("", *_format_outcomes(outcomes), f"{summary}; results in {output}")
     if as_json:
-        summary = {"recordings": outcomes, "failed": failed}
-        click.echo(json.dumps(summary, indent=1, allow_nan=False))
-    context.exit(1 if failed else 0)
+        document = {"recordings": outcomes, "failed": failed, "verdicts": counts}
+        click.echo(json.dumps(document, indent=1, allow_nan=False))
+    doubtful = any(verdicts.exit_status(outcome["rig"], shared) for outcome in outcomes)
+    context.exit(1 if failed or doubtful else 0)
 
 
 # --- which recordings
@@ -155,9 +159,10 @@ def _find_cameras(folder: Path, cameras: str) -> str:
 class _Batch:
     """Calibrates recordings, and keeps what has become of each."""
 
-    def __init__(self, reporter: "Reporter", total: int) -> None:
+    def __init__(self, reporter: "Reporter", total: int, shared: options.SharedOptions) -> None:
         self.reporter = reporter
         self.total = total
+        self.shared = shared
         self.outcomes: dict[str, Outcome] = {}
 
     def work_off(
@@ -209,6 +214,7 @@ class _Batch:
     ) -> None:
         """Note what was found; the figures are those of the largest group of cameras."""
         from mocap_calib.wording import count
+        from mocap_calib_cli.verdicts import warn_of_verdict
 
         name = request.output.name
         verdict = report["verdict"]
@@ -221,7 +227,7 @@ class _Batch:
             "left_out": report["left_out"],
             "individuals": len(report["individuals"]),
             "rig": verdict["rig"],
-            "split_half_angle_deg": verdict["split_half_angle_deg"]["median"],
+            "rotation_sigma_deg": verdict["rotation_sigma_deg"]["max"],
         }
         self.reporter.say(
             f"{name} {status}: {count(outcome['cameras'], 'camera')}, "
@@ -232,6 +238,7 @@ class _Batch:
                 f"{name}: {groups} groups of cameras that share too little, each calibrated by "
                 "itself; counted is the largest"
             )
+        warn_of_verdict(self.reporter, verdict["rig"], request.output, self.shared)
         self._note(request, outcome)
 
     def _note_failure(self, request: "CalibrationRequest", error: Exception) -> None:
@@ -239,6 +246,7 @@ class _Batch:
 
         An error of the program also keeps its traceback; neither stops the other recordings.
         """
+        from mocap_calib.errors import MocapCalibError
         from mocap_calib_cli.mistakes import explain
 
         line = explain(error)
@@ -246,7 +254,8 @@ class _Batch:
             click.echo("".join(traceback.format_exception(error)), err=True, nl=False)
             line = " ".join(f"{type(error).__name__}: {error}".split())
         click.echo(f"mocap-calib: {request.output.name}: {line}", err=True)
-        self._note(request, {"status": "failed", "error": line})
+        rig = _REFUSED if isinstance(error, MocapCalibError) else None
+        self._note(request, {"status": "failed", "error": line, "rig": rig})
 
     def _note(self, request: "CalibrationRequest", outcome: Outcome) -> None:
         """Keep the outcome of a recording."""
@@ -281,6 +290,23 @@ def _format_outcomes(outcomes: Iterable[Outcome]) -> list[str]:
     rows = []
     for outcome in outcomes:
         counts = [str(outcome.get(name, "-")) for name in ("cameras", "individuals")]
-        angle = format_number(outcome.get("split_half_angle_deg"))
-        rows.append([outcome["name"], outcome["status"], *counts, angle, outcome.get("rig", "-")])
+        angle = format_number(outcome.get("rotation_sigma_deg"))
+        rows.append([outcome["name"], outcome["status"], *counts, angle, outcome["rig"] or "-"])
     return format_table(header, rows)
+
+
+def _count_verdicts(outcomes: Iterable[Outcome]) -> dict[str, int]:
+    """Return how many recordings have each verdict, and how many were refused."""
+    from mocap_calib.types import VERDICTS
+
+    found = [outcome["rig"] for outcome in outcomes]
+    return {word: found.count(word) for word in (*VERDICTS, _REFUSED)}
+
+
+def _describe_counts(counts: dict[str, int], *, total: int, failed: int) -> str:
+    """Return how many recordings were calibrated, and the verdicts that there are, in a line."""
+    from mocap_calib.wording import count
+
+    calibrated = f"{total - failed} of {count(total, 'recording')} calibrated"
+    verdicts = [f"{number} {word}" for word, number in counts.items() if number]
+    return ": ".join([calibrated, ", ".join(verdicts)]) if verdicts else calibrated

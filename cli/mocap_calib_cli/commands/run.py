@@ -24,7 +24,10 @@ from mocap_calib_cli import options, values
     ),
 )
 @options.as_json("Write the content of run.json to stdout as well.")
-def command(shared: options.SharedOptions, output: Path, as_json: bool) -> None:
+@click.pass_context
+def command(
+    context: click.Context, shared: options.SharedOptions, output: Path, as_json: bool
+) -> None:
     """Calibrate the cameras that saw KEYPOINTS, find who is who, and triangulate the poses.
 
     KEYPOINTS: a folder with a file or a folder per camera, or files, or name=path pairs, or a
@@ -36,6 +39,9 @@ def command(shared: options.SharedOptions, output: Path, as_json: bool) -> None:
     separately: the results of the largest are in OUT, those of the others in OUT/group_2,
     OUT/group_3, ... Where a camera was moved during the recording, OUT has the cameras up to
     then, and OUT/epoch_2, OUT/epoch_3, ... those from each move on.
+
+    The exit status is 1 where the recording does not determine the rig of the largest group, after
+    all files were written, and with --strict also where that rig is weak.
 
     \b
     Example:
@@ -51,10 +57,11 @@ def command(shared: options.SharedOptions, output: Path, as_json: bool) -> None:
     from mocap_calib.io.results.group import group_folder
     from mocap_calib.job.steps import calibrate_job_resumably, read_job, write_results
     from mocap_calib.multi_view.clock_faults import describe_unknown_clocks
-    from mocap_calib_cli import describe, inputs, outputs
+    from mocap_calib_cli import describe, inputs, outputs, verdicts
     from mocap_calib_cli.progress import Reporter
     from mocap_calib_cli.workers import open_workers
 
+    verdicts.check_demands(shared)
     outputs.check_folder(output)
     request = inputs.calibration_request(shared, output)
     with (
@@ -75,3 +82,9 @@ def command(shared: options.SharedOptions, output: Path, as_json: bool) -> None:
     reporter.say(*describe.describe_unused_cameras(result.left_out))
     if as_json:
         click.echo(json.dumps(written[0].report, indent=1, allow_nan=False))
+    for number, group in enumerate(result.groups):
+        place = output / group_folder(number)
+        verdicts.warn_of_verdict(
+            reporter, group.verdict, place, shared, reasons=group.reasons, counts=number == 0
+        )
+    context.exit(verdicts.exit_status(result.groups[0].verdict, shared))

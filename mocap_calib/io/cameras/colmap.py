@@ -9,10 +9,17 @@ it takes 0.3 s, and it reads in a process of its own, as models are other people
 
 import tempfile
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from mocap_calib.io.cameras.source import CameraFile, Source, need_names, need_sizes
+from mocap_calib.io.cameras.source import (
+    CameraFile,
+    Source,
+    need_names,
+    need_sizes,
+    without_verdict,
+)
 from mocap_calib.io.registry import Written
 from mocap_calib.io.sandbox import call_elsewhere
 from mocap_calib.io.units import ARBITRARY
@@ -126,7 +133,8 @@ def _find_unit(content: bytes) -> str:
 def write_binary(rig: CameraRig, provenance: Mapping[str, Any], points: ObservedPoints) -> Written:
     """Write a binary model; an image is called NAME.png. Raises MismatchError."""
     need_names(rig.names, *_NO_CONTROLS, "colmap-binary")
-    return _write(rig, points, "colmap-binary", _BINARY)
+    written = _write(rig, points, "colmap-binary", _BINARY)
+    return replace(written, lost=(*written.lost, *without_verdict(provenance)))
 
 
 def write_text(rig: CameraRig, provenance: Mapping[str, Any], points: ObservedPoints) -> Written:

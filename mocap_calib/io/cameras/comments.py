@@ -1,11 +1,14 @@
 """Comments at the head of camera files, where their syntax has comments."""
 
+import io
 from collections.abc import Mapping, Sequence
+from itertools import takewhile
 from pathlib import PurePath
 
 from mocap_calib.types import CameraRig, EstimatedCamera
 
 _WITH_COMMENTS = (".toml", ".yaml", ".yml", ".txt")
+_MARK = b"# "
 _FILE_STORAGE = b"%YAML:1.0\n---\n"  # OpenCV's header comes before any comment
 
 
@@ -31,8 +34,15 @@ def add_comments(files: Mapping[str, bytes], lines: Sequence[str]) -> dict[str, 
 
     JSON and binary files stay as they are.
     """
-    comment = "".join(f"# {line}\n" for line in lines).encode()
+    comment = b"".join(_MARK + line.encode() + b"\n" for line in lines)
     return {name: _put_at_head(name, content, comment) for name, content in files.items()}
+
+
+def read_comments(content: bytes) -> list[str]:
+    """Return the lines of the comments at the head of a file, none where it has no comments."""
+    lines = io.BytesIO(content.removeprefix(_FILE_STORAGE))  # not all of them: files may be large
+    comments = takewhile(lambda line: line.startswith(_MARK), lines)
+    return [line.strip(b"\r\n").removeprefix(_MARK).decode(errors="replace") for line in comments]
 
 
 def _put_at_head(name: str, content: bytes, comment: bytes) -> bytes:

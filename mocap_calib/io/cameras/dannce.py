@@ -17,7 +17,13 @@ import numpy as np
 
 from mocap_calib.io.cameras.common import PlacedCamera, collect_cameras
 from mocap_calib.io.cameras.intrinsics import make_camera, make_extrinsics, numbers, skew_in_pixels
-from mocap_calib.io.cameras.source import CameraFile, Source, terms, without_sizes
+from mocap_calib.io.cameras.source import (
+    CameraFile,
+    Source,
+    terms,
+    without_sizes,
+    without_verdict,
+)
 from mocap_calib.io.file import malformed
 from mocap_calib.io.mat5 import DAMAGE, read_mat
 from mocap_calib.io.registry import Written
@@ -166,7 +172,9 @@ def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
     savemat(cast(Any, file), {"params": params, "camnames": names})
     header = b"MATLAB 5.0 MAT-file".ljust(115)
     content = re.sub(_HEADER, header, file.getvalue(), flags=re.S)  # the same rig, the same bytes
-    return Written({"label3d_dannce.mat": content}, without_sizes(rig))
+    return Written(
+        {"label3d_dannce.mat": content}, (*without_sizes(rig), *without_verdict(provenance))
+    )
 
 
 def _fields(camera: Camera, rotation: Floats, translation: Floats) -> dict[str, Floats]:

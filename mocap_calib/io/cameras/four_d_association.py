@@ -20,6 +20,7 @@ from mocap_calib.io.cameras.source import (
     need_sizes,
     terms,
     to_json,
+    without_verdict,
 )
 from mocap_calib.io.file import malformed
 from mocap_calib.io.registry import Written
@@ -73,7 +74,7 @@ def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
     }
     numbered = rig.names == tuple(cameras)
     lost = () if numbered else ("the cameras' names: they are counted from 0",)
-    return Written({"calibration.json": to_json(cameras)}, lost)
+    return Written({"calibration.json": to_json(cameras)}, (*lost, *without_verdict(provenance)))
 
 
 def _fields(camera: Camera, rotation: Floats, translation: Floats) -> dict[str, Any]:

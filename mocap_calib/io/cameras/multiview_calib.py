@@ -27,6 +27,7 @@ from mocap_calib.io.cameras.source import (
     need_names,
     terms,
     to_json,
+    without_verdict,
 )
 from mocap_calib.io.registry import Written
 from mocap_calib.types import Camera, CameraRig
@@ -105,7 +106,8 @@ def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
             "R": rig.rotation[view].tolist(),
             "t": rig.translation[view].tolist(),
         }
-    return Written({_INTRINSICS: to_json(intrinsics), _GLOBAL_POSES: to_json(poses)})
+    files = {_INTRINSICS: to_json(intrinsics), _GLOBAL_POSES: to_json(poses)}
+    return Written(files, without_verdict(provenance))
 
 
 def _format_lens(camera: Camera) -> dict[str, Any]:

@@ -7,6 +7,7 @@
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,7 @@ from mocap_calib.io.cameras.source import (
     to_json,
 )
 from mocap_calib.io.file import malformed
+from mocap_calib.io.provenance import plain_fields, read_judgement
 from mocap_calib.io.registry import Written
 from mocap_calib.types import Camera, CameraRig, Floats
 
@@ -61,7 +63,8 @@ def parse(source: Source) -> CameraFile:
         path = str(fields.get("file_path", number)).removeprefix("./").removeprefix(_FOLDER)
         camera = _parse_camera(camera_of_image(path), fields, where)
         placed.append((camera, _parse_extrinsics(fields, where)))
-    return collect_cameras(placed, source.path, unit=str(data.get("unit", "")))
+    found = collect_cameras(placed, source.path, unit=str(data.get("unit", "")))
+    return replace(found, judgement=read_judgement(data.get("provenance")))
 
 
 def _parse_camera(name: str, fields: Mapping[str, Any], where: str) -> Camera:
@@ -119,7 +122,12 @@ def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
         _frame(camera, rotation=rig.rotation[view], centre=rig.centres[view])
         for view, camera in enumerate(rig.cameras)
     ]
-    document = {"camera_model": frames[0]["camera_model"], "unit": rig.unit, "frames": frames}
+    document = {
+        "camera_model": frames[0]["camera_model"],
+        "unit": rig.unit,
+        "provenance": plain_fields(provenance),
+        "frames": frames,
+    }
     return Written({"transforms.json": to_json(document)})
 
 

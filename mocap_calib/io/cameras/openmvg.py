@@ -10,6 +10,7 @@
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from mocap_calib.io.cameras.common import (
@@ -32,6 +33,7 @@ from mocap_calib.io.cameras.source import (
     to_json,
 )
 from mocap_calib.io.file import malformed
+from mocap_calib.io.provenance import plain_fields, read_judgement
 from mocap_calib.io.registry import Written
 from mocap_calib.types import Camera, CameraRig
 
@@ -78,7 +80,8 @@ def parse(source: Source) -> CameraFile:
         pose = poses.get(str(view.get("id_pose", "")))
         placed.append((camera, None if pose is None else _parse_pose(pose, where)))
     unit = str(source.tree.get("unit", ""))
-    return collect_cameras(placed, source.path, unit=unit, notes=notes)
+    found = collect_cameras(placed, source.path, unit=unit, notes=notes)
+    return replace(found, judgement=read_judgement(source.tree.get("provenance")))
 
 
 def _map_items(source: Source, name: str) -> list[tuple[str, dict[str, Any]]]:
@@ -168,6 +171,7 @@ def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
         "sfm_data_version": "0.3",
         "root_path": "",
         "unit": rig.unit,
+        "provenance": plain_fields(provenance),
         "views": [
             {"key": view, "value": _view(camera, view)} for view, camera in enumerate(rig.cameras)
         ],

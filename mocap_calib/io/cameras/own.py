@@ -14,6 +14,7 @@ from mocap_calib import __version__
 from mocap_calib.geometry.rotation import vector_from_matrix
 from mocap_calib.io.cameras.intrinsics import camera_fields, estimated_fields
 from mocap_calib.io.cameras.toml_text import dump_toml
+from mocap_calib.io.provenance import plain_fields
 from mocap_calib.io.zeros import unsigned_zeros
 from mocap_calib.types import Camera, CameraClock, CameraRig, ClockKind, EstimatedCamera
 
@@ -133,12 +134,6 @@ def anipose_metadata(rig: CameraRig, provenance: Mapping[str, Any]) -> dict[str,
     if "reprojection_error_px" in provenance:
         metadata["error"] = provenance["reprojection_error_px"]
     return metadata | {"unit": rig.unit}
-
-
-def plain_fields(provenance: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the fields in the types that every format knows; paths and the like become text."""
-    plain: dict[str, Any] = json.loads(json.dumps(provenance, default=str))
-    return plain
 
 
 def _intrinsic_fields(camera: Camera) -> dict[str, Any]:

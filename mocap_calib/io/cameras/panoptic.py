@@ -4,6 +4,7 @@
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from mocap_calib.io.cameras.common import (
@@ -22,6 +23,7 @@ from mocap_calib.io.cameras.source import (
     terms,
     to_json,
 )
+from mocap_calib.io.provenance import plain_fields, read_judgement
 from mocap_calib.io.registry import Written
 from mocap_calib.types import CameraRig
 
@@ -33,9 +35,9 @@ def sniff(source: Source) -> bool:
 
 def parse(source: Source) -> CameraFile:
     """Read the cameras. Raises FormatError."""
-    cameras = source.mapping("cameras")["cameras"]
+    data = source.mapping("cameras")
     placed: list[PlacedCamera] = []
-    for number, fields in entries(cameras, "a list of cameras", source.path):
+    for number, fields in entries(data["cameras"], "a list of cameras", source.path):
         name = str(fields.get("name", number))
         where = f"{source.path}: camera {name}"
         need(fields, ("K", "distCoef"), where)
@@ -48,7 +50,8 @@ def parse(source: Source) -> CameraFile:
             source=where,
         )
         placed.append((camera, extrinsics_if_given(fields, where)))
-    return collect_cameras(placed, source.path)
+    found = collect_cameras(placed, source.path)
+    return replace(found, judgement=read_judgement(data.get("provenance")))
 
 
 def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
@@ -68,5 +71,6 @@ def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
         }
         for view, camera in enumerate(rig.cameras)
     ]
-    document = {"calibDataSource": "mocap-calib", "cameras": cameras}
+    about = {"calibDataSource": "mocap-calib", "provenance": plain_fields(provenance)}
+    document = {**about, "cameras": cameras}
     return Written({"calibration.json": to_json(document)})

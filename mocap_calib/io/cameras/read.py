@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from mocap_calib.errors import FormatError, MismatchError
+from mocap_calib.io.cameras.comments import read_comments
 from mocap_calib.io.cameras.formats import (
     CAMERA_FORMATS,
     FOLDER_ENDINGS,
@@ -23,6 +24,7 @@ from mocap_calib.io.cameras.source import CameraFile, Source, join_camera_files,
 from mocap_calib.io.file import malformed, read_bytes
 from mocap_calib.io.media import name_media
 from mocap_calib.io.names import camera_name
+from mocap_calib.io.provenance import read_description
 from mocap_calib.io.registry import find_format, format_names
 from mocap_calib.io.units import ARBITRARY, known_unit
 from mocap_calib.recording.pairing import compose_name
@@ -99,7 +101,7 @@ def parse_content(
     for each in _candidates(format):
         # a format that is named is taken at its word: its own complaint says more
         if format is not None or each.sniff(file):
-            return _complete(_compose_names(each.read(file), source), each, source, unit)
+            return _complete(_read_judged(each, file), each, source, unit)
     raise _unknown(file)
 
 
@@ -136,7 +138,7 @@ def _load_folder(path: Path, format: str | None, unit: str | None) -> CameraFile
     folder = Source(str(path), contents, folder=True)
     for each in _candidates(format):
         if each.sniff(folder):
-            return _complete(_compose_names(each.read(folder), str(path)), each, str(path), unit)
+            return _complete(_read_judged(each, folder), each, str(path), unit)
     parts = [
         parse_content(content, f"{path}/{name}", format, unit)
         for name, content in contents.items()
@@ -182,6 +184,19 @@ def _unknown(file: Source) -> FormatError:
 def _expected_formats() -> str:
     """Return the formats that are read, for complaints."""
     return f"cameras, one of: {', '.join(format_names(CAMERA_FORMATS))}"
+
+
+def _read_judged(form: CameraFormat, source: Source) -> CameraFile:
+    """Return what a source says, with the verdict in its comments where it has none elsewhere.
+
+    Raises FormatError.
+    """
+    found = _compose_names(form.read(source), source.path)
+    if found.judgement:
+        return found
+    comments = (read_comments(content) for content in source.files.values())
+    judged = (read_description(lines) for lines in comments)
+    return replace(found, judgement=next(filter(None, judged), {}))
 
 
 def _compose_names(found: CameraFile, source: str) -> CameraFile:

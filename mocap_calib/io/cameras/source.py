@@ -184,6 +184,7 @@ def join_camera_files(found: CameraFile, more: CameraFile, source: str) -> Camer
         extrinsics={**found.extrinsics, **more.extrinsics},
         unit=found.unit,
         notes=(*found.notes, *more.notes),
+        judgement=found.judgement if found.judgement == more.judgement else {},
     )
 
 
@@ -245,6 +246,11 @@ def need_sizes(rig: CameraRig, name: str) -> None:
 def without_sizes(rig: CameraRig) -> tuple[str, ...]:
     """Return what is lost by a format that has no image sizes."""
     return ("image sizes",) if any(0 not in camera.size for camera in rig.cameras) else ()
+
+
+def without_verdict(provenance: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return what is lost by a format that has no place for what is said of a rig."""
+    return ("the verdict on the rig",) if "verdict" in provenance else ()
 
 
 def to_json(value: Any) -> bytes:

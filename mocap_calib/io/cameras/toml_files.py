@@ -21,13 +21,12 @@ from mocap_calib.io.cameras.intrinsics import describe_keys, make_camera, make_e
 from mocap_calib.io.cameras.own import (
     anipose_metadata,
     format_calibration_toml,
-    plain_fields,
     toml_fields,
 )
 from mocap_calib.io.cameras.source import CameraFile, Source, need_sizes, terms
 from mocap_calib.io.cameras.toml_text import dump_toml
 from mocap_calib.io.file import malformed
-from mocap_calib.io.provenance import read_judgement
+from mocap_calib.io.provenance import plain_fields, read_judgement
 from mocap_calib.io.registry import Written
 from mocap_calib.types import Camera, CameraRig
 

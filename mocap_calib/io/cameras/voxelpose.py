@@ -26,6 +26,7 @@ from mocap_calib.io.cameras.source import (
     terms,
     to_json,
     without_sizes,
+    without_verdict,
 )
 from mocap_calib.io.file import malformed
 from mocap_calib.io.registry import Written
@@ -96,7 +97,9 @@ def write(rig: CameraRig, provenance: Mapping[str, Any]) -> Written:
         str(view): _fields(camera, rotation=rig.rotation[view], centre=rig.centres[view])
         for view, camera in enumerate(rig.cameras)
     }
-    return Written({"calibration.json": to_json(cameras)}, without_sizes(rig))
+    return Written(
+        {"calibration.json": to_json(cameras)}, (*without_sizes(rig), *without_verdict(provenance))
+    )
 
 
 def _fields(camera: Camera, *, rotation: Floats, centre: Floats) -> dict[str, Any]:

@@ -1,0 +1,199 @@
+"""Look at a rig in ways that are independent of its covariance.
+
+A covariance knows what chance does to a rig under a model that is right. Whether the model is
+right (one clock, these lenses, cameras that stay where they are, rigid bodies, who is who) is to be
+seen in what the model leaves over. docs/how-good.md has the values of sound recordings.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mocap_calib.config import REPORT_FRAMES, Config
+from mocap_calib.multi_view.triangulation import gather_observations, project
+from mocap_calib.recording.sampling import evenly_spaced
+from mocap_calib.types import Check, Floats, GroupResult, Ints
+
+_LEAST_IN_BLOCK = 30  # keypoints of a camera that tell how large its errors are
+
+
+@dataclass(frozen=True)
+class _Leftover:
+    """What the points of a group leave over of what was seen.
+
+    pixels, gap: `[view, 2, frame, individual, keypoint]` the detections, and how far from them the
+        points are seen, NaN = missing.
+    distance: `[view, frame, individual, keypoint]` length of the gap.
+    """
+
+    pixels: Floats
+    gap: Floats
+    distance: Floats
+
+    @classmethod
+    def of(cls, group: GroupResult) -> "_Leftover":
+        """Return that of an even sample of the frames."""
+        frames = evenly_spaced(np.arange(len(group.recording.frames)), REPORT_FRAMES)
+        pixels = gather_observations(group.recording, group.matches, frames).pixels
+        points = group.poses.positions[frames]
+        gap = project(group.rig, points.reshape(-1, 3).T) - pixels
+        shape = (len(gap), 2, *points.shape[:3])
+        distance = np.linalg.norm(gap, axis=1).reshape(len(gap), *points.shape[:3])
+        return cls(pixels=pixels.reshape(shape), gap=gap.reshape(shape), distance=distance)
+
+
+def check_rig(group: GroupResult, config: Config, *, used_frames: Ints) -> tuple[Check, ...]:
+    """Return all checks of the rig of a group.
+
+    used_frames: `[frame]` indices of the frames that the rig was made of.
+    """
+    limits, left = config.verdict, _Leftover.of(group)
+    of_cameras = {
+        "pair score": (_lack_of_score(group, config), 0.0),
+        "clock": (_clocks(group, config), limits.clock_frames),
+        "lens": (_radial_slopes(group, left, config), limits.lens),
+        "over time": (_over_time(left, config), limits.over_time),
+        "unmatched": (_unmatched(group), limits.unmatched),
+        "errors": (_errors_of_body(group, left), limits.errors),
+    }
+    return (
+        Check("convergence", 0.0 if group.adjusted.converged else 1.0, 0.0),
+        Check("held-out frames", _held_out(group, used_frames), limits.held_out),
+        Check("bones", _bones(group.poses.positions), limits.bones),
+        Check("loops", _broken_loops(group, config), limits.broken_loops),
+        *(_of_worst(name, *found, group=group) for name, found in of_cameras.items()),
+    )
+
+
+def _of_worst(name: str, values: Floats, limit: float, *, group: GroupResult) -> Check:
+    """Return the check of the camera with the largest of some values `[view]`."""
+    if not np.isfinite(values).any():
+        return Check(name, np.nan, limit)
+    worst = int(np.nanargmax(values))
+    return Check(name, float(values[worst]), limit, group.rig.names[worst])
+
+
+# Of the whole rig
+
+
+def _held_out(group: GroupResult, used_frames: Ints) -> float:
+    """Return the error in frames that were never used, in errors of those that were."""
+    error = group.poses.error
+    never = np.setdiff1d(np.arange(len(error)), used_frames)
+    parts = [part[np.isfinite(part)] for part in (error[never], error[used_frames])]
+    if not all(len(part) for part in parts):
+        return np.nan
+    return float(np.median(parts[0]) / np.median(parts[1]))
+
+
+def _bones(positions: Floats) -> float:
+    """Return the share by which the steadiest quarter of all distances on a body vary over time.
+
+    positions: `[frame, individual, keypoint, 3]`. By the median distance from the median.
+    """
+    frames = evenly_spaced(np.arange(len(positions)), 300)
+    first, second = np.triu_indices(positions.shape[2], 1)
+    bodies = positions[frames].reshape(-1, *positions.shape[2:])
+    length = np.linalg.norm(bodies[:, first] - bodies[:, second], axis=-1)
+    known = np.isfinite(length).sum(0)
+    length = length[:, known >= max(2, min(20, int(known.max(initial=0))))]
+    if not length.size:
+        return np.nan
+    middle = np.nanmedian(length, axis=0)
+    spread = 1.48 * np.nanmedian(np.abs(length - middle), axis=0)
+    return float(np.quantile(spread / middle, 0.25))
+
+
+def _broken_loops(group: GroupResult, config: Config) -> float:
+    """Return the share of the pairs of cameras that do not go with the rig."""
+    weight = group.averaged.weight
+    return float((weight < config.averaging.breaks).mean()) if len(weight) else np.nan
+
+
+# Of each camera
+
+
+def _lack_of_score(group: GroupResult, config: Config) -> Floats:
+    """Return by how much `[view]` the lifted bodies of a camera's best pair agree too little."""
+    score = np.full(len(group.rig.cameras), -np.inf)
+    for pair in group.pairs:
+        for view in (pair.a, pair.b):
+            score[view] = max(score[view], pair.score)
+    return config.averaging.weak_score - score
+
+
+def _clocks(group: GroupResult, config: Config) -> Floats:
+    """Return by how many frames `[view]` clocks are certainly off that were not put right."""
+    offsets = group.time_offsets
+    left = np.where(offsets.used, 0.0, np.abs(offsets.tau))
+    certain = left > config.verdict.clock_significance * offsets.sigma
+    return np.where(certain, left, np.where(np.isfinite(left), 0.0, np.nan))
+
+
+def _radial_slopes(group: GroupResult, left: _Leftover, config: Config) -> Floats:
+    """Return how certain it is, `[view]`, that errors grow with the cube of the radius.
+
+    In standard deviations, from how the sums of stretches of time and of joints scatter. Lenses
+    that are wrong do that.
+    """
+    found = np.full(len(group.rig.cameras), np.nan)
+    blocks = config.uncertainty.time_blocks
+    for view, camera in enumerate(group.rig.cameras):
+        centre = camera.matrix[:2, 2, None, None, None]
+        arm = (left.pixels[view] - centre) / camera.focal
+        usual = np.nanmedian(left.distance[view]) if np.isfinite(left.distance[view]).any() else 1
+        weight = 1 / (1 + (left.distance[view] / (2 * usual)) ** 2)
+        pull = weight * (left.gap[view] * arm).sum(0) * (arm**2).sum(0)
+        in_time = [np.nansum(part) for part in np.array_split(pull, blocks)]
+        of_joint = np.nansum(pull, axis=(0, 1))
+        scatter = float(np.square(in_time).sum() + np.square(of_joint).sum())
+        if scatter > 0:
+            found[view] = abs(float(np.nansum(pull))) / np.sqrt(scatter)
+    return found
+
+
+def _over_time(left: _Leftover, config: Config) -> Floats:
+    """Return the largest error of a stretch of time in median ones, `[view]`.
+
+    That of a camera that was moved for a while.
+    """
+    stretches = np.array_split(left.distance, config.uncertainty.time_blocks, axis=1)
+    medians = np.stack([_medians_by_view(part) for part in stretches])
+    some = np.isfinite(medians).any(0)
+    found = np.full(len(left.distance), np.nan)
+    found[some] = np.nanmax(medians[:, some], axis=0) / np.nanmedian(medians[:, some], axis=0)
+    return found
+
+
+def _medians_by_view(distance: Floats) -> Floats:
+    """Return the median `[view]` of distances `[view, ...]`, NaN where there are few."""
+    flat = distance.reshape(len(distance), -1)
+    enough = np.isfinite(flat).sum(1) >= _LEAST_IN_BLOCK
+    found = np.full(len(flat), np.nan)
+    found[enough] = np.nanmedian(flat[enough], axis=1)
+    return found
+
+
+def _unmatched(group: GroupResult) -> Floats:
+    """Return the share `[view]` of the detections that are matched with nobody."""
+    detected = group.recording.seen.any(-1)
+    matched = detected & (group.matches.labels >= 0)
+    return 1 - matched.sum((1, 2)) / np.maximum(detected.sum((1, 2)), 1)
+
+
+def _errors_of_body(group: GroupResult, left: _Leftover) -> Floats:
+    """Return the median error of a keypoint `[view]` in sizes of the bodies in the image.
+
+    Detectors err by a share of what they look at.
+    """
+    some = np.isfinite(left.distance).sum(-1, keepdims=True) >= 3
+    pixels = np.where(some[:, None], left.pixels, np.nan)  # [view, 2, frame, individual, keypoint]
+    found = np.full(len(group.rig.cameras), np.nan)
+    for view, seen in enumerate(pixels):
+        bodies = np.moveaxis(seen, 0, -1).reshape(-1, *seen.shape[3:], 2)
+        bodies = bodies[np.isfinite(bodies[..., 0]).sum(1) >= 3]
+        if len(bodies):
+            off = bodies - np.nanmedian(bodies, axis=1, keepdims=True)
+            size = np.median(np.sqrt(np.nanmean((off**2).sum(-1), axis=1)))
+            found[view] = np.nanmedian(left.distance[view]) / size
+    return found

@@ -1,0 +1,132 @@
+"""Say in words why a rig is no better than its verdict, and what to do about it."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from mocap_calib.config import Config
+from mocap_calib.types import Check, EstimatedCamera, GroupResult
+from mocap_calib.wording import count
+
+# by the name of a check: what it means where it fails, and the remedy
+_MEANING = {
+    "convergence": (
+        "adjusting and matching did not come to an end",
+        "look for a camera with large errors, and record longer",
+    ),
+    "held-out frames": (
+        "errors are {value:.2f} times as large in frames that were not used",
+        "check that the cameras stayed where they are",
+    ),
+    "bones": (
+        "distances on bodies vary by {value:.0%} at least",
+        "check the keypoints, and who is who, in the 3D poses",
+    ),
+    "loops": (
+        "{value:.0%} of the pairs of cameras contradict the rig",
+        "check the keypoints, and that all files are of one time",
+    ),
+    "pair score": (
+        "{camera}: the bodies it sees do not look like those of any other camera",
+        "check that its file belongs to this recording",
+    ),
+    "clock": (
+        "{camera}: its clock seems to be off by {value:.2f} frames",
+        "trigger the cameras together, or record at a higher rate",
+    ),
+    "lens": (
+        "{camera}: errors grow towards the edge of the image ({value:.1f} standard deviations)",
+        "its lens may be another than given: calibrate it, or say --refine focal+k1",
+    ),
+    "over time": (
+        "{camera}: errors are {value:.1f} times as large for a while",
+        "check whether it was moved, or out of step, for a part of the recording",
+    ),
+    "unmatched": (
+        "{camera}: {value:.0%} of its detections match nobody",
+        "check its keypoints: detections of nobody, or people whom no other camera sees",
+    ),
+    "errors": (
+        "{camera}: errors are {value:.0%} of the size of a body",
+        "check its keypoints, its clock and its intrinsics",
+    ),
+}
+
+
+def explain(group: GroupResult, config: Config) -> Iterator[str]:
+    """Yield why the rig of a group is no better than its verdict, a line with a remedy each."""
+    if np.rad2deg(group.uncertainty.covariance.rotation_sigma.max()) >= (
+        config.verdict.well_determined_deg
+    ):
+        yield from _explain_error(group, config)
+    if group.uncertainty.outlier_cameras.any():
+        names = _names(group, group.uncertainty.outlier_cameras)
+        yield f"{names}: errors several times those of the others; check clock, files, intrinsics"
+    if group.uncertainty.wrong_focal.any():
+        names = _names(group, group.uncertainty.wrong_focal)
+        yield f"{names}: focal lengths other than given; calibrate them, or say --refine focal"
+    if group.adjusted.depth_reversed_rig is not None:
+        yield (
+            "a rig reversed in depth fits as well and nothing tells which is right; move the "
+            "cameras closer, or use shorter lenses"
+        )
+    yield from (_describe(check) for check in group.checks if not check.passed)
+
+
+def _describe(check: Check) -> str:
+    """Return what a check that failed means, and the remedy."""
+    meaning, remedy = _MEANING[check.name]
+    return f"{meaning.format(value=check.value, camera=check.camera)}; {remedy}"
+
+
+def _names(group: GroupResult, which: np.ndarray) -> str:
+    """Return the names of some cameras (`[view]` bools)."""
+    return ", ".join(group.rig.names[view] for view in np.flatnonzero(which))
+
+
+def _explain_error(group: GroupResult, config: Config) -> Iterator[str]:
+    """Yield how far the worst camera may be off, and what most likely stands behind it."""
+    sigma = group.uncertainty.covariance.rotation_sigma
+    worst = int(sigma.argmax())
+    said = f"{group.rig.names[worst]} may be turned by {np.rad2deg(sigma[worst]):.1f} deg"
+    if 2 * group.uncertainty.focal_turn[worst] ** 2 > sigma[worst] ** 2:
+        estimated = any(isinstance(camera, EstimatedCamera) for camera in group.rig.cameras)
+        yield f"{said}, most of it by focal lengths; " + (
+            "give the intrinsics (--cameras)"
+            if estimated
+            else "calibrate the intrinsics anew, or say --refine focal"
+        )
+        return
+    yield f"{said}; {_remedy(group, config, worst)}"
+
+
+def _remedy(group: GroupResult, config: Config, worst: int) -> str:
+    """Return what would determine a camera (index) better."""
+    frames = int((group.matches.labels >= 0).any((0, 2)).sum())
+    if frames < config.verdict.few_frames:
+        return f"bodies are matched in {count(frames, 'frame')} only: record longer"
+    if group.uncertainty.weak_perspective[worst]:
+        return "it is far away for the size of what it sees: let the subject come closer"
+    facing = _faces(group, worst, config.verdict.facing_deg)
+    if facing is not None and len(group.rig.cameras) == 2:
+        names = f"{group.rig.names[worst]} and {group.rig.names[facing]}"
+        return f"{names} face each other: add a camera between them"
+    if _stands_still(group):
+        return "the subject hardly moves: let it walk about and turn"
+    return "let the subject walk about, nearer to it and in view of other cameras, for longer"
+
+
+def _faces(group: GroupResult, view: int, least_deg: float) -> int | None:
+    """Return a camera (index) that looks the other way, None where there is none."""
+    axes = group.rig.rotation[:, 2]
+    cosine = axes @ axes[view]
+    opposite = int(cosine.argmin())
+    return opposite if cosine[opposite] < np.cos(np.deg2rad(least_deg)) else None
+
+
+def _stands_still(group: GroupResult) -> bool:
+    """Return whether bodies move by less than their own size."""
+    middle = np.nanmedian(group.poses.positions, axis=2)  # [frame, individual, 3]
+    size = np.nanmedian(np.linalg.norm(group.poses.positions - middle[:, :, None], axis=-1))
+    way = np.linalg.norm(middle - np.nanmedian(middle, axis=0), axis=-1)
+    return bool(np.nanmedian(way) < size)

@@ -1,0 +1,51 @@
+"""Say how far a rig can be trusted, and why; docs/how-good.md has the rule in words."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from mocap_calib.config import Config, VerdictConfig
+from mocap_calib.multi_view.checks import check_rig
+from mocap_calib.multi_view.reasons import explain
+from mocap_calib.types import VERDICTS, Check, GroupResult, Ints, Uncertainty, Verdict
+
+
+def judge_group(group: GroupResult, config: Config, *, used_frames: Ints) -> GroupResult:
+    """Return the group with the verdict on its rig, the checks it rests on, and the reasons.
+
+    used_frames: `[frame]` indices of the frames that the rig was made of.
+    """
+    checks = check_rig(group, config, used_frames=used_frames)
+    reversible = group.adjusted.depth_reversed_rig is not None
+    verdict = judge_rig(group.uncertainty, checks, config.verdict, reversible=reversible)
+    judged = replace(group, verdict=verdict, checks=checks)
+    return replace(judged, reasons=tuple(explain(judged, config)))
+
+
+def judge_rig(
+    uncertainty: Uncertainty, checks: tuple[Check, ...], config: VerdictConfig, *, reversible: bool
+) -> Verdict:
+    """Return the verdict on a rig.
+
+    The expected error of the worst camera decides. It cannot be better than *usable* where a check
+    fails or a focal length is wrong, than *weak* where cameras contradict the others or a
+    reversed rig fits as well, and than *not determined* where most contradict each other.
+
+    reversible: the rig reversed in depth fits as well.
+    """
+    limits = (config.well_determined_deg, config.usable_deg, config.weak_deg)
+    worst = np.rad2deg(uncertainty.covariance.rotation_sigma.max())
+    outliers = uncertainty.outlier_cameras
+    by_error = int(np.searchsorted(limits, worst, side="right"))
+    at_best = [
+        (1, uncertainty.wrong_focal.any() or not all(check.passed for check in checks)),
+        (2, outliers.any() or reversible),
+        (3, 2 * outliers.sum() > len(outliers)),
+    ]
+    return VERDICTS[max([by_error, *(place for place, holds in at_best if holds)])]
+
+
+def no_better_than(group: GroupResult, verdict: Verdict, reason: str) -> GroupResult:
+    """Return the group with a verdict that is no better than one, and why."""
+    place = max(VERDICTS.index(group.verdict), VERDICTS.index(verdict))
+    return replace(group, verdict=VERDICTS[place], reasons=(*group.reasons, reason))
