@@ -145,7 +145,8 @@ def table_of_ratios(lines: Sequence[Line]) -> bool:
         worst = np.max(np.array(group["rotation_deg"]) / group["rotation_sigma_deg"])
         within = all(RATIO[0] <= ratio <= RATIO[1] for ratio in ratios)
         good = good and (within or line["case"] in RATIO_FREE)
-        print(f"| {' | '.join(cells)} | {worst:.2f} |{'' if within else ' **beyond**'}")
+        mark = "" if within else " **beyond**"
+        print(f"| {' | '.join(cells)} | {worst:.2f}{mark} |")
     return good
 
 

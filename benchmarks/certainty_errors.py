@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.config import EPOCH_MARK
-from mocap_calib.geometry.rotation import angle_between, nearest_rotation, vector_from_matrix
-from mocap_calib.multi_view.rig_covariance import project_out_similarity, rig_size
+from mocap_calib.geometry.rotation import angle_between, nearest_rotation
+from mocap_calib.multi_view.rig_covariance import rig_change
 from mocap_calib.types import CameraRig, Floats, GroupResult
 
 
@@ -25,6 +25,7 @@ def judge_group(group: GroupResult, truth: Sequence[CameraRig]) -> dict[str, Any
     found: dict[str, Any] = {
         "cameras": list(group.rig.names),
         "verdict": group.verdict,
+        "failed": [check.name for check in group.checks if not check.passed],
         "reasons": list(group.reasons),
         "true": False,
     }
@@ -59,18 +60,11 @@ def find_truth(rig: CameraRig, truth: Sequence[CameraRig]) -> CameraRig | None:
 def rig_error(rig: CameraRig, true: CameraRig) -> Floats:
     """Return by how much cameras must be turned and shifted to be right, `[view, 6]`.
 
-    As in a `RigCovariance`: turns about the axes of the world in radians, shifts of the centres in
-    sizes of the rig, after the best similarity to the first order. The first alignment is by the
-    rotations, so that it is good where the centres are on a line too.
+    As `rig_change` says. The rigs are first aligned by all of their rotations, which is good where
+    the centres are on a line too.
     """
     turn = nearest_rotation(np.einsum("vji,vjk->ik", rig.rotation, true.rotation))
-    offset = rig.centres - rig.centres.mean(0)
-    aligned = (true.centres - true.centres.mean(0)) @ turn.T
-    scale = (offset * aligned).sum() / (aligned**2).sum()
-    rotation = true.rotation @ turn.T
-    turned = vector_from_matrix(np.swapaxes(rig.rotation, 1, 2) @ rotation)
-    shifted = (scale * aligned - offset) / rig_size(rig)
-    return project_out_similarity(np.concatenate([turned, shifted], axis=1), rig)
+    return rig_change(rig, replace(true, rotation=true.rotation @ turn.T))
 
 
 def worst_pair_deg(rig: CameraRig, true: CameraRig) -> float:
