@@ -22,26 +22,26 @@ def judge_group(group: GroupResult, truth: Sequence[CameraRig]) -> dict[str, Any
     Mahalanobis distances of the errors of a camera (3 degrees of freedom). `pair_deg` is the
     largest angle between relative rotations of two cameras and the true ones.
     """
+    covariance = group.uncertainty.covariance
     found: dict[str, Any] = {
         "cameras": list(group.rig.names),
         "verdict": group.verdict,
         "failed": [check.name for check in group.checks if not check.passed],
         "reasons": list(group.reasons),
+        "rotation_sigma_deg": np.degrees(covariance.rotation_sigma).tolist(),
+        "centre_sigma": (100 * covariance.centre_sigma).tolist(),
         "true": False,
     }
     true = find_truth(group.rig, truth)
     if true is None:
         return found
-    error, covariance = rig_error(group.rig, true), group.uncertainty.covariance
-    turn, shift = slice(0, 3), slice(3, 6)
+    error, turn, shift = rig_error(group.rig, true), slice(0, 3), slice(3, 6)
     return found | {
         "true": True,
         "pair_deg": worst_pair_deg(group.rig, true),
         "rotation_deg": np.degrees(norms(error[:, turn])).tolist(),
-        "rotation_sigma_deg": np.degrees(covariance.rotation_sigma).tolist(),
         "rotation_distance": mahalanobis(error[:, turn], covariance.matrix[:, turn, :, turn]),
         "centre": (100 * norms(error[:, shift])).tolist(),
-        "centre_sigma": (100 * covariance.centre_sigma).tolist(),
         "centre_distance": mahalanobis(error[:, shift], covariance.matrix[:, shift, :, shift]),
     }
 
