@@ -16,7 +16,7 @@ from scenes import calibrated
 from mocap_calib.config import Config
 from mocap_calib.judging import judge_cameras, judge_rigs
 from mocap_calib.multi_view.triangulation import gather_observations, project
-from mocap_calib.multi_view.uncertainty import judge_rig
+from mocap_calib.multi_view.verdict import judge_group
 from mocap_calib.report import run_report
 from mocap_calib.types import CalibrationResult, Clocks, GroupResult, TimeOffsets
 from mocap_calib_cli.describe import describe_group
@@ -104,8 +104,8 @@ def test_what_is_wrong_with_a_camera_is_in_its_faults():
         outlier_cameras=np.array([False, True, True, False]),
         weak_perspective=np.array([False, False, True, True]),
     )
-    verdict = judge_rig(uncertainty, Config().uncertainty)
-    found = replace(found, uncertainty=uncertainty, verdict=verdict)
+    found = replace(found, uncertainty=uncertainty)
+    found = judge_group(found, Config(), used_frames=np.arange(len(found.recording.frames)))
     result = CalibrationResult(
         groups=(found,), left_out=(), unused_pairs=(), clocks=Clocks.of_one(found.recording)
     )

@@ -6,6 +6,7 @@ from typing import Any
 from mocap_calib.config import InspectConfig
 from mocap_calib.inspection.finding import Finding, critical, warning
 from mocap_calib.types import Keypoints2D
+from mocap_calib.wording import count
 
 
 def find_clock_problems(
@@ -13,7 +14,7 @@ def find_clock_problems(
 ) -> list[Finding]:
     """Name the frame numbers that do not go together. pairs: of the report."""
     names = {view.camera for view in usable}
-    pairs = [pair for pair in pairs if {pair["a"], pair["b"]} <= names]
+    pairs = [pair for pair in pairs if _names(pair) <= names]
     if not pairs:
         return []
     most = max(pair["covisible"] for pair in pairs)
@@ -25,15 +26,67 @@ def find_clock_problems(
                 "or check that the files are of one recording"
             )
         ]
-    found = []
-    if most < config.enough_frames:
-        found.append(
+    return [
+        *_find_little_overlap(usable, pairs, config),
+        *_find_lonely_cameras(usable, pairs),
+        *_find_separate_groups(usable, pairs),
+        *_find_other_frames(usable),
+    ]
+
+
+def _find_little_overlap(
+    usable: Sequence[Keypoints2D], pairs: Sequence[Mapping[str, Any]], config: InspectConfig
+) -> list[Finding]:
+    """Name the cameras that see too little together with any other. pairs: of the report."""
+    enough = config.enough_frames
+    if max(pair["covisible"] for pair in pairs) < enough:
+        return [
             warning(
-                "no two cameras see something together in "
-                f"{config.enough_frames} frames or more; record longer"
+                f"no two cameras see something together in {enough} frames or more; record longer"
             )
+        ]
+    most = {
+        view.camera: max(pair["covisible"] for pair in pairs if view.camera in _names(pair))
+        for view in usable
+    }
+    return [
+        warning(
+            f"{name}: sees something together with another camera in {count(frames, 'frame')}, "
+            f"expected {enough} or more; record longer, or let somebody pass where both see"
         )
-    return [*found, *_find_lonely_cameras(usable, pairs), *_find_other_frames(usable)]
+        for name, frames in most.items()
+        if 0 < frames < enough
+    ]
+
+
+def _find_separate_groups(
+    usable: Sequence[Keypoints2D], pairs: Sequence[Mapping[str, Any]]
+) -> list[Finding]:
+    """Say which cameras no chain of pairs joins that see something together.
+
+    pairs: of the report. Cameras that see nothing together with any other are left out.
+    """
+    groups = [{view.camera} for view in usable]
+    for pair in pairs:
+        if pair["covisible"]:
+            joined = [group for group in groups if group & _names(pair)]
+            groups = [group for group in groups if group not in joined] + [set().union(*joined)]
+    groups = [group for group in groups if len(group) > 1]
+    if len(groups) < 2:
+        return []
+    in_order = [[view.camera for view in usable if view.camera in group] for group in groups]
+    listed = " | ".join(", ".join(names) for names in in_order)
+    return [
+        warning(
+            f"{len(groups)} groups of cameras see nothing in the same frames ({listed}), and will "
+            "be calibrated each by itself; let somebody go from one to the other"
+        )
+    ]
+
+
+def _names(pair: Mapping[str, Any]) -> set[str]:
+    """Return the names of the two cameras of a pair of the report."""
+    return {pair["a"], pair["b"]}
 
 
 def _find_lonely_cameras(

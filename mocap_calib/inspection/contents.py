@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.config import InspectConfig
+from mocap_calib.inspection.motion import measure_motion
 from mocap_calib.recording.joints import normalise_name
 from mocap_calib.recording.meanings import keypoint_meanings
 from mocap_calib.recording.pairing import views_named
@@ -22,7 +23,8 @@ def inspect_views(
 ) -> dict[str, Any]:
     """Return what the files hold, in three sections.
 
-    `cameras`: what each file has (frames, detections, keypoints, missing points, scores, image).
+    `cameras`: what each file has (frames, detections, keypoints, missing points, motion, scores,
+        image).
     `pairs`: how much each two cameras see together.
     `model`: how many of the skeleton's joints are among the keypoints, and which keypoints it does
     not know, after `aliases` (own name -> joint) were applied.
@@ -81,6 +83,7 @@ def _describe_camera(view: Keypoints2D, config: InspectConfig) -> dict[str, Any]
         "never_seen": [name for name, found in zip(view.keypoints, ever, strict=True) if not found],
         "points": int(seen.sum()),
         "missing": _describe_missing(view.missing, int(seen.sum())),
+        "motion": measure_motion(view, config),
         "confidence": _describe_scores(view.confidence[seen]),
         "image": _describe_image(view.positions[seen], view.image_size, config),
         "remarks": list(view.remarks),

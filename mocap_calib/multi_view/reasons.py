@@ -9,7 +9,7 @@ from mocap_calib.types import Check, EstimatedCamera, GroupResult
 from mocap_calib.wording import count
 
 # by the name of a check: what it means where it fails, and the remedy
-_MEANING = {
+MEANING = {
     "convergence": (
         "adjusting and matching did not come to an end",
         "look for a camera with large errors, and record longer",
@@ -75,7 +75,7 @@ def explain(group: GroupResult, config: Config) -> Iterator[str]:
 
 def _describe(check: Check) -> str:
     """Return what a check that failed means, and the remedy."""
-    meaning, remedy = _MEANING[check.name]
+    meaning, remedy = MEANING[check.name]
     return f"{meaning.format(value=check.value, camera=check.camera)}; {remedy}"
 
 

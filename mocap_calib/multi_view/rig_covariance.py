@@ -31,7 +31,7 @@ from mocap_calib.multi_view.covariance import find_covariance
 from mocap_calib.multi_view.ray_residuals import RayObservations
 from mocap_calib.multi_view.residuals import State
 from mocap_calib.multi_view.schur import free_poses
-from mocap_calib.types import CameraRig, Floats, Ints, Matches, RigCovariance, Sample
+from mocap_calib.types import Bools, CameraRig, Floats, Ints, Matches, RigCovariance, Sample
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,9 @@ def rig_covariance(
     bent = _jackknife(fitted, config, seed=seed)
     expected = np.einsum("vivi->", first_order.matrix[:, :3, :, :3])
     ratio = np.sqrt(bent / max(expected, 1e-30)) / config.uncertainty.usual_bend
-    return replace(first_order, matrix=first_order.matrix * max(1.0, ratio) ** 2)
+    # a single moment does not show what all joints of a moment share: it counts twice
+    moments = 1 + 1 / len(np.unique(fitted.points.frame))
+    return replace(first_order, matrix=first_order.matrix * max(1.0, ratio) ** 2 * moments)
 
 
 def rig_change(before: CameraRig, after: CameraRig) -> Floats:
@@ -110,7 +112,25 @@ def _fit(sample: Sample, rig: CameraRig, matches: Matches, config: Config) -> _F
     start = State(rig.rotation, rig.translation, points.points, np.zeros((len(rig.cameras), 0)))
     state = _settle(start, seen, config)
     adjusted = replace(rig, rotation=state.rotation, translation=state.translation)
-    return _Fitted(rig=adjusted, points=points, seen=seen, state=state)
+    kept = np.flatnonzero(~_at_a_camera(adjusted, state.points, points.used, config))
+    return _Fitted(
+        rig=adjusted,
+        points=points.select(kept),
+        seen=seen.select(kept),
+        state=replace(state, points=state.points[:, kept]),
+    )
+
+
+def _at_a_camera(rig: CameraRig, points: Floats, used: Bools, config: Config) -> Bools:
+    """Return which points (`[3, N]`) are next to a camera that sees them (used: `[view, N]`).
+
+    Nobody is there: rays of different things have met. The image of such a point changes so fast
+    that its rounding errors outweigh all other points.
+    """
+    distance = np.linalg.norm(points - rig.centres[:, :, None], axis=1)  # [view, N]
+    distance = np.where(used, distance, np.nan)
+    usual = np.nanmedian(distance, axis=1, keepdims=True)
+    return np.asarray((distance < config.uncertainty.least_distance * usual).any(0))
 
 
 def _settle(state: State, seen: RayObservations, config: Config) -> State:

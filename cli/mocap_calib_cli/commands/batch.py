@@ -227,6 +227,7 @@ class _Batch:
             "left_out": report["left_out"],
             "individuals": len(report["individuals"]),
             "rig": verdict["rig"],
+            "reasons": verdict["reasons"],
             "rotation_sigma_deg": verdict["rotation_sigma_deg"]["max"],
         }
         self.reporter.say(
@@ -238,7 +239,14 @@ class _Batch:
                 f"{name}: {groups} groups of cameras that share too little, each calibrated by "
                 "itself; counted is the largest"
             )
-        warn_of_verdict(self.reporter, verdict["rig"], request.output, self.shared)
+        self.reporter.say(*(f"  {reason}" for reason in verdict["reasons"]))
+        warn_of_verdict(
+            self.reporter,
+            verdict["rig"],
+            request.output,
+            self.shared,
+            reasons=verdict["reasons"],
+        )
         self._note(request, outcome)
 
     def _note_failure(self, request: "CalibrationRequest", error: Exception) -> None:
@@ -286,7 +294,7 @@ def _format_outcomes(outcomes: Iterable[Outcome]) -> list[str]:
     """Return the outcomes as a table."""
     from mocap_calib_cli.progress import format_number, format_table
 
-    header = ["recording", "status", "cameras", "individuals", "split-half deg", "rig"]
+    header = ["recording", "status", "cameras", "individuals", "sigma deg", "rig"]
     rows = []
     for outcome in outcomes:
         counts = [str(outcome.get(name, "-")) for name in ("cameras", "individuals")]

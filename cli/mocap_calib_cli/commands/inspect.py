@@ -206,6 +206,9 @@ def _details(camera: dict[str, Any]) -> list[str]:
         lines.append(f"no frames {_describe_gaps(camera['frames']['gaps'])}")
     if camera["never_seen"]:
         lines.append(f"never seen: {', '.join(camera['never_seen'])}")
+    if camera["motion"] is not None:
+        apart = f"{camera['motion']:.2f} of their size"
+        lines.append(f"bodies of two frames are up to {apart} apart")
     if camera["image"]["least"]:
         lines.append(_describe_span(camera))
     return lines + camera["remarks"]

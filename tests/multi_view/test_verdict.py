@@ -1,0 +1,132 @@
+"""What a rig is called, from how far it may be off and from the checks."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import calibrated
+
+from mocap_calib.config import Config, VerdictConfig
+from mocap_calib.multi_view.checks import check_rig
+from mocap_calib.multi_view.reasons import MEANING, explain
+from mocap_calib.multi_view.verdict import judge_group, judge_rig, no_better_than
+from mocap_calib.types import Check, GroupResult, RigCovariance, Uncertainty
+
+LIMITS = VerdictConfig()
+SOUND = (Check("bones", 0.1, 0.3),)
+FAILED = (Check("bones", 0.4, 0.3),)
+
+
+def uncertainty(
+    degrees: float, *, views: int = 3, outliers: tuple[int, ...] = (), focal: bool = False
+) -> Uncertainty:
+    """Return the uncertainty of a rig whose last camera may be turned by so many degrees."""
+    matrix = np.zeros((views, 6, views, 6))
+    matrix[-1, 0, -1, 0] = np.deg2rad(degrees) ** 2
+    return Uncertainty(
+        covariance=RigCovariance(matrix=matrix, size=1.0),
+        focal_turn=np.zeros(views),
+        outlier_cameras=np.isin(np.arange(views), outliers),
+        weak_perspective=np.zeros(views, dtype=bool),
+        focal_change=np.zeros(views),
+        focal_sigma=np.ones(views),
+        wrong_focal=np.array([focal] * views),
+    )
+
+
+@pytest.mark.parametrize(
+    ("degrees", "word"),
+    [
+        (0.9, "well determined"),
+        (1.1, "usable"),
+        (2.9, "usable"),
+        (3.1, "weak"),
+        (9.9, "weak"),
+        (10.1, "not determined"),
+        (np.nan, "not determined"),
+    ],
+)
+def test_the_worst_camera_decides(degrees, word):
+    assert judge_rig(uncertainty(degrees), SOUND, LIMITS, reversible=False) == word
+
+
+@pytest.mark.parametrize(
+    ("found", "checks", "reversible", "word"),
+    [
+        (uncertainty(0.1), FAILED, False, "usable"),
+        (uncertainty(0.1, focal=True), SOUND, False, "usable"),
+        (uncertainty(0.1, outliers=(2,)), SOUND, False, "weak"),
+        (uncertainty(0.1), SOUND, True, "weak"),
+        (uncertainty(0.1, outliers=(0, 2)), SOUND, False, "not determined"),
+        (uncertainty(20.0), FAILED, False, "not determined"),  # a fault makes nothing better
+    ],
+)
+def test_what_speaks_against_a_rig_limits_its_verdict(found, checks, reversible, word):
+    assert judge_rig(found, checks, LIMITS, reversible=reversible) == word
+
+
+def test_a_check_without_a_value_does_not_fail():
+    assert Check("held-out frames", np.nan, 1.3).passed
+    assert not Check("held-out frames", 1.4, 1.3).passed
+
+
+def values(group: GroupResult) -> dict[str, Check]:
+    """Return the checks of a group by name."""
+    used = np.arange(0, len(group.recording.frames), 2)
+    return {check.name: check for check in check_rig(group, Config(), used_frames=used)}
+
+
+@pytest.mark.slow
+def test_a_sound_recording_passes_all_checks_and_none_is_without_words():
+    group = calibrated()
+    checks = values(group)
+    assert checks.keys() == MEANING.keys()
+    assert all(check.passed for check in checks.values()), checks
+    assert checks["held-out frames"].value == pytest.approx(1, abs=0.15)
+    assert checks["errors"].value < 0.05
+    assert checks["bones"].value < 0.15
+    judged = judge_group(group, Config(), used_frames=np.arange(len(group.recording.frames)))
+    assert judged.verdict == "well determined"
+    assert judged.reasons == ()
+
+
+@pytest.mark.slow
+def test_checks_see_what_is_wrong():
+    """Half of the poses stretched, a camera blind to who is who, errors in one stretch."""
+    group = calibrated()
+    frames = len(group.recording.frames)
+    stretched = group.poses.positions.copy()
+    stretched[::2] *= 2.0
+    poses = replace(group.poses, positions=stretched)
+    assert not values(replace(group, poses=poses))["bones"].passed
+    labels = group.matches.labels.copy()
+    labels[2, : frames // 2] = -1
+    found = values(replace(group, matches=replace(group.matches, labels=labels)))["unmatched"]
+    assert not found.passed
+    assert found.camera == group.rig.names[2]
+    positions = group.recording.positions.copy()
+    positions[1, : frames // 5] += 40.0
+    shaken = replace(group, recording=replace(group.recording, positions=positions))
+    found = values(shaken)["over time"]
+    assert not found.passed
+    assert found.camera == group.rig.names[1]
+
+
+@pytest.mark.slow
+def test_reasons_name_the_camera_the_size_and_the_remedy():
+    group = replace(calibrated(), uncertainty=uncertainty(4.2, views=4), checks=FAILED)
+    first, second = explain(group, Config())
+    assert first.startswith(f"{group.rig.names[3]} may be turned by 4.2 deg")
+    assert "vary by 40%" in second
+    focal = replace(group.uncertainty, focal_turn=np.deg2rad([0, 0, 0, 4.0]))
+    first, _ = explain(replace(group, uncertainty=focal), Config())
+    assert "focal" in first
+
+
+@pytest.mark.slow
+def test_a_verdict_is_only_ever_lowered():
+    group = calibrated()
+    lowered = no_better_than(group, "weak", "an estimate")
+    assert lowered.verdict == "weak"
+    assert lowered.reasons[-1] == "an estimate"
+    assert no_better_than(lowered, "usable", "another").verdict == "weak"
