@@ -480,9 +480,13 @@ class UncertaintyConfig:
     points: int = 2500  # that the covariance of a rig is found with
     least_distance: float = 0.02  # of a point from a camera, in usual ones
     parts: int = 5  # of the moments, and of the joints, that a rig is adjusted without
-    # by how much more rigs without a part differ than first order tells. Measured: 0.9 to 1.5 in
-    # thirteen recordings, 2.7 and 3.7 in two that hardly determine their rigs
-    usual_bend: float = 1.3
+    splits: int = 3  # of the joints into halves, that the rig is adjusted to
+    # by how much more rigs of parts differ than first order tells. Measured: 0.8 to 1.4 in
+    # recordings that determine their rigs (1.7 in one draw), 1.6 to 3.6 in four that hardly do
+    usual_bend: float = 1.2
+    # Free focal lengths go back most of the way to the true ones, and the rig with them: it was off
+    # by so many times what it changes by. Measured 1.1 to 1.25 where all are wrong by 20 or 30 %.
+    focal_reach: float = 1.2
     # An outlier camera has so many times the errors of the others. Measured: 1 to 2.6 where the
     # cameras agree, 3.8 between telescopes, 5 to 18 where one is out of step.
     outlier_factor: float = 4.0

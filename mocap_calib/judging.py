@@ -1,6 +1,6 @@
 """Say in a few lines how far the cameras of a group can be trusted; files of cameras hold them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -13,25 +13,25 @@ def judge_rigs(result: CalibrationResult) -> CalibrationResult:
     """Return the result with rigs that say how far they can be trusted."""
     groups = []
     for group in result.groups:
-        judged = judge_cameras(rig_report(group, result), group.reasons)
+        judged = judge_cameras(rig_report(group, result))
         rig = replace(group.rig, judgement=judged)
         groups.append(replace(group, adjusted=replace(group.adjusted, rig=rig)))
     return replace(result, groups=tuple(groups))
 
 
-def judge_cameras(report: Mapping[str, Any], reasons: Sequence[str]) -> dict[str, Any]:
+def judge_cameras(report: Mapping[str, Any]) -> dict[str, Any]:
     """Return what files say of how far the cameras of a group can be trusted.
 
     The fields are those of `provenance.judgement`.
 
-    report: what `run_report` or `rig_report` returns. reasons: of the group, for its verdict.
+    report: what `run_report` or `rig_report` returns.
     """
     verdict = report["verdict"]
     sigma = verdict["rotation_sigma_deg"]
     remarks = [
         f"cameras may be turned by {sigma['median']:.2f} deg ({sigma['max']:.2f} at most), "
         "a standard deviation",
-        *reasons,
+        *verdict["reasons"],
     ]
     remarks += _describe_faults(report)
     remarks += _name_cameras(report, "inconsistent", "errors several times those of the others")
@@ -44,7 +44,11 @@ def judge_cameras(report: Mapping[str, Any], reasons: Sequence[str]) -> dict[str
     error = report["points"]["mean_error_px"]
     if error is not None:
         remarks.append(f"reprojection error {error:.2f} px, which alone proves nothing")
-    return judgement(verdict["rig"], remarks, error)
+    sigmas = {
+        key: {camera["name"]: float(f"{camera[key]:.3g}") for camera in report["cameras"]}
+        for key in ("rotation_sigma_deg", "centre_sigma_percent")
+    }
+    return judgement(verdict["rig"], remarks, error, **sigmas)
 
 
 def _describe_faults(report: Mapping[str, Any]) -> list[str]:

@@ -10,15 +10,13 @@ from mocap_calib import __version__
 from mocap_calib.config import Config, IntrinsicsConfig
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.multi_view.clock_faults import describe_clock
-from mocap_calib.multi_view.evaluation import median_and_max
 from mocap_calib.multi_view.explained import distances_from_points
 from mocap_calib.multi_view.view_graph import alternative_taken
 from mocap_calib.recording.epochs import describe_epochs, views_by_camera
 from mocap_calib.recording.mending import describe_faults
+from mocap_calib.report_verdict import describe_sigma, describe_verdict, finite_or_none
 from mocap_calib.types import (
-    ARBITRARY,
     CalibrationResult,
-    Check,
     EstimatedCamera,
     Fault,
     Floats,
@@ -26,7 +24,7 @@ from mocap_calib.types import (
     PairwiseCalibration,
 )
 
-SCHEMA = 2  # goes up when a key of run.json goes or changes its meaning
+SCHEMA = 3  # goes up when a key of run.json goes or changes its meaning
 
 
 def run_report(
@@ -44,7 +42,7 @@ def run_report(
     error = distances_from_points(group)
     return {
         "schema": SCHEMA,
-        "verdict": _describe_verdict(group),
+        "verdict": describe_verdict(group),
         "version": __version__,
         "seed": seed,
         "config": asdict(config),
@@ -69,7 +67,7 @@ def rig_report(group: GroupResult, result: CalibrationResult) -> dict[str, Any]:
     """Return the part of `run_report` that says how far the cameras of a group can be trusted."""
     config, error = result.config, distances_from_points(group)
     return {
-        "verdict": _describe_verdict(group),
+        "verdict": describe_verdict(group),
         "left_out": list(result.left_out),
         "cameras": _describe_cameras(group, error, config, result.faults),
         "points": _describe_points(group, error),
@@ -125,35 +123,12 @@ def _describe_camera(
         "faults": _name_faults(group, views, faults),
         "fault_evidence": describe_faults(faults),
         "weak_perspective": bool(group.uncertainty.weak_perspective[views].any()),
-        **_describe_sigma(group, views[0]),
+        **describe_sigma(group, views[0]),
         "clock": _describe_clock(group, views[0]),
         "intrinsics": _describe_intrinsics(group, views[0], config.intrinsics),
         "reprojection_error_px": _median_and_p95(error),
-        "pair_score": _finite_or_none(score),
+        "pair_score": finite_or_none(score),
         "weak": score < config.averaging.weak_score,
-    }
-
-
-def _describe_sigma(group: GroupResult, view: int) -> dict[str, float | None]:
-    """Return how far a camera may be off: its rotation, and its place after the best similarity."""
-    covariance = group.uncertainty.covariance
-    centre = float(covariance.centre_sigma[view])
-    return {
-        "rotation_sigma_deg": float(np.degrees(covariance.rotation_sigma[view])),
-        "centre_sigma_percent": 100 * centre,
-        "centre_sigma": None if group.rig.unit == ARBITRARY else centre * covariance.size,
-        "focal_turn_deg": float(np.degrees(group.uncertainty.focal_turn[view])),
-    }
-
-
-def _describe_check(check: Check) -> dict[str, Any]:
-    """Return what a check found, and whether that is what sound recordings show."""
-    return {
-        "name": check.name,
-        "value": _finite_or_none(check.value),
-        "limit": check.limit,
-        "camera": check.camera or None,
-        "passed": check.passed,
     }
 
 
@@ -166,8 +141,8 @@ def _describe_intrinsics(group: GroupResult, view: int, config: IntrinsicsConfig
         "focal_sigma_px": None,
         "k1": float(camera.distortion[0]) if len(camera.distortion) else 0.0,
         "k1_sigma": None,
-        "focal_change": _finite_or_none(uncertainty.focal_change[view]),
-        "focal_change_sigma": _finite_or_none(uncertainty.focal_sigma[view]),
+        "focal_change": finite_or_none(uncertainty.focal_change[view]),
+        "focal_change_sigma": finite_or_none(uncertainty.focal_sigma[view]),
     }
     if isinstance(camera, EstimatedCamera):
         least = config.least_gain * config.focal_uncertainty * camera.focal
@@ -181,8 +156,8 @@ def _describe_clock(group: GroupResult, view: int) -> dict[str, Any]:
     """Return by what part of a frame the clock of a camera is off, and whether that was used."""
     offsets = group.time_offsets
     return {
-        "subframe_offset": _finite_or_none(-offsets.tau[view] + 0.0),
-        "sigma": _finite_or_none(offsets.sigma[view]),
+        "subframe_offset": finite_or_none(-offsets.tau[view] + 0.0),
+        "sigma": finite_or_none(offsets.sigma[view]),
         "used": bool(offsets.used[view]),
     }
 
@@ -233,8 +208,8 @@ def _describe_pair(group: GroupResult, index: int, error: Floats, config: Config
         "score": pair.score,
         "source": pair.source,
         "in_front": pair.in_front,
-        "epipolar_error_deg": _finite_or_none(np.degrees(pair.residual)),
-        "epipolar_error_px": _finite_or_none(pair.residual * focal),
+        "epipolar_error_deg": finite_or_none(np.degrees(pair.residual)),
+        "epipolar_error_px": finite_or_none(pair.residual * focal),
         "baseline_body_sizes": float(np.linalg.norm(pair.translation)),
         **_describe_loops(group, index, config),
         "alternative_taken": alternative_taken(pair),
@@ -268,22 +243,6 @@ def _describe_alternative(
     """Return the score of another answer of a pair, and how far it is from the one taken."""
     turn = angle_between(other.rotation, pair.rotation)
     return {"score": other.score, "turned_deg": float(np.degrees(turn))}
-
-
-def _describe_verdict(group: GroupResult) -> dict[str, Any]:
-    """Return whether the recording determines the rig, and what it leaves open."""
-    uncertainty = group.uncertainty
-    reversal = group.adjusted.depth_reversed_rig is not None
-    return {
-        "rig": group.verdict,
-        "reasons": list(group.reasons),
-        "rotation_sigma_deg": median_and_max(np.degrees(uncertainty.covariance.rotation_sigma)),
-        "centre_sigma_percent": median_and_max(100 * uncertainty.covariance.centre_sigma),
-        "focal_turn_deg": median_and_max(np.degrees(uncertainty.focal_turn)),
-        "checks": [_describe_check(check) for check in group.checks],
-        "reversal": "not observable" if reversal else "none found",
-        "translation": "not observable" if uncertainty.weak_perspective.any() else "observed",
-    }
 
 
 def _describe_individuals(group: GroupResult) -> list[dict[str, Any]]:
@@ -332,8 +291,3 @@ def _median_and_p95(values: Floats) -> dict[str, float | None]:
     if not len(values):
         return {"median": None, "p95": None}
     return {"median": float(np.median(values)), "p95": float(np.percentile(values, 95))}
-
-
-def _finite_or_none(value: float) -> float | None:
-    """Return the value, or None where it is not known."""
-    return float(value) if np.isfinite(value) else None

@@ -13,8 +13,16 @@ from mocap_calib.errors import MismatchError
 from mocap_calib.types import VERDICTS
 
 # what a provenance says of the cameras beside it, and a conversion hands on: whether they were
-# adjusted, the verdict and what explains it, and the error of the points in pixels
-_JUDGEMENT = {"adjusted": bool, "verdict": str, "remarks": list, "reprojection_error_px": float}
+# adjusted, the verdict and what explains it, the error of the points in pixels, and by the names of
+# cameras how far these may be off
+_SIGMAS = ("rotation_sigma_deg", "centre_sigma_percent")
+_JUDGEMENT = {
+    "adjusted": bool,
+    "verdict": str,
+    "remarks": list,
+    "reprojection_error_px": float,
+    **dict.fromkeys(_SIGMAS, dict),
+}
 _ADVICE = {
     "usable": ": its cameras are good to about 3 deg, which may be too little for angles of joints",
     "weak": ": check it before you measure with it",
@@ -37,18 +45,28 @@ def plain_fields(provenance: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def judgement(
-    verdict: str, remarks: Iterable[str], reprojection_error_px: float | None
+    verdict: str,
+    remarks: Iterable[str],
+    reprojection_error_px: float | None,
+    **sigmas: Mapping[str, float],
 ) -> dict[str, Any]:
     """Return the fields of a provenance that say how far adjusted cameras can be trusted.
 
     verdict: one of `types.VERDICTS`.
     remarks: what explains the verdict, a line each.
     reprojection_error_px: of the points, None where it is not known.
+    sigmas: rotation_sigma_deg and centre_sigma_percent by the names of cameras: how far each may be
+        off, a standard deviation; centres in percent of the size of the rig.
     """
-    fields = {"adjusted": True, "verdict": verdict, "remarks": list(remarks)}
+    fields = {"adjusted": True, "verdict": verdict, "remarks": list(remarks), **sigmas}
     if reprojection_error_px is not None:
         fields["reprojection_error_px"] = reprojection_error_px
     return fields
+
+
+def _is_sigma(camera: Any, value: Any) -> bool:
+    """Return whether this is the name of a camera and a standard deviation."""
+    return isinstance(camera, str) and type(value) is float and 0 <= value < math.inf
 
 
 def advice_on(verdict: str) -> str:
@@ -73,6 +91,9 @@ def read_judgement(stored: Any) -> dict[str, Any]:
         del found["reprojection_error_px"]
     if "remarks" in found:
         found["remarks"] = [each for each in found["remarks"] if _is_remark(each)]
+    for name in _SIGMAS:
+        if name in found and not all(_is_sigma(*each) for each in found[name].items()):
+            del found[name]
     return found
 
 

@@ -205,7 +205,7 @@ def write_result(
         for number in reversed(range(len(result.groups))):
             group, place = result.groups[number], work / group_folder(number)
             place.mkdir(exist_ok=True)
-            judged = judge_cameras(reports[number], group.reasons)
+            judged = judge_cameras(reports[number])
             source = provenance("run", seed=result.seed, inputs=inputs, **judged)
             poses = _describe_poses(group, fps)
             write_group(place, group, poses, source, clocks=result.clocks)

@@ -15,6 +15,7 @@ from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Check, Floats, GroupResult, Ints
 
 _LEAST_IN_BLOCK = 30  # keypoints of a camera that tell how large its errors are
+_LEAST_SHARE = 0.5  # and of those that a stretch of time has usually
 
 
 @dataclass(frozen=True)
@@ -158,17 +159,23 @@ def _over_time(left: _Leftover, config: Config) -> Floats:
     That of a camera that was moved for a while.
     """
     stretches = np.array_split(left.distance, config.uncertainty.time_blocks, axis=1)
-    medians = np.stack([_medians_by_view(part) for part in stretches])
+    counts = np.stack([np.isfinite(part).sum((1, 2, 3)) for part in stretches])
+    # a stretch in which a camera hardly matches anybody tells nothing of where it stands
+    least = np.maximum(_LEAST_IN_BLOCK, _LEAST_SHARE * np.median(counts, axis=0))
+    medians = np.stack([_medians_by_view(part, least) for part in stretches])
     some = np.isfinite(medians).any(0)
     found = np.full(len(left.distance), np.nan)
     found[some] = np.nanmax(medians[:, some], axis=0) / np.nanmedian(medians[:, some], axis=0)
     return found
 
 
-def _medians_by_view(distance: Floats) -> Floats:
-    """Return the median `[view]` of distances `[view, ...]`, NaN where there are few."""
+def _medians_by_view(distance: Floats, least: Floats) -> Floats:
+    """Return the median `[view]` of distances `[view, ...]`, NaN where there are too few.
+
+    least: `[view]` how many are enough.
+    """
     flat = distance.reshape(len(distance), -1)
-    enough = np.isfinite(flat).sum(1) >= _LEAST_IN_BLOCK
+    enough = np.isfinite(flat).sum(1) >= least
     found = np.full(len(flat), np.nan)
     found[enough] = np.nanmedian(flat[enough], axis=1)
     return found

@@ -6,9 +6,9 @@ cameras are from where they should be after the best similarity between the two.
 the fixed one, and all have a share of what is not known.
 
 The covariance is of first order: it holds where a rig bends in proportion to what pulls at it.
-Rigs that are hardly determined bend more. Adjusting again without a part of the moments, or of
-the joints, shows that (the delete-a-group jackknife; Shao and Wu 1989: "A General Theory for
-Jackknife Variance Estimation").
+Rigs that are hardly determined bend more. Adjusting again without a fifth of the moments or of the
+joints, and to halves of the joints, shows that (the delete-a-group jackknife; Shao and Wu 1989: "A
+General Theory for Jackknife Variance Estimation").
 """
 
 from collections.abc import Iterator
@@ -34,6 +34,9 @@ from mocap_calib.multi_view.schur import free_poses
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Matches, RigCovariance, Sample
 
 
+_MOMENTS_OF_A_PART = 4  # at least
+
+
 @dataclass(frozen=True)
 class _Fitted:
     """A rig adjusted to points of a sample."""
@@ -57,12 +60,12 @@ def rig_covariance(
     except DegenerateError:
         return RigCovariance.unknown(len(rig.cameras))
     first_order = _first_order(fitted, config)
-    bent = _jackknife(fitted, config, seed=seed)
-    expected = np.einsum("vivi->", first_order.matrix[:, :3, :, :3])
-    ratio = np.sqrt(bent / max(expected, 1e-30)) / config.uncertainty.usual_bend
+    bend = _bend(fitted, first_order, config, seed=seed) / config.uncertainty.usual_bend
+    # what parts of the errors do more than in proportion, all of them together do once more
+    inflation = max(1.0, bend) ** 2
     # a single moment does not show what all joints of a moment share: it counts twice
     moments = 1 + 1 / len(np.unique(fitted.points.frame))
-    return replace(first_order, matrix=first_order.matrix * max(1.0, ratio) ** 2 * moments)
+    return replace(first_order, matrix=first_order.matrix * inflation**2 * moments)
 
 
 def rig_change(before: CameraRig, after: CameraRig) -> Floats:
@@ -173,33 +176,62 @@ def _in_the_world(matrix: Floats, rig: CameraRig) -> RigCovariance:
 # What first order does not tell
 
 
-def _jackknife(fitted: _Fitted, config: Config, *, seed: int) -> float:
+def _bend(fitted: _Fitted, first_order: RigCovariance, config: Config, *, seed: int) -> float:
+    """Return by how much more rigs of parts of what was seen differ than first order tells.
+
+    Of standard deviations: the geometric mean of what rigs without a fifth and rigs of halves say.
+    The former are many, the latter bend far; either alone is a rough estimate.
+    """
+    expected = float(np.einsum("vivi->", first_order.matrix[:, :3, :, :3]))
+    fifths = sum(
+        _jackknife(fitted, part, config)
+        for part in _parts(fitted.points, config.uncertainty.parts, seed=seed)
+    )
+    halves = _halves(fitted, config, seed=seed)
+    return float((fifths * halves) ** 0.25 / max(expected, 1e-30) ** 0.5)
+
+
+def _jackknife(fitted: _Fitted, part: Ints, config: Config) -> float:
     """Return the variance of all turns together by what rigs without a part differ by.
 
-    In square radians: what the trace of the covariance of the turns should be.
+    In square radians: what the trace of the covariance of the turns should be. part: `[N]` the
+    number of the part that each point is of.
     """
-    variance = 0.0
-    for part in _parts(fitted.points, config.uncertainty.parts, seed=seed):
-        count = int(part.max()) + 1
-        if count < 2:
-            continue
-        kept = (np.flatnonzero(part != left_out) for left_out in range(count))
-        work = partial(_turns_without, fitted=fitted, config=config)
-        turns = np.stack(list(map_in_threads(work, kept)))  # [part, view, 3]
-        variance += (count - 1) / count * float(((turns - turns.mean(0)) ** 2).sum())
-    return variance
+    count = int(part.max()) + 1
+    if count < 2:
+        return 0.0
+    kept = (np.flatnonzero(part != left_out) for left_out in range(count))
+    turns = np.stack(list(map_in_threads(partial(_turns, fitted=fitted, config=config), kept)))
+    return (count - 1) / count * float(((turns - turns.mean(0)) ** 2).sum())
+
+
+def _halves(fitted: _Fitted, config: Config, *, seed: int) -> float:
+    """Return the variance of all turns together by what rigs of halves of the joints differ by."""
+    joints, joint = np.unique(fitted.points.keypoint, return_inverse=True)
+    if len(joints) < 2:
+        return np.inf
+    rng = np.random.default_rng(seed)
+    half = [(rng.permutation(len(joints)) % 2)[joint] for _ in range(config.uncertainty.splits)]
+    kept = (np.flatnonzero(each == one) for each in half for one in (0, 1))
+    turns = np.stack(list(map_in_threads(partial(_turns, fitted=fitted, config=config), kept)))
+    # a half errs by twice the variance of the whole, and two of them differ by four times that
+    return float(((turns[::2] - turns[1::2]) ** 2).sum()) / (4 * len(half))
 
 
 def _parts(points: AdjustablePoints, count: int, *, seed: int) -> Iterator[Ints]:
-    """Yield the part `[N]` of the recording, and then the part of the joints, of each point."""
-    _, stretch = np.unique(points.time_blocks(count), return_inverse=True)
-    yield stretch
+    """Yield the part `[N]` of the recording, and then the part of the joints, of each point.
+
+    None of the recording where it has hardly more moments than parts: each part of so few would
+    weigh too much.
+    """
+    if len(np.unique(points.frame)) >= _MOMENTS_OF_A_PART * count:
+        yield points.time_blocks(count)
     joints, joint = np.unique(points.keypoint, return_inverse=True)
     # neighbours on the body err alike, and have neighbouring numbers
-    yield (np.random.default_rng(seed).permutation(len(joints)) % count)[joint]
+    yield (np.random.default_rng(seed).permutation(len(joints)) % min(count, len(joints)))[joint]
 
 
-def _turns_without(kept: Ints, *, fitted: _Fitted, config: Config) -> Floats:
+def _turns(kept: Ints, *, fitted: _Fitted, config: Config) -> Floats:
     """Return the turns `[view, 3]` of the cameras when only some points (indices) are kept."""
     state = fitted.state
     some = replace(state, points=state.points[:, kept])

@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mocap_calib.config import Config
+from mocap_calib.config import Config, UncertaintyConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.multi_view.bundle_adjustment import adjust
@@ -46,7 +46,7 @@ def assess_uncertainty(
     if free is None:
         off = estimated_focal_changes(sample, rig, matches, config)
     else:
-        off = given_focal_change(rig, free)[None]
+        off = given_focal_change(rig, free, config.uncertainty)[None]
     return Uncertainty(
         covariance=covariance.with_changes(off),
         focal_turn=np.sqrt((off[..., :3] ** 2).sum((0, 2))),
@@ -70,7 +70,7 @@ def _free_focal(
         return None
 
 
-def given_focal_change(rig: CameraRig, free: FreeFocal) -> Floats:
+def given_focal_change(rig: CameraRig, free: FreeFocal, config: UncertaintyConfig) -> Floats:
     """Return by how much `[view, 6]` cameras may be off because of the focal lengths given.
 
     What the rig changes by when they are free, less what is likely to be chance: of the mean square
@@ -79,7 +79,7 @@ def given_focal_change(rig: CameraRig, free: FreeFocal) -> Floats:
     """
     significance = float(np.mean((free.change / free.sigma) ** 2))
     beyond_chance = max(0.0, 1 - 1 / max(significance, 1e-12))
-    return np.sqrt(beyond_chance) * rig_change(rig, free.rig)
+    return config.focal_reach * np.sqrt(beyond_chance) * rig_change(rig, free.rig)
 
 
 def estimated_focal_changes(

@@ -9,6 +9,9 @@ from mocap_calib.multi_view.checks import check_rig
 from mocap_calib.multi_view.reasons import explain
 from mocap_calib.types import VERDICTS, Check, GroupResult, Ints, Uncertainty, Verdict
 
+# checks that fail together only where bodies, identities and cameras do not go together at all
+DOUBTS = ("convergence", "bones", "loops")
+
 
 def judge_group(group: GroupResult, config: Config, *, used_frames: Ints) -> GroupResult:
     """Return the group with the verdict on its rig, the checks it rests on, and the reasons.
@@ -28,8 +31,9 @@ def judge_rig(
     """Return the verdict on a rig.
 
     The expected error of the worst camera decides. It cannot be better than *usable* where a check
-    fails or a focal length is wrong, than *weak* where cameras contradict the others or a
-    reversed rig fits as well, and than *not determined* where most contradict each other.
+    fails or a focal length is wrong, than *weak* where cameras contradict the others, a reversed
+    rig fits as well or the model is in doubt, and than *not determined* where most cameras
+    contradict each other.
 
     reversible: the rig reversed in depth fits as well.
     """
@@ -37,9 +41,10 @@ def judge_rig(
     worst = np.rad2deg(uncertainty.covariance.rotation_sigma.max())
     outliers = uncertainty.outlier_cameras
     by_error = int(np.searchsorted(limits, worst, side="right"))
+    doubts = sum(not check.passed for check in checks if check.name in DOUBTS)
     at_best = [
         (1, uncertainty.wrong_focal.any() or not all(check.passed for check in checks)),
-        (2, outliers.any() or reversible),
+        (2, outliers.any() or reversible or doubts >= 2),
         (3, 2 * outliers.sum() > len(outliers)),
     ]
     return VERDICTS[max([by_error, *(place for place, holds in at_best if holds)])]

@@ -163,7 +163,9 @@ def test_a_wrong_focal_length_is_found_and_right_ones_are_not_accused():
         free = free_focal_lengths(seen, rig, truth(**changes), config)
         found = find_wrong_focal(cameras, free.change, free.sigma, config.uncertainty)
         assert np.flatnonzero(found).tolist() == expected
-        turns.append(np.linalg.norm(given_focal_change(rig, free)[:, :3], axis=1))
+        turns.append(
+            np.linalg.norm(given_focal_change(rig, free, config.uncertainty)[:, :3], axis=1)
+        )
     assert free.change[2] == pytest.approx(-np.log(1.2), abs=0.06)
     error = rotation_errors_deg(rig, start)
     assert np.rad2deg(turns[0].max()) < 0.2

@@ -57,6 +57,7 @@ def test_the_worst_camera_decides(degrees, word):
         (uncertainty(0.1, focal=True), SOUND, False, "usable"),
         (uncertainty(0.1, outliers=(2,)), SOUND, False, "weak"),
         (uncertainty(0.1), SOUND, True, "weak"),
+        (uncertainty(0.1), (*FAILED, Check("convergence", 1.0, 0.0)), False, "weak"),
         (uncertainty(0.1, outliers=(0, 2)), SOUND, False, "not determined"),
         (uncertainty(20.0), FAILED, False, "not determined"),  # a fault makes nothing better
     ],

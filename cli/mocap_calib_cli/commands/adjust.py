@@ -113,7 +113,7 @@ def _write_judged(
 
     (group,) = result.groups
     report = rig_report(group, result)
-    source = provenance("adjust", solver=solver, **judge_cameras(report, group.reasons))
+    source = provenance("adjust", solver=solver, **judge_cameras(report))
     (content,) = format_rig(group.rig, "mocap-calib", source).files.values()
     outputs.write_text(output, [content.decode()])
     reporter.say("", *describe.describe_adjusted(group, report))
