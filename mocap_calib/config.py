@@ -484,9 +484,9 @@ class UncertaintyConfig:
     least_distance: float = 0.02  # of a point from a camera, in usual ones
     parts: int = 5  # of the moments, and of the joints, that a rig is adjusted without
     splits: int = 3  # of the joints into halves, that the rig is adjusted to
-    # by how much more rigs of parts differ than first order tells. Measured: 0.7 to 1.4 in
-    # ten recordings that determine their rigs, 1.6 to 3.6 in five that hardly do
-    usual_bend: float = 1.15
+    # by how much more rigs of parts differ than first order tells. Measured: 0.9 to 1.7 in
+    # ten recordings that determine their rigs, 2.1 to 4 in five that hardly do
+    usual_bend: float = 1.35
     bend_tolerance: float = 1e-4  # as that of the adjustment, for rigs of parts
     # Free focal lengths go back most of the way to the true ones, and the rig with them: it was off
     # by so many times what it changes by. Measured 1.1 to 1.25 where all are wrong by 20 or 30 %.

@@ -130,7 +130,11 @@ def _faces(group: GroupResult, view: int, least_deg: float) -> int | None:
 
 def _stands_still(group: GroupResult) -> bool:
     """Return whether bodies move by less than their own size."""
-    middle = np.nanmedian(group.poses.positions, axis=2)  # [frame, individual, 3]
-    size = np.nanmedian(np.linalg.norm(group.poses.positions - middle[:, :, None], axis=-1))
-    way = np.linalg.norm(middle - np.nanmedian(middle, axis=0), axis=-1)
-    return bool(np.nanmedian(way) < size)
+    bodies = group.poses.positions.reshape(-1, *group.poses.positions.shape[2:])
+    seen = np.isfinite(bodies[..., 0]).any(1)
+    if not seen.any():
+        return False
+    middle = np.nanmedian(bodies[seen], axis=1)
+    size = np.nanmedian(np.linalg.norm(bodies[seen] - middle[:, None], axis=-1))
+    way = np.linalg.norm(middle - np.median(middle, axis=0), axis=-1)
+    return bool(np.median(way) < size)

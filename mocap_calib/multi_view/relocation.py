@@ -7,6 +7,7 @@ import numpy as np
 from mocap_calib.config import Config
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.multi_view.camera_fit import CameraFit, CameraPose, Seen, fit_camera
+from mocap_calib.multi_view.observations import gather_observations, labelled_frames
 from mocap_calib.multi_view.placed import PlacedCameras, choose_frames, place_bodies
 from mocap_calib.multi_view.resection import (
     CameraPoses,
@@ -15,11 +16,7 @@ from mocap_calib.multi_view.resection import (
     refine_poses,
     sightings_of,
 )
-from mocap_calib.multi_view.triangulation import (
-    gather_observations,
-    labelled_frames,
-    triangulate_rays,
-)
+from mocap_calib.multi_view.triangulation import triangulate_rays
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import CameraRig, Floats, Ints, Sample
 

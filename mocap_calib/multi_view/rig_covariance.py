@@ -58,7 +58,7 @@ def rig_covariance(
         fitted = _fit(sample, rig, matches, config)
     except DegenerateError:
         return RigCovariance.unknown(len(rig.cameras))
-    first_order, _ = _first_order(fitted, config)
+    first_order, _ = _first_order(fitted, config, cautious=False)
     bend = _bend(fitted, first_order, config, seed=seed) / config.uncertainty.usual_bend
     # what parts of the errors do more than in proportion, all of them together do once more
     inflation = max(1.0, bend) ** 2
@@ -75,7 +75,7 @@ def first_order_covariances(
     The second is what it would be if all detections erred independently: too small, but it has
     the shape that the images give it. Raises as `bundle_adjustment.adjust` does.
     """
-    return _first_order(_fit(sample, rig, matches, config), config)
+    return _first_order(_fit(sample, rig, matches, config), config, cautious=True)
 
 
 def rig_change(before: CameraRig, after: CameraRig) -> Floats:
@@ -159,7 +159,9 @@ def _settle(state: State, seen: RayObservations, config: Config) -> State:
     return minimise_in_steps(state, seen, freedom, config.adjust, already_close=True)
 
 
-def _first_order(fitted: _Fitted, config: Config) -> tuple[RigCovariance, RigCovariance]:
+def _first_order(
+    fitted: _Fitted, config: Config, *, cautious: bool
+) -> tuple[RigCovariance, RigCovariance]:
     """Return the covariance of first order, and that of independent errors."""
     views, points = len(fitted.rig.cameras), fitted.points
     freedom = free_poses(views)
@@ -169,6 +171,7 @@ def _first_order(fitted: _Fitted, config: Config) -> tuple[RigCovariance, RigCov
         freedom,
         clusters=(points.time_blocks(config.uncertainty.time_blocks), points.keypoint),
         loss_scale=config.adjust.loss_scales[-1],
+        cautious=cautious,
     )
     real, independent = (
         (freedom.basis @ free @ freedom.basis.T).reshape(views, 6, views, 6)
