@@ -529,11 +529,15 @@ class VerdictConfig:
     few_frames: int = 30  # so few are the first thing to do something about
     facing_deg: float = 150.0  # between the viewing directions of cameras that face each other
 
+    # so many checks that fail make a rig weak, and not determined
+    fails_of_weak: int = 4
+    fails_of_none: int = 5
     # limits of the checks
     least_moments: int = 10
     held_out: float = 1.3  # times the errors in the frames that the rig was made of
     bones: float = 0.3  # share by which the steadiest distances on a body vary
     broken_loops: float = 0.75  # share of the pairs of cameras
+    bridge: float = 1.4  # times the score of the worst pair that connects cameras
     clock_frames: float = 0.5
     clock_significance: float = 5.0
     lens: float = 4.0  # standard deviations of the slope of errors along the radius

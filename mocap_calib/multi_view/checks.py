@@ -8,6 +8,7 @@ seen in what the model leaves over. docs/how-good.md has the values of sound rec
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse.csgraph import minimum_spanning_tree
 
 from mocap_calib.config import REPORT_FRAMES, Config
 from mocap_calib.multi_view.observations import gather_observations
@@ -64,6 +65,7 @@ def check_rig(group: GroupResult, config: Config, *, used_frames: Ints) -> tuple
         Check("held-out frames", _held_out(group, used_frames), limits.held_out),
         Check("bones", _bones(group.poses.positions), limits.bones),
         Check("loops", _broken_loops(group, config), limits.broken_loops),
+        Check("bridge", _weakest_bridge(group), limits.bridge),
         *(_of_worst(name, *found, group=group) for name, found in of_cameras.items()),
     )
 
@@ -116,6 +118,21 @@ def _broken_loops(group: GroupResult, config: Config) -> float:
     """Return the share of the pairs of cameras that do not go with the rig."""
     weight = group.averaged.weight
     return float((weight < config.averaging.breaks).mean()) if len(weight) else np.nan
+
+
+def _weakest_bridge(group: GroupResult) -> float:
+    """Return how much worse the parts of a rig go together than their cameras do.
+
+    Of the best pairs that connect all cameras: by how many times the score of the worst is below
+    the median of the others. Cameras of two recordings agree among themselves, and hardly with each
+    other. NaN where there are fewer than three cameras.
+    """
+    views = len(group.rig.cameras)
+    cost = np.zeros((views, views))
+    for pair in group.pairs:
+        cost[pair.a, pair.b] = 1 / max(pair.score, 1e-6)
+    used = np.sort(minimum_spanning_tree(cost).data)
+    return float(used[-1] / np.median(used[:-1])) if len(used) >= 2 else np.nan
 
 
 # Of each camera

@@ -30,6 +30,11 @@ MEANING = {
         "{value:.0%} of the pairs of cameras contradict the rig",
         "check the keypoints, and that all files are of one time",
     ),
+    "bridge": (
+        "two parts of the rig hardly go together: their bodies look alike {value:.1f} times less "
+        "than within a part",
+        "check that all files are of one recording; or let the subject cross where both parts look",
+    ),
     "pair score": (
         "{camera}: the bodies it sees do not look like those of any other camera",
         "check that its file belongs to this recording",

@@ -10,7 +10,7 @@ from mocap_calib.multi_view.reasons import explain
 from mocap_calib.types import VERDICTS, Check, GroupResult, Ints, Uncertainty, Verdict
 
 # checks that fail together only where bodies, identities and cameras do not go together at all
-DOUBTS = ("convergence", "bones", "loops")
+DOUBTS = ("convergence", "bones", "loops", "bridge")
 
 
 def judge_group(group: GroupResult, config: Config, *, used_frames: Ints) -> GroupResult:
@@ -31,9 +31,9 @@ def judge_rig(
     """Return the verdict on a rig.
 
     The expected error of the worst camera decides. It cannot be better than *usable* where a check
-    fails or a focal length is wrong, than *weak* where cameras contradict the others, a reversed
-    rig fits as well or the model is in doubt, and than *not determined* where most cameras
-    contradict each other.
+    fails or a focal length is wrong; than *weak* where cameras contradict the others, a reversed
+    rig fits as well or checks together put the model in doubt; and than *not determined* where most
+    cameras contradict each other or hardly any check is passed.
 
     reversible: the rig reversed in depth fits as well.
     """
@@ -41,11 +41,15 @@ def judge_rig(
     worst = np.rad2deg(uncertainty.covariance.rotation_sigma.max())
     outliers = uncertainty.outlier_cameras
     by_error = int(np.searchsorted(limits, worst, side="right"))
-    doubts = sum(not check.passed for check in checks if check.name in DOUBTS)
+    failed = [check.name for check in checks if not check.passed]
+    doubts = sum(name in DOUBTS for name in failed)
+    in_doubt = doubts >= 2 or "bridge" in failed or len(failed) >= config.fails_of_weak
+    in_vain = doubts >= 2 and ("bridge" in failed or len(failed) >= config.fails_of_weak)
+    in_vain = in_vain or len(failed) >= config.fails_of_none
     at_best = [
-        (1, uncertainty.wrong_focal.any() or not all(check.passed for check in checks)),
-        (2, outliers.any() or reversible or doubts >= 2),
-        (3, 2 * outliers.sum() > len(outliers)),
+        (1, uncertainty.wrong_focal.any() or bool(failed)),
+        (2, outliers.any() or reversible or in_doubt),
+        (3, 2 * outliers.sum() > len(outliers) or in_vain),
     ]
     return VERDICTS[max([by_error, *(place for place, holds in at_best if holds)])]
 
