@@ -68,6 +68,7 @@ def test_every_field_of_run_json_is_described_and_nothing_else(done):
         "cameras[].fault",
         "clocks[].table",
         "epochs[].moved",
+        "verdict.reasons",
     )
     expected = {field for field in described() if not field.startswith(empty)}
     found = {field for field in fields_of(report) if not field.startswith(empty)}
