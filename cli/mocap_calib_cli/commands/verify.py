@@ -67,9 +67,9 @@ def command(
 
     \b
     Example, in the folder examples/three_people:
-      mocap-calib verify reference.toml keypoints/
-      mocap-calib verify reference.toml keypoints/ -o mended.toml --to anipose
-      mocap-calib verify reference.toml keypoints/ --json --strict
+      mocap-calib verify board.toml keypoints/
+      mocap-calib verify board.toml keypoints/ -o mended.toml --to anipose
+      mocap-calib verify board.toml keypoints/ --json --strict
     """
     from mocap_calib.config import Config
     from mocap_calib.multi_view.verified import verification_to_dict
