@@ -61,7 +61,7 @@ def test_too_few_poses_are_refused():
         found.poses,
         **{
             name: getattr(found.poses, name)[:20]
-            for name in ("frames", "positions", "error", "views", "confidence")
+            for name in ("frames", "positions", "error", "views", "confidence", "covariance")
         },
     )
     with pytest.raises(DegenerateError, match="at least 20 whole 3D poses to test on"):
