@@ -18,7 +18,8 @@ _STATUSES = """\
 | 0 | done |
 | 1 | files or data are refused; one line on stderr says why, and what to do |
 | 1 | the rig is *not determined* (`run`, `batch`, `adjust`); 0 with `--accept not-determined` |
-| 1 | with `--strict` also where the rig is *weak* (`run`, `batch`, `adjust`) |
+| 1 | with `--strict` also where the rig is *weak* (`run`, `batch`, `adjust`, `verify`) |
+| 1 | a camera is named, or the keypoints do not determine the rig (`verify`) |
 | 1 | a recording failed, the others are calibrated (`batch`) |
 | 1 | a finding is CRITICAL (`inspect`) |
 | 2 | the command line is wrong |

@@ -519,8 +519,8 @@ class VerdictConfig:
     """What a rig is called; docs/how-good.md has the rule.
 
     Expected errors of the worst camera, in degrees: below the first the rig is well determined,
-    below the second usable, below the third weak. Each limit is of what sound recordings show; the
-    values measured are in docs/how-good.md.
+    below the second usable, below the third weak. Each limit is above what sound recordings
+    show; the values measured are in docs/how-good.md.
     """
 
     well_determined_deg: float = 1.0
@@ -537,7 +537,7 @@ class VerdictConfig:
     held_out: float = 1.3  # times the errors in the frames that the rig was made of
     bones: float = 0.3  # share by which the steadiest distances on a body vary
     broken_loops: float = 0.75  # share of the pairs of cameras
-    bridge: float = 1.4  # times the score of the worst pair that connects cameras
+    bridge: float = 1.4  # times by which the worst pair that connects cameras is below the others
     clock_frames: float = 0.5
     clock_significance: float = 5.0
     lens: float = 4.0  # standard deviations of the slope of errors along the radius

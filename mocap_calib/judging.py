@@ -29,8 +29,8 @@ def judge_cameras(report: Mapping[str, Any]) -> dict[str, Any]:
     verdict = report["verdict"]
     sigma = verdict["rotation_sigma_deg"]
     remarks = [
-        f"cameras may be turned by {sigma['median']:.2f} deg ({sigma['max']:.2f} at most), "
-        "a standard deviation",
+        f"rotations are uncertain by {sigma['median']:.2f} deg (worst camera "
+        f"{sigma['max']:.2f}), a standard deviation",
         *verdict["reasons"],
     ]
     remarks += _describe_faults(report)

@@ -123,7 +123,7 @@ def _describe_camera(
         "faults": _name_faults(group, views, faults),
         "fault_evidence": describe_faults(faults),
         "weak_perspective": bool(group.uncertainty.weak_perspective[views].any()),
-        **describe_sigma(group, views[0]),
+        **describe_sigma(group, views),
         "clock": _describe_clock(group, views[0]),
         "intrinsics": _describe_intrinsics(group, views[0], config.intrinsics),
         "reprojection_error_px": _median_and_p95(error),

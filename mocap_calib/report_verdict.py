@@ -24,15 +24,18 @@ def describe_verdict(group: GroupResult) -> dict[str, Any]:
     }
 
 
-def describe_sigma(group: GroupResult, view: int) -> dict[str, float | None]:
-    """Return how far a camera may be off: its rotation, and its place after the best similarity."""
+def describe_sigma(group: GroupResult, views: list[int]) -> dict[str, float | None]:
+    """Return how far a camera may be off: its rotation, and its place after the best similarity.
+
+    views: indices of the camera's; where it was moved, it has several, and the largest counts.
+    """
     covariance = group.uncertainty.covariance
-    centre = float(covariance.centre_sigma[view])
+    centre = float(covariance.centre_sigma[views].max())
     return {
-        "rotation_sigma_deg": float(np.degrees(covariance.rotation_sigma[view])),
+        "rotation_sigma_deg": float(np.degrees(covariance.rotation_sigma[views].max())),
         "centre_sigma_percent": 100 * centre,
         "centre_sigma": None if group.rig.unit == ARBITRARY else centre * covariance.size,
-        "focal_turn_deg": float(np.degrees(group.uncertainty.focal_turn[view])),
+        "focal_turn_deg": float(np.degrees(group.uncertainty.focal_turn[views].max())),
     }
 
 

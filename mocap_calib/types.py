@@ -970,11 +970,11 @@ class RigCovariance(Record):
     size: float
 
     @classmethod
-    def unknown(cls, views: int) -> "RigCovariance":
-        """Return that of a rig of which nothing is known."""
-        variance = np.concatenate([np.full(3, np.pi**2), np.ones(3)])
+    def unknown(cls, views: int, size: float) -> "RigCovariance":
+        """Return that of a rig of a size of which nothing is known: half a turn, its own size."""
+        variance = np.concatenate([np.full(3, np.pi**2), np.ones(3)]) / 3
         matrix = np.diag(np.tile(variance, views)).reshape(views, 6, views, 6)
-        return cls(matrix=matrix, size=1.0)
+        return cls(matrix=matrix, size=size)
 
     @property
     def rotation_sigma(self) -> Floats:
@@ -1032,8 +1032,8 @@ class Uncertainty(Record):
 class Check:
     """A look at a rig that is independent of its covariance; docs/how-good.md has them all.
 
-    name: of what was looked at. value: what was found; NaN = nothing to look at. limit: the
-    largest value of sound recordings. camera: the one that it was found of, "" = all.
+    name: of what was looked at. value: what was found; NaN = nothing to look at. limit: above
+    what sound recordings show. camera: the one that it was found of, "" = all.
     """
 
     name: str

@@ -175,7 +175,7 @@ def test_files_say_the_verdict_and_what_explains_it():
     assert judged["reprojection_error_px"] == report["points"]["mean_error_px"]
     said = "\n".join(judged["remarks"])
     for expected in (
-        "cameras may be turned by 0.",
+        "rotations are uncertain by 0.",
         "inconsistent: cam2 (",
         "weak perspective: cam3 (",
         "a rig reversed in depth fits as well",

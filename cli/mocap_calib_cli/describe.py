@@ -242,9 +242,9 @@ def _describe_rig(report: dict[str, Any]) -> list[str]:
     verdict = report["verdict"]
     turn, shift = verdict["rotation_sigma_deg"], verdict["centre_sigma_percent"]
     return [
-        f"rig: {verdict['rig']}; cameras may be turned by {turn['median']:.2f} deg "
-        f"({turn['max']:.2f} at most) and shifted by {shift['median']:.1f} % of the rig "
-        f"({shift['max']:.1f} at most), a standard deviation each",
+        f"rig: {verdict['rig']}; rotations are uncertain by {turn['median']:.2f} deg (worst camera "
+        f"{turn['max']:.2f}), places by {shift['median']:.1f} % of the rig ({shift['max']:.1f}), "
+        "a standard deviation each",
     ]
 
 

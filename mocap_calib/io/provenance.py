@@ -24,7 +24,7 @@ _JUDGEMENT = {
     **dict.fromkeys(_SIGMAS, dict),
 }
 _ADVICE = {
-    "usable": ": its cameras are good to about 3 deg, which may be too little for angles of joints",
+    "usable": ": read the reasons; it may be too little for angles of joints",
     "weak": ": check it before you measure with it",
     "not determined": ": do not measure with it",
 }

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.sparse.csgraph import minimum_spanning_tree
 
 from mocap_calib.config import REPORT_FRAMES, Config
-from mocap_calib.multi_view.observations import gather_observations
+from mocap_calib.multi_view.observations import gather_observations, labelled_frames
 from mocap_calib.multi_view.triangulation import project
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Check, Floats, GroupResult, Ints
@@ -61,7 +61,7 @@ def check_rig(group: GroupResult, config: Config, *, used_frames: Ints) -> tuple
     }
     return (
         Check("convergence", 0.0 if group.adjusted.converged else 1.0, 0.0),
-        Check("moments", limits.least_moments / max(_moments(group), 1), 1.0),
+        Check("moments", limits.least_moments / max(len(labelled_frames(group.matches)), 1), 1.0),
         Check("held-out frames", _held_out(group, used_frames), limits.held_out),
         Check("bones", _bones(group.poses.positions), limits.bones),
         Check("loops", _broken_loops(group, config), limits.broken_loops),
@@ -81,11 +81,6 @@ def _of_worst(name: str, values: Floats, limit: float, *, group: GroupResult) ->
 # Of the whole rig
 
 
-def _moments(group: GroupResult) -> int:
-    """Return in how many frames bodies are matched."""
-    return int((group.matches.labels >= 0).any((0, 2)).sum())
-
-
 def _held_out(group: GroupResult, used_frames: Ints) -> float:
     """Return the error in frames that were never used, in errors of those that were."""
     error = group.poses.error
@@ -103,15 +98,17 @@ def _bones(positions: Floats) -> float:
     """
     frames = evenly_spaced(np.arange(len(positions)), 300)
     first, second = np.triu_indices(positions.shape[2], 1)
-    bodies = positions[frames].reshape(-1, *positions.shape[2:])
-    length = np.linalg.norm(bodies[:, first] - bodies[:, second], axis=-1)
+    bodies = positions[frames]
+    length = np.linalg.norm(bodies[:, :, first] - bodies[:, :, second], axis=-1)
+    length = length.reshape(len(frames), -1)  # each distance of each individual: sizes differ
     known = np.isfinite(length).sum(0)
     length = length[:, known >= max(2, min(20, int(known.max(initial=0))))]
     if not length.size:
         return np.nan
     middle = np.nanmedian(length, axis=0)
     spread = 1.48 * np.nanmedian(np.abs(length - middle), axis=0)
-    return float(np.quantile(spread / middle, 0.25))
+    apart = middle > 0
+    return float(np.quantile(spread[apart] / middle[apart], 0.25)) if apart.any() else np.nan
 
 
 def _broken_loops(group: GroupResult, config: Config) -> float:

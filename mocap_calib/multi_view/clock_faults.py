@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Any, cast
 
 from mocap_calib.config import EPOCH_MARK
+from mocap_calib.multi_view.verdict import no_better_than
 from mocap_calib.recording.mending import find_view
 from mocap_calib.recording.retiming import clocks_from, retime
 from mocap_calib.types import (
@@ -57,6 +58,16 @@ class Retimed:
         return retime(recording, clocks_from(recording, tuple(cameras)))
 
 
+def _out_of_step(group: GroupResult, clocks: Clocks) -> GroupResult:
+    """Return the group, weak at best where clocks differ and that was not put right."""
+    names = [clock.camera for clock in clocks.cameras if clock.differs]
+    names = [name for name in names if name in group.rig.names]
+    if not names:
+        return group
+    reason = f"{', '.join(names)}: on another clock, which was not put right; say --sync auto"
+    return no_better_than(group, "weak", reason)
+
+
 def add_clocks(result: CalibrationResult, clocks: Clocks) -> CalibrationResult:
     """Return the result with the clocks of its cameras, and the faults that they are.
 
@@ -66,6 +77,8 @@ def add_clocks(result: CalibrationResult, clocks: Clocks) -> CalibrationResult:
     groups = result.groups
     if clocks.changed:
         groups = tuple(_with_clocks(group, clocks) for group in groups)
+    else:
+        groups = tuple(_out_of_step(group, clocks) for group in groups)
     faults = clock_faults(clocks, applied=clocks.changed)
     return replace(result, groups=groups, clocks=clocks, faults=(*faults, *result.faults))
 

@@ -105,5 +105,8 @@ def _inverse_at_size(matrix: Floats, state: State) -> Floats:
     scale = 1 / np.sqrt(np.maximum(stiffness, 1e-15 * stiffness.max()))  # rounding may go below
     directions, _ = np.linalg.qr(directions / scale[:, None])
     scaled = directions.T @ (scale[:, None] * matrix * scale) @ directions
-    inverse = directions @ np.linalg.pinv(scaled, rcond=1e-13, hermitian=True) @ directions.T
+    values, vectors = np.linalg.eigh(scaled)
+    vectors = directions @ vectors
+    # what nothing determines is as uncertain as can be told, not certain
+    inverse = (vectors / np.maximum(values, 1e-13 * values.max())) @ vectors.T
     return scale[:, None] * inverse * scale

@@ -27,6 +27,14 @@ Calibrate = Callable[[Recording], Calibrated]
 
 # mends that put an estimate in the place of what was given: the rig is no better than that
 _ESTIMATED: tuple[FaultWord, ...] = ("cropped",)
+_HARMFUL: tuple[FaultWord, ...] = (
+    "mirrored",
+    "rotated",
+    "resized",
+    "cropped",
+    "exchanged",
+    "moved",
+)
 
 
 @dataclass(frozen=True)
@@ -177,12 +185,15 @@ def _explained_shares(recording: Recording, rivals: Sequence[Calibrated]) -> lis
 
 
 def _judge_estimated(group: GroupResult, faults: Sequence[Fault]) -> GroupResult:
-    """Return the group, which is weak at best where a mend of it is no more than an estimate."""
-    estimated = {fault.camera for fault in faults if fault.mend and fault.word in _ESTIMATED}
-    names = [name for name in group.rig.names if name in estimated]
-    if not names:
-        return group
-    reason = (
-        f"{', '.join(names)}: how its images were cut is an estimate; say --cropped, or undo it"
-    )
-    return no_better_than(group, "weak", reason)
+    """Return the group, weak at best where a fault is left, or its mend is an estimate."""
+    for fault in faults:
+        if fault.camera not in group.rig.names:
+            continue
+        if fault.mend and fault.word in _ESTIMATED:
+            remedy = f"undo it, or say {fault.mend.option} with what is known"
+            reason = f"{fault.camera}: {fault.says}, which is an estimate; {remedy}"
+            group = no_better_than(group, "weak", reason)
+        elif fault.mend is None and fault.word in _HARMFUL:
+            reason = f"{fault.camera}: {fault.says}, which was not mended; mend its files"
+            group = no_better_than(group, "weak", reason)
+    return group

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from mocap_calib.config import Config
+from mocap_calib.multi_view.observations import labelled_frames
 from mocap_calib.types import Check, EstimatedCamera, GroupResult
 from mocap_calib.wording import count
 
@@ -45,7 +46,7 @@ MEANING = {
     ),
     "lens": (
         "{camera}: errors grow towards the edge of the image ({value:.1f} standard deviations)",
-        "its lens may be another than given: calibrate it, or say --refine focal+k1",
+        "its lens may be another than given: calibrate it, or run again with --refine focal+k1",
     ),
     "over time": (
         "{camera}: errors are {value:.1f} times as large for a while",
@@ -73,7 +74,8 @@ def explain(group: GroupResult, config: Config) -> Iterator[str]:
         yield f"{names}: errors several times those of the others; check clock, files, intrinsics"
     if group.uncertainty.wrong_focal.any():
         names = _names(group, group.uncertainty.wrong_focal)
-        yield f"{names}: focal lengths other than given; calibrate them, or say --refine focal"
+        remedy = "calibrate them, or run again with --refine focal"
+        yield f"{names}: focal lengths other than given; {remedy}"
     if group.adjusted.depth_reversed_rig is not None:
         yield (
             "a rig reversed in depth fits as well and nothing tells which is right; move the "
@@ -103,7 +105,7 @@ def _explain_error(group: GroupResult, config: Config) -> Iterator[str]:
         yield f"{said}, most of it by focal lengths; " + (
             "give the intrinsics (--cameras)"
             if estimated
-            else "calibrate the intrinsics anew, or say --refine focal"
+            else "calibrate the intrinsics anew, or run again with --refine focal"
         )
         return
     yield f"{said}; {_remedy(group, config, worst)}"
@@ -111,7 +113,7 @@ def _explain_error(group: GroupResult, config: Config) -> Iterator[str]:
 
 def _remedy(group: GroupResult, config: Config, worst: int) -> str:
     """Return what would determine a camera (index) better."""
-    frames = int((group.matches.labels >= 0).any((0, 2)).sum())
+    frames = len(labelled_frames(group.matches))
     if frames < config.verdict.few_frames:
         return f"bodies are matched in {count(frames, 'frame')} only: record longer"
     if group.uncertainty.weak_perspective[worst]:
@@ -135,11 +137,12 @@ def _faces(group: GroupResult, view: int, least_deg: float) -> int | None:
 
 def _stands_still(group: GroupResult) -> bool:
     """Return whether bodies move by less than their own size."""
-    bodies = group.poses.positions.reshape(-1, *group.poses.positions.shape[2:])
-    seen = np.isfinite(bodies[..., 0]).any(1)
-    if not seen.any():
-        return False
-    middle = np.nanmedian(bodies[seen], axis=1)
-    size = np.nanmedian(np.linalg.norm(bodies[seen] - middle[:, None], axis=-1))
-    way = np.linalg.norm(middle - np.median(middle, axis=0), axis=-1)
-    return bool(np.median(way) < size)
+    ways, sizes = [], []
+    for bodies in np.moveaxis(group.poses.positions, 1, 0):  # [frame, keypoint, 3]
+        seen = bodies[np.isfinite(bodies[..., 0]).any(1)]
+        if not len(seen):
+            continue
+        middle = np.nanmedian(seen, axis=1)
+        sizes.append(np.nanmedian(np.linalg.norm(seen - middle[:, None], axis=-1)))
+        ways.append(np.median(np.linalg.norm(middle - np.median(middle, axis=0), axis=-1)))
+    return bool(ways) and bool(np.median(ways) < np.median(sizes))

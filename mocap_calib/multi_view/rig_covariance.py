@@ -57,9 +57,11 @@ def rig_covariance(
     try:
         fitted = _fit(sample, rig, matches, config)
     except DegenerateError:
-        return RigCovariance.unknown(len(rig.cameras))
+        return RigCovariance.unknown(len(rig.cameras), rig_size(rig))
     first_order, _ = _first_order(fitted, config, cautious=False)
     bend = _bend(fitted, first_order, config, seed=seed) / config.uncertainty.usual_bend
+    if not np.isfinite(bend):  # too little is left to leave a part of it out
+        return RigCovariance.unknown(len(rig.cameras), rig_size(rig))
     # what parts of the errors do more than in proportion, all of them together do once more
     inflation = max(1.0, bend) ** 2
     # a single moment does not show what all joints of a moment share: it counts twice

@@ -20,7 +20,7 @@ from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.multi_view.bundle_adjustment import adjust
 from mocap_calib.multi_view.fit import find_outlier_cameras, find_weak_perspective, measure_fit
 from mocap_calib.multi_view.intrinsics import FreeFocal, free_focal_lengths, shared_intrinsics
-from mocap_calib.multi_view.rig_covariance import rig_change, rig_covariance
+from mocap_calib.multi_view.rig_covariance import rig_change, rig_covariance, rig_size
 from mocap_calib.multi_view.wrong_focal import find_wrong_focal
 from mocap_calib.recording.sampling import with_cameras
 from mocap_calib.types import (
@@ -29,6 +29,7 @@ from mocap_calib.types import (
     EstimatedCamera,
     Floats,
     Matches,
+    RigCovariance,
     Sample,
     Uncertainty,
 )
@@ -119,5 +120,6 @@ def _change_with_focal(
     try:
         found = adjust(with_cameras(sample, cameras), changed, matches, config)
     except DegenerateError:
-        return np.full((len(cameras), 6), np.pi / np.sqrt(3))
+        nothing = RigCovariance.unknown(len(cameras), rig_size(rig)).matrix
+        return np.sqrt(np.einsum("vivi->vi", nothing))
     return rig_change(rig, found)

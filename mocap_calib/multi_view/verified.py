@@ -132,6 +132,11 @@ def _refit(
     known = place_points(sample, placed, in_place, config)
     for view in np.flatnonzero(change.moved).tolist():
         noise = float(placed.noise[view])
+        if (
+            len(known.seen_by(view, config.diagnosis.keypoints).points)
+            < config.adjust.least_keypoints
+        ):
+            continue
         plain, free = refit_camera(known, change.refitted, view, noise=noise, config=config)
         if _is_focal(plain, free, placed.rig, view, config):
             focal[view] = float(free.unknowns[0])

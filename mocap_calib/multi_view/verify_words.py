@@ -24,7 +24,8 @@ def judge_calibration(
     radians; names: of these views.
     """
     uncertain = np.rad2deg(sigma)
-    apart = np.where(change.moved, 0.0, np.rad2deg(change.difference))
+    refitted = change.moved & (len(names) > 2)  # of two nobody knows where they are now
+    apart = np.where(refitted, 0.0, np.rad2deg(change.difference))
     expected = np.hypot(uncertain, apart)
     worst = int(expected.argmax())
     unexplained = change.disagreement > config.verify.pair_disagreement

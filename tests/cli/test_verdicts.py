@@ -98,7 +98,7 @@ def test_the_largest_group_counts_and_the_others_are_warned_of(run_with, tmp_pat
     assert done.exit_code == 0
     second = tmp_path / "out" / "group_2"
     assert f"mocap-calib: {second}: rig not determined: do not measure with it\n" in done.stderr
-    assert "usable: its cameras are good to about 3 deg" in done.stderr
+    assert "usable: read the reasons" in done.stderr
     assert run_with(("not determined", "usable")).exit_code == 1
 
 

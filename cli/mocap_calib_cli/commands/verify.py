@@ -154,8 +154,8 @@ def _write(output: str, form: str, given: "CameraRig", found: "Verification") ->
 
     Cameras that nothing places are left out. Of two cameras nobody knows where they are.
     """
-    from mocap_calib import __version__
     from mocap_calib.io.cameras.write import write_cameras
+    from mocap_calib.io.provenance import provenance
 
     if len(found.cameras) == 2 and found.named:
         click.echo(f"{output}: not written, nobody can say which of two cameras moved", err=True)
@@ -163,7 +163,7 @@ def _write(output: str, form: str, given: "CameraRig", found: "Verification") ->
     lost = [camera.name for camera in found.cameras if camera.word == "inconsistent"]
     rig = replace(_mend(given, found), judgement=found.rig.judgement)
     rig = rig.select([name for name in given.names if name not in lost])
-    notes = write_cameras(output, rig, form, {"version": __version__, **rig.judgement})
+    notes = write_cameras(output, rig, form, provenance("verify", **rig.judgement))
     for note in notes:
         click.echo(f"{output}: without {note}", err=True)
     if lost:
