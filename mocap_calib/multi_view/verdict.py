@@ -10,7 +10,7 @@ from mocap_calib.multi_view.reasons import explain
 from mocap_calib.types import VERDICTS, Check, GroupResult, Ints, Uncertainty, Verdict
 
 # checks that fail together only where bodies, identities and cameras do not go together at all
-DOUBTS = ("convergence", "bones", "loops", "bridge")
+DOUBTS = ("convergence", "bones", "loops")
 
 
 def judge_group(group: GroupResult, config: Config, *, used_frames: Ints) -> GroupResult:
@@ -42,10 +42,12 @@ def judge_rig(
     outliers = uncertainty.outlier_cameras
     by_error = int(np.searchsorted(limits, worst, side="right"))
     failed = [check.name for check in checks if not check.passed]
-    doubts = sum(name in DOUBTS for name in failed)
-    in_doubt = doubts >= 2 or "bridge" in failed or len(failed) >= config.fails_of_weak
-    in_vain = doubts >= 2 and ("bridge" in failed or len(failed) >= config.fails_of_weak)
-    in_vain = in_vain or len(failed) >= config.fails_of_none
+    # of two cameras, their pair is the bridge
+    unbridged = ("bridge" if len(outliers) > 2 else "pair score") in failed
+    several = unbridged + sum(name in DOUBTS for name in failed) >= 2
+    many = len(failed) >= config.fails_of_weak
+    in_doubt = several or unbridged or many
+    in_vain = (several and (unbridged or many)) or len(failed) >= config.fails_of_none
     at_best = [
         (1, uncertainty.wrong_focal.any() or bool(failed)),
         (2, outliers.any() or reversible or in_doubt),

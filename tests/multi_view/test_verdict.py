@@ -60,6 +60,8 @@ def test_the_worst_camera_decides(degrees, word):
         (uncertainty(0.1), (*FAILED, Check("convergence", 1.0, 0.0)), False, "weak"),
         (uncertainty(0.1), (Check("bridge", 1.5, 1.4),), False, "weak"),
         (uncertainty(0.1), (*FAILED, Check("bridge", 1.5, 1.4)), False, "not determined"),
+        (uncertainty(0.1, views=2), (Check("pair score", 0.1, 0.0),), False, "weak"),
+        (uncertainty(0.1), (Check("pair score", 0.1, 0.0),), False, "usable"),
         (uncertainty(0.1), 3 * (Check("lens", 5.0, 4.0),), False, "usable"),
         (uncertainty(0.1), 4 * (Check("lens", 5.0, 4.0),), False, "weak"),
         (uncertainty(0.1), 5 * (Check("lens", 5.0, 4.0),), False, "not determined"),
