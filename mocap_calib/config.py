@@ -712,10 +712,14 @@ class MovedConfig:
         something else that is wrong. Measured: 0.03 to 0.07; 0.32 of a camera of another recording.
 
     In the end:
+    least_angle_deg, and least_shift in sizes of the rig: a change below both is none: clocks that
+        differ by a part of a frame look like 0.1 deg and 0.004.
     candidates: cameras that are tried, each in the rig that the others make without it.
     near_detections: on either side, among which the frame of a change is looked for.
     """
 
+    least_angle_deg: float = 0.5
+    least_shift: float = 0.01
     glanced_detections: int = 120
     detections: int = 300
     least_frames: int = 40

@@ -33,7 +33,6 @@ _HARMFUL: tuple[FaultWord, ...] = (
     "resized",
     "cropped",
     "exchanged",
-    "moved",
 )
 
 

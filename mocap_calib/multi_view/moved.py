@@ -23,6 +23,7 @@ from mocap_calib.multi_view.observed import Observed
 from mocap_calib.multi_view.placed import PlacedCameras, choose_frames, place_bodies
 from mocap_calib.multi_view.refinement import adjust_until_stable
 from mocap_calib.multi_view.resection import CameraPoses, Sightings, sightings_of
+from mocap_calib.multi_view.rig_covariance import rig_size
 from mocap_calib.recording.epochs import own_name
 from mocap_calib.recording.mending import Moved
 from mocap_calib.recording.sampling import evenly_spaced, take_sample
@@ -180,14 +181,16 @@ def _judge(
 def _describe_changes(
     observed: Observed, group: GroupResult, moved: _Judged, config: Config
 ) -> tuple[Fault, ...]:
-    """Return a fault for each change of a view."""
+    """Return a fault for each change of a view that is large enough to matter."""
     recording, poses = observed.recording, moved.epochs.poses
     name = own_name(recording.names[moved.view], recording.names)
     centres = -np.einsum("pji,pj->pi", poses.rotation, poses.translation)
     angles = np.rad2deg(angle_between(poses.rotation[:-1], poses.rotation[1:])).tolist()
     shifts = np.linalg.norm(np.diff(centres, axis=0), axis=1).tolist()
-    faults = []
+    faults, options = [], config.moved
     for change, (angle, shift) in enumerate(zip(angles, shifts, strict=True)):
+        if angle < options.least_angle_deg and shift < options.least_shift * rig_size(group.rig):
+            continue
         index = _find_frame(recording, group.matches, moved, change, config)
         frame = int(recording.frames[index])
         evidence = {
