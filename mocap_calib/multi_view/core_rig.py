@@ -80,4 +80,4 @@ def _build_core(observed: Observed, config: Config) -> CoreRig:
 def is_determined(core: CoreRig, config: Config, *, seed: int) -> bool:
     """Return whether what was seen determines the rig, by the yardstick of the verdict."""
     found = rig_covariance(core.sample, core.rig, core.matches, config, seed=seed)
-    return bool(np.rad2deg(found.rotation_sigma.max()) < config.verdict.weak_deg)
+    return bool(np.rad2deg(found.rotation_sigma.max()) < config.diagnosis.core_deg)

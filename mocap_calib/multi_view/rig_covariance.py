@@ -66,7 +66,10 @@ def rig_covariance(
     inflation = max(1.0, bend) ** 2
     # a single moment does not show what all joints of a moment share: it counts twice
     moments = 1 + 1 / len(np.unique(fitted.points.frame))
-    return replace(first_order, matrix=first_order.matrix * inflation**2 * moments)
+    found = replace(first_order, matrix=first_order.matrix * inflation**2 * moments)
+    if not found.rotation_sigma.max() < np.pi:  # no angle is larger
+        return RigCovariance.unknown(len(rig.cameras), rig_size(rig))
+    return found
 
 
 def first_order_covariances(
