@@ -27,7 +27,7 @@ def test_the_table_shows_all_recordings_and_their_verdicts():
     rows = [line.strip("| ").split(" | ") for line in table.splitlines()[1:]]
     assert [row[0] for row in rows] == list(script.NAMES)
     for row in rows:
-        assert re.match(r"well determined|weak|not determined|refused", row[1])
+        assert re.match(r"well determined|usable|weak|not determined|refused", row[1])
         assert len(row) == len(script.HEADER)
 
 
