@@ -15,6 +15,7 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
+from recordings import NAMES
 
 import mocap_calib as mc
 from mocap_calib.config import Config
@@ -29,23 +30,6 @@ from mocap_calib.steerpose.checkpoint import choose_model
 from mocap_calib.steerpose.lift import lift
 from mocap_calib.types import CameraRig, LiftedPoses, Sample, silent
 
-NAMES = (
-    "h36m_S1_walking",
-    "h36m_S1_mix",
-    "h36m_S6_mix",
-    "h36m_S5_multi3",
-    "shelf",
-    "pose2sim_single",
-    "humaneva_S1_projected",
-    "panoptic_band1_projected",
-    "two_dogs_projected",
-    "dannce_two_mice_projected",
-    "acinoset_lily_run",
-    "mvor_openpose",
-    "caliscope_4cam",
-    "eks_fly",
-    "sleap_anipose_mouse",
-)
 TURNS_DEG = (1.0, 2.0, 5.0)
 AXES = 2  # random ones, for each camera
 SHIFTS = (0.03,)  # sizes of the rig

@@ -11,7 +11,7 @@ from mocap_calib.config import Config, IntrinsicsConfig
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.multi_view.clock_faults import describe_clock
 from mocap_calib.multi_view.explained import distances_from_points
-from mocap_calib.multi_view.view_graph import alternative_taken
+from mocap_calib.multi_view.view_graph import alternative_taken, best_scores
 from mocap_calib.recording.epochs import describe_epochs, views_by_camera
 from mocap_calib.recording.mending import describe_faults
 from mocap_calib.report_verdict import describe_sigma, describe_verdict, finite_or_none
@@ -113,7 +113,7 @@ def _describe_camera(
     """
     detected = group.recording.seen[views].any(-1)
     matched = detected & (group.matches.labels[views] >= 0)
-    score = min(_pair_score(group, view) for view in views)  # NaN where no pairs are known
+    score = float(best_scores(group.pairs, len(group.rig))[views].min())
     return {
         "name": name,
         "frames": int(detected.any(-1).sum()),
@@ -172,14 +172,6 @@ def _name_faults(group: GroupResult, views: list[int], faults: Sequence[Fault]) 
     words = [fault.word for fault in faults]
     found = [word for word, of_view in measured.items() if of_view[views].any()]
     return list(dict.fromkeys([*words, *found]))
-
-
-def _pair_score(group: GroupResult, view: int) -> float:
-    """Return the score of the camera's best pair: its place in the rig rests on this pair.
-
-    NaN where no pair is known.
-    """
-    return max((pair.score for pair in group.pairs if view in (pair.a, pair.b)), default=np.nan)
 
 
 def _describe_pair(group: GroupResult, index: int, error: Floats, config: Config) -> dict[str, Any]:

@@ -5,14 +5,14 @@ right (one clock, these lenses, cameras that stay where they are, rigid bodies, 
 seen in what the model leaves over. docs/how-good.md has the values of sound recordings.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.sparse.csgraph import minimum_spanning_tree
 
-from mocap_calib.config import REPORT_FRAMES, Config
-from mocap_calib.multi_view.observations import gather_observations, labelled_frames
-from mocap_calib.multi_view.triangulation import project
+from mocap_calib.config import Config
+from mocap_calib.multi_view.explained import Leftover
+from mocap_calib.multi_view.labels import matched_share
+from mocap_calib.multi_view.observations import labelled_frames
+from mocap_calib.multi_view.view_graph import best_scores
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Check, Floats, GroupResult, Ints
 
@@ -20,43 +20,18 @@ _LEAST_IN_BLOCK = 30  # keypoints of a camera that tell how large its errors are
 _LEAST_SHARE = 0.5  # and of those that a stretch of time has usually
 
 
-@dataclass(frozen=True)
-class _Leftover:
-    """What the points of a group leave over of what was seen.
-
-    pixels, gap: `[view, 2, frame, individual, keypoint]` the detections, and how far from them the
-        points are seen, NaN = missing.
-    distance: `[view, frame, individual, keypoint]` length of the gap.
-    """
-
-    pixels: Floats
-    gap: Floats
-    distance: Floats
-
-    @classmethod
-    def of(cls, group: GroupResult) -> "_Leftover":
-        """Return that of an even sample of the frames."""
-        frames = evenly_spaced(np.arange(len(group.recording.frames)), REPORT_FRAMES)
-        pixels = gather_observations(group.recording, group.matches, frames).pixels
-        points = group.poses.positions[frames]
-        gap = project(group.rig, points.reshape(-1, 3).T) - pixels
-        shape = (len(gap), 2, *points.shape[:3])
-        distance = np.linalg.norm(gap, axis=1).reshape(len(gap), *points.shape[:3])
-        return cls(pixels=pixels.reshape(shape), gap=gap.reshape(shape), distance=distance)
-
-
 def check_rig(group: GroupResult, config: Config, *, used_frames: Ints) -> tuple[Check, ...]:
     """Return all checks of the rig of a group.
 
     used_frames: `[frame]` indices of the frames that the rig was made of.
     """
-    limits, left = config.verdict, _Leftover.of(group)
+    limits, left = config.verdict, Leftover.of(group)
     of_cameras = {
         "pair score": (_lack_of_score(group, config), 0.0),
         "clock": (_clocks(group, config), limits.clock_frames),
         "lens": (_radial_slopes(group, left, config), limits.lens),
         "over time": (_over_time(left, config), limits.over_time),
-        "unmatched": (_unmatched(group), limits.unmatched),
+        "unmatched": (1 - matched_share(group.recording, group.matches), limits.unmatched),
         "errors": (_errors_of_body(group, left), limits.errors),
     }
     return (
@@ -137,10 +112,7 @@ def _weakest_bridge(group: GroupResult) -> float:
 
 def _lack_of_score(group: GroupResult, config: Config) -> Floats:
     """Return by how much `[view]` the lifted bodies of a camera's best pair agree too little."""
-    score = np.full(len(group.rig.cameras), -np.inf)
-    for pair in group.pairs:
-        for view in (pair.a, pair.b):
-            score[view] = max(score[view], pair.score)
+    score = best_scores(group.pairs, len(group.rig.cameras))
     return config.averaging.weak_score - score
 
 
@@ -152,7 +124,7 @@ def _clocks(group: GroupResult, config: Config) -> Floats:
     return np.where(certain, left, np.where(np.isfinite(left), 0.0, np.nan))
 
 
-def _radial_slopes(group: GroupResult, left: _Leftover, config: Config) -> Floats:
+def _radial_slopes(group: GroupResult, left: Leftover, config: Config) -> Floats:
     """Return how certain it is, `[view]`, that errors grow with the cube of the radius.
 
     In standard deviations, from how the sums of stretches of time and of joints scatter. Lenses
@@ -174,7 +146,7 @@ def _radial_slopes(group: GroupResult, left: _Leftover, config: Config) -> Float
     return found
 
 
-def _over_time(left: _Leftover, config: Config) -> Floats:
+def _over_time(left: Leftover, config: Config) -> Floats:
     """Return the largest error of a stretch of time in median ones, `[view]`.
 
     That of a camera that was moved for a while.
@@ -202,14 +174,7 @@ def _medians_by_view(distance: Floats, least: Floats) -> Floats:
     return found
 
 
-def _unmatched(group: GroupResult) -> Floats:
-    """Return the share `[view]` of the detections that are matched with nobody."""
-    detected = group.recording.seen.any(-1)
-    matched = detected & (group.matches.labels >= 0)
-    return 1 - matched.sum((1, 2)) / np.maximum(detected.sum((1, 2)), 1)
-
-
-def _errors_of_body(group: GroupResult, left: _Leftover) -> Floats:
+def _errors_of_body(group: GroupResult, left: Leftover) -> Floats:
     """Return the median error of a keypoint `[view]` in sizes of the bodies in the image.
 
     Detectors err by a share of what they look at.

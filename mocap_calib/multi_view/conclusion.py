@@ -26,6 +26,8 @@ from mocap_calib.types import (
     silent,
 )
 
+_SEED = 0  # of the parts of the joints that the uncertainty looks at
+
 
 def conclude(
     observed: Observed,
@@ -71,8 +73,6 @@ def conclude_without_pairs(
     rig: CameraRig,
     adjusted: Adjusted,
     config: Config,
-    *,
-    seed: int = 0,
 ) -> CalibrationResult:
     """Return what `conclude` finds of the frames of a sample alone, where no pairs are known.
 
@@ -93,7 +93,7 @@ def conclude_without_pairs(
         TimeOffsets.unknown(len(rig)),
         config=config,
         clock=Clock(),
-        seed=seed,
+        seed=_SEED,
         progress=silent,
     )
     return CalibrationResult(
@@ -101,6 +101,6 @@ def conclude_without_pairs(
         left_out=(),
         unused_pairs=(),
         config=config,
-        seed=seed,
+        seed=_SEED,
         clocks=Clocks.of_one(sample),
     )

@@ -13,6 +13,37 @@ from mocap_calib.types import CalibrationResult, Camera, Floats, GroupResult, Re
 
 
 @dataclass(frozen=True)
+class Leftover:
+    """What the points of a group leave over of what was seen, in pixels.
+
+    Of an even sample of the frames, so that a long recording need not cost its length in memory.
+
+    pixels, gap: `[view, 2, frame, individual, keypoint]` the detections, and how far from them the
+        points are seen, NaN = missing.
+    distance: `[view, frame, individual, keypoint]` length of the gap.
+    """
+
+    pixels: Floats
+    gap: Floats
+    distance: Floats
+
+    @classmethod
+    def of(cls, group: GroupResult) -> "Leftover":
+        """Return that of the matched keypoints and the triangulated points of a group."""
+        frames = evenly_spaced(np.arange(len(group.recording.frames)), REPORT_FRAMES)
+        pixels = gather_observations(group.recording, group.matches, frames).pixels
+        points = group.poses.positions[frames]
+        gap = project(group.rig, points.reshape(-1, 3).T) - pixels
+        distance = np.linalg.norm(gap, axis=1)
+        bodies = points.shape[:3]
+        return cls(
+            pixels=pixels.reshape(len(gap), 2, *bodies),
+            gap=gap.reshape(len(gap), 2, *bodies),
+            distance=distance.reshape(len(gap), *bodies),
+        )
+
+
+@dataclass(frozen=True)
 class Yardstick:
     """Which distance from a point still counts for much.
 
@@ -59,14 +90,5 @@ def explained_share(result: CalibrationResult, recording: Recording, yardstick: 
 
 
 def distances_from_points(group: GroupResult) -> Floats:
-    """Return the distances of matched keypoints from the triangulated points, in pixels.
-
-    `[view, frame, individual, keypoint]`, NaN = missing; of an even sample of the frames, so that
-    a long recording need not cost its length in memory.
-    """
-    frames = evenly_spaced(np.arange(len(group.recording.frames)), REPORT_FRAMES)
-    pixels = gather_observations(group.recording, group.matches, frames).pixels
-    points = group.poses.positions[frames]
-    gap = project(group.rig, points.reshape(-1, 3).T) - pixels
-    distance = np.linalg.norm(gap, axis=1)
-    return np.asarray(distance.reshape(len(distance), *points.shape[:3]))
+    """Return the distances of matched keypoints from the triangulated points; see `Leftover`."""
+    return Leftover.of(group).distance

@@ -79,7 +79,7 @@ def mend_faults(
         if fault.camera not in named
     )
     faults = (*faults, *unrelated)
-    groups = tuple(_judge_estimated(group, faults) for group in result.groups)
+    groups = tuple(_judge_faulty(group, faults) for group in result.groups)
     return replace(result, groups=groups, faults=faults)
 
 
@@ -183,7 +183,7 @@ def _explained_shares(recording: Recording, rivals: Sequence[Calibrated]) -> lis
     return [explained_share(result, recording, strict) for _, result in rivals]
 
 
-def _judge_estimated(group: GroupResult, faults: Sequence[Fault]) -> GroupResult:
+def _judge_faulty(group: GroupResult, faults: Sequence[Fault]) -> GroupResult:
     """Return the group, weak at best where a fault is left, or its mend is an estimate."""
     for fault in faults:
         if fault.camera not in group.rig.names:

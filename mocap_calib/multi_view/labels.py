@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mocap_calib.types import Ints, Matches
+from mocap_calib.types import Floats, Ints, Matches, Recording
 
 
 def per_frame_labels(matches: Matches) -> Matches:
@@ -19,6 +19,13 @@ def per_frame_labels(matches: Matches) -> Matches:
     number = np.take_along_axis(begins.cumsum(1) - 1, first, axis=1)
     numbered = np.where(flat >= 0, number, -1)
     return Matches(np.swapaxes(numbered.reshape(frames, views, instances), 0, 1))
+
+
+def matched_share(recording: Recording, matches: Matches) -> Floats:
+    """Return the share `[view]` of the detections that are matched with somebody."""
+    detected = recording.seen.any(-1)
+    matched = detected & (matches.labels >= 0)
+    return np.asarray(matched.sum((1, 2)) / np.maximum(detected.sum((1, 2)), 1))
 
 
 def replace_labels(labels: Ints, names: Ints) -> Ints:

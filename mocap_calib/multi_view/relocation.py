@@ -101,14 +101,14 @@ def place_points(sample: Sample, placed: PlacedCameras, views: Ints, config: Con
 
 
 def refit_camera(
-    known: KnownPoints, rig: CameraRig, view: int, *, noise: float, config: Config
+    seen: Seen, rig: CameraRig, view: int, *, noise: float, config: Config
 ) -> tuple[CameraFit, CameraFit]:
     """Return where a camera stands, and the same with its focal length free.
 
-    rig: the search begins where it has the camera. noise: of the view, in radians.
+    seen: what the view (index) saw of known points. rig: the search begins where it has the
+        camera. noise: of the view, in radians.
     """
     camera = rig.cameras[view]
-    seen = known.seen_by(view, config.diagnosis.keypoints)
     start = CameraPose(rig.rotation[view], rig.translation[view])
     sigma = noise * camera.focal
     plain = fit_camera(camera, seen, start, config.diagnosis.fit, noise=sigma)

@@ -37,7 +37,7 @@ _MOMENTS_OF_A_PART = 4  # at least
 
 
 @dataclass(frozen=True)
-class _Fitted:
+class FittedRig:
     """A rig adjusted to points of a sample."""
 
     rig: CameraRig
@@ -55,9 +55,15 @@ def rig_covariance(
     not constrain the rig.
     """
     try:
-        fitted = _fit(sample, rig, matches, config)
+        fitted = fit_again(sample, rig, matches, config)
     except DegenerateError:
         return RigCovariance.unknown(len(rig.cameras), rig_size(rig))
+    return covariance_of(fitted, config, seed=seed)
+
+
+def covariance_of(fitted: FittedRig, config: Config, *, seed: int) -> RigCovariance:
+    """Return the covariance of a rig; see `rig_covariance`."""
+    rig = fitted.rig
     first_order, _ = _first_order(fitted, config, cautious=False)
     bend = _bend(fitted, first_order, config, seed=seed) / config.uncertainty.usual_bend
     if not np.isfinite(bend):  # too little is left to leave a part of it out
@@ -73,14 +79,14 @@ def rig_covariance(
 
 
 def first_order_covariances(
-    sample: Sample, rig: CameraRig, matches: Matches, config: Config
+    fitted: FittedRig, config: Config
 ) -> tuple[RigCovariance, RigCovariance]:
-    """Return the covariance of an adjusted rig of first order, and the one of independent errors.
+    """Return the covariance of a rig of first order, and the one of independent errors.
 
     The second is what it would be if all detections erred independently: too small, but it has
-    the shape that the images give it. Raises as `bundle_adjustment.adjust` does.
+    the shape that the images give it.
     """
-    return _first_order(_fit(sample, rig, matches, config), config, cautious=True)
+    return _first_order(fitted, config, cautious=True)
 
 
 def rig_change(before: CameraRig, after: CameraRig) -> Floats:
@@ -128,8 +134,11 @@ def rig_size(rig: CameraRig) -> float:
     return float(np.sqrt((offset**2).sum(1).mean()))
 
 
-def _fit(sample: Sample, rig: CameraRig, matches: Matches, config: Config) -> _Fitted:
-    """Return the rig adjusted again, to as many points as the covariance needs."""
+def fit_again(sample: Sample, rig: CameraRig, matches: Matches, config: Config) -> FittedRig:
+    """Return a rig adjusted again, to as many points as its covariance needs.
+
+    Raises as `bundle_adjustment.adjust` does.
+    """
     # what detections say together is not said better by more of them
     fewer = replace(config, adjust=replace(config.adjust, points=config.uncertainty.points))
     points = choose_points(sample, rig, matches, fewer)
@@ -138,7 +147,7 @@ def _fit(sample: Sample, rig: CameraRig, matches: Matches, config: Config) -> _F
     state = _settle(start, seen, config)
     adjusted = replace(rig, rotation=state.rotation, translation=state.translation)
     kept = np.flatnonzero(~_at_a_camera(adjusted, state.points, points.used, config))
-    return _Fitted(
+    return FittedRig(
         rig=adjusted,
         points=points.select(kept),
         seen=seen.select(kept),
@@ -165,7 +174,7 @@ def _settle(state: State, seen: RayObservations, config: Config) -> State:
 
 
 def _first_order(
-    fitted: _Fitted, config: Config, *, cautious: bool
+    fitted: FittedRig, config: Config, *, cautious: bool
 ) -> tuple[RigCovariance, RigCovariance]:
     """Return the covariance of first order, and that of independent errors."""
     views, points = len(fitted.rig.cameras), fitted.points
@@ -204,7 +213,7 @@ def _in_the_world(matrix: Floats, rig: CameraRig) -> RigCovariance:
 # What first order does not tell
 
 
-def _bend(fitted: _Fitted, first_order: RigCovariance, config: Config, *, seed: int) -> float:
+def _bend(fitted: FittedRig, first_order: RigCovariance, config: Config, *, seed: int) -> float:
     """Return by how much more rigs of parts of what was seen differ than first order tells.
 
     Of standard deviations: the geometric mean of what rigs without a fifth and rigs of halves say.
@@ -219,7 +228,7 @@ def _bend(fitted: _Fitted, first_order: RigCovariance, config: Config, *, seed: 
     return float((fifths * halves) ** 0.25 / max(expected, 1e-30) ** 0.5)
 
 
-def _jackknife(fitted: _Fitted, part: Ints, config: Config) -> float:
+def _jackknife(fitted: FittedRig, part: Ints, config: Config) -> float:
     """Return the variance of all turns together by what rigs without a part differ by.
 
     In square radians: what the trace of the covariance of the turns should be. part: `[N]` the
@@ -233,7 +242,7 @@ def _jackknife(fitted: _Fitted, part: Ints, config: Config) -> float:
     return (count - 1) / count * float(((turns - turns.mean(0)) ** 2).sum())
 
 
-def _halves(fitted: _Fitted, config: Config, *, seed: int) -> float:
+def _halves(fitted: FittedRig, config: Config, *, seed: int) -> float:
     """Return the variance of all turns together by what rigs of halves of the joints differ by."""
     joints, joint = np.unique(fitted.points.keypoint, return_inverse=True)
     if len(joints) < 2:
@@ -259,7 +268,7 @@ def _parts(points: AdjustablePoints, count: int, *, seed: int) -> Iterator[Ints]
     yield (np.random.default_rng(seed).permutation(len(joints)) % min(count, len(joints)))[joint]
 
 
-def _turns(kept: Ints, *, fitted: _Fitted, config: Config) -> Floats:
+def _turns(kept: Ints, *, fitted: FittedRig, config: Config) -> Floats:
     """Return the turns `[view, 3]` of the cameras when only some points (indices) are kept."""
     state = fitted.state
     some = replace(state, points=state.points[:, kept])

@@ -132,12 +132,10 @@ def _refit(
     known = place_points(sample, placed, in_place, config)
     for view in np.flatnonzero(change.moved).tolist():
         noise = float(placed.noise[view])
-        if (
-            len(known.seen_by(view, config.diagnosis.keypoints).points)
-            < config.adjust.least_keypoints
-        ):
+        seen = known.seen_by(view, config.diagnosis.keypoints)
+        if len(seen.points) < config.adjust.least_keypoints:
             continue
-        plain, free = refit_camera(known, change.refitted, view, noise=noise, config=config)
+        plain, free = refit_camera(seen, change.refitted, view, noise=noise, config=config)
         if _is_focal(plain, free, placed.rig, view, config):
             focal[view] = float(free.unknowns[0])
         camera = change_intrinsics(rig.cameras[view], log_focal=focal[view], k1=0.0)

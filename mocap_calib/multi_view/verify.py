@@ -14,11 +14,16 @@ from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
 from mocap_calib.multi_view.association import associate
 from mocap_calib.multi_view.common_clock import synchronise
+from mocap_calib.multi_view.labels import matched_share
 from mocap_calib.multi_view.placed import PlacedCameras
 from mocap_calib.multi_view.refinement import adjust_until_stable
 from mocap_calib.multi_view.relocation import find_lost_camera
 from mocap_calib.multi_view.rig_changes import find_changes
-from mocap_calib.multi_view.rig_covariance import first_order_covariances, rig_covariance
+from mocap_calib.multi_view.rig_covariance import (
+    covariance_of,
+    first_order_covariances,
+    fit_again,
+)
 from mocap_calib.multi_view.triangulation import check_same_cameras
 from mocap_calib.multi_view.verified import SecondLook, describe_rig, has_detections
 from mocap_calib.recording.retiming import retime
@@ -32,7 +37,6 @@ from mocap_calib.types import (
     Adjusted,
     Bools,
     CameraRig,
-    Floats,
     Ints,
     LiftedPoses,
     Matches,
@@ -92,9 +96,10 @@ def verify_rig(
     """Return what a sample of a recording says of a rig. Raises as `verify` does."""
     look = _look_again(sample, lifted, rig, config, progress=progress)
     adjusted, matches = look.adjusted.rig, look.adjusted.matches
-    covariances = first_order_covariances(look.sample, adjusted, matches, config)
+    fitted = fit_again(look.sample, adjusted, matches, config)
+    covariances = first_order_covariances(fitted, config)
     change = find_changes(rig.select(look.views), adjusted, covariances, config)
-    covariance = rig_covariance(look.sample, adjusted, matches, config, seed=seed)
+    covariance = covariance_of(fitted, config, seed=seed)
     return describe_rig(sample, look, rig, change=change, covariance=covariance, config=config)
 
 
@@ -160,12 +165,6 @@ def _find_lost_cameras(
 
 def _lost_cameras(sample: Sample, matches: Matches, config: Config) -> Bools:
     """Return the cameras `[view]` of whose detections far fewer match than is usual."""
-    share = _matched_share(sample, matches)
+    share = matched_share(sample, matches)
     usual = [np.median(np.delete(share, view)) for view in range(len(share))]
     return share < config.verify.least_matched * np.array(usual)
-
-
-def _matched_share(sample: Sample, matches: Matches) -> Floats:
-    """Return the share `[view]` of the detections that match another view's."""
-    detected = sample.seen.any(-1)
-    return (matches.labels >= 0).sum((1, 2)) / np.maximum(detected.sum((1, 2)), 1)

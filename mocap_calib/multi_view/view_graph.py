@@ -63,6 +63,17 @@ def alternative_taken(pair: PairwiseCalibration) -> bool:
     return any(alternative.score > pair.score for alternative in pair.alternatives)
 
 
+def best_scores(pairs: tuple[PairwiseCalibration, ...], views: int) -> Floats:
+    """Return the score of the best pair of each view: its place in the rig rests on this pair.
+
+    `[view]`, NaN where no pair is known.
+    """
+    scores = np.full(views, np.nan)
+    for pair in pairs:
+        scores[[pair.a, pair.b]] = np.fmax(scores[[pair.a, pair.b]], pair.score)
+    return scores
+
+
 def usable_cameras(
     cameras: tuple[Camera, ...], pairs: tuple[PairwiseCalibration, ...], config: AveragingConfig
 ) -> Ints:
