@@ -34,6 +34,14 @@ Views = str | Ints | Bools | Sequence[int] | Sequence[str]
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 ARBITRARY = "arbitrary"
 
+# what the axes and the origin of coordinates are; docs/world.md says what each means
+WorldKind = Literal["not known", "camera", "floor", "file", "landmarks"]
+WORLD_KINDS: tuple[WorldKind, ...] = get_args(WorldKind)
+
+# what a 3D point is made of, by the number that `Poses3D.source` has for it
+PointSource = Literal["missing", "triangulated", "one view", "model", "interpolated"]
+POINT_SOURCES: tuple[PointSource, ...] = get_args(PointSource)
+
 NO_FRAME = np.iinfo(np.int64).min  # the number of a frame that a camera does not have
 
 # how far a rig can be trusted, the best first; docs/how-good.md says what each means
@@ -275,6 +283,43 @@ class CameraClock:
         return self.kind in ("clock", "rate", "dropped")
 
 
+@dataclass(frozen=True, eq=False)
+class World(Record):
+    """What the axes, the origin and the unit of coordinates are.
+
+    kind: one of `WORLD_KINDS`: the axes of a camera, a floor (z up, the origin on it), those of a
+        file with cameras, or those of landmarks whose places were given; or nobody knows.
+    camera: name of the camera whose axes they are, "" = of none.
+    up: `[3]` unit vector against gravity, NaN = not known. up_sigma: its standard deviation in
+        radians.
+    floor: `[3]` a point of the floor, NaN = not known. floor_sigma: standard deviation of its
+        height in the unit.
+    scale_sigma: relative standard deviation of lengths, NaN = arbitrary or not known.
+    remarks: how it was found, or why it was not, a line each.
+    """
+
+    kind: WorldKind = "not known"
+    camera: str = ""
+    up: Floats = field(default_factory=lambda: np.full(3, np.nan))
+    up_sigma: float = np.nan
+    floor: Floats = field(default_factory=lambda: np.full(3, np.nan))
+    floor_sigma: float = np.nan
+    scale_sigma: float = np.nan
+    remarks: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        self._copy("world", "up", float, 3)
+        self._copy("world", "floor", float, 3)
+
+    def scale(self, factor: float) -> "World":
+        """Return it with all lengths multiplied by a factor."""
+        return replace(self, floor=factor * self.floor, floor_sigma=factor * self.floor_sigma)
+
+    def turn(self, rotation: Floats) -> "World":
+        """Return it in other axes, to which a rotation `[3, 3]` turns these."""
+        return replace(self, up=rotation @ self.up, floor=rotation @ self.floor)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class CameraRig(Record):
     """Cameras and where they stand.
@@ -286,6 +331,7 @@ class CameraRig(Record):
     judgement: how far the cameras can be trusted, as `io.provenance.judgement` has it: of a rig
         that was calibrated, and of one in a file that says so. Files that are written say it too.
     clocks: of the cameras whose frames are not numbered by the clock of the others.
+    world: what the axes of the coordinates are.
     """
 
     cameras: tuple[Camera, ...]
@@ -294,6 +340,7 @@ class CameraRig(Record):
     unit: str = ARBITRARY
     judgement: Mapping[str, Any] = field(default_factory=dict, compare=False)
     clocks: tuple[CameraClock, ...] = field(default=(), compare=False)
+    world: World = field(default_factory=World, compare=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "cameras", _without_poses(self.cameras))
@@ -370,7 +417,8 @@ class CameraRig(Record):
         Raises ValueError for a factor that is not above 0, and for what is no unit.
         """
         _check_factor("rig", factor)
-        return replace(self, translation=factor * self.translation, unit=unit)
+        translation, world = factor * self.translation, self.world.scale(factor)
+        return replace(self, translation=translation, unit=unit, world=world)
 
     def project(self, points: ArrayLike) -> Floats:
         """Return the pixels `[view, ..., 2]` of points `[..., 3]` in world coordinates.
@@ -1049,10 +1097,11 @@ class Check:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Poses3D(Record):
-    """Triangulated bodies.
+    """Bodies in space.
 
     frames: `[frame]` numbers.
-    positions: `[frame, individual, keypoint, 3]` in the rig's unit, NaN = missing.
+    positions: `[frame, individual, keypoint, 3]` in the rig's unit, NaN = missing: the best
+        estimate.
     error: `[frame, individual, keypoint]` RMS reprojection error in pixels over the views used.
     views: `[frame, individual, keypoint]` number of views used.
     confidence: `[frame, individual, keypoint]` mean confidence of the detections used.
@@ -1061,6 +1110,11 @@ class Poses3D(Record):
         positions in the unit squared, as far as they are due to the detectors' noise: where a rig
         is wrong, or a detector sees a joint elsewhere than it is, the errors are larger. 32-bit
         floats. NaN = missing, or not known where it is left out.
+    raw: `[frame, individual, keypoint, 3]` the triangulated points, where the positions are more
+        than these; left out, they are the positions.
+    source: `[frame, individual, keypoint]` what a position is made of, as an index into
+        `POINT_SOURCES`; left out, all that is there was triangulated.
+    world: what the axes are, as the rig's.
     """
 
     keypoints: tuple[str, ...]
@@ -1071,6 +1125,9 @@ class Poses3D(Record):
     confidence: Floats
     unit: str
     covariance: Reals = field(default_factory=lambda: np.zeros(0, dtype=np.float32))
+    raw: Floats = field(default_factory=lambda: np.zeros(0))
+    source: NDArray[np.integer[Any]] = field(default_factory=lambda: np.zeros(0, dtype=np.int8))
+    world: World = field(default_factory=World, compare=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "keypoints", tuple(self.keypoints))
@@ -1085,6 +1142,13 @@ class Poses3D(Record):
             unknown = np.broadcast_to(np.float32(np.nan), (*points, 6))
             object.__setattr__(self, "covariance", unknown)
         self._hold("poses", "covariance", float, *points, 6)
+        if np.shape(self.raw) == (0,):
+            object.__setattr__(self, "raw", self.positions)
+        self._hold("poses", "raw", float, *points, 3)
+        if np.shape(self.source) == (0,):
+            there = np.isfinite(self.positions).all(-1)
+            object.__setattr__(self, "source", there.astype(np.int8))  # 1: triangulated
+        check_shape("poses: source", self.source, *points)
 
     def __repr__(self) -> str:
         parts = [
@@ -1101,16 +1165,40 @@ class Poses3D(Record):
         Raises ValueError for a factor that is not above 0, and for what is no unit.
         """
         _check_factor("poses", factor)
-        covariance = (factor**2 * self.covariance).astype(np.float32)
-        positions = factor * self.positions
-        return replace(self, positions=positions, covariance=covariance, unit=unit)
+        positions, raw = self._move(lambda points: factor * points)
+        return replace(
+            self,
+            positions=positions,
+            raw=raw,
+            covariance=(factor**2 * self.covariance).astype(np.float32),
+            unit=unit,
+            world=self.world.scale(factor),
+        )
 
     def turn(self, rotation: Floats) -> "Poses3D":
         """Return the poses in other axes, to which a rotation `[3, 3]` turns those of the world."""
         rows = ((0, 1, 2), (1, 3, 4), (2, 4, 5))
         matrix = rotation @ self.covariance[..., rows] @ rotation.T
         entries = matrix[..., (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)].astype(np.float32)
-        return replace(self, positions=self.positions @ rotation.T, covariance=entries)
+        positions, raw = self._move(lambda points: points @ rotation.T)
+        return replace(
+            self,
+            positions=positions,
+            raw=raw,
+            covariance=entries,
+            world=self.world.turn(rotation),
+        )
+
+    def select(self, individuals: Sequence[int] | slice) -> "Poses3D":
+        """Return the poses of these individuals (indices) alone, in this order."""
+        names = ("positions", "error", "views", "confidence", "covariance", "raw", "source")
+        parts: dict[str, Any] = {name: getattr(self, name)[:, individuals] for name in names}
+        return replace(self, **parts)
+
+    def _move(self, move: Callable[[Floats], Floats]) -> tuple[Floats, Floats]:
+        """Return the positions and the triangulated points after a move."""
+        positions = move(self.positions)
+        return positions, positions if self.raw is self.positions else move(self.raw)
 
     @property
     def sigma(self) -> Floats:

@@ -1,8 +1,10 @@
 """Triangulate points and poses from the rays of many views, in blocks of frames."""
 
 from functools import partial
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import TriangulateConfig
@@ -49,16 +51,13 @@ def triangulate(
     check_same_cameras(recording, rig)
     frames, keypoints = len(recording.frames), len(recording.keypoints)
     shape = (frames, matches.individuals, keypoints)
-    found = Poses3D(
-        keypoints=recording.keypoints,
-        frames=recording.frames,
-        positions=np.empty((*shape, 3)),
-        error=np.empty(shape),
-        views=np.empty(shape, dtype=np.int64),
-        confidence=np.empty(shape),
-        unit=rig.unit,
-        covariance=np.empty((*shape, 6), dtype=np.float32),
-    )
+    found: dict[str, NDArray[Any]] = {
+        "positions": np.empty((*shape, 3)),
+        "error": np.empty(shape),
+        "views": np.empty(shape, dtype=np.int64),
+        "confidence": np.empty(shape),
+        "covariance": np.empty((*shape, 6), dtype=np.float32),
+    }
     work = partial(
         _triangulate_block,
         recording=recording,
@@ -69,13 +68,20 @@ def triangulate(
     )
     blocks = frame_blocks(frames, matches.individuals * keypoints)
     for block, part in zip(blocks, map_in_threads(work, blocks), strict=True):
-        found.positions[block] = part.positions
-        found.error[block] = part.error
-        found.views[block] = part.views
-        found.confidence[block] = part.confidence
-        found.covariance[block] = part.covariance
+        for name, array in found.items():
+            array[block] = getattr(part, name)
         progress("triangulate", int(block[-1]) + 1, frames)
-    return found
+    return Poses3D(
+        keypoints=recording.keypoints,
+        frames=recording.frames,
+        positions=found["positions"],
+        error=found["error"],
+        views=found["views"],
+        confidence=found["confidence"],
+        unit=rig.unit,
+        covariance=found["covariance"],
+        world=rig.world,
+    )
 
 
 def check_same_cameras(recording: Recording, rig: CameraRig) -> None:

@@ -479,14 +479,7 @@ def test_covariances_go_with_the_unit_the_axes_and_the_individual(tmp_path):
             found = turned.covariance[..., [0, 3, 5]][..., to.argmax()]
             np.testing.assert_allclose(found, entries[..., [0, 3][k]], rtol=1e-6)
     for k in range(2):
-        one = replace(
-            file.poses,
-            positions=file.poses.positions[:, [k]],
-            error=file.poses.error[:, [k]],
-            views=file.poses.views[:, [k]],
-            confidence=file.poses.confidence[:, [k]],
-            covariance=entries[:, [k]],
-        )
+        one = file.poses.select([k])
         write_poses(tmp_path / f"{k}.npz", PoseFile(one, 60.0), "npz")
     back = join_individuals([load_poses(tmp_path / f"{k}.npz") for k in range(2)], "there")
     np.testing.assert_array_equal(back.poses.covariance, entries)

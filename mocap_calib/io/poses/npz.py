@@ -38,7 +38,7 @@ def parse(content: bytes, source: str) -> PoseFile:
                 views=file["views"].astype(np.int64, casting="safe"),
                 confidence=file["confidence"].astype(np.float64),
                 unit=known_unit(str(file["unit"]), source),
-                **_read_covariance(file),
+                covariance=_read_covariance(file),
             )
             individuals = tuple(map(str, file["individuals"]))
             rate = float(file["fps"])
@@ -46,9 +46,10 @@ def parse(content: bytes, source: str) -> PoseFile:
         return PoseFile(poses, rate, individuals)
 
 
-def _read_covariance(file: Mapping[str, Any]) -> dict[str, Reals]:
-    """Return the covariance by its name, nothing where a file does not have it."""
-    return {_COVARIANCE: file[_COVARIANCE].astype(np.float32)} if _COVARIANCE in file else {}
+def _read_covariance(file: Mapping[str, Any]) -> Reals:
+    """Return the covariances, an empty array where a file does not have them."""
+    found = file[_COVARIANCE] if _COVARIANCE in file else np.zeros(0)
+    return np.asarray(found, dtype=np.float32)
 
 
 def _check_shapes(poses: Poses3D, individuals: tuple[str, ...]) -> None:

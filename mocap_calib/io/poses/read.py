@@ -6,6 +6,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from mocap_calib.io.poses.formats import POSE_FORMATS, PoseFormat
 from mocap_calib.io.registry import find_format, format_names
 from mocap_calib.io.sandbox import call_contained
 from mocap_calib.io.units import ARBITRARY
-from mocap_calib.types import Floats, Poses3D
+from mocap_calib.types import Poses3D
 
 
 def read_poses(path: str | Path, format: str | None = None, unit: str | None = None) -> Poses3D:
@@ -115,30 +116,23 @@ def _join_poses(parts: Sequence[Poses3D]) -> Poses3D:
     frames = np.unique(np.concatenate([part.frames for part in parts]))
     individuals = sum(part.positions.shape[1] for part in parts)
     shape = (len(frames), individuals, len(parts[0].keypoints))
-    positions: Floats = np.full((*shape, 3), np.nan)
-    error: Floats = np.full(shape, np.nan)
-    views = np.zeros(shape, dtype=np.int64)
-    confidence: Floats = np.full(shape, np.nan)
-    covariance = np.full((*shape, 6), np.nan, dtype=np.float32)
+    arrays: dict[str, Any] = {
+        "positions": np.full((*shape, 3), np.nan),
+        "error": np.full(shape, np.nan),
+        "views": np.zeros(shape, dtype=np.int64),
+        "confidence": np.full(shape, np.nan),
+        "covariance": np.full((*shape, 6), np.nan, dtype=np.float32),
+        "raw": np.full((*shape, 3), np.nan),
+        "source": np.zeros(shape, dtype=np.int8),
+    }
     start = 0
     for part in parts:
         end = start + part.positions.shape[1]
         rows = np.searchsorted(frames, part.frames)
-        positions[rows, start:end] = part.positions
-        error[rows, start:end] = part.error
-        views[rows, start:end] = part.views
-        confidence[rows, start:end] = part.confidence
-        covariance[rows, start:end] = part.covariance
+        for name, array in arrays.items():
+            array[rows, start:end] = getattr(part, name)
         start = end
-    return replace(
-        parts[0],
-        frames=frames,
-        positions=positions,
-        error=error,
-        views=views,
-        confidence=confidence,
-        covariance=covariance,
-    )
+    return replace(parts[0], frames=frames, **arrays)
 
 
 def _join_names(files: Sequence[PoseFile]) -> tuple[str, ...]:

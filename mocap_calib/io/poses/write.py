@@ -53,13 +53,5 @@ def write_poses(path: str | Path, file: PoseFile, format: str, title: str = "") 
 
 def _select_individual(file: PoseFile, individual: int) -> PoseFile:
     """Return the file with one individual alone; what it is called stays."""
-    only = slice(individual, individual + 1)
-    poses = replace(
-        file.poses,
-        positions=file.poses.positions[:, only],
-        error=file.poses.error[:, only],
-        views=file.poses.views[:, only],
-        confidence=file.poses.confidence[:, only],
-        covariance=file.poses.covariance[:, only],
-    )
+    poses = file.poses.select([individual])
     return replace(file, poses=poses, individuals=(file.individuals[individual],))

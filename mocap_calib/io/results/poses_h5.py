@@ -185,11 +185,12 @@ def _read(file: h5py.File, source: str) -> Poses3D:
         views=hdf5.integers(file, "views", source),
         confidence=hdf5.array(file, "confidence", source).astype(np.float64),
         unit=str(file.attrs["unit"]),
-        **_read_covariance(file, source),
+        covariance=_read_covariance(file, source),
     )
 
 
-def _read_covariance(file: h5py.File, source: str) -> dict[str, Reals]:
-    """Return the covariance by its name, nothing where a file does not have it."""
+def _read_covariance(file: h5py.File, source: str) -> Reals:
+    """Return the covariances, an empty array where a file does not have them."""
     name = "covariance"
-    return {name: hdf5.array(file, name, source).astype(np.float32)} if name in file else {}
+    found = hdf5.array(file, name, source) if name in file else np.zeros(0)
+    return found.astype(np.float32)
