@@ -14,12 +14,14 @@ import h5py
 import numpy as np
 
 from mocap_calib.errors import MismatchError
+from mocap_calib.geometry.rotation import turn_between
 from mocap_calib.io.file import find_repeated, malformed
 from mocap_calib.io.hdf5 import HDF5_DAMAGE
 from mocap_calib.io.sandbox import HDF5
 from mocap_calib.io.units import unit_factor
+from mocap_calib.recording.joints import choose_skeleton, edges_of_keypoints, match_names
 from mocap_calib.records import check_names
-from mocap_calib.types import Floats, Ints, Poses3D
+from mocap_calib.types import CameraRig, Floats, Ints, Poses3D
 from mocap_calib.wording import one_line
 
 # what h5py, numpy, zipfile and c3d raise on files that are cut or damaged
@@ -57,6 +59,7 @@ class PoseFile:
     individuals: `[individual]` names; those of a file without names are called individual_0, ...
     notes: what a user should know of what was left out.
     edges: pairs of keypoints (indices) that a skeleton joins, where the file says so.
+    rig: the cameras, in the same coordinates, where they are known: for formats that show them.
     """
 
     poses: Poses3D
@@ -64,6 +67,7 @@ class PoseFile:
     individuals: tuple[str, ...] = ()
     notes: tuple[str, ...] = field(default=())
     edges: tuple[tuple[int, int], ...] = ()
+    rig: CameraRig | None = None
 
     def __post_init__(self) -> None:
         count = self.poses.positions.shape[1]
@@ -78,10 +82,11 @@ def describe_poses(
     fps: float | None,
     individuals: Sequence[str] = (),
     edges: tuple[tuple[int, int], ...] = (),
+    rig: CameraRig | None = None,
 ) -> PoseFile:
     """Return poses with what is known beside.
 
-    fps: frames per second; None: not known. individuals, edges: see `PoseFile`.
+    fps: frames per second; None: not known. individuals, edges, rig: see `PoseFile`.
 
     Raises ValueError for another number of names, names that occur twice, and a rate that is not
     above 0.
@@ -92,7 +97,7 @@ def describe_poses(
         raise ValueError(f"individuals: expected {count} names, got {len(individuals)}")
     check_rate(fps)
     rate = float("nan") if fps is None else fps
-    return PoseFile(poses, rate, tuple(individuals), edges=edges)
+    return PoseFile(poses, rate, tuple(individuals), edges=edges, rig=rig)
 
 
 def check_rate(fps: float | None) -> None:
@@ -189,6 +194,22 @@ def attribute(attributes: Mapping[str, Any], key: str) -> str:
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
 
+# --- for formats that are only written
+
+
+def never(content: bytes) -> bool:
+    """Return False: no content is of a format that is only written."""
+    return False
+
+
+def refuse_reading(content: bytes, source: str) -> PoseFile:
+    """Raise MismatchError: the format is only written."""
+    raise MismatchError(
+        f"{source}: expected a format that is read, found one that is only written; "
+        "give the file that it was made of, or leave the name of the format out"
+    )
+
+
 # --- for writers
 
 
@@ -200,16 +221,75 @@ def convert_unit(file: PoseFile, unit: str, owner: str) -> PoseFile:
     Raises MismatchError where the poses' own unit is not known.
     """
     factor = unit_factor(file.poses.unit, unit, owner)
-    return replace(file, poses=file.poses.scale(factor, unit))
+    rig = None if file.rig is None else file.rig.scale(factor, unit)
+    return replace(file, poses=file.poses.scale(factor, unit), rig=rig)
 
 
 def turn_up_axis(file: PoseFile, up: str) -> PoseFile:
     """Turn the poses so that the axis that points up is y, as OpenSim and others take it.
 
-    up: x, y, z, -x, -y or -z; the other axes follow.
+    up: x, y, z, -x, -y or -z; the other axes follow. What the file itself says of up is forgotten.
     """
-    turn = np.array(_UP[up], dtype=np.float64)
-    return replace(file, poses=file.poses.turn(turn))
+    turned = _turn(file, np.array(_UP[up], dtype=np.float64))
+    world = replace(turned.poses.world, up=np.array([0.0, 1.0, 0.0]))
+    return replace(turned, poses=replace(turned.poses, world=world))
+
+
+def turn_upright(file: PoseFile, axis: str) -> PoseFile:
+    """Turn the poses so that what is up is this axis, where the poses say what is up.
+
+    axis: y or z; with another, or where nobody says what is up, the axes stay. From the axes of
+    the world that are nearest to up to those of the file is a change of axes alone, (X, Y, Z) ->
+    (Y, Z, X) for z up and y wanted; the rest is the smallest turn.
+    """
+    up = file.poses.world.up
+    if axis not in ("y", "z") or not np.isfinite(up).all():
+        return file
+    nearest = max(_UP, key=lambda name: float(_direction(name) @ up))
+    turn = np.array(_UP[nearest], dtype=np.float64)
+    if axis == "z":  # from y to z: back, as z to y is
+        turn = np.array(_UP["z"], dtype=np.float64).T @ turn
+    rest = turn_between(turn @ up, _direction(axis))
+    if np.array_equal(rest @ turn, np.eye(3)):
+        return file
+    return _turn(file, rest @ turn)
+
+
+def up_axis(file: PoseFile) -> str:
+    """Return the axis of the file that points up (x, -y, ...), "" where none does, or nobody says.
+
+    Within half a degree, which no reader tells from the axis.
+    """
+    up = file.poses.world.up
+    return next((axis for axis in _UP if _direction(axis) @ up > np.cos(np.radians(0.5))), "")
+
+
+def _direction(axis: str) -> Floats:
+    """Return the unit vector `[3]` along an axis: x, -y, ..."""
+    found = np.zeros(3)
+    found["xyz".index(axis[-1])] = -1.0 if axis.startswith("-") else 1.0
+    return found
+
+
+def _turn(file: PoseFile, rotation: Floats) -> PoseFile:
+    """Return poses and cameras in other axes, to which a rotation `[3, 3]` turns those of the world.
+    """
+    rig = file.rig
+    if rig is not None:
+        turned = rig.rotation @ rotation.T
+        rig = replace(rig, rotation=turned, world=rig.world.turn(rotation))
+    return replace(file, poses=file.poses.turn(rotation), rig=rig)
+
+
+def known_edges(file: PoseFile) -> tuple[tuple[int, int], ...]:
+    """Return the pairs of keypoints (indices) that a skeleton joins.
+
+    Where the file does not say them, the shipped skeleton that knows most of the names does.
+    """
+    if file.edges:
+        return file.edges
+    skeleton = choose_skeleton(file.poses.keypoints)
+    return edges_of_keypoints(skeleton, match_names(file.poses.keypoints, skeleton))
 
 
 def fill_gaps(poses: Poses3D, owner: str) -> tuple[Ints, Floats]:

@@ -54,6 +54,7 @@ POSE_FORMATS = (
         single=True,
         timed=True,
         unit="mm",
+        up="y",
     ),
     PoseFormat(
         kind="poses",
@@ -82,6 +83,7 @@ POSE_FORMATS = (
         sniff=sleap_anipose.sniff,
         read=sleap_anipose.parse,
         write=sleap_anipose.write,
+        result="points3d.h5",
     ),
     PoseFormat(
         kind="poses",

@@ -146,5 +146,5 @@ def _write_rig(
 def _write_poses(folder: Path, file: PoseFile, name: str) -> tuple[str, ...]:
     """Write a pose format's files into a folder; return what they do not hold."""
     known = find_format(POSE_FORMATS, name)
-    path = folder / (f"poses3d{known.endings[0]}" if known.endings else "points3d.h5")
+    path = folder / (known.result or f"poses3d{known.endings[0]}")
     return write_poses(path, file, name)
