@@ -870,6 +870,23 @@ RIG_ERROR_THRESHOLDS_DEG = (5, 10, 20, 30)  # at which `evaluate` tells the accu
 
 
 @dataclass(frozen=True)
+class KinematicsConfig:
+    """Contacts of feet with the floor; lengths in lengths of a leg (hip to ankle).
+
+    Measured on motion capture (Human3.6M and HumanEva walkers at 10 to 13 frames per second, two
+    dogs at 30) and on simulated people at 30, without and with 20 mm of noise: between 0.06 and 0.1
+    of height and from 0.6 to 1 of speed the shares of contacts change by 3 and by 6 hundredths.
+    Walkers swing a foot at 3 and more legs per second.
+    """
+
+    contact_height: float = 0.08
+    contact_speed: float = 0.8  # legs per second
+    rest_quantile: float = 0.1  # of a joint's heights: what it has on a foot that stands
+    most_rest_height: float = 0.15  # an ankle's is 0.1; more is a body that never stands
+    window: float = 0.05  # seconds before and behind, over which heights and velocities are averaged
+
+
+@dataclass(frozen=True)
 class Config:
     """All stages."""
 

@@ -15,7 +15,7 @@ import numpy as np
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.atomic import check_no_further_individual
 from mocap_calib.io.cameras.formats import CAMERA_FORMATS
-from mocap_calib.io.cameras.read import load_cameras, make_rig, parse_content
+from mocap_calib.io.cameras.read import load_cameras, make_rig, parse_content, read_rig
 from mocap_calib.io.cameras.source import CameraFile
 from mocap_calib.io.cameras.write import format_rig, write_cameras
 from mocap_calib.io.file import read_bytes
@@ -36,6 +36,9 @@ from mocap_calib.io.units import ARBITRARY
 from mocap_calib.recording.pairing import check_pixels
 from mocap_calib.types import Keypoints2D
 from mocap_calib.wording import count
+
+
+OWN_POSES = "poses3d.h5"  # in the folder of a run
 
 
 @dataclass(frozen=True)
@@ -107,6 +110,7 @@ def convert_poses(
     unit: str | None = None,
     fps: float | None = None,
     up: str | None = None,
+    cameras: Path | None = None,
 ) -> Conversion:
     """Convert 3D poses to the format `to`.
 
@@ -116,19 +120,16 @@ def convert_poses(
     unit: what a length of 1 is, where the sources do not say.
     fps: frames per second, where the sources do not say.
     up: the axis of the sources' world that points up (x, y, z, -x, -y, -z); the poses are turned
-        so that it is y. None: the axes are kept.
+        so that it is y. None: where the sources say what is up, they are turned so that it is the
+        axis that the new format takes for up; else the axes are kept.
+    cameras: file with the cameras in the same coordinates, for formats that show them.
 
     Raises FormatError and MismatchError as `load_poses` and `write_poses` do, and MismatchError
     where the sources contradict `fps`.
     """
-    if isinstance(sources, bytes):
-        name = NAMELESS
-        file = parse_poses(sources, name, format, unit)
-    else:
-        name = str(sources[0])
-        file = _read_individuals(sources, format, unit)
-    if fps is not None:
-        file = _fill_rate(file, fps, name)
+    file = load_pose_sources(sources, format, unit, fps=fps)
+    if cameras is not None:
+        file = replace(file, rig=read_rig(cameras))
     if up is not None:
         file = turn_up_axis(file, up)
     frames, individuals, keypoints = file.poses.positions.shape[:3]
@@ -209,12 +210,34 @@ def _fill_sizes(found: CameraFile, size: tuple[int, int], source: str) -> Camera
 # --- poses
 
 
+def load_pose_sources(
+    sources: Sequence[Path] | bytes,
+    format: str | None = None,
+    unit: str | None = None,
+    *,
+    fps: float | None = None,
+) -> PoseFile:
+    """Read all individuals in files, folders of files and folders of runs, or in one content.
+
+    The arguments are those of `convert_poses`. Raises FormatError and MismatchError.
+    """
+    if isinstance(sources, bytes):
+        name = NAMELESS
+        file = parse_poses(sources, name, format, unit)
+    else:
+        name = str(sources[0])
+        file = _read_individuals(sources, format, unit)
+    return file if fps is None else _fill_rate(file, fps, name)
+
+
 def _read_individuals(sources: Sequence[Path], format: str | None, unit: str | None) -> PoseFile:
     """Read all individuals in files and folders of files. Raises FormatError and MismatchError."""
-    endings = names_by_ending(POSE_FORMATS)
+    endings = names_by_ending(each for each in POSE_FORMATS if not each.only_written)
     paths: list[Path] = []
     for source in sources:
-        if source.is_dir():
+        if (source / OWN_POSES).is_file():  # the folder of a run
+            paths.append(source / OWN_POSES)
+        elif source.is_dir():
             paths += sorted(file for file in source.iterdir() if ending_of(file) in endings)
         else:
             paths.append(source)

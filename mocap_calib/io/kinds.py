@@ -19,6 +19,7 @@ from mocap_calib.io.registry import (
     ending_of,
     format_names,
     names_by_ending,
+    read_names,
     written_names,
 )
 
@@ -100,12 +101,13 @@ def _kinds_named(format: str | None, to: str | None) -> list[Kind]:
     for option, name in (("--from", format), ("--to", to)):
         if name is None:
             continue
-        having = [kind for kind in FORMATS if name in format_names(FORMATS[kind])]
+        list_names = read_names if option == "--from" else format_names
+        having = [kind for kind in FORMATS if name in list_names(FORMATS[kind])]
         if not having:
             known = "; ".join(
-                f"{kind}: {', '.join(format_names(FORMATS[kind]))}" for kind in FORMATS
+                f"{kind}: {', '.join(list_names(FORMATS[kind]))}" for kind in FORMATS
             )
-            names = [each for formats in FORMATS.values() for each in format_names(formats)]
+            names = [each for formats in FORMATS.values() for each in list_names(formats)]
             raise MismatchError(
                 f"{option}: expected a format ({known}), found {name!r}; {suggest(name, names)}"
             )

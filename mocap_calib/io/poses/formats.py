@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 from mocap_calib.io.poses import (
     anipose_csv,
+    bvh,
     c3d_file,
     movement,
     npz,
@@ -12,7 +13,7 @@ from mocap_calib.io.poses import (
     sleap_anipose,
     trc,
 )
-from mocap_calib.io.poses.common import PoseFile, WrittenPoses
+from mocap_calib.io.poses.common import PoseFile, WrittenPoses, never, refuse_reading
 from mocap_calib.io.registry import Format
 
 # read: content and what complaints call it. write: the poses and a title
@@ -105,5 +106,18 @@ POSE_FORMATS = (
         read=npz.parse,
         write=npz.write,
         endings=(".npz",),
+    ),
+    PoseFormat(
+        kind="poses",
+        name="bvh",
+        title="BVH of animation programs",
+        sniff=never,
+        read=refuse_reading,
+        write=bvh.write,
+        only_written=True,
+        endings=(".bvh",),
+        single=True,
+        timed=True,
+        up="y",
     ),
 )
