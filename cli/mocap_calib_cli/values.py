@@ -64,7 +64,7 @@ REFERENCE = PathOf(
 )
 PAIRS = PathOf("Expected the file that `pairwise` wrote; - reads stdin.")
 POSES = PathOf(
-    "Expected 3D poses; give the folder of `run`, its poses3d.h5, or any file of docs/formats.md."
+    "Expected 3D poses; give the folder of `run`, or files of a 3D format of docs/formats.md."
 )
 ANY_PATH = PathOf()
 
@@ -101,7 +101,8 @@ def _list_formats(
 ) -> dict[str, str]:
     """Return name -> titles of the formats of these kinds of files.
 
-    read, written: those alone that are read, or written. unitless: those alone that do without a unit of length.
+    read, written: those alone that are read, or written. unitless: those alone that do without a
+        unit of length.
     """
     from mocap_calib.io.kinds import FORMATS
 

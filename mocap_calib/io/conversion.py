@@ -37,7 +37,6 @@ from mocap_calib.recording.pairing import check_pixels
 from mocap_calib.types import Keypoints2D
 from mocap_calib.wording import count
 
-
 OWN_POSES = "poses3d.h5"  # in the folder of a run
 
 

@@ -104,9 +104,7 @@ def _kinds_named(format: str | None, to: str | None) -> list[Kind]:
         list_names = read_names if option == "--from" else format_names
         having = [kind for kind in FORMATS if name in list_names(FORMATS[kind])]
         if not having:
-            known = "; ".join(
-                f"{kind}: {', '.join(list_names(FORMATS[kind]))}" for kind in FORMATS
-            )
+            known = "; ".join(f"{kind}: {', '.join(list_names(FORMATS[kind]))}" for kind in FORMATS)
             names = [each for formats in FORMATS.values() for each in list_names(formats)]
             raise MismatchError(
                 f"{option}: expected a format ({known}), found {name!r}; {suggest(name, names)}"

@@ -21,9 +21,7 @@ def leg_lengths(positions: Floats, legs: Sequence[Sequence[int]]) -> Floats:
     return mean_known(lengths)
 
 
-def find_contacts(
-    height: Floats, speed: Floats, leg: Floats, config: KinematicsConfig
-) -> Floats:
+def find_contacts(height: Floats, speed: Floats, leg: Floats, config: KinematicsConfig) -> Floats:
     """Return 1 where a point stands on the floor, 0 where not, NaN where nobody knows.
 
     A joint lies above the sole: what counts is its height above the lowest that it usually has,

@@ -36,7 +36,7 @@ def write(file: PoseFile, title: str) -> WrittenPoses:
     motion = find_motion(tree, place_joints(tree, positions[:, 0]))
     lines: list[str] = ["HIERARCHY"]
     columns: list[Floats] = []
-    _describe_joint(tree, motion, 0, 0, lines, columns)
+    _describe_joint(tree, motion, 0, depth=0, lines=lines, columns=columns)
     table = np.concatenate([motion.root, *columns], axis=1) + 0.0
     lines += ["MOTION", f"Frames: {len(frames)}", f"Frame Time: {1 / rate!r}"]
     lines += [" ".join([f"{value:.6g}" for value in row]) for row in table.tolist()]
@@ -47,7 +47,7 @@ def write(file: PoseFile, title: str) -> WrittenPoses:
 
 
 def _describe_joint(
-    tree: Tree, motion: Motion, joint: int, depth: int, lines: list[str], columns: list[Floats]
+    tree: Tree, motion: Motion, joint: int, *, depth: int, lines: list[str], columns: list[Floats]
 ) -> None:
     """Add the lines of a joint and all below it, and the angles `[frame, 3]` of their channels."""
     children = tree.children(joint)
@@ -61,13 +61,13 @@ def _describe_joint(
     columns.append(_angles(turn, len(motion.root)))
     for child in children:
         if alone:
-            _describe_joint(tree, motion, child, depth + 1, lines, columns)
+            _describe_joint(tree, motion, child, depth=depth + 1, lines=lines, columns=columns)
             continue
         name = f"{tree.names[joint]}_to_{tree.names[child]}"
         lines += _open(depth + 1, "JOINT", name, np.zeros(3))
         lines.append(f"{_indent(depth + 2)}{_TURN}")
         columns.append(_angles(motion.turns[child], len(motion.root)))
-        _describe_joint(tree, motion, child, depth + 2, lines, columns)
+        _describe_joint(tree, motion, child, depth=depth + 2, lines=lines, columns=columns)
         lines.append(f"{_indent(depth + 1)}}}")
     if not children:
         lines += [*_open(depth + 1, "End", "Site", np.zeros(3)), f"{_indent(depth + 1)}}}"]

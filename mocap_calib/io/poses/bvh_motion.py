@@ -18,7 +18,7 @@ from mocap_calib.kinematics.measure import bone_lengths
 from mocap_calib.kinematics.motion import mean_known
 from mocap_calib.recording.joints import choose_skeleton, match_names
 from mocap_calib.records import Record
-from mocap_calib.types import Bools, Floats
+from mocap_calib.types import Bools, Floats, Ints
 
 _HIPS = "hips"  # between left and right, where no keypoint is there
 _ROOTS = ("mid_hip", "croup", "spine_back", "tail_base", "back")  # of the shipped skeletons
@@ -134,11 +134,11 @@ def find_motion(tree: Tree, points: Floats) -> Motion:
         offsets[k] = _offset(rest[k] - rest[parent], length)
         seen = points[:, k] - points[:, parent]
         inside = np.einsum("fji,fj->fi", frames[parent], seen)
-        there = np.isfinite(inside).all(-1)
+        there: Bools = np.asarray(np.isfinite(inside).all(-1))
         turn = turn_between(offsets[k], np.where(there[:, None], inside, offsets[k]))
         turns[k] = _hold(turn, there)
         frames[k] = frames[parent] @ turns[k]
-    known = np.isfinite(points[:, 0]).all(-1)
+    known: Bools = np.asarray(np.isfinite(points[:, 0]).all(-1))
     root = np.where(known[:, None], points[:, 0], 0.0)
     return Motion(offsets, root[_last_known(known, first=True)], turns)
 
@@ -158,7 +158,7 @@ def _fit_rest_pose(own: Floats) -> tuple[Floats, Floats]:
 
     own: `[frame, joint, 3]` from the root, NaN = missing.
     """
-    there = np.isfinite(own).all(-1)
+    there: Bools = np.asarray(np.isfinite(own).all(-1))
     filled = np.where(there[..., None], own, 0.0)
     usable = there.sum(1) > 2  # the root, and two more
     body = np.tile(np.eye(3), (len(own), 1, 1))
@@ -190,7 +190,7 @@ def _stand_upright(tree: Tree, rest: Floats, body: Floats) -> tuple[Floats, Floa
     return rest @ axes.T, body @ axes.T
 
 
-def _last_known(known: Bools, *, first: bool) -> Floats:
+def _last_known(known: Bools, *, first: bool) -> Ints:
     """Return the index `[frame]` of the last frame that is known, up to each.
 
     Before any is known: the first that is, or with `first` unset -1. 0 where none is.

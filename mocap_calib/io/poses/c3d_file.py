@@ -194,13 +194,11 @@ def _make_table(points: Floats) -> Floats:
     return np.concatenate([positions, residuals, np.zeros_like(residuals)], axis=-1)
 
 
-def _format_file(
-    table: Floats, labels: list[str], *, rate: float, first: int, up: str
-) -> bytes:
+def _format_file(table: Floats, labels: list[str], *, rate: float, first: int, up: str) -> bytes:
     """Return a file.
 
-    table: `[frame, marker, 5]`. labels: `[marker]`. first: number of the first frame, from 1 on. up: axis,
-        "" = not known.
+    table: `[frame, marker, 5]`. labels: `[marker]`. first: number of the first frame, from 1 on.
+    up: the axis that points up, "" = not known.
     """
     writer = c3d.Writer(point_rate=rate, point_units="mm")
     writer.set_point_labels(labels)

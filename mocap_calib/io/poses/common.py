@@ -272,8 +272,7 @@ def _direction(axis: str) -> Floats:
 
 
 def _turn(file: PoseFile, rotation: Floats) -> PoseFile:
-    """Return poses and cameras in other axes, to which a rotation `[3, 3]` turns those of the world.
-    """
+    """Return poses and cameras in other axes, to which a rotation `[3, 3]` turns those there."""
     rig = file.rig
     if rig is not None:
         turned = rig.rotation @ rotation.T

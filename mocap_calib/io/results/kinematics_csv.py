@@ -1,6 +1,7 @@
 """kinematics.csv and bones.csv: what follows from poses, as tables; docs/kinematics.md."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from math import isnan
 from pathlib import Path
 
 import numpy as np
@@ -75,4 +76,4 @@ def _columns(found: Kinematics) -> Mapping[str, Floats]:
 
 def _format_row(row: Floats) -> str:
     """Return numbers with commas between them, nothing for NaN."""
-    return ",".join(f"{value:.{_DIGITS}g}" if value == value else "" for value in row.tolist())
+    return ",".join("" if isnan(value) else f"{value:.{_DIGITS}g}" for value in row.tolist())
