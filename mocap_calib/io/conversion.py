@@ -23,7 +23,8 @@ from mocap_calib.io.keypoints.document import ReadOptions
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.io.keypoints.write import format_keypoints, write_keypoints
 from mocap_calib.io.kinds import NAMELESS, Sources
-from mocap_calib.io.poses.common import PoseFile, turn_up_axis
+from mocap_calib.io.poses.axes import turn_up_axis
+from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.poses.formats import POSE_FORMATS
 from mocap_calib.io.poses.read import join_individuals, parse_poses
 from mocap_calib.io.poses.write import format_poses, write_poses
@@ -37,7 +38,9 @@ from mocap_calib.recording.pairing import check_pixels
 from mocap_calib.types import Keypoints2D
 from mocap_calib.wording import count
 
-OWN_POSES = "poses3d.h5"  # in the folder of a run
+# in the folder of a run
+_OWN_POSES = "poses3d.h5"
+_OWN_CAMERAS = "cameras.yaml"
 
 
 @dataclass(frozen=True)
@@ -109,7 +112,6 @@ def convert_poses(
     unit: str | None = None,
     fps: float | None = None,
     up: str | None = None,
-    cameras: Path | None = None,
 ) -> Conversion:
     """Convert 3D poses to the format `to`.
 
@@ -121,14 +123,22 @@ def convert_poses(
     up: the axis of the sources' world that points up (x, y, z, -x, -y, -z); the poses are turned
         so that it is y. None: where the sources say what is up, they are turned so that it is the
         axis that the new format takes for up; else the axes are kept.
-    cameras: file with the cameras in the same coordinates, for formats that show them.
+
+    Formats that show cameras show those of a run, whose folder or poses3d.h5 is the source.
 
     Raises FormatError and MismatchError as `load_poses` and `write_poses` do, and MismatchError
     where the sources contradict `fps`.
     """
-    file = load_pose_sources(sources, format, unit, fps=fps)
-    if cameras is not None:
-        file = replace(file, rig=read_rig(cameras))
+    if isinstance(sources, bytes):
+        name = NAMELESS
+        file = parse_poses(sources, name, format, unit)
+    else:
+        name = str(sources[0])
+        file = _read_individuals(sources, format, unit)
+    if find_format(POSE_FORMATS, to).rig and not isinstance(sources, bytes):
+        file = _add_cameras(file, sources[0])
+    if fps is not None:
+        file = _fill_rate(file, fps, name)
     if up is not None:
         file = turn_up_axis(file, up)
     frames, individuals, keypoints = file.poses.positions.shape[:3]
@@ -210,23 +220,30 @@ def _fill_sizes(found: CameraFile, size: tuple[int, int], source: str) -> Camera
 
 
 def load_pose_sources(
-    sources: Sequence[Path] | bytes,
-    format: str | None = None,
-    unit: str | None = None,
-    *,
-    fps: float | None = None,
+    sources: Sequence[Path], format: str | None = None, fps: float | None = None
 ) -> PoseFile:
-    """Read all individuals in files, folders of files and folders of runs, or in one content.
+    """Read all individuals in files, folders of files and folders of runs.
 
     The arguments are those of `convert_poses`. Raises FormatError and MismatchError.
     """
-    if isinstance(sources, bytes):
-        name = NAMELESS
-        file = parse_poses(sources, name, format, unit)
-    else:
-        name = str(sources[0])
-        file = _read_individuals(sources, format, unit)
-    return file if fps is None else _fill_rate(file, fps, name)
+    file = _read_individuals(sources, format, None)
+    return file if fps is None else _fill_rate(file, fps, str(sources[0]))
+
+
+def _add_cameras(file: PoseFile, source: Path) -> PoseFile:
+    """Return the poses with the cameras of their run, where the source is of a run.
+
+    Cameras in another unit are left out, and that is noted.
+    """
+    folder = source if source.is_dir() else source.parent
+    cameras = folder / _OWN_CAMERAS
+    if not cameras.is_file() or not (source.is_dir() or source.name == _OWN_POSES):
+        return file
+    rig = read_rig(cameras)
+    if rig.unit == file.poses.unit:
+        return replace(file, rig=rig)
+    note = f"{cameras}: left out, as its lengths are not in the unit of the poses"
+    return replace(file, notes=(*file.notes, note))
 
 
 def _read_individuals(sources: Sequence[Path], format: str | None, unit: str | None) -> PoseFile:
@@ -234,8 +251,8 @@ def _read_individuals(sources: Sequence[Path], format: str | None, unit: str | N
     endings = names_by_ending(each for each in POSE_FORMATS if not each.only_written)
     paths: list[Path] = []
     for source in sources:
-        if (source / OWN_POSES).is_file():  # the folder of a run
-            paths.append(source / OWN_POSES)
+        if (source / _OWN_POSES).is_file():  # the folder of a run
+            paths.append(source / _OWN_POSES)
         elif source.is_dir():
             paths += sorted(file for file in source.iterdir() if ending_of(file) in endings)
         else:

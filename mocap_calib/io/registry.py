@@ -38,6 +38,7 @@ class Format(Generic[Sniff, Read, Write]):
     unit: of its lengths, "" where the format leaves that open (cameras, poses).
     up: the axis that points up for its readers, y or z; "" = none, the axes stay (poses).
     result: what a run calls its file, where that is not poses3d and the ending (poses).
+    rig: it shows the cameras too, where they are known (poses).
     points: it holds observed points as well, and `write` takes them (cameras).
     packages, extra: the modules that write the format where those are not always there, and the
         extra of mocap-calib that brings them.
@@ -62,6 +63,7 @@ class Format(Generic[Sniff, Read, Write]):
     unit: str = ""
     up: str = ""
     result: str = ""
+    rig: bool = False
     packages: tuple[str, ...] = ()
     extra: str = ""
     points: bool = False

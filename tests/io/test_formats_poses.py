@@ -17,7 +17,8 @@ from hypothesis import strategies as st
 from platforms import posix
 
 from mocap_calib.errors import FormatError, MismatchError, MocapCalibError
-from mocap_calib.io.poses.common import UP_AXES, PoseFile, bare_poses, turn_up_axis
+from mocap_calib.io.poses.axes import UP_AXES, turn_up_axis
+from mocap_calib.io.poses.common import PoseFile, bare_poses
 from mocap_calib.io.poses.formats import POSE_FORMATS
 from mocap_calib.io.poses.read import join_individuals, load_poses, parse_poses, read_poses
 from mocap_calib.io.poses.write import format_poses, write_poses

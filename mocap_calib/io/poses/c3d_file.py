@@ -17,6 +17,7 @@ import numpy as np
 
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.file import malformed
+from mocap_calib.io.poses.axes import up_axis
 from mocap_calib.io.poses.common import (
     PoseFile,
     WrittenPoses,
@@ -28,7 +29,6 @@ from mocap_calib.io.poses.common import (
     need_keypoints,
     need_rate,
     refuse_damage,
-    up_axis,
 )
 from mocap_calib.io.units import known_unit
 from mocap_calib.types import Floats, Ints

@@ -132,6 +132,7 @@ POSE_FORMATS = (
         only_written=True,
         endings=(".py",),
         result="poses.blend.py",
+        rig=True,
         up="z",
     ),
     PoseFormat(
@@ -143,6 +144,7 @@ POSE_FORMATS = (
         write=rerun_file.write,
         only_written=True,
         endings=(".rrd",),
+        rig=True,
         packages=("rerun",),
         extra="rerun",
     ),

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from mocap_calib.io.poses.axes import up_axis
 from mocap_calib.io.poses.common import (
     PoseFile,
     WrittenPoses,
     known_edges,
     lost_quality,
-    up_axis,
 )
 
 _UP = {  # axis that points up -> rerun's name for a right-handed frame of reference
@@ -39,7 +39,7 @@ def write(file: PoseFile, title: str) -> WrittenPoses:
         stream.save(path)
         _log_scene(rerun, stream, file)
         for number, name in enumerate(file.individuals):
-            _log_individual(rerun, stream, file, number, f"poses/{_path(name)}")
+            _log_individual(rerun, stream, file, number, rerun.new_entity_path(["poses", name]))
         stream.disconnect()
         content = path.read_bytes()
     lens = file.rig is not None and any(camera.distortion.any() for camera in file.rig)
@@ -63,7 +63,7 @@ def _log_scene(rerun: Any, stream: Any, file: PoseFile) -> None:
     ]
     stream.log("/", rerun.AnnotationContext(classes), static=True)
     for camera in file.rig or ():
-        place = f"cameras/{_path(camera.name)}"
+        place = rerun.new_entity_path(["cameras", camera.name])
         turn = camera.rotation.T
         stream.log(place, rerun.Transform3D(translation=camera.centre, mat3x3=turn), static=True)
         sizes = {"resolution": camera.size} if all(camera.size) else {}
@@ -86,8 +86,3 @@ def _log_individual(rerun: Any, stream: Any, file: PoseFile, number: int, place:
         class_ids=np.full(len(keypoints), number),
     )
     stream.send_columns(place, indexes=times, columns=columns.partition(counts))
-
-
-def _path(name: str) -> str:
-    """Return a name as a part of a path of rerun, which escapes all but letters and digits."""
-    return "".join(letter if letter.isalnum() else f"\\{letter}" for letter in name)
