@@ -22,7 +22,7 @@ from mocap_calib.io.file import read_bytes
 from mocap_calib.io.keypoints.document import ReadOptions
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.io.keypoints.write import format_keypoints, write_keypoints
-from mocap_calib.io.kinds import NAMELESS, Sources
+from mocap_calib.io.kinds import NAMELESS, OWN_POSES, Sources
 from mocap_calib.io.poses.axes import turn_up_axis
 from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.poses.formats import POSE_FORMATS
@@ -38,9 +38,7 @@ from mocap_calib.recording.pairing import check_pixels
 from mocap_calib.types import Keypoints2D
 from mocap_calib.wording import count
 
-# in the folder of a run
-_OWN_POSES = "poses3d.h5"
-_OWN_CAMERAS = "cameras.yaml"
+_OWN_CAMERAS = "cameras.yaml"  # in the folder of a run
 
 
 @dataclass(frozen=True)
@@ -237,7 +235,7 @@ def _add_cameras(file: PoseFile, source: Path) -> PoseFile:
     """
     folder = source if source.is_dir() else source.parent
     cameras = folder / _OWN_CAMERAS
-    if not cameras.is_file() or not (source.is_dir() or source.name == _OWN_POSES):
+    if not cameras.is_file() or not (source.is_dir() or source.name == OWN_POSES):
         return file
     rig = read_rig(cameras)
     if rig.unit == file.poses.unit:
@@ -251,8 +249,8 @@ def _read_individuals(sources: Sequence[Path], format: str | None, unit: str | N
     endings = names_by_ending(each for each in POSE_FORMATS if not each.only_written)
     paths: list[Path] = []
     for source in sources:
-        if (source / _OWN_POSES).is_file():  # the folder of a run
-            paths.append(source / _OWN_POSES)
+        if (source / OWN_POSES).is_file():  # the folder of a run
+            paths.append(source / OWN_POSES)
         elif source.is_dir():
             paths += sorted(file for file in source.iterdir() if ending_of(file) in endings)
         else:

@@ -29,6 +29,7 @@ FORMATS: Mapping[Kind, tuple[AnyFormat, ...]] = {
     "keypoints": KEYPOINT_FORMATS,
     "cameras": CAMERA_FORMATS,
 }
+OWN_POSES = "poses3d.h5"  # in the folder of a run
 NAMELESS = "stdin"  # what complaints call content that comes without a path
 
 Sources = Sequence[str | Path] | bytes
@@ -146,7 +147,9 @@ def _looks_like(kind: Kind, sources: Sources) -> bool:
     if kind == "keypoints":
         return (path.is_dir() or path.is_file()) and looks_like_keypoints(path)
     first = path
-    if path.is_dir():
+    if kind == "poses" and (path / OWN_POSES).is_file():
+        first = path / OWN_POSES
+    elif path.is_dir():
         first = min((file for file in path.iterdir() if file.is_file()), default=path)
     if not first.is_file():
         return False
