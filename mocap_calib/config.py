@@ -351,6 +351,8 @@ class MatchingConfig:
         share of its extent in the image.
     tracklet_joints: joints that two detections need in common to be compared.
     tracklet_frames: so many frames vote together on who a tracklet is.
+
+    TODO
     """
 
     least_affinity: float = 0.25
@@ -365,6 +367,17 @@ class MatchingConfig:
     tracklet_step: float = 0.3
     tracklet_joints: int = 3
     tracklet_frames: int = 30
+    individuals: int = 0
+    sure_link: float = 4.0
+    least_evidence: int = 5
+    bone_memory: int = 10
+    bone_doubt: float = 1.0
+    least_spread: float = 0.005
+    sparse_step: float = 0.5
+    false_frame: float = 3.0
+    false_share: float = 0.1
+    strangers: float = 10.0
+    most_pieces: int = 2000
 
 
 # the scale of a rig follows from so many frames of each pair of views, and from the matches there

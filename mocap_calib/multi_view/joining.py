@@ -1,0 +1,201 @@
+"""Join the pieces of tracks that are one individual: the likeliest first.
+
+Agglomeration of pieces by the sum of their evidence, and exchanges of pieces afterwards. What is
+seen in one frame is two individuals, but for a few frames in which one is a false group.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mocap_calib.config import MatchingConfig
+from mocap_calib.multi_view.evidence import Proportions
+from mocap_calib.multi_view.pieces import Pieces
+from mocap_calib.types import Bools, Floats, Ints
+
+_ROUNDS = 5  # of exchanging pieces and giving individuals up; it stops when none changes
+_SWEEPS = 5  # of exchanges in a round; it stops when none is left
+_CANDIDATES = 4  # individuals that a piece may go to
+_LEAST_GAIN = 1e-6
+
+
+@dataclass(frozen=True)
+class _Evidence:
+    """All that is known of who pieces are.
+
+    pairs: `[piece, piece]` evidence that two are one, of motion and of the frames both are seen in.
+    bodies: their proportions. together: `[piece, piece]` number of frames that both are seen in.
+    lengths: `[piece]` number of frames.
+    """
+
+    pairs: Floats
+    bodies: Proportions
+    together: Ints
+    lengths: Ints
+
+    def of(self, individual: Ints) -> Floats:
+        """Return `[piece, individual]` all evidence that a piece is of each individual."""
+        names = int(individual.max(initial=-1)) + 1
+        member = (individual[:, None] == np.arange(names)).astype(np.float64)
+        return np.asarray(self.pairs @ member + self.bodies.evidence_of(individual))
+
+
+def join_pieces(
+    pieces: Pieces, motion: Floats, bodies: Proportions, config: MatchingConfig
+) -> Ints:
+    """Return the individual `[piece]` that each piece is of, -1 = nobody.
+
+    motion: `[piece, piece]` evidence that two are one; bodies: of the pieces.
+
+    Pieces are joined, then exchanged between individuals as long as that is likelier. Individuals
+    that the recording does not need are given up, the least seen first.
+    """
+    if not pieces.count:
+        return np.zeros(0, dtype=np.int64)
+    together = _frames_together(pieces)
+    evidence = _Evidence(
+        pairs=motion - config.false_frame * together,
+        bodies=bodies,
+        together=together,
+        lengths=pieces.lengths,
+    )
+    apart = _are_two(together, pieces.lengths, pieces.lengths, config)
+    individual = _agglomerate(evidence, config)
+    for _ in range(_ROUNDS):
+        before = individual
+        individual = _exchange(individual, evidence, apart)
+        individual = _give_up(individual, evidence, apart, config)
+        if np.array_equal(before, individual):
+            break
+    return individual
+
+
+def _frames_together(pieces: Pieces) -> Ints:
+    """Return `[piece, piece]` in how many frames both are seen; 0 on the diagonal."""
+    first, last = pieces.first[:, 0], pieces.last[:, 0]
+    common = np.minimum(last[:, None], last) - np.maximum(first[:, None], first) + 1
+    common = np.maximum(common, 0)
+    np.fill_diagonal(common, 0)
+    return np.asarray(common)
+
+
+def _are_two(together: Ints, lengths_a: Ints, lengths_b: Ints, config: MatchingConfig) -> Bools:
+    """Return `[..., a, b]` what is seen together too often to be one with false groups."""
+    shorter = np.minimum(lengths_a[..., :, None], lengths_b)
+    return np.asarray(together > config.false_share * shorter)
+
+
+def _agglomerate(evidence: _Evidence, config: MatchingConfig) -> Ints:
+    """Return the individual `[piece]` of each piece: the likeliest are joined first."""
+    pairs, together = evidence.pairs.copy(), evidence.together.copy()
+    bodies, lengths = evidence.bodies.copy(), evidence.lengths.copy()
+    alive = np.ones(len(lengths), dtype=bool)
+
+    def row_of(piece: int) -> Floats:
+        two = _are_two(together[piece], lengths[piece : piece + 1], lengths, config)[0]
+        two |= ~alive
+        two[piece] = True
+        return np.where(two, -np.inf, pairs[piece] + bodies.evidence(piece))
+
+    total = np.stack([row_of(piece) for piece in range(len(lengths))])
+    individual = np.arange(len(lengths))
+    best = total.max(1)
+    while best.max() > -config.strangers:
+        ends = int(best.argmax()), int(total[best.argmax()].argmax())
+        kept, merged = min(ends), max(ends)
+        individual[individual == merged] = kept
+        for sums in (pairs, together):
+            sums[kept] += sums[merged]
+            sums[:, kept] = sums[kept]
+        lengths[kept] += lengths[merged]
+        alive[merged] = False
+        bodies.join(kept, merged)
+
+        stale = (total[:, kept] == best) | (total[:, merged] == best)
+        total[merged] = total[:, merged] = -np.inf
+        total[kept] = total[:, kept] = row = row_of(kept)
+        best = np.maximum(best, row)
+        stale[[kept, merged]] = True
+        best[stale] = total[stale].max(1)
+    return np.asarray(np.unique(individual, return_inverse=True)[1])
+
+
+def _exchange(individual: Ints, evidence: _Evidence, apart: Bools) -> Ints:
+    """Return the individuals `[piece]` after pieces have changed theirs where that is likelier.
+
+    A piece goes to another individual, and what this has at the same time goes the other way, with
+    what is in the way there.
+    """
+    individual = individual.copy()
+    for _ in range(_SWEEPS):
+        likely = evidence.of(individual)
+        exchanges = 0
+        for piece in np.flatnonzero(individual >= 0):
+            for name in np.argsort(-likely[piece])[:_CANDIDATES]:
+                exchanges += _try_exchange(piece, int(name), individual, likely, evidence, apart)
+        if not exchanges:
+            break
+    return individual
+
+
+def _try_exchange(
+    piece: int,
+    name: int,
+    individual: Ints,
+    likely: Floats,
+    evidence: _Evidence,
+    apart: Bools,
+) -> bool:
+    """Give a piece to an individual if that is likelier; change `individual` and `likely` so.
+
+    likely: `[piece, individual]` of `_Evidence.of`. Returns whether it was done.
+    """
+    own = individual[piece]
+    theirs = np.flatnonzero(apart[piece] & (individual == name))
+    ours = np.array([piece])
+    if len(theirs):
+        ours = np.flatnonzero(apart[theirs].any(0) & (individual == own))
+        in_the_way = apart[ours].any(0) & (individual == name)
+        if in_the_way.sum() > len(theirs):
+            return False
+    gain = (likely[ours, name] - likely[ours, own]).sum()
+    gain += (likely[theirs, own] - likely[theirs, name]).sum()
+    if name == own or gain <= _LEAST_GAIN:
+        return False
+    for moved, old, new in ((ours, own, name), (theirs, name, own)):
+        individual[moved] = new
+        shift = evidence.pairs[moved].sum(0)
+        likely[:, old] -= shift
+        likely[:, new] += shift
+    return True
+
+
+def _give_up(
+    individual: Ints, evidence: _Evidence, apart: Bools, config: MatchingConfig
+) -> Ints:
+    """Return the individuals `[piece]` without those whose pieces may as well be of others.
+
+    The least seen first. As many as are too many, where the number of individuals is known: what
+    no other can have is nobody then.
+    """
+    individual = individual.copy()
+    lengths = evidence.lengths.astype(np.float64)
+    there = individual >= 0
+    seen = np.bincount(individual[there], lengths[there])
+    left = len(seen)
+    for name in np.argsort(seen, kind="stable"):
+        too_many = bool(config.individuals) and left > config.individuals
+        likely = evidence.of(individual)
+        likely[:, seen == 0] = -np.inf
+        moved, support = individual.copy(), 0.0
+        for piece in np.flatnonzero(individual == name):
+            busy = moved[apart[piece] & (moved >= 0)]
+            likely[piece, [name, *busy]] = -np.inf
+            new = int(likely[piece].argmax())
+            support += lengths[piece] * likely[piece, new]
+            moved[piece] = new if np.isfinite(likely[piece, new]) else -1
+        if too_many or support > -config.strangers * seen[name]:
+            individual, left = moved, left - 1
+            seen[name] = 0
+    number = np.cumsum(seen > 0) - 1
+    return np.append(number, -1)[individual]
