@@ -374,6 +374,7 @@ class MatchingConfig:
     bone_doubt: float = 1.0
     least_spread: float = 0.005
     sparse_step: float = 0.5
+    followed: float = 3.0
     false_frame: float = 3.0
     false_share: float = 0.1
     strangers: float = 10.0

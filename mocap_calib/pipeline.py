@@ -202,7 +202,7 @@ def match(
         sample_frames = choose_sample_frames(recording, config.sample)
         sample = take_sample(recording, sample_frames)
         lifted = lift(sample, lifter, device=device, progress=progress)
-        return label_all_frames(
+        matches = label_all_frames(
             recording,
             rig,
             config,
@@ -212,6 +212,7 @@ def match(
             lifted=lifted,
             progress=progress,
         )
+        return finalise_identities(recording, rig, matches, config)
 
 
 def _calibrate_groups(

@@ -13,8 +13,9 @@ from scipy.sparse.csgraph import minimum_spanning_tree
 
 from mocap_calib.config import MatchingConfig
 from mocap_calib.multi_view.pieces import Pieces, mean_of_known, rms_distance, surprise
+from mocap_calib.multi_view.tracklets import tracklets
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.types import Floats, Ints
+from mocap_calib.types import Floats, Ints, Recording
 
 _SAMPLE = 2000  # groups that a scale is measured on
 _LONGEST = 500  # pieces that are compared with those seen at the same time
@@ -202,6 +203,28 @@ def _velocities(points: Floats, frames: Ints, way: Ints, at: Ints) -> Floats:
     elapsed = frames[at[:, 0]] - frames[index]
     moved = mean_of_known(points[tuple(at.T)] - points[index, group])
     return np.where(elapsed[:, None] != 0, moved / np.where(elapsed, elapsed, 1)[:, None], 0.0)
+
+
+def image_evidence(
+    recording: Recording, groups: Ints, pieces: Pieces, config: MatchingConfig
+) -> Floats:
+    """Return `[piece, piece]` the evidence of views that follow a body from one to the other.
+
+    groups: `[view, frame, instance]` labels within each frame, -1 = nobody. A tracklet of one view
+    tells of pieces also where no second view sees the body in between.
+    """
+    evidence = np.zeros((pieces.count, pieces.count))
+    numbers = np.append(pieces.number, np.full((len(pieces.number), 1), -1), axis=1)
+    frames = np.arange(len(numbers))[:, None]
+    for view, labels in enumerate(groups):
+        track = tracklets(recording, view, config)
+        piece = numbers[frames, labels]
+        known = np.nonzero((track >= 0) & (piece >= 0))
+        order = np.lexsort((known[0], track[known]))
+        track, piece = track[known][order], piece[known][order]
+        onward = (track[1:] == track[:-1]) & (piece[1:] != piece[:-1])
+        np.add.at(evidence, (piece[:-1][onward], piece[1:][onward]), config.followed)
+    return evidence + evidence.T
 
 
 def measure_proportions(points: Floats, pieces: Pieces, config: MatchingConfig) -> Proportions:

@@ -12,6 +12,7 @@ import numpy as np
 from mocap_calib.config import Config, MatchingConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.multi_view.evidence import (
+    image_evidence,
     measure_proportions,
     motion_evidence,
     usual_distance_apart,
@@ -56,6 +57,7 @@ def finalise_identities(
         labels = reuse_names(labels, in_frames, locate_groups(recording, rig, in_frames))
     else:
         motion = motion_evidence(points, recording.frames, pieces, matching)
+        motion += image_evidence(recording, groups.labels, pieces, matching)
         bodies = measure_proportions(points, pieces, matching)
         names = _names_of_groups(join_pieces(pieces, motion, bodies, matching), pieces, points)
         labels = _name_groups(groups.labels, names)
