@@ -28,9 +28,9 @@ from mocap_calib.multi_view.common_clock import synchronise
 from mocap_calib.multi_view.conclusion import conclude
 from mocap_calib.multi_view.estimated_cameras import estimate_cameras
 from mocap_calib.multi_view.faults import mend_faults
+from mocap_calib.multi_view.identities import finalise_identities
 from mocap_calib.multi_view.observed import Observed, leave_out_underconstrained
 from mocap_calib.multi_view.refinement import adjust_from_best_start
-from mocap_calib.multi_view.identities import finalise_identities
 from mocap_calib.multi_view.triangulation import check_same_cameras
 from mocap_calib.multi_view.view_graph import camera_groups, select_hypotheses
 from mocap_calib.recording.assumed import choose_refinement

@@ -9,11 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import Config, MatchingConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.multi_view.evidence import (
     image_evidence,
-    measure_proportions,
     motion_evidence,
     usual_distance_apart,
 )
@@ -21,6 +21,7 @@ from mocap_calib.multi_view.joining import join_pieces
 from mocap_calib.multi_view.labels import per_frame_labels, replace_labels
 from mocap_calib.multi_view.noise import view_noise
 from mocap_calib.multi_view.pieces import Pieces, cut_into_pieces
+from mocap_calib.multi_view.proportions import measure_proportions
 from mocap_calib.multi_view.tracking import (
     locate_groups,
     real_individuals,
@@ -29,7 +30,6 @@ from mocap_calib.multi_view.tracking import (
 )
 from mocap_calib.multi_view.tracklets import name_by_tracklets
 from mocap_calib.multi_view.triangulation import frame_blocks, triangulate_frames
-from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Matches, Recording
 
 
@@ -63,7 +63,7 @@ def finalise_identities(
         labels = _name_groups(groups.labels, names)
         labels = _leave_out_fleeting(Matches(labels), len(rig.cameras), matching).labels
     labels = sort_by_presence(labels)
-    if matching.individuals:
+    if matching.individuals is not None:
         labels = np.where(labels < matching.individuals, labels, -1)
     return Matches(name_by_tracklets(recording, labels, matching))
 
@@ -85,9 +85,7 @@ def _triangulate_groups(
         )
         return points.T.reshape(len(frames), groups.individuals, len(recording.keypoints), 3)
 
-    blocks = frame_blocks(
-        len(recording.frames), groups.individuals * len(recording.keypoints)
-    )
+    blocks = frame_blocks(len(recording.frames), groups.individuals * len(recording.keypoints))
     return np.concatenate(list(map_in_threads(locate, blocks)))
 
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocap_calib.config import MatchingConfig
-from mocap_calib.multi_view.evidence import Proportions
 from mocap_calib.multi_view.pieces import Pieces
+from mocap_calib.multi_view.proportions import Proportions
 from mocap_calib.types import Bools, Floats, Ints
 
 _ROUNDS = 5  # of exchanging pieces and giving individuals up; it stops when none changes
@@ -33,11 +33,10 @@ class _Evidence:
     together: Ints
     lengths: Ints
 
-    def of(self, individual: Ints) -> Floats:
-        """Return `[piece, individual]` all evidence that a piece is of each individual."""
-        names = int(individual.max(initial=-1)) + 1
+    def of(self, individual: Ints, names: int) -> Floats:
+        """Return `[piece, individual]` all evidence that a piece is of each of so many."""
         member = (individual[:, None] == np.arange(names)).astype(np.float64)
-        return np.asarray(self.pairs @ member + self.bodies.evidence_of(individual))
+        return np.asarray(self.pairs @ member + self.bodies.evidence_of(individual, names))
 
 
 def join_pieces(
@@ -127,75 +126,80 @@ def _exchange(individual: Ints, evidence: _Evidence, apart: Bools) -> Ints:
     what is in the way there.
     """
     individual = individual.copy()
+    names = int(individual.max(initial=-1)) + 1
     for _ in range(_SWEEPS):
-        likely = evidence.of(individual)
+        likely = evidence.of(individual, names)
         exchanges = 0
-        for piece in np.flatnonzero(individual >= 0):
-            for name in np.argsort(-likely[piece])[:_CANDIDATES]:
-                exchanges += _try_exchange(piece, int(name), individual, likely, evidence, apart)
+        for piece in np.flatnonzero(individual >= 0).tolist():
+            for name in np.argsort(-likely[piece])[:_CANDIDATES].tolist():
+                own = individual[piece]
+                ours, theirs = _parts_to_exchange(piece, name, individual, apart)
+                gain = (likely[ours, name] - likely[ours, own]).sum()
+                gain += (likely[theirs, own] - likely[theirs, name]).sum()
+                if gain <= _LEAST_GAIN:
+                    continue
+                exchanges += 1
+                for moved, old, new in ((ours, own, name), (theirs, name, own)):
+                    individual[moved] = new
+                    shift = evidence.pairs[moved].sum(0)
+                    likely[:, old] -= shift
+                    likely[:, new] += shift
         if not exchanges:
             break
     return individual
 
 
-def _try_exchange(
-    piece: int,
-    name: int,
-    individual: Ints,
-    likely: Floats,
-    evidence: _Evidence,
-    apart: Bools,
-) -> bool:
-    """Give a piece to an individual if that is likelier; change `individual` and `likely` so.
+def _parts_to_exchange(piece: int, name: int, individual: Ints, apart: Bools) -> tuple[Ints, Ints]:
+    """Return what the individual of a piece would give to another, and get for it (pieces).
 
-    likely: `[piece, individual]` of `_Evidence.of`. Returns whether it was done.
+    Nothing where more would be in the way.
     """
+    nothing = np.zeros(0, dtype=np.int64)
     own = individual[piece]
+    if name == own:
+        return nothing, nothing
     theirs = np.flatnonzero(apart[piece] & (individual == name))
-    ours = np.array([piece])
-    if len(theirs):
-        ours = np.flatnonzero(apart[theirs].any(0) & (individual == own))
-        in_the_way = apart[ours].any(0) & (individual == name)
-        if in_the_way.sum() > len(theirs):
-            return False
-    gain = (likely[ours, name] - likely[ours, own]).sum()
-    gain += (likely[theirs, own] - likely[theirs, name]).sum()
-    if name == own or gain <= _LEAST_GAIN:
-        return False
-    for moved, old, new in ((ours, own, name), (theirs, name, own)):
-        individual[moved] = new
-        shift = evidence.pairs[moved].sum(0)
-        likely[:, old] -= shift
-        likely[:, new] += shift
-    return True
+    if not len(theirs):
+        return np.array([piece]), theirs
+    ours = np.flatnonzero(apart[theirs].any(0) & (individual == own))
+    in_the_way = apart[ours].any(0) & (individual == name)
+    return (ours, theirs) if in_the_way.sum() == len(theirs) else (nothing, nothing)
 
 
-def _give_up(
-    individual: Ints, evidence: _Evidence, apart: Bools, config: MatchingConfig
-) -> Ints:
+def _give_up(individual: Ints, evidence: _Evidence, apart: Bools, config: MatchingConfig) -> Ints:
     """Return the individuals `[piece]` without those whose pieces may as well be of others.
 
     The least seen first. As many as are too many, where the number of individuals is known: what
     no other can have is nobody then.
     """
-    individual = individual.copy()
-    lengths = evidence.lengths.astype(np.float64)
     there = individual >= 0
-    seen = np.bincount(individual[there], lengths[there])
+    seen = np.bincount(individual[there], evidence.lengths[there].astype(np.float64))
     left = len(seen)
-    for name in np.argsort(seen, kind="stable"):
-        too_many = bool(config.individuals) and left > config.individuals
-        likely = evidence.of(individual)
-        likely[:, seen == 0] = -np.inf
-        moved, support = individual.copy(), 0.0
-        for piece in np.flatnonzero(individual == name):
-            busy = moved[apart[piece] & (moved >= 0)]
-            likely[piece, [name, *busy]] = -np.inf
-            new = int(likely[piece].argmax())
-            support += lengths[piece] * likely[piece, new]
-            moved[piece] = new if np.isfinite(likely[piece, new]) else -1
+    for name in np.argsort(seen, kind="stable").tolist():
+        too_many = config.individuals is not None and left > config.individuals
+        moved, support = _spread_pieces(name, individual, evidence, apart, alive=seen > 0)
         if too_many or support > -config.strangers * seen[name]:
             individual, left = moved, left - 1
             seen[name] = 0
     number = np.cumsum(seen > 0) - 1
-    return np.append(number, -1)[individual]
+    return np.asarray(np.append(number, -1)[individual])
+
+
+def _spread_pieces(
+    name: int, individual: Ints, evidence: _Evidence, apart: Bools, *, alive: Bools
+) -> tuple[Ints, float]:
+    """Return the individuals after the pieces of one went to those that are likeliest otherwise.
+
+    alive: `[individual]` who there is. -1: no other is free. Also the evidence for it, summed over
+    frames; minus infinity where a piece is nobody then.
+    """
+    likely = evidence.of(individual, len(alive))
+    likely[:, ~alive] = -np.inf
+    likely[:, name] = -np.inf
+    moved, support = individual.copy(), 0.0
+    for piece in np.flatnonzero(individual == name).tolist():
+        likely[piece, moved[apart[piece] & (moved >= 0)]] = -np.inf
+        new = int(likely[piece].argmax())
+        support += float(evidence.lengths[piece] * likely[piece, new])
+        moved[piece] = new if np.isfinite(likely[piece, new]) else -1
+    return moved, support

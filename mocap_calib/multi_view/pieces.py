@@ -77,9 +77,7 @@ def step_distances(points: Floats, moved: Floats, config: MatchingConfig) -> Flo
         block = slice(start, min(start + _FRAMES, frames - 1))
         later = points[block.start + 1 : block.stop + 1]
         expected = points[block] + moved[block, :, None]
-        distance[block] = rms_distance(
-            expected[:, :, None], later[:, None], config.tracklet_joints
-        )
+        distance[block] = rms_distance(expected[:, :, None], later[:, None], config.tracklet_joints)
     return distance
 
 
@@ -156,7 +154,7 @@ def _certain_links(distance: Floats, config: MatchingConfig) -> Bools:
     for axis in (-1, -2):
         rivals = np.where(links, np.inf, cost).min(axis, keepdims=True)
         with np.errstate(invalid="ignore"):
-            links = links & (rivals - cost >= config.sure_link)
+            links = np.asarray(links & (rivals - cost >= config.sure_link))
     return links
 
 

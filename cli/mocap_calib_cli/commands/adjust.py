@@ -53,8 +53,8 @@ def command(
     from mocap_calib.io.results.matches_csv import matches_csv
     from mocap_calib.multi_view.association import label_all_frames
     from mocap_calib.multi_view.conclusion import conclude_without_pairs
-    from mocap_calib.multi_view.refinement import adjust_until_stable, choose_adjuster
     from mocap_calib.multi_view.identities import finalise_identities
+    from mocap_calib.multi_view.refinement import adjust_until_stable, choose_adjuster
     from mocap_calib_cli import inputs, outputs, verdicts
     from mocap_calib_cli.progress import Reporter
 
