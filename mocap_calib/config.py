@@ -356,6 +356,7 @@ class MatchingConfig:
     individuals: how many there are at most; None = nobody knows.
     sparse_step: bodies cannot be followed that go so far between frames, as a share of their
         distance from each other; `memory` is the longest gap that motion tells something of.
+    sure_step: how unlikely a step may be that is followed without looking at what else there is.
     sure_link: by how much a body's place in the next frame is likelier than any other.
     most_pieces: that certain links may leave; else links are taken that are less certain.
     least_evidence: samples that a scale, and frames that a bone's spread is measured on.
@@ -385,6 +386,7 @@ class MatchingConfig:
     # Medians of steps over those of distances apart: .01 to .06 in video of people and dogs, .35 in
     # 81 frames of two mice, which can be followed, and .61 in pictures of a ward, which cannot
     sparse_step: float = 0.5
+    sure_step: float = 6.0
     sure_link: float = 4.0
     most_pieces: int = 2000
     least_evidence: int = 5

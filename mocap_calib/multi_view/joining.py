@@ -5,10 +5,12 @@ seen in one frame is two individuals, but for a few frames in which one is a fal
 """
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
 from mocap_calib.config import MatchingConfig
+from mocap_calib.multi_view.name_swaps import exchanged_pieces
 from mocap_calib.multi_view.pieces import Pieces
 from mocap_calib.multi_view.proportions import Proportions
 from mocap_calib.types import Bools, Floats, Ints
@@ -38,6 +40,13 @@ class _Evidence:
         member = (individual[:, None] == np.arange(names)).astype(np.float64)
         return np.asarray(self.pairs @ member + self.bodies.evidence_of(individual, names))
 
+    def total(self, individual: Ints, names: int) -> float:
+        """Return all evidence for these individuals, each pair of pieces once."""
+        there = np.flatnonzero(individual >= 0)
+        own = (there, individual[there])
+        looks = self.bodies.evidence_of(individual, names)[own].sum()
+        return float(0.5 * (self.of(individual, names)[own].sum() + looks))
+
 
 def join_pieces(
     pieces: Pieces, motion: Floats, bodies: Proportions, config: MatchingConfig
@@ -63,6 +72,7 @@ def join_pieces(
     for _ in range(_ROUNDS):
         before = individual
         individual = _exchange(individual, evidence, apart)
+        individual = _exchange_stretches(individual, evidence, pieces)
         individual = _give_up(individual, evidence, apart, config)
         if np.array_equal(before, individual):
             break
@@ -164,6 +174,31 @@ def _parts_to_exchange(piece: int, name: int, individual: Ints, apart: Bools) ->
     ours = np.flatnonzero(apart[theirs].any(0) & (individual == own))
     in_the_way = apart[ours].any(0) & (individual == name)
     return (ours, theirs) if in_the_way.sum() == len(theirs) else (nothing, nothing)
+
+
+def _exchange_stretches(individual: Ints, evidence: _Evidence, pieces: Pieces) -> Ints:
+    """Return the individuals `[piece]` after any two have exchanged names where that is likelier.
+
+    Over whole stretches of the recording, see `name_swaps`.
+    """
+    names = int(individual.max(initial=-1)) + 1
+    for a, b in combinations(range(names), 2):
+        looks = evidence.bodies.evidence_of(individual, names)
+        both = np.flatnonzero((individual == a) | (individual == b))  # in the order of frames
+        own = individual[both]
+        other = np.where(own == a, b, a)
+        wrong = exchanged_pieces(
+            pieces.first[both, 0],
+            pieces.last[both, 0],
+            own == b,
+            looks[both, other] - looks[both, own],
+            evidence.pairs[np.ix_(both, both)],
+        )
+        tried = individual.copy()
+        tried[both[wrong]] = other[wrong]
+        if evidence.total(tried, names) > evidence.total(individual, names) + _LEAST_GAIN:
+            individual = tried
+    return individual
 
 
 def _give_up(individual: Ints, evidence: _Evidence, apart: Bools, config: MatchingConfig) -> Ints:

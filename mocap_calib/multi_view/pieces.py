@@ -145,12 +145,14 @@ def mean_of_known(vectors: Floats) -> Floats:
 def _certain_links(distance: Floats, config: MatchingConfig) -> Bools:
     """Return the pairs of groups that are one individual beyond doubt.
 
-    Each other's nearest, of which all others are by `config.sure_link` nats less likely.
+    Each other's nearest, as near as bodies usually are, of which all others are by
+    `config.sure_link` nats less likely: who vanishes may have appeared near another who does.
     """
     links = _nearest_both_ways(distance)
     if not links.any():
         return links
     cost = surprise(distance, max(float(np.median(distance[links])), np.finfo(float).tiny))
+    links &= cost <= config.sure_step
     for axis in (-1, -2):
         rivals = np.where(links, np.inf, cost).min(axis, keepdims=True)
         with np.errstate(invalid="ignore"):
