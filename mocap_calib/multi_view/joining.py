@@ -72,7 +72,7 @@ def join_pieces(
     for _ in range(_ROUNDS):
         before = individual
         individual = _exchange(individual, evidence, apart)
-        individual = _exchange_stretches(individual, evidence, pieces)
+        individual = _exchange_stretches(individual, evidence, pieces, config)
         individual = _give_up(individual, evidence, apart, config)
         if np.array_equal(before, individual):
             break
@@ -176,8 +176,10 @@ def _parts_to_exchange(piece: int, name: int, individual: Ints, apart: Bools) ->
     return (ours, theirs) if in_the_way.sum() == len(theirs) else (nothing, nothing)
 
 
-def _exchange_stretches(individual: Ints, evidence: _Evidence, pieces: Pieces) -> Ints:
-    """Return the individuals `[piece]` after any two have exchanged names where that is likelier.
+def _exchange_stretches(
+    individual: Ints, evidence: _Evidence, pieces: Pieces, config: MatchingConfig
+) -> Ints:
+    """Return the individuals `[piece]` after any two have exchanged names where that is certain.
 
     Over whole stretches of the recording, see `name_swaps`.
     """
@@ -196,7 +198,8 @@ def _exchange_stretches(individual: Ints, evidence: _Evidence, pieces: Pieces) -
         )
         tried = individual.copy()
         tried[both[wrong]] = other[wrong]
-        if evidence.total(tried, names) > evidence.total(individual, names) + _LEAST_GAIN:
+        gain = evidence.total(tried, names) - evidence.total(individual, names)
+        if gain > config.sure_link:
             individual = tried
     return individual
 
