@@ -358,7 +358,7 @@ class MatchingConfig:
         distance from each other; `memory` is the longest gap that motion tells something of.
     sure_step: how unlikely a step may be that is followed without looking at what else there is.
     sure_link: by how much a body's place in the next frame is likelier than any other.
-    most_pieces: that certain links may leave; else links are taken that are less certain.
+    most_pieces: that are joined at once; parts of longer recordings are joined by themselves.
     least_evidence: samples that a scale, and frames that a bone's spread is measured on.
     bone_memory: after so many frames a body errs in another way.
     bone_doubt: how much of the spread of a bone's length no number of frames takes away.
@@ -388,7 +388,7 @@ class MatchingConfig:
     sparse_step: float = 0.5
     sure_step: float = 6.0
     sure_link: float = 4.0
-    most_pieces: int = 2000
+    most_pieces: int = 1000
     least_evidence: int = 5
     bone_memory: int = 10
     # 0.3 takes what one man's pieces differ by for differences between men; with 1 all recordings

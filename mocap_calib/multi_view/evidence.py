@@ -19,33 +19,35 @@ _STEPS = 3  # that a velocity is a mean of
 _ROUGH = 0.05  # share of bodies at the ends of pieces that are triangulated badly
 
 
-def motion_evidence(points: Floats, frames: Ints, pieces: Pieces, config: MatchingConfig) -> Floats:
-    """Return `[piece, piece]` the evidence of places and poses, symmetric, 0 = none.
+def motion_evidence(
+    points: Floats, frames: Ints, pieces: Pieces, among: Ints, config: MatchingConfig
+) -> Floats:
+    """Return `[N, N]` the evidence of places and poses, symmetric, 0 = none.
 
-    Of pieces of which one begins at most `config.memory` frames after the other has ended.
+    among: `[N]` the pieces. Of those of which one begins at most `config.memory` frames after the
+    other has ended.
     """
-    evidence = np.zeros((pieces.count, pieces.count))
+    evidence = np.zeros((len(among), len(among)))
     apart = usual_distance_apart(points, config)
-    gap = frames[pieces.first[:, 0]][None] - frames[pieces.last[:, 0]][:, None]
+    first, last = pieces.first[among], pieces.last[among]
+    gap = frames[first[:, 0]] - frames[last[:, 0]][:, None]
     earlier, later = np.nonzero((gap > 0) & (gap <= config.memory))
     if not np.isfinite(apart) or not len(earlier):
         return evidence
     gaps = gap[earlier, later]
-    course = _distances_on_course(
-        points, frames, pieces, (pieces.last[earlier], pieces.first[later]), config
-    )
+    course = _distances_on_course(points, frames, pieces, (last[earlier], first[later]), config)
     lags, scales = _usual_distances(points, frames, pieces, config)
     at = np.clip(np.searchsorted(lags, gaps), 0, len(lags) - 1)
     distance = course[np.arange(len(gaps)), scales.argmin(1)[at]]
     scale = np.minimum(scales.min(1)[at] * np.maximum(gaps / lags[at], 1.0), apart)
     without = ~np.isfinite(distance)  # too few joints in common: by the middles of the bodies
-    end = mean_of_known(points[tuple(pieces.last[earlier].T)])
-    begin = mean_of_known(points[tuple(pieces.first[later].T)])
+    end = mean_of_known(points[tuple(last[earlier].T)])
+    begin = mean_of_known(points[tuple(first[later].T)])
     distance[without] = np.linalg.norm(begin - end, axis=-1)[without]
     scale[without] = np.minimum(scale[without] + apart / 4, apart)
     nats = surprise(distance, apart) + 3 * np.log(apart)
     nats -= _mixed_surprise(distance, scale, np.maximum(scale, apart / 5))
-    nats /= 1 + _pieces_between(pieces, earlier, later)
+    nats /= 1 + _pieces_between(first, last, (earlier, later))
     evidence[earlier, later] = evidence[later, earlier] = nats
     return evidence
 
@@ -60,14 +62,14 @@ def _mixed_surprise(distance: Floats, scale: Floats, rough: Floats) -> Floats:
     return -np.logaddexp(usual, wrong)
 
 
-def _pieces_between(pieces: Pieces, earlier: Ints, later: Ints) -> Ints:
+def _pieces_between(first: Ints, last: Ints, pairs: tuple[Ints, Ints]) -> Ints:
     """Return `[pair]` how many pieces are between others, from beginning to end.
 
-    Where there are some, these may tell the same as the pair.
+    Where there are some, these may tell the same as the pair. first, last: `[piece, 2]`.
     """
-    begins, ends = pieces.first[:, 0], np.sort(pieces.last[:, 0])
-    begun = np.searchsorted(np.sort(begins), pieces.last[earlier, 0], side="right")
-    ended = np.searchsorted(ends, pieces.first[later, 0], side="left")
+    earlier, later = pairs
+    begun = np.searchsorted(np.sort(first[:, 0]), last[earlier, 0], side="right")
+    ended = np.searchsorted(np.sort(last[:, 0]), first[later, 0], side="left")
     return np.maximum(ended - begun, 0)
 
 
@@ -147,17 +149,17 @@ def _velocities(points: Floats, frames: Ints, way: Ints, at: Ints) -> Floats:
     return np.where(elapsed[:, None] != 0, moved / np.where(elapsed, elapsed, 1)[:, None], 0.0)
 
 
-def image_evidence(
+def image_links(
     recording: Recording, groups: Ints, pieces: Pieces, config: MatchingConfig
-) -> Floats:
-    """Return `[piece, piece]` the evidence of views that follow a body from one to the other.
+) -> tuple[Ints, Ints]:
+    """Return the pieces `[link]`, `[link]` from and to which a view follows a body.
 
     groups: `[view, frame, instance]` labels within each frame, -1 = nobody. A tracklet of one view
     tells of pieces also where no second view sees the body in between.
     """
-    evidence = np.zeros((pieces.count, pieces.count))
     numbers = np.append(pieces.number, np.full((len(pieces.number), 1), -1), axis=1)
     frames = np.arange(len(numbers))[:, None]
+    links = []
     for view, labels in enumerate(groups):
         track = tracklets(recording, view, config)
         piece = numbers[frames, labels]
@@ -165,5 +167,17 @@ def image_evidence(
         order = np.lexsort((known[0], track[known]))
         track, piece = track[known][order], piece[known][order]
         onward = (track[1:] == track[:-1]) & (piece[1:] != piece[:-1])
-        np.add.at(evidence, (piece[:-1][onward], piece[1:][onward]), config.followed)
+        links.append((piece[:-1][onward], piece[1:][onward]))
+    return np.concatenate([a for a, _ in links]), np.concatenate([b for _, b in links])
+
+
+def image_evidence(links: tuple[Ints, Ints], among: Ints, config: MatchingConfig) -> Floats:
+    """Return `[N, N]` the evidence of `image_links` between pieces, symmetric.
+
+    among: `[N]` the pieces, ascending.
+    """
+    evidence = np.zeros((len(among), len(among)))
+    known = np.isin(links[0], among) & np.isin(links[1], among) & (links[0] != links[1])
+    from_piece, to_piece = (np.searchsorted(among, ends[known]) for ends in links)
+    np.add.at(evidence, (from_piece, to_piece), config.followed)
     return evidence + evidence.T

@@ -14,6 +14,7 @@ from mocap_calib.config import Config, MatchingConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.multi_view.evidence import (
     image_evidence,
+    image_links,
     motion_evidence,
     usual_distance_apart,
 )
@@ -56,10 +57,8 @@ def finalise_identities(
         in_frames = per_frame_labels(Matches(labels)).labels
         labels = reuse_names(labels, in_frames, locate_groups(recording, rig, in_frames))
     else:
-        motion = motion_evidence(points, recording.frames, pieces, matching)
-        motion += image_evidence(recording, groups.labels, pieces, matching)
-        bodies = measure_proportions(points, pieces, matching)
-        names = _names_of_groups(join_pieces(pieces, motion, bodies, matching), pieces, points)
+        individual = _join_pieces(recording, points, groups, pieces, matching)
+        names = _names_of_groups(individual, pieces, points)
         labels = _name_groups(groups.labels, names)
         labels = _leave_out_fleeting(Matches(labels), len(rig.cameras), matching).labels
     labels = sort_by_presence(labels)
@@ -93,18 +92,43 @@ def _followable_pieces(points: Floats, frames: Ints, config: MatchingConfig) -> 
     """Return the pieces of a recording in which bodies can be followed, None of another.
 
     Bodies cannot be followed where they go so far between frames as they are from each other; and
-    need not be where there is never more than one. Where there were too many pieces to be joined,
-    links are taken that are less certain.
+    need not be where there is never more than one.
     """
+    pieces = cut_into_pieces(points, frames, config)
     apart = usual_distance_apart(points, config)
-    for certainty in (1.0, 0.5, 0.1):
-        less = replace(config, sure_link=certainty * config.sure_link)
-        pieces = cut_into_pieces(points, frames, less)
-        if not pieces.step < config.sparse_step * apart:
-            return None
-        if pieces.count <= config.most_pieces:
-            return pieces
-    return None
+    return pieces if pieces.step < config.sparse_step * apart else None
+
+
+def _join_pieces(
+    recording: Recording,
+    points: Floats,
+    groups: Matches,
+    pieces: Pieces,
+    config: MatchingConfig,
+) -> Ints:
+    """Return the individual `[piece]` that each piece is of, -1 = nobody.
+
+    Of a long recording, those of its parts are joined, and then these individuals.
+    """
+    links = image_links(recording, groups.labels, pieces, config)
+    bodies = measure_proportions(points, pieces, config)
+    individual = np.arange(pieces.count)
+    while True:
+        final = pieces.count <= config.most_pieces
+        wanted = config if final else replace(config, individuals=None)
+        joined = np.full(pieces.count, -1, dtype=np.int64)
+        for start in range(0, pieces.count, config.most_pieces):
+            among = np.arange(start, min(start + config.most_pieces, pieces.count))
+            pairs = motion_evidence(points, recording.frames, pieces, among, config)
+            pairs += image_evidence(links, among, config)
+            first, last = pieces.first[among, 0], pieces.last[among, 0]
+            found = join_pieces(first, last, pairs, bodies.select(among), wanted)
+            joined[among] = np.where(found >= 0, found + joined.max(initial=-1) + 1, -1)
+        individual = np.append(joined, -1)[individual]
+        if final or joined.max() + 1 == pieces.count:
+            return individual
+        pieces, bodies = pieces.join(joined), bodies.join_all(joined)
+        links = np.append(joined, -1)[links[0]], np.append(joined, -1)[links[1]]
 
 
 def _names_of_groups(individual: Ints, pieces: Pieces, points: Floats) -> Ints:

@@ -11,7 +11,6 @@ import numpy as np
 
 from mocap_calib.config import MatchingConfig
 from mocap_calib.multi_view.name_swaps import exchanged_pieces
-from mocap_calib.multi_view.pieces import Pieces
 from mocap_calib.multi_view.proportions import Proportions
 from mocap_calib.types import Bools, Floats, Ints
 
@@ -49,39 +48,39 @@ class _Evidence:
 
 
 def join_pieces(
-    pieces: Pieces, motion: Floats, bodies: Proportions, config: MatchingConfig
+    first: Ints, last: Ints, pairs: Floats, bodies: Proportions, config: MatchingConfig
 ) -> Ints:
     """Return the individual `[piece]` that each piece is of, -1 = nobody.
 
-    motion: `[piece, piece]` evidence that two are one; bodies: of the pieces.
+    first, last: `[piece]` frames. pairs: `[piece, piece]` evidence of motion and of single views
+    that two are one; bodies: of the pieces.
 
     Pieces are joined, then exchanged between individuals as long as that is likelier. Individuals
     that the recording does not need are given up, the least seen first.
     """
-    if not pieces.count:
+    if not len(first):
         return np.zeros(0, dtype=np.int64)
-    together = _frames_together(pieces)
+    together = _frames_together(first, last)
     evidence = _Evidence(
-        pairs=motion - config.false_frame * together,
+        pairs=pairs - config.false_frame * together,
         bodies=bodies,
         together=together,
-        lengths=pieces.lengths,
+        lengths=last - first + 1,
     )
-    apart = _are_two(together, pieces.lengths, pieces.lengths, config)
+    apart = _are_two(together, evidence.lengths, evidence.lengths, config)
     individual = _agglomerate(evidence, config)
     for _ in range(_ROUNDS):
         before = individual
         individual = _exchange(individual, evidence, apart)
-        individual = _exchange_stretches(individual, evidence, pieces, config)
+        individual = _exchange_stretches(individual, evidence, (first, last), config)
         individual = _give_up(individual, evidence, apart, config)
         if np.array_equal(before, individual):
             break
     return individual
 
 
-def _frames_together(pieces: Pieces) -> Ints:
+def _frames_together(first: Ints, last: Ints) -> Ints:
     """Return `[piece, piece]` in how many frames both are seen; 0 on the diagonal."""
-    first, last = pieces.first[:, 0], pieces.last[:, 0]
     common = np.minimum(last[:, None], last) - np.maximum(first[:, None], first) + 1
     common = np.maximum(common, 0)
     np.fill_diagonal(common, 0)
@@ -177,11 +176,12 @@ def _parts_to_exchange(piece: int, name: int, individual: Ints, apart: Bools) ->
 
 
 def _exchange_stretches(
-    individual: Ints, evidence: _Evidence, pieces: Pieces, config: MatchingConfig
+    individual: Ints, evidence: _Evidence, frames: tuple[Ints, Ints], config: MatchingConfig
 ) -> Ints:
     """Return the individuals `[piece]` after any two have exchanged names where that is certain.
 
-    Over whole stretches of the recording, see `name_swaps`.
+    Over whole stretches of the recording, see `name_swaps`. frames: the first and the last of each
+    piece.
     """
     names = int(individual.max(initial=-1)) + 1
     for a, b in combinations(range(names), 2):
@@ -190,8 +190,8 @@ def _exchange_stretches(
         own = individual[both]
         other = np.where(own == a, b, a)
         wrong = exchanged_pieces(
-            pieces.first[both, 0],
-            pieces.last[both, 0],
+            frames[0][both],
+            frames[1][both],
             own == b,
             looks[both, other] - looks[both, own],
             evidence.pairs[np.ix_(both, both)],

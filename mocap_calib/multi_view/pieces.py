@@ -5,9 +5,11 @@ ends where the group vanishes, and where another could as well go on as it: `evi
 say who the pieces are.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from mocap_calib.config import MatchingConfig
 from mocap_calib.types import Bools, Floats, Ints
@@ -39,9 +41,22 @@ class Pieces:
         """How many pieces there are."""
         return len(self.first)
 
+    def join(self, individual: Ints) -> "Pieces":
+        """Return the individuals `[piece]` as pieces, which may have gaps; -1 = nobody."""
+        there = np.flatnonzero(individual >= 0)
+        _, first = np.unique(individual[there], return_index=True)
+        latest = there[np.lexsort((self.last[there, 0], individual[there]))]
+        last = np.flatnonzero(np.diff(individual[latest], append=-1))
+        return replace(
+            self,
+            number=np.append(individual, -1)[self.number],
+            first=self.first[there[first]],
+            last=self.last[latest[last]],
+        )
+
     @property
     def lengths(self) -> Ints:
-        """`[piece]` number of frames."""
+        """`[piece]` number of frames from the first to the last."""
         return self.last[:, 0] - self.first[:, 0] + 1
 
 
@@ -101,8 +116,7 @@ def cut_into_pieces(points: Floats, frames: Ints, config: MatchingConfig) -> Pie
     still = np.zeros((*points.shape[:2], 3))
     next_to = _follows(frames)[:, None, None]
     distance = np.where(next_to, step_distances(points, still, config), np.inf)
-    links = _nearest_both_ways(distance)
-    moved = _last_moves(points, links)
+    moved = _last_moves(points, _nearest_both_ways(distance))
     going_on = np.where(next_to, step_distances(points, moved, config), np.inf)
     if usual_step(going_on) < usual_step(distance):
         distance = going_on
@@ -148,11 +162,11 @@ def _certain_links(distance: Floats, config: MatchingConfig) -> Bools:
     Each other's nearest, as near as bodies usually are, of which all others are by
     `config.sure_link` nats less likely: who vanishes may have appeared near another who does.
     """
-    links = _nearest_both_ways(distance)
+    links: Bools = _nearest_both_ways(distance)
     if not links.any():
         return links
     cost = surprise(distance, max(float(np.median(distance[links])), np.finfo(float).tiny))
-    links &= cost <= config.sure_step
+    links = np.asarray(links & (cost <= config.sure_step))
     for axis in (-1, -2):
         rivals = np.where(links, np.inf, cost).min(axis, keepdims=True)
         with np.errstate(invalid="ignore"):
@@ -163,7 +177,7 @@ def _certain_links(distance: Floats, config: MatchingConfig) -> Bools:
 def _number_pieces(links: Bools, present: Bools, distance: Floats) -> Pieces:
     """Return the pieces that links `[frame - 1, group, group]` make of the groups that are there.
 
-    The loop over frames hands numbers on.
+    They are numbered in the order of their first frames.
     """
     before = np.full(present.shape, -1, dtype=np.int64)
     after = before.copy()
@@ -171,20 +185,21 @@ def _number_pieces(links: Bools, present: Bools, distance: Floats) -> Pieces:
     before[frame + 1, j] = i
     after[frame, i] = j
 
-    begins = present & (before < 0)
+    groups = present.shape[1]
+    edges = (np.ones(len(frame)), (frame * groups + i, (frame + 1) * groups + j))
+    graph = coo_array(edges, shape=(present.size, present.size))
+    component = connected_components(graph, directed=False)[1][present.ravel()]
+    _, begin, inverse = np.unique(component, return_index=True, return_inverse=True)
+    rank = np.argsort(np.argsort(begin))
     number = np.full(present.shape, -1, dtype=np.int64)
-    number[begins] = np.arange(begins.sum())
-    for index in np.flatnonzero((before >= 0).any(1)):
-        groups = np.flatnonzero(before[index] >= 0)
-        number[index, groups] = number[index - 1, before[index, groups]]
+    number[present] = rank[inverse]
     ends = np.argwhere(present & (after < 0))
-    last = ends[np.argsort(number[tuple(ends.T)])]
     return Pieces(
         number=number,
         before=before,
         after=after,
-        first=np.argwhere(begins),
-        last=last,
+        first=np.argwhere(present & (before < 0)),
+        last=ends[np.argsort(number[tuple(ends.T)])],
         nearest=_nearest_both_ways(distance),
         step=usual_step(distance),
     )

@@ -37,6 +37,20 @@ class Proportions:
         """Return the same bodies, of which nothing is changed with these."""
         return Proportions(self.mean.copy(), self.precision.copy(), self.apart)
 
+    def select(self, among: Ints) -> "Proportions":
+        """Return these bodies alone."""
+        return Proportions(self.mean[among], self.precision[among], self.apart)
+
+    def join_all(self, individual: Ints) -> "Proportions":
+        """Return the bodies of individuals `[piece]`, -1 = nobody."""
+        there = individual >= 0
+        names = int(individual.max(initial=-1)) + 1
+        precision = np.zeros((names, len(self.apart)))
+        total = precision.copy()
+        np.add.at(precision, individual[there], self.precision[there])
+        np.add.at(total, individual[there], (self.precision * self.mean)[there])
+        return Proportions(total / np.maximum(precision, 1e-300), precision, self.apart)
+
     def join(self, kept: int, merged: int) -> None:
         """Make `kept` the body that both are, in place."""
         total = self.precision[kept] + self.precision[merged]
