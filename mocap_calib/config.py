@@ -388,7 +388,7 @@ class MatchingConfig:
     sparse_step: float = 0.5
     sure_step: float = 6.0
     sure_link: float = 4.0
-    most_pieces: int = 1000
+    most_pieces: int = 500
     least_evidence: int = 5
     bone_memory: int = 10
     # 0.3 takes what one man's pieces differ by for differences between men; with 1 all recordings

@@ -112,7 +112,7 @@ def cut_into_pieces(points: Floats, frames: Ints, config: MatchingConfig) -> Pie
 
     Where bodies keep on moving as they did, which is tried, they are expected where they go.
     """
-    present = np.isfinite(points[..., 0]).any(-1)
+    present = np.asarray(np.isfinite(points[..., 0]).any(-1))
     still = np.zeros((*points.shape[:2], 3))
     next_to = _follows(frames)[:, None, None]
     distance = np.where(next_to, step_distances(points, still, config), np.inf)
