@@ -351,6 +351,23 @@ class MatchingConfig:
         share of its extent in the image.
     tracklet_joints: joints that two detections need in common to be compared.
     tracklet_frames: so many frames vote together on who a tracklet is.
+
+    Who is who through the recording; evidence is in nats, see `multi_view.evidence`:
+    individuals: how many there are at most; None = nobody knows.
+    sparse_step: bodies cannot be followed that go so far between frames, as a share of their
+        distance from each other; `memory` is the longest gap that motion tells something of.
+    sure_step: how unlikely a step may be that is followed without looking at what else there is.
+    sure_link: by how much a body's place in the next frame is likelier than any other.
+    most_pieces: that are joined at once; parts of longer recordings are joined by themselves.
+    least_evidence: samples that a scale, and frames that a bone's spread is measured on.
+    bone_memory: after so many frames a body errs in another way.
+    bone_doubt: how much of the spread of a bone's length no number of frames takes away.
+    least_spread: of the logarithm of a length.
+    followed: evidence of a view that follows a detection from one piece to the other.
+    false_frame: that two are not one, for a frame in which both are seen; false_share: of the
+        shorter one's frames, in which one may be a false group.
+    strangers: evidence against it with which two are still one that are never seen together, for
+        a recording has as few individuals as it needs.
     """
 
     least_affinity: float = 0.25
@@ -365,6 +382,23 @@ class MatchingConfig:
     tracklet_step: float = 0.3
     tracklet_joints: int = 3
     tracklet_frames: int = 30
+    individuals: int | None = None
+    # Medians of steps over those of distances apart: .01 to .06 in video of people and dogs, .35 in
+    # 81 frames of two mice, which can be followed, and .61 in pictures of a ward, which cannot
+    sparse_step: float = 0.5
+    sure_step: float = 6.0
+    sure_link: float = 4.0
+    most_pieces: int = 500
+    least_evidence: int = 5
+    bone_memory: int = 10
+    # 0.3 takes what one man's pieces differ by for differences between men; with 1 all recordings
+    # keep their names, and two mice are told apart in every frame
+    bone_doubt: float = 1.0
+    least_spread: float = 0.005
+    followed: float = 3.0
+    false_frame: float = 3.0
+    false_share: float = 0.1
+    strangers: float = 10.0
 
 
 # the scale of a rig follows from so many frames of each pair of views, and from the matches there
