@@ -42,6 +42,7 @@ from mocap_calib_cli.describe import describe_recording
 from mocap_calib_cli.options import STDIO, SharedOptions
 from mocap_calib_cli.progress import Reporter
 from mocap_calib_cli.texts import parse_rates, read_options, stated_mends
+from mocap_calib_cli.world_texts import world_config
 
 # --- keypoints and recordings
 
@@ -80,6 +81,7 @@ def calibration_request(options: SharedOptions, output: Path) -> CalibrationRequ
             intrinsics=intrinsics,
             mend=MendConfig(apply=options.mend != "none"),
             sync=sync_config(options),
+            world=world_config(options),
         ),
         formats=options.write,
         fps=fps,

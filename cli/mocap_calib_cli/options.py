@@ -12,7 +12,14 @@ from typing import Any, TypeVar
 
 import click
 
-from mocap_calib.config import MENDING, PAIR_SOLVERS, REFINEMENTS, SYNC_MODES, SyncConfig
+from mocap_calib.config import (
+    MENDING,
+    PAIR_SOLVERS,
+    REFINEMENTS,
+    SYNC_MODES,
+    SyncConfig,
+    WorldConfig,
+)
 from mocap_calib_cli import values
 from mocap_calib_cli.file_options import FILE_OPTIONS
 from mocap_calib_cli.numbers import PERCENTAGE, SEED
@@ -26,6 +33,7 @@ READING = tuple(name for name in FILE_OPTIONS if name not in ("moved", "mend"))
 KEYPOINTS = ("keypoints", *READING)
 MODEL = ("skeleton", "model", "device")
 VERDICT = ("strict", "accept")
+SCALE = ("height", "length", "camera_distance")
 # how a recording is calibrated, and what is written of it
 INTRINSICS = ("cameras", "refine", "focal_uncertainty", "focal_per_camera")
 CALIBRATION = (
@@ -39,6 +47,10 @@ CALIBRATION = (
     "mend",
     "sync",
     "sync_window",
+    "axes",
+    *SCALE,
+    "forward",
+    "align",
     "write",
     "fps",
     *VERDICT,
@@ -57,6 +69,7 @@ class SharedOptions:
     solver: of pairs. scheduler: address of a Dask scheduler, None = the work is done here.
     write: further formats of the results. fps: frames per second, see `texts.parse_rates`.
     sync, sync_window: what is done about clocks that differ, see `inputs.sync_config`.
+    axes ... align: the coordinates of the results, see `world_texts.world_config`.
     strict, accept: which verdicts will do, see `verdicts.exit_status`.
     """
 
@@ -91,6 +104,12 @@ class SharedOptions:
     fps: tuple[str, ...] = ()
     sync: str = SyncConfig.mode
     sync_window: int = SyncConfig.window
+    axes: str = WorldConfig.axes
+    height: tuple[str, ...] = ()
+    length: tuple[str, ...] = ()
+    camera_distance: tuple[str, ...] = ()
+    forward: str = ""
+    align: Path | None = None
     strict: bool = False
     accept: str | None = None
     quiet: bool = False
@@ -209,6 +228,49 @@ _OPTIONS = {
         default=SharedOptions.sync_window,
         metavar="FRAMES",
         help="By how much a camera may be early or late.",
+    ),
+    "axes": click.option(
+        "--world",
+        "axes",
+        default=SharedOptions.axes,
+        metavar="WORLD",
+        help="Coordinates of the results: floor (z up, the origin on it), first-camera, the name of "
+        "a camera, or a FILE with cameras in a world of yours; auto: the floor where subjects show "
+        "it, else the first camera.",
+    ),
+    "height": click.option(
+        "--height",
+        metavar="METRES|ID=METRES",
+        multiple=True,
+        help="Stature of who stands, or of one individual (0=1.75); 1.75+-0.01 with a standard "
+        "deviation; may be repeated. Known lengths make the unit metres.",
+    ),
+    "length": click.option(
+        "--length",
+        metavar="A-B=METRES",
+        multiple=True,
+        help="Distance of two joints, as left_hip-left_knee=0.42+-0.01; may be repeated.",
+    ),
+    "camera_distance": click.option(
+        "--camera-distance",
+        metavar="A-B=METRES",
+        multiple=True,
+        help="Distance of two cameras, as cam1-cam2=3.1+-0.02; may be repeated.",
+    ),
+    "forward": click.option(
+        "--forward",
+        default="",
+        show_default=False,
+        metavar="A-B",
+        help="What is ahead (y) on the floor: mostly from joint A to joint B. [default: as the "
+        "first camera looks]",
+    ),
+    "align": click.option(
+        "--align",
+        type=click.Path(path_type=Path),
+        metavar="LANDMARKS.csv",
+        help="Points of the scene whose places are known, and where cameras see them: columns "
+        "name,x,y,z,camera,u,v, metres and pixels. Results are in their coordinates.",
     ),
     "strict": click.option(
         "--strict", is_flag=True, help="Exit status 1 where the rig is weak, too."

@@ -1,12 +1,12 @@
 """What the bodies of poses are: which joint is where, how large they are, when they stand."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mocap_calib.recording.joints import choose_skeleton, match_names
-from mocap_calib.types import Bools, Floats, Poses3D, Skeleton
+from mocap_calib.types import POINT_SOURCES, Bools, Floats, Poses3D, Skeleton
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,13 @@ def find_joints(keypoints: tuple[str, ...], skeleton: Skeleton | None = None) ->
     known = match_names(keypoints, skeleton)
     columns = {skeleton.keypoints[joint]: k for k, joint in enumerate(known) if joint >= 0}
     return Joints(skeleton.name, columns)
+
+
+def keep_triangulated(poses: Poses3D) -> Poses3D:
+    """Return poses without the points that no two views saw: these rest on other bodies."""
+    seen = poses.source == POINT_SOURCES.index("triangulated")
+    positions = np.where(seen[..., None], poses.positions, np.nan)
+    return replace(poses, positions=positions, raw=positions, source=poses.source * seen)
 
 
 def body_size(positions: Floats) -> float:

@@ -13,15 +13,17 @@ from mocap_calib.config import CueConfig, FloorConfig, ScaleCue
 from mocap_calib.errors import MismatchError, suggest
 from mocap_calib.recording.epochs import views_by_camera
 from mocap_calib.recording.joints import normalise_name
-from mocap_calib.types import CameraRig, Floats, MeasuredCue, Poses3D, RigCovariance
+from mocap_calib.types import Bools, CameraRig, Floats, MeasuredCue, Poses3D, RigCovariance
 from mocap_calib.world.body import (
     Joints,
+    body_size,
     distance,
+    leg_lengths,
     median_over_frames,
     quantile_over_frames,
     stand_straight,
 )
-from mocap_calib.world.floor import Floor
+from mocap_calib.world.floor import FEET, Floor
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +133,7 @@ def statures(on: Measurable, config: CueConfig, floor: FloorConfig) -> Floats:
             f"--height: expected somebody who stands, found that {on.floor}; "
             "say a --length or --camera-distance"
         )
-    straight = stand_straight(on.poses, on.joints, floor.straight)
+    straight = stand_straight(on.poses, on.joints, floor.straight) & _stand_on(on, on.floor, floor)
     found = np.full((len(heads), straight.shape[1]), np.nan)
     for k, (column, share) in enumerate(heads):
         height = (on.poses.positions[:, :, column] - on.floor.point) @ on.floor.up / share
@@ -139,6 +141,18 @@ def statures(on: Measurable, config: CueConfig, floor: FloorConfig) -> Floats:
         enough = np.isfinite(height).sum(0) >= config.least_frames
         found[k] = np.where(enough, quantile_over_frames(height, config.standing_quantile), np.nan)
     return median_over_frames(found)
+
+
+def _stand_on(on: Measurable, under: Floor, config: FloorConfig) -> Bools:
+    """Return of which individuals `[individual]` the lower foot mostly is on the floor."""
+    feet = on.poses.positions[:, :, on.joints.present(FEET["people"])]
+    height = (feet - under.point) @ under.up
+    lower = np.where(np.isfinite(height), height, np.inf).min(-1)
+    lower = np.where(np.isfinite(lower), lower, np.nan)
+    leg = leg_lengths(on.poses, on.joints)
+    above = median_over_frames(lower) - config.ankle_height * leg
+    near = config.reach * body_size(on.poses.positions)
+    return np.asarray(np.abs(above) < near)
 
 
 def _measure_height(

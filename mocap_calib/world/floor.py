@@ -57,13 +57,15 @@ class Floor:
 class _Lowest:
     """The lowest foot of each body in each frame.
 
-    points: `[point, 3]`. individual: `[point]`. size: of the bodies. kind: of skeleton.
+    points: `[point, 3]`. individual: `[point]`. size: of the bodies. trust: `[point]` 0..1,
+    less where the detectors' noise makes the height of a foot uncertain.
     axis: `[3]` of the bodies, and axis_sigma: its standard deviation in radians. height_sigma: of
     the height of feet in one place.
     """
 
     points: Floats
     individual: Ints
+    trust: Floats
     size: float
     axis: Floats
     axis_sigma: float
@@ -94,17 +96,16 @@ def _doubt_feet(found: _Lowest, residual: Floats, config: FloorConfig) -> str:
     residual: `[point]` heights over the plane.
     """
     near = np.abs(residual) < config.reach * found.size
-    if near.mean() < config.least_share:
-        return f"{100 * (1 - near.mean()):.0f} % of the feet are far from one plane"
+    share = float(near @ found.trust / found.trust.sum())
+    if share < config.least_share:
+        return f"{100 * (1 - share):.0f} % of the feet are far from one plane"
     spread = 1.4826 * float(np.median(np.abs(residual[near]))) / found.size
     if spread > config.most_spread:
         return f"the feet are at different heights (by {100 * spread:.0f} % of the body's size)"
     return ""
 
 
-def _doubt_up(
-    found: _Lowest, up: Floats, sigma: float, rig: CameraRig, config: FloorConfig
-) -> str:
+def _doubt_up(found: _Lowest, up: Floats, sigma: float, rig: CameraRig, config: FloorConfig) -> str:
     """Return why a direction is not up, empty where it is. sigma: of it, in radians."""
     if np.arccos(np.clip(up @ found.axis, -1, 1)) > config.most_lean:
         return "the feet lie in a plane on which the bodies do not stand upright"
@@ -135,18 +136,22 @@ def _lowest_feet(poses: Poses3D, joints: Joints, config: FloorConfig) -> _Lowest
     axis, sigma = _body_axis(poses, joints, above - middle, config)
     each = positions[:, :, feet]
     height = np.where(np.isfinite(each[..., 0]), each @ axis, np.inf)
-    lowest = np.take_along_axis(each, height.argmin(-1)[..., None, None], axis=2)[:, :, 0]
+    which = height.argmin(-1)[..., None]
+    lowest = np.take_along_axis(each, which[..., None], axis=2)[:, :, 0]
+    noise = np.take_along_axis(poses.sigma[:, :, feet], which, axis=2)[..., 0]
     frame, individual = np.nonzero(seen)
     chosen = np.linspace(0, len(frame) - 1, min(len(frame), config.most_points)).astype(np.int64)
     frame, individual = frame[chosen], individual[chosen]
-    doubt = 2.0 if sigma == config.crouch_sigma else 1.0
+    height_sigma = size * config.height_sigma
+    height_sigma *= 2.0 if sigma == config.crouch_sigma else 1.0
     return _Lowest(
         points=lowest[frame, individual],
         individual=individual,
+        trust=1 / (1 + (np.nan_to_num(noise[frame, individual]) / height_sigma) ** 2),
         size=size,
         axis=axis,
         axis_sigma=sigma,
-        height_sigma=doubt * config.height_sigma * size,
+        height_sigma=height_sigma,
     )
 
 
@@ -191,13 +196,12 @@ def _fit_plane(found: _Lowest, config: FloorConfig) -> tuple[Floats, Floats, Flo
     height = offset @ found.axis
     prior = np.diag([1 / found.axis_sigma**2] * 2 + [1e-12 / scale**2])
     places = _count_places(found, place, config)
-    weight = np.ones(len(place))
     residual = height - np.median(height)
     for _ in range(config.steps):
         below = np.where(residual > 0, config.quantile, 1 - config.quantile)
         weight = below * config.kink * found.size
         weight /= np.maximum(np.abs(residual), config.kink * found.size)
-        weight /= 1 + (residual / (config.reach * found.size)) ** 2  # no floor there
+        weight *= found.trust / (1 + (residual / (config.reach * found.size)) ** 2)
         information = places / weight.sum() / scale**2
         normal = information * (place * weight[:, None]).T @ place + prior
         solution = np.linalg.solve(normal, information * (place * weight[:, None]).T @ height)
@@ -205,10 +209,17 @@ def _fit_plane(found: _Lowest, config: FloorConfig) -> tuple[Floats, Floats, Flo
     return solution, np.linalg.inv(normal), middle, residual
 
 
-def _count_places(found: _Lowest, place: Floats, config: FloorConfig) -> int:
-    """Return in how many places feet were: cells of a grid, of each individual by itself."""
+def _count_places(found: _Lowest, place: Floats, config: FloorConfig) -> float:
+    """Return in how many places feet were: cells of a grid, of each individual by itself.
+
+    A place counts for what its most certain foot does.
+    """
     cells = np.floor(place[:, :2] / (config.cell * found.size)).astype(np.int64)
-    return len(np.unique(np.column_stack([found.individual, cells]), axis=0))
+    keys = np.column_stack([found.individual, cells])
+    _, cell = np.unique(keys, axis=0, return_inverse=True)
+    best = np.zeros(cell.max() + 1)
+    np.maximum.at(best, cell.ravel(), found.trust)
+    return float(best.sum())
 
 
 def _soles_below(

@@ -21,7 +21,7 @@ from mocap_calib.types import (
     World,
 )
 from mocap_calib.world.alignment import align_to_cameras, align_to_landmarks
-from mocap_calib.world.body import Joints, find_joints
+from mocap_calib.world.body import Joints, find_joints, keep_triangulated
 from mocap_calib.world.cues import Measurable, Scale, camera_pair, find_scale, joint_pair
 from mocap_calib.world.floor import Floor, find_floor
 from mocap_calib.world.moving import Similarity, move_group
@@ -114,14 +114,15 @@ def place_in_world(group: GroupResult, config: WorldConfig) -> GroupResult:
     """
     joints = _joints_of(group.recording)
     trusted = group.verdict != "not determined"
+    poses = keep_triangulated(group.poses)
     floor: Floor | str = "the rig is not determined"
     if trusted:
-        floor = find_floor(group.poses, joints, group.rig, config.floor)
+        floor = find_floor(poses, joints, group.rig, config.floor)
     covariance = group.uncertainty.covariance
     if isinstance(floor, Floor):
         turn = float(np.median(covariance.rotation_sigma))
         floor = replace(floor, up_sigma=float(np.hypot(floor.up_sigma, turn)))
-    on = Measurable(group.poses, joints, group.rig, floor, covariance)
+    on = Measurable(poses, joints, group.rig, floor, covariance)
     placement = find_placement(on, config)
     return move_group(group, placement.by, placement.unit, placement.world)
 

@@ -75,6 +75,7 @@ def make_rig(found: CameraFile, source: str) -> CameraRig:
         unit=found.unit or ARBITRARY,
         judgement=found.judgement,
         clocks=found.clocks,
+        world=found.world,
     )
 
 
