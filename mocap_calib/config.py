@@ -1035,6 +1035,11 @@ class WorldConfig:
     least_landmarks: int = 3
     least_extent: float = 0.03
 
+    @property
+    def stated_unit(self) -> str:
+        """The unit that the lengths of results will have, "arbitrary" where nothing says one."""
+        return "m" if self.cues or self.landmarks else self.unit
+
 
 @dataclass(frozen=True)
 class Config:

@@ -64,9 +64,10 @@ def calibration_request(options: SharedOptions, output: Path) -> CalibrationRequ
 
     Raises click's UsageError, also for further formats that could not be written in the end.
     """
+    world = world_config(options)
     try:
         fps, _ = parse_rates(options.fps)
-        check_formats(options.write, fps)
+        check_formats(options.write, fps, world.stated_unit)
     except MismatchError as error:
         raise click.UsageError(str(error)) from None
     intrinsics = intrinsics_config(options)
@@ -81,7 +82,7 @@ def calibration_request(options: SharedOptions, output: Path) -> CalibrationRequ
             intrinsics=intrinsics,
             mend=MendConfig(apply=options.mend != "none"),
             sync=sync_config(options),
-            world=world_config(options),
+            world=world,
         ),
         formats=options.write,
         fps=fps,

@@ -23,6 +23,7 @@ from mocap_calib.config import (
 from mocap_calib_cli import values
 from mocap_calib_cli.file_options import FILE_OPTIONS
 from mocap_calib_cli.numbers import PERCENTAGE, SEED
+from mocap_calib_cli.world_options import WORLD_OPTIONS
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -47,10 +48,7 @@ CALIBRATION = (
     "mend",
     "sync",
     "sync_window",
-    "axes",
-    *SCALE,
-    "forward",
-    "align",
+    *WORLD_OPTIONS,
     "write",
     "fps",
     *VERDICT,
@@ -117,6 +115,7 @@ class SharedOptions:
 
 _OPTIONS = {
     **FILE_OPTIONS,
+    **WORLD_OPTIONS,
     "keypoints": click.argument(
         "keypoints", nargs=-1, required=True, type=values.KEYPOINTS, metavar="KEYPOINTS..."
     ),
@@ -206,7 +205,7 @@ _OPTIONS = {
         shell_complete=values.offer_result_formats,
         multiple=True,
         help="Write this format too (colmap, movement-3d, ...: docs/formats.md); may be repeated. "
-        "Lengths are arbitrary: see `convert --unit`.",
+        "Those in metres need a known length: --height, --length, --camera-distance.",
     ),
     "fps": click.option(
         "--fps",
@@ -228,49 +227,6 @@ _OPTIONS = {
         default=SharedOptions.sync_window,
         metavar="FRAMES",
         help="By how much a camera may be early or late.",
-    ),
-    "axes": click.option(
-        "--world",
-        "axes",
-        default=SharedOptions.axes,
-        metavar="WORLD",
-        help="Coordinates of the results: floor (z up, the origin on it), first-camera, the name of "
-        "a camera, or a FILE with cameras in a world of yours; auto: the floor where subjects show "
-        "it, else the first camera.",
-    ),
-    "height": click.option(
-        "--height",
-        metavar="METRES|ID=METRES",
-        multiple=True,
-        help="Stature of who stands, or of one individual (0=1.75); 1.75+-0.01 with a standard "
-        "deviation; may be repeated. Known lengths make the unit metres.",
-    ),
-    "length": click.option(
-        "--length",
-        metavar="A-B=METRES",
-        multiple=True,
-        help="Distance of two joints, as left_hip-left_knee=0.42+-0.01; may be repeated.",
-    ),
-    "camera_distance": click.option(
-        "--camera-distance",
-        metavar="A-B=METRES",
-        multiple=True,
-        help="Distance of two cameras, as cam1-cam2=3.1+-0.02; may be repeated.",
-    ),
-    "forward": click.option(
-        "--forward",
-        default="",
-        show_default=False,
-        metavar="A-B",
-        help="What is ahead (y) on the floor: mostly from joint A to joint B. [default: as the "
-        "first camera looks]",
-    ),
-    "align": click.option(
-        "--align",
-        type=click.Path(path_type=Path),
-        metavar="LANDMARKS.csv",
-        help="Points of the scene whose places are known, and where cameras see them: columns "
-        "name,x,y,z,camera,u,v, metres and pixels. Results are in their coordinates.",
     ),
     "strict": click.option(
         "--strict", is_flag=True, help="Exit status 1 where the rig is weak, too."

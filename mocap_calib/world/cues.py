@@ -11,7 +11,7 @@ import numpy as np
 
 from mocap_calib.config import CueConfig, FloorConfig, ScaleCue
 from mocap_calib.errors import MismatchError, suggest
-from mocap_calib.recording.epochs import views_by_camera
+from mocap_calib.recording.epochs import own_name, views_by_camera
 from mocap_calib.recording.joints import normalise_name
 from mocap_calib.types import Bools, CameraRig, Floats, MeasuredCue, Poses3D, RigCovariance
 from mocap_calib.world.body import (
@@ -265,11 +265,23 @@ def _measure_cameras(cue: ScaleCue, on: Measurable) -> tuple[float, float]:
             "say another pair"
         )
     if on.covariance is None:
-        return length, 1e-3
+        return length, float(np.hypot(_judged_sigma(on.rig, a, b) / length, 1e-3))
     parts = on.covariance.matrix[[a, b], 3:][:, :, [a, b], 3:] * on.covariance.size**2
     signs, along = np.array([-1.0, 1.0]), offset / length
     variance = float(np.einsum("a,i,aibj,b,j->", signs, along, parts, signs, along))
     return length, float(np.hypot(np.sqrt(max(variance, 0.0)) / length, 1e-3))
+
+
+def _judged_sigma(rig: CameraRig, a: int, b: int) -> float:
+    """Return the standard deviation of the distance of two views, as the verdict on a rig has it.
+
+    It says how far the centres are off in percent of the rig's size, in all directions together.
+    """
+    percent = rig.judgement.get("centre_sigma_percent", {})
+    names = [own_name(rig.names[view], rig.names) for view in (a, b)]
+    own = [float(percent.get(name, 0.0)) for name in names]
+    size = np.sqrt(((rig.centres - rig.centres.mean(0)) ** 2).sum(1).mean())
+    return float(np.hypot(*own) / 100 * size / np.sqrt(3))
 
 
 def _spread(values: Floats) -> float:

@@ -218,22 +218,30 @@ def _with_scale(placement: Placement, scale: Scale | None) -> Placement:
         return replace(placement, world=replace(placement.world, remarks=remarks))
     by = placement.by
     moved = Similarity(scale.factor * by.scale, by.rotation, scale.factor * by.shift)
-    of_cues = [
-        f"{cue.text}: {cue.metres:g} m, {cue.measured:.4g} m by all cues "
-        f"({cue.residual:+.1f} sigma)"
-        for cue in scale.cues
-    ]
     world = replace(
         placement.world,
         scale_sigma=scale.sigma,
         cues=scale.cues,
-        remarks=(
-            *placement.world.remarks,
-            f"lengths are uncertain by {100 * scale.sigma:.1f} %, a standard deviation",
-            *of_cues,
-        ),
+        remarks=(*placement.world.remarks, *describe_scale(scale)),
     )
     return Placement(moved, "m", world)
+
+
+def describe_scale(scale: Scale) -> tuple[str, ...]:
+    """Return how sure the scale is, and what each cue says, a line each."""
+    return (
+        f"lengths are in m, uncertain by {100 * scale.sigma:.1f} %, a standard deviation",
+        *(
+            f"{cue.text}: {cue.metres:g} m, {cue.measured:.4g} m by all cues "
+            f"({cue.residual:+.1f} sigma)"
+            for cue in scale.cues
+        ),
+    )
+
+
+def is_of_scale(remark: str) -> bool:
+    """Return whether a remark is one of `describe_scale`, or says that there is no scale."""
+    return remark.startswith("lengths are ") or "m by all cues (" in remark
 
 
 def _with_floor(placement: Placement, on: Measurable) -> Placement:
