@@ -5,13 +5,9 @@ formats stay as they were, and are named.
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
-
-import h5py
-import yaml
 
 from mocap_calib.config import ScaleCue, WorldConfig
 from mocap_calib.errors import MismatchError
@@ -24,6 +20,7 @@ from mocap_calib.io.poses.read import load_poses
 from mocap_calib.io.results.group import REPORT, read_outputs
 from mocap_calib.io.results.poses_csv import poses_csv
 from mocap_calib.io.results.poses_h5 import write_poses_h5
+from mocap_calib.io.results.stored import provenance_of_cameras, provenance_of_poses
 from mocap_calib.io.world_fields import world_fields
 from mocap_calib.types import CameraRig, World
 from mocap_calib.wording import count
@@ -81,7 +78,11 @@ def scale_results(folder: Path, cues: Sequence[ScaleCue], config: WorldConfig) -
         scaled = file.poses.scale(scale.factor, "m")
         scaled = replace(scaled, world=_scaled_world(scaled.world, scale))
         write_poses_h5(
-            work / _POSES, scaled, _provenance_of(folder / _POSES), edges=file.edges, fps=file.rate
+            work / _POSES,
+            scaled,
+            provenance_of_poses(folder / _POSES),
+            edges=file.edges,
+            fps=file.rate,
         )
         for individual in range(scaled.positions.shape[1]):
             own = numbered_file(Path("poses3d.csv"), individual)
@@ -106,17 +107,12 @@ def _scale_cameras(source: Path, target: Path, scale: Scale) -> None:
     rig = read_rig(source / _CAMERAS)
     rig = rig.scale(scale.factor, "m")
     rig = replace(rig, world=_scaled_world(rig.world, scale))
-    fields = yaml.safe_load((source / _CAMERAS).read_text("utf-8"))
-    provenance = dict(fields.get("provenance") or {})
-    parts = {
-        str(camera["name"]): camera[SUBFRAME]
-        for camera in fields["cameras"]
-        if SUBFRAME in camera
-    }  # fmt: skip
+    provenance = provenance_of_cameras(source / _CAMERAS)
     for name, format in _FORMATS.items():
         if (source / name).is_file():
-            more = {SUBFRAME: parts} if parts and name == _CAMERAS else {}
-            (content,) = format_rig(rig, format, provenance | more).files.values()
+            own = {key: provenance[key] for key in provenance if key != SUBFRAME}
+            own = provenance if name == _CAMERAS else own
+            (content,) = format_rig(rig, format, own).files.values()
             (target / name).write_bytes(content)
 
 
@@ -129,13 +125,6 @@ def _scaled_world(world: World, scale: Scale) -> World:
         cues=scale.cues,
         remarks=(*remarks, *describe_scale(scale)),
     )
-
-
-def _provenance_of(path: Path) -> dict[str, Any]:
-    """Return what a file of poses says of how it came about."""
-    with h5py.File(path, "r") as file:
-        found = json.loads(file.attrs.get("provenance", "{}"))
-    return dict(found) if isinstance(found, Mapping) else {}
 
 
 def _scale_report(folder: Path, work: Path, rig: CameraRig, scale: Scale) -> tuple[str, ...]:

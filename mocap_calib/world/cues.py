@@ -281,7 +281,7 @@ def _judged_sigma(rig: CameraRig, a: int, b: int) -> float:
     names = [own_name(rig.names[view], rig.names) for view in (a, b)]
     own = [float(percent.get(name, 0.0)) for name in names]
     size = np.sqrt(((rig.centres - rig.centres.mean(0)) ** 2).sum(1).mean())
-    return float(np.hypot(*own) / 100 * size / np.sqrt(3))
+    return float(np.hypot(own[0], own[1]) / 100 * size / np.sqrt(3))
 
 
 def _spread(values: Floats) -> float:

@@ -121,6 +121,11 @@ def test_every_option_that_takes_a_name_offers_something():
         "exchanged",
         "moved",
         "fps",
+        "world",
+        "height",
+        "length",
+        "camera-distance",
+        "forward",
     }
     for name in COMMANDS:
         context = click.Context(group)
