@@ -878,8 +878,8 @@ class FloorConfig:
 
     quantile: of the lowest foot's height; reach: beyond it nothing is on the floor; kink: within
         it the quantile's loss is smooth. steps: of reweighting.
-    height_sigma: of the height of feet in one place, twice that of who does not stand (of three who
-        sit the plane is 4 to 6 deg off); cell: the side of a place.
+    height_sigma: of the height of feet in one place, twice that of animals and of who does not
+        stand (of three who sit the plane is 4 to 6 deg off); cell: the side of a place.
     straight: share of its length that a leg which stands has (walkers 0.97, who sits 0.7);
     least_standing: share of bodies who stand, for their axis to count as that of standing ones.
     stand_sigma, crouch_sigma, animal_sigma: of the bodies' axis in radians. Measured: 0.9 to 3.9
@@ -887,8 +887,9 @@ class FloorConfig:
     up_sigma: of each of two directions, in radians, that stays however much was seen.
     least_feet, least_seen: bodies, and share of the bodies, with feet (0.2 where feet are hidden,
         0.6 and more else). most_points: that are looked at.
-    least_share: of feet that are within reach. most_spread: of their heights (up to 0.05 on floors,
-        0.13 of a cheetah on a slope). most_lean: of the bodies. most_up_sigma: for a floor.
+    least_share: of feet that are within reach. most_spread: of their heights (up to 0.05 on floors;
+        0.08 and more of simulated rats that rear, 0.13 of a cheetah on a slope). most_lean: of the
+        bodies. most_up_sigma: for a floor.
     level_cameras, level_roll, level_spread: how many cameras agree how well on what is level, and
         how differently they look; most_against_cameras: up may lean against it (0.7 to 3 deg).
     ankle_height, ankle_sigma: of ankles over the sole, in lengths of the leg; leg_of_size: of it.
@@ -905,14 +906,14 @@ class FloorConfig:
     least_standing: float = 0.2
     stand_sigma: float = 0.06
     crouch_sigma: float = 0.25
-    animal_sigma: float = 0.15
+    animal_sigma: float = 0.25
     animals: tuple[str, ...] = ("quadruped", "rodent")
     up_sigma: float = 0.01
     least_feet: int = 10
     least_seen: float = 0.3
     most_points: int = 4000
     least_share: float = 0.7
-    most_spread: float = 0.1
+    most_spread: float = 0.07
     most_lean: float = 0.35
     most_up_sigma: float = 0.09
     level_cameras: int = 3

@@ -175,7 +175,7 @@ def _write_result(
     from mocap_calib.job.steps import write_result
 
     formats = () if format is None else (format,)
-    unit = result.groups[0].rig.unit
+    unit = result.groups[0].rig.unit if result.groups else ARBITRARY
     for each in (*CAMERA_FORMATS, *POSE_FORMATS):
         if each.name == format and each.unit and unit == ARBITRARY:
             raise MismatchError(

@@ -143,7 +143,7 @@ def _lowest_feet(poses: Poses3D, joints: Joints, config: FloorConfig) -> _Lowest
     chosen = np.linspace(0, len(frame) - 1, min(len(frame), config.most_points)).astype(np.int64)
     frame, individual = frame[chosen], individual[chosen]
     height_sigma = size * config.height_sigma
-    height_sigma *= 2.0 if sigma == config.crouch_sigma else 1.0
+    height_sigma *= 1.0 if sigma == config.stand_sigma else 2.0
     return _Lowest(
         points=lowest[frame, individual],
         individual=individual,

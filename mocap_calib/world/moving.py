@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from mocap_calib.geometry.rotation import nearest_rotation
 from mocap_calib.types import CameraRig, Floats, GroupResult, Poses3D, RigCovariance, World
 
 
@@ -24,7 +25,7 @@ class Similarity:
 
 def move_rig(rig: CameraRig, by: Similarity, unit: str, world: World) -> CameraRig:
     """Return a rig in other coordinates, whose unit and world are said."""
-    rotation = rig.rotation @ by.rotation.T
+    rotation = nearest_rotation(rig.rotation @ by.rotation.T)  # a file holds it to the last digit
     translation = by.scale * rig.translation - rotation @ by.shift
     return replace(rig, rotation=rotation, translation=translation, unit=unit, world=world)
 

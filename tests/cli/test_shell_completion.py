@@ -40,7 +40,9 @@ def written(kind: str) -> set[str]:
 def test_commands_and_options_are_offered():
     assert values("") == set(COMMANDS)
     assert values("ev") == {"evaluate"}
-    assert values("run --c") == {"--cameras", "--camera-regex", "--crop-offset"}
+    assert values("run --c") == {
+        *("--cameras", "--camera-regex", "--camera-distance", "--crop-offset")
+    }
 
 
 @pytest.mark.parametrize(
