@@ -122,7 +122,7 @@ def calibrate(
             clocks = synchronise(recording, lift_sample, config, seed=seed)
         recording = retime(recording, clocks)
         result = mend_faults(recording, calibrate_once(recording), calibrate_once)
-    return place_result(judge_rigs(add_clocks(result, clocks)))
+    return judge_rigs(place_result(add_clocks(result, clocks)))
 
 
 def _calibrate_recording(

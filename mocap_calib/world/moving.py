@@ -22,9 +22,17 @@ class Similarity:
         """Return points `[..., 3]` where they are then."""
         return self.scale * points @ self.rotation.T + self.shift
 
+    @property
+    def still(self) -> bool:
+        """Whether nothing moves, to the last digit."""
+        turned = not np.array_equal(self.rotation, np.eye(3))
+        return not turned and not self.shift.any() and self.scale == 1
+
 
 def move_rig(rig: CameraRig, by: Similarity, unit: str, world: World) -> CameraRig:
     """Return a rig in other coordinates, whose unit and world are said."""
+    if by.still:
+        return replace(rig, unit=unit, world=world)
     rotation = nearest_rotation(rig.rotation @ by.rotation.T)  # a file holds it to the last digit
     translation = by.scale * rig.translation - rotation @ by.shift
     return replace(rig, rotation=rotation, translation=translation, unit=unit, world=world)
@@ -32,6 +40,8 @@ def move_rig(rig: CameraRig, by: Similarity, unit: str, world: World) -> CameraR
 
 def move_poses(poses: Poses3D, by: Similarity, unit: str, world: World) -> Poses3D:
     """Return poses in other coordinates, whose unit and world are said."""
+    if by.still:
+        return replace(poses, unit=unit, world=world)
     turned = poses.scale(by.scale, unit).turn(by.rotation)
     same = turned.raw is turned.positions
     positions = turned.positions + by.shift
