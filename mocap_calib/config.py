@@ -921,6 +921,179 @@ class KinematicsConfig:
 
 
 @dataclass(frozen=True)
+class FloorConfig:
+    """How the floor is found that bodies stand on. Lengths in sizes of the body (see `world.body`).
+
+    Measured on 15 recordings against the references' axes: people who walk 0.6 to 1.5 deg, which
+    the references' own ankles are off by too (0.4 to 1.7); dogs 0.4, mice 0.5.
+
+    quantile: of the lowest foot's height; reach: beyond it nothing is on the floor; kink: within
+        it the quantile's loss is smooth. steps: of reweighting.
+    height_sigma: of the height of feet in one place, twice that of animals and of who does not
+        stand (of three who sit the plane is 4 to 6 deg off); cell: the side of a place.
+    straight: share of its length that a leg which stands has (walkers 0.97, who sits 0.7);
+    least_standing: share of bodies who stand, for their axis to count as that of standing ones.
+    stand_sigma, crouch_sigma, animal_sigma: of the bodies' axis in radians. Measured: 0.9 to 3.9
+        deg, 14 deg of who sits; 3 to 15 deg of animals.
+    up_sigma: of each of two directions, in radians, that stays however much was seen.
+    least_feet, least_seen: bodies, and share of the bodies, with feet (0.2 where feet are hidden,
+        0.6 and more else). most_points: that are looked at.
+    least_share: of feet that are within reach. most_spread: of their heights (up to 0.05 on floors;
+        0.08 and more of simulated rats that rear, 0.13 of a cheetah on a slope). most_lean: of the
+        bodies. most_up_sigma: for a floor.
+    level_cameras, level_roll, level_spread: how many cameras agree how well on what is level, and
+        how differently they look; most_against_cameras: up may lean against it (0.7 to 3 deg).
+    ankle_height, ankle_sigma: of ankles over the sole, in lengths of the leg; leg_of_size: of it.
+    paw_sigma: of paws over the floor.
+    """
+
+    quantile: float = 0.25
+    reach: float = 0.3
+    kink: float = 0.01
+    steps: int = 30
+    height_sigma: float = 0.06
+    cell: float = 0.5
+    straight: float = 0.93
+    least_standing: float = 0.2
+    stand_sigma: float = 0.06
+    crouch_sigma: float = 0.25
+    animal_sigma: float = 0.25
+    animals: tuple[str, ...] = ("quadruped", "rodent")
+    up_sigma: float = 0.01
+    least_feet: int = 10
+    least_seen: float = 0.3
+    most_points: int = 4000
+    least_share: float = 0.7
+    most_spread: float = 0.07
+    most_lean: float = 0.35
+    most_up_sigma: float = 0.09
+    level_cameras: int = 3
+    level_roll: float = 0.09
+    level_spread: float = 0.26
+    most_against_cameras: float = 0.35
+    ankle_height: float = 0.12
+    ankle_sigma: float = 0.025
+    leg_of_size: float = 1.85
+    paw_sigma: float = 0.05
+
+
+CueKind = Literal["height", "length", "camera distance"]
+WORLDS = ("auto", "floor", "first-camera")  # that are asked for by a word; else a camera's name
+
+
+@dataclass(frozen=True)
+class ScaleCue:
+    """A length that somebody knows.
+
+    kind: "height" of an individual who stands, "length" between two joints, "camera distance"
+        between two cameras.
+    metres: it, and sigma: its standard deviation in metres, 0 = exactly known.
+    of: the individual ("0", or a name; "" = whoever stands), two joints ("left_hip-left_knee"), or
+        two cameras ("A-B").
+    """
+
+    kind: CueKind
+    metres: float
+    sigma: float = 0.0
+    of: str = ""
+
+    def __post_init__(self) -> None:
+        if not 0 < self.metres < float("inf") or not 0 <= self.sigma < self.metres:
+            raise ValueError(
+                f"{self.kind}: expected metres above 0, and a sigma below them, "
+                f"got {self.metres:g} +- {self.sigma:g}"
+            )
+
+
+@dataclass(frozen=True)
+class KnownCamera:
+    """Where a camera stands in a world that is known.
+
+    rotation: nine numbers, row by row, and translation: three, of cam_from_world.
+    """
+
+    name: str
+    rotation: tuple[float, ...]
+    translation: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Landmark:
+    """A point whose place is known, as a camera sees it.
+
+    position: x, y, z in metres. pixel: u, v; integers are the middles of pixels.
+    """
+
+    name: str
+    position: tuple[float, float, float]
+    camera: str
+    pixel: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class CueConfig:
+    """How lengths are measured that somebody knows.
+
+    head_height: of a point of the head over the floor, in statures. Measured against the heads of
+        the references: head_top 1.00 to 1.06, eyes 0.94 to 0.98; anatomy has eyes at 0.936
+        (Drillis and Contini 1966).
+    standing_quantile: of the heights of who stands: walkers bob. least_frames: that somebody
+        stands in, or that a length is seen in.
+    height_sigma: relative, of a stature, and length_sigma: of a length between joints, that stay
+        however often they were seen: detectors place joints beside those of anatomy (bones of
+        people -16 to +12 %, statures -3 to +3 %).
+    blocks: of time, that errors are independent in.
+    most_residual: in standard deviations, above which cues contradict each other.
+    """
+
+    head_height: tuple[tuple[str, float], ...] = (
+        ("head_top", 1.03),
+        ("left_eye", 0.950),
+        ("right_eye", 0.950),
+        ("left_ear", 0.945),
+        ("right_ear", 0.945),
+        ("nose", 0.930),
+    )
+    standing_quantile: float = 0.75
+    least_frames: int = 5
+    height_sigma: float = 0.03
+    length_sigma: float = 0.06
+    blocks: int = 20
+    most_residual: float = 3.0
+
+
+@dataclass(frozen=True)
+class WorldConfig:
+    """Which coordinates results are in.
+
+    axes: one of WORLDS, or the name of a camera. "auto": the floor where it is determined, else
+        the first camera.
+    cues: lengths that somebody knows. forward: two joints ("left_hip-nose"); from the first to the
+        second is ahead. "" = as the first camera looks.
+    cameras: where cameras stand in a world that is known, which results are aligned to; unit: of
+        their lengths. landmarks: points of a world that is known, which results are aligned to.
+    least_landmarks: that at least two cameras see. least_extent: of landmarks beside a line, as a
+        share of their extent along it.
+    """
+
+    axes: str = "auto"
+    cues: tuple[ScaleCue, ...] = ()
+    forward: str = ""
+    cameras: tuple[KnownCamera, ...] = ()
+    unit: str = "arbitrary"
+    landmarks: tuple[Landmark, ...] = ()
+    floor: FloorConfig = FloorConfig()
+    measure: CueConfig = CueConfig()
+    least_landmarks: int = 3
+    least_extent: float = 0.03
+
+    @property
+    def stated_unit(self) -> str:
+        """The unit that the lengths of results will have, "arbitrary" where nothing says one."""
+        return "m" if self.cues or self.landmarks else self.unit
+
+
+@dataclass(frozen=True)
 class Config:
     """All stages."""
 
@@ -941,6 +1114,7 @@ class Config:
     diagnosis: DiagnosisConfig = DiagnosisConfig()
     verify: VerifyConfig = VerifyConfig()
     mend: MendConfig = MendConfig()
+    world: WorldConfig = WorldConfig()
 
 
 @dataclass(frozen=True)

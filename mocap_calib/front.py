@@ -22,6 +22,7 @@ from mocap_calib.io.kinds import choose_format
 from mocap_calib.io.poses.common import check_rate, describe_poses
 from mocap_calib.io.poses.formats import POSE_FORMATS
 from mocap_calib.io.poses.write import write_poses
+from mocap_calib.io.units import ARBITRARY
 from mocap_calib.types import (
     CalibrationResult,
     Camera,
@@ -174,14 +175,15 @@ def _write_result(
     from mocap_calib.job.steps import write_result
 
     formats = () if format is None else (format,)
+    unit = result.groups[0].rig.unit if result.groups else ARBITRARY
     for each in (*CAMERA_FORMATS, *POSE_FORMATS):
-        if each.name == format and each.unit:
+        if each.name == format and each.unit and unit == ARBITRARY:
             raise MismatchError(
                 f"format={format}: expected a format that leaves the unit of length open, found "
                 f"one in {each.unit}, and a result does not know lengths; write the {each.kind} "
                 "of a group by themselves, after .scale(factor, unit)"
             )
-    check_formats(formats, fps)
+    check_formats(formats, fps, unit)
     groups = write_result(path, result, inputs={}, described={}, formats=formats, fps=fps)
     return tuple(note for group in groups for note in group.notes)
 

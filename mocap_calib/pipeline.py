@@ -2,7 +2,8 @@
 
 synchronise -> sample -> lift -> pairs -> loops, and for each group of cameras that see the same
 bodies:
-average -> match -> adjust -> label all frames -> clocks -> uncertainty -> triangulate -> verdict.
+average -> match -> adjust -> label all frames -> clocks -> uncertainty -> triangulate -> verdict
+-> world.
 
 Where intrinsics are to be estimated, they are from a first rig of each group: average -> match ->
 intrinsics. Then everything is done with them from the beginning, as if they had been given.
@@ -55,6 +56,7 @@ from mocap_calib.types import (
     UnusedPair,
     silent,
 )
+from mocap_calib.world.place import check_world, place_result
 
 
 def calibrate(
@@ -85,10 +87,12 @@ def calibrate(
 
     Raises DegenerateError where the recording determines no rig. The cameras of a group that it
     does not determine are left out. Raises FormatError where there is no such model, and
-    MismatchError where there is no such device, the model knows too few of the joints, or
-    intrinsics that nobody knows are not to be estimated.
+    MismatchError where there is no such device, the model knows too few of the joints,
+    intrinsics that nobody knows are not to be estimated, or coordinates and known lengths
+    (`config.world`) cannot be had: see `world.place`.
     """
     check_device(device)
+    check_world(config.world, recording)
     intrinsics = choose_refinement(recording.cameras, config.intrinsics, refine)
     config = replace(config, intrinsics=intrinsics)
     recording, lifter = choose_model(recording, model)
@@ -118,7 +122,7 @@ def calibrate(
             clocks = synchronise(recording, lift_sample, config, seed=seed)
         recording = retime(recording, clocks)
         result = mend_faults(recording, calibrate_once(recording), calibrate_once)
-    return judge_rigs(add_clocks(result, clocks))
+    return judge_rigs(place_result(add_clocks(result, clocks)))
 
 
 def _calibrate_recording(

@@ -9,6 +9,7 @@ import numpy as np
 from mocap_calib import __version__
 from mocap_calib.config import Config, IntrinsicsConfig
 from mocap_calib.geometry.rotation import angle_between
+from mocap_calib.io.world_fields import world_fields
 from mocap_calib.multi_view.clock_faults import describe_clock
 from mocap_calib.multi_view.explained import distances_from_points
 from mocap_calib.multi_view.view_graph import alternative_taken, best_scores
@@ -49,6 +50,7 @@ def run_report(
         "inputs": dict(inputs),
         "seconds": {stage: round(seconds, 3) for stage, seconds in group.seconds.items()},
         "unit": group.rig.unit,
+        "world": world_fields(group.rig.world, group.rig.unit),
         "frames": _describe_frames(group),
         "keypoints": list(group.recording.keypoints),
         "clocks": [describe_clock(clock, result.clocks) for clock in result.clocks.cameras],

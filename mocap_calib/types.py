@@ -283,6 +283,22 @@ class CameraClock:
         return self.kind in ("clock", "rate", "dropped")
 
 
+@dataclass(frozen=True)
+class MeasuredCue:
+    """A length that somebody knows, and what was measured of it.
+
+    text: what it is of, as "height of 0". metres: as it is known. measured: the same in metres, as
+    the results have it. sigma: relative standard deviation of its ratio, all told. residual: how
+    many standard deviations it is longer than the other cues say, 0 where there is none.
+    """
+
+    text: str
+    metres: float
+    measured: float
+    sigma: float
+    residual: float
+
+
 @dataclass(frozen=True, eq=False)
 class World(Record):
     """What the axes, the origin and the unit of coordinates are.
@@ -296,6 +312,7 @@ class World(Record):
         height in the unit.
     scale_sigma: relative standard deviation of lengths, NaN = arbitrary or not known.
     remarks: how it was found, or why it was not, a line each.
+    cues: what the scale follows from, where it follows from known lengths.
     """
 
     kind: WorldKind = "not known"
@@ -306,6 +323,7 @@ class World(Record):
     floor_sigma: float = np.nan
     scale_sigma: float = np.nan
     remarks: tuple[str, ...] = ()
+    cues: tuple[MeasuredCue, ...] = ()
 
     def __post_init__(self) -> None:
         self._copy("world", "up", float, 3)

@@ -69,6 +69,7 @@ def test_every_field_of_run_json_is_described_and_nothing_else(done):
         "clocks[].table",
         "epochs[].moved",
         "verdict.reasons",
+        "world.cues[]",
     )
     expected = {field for field in described() if not field.startswith(empty)}
     found = {field for field in fields_of(report) if not field.startswith(empty)}

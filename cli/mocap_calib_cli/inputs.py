@@ -43,6 +43,7 @@ from mocap_calib_cli.describe import describe_recording
 from mocap_calib_cli.options import STDIO, SharedOptions
 from mocap_calib_cli.progress import Reporter
 from mocap_calib_cli.texts import parse_rates, read_options, stated_mends
+from mocap_calib_cli.world_texts import world_config
 
 # --- keypoints and recordings
 
@@ -64,9 +65,10 @@ def calibration_request(options: SharedOptions, output: Path) -> CalibrationRequ
 
     Raises click's UsageError, also for further formats that could not be written in the end.
     """
+    world = world_config(options)
     try:
         fps, _ = parse_rates(options.fps)
-        check_formats(options.write, fps)
+        check_formats(options.write, fps, world.stated_unit)
     except MismatchError as error:
         raise click.UsageError(str(error)) from None
     intrinsics = intrinsics_config(options)
@@ -82,6 +84,7 @@ def calibration_request(options: SharedOptions, output: Path) -> CalibrationRequ
             matching=MatchingConfig(individuals=options.individuals),
             mend=MendConfig(apply=options.mend != "none"),
             sync=sync_config(options),
+            world=world,
         ),
         formats=options.write,
         fps=fps,

@@ -30,6 +30,7 @@ COMMANDS = {
     "match": "Who is who in all cameras.",
     "adjust": "Make the rig as exact as the keypoints allow (bundle adjustment).",
     "triangulate": "3D poses from the rig and the matches.",
+    "scale": "Set the scale of results by known lengths.",
     "convert": "Keypoints, cameras and poses from one format to another.",
     "kinematics": "Joint angles, speeds, contacts and bone lengths of 3D poses.",
     "complete": "Fill keypoints that were not seen.",

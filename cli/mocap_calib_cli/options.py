@@ -12,10 +12,18 @@ from typing import Any, TypeVar
 
 import click
 
-from mocap_calib.config import MENDING, PAIR_SOLVERS, REFINEMENTS, SYNC_MODES, SyncConfig
+from mocap_calib.config import (
+    MENDING,
+    PAIR_SOLVERS,
+    REFINEMENTS,
+    SYNC_MODES,
+    SyncConfig,
+    WorldConfig,
+)
 from mocap_calib_cli import values
 from mocap_calib_cli.file_options import FILE_OPTIONS
 from mocap_calib_cli.numbers import COUNT, PERCENTAGE, SEED
+from mocap_calib_cli.world_options import WORLD_OPTIONS
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -26,6 +34,7 @@ READING = tuple(name for name in FILE_OPTIONS if name not in ("moved", "mend"))
 KEYPOINTS = ("keypoints", *READING)
 MODEL = ("skeleton", "model", "device")
 VERDICT = ("strict", "accept")
+SCALE = ("height", "length", "camera_distance")
 # how a recording is calibrated, and what is written of it
 INTRINSICS = ("cameras", "refine", "focal_uncertainty", "focal_per_camera")
 CALIBRATION = (
@@ -40,6 +49,7 @@ CALIBRATION = (
     "mend",
     "sync",
     "sync_window",
+    *WORLD_OPTIONS,
     "write",
     "fps",
     *VERDICT,
@@ -59,6 +69,7 @@ class SharedOptions:
     solver: of pairs. scheduler: address of a Dask scheduler, None = the work is done here.
     write: further formats of the results. fps: frames per second, see `texts.parse_rates`.
     sync, sync_window: what is done about clocks that differ, see `inputs.sync_config`.
+    axes ... align: the coordinates of the results, see `world_texts.world_config`.
     strict, accept: which verdicts will do, see `verdicts.exit_status`.
     """
 
@@ -94,6 +105,12 @@ class SharedOptions:
     fps: tuple[str, ...] = ()
     sync: str = SyncConfig.mode
     sync_window: int = SyncConfig.window
+    axes: str = WorldConfig.axes
+    height: tuple[str, ...] = ()
+    length: tuple[str, ...] = ()
+    camera_distance: tuple[str, ...] = ()
+    forward: str = ""
+    align: Path | None = None
     strict: bool = False
     accept: str | None = None
     quiet: bool = False
@@ -101,6 +118,7 @@ class SharedOptions:
 
 _OPTIONS = {
     **FILE_OPTIONS,
+    **WORLD_OPTIONS,
     "keypoints": click.argument(
         "keypoints", nargs=-1, required=True, type=values.KEYPOINTS, metavar="KEYPOINTS..."
     ),
@@ -197,7 +215,7 @@ _OPTIONS = {
         shell_complete=values.offer_result_formats,
         multiple=True,
         help="Write this format too (colmap, movement-3d, ...: docs/formats.md); may be repeated. "
-        "Lengths are arbitrary: see `convert --unit`.",
+        "Those in metres need a known length: --height, --length, --camera-distance.",
     ),
     "fps": click.option(
         "--fps",

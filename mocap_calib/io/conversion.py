@@ -24,7 +24,7 @@ from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.io.keypoints.write import format_keypoints, write_keypoints
 from mocap_calib.io.kinds import NAMELESS, OWN_POSES, Sources
 from mocap_calib.io.poses.axes import turn_up_axis
-from mocap_calib.io.poses.common import PoseFile
+from mocap_calib.io.poses.common import PoseFile, convert_unit
 from mocap_calib.io.poses.formats import POSE_FORMATS
 from mocap_calib.io.poses.read import join_individuals, parse_poses
 from mocap_calib.io.poses.write import format_poses, write_poses
@@ -33,7 +33,7 @@ from mocap_calib.io.registry import (
     find_format,
     names_by_ending,
 )
-from mocap_calib.io.units import ARBITRARY
+from mocap_calib.io.units import ARBITRARY, unit_factor
 from mocap_calib.recording.pairing import check_pixels
 from mocap_calib.types import Keypoints2D
 from mocap_calib.wording import count
@@ -64,6 +64,7 @@ def convert_cameras(
     *,
     format: str | None = None,
     unit: str | None = None,
+    input_unit: str | None = None,
     image_size: tuple[int, int] = (0, 0),
     provenance: Mapping[str, Any] | None = None,
 ) -> Conversion:
@@ -72,7 +73,8 @@ def convert_cameras(
     source: a file, a folder, or the content of a file.
     output: the file or folder to write; None: the files are returned.
     format: of the source, where the content is not to say it.
-    unit: what a length of 1 is, where the source does not say.
+    unit: of the lengths in the output; None: as the source or the format has it.
+    input_unit: what a length of 1 is in the source, where that does not say.
     image_size: (width, height) in pixels of cameras whose size the source does not say; (0, 0):
         not known.
     provenance: how the cameras came about, for formats that have a place for it.
@@ -83,21 +85,26 @@ def convert_cameras(
     """
     if isinstance(source, bytes):
         name = NAMELESS
-        found = parse_content(source, name, format, unit)
+        found = parse_content(source, name, format, input_unit)
     else:
         name = str(source)
-        found = load_cameras(source, format, unit)
+        found = load_cameras(source, format, input_unit)
     found = _leave_out_unplaced(found)
     rig = make_rig(_fill_sizes(found, image_size, name), name)
+    points = found.points
+    if unit is not None:
+        factor = unit_factor(rig.unit, unit, f"{name}: --unit {unit}")
+        rig = rig.scale(factor, unit)
+        points = replace(points, positions=factor * points.positions)
     provenance = {**(provenance or {}), **found.judgement}
     known = find_format(CAMERA_FORMATS, to)
-    unit = known.unit or rig.unit
-    lengths = "arbitrary lengths" if unit == ARBITRARY else f"lengths in {unit}"
+    stated = known.unit or rig.unit
+    lengths = "arbitrary lengths" if stated == ARBITRARY else f"lengths in {stated}"
     summary = f"{count(len(rig.cameras), 'camera')}, {lengths}, as {to}"
     if output is None:
-        written = format_rig(rig, to, provenance, found.points)
+        written = format_rig(rig, to, provenance, points)
         return Conversion(summary, found.notes, written.lost, written.files)
-    lost = write_cameras(output, rig, to, provenance, found.points)
+    lost = write_cameras(output, rig, to, provenance, points)
     return Conversion(summary, found.notes, lost)
 
 
@@ -108,6 +115,7 @@ def convert_poses(
     *,
     format: str | None = None,
     unit: str | None = None,
+    input_unit: str | None = None,
     fps: float | None = None,
     up: str | None = None,
 ) -> Conversion:
@@ -116,7 +124,8 @@ def convert_poses(
     sources: files of one recording, folders of them, or the content of a file.
     output: the file to write; None: the files are returned.
     format: of the sources, where the content is not to say it.
-    unit: what a length of 1 is, where the sources do not say.
+    unit: of the lengths in the output; None: as the sources or the format have it.
+    input_unit: what a length of 1 is in the sources, where these do not say.
     fps: frames per second, where the sources do not say.
     up: the axis of the sources' world that points up (x, y, z, -x, -y, -z); the poses are turned
         so that it is y. None: where the sources say what is up, they are turned so that it is the
@@ -129,12 +138,14 @@ def convert_poses(
     """
     if isinstance(sources, bytes):
         name = NAMELESS
-        file = parse_poses(sources, name, format, unit)
+        file = parse_poses(sources, name, format, input_unit)
     else:
         name = str(sources[0])
-        file = _read_individuals(sources, format, unit)
+        file = _read_individuals(sources, format, input_unit)
     if find_format(POSE_FORMATS, to).rig and not isinstance(sources, bytes):
         file = _add_cameras(file, sources[0])
+    if unit is not None:
+        file = convert_unit(file, unit, f"{name}: --unit {unit}")
     if fps is not None:
         file = _fill_rate(file, fps, name)
     if up is not None:

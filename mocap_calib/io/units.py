@@ -4,7 +4,7 @@ from mocap_calib.errors import MismatchError
 from mocap_calib.io.file import malformed
 from mocap_calib.types import ARBITRARY, METRES
 
-__all__ = ["ARBITRARY", "METRES", "known_unit", "unit_factor"]
+__all__ = ["ARBITRARY", "METRES", "known_unit", "refuse_unit", "unit_factor"]
 
 _WORDS = {
     "m": ("metre", "meter"),
@@ -27,7 +27,8 @@ def unit_factor(source: str, target: str, owner: str) -> float:
             found = "an arbitrary unit" if unit == ARBITRARY else f"the unit {unit!r}"
             raise MismatchError(
                 f"{owner}: expected lengths in {' or '.join(METRES)}, found {found}; "
-                "say what a length of 1 is with `mocap-calib convert --unit`, in Python with scale"
+                "a known length sets the scale of a run (`mocap-calib scale OUT --height 1.75`), "
+                "`convert --input-unit` says that of other files, in Python with scale"
             )
     # the quotient of the powers of ten is exact this way round
     if METRES[source] >= METRES[target]:
@@ -48,3 +49,12 @@ def known_unit(unit: str, source: str) -> str:
             return short
     expected = f"a unit of length ({', '.join(METRES)} or {ARBITRARY})"
     raise malformed(source, expected, repr(unit), "write one of these")
+
+
+def refuse_unit(source: str, unit: str) -> str:
+    """Return the complaint about a unit that is said of lengths which a file calls arbitrary."""
+    return (
+        f"{source}: expected a file that leaves its unit open, found lengths that were never "
+        f"scaled, which are not in {unit}; set the scale by a known length: "
+        "`mocap-calib scale OUT --height 1.75` (or --length, --camera-distance)"
+    )

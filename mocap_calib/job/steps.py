@@ -66,6 +66,7 @@ from mocap_calib.types import (
     Progress,
     silent,
 )
+from mocap_calib.world.place import check_world
 
 # in the folder of results: the pairs of a run that is under way or was killed
 _UNFINISHED = ".unfinished"
@@ -102,11 +103,13 @@ def read_job(request: CalibrationRequest) -> Job:
 
     Raises FormatError, and MismatchError also where a further format cannot be written.
     """
-    check_formats(request.formats, request.fps)
+    unit = request.config.world.stated_unit
+    check_formats(request.formats, request.fps, unit)
     date_of_making()  # so that a bad SOURCE_DATE_EPOCH is said before anything is computed
     hashes = request.hash_inputs()  # first: what changes from now on makes another fingerprint
     loaded = load_recording(request.keypoints, _load_camera_file(request.cameras))
-    check_recording(request.formats, loaded.recording, request.fps)
+    check_recording(request.formats, loaded.recording, request.fps, unit)
+    check_world(request.config.world, loaded.recording)
     lifter = load_model(loaded.recording.model)
     solver = choose_pair_solver(
         request.pair_solver, loaded.recording, lifter, request.config.pairwise

@@ -40,7 +40,9 @@ def written(kind: str) -> set[str]:
 def test_commands_and_options_are_offered():
     assert values("") == set(COMMANDS)
     assert values("ev") == {"evaluate"}
-    assert values("run --c") == {"--cameras", "--camera-regex", "--crop-offset"}
+    assert values("run --c") == {
+        *("--cameras", "--camera-regex", "--camera-distance", "--crop-offset")
+    }
 
 
 @pytest.mark.parametrize(
@@ -121,6 +123,11 @@ def test_every_option_that_takes_a_name_offers_something():
         "exchanged",
         "moved",
         "fps",
+        "world",
+        "height",
+        "length",
+        "camera-distance",
+        "forward",
     }
     for name in COMMANDS:
         context = click.Context(group)

@@ -264,7 +264,7 @@ def test_a_unit_is_never_assumed():
     rig = replace(studio("anipose"), unit="arbitrary")
     for name in WRITTEN:
         if find_format(CAMERA_FORMATS, name).unit:
-            with pytest.raises(MismatchError, match="--unit"):
+            with pytest.raises(MismatchError, match="mocap-calib scale"):
                 format_rig(rig, name, {})
         else:
             assert back(rig, name).unit == "arbitrary"
@@ -276,6 +276,10 @@ def test_the_users_unit_does_not_contradict_the_file(tmp_path):
     with pytest.raises(MismatchError, match="as the file says"):
         read_rig(tmp_path / "a.toml", unit="mm")
     write_cameras(tmp_path / "b.toml", replace(studio("anipose"), unit="arbitrary"), "anipose")
+    with pytest.raises(MismatchError, match="never scaled"):
+        read_rig(tmp_path / "b.toml", unit="mm")
+    silent = (tmp_path / "b.toml").read_text().replace('unit = "arbitrary"', "")
+    (tmp_path / "b.toml").write_text(silent)
     assert read_rig(tmp_path / "b.toml", unit="mm").unit == "mm"
 
 

@@ -296,8 +296,8 @@ def test_a_long_c3d_keeps_all_its_frames(tmp_path):
     [
         ("trc", {"rate": float("nan")}, "--fps"),
         ("c3d", {"rate": float("nan")}, "--fps"),
-        ("c3d", {"poses": replace(example().poses, unit="arbitrary")}, "--unit"),
-        ("trc", {"poses": replace(example().poses, unit="arbitrary")}, "--unit"),
+        ("c3d", {"poses": replace(example().poses, unit="arbitrary")}, "mocap-calib scale"),
+        ("trc", {"poses": replace(example().poses, unit="arbitrary")}, "mocap-calib scale"),
         (
             "c3d",
             {"poses": replace(example().poses, frames=np.array([-3, 4, 5, 7, 8]))},

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 _READING = tuple(name for name in options.READING if name != "format")
 _INPUT = values.PathOf("Expected what to convert, then where to write it: INPUT... OUTPUT.")
 _OPTIONS_OF = {
-    "poses": {"unit", "fps", "up"},
-    "cameras": {"unit", "image_size"},
+    "poses": {"unit", "input_unit", "fps", "up"},
+    "cameras": {"unit", "input_unit", "image_size"},
     "keypoints": set(_READING),
 }
 
@@ -69,7 +69,12 @@ class _Task:
 @click.option(
     "--unit",
     type=click.Choice(["m", "cm", "mm"]),
-    help="What a length of 1 is in INPUT, where the file does not say.",
+    help="Unit of the lengths in OUTPUT; those of INPUT must be known.",
+)
+@click.option(
+    "--input-unit",
+    type=click.Choice(["m", "cm", "mm"]),
+    help="What a length of 1 is in INPUT, where a file of another program does not say.",
 )
 @click.option(
     "--fps",
@@ -89,6 +94,7 @@ def command(
     source: str | None,
     target: str | None,
     unit: str | None,
+    input_unit: str | None,
     fps: float | None,
     up: str | None,
 ) -> None:
@@ -101,7 +107,8 @@ def command(
     \b
     Example, in the folder examples/three_people:
       mocap-calib convert out/calibration.toml model --to colmap
-      mocap-calib convert out/poses3d.h5 poses.trc --unit m --fps 30 --up -y
+      mocap-calib scale out --height 0=1.75
+      mocap-calib convert out/poses3d.h5 poses.trc --fps 30 --up z
       mocap-calib convert keypoints/ openpose --to openpose
       mocap-calib convert openpose/ again --to csv --layout coco_17
       mocap-calib convert - - --from anipose --to nerfstudio <out/calibration.toml >nerf.json
@@ -115,7 +122,8 @@ def command(
         kinds.check_sources(inputs)
     sources = inputs if content is None else content
     kind = kinds.choose_kind(sources, output, format=source, to=target)
-    _check_options(shared, {"unit": unit, "fps": fps, "up": up}, kind)
+    own = {"unit": unit, "input_unit": input_unit, "fps": fps, "up": up}
+    _check_options(shared, own, kind)
     target = target or kinds.choose_format(kind, output)
     path = None if output == options.STDIO else Path(output)
     if path is not None:
@@ -123,9 +131,11 @@ def command(
     task = _Task(inputs, content, path, source, target)
 
     if kind == "poses":
-        done = _convert_poses(task, unit=unit, fps=fps, up=up)
+        done = _convert_poses(task, unit=unit, input_unit=input_unit, fps=fps, up=up)
     elif kind == "cameras":
-        done = _convert_cameras(task, unit=unit, image_size=shared.image_size)
+        done = _convert_cameras(
+            task, unit=unit, input_unit=input_unit, image_size=shared.image_size
+        )
     else:
         done = _convert_keypoints(task, shared)
     if path is None:
@@ -138,7 +148,7 @@ def command(
 
 
 def _convert_poses(
-    task: _Task, *, unit: str | None, fps: float | None, up: str | None
+    task: _Task, *, unit: str | None, input_unit: str | None, fps: float | None, up: str | None
 ) -> "Conversion":
     """Convert 3D poses of one file, or of a file for each individual."""
     from mocap_calib.io.conversion import convert_poses
@@ -150,12 +160,15 @@ def _convert_poses(
         task.target,
         format=task.source,
         unit=unit,
+        input_unit=input_unit,
         fps=fps,
         up=up,
     )
 
 
-def _convert_cameras(task: _Task, *, unit: str | None, image_size: tuple[str, ...]) -> "Conversion":
+def _convert_cameras(
+    task: _Task, *, unit: str | None, input_unit: str | None, image_size: tuple[str, ...]
+) -> "Conversion":
     """Convert the cameras of one input. Raises click's UsageError where there are more."""
     from mocap_calib.io.conversion import convert_cameras
     from mocap_calib.io.hashing import hash_inputs
@@ -178,6 +191,7 @@ def _convert_cameras(task: _Task, *, unit: str | None, image_size: tuple[str, ..
         task.target,
         format=task.source,
         unit=unit,
+        input_unit=input_unit,
         image_size=size_of_all,
         provenance=provenance("convert", inputs=hash_inputs(task.inputs)),
     )

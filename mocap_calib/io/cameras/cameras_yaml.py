@@ -12,6 +12,7 @@ from mocap_calib.io.cameras.source import CameraFile, Source, unique
 from mocap_calib.io.file import malformed
 from mocap_calib.io.provenance import read_judgement
 from mocap_calib.io.registry import Written
+from mocap_calib.io.world_fields import read_world
 from mocap_calib.types import CameraRig
 
 _FORMAT = r"^format: *[\"']?mocap-calib cameras"
@@ -46,6 +47,7 @@ def parse(source: Source) -> CameraFile:
         file,
         judgement=read_judgement(data.get("provenance")),
         clocks=tuple(clock for clock in clocks if clock is not None),
+        world=read_world(data.get("world")),
     )
 
 

@@ -15,6 +15,7 @@ from mocap_calib.geometry.rotation import vector_from_matrix
 from mocap_calib.io.cameras.intrinsics import camera_fields, estimated_fields
 from mocap_calib.io.cameras.toml_text import dump_toml
 from mocap_calib.io.provenance import plain_fields
+from mocap_calib.io.world_fields import stated_world
 from mocap_calib.io.zeros import unsigned_zeros
 from mocap_calib.types import Camera, CameraClock, CameraRig, ClockKind, EstimatedCamera
 
@@ -36,6 +37,7 @@ def format_cameras_yaml(rig: CameraRig, provenance: Mapping[str, Any]) -> str:
         "format": "mocap-calib cameras",
         "version": VERSION,
         "unit": rig.unit,
+        **stated_world(rig.world, rig.unit),
         "convention": CONVENTION,
         "provenance": plain_fields(provenance),
     }
@@ -133,7 +135,8 @@ def anipose_metadata(rig: CameraRig, provenance: Mapping[str, Any]) -> dict[str,
     metadata: dict[str, Any] = {"adjusted": bool(provenance.get("adjusted", False))}
     if "reprojection_error_px" in provenance:
         metadata["error"] = provenance["reprojection_error_px"]
-    return metadata | {"unit": rig.unit}
+    # in here: aniposelib takes every other table of a file for a camera
+    return metadata | {"unit": rig.unit, **stated_world(rig.world, rig.unit)}
 
 
 def _intrinsic_fields(camera: Camera) -> dict[str, Any]:

@@ -26,7 +26,7 @@ from mocap_calib.io.media import name_media
 from mocap_calib.io.names import camera_name
 from mocap_calib.io.provenance import read_description
 from mocap_calib.io.registry import find_format, format_names
-from mocap_calib.io.units import ARBITRARY, known_unit
+from mocap_calib.io.units import ARBITRARY, known_unit, refuse_unit
 from mocap_calib.recording.pairing import compose_name
 from mocap_calib.types import Camera, CameraRig
 
@@ -75,6 +75,7 @@ def make_rig(found: CameraFile, source: str) -> CameraRig:
         unit=found.unit or ARBITRARY,
         judgement=found.judgement,
         clocks=found.clocks,
+        world=found.world,
     )
 
 
@@ -216,9 +217,11 @@ def _complete(found: CameraFile, form: CameraFormat, source: str, unit: str | No
     the file contradicts the user.
     """
     stated = known_unit(found.unit, source)
+    if unit is not None and found.unit.strip().lower() == ARBITRARY:
+        raise MismatchError(refuse_unit(source, unit))
     if unit is not None and stated not in (ARBITRARY, unit):
         raise MismatchError(
-            f"{source}: expected lengths in {stated}, as the file says, found --unit {unit}; "
+            f"{source}: expected lengths in {stated}, as the file says, found --input-unit {unit}; "
             "leave it out"
         )
     if stated == ARBITRARY:

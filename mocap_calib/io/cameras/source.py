@@ -18,7 +18,7 @@ from mocap_calib.errors import MismatchError
 from mocap_calib.io.cameras.syntax import is_toml, parse_json, parse_toml, parse_yaml
 from mocap_calib.io.file import decode, find_repeated, malformed
 from mocap_calib.io.zeros import unsigned_zeros
-from mocap_calib.types import Camera, CameraClock, CameraRig, Floats, ObservedPoints
+from mocap_calib.types import Camera, CameraClock, CameraRig, Floats, ObservedPoints, World
 
 _BINARY = (b"MATLAB", b"\x89HDF", b"\x00")
 _PARSERS = {"json": parse_json, "toml": parse_toml, "yaml": parse_yaml}
@@ -103,6 +103,7 @@ class CameraFile:
         says so.
     points: that the cameras see, in their order; none in most formats.
     clocks: of the cameras whose frames are not numbered by the clock of the others.
+    world: what the axes are, where the file says so.
     """
 
     cameras: tuple[Camera, ...]
@@ -112,6 +113,7 @@ class CameraFile:
     judgement: Mapping[str, Any] = field(default_factory=dict)
     points: ObservedPoints = field(default_factory=ObservedPoints.none)
     clocks: tuple[CameraClock, ...] = ()
+    world: World = field(default_factory=World)
 
 
 # --- for readers

@@ -28,6 +28,7 @@ from mocap_calib.io.cameras.toml_text import dump_toml
 from mocap_calib.io.file import malformed
 from mocap_calib.io.provenance import plain_fields, read_judgement
 from mocap_calib.io.registry import Written
+from mocap_calib.io.world_fields import read_world
 from mocap_calib.types import Camera, CameraRig
 
 # sections that Pose2Sim passes over
@@ -93,7 +94,11 @@ def parse(source: Source) -> CameraFile:
             )
     metadata = _find_metadata(data)
     found = collect_cameras(placed, source.path, unit=str(metadata.get("unit", "")), notes=notes)
-    return replace(found, judgement=read_judgement(metadata.get("provenance")))
+    return replace(
+        found,
+        judgement=read_judgement(metadata.get("provenance")),
+        world=read_world(metadata.get("world")),
+    )
 
 
 def _is_pose2sim_camera(name: str, fields: Mapping[str, Any]) -> bool:

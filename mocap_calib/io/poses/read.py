@@ -12,11 +12,12 @@ import numpy as np
 
 from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.io.file import find_repeated, malformed, read_bytes
+from mocap_calib.io.poses import poses3d_h5
 from mocap_calib.io.poses.common import UNNAMED, PoseFile, check_poses
 from mocap_calib.io.poses.formats import POSE_FORMATS, PoseFormat
 from mocap_calib.io.registry import find_format, read_names
 from mocap_calib.io.sandbox import call_contained
-from mocap_calib.io.units import ARBITRARY
+from mocap_calib.io.units import ARBITRARY, refuse_unit
 from mocap_calib.types import Poses3D
 
 
@@ -46,10 +47,12 @@ def parse_poses(
     file = call_contained(content, source, _parse, content, source, format)
     if unit is None:
         return file
+    if poses3d_h5.sniff(content) and file.poses.unit == ARBITRARY:
+        raise MismatchError(refuse_unit(source, unit))
     if file.poses.unit not in (ARBITRARY, unit):
         raise MismatchError(
             f"{source}: expected lengths in {file.poses.unit}, as the file says, "
-            f"found --unit {unit}; leave it out"
+            f"found --input-unit {unit}; leave it out"
         )
     return replace(file, poses=replace(file.poses, unit=unit))
 

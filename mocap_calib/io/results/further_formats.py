@@ -30,12 +30,14 @@ class WriteOutcome:
     refused: tuple[MismatchError, ...] = ()
 
 
-def check_formats(names: Sequence[str], fps: float | None) -> None:
+def check_formats(names: Sequence[str], fps: float | None, unit: str = ARBITRARY) -> None:
     """Hold the names of further formats to what a run can write, before it starts.
 
+    unit: of the lengths that it will have.
+
     Raises MismatchError for a name that is not known, a format that needs `fps` where there are
-    none, one whose packages are not installed, and one that needs a unit of length: the lengths
-    of a run are arbitrary.
+    none, one whose packages are not installed, and one that needs a unit of length where
+    nobody says one.
     """
     poses, cameras = written_names(POSE_FORMATS), written_names(CAMERA_FORMATS)
     for name in names:
@@ -47,7 +49,8 @@ def check_formats(names: Sequence[str], fps: float | None) -> None:
         known: AnyFormat
         known = find_format(POSE_FORMATS if name in poses else CAMERA_FORMATS, name)
         known.writer()
-        _check_unit(known)
+        if unit == ARBITRARY:
+            _check_unit(known)
         if known.timed and fps is None:
             raise MismatchError(
                 f"--write {name}: expected the number of frames per second, found none; "
@@ -55,19 +58,23 @@ def check_formats(names: Sequence[str], fps: float | None) -> None:
             )
 
 
-def check_recording(names: Sequence[str], recording: Recording, fps: float | None) -> None:
+def check_recording(
+    names: Sequence[str], recording: Recording, fps: float | None, unit: str = ARBITRARY
+) -> None:
     """Hold a recording to what the further formats can hold, before it is calibrated.
 
     Each format is tried on its cameras and keypoints, which stand at the origin.
 
-    names, fps: that `check_formats` has passed.
+    names, fps, unit: that `check_formats` has passed.
 
     Raises MismatchError where a format has no place for a lens, or for a name.
     """
     count = len(recording.cameras)
-    rig = CameraRig(recording.cameras, np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3)))
+    rig = CameraRig(
+        recording.cameras, np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3)), unit
+    )
     positions = np.zeros((1, 1, len(recording.keypoints), 3))
-    poses = bare_poses(recording.keypoints, np.zeros(1, int), positions, unit=ARBITRARY)
+    poses = bare_poses(recording.keypoints, np.zeros(1, int), positions, unit=unit)
     file = describe_poses(poses, fps, rig=rig)
     for name in names:
         if name in written_names(CAMERA_FORMATS):
@@ -84,8 +91,9 @@ def _check_unit(known: AnyFormat) -> None:
     rate = " --fps FPS" if known.timed else ""
     raise MismatchError(
         f"--write {known.name}: expected a format that leaves the unit of length open, found one "
-        f"in {known.unit}, and a run does not know lengths; leave it out, and afterwards say what "
-        f"a length of 1 is: mocap-calib convert OUT/{file} NEW --to {known.name} --unit m{rate}"
+        f"in {known.unit}, and a run does not know lengths; say one (--height, --length, "
+        "--camera-distance), or afterwards: mocap-calib scale OUT --height 1.75; "
+        f"mocap-calib convert OUT/{file} NEW --to {known.name}{rate}"
     )
 
 

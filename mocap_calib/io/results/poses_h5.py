@@ -19,8 +19,9 @@ import numpy as np
 from mocap_calib.io import hdf5
 from mocap_calib.io.atomic import replace_file
 from mocap_calib.io.file import malformed
+from mocap_calib.io.world_fields import read_world, world_fields
 from mocap_calib.records import check_shape
-from mocap_calib.types import Poses3D, Reals
+from mocap_calib.types import Poses3D, Reals, World
 
 VERSION = 1
 Edges = Sequence[tuple[int, int]]
@@ -161,6 +162,8 @@ def _fill(
     file.attrs["format"] = _FORMAT
     file.attrs["version"] = VERSION
     file.attrs["unit"] = poses.unit
+    if poses.world.kind != "not known":
+        file.attrs["world"] = json.dumps(world_fields(poses.world, poses.unit))
     file.attrs["dimensions"] = "frame, individual, keypoint, coordinate"
     if np.isfinite(fps):
         file.attrs["fps"] = file["frames"].attrs["fps"] = fps
@@ -186,7 +189,13 @@ def _read(file: h5py.File, source: str) -> Poses3D:
         confidence=hdf5.array(file, "confidence", source).astype(np.float64),
         unit=str(file.attrs["unit"]),
         covariance=_read_covariance(file, source),
+        world=_read_world(file),
     )
+
+
+def _read_world(file: h5py.File) -> World:
+    """Return what the attribute `world` says, that nothing is known where there is none."""
+    return read_world(json.loads(file.attrs["world"]) if "world" in file.attrs else None)
 
 
 def _read_covariance(file: h5py.File, source: str) -> Reals:

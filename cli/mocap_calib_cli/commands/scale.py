@@ -1,0 +1,38 @@
+"""mocap-calib scale: set the scale of results by known lengths."""
+
+from pathlib import Path
+
+import click
+
+from mocap_calib_cli import options
+
+
+@click.command(name="scale")
+@click.argument("output", type=click.Path(path_type=Path), metavar="OUT")
+@options.shared_options(*options.SCALE, "quiet")
+def command(shared: options.SharedOptions, output: Path) -> None:
+    """Set the scale of the results in OUT, which a run wrote, by lengths that you know.
+
+    Cameras, 3D poses and run.json are rewritten, in metres. Several lengths are weighed by how
+    sure they are; where they contradict each other, nothing is written. Results of a further group
+    of cameras (OUT/group_2) have a scale of their own: give that folder.
+
+    \b
+    Example, in the folder examples/three_people:
+      mocap-calib scale out --height 0=1.75
+      mocap-calib scale out --length left_hip-left_knee=0.42+-0.01 --camera-distance cam1-cam2=3.1
+    """
+    from mocap_calib.config import WorldConfig
+    from mocap_calib.job.scaling import scale_results
+    from mocap_calib_cli import outputs
+    from mocap_calib_cli.progress import Reporter
+    from mocap_calib_cli.world_texts import scale_cues
+
+    cues = scale_cues(shared)
+    if not cues:
+        raise click.UsageError(
+            "expected a known length, found none; say --height, --length or --camera-distance"
+        )
+    outputs.check_folder(output)
+    done = scale_results(output, cues, WorldConfig())
+    Reporter(quiet=shared.quiet).say(*done.world.remarks, *done.notes)

@@ -1,0 +1,152 @@
+"""Set the scale of a folder of results by known lengths, after a run.
+
+What lies there is rewritten together or not at all: cameras, 3D poses, and run.json. Further
+formats stay as they were, and are named.
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from mocap_calib.config import ScaleCue, WorldConfig
+from mocap_calib.errors import MismatchError
+from mocap_calib.io.atomic import numbered_file, replace_folder, replace_text
+from mocap_calib.io.cameras.own import SUBFRAME
+from mocap_calib.io.cameras.read import read_rig
+from mocap_calib.io.cameras.write import format_rig
+from mocap_calib.io.hashing import hash_files
+from mocap_calib.io.poses.read import load_poses
+from mocap_calib.io.results.group import REPORT, read_outputs
+from mocap_calib.io.results.poses_csv import poses_csv
+from mocap_calib.io.results.poses_h5 import write_poses_h5
+from mocap_calib.io.results.stored import provenance_of_cameras, provenance_of_poses
+from mocap_calib.io.world_fields import world_fields
+from mocap_calib.types import CameraRig, World
+from mocap_calib.wording import count
+from mocap_calib.world.body import find_joints, keep_triangulated
+from mocap_calib.world.cues import Measurable, Scale, find_scale
+from mocap_calib.world.floor import find_floor
+from mocap_calib.world.place import describe_scale, is_of_scale
+
+_CAMERAS = "cameras.yaml"
+_POSES = "poses3d.h5"
+_FORMATS = {_CAMERAS: "mocap-calib", "calibration.toml": "anipose"}
+_OWN = ("matches.csv", REPORT)  # hold no lengths, or are written last
+
+
+@dataclass(frozen=True)
+class Scaled:
+    """What was done to a folder of results.
+
+    world: of the cameras. notes: what was not rewritten, a line each.
+    """
+
+    world: World
+    notes: tuple[str, ...]
+
+
+def scale_results(folder: Path, cues: Sequence[ScaleCue], config: WorldConfig) -> Scaled:
+    """Set the scale of a folder of results; lengths are in metres then.
+
+    folder: of a run, or of a further group of cameras within it.
+
+    Raises FormatError and MismatchError where it is no such folder, a length cannot be measured,
+    or lengths contradict each other.
+    """
+    for name in (_CAMERAS, _POSES):
+        if not (folder / name).is_file():
+            raise MismatchError(
+                f"{folder}: expected the results of a run, with {_CAMERAS} and {_POSES}, "
+                f"found no {name}; give the folder that `run -o` wrote"
+            )
+    rig, file = read_rig(folder / _CAMERAS), load_poses(folder / _POSES)
+    poses = keep_triangulated(file.poses)
+    joints = find_joints(poses.keypoints)
+    floor = find_floor(poses, joints, rig, config.floor)
+    on = Measurable(poses, joints, rig, floor, individuals=file.individuals)
+    scale = find_scale(cues, on, config.measure, config.floor)
+    if scale is None:
+        raise MismatchError(
+            "scale: expected a known length, found none; say --height, --length or "
+            "--camera-distance"
+        )
+    with replace_folder(folder) as work:
+        for place in _camera_folders(folder):
+            (work / place).mkdir(parents=True, exist_ok=True)
+            _scale_cameras(folder / place, work / place, scale)
+        scaled = file.poses.scale(scale.factor, "m")
+        scaled = replace(scaled, world=_scaled_world(scaled.world, scale))
+        write_poses_h5(
+            work / _POSES,
+            scaled,
+            provenance_of_poses(folder / _POSES),
+            edges=file.edges,
+            fps=file.rate,
+        )
+        for individual in range(scaled.positions.shape[1]):
+            own = numbered_file(Path("poses3d.csv"), individual)
+            if (folder / own).is_file():
+                replace_text(work / own, poses_csv(scaled, individual))
+        left = _scale_report(folder, work, rig, scale)
+    world = _scaled_world(rig.world.scale(scale.factor), scale)
+    return Scaled(world, left)
+
+
+def _camera_folders(folder: Path) -> list[Path]:
+    """Return the folders with cameras of the same group: that of each epoch."""
+    found = [path.parent for path in sorted(folder.glob(f"epoch_*/{_CAMERAS}"))]
+    return [Path("."), *(path.relative_to(folder) for path in found)]
+
+
+def _scale_cameras(source: Path, target: Path, scale: Scale) -> None:
+    """Write the files of cameras that lie in a folder, scaled, into another.
+
+    What they say of how they came about is that of cameras.yaml.
+    """
+    rig = read_rig(source / _CAMERAS)
+    rig = rig.scale(scale.factor, "m")
+    rig = replace(rig, world=_scaled_world(rig.world, scale))
+    provenance = provenance_of_cameras(source / _CAMERAS)
+    for name, format in _FORMATS.items():
+        if (source / name).is_file():
+            own = {key: provenance[key] for key in provenance if key != SUBFRAME}
+            own = provenance if name == _CAMERAS else own
+            (content,) = format_rig(rig, format, own).files.values()
+            (target / name).write_bytes(content)
+
+
+def _scaled_world(world: World, scale: Scale) -> World:
+    """Return a world, whose lengths are scaled already, that says by what."""
+    remarks = (line for line in world.remarks if not is_of_scale(line))
+    return replace(
+        world,
+        scale_sigma=scale.sigma,
+        cues=scale.cues,
+        remarks=(*remarks, *describe_scale(scale)),
+    )
+
+
+def _scale_report(folder: Path, work: Path, rig: CameraRig, scale: Scale) -> tuple[str, ...]:
+    """Write run.json anew, if there is one; return a note of the results that stay as they were.
+
+    It is no longer that of the command: it loses its fingerprint.
+    """
+    outputs = read_outputs(folder)
+    written = hash_files(work)
+    left = [name for name in outputs if name not in written and Path(name).name not in _OWN]
+    if (folder / REPORT).is_file():
+        report = json.loads((folder / REPORT).read_text("utf-8"))
+        world = _scaled_world(rig.world.scale(scale.factor), scale)
+        report |= {"unit": "m", "world": world_fields(world, "m")}
+        if "fingerprint" in report:
+            report |= {"fingerprint": None, "outputs": outputs | written}
+        text = json.dumps(report, indent=1, allow_nan=False)
+        (work / REPORT).write_text(text + "\n", encoding="utf-8", newline="\n")
+    if not left:
+        return ()
+    some = ", ".join(left[:3]) + (", ..." if len(left) > 3 else "")
+    return (
+        f"not rewritten: {count(len(left), 'file')} of other formats or groups ({some}); "
+        "write formats anew with `convert`, scale groups by themselves",
+    )

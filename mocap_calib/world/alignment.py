@@ -1,0 +1,112 @@
+"""Align a rig to a world that is known: by its cameras, or by landmarks that cameras see."""
+
+from collections import defaultdict
+from collections.abc import Sequence
+
+import numpy as np
+
+from mocap_calib.config import KnownCamera, Landmark, WorldConfig
+from mocap_calib.errors import MismatchError
+from mocap_calib.geometry.alignment import align_by_similarity
+from mocap_calib.multi_view.evaluation import with_axes
+from mocap_calib.recording.epochs import views_by_camera
+from mocap_calib.types import Camera, CameraRig, Floats
+from mocap_calib.wording import count
+from mocap_calib.world.moving import Similarity
+
+
+def align_to_cameras(rig: CameraRig, known: Sequence[KnownCamera]) -> tuple[Similarity, float]:
+    """Return the similarity to the world of known cameras, and its relative error of scale.
+
+    Raises MismatchError where fewer than two cameras are in both.
+    """
+    views = {name: own[0] for name, own in views_by_camera(rig.names).items()}
+    shared = [camera for camera in known if camera.name in views]
+    if len(shared) < 2:
+        found = ", ".join(camera.name for camera in shared) or "none"
+        raise MismatchError(
+            "--world: expected a file with at least two cameras of the recording "
+            f"({', '.join(views)}), found {found}; check their names"
+        )
+    target = CameraRig(
+        cameras=tuple(_bare(camera.name) for camera in shared),
+        rotation=np.array([np.reshape(camera.rotation, (3, 3)) for camera in shared]),
+        translation=np.array([camera.translation for camera in shared]),
+    )
+    source = rig.select(np.array([views[camera.name] for camera in shared]))
+    by = Similarity(*align_by_similarity(with_axes(source), with_axes(target)))
+    return by, _scale_sigma(by.apply(source.centres), target.centres)
+
+
+def align_to_landmarks(
+    rig: CameraRig, landmarks: Sequence[Landmark], config: WorldConfig
+) -> tuple[Similarity, float, tuple[str, ...]]:
+    """Return the similarity to the world of landmarks, its relative error of scale, and remarks.
+
+    The landmarks are triangulated. A remark says how far each is from where it should be.
+
+    Raises MismatchError for unknown cameras, and landmarks that are too few or on a line.
+    """
+    names, known, pixels = _collect(rig, landmarks)
+    found, _ = rig.triangulate(pixels)
+    seen = np.isfinite(found[:, 0])
+    if seen.sum() < config.least_landmarks:
+        raise MismatchError(
+            f"--align: expected {config.least_landmarks} landmarks that two cameras see, "
+            f"found {seen.sum()} of {len(names)}; add observations"
+        )
+    for points, where in ((known[seen], "stated"), (found[seen], "seen")):
+        _check_extent(points, where, config)
+    by = Similarity(*align_by_similarity(found[seen], known[seen]))
+    away = np.linalg.norm(by.apply(found) - known, axis=1)
+    remarks = [
+        f"landmark {name}: {1e3 * distance:.0f} mm from its place"
+        if np.isfinite(distance)
+        else f"landmark {name}: not used, two cameras that agree on it are needed"
+        for name, distance in zip(names, away, strict=True)
+    ]
+    rms = float(np.sqrt((away[seen] ** 2).mean()))
+    first = f"aligned to {count(int(seen.sum()), 'landmark')}, RMS distance {1e3 * rms:.0f} mm"
+    sigma = _scale_sigma(by.apply(found[seen]), known[seen])
+    return by, sigma, (first, *remarks)
+
+
+def _collect(
+    rig: CameraRig, landmarks: Sequence[Landmark]
+) -> tuple[tuple[str, ...], Floats, Floats]:
+    """Return names and places `[landmark, 3]`, and pixels `[view, landmark, 2]`, NaN = not seen.
+
+    A landmark is seen by the first of the views that a camera is. Raises MismatchError.
+    """
+    views = {name: own[0] for name, own in views_by_camera(rig.names).items()}
+    seen: dict[str, list[Landmark]] = defaultdict(list)
+    for landmark in landmarks:
+        seen[landmark.name].append(landmark)
+    known = np.array([own[0].position for own in seen.values()]).reshape(-1, 3)
+    pixels = np.full((len(rig), len(seen), 2), np.nan)
+    for k, own in enumerate(seen.values()):
+        for landmark in own:
+            if landmark.camera in views:
+                pixels[views[landmark.camera], k] = landmark.pixel
+    return tuple(seen), known, pixels
+
+
+def _check_extent(points: Floats, where: str, config: WorldConfig) -> None:
+    """Raise MismatchError where points lie on a line, which leaves the turn about it open."""
+    extent = np.linalg.svd(points - points.mean(0), compute_uv=False)
+    if extent[1] <= config.least_extent * extent[0]:
+        raise MismatchError(
+            f"--align: expected landmarks that are not on a line, found that those {where} are; "
+            "add one beside it"
+        )
+
+
+def _scale_sigma(found: Floats, true: Floats) -> float:
+    """Return the relative standard deviation of a scale from points that were aligned."""
+    size = np.sqrt(((true - true.mean(0)) ** 2).sum())
+    free = max(3 * len(true) - 7, 1)
+    return float(np.sqrt(((found - true) ** 2).sum() / free) / size)
+
+
+def _bare(name: str) -> Camera:
+    return Camera(name, (0, 0), np.eye(3))

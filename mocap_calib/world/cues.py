@@ -1,0 +1,291 @@
+"""Measure lengths that somebody knows, and find the scale that fits them best.
+
+Each cue says what a length of 1 is: the logarithms of what is known over what was measured are
+averaged, weighted by their variances (a product of errors is a sum of logarithms).
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mocap_calib.config import CueConfig, FloorConfig, ScaleCue
+from mocap_calib.errors import MismatchError, suggest
+from mocap_calib.recording.epochs import own_name, views_by_camera
+from mocap_calib.recording.joints import normalise_name
+from mocap_calib.types import Bools, CameraRig, Floats, MeasuredCue, Poses3D, RigCovariance
+from mocap_calib.world.body import (
+    Joints,
+    body_size,
+    distance,
+    leg_lengths,
+    median_over_frames,
+    quantile_over_frames,
+    stand_straight,
+)
+from mocap_calib.world.floor import FEET, Floor
+
+
+@dataclass(frozen=True, eq=False)
+class Measurable:
+    """What lengths are measured on: poses, and the cameras where those are at hand.
+
+    covariance: of the rig; None = not known. individuals: `[individual]` names besides numbers.
+    floor: or why there is none.
+    """
+
+    poses: Poses3D
+    joints: Joints
+    rig: CameraRig
+    floor: Floor | str
+    covariance: RigCovariance | None = None
+    individuals: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Scale:
+    """What a length of 1 is in metres, its relative standard deviation, and what says so."""
+
+    factor: float
+    sigma: float
+    cues: tuple[MeasuredCue, ...]
+
+
+def find_scale(
+    cues: Sequence[ScaleCue], on: Measurable, config: CueConfig, floor: FloorConfig
+) -> Scale | None:
+    """Return the scale that fits the cues best, None where there are none.
+
+    Raises MismatchError for what cannot be measured, and where cues contradict each other.
+    """
+    if not cues:
+        return None
+    lengths, sigmas = np.array([_measure(cue, on, config, floor) for cue in cues]).T
+    known = np.array([cue.metres for cue in cues])
+    sigma = np.hypot(sigmas, [cue.sigma / cue.metres for cue in cues])
+    weight = 1 / sigma**2
+    logs = np.log(known / lengths)
+    mean = float(weight @ logs / weight.sum())
+    left = np.maximum(sigma**2 - 1 / weight.sum(), 0.0)  # the mean follows each of them in part
+    residual = (mean - logs) / np.sqrt(left) if len(cues) > 1 else np.zeros(1)
+    factor = float(np.exp(mean))
+    measured = tuple(
+        MeasuredCue(describe_cue(cue), cue.metres, float(factor * length), float(own), float(off))
+        for cue, length, own, off in zip(cues, lengths, sigma, residual, strict=True)
+    )
+    _check_agreement(measured, config)
+    return Scale(factor, float(np.sqrt(1 / weight.sum())), measured)
+
+
+def describe_cue(cue: ScaleCue) -> str:
+    """Return what a cue is of: `height of 0`, `length left_hip-left_knee`."""
+    if cue.kind == "height":
+        return f"height of {cue.of}" if cue.of else "height"
+    return f"{cue.kind} {cue.of}"
+
+
+def _check_agreement(cues: Sequence[MeasuredCue], config: CueConfig) -> None:
+    """Raise MismatchError where cues are further apart than chance allows."""
+    if max(abs(cue.residual) for cue in cues) <= config.most_residual:
+        return
+    said = ", ".join(
+        f"{cue.text}={cue.metres:g} m ({cue.measured:.3g} m by all of them, "
+        f"{abs(cue.residual):.1f} sigma off)"
+        for cue in cues
+    )
+    raise MismatchError(
+        f"scale: expected lengths that agree with each other, found {said}; "
+        "correct or leave out one of them"
+    )
+
+
+def _measure(
+    cue: ScaleCue, on: Measurable, config: CueConfig, floor: FloorConfig
+) -> tuple[float, float]:
+    """Return a length in the unit of the poses, and its relative standard deviation.
+
+    Raises MismatchError where nothing shows it.
+    """
+    if cue.kind == "height":
+        return _measure_height(cue, on, config, floor)
+    if cue.kind == "length":
+        return _measure_length(cue, on, config)
+    return _measure_cameras(cue, on)
+
+
+# --- heights
+
+
+def statures(on: Measurable, config: CueConfig, floor: FloorConfig) -> Floats:
+    """Return the stature `[individual]` of people who stand on the floor, NaN of all others.
+
+    Raises MismatchError where it is not known where the floor is.
+    """
+    heads = [(on.joints.columns[name], share) for name, share in config.head_height
+             if name in on.joints.columns]  # fmt: skip
+    if on.joints.kind != "people" or not heads:
+        raise MismatchError(
+            "--height: expected people with points of the head (head_top, eyes, ears or nose), "
+            "found none; say a --length or --camera-distance"
+        )
+    if isinstance(on.floor, str):
+        raise MismatchError(
+            f"--height: expected somebody who stands, found that {on.floor}; "
+            "say a --length or --camera-distance"
+        )
+    straight = stand_straight(on.poses, on.joints, floor.straight) & _stand_on(on, on.floor, floor)
+    found = np.full((len(heads), straight.shape[1]), np.nan)
+    for k, (column, share) in enumerate(heads):
+        height = (on.poses.positions[:, :, column] - on.floor.point) @ on.floor.up / share
+        height = np.where(straight & (height > 0), height, np.nan)
+        enough = np.isfinite(height).sum(0) >= config.least_frames
+        found[k] = np.where(enough, quantile_over_frames(height, config.standing_quantile), np.nan)
+    return median_over_frames(found)
+
+
+def _stand_on(on: Measurable, under: Floor, config: FloorConfig) -> Bools:
+    """Return of which individuals `[individual]` the lower foot mostly is on the floor."""
+    feet = on.poses.positions[:, :, on.joints.present(FEET["people"])]
+    height = (feet - under.point) @ under.up
+    lower = np.where(np.isfinite(height), height, np.inf).min(-1)
+    lower = np.where(np.isfinite(lower), lower, np.nan)
+    leg = leg_lengths(on.poses, on.joints)
+    above = median_over_frames(lower) - config.ankle_height * leg
+    near = config.reach * body_size(on.poses.positions)
+    return np.asarray(np.abs(above) < near)
+
+
+def _measure_height(
+    cue: ScaleCue, on: Measurable, config: CueConfig, floor: FloorConfig
+) -> tuple[float, float]:
+    """Return the stature of an individual, or the median of all who stand."""
+    found = statures(on, config, floor)
+    if cue.of:
+        found = found[[_find_individual(cue.of, on)]]
+    found = found[np.isfinite(found)]
+    if not len(found):
+        who = f"that individual {cue.of} stands" if cue.of else "somebody who stands"
+        raise MismatchError(
+            f"--height: expected {who} on a straight leg in {config.least_frames} frames, found "
+            "nobody; say a --length or --camera-distance"
+        )
+    middle = float(np.median(found))
+    low = on.floor.sigma / middle if isinstance(on.floor, Floor) else 0.0
+    return middle, float(np.hypot(np.hypot(config.height_sigma, low), _spread(found)))
+
+
+def _find_individual(text: str, on: Measurable) -> int:
+    """Return the index of an individual. Raises MismatchError."""
+    count = on.poses.positions.shape[1]
+    known = {str(index): index for index in range(count)}
+    known |= {name: index for index, name in enumerate(on.individuals)}
+    if text not in known:
+        raise MismatchError(
+            f"--height {text}=...: expected an individual, one of {', '.join(known)}, "
+            f"found {text!r}; {suggest(text, known)}"
+        )
+    return known[text]
+
+
+# --- lengths between joints, distances of cameras
+
+
+def joint_pair(
+    text: str, keypoints: tuple[str, ...], joints: Joints, option: str
+) -> tuple[int, int]:
+    """Return the indices of two keypoints of `A-B`, by their own names or those of joints.
+
+    Raises MismatchError.
+    """
+    known = {normalise_name(name): k for name, k in joints.columns.items()}
+    known |= {normalise_name(name): k for k, name in enumerate(keypoints)}
+    known |= {name: k for k, name in enumerate(keypoints)}
+    first, second = split_pair(text, known, "joints", keypoints, option)
+    return _lookup(known, first), _lookup(known, second)
+
+
+def camera_pair(text: str, rig: CameraRig, option: str) -> tuple[int, int]:
+    """Return the indices of the views of two cameras of `A-B`. Raises MismatchError."""
+    known = {name: own[0] for name, own in views_by_camera(rig.names).items()}
+    first, second = split_pair(text, known, "cameras", tuple(known), option)
+    return known[first], known[second]
+
+
+def split_pair(
+    text: str, known: Iterable[str], what: str, offered: Sequence[str], option: str
+) -> tuple[str, str]:
+    """Return the two names of `A-B`, either of which may have a `-`. Raises MismatchError."""
+    names = set(known)
+    parts = text.split("-")
+    halves = [("-".join(parts[:k]), "-".join(parts[k:])) for k in range(1, len(parts))]
+    for first, second in halves:
+        if _is_known(first, names) and _is_known(second, names) and first != second:
+            return first, second
+    stranger = next((half for pair in halves for half in pair if not _is_known(half, names)), text)
+    raise MismatchError(
+        f"{option} {text}: expected two {what}, as A-B, of {', '.join(offered)}, "
+        f"found {stranger!r}; {suggest(stranger, offered)}"
+    )
+
+
+def _is_known(name: str, names: set[str]) -> bool:
+    return name in names or normalise_name(name) in names
+
+
+def _lookup(known: dict[str, int], name: str) -> int:
+    return known[name] if name in known else known[normalise_name(name)]
+
+
+def _measure_length(cue: ScaleCue, on: Measurable, config: CueConfig) -> tuple[float, float]:
+    """Return the median distance of two joints, of the median individual."""
+    pair = joint_pair(cue.of, on.poses.keypoints, on.joints, "--length")
+    lengths = distance(on.poses.positions, *pair)
+    seen = np.isfinite(lengths).sum(0)
+    enough = seen >= config.least_frames
+    if not enough.any():
+        raise MismatchError(
+            f"--length {cue.of}: expected both joints of somebody in {config.least_frames} frames, "
+            f"found them in {seen.max(initial=0)}; say another"
+        )
+    middles = median_over_frames(lengths)[enough]
+    middle = float(np.median(middles))
+    away = median_over_frames(np.abs(lengths - np.median(middles)))[enough]
+    noise = 1.4826 * np.median(away) / middle / np.sqrt(min(seen.max(), config.blocks))
+    return middle, float(np.hypot(np.hypot(config.length_sigma, noise), _spread(middles)))
+
+
+def _measure_cameras(cue: ScaleCue, on: Measurable) -> tuple[float, float]:
+    """Return the distance of two cameras."""
+    a, b = camera_pair(cue.of, on.rig, "--camera-distance")
+    offset = on.rig.centres[b] - on.rig.centres[a]
+    length = float(np.linalg.norm(offset))
+    if length == 0:
+        raise MismatchError(
+            f"--camera-distance {cue.of}: expected cameras in two places, found them in one; "
+            "say another pair"
+        )
+    if on.covariance is None:
+        return length, float(np.hypot(_judged_sigma(on.rig, a, b) / length, 1e-3))
+    parts = on.covariance.matrix[[a, b], 3:][:, :, [a, b], 3:] * on.covariance.size**2
+    signs, along = np.array([-1.0, 1.0]), offset / length
+    variance = float(np.einsum("a,i,aibj,b,j->", signs, along, parts, signs, along))
+    return length, float(np.hypot(np.sqrt(max(variance, 0.0)) / length, 1e-3))
+
+
+def _judged_sigma(rig: CameraRig, a: int, b: int) -> float:
+    """Return the standard deviation of the distance of two views, as the verdict on a rig has it.
+
+    It says how far the centres are off in percent of the rig's size, in all directions together.
+    """
+    percent = rig.judgement.get("centre_sigma_percent", {})
+    names = [own_name(rig.names[view], rig.names) for view in (a, b)]
+    own = [float(percent.get(name, 0.0)) for name in names]
+    size = np.sqrt(((rig.centres - rig.centres.mean(0)) ** 2).sum(1).mean())
+    return float(np.hypot(own[0], own[1]) / 100 * size / np.sqrt(3))
+
+
+def _spread(values: Floats) -> float:
+    """Return by how much individuals differ: nobody said which of them is meant."""
+    if len(values) < 2:
+        return 0.0
+    return float(1.4826 * np.median(np.abs(values - np.median(values))) / np.median(values))

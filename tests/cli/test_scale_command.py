@@ -1,0 +1,70 @@
+"""`scale`: known lengths set the scale of results that lie in a folder."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from mocap_calib.io.cameras.read import read_rig
+from mocap_calib.io.hashing import hash_file
+from mocap_calib.io.poses.read import load_poses
+
+
+@pytest.mark.slow
+def test_scale_rewrites_cameras_poses_and_the_report_together(done, tool, tmp_path):
+    out = shutil.copytree(done[0], tmp_path / "out")
+    before, poses = read_rig(out / "cameras.yaml"), load_poses(out / "poses3d.h5").poses
+    assert before.unit == poses.unit == "arbitrary"
+    a, b = before.names[:2]
+    length = np.linalg.norm(before.centres[1] - before.centres[0])
+    said = tool("scale", out, "--camera-distance", f"{a}-{b}=3.1")
+    assert said.returncode == 0, said.stderr
+    assert "lengths are in m" in said.stderr
+    factor = 3.1 / length
+    for name in ("cameras.yaml", "calibration.toml"):
+        rig = read_rig(out / name)
+        np.testing.assert_allclose(rig.centres, factor * before.centres, atol=1e-9)
+        assert (rig.unit, rig.world.kind) == ("m", before.world.kind)
+        assert rig.judgement["verdict"] == before.judgement["verdict"]
+    after = load_poses(out / "poses3d.h5").poses
+    np.testing.assert_allclose(after.positions, factor * poses.positions)
+    np.testing.assert_allclose(
+        load_poses(out / "poses3d_0.csv").poses.positions[:, 0],
+        factor * load_poses(done[0] / "poses3d_0.csv").poses.positions[:, 0],
+    )
+    report = json.loads((out / "run.json").read_text("utf-8"))
+    assert (report["unit"], report["world"]["unit"], report["fingerprint"]) == ("m", "m", None)
+    (cue,) = report["world"]["cues"]
+    assert cue["metres"] == pytest.approx(3.1)
+    assert all(hash_file(out / name) == kept for name, kept in report["outputs"].items())
+    metric = tool("convert", out / "cameras.yaml", tmp_path / "a.toml", "--to", "anipose",
+                  "--unit", "mm")  # fmt: skip
+    assert metric.returncode == 0, metric.stderr
+    np.testing.assert_allclose(
+        read_rig(tmp_path / "a.toml").centres, 1000 * factor * before.centres, atol=1e-6
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "says"),
+    [
+        ((), 2, "expected a known length"),
+        (("--height", "tall"), 2, "--height"),
+        (("--length", "0.42"), 2, "two joints and metres"),
+        (("--height", "1.75"), 1, "expected the results of a run"),
+    ],
+)
+def test_what_was_typed_wrong_is_said_in_a_line(arguments, status, says, tool, tmp_path):
+    said = tool("scale", tmp_path, *arguments)
+    assert said.returncode == status
+    assert says in said.stderr
+
+
+@pytest.mark.slow
+def test_arbitrary_lengths_are_converted_to_no_unit(done, tool, tmp_path):
+    for option in ("--unit", "--input-unit"):
+        said = tool("convert", done[0] / "poses3d.h5", tmp_path / "a.npz", option, "m")
+        assert said.returncode == 1
+        assert said.stderr.count("\n") == 1
+        assert "mocap-calib scale" in said.stderr

@@ -1,0 +1,139 @@
+"""Coordinates of results: what moves, and what stays as it is when all else does."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import recording, scene
+from test_floor import poses_of
+
+from mocap_calib.config import KnownCamera, Landmark, WorldConfig
+from mocap_calib.errors import MismatchError
+from mocap_calib.geometry.rotation import matrix_from_vector
+from mocap_calib.io.cameras.read import make_rig, parse_content
+from mocap_calib.io.cameras.write import format_rig
+from mocap_calib.io.results.poses_h5 import parse_poses_h5, poses_to_h5
+from mocap_calib.types import MeasuredCue, RigCovariance, World
+from mocap_calib.world.alignment import align_to_cameras, align_to_landmarks
+from mocap_calib.world.moving import Similarity, move_covariance, move_poses, move_rig
+from mocap_calib.world.place import check_world
+
+BY = Similarity(1.7, matrix_from_vector(np.array([0.3, -0.2, 1.2])), np.array([1.0, -2.0, 0.5]))
+WORLD = World(
+    kind="floor",
+    up=np.array([0.0, 0.0, 1.0]),
+    up_sigma=0.02,
+    floor=np.zeros(3),
+    floor_sigma=0.01,
+    scale_sigma=0.03,
+    remarks=("from feet",),
+    cues=(MeasuredCue("height", 1.75, 1.75, 0.03, 0.0),),
+)
+
+
+def test_cameras_see_the_same_points_wherever_both_are_moved():
+    made = scene()
+    moved = move_rig(made.rig, BY, "m", WORLD)
+    points = made.poses[::20].reshape(-1, 3)
+    np.testing.assert_allclose(moved.project(BY.apply(points)), made.rig.project(points), atol=1e-8)
+    np.testing.assert_allclose(moved.centres, BY.apply(made.rig.centres), atol=1e-9)
+    assert (moved.unit, moved.world.kind) == ("m", "floor")
+
+
+def test_poses_and_their_covariances_move_alike():
+    made = scene()
+    poses = poses_of(made.poses, made.joints)
+    spread = np.tile(np.float32([4, 1, 0, 3, 0, 2]), (*made.poses.shape[:3], 1))
+    raw = poses.positions + 0.1
+    moved = move_poses(replace(poses, covariance=spread, raw=raw), BY, "m", WORLD)
+    np.testing.assert_allclose(moved.positions, BY.apply(poses.positions), atol=1e-9)
+    np.testing.assert_allclose(moved.raw, BY.apply(raw), atol=1e-9)
+    matrix = np.array([[4, 1, 0], [1, 3, 0], [0, 0, 2]])
+    expected = BY.scale**2 * BY.rotation @ matrix @ BY.rotation.T
+    upper = expected[np.triu_indices(3)]
+    np.testing.assert_allclose(moved.covariance[0, 0, 0], upper, rtol=1e-5)
+    assert move_poses(poses, BY, "m", WORLD).raw is not None
+
+
+def test_the_covariance_of_a_rig_turns_with_the_axes():
+    """Errors of cameras, drawn and turned, have the covariance that was turned."""
+    rng = np.random.default_rng(0)
+    draws = rng.normal(size=(50, 3, 6)) * np.arange(1, 7)
+    covariance = RigCovariance(np.einsum("nvi,nwj->viwj", draws, draws) / 50, 2.0)
+    turned = np.concatenate([draws[..., :3] @ BY.rotation.T, draws[..., 3:] @ BY.rotation.T], -1)
+    moved = move_covariance(covariance, BY)
+    np.testing.assert_allclose(
+        moved.matrix, np.einsum("nvi,nwj->viwj", turned, turned) / 50, atol=1e-12
+    )
+    assert moved.size == pytest.approx(2.0 * BY.scale)
+    np.testing.assert_allclose(moved.rotation_sigma, covariance.rotation_sigma)
+
+
+def test_known_cameras_and_landmarks_bring_a_rig_back_to_its_world():
+    made = scene()
+    away = move_rig(made.rig, BY, "arbitrary", World())
+    known = [
+        KnownCamera(each.name, tuple(each.rotation.ravel()), tuple(each.translation))
+        for each in made.rig
+    ]
+    by, sigma = align_to_cameras(away, known[1:3])
+    np.testing.assert_allclose(by.apply(away.centres), made.rig.centres, atol=1e-8)
+    assert sigma < 1e-8
+    by, sigma, remarks = align_to_landmarks(away, landmarks(), WorldConfig())
+    np.testing.assert_allclose(by.apply(away.centres), made.rig.centres, atol=1e-5)
+    assert sigma < 1e-5
+    assert len(remarks) == 5
+    assert "landmark d: 0 mm" in remarks[-1]
+
+
+def landmarks(places=((0, 0, 0), (1, 0, 0), (0, 1, 0), (0.3, 0.2, 1))) -> tuple[Landmark, ...]:
+    """What cameras see of points whose places are known."""
+    rig = scene().rig
+    pixels = rig.project(np.array(places, float))
+    return tuple(
+        Landmark("abcd"[k], tuple(map(float, place)), name, tuple(pixels[view, k]))
+        for k, place in enumerate(places)
+        for view, name in enumerate(rig.names)
+    )
+
+
+def test_landmarks_that_do_not_say_enough_are_refused_in_a_line():
+    rig = scene().rig
+    line = landmarks(((0, 0, 0), (1, 0, 0), (2, 0, 0)))
+    with pytest.raises(MismatchError, match="not on a line"):
+        align_to_landmarks(rig, line, WorldConfig())
+    alone = [each for each in landmarks() if each.camera == rig.names[0]]
+    with pytest.raises(MismatchError, match="3 landmarks that two cameras see, found 0 of 4"):
+        align_to_landmarks(rig, alone, WorldConfig())
+    with pytest.raises(MismatchError, match="at least two cameras of the recording"):
+        align_to_cameras(rig, [])
+
+
+@pytest.mark.parametrize(
+    ("asked", "says"),
+    [
+        ({"axes": "flor"}, "--world: expected one of auto, floor.*did you mean floor"),
+        ({"forward": "nose-tail"}, "--forward nose-tail: expected two joints"),
+        ({"landmarks": (Landmark("a", (0, 0, 0), "cam9", (1, 1)),)}, "--align: .*'cam9'"),
+    ],
+)
+def test_unknown_names_are_refused_before_the_work(asked, says):
+    with pytest.raises(MismatchError, match=says):
+        check_world(WorldConfig(**asked), recording())
+
+
+def test_files_say_what_the_coordinates_are_and_it_is_read_back():
+    rig = replace(scene().rig, world=WORLD, unit="m")
+    for format in ("mocap-calib", "anipose"):
+        (content,) = format_rig(rig, format, {}).files.values()
+        same_world(make_rig(parse_content(content, "a"), "a").world)
+    poses = replace(poses_of(scene().poses, scene().joints), world=WORLD)
+    same_world(parse_poses_h5(poses_to_h5(poses, {}), "a").world)
+
+
+def same_world(found: World) -> None:
+    assert (found.kind, found.remarks) == ("floor", WORLD.remarks)
+    np.testing.assert_array_equal(found.up, WORLD.up)
+    np.testing.assert_array_equal(found.floor, WORLD.floor)
+    sigmas = [found.up_sigma, found.floor_sigma]
+    assert sigmas == pytest.approx([WORLD.up_sigma, WORLD.floor_sigma])
