@@ -476,6 +476,20 @@ class TriangulateConfig:
 
 
 @dataclass(frozen=True)
+class PosesConfig:
+    """Best estimates of poses. Lengths in body sizes.
+
+    loss: of angles between rays and points, in standard deviations; prior_loss: of accelerations
+        and bones.
+    """
+
+    loss: float = 2.0
+    prior_loss: float = 3.0
+    ridge: float = 1e-2
+    inner_steps: int = 6
+
+
+@dataclass(frozen=True)
 class UncertaintyConfig:
     """Whether a recording determines its rig, and whether all cameras agree on it."""
 
@@ -881,6 +895,7 @@ class Config:
     adjust: AdjustConfig = AdjustConfig()
     intrinsics: IntrinsicsConfig = IntrinsicsConfig()
     triangulate: TriangulateConfig = TriangulateConfig()
+    poses: PosesConfig = PosesConfig()
     uncertainty: UncertaintyConfig = UncertaintyConfig()
     verdict: VerdictConfig = VerdictConfig()
     moved: MovedConfig = MovedConfig()
