@@ -17,8 +17,6 @@ from mocap_calib.config import PosesConfig
 from mocap_calib.poses.track import Body, Detections
 from mocap_calib.types import Floats
 
-_BAND = 6  # of the joint's coordinates: two frames on
-
 
 @dataclass(frozen=True)
 class Strengths:
@@ -35,11 +33,14 @@ class Strengths:
 class System:
     """Normal equations of a step.
 
-    own: `[keypoint, frame, 6]` blocks of the diagonal, xx xy xz yy yz zz. pull: `[frame of the
-    middle]` weights `[keypoint, frame]` of the accelerations. gradient: `[keypoint, frame, 3]`.
+    data: `[keypoint, frame, 6]` xx xy xz yy yz zz, what rays alone make of the blocks of the
+        diagonal. own: the same with bones.
+    pull: `[keypoint, frame]` weights of the accelerations, by the first of their frames.
+    gradient: `[keypoint, frame, 3]`.
     direction: `[edge, frame, 3]` along bones, times the root of their weights.
     """
 
+    data: Floats
     own: Floats
     pull: Floats
     gradient: Floats
@@ -79,39 +80,39 @@ def linearise(
     points: Floats, seen: Detections, body: Body, strengths: Strengths, config: PosesConfig
 ) -> System:
     """Return the normal equations at these points."""
-    own, gradient = _data_terms(points, seen, config.loss)
+    data, gradient = _data_terms(points, seen, config.loss)
+    own = data
     pull = np.zeros(points.shape[:2])
     if np.isfinite(strengths.acceleration):
-        pull, slope = _acceleration_terms(points, body, strengths, config)
+        pull, slope = _motion_terms(points, body, strengths, config)
         gradient = gradient + slope
     direction = np.zeros((0, points.shape[1], 3))
     if np.isfinite(strengths.bones) and len(body.edges):
         direction, error = _bone_terms(points, body, strengths, config)
         a, b = body.edges.T
         entries = direction[..., (0, 0, 0, 1, 1, 2)] * direction[..., (0, 1, 2, 1, 2, 2)]
-        own = own + _spread(a, entries, len(points)) + _spread(b, entries, len(points))
+        own = own + spread(a, entries, len(points)) + spread(b, entries, len(points))
         push = direction * error[..., None]
-        gradient = gradient + _spread(a, push, len(points)) - _spread(b, push, len(points))
-    return System(own, pull, gradient, direction)
+        gradient = gradient + spread(a, push, len(points)) - spread(b, push, len(points))
+    return System(data, own, pull, gradient, direction)
 
 
-def _acceleration_terms(
+def _motion_terms(
     points: Floats, body: Body, strengths: Strengths, config: PosesConfig
 ) -> tuple[Floats, Floats]:
-    """Return the weights `[keypoint, frame]` of accelerations, and their gradient."""
-    before, middle, after = body.steps[:, 1:-1, None]
-    acceleration = before * points[:, :-2] + middle * points[:, 1:-1] + after * points[:, 2:]
-    precision = 1 / (strengths.acceleration * body.size[1:-1]) ** 2
+    """Return the weights `[keypoint, frame]` of accelerations, by first frame, and the gradient."""
+    ends = max(points.shape[1] - 2, 0)
+    spans = [slice(k, k + ends) for k in range(3)]
+    steps = body.steps[:, :ends, None]
+    acceleration = sum(step * points[:, span] for step, span in zip(steps, spans, strict=True))
+    precision = 1 / (strengths.acceleration * body.size[:ends]) ** 2
     square = (acceleration**2).sum(-1) * precision
-    weight = precision / (1 + square / config.prior_loss**2)
-    weight = weight * (body.steps[1, 1:-1] != 0)
-    push = weight[..., None] * acceleration
-    gradient = np.zeros_like(points)
-    gradient[:, :-2] += before * push
-    gradient[:, 1:-1] += middle * push
-    gradient[:, 2:] += after * push
     pull = np.zeros(points.shape[:2])
-    pull[:, 1:-1] = weight
+    pull[:, :ends] = precision / (1 + square / config.prior_loss**2) * (steps[0, :, 0] != 0)
+    push = pull[:, :ends, None] * acceleration
+    gradient = np.zeros_like(points)
+    for step, span in zip(steps, spans, strict=True):
+        gradient[:, span] += step * push
     return pull, gradient
 
 
@@ -124,43 +125,51 @@ def _bone_terms(
     """
     along = points[body.edges[:, 0]] - points[body.edges[:, 1]]
     length = np.sqrt((along**2).sum(-1))
-    error = np.nan_to_num(length - body.lengths) / (strengths.bones * body.size)
+    sigma = strengths.bones * body.size
+    error = np.nan_to_num(length - body.lengths) / sigma
     weight = np.isfinite(body.lengths) / (1 + error**2 / config.prior_loss**2)
-    root = np.sqrt(weight) / (strengths.bones * body.size)
+    root = np.sqrt(weight) / sigma
     direction = along * (root / np.maximum(length, 1e-9 * body.size))[..., None]
     return direction, np.sqrt(weight) * error
 
 
-def _spread(index: Floats, values: Floats, joints: int) -> Floats:
+def spread(index: Floats, values: Floats, joints: int) -> Floats:
     """Return the sums `[keypoint, ...]` of values `[edge, ...]` over the edges of each joint."""
     incidence = (index == np.arange(joints)[:, None]).astype(np.float64)
     return (incidence @ values.reshape(len(values), -1)).reshape(joints, *values.shape[1:])
 
 
-def bands(system: System, body: Body, ridge: Floats) -> Floats:
+def couplings(pull: Floats, steps: Floats) -> Floats:
+    """Return what accelerations couple `[3, keypoint, frame]`: a frame with 0, 1, 2 frames on.
+
+    pull: `[keypoint, frame]` their weights. All coordinates alike.
+    """
+    found = np.zeros((3, *pull.shape))
+    ends = max(pull.shape[1] - 2, 0)
+    for i in range(3):
+        for j in range(i, 3):
+            found[j - i, :, i : i + ends] += (pull * steps[i] * steps[j])[:, :ends]
+    return found
+
+
+def _bands(system: System, body: Body, ridge: Floats) -> Floats:
     """Return the upper bands `[7, 3 N]` of the joints without what couples them.
 
     ridge: `[frame]` added to the diagonal.
     """
-    joints, frames = system.pull.shape
-    found = np.zeros((_BAND + 1, joints, frames, 3))
-    found[6] = system.own[..., (0, 3, 5)] + ridge[:, None]
+    found = np.zeros((7, *system.gradient.shape))
+    same, next_one, one_after = couplings(system.pull, body.steps)
+    found[6] = system.own[..., (0, 3, 5)] + (same + ridge)[..., None]
     found[5, ..., 1], found[5, ..., 2] = system.own[..., 1], system.own[..., 4]
     found[4, ..., 2] = system.own[..., 2]
-    before, middle, after = (step[1:-1] for step in body.steps)
-    pull = system.pull[:, 1:-1]
-    found[6, :, :-2] += (pull * before**2)[..., None]
-    found[6, :, 1:-1] += (pull * middle**2)[..., None]
-    found[6, :, 2:] += (pull * after**2)[..., None]
-    found[3, :, 1:-1] += (pull * before * middle)[..., None]
-    found[3, :, 2:] += (pull * middle * after)[..., None]
-    found[0, :, 2:] += (pull * before * after)[..., None]
-    return found.reshape(_BAND + 1, -1)
+    found[3, :, 1:] = next_one[:, :-1, None]
+    found[0, :, 2:] = one_after[:, :-2, None]
+    return found.reshape(7, -1)
 
 
 def _solve(system: System, body: Body, ridge: Floats, config: PosesConfig) -> Floats:
     """Return the step `[keypoint, frame, 3]` by preconditioned conjugate gradients."""
-    factor = cholesky_banded(bands(system, body, ridge), overwrite_ab=True, check_finite=False)
+    factor = cholesky_banded(_bands(system, body, ridge), overwrite_ab=True, check_finite=False)
     shape = system.gradient.shape
 
     def precondition(side: Floats) -> Floats:
@@ -176,7 +185,7 @@ def _solve(system: System, body: Body, ridge: Floats, config: PosesConfig) -> Fl
         """Return what the bones' coupling makes of a vector."""
         to_a = system.direction * (system.direction * vector[b]).sum(-1, keepdims=True)
         to_b = system.direction * (system.direction * vector[a]).sum(-1, keepdims=True)
-        return _spread(a, to_a, shape[0]) + _spread(b, to_b, shape[0])
+        return spread(a, to_a, shape[0]) + spread(b, to_b, shape[0])
 
     # of M x - N x = g, with the bands M and the coupling N: M x is carried along, and never made
     residual = coupled(step)

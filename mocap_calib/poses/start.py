@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mocap_calib.types import Bools, Floats, Ints
+from mocap_calib.types import Floats, Ints
 
 
 def body_size(points: Floats) -> float:
@@ -37,11 +37,11 @@ def bone_lengths(points: Floats, sigma: Floats, edges: Ints) -> Floats:
     return found
 
 
-def fill_gaps(points: Floats, frames: Ints, edges: Ints) -> tuple[Floats, Bools]:
-    """Return points `[frame, keypoint, 3]` without gaps, and which of them were there.
+def fill_gaps(points: Floats, times: Floats, edges: Ints) -> Floats:
+    """Return points `[frame, keypoint, 3]` without gaps.
 
     The joint that is known most often is interpolated in time, what hangs on it by its offset from
-    it, and so on outwards. frames: numbers.
+    it, and so on outwards. times: `[frame]`.
     """
     known = np.isfinite(points[..., 0])
     filled = points.copy()
@@ -53,7 +53,7 @@ def fill_gaps(points: Floats, frames: Ints, edges: Ints) -> tuple[Floats, Bools]
         offset = points[there, joint] - base[there]
         for axis in range(3):
             if there.any():
-                between = np.interp(frames, frames[there], offset[:, axis])
+                between = np.interp(times, times[there], offset[:, axis])
             else:
                 between = np.zeros(len(points))
             filled[:, joint, axis] = np.where(
@@ -62,7 +62,7 @@ def fill_gaps(points: Floats, frames: Ints, edges: Ints) -> tuple[Floats, Bools]
         if anchor < 0 and not done:
             middle = filled[:, joint]
         done[joint] = None
-    return filled, known
+    return filled
 
 
 def _outwards(count: Ints, edges: Ints) -> list[tuple[int, int]]:

@@ -45,9 +45,9 @@ class Body:
 
     edges: `[edge, 2]` keypoints whose distance is constant. lengths: `[edge, frame]` these
         distances, NaN where they are not known. size: `[frame]` of the bodies: strengths are in it.
-    steps: `[3, frame]` what the positions before, in and after a frame are multiplied by for the
-        acceleration there, zero where these frames do not follow each other. In the time from one
-        frame to the next, usually.
+    steps: `[3, frame]` what the positions in a frame, the next one and the one after that are
+        multiplied by for the acceleration there, zero where these frames do not follow each other.
+        Times are in the usual step from one frame to the next.
     """
 
     edges: Ints
@@ -98,18 +98,18 @@ def _any_across(rays: Floats) -> Floats:
     return np.moveaxis(across / np.where(length > 0, length, 1.0), 0, 1)
 
 
-def acceleration_steps(frames: Ints, longest_gap: int) -> Floats:
+def acceleration_steps(frames: Floats, longest_gap: float) -> Floats:
     """Return `Body.steps` `[3, frame]` of one stretch.
 
-    frames: numbers, in the usual step from one to the next. Second divided differences. longest_gap:
-    steps between frames that still follow each other.
+    frames: numbers, in the usual step from one to the next. Second divided differences, doubled.
+    longest_gap: steps between frames that still follow each other.
     """
     steps = np.zeros((3, len(frames)))
     if len(frames) < 3:
         return steps
-    gap = np.diff(frames).astype(np.float64)
+    gap = np.diff(frames)
     before, after = gap[:-1], gap[1:]
-    first, last = 2 / (before * (before + after)), 2 / (after * (before + after))
     follow = np.maximum(before, after) <= longest_gap
-    steps[:, 1:-1] = np.where(follow, np.stack([first, -first - last, last]), 0.0)
+    first, last = 2 / (before * (before + after)), 2 / (after * (before + after))
+    steps[:, :-2] = np.where(follow, np.stack([first, -first - last, last]), 0.0)
     return steps
