@@ -486,8 +486,9 @@ class PosesConfig:
     loss: of angles between rays and points, in standard deviations; prior_loss: of accelerations
         and of bones. With 2 to 3 each the errors of nine recordings differ by less than 3 %.
     accelerations, bones: standard deviations among which held-out detections choose, the weakest
-        first; same_loss: what a stronger one must gain. least_hidden: detections, with fewer
-        `usual_strengths` are taken.
+        first. least_hidden: detections; with fewer, accelerations are allowed as large as those of
+        the points, if these are below `largest_acceleration` (measured: 0.02 to 0.1 of motions,
+        0.3 and more where frames do not follow each other), and lengths may err by `usual_bones`.
     held_out_frames: of bodies, in stretches of `held_out_stretch`, on which they choose.
     fit_steps, choice_steps: of Gauss-Newton; inner_steps: of conjugate gradients in each.
     ridge: inverse variance of a point before anything is known of it, which damps the steps.
@@ -500,11 +501,11 @@ class PosesConfig:
 
     smooth: SmoothMode = "auto"
     loss: float = 2.5
-    prior_loss: float = 2.0
+    prior_loss: float = 3.0
     accelerations: tuple[float, ...] = (float("inf"), 0.4, 0.2, 0.1, 0.05, 0.025, 0.012)
     bones: tuple[float, ...] = (float("inf"), 0.1, 0.05, 0.025, 0.012)
-    usual_strengths: tuple[float, float] = (0.1, 0.05)
-    same_loss: float = 0.003
+    usual_bones: float = 0.05
+    largest_acceleration: float = 0.25
     least_hidden: int = 100
     held_out_frames: int = 200
     held_out_stretch: int = 50

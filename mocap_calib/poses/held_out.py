@@ -13,6 +13,7 @@ _SEED = 0  # of which detections are hidden
 _RUN = 5  # frames for which a joint is hidden from a view: errors go together for some time
 _VIEWS = 3  # of a point of which one is hidden: two must be left
 _LARGEST = 900.0  # squared error that counts in full
+_MEDIAN_LENGTH = 1.538  # of normal vectors in space, in standard deviations of a coordinate
 
 
 @dataclass(frozen=True)
@@ -33,42 +34,66 @@ def choose_strengths(
 ) -> Choice:
     """Return the strengths that predict hidden detections best.
 
-    The accelerations' first, then the bones', then the accelerations' again. The weaker one counts
-    where a stronger one gains next to nothing.
+    The accelerations' first, then the bones', then the accelerations' again, more finely. The
+    weakest counts of those that are as good as the best within a standard error. Where too few
+    points have three views to hide one, they are what the points themselves show.
 
     points: `[keypoint, frame, 3]` to start from. moves: whether accelerations may be smoothed.
     """
     moves = moves and bool(body.steps.any())
+    usual = usual_strengths(points, seen, body, config)
+    usual = usual if moves else replace(usual, acceleration=np.inf)
     hidden = _hide(seen)
-    usual = config.usual_strengths if moves else (np.inf, config.usual_strengths[1])
     if hidden.sum() < config.least_hidden:
-        return Choice(Strengths(*usual))
+        return Choice(usual)
     shown = replace(seen, precision=np.where(hidden, 0.0, seen.precision))
-    losses: dict[Strengths, float] = {}
+    losses: dict[Strengths, Floats] = {}
 
-    def loss(strengths: Strengths) -> float:
+    def loss(strengths: Strengths) -> Floats:
+        """Return what each hidden detection counts for."""
         if strengths not in losses:
             found = fit(points, shown, body, strengths, config, steps=config.choice_steps)
             square = np.minimum(squared_errors(found, seen)[hidden], _LARGEST)
-            losses[strengths] = float(np.log1p(square / 4).mean())
+            losses[strengths] = np.log1p(square / 4)
         return losses[strengths]
 
     def weakest(candidates: list[Strengths]) -> Strengths:
         """Return the first of those that predict about as well as the best."""
-        least = min(map(loss, candidates))
-        return next(each for each in candidates if loss(each) <= least + config.same_loss)
+        best = loss(min(candidates, key=lambda each: float(loss(each).mean())))
+        more = ((each, loss(each) - best) for each in candidates)
+        error = np.sqrt(len(best))
+        return next(each for each, lost in more if lost.mean() <= lost.std() / error)
 
     accelerations = config.accelerations if moves else (np.inf,)
-    chosen = Strengths(*usual)
-    chosen = weakest([replace(chosen, acceleration=sigma) for sigma in accelerations])
+    chosen = weakest([replace(usual, acceleration=sigma) for sigma in accelerations])
     if len(body.edges):
         chosen = weakest([replace(chosen, bones=sigma) for sigma in config.bones])
-        at = accelerations.index(chosen.acceleration)
-        near = accelerations[max(at - 1, 0) : at + 2]
-        chosen = weakest([replace(chosen, acceleration=sigma) for sigma in near])
-    else:
-        chosen = replace(chosen, bones=np.inf)
-    return Choice(chosen, loss(chosen), loss(Strengths(np.inf, np.inf)))
+    factors = (2, np.sqrt(2), 1, np.sqrt(0.5)) if np.isfinite(chosen.acceleration) else (1,)
+    finely = [float(chosen.acceleration * factor) for factor in factors]
+    chosen = weakest([replace(chosen, acceleration=sigma) for sigma in finely])
+    raw = loss(Strengths(np.inf, np.inf))
+    return Choice(chosen, float(loss(chosen).mean()), float(raw.mean()))
+
+
+def usual_strengths(
+    points: Floats, seen: Detections, body: Body, config: PosesConfig
+) -> Strengths:
+    """Return strengths without held-out detections: weak ones.
+
+    Accelerations are allowed that are as large as those of the points, noise and all; where even
+    these are too large for one motion, frames do not follow each other.
+    """
+    ends = max(points.shape[1] - 2, 0)
+    spans = [slice(k, k + ends) for k in range(3)]
+    steps = body.steps[:, :ends, None]
+    acceleration = sum(step * points[:, span] for step, span in zip(steps, spans, strict=True))
+    size = np.sqrt((acceleration**2).sum(-1)) / body.size[:ends]
+    there = (seen.precision > 0).sum(0) >= 2
+    counted = np.all([there[:, span] for span in spans], axis=0) & (steps[0, :, 0] != 0)
+    sigma = float(np.median(size[counted])) / _MEDIAN_LENGTH if counted.any() else np.inf
+    allowed = sigma if sigma < config.largest_acceleration else np.inf
+    bones = config.usual_bones if len(body.edges) else np.inf
+    return Strengths(max(allowed, config.accelerations[-1]), bones)
 
 
 def _hide(seen: Detections) -> Bools:

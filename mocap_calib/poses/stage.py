@@ -259,7 +259,9 @@ def _estimate(
     system = linearise(points, replace(seen, precision=even), body, strengths, config)
     ridge = config.ridge / body.size**2
     covariance = covariances(system, body.steps, body.edges, ridge)
-    source = _sources(seen, np.isfinite(scene.poses.raw[frames, who.index, :, 0]).T, scene, frames)
+    raw = np.isfinite(scene.poses.raw[frames, who.index, :, 0]).T
+    moves = np.isfinite(strengths.acceleration)
+    source = _sources(seen, raw, scene.times[frames], config.longest_gap if moves else -1)
     sigma = np.sqrt(covariance[..., (0, 3, 5)].sum(-1))
     source = np.where(sigma <= config.largest_sigma * who.size, source, 0)
     missing = (source == 0)[..., None]
@@ -272,19 +274,27 @@ def _estimate(
     )
 
 
-def _sources(seen: Detections, raw: Bools, scene: _Scene, frames: Ints) -> Ints:
-    """Return what points are made of `[keypoint, frame]`; gaps that are too long are missing.
+def _sources(seen: Detections, raw: Bools, times: Floats, longest: int) -> Ints:
+    """Return what points are made of, `[keypoint, frame]`, 0 = missing.
 
-    raw: `[keypoint, frame]` whether there is a triangulated point.
+    raw: `[keypoint, frame]` whether there is a triangulated point. longest: gap that is bridged,
+    and distance from a triangulated point up to which one view will do: along its ray a point may
+    be at either of two places. Below 0 neither is.
     """
     views = (seen.precision > 0).sum(0)
-    source = np.where(raw & (views >= 2), _TRIANGULATED, _ONE_VIEW)
-    times = scene.times[frames]
-    there = views > 0
-    before = np.maximum.accumulate(np.where(there, times, -np.inf), axis=1)
-    after = np.minimum.accumulate(np.where(there, times, np.inf)[:, ::-1], axis=1)[:, ::-1]
-    bridged = after - before <= scene.config.longest_gap + 1
-    return np.where(there, source, np.where(bridged, _INTERPOLATED, 0))
+    firm = raw & (views >= 2)
+    gap = _around(views > 0, times)
+    source = np.where(gap.sum(0) <= longest + 1, _INTERPOLATED, 0)
+    near = _around(firm, times).min(0) <= longest
+    source = np.where(views > 0, np.where(near, _ONE_VIEW, 0), source)
+    return np.where(firm, _TRIANGULATED, source)
+
+
+def _around(there: Bools, times: Floats) -> Floats:
+    """Return the time `[2, keypoint, frame]` since the last frame that is there, and to the next."""
+    last = np.maximum.accumulate(np.where(there, times, -np.inf), axis=1)
+    following = np.minimum.accumulate(np.where(there, times, np.inf)[:, ::-1], axis=1)[:, ::-1]
+    return np.stack([times - last, following - times])
 
 
 def _with_gaps(there: Ints, times: Floats, longest: int) -> Ints:
