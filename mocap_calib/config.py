@@ -939,6 +939,25 @@ class Config:
     mend: MendConfig = MendConfig()
 
 
+FilterMethod = Literal["butterworth", "median", "savgol"]
+FILTER_METHODS: tuple[FilterMethod, ...] = get_args(FilterMethod)
+
+
+@dataclass(frozen=True)
+class FilterConfig:
+    """A classic filter over time (`poses/filters.py`), which only the command `filter` uses.
+
+    order, cutoff: of the Butterworth filter, both runs together, in Hz. The usual ones for people
+        who walk. window: of the others, in frames, odd. polynomial: order of Savitzky-Golay's.
+    """
+
+    method: FilterMethod = "butterworth"
+    order: int = 4
+    cutoff: float = 6.0
+    window: int = 7
+    polynomial: int = 3
+
+
 @dataclass(frozen=True)
 class ReadConfig:
     """What the numbers in keypoint files are taken for."""

@@ -15,8 +15,10 @@ from mocap_calib.config import (
     Config,
     IntrinsicsConfig,
     MendConfig,
+    PosesConfig,
     Refinement,
     SampleConfig,
+    SmoothMode,
     SyncConfig,
     SyncMode,
 )
@@ -80,6 +82,7 @@ def calibration_request(options: SharedOptions, output: Path) -> CalibrationRequ
             intrinsics=intrinsics,
             mend=MendConfig(apply=options.mend != "none"),
             sync=sync_config(options),
+            poses=PosesConfig(smooth=cast(SmoothMode, options.smooth)),
         ),
         formats=options.write,
         fps=fps,

@@ -30,6 +30,8 @@ COMMANDS = {
     "match": "Who is who in all cameras.",
     "adjust": "Make the rig as exact as the keypoints allow (bundle adjustment).",
     "triangulate": "3D poses from the rig and the matches.",
+    "smooth": "Best estimates of 3D poses, from the rig and the matches.",
+    "filter": "Butterworth, median or Savitzky-Golay filter of 3D poses.",
     "convert": "Keypoints, cameras and poses from one format to another.",
     "complete": "Fill keypoints that were not seen.",
     "verify": "Judge an existing calibration by keypoints: which camera moved since?",

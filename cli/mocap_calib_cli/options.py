@@ -12,7 +12,15 @@ from typing import Any, TypeVar
 
 import click
 
-from mocap_calib.config import MENDING, PAIR_SOLVERS, REFINEMENTS, SYNC_MODES, SyncConfig
+from mocap_calib.config import (
+    MENDING,
+    PAIR_SOLVERS,
+    REFINEMENTS,
+    SMOOTH_MODES,
+    SYNC_MODES,
+    PosesConfig,
+    SyncConfig,
+)
 from mocap_calib_cli import values
 from mocap_calib_cli.file_options import FILE_OPTIONS
 from mocap_calib_cli.numbers import PERCENTAGE, SEED
@@ -39,6 +47,7 @@ CALIBRATION = (
     "mend",
     "sync",
     "sync_window",
+    "smooth",
     "write",
     "fps",
     *VERDICT,
@@ -57,6 +66,7 @@ class SharedOptions:
     solver: of pairs. scheduler: address of a Dask scheduler, None = the work is done here.
     write: further formats of the results. fps: frames per second, see `texts.parse_rates`.
     sync, sync_window: what is done about clocks that differ, see `inputs.sync_config`.
+    smooth: what is done to poses, one of `config.SMOOTH_MODES`.
     strict, accept: which verdicts will do, see `verdicts.exit_status`.
     """
 
@@ -91,6 +101,7 @@ class SharedOptions:
     fps: tuple[str, ...] = ()
     sync: str = SyncConfig.mode
     sync_window: int = SyncConfig.window
+    smooth: str = PosesConfig.smooth
     strict: bool = False
     accept: str | None = None
     quiet: bool = False
@@ -209,6 +220,13 @@ _OPTIONS = {
         default=SharedOptions.sync_window,
         metavar="FRAMES",
         help="By how much a camera may be early or late.",
+    ),
+    "smooth": click.option(
+        "--smooth",
+        type=click.Choice(SMOOTH_MODES),
+        default=SharedOptions.smooth,
+        help="What is done to the poses: auto fits them to motion and bones as strongly as "
+        "held-out detections say, bones to bones alone, off leaves the triangulated points.",
     ),
     "strict": click.option(
         "--strict", is_flag=True, help="Exit status 1 where the rig is weak, too."

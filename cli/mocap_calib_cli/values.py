@@ -63,6 +63,7 @@ REFERENCE = PathOf(
     "same names of cameras."
 )
 PAIRS = PathOf("Expected the file that `pairwise` wrote; - reads stdin.")
+POSES = PathOf("Expected a file of 3D poses; docs/formats.md lists the formats.")
 ANY_PATH = PathOf()
 
 

@@ -128,7 +128,7 @@ def convert_poses(
         name = str(sources[0])
         file = _read_individuals(sources, format, unit)
     if fps is not None:
-        file = _fill_rate(file, fps, name)
+        file = fill_rate(file, fps, name)
     if up is not None:
         file = turn_up_axis(file, up)
     frames, individuals, keypoints = file.poses.positions.shape[:3]
@@ -227,7 +227,7 @@ def _read_individuals(sources: Sequence[Path], format: str | None, unit: str | N
     return join_individuals(files, ", ".join(map(str, paths)))
 
 
-def _fill_rate(file: PoseFile, fps: float, source: str) -> PoseFile:
+def fill_rate(file: PoseFile, fps: float, source: str) -> PoseFile:
     """Return the poses with the user's frames per second.
 
     Raises MismatchError where they have others.

@@ -221,4 +221,3 @@ def fit(
         system = linearise(points, seen, body, strengths, config)
         points = points - _solve(system, body, ridge, config)
     return points
-

@@ -75,9 +75,7 @@ def choose_strengths(
     return Choice(chosen, float(loss(chosen).mean()), float(raw.mean()))
 
 
-def usual_strengths(
-    points: Floats, seen: Detections, body: Body, config: PosesConfig
-) -> Strengths:
+def usual_strengths(points: Floats, seen: Detections, body: Body, config: PosesConfig) -> Strengths:
     """Return strengths without held-out detections: weak ones.
 
     Accelerations are allowed that are as large as those of the points, noise and all; where even

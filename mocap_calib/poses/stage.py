@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -170,7 +171,7 @@ def smooth_poses(
     if not scene.individuals:
         return poses, Smoothing()
     choice = _choose(scene)
-    arrays = {
+    arrays: dict[str, Any] = {
         "positions": np.full_like(poses.raw, np.nan),
         "covariance": np.full_like(poses.covariance, np.nan, subok=False),
         "source": np.zeros(poses.source.shape, dtype=np.int8),
@@ -197,9 +198,7 @@ def smooth_poses(
     return replace(poses, raw=poses.raw, **arrays), smoothing
 
 
-def smooth_group(
-    group: GroupResult, config: Config, *, progress: Progress = silent
-) -> GroupResult:
+def smooth_group(group: GroupResult, config: Config, *, progress: Progress = silent) -> GroupResult:
     """Return a group with best estimates of its poses, see `smooth_poses`."""
     poses, smoothing = smooth_poses(
         group.recording,
@@ -244,9 +243,7 @@ def _stretches(
         yield who, who.frames[start : start + length]
 
 
-def _estimate(
-    scene: _Scene, who: _Individual, frames: Ints, strengths: Strengths
-) -> _Estimate:
+def _estimate(scene: _Scene, who: _Individual, frames: Ints, strengths: Strengths) -> _Estimate:
     """Return the best estimates of one individual in frames that follow each other."""
     config = scene.config
     points, seen, body = scene.track(who, frames)
@@ -291,7 +288,7 @@ def _sources(seen: Detections, raw: Bools, times: Floats, longest: int) -> Ints:
 
 
 def _around(there: Bools, times: Floats) -> Floats:
-    """Return the time `[2, keypoint, frame]` since the last frame that is there, and to the next."""
+    """Return times `[2, keypoint, frame]`: since the last that is there, and to the next."""
     last = np.maximum.accumulate(np.where(there, times, -np.inf), axis=1)
     following = np.minimum.accumulate(np.where(there, times, np.inf)[:, ::-1], axis=1)[:, ::-1]
     return np.stack([times - last, following - times])

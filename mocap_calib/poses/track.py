@@ -60,8 +60,7 @@ class Body:
         parts = [self, *others]
         names = ("lengths", "size", "steps")
         joined = {
-            name: np.concatenate([getattr(part, name) for part in parts], axis=-1)
-            for name in names
+            name: np.concatenate([getattr(part, name) for part in parts], axis=-1) for name in names
         }
         return replace(self, **joined)
 
