@@ -76,7 +76,7 @@ def _design_butterworth(config: FilterConfig, fps: float | None) -> Floats:
 
 def _pieces(track: Floats, frames: Ints) -> Iterator[slice]:
     """Yield the parts of a track `[frame, 3]` without gaps. frames: `[frame]` numbers."""
-    known: Bools = np.isfinite(track).all(axis=1)
+    known: Bools = np.asarray(np.isfinite(track).all(axis=1))
     usual = np.median(np.diff(frames)) if len(frames) > 1 else 1
     joined = known[1:] & known[:-1] & (np.diff(frames) == usual)
     starts = np.flatnonzero(known & ~np.concatenate([[False], joined]))

@@ -64,10 +64,10 @@ def choose_strengths(
         error = np.sqrt(len(best))
         return next(each for each, lost in more if lost.mean() <= lost.std() / error)
 
-    accelerations = config.accelerations if moves else (np.inf,)
+    accelerations = (np.inf, *config.accelerations) if moves else (np.inf,)
     chosen = weakest([replace(usual, acceleration=sigma) for sigma in accelerations])
     if len(body.edges):
-        chosen = weakest([replace(chosen, bones=sigma) for sigma in config.bones])
+        chosen = weakest([replace(chosen, bones=sigma) for sigma in (np.inf, *config.bones)])
     factors = (2, np.sqrt(2), 1, np.sqrt(0.5)) if np.isfinite(chosen.acceleration) else (1,)
     finely = [float(chosen.acceleration * factor) for factor in factors]
     chosen = weakest([replace(chosen, acceleration=sigma) for sigma in finely])
