@@ -1,5 +1,6 @@
 """How strongly to smooth: what predicts best the detections that the fit was not shown."""
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -59,6 +60,7 @@ def choose_strengths(
 
     def weakest(candidates: list[Strengths]) -> Strengths:
         """Return the first of those that predict about as well as the best."""
+        candidates = list(_until_worse(candidates, lambda each: float(loss(each).mean())))
         best = loss(min(candidates, key=lambda each: float(loss(each).mean())))
         more = ((each, loss(each) - best) for each in candidates)
         error = np.sqrt(len(best))
@@ -73,6 +75,20 @@ def choose_strengths(
     chosen = weakest([replace(chosen, acceleration=sigma) for sigma in finely])
     raw = loss(Strengths(np.inf, np.inf))
     return Choice(chosen, float(loss(chosen).mean()), float(raw.mean()))
+
+
+def _until_worse(
+    candidates: list[Strengths], loss: Callable[[Strengths], float]
+) -> Iterator[Strengths]:
+    """Yield candidates until the loss has risen twice in a row."""
+    before, rises = np.inf, 0
+    for each in candidates:
+        yield each
+        now = loss(each)
+        rises = rises + 1 if now > before else 0
+        before = now
+        if rises == 2:
+            return
 
 
 def usual_strengths(points: Floats, seen: Detections, body: Body, config: PosesConfig) -> Strengths:
