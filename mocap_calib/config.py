@@ -486,9 +486,10 @@ class PosesConfig:
     loss: of angles between rays and points, in standard deviations; prior_loss: of accelerations
         and of bones. With 2 to 3 each the errors of nine recordings differ by less than 3 %.
     accelerations, bones: standard deviations among which, and none, held-out detections choose,
-        the largest first. Chosen: 0.2 to 0.008 of motions at 10 to 60 frames a second. least_hidden: detections; with fewer, accelerations are allowed as large as those of
-        the points, if these are below `largest_acceleration` (measured: 0.02 to 0.1 of motions,
-        0.3 and more where frames do not follow each other), and lengths may err by `usual_bones`.
+        the largest first. Chosen: 0.2 to 0.008 of motions at 10 to 60 frames a second.
+    least_hidden: detections; with fewer, accelerations are allowed as large as those of the
+        points, if these are below `largest_acceleration` (measured: 0.02 to 0.1 of motions, 0.3
+        and more where frames do not follow each other), and lengths may err by `usual_bones`.
     held_out_frames: of bodies, in stretches of `held_out_stretch`, on which they choose.
     fit_steps, choice_steps: of Gauss-Newton; inner_steps: of conjugate gradients in each.
     ridge: inverse variance of a point before anything is known of it, which damps the steps.

@@ -60,7 +60,7 @@ def run_report(
         "pairs": [_describe_pair(group, k, error, config) for k in range(len(group.pairs))],
         "adjust": {"rounds": group.adjusted.rounds, "converged": group.adjusted.converged},
         "individuals": _describe_individuals(group),
-        "poses": describe_poses(group),
+        "poses": _describe_poses(group),
         "points": _describe_points(group, error),
     }
 
@@ -254,7 +254,7 @@ def _describe_individuals(group: GroupResult) -> list[dict[str, Any]]:
     return described
 
 
-def describe_poses(group: GroupResult) -> dict[str, Any]:
+def _describe_poses(group: GroupResult) -> dict[str, Any]:
     """Return how the best estimates of the poses were made, and what of."""
     smoothing = group.smoothing
     codes = np.bincount(group.poses.source.ravel(), minlength=len(POINT_SOURCES))
@@ -263,7 +263,10 @@ def describe_poses(group: GroupResult) -> dict[str, Any]:
         "bone_sigma": finite_or_none(smoothing.bones),
         "held_out_error": finite_or_none(smoothing.held_out),
         "held_out_error_raw": finite_or_none(smoothing.held_out_raw),
-        "sources": dict(zip(POINT_SOURCES[1:], codes[1:].tolist(), strict=True)),
+        **{
+            source.replace(" ", "_"): count
+            for source, count in zip(POINT_SOURCES[1:], codes[1:].tolist(), strict=True)
+        },
         "outliers": smoothing.outliers,
         "exchanged": smoothing.exchanged,
     }
