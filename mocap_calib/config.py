@@ -675,7 +675,7 @@ class DiagnosisConfig:
     resize_significance: float = 100.0
     plain_factor: float = 0.12  # of the logarithm: as near to a plain factor, it is meant
     crop_significance: float = 40.0
-    least_crop: float = 0.05  # of a side of the image
+    least_crop: float = 0.08  # of a side of the image; shelf, which is sound, asks for up to 0.068
     crop_outside: float = 0.005  # share of the keypoints that a crop would have cut off
     focal_significance: float = 40.0
     least_focal_change: float = 0.06  # shelf, which is sound, asks for 0.052

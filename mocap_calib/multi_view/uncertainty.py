@@ -38,7 +38,10 @@ from mocap_calib.types import (
 def assess_uncertainty(
     sample: Sample, rig: CameraRig, matches: Matches, config: Config, *, seed: int
 ) -> Uncertainty:
-    """Return how well the sample determines the rig, and which cameras stand out."""
+    """Return how well the sample determines the rig, and which cameras stand out.
+
+    A rig that is not determined accuses no camera.
+    """
     fit = measure_fit(sample, rig, matches, config)
     covariance = rig_covariance(sample, rig, matches, config, seed=seed)
     free = _free_focal(sample, rig, matches, config)
@@ -48,10 +51,12 @@ def assess_uncertainty(
         off = estimated_focal_changes(sample, rig, matches, config)
     else:
         off = given_focal_change(rig, free, config.uncertainty)[None]
+    covariance = covariance.with_changes(off)
+    stands = np.rad2deg(covariance.rotation_sigma.max()) < config.verdict.weak_deg
     return Uncertainty(
-        covariance=covariance.with_changes(off),
+        covariance=covariance,
         focal_turn=np.sqrt((off[..., :3] ** 2).sum((0, 2))),
-        outlier_cameras=find_outlier_cameras(fit, config.uncertainty),
+        outlier_cameras=find_outlier_cameras(fit, config.uncertainty) & stands,
         weak_perspective=find_weak_perspective(fit),
         focal_change=change,
         focal_sigma=sigma,

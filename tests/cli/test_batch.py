@@ -320,9 +320,16 @@ def test_finished_is_told_by_content(change, asked, monkeypatch):
 
 @posix
 @pytest.mark.slow
-@pytest.mark.parametrize("way", ["SIGKILL", "SIGTERM", "SIGINT"])
+# every signal and both moments; all six pairs would take a minute
 @pytest.mark.parametrize(
-    "moment", ["small/.unfinished/*.json", "jump/run.json"], ids=["between", "writing"]
+    ("way", "moment"),
+    [
+        ("SIGKILL", "small/.unfinished/*.json"),
+        ("SIGTERM", "jump/run.json"),
+        ("SIGINT", "small/.unfinished/*.json"),
+        ("SIGKILL", "jump/run.json"),
+    ],
+    ids=["between-SIGKILL", "writing-SIGTERM", "between-SIGINT", "writing-SIGKILL"],
 )
 def test_a_batch_goes_on_where_it_was_killed(way, moment, sessions, once, tool, tmp_path):
     """Killed amid the second recording, or while the first one's results appear.
