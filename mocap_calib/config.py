@@ -13,6 +13,9 @@ ENCODER_HEADS = 4  # of the networks' encoders, which share a token
 PAPER_WIDTH = 32  # size of a token of the paper's network
 PAPER_LAYERS = 5  # of its encoder
 
+SmoothMode = Literal["auto", "bones", "off"]  # what is done to poses; the first is the default
+SMOOTH_MODES: tuple[SmoothMode, ...] = get_args(SmoothMode)
+
 COMPLETION_SPREAD = 0.2  # body sizes: a joint known to this much has exp(-1) of the confidence
 COMPLETION_CONFIDENCE = 0.5  # at most, of the mean confidence of the joints that were seen
 
@@ -507,6 +510,50 @@ class TriangulateConfig:
     noise_frames: int = 200  # that tell how large each view's error is
     unknown_noise: float = 0.01  # radians: error of a keypoint before anything is known of it
     least_noise_px: float = 0.25
+
+
+@dataclass(frozen=True)
+class PosesConfig:
+    """Best estimates of poses (`poses/`). Lengths in body sizes, times in steps between frames.
+
+    smooth: "auto"; "bones" alone, nothing over time; "off": the triangulated points.
+    loss: of angles between rays and points, in standard deviations; prior_loss: of accelerations
+        and of bones. With 2 to 3 each the errors of nine recordings differ by less than 3 %.
+    accelerations, bones: standard deviations among which, and none, held-out detections choose,
+        the largest first. Chosen: 0.2 to 0.008 of motions at 10 to 60 frames a second.
+    least_hidden: detections; with fewer, accelerations are allowed as large as those of the
+        points, if these are below `largest_acceleration` (measured: 0.02 to 0.1 of motions, 0.3
+        and more where frames do not follow each other), and lengths may err by `usual_bones`.
+    held_out_frames: of bodies, in stretches of `held_out_stretch`, on which they choose.
+    fit_steps, choice_steps: of Gauss-Newton; inner_steps: of conjugate gradients in each.
+    ridge: inverse variance of a point before anything is known of it, which damps the steps.
+    longest_gap: frames without any detection of a joint that are bridged.
+    largest_sigma: of a point; what is less sure is missing.
+    outlier: standard deviations from which on a detection is dropped. exchange_gain: nats that an
+        exchange of left and right must gain.
+    block_frames: fitted at once; margin_frames: on each side, which are fitted again.
+    """
+
+    smooth: SmoothMode = "auto"
+    loss: float = 2.5
+    prior_loss: float = 3.0
+    accelerations: tuple[float, ...] = tuple(0.4 / 2**k for k in range(11))
+    bones: tuple[float, ...] = (0.1, 0.05, 0.025, 0.012)
+    usual_bones: float = 0.05
+    largest_acceleration: float = 0.25
+    least_hidden: int = 100
+    held_out_frames: int = 200
+    held_out_stretch: int = 50
+    fit_steps: int = 6
+    choice_steps: int = 4
+    inner_steps: int = 6
+    ridge: float = 1e-2
+    longest_gap: int = 10
+    largest_sigma: float = 0.15
+    outlier: float = 6.0
+    exchange_gain: float = 8.0
+    block_frames: int = 1000
+    margin_frames: int = 40
 
 
 @dataclass(frozen=True)
@@ -1105,6 +1152,7 @@ class Config:
     adjust: AdjustConfig = AdjustConfig()
     intrinsics: IntrinsicsConfig = IntrinsicsConfig()
     triangulate: TriangulateConfig = TriangulateConfig()
+    poses: PosesConfig = PosesConfig()
     uncertainty: UncertaintyConfig = UncertaintyConfig()
     verdict: VerdictConfig = VerdictConfig()
     moved: MovedConfig = MovedConfig()
@@ -1115,6 +1163,25 @@ class Config:
     verify: VerifyConfig = VerifyConfig()
     mend: MendConfig = MendConfig()
     world: WorldConfig = WorldConfig()
+
+
+FilterMethod = Literal["butterworth", "median", "savgol"]
+FILTER_METHODS: tuple[FilterMethod, ...] = get_args(FilterMethod)
+
+
+@dataclass(frozen=True)
+class FilterConfig:
+    """A classic filter over time (`poses/filters.py`), which only the command `filter` uses.
+
+    order, cutoff: of the Butterworth filter, both runs together, in Hz. The usual ones for people
+        who walk. window: of the others, in frames, odd. polynomial: order of Savitzky-Golay's.
+    """
+
+    method: FilterMethod = "butterworth"
+    order: int = 4
+    cutoff: float = 6.0
+    window: int = 7
+    polynomial: int = 3
 
 
 @dataclass(frozen=True)

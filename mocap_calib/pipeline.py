@@ -3,7 +3,7 @@
 synchronise -> sample -> lift -> pairs -> loops, and for each group of cameras that see the same
 bodies:
 average -> match -> adjust -> label all frames -> clocks -> uncertainty -> triangulate -> verdict
--> world.
+-> smooth -> world.
 
 Where intrinsics are to be estimated, they are from a first rig of each group: average -> match ->
 intrinsics. Then everything is done with them from the beginning, as if they had been given.
@@ -34,6 +34,7 @@ from mocap_calib.multi_view.observed import Observed, leave_out_underconstrained
 from mocap_calib.multi_view.refinement import adjust_from_best_start
 from mocap_calib.multi_view.triangulation import check_same_cameras
 from mocap_calib.multi_view.view_graph import camera_groups, select_hypotheses
+from mocap_calib.poses.stage import smooth_group
 from mocap_calib.recording.assumed import choose_refinement
 from mocap_calib.recording.retiming import retime
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
@@ -122,7 +123,19 @@ def calibrate(
             clocks = synchronise(recording, lift_sample, config, seed=seed)
         recording = retime(recording, clocks)
         result = mend_faults(recording, calibrate_once(recording), calibrate_once)
+        result = _smooth(result, progress)
     return judge_rigs(place_result(add_clocks(result, clocks)))
+
+
+def _smooth(result: CalibrationResult, progress: Progress) -> CalibrationResult:
+    """Return the result with the best estimates of the poses of all groups."""
+    groups = []
+    for group in result.groups:
+        clock = Clock()
+        with clock("smooth"):
+            smoothed = smooth_group(group, result.config, progress=progress)
+        groups.append(replace(smoothed, seconds={**group.seconds, **clock.seconds}))
+    return replace(result, groups=tuple(groups))
 
 
 def _calibrate_recording(

@@ -17,6 +17,7 @@ from mocap_calib.recording.epochs import describe_epochs, views_by_camera
 from mocap_calib.recording.mending import describe_faults
 from mocap_calib.report_verdict import describe_sigma, describe_verdict, finite_or_none
 from mocap_calib.types import (
+    POINT_SOURCES,
     CalibrationResult,
     EstimatedCamera,
     Fault,
@@ -61,6 +62,7 @@ def run_report(
         "pairs": [_describe_pair(group, k, error, config) for k in range(len(group.pairs))],
         "adjust": {"rounds": group.adjusted.rounds, "converged": group.adjusted.converged},
         "individuals": _describe_individuals(group),
+        "poses": _describe_poses(group),
         "points": _describe_points(group, error),
     }
 
@@ -252,6 +254,24 @@ def _describe_individuals(group: GroupResult) -> list[dict[str, Any]]:
             {"individual": individual, "frames": int(found.any(0).sum()), "cameras": in_cameras}
         )
     return described
+
+
+def _describe_poses(group: GroupResult) -> dict[str, Any]:
+    """Return how the best estimates of the poses were made, and what of."""
+    smoothing = group.smoothing
+    codes = np.bincount(group.poses.source.ravel(), minlength=len(POINT_SOURCES))
+    return {
+        "acceleration_sigma": finite_or_none(smoothing.acceleration),
+        "bone_sigma": finite_or_none(smoothing.bones),
+        "held_out_error": finite_or_none(smoothing.held_out),
+        "held_out_error_raw": finite_or_none(smoothing.held_out_raw),
+        **{
+            source.replace(" ", "_"): count
+            for source, count in zip(POINT_SOURCES[1:], codes[1:].tolist(), strict=True)
+        },
+        "outliers": smoothing.outliers,
+        "exchanged": smoothing.exchanged,
+    }
 
 
 def _describe_points(group: GroupResult, error: Floats) -> dict[str, Any]:

@@ -1120,8 +1120,9 @@ class Poses3D(Record):
     frames: `[frame]` numbers.
     positions: `[frame, individual, keypoint, 3]` in the rig's unit, NaN = missing: the best
         estimate.
-    error: `[frame, individual, keypoint]` RMS reprojection error in pixels over the views used.
-    views: `[frame, individual, keypoint]` number of views used.
+    error: `[frame, individual, keypoint]` RMS reprojection error in pixels of the triangulated
+        point over the views used.
+    views: `[frame, individual, keypoint]` number of views that it was triangulated from.
     confidence: `[frame, individual, keypoint]` mean confidence of the detections used.
     unit: of the positions, as the rig's.
     covariance: `[frame, individual, keypoint, 6]` xx, xy, xz, yy, yz, zz of the errors of the
@@ -1243,6 +1244,27 @@ class Poses3D(Record):
         return to_dataset(describe_poses(self, fps, individuals))
 
 
+@dataclass(frozen=True)
+class Smoothing:
+    """How best estimates of poses were made of what was seen.
+
+    acceleration, bones: standard deviations of accelerations (in the square of the usual step
+        between frames) and of the lengths of bones that were allowed, in body sizes; infinite = no
+        limit, which is how it is where nothing was smoothed.
+    held_out, held_out_raw: how badly detections that were not shown are predicted, with these and
+        without, as `poses.held_out` measures it; NaN where there was nothing to hide.
+    outliers: detections that were dropped since they are far from the estimates.
+    exchanged: pairs of detections, left and right, that were exchanged.
+    """
+
+    acceleration: float = np.inf
+    bones: float = np.inf
+    held_out: float = np.nan
+    held_out_raw: float = np.nan
+    outliers: int = 0
+    exchanged: int = 0
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class ObservedPoints(Record):
     """Points and where cameras saw them: what a bundle adjuster takes.
@@ -1280,6 +1302,7 @@ class GroupResult(Record):
     matches: labels in all frames.
     verdict: how far the rig can be trusted. reasons: why it is no better, and what to do about it,
         a line each. checks: what else was looked at.
+    smoothing: how the best estimates of the poses were made.
     seconds: wall time by stage.
     """
 
@@ -1294,6 +1317,7 @@ class GroupResult(Record):
     verdict: Verdict = "not determined"  # until it is judged
     reasons: tuple[str, ...] = ()
     checks: tuple[Check, ...] = ()
+    smoothing: Smoothing = field(default_factory=Smoothing)
     seconds: dict[str, float] = field(default_factory=dict, compare=False)
 
     def __repr__(self) -> str:

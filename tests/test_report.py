@@ -199,7 +199,7 @@ def test_the_error_is_what_anipose_calls_one():
     )
     points = run_report(found, result, seed=0, config=Config(), inputs={})["points"]
     pixels = gather_observations(found.recording, found.matches, np.arange(60)).pixels
-    images = project(found.rig, found.poses.positions.reshape(-1, 3).T)
+    images = project(found.rig, found.poses.raw.reshape(-1, 3).T)
     error = np.linalg.norm(images - pixels, axis=1)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # points without any view

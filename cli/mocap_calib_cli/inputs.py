@@ -16,8 +16,10 @@ from mocap_calib.config import (
     IntrinsicsConfig,
     MatchingConfig,
     MendConfig,
+    PosesConfig,
     Refinement,
     SampleConfig,
+    SmoothMode,
     SyncConfig,
     SyncMode,
 )
@@ -85,6 +87,7 @@ def calibration_request(options: SharedOptions, output: Path) -> CalibrationRequ
             mend=MendConfig(apply=options.mend != "none"),
             sync=sync_config(options),
             world=world,
+            poses=PosesConfig(smooth=cast(SmoothMode, options.smooth)),
         ),
         formats=options.write,
         fps=fps,

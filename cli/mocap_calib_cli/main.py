@@ -31,6 +31,8 @@ COMMANDS = {
     "adjust": "Make the rig as exact as the keypoints allow (bundle adjustment).",
     "triangulate": "3D poses from the rig and the matches.",
     "scale": "Set the scale of results by known lengths.",
+    "smooth": "Best estimates of 3D poses, from the rig and the matches.",
+    "filter": "Butterworth, median or Savitzky-Golay filter of 3D poses.",
     "convert": "Keypoints, cameras and poses from one format to another.",
     "kinematics": "Joint angles, speeds, contacts and bone lengths of 3D poses.",
     "complete": "Fill keypoints that were not seen.",

@@ -16,7 +16,9 @@ from mocap_calib.config import (
     MENDING,
     PAIR_SOLVERS,
     REFINEMENTS,
+    SMOOTH_MODES,
     SYNC_MODES,
+    PosesConfig,
     SyncConfig,
     WorldConfig,
 )
@@ -50,6 +52,7 @@ CALIBRATION = (
     "sync",
     "sync_window",
     *WORLD_OPTIONS,
+    "smooth",
     "write",
     "fps",
     *VERDICT,
@@ -70,6 +73,7 @@ class SharedOptions:
     write: further formats of the results. fps: frames per second, see `texts.parse_rates`.
     sync, sync_window: what is done about clocks that differ, see `inputs.sync_config`.
     axes ... align: the coordinates of the results, see `world_texts.world_config`.
+    smooth: what is done to poses, one of `config.SMOOTH_MODES`.
     strict, accept: which verdicts will do, see `verdicts.exit_status`.
     """
 
@@ -111,6 +115,7 @@ class SharedOptions:
     camera_distance: tuple[str, ...] = ()
     forward: str = ""
     align: Path | None = None
+    smooth: str = PosesConfig.smooth
     strict: bool = False
     accept: str | None = None
     quiet: bool = False
@@ -237,6 +242,13 @@ _OPTIONS = {
         default=SharedOptions.sync_window,
         metavar="FRAMES",
         help="By how much a camera may be early or late.",
+    ),
+    "smooth": click.option(
+        "--smooth",
+        type=click.Choice(SMOOTH_MODES),
+        default=SharedOptions.smooth,
+        help="What is done to the poses: auto fits them to motion and bones as strongly as "
+        "held-out detections say, bones to bones alone, off leaves the triangulated points.",
     ),
     "strict": click.option(
         "--strict", is_flag=True, help="Exit status 1 where the rig is weak, too."

@@ -6,12 +6,16 @@ Places are checked before the work starts; files are written whole or not at all
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.atomic import replace_text
 from mocap_calib_cli.options import STDIO
+
+if TYPE_CHECKING:
+    from mocap_calib.types import Poses3D, Recording
 
 
 def write_text(output: str, pieces: Iterable[str]) -> None:
@@ -36,6 +40,42 @@ def check_file(path: Path) -> None:
             f"{path}: expected a file to write, found a folder; give a name within it"
         )
     _check_writable(path.absolute().parent)
+
+
+def check_poses(path: Path) -> None:
+    """Raise MismatchError or OSError where `write_poses` could not write a file."""
+    if path.suffix not in (".h5", ".csv"):
+        raise MismatchError(
+            f"{path}: expected a name that ends in .h5 or .csv, "
+            f"found {path.suffix or 'no ending'}; rename it"
+        )
+    check_file(path)
+
+
+def check_individuals(path: Path, individuals: int) -> None:
+    """Raise MismatchError where `write_poses` should not write the files of so many."""
+    from mocap_calib.io.results.poses_csv import check_poses_csv
+
+    if path.suffix == ".csv":
+        check_poses_csv(path, individuals)
+
+
+def write_poses(path: Path, poses: "Poses3D", recording: "Recording", stage: str) -> None:
+    """Write the poses of a recording to a .h5 file, or to a .csv file for each individual.
+
+    stage: the command that made them.
+    """
+    from mocap_calib.io.provenance import provenance
+    from mocap_calib.io.results.poses_csv import write_poses_csv
+    from mocap_calib.io.results.poses_h5 import write_poses_h5
+    from mocap_calib.recording.joints import edges_of_keypoints
+    from mocap_calib.steerpose.weights import load_vocabulary
+
+    if path.suffix == ".csv":
+        write_poses_csv(path, poses)
+        return
+    edges = edges_of_keypoints(load_vocabulary(recording.model), recording.vocabulary)
+    write_poses_h5(path, poses, provenance(stage), edges=edges)
 
 
 def check_folder(path: Path) -> None:

@@ -147,7 +147,7 @@ def convert_poses(
     if unit is not None:
         file = convert_unit(file, unit, f"{name}: --unit {unit}")
     if fps is not None:
-        file = _fill_rate(file, fps, name)
+        file = fill_rate(file, fps, name)
     if up is not None:
         file = turn_up_axis(file, up)
     frames, individuals, keypoints = file.poses.positions.shape[:3]
@@ -236,7 +236,7 @@ def load_pose_sources(
     The arguments are those of `convert_poses`. Raises FormatError and MismatchError.
     """
     file = _read_individuals(sources, format, None)
-    return file if fps is None else _fill_rate(file, fps, str(sources[0]))
+    return file if fps is None else fill_rate(file, fps, str(sources[0]))
 
 
 def _add_cameras(file: PoseFile, source: Path) -> PoseFile:
@@ -275,7 +275,7 @@ def _read_individuals(sources: Sequence[Path], format: str | None, unit: str | N
     return join_individuals(files, ", ".join(map(str, paths)))
 
 
-def _fill_rate(file: PoseFile, fps: float, source: str) -> PoseFile:
+def fill_rate(file: PoseFile, fps: float, source: str) -> PoseFile:
     """Return the poses with the user's frames per second.
 
     Raises MismatchError where they have others.

@@ -32,7 +32,7 @@ class Leftover:
         """Return that of the matched keypoints and the triangulated points of a group."""
         frames = evenly_spaced(np.arange(len(group.recording.frames)), REPORT_FRAMES)
         pixels = gather_observations(group.recording, group.matches, frames).pixels
-        points = group.poses.positions[frames]
+        points = group.poses.raw[frames]
         gap = project(group.rig, points.reshape(-1, 3).T) - pixels
         distance = np.linalg.norm(gap, axis=1)
         bodies = points.shape[:3]

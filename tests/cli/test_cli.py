@@ -232,9 +232,9 @@ def test_the_stages_through_pipes_are_the_run(small, tool, tmp_path):
     assert (second.returncode, second.stderr) == (0, "")
     apart = rotation_errors_deg(read_rig(tmp_path / "second.yaml"), one)
     assert 0 < apart.max() < 0.01  # measured 0.0005
-    for name in ("p.h5", "p.csv"):
+    for command, name in (("smooth", "p.h5"), ("smooth", "p.csv"), ("triangulate", "raw.h5")):
         said = tool(
-            "triangulate",
+            command,
             keypoints,
             "--rig",
             "-",
@@ -251,6 +251,9 @@ def test_the_stages_through_pipes_are_the_run(small, tool, tmp_path):
         assert (tmp_path / f"p_{individual}.csv").read_text() == (out / name).read_text()
     with h5py.File(tmp_path / "p.h5") as first, h5py.File(out / "poses3d.h5") as second:
         np.testing.assert_array_equal(first["position"][:], second["position"][:])
+        np.testing.assert_array_equal(first["source"][:], second["source"][:])
+    with h5py.File(tmp_path / "raw.h5") as first, h5py.File(out / "poses3d.h5") as second:
+        np.testing.assert_array_equal(first["position"][:], second["position_raw"][:])
 
 
 @pytest.mark.slow

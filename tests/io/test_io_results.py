@@ -20,6 +20,7 @@ from mocap_calib.io.hashing import hash_files
 from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.poses.formats import POSE_FORMATS
 from mocap_calib.io.poses.poses3d_h5 import parse
+from mocap_calib.io.registry import find_format
 from mocap_calib.io.results.further_formats import check_recording, write_formats
 from mocap_calib.io.results.group import read_outputs, remove_earlier_outputs
 from mocap_calib.io.results.matches_csv import matches_csv, read_matches_csv
@@ -234,6 +235,7 @@ def test_every_dataset_of_an_h5_says_its_axes_its_unit_and_its_meaning(tmp_path)
         "views": "views",
         "confidence": "0 to 1",
         "covariance": "mm^2",
+        "source": "code",
         "frames": "frame number",
         "keypoint_names": "name",
         "edges": "index of a keypoint",
@@ -243,6 +245,25 @@ def test_every_dataset_of_an_h5_says_its_axes_its_unit_and_its_meaning(tmp_path)
     with h5py.File(io.BytesIO(poses_to_h5(poses(), {}))) as file:
         assert "edges" not in file
         assert "fps" not in file.attrs
+
+
+@pytest.mark.parametrize("name", ["poses-h5", "npz"])
+def test_triangulated_points_and_sources_come_back(name):
+    given_ = poses()
+    better = replace(
+        given_,
+        positions=given_.positions + 0.5,
+        raw=given_.positions,
+        source=np.where(np.isfinite(given_.error), 2, 0).astype(np.int8),
+    )
+    known = find_format(POSE_FORMATS, name)
+    content = known.writer()(PoseFile(better), "").content
+    back = known.read(content, "poses").poses
+    assert back == better
+    assert back.raw is not back.positions
+    # of triangulated points alone there is no second copy
+    alone = known.read(known.writer()(PoseFile(given_), "").content, "poses").poses
+    assert alone.raw is alone.positions
 
 
 @pytest.mark.parametrize("edges", [[[0, 2]], [[-1, 0]], [[0.5, 1]], [0, 1]])

@@ -1,8 +1,8 @@
 """A numpy archive of the arrays of `Poses3D`, for scripts; it carries all.
 
 `numpy.load` reads it: positions, error, views, confidence, frames, and keypoints, individuals, fps,
-unit and title; covariance where that is known. Pickled objects, which could run anything, are not
-read.
+unit and title; covariance where that is known, source, and raw where it is not the positions.
+Pickled objects, which could run anything, are not read.
 """
 
 import io
@@ -10,14 +10,17 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mocap_calib.io.poses.common import PoseFile, WrittenPoses, refuse_damage
 from mocap_calib.io.units import known_unit
 from mocap_calib.records import check_shape
-from mocap_calib.types import Poses3D, Reals
+from mocap_calib.types import Poses3D
 
 _ARRAYS = ("positions", "error", "views", "confidence", "frames")
 _COVARIANCE = "covariance"  # where it is known
+_RAW = "raw"  # where the positions are more than the triangulated points
+_SOURCE = "source"
 _ZIP = b"PK\x03\x04"
 
 
@@ -38,7 +41,9 @@ def parse(content: bytes, source: str) -> PoseFile:
                 views=file["views"].astype(np.int64, casting="safe"),
                 confidence=file["confidence"].astype(np.float64),
                 unit=known_unit(str(file["unit"]), source),
-                covariance=_read_covariance(file),
+                covariance=_read_if_there(file, _COVARIANCE).astype(np.float32),
+                raw=_read_if_there(file, _RAW).astype(np.float64),
+                source=_read_if_there(file, _SOURCE).astype(np.int8),
             )
             individuals = tuple(map(str, file["individuals"]))
             rate = float(file["fps"])
@@ -46,10 +51,9 @@ def parse(content: bytes, source: str) -> PoseFile:
         return PoseFile(poses, rate, individuals)
 
 
-def _read_covariance(file: Mapping[str, Any]) -> Reals:
-    """Return the covariances, an empty array where a file does not have them."""
-    found = file[_COVARIANCE] if _COVARIANCE in file else np.zeros(0)
-    return np.asarray(found, dtype=np.float32)
+def _read_if_there(file: Mapping[str, Any], name: str) -> NDArray[Any]:
+    """Return an array, an empty one where a file does not have it."""
+    return np.asarray(file[name]) if name in file else np.zeros(0)
 
 
 def _check_shapes(poses: Poses3D, individuals: tuple[str, ...]) -> None:
@@ -66,6 +70,9 @@ def write(file: PoseFile, title: str) -> WrittenPoses:
     arrays: dict[str, Any] = {name: getattr(file.poses, name) for name in _ARRAYS}
     if np.isfinite(file.poses.covariance).any():
         arrays[_COVARIANCE] = file.poses.covariance
+    if file.poses.raw is not file.poses.positions:
+        arrays[_RAW] = file.poses.raw
+    arrays[_SOURCE] = file.poses.source
     content = io.BytesIO()
     np.savez_compressed(
         content,

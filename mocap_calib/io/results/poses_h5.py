@@ -1,9 +1,10 @@
 """poses3d.h5: the 3D poses of all individuals.
 
-Datasets: position `[frame, individual, keypoint, 3]`, error, views, confidence `[frame, individual,
-keypoint]`, frames `[frame]`, keypoint_names `[keypoint]`; covariance `[frame, individual, keypoint,
-6]`, individual_names `[individual]` and edges `[edge, 2]` where they are known. Each says its axes,
-its unit and its meaning in attributes.
+Datasets: position `[frame, individual, keypoint, 3]`, error, views, confidence, source `[frame,
+individual, keypoint]`, frames `[frame]`, keypoint_names `[keypoint]`; covariance `[frame,
+individual, keypoint, 6]`, position_raw where that is not the position, individual_names
+`[individual]` and edges `[edge, 2]` where they are known. Each says its axes, its unit and its
+meaning in attributes.
 """
 
 import io
@@ -15,13 +16,14 @@ from typing import Any
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from mocap_calib.io import hdf5
 from mocap_calib.io.atomic import replace_file
 from mocap_calib.io.file import malformed
 from mocap_calib.io.world_fields import read_world, world_fields
 from mocap_calib.records import check_shape
-from mocap_calib.types import Poses3D, Reals, World
+from mocap_calib.types import POINT_SOURCES, Poses3D, World
 
 VERSION = 1
 Edges = Sequence[tuple[int, int]]
@@ -46,10 +48,24 @@ _DATASETS = {
     "position": _Dataset(
         f"{_POINTS}, coordinate (x, y, z)",
         "",
-        "3D position in the world that the cameras stand in; NaN = missing",
+        "3D position in the world that the cameras stand in, the best estimate; NaN = missing",
+    ),
+    "position_raw": _Dataset(
+        f"{_POINTS}, coordinate (x, y, z)",
+        "",
+        "the triangulated point, which the best estimate was made from; NaN = missing",
+    ),
+    "source": _Dataset(
+        _POINTS,
+        "code",
+        "what the position is made of: "
+        + ", ".join(f"{code} = {source}" for code, source in enumerate(POINT_SOURCES)),
     ),
     "error": _Dataset(
-        _POINTS, "pixel", "RMS reprojection error over the views used; NaN = missing or not known"
+        _POINTS,
+        "pixel",
+        "RMS reprojection error of the triangulated point over the views used; NaN = missing or "
+        "not known",
     ),
     "views": _Dataset(_POINTS, "views", "number of views that the point was triangulated from"),
     "confidence": _Dataset(
@@ -142,8 +158,11 @@ def _fill(
         "error": poses.error,
         "views": poses.views,
         "confidence": poses.confidence,
+        "source": poses.source,
         "frames": poses.frames,
     }
+    if poses.raw is not poses.positions:
+        arrays["position_raw"] = poses.raw
     if np.isfinite(poses.covariance).any():
         arrays["covariance"] = poses.covariance
     if edges:
@@ -188,7 +207,9 @@ def _read(file: h5py.File, source: str) -> Poses3D:
         views=hdf5.integers(file, "views", source),
         confidence=hdf5.array(file, "confidence", source).astype(np.float64),
         unit=str(file.attrs["unit"]),
-        covariance=_read_covariance(file, source),
+        covariance=_read_if_there(file, "covariance", source).astype(np.float32),
+        raw=_read_if_there(file, "position_raw", source).astype(np.float64),
+        source=_read_if_there(file, "source", source).astype(np.int8),
         world=_read_world(file),
     )
 
@@ -198,8 +219,6 @@ def _read_world(file: h5py.File) -> World:
     return read_world(json.loads(file.attrs["world"]) if "world" in file.attrs else None)
 
 
-def _read_covariance(file: h5py.File, source: str) -> Reals:
-    """Return the covariances, an empty array where a file does not have them."""
-    name = "covariance"
-    found = hdf5.array(file, name, source) if name in file else np.zeros(0)
-    return found.astype(np.float32)
+def _read_if_there(file: h5py.File, name: str, source: str) -> NDArray[Any]:
+    """Return a dataset, an empty array where a file does not have it."""
+    return hdf5.array(file, name, source) if name in file else np.zeros(0)

@@ -1,0 +1,223 @@
+"""Poses that fit what was seen, move smoothly and have bones of constant lengths.
+
+The energy of the points X `[keypoint, frame, 3]` of a track: the squared angles between points and
+rays in standard deviations, the squared accelerations, and the squared errors of the lengths of
+bones, all robust (Cauchy 1847; weights 1 / (1 + r^2 / c^2)). Gauss-Newton: joints are coupled over
+time by bands, solved by `scipy.linalg.cholesky_banded` for all joints in one call, and by bones,
+for which the bands precondition conjugate gradients: the cost grows with the number of joints, not
+with its cube.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_solve_banded, cholesky_banded
+
+from mocap_calib.config import PosesConfig
+from mocap_calib.poses.track import Body, Detections
+from mocap_calib.types import Floats
+
+
+@dataclass(frozen=True)
+class Strengths:
+    """Standard deviations in body sizes: of accelerations, and of the lengths of bones; inf = off.
+
+    acceleration: in the square of the usual step from frame to frame.
+    """
+
+    acceleration: float
+    bones: float
+
+
+@dataclass(frozen=True)
+class System:
+    """Normal equations of a step.
+
+    data: `[keypoint, frame, 6]` xx xy xz yy yz zz, what rays alone make of the blocks of the
+        diagonal. own: the same with bones.
+    pull: `[keypoint, frame]` weights of the accelerations, by the first of their frames.
+    gradient: `[keypoint, frame, 3]`.
+    direction: `[edge, frame, 3]` along bones, times the root of their weights.
+    """
+
+    data: Floats
+    own: Floats
+    pull: Floats
+    gradient: Floats
+    direction: Floats
+
+
+def squared_errors(points: Floats, seen: Detections) -> Floats:
+    """Return squared angles `[view, keypoint, frame]` between rays and points in variances."""
+    first, second, _ = _across(points, seen)
+    return (first**2 + second**2) * seen.precision
+
+
+def _across(points: Floats, seen: Detections) -> tuple[Floats, Floats, Floats]:
+    """Return the tangents of the angles to the ray, and the depth; `[view, keypoint, frame]`."""
+    offset = points.transpose(2, 0, 1)[:, None] - seen.centres.T[:, :, None, None]
+    depth, first, second = np.einsum("acvkt,cvkt->avkt", seen.axes, offset)
+    depth = np.where(depth > 0, depth, 1e-3 * np.sqrt((offset**2).sum(0)))
+    return first / depth, second / depth, depth
+
+
+def _data_terms(points: Floats, seen: Detections, loss: float) -> tuple[Floats, Floats]:
+    """Return the blocks `[keypoint, frame, 6]` and the gradient `[keypoint, frame, 3]`."""
+    first, second, depth = _across(points, seen)
+    square = (first**2 + second**2) * seen.precision
+    weight = seen.precision / (1 + square / loss**2)
+    ray, across, up = seen.axes
+    a = (across - first * ray) / depth
+    b = (up - second * ray) / depth
+    aw, bw = a * weight, b * weight
+    rows = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+    own = np.stack([(aw[i] * a[j] + bw[i] * b[j]).sum(0) for i, j in rows], axis=-1)
+    gradient = (aw * first + bw * second).sum(1)
+    return own, gradient.transpose(1, 2, 0)
+
+
+def linearise(
+    points: Floats, seen: Detections, body: Body, strengths: Strengths, config: PosesConfig
+) -> System:
+    """Return the normal equations at these points."""
+    data, gradient = _data_terms(points, seen, config.loss)
+    own = data
+    pull = np.zeros(points.shape[:2])
+    if np.isfinite(strengths.acceleration):
+        pull, slope = _motion_terms(points, body, strengths, config)
+        gradient = gradient + slope
+    direction = np.zeros((0, points.shape[1], 3))
+    if np.isfinite(strengths.bones) and len(body.edges):
+        direction, error = _bone_terms(points, body, strengths, config)
+        a, b = body.edges.T
+        entries = direction[..., (0, 0, 0, 1, 1, 2)] * direction[..., (0, 1, 2, 1, 2, 2)]
+        own = own + spread(a, entries, len(points)) + spread(b, entries, len(points))
+        push = direction * error[..., None]
+        gradient = gradient + spread(a, push, len(points)) - spread(b, push, len(points))
+    return System(data, own, pull, gradient, direction)
+
+
+def _motion_terms(
+    points: Floats, body: Body, strengths: Strengths, config: PosesConfig
+) -> tuple[Floats, Floats]:
+    """Return the weights `[keypoint, frame]` of accelerations, by first frame, and the gradient."""
+    ends = max(points.shape[1] - 2, 0)
+    spans = [slice(k, k + ends) for k in range(3)]
+    steps = body.steps[:, :ends, None]
+    acceleration = sum(step * points[:, span] for step, span in zip(steps, spans, strict=True))
+    precision = 1 / (strengths.acceleration * body.size[:ends]) ** 2
+    square = (acceleration**2).sum(-1) * precision
+    pull = np.zeros(points.shape[:2])
+    pull[:, :ends] = precision / (1 + square / config.prior_loss**2) * (steps[0, :, 0] != 0)
+    push = pull[:, :ends, None] * acceleration
+    gradient = np.zeros_like(points)
+    for step, span in zip(steps, spans, strict=True):
+        gradient[:, span] += step * push
+    return pull, gradient
+
+
+def _bone_terms(
+    points: Floats, body: Body, strengths: Strengths, config: PosesConfig
+) -> tuple[Floats, Floats]:
+    """Return directions `[edge, frame, 3]` along bones and errors `[edge, frame]` of lengths.
+
+    Both are times the root of the weight, which is 0 where a length is not known.
+    """
+    along = points[body.edges[:, 0]] - points[body.edges[:, 1]]
+    length = np.sqrt((along**2).sum(-1))
+    sigma = strengths.bones * body.size
+    error = np.nan_to_num(length - body.lengths) / sigma
+    weight = np.isfinite(body.lengths) / (1 + error**2 / config.prior_loss**2)
+    root = np.sqrt(weight) / sigma
+    direction = along * (root / np.maximum(length, 1e-9 * body.size))[..., None]
+    return direction, np.sqrt(weight) * error
+
+
+def spread(index: Floats, values: Floats, joints: int) -> Floats:
+    """Return the sums `[keypoint, ...]` of values `[edge, ...]` over the edges of each joint."""
+    incidence = (index == np.arange(joints)[:, None]).astype(np.float64)
+    return (incidence @ values.reshape(len(values), -1)).reshape(joints, *values.shape[1:])
+
+
+def couplings(pull: Floats, steps: Floats) -> Floats:
+    """Return what accelerations couple `[3, keypoint, frame]`: a frame with 0, 1, 2 frames on.
+
+    pull: `[keypoint, frame]` their weights. All coordinates alike.
+    """
+    found = np.zeros((3, *pull.shape))
+    ends = max(pull.shape[1] - 2, 0)
+    for i in range(3):
+        for j in range(i, 3):
+            found[j - i, :, i : i + ends] += (pull * steps[i] * steps[j])[:, :ends]
+    return found
+
+
+def _bands(system: System, body: Body, ridge: Floats) -> Floats:
+    """Return the upper bands `[7, 3 N]` of the joints without what couples them.
+
+    ridge: `[frame]` added to the diagonal.
+    """
+    found = np.zeros((7, *system.gradient.shape))
+    same, next_one, one_after = couplings(system.pull, body.steps)
+    found[6] = system.own[..., (0, 3, 5)] + (same + ridge)[..., None]
+    found[5, ..., 1], found[5, ..., 2] = system.own[..., 1], system.own[..., 4]
+    found[4, ..., 2] = system.own[..., 2]
+    found[3, :, 1:] = next_one[:, :-1, None]
+    found[0, :, 2:] = one_after[:, :-2, None]
+    return found.reshape(7, -1)
+
+
+def _solve(system: System, body: Body, ridge: Floats, config: PosesConfig) -> Floats:
+    """Return the step `[keypoint, frame, 3]` by preconditioned conjugate gradients."""
+    factor = cholesky_banded(_bands(system, body, ridge), overwrite_ab=True, check_finite=False)
+    shape = system.gradient.shape
+
+    def precondition(side: Floats) -> Floats:
+        solved = cho_solve_banded((factor, False), side.reshape(-1), check_finite=False)
+        return np.asarray(solved).reshape(shape)
+
+    step = precondition(system.gradient)
+    if not len(system.direction):
+        return step
+    a, b = body.edges.T
+
+    def coupled(vector: Floats) -> Floats:
+        """Return what the bones' coupling makes of a vector."""
+        to_a = system.direction * (system.direction * vector[b]).sum(-1, keepdims=True)
+        to_b = system.direction * (system.direction * vector[a]).sum(-1, keepdims=True)
+        return spread(a, to_a, shape[0]) + spread(b, to_b, shape[0])
+
+    # of M x - N x = g, with the bands M and the coupling N: M x is carried along, and never made
+    residual = coupled(step)
+    towards = precondition(residual)
+    direction, by_bands = towards, residual
+    product = float((residual * towards).sum())
+    for _ in range(config.inner_steps):
+        if product <= 0:
+            break
+        image = by_bands - coupled(direction)
+        length = product / float((direction * image).sum())
+        step = step + length * direction
+        residual = residual - length * image
+        towards = precondition(residual)
+        before, product = product, float((residual * towards).sum())
+        direction = towards + product / before * direction
+        by_bands = residual + product / before * by_bands
+    return step
+
+
+def fit(
+    points: Floats,
+    seen: Detections,
+    body: Body,
+    strengths: Strengths,
+    config: PosesConfig,
+    *,
+    steps: int,
+) -> Floats:
+    """Return the points `[keypoint, frame, 3]` of least energy, from those to start from."""
+    ridge = config.ridge / body.size**2
+    for _ in range(steps):
+        system = linearise(points, seen, body, strengths, config)
+        points = points - _solve(system, body, ridge, config)
+    return points

@@ -1,0 +1,122 @@
+"""How strongly to smooth: what predicts best the detections that the fit was not shown."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mocap_calib.config import PosesConfig
+from mocap_calib.poses.energy import Strengths, fit, squared_errors
+from mocap_calib.poses.track import Body, Detections
+from mocap_calib.types import Bools, Floats
+
+_SEED = 0  # of which detections are hidden
+_RUN = 5  # frames for which a joint is hidden from a view: errors go together for some time
+_VIEWS = 3  # of a point of which one is hidden: two must be left
+_LARGEST = 900.0  # squared error that counts in full
+_MEDIAN_LENGTH = 1.538  # of normal vectors in space, in standard deviations of a coordinate
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What was chosen, and how well it predicts.
+
+    held_out: mean of log(1 + r^2 / 4), r the error in standard deviations of the detections that
+        were hidden; without: the same where nothing is smoothed. NaN where nothing was hidden.
+    """
+
+    strengths: Strengths
+    held_out: float = np.nan
+    without: float = np.nan
+
+
+def choose_strengths(
+    points: Floats, seen: Detections, body: Body, config: PosesConfig, *, moves: bool
+) -> Choice:
+    """Return the strengths that predict hidden detections best.
+
+    The accelerations' first, then the bones', then the accelerations' again, more finely. The
+    weakest counts of those that are as good as the best within a standard error. Where too few
+    points have three views to hide one, they are what the points themselves show.
+
+    points: `[keypoint, frame, 3]` to start from. moves: whether accelerations may be smoothed.
+    """
+    moves = moves and bool(body.steps.any())
+    usual = usual_strengths(points, seen, body, config)
+    usual = usual if moves else replace(usual, acceleration=np.inf)
+    hidden = _hide(seen)
+    if hidden.sum() < config.least_hidden:
+        return Choice(usual)
+    shown = replace(seen, precision=np.where(hidden, 0.0, seen.precision))
+    losses: dict[Strengths, Floats] = {}
+
+    def loss(strengths: Strengths) -> Floats:
+        """Return what each hidden detection counts for."""
+        if strengths not in losses:
+            found = fit(points, shown, body, strengths, config, steps=config.choice_steps)
+            square = np.minimum(squared_errors(found, seen)[hidden], _LARGEST)
+            losses[strengths] = np.log1p(square / 4)
+        return losses[strengths]
+
+    def weakest(candidates: list[Strengths]) -> Strengths:
+        """Return the first of those that predict about as well as the best."""
+        candidates = list(_until_worse(candidates, lambda each: float(loss(each).mean())))
+        best = loss(min(candidates, key=lambda each: float(loss(each).mean())))
+        more = ((each, loss(each) - best) for each in candidates)
+        error = np.sqrt(len(best))
+        return next(each for each, lost in more if lost.mean() <= lost.std() / error)
+
+    accelerations = (np.inf, *config.accelerations) if moves else (np.inf,)
+    chosen = weakest([replace(usual, acceleration=sigma) for sigma in accelerations])
+    if len(body.edges):
+        chosen = weakest([replace(chosen, bones=sigma) for sigma in (np.inf, *config.bones)])
+    factors = (2, np.sqrt(2), 1, np.sqrt(0.5)) if np.isfinite(chosen.acceleration) else (1,)
+    finely = [float(chosen.acceleration * factor) for factor in factors]
+    chosen = weakest([replace(chosen, acceleration=sigma) for sigma in finely])
+    raw = loss(Strengths(np.inf, np.inf))
+    return Choice(chosen, float(loss(chosen).mean()), float(raw.mean()))
+
+
+def _until_worse(
+    candidates: list[Strengths], loss: Callable[[Strengths], float]
+) -> Iterator[Strengths]:
+    """Yield candidates until the loss has risen twice in a row."""
+    before, rises = np.inf, 0
+    for each in candidates:
+        yield each
+        now = loss(each)
+        rises = rises + 1 if now > before else 0
+        before = now
+        if rises == 2:
+            return
+
+
+def usual_strengths(points: Floats, seen: Detections, body: Body, config: PosesConfig) -> Strengths:
+    """Return strengths without held-out detections: weak ones.
+
+    Accelerations are allowed that are as large as those of the points, noise and all; where even
+    these are too large for one motion, frames do not follow each other.
+    """
+    ends = max(points.shape[1] - 2, 0)
+    spans = [slice(k, k + ends) for k in range(3)]
+    steps = body.steps[:, :ends, None]
+    acceleration = sum(step * points[:, span] for step, span in zip(steps, spans, strict=True))
+    size = np.sqrt((acceleration**2).sum(-1)) / body.size[:ends]
+    there = (seen.precision > 0).sum(0) >= 2
+    counted = np.all([there[:, span] for span in spans], axis=0) & (steps[0, :, 0] != 0)
+    sigma = float(np.median(size[counted])) / _MEDIAN_LENGTH if counted.any() else np.inf
+    allowed = sigma if sigma < config.largest_acceleration else np.inf
+    bones = config.usual_bones if len(body.edges) else np.inf
+    return Strengths(max(allowed, config.accelerations[-1]), bones)
+
+
+def _hide(seen: Detections) -> Bools:
+    """Return which detections `[view, keypoint, frame]` are hidden: two of each point stay."""
+    there = seen.precision > 0
+    views, joints, frames = there.shape
+    rng = np.random.default_rng(_SEED)
+    runs = rng.integers(0, views, size=(joints, frames // _RUN + 1))
+    chosen = runs.repeat(_RUN, axis=1)[:, :frames] == np.arange(views)[:, None, None]
+    asked = rng.random((joints, frames // _RUN + 1)) < 0.5
+    chosen &= asked.repeat(_RUN, axis=1)[:, :frames]
+    return chosen & there & (there.sum(0) >= _VIEWS)

@@ -1,0 +1,316 @@
+"""From triangulated points to best estimates of the poses, an individual and a block at a time."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from mocap_calib.config import Config, PosesConfig, TriangulateConfig
+from mocap_calib.multi_view.noise import view_noise
+from mocap_calib.multi_view.observations import gather_observations
+from mocap_calib.poses.certainty import covariances
+from mocap_calib.poses.cleaning import drop_outliers, exchange_sides
+from mocap_calib.poses.energy import Strengths, fit, linearise
+from mocap_calib.poses.held_out import Choice, choose_strengths
+from mocap_calib.poses.start import body_size, bone_lengths, fill_gaps
+from mocap_calib.poses.track import Body, Detections, acceleration_steps, detections_of
+from mocap_calib.recording.joints import edges_of_keypoints
+from mocap_calib.steerpose.weights import load_vocabulary
+from mocap_calib.types import (
+    POINT_SOURCES,
+    Bools,
+    CameraRig,
+    Floats,
+    GroupResult,
+    Ints,
+    Matches,
+    Poses3D,
+    Progress,
+    Recording,
+    Smoothing,
+    silent,
+)
+
+_TRIANGULATED = POINT_SOURCES.index("triangulated")
+_ONE_VIEW = POINT_SOURCES.index("one view")
+_INTERPOLATED = POINT_SOURCES.index("interpolated")
+_LEAST_FRAMES = 3  # of an individual: with fewer there is nothing to go by
+
+
+@dataclass(frozen=True)
+class _Individual:
+    """What is known of one individual.
+
+    index: of its label. frames: `[frame]` indices of those in which it is estimated.
+    lengths: `[edge]` of its bones.
+    """
+
+    index: int
+    frames: Ints
+    size: float
+    lengths: Floats
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """What is known of a recording: see `smooth_poses`. noise: `[view]` in radians."""
+
+    recording: Recording
+    rig: CameraRig
+    matches: Matches
+    poses: Poses3D
+    noise: Floats
+    config: PosesConfig
+
+    @cached_property
+    def edges(self) -> Ints:
+        """`[edge, 2]` keypoints that bones join."""
+        skeleton = load_vocabulary(self.recording.model)
+        edges = edges_of_keypoints(skeleton, self.recording.vocabulary)
+        return np.array(edges, dtype=np.int64).reshape(-1, 2)
+
+    @cached_property
+    def mirror(self) -> Ints:
+        """`[keypoint]` the keypoint of the other side, itself where there is none."""
+        skeleton = load_vocabulary(self.recording.model)
+        index = {int(joint): k for k, joint in enumerate(self.recording.vocabulary) if joint >= 0}
+        mirror = np.arange(len(self.recording.keypoints))
+        for left, right in skeleton.symmetries:
+            if left in index and right in index:
+                mirror[index[left]], mirror[index[right]] = index[right], index[left]
+        return mirror
+
+    @cached_property
+    def times(self) -> Floats:
+        """`[frame]` numbers of the frames in the usual step from one to the next."""
+        frames = self.recording.frames
+        usual = np.median(np.diff(frames)) if len(frames) > 1 else 1.0
+        return np.asarray(frames / usual)
+
+    @cached_property
+    def individuals(self) -> list[_Individual]:
+        """The individuals that were triangulated in enough frames."""
+        found = []
+        for index in range(self.poses.raw.shape[1]):
+            raw = self.poses.raw[:, index]
+            there = np.flatnonzero(np.isfinite(raw[..., 0]).any(1))
+            size = body_size(raw[there])
+            if len(there) < _LEAST_FRAMES or not size > 0:
+                continue
+            lengths = bone_lengths(raw[there], self.poses.sigma[there, index], self.edges)
+            frames = _with_gaps(there, self.times, self.config.longest_gap)
+            found.append(_Individual(index, frames, size, lengths))
+        return found
+
+    def track(self, who: _Individual, frames: Ints) -> tuple[Floats, Detections, Body]:
+        """Return points `[keypoint, frame, 3]` to start from, detections and body.
+
+        frames: `[frame]` indices.
+        """
+        own = Matches(np.where(self.matches.labels[:, frames] == who.index, 0, -1))
+        recording = self.recording.select(frames=frames)
+        seen = gather_observations(recording, own, np.arange(len(frames)))
+        (detections,) = detections_of(
+            self.rig,
+            seen,
+            self.noise,
+            individuals=1,
+            keypoints=len(self.recording.keypoints),
+        )
+        times = self.times[frames]
+        body = Body(
+            edges=self.edges,
+            lengths=np.repeat(who.lengths[:, None], len(frames), axis=1),
+            size=np.full(len(frames), who.size),
+            steps=acceleration_steps(times, self.config.longest_gap + 1),
+        )
+        points = fill_gaps(self.poses.raw[frames, who.index], times, self.edges)
+        return np.ascontiguousarray(points.swapaxes(0, 1)), detections, body
+
+
+@dataclass(frozen=True)
+class _Estimate:
+    """What was found of one individual in some frames.
+
+    positions: `[frame, keypoint, 3]`; covariance: `[frame, keypoint, 6]`; source: `[frame,
+    keypoint]`. outliers, exchanged: `[view, frame, keypoint]` detections.
+    """
+
+    positions: Floats
+    covariance: Floats
+    source: Ints
+    outliers: Bools
+    exchanged: Bools
+
+
+def smooth_poses(
+    recording: Recording,
+    rig: CameraRig,
+    matches: Matches,
+    poses: Poses3D,
+    config: PosesConfig = PosesConfig(),
+    *,
+    triangulate: TriangulateConfig = TriangulateConfig(),
+    progress: Progress = silent,
+) -> tuple[Poses3D, Smoothing]:
+    """Return the best estimates of poses, and how they were made.
+
+    Points are moved to where they fit what was seen, how bodies move and how long their bones are,
+    all as strongly as held-out detections say; short gaps are bridged, and joints that a single
+    view saw are completed. What is not sure enough stays missing. docs/poses.md says how.
+
+    poses: what `triangulate` returned for the same recording, rig and matches. triangulate: with
+    which it did.
+    """
+    if config.smooth == "off":
+        return poses, Smoothing()
+    noise = view_noise(recording, rig, matches, triangulate)
+    scene = _Scene(recording, rig, matches, poses, noise, config)
+    if not scene.individuals:
+        return poses, Smoothing()
+    choice = _choose(scene)
+    arrays: dict[str, Any] = {
+        "positions": np.full_like(poses.raw, np.nan),
+        "covariance": np.full_like(poses.covariance, np.nan, subok=False),
+        "source": np.zeros(poses.source.shape, dtype=np.int8),
+    }
+    outliers = exchanged = done = 0
+    total = sum(len(who.frames) for who in scene.individuals)
+    for who in scene.individuals:
+        for inner, frames in _blocks(who.frames, config):
+            found = _estimate(scene, who, frames, choice.strengths)
+            for name, array in arrays.items():
+                array[frames[inner], who.index] = getattr(found, name)[inner]
+            outliers += int(found.outliers[:, inner].sum())
+            exchanged += int(found.exchanged[:, inner].sum()) // 2
+            done += len(range(*inner.indices(len(frames))))
+            progress("smooth", done, total)
+    smoothing = Smoothing(
+        acceleration=choice.strengths.acceleration,
+        bones=choice.strengths.bones,
+        held_out=choice.held_out,
+        held_out_raw=choice.without,
+        outliers=outliers,
+        exchanged=exchanged,
+    )
+    return replace(poses, raw=poses.raw, **arrays), smoothing
+
+
+def smooth_group(group: GroupResult, config: Config, *, progress: Progress = silent) -> GroupResult:
+    """Return a group with best estimates of its poses, see `smooth_poses`."""
+    poses, smoothing = smooth_poses(
+        group.recording,
+        group.rig,
+        group.matches,
+        group.poses,
+        config.poses,
+        triangulate=config.triangulate,
+        progress=progress,
+    )
+    return replace(group, poses=poses, smoothing=smoothing)
+
+
+def _choose(scene: _Scene) -> Choice:
+    """Return how strongly to smooth, from some stretches of all individuals."""
+    config = scene.config
+    tracks = [scene.track(who, frames) for who, frames in _stretches(scene.individuals, config)]
+    points, seen, bodies = (list(parts) for parts in zip(*tracks, strict=True))
+    return choose_strengths(
+        np.concatenate(points, axis=1),
+        seen[0].join(seen[1:]),
+        bodies[0].join(bodies[1:]),
+        config,
+        moves=config.smooth != "bones",
+    )
+
+
+def _stretches(
+    individuals: list[_Individual], config: PosesConfig
+) -> Iterator[tuple[_Individual, Ints]]:
+    """Yield stretches of frames that are even over all individuals, as if these came in turn."""
+    ends = np.cumsum([len(who.frames) for who in individuals])
+    length = config.held_out_stretch
+    number = min(config.held_out_frames // length, -(-int(ends[-1]) // length))
+    spacing = ends[-1] / number
+    for k in range(number):
+        middle = int((k + 0.5) * spacing)
+        index = int(np.searchsorted(ends, middle, side="right"))
+        who = individuals[index]
+        place = middle - (int(ends[index]) - len(who.frames)) - length // 2
+        start = min(max(place, 0), max(len(who.frames) - length, 0))
+        yield who, who.frames[start : start + length]
+
+
+def _estimate(scene: _Scene, who: _Individual, frames: Ints, strengths: Strengths) -> _Estimate:
+    """Return the best estimates of one individual in frames that follow each other."""
+    config = scene.config
+    points, seen, body = scene.track(who, frames)
+    points = fit(points, seen, body, strengths, config, steps=config.fit_steps)
+    seen, exchanged = exchange_sides(points, seen, scene.mirror, config)
+    seen, outliers = drop_outliers(points, seen, config)
+    points = fit(points, seen, body, strengths, config, steps=config.fit_steps // 2)
+    # the detectors' noise does not depend on their confidence, which is a weight
+    even = np.where(seen.precision > 0, scene.noise[:, None, None] ** -2.0, 0.0)
+    system = linearise(points, replace(seen, precision=even), body, strengths, config)
+    ridge = config.ridge / body.size**2
+    covariance = covariances(system, body.steps, body.edges, ridge)
+    raw = np.isfinite(scene.poses.raw[frames, who.index, :, 0]).T
+    moves = np.isfinite(strengths.acceleration)
+    source = _sources(seen, raw, scene.times[frames], config.longest_gap if moves else -1)
+    sigma = np.sqrt(covariance[..., (0, 3, 5)].sum(-1))
+    source = np.where(sigma <= config.largest_sigma * who.size, source, 0)
+    missing = (source == 0)[..., None]
+    return _Estimate(
+        positions=np.where(missing, np.nan, points).swapaxes(0, 1),
+        covariance=np.where(missing, np.nan, covariance).swapaxes(0, 1),
+        source=source.T,
+        outliers=outliers.swapaxes(1, 2),
+        exchanged=exchanged.swapaxes(1, 2),
+    )
+
+
+def _sources(seen: Detections, raw: Bools, times: Floats, longest: int) -> Ints:
+    """Return what points are made of, `[keypoint, frame]`, 0 = missing.
+
+    raw: `[keypoint, frame]` whether there is a triangulated point. longest: gap that is bridged,
+    and distance from a triangulated point up to which one view will do: along its ray a point may
+    be at either of two places. Below 0 neither is.
+    """
+    views = (seen.precision > 0).sum(0)
+    firm = raw & (views >= 2)
+    gap = _around(views > 0, times)
+    source = np.where(gap.sum(0) <= longest + 1, _INTERPOLATED, 0)
+    near = _around(firm, times).min(0) <= longest
+    source = np.where(views > 0, np.where(near, _ONE_VIEW, 0), source)
+    return np.where(firm, _TRIANGULATED, source)
+
+
+def _around(there: Bools, times: Floats) -> Floats:
+    """Return times `[2, keypoint, frame]`: since the last that is there, and to the next."""
+    last = np.maximum.accumulate(np.where(there, times, -np.inf), axis=1)
+    following = np.minimum.accumulate(np.where(there, times, np.inf)[:, ::-1], axis=1)[:, ::-1]
+    return np.stack([times - last, following - times])
+
+
+def _with_gaps(there: Ints, times: Floats, longest: int) -> Ints:
+    """Return indices of frames, with those of gaps between them that are no longer than this."""
+    if not len(there):
+        return there
+    short = np.diff(times[there]) <= longest + 1
+    inside = np.zeros(len(times) + 1, dtype=np.int64)
+    np.add.at(inside, there[:-1][short], 1)
+    np.add.at(inside, there[1:][short], -1)
+    wanted = np.cumsum(inside)[:-1] > 0
+    wanted[there] = True
+    return np.flatnonzero(wanted)
+
+
+def _blocks(frames: Ints, config: PosesConfig) -> Iterator[tuple[slice, Ints]]:
+    """Yield frames to fit at once, and which of them are new there: the others are margins."""
+    for start in range(0, len(frames), config.block_frames):
+        first = max(start - config.margin_frames, 0)
+        last = start + config.block_frames
+        own = frames[first : last + config.margin_frames]
+        yield slice(start - first, min(last, len(frames)) - first), own

@@ -1,0 +1,85 @@
+"""Where the fit starts: bones' lengths, and triangulated points with their gaps filled in."""
+
+import numpy as np
+
+from mocap_calib.types import Floats, Ints
+
+
+def body_size(points: Floats) -> float:
+    """Return the RMS distance of joints `[frame, keypoint, 3]` from their middle, typically.
+
+    NaN where no frame has three joints.
+    """
+    known = np.isfinite(points[..., 0])
+    whole = points[known.sum(1) >= min(3, points.shape[1])]
+    if not len(whole):
+        return float("nan")
+    middle = np.nanmean(whole, axis=1, keepdims=True)
+    square = ((whole - middle) ** 2).sum(-1)
+    return float(np.median(np.sqrt(np.nanmean(square, axis=1))))
+
+
+def bone_lengths(points: Floats, sigma: Floats, edges: Ints) -> Floats:
+    """Return the length `[edge]` of each bone, NaN where it was never seen.
+
+    points: `[frame, keypoint, 3]` triangulated; sigma: `[frame, keypoint]` of these. The median of
+    the surer half of the frames: noise makes bones longer.
+    """
+    a, b = edges.T
+    length = np.sqrt(((points[:, a] - points[:, b]) ** 2).sum(-1))
+    noise = np.sqrt(sigma[:, a] ** 2 + sigma[:, b] ** 2)
+    noise = np.where(np.isfinite(length), noise, np.nan)
+    found = np.full(len(edges), np.nan)
+    for edge in np.flatnonzero(np.isfinite(length).any(0)):
+        own = np.isfinite(noise[:, edge])
+        surer = own & (noise[:, edge] <= np.median(noise[own, edge])) if own.any() else own
+        found[edge] = np.median(length[surer, edge]) if surer.any() else np.nan
+    return found
+
+
+def fill_gaps(points: Floats, times: Floats, edges: Ints) -> Floats:
+    """Return points `[frame, keypoint, 3]` without gaps.
+
+    The joint that is known most often is interpolated in time, what hangs on it by its offset from
+    it, and so on outwards. times: `[frame]`.
+    """
+    known = np.isfinite(points[..., 0])
+    filled = points.copy()
+    middle = np.zeros((len(points), 3))
+    done: dict[int, None] = {}
+    for joint, anchor in _outwards(known.sum(0), edges):
+        base = filled[:, anchor] if anchor >= 0 else middle
+        there = known[:, joint]
+        offset = points[there, joint] - base[there]
+        for axis in range(3):
+            if there.any():
+                between = np.interp(times, times[there], offset[:, axis])
+            else:
+                between = np.zeros(len(points))
+            filled[:, joint, axis] = np.where(
+                there, points[:, joint, axis], base[:, axis] + between
+            )
+        if anchor < 0 and not done:
+            middle = filled[:, joint]
+        done[joint] = None
+    return filled
+
+
+def _outwards(count: Ints, edges: Ints) -> list[tuple[int, int]]:
+    """Return pairs (joint, the joint that it is filled in from), -1 for those that start."""
+    order: list[tuple[int, int]] = []
+    left = set(range(len(count)))
+    while left:
+        start = max(left, key=lambda joint: (count[joint], -joint))
+        queue = [(start, -1)]
+        left.discard(start)
+        while queue:
+            queue.sort(key=lambda pair: (-count[pair[0]], pair[0]))
+            joint, anchor = queue.pop(0)
+            order.append((joint, anchor))
+            for a, b in edges.tolist():
+                other = b if a == joint else a if b == joint else -1
+                if other in left:
+                    left.discard(other)
+                    queue.append((other, joint))
+    return order

@@ -1,0 +1,114 @@
+"""What was seen of bodies over time, by joint, as the energy of `poses.energy` takes it.
+
+A track is made of stretches of frames, of one individual or of several, one after the other: what
+is linear in time works on all of them at once.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mocap_calib.geometry.rays import rays_in_world
+from mocap_calib.multi_view.observations import Observations
+from mocap_calib.types import CameraRig, Floats, Ints
+
+
+@dataclass(frozen=True)
+class Detections:
+    """Rays of one track, each with two directions across it.
+
+    axes: `[3, 3, view, keypoint, frame]` coordinate in the world's axes of: the ray, and two unit
+        vectors at right angles to it and to each other; zero = missing.
+    precision: `[view, keypoint, frame]` inverse variance of the ray's angle in each of them, in
+        1 / radians squared; 0 = missing.
+    centres: `[view, 3]` of the cameras.
+    """
+
+    axes: Floats
+    precision: Floats
+    centres: Floats
+
+    def join(self, others: Sequence["Detections"]) -> "Detections":
+        """Return these detections and then, later in time, the others'."""
+        parts = [self, *others]
+        return replace(
+            self,
+            axes=np.concatenate([part.axes for part in parts], axis=-1),
+            precision=np.concatenate([part.precision for part in parts], axis=-1),
+        )
+
+
+@dataclass(frozen=True)
+class Body:
+    """What is expected of bodies in each frame of a track.
+
+    edges: `[edge, 2]` keypoints whose distance is constant. lengths: `[edge, frame]` these
+        distances, NaN where they are not known. size: `[frame]` of the bodies: strengths are in it.
+    steps: `[3, frame]` what the positions in a frame, the next one and the one after that are
+        multiplied by for the acceleration there, zero where these frames do not follow each other.
+        Times are in the usual step from one frame to the next.
+    """
+
+    edges: Ints
+    lengths: Floats
+    size: Floats
+    steps: Floats
+
+    def join(self, others: Sequence["Body"]) -> "Body":
+        """Return this body and then, later in time, the others."""
+        parts = [self, *others]
+        names = ("lengths", "size", "steps")
+        joined = {
+            name: np.concatenate([getattr(part, name) for part in parts], axis=-1) for name in names
+        }
+        return replace(self, **joined)
+
+
+def detections_of(
+    rig: CameraRig, seen: Observations, noise: Floats, *, individuals: int, keypoints: int
+) -> list[Detections]:
+    """Return the detections of each individual.
+
+    seen: of N = frames x individuals x keypoints. noise: `[view]` in radians.
+    """
+    rays = rays_in_world(rig, seen.rays)  # [view, 3, N]
+    weight = np.where(np.isfinite(seen.rays[:, 0]), seen.confidence, 0.0)
+    precision = weight / noise[:, None] ** 2
+    first = _any_across(rays)
+    second = np.cross(rays, first, axis=1)
+    axes = np.stack([rays, first, second])  # [3, view, 3, N]
+    views = len(rig)
+    axes = axes.reshape(3, views, 3, -1, individuals, keypoints).transpose(4, 0, 2, 1, 5, 3)
+    precision = precision.reshape(views, -1, individuals, keypoints).transpose(2, 0, 3, 1)
+    return [
+        Detections(np.ascontiguousarray(own), np.ascontiguousarray(weights), rig.centres)
+        for own, weights in zip(axes, precision, strict=True)
+    ]
+
+
+def _any_across(rays: Floats) -> Floats:
+    """Return unit vectors `[view, 3, N]` at right angles to rays, zero where these are."""
+    x, y, z = np.moveaxis(rays, 1, 0)
+    flat = np.abs(z) < 0.8
+    zero = np.zeros_like(x)
+    across = np.where(flat, np.stack([y, -x, zero]), np.stack([zero, z, -y]))
+    length = np.sqrt((across**2).sum(0))
+    return np.moveaxis(across / np.where(length > 0, length, 1.0), 0, 1)
+
+
+def acceleration_steps(frames: Floats, longest_gap: float) -> Floats:
+    """Return `Body.steps` `[3, frame]` of one stretch.
+
+    frames: numbers, in the usual step from one to the next. Second divided differences, doubled.
+    longest_gap: steps between frames that still follow each other.
+    """
+    steps = np.zeros((3, len(frames)))
+    if len(frames) < 3:
+        return steps
+    gap = np.diff(frames)
+    before, after = gap[:-1], gap[1:]
+    follow = np.maximum(before, after) <= longest_gap
+    first, last = 2 / (before * (before + after)), 2 / (after * (before + after))
+    steps[:, :-2] = np.where(follow, np.stack([first, -first - last, last]), 0.0)
+    return steps
