@@ -344,7 +344,8 @@ class MatchingConfig:
 
     In the end:
     fleeting_frames, fleeting_share: an individual that is seen in no more frames than this, and in
-        no larger share of them, is nobody, unless `sure_views` views of one frame agree on it.
+        no larger share of them, is nobody; unless `sure_views` views of one frame agree on it,
+        where bodies cannot be followed.
 
     Tracklets of one view:
     tracklet_step: how far a pose may move from a frame to the next and still be followed, as a
