@@ -908,6 +908,23 @@ RIG_ERROR_THRESHOLDS_DEG = (5, 10, 20, 30)  # at which `evaluate` tells the accu
 
 
 @dataclass(frozen=True)
+class KinematicsConfig:
+    """Contacts of feet with the floor; lengths in lengths of a leg (hip to ankle).
+
+    Looked at on motion capture (walkers of Human3.6M and HumanEva at 10 and 12 frames per second,
+    rates that their pace suggests; two dogs, taken for 30) and on simulated people at 30, without
+    and with 20 mm of noise: from 0.06 to 0.1 of height the shares of contacts grow by up to 0.05,
+    from 0.6 to 1 of speed by up to 0.07 for people and 0.12 for dogs. Nobody measured contacts.
+    """
+
+    contact_height: float = 0.08
+    contact_speed: float = 0.8  # legs per second
+    rest_quantile: float = 0.1  # of a joint's heights: what it has on a foot that stands
+    most_rest_height: float = 0.15  # an ankle's is 0.1; more is a body that never stands
+    window: float = 0.05  # seconds before and behind, in which heights and speeds are averaged
+
+
+@dataclass(frozen=True)
 class Config:
     """All stages."""
 
