@@ -24,6 +24,7 @@ from mocap_calib.multi_view.noise import view_noise
 from mocap_calib.multi_view.pieces import Pieces, cut_into_pieces
 from mocap_calib.multi_view.proportions import measure_proportions
 from mocap_calib.multi_view.tracking import (
+    lasting_individuals,
     locate_groups,
     real_individuals,
     reuse_names,
@@ -42,8 +43,9 @@ def finalise_identities(
     Individuals keep their names through occlusions, and when they meet, leave and come back: by
     motion, pose and proportions. A recording has as few names as it needs, and no more than
     `config.matching.individuals`, where these are known. An individual that is seen for a moment
-    alone, on which never three views agree, is a false detection that happened to meet another:
-    nobody. Detections without a name take that of their tracklet.
+    alone is a false detection that happened to meet another: nobody; unless bodies cannot be
+    followed and enough views of one frame agree on it. Detections without a name take that of
+    their tracklet.
 
     Returns labels `[view, frame, instance]`, those that are seen in most frames first. Raises
     DegenerateError where nobody is left.
@@ -53,14 +55,16 @@ def finalise_identities(
     points = _triangulate_groups(recording, rig, groups, config)
     pieces = _followable_pieces(points, recording.frames, matching)
     if pieces is None:
-        labels = _leave_out_fleeting(matches, len(rig.cameras), matching).labels
+        real = real_individuals(matches, len(rig.cameras), matching)
+        labels = _select_individuals(matches, real)
         in_frames = per_frame_labels(Matches(labels)).labels
         labels = reuse_names(labels, in_frames, locate_groups(recording, rig, in_frames))
     else:
         individual = _join_pieces(recording, points, groups, pieces, matching)
         names = _names_of_groups(individual, pieces, points)
         labels = _name_groups(groups.labels, names)
-        labels = _leave_out_fleeting(Matches(labels), len(rig.cameras), matching).labels
+        followed = Matches(labels)
+        labels = _select_individuals(followed, lasting_individuals(followed, matching))
     labels = sort_by_presence(labels)
     if matching.individuals is not None:
         labels = np.where(labels < matching.individuals, labels, -1)
@@ -154,16 +158,15 @@ def _name_groups(groups: Ints, names: Ints) -> Ints:
     return np.asarray(padded[frame, groups])
 
 
-def _leave_out_fleeting(matches: Matches, views: int, config: MatchingConfig) -> Matches:
-    """Return the matches without individuals that are false detections.
+def _select_individuals(matches: Matches, real: Bools) -> Ints:
+    """Return the labels without individuals that are false detections.
 
-    Raises DegenerateError where nobody is left.
+    real: `[individual]`. Raises DegenerateError where nobody is left.
     """
-    real: Bools = real_individuals(matches, views, config)
     if not real.any():
         raise DegenerateError(
             "expected bodies that two views agree on, found none for more than a moment; "
             "record longer, or with more overlap"
         )
     kept = np.where(real, np.arange(len(real)), -1)
-    return Matches(replace_labels(matches.labels, kept))
+    return replace_labels(matches.labels, kept)

@@ -144,12 +144,18 @@ def real_individuals(matches: Matches, views: int, config: MatchingConfig) -> Bo
     views: how many cameras there are.
     """
     seen = _appearances(matches.labels)
-    frames = np.bincount(seen.individual, minlength=matches.individuals)
-    share = int(config.fleeting_share * matches.labels.shape[1])
-    lasting = frames > min(config.fleeting_frames, share)
+    lasting = lasting_individuals(matches, config)
     enough = seen.views >= min(config.sure_views, views)
     lasting[seen.individual[enough]] = True
     return lasting
+
+
+def lasting_individuals(matches: Matches, config: MatchingConfig) -> Bools:
+    """Return `[individual]` which are seen for long."""
+    seen = _appearances(matches.labels)
+    frames = np.bincount(seen.individual, minlength=matches.individuals)
+    share = int(config.fleeting_share * matches.labels.shape[1])
+    return np.asarray(frames > min(config.fleeting_frames, share))
 
 
 @dataclass(frozen=True)
