@@ -29,9 +29,9 @@ from mocap_calib.multi_view.common_clock import synchronise
 from mocap_calib.multi_view.conclusion import conclude
 from mocap_calib.multi_view.estimated_cameras import estimate_cameras
 from mocap_calib.multi_view.faults import mend_faults
+from mocap_calib.multi_view.identities import finalise_identities
 from mocap_calib.multi_view.observed import Observed, leave_out_underconstrained
 from mocap_calib.multi_view.refinement import adjust_from_best_start
-from mocap_calib.multi_view.tracking import finalise_identities
 from mocap_calib.multi_view.triangulation import check_same_cameras
 from mocap_calib.multi_view.view_graph import camera_groups, select_hypotheses
 from mocap_calib.recording.assumed import choose_refinement
@@ -206,7 +206,7 @@ def match(
         sample_frames = choose_sample_frames(recording, config.sample)
         sample = take_sample(recording, sample_frames)
         lifted = lift(sample, lifter, device=device, progress=progress)
-        return label_all_frames(
+        matches = label_all_frames(
             recording,
             rig,
             config,
@@ -216,6 +216,7 @@ def match(
             lifted=lifted,
             progress=progress,
         )
+        return finalise_identities(recording, rig, matches, config)
 
 
 def _calibrate_groups(
@@ -266,7 +267,7 @@ def _calibrate_cameras(
             lifted=lifted,
             progress=progress,
         )
-        matches = finalise_identities(recording, adjusted.rig, matches, config.matching)
+        matches = finalise_identities(recording, adjusted.rig, matches, config)
     with clock("clocks"):
         observed, adjusted, offsets = settle_clocks(observed, adjusted, matches, config)
     return conclude(

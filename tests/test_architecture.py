@@ -121,6 +121,8 @@ DOORS = {  # module: where alone it is imported
     "h5netcdf": ("mocap_calib/io/",),
     "c3d": ("mocap_calib/io/",),
     "pynwb": ("mocap_calib/io/",),
+    "rerun": ("mocap_calib/io/poses/rerun_file.py",),
+    "bpy": ("mocap_calib/io/poses/blender_scene.py",),  # which Blender runs
     "xarray": ("mocap_calib/io/", "mocap_calib/types.py"),  # types names it to type checkers
     "tomli_w": ("mocap_calib/io/",),
     "yaml": ("mocap_calib/io/", "mocap_calib/recording/joints.py"),

@@ -149,7 +149,13 @@ def list_files(folder: Path) -> set[str]:
 
 
 # names of modules that are not those of the distributions that bring them
-DISTRIBUTIONS = {"cv2": "opencv-python-headless", "dask": "distributed", "yaml": "pyyaml"}
+DISTRIBUTIONS = {
+    "cv2": "opencv-python-headless",
+    "dask": "distributed",
+    "rerun": "rerun-sdk",
+    "yaml": "pyyaml",
+}
+BLENDER = {"bpy", "bmesh", "mathutils"}  # of the script that runs there
 
 
 def imported_modules(package: Path) -> set[str]:
@@ -177,7 +183,8 @@ def required_distributions() -> set[str]:
 def test_what_is_imported_is_required():
     """Other tests run among this environment's packages, where a missing line is not noticed."""
     imported = imported_modules(ROOT / "mocap_calib") | imported_modules(ROOT / "cli")
-    foreign = imported - sys.stdlib_module_names - {"mocap_calib", "mocap_calib_cli"}
+    own = {"mocap_calib", "mocap_calib_cli"}
+    foreign = imported - sys.stdlib_module_names - own - BLENDER
     needed = {DISTRIBUTIONS.get(name, name).replace("-", "_") for name in foreign}
     assert needed - required_distributions() == set()
     assert {"torch", "pyyaml", "pynwb"} <= needed

@@ -14,6 +14,7 @@ from mocap_calib.config import (
     ASSUMED_REFINEMENT,
     Config,
     IntrinsicsConfig,
+    MatchingConfig,
     MendConfig,
     Refinement,
     SampleConfig,
@@ -80,6 +81,7 @@ def calibration_request(options: SharedOptions, output: Path) -> CalibrationRequ
         device=options.device,
         config=Config(
             intrinsics=intrinsics,
+            matching=MatchingConfig(individuals=options.individuals),
             mend=MendConfig(apply=options.mend != "none"),
             sync=sync_config(options),
             world=world,

@@ -32,6 +32,7 @@ COMMANDS = {
     "triangulate": "3D poses from the rig and the matches.",
     "scale": "Set the scale of results by known lengths.",
     "convert": "Keypoints, cameras and poses from one format to another.",
+    "kinematics": "Joint angles, speeds, contacts and bone lengths of 3D poses.",
     "complete": "Fill keypoints that were not seen.",
     "verify": "Judge an existing calibration by keypoints: which camera moved since?",
     "evaluate": "Compare cameras with a reference calibration.",

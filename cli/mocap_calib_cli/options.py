@@ -22,7 +22,7 @@ from mocap_calib.config import (
 )
 from mocap_calib_cli import values
 from mocap_calib_cli.file_options import FILE_OPTIONS
-from mocap_calib_cli.numbers import PERCENTAGE, SEED
+from mocap_calib_cli.numbers import COUNT, PERCENTAGE, SEED
 from mocap_calib_cli.world_options import WORLD_OPTIONS
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -40,6 +40,7 @@ INTRINSICS = ("cameras", "refine", "focal_uncertainty", "focal_per_camera")
 CALIBRATION = (
     *INTRINSICS,
     *MODEL,
+    "individuals",
     "solver",
     "seed",
     "scheduler",
@@ -64,6 +65,7 @@ class SharedOptions:
     mirrored ... moved: what is known to be wrong with them, see `texts.stated_mends`.
     cameras ... focal_per_camera: what is known of the intrinsics, see `inputs.intrinsics_config`.
     skeleton: file with names of joints of one's own. model: None = chosen by joint names.
+    individuals: how many there are at most, None = nobody knows.
     solver: of pairs. scheduler: address of a Dask scheduler, None = the work is done here.
     write: further formats of the results. fps: frames per second, see `texts.parse_rates`.
     sync, sync_window: what is done about clocks that differ, see `inputs.sync_config`.
@@ -95,6 +97,7 @@ class SharedOptions:
     skeleton: Path | None = None
     model: str | None = None
     device: str = "cpu"
+    individuals: int | None = None
     solver: str = PAIR_SOLVERS[0]
     seed: int = 0
     scheduler: str | None = None
@@ -179,6 +182,13 @@ _OPTIONS = {
         type=click.Choice(["cpu", "cuda"]),
         default=SharedOptions.device,
         help="Where the network computes.",
+    ),
+    "individuals": click.option(
+        "--individuals",
+        type=COUNT,
+        metavar="N",
+        help="How many individuals there are, where you know it: never more get a name, and those "
+        "best supported do. [default: as many as the recording needs]",
     ),
     "solver": click.option(
         "--solver",

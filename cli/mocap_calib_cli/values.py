@@ -63,6 +63,9 @@ REFERENCE = PathOf(
     "same names of cameras."
 )
 PAIRS = PathOf("Expected the file that `pairwise` wrote; - reads stdin.")
+POSES = PathOf(
+    "Expected 3D poses; give the folder of `run`, or files of a 3D format of docs/formats.md."
+)
 ANY_PATH = PathOf()
 
 
@@ -93,17 +96,21 @@ def _offer(
     return complete
 
 
-def _list_formats(*kinds: str, written: bool = False, unitless: bool = False) -> dict[str, str]:
+def _list_formats(
+    *kinds: str, read: bool = False, written: bool = False, unitless: bool = False
+) -> dict[str, str]:
     """Return name -> titles of the formats of these kinds of files.
 
-    written: those that are written alone. unitless: those alone that do without a unit of length.
+    read, written: those alone that are read, or written. unitless: those alone that do without a
+        unit of length.
     """
     from mocap_calib.io.kinds import FORMATS
 
     titles: dict[str, str] = {}
     for kind, formats in FORMATS.items():
         for each in formats if kind in kinds else ():
-            if (each.write or not written) and not (each.unit and unitless):
+            left_out = (each.only_written and read) or (not each.write and written)
+            if not left_out and not (each.unit and unitless):
                 known = titles.get(each.name)
                 titles[each.name] = f"{known}; {each.title}" if known else each.title
     return titles
@@ -135,7 +142,8 @@ _KINDS = ("poses", "keypoints", "cameras")
 offer_keypoint_formats = _offer(partial(_list_formats, "keypoints"))
 offer_written_keypoint_formats = _offer(partial(_list_formats, "keypoints", written=True))
 offer_written_camera_formats = _offer(partial(_list_formats, "cameras", written=True))
-offer_formats = _offer(partial(_list_formats, *_KINDS))
+offer_formats = _offer(partial(_list_formats, *_KINDS, read=True))
+offer_pose_formats = _offer(partial(_list_formats, "poses", read=True))
 offer_written_formats = _offer(partial(_list_formats, *_KINDS, written=True))
 # the lengths of a run are arbitrary
 offer_result_formats = _offer(

@@ -15,15 +15,16 @@ import numpy as np
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.atomic import check_no_further_individual
 from mocap_calib.io.cameras.formats import CAMERA_FORMATS
-from mocap_calib.io.cameras.read import load_cameras, make_rig, parse_content
+from mocap_calib.io.cameras.read import load_cameras, make_rig, parse_content, read_rig
 from mocap_calib.io.cameras.source import CameraFile
 from mocap_calib.io.cameras.write import format_rig, write_cameras
 from mocap_calib.io.file import read_bytes
 from mocap_calib.io.keypoints.document import ReadOptions
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.io.keypoints.write import format_keypoints, write_keypoints
-from mocap_calib.io.kinds import NAMELESS, Sources
-from mocap_calib.io.poses.common import PoseFile, convert_unit, turn_up_axis
+from mocap_calib.io.kinds import NAMELESS, OWN_POSES, Sources
+from mocap_calib.io.poses.axes import turn_up_axis
+from mocap_calib.io.poses.common import PoseFile, convert_unit
 from mocap_calib.io.poses.formats import POSE_FORMATS
 from mocap_calib.io.poses.read import join_individuals, parse_poses
 from mocap_calib.io.poses.write import format_poses, write_poses
@@ -36,6 +37,8 @@ from mocap_calib.io.units import ARBITRARY, unit_factor
 from mocap_calib.recording.pairing import check_pixels
 from mocap_calib.types import Keypoints2D
 from mocap_calib.wording import count
+
+_OWN_CAMERAS = "cameras.yaml"  # in the folder of a run
 
 
 @dataclass(frozen=True)
@@ -125,7 +128,10 @@ def convert_poses(
     input_unit: what a length of 1 is in the sources, where these do not say.
     fps: frames per second, where the sources do not say.
     up: the axis of the sources' world that points up (x, y, z, -x, -y, -z); the poses are turned
-        so that it is y. None: the axes are kept.
+        so that it is y. None: where the sources say what is up, they are turned so that it is the
+        axis that the new format takes for up; else the axes are kept.
+
+    Formats that show cameras show those of a run, whose folder or poses3d.h5 is the source.
 
     Raises FormatError and MismatchError as `load_poses` and `write_poses` do, and MismatchError
     where the sources contradict `fps`.
@@ -136,6 +142,8 @@ def convert_poses(
     else:
         name = str(sources[0])
         file = _read_individuals(sources, format, input_unit)
+    if find_format(POSE_FORMATS, to).rig and not isinstance(sources, bytes):
+        file = _add_cameras(file, sources[0])
     if unit is not None:
         file = convert_unit(file, unit, f"{name}: --unit {unit}")
     if fps is not None:
@@ -220,12 +228,41 @@ def _fill_sizes(found: CameraFile, size: tuple[int, int], source: str) -> Camera
 # --- poses
 
 
+def load_pose_sources(
+    sources: Sequence[Path], format: str | None = None, fps: float | None = None
+) -> PoseFile:
+    """Read all individuals in files, folders of files and folders of runs.
+
+    The arguments are those of `convert_poses`. Raises FormatError and MismatchError.
+    """
+    file = _read_individuals(sources, format, None)
+    return file if fps is None else _fill_rate(file, fps, str(sources[0]))
+
+
+def _add_cameras(file: PoseFile, source: Path) -> PoseFile:
+    """Return the poses with the cameras of their run, where the source is of a run.
+
+    Cameras in another unit are left out, and that is noted.
+    """
+    folder = source if source.is_dir() else source.parent
+    cameras = folder / _OWN_CAMERAS
+    if not cameras.is_file() or not (source.is_dir() or source.name == OWN_POSES):
+        return file
+    rig = read_rig(cameras)
+    if rig.unit == file.poses.unit:
+        return replace(file, rig=rig)
+    note = f"{cameras}: left out, as its lengths are not in the unit of the poses"
+    return replace(file, notes=(*file.notes, note))
+
+
 def _read_individuals(sources: Sequence[Path], format: str | None, unit: str | None) -> PoseFile:
     """Read all individuals in files and folders of files. Raises FormatError and MismatchError."""
-    endings = names_by_ending(POSE_FORMATS)
+    endings = names_by_ending(each for each in POSE_FORMATS if not each.only_written)
     paths: list[Path] = []
     for source in sources:
-        if source.is_dir():
+        if (source / OWN_POSES).is_file():  # the folder of a run
+            paths.append(source / OWN_POSES)
+        elif source.is_dir():
             paths += sorted(file for file in source.iterdir() if ending_of(file) in endings)
         else:
             paths.append(source)

@@ -19,6 +19,7 @@ from mocap_calib.io.registry import (
     ending_of,
     format_names,
     names_by_ending,
+    read_names,
     written_names,
 )
 
@@ -28,6 +29,7 @@ FORMATS: Mapping[Kind, tuple[AnyFormat, ...]] = {
     "keypoints": KEYPOINT_FORMATS,
     "cameras": CAMERA_FORMATS,
 }
+OWN_POSES = "poses3d.h5"  # in the folder of a run
 NAMELESS = "stdin"  # what complaints call content that comes without a path
 
 Sources = Sequence[str | Path] | bytes
@@ -100,12 +102,11 @@ def _kinds_named(format: str | None, to: str | None) -> list[Kind]:
     for option, name in (("--from", format), ("--to", to)):
         if name is None:
             continue
-        having = [kind for kind in FORMATS if name in format_names(FORMATS[kind])]
+        list_names = read_names if option == "--from" else format_names
+        having = [kind for kind in FORMATS if name in list_names(FORMATS[kind])]
         if not having:
-            known = "; ".join(
-                f"{kind}: {', '.join(format_names(FORMATS[kind]))}" for kind in FORMATS
-            )
-            names = [each for formats in FORMATS.values() for each in format_names(formats)]
+            known = "; ".join(f"{kind}: {', '.join(list_names(FORMATS[kind]))}" for kind in FORMATS)
+            names = [each for formats in FORMATS.values() for each in list_names(formats)]
             raise MismatchError(
                 f"{option}: expected a format ({known}), found {name!r}; {suggest(name, names)}"
             )
@@ -146,7 +147,9 @@ def _looks_like(kind: Kind, sources: Sources) -> bool:
     if kind == "keypoints":
         return (path.is_dir() or path.is_file()) and looks_like_keypoints(path)
     first = path
-    if path.is_dir():
+    if kind == "poses" and (path / OWN_POSES).is_file():
+        first = path / OWN_POSES
+    elif path.is_dir():
         first = min((file for file in path.iterdir() if file.is_file()), default=path)
     if not first.is_file():
         return False

@@ -29,12 +29,16 @@ class Format(Generic[Sniff, Read, Write]):
     sniff: whether a file is meant for this format, which its reader may still refuse.
     read: the content of a file as records.
     write: records as files; None where the format is only read.
+    only_written: `sniff` and `read` refuse all.
     endings: of the names of files that are written in this format unless another is named.
     per_frame: a file holds one frame, a folder one camera (keypoints).
     folder: the format is several files, by names of its own (cameras).
     single: a file holds one individual (poses).
     timed: writing needs the number of frames per second (poses).
     unit: of its lengths, "" where the format leaves that open (cameras, poses).
+    up: the axis that points up for its readers, y or z; "" = none, the axes stay (poses).
+    result: what a run calls its file, where that is not poses3d and the ending (poses).
+    rig: it shows the cameras too, where they are known (poses).
     points: it holds observed points as well, and `write` takes them (cameras).
     packages, extra: the modules that write the format where those are not always there, and the
         extra of mocap-calib that brings them.
@@ -49,6 +53,7 @@ class Format(Generic[Sniff, Read, Write]):
     sniff: Sniff
     read: Read
     write: Write | None = None
+    only_written: bool = False
     endings: tuple[str, ...] = ()
     per_frame: bool = False
     folder: bool = False
@@ -56,6 +61,9 @@ class Format(Generic[Sniff, Read, Write]):
     timed: bool = False
     followed: bool = False
     unit: str = ""
+    up: str = ""
+    result: str = ""
+    rig: bool = False
     packages: tuple[str, ...] = ()
     extra: str = ""
     points: bool = False
@@ -107,6 +115,11 @@ def find_format(formats: Sequence[OneFormat], name: str) -> OneFormat:
 def format_names(formats: Iterable[AnyFormat]) -> tuple[str, ...]:
     """Return the names of the formats, in the order in which they are tried."""
     return tuple(each.name for each in formats)
+
+
+def read_names(formats: Iterable[AnyFormat]) -> tuple[str, ...]:
+    """Return the names of the formats that are read."""
+    return tuple(each.name for each in formats if not each.only_written)
 
 
 def written_names(formats: Iterable[AnyFormat]) -> tuple[str, ...]:

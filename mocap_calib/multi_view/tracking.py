@@ -1,7 +1,7 @@
 """Carry the groups of each frame through time: who is who in the whole recording.
 
-Groups go by where they stand in space. At the end individuals that are never seen together are
-joined, so that a recording has as few names as it needs.
+Groups go by where they stand in space: while a rig is built, and where frames do not follow each
+other. The final names are those of `identities`.
 """
 
 from dataclasses import dataclass
@@ -12,10 +12,8 @@ from scipy.optimize import linear_sum_assignment
 
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import MatchingConfig
-from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.projection import rays_from_pixels
-from mocap_calib.multi_view.labels import per_frame_labels, replace_labels
-from mocap_calib.multi_view.tracklets import name_by_tracklets
+from mocap_calib.multi_view.labels import replace_labels
 from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Matches, Recording
 
 _FRAMES = 512  # in which groups are located at a time
@@ -106,7 +104,7 @@ def link_through_time(labels: Ints, places: Floats, frames: Ints, config: Matchi
         individual_of_group = np.full(places.shape[1], -1, dtype=np.int64)
         individual_of_group[groups] = individual
         linked[:, index] = replace_labels(labels[:, index], individual_of_group)
-    return _sort_by_presence(linked)
+    return sort_by_presence(linked)
 
 
 def _nearest_individuals(last_place: Floats, here: Floats, limit: Floats) -> Ints:
@@ -140,36 +138,11 @@ def _largest_step(places: Floats, frames: Ints, config: MatchingConfig) -> float
     return max(config.largest_step, config.usual_steps * float(np.median(steps)))
 
 
-def finalise_identities(
-    recording: Recording, rig: CameraRig, matches: Matches, config: MatchingConfig
-) -> Matches:
-    """Give the final names: no fleeting individuals, and as few names as the recording needs.
+def real_individuals(matches: Matches, views: int, config: MatchingConfig) -> Bools:
+    """Return `[individual]` which are seen for long, or by enough views of one frame.
 
-    A fleeting individual on which never three views agree is a false detection that happened to
-    meet another: nobody. Of the others, one that appears takes the name of one that has gone, the
-    last seen nearest: a cage or a stage holds so many bodies and no more. Detections without a
-    name take that of their tracklet.
-
-    Returns labels `[view, frame, instance]`, those that are seen in most frames first. Raises
-    DegenerateError where nobody is left.
+    views: how many cameras there are.
     """
-    real = _real_individuals(matches, len(rig.cameras), config)
-    if not real.any():
-        raise DegenerateError(
-            "expected bodies that two views agree on, found none for more than a moment; "
-            "record longer, or with more overlap"
-        )
-    kept = np.where(real, np.arange(len(real)), -1)
-    labels = replace_labels(matches.labels, kept)
-    groups = per_frame_labels(Matches(labels)).labels
-    presences = _list_presences(labels, groups, locate_groups(recording, rig, groups))
-    names = _reuse_names(presences, individuals=matches.individuals, frames=labels.shape[1])
-    joined = _sort_by_presence(replace_labels(labels, names))
-    return Matches(name_by_tracklets(recording, joined, config))
-
-
-def _real_individuals(matches: Matches, views: int, config: MatchingConfig) -> Bools:
-    """Return `[individual]` which are seen for long, or by enough views of one frame."""
     seen = _appearances(matches.labels)
     frames = np.bincount(seen.individual, minlength=matches.individuals)
     share = int(config.fleeting_share * matches.labels.shape[1])
@@ -238,12 +211,18 @@ def _list_presences(labels: Ints, groups: Ints, places: Floats) -> list[_Presenc
     return presences
 
 
-def _reuse_names(presences: list[_Presence], *, individuals: int, frames: int) -> Ints:
-    """Return the name of each individual, `[individual]`; -1 where it is never seen.
+def reuse_names(labels: Ints, groups: Ints, places: Floats) -> Ints:
+    """Return the labels with as few names as the recording needs, by place alone.
 
     Individuals that are never seen together are joined, in the order in which they appear, each
-    to the one that was last seen nearest to where it appears.
+    to the one that was last seen nearest to where it appears: a cage or a stage holds so many
+    bodies and no more.
+
+    labels: `[view, frame, instance]`; groups: the same, numbered within each frame; places:
+    `[frame, group, 3]`.
     """
+    presences = _list_presences(labels, groups, places)
+    individuals, frames = int(labels.max(initial=-1)) + 1, labels.shape[1]
     names = np.full(individuals, -1, dtype=np.int64)
     busy: list[Bools] = []  # of each name: the frames it is seen in
     last_place: list[Floats] = []  # of each name: where it was last seen so far
@@ -260,10 +239,10 @@ def _reuse_names(presences: list[_Presence], *, individuals: int, frames: int) -
         names[presence.individual] = name
         busy[name][presence.frames] = True
         last_place[name] = presence.last_place
-    return names
+    return replace_labels(labels, names)
 
 
-def _sort_by_presence(labels: Ints) -> Ints:
+def sort_by_presence(labels: Ints) -> Ints:
     """Renumber individuals by the number of frames they are seen in, most first."""
     presence = np.bincount(_appearances(labels).individual)
     by_presence = np.argsort(-presence, kind="stable")

@@ -340,7 +340,7 @@ def test_run_writes_what_is_asked_for(tool, small, tmp_path):
 @pytest.mark.parametrize(
     ("formats", "fps", "reason"),
     [
-        (["bvh"], (), "--write: expected one of poses-h5, "),
+        (["fbx"], (), "--write: expected one of poses-h5, "),
         (["kalibr"], (), "--write: expected one of poses-h5, "),  # only read
         (["movement-3d", "nwb-3d"], ("30",), "nwb-3d: expected the Python package pynwb"),
         (

@@ -30,7 +30,7 @@ def values(line: str) -> set[str]:
 
 
 def read(kind: str) -> set[str]:
-    return {each.name for each in FORMATS[kind]}
+    return {each.name for each in FORMATS[kind] if not each.only_written}
 
 
 def written(kind: str) -> set[str]:

@@ -479,6 +479,7 @@ def test_what_a_format_cannot_hold_of_the_cameras_is_said_before_a_run(format, c
     """And what it can hold passes, whatever the format."""
     formats = (*CAMERA_FORMATS, *POSE_FORMATS)
     every = [each.name for each in formats if each.write and not (each.unit or each.packages)]
+    every.remove("bvh")  # asks for keypoints that a skeleton joins
     of = replace(recording(), cameras=tuple(map(camera, ("left", "right", "3"))))
     check_recording(every, of, 30.0)
     unfit = replace(of, cameras=(replace(of.cameras[0], **change), *of.cameras[1:]))

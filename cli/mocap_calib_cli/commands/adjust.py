@@ -53,8 +53,8 @@ def command(
     from mocap_calib.io.results.matches_csv import matches_csv
     from mocap_calib.multi_view.association import label_all_frames
     from mocap_calib.multi_view.conclusion import conclude_without_pairs
+    from mocap_calib.multi_view.identities import finalise_identities
     from mocap_calib.multi_view.refinement import adjust_until_stable, choose_adjuster
-    from mocap_calib.multi_view.tracking import finalise_identities
     from mocap_calib_cli import inputs, outputs, verdicts
     from mocap_calib_cli.progress import Reporter
 
@@ -89,7 +89,7 @@ def command(
                 lifted=lifted,
                 progress=reporter,
             )
-            matches = finalise_identities(recording, adjusted.rig, matches, config.matching)
+            matches = finalise_identities(recording, adjusted.rig, matches, config)
             outputs.write_text(matches_out, matches_csv(recording, matches, loaded.clocks))
         result = conclude_without_pairs(sample, lifted, rig, adjusted, config)
     _write_judged(result, output, shared, reporter, solver=solver)

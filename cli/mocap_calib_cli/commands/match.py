@@ -7,7 +7,7 @@ from mocap_calib_cli import options
 
 @click.command(name="match")
 @options.output_text("matches (CSV)")
-@options.shared_options("rig", *options.MODEL, *options.KEYPOINTS, "quiet")
+@options.shared_options("rig", *options.MODEL, "individuals", *options.KEYPOINTS, "quiet")
 def command(shared: options.SharedOptions, output: str) -> None:
     """Label every detection with its individual, given where the cameras stand.
 
@@ -18,6 +18,7 @@ def command(shared: options.SharedOptions, output: str) -> None:
     Example, in the folder examples/three_people:
       mocap-calib match keypoints/ --rig out/cameras.yaml -o matches.csv
     """
+    from mocap_calib.config import Config, MatchingConfig
     from mocap_calib.io.results.matches_csv import matches_csv
     from mocap_calib.pipeline import match
     from mocap_calib_cli import inputs, outputs
@@ -26,5 +27,8 @@ def command(shared: options.SharedOptions, output: str) -> None:
     outputs.check_text(output)
     with Reporter(quiet=shared.quiet) as reporter:
         rig, loaded = inputs.read_recording_of_rig(shared, reporter)
-        matches = match(loaded.recording, rig, device=shared.device, progress=reporter)
+        config = Config(matching=MatchingConfig(individuals=shared.individuals))
+        matches = match(
+            loaded.recording, rig, config=config, device=shared.device, progress=reporter
+        )
     outputs.write_text(output, matches_csv(loaded.recording, matches, loaded.clocks))

@@ -3,6 +3,8 @@
 * Numbers are float32, lengths millimetres, frames are counted from 1 without gaps.
 * The header counts markers in a byte: there are at most 255.
 * The format has no individuals: their markers are called `name:marker`.
+* POINT:Y_SCREEN says which axis is up, POINT:X_SCREEN which lies across, where that is known; the
+  format leaves it to the laboratory, and z is usual.
 * A point has a residual besides x, y, z; -1 marks a missing one.
 """
 
@@ -15,6 +17,7 @@ import numpy as np
 
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.file import malformed
+from mocap_calib.io.poses.axes import up_axis
 from mocap_calib.io.poses.common import (
     PoseFile,
     WrittenPoses,
@@ -158,7 +161,7 @@ def write(file: PoseFile, title: str) -> WrittenPoses:
     table = _make_table(positions.reshape(len(frames), len(labels), 3))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # it misses analog channels
-        content = _format_file(table, labels, rate=rate, first=first + 1)
+        content = _format_file(table, labels, rate=rate, first=first + 1, up=up_axis(file))
     return WrittenPoses(content, lost_quality(file))
 
 
@@ -191,14 +194,18 @@ def _make_table(points: Floats) -> Floats:
     return np.concatenate([positions, residuals, np.zeros_like(residuals)], axis=-1)
 
 
-def _format_file(table: Floats, labels: list[str], *, rate: float, first: int) -> bytes:
+def _format_file(table: Floats, labels: list[str], *, rate: float, first: int, up: str) -> bytes:
     """Return a file.
 
     table: `[frame, marker, 5]`. labels: `[marker]`. first: number of the first frame, from 1 on.
+    up: the axis that points up, "" = not known.
     """
     writer = c3d.Writer(point_rate=rate, point_units="mm")
     writer.set_point_labels(labels)
     writer.set_start_frame(first)
+    if up:
+        sign = "-" if up.startswith("-") else "+"
+        writer.set_screen_axis("+Y" if up[-1] == "x" else "+X", f"{sign}{up[-1].upper()}")
     no_analog = np.zeros((0, 1))
     writer.add_frames([(frame, no_analog) for frame in table])
     content = io.BytesIO()

@@ -18,8 +18,9 @@ from mocap_calib.io.file import find_repeated, malformed
 from mocap_calib.io.hdf5 import HDF5_DAMAGE
 from mocap_calib.io.sandbox import HDF5
 from mocap_calib.io.units import unit_factor
+from mocap_calib.recording.joints import choose_skeleton, edges_of_keypoints, match_names
 from mocap_calib.records import check_names
-from mocap_calib.types import Floats, Ints, Poses3D
+from mocap_calib.types import CameraRig, Floats, Ints, Poses3D
 from mocap_calib.wording import one_line
 
 # what h5py, numpy, zipfile and c3d raise on files that are cut or damaged
@@ -36,16 +37,6 @@ DAMAGE = (
 )
 _LONGEST = 5_000_000  # frames of a file without gaps: a day and a half at 30 per second
 UNNAMED = re.compile(r"individual_[0-9]+")  # what individuals without a name are called
-# axis that points up -> rotation of the world that makes it y
-_UP = {
-    "x": [[0, 0, 1], [1, 0, 0], [0, 1, 0]],
-    "y": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
-    "z": [[0, 1, 0], [0, 0, 1], [1, 0, 0]],
-    "-x": [[0, 1, 0], [-1, 0, 0], [0, 0, 1]],
-    "-y": [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
-    "-z": [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
-}
-UP_AXES = tuple(_UP)
 
 
 @dataclass(frozen=True)
@@ -57,6 +48,7 @@ class PoseFile:
     individuals: `[individual]` names; those of a file without names are called individual_0, ...
     notes: what a user should know of what was left out.
     edges: pairs of keypoints (indices) that a skeleton joins, where the file says so.
+    rig: the cameras, in the same coordinates, where they are known: for formats that show them.
     """
 
     poses: Poses3D
@@ -64,6 +56,7 @@ class PoseFile:
     individuals: tuple[str, ...] = ()
     notes: tuple[str, ...] = field(default=())
     edges: tuple[tuple[int, int], ...] = ()
+    rig: CameraRig | None = None
 
     def __post_init__(self) -> None:
         count = self.poses.positions.shape[1]
@@ -78,10 +71,11 @@ def describe_poses(
     fps: float | None,
     individuals: Sequence[str] = (),
     edges: tuple[tuple[int, int], ...] = (),
+    rig: CameraRig | None = None,
 ) -> PoseFile:
     """Return poses with what is known beside.
 
-    fps: frames per second; None: not known. individuals, edges: see `PoseFile`.
+    fps: frames per second; None: not known. individuals, edges, rig: see `PoseFile`.
 
     Raises ValueError for another number of names, names that occur twice, and a rate that is not
     above 0.
@@ -92,7 +86,7 @@ def describe_poses(
         raise ValueError(f"individuals: expected {count} names, got {len(individuals)}")
     check_rate(fps)
     rate = float("nan") if fps is None else fps
-    return PoseFile(poses, rate, tuple(individuals), edges=edges)
+    return PoseFile(poses, rate, tuple(individuals), edges=edges, rig=rig)
 
 
 def check_rate(fps: float | None) -> None:
@@ -189,6 +183,22 @@ def attribute(attributes: Mapping[str, Any], key: str) -> str:
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
 
+# --- for formats that are only written
+
+
+def never(content: bytes) -> bool:
+    """Return False: no content is of a format that is only written."""
+    return False
+
+
+def refuse_reading(content: bytes, source: str) -> PoseFile:
+    """Raise MismatchError: the format is only written."""
+    raise MismatchError(
+        f"{source}: expected a format that is read, found one that is only written; "
+        "give the file that it was made of, or leave the name of the format out"
+    )
+
+
 # --- for writers
 
 
@@ -200,16 +210,19 @@ def convert_unit(file: PoseFile, unit: str, owner: str) -> PoseFile:
     Raises MismatchError where the poses' own unit is not known.
     """
     factor = unit_factor(file.poses.unit, unit, owner)
-    return replace(file, poses=file.poses.scale(factor, unit))
+    rig = None if file.rig is None else file.rig.scale(factor, unit)
+    return replace(file, poses=file.poses.scale(factor, unit), rig=rig)
 
 
-def turn_up_axis(file: PoseFile, up: str) -> PoseFile:
-    """Turn the poses so that the axis that points up is y, as OpenSim and others take it.
+def known_edges(file: PoseFile) -> tuple[tuple[int, int], ...]:
+    """Return the pairs of keypoints (indices) that a skeleton joins.
 
-    up: x, y, z, -x, -y or -z; the other axes follow.
+    Where the file does not say them, the shipped skeleton that knows most of the names does.
     """
-    turn = np.array(_UP[up], dtype=np.float64)
-    return replace(file, poses=file.poses.turn(turn))
+    if file.edges:
+        return file.edges
+    skeleton = choose_skeleton(file.poses.keypoints)
+    return edges_of_keypoints(skeleton, match_names(file.poses.keypoints, skeleton))
 
 
 def fill_gaps(poses: Poses3D, owner: str) -> tuple[Ints, Floats]:

@@ -4,15 +4,18 @@ from collections.abc import Callable
 
 from mocap_calib.io.poses import (
     anipose_csv,
+    blender,
+    bvh,
     c3d_file,
     movement,
     npz,
     nwb,
     poses3d_h5,
+    rerun_file,
     sleap_anipose,
     trc,
 )
-from mocap_calib.io.poses.common import PoseFile, WrittenPoses
+from mocap_calib.io.poses.common import PoseFile, WrittenPoses, never, refuse_reading
 from mocap_calib.io.registry import Format
 
 # read: content and what complaints call it. write: the poses and a title
@@ -54,6 +57,7 @@ POSE_FORMATS = (
         single=True,
         timed=True,
         unit="mm",
+        up="y",
     ),
     PoseFormat(
         kind="poses",
@@ -82,6 +86,7 @@ POSE_FORMATS = (
         sniff=sleap_anipose.sniff,
         read=sleap_anipose.parse,
         write=sleap_anipose.write,
+        result="points3d.h5",
     ),
     PoseFormat(
         kind="poses",
@@ -103,5 +108,44 @@ POSE_FORMATS = (
         read=npz.parse,
         write=npz.write,
         endings=(".npz",),
+    ),
+    PoseFormat(
+        kind="poses",
+        name="bvh",
+        title="BVH of animation programs",
+        sniff=never,
+        read=refuse_reading,
+        write=bvh.write,
+        only_written=True,
+        endings=(".bvh",),
+        single=True,
+        timed=True,
+        up="y",
+    ),
+    PoseFormat(
+        kind="poses",
+        name="blender",
+        title="Python script for Blender",
+        sniff=never,
+        read=refuse_reading,
+        write=blender.write,
+        only_written=True,
+        endings=(".py",),
+        result="poses.blend.py",
+        rig=True,
+        up="z",
+    ),
+    PoseFormat(
+        kind="poses",
+        name="rerun",
+        title="rerun recording",
+        sniff=never,
+        read=refuse_reading,
+        write=rerun_file.write,
+        only_written=True,
+        endings=(".rrd",),
+        rig=True,
+        packages=("rerun",),
+        extra="rerun",
     ),
 )

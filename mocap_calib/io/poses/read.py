@@ -15,7 +15,7 @@ from mocap_calib.io.file import find_repeated, malformed, read_bytes
 from mocap_calib.io.poses import poses3d_h5
 from mocap_calib.io.poses.common import UNNAMED, PoseFile, check_poses
 from mocap_calib.io.poses.formats import POSE_FORMATS, PoseFormat
-from mocap_calib.io.registry import find_format, format_names
+from mocap_calib.io.registry import find_format, read_names
 from mocap_calib.io.sandbox import call_contained
 from mocap_calib.io.units import ARBITRARY, refuse_unit
 from mocap_calib.types import Poses3D
@@ -101,7 +101,7 @@ def _find_format(content: bytes, source: str, format: str | None) -> PoseFormat:
     if name:
         return find_format(POSE_FORMATS, name)
     found = f"content that begins with {content[:16]!r}" if content else "an empty file"
-    expected = f"one of: {', '.join(format_names(POSE_FORMATS))}"
+    expected = f"one of: {', '.join(read_names(POSE_FORMATS))}"
     raise malformed(source, expected, found, "export one of these, or name it")
 
 

@@ -4,7 +4,8 @@
   (each above the first of its three columns), X1 Y1 Z1 X2 ...
 * A missing point is three empty cells. OpenSim does not count an empty cell at the end of a line
   unless a tab stands behind it.
-* Frames have no gaps. Lengths are metres or millimetres.
+* Frames have no gaps. Lengths are metres or millimetres, and y is up.
+* Joints of people are called as the markers of Pose2Sim's OpenSim models (`io.poses.opensim`).
 """
 
 import math
@@ -24,6 +25,7 @@ from mocap_calib.io.poses.common import (
     need_keypoints,
     need_rate,
 )
+from mocap_calib.io.poses.opensim import marker_names
 from mocap_calib.io.units import known_unit
 from mocap_calib.types import Floats, Ints
 
@@ -134,7 +136,7 @@ def _format_header(file: PoseFile, title: str, frames: Ints, rate: float) -> lis
 
     frames: `[frame]` numbers that are written.
     """
-    names = file.poses.keypoints
+    names = marker_names(file)
     count = str(len(frames))
     fields = {
         "DataRate": repr(rate),

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.atomic import individual_files, write_bytes, write_files
+from mocap_calib.io.poses.axes import turn_upright
 from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.poses.formats import POSE_FORMATS
 from mocap_calib.io.registry import Written, find_format
@@ -17,9 +18,13 @@ def format_poses(file: PoseFile, format: str, path: Path, title: str = "") -> Wr
         files are called NAME_0, NAME_1, ...
     title: of the poses, for formats that have a place for one.
 
+    Where the poses say what is up, they are turned so that it is the axis that the format's readers
+    take for up.
+
     Raises MismatchError where the format carries too little.
     """
     known = find_format(POSE_FORMATS, format)
+    file = turn_upright(file, known.up)
     if not known.single:
         written = known.writer()(file, title)
         return Written({path.name: written.content}, written.lost)

@@ -1,7 +1,7 @@
 """Write a run's cameras and 3D poses in further formats, beside its own files."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -75,7 +75,7 @@ def check_recording(
     )
     positions = np.zeros((1, 1, len(recording.keypoints), 3))
     poses = bare_poses(recording.keypoints, np.zeros(1, int), positions, unit=unit)
-    file = describe_poses(poses, fps)
+    file = describe_poses(poses, fps, rig=rig)
     for name in names:
         if name in written_names(CAMERA_FORMATS):
             format_rig(rig, name, {})
@@ -125,7 +125,7 @@ def write_formats(
             if name in written_names(CAMERA_FORMATS):
                 lost = _write_rig(output / name, rig, name, provenance, points)
             elif file is not None:
-                lost = _write_poses(output, file, name)
+                lost = _write_poses(output, replace(file, rig=rig), name)
             else:
                 continue
         except MismatchError as error:
@@ -154,5 +154,5 @@ def _write_rig(
 def _write_poses(folder: Path, file: PoseFile, name: str) -> tuple[str, ...]:
     """Write a pose format's files into a folder; return what they do not hold."""
     known = find_format(POSE_FORMATS, name)
-    path = folder / (f"poses3d{known.endings[0]}" if known.endings else "points3d.h5")
+    path = folder / (known.result or f"poses3d{known.endings[0]}")
     return write_poses(path, file, name)

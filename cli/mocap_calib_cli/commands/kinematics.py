@@ -1,0 +1,69 @@
+"""mocap-calib kinematics: numbers that follow from 3D poses."""
+
+from pathlib import Path
+
+import click
+
+from mocap_calib_cli import options, values
+from mocap_calib_cli.numbers import POSITIVE
+
+
+@click.command(name="kinematics")
+@click.argument("poses", nargs=-1, required=True, type=values.POSES, metavar="POSES...")
+@options.output_folder("Folder to write the tables to; made when missing.")
+@click.option(
+    "--from",
+    "source",
+    metavar="FORMAT",
+    shell_complete=values.offer_pose_formats,
+    help="Format of POSES, where their content does not show it.",
+)
+@click.option("--fps", type=POSITIVE, help="Frames per second, where the file does not say.")
+@options.shared_options("skeleton", "quiet")
+def command(
+    shared: options.SharedOptions,
+    poses: tuple[str, ...],
+    output: Path,
+    source: str | None,
+    fps: float | None,
+) -> None:
+    """Measure joint angles, speeds, contacts with the floor, and bone lengths of 3D POSES.
+
+    POSES: a file of 3D poses in any format, files of one individual each, or the folder of a run.
+    kinematics.csv has a row for each frame of an individual, bones.csv one for each bone.
+    docs/kinematics.md says what each number is. Speeds are per second where the number of frames
+    per second is known, else per frame. Contacts need that number, and poses that say where the
+    floor is.
+
+    \b
+    Example, in the folder examples/three_people:
+      mocap-calib kinematics out --fps 30 -o out/kinematics
+      mocap-calib kinematics anna.trc -o anna
+    """
+    from mocap_calib.io.conversion import load_pose_sources
+    from mocap_calib.io.kinds import check_sources
+    from mocap_calib.io.results.kinematics_csv import write_kinematics
+    from mocap_calib.kinematics.definitions import define
+    from mocap_calib.kinematics.measure import measure
+    from mocap_calib.recording.joints import fit_vocabulary
+    from mocap_calib.wording import count
+    from mocap_calib_cli import outputs
+    from mocap_calib_cli.progress import Reporter
+
+    check_sources(poses)
+    outputs.check_folder(output)
+    file = load_pose_sources([Path(each) for each in poses], source, fps)
+    names = file.poses.keypoints
+    definitions = define(names, *fit_vocabulary(names, shared.skeleton))
+    rate = file.rate if file.rate > 0 else None
+    found = measure(file.poses, rate, definitions)
+    write_kinematics(output, found, file.individuals)
+    frames, individuals = file.poses.positions.shape[:2]
+    Reporter(quiet=shared.quiet).say(
+        *file.notes,
+        *found.notes,
+        f"{count(individuals, 'individual')} in {count(frames, 'frame')}: "
+        f"{count(len(found.bones), 'bone')}, {count(len(found.angles), 'angle')}, "
+        f"{count(len(found.speeds), 'speed')}, {count(len(found.contacts), 'contact')}; "
+        f"results in {output}",
+    )

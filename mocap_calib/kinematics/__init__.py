@@ -1,0 +1,1 @@
+"""Numbers that follow from poses: bone lengths, joint angles, speeds, contacts with the floor."""

@@ -1,0 +1,205 @@
+"""Follow groups of detections through space, as far as there is no doubt who goes on as whom.
+
+A piece is a stretch of neighbouring frames in each of which one group is the same individual. It
+ends where the group vanishes, and where another could as well go on as it: `evidence` and `joining`
+say who the pieces are.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from mocap_calib.config import MatchingConfig
+from mocap_calib.types import Bools, Floats, Ints
+
+_FRAMES = 512  # compared at a time
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """Stretches of frames in which one group is certainly one individual.
+
+    number: `[frame, group]` the piece that a group is in, -1 = there is no such group.
+    before, after: `[frame, group]` the same piece's group in the frame before and after, -1 = none.
+    first, last: `[piece, 2]` index of the frame and of the group at the ends of a piece.
+    nearest: `[frame - 1, group, group]` groups that are each other's nearest in the next frame,
+        certain or not. step: how far these are apart, the median.
+    """
+
+    number: Ints
+    before: Ints
+    after: Ints
+    first: Ints
+    last: Ints
+    nearest: Bools
+    step: float
+
+    @property
+    def count(self) -> int:
+        """How many pieces there are."""
+        return len(self.first)
+
+    def join(self, individual: Ints) -> "Pieces":
+        """Return the individuals `[piece]` as pieces, which may have gaps; -1 = nobody."""
+        there = np.flatnonzero(individual >= 0)
+        _, first = np.unique(individual[there], return_index=True)
+        latest = there[np.lexsort((self.last[there, 0], individual[there]))]
+        last = np.flatnonzero(np.diff(individual[latest], append=-1))
+        return replace(
+            self,
+            number=np.append(individual, -1)[self.number],
+            first=self.first[there[first]],
+            last=self.last[latest[last]],
+        )
+
+    @property
+    def lengths(self) -> Ints:
+        """`[piece]` number of frames from the first to the last."""
+        return self.last[:, 0] - self.first[:, 0] + 1
+
+
+def rms_distance(a: Floats, b: Floats, least_joints: int) -> Floats:
+    """Return the RMS distance `[...]` of the joints that two bodies `[..., joint, 3]` both have.
+
+    Infinite where these are fewer than `least_joints`.
+    """
+    squares = ((a - b) ** 2).sum(-1)
+    common = np.isfinite(squares)
+    joints = common.sum(-1)
+    total = np.where(common, squares, 0.0).sum(-1)
+    return np.where(joints >= least_joints, np.sqrt(total / np.maximum(joints, 1)), np.inf)
+
+
+def surprise(distance: Floats, scale: Floats | float) -> Floats:
+    """Return how unlikely a distance in space is, in nats: Student's t with three degrees.
+
+    It grows with the logarithm of large distances: what jumps once is not refused for ever.
+    """
+    return 3 * np.log1p((distance / scale) ** 2 / 3)
+
+
+def step_distances(points: Floats, moved: Floats, config: MatchingConfig) -> Floats:
+    """Return how far each group is from each of the next frame, `[frame - 1, group, group]`.
+
+    points: `[frame, group, joint, 3]`. moved: `[frame, group, 3]` what each is expected to move by
+    until the next frame.
+    """
+    frames, groups = points.shape[:2]
+    distance = np.empty((max(frames - 1, 0), groups, groups))
+    for start in range(0, frames - 1, _FRAMES):
+        block = slice(start, min(start + _FRAMES, frames - 1))
+        later = points[block.start + 1 : block.stop + 1]
+        expected = points[block] + moved[block, :, None]
+        distance[block] = rms_distance(expected[:, :, None], later[:, None], config.tracklet_joints)
+    return distance
+
+
+def usual_step(distance: Floats) -> float:
+    """Return the median distance of groups from the nearest of the next frame; NaN = nobody.
+
+    distance: `[frame - 1, group, group]` of `step_distances`.
+    """
+    near = distance[_nearest_both_ways(distance)]
+    return float(np.median(near)) if len(near) else np.nan
+
+
+def cut_into_pieces(points: Floats, frames: Ints, config: MatchingConfig) -> Pieces:
+    """Follow the groups of each frame into the next as far as that is certain.
+
+    points: `[frame, group, joint, 3]`, NaN = missing; frames: `[frame]` numbers.
+
+    Where bodies keep on moving as they did, which is tried, they are expected where they go.
+    """
+    present = np.asarray(np.isfinite(points[..., 0]).any(-1))
+    still = np.zeros((*points.shape[:2], 3))
+    next_to = _follows(frames)[:, None, None]
+    distance = np.where(next_to, step_distances(points, still, config), np.inf)
+    moved = _last_moves(points, _nearest_both_ways(distance))
+    going_on = np.where(next_to, step_distances(points, moved, config), np.inf)
+    if usual_step(going_on) < usual_step(distance):
+        distance = going_on
+    links = _certain_links(distance, config)
+    return _number_pieces(links, present, distance)
+
+
+def _follows(frames: Ints) -> Bools:
+    """Return which frames `[frame - 1]` are as near to the next as frames usually are."""
+    gaps = np.diff(frames)
+    return gaps <= (np.median(gaps) if len(gaps) else 1)
+
+
+def _nearest_both_ways(distance: Floats) -> Bools:
+    """Return the pairs of groups that are each other's nearest, in the shape of `distance`."""
+    if distance.size == 0:
+        return np.zeros(distance.shape, dtype=bool)
+    nearest = (distance == distance.min(-1, keepdims=True)) & (
+        distance == distance.min(-2, keepdims=True)
+    )
+    return nearest & np.isfinite(distance)
+
+
+def _last_moves(points: Floats, links: Bools) -> Floats:
+    """Return what groups moved by since the frame before, `[frame, group, 3]`; 0 = not known."""
+    moves = np.zeros((*points.shape[:2], 3))
+    frame, before, after = np.nonzero(links)
+    step = points[frame + 1, after] - points[frame, before]
+    moves[frame + 1, after] = mean_of_known(step)
+    return moves
+
+
+def mean_of_known(vectors: Floats) -> Floats:
+    """Return the mean `[..., 3]` of the vectors `[..., joint, 3]` that are not NaN, 0 of none."""
+    known = np.isfinite(vectors[..., 0])
+    total = np.where(known[..., None], vectors, 0.0).sum(-2)
+    return np.asarray(total / np.maximum(known.sum(-1), 1)[..., None])
+
+
+def _certain_links(distance: Floats, config: MatchingConfig) -> Bools:
+    """Return the pairs of groups that are one individual beyond doubt.
+
+    Each other's nearest, as near as bodies usually are, of which all others are by
+    `config.sure_link` nats less likely: who vanishes may have appeared near another who does.
+    """
+    links: Bools = _nearest_both_ways(distance)
+    if not links.any():
+        return links
+    cost = surprise(distance, max(float(np.median(distance[links])), np.finfo(float).tiny))
+    links = np.asarray(links & (cost <= config.sure_step))
+    for axis in (-1, -2):
+        rivals = np.where(links, np.inf, cost).min(axis, keepdims=True)
+        with np.errstate(invalid="ignore"):
+            links = np.asarray(links & (rivals - cost >= config.sure_link))
+    return links
+
+
+def _number_pieces(links: Bools, present: Bools, distance: Floats) -> Pieces:
+    """Return the pieces that links `[frame - 1, group, group]` make of the groups that are there.
+
+    They are numbered in the order of their first frames.
+    """
+    before = np.full(present.shape, -1, dtype=np.int64)
+    after = before.copy()
+    frame, i, j = np.nonzero(links)
+    before[frame + 1, j] = i
+    after[frame, i] = j
+
+    groups = present.shape[1]
+    edges = (np.ones(len(frame)), (frame * groups + i, (frame + 1) * groups + j))
+    graph = coo_array(edges, shape=(present.size, present.size))
+    component = connected_components(graph, directed=False)[1][present.ravel()]
+    _, begin, inverse = np.unique(component, return_index=True, return_inverse=True)
+    rank = np.argsort(np.argsort(begin))
+    number = np.full(present.shape, -1, dtype=np.int64)
+    number[present] = rank[inverse]
+    ends = np.argwhere(present & (after < 0))
+    return Pieces(
+        number=number,
+        before=before,
+        after=after,
+        first=np.argwhere(present & (before < 0)),
+        last=ends[np.argsort(number[tuple(ends.T)])],
+        nearest=_nearest_both_ways(distance),
+        step=usual_step(distance),
+    )

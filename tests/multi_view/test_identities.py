@@ -1,0 +1,144 @@
+"""Who is who through a recording: bodies that meet, vanish and come back, with truth."""
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+from scenes import PEOPLE, scene
+
+from mocap_calib.config import Config, MatchingConfig
+from mocap_calib.multi_view.identities import finalise_identities
+from mocap_calib.multi_view.name_swaps import exchanged_pieces
+from mocap_calib.multi_view.triangulation import project
+from mocap_calib.recording.synchronise import make_recording
+from mocap_calib.types import Matches
+
+FRAMES = 160
+JOINTS = scene().files[0].positions.shape[2]
+
+
+def a_body(seed: int = 0) -> np.ndarray:
+    """Return joints `[joint, 3]` in metres about the middle of a body."""
+    return 0.4 * np.random.default_rng(seed).normal(size=(JOINTS, 3)) + [0, 0, 1]
+
+
+def name_walkers(places: np.ndarray, bodies: list, seen: np.ndarray, **options):
+    """Return the names `[frame, body]` of bodies `[joint, 3]` at places `[frame, body, 3]`.
+
+    seen: `[frame, body]`. Four cameras, noise of 2 pixels, detections in another order in each
+    frame and view. -1 = not seen, or nobody.
+    """
+    rng, made = np.random.default_rng(0), scene()
+    frames, count = seen.shape
+    points = np.stack(bodies) + places[:, :, None]
+    pixels = project(made.rig, points.reshape(-1, 3).T)
+    pixels = np.moveaxis(pixels, 1, -1).reshape(4, frames, count, JOINTS, 2)
+    pixels += 2 * rng.normal(size=pixels.shape)
+    pixels[:, ~seen] = np.nan
+    order = rng.permuted(np.tile(np.arange(count), (4, frames, 1)), axis=-1)
+    shuffled = np.take_along_axis(pixels, order[..., None, None], axis=2)
+    files = [
+        replace(
+            file,
+            frames=np.arange(frames),
+            positions=view,
+            confidence=np.isfinite(view[..., 0]).astype(float),
+        )
+        for file, view in zip(made.files, shuffled, strict=True)
+    ]
+    found = make_recording(files, made.rig.cameras, PEOPLE, {})
+    groups = np.where(np.take_along_axis(np.tile(seen, (4, 1, 1)), order, axis=2), order, -1)
+    config = Config(matching=MatchingConfig(**options))
+    labels = finalise_identities(found, made.rig, Matches(groups), config).labels
+    names = np.take_along_axis(labels, np.argsort(order, axis=-1), axis=2)
+    assert (names == names[:1]).all()
+    return names[0]
+
+
+def on_lines(speed: float = 0.02) -> np.ndarray:
+    """Return places of two who walk towards each other, and pass within 0.1 m."""
+    way = speed * (np.arange(FRAMES) - FRAMES / 2)
+    places = np.zeros((FRAMES, 2, 3))
+    places[:, 0, 0], places[:, 1, 0] = way, -way
+    places[:, 1, 1] = 0.1
+    return places
+
+
+def everybody() -> np.ndarray:
+    return np.ones((FRAMES, 2), dtype=bool)
+
+
+def test_twins_who_walk_through_each_other_keep_their_names():
+    """Bodies are the same: motion alone tells. One is not seen for 6 frames as they meet."""
+    seen = everybody()
+    seen[77:83, 1] = False
+    names = name_walkers(on_lines(), [a_body(), a_body()], seen)
+    for body in range(2):
+        assert len(set(names[seen[:, body], body])) == 1
+    assert len(np.unique(names[seen])) == 2
+
+
+@pytest.mark.parametrize("exchanged", [False, True])
+def test_who_comes_back_is_known_by_proportions(exchanged):
+    """Both are away for 80 frames, and come back where they left, or where the other one did.
+
+    The second is 6 % larger.
+    """
+    places, seen = 0.3 * on_lines(), everybody()
+    places[..., 1] += [-0.8, 0.8]
+    seen[40:120] = False
+    if exchanged:
+        places[120:] = places[120:, ::-1]
+    names = name_walkers(places, [a_body(), 1.06 * a_body()], seen)
+    first, second = names[seen[:, 0]].T
+    assert set(first) != set(second)
+    assert len(set(first)) == len(set(second)) == 1
+
+
+def test_twins_who_come_back_get_no_new_names():
+    places, seen = 0.3 * on_lines(), everybody()
+    places[..., 1] += [-0.8, 0.8]
+    seen[40:120] = False
+    names = name_walkers(places, [a_body(), a_body()], seen)
+    assert set(names[seen]) == {0, 1}
+
+
+def test_no_more_individuals_than_are_known_to_be_there():
+    """A third one is seen in 40 frames: two are asked for, and the two seen longest are named."""
+    places = np.concatenate([on_lines(), on_lines()[:, :1] + [0, 1.5, 0]], axis=1)
+    seen = np.ones((FRAMES, 3), dtype=bool)
+    seen[40:, 2] = False
+    bodies = [a_body(), 1.1 * a_body(1), 0.9 * a_body(2)]
+    assert set(name_walkers(places, bodies, seen)[seen]) == {0, 1, 2}
+    names = name_walkers(places, bodies, seen, individuals=2)
+    assert (names[:, 2] == -1).all()
+    assert set(names[:, 0]) | set(names[:, 1]) == {0, 1}
+
+
+def test_where_bodies_cannot_be_followed_names_go_by_place():
+    """Frames that do not follow each other: as many names as bodies, none twice in a frame."""
+    places = np.random.default_rng(1).uniform(-1.5, 1.5, (FRAMES, 2, 3)) * [1, 1, 0]
+    names = name_walkers(places, [a_body(), a_body()], everybody())
+    assert (np.sort(names, axis=1) == [0, 1]).all()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_best_exchange_of_names_is_found(seed):
+    """Dynamic programming against all exchanges of eight pieces that follow each other."""
+    rng, pieces = np.random.default_rng(seed), 8
+    frames = np.arange(pieces)
+    of_second = rng.random(pieces) < 0.5
+    preference = rng.normal(size=pieces) - 0.5
+    pairs = np.zeros((pieces, pieces))
+    ahead = np.arange(pieces - 1)
+    pairs[ahead, ahead + 1] = pairs[ahead + 1, ahead] = rng.normal(size=pieces - 1) + 0.5
+
+    def evidence(exchanged: np.ndarray) -> float:
+        second = of_second ^ exchanged
+        bound = pairs * (second[:, None] == second)
+        return preference[exchanged].sum() + 0.5 * bound.sum()
+
+    best = max(evidence(np.array(choice)) for choice in product([False, True], repeat=pieces))
+    found = exchanged_pieces(frames, frames, of_second, preference, pairs)
+    assert evidence(found) == pytest.approx(best)
