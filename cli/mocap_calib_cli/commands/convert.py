@@ -103,12 +103,12 @@ def command(
     INPUT is a file or a folder (keypoints: any number, also name=path); - is stdin or stdout.
     What the format of OUTPUT cannot hold is named, or the conversion is refused. docs/formats.md
     lists the formats. OpenPose's files need --layout, since they do not name their keypoints.
+    Formats in metres or millimetres (TRC, C3D, ...) need a known length: see `scale`.
 
     \b
     Example, in the folder examples/three_people:
       mocap-calib convert out/calibration.toml model --to colmap
-      mocap-calib scale out --height 0=1.75
-      mocap-calib convert out/poses3d.h5 poses.trc --fps 30 --up z
+      mocap-calib convert out/poses3d.h5 poses.npz
       mocap-calib convert keypoints/ openpose --to openpose
       mocap-calib convert openpose/ again --to csv --layout coco_17
       mocap-calib convert - - --from anipose --to nerfstudio <out/calibration.toml >nerf.json
