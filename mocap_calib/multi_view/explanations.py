@@ -99,6 +99,8 @@ def plain_factor(factor: float, config: DiagnosisConfig) -> float:
 
 def is_acceptable(explanation: Explanation, fit: CameraFit, config: DiagnosisConfig) -> bool:
     """Return whether the unknowns of an explanation are what it says, and are significant."""
+    if explanation.free and len(fit.error) < config.intrinsic_keypoints:
+        return False
     if explanation.name == "resized":
         change = abs(float(fit.unknowns[0]))
         likely = config.least_resize < change < config.most_resize

@@ -90,7 +90,7 @@ def _is_acceptable(finding: Finding, config: DiagnosisConfig) -> bool:
         return _effective(finding, config) > -config.rotation_prior
     if explanation.name == "sides" and finding.exchanged > config.least_exchanged:
         return True
-    least = {"cropped": 0.0, "focal": 0.0, "resized": config.resize_gain}
+    least = {"cropped": 0.0, "focal": config.focal_gain, "resized": config.resize_gain}
     return finding.gain > least.get(explanation.name, config.least_gain) and is_acceptable(
         explanation, finding.fit, config
     )

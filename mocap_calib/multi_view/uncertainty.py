@@ -20,6 +20,7 @@ from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.multi_view.bundle_adjustment import adjust
 from mocap_calib.multi_view.fit import find_outlier_cameras, find_weak_perspective, measure_fit
 from mocap_calib.multi_view.intrinsics import FreeFocal, free_focal_lengths, shared_intrinsics
+from mocap_calib.multi_view.observations import labelled_frames
 from mocap_calib.multi_view.rig_covariance import rig_change, rig_covariance, rig_size
 from mocap_calib.multi_view.wrong_focal import find_wrong_focal
 from mocap_calib.recording.sampling import with_cameras
@@ -40,7 +41,7 @@ def assess_uncertainty(
 ) -> Uncertainty:
     """Return how well the sample determines the rig, and which cameras stand out.
 
-    A rig that is not determined accuses no camera.
+    A few moments accuse no camera.
     """
     fit = measure_fit(sample, rig, matches, config)
     covariance = rig_covariance(sample, rig, matches, config, seed=seed)
@@ -51,16 +52,15 @@ def assess_uncertainty(
         off = estimated_focal_changes(sample, rig, matches, config)
     else:
         off = given_focal_change(rig, free, config.uncertainty)[None]
-    covariance = covariance.with_changes(off)
-    stands = np.rad2deg(covariance.rotation_sigma.max()) < config.verdict.weak_deg
+    tells = len(labelled_frames(matches)) >= config.uncertainty.accusing_moments
     return Uncertainty(
-        covariance=covariance,
+        covariance=covariance.with_changes(off),
         focal_turn=np.sqrt((off[..., :3] ** 2).sum((0, 2))),
-        outlier_cameras=find_outlier_cameras(fit, config.uncertainty) & stands,
+        outlier_cameras=find_outlier_cameras(fit, config.uncertainty) & tells,
         weak_perspective=find_weak_perspective(fit),
         focal_change=change,
         focal_sigma=sigma,
-        wrong_focal=find_wrong_focal(rig.cameras, change, sigma, config.uncertainty),
+        wrong_focal=find_wrong_focal(rig.cameras, change, sigma, config.uncertainty) & tells,
     )
 
 

@@ -22,7 +22,18 @@ def judge_group(group: GroupResult, config: Config, *, used_frames: Ints) -> Gro
     reversible = group.adjusted.depth_reversed_rig is not None
     verdict = judge_rig(group.uncertainty, checks, config.verdict, reversible=reversible)
     judged = replace(group, verdict=verdict, checks=checks)
-    return replace(judged, reasons=tuple(explain(judged, config)))
+    judged = replace(judged, reasons=tuple(explain(judged, config)))
+    return _without_accusations(judged) if verdict == "not determined" else judged
+
+
+def _without_accusations(group: GroupResult) -> GroupResult:
+    """Return a group that names no camera: a rig that is not determined accuses nobody.
+
+    That cameras contradict each other stands in its reasons.
+    """
+    nobody = np.zeros(len(group.rig), dtype=bool)
+    uncertainty = replace(group.uncertainty, outlier_cameras=nobody, wrong_focal=nobody)
+    return replace(group, uncertainty=uncertainty)
 
 
 def judge_rig(

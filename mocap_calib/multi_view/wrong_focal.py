@@ -18,7 +18,7 @@ def find_wrong_focal(
 
     change, sigma: `[view]` of their logarithms, as of `FreeFocal`; NaN = not known.
     """
-    large = np.abs(change) > config.least_focal_change
+    large = (np.abs(change) > config.least_focal_change) & (sigma > config.least_focal_sigma)
     certain = np.abs(change) > config.focal_significance * sigma
     unlike = _favours_equals(cameras, change, sigma, config)
     return np.asarray(large & (certain | unlike | _all_change_alike(change, sigma, config)))

@@ -249,6 +249,8 @@ def _align(
     offset = offsets[0][:, block]
     column = np.round(rows * rate).astype(np.int64) + offset - config.window
     stretch, row = np.nonzero((offset >= 0) & (column >= 0) & (column < b.seen.shape[1]))
+    if not len(stretch):
+        return rotation
     of_a, of_b = (stretch, rows[row]), (stretch, column[stretch, row])
     body_a, body_b = a.body[of_a], b.body[of_b]  # [match, instance, axis, 3]
     both = a.seen[of_a][:, :, None] & b.seen[of_b][:, None]
