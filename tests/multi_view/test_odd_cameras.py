@@ -135,12 +135,12 @@ def test_factors_near_a_plain_one_are_plain():
     assert plain_factor(1.1, config) == 1.1
 
 
-def fit_of(unknowns, sigma) -> CameraFit:
+def fit_of(unknowns, sigma, keypoints=1000) -> CameraFit:
     return CameraFit(
         pose=CameraPose(np.eye(3), np.zeros(3)),
         unknowns=np.array(unknowns, float),
         covariance=np.diag(np.array(sigma, float) ** 2),
-        error=np.ones(10),
+        error=np.ones(keypoints),
     )
 
 
@@ -155,6 +155,7 @@ def test_a_crop_moves_what_is_seen_to_the_left_and_up_and_hides_the_rest():
     assert mend_of(cropped, fit, config) == Cropped(
         given.names[ODD], round(0.2 * width), round(0.15 * height)
     )
+    assert not is_acceptable(cropped, fit_of([-0.2 * width, 0], [10, 10], keypoints=300), config)
     assert not is_acceptable(cropped, fit_of([0.2 * width, 0], [10, 10]), config)
     assert not is_acceptable(cropped, fit_of([-0.02 * width, 0], [1, 1]), config)
     # what is seen reaches beyond what so large a crop would have left
