@@ -50,10 +50,10 @@ def find_clocks(
             recording.names, timing.ridges, timing.rates, evidence, strict=True
         )
     )
-    return clocks_from(recording, _doubt_lost_frames(cameras, config))
+    return clocks_from(recording, doubt_lost_frames(cameras, config))
 
 
-def _doubt_lost_frames(
+def doubt_lost_frames(
     cameras: tuple[CameraClock, ...], config: SyncConfig
 ) -> tuple[CameraClock, ...]:
     """Return the clocks without steps of several cameras on which the others do not agree.

@@ -10,8 +10,9 @@ from scenes import lifted, recording
 from mocap_calib.config import SyncConfig
 from mocap_calib.multi_view.clock_faults import Retimed, clock_faults
 from mocap_calib.multi_view.clock_paths import follow_ridge
-from mocap_calib.multi_view.frame_clocks import choose_pairs, find_clocks
+from mocap_calib.multi_view.frame_clocks import choose_pairs, doubt_lost_frames, find_clocks
 from mocap_calib.recording.retiming import clocks_from, retime
+from mocap_calib.two_view.timing import ViewInTime, compare_in_time
 from mocap_calib.types import CameraClock, LiftedPoses
 
 CONFIG = SyncConfig()
@@ -138,6 +139,37 @@ def test_half_the_rate_is_found():
     clocks = clocks_of(slow, slow_bodies)
     assert [clock.rate for clock in clocks.cameras] == [1.0, 0.5, 1.0]
     assert max(error.max() for error in errors_of(clocks, shown)) == 0
+
+
+@pytest.mark.parametrize(
+    ("votes", "kinds"),
+    [
+        ((0.0,), ["dropped"]),
+        ((0.0, 0.4), ["not known", "not known"]),
+        ((1.0, 0.2), ["dropped", "dropped"]),
+        ((1.0, 1.0), ["dropped", "dropped"]),
+    ],
+)
+def test_lost_frames_of_several_cameras_need_the_votes_of_the_others(votes, kinds):
+    seeming = tuple(
+        CameraClock(f"cam{k}", "dropped", 0, table=((0, 0), (9, 1)), evidence={"votes": share})
+        for k, share in enumerate(votes)
+    )
+    assert [clock.kind for clock in doubt_lost_frames(seeming, CONFIG)] == kinds
+
+
+def test_views_that_never_see_at_a_common_time_are_compared_without_a_complaint():
+    """One sees the first 30 frames, the other the last ones: no offset of the window joins them."""
+    _, bodies = scene_of(2, 1)
+    body = bodies.body[0, :, :1, :10].astype(np.float32)[None]
+    first = np.arange(body.shape[1])[None, :, None] < 30
+    views = [
+        ViewInTime(np.where(seen[..., None, None], body, 0), seen)
+        for seen in (first, first[:, ::-1])
+    ]
+    found = compare_in_time(*views, SyncConfig(window=5), np.random.default_rng(0))
+    assert found is not None
+    assert np.allclose(found.rotation @ found.rotation.T, np.eye(3), atol=1e-9)
 
 
 def test_faults_name_the_camera_and_the_option_that_mends_it():

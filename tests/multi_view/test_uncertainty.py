@@ -17,6 +17,7 @@ from mocap_calib.multi_view.rig_covariance import (
     rig_covariance,
     rig_size,
 )
+from mocap_calib.multi_view.uncertainty import assess_uncertainty
 from mocap_calib.recording.sampling import take_sample
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.types import GroupResult, Matches, RigCovariance, Sample
@@ -140,3 +141,9 @@ def test_a_camera_out_of_step_is_an_outlier_and_no_other():
     assert out_of_step.uncertainty.outlier_cameras.tolist() == [False, True, False, False]
     assert out_of_step.verdict in ("weak", "not determined")
     assert any(out_of_step.rig.names[1] in reason for reason in out_of_step.reasons)
+    # ten moments are too few to accuse it
+    ten = out_of_step.matches.select(frames=np.arange(20, 30))
+    sample = take_sample(out_of_step.recording, slice(20, 30))
+    few = assess_uncertainty(sample, out_of_step.rig, ten, Config(), seed=0)
+    assert not few.outlier_cameras.any()
+    assert not few.wrong_focal.any()
