@@ -11,8 +11,9 @@ from mocap_calib.types import VERDICTS, Check, GroupResult, Ints, Uncertainty, V
 
 # checks that fail together only where bodies, identities and cameras do not go together at all
 DOUBTS = ("convergence", "bones", "loops")
-# checks that fail together where a camera saw another scene than the others. Measured: in three
-# of the 225 cases of benchmarks/certainty.py whose rigs mix two scenes and were weak without this; in no rig of 403 damaged recordings that was right
+# checks that fail together where a camera saw another scene than the others. Measured: in three of
+# the 225 cases of benchmarks/certainty.py, rigs that mix two scenes and were weak without this; in
+# no rig of 403 damaged recordings that was right
 STRANGERS = {"bridge", "pair score", "unmatched", "errors"}
 
 
