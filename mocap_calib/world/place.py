@@ -20,7 +20,7 @@ from mocap_calib.types import (
     Recording,
     World,
 )
-from mocap_calib.world.alignment import align_to_cameras, align_to_landmarks
+from mocap_calib.world.alignment import align_to_cameras, align_to_landmarks, shared_cameras
 from mocap_calib.world.body import Joints, find_joints, keep_triangulated
 from mocap_calib.world.cues import Measurable, Scale, camera_pair, find_scale, joint_pair
 from mocap_calib.world.floor import Floor, find_floor
@@ -54,6 +54,8 @@ def check_world(config: WorldConfig, recording: Recording) -> None:
             f"--world: expected one of {offered}, or a file, found {config.axes!r}; "
             f"{suggest(config.axes, (*words, *cameras))}"
         )
+    if config.cameras:
+        shared_cameras(config.cameras, cameras)
     known_scale = config.landmarks or (config.cameras and config.unit in METRES)
     if config.cues and known_scale:
         raise MismatchError(
@@ -239,9 +241,14 @@ def describe_scale(scale: Scale) -> tuple[str, ...]:
     )
 
 
+def is_of_cue(remark: str) -> bool:
+    """Return whether a remark says what a single cue of `describe_scale` does."""
+    return " m by all cues (" in remark
+
+
 def is_of_scale(remark: str) -> bool:
     """Return whether a remark is one of `describe_scale`, or says that there is no scale."""
-    return remark.startswith("lengths are ") or "m by all cues (" in remark
+    return remark.startswith("lengths are ") or is_of_cue(remark)
 
 
 def _with_floor(placement: Placement, on: Measurable) -> Placement:

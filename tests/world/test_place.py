@@ -12,6 +12,8 @@ from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.io.cameras.read import make_rig, parse_content
 from mocap_calib.io.cameras.write import format_rig
+from mocap_calib.io.poses import npz
+from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.results.poses_h5 import parse_poses_h5, poses_to_h5
 from mocap_calib.types import MeasuredCue, RigCovariance, World
 from mocap_calib.world.alignment import align_to_cameras, align_to_landmarks
@@ -129,6 +131,15 @@ def test_files_say_what_the_coordinates_are_and_it_is_read_back():
         same_world(make_rig(parse_content(content, "a"), "a").world)
     poses = replace(poses_of(scene().poses, scene().joints), world=WORLD)
     same_world(parse_poses_h5(poses_to_h5(poses, {}), "a").world)
+    same_world(npz.parse(npz.write(PoseFile(poses), "").content, "a").poses.world)
+
+
+def test_a_file_of_cameras_that_nobody_recorded_is_refused_before_anything_is_computed():
+    strangers = tuple(
+        KnownCamera(f"other{k}", (1, 0, 0, 0, 1, 0, 0, 0, 1), (k, 0, 0)) for k in (0, 1)
+    )
+    with pytest.raises(MismatchError, match="at least two cameras of the recording"):
+        check_world(WorldConfig(cameras=strangers), recording())
 
 
 def same_world(found: World) -> None:
