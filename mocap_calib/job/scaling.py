@@ -162,8 +162,8 @@ def _scale_camera_figures(cameras: list[dict[str, Any]], rig: CameraRig, scale: 
     """
     size = rig_size(rig)
     for camera in cameras:
-        known = camera["centre_sigma"]
-        percent = camera["centre_sigma_percent"]
+        known = camera.get("centre_sigma")
+        percent = camera.get("centre_sigma_percent")
         if known is None and percent is not None:
             known = percent / 100 * size
         camera["centre_sigma"] = None if known is None else float(scale.factor * known)

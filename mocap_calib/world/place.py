@@ -138,13 +138,13 @@ def find_placement(on: Measurable, config: WorldConfig) -> Placement:
         by, sigma, remarks = align_to_landmarks(on.rig, config.landmarks, config)
         world = World(kind="landmarks", scale_sigma=sigma, remarks=remarks)
         return _with_floor(Placement(by, "m", world), on)
+    scale = find_scale(config.cues, on, config.measure, config.floor)
     if config.cameras:
         by, sigma = align_to_cameras(on.rig, config.cameras)
         remark = "aligned to cameras whose places were given"
         known = config.unit in METRES
         world = World(kind="file", scale_sigma=sigma if known else np.nan, remarks=(remark,))
-        return _with_floor(Placement(by, config.unit, world), on)
-    scale = find_scale(config.cues, on, config.measure, config.floor)
+        return _with_floor(_with_scale(Placement(by, config.unit, world), scale), on)
     if isinstance(on.floor, Floor) and config.axes in ("auto", "floor"):
         by = _stand_on_floor(on, on.floor, config)
         placement = Placement(by, on.poses.unit, World(kind="floor"))
@@ -218,8 +218,8 @@ def _with_scale(placement: Placement, scale: Scale | None) -> Placement:
         known = placement.unit in METRES
         remarks = placement.world.remarks + (() if known else (_NOT_SCALED,))
         return replace(placement, world=replace(placement.world, remarks=remarks))
-    by = placement.by
-    moved = Similarity(scale.factor * by.scale, by.rotation, scale.factor * by.shift)
+    by = placement.by  # to a world whose lengths may differ from those that were measured
+    moved = Similarity(scale.factor, by.rotation, scale.factor / by.scale * by.shift)
     world = replace(
         placement.world,
         scale_sigma=scale.sigma,
