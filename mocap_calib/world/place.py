@@ -85,6 +85,11 @@ def _check_names(config: WorldConfig, recording: Recording) -> None:
         elif cue.kind == "camera distance":
             camera_pair(cue.of, rig, "--camera-distance")
     if config.forward:
+        if config.cameras or config.landmarks or config.axes not in ("auto", "floor"):
+            raise MismatchError(
+                "--forward: expected a world on the floor, whose heading it says, found another; "
+                "leave it, --world or --align out"
+            )
         joint_pair(config.forward, recording.keypoints, joints, "--forward")
 
 
@@ -241,14 +246,14 @@ def describe_scale(scale: Scale) -> tuple[str, ...]:
     )
 
 
-def is_of_cue(remark: str) -> bool:
-    """Return whether a remark says what a single cue of `describe_scale` does."""
-    return " m by all cues (" in remark
+def is_detail(remark: str) -> bool:
+    """Return whether a remark says what a single known length or landmark does."""
+    return " m by all cues (" in remark or remark.startswith("landmark ")
 
 
 def is_of_scale(remark: str) -> bool:
     """Return whether a remark is one of `describe_scale`, or says that there is no scale."""
-    return remark.startswith("lengths are ") or is_of_cue(remark)
+    return remark.startswith("lengths are ") or " m by all cues (" in remark
 
 
 def _with_floor(placement: Placement, on: Measurable) -> Placement:

@@ -118,6 +118,10 @@ def test_landmarks_that_do_not_say_enough_are_refused_in_a_line():
     [
         ({"axes": "flor"}, "--world: expected one of auto, floor.*did you mean floor"),
         ({"forward": "nose-tail"}, "--forward nose-tail: expected two joints"),
+        (
+            {"forward": "left_hip-right_hip", "axes": "first-camera"},
+            "--forward: expected a world on the floor",
+        ),
         ({"landmarks": (Landmark("a", (0, 0, 0), "cam9", (1, 1)),)}, "--align: .*'cam9'"),
     ],
 )
