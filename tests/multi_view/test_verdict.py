@@ -15,6 +15,12 @@ from mocap_calib.types import Check, GroupResult, RigCovariance, Uncertainty
 LIMITS = VerdictConfig()
 SOUND = (Check("bones", 0.1, 0.3),)
 FAILED = (Check("bones", 0.4, 0.3),)
+STRANGER = (
+    Check("bridge", 2.5, 1.4),
+    Check("pair score", 0.1, 0.0),
+    Check("unmatched", 0.5, 0.3),
+    Check("errors", 0.12, 0.1),
+)
 
 
 def uncertainty(
@@ -65,6 +71,8 @@ def test_the_worst_camera_decides(degrees, word):
         (uncertainty(0.1), 3 * (Check("lens", 5.0, 4.0),), False, "usable"),
         (uncertainty(0.1), 4 * (Check("lens", 5.0, 4.0),), False, "weak"),
         (uncertainty(0.1), 5 * (Check("lens", 5.0, 4.0),), False, "not determined"),
+        (uncertainty(0.1), STRANGER, False, "not determined"),
+        (uncertainty(0.1), STRANGER[1:], False, "usable"),
         (uncertainty(0.1, outliers=(0, 2)), SOUND, False, "not determined"),
         (uncertainty(20.0), FAILED, False, "not determined"),  # a fault makes nothing better
     ],
