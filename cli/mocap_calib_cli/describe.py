@@ -10,6 +10,7 @@ from mocap_calib.recording.meanings import describe_unshared
 from mocap_calib.recording.summary import RecordingSummary
 from mocap_calib.types import CalibrationResult, GroupResult
 from mocap_calib.wording import count
+from mocap_calib.world.place import is_of_cue
 from mocap_calib_cli.describe_faults import describe_faults, describe_measured_faults
 from mocap_calib_cli.progress import format_number, format_table
 
@@ -117,8 +118,17 @@ def describe_group(group: GroupResult, report: dict[str, Any], folder: Path) -> 
         *_describe_weak_perspective(report),
         *_describe_reversal(group, folder),
         f"{count(len(report['individuals']), 'individual')}, {count(points, 'point')}; "
-        f"lengths in {report['unit']} units; results in {folder}",
+        f"results in {folder}",
+        *_describe_world(report["world"]),
     ]
+
+
+def _describe_world(world: dict[str, Any]) -> list[str]:
+    """Say in a line what the coordinates are, then what each of several known lengths says."""
+    axes = ["z is up, the origin is on the floor"] if world["kind"] == "floor" else []
+    cues = [line for line in world["remarks"] if is_of_cue(line)]
+    remarks = [line for line in world["remarks"] if line not in cues]
+    return [f"world: {'; '.join(axes + remarks)}", *(cues if len(cues) > 1 else [])]
 
 
 def describe_adjusted(group: GroupResult, report: dict[str, Any]) -> list[str]:

@@ -8,6 +8,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from mocap_calib.config import ScaleCue, WorldConfig
 from mocap_calib.errors import MismatchError
@@ -22,6 +23,7 @@ from mocap_calib.io.results.poses_csv import poses_csv
 from mocap_calib.io.results.poses_h5 import write_poses_h5
 from mocap_calib.io.results.stored import provenance_of_cameras, provenance_of_poses
 from mocap_calib.io.world_fields import world_fields
+from mocap_calib.multi_view.rig_covariance import rig_size
 from mocap_calib.types import CameraRig, World
 from mocap_calib.wording import count
 from mocap_calib.world.body import find_joints, keep_triangulated
@@ -139,6 +141,7 @@ def _scale_report(folder: Path, work: Path, rig: CameraRig, scale: Scale) -> tup
         report = json.loads((folder / REPORT).read_text("utf-8"))
         world = _scaled_world(rig.world.scale(scale.factor), scale)
         report |= {"unit": "m", "world": world_fields(world, "m")}
+        _scale_camera_figures(report["cameras"], rig, scale)
         if "fingerprint" in report:
             report |= {"fingerprint": None, "outputs": outputs | written}
         text = json.dumps(report, indent=1, allow_nan=False)
@@ -150,3 +153,17 @@ def _scale_report(folder: Path, work: Path, rig: CameraRig, scale: Scale) -> tup
         f"not rewritten: {count(len(left), 'file')} of other formats or groups ({some}); "
         "write formats anew with `convert`, scale groups by themselves",
     )
+
+
+def _scale_camera_figures(cameras: list[dict[str, Any]], rig: CameraRig, scale: Scale) -> None:
+    """Scale in place what run.json says in lengths: how sure the centres of its cameras are.
+
+    Lengths that were arbitrary had no figure: it follows from the percentage of the rig's size.
+    """
+    size = rig_size(rig)
+    for camera in cameras:
+        known = camera.get("centre_sigma")
+        percent = camera.get("centre_sigma_percent")
+        if known is None and percent is not None:
+            known = percent / 100 * size
+        camera["centre_sigma"] = None if known is None else float(scale.factor * known)

@@ -21,13 +21,7 @@ def align_to_cameras(rig: CameraRig, known: Sequence[KnownCamera]) -> tuple[Simi
     Raises MismatchError where fewer than two cameras are in both.
     """
     views = {name: own[0] for name, own in views_by_camera(rig.names).items()}
-    shared = [camera for camera in known if camera.name in views]
-    if len(shared) < 2:
-        found = ", ".join(camera.name for camera in shared) or "none"
-        raise MismatchError(
-            "--world: expected a file with at least two cameras of the recording "
-            f"({', '.join(views)}), found {found}; check their names"
-        )
+    shared = shared_cameras(known, list(views))
     target = CameraRig(
         cameras=tuple(_bare(camera.name) for camera in shared),
         rotation=np.array([np.reshape(camera.rotation, (3, 3)) for camera in shared]),
@@ -36,6 +30,21 @@ def align_to_cameras(rig: CameraRig, known: Sequence[KnownCamera]) -> tuple[Simi
     source = rig.select(np.array([views[camera.name] for camera in shared]))
     by = Similarity(*align_by_similarity(with_axes(source), with_axes(target)))
     return by, _scale_sigma(by.apply(source.centres), target.centres)
+
+
+def shared_cameras(known: Sequence[KnownCamera], names: Sequence[str]) -> list[KnownCamera]:
+    """Return the known cameras that have one of these names.
+
+    Raises MismatchError where they are fewer than two.
+    """
+    shared = [camera for camera in known if camera.name in names]
+    if len(shared) < 2:
+        found = ", ".join(camera.name for camera in shared) or "none"
+        raise MismatchError(
+            "--world: expected a file with at least two cameras of the recording "
+            f"({', '.join(names)}), found {found}; check their names"
+        )
+    return shared
 
 
 def align_to_landmarks(

@@ -20,7 +20,7 @@ from mocap_calib.types import (
     Recording,
     World,
 )
-from mocap_calib.world.alignment import align_to_cameras, align_to_landmarks
+from mocap_calib.world.alignment import align_to_cameras, align_to_landmarks, shared_cameras
 from mocap_calib.world.body import Joints, find_joints, keep_triangulated
 from mocap_calib.world.cues import Measurable, Scale, camera_pair, find_scale, joint_pair
 from mocap_calib.world.floor import Floor, find_floor
@@ -54,6 +54,8 @@ def check_world(config: WorldConfig, recording: Recording) -> None:
             f"--world: expected one of {offered}, or a file, found {config.axes!r}; "
             f"{suggest(config.axes, (*words, *cameras))}"
         )
+    if config.cameras:
+        shared_cameras(config.cameras, cameras)
     known_scale = config.landmarks or (config.cameras and config.unit in METRES)
     if config.cues and known_scale:
         raise MismatchError(
@@ -136,13 +138,13 @@ def find_placement(on: Measurable, config: WorldConfig) -> Placement:
         by, sigma, remarks = align_to_landmarks(on.rig, config.landmarks, config)
         world = World(kind="landmarks", scale_sigma=sigma, remarks=remarks)
         return _with_floor(Placement(by, "m", world), on)
+    scale = find_scale(config.cues, on, config.measure, config.floor)
     if config.cameras:
         by, sigma = align_to_cameras(on.rig, config.cameras)
         remark = "aligned to cameras whose places were given"
         known = config.unit in METRES
         world = World(kind="file", scale_sigma=sigma if known else np.nan, remarks=(remark,))
-        return _with_floor(Placement(by, config.unit, world), on)
-    scale = find_scale(config.cues, on, config.measure, config.floor)
+        return _with_floor(_with_scale(Placement(by, config.unit, world), scale), on)
     if isinstance(on.floor, Floor) and config.axes in ("auto", "floor"):
         by = _stand_on_floor(on, on.floor, config)
         placement = Placement(by, on.poses.unit, World(kind="floor"))
@@ -216,8 +218,8 @@ def _with_scale(placement: Placement, scale: Scale | None) -> Placement:
         known = placement.unit in METRES
         remarks = placement.world.remarks + (() if known else (_NOT_SCALED,))
         return replace(placement, world=replace(placement.world, remarks=remarks))
-    by = placement.by
-    moved = Similarity(scale.factor * by.scale, by.rotation, scale.factor * by.shift)
+    by = placement.by  # to a world whose lengths may differ from those that were measured
+    moved = Similarity(scale.factor, by.rotation, scale.factor / by.scale * by.shift)
     world = replace(
         placement.world,
         scale_sigma=scale.sigma,
@@ -239,9 +241,14 @@ def describe_scale(scale: Scale) -> tuple[str, ...]:
     )
 
 
+def is_of_cue(remark: str) -> bool:
+    """Return whether a remark says what a single cue of `describe_scale` does."""
+    return " m by all cues (" in remark
+
+
 def is_of_scale(remark: str) -> bool:
     """Return whether a remark is one of `describe_scale`, or says that there is no scale."""
-    return remark.startswith("lengths are ") or "m by all cues (" in remark
+    return remark.startswith("lengths are ") or is_of_cue(remark)
 
 
 def _with_floor(placement: Placement, on: Measurable) -> Placement:

@@ -7,16 +7,20 @@ import pytest
 from scenes import recording, scene
 from test_floor import poses_of
 
-from mocap_calib.config import KnownCamera, Landmark, WorldConfig
+from mocap_calib.config import KnownCamera, Landmark, ScaleCue, WorldConfig
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.io.cameras.read import make_rig, parse_content
 from mocap_calib.io.cameras.write import format_rig
+from mocap_calib.io.poses import npz
+from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.results.poses_h5 import parse_poses_h5, poses_to_h5
 from mocap_calib.types import MeasuredCue, RigCovariance, World
 from mocap_calib.world.alignment import align_to_cameras, align_to_landmarks
+from mocap_calib.world.body import find_joints
+from mocap_calib.world.cues import Measurable
 from mocap_calib.world.moving import Similarity, move_covariance, move_poses, move_rig
-from mocap_calib.world.place import check_world
+from mocap_calib.world.place import check_world, find_placement
 
 BY = Similarity(1.7, matrix_from_vector(np.array([0.3, -0.2, 1.2])), np.array([1.0, -2.0, 0.5]))
 WORLD = World(
@@ -129,6 +133,37 @@ def test_files_say_what_the_coordinates_are_and_it_is_read_back():
         same_world(make_rig(parse_content(content, "a"), "a").world)
     poses = replace(poses_of(scene().poses, scene().joints), world=WORLD)
     same_world(parse_poses_h5(poses_to_h5(poses, {}), "a").world)
+    same_world(npz.parse(npz.write(PoseFile(poses), "").content, "a").poses.world)
+
+
+def test_a_known_length_scales_a_world_of_cameras_whose_unit_nobody_knows():
+    made = scene()
+    target = move_rig(made.rig, BY, "arbitrary", World())
+    known = tuple(
+        KnownCamera(name, tuple(rotation.ravel()), tuple(translation))
+        for name, rotation, translation in zip(
+            target.names, target.rotation, target.translation, strict=True
+        )
+    )
+    cue = ScaleCue("camera distance", 3.0, 0.0, "-".join(target.names[:2]))
+    on = Measurable(
+        poses_of(made.poses, made.joints), find_joints(made.joints), made.rig, "nobody asks"
+    )
+    placement = find_placement(on, WorldConfig(cameras=known, cues=(cue,)))
+    found = move_rig(made.rig, placement.by, placement.unit, placement.world)
+    assert found.unit == "m"
+    assert np.linalg.norm(found.centres[1] - found.centres[0]) == pytest.approx(3.0)
+    np.testing.assert_allclose(found.rotation, target.rotation, atol=1e-9)
+    ratio = 3.0 / np.linalg.norm(target.centres[1] - target.centres[0])
+    np.testing.assert_allclose(found.centres, ratio * target.centres, atol=1e-9)
+
+
+def test_a_file_of_cameras_that_nobody_recorded_is_refused_before_anything_is_computed():
+    strangers = tuple(
+        KnownCamera(f"other{k}", (1, 0, 0, 0, 1, 0, 0, 0, 1), (k, 0, 0)) for k in (0, 1)
+    )
+    with pytest.raises(MismatchError, match="at least two cameras of the recording"):
+        check_world(WorldConfig(cameras=strangers), recording())
 
 
 def same_world(found: World) -> None:

@@ -64,7 +64,7 @@ def command(
     polynomial: int,
     fps: float | None,
 ) -> None:
-    """Filter the 3D poses in POSES, a file of any format of docs/formats.md, over time.
+    """Filter the 3D poses in POSES over time: a file of docs/formats.md, or the folder of a run.
 
     Nothing passes a gap: each joint is filtered from gap to gap, and what is missing stays
     missing. `run` and `smooth` know the cameras and the bones, and need no further filter.
@@ -80,8 +80,8 @@ def command(
 
     from mocap_calib.config import FilterMethod
     from mocap_calib.io import kinds
-    from mocap_calib.io.conversion import fill_rate
-    from mocap_calib.io.poses.read import load_poses
+    from mocap_calib.io.conversion import load_pose_sources
+    from mocap_calib.io.kinds import check_sources
     from mocap_calib.io.poses.write import write_poses
     from mocap_calib.poses.filters import filter_poses
     from mocap_calib_cli import outputs
@@ -102,9 +102,8 @@ def command(
     if target is None:
         own = output.suffix == ".h5"
         target = "poses-h5" if own else kinds.choose_format("poses", str(output))
-    file = load_poses(Path(poses))
-    if fps is not None:
-        file = fill_rate(file, fps, poses)
+    check_sources([poses])
+    file = load_pose_sources([Path(poses)], None, fps)
     rate = file.rate if math.isfinite(file.rate) else None
     filtered = filter_poses(file.poses, config, fps=rate)
     lost = write_poses(output, replace(file, poses=filtered), target)

@@ -1,11 +1,13 @@
 """A numpy archive of the arrays of `Poses3D`, for scripts; it carries all.
 
 `numpy.load` reads it: positions, error, views, confidence, frames, and keypoints, individuals, fps,
-unit and title; covariance where that is known, source, and raw where it is not the positions.
+unit and title; covariance where that is known, source, raw where it is not the positions, and
+world, as JSON, where that is known.
 Pickled objects, which could run anything, are not read.
 """
 
 import io
+import json
 from collections.abc import Mapping
 from typing import Any
 
@@ -14,6 +16,7 @@ from numpy.typing import NDArray
 
 from mocap_calib.io.poses.common import PoseFile, WrittenPoses, refuse_damage
 from mocap_calib.io.units import known_unit
+from mocap_calib.io.world_fields import read_world, world_fields
 from mocap_calib.records import check_shape
 from mocap_calib.types import Poses3D
 
@@ -21,6 +24,7 @@ _ARRAYS = ("positions", "error", "views", "confidence", "frames")
 _COVARIANCE = "covariance"  # where it is known
 _RAW = "raw"  # where the positions are more than the triangulated points
 _SOURCE = "source"
+_WORLD = "world"
 _ZIP = b"PK\x03\x04"
 
 
@@ -44,6 +48,7 @@ def parse(content: bytes, source: str) -> PoseFile:
                 covariance=_read_if_there(file, _COVARIANCE).astype(np.float32),
                 raw=_read_if_there(file, _RAW).astype(np.float64),
                 source=_read_if_there(file, _SOURCE).astype(np.int8),
+                world=read_world(json.loads(str(file[_WORLD])) if _WORLD in file else None),
             )
             individuals = tuple(map(str, file["individuals"]))
             rate = float(file["fps"])
@@ -73,6 +78,8 @@ def write(file: PoseFile, title: str) -> WrittenPoses:
     if file.poses.raw is not file.poses.positions:
         arrays[_RAW] = file.poses.raw
     arrays[_SOURCE] = file.poses.source
+    if file.poses.world.kind != "not known":
+        arrays[_WORLD] = np.array(json.dumps(world_fields(file.poses.world, file.poses.unit)))
     content = io.BytesIO()
     np.savez_compressed(
         content,
