@@ -521,8 +521,14 @@ class PosesConfig:
     """Best estimates of poses (`poses/`). Lengths in body sizes, times in steps between frames.
 
     smooth: "auto"; "bones" alone, nothing over time; "off": the triangulated points.
+    alone_outlier: `TriangulateConfig.outlier` of points to start from that triangulation refused,
+        where nothing over time helps. Measured: MVOR has 0.455 of its joints with it, 0.436
+        without. In motions interpolated points are better: with 10 % of wrong detections, errors
+        at refused points are 0.01 m, and 0.15 m from such a start.
     loss: of angles between rays and points, in standard deviations; prior_loss: of accelerations
-        and of bones. With 2 to 3 each the errors of nine recordings differ by less than 3 %.
+        and of bones: most are small, some large. Measured on ten recordings: with 2 or 3 for
+        `loss` errors change by at most 2.7 %; with 3 for `prior_loss` by +5 % of HumanEva, +2.5 %
+        of two dogs, at most 1 % of the others.
     accelerations, bones: standard deviations among which, and none, held-out detections choose,
         the largest first. Chosen: 0.2 to 0.008 of motions at 10 to 60 frames a second.
     least_hidden: detections; with fewer, accelerations are allowed as large as those of the
@@ -539,8 +545,9 @@ class PosesConfig:
     """
 
     smooth: SmoothMode = "auto"
+    alone_outlier: float = 8.0
     loss: float = 2.5
-    prior_loss: float = 3.0
+    prior_loss: float = 2.0
     accelerations: tuple[float, ...] = tuple(0.4 / 2**k for k in range(11))
     bones: tuple[float, ...] = (0.1, 0.05, 0.025, 0.012)
     usual_bones: float = 0.05

@@ -11,7 +11,9 @@ from mocap_calib.poses.track import Body, Detections
 from mocap_calib.types import Bools, Floats
 
 _SEED = 0  # of which detections are hidden
-_RUN = 5  # frames for which a joint is hidden from a view: errors go together for some time
+# Frames for which a joint is hidden from a view. Errors go together for some time, and what is seen
+# just before and after is as wrong: with 5 frames Shelf was smoothed to the end of the scale.
+_RUN = 25
 _VIEWS = 3  # of a point of which one is hidden: two must be left
 _LARGEST = 900.0  # squared error that counts in full
 _MEDIAN_LENGTH = 1.538  # of normal vectors in space, in standard deviations of a coordinate

@@ -14,7 +14,7 @@ from mocap_calib.poses.certainty import covariances
 from mocap_calib.poses.cleaning import drop_outliers, exchange_sides
 from mocap_calib.poses.energy import Strengths, fit, linearise
 from mocap_calib.poses.held_out import Choice, choose_strengths
-from mocap_calib.poses.start import body_size, bone_lengths, fill_gaps
+from mocap_calib.poses.start import add_refused, body_size, bone_lengths, fill_gaps
 from mocap_calib.poses.track import Body, Detections, acceleration_steps, detections_of
 from mocap_calib.recording.joints import edges_of_keypoints
 from mocap_calib.steerpose.weights import load_vocabulary
@@ -55,13 +55,17 @@ class _Individual:
 
 @dataclass(frozen=True)
 class _Scene:
-    """What is known of a recording: see `smooth_poses`. noise: `[view]` in radians."""
+    """What is known of a recording: see `smooth_poses`.
+
+    noise: `[view]` in radians. start: `[frame, individual, keypoint, 3]` to start from.
+    """
 
     recording: Recording
     rig: CameraRig
     matches: Matches
     poses: Poses3D
     noise: Floats
+    start: Floats
     config: PosesConfig
 
     @cached_property
@@ -126,7 +130,7 @@ class _Scene:
             size=np.full(len(frames), who.size),
             steps=acceleration_steps(times, self.config.longest_gap + 1),
         )
-        points = fill_gaps(self.poses.raw[frames, who.index], times, self.edges)
+        points = fill_gaps(self.start[frames, who.index], times, self.edges)
         return np.ascontiguousarray(points.swapaxes(0, 1)), detections, body
 
 
@@ -167,10 +171,14 @@ def smooth_poses(
     if config.smooth == "off":
         return poses, Smoothing()
     noise = view_noise(recording, rig, matches, triangulate)
-    scene = _Scene(recording, rig, matches, poses, noise, config)
+    scene = _Scene(recording, rig, matches, poses, noise, poses.raw, config)
     if not scene.individuals:
         return poses, Smoothing()
     choice = _choose(scene)
+    if not np.isfinite(choice.strengths.acceleration):
+        wider = replace(triangulate, outlier=max(config.alone_outlier, triangulate.outlier))
+        start = add_refused(recording, rig, matches, poses.raw, noise=noise, config=wider)
+        scene = replace(scene, start=start)
     arrays: dict[str, Any] = {
         "positions": np.full_like(poses.raw, np.nan),
         "covariance": np.full_like(poses.covariance, np.nan, subok=False),
@@ -256,9 +264,9 @@ def _estimate(scene: _Scene, who: _Individual, frames: Ints, strengths: Strength
     system = linearise(points, replace(seen, precision=even), body, strengths, config)
     ridge = config.ridge / body.size**2
     covariance = covariances(system, body.steps, body.edges, ridge)
-    raw = np.isfinite(scene.poses.raw[frames, who.index, :, 0]).T
+    met = np.isfinite(scene.start[frames, who.index, :, 0]).T
     moves = np.isfinite(strengths.acceleration)
-    source = _sources(seen, raw, scene.times[frames], config.longest_gap if moves else -1)
+    source = _sources(seen, met, scene.times[frames], config.longest_gap if moves else -1)
     sigma = np.sqrt(covariance[..., (0, 3, 5)].sum(-1))
     source = np.where(sigma <= config.largest_sigma * who.size, source, 0)
     missing = (source == 0)[..., None]
@@ -271,15 +279,15 @@ def _estimate(scene: _Scene, who: _Individual, frames: Ints, strengths: Strength
     )
 
 
-def _sources(seen: Detections, raw: Bools, times: Floats, longest: int) -> Ints:
+def _sources(seen: Detections, met: Bools, times: Floats, longest: int) -> Ints:
     """Return what points are made of, `[keypoint, frame]`, 0 = missing.
 
-    raw: `[keypoint, frame]` whether there is a triangulated point. longest: gap that is bridged,
-    and distance from a triangulated point up to which one view will do: along its ray a point may
-    be at either of two places. Below 0 neither is.
+    met: `[keypoint, frame]` whether there is a point that was started from. longest: gap that is
+    bridged, and distance from a triangulated point up to which one view will do: along its ray a
+    point may be at either of two places. Below 0 neither is.
     """
     views = (seen.precision > 0).sum(0)
-    firm = raw & (views >= 2)
+    firm = met & (views >= 2)
     gap = _around(views > 0, times)
     source = np.where(gap.sum(0) <= longest + 1, _INTERPOLATED, 0)
     near = _around(firm, times).min(0) <= longest

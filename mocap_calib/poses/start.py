@@ -2,7 +2,37 @@
 
 import numpy as np
 
-from mocap_calib.types import Floats, Ints
+from mocap_calib.config import TriangulateConfig
+from mocap_calib.multi_view.triangulation import frame_blocks, triangulate_frames
+from mocap_calib.types import CameraRig, Floats, Ints, Matches, Recording
+
+
+def add_refused(
+    recording: Recording,
+    rig: CameraRig,
+    matches: Matches,
+    points: Floats,
+    *,
+    noise: Floats,
+    config: TriangulateConfig,
+) -> Floats:
+    """Return triangulated points with those that a wider limit lets through where there are none.
+
+    Views that disagree by more than their noise still tell about where a joint is, if no other
+    frames do; the robust fit decides between them.
+
+    points: `[frame, individual, keypoint, 3]`. noise: `[view]` in radians. config: with the wider
+    limit.
+    """
+    frames, individuals, keypoints, _ = points.shape
+    found = [
+        triangulate_frames(
+            block, recording=recording, rig=rig, matches=matches, noise=noise, config=config
+        )[1]
+        for block in frame_blocks(frames, individuals * keypoints)
+    ]
+    wider = np.concatenate(found, axis=1).T.reshape(points.shape)
+    return np.where(np.isfinite(points), points, wider)
 
 
 def body_size(points: Floats) -> float:

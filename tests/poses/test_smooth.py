@@ -60,7 +60,7 @@ def hide(seen: Recording, keypoint: int, frames: slice) -> Recording:
 
 
 def test_less_error_and_jitter_than_the_triangulated_points():
-    """Measured: 0.36 of the error at the same points, 0.40 in all; jitter 1.3 times the truth's,
+    """Measured: 0.37 of the error at the same points, 0.38 in all; jitter 1.1 times the truth's,
     which is 30 times too large in the triangulated points.
     """
     poses, smoothing = smoothed(**HARD)
@@ -86,7 +86,7 @@ def test_every_point_says_what_it_is_made_of():
 
 
 def test_the_truth_lies_in_the_stated_regions():
-    """Measured: 0.986 of the points in the region of 95 %, 0.98 of those of one view."""
+    """Measured: 0.974 of the points in the region of 95 %."""
     poses, _ = smoothed(**HARD)
     gap = poses.positions - true_points(**HARD)
     for source in ("triangulated", "one view"):
@@ -135,6 +135,19 @@ def test_nothing_is_smoothed_over_time_where_frames_do_not_follow_each_other():
     assert mean_error(poses.positions, true_points(**EASY)[order]) < mean_error(
         poses.raw, true_points(**EASY)[order]
     )
+
+
+def test_refused_points_are_completed_where_no_other_frame_helps():
+    """Measured: 44 points that triangulation refused, 0.02 m off in the median."""
+    poses, _ = smooth(recording(**HARD), PosesConfig(smooth="bones"), **HARD)
+    triangulated = poses.source == codes("triangulated")[0]
+    refused = triangulated & np.isnan(poses.raw[..., 0])
+    assert refused.sum() > 20
+    gap = np.linalg.norm(poses.positions - true_points(**HARD), axis=-1)[refused]
+    assert np.median(gap) < 0.06
+    # frames that help are better than views that contradict each other
+    moving, _ = smoothed(**HARD)
+    assert np.isfinite(moving.raw[moving.source == codes("triangulated")[0]]).all()
 
 
 def test_modes_of_smoothing():
