@@ -365,7 +365,7 @@ def test_a_run_in_python_is_that_of_the_command(done, small, tmp_path):
     same = mocap_calib.match(recording, result.groups[0].rig)
     assert same == result.groups[0].matches
     again = mocap_calib.triangulate(recording, result.groups[0].rig, same)
-    np.testing.assert_allclose(again.positions, result.groups[0].poses.positions, atol=1e-10)
+    np.testing.assert_allclose(again.positions, result.groups[0].poses.raw, atol=1e-10)
 
 
 def test_a_rig_of_other_cameras_is_refused(files):

@@ -43,6 +43,7 @@ def take_sample(recording: Recording, index: Ints | slice) -> Sample:
         tracked=part.tracked,
         vocabulary=part.vocabulary,
         rays=np.empty((*positions.shape[:4], 3)),
+        model=part.model,
     )
     return with_cameras(sample, part.cameras)
 

@@ -328,9 +328,9 @@ def test_run_writes_what_is_asked_for(tool, small, tmp_path):
     assert load_poses(tmp_path / "out/poses3d.nc").rate == 30.0
     bodies = load_poses(tmp_path / "out/poses3d.h5").poses
     points = load_cameras(tmp_path / "out/colmap").points
-    known = np.isfinite(bodies.positions[..., 0])
+    known = np.isfinite(bodies.raw[..., 0])
     # the points are triangulated in the world of the results, the bodies were moved to it
-    np.testing.assert_allclose(points.positions, bodies.positions[known], atol=1e-10)
+    np.testing.assert_allclose(points.positions, bodies.raw[known], atol=1e-10)
     assert len(points.view) == bodies.views[known].sum()
     report = json.loads((tmp_path / "out/run.json").read_text())
     assert report["unit"] == "arbitrary"
