@@ -158,7 +158,7 @@ def recorded(**changes):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("cameras", "people", "degrees"), [(3, 1, 5.0), (4, 2, 2.0), (4, 3, 20.0)])
+@pytest.mark.parametrize(("cameras", "people", "degrees"), [(3, 1, 5.0), (4, 2, 2.0)])
 def test_a_bumped_camera_is_named_and_both_epochs_are_right(cameras, people, degrees):
     """Measured: rotations to 0.3 deg in both epochs, the frame exact."""
     recording, rig = recorded(cameras=cameras, people=people)
