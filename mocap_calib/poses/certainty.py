@@ -10,7 +10,7 @@ end without it.
 import numpy as np
 
 from mocap_calib.geometry import symmetric
-from mocap_calib.poses.energy import System, couplings, spread
+from mocap_calib.poses.energy import System, couplings, outer_products, spread
 from mocap_calib.types import Floats, Ints
 
 _PAIRS = 32  # of frames in a stretch
@@ -49,7 +49,7 @@ def _from_bones(system: System, edges: Ints, ridge: Floats) -> Floats:
     shape = alone.shape[:2]
     inverse = symmetric.invert(tuple(alone.reshape(-1, 6).T))
     variance = np.stack(inverse, axis=-1).reshape(*shape, 6)[..., _ROWS]
-    entries = direction[..., (0, 0, 0, 1, 1, 2)] * direction[..., (0, 1, 2, 1, 2, 2)]
+    entries = outer_products(direction)
     found = np.zeros_like(system.data)
     for near, far in (edges.T, edges.T[::-1]):
         along = np.einsum("eti,etij,etj->et", direction, variance[far], direction)

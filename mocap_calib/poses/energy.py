@@ -90,7 +90,7 @@ def linearise(
     if np.isfinite(strengths.bones) and len(body.edges):
         direction, error = _bone_terms(points, body, strengths, config)
         a, b = body.edges.T
-        entries = direction[..., (0, 0, 0, 1, 1, 2)] * direction[..., (0, 1, 2, 1, 2, 2)]
+        entries = outer_products(direction)
         own = own + spread(a, entries, len(points)) + spread(b, entries, len(points))
         push = direction * error[..., None]
         gradient = gradient + spread(a, push, len(points)) - spread(b, push, len(points))
@@ -101,19 +101,29 @@ def _motion_terms(
     points: Floats, body: Body, strengths: Strengths, config: PosesConfig
 ) -> tuple[Floats, Floats]:
     """Return the weights `[keypoint, frame]` of accelerations, by first frame, and the gradient."""
-    ends = max(points.shape[1] - 2, 0)
-    spans = [slice(k, k + ends) for k in range(3)]
+    acceleration = accelerations(points, body)
+    ends = acceleration.shape[1]
     steps = body.steps[:, :ends, None]
-    acceleration = sum(step * points[:, span] for step, span in zip(steps, spans, strict=True))
     precision = 1 / (strengths.acceleration * body.size[:ends]) ** 2
     square = (acceleration**2).sum(-1) * precision
     pull = np.zeros(points.shape[:2])
     pull[:, :ends] = precision / (1 + square / config.prior_loss**2) * (steps[0, :, 0] != 0)
     push = pull[:, :ends, None] * acceleration
     gradient = np.zeros_like(points)
-    for step, span in zip(steps, spans, strict=True):
-        gradient[:, span] += step * push
+    for k, step in enumerate(steps):
+        gradient[:, k : k + ends] += step * push
     return pull, gradient
+
+
+def accelerations(points: Floats, body: Body) -> Floats:
+    """Return the accelerations `[keypoint, frame - 2, 3]` by the first of their frames.
+
+    0 where frames do not follow each other. points: `[keypoint, frame, 3]`.
+    """
+    ends = max(points.shape[1] - 2, 0)
+    steps = body.steps[:, :ends, None]
+    parts = (step * points[:, k : k + ends] for k, step in enumerate(steps))
+    return np.asarray(sum(parts))
 
 
 def _bone_terms(
@@ -131,6 +141,11 @@ def _bone_terms(
     root = np.sqrt(weight) / sigma
     direction = along * (root / np.maximum(length, 1e-9 * body.size))[..., None]
     return direction, np.sqrt(weight) * error
+
+
+def outer_products(vectors: Floats) -> Floats:
+    """Return the products `[..., 6]` of vectors `[..., 3]` with themselves, xx xy xz yy yz zz."""
+    return np.asarray(vectors[..., (0, 0, 0, 1, 1, 2)] * vectors[..., (0, 1, 2, 1, 2, 2)])
 
 
 def spread(index: Floats, values: Floats, joints: int) -> Floats:

@@ -31,7 +31,7 @@ def filter_poses(poses: Poses3D, config: FilterConfig, *, fps: float | None = No
             for piece in _pieces(track, poses.frames):
                 if piece.stop - piece.start >= least:
                     track[piece] = run(track[piece])
-    return replace(poses, positions=positions, covariance=np.zeros(0, np.float32), raw=poses.raw)
+    return replace(poses, positions=positions, covariance=np.zeros(0, np.float32))
 
 
 def _choose_filter(

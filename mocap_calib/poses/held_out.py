@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mocap_calib.config import PosesConfig
-from mocap_calib.poses.energy import Strengths, fit, squared_errors
+from mocap_calib.poses.energy import Strengths, accelerations, fit, squared_errors
 from mocap_calib.poses.track import Body, Detections
 from mocap_calib.types import Bools, Floats
 
@@ -99,13 +99,12 @@ def usual_strengths(points: Floats, seen: Detections, body: Body, config: PosesC
     Accelerations are allowed that are as large as those of the points, noise and all; where even
     these are too large for one motion, frames do not follow each other.
     """
-    ends = max(points.shape[1] - 2, 0)
-    spans = [slice(k, k + ends) for k in range(3)]
-    steps = body.steps[:, :ends, None]
-    acceleration = sum(step * points[:, span] for step, span in zip(steps, spans, strict=True))
+    acceleration = accelerations(points, body)
+    ends = acceleration.shape[1]
     size = np.sqrt((acceleration**2).sum(-1)) / body.size[:ends]
     there = (seen.precision > 0).sum(0) >= 2
-    counted = np.all([there[:, span] for span in spans], axis=0) & (steps[0, :, 0] != 0)
+    counted = np.all([there[:, k : k + ends] for k in range(3)], axis=0)
+    counted &= body.steps[0, :ends] != 0
     sigma = float(np.median(size[counted])) / _MEDIAN_LENGTH if counted.any() else np.inf
     allowed = sigma if sigma < config.largest_acceleration else np.inf
     bones = config.usual_bones if len(body.edges) else np.inf

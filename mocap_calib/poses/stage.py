@@ -203,7 +203,7 @@ def smooth_poses(
         outliers=outliers,
         exchanged=exchanged,
     )
-    return replace(poses, raw=poses.raw, **arrays), smoothing
+    return replace(poses, **arrays), smoothing
 
 
 def smooth_group(group: GroupResult, config: Config, *, progress: Progress = silent) -> GroupResult:

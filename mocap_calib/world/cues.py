@@ -11,6 +11,7 @@ import numpy as np
 
 from mocap_calib.config import CueConfig, FloorConfig, ScaleCue
 from mocap_calib.errors import MismatchError, suggest
+from mocap_calib.multi_view.rig_covariance import rig_size
 from mocap_calib.recording.epochs import own_name, views_by_camera
 from mocap_calib.recording.joints import normalise_name
 from mocap_calib.types import Bools, CameraRig, Floats, MeasuredCue, Poses3D, RigCovariance
@@ -280,8 +281,7 @@ def _judged_sigma(rig: CameraRig, a: int, b: int) -> float:
     percent = rig.judgement.get("centre_sigma_percent", {})
     names = [own_name(rig.names[view], rig.names) for view in (a, b)]
     own = [float(percent.get(name, 0.0)) for name in names]
-    size = np.sqrt(((rig.centres - rig.centres.mean(0)) ** 2).sum(1).mean())
-    return float(np.hypot(own[0], own[1]) / 100 * size / np.sqrt(3))
+    return float(np.hypot(own[0], own[1]) / 100 * rig_size(rig) / np.sqrt(3))
 
 
 def _spread(values: Floats) -> float:

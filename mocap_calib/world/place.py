@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mocap_calib.config import ScaleCue, WorldConfig
+from mocap_calib.config import WORLDS, ScaleCue, WorldConfig
 from mocap_calib.errors import MismatchError, suggest
 from mocap_calib.geometry.rotation import nearest_rotation
 from mocap_calib.recording.epochs import own_names, views_by_camera
@@ -47,12 +47,11 @@ def check_world(config: WorldConfig, recording: Recording) -> None:
     Raises MismatchError for unknown joints, cameras and axes.
     """
     cameras = own_names(recording.names)
-    words = ("auto", "floor", "first-camera")
-    if not config.cameras and config.axes not in (*words, *cameras):
-        offered = ", ".join((*words, *cameras))
+    if not config.cameras and config.axes not in (*WORLDS, *cameras):
+        offered = ", ".join((*WORLDS, *cameras))
         raise MismatchError(
             f"--world: expected one of {offered}, or a file, found {config.axes!r}; "
-            f"{suggest(config.axes, (*words, *cameras))}"
+            f"{suggest(config.axes, (*WORLDS, *cameras))}"
         )
     if config.cameras:
         shared_cameras(config.cameras, cameras)
@@ -205,7 +204,7 @@ def _look_through_camera(on: Measurable, config: WorldConfig) -> Placement:
     Raises MismatchError where the camera was left out.
     """
     views = {name: own[0] for name, own in views_by_camera(on.rig.names).items()}
-    named = config.axes not in ("auto", "floor", "first-camera")
+    named = config.axes not in WORLDS
     if named and config.axes not in views:
         raise MismatchError(
             f"--world {config.axes}: expected a camera of the rig, one of {', '.join(views)}, "

@@ -79,9 +79,8 @@ def command(
     from typing import cast
 
     from mocap_calib.config import FilterMethod
-    from mocap_calib.io import kinds
     from mocap_calib.io.conversion import load_pose_sources
-    from mocap_calib.io.kinds import check_sources
+    from mocap_calib.io.kinds import check_sources, choose_format
     from mocap_calib.io.poses.write import write_poses
     from mocap_calib.poses.filters import filter_poses
     from mocap_calib_cli import outputs
@@ -101,7 +100,7 @@ def command(
     )
     if target is None:
         own = output.suffix == ".h5"
-        target = "poses-h5" if own else kinds.choose_format("poses", str(output))
+        target = "poses-h5" if own else choose_format("poses", str(output))
     check_sources([poses])
     file = load_pose_sources([Path(poses)], None, fps)
     rate = file.rate if math.isfinite(file.rate) else None
