@@ -2,16 +2,18 @@
 
 import sys
 import time
-from collections.abc import Iterable, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 import click
 
 from mocap_calib.wording import count
+from mocap_calib_cli import screen
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
+
+    from mocap_calib_cli.screen import Shown
 
 _BAR_AFTER = 1.0  # seconds before a stage gets a bar
 _LINE_AFTER = 30.0  # seconds without a line where stderr is no terminal
@@ -45,6 +47,11 @@ class Reporter:
         """Write lines to stderr that nobody may miss, also when `quiet`."""
         for line in lines:
             click.echo(line, err=True)
+
+    def show(self, *parts: "Shown") -> None:
+        """Show tables and lines in colour on stderr, see `screen.show`."""
+        if not self.quiet:
+            screen.show(*parts, err=True)
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         """Tell that `done` of `total` steps of `stage` are finished.
@@ -134,25 +141,3 @@ def _start_bars() -> "Progress":
     )
     bars.start()
     return bars
-
-
-def format_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    """Return lines of aligned columns: the first to the left, the others to the right.
-
-    They are the same in a terminal, a pipe and a log.
-    """
-    table = [list(header), *map(list, rows)]
-    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-    return [_format_row(row, widths) for row in table]
-
-
-def _format_row(row: Sequence[str], widths: Sequence[int]) -> str:
-    """Return one line of a table."""
-    first = row[0].ljust(widths[0])
-    others = [cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True)]
-    return "  ".join([first, *others]).rstrip()
-
-
-def format_number(value: float | None, digits: int = 2) -> str:
-    """Return a number for a table, a dash where there is none (None or NaN)."""
-    return "-" if value is None or value != value else f"{value:.{digits}f}"  # noqa: PLR0124 - NaN

@@ -1,4 +1,4 @@
-"""What a verdict means for whoever called a command: its exit status, and a warning.
+"""What a verdict means for whoever called a command: its exit status, and what is said of it.
 
 All files are written whatever the verdict is. The exit status follows from the verdict on the
 largest group of cameras: its files lie in the folder that was asked for, and scripts go on with
@@ -12,9 +12,17 @@ import click
 from mocap_calib.io.provenance import advice_on
 from mocap_calib_cli.options import SharedOptions
 from mocap_calib_cli.progress import Reporter
+from mocap_calib_cli.screen import Line
 
 _USELESS = "not determined"
 _DOUBTFUL = ("weak", _USELESS)  # what nobody may overlook
+STYLES = {
+    "well determined": "bold green",
+    "usable": "green",
+    "weak": "bold yellow",
+    _USELESS: "bold red",
+}
+_NEXT = "bold"
 
 
 def check_demands(options: SharedOptions) -> None:
@@ -36,7 +44,7 @@ def exit_status(verdict: str, options: SharedOptions) -> int:
     return int(verdict == _USELESS and not options.accept)
 
 
-def warn_of_verdict(
+def conclude(
     reporter: Reporter,
     verdict: str,
     place: object,
@@ -44,18 +52,33 @@ def warn_of_verdict(
     *,
     reasons: Sequence[str] = (),
     counts: bool = True,
+    next_step: str = "",
 ) -> None:
-    """Write a warning where a verdict is doubtful, also where --quiet was said.
+    """Write the verdict with its reasons, and the one thing to do next; all that a person must see.
 
-    place: where the files are. reasons: for the verdict; they are written where --quiet keeps them
-        from being said elsewhere. counts: the exit status follows from this verdict.
+    A doubtful verdict is a warning, which --quiet leaves with its reasons.
+
+    place: where the files are. reasons: for the verdict, of which the first is the most urgent.
+    counts: the exit status follows from this verdict. next_step: where there are no reasons.
     """
-    if verdict not in _DOUBTFUL:
-        return
-    line = f"mocap-calib: {place}: rig {verdict}{advice_on(verdict)}"
-    if counts and exit_status(verdict, options):
-        remedy = "leave out --strict" if options.strict else "say --accept not-determined"
-        line += f"; all files are written, and the exit status is 1: {remedy} if they will do"
-    reporter.warn(line)
-    if options.quiet:
-        reporter.warn(*(f"  {reason}" for reason in reasons))
+    line = f"{place}: rig {verdict}{advice_on(verdict)}"
+    if verdict in _DOUBTFUL:
+        line = f"mocap-calib: {line}"
+        if counts and exit_status(verdict, options):
+            remedy = "leave out --strict" if options.strict else "say --accept not-determined"
+            line += f"; all files are written, and the exit status is 1: {remedy} if they will do"
+        if options.quiet:
+            reporter.warn(line, *(f"  {reason}" for reason in reasons))
+    reporter.show(Line(line, STYLES[verdict]), *explain(reasons, next_step))
+
+
+def explain(reasons: Sequence[str], next_step: str = "") -> list[Line]:
+    """Return the reasons for a verdict, a line each, and the one thing to do next.
+
+    That is the remedy of the first reason, which is taken out of its line.
+    """
+    if not reasons:
+        return [Line(f"next: {next_step}", _NEXT)] if next_step else []
+    why, mark, remedy = reasons[0].partition("; ")
+    said = [Line(f"  {reason}") for reason in (why, *reasons[1:])]
+    return [*said, Line(f"next: {remedy}", _NEXT)] if mark else said

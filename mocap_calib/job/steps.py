@@ -91,7 +91,7 @@ class WrittenGroup:
     """What was written of a group of cameras.
 
     report: what `run.json` holds.
-    notes: a line for all that a further format does not hold.
+    notes: a line for each further format: what it does not hold.
     """
 
     report: dict[str, Any]

@@ -71,17 +71,29 @@ def explain(group: GroupResult, config: Config) -> Iterator[str]:
         yield from _explain_error(group, config)
     if group.uncertainty.outlier_cameras.any():
         names = _names(group, group.uncertainty.outlier_cameras)
-        yield f"{names}: errors several times those of the others; check clock, files, intrinsics"
+        yield (
+            f"{names}: errors several times those of the others; look whether it is out of step "
+            "(--frame-offset), was moved, or has other intrinsics"
+        )
     if group.uncertainty.wrong_focal.any():
-        names = _names(group, group.uncertainty.wrong_focal)
-        remedy = "calibrate them, or run again with --refine focal"
-        yield f"{names}: focal lengths other than given; {remedy}"
+        yield _explain_focal(group)
     if group.adjusted.depth_reversed_rig is not None:
         yield (
             "a rig reversed in depth fits as well and nothing tells which is right; move the "
             "cameras closer, or use shorter lenses"
         )
     yield from (_describe(check) for check in group.checks if not check.passed)
+
+
+def _explain_focal(group: GroupResult) -> str:
+    """Return by how much focal lengths would change, and how sure that is."""
+    change, sigma = group.uncertainty.focal_change, group.uncertainty.focal_sigma
+    changes = [
+        f"{group.rig.names[view]} {change[view]:+.1%} (+- {sigma[view]:.1%})"
+        for view in np.flatnonzero(group.uncertainty.wrong_focal)
+    ]
+    remedy = "check intrinsics and the size of images, or run again with --refine focal"
+    return f"{', '.join(changes)}: fits better with the focal length changed by that; {remedy}"
 
 
 def _describe(check: Check) -> str:

@@ -143,9 +143,8 @@ def test_what_is_remarked_and_lost_of_keypoints_is_said(tool, tmp_path):
     assert done.stderr.splitlines() == [
         "a, b: no scores in the file: every point counts fully",
         "2 cameras, 4 frames as openpose",
-        "openpose does not hold the names of keypoints",
-        "openpose does not hold who is who from frame to frame",
-        "openpose does not hold that there are no scores: each point gets 1",
+        "openpose does not hold the names of keypoints; who is who from frame to frame; that there "
+        "are no scores: each point gets 1",
     ]
     assert (
         tool("convert", tmp_path / "in", tmp_path / "quiet", "--to", "openpose", "-q").stderr == ""

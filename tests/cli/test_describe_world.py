@@ -2,7 +2,7 @@
 
 from mocap_calib.io.world_fields import world_fields
 from mocap_calib.types import World
-from mocap_calib_cli.describe import _describe_world
+from mocap_calib_cli.ending import _describe_world
 
 
 def test_the_world_is_said_in_a_line_and_its_evidence_below():

@@ -18,7 +18,9 @@ from mocap_calib_cli.options import SharedOptions
 from mocap_calib_cli.progress import Reporter
 from mocap_calib_cli.verdicts import exit_status
 
-REASON = "cam1 and cam2 face each other: add a camera between them"
+WHY = "cam1 may be turned by 4.0 deg"
+REMEDY = "cam1 and cam2 face each other: add a camera between them"
+REASON = f"{WHY}; {REMEDY}"
 FILES = {"cameras.yaml", "calibration.toml", "matches.csv", "poses3d.h5", "run.json"}
 
 
@@ -97,14 +99,16 @@ def test_the_largest_group_counts_and_the_others_are_warned_of(run_with, tmp_pat
     done = run_with(("usable", "not determined"))
     assert done.exit_code == 0
     second = tmp_path / "out" / "group_2"
-    assert f"mocap-calib: {second}: rig not determined: do not measure with it\n" in done.stderr
-    assert "usable: read the reasons" in done.stderr
+    warning = f"mocap-calib: {second}: rig not determined: do not measure with it\n"
+    assert warning in done.stderr
+    assert f"{tmp_path / 'out'}: rig usable: read the reasons" in done.stderr.split(warning)[1]
     assert run_with(("not determined", "usable")).exit_code == 1
 
 
 def test_reasons_are_said_once_and_stand_in_the_files(run_with, tmp_path):
     said = run_with(("weak",)).stderr
-    assert said.count(REASON) == 1
+    assert said.splitlines()[-2:] == [f"  {WHY}", f"next: {REMEDY}"]
+    assert said.count(WHY) == said.count(REMEDY) == said.count("rig weak") == 1
     for name in ("cameras.yaml", "calibration.toml"):
         assert f"#   {REASON}\n" in (tmp_path / "out" / name).read_text("utf-8")
 
@@ -156,7 +160,7 @@ def test_a_batch_counts_the_verdicts_apart(batch_with, tmp_path):
         f"1 refused; results in {tmp_path / 'out'}\n"
     ) in done.stderr
     assert [each.get("reasons") for each in summary["recordings"]] == [[REASON]] * 4 + [None]
-    assert done.stderr.count(f"  {REASON}\n") == 4
+    assert done.stderr.count(f"  {WHY}\nnext: {REMEDY}\n") == 4
 
 
 def test_a_batch_ends_as_a_run_does(batch_with, tmp_path):
@@ -194,9 +198,9 @@ def start(small, found, tmp_path_factory) -> list[object]:
 def test_adjust_tells_errors_and_verdict_as_run_does(start, found, tmp_path):
     done = call(adjust.command, *start, "-o", tmp_path / "a.yaml")
     assert done.exit_code == 0
-    table = done.stderr[done.stderr.index("camera  detections  matched  median px") :].splitlines()
+    table = done.stderr[done.stderr.index("camera  detections  matched  error px") :].splitlines()
     assert [line.split()[0] for line in table[1:4]] == list(found.groups[0].rig.names)
-    assert any(line.startswith("rig: ") for line in table)
+    assert table[5].startswith(f"{tmp_path / 'a.yaml'}: rig ")
     judgement = read_rig(tmp_path / "a.yaml").judgement
     assert judgement["verdict"] in done.stderr
     error = found.groups[0].rig.judgement["reprojection_error_px"]

@@ -109,13 +109,15 @@ def _write_judged(
     from mocap_calib.io.provenance import provenance
     from mocap_calib.judging import judge_cameras
     from mocap_calib.report import rig_report
-    from mocap_calib_cli import describe, outputs, verdicts
+    from mocap_calib_cli import ending, outputs, verdicts
 
     (group,) = result.groups
     report = rig_report(group, result)
     source = provenance("adjust", solver=solver, **judge_cameras(report))
     (content,) = format_rig(group.rig, "mocap-calib", source).files.values()
     outputs.write_text(output, [content.decode()])
-    reporter.say("", *describe.describe_adjusted(group, report))
+    reporter.say("")
+    reporter.show(ending.camera_table(report))
+    reporter.say(*ending.describe_rig(report))
     place = "adjusted cameras" if output == options.STDIO else output
-    verdicts.warn_of_verdict(reporter, group.verdict, place, shared, reasons=group.reasons)
+    verdicts.conclude(reporter, group.verdict, place, shared, reasons=group.reasons)

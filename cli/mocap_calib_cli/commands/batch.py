@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from mocap_calib.job.steps import Job
     from mocap_calib.types import CalibrationResult
     from mocap_calib_cli.progress import Reporter
+    from mocap_calib_cli.screen import Table
 
     Calibrate = Callable[[Job], CalibrationResult]
     # a recording, and a call that returns its result or raises what calibrating it raised
@@ -95,7 +96,9 @@ def command(
     failed = sum(outcome["status"] == "failed" for outcome in outcomes)
     counts = _count_verdicts(outcomes)
     summary = _describe_counts(counts, total=len(outcomes), failed=failed)
-    reporter.say("", *_format_outcomes(outcomes), f"{summary}; results in {output}")
+    reporter.say("")
+    reporter.show(_outcome_table(outcomes))
+    reporter.say(f"{summary}; results in {output}")
     if as_json:
         document = {"recordings": outcomes, "failed": failed, "verdicts": counts}
         click.echo(json.dumps(document, indent=1, allow_nan=False))
@@ -214,7 +217,7 @@ class _Batch:
     ) -> None:
         """Note what was found; the figures are those of the largest group of cameras."""
         from mocap_calib.wording import count
-        from mocap_calib_cli.verdicts import warn_of_verdict
+        from mocap_calib_cli.verdicts import conclude
 
         name = request.output.name
         verdict = report["verdict"]
@@ -232,15 +235,14 @@ class _Batch:
         }
         self.reporter.say(
             f"{name} {status}: {count(outcome['cameras'], 'camera')}, "
-            f"{count(outcome['individuals'], 'individual')}, rig {outcome['rig']}"
+            f"{count(outcome['individuals'], 'individual')}"
         )
         if groups > 1:
             self.reporter.say(
                 f"{name}: {groups} groups of cameras that share too little, each calibrated by "
                 "itself; counted is the largest"
             )
-        self.reporter.say(*(f"  {reason}" for reason in verdict["reasons"]))
-        warn_of_verdict(
+        conclude(
             self.reporter,
             verdict["rig"],
             request.output,
@@ -290,17 +292,17 @@ def _calibrate_one_by_one(function: "Calibrate", jobs: "Iterable[Job]") -> "Cali
     return ((job, partial(function, job)) for job in jobs)
 
 
-def _format_outcomes(outcomes: Iterable[Outcome]) -> list[str]:
+def _outcome_table(outcomes: Iterable[Outcome]) -> "Table":
     """Return the outcomes as a table."""
-    from mocap_calib_cli.progress import format_number, format_table
+    from mocap_calib_cli.screen import Table, format_number
 
-    header = ["recording", "status", "cameras", "individuals", "sigma deg", "rig"]
+    header = ("recording", "status", "cameras", "individuals", "sigma deg", "rig")
     rows = []
     for outcome in outcomes:
         counts = [str(outcome.get(name, "-")) for name in ("cameras", "individuals")]
         angle = format_number(outcome.get("rotation_sigma_deg"))
-        rows.append([outcome["name"], outcome["status"], *counts, angle, outcome["rig"] or "-"])
-    return format_table(header, rows)
+        rows.append((outcome["name"], outcome["status"], *counts, angle, outcome["rig"] or "-"))
+    return Table(header, tuple(rows))
 
 
 def _count_verdicts(outcomes: Iterable[Outcome]) -> dict[str, int]:

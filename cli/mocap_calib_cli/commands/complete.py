@@ -36,7 +36,7 @@ def command(shared: options.SharedOptions, output: Path, target: str) -> None:
     from mocap_calib.recording.synchronise import check_known_joints
     from mocap_calib.steerpose.completion import complete_sample, find_completed
     from mocap_calib.steerpose.weights import load_vocabulary
-    from mocap_calib.wording import count
+    from mocap_calib.wording import count, describe_lost
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.progress import Reporter
 
@@ -55,5 +55,5 @@ def command(shared: options.SharedOptions, output: Path, target: str) -> None:
     reporter.say(
         f"{count(int(filled.sum()), 'keypoint')} filled in, which {FILLED_TABLE} lists; "
         f"results in {output}",
-        *(f"{target} does not hold {what}" for what in lost),
+        *describe_lost(target, lost),
     )

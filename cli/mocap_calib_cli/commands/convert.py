@@ -114,6 +114,7 @@ def command(
       mocap-calib convert - - --from anipose --to nerfstudio <out/calibration.toml >nerf.json
     """
     from mocap_calib.io import kinds
+    from mocap_calib.wording import describe_lost
     from mocap_calib_cli import outputs
     from mocap_calib_cli.progress import Reporter
 
@@ -140,8 +141,7 @@ def command(
         done = _convert_keypoints(task, shared)
     if path is None:
         _write_stdout(done.files, target)
-    lost = (f"{target} does not hold {what}" for what in done.lost)
-    Reporter(quiet=shared.quiet).say(*done.notes, done.summary, *lost)
+    Reporter(quiet=shared.quiet).say(*done.notes, done.summary, *describe_lost(target, done.lost))
 
 
 # --- the three kinds of files

@@ -56,7 +56,7 @@ def _describe(figures: dict[str, Any]) -> list[str]:
 
 def _pair_table(figures: dict[str, Any]) -> list[str]:
     """Return a table of the errors of all pairs, with their median and maximum."""
-    from mocap_calib_cli.progress import format_number, format_table
+    from mocap_calib_cli.screen import format_number, format_table
 
     rotation = figures["rotation_error_deg"]
     translation = figures["translation_error_deg"]
@@ -71,7 +71,7 @@ def _pair_table(figures: dict[str, Any]) -> list[str]:
 
 def _share_table(figures: dict[str, Any]) -> list[str]:
     """Return a table of the shares of pairs below each threshold."""
-    from mocap_calib_cli.progress import format_number, format_table
+    from mocap_calib_cli.screen import format_number, format_table
 
     measures = [figures[name] for name in ("rra", "rta", "auc")]
     rows = [

@@ -83,6 +83,7 @@ def command(
     from mocap_calib.io.kinds import check_sources, choose_format
     from mocap_calib.io.poses.write import write_poses
     from mocap_calib.poses.filters import filter_poses
+    from mocap_calib.wording import describe_lost
     from mocap_calib_cli import outputs
     from mocap_calib_cli.progress import Reporter
 
@@ -106,5 +107,4 @@ def command(
     rate = file.rate if math.isfinite(file.rate) else None
     filtered = filter_poses(file.poses, config, fps=rate)
     lost = write_poses(output, replace(file, poses=filtered), target)
-    losses = (f"{target} does not hold {what}" for what in lost)
-    Reporter(quiet=shared.quiet).say(*file.notes, *losses)
+    Reporter(quiet=shared.quiet).say(*file.notes, *describe_lost(target, lost))

@@ -145,7 +145,7 @@ def _describe(report: dict[str, Any]) -> list[str]:
 def _describe_cameras(report: dict[str, Any]) -> list[str]:
     """Return a table of the cameras, a line on the joints, and details of each camera."""
     from mocap_calib.wording import count
-    from mocap_calib_cli.progress import format_table
+    from mocap_calib_cli.screen import format_table
 
     cameras = report["cameras"]
     if not cameras:
@@ -224,7 +224,7 @@ def _describe_gaps(gaps: list[list[int]]) -> str:
 
 def _describe_span(camera: dict[str, Any]) -> str:
     """Return where in the image the points lie, and how sure the detector is of them."""
-    from mocap_calib_cli.progress import format_number
+    from mocap_calib_cli.screen import format_number
 
     x0, y0, x1, y1 = (
         format_number(value, 0) for value in (*camera["image"]["least"], *camera["image"]["most"])
@@ -235,7 +235,7 @@ def _describe_span(camera: dict[str, Any]) -> str:
 
 def _pair_table(report: dict[str, Any]) -> list[str]:
     """Return the table of the frames that pairs of cameras see together."""
-    from mocap_calib_cli.progress import format_table
+    from mocap_calib_cli.screen import format_table
 
     names = [camera["name"] for camera in report["cameras"]]
     covisible = {

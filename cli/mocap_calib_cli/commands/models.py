@@ -26,7 +26,7 @@ def command(as_json: bool) -> None:
     """
     from mocap_calib.recording.joints import load_skeleton
     from mocap_calib.steerpose.weights import models
-    from mocap_calib_cli.progress import format_number, format_table
+    from mocap_calib_cli.screen import format_number, format_table
 
     cards = models()
     if as_json:

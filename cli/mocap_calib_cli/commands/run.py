@@ -7,6 +7,8 @@ import click
 
 from mocap_calib_cli import options, values
 
+_NEXT_STEP = "look at the poses over the videos: mocap-calib overlay {} --video CAM=FILE"
+
 
 @click.command(name="run")
 @options.output_folder("Folder to write; made when missing.")
@@ -57,7 +59,7 @@ def command(
     from mocap_calib.io.results.group import group_folder
     from mocap_calib.job.steps import calibrate_job_resumably, read_job, write_results
     from mocap_calib.multi_view.clock_faults import describe_unknown_clocks
-    from mocap_calib_cli import describe, inputs, outputs, verdicts
+    from mocap_calib_cli import describe, ending, inputs, outputs, verdicts
     from mocap_calib_cli.progress import Reporter
     from mocap_calib_cli.workers import open_workers
 
@@ -73,18 +75,21 @@ def command(
         result = calibrate_job_resumably(job, progress=reporter, mapper=workers)
     written = write_results(job, result)
 
-    reporter.say(*describe.describe_groups(result))
-    reporter.say(*describe_unknown_clocks(result))
-    for number, (group, files) in enumerate(zip(result.groups, written, strict=True)):
-        folder = output / group_folder(number)
-        reporter.say(*describe.describe_group(group, files.report, folder))
-        reporter.say(*files.notes)
+    reporter.say("", *describe.describe_groups(result), *describe_unknown_clocks(result))
     reporter.say(*describe.describe_unused_cameras(result.left_out))
+    for number in reversed(range(len(written))):  # the largest group, which counts, comes last
+        files, folder = written[number], output / group_folder(number)
+        reporter.show(ending.camera_table(files.report))
+        reporter.say(*ending.describe_group(files.report, folder), *files.notes)
+        verdicts.conclude(
+            reporter,
+            files.report["verdict"]["rig"],
+            folder,
+            shared,
+            reasons=files.report["verdict"]["reasons"],
+            counts=number == 0,
+            next_step=_NEXT_STEP.format(folder),
+        )
     if as_json:
         click.echo(json.dumps(written[0].report, indent=1, allow_nan=False))
-    for number, group in enumerate(result.groups):
-        place = output / group_folder(number)
-        verdicts.warn_of_verdict(
-            reporter, group.verdict, place, shared, reasons=group.reasons, counts=number == 0
-        )
     context.exit(verdicts.exit_status(result.groups[0].verdict, shared))

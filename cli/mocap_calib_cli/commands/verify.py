@@ -10,6 +10,7 @@ from mocap_calib_cli import options, values
 
 if TYPE_CHECKING:
     from mocap_calib.types import CameraRig, Verification
+    from mocap_calib_cli.screen import Shown, Table
 
 _CALIBRATION = values.PathOf(
     "Expected a calibration, then the keypoints to judge it by: CAMERAS KEYPOINTS..."
@@ -74,7 +75,7 @@ def command(
     from mocap_calib.config import Config
     from mocap_calib.multi_view.verified import verification_to_dict
     from mocap_calib.multi_view.verify import verify
-    from mocap_calib_cli import inputs, outputs, verdicts
+    from mocap_calib_cli import inputs, outputs, screen, verdicts
     from mocap_calib_cli.progress import Reporter
 
     outputs.check_text(output)
@@ -95,7 +96,7 @@ def command(
         figures = verification_to_dict(found) | {"without_keypoints": absent}
         click.echo(json.dumps(figures, indent=1, allow_nan=False))
     else:
-        click.echo("\n".join(_describe(found, absent)))
+        screen.show(*_describe(found, absent), err=False)
     if output is not None and form is not None:
         _write(output, form, given, found)
     context.exit(1 if found.named else verdicts.exit_status(found.verdict, shared))
@@ -110,25 +111,26 @@ def _choose_format(output: str | None, target: str | None) -> str | None:
     return None if output is None else target or choose_format("cameras", output)
 
 
-def _describe(found: "Verification", absent: list[str]) -> list[str]:
+def _describe(found: "Verification", absent: list[str]) -> "list[Shown]":
     """Return the cameras as a table, the verdict, and what to do."""
     from mocap_calib.multi_view.clock_faults import clock_faults
+    from mocap_calib_cli.screen import Line
+    from mocap_calib_cli.verdicts import STYLES, explain
 
-    lines = [*_camera_table(found), ""]
-    if absent:
-        lines.append(f"not checked, no keypoints: {', '.join(absent)}")
-    lines += [
+    notes = [f"not checked, no keypoints: {', '.join(absent)}"] if absent else []
+    notes += [
         f"{fault.camera}: {fault.says}, in these keypoints; taken into account"
         for fault in clock_faults(found.clocks, applied=found.clocks.changed)
     ]
     named = f"; named: {', '.join(found.named)}" if found.named else "; no camera is named"
-    return [*lines, f"calibration: {found.verdict}{named}", *found.reasons]
+    verdict = Line(f"calibration: {found.verdict}{named}", STYLES[found.verdict])
+    return [_camera_table(found), *map(Line, notes), verdict, *explain(found.reasons)]
 
 
-def _camera_table(found: "Verification") -> list[str]:
+def _camera_table(found: "Verification") -> "Table":
     """Return a table of the cameras: how far each is from where it is given, and its errors."""
     from mocap_calib.multi_view.verified import verification_to_dict
-    from mocap_calib_cli.progress import format_number, format_table
+    from mocap_calib_cli.screen import Table, format_number
 
     unit = found.rig.unit
     rows = []
@@ -138,10 +140,10 @@ def _camera_table(found: "Verification") -> list[str]:
         cells.append(format_number(None if share is None else 100 * share))
         cells += [_format_length(camera["shift"]), _format_length(camera["shift_sigma"])]
         cells += [format_number(camera["error_px"]), format_number(camera["refitted_px"])]
-        rows.append([camera["name"], *cells, camera["place"]])
+        rows.append((camera["name"], *cells, camera["place"]))
     lengths = [f"shift {unit}" if unit != "arbitrary" else "shift", "+-"]
-    header = ["camera", "turn deg", "+-", "shift %", *lengths, "error px", "refitted px", "place"]
-    return format_table(header, rows)
+    header = ("camera", "turn deg", "+-", "shift %", *lengths, "error px", "refitted px", "place")
+    return Table(header, tuple(rows), "place")
 
 
 def _format_length(value: float | None) -> str:

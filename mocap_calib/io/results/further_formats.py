@@ -16,13 +16,14 @@ from mocap_calib.io.poses.write import format_poses, write_poses
 from mocap_calib.io.registry import AnyFormat, find_format, written_names
 from mocap_calib.io.units import ARBITRARY
 from mocap_calib.types import CameraRig, ObservedPoints, Recording
+from mocap_calib.wording import describe_lost
 
 
 @dataclass(frozen=True)
 class WriteOutcome:
     """What was lost or left out when further formats were written.
 
-    notes: a line for each thing that a format that was written does not hold.
+    notes: a line for each format that was written: what it does not hold.
     refused: an error for each format that was not written, as it cannot hold the rig or the poses.
     """
 
@@ -131,7 +132,7 @@ def write_formats(
         except MismatchError as error:
             refused.append(error)
         else:
-            notes += [f"{name} does not hold {what}" for what in lost]
+            notes += describe_lost(name, lost)
     return WriteOutcome(tuple(notes), tuple(refused))
 
 

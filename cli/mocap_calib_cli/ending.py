@@ -1,0 +1,184 @@
+"""How `run` and `adjust` end: a table of the cameras, and what else a person must know.
+
+What is wrong with a camera stands in its row; why it matters, and what to do, is in the reasons of
+the verdict (`verdicts.conclude`) and nowhere else.
+"""
+
+from pathlib import Path
+from typing import Any
+
+from mocap_calib.io.results.group import REVERSED_RIG
+from mocap_calib.types import ARBITRARY
+from mocap_calib.wording import count
+from mocap_calib.world.place import is_detail
+from mocap_calib_cli.screen import Table, format_number
+
+_MOST_PAIRS = 6  # that are named in a line
+
+
+def camera_table(report: dict[str, Any]) -> Table:
+    """Return a row for each camera: what it saw, how well that fits, and what is wrong.
+
+    report: what `run_report` or `rig_report` returns.
+    """
+    cameras = report["cameras"]
+    errors = [camera["reprojection_error_px"]["median"] for camera in cameras]
+    columns = {
+        "camera": [camera["name"] for camera in cameras],
+        "detections": [str(camera["detections"]) for camera in cameras],
+        "matched": [str(camera["matched"]) for camera in cameras],
+        "error px": [format_number(error) for error in errors],
+        "sigma deg": [format_number(camera["rotation_sigma_deg"]) for camera in cameras],
+        "clock": [_frames_late(camera["clock"]) for camera in cameras],
+    }
+    if any(camera["intrinsics"]["source"] != "given" for camera in cameras):
+        columns["focal px"] = [_focal(camera["intrinsics"]) for camera in cameras]
+    columns["faults"] = [", ".join(_faults(camera)) or "-" for camera in cameras]
+    return Table(tuple(columns), tuple(zip(*columns.values(), strict=True)), "faults")
+
+
+def _frames_late(clock: dict[str, Any]) -> str:
+    """Return by what part of a frame a clock is late, a dash where that was not used."""
+    return f"{clock['subframe_offset']:+.2f}" if clock["used"] else "-"
+
+
+def _focal(found: dict[str, Any]) -> str:
+    """Return a focal length with its standard deviation, a dash where it is as given."""
+    if found["source"] == "given":
+        return "-"
+    sigma = format_number(found["focal_sigma_px"], 0)
+    known = "" if found["source"] == "estimated" else " ?"
+    return f"{found['focal_px']:.0f} +- {sigma}{known}"
+
+
+def _faults(camera: dict[str, Any]) -> list[str]:
+    """Return the words for what is wrong with a camera; those of its file say if it was mended."""
+    evidence = camera["fault_evidence"]
+    mended = [word for word in evidence if evidence[word]["mended"]]
+    said = [f"{word} (mended)" if word in mended else word for word in camera["faults"]]
+    own = {"low pair score": "weak", "weak perspective": "weak_perspective"}
+    return said + [word for word, key in own.items() if camera[key]]
+
+
+def describe_group(report: dict[str, Any], folder: Path) -> list[str]:
+    """Return what is to be known of a group of cameras beside the table, a line each.
+
+    report: as `run.json` has it. folder: where the files of the group are.
+    """
+    return [
+        *_describe_mended(report),
+        *_describe_clocks(report),
+        *describe_rig(report),
+        *_describe_pairs(report),
+        *_describe_epochs(report, folder),
+        *_describe_world(report["world"]),
+        _describe_results(report, folder),
+    ]
+
+
+def describe_rig(report: dict[str, Any]) -> list[str]:
+    """Return how sure cameras are, and what nothing that was seen determines.
+
+    report: what `run_report` or `rig_report` returns.
+    """
+    turn, shift = (report["verdict"][key] for key in ("rotation_sigma_deg", "centre_sigma_percent"))
+    lines = [
+        f"rotations are uncertain by {turn['median']:.2f} deg (worst camera {turn['max']:.2f}), "
+        f"places by {shift['median']:.1f} % of the rig ({shift['max']:.1f}), a standard deviation "
+        "each"
+    ]
+    if any(camera["intrinsics"]["source"] == "not determined" for camera in report["cameras"]):
+        lines.append(
+            "focal lengths with a ? are not determined, and as given or assumed: give --cameras, "
+            "or record with three cameras or more from different heights and sides"
+        )
+    if any(camera["weak_perspective"] for camera in report["cameras"]):
+        lines.append(
+            "weak perspective, translation not observable: so far away or of such long focal "
+            "length that images show no perspective; distances follow from the focal lengths alone"
+        )
+    return lines
+
+
+def _describe_mended(report: dict[str, Any]) -> list[str]:
+    """Say what is wrong with the files of cameras, and what was done about it."""
+    lines = []
+    for camera in report["cameras"]:
+        for fault in camera["fault_evidence"].values():
+            line = f"{camera['name']}: {fault['says']}"
+            if fault["mended"]:
+                line += f"; mended for this run: {fault['advice']}"
+                line += f", or say {fault['option']}" if fault["option"] else ""
+            lines.append(line)
+    return lines
+
+
+def _describe_clocks(report: dict[str, Any]) -> list[str]:
+    """Say what the parts of a frame are by which clocks are off, where that was used."""
+    if not any(camera["clock"]["used"] for camera in report["cameras"]):
+        return []
+    first = report["cameras"][0]["name"]
+    return [
+        f"clock: frames late beside {first}; rig and poses are made with that, poses at the clock "
+        f"of {first}"
+    ]
+
+
+def _describe_pairs(report: dict[str, Any]) -> list[str]:
+    """Say which pairs do not go together with the others."""
+    contradict = [
+        f"{pair['a']}-{pair['b']} by {pair['loop_rotation_deg']:.1f} deg"
+        for pair in report["pairs"]
+        if pair["breaks_loop"]
+    ]
+    overruled = [
+        f"{pair['a']}-{pair['b']}" for pair in report["pairs"] if pair["alternative_taken"]
+    ]
+    said = {
+        "contradict the others and were given little weight": contradict,
+        "took an alternative to their own best answer, as others confirm it": overruled,
+    }
+    return [f"pairs that {what}: {_name_some(pairs)}" for what, pairs in said.items() if pairs]
+
+
+def _name_some(names: list[str]) -> str:
+    """Return names with commas between them, the number of what is too much for a line."""
+    further = len(names) - _MOST_PAIRS
+    return ", ".join(names[:_MOST_PAIRS]) + (f" and {further} more" if further > 0 else "")
+
+
+def _describe_epochs(report: dict[str, Any], folder: Path) -> list[str]:
+    """Say where the rig of each part of the recording is, where a camera was moved."""
+    epochs = report["epochs"]
+    if len(epochs) == 1:
+        return []
+    places = [
+        f"frames {epoch['first']} to {epoch['last']} in {folder / epoch['folder']}"
+        for epoch in epochs
+    ]
+    return [f"{len(epochs)} rigs, as cameras were moved: {', '.join(places)}"]
+
+
+def _describe_world(world: dict[str, Any]) -> list[str]:
+    """Say in a line what the coordinates are, then what each known length and landmark says."""
+    details = [line for line in world["remarks"] if is_detail(line)]
+    said = [line for line in world["remarks"] if line not in details]
+    if world["kind"] == "floor":
+        said.insert(0, "z is up, the origin is on the floor")
+    if not any(line.startswith("lengths are ") for line in said):
+        said.append(f"lengths are {'in ' * (world['unit'] != ARBITRARY)}{world['unit']}")
+    return [f"world: {'; '.join(said)}", *(f"  {line}" for line in details)]
+
+
+def _describe_results(report: dict[str, Any], folder: Path) -> str:
+    """Say how much was found, and where it is."""
+    counts = [individual["frames"] for individual in report["individuals"]] or [0]
+    frames = str(min(counts)) if min(counts) == max(counts) else f"{min(counts)} to {max(counts)}"
+    line = (
+        f"{count(len(report['individuals']), 'individual')} in {frames} of "
+        f"{count(report['frames']['count'], 'frame')}, "
+        f"{count(report['points']['triangulated'], 'point')}; results in {folder}"
+    )
+    if report["verdict"]["reversal"] == "not observable":
+        line += f", the rig reversed in depth in {folder / REVERSED_RIG}"
+    return line
