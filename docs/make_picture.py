@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mocap_calib.colours import COLOURS
 from mocap_calib.geometry.rotation import looking_along
 from mocap_calib.io.cameras.read import read_rig
 from mocap_calib.io.keypoints.read import read_keypoints
@@ -29,7 +30,6 @@ PANEL = (187, 105)  # width and height of an image at the left
 SCENE = (592, 312)  # where the middle of the floor is
 METRE = 56  # pixels of the picture
 AZIMUTH, ELEVATION = np.radians(-6), np.radians(24)
-COLOURS = ("#0072b2", "#d55e00", "#009e73")  # told apart by colour-blind people too
 GREY, PALE, DARK = "#7a7a7a", "#e4e4e4", "#333333"
 
 

@@ -110,7 +110,7 @@ def test_the_readme_says_what_each_dependency_is_for():
 IN_ONE_PLACE = {"types.py", "config.py"}  # all nouns, and all constants
 DOORS = {  # module: where alone it is imported
     "torch": ("mocap_calib/steerpose/",),
-    "cv2": ("mocap_calib/geometry/epipolar.py",),
+    "cv2": ("mocap_calib/geometry/epipolar.py", "mocap_calib/overlay/"),
     "pycolmap": (
         "mocap_calib/geometry/colmap.py",
         "mocap_calib/io/cameras/colmap_model.py",

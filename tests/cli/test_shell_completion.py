@@ -128,6 +128,8 @@ def test_every_option_that_takes_a_name_offers_something():
         "length",
         "camera-distance",
         "forward",
+        "video",
+        "frames",
     }
     for name in COMMANDS:
         context = click.Context(group)

@@ -7,7 +7,7 @@ import click
 
 from mocap_calib_cli import options, values
 
-_NEXT_STEP = "look at the poses over the videos: mocap-calib overlay {} --video CAM=FILE"
+_NEXT_STEP = "look at the poses over the videos: mocap-calib overlay {} --video CAM=FILE -o overlay"
 
 
 @click.command(name="run")

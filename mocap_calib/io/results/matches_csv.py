@@ -63,7 +63,7 @@ def read_matches_csv(
     else:
         source = "matches"
         text = path_or_text
-    cameras, rows = _parse_rows(text, source)
+    cameras, rows = parse_matches(text, source)
     if clocks is not None:
         cameras, rows = _on_common_clock(cameras, rows, clocks)
     detections = _find_detections(cameras, rows[:, :2], recording, source)
@@ -80,7 +80,7 @@ def read_matches_csv(
     return Matches(labels)
 
 
-def _parse_rows(text: str, source: str) -> tuple[list[str], Ints]:
+def parse_matches(text: str, source: str) -> tuple[list[str], Ints]:
     """Return camera names, and `[row, 3]` frame, instance, individual. Raises FormatError."""
     try:
         table = [row for row in csv.reader(io.StringIO(text, newline="")) if row]

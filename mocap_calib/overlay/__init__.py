@@ -1,0 +1,1 @@
+"""What a run found, drawn on the frames of its videos."""

@@ -1,0 +1,125 @@
+"""Read videos frame by frame, and refuse those whose frames cannot be told by their number."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from mocap_calib.errors import FormatError, MismatchError
+from mocap_calib.types import Camera
+
+_SAME_ASPECT = 0.01  # relative difference of the ratios of width and height
+_STEADY = 0.5  # of the usual interval: by how much one may differ
+
+
+@dataclass(frozen=True)
+class Video:
+    """A video that can be opened.
+
+    size: (width, height) in pixels. rate: frames per second. frames: how many, as it says.
+    """
+
+    path: Path
+    size: tuple[int, int]
+    rate: float
+    frames: int
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """Give OpenCV's capture of a video. Raises FormatError."""
+    capture = cv2.VideoCapture(str(path))
+    try:
+        if not capture.isOpened():
+            raise FormatError(
+                f"{path}: expected a video that OpenCV can read, found something else; convert "
+                f"it: ffmpeg -i {path.name} -c:v libx264 -crf 18 new.mp4"
+            )
+        yield capture
+    finally:
+        capture.release()
+
+
+def open_video(path: Path) -> Video:
+    """Return what is known of a video. Raises FormatError, and MismatchError where none is."""
+    if not path.is_file():
+        raise MismatchError(f"{path}: expected a video, found no such file; check the path")
+    with _opened(path) as capture:
+        width, height, rate, frames = (
+            capture.get(each)
+            for each in (
+                cv2.CAP_PROP_FRAME_WIDTH,
+                cv2.CAP_PROP_FRAME_HEIGHT,
+                cv2.CAP_PROP_FPS,
+                cv2.CAP_PROP_FRAME_COUNT,
+            )
+        )
+    return Video(path, (int(width), int(height)), rate if rate > 0 else 30.0, int(max(frames, 0)))
+
+
+def check_size(video: Video, camera: Camera) -> str:
+    """Return a note where a video is resized against the camera's images, "" where it is not.
+
+    Raises MismatchError where width and height have another ratio.
+    """
+    (width, height), (own_width, own_height) = video.size, camera.size
+    if video.size == camera.size or not (own_width and own_height):
+        return ""
+    if abs(width * own_height / (height * own_width) - 1) > _SAME_ASPECT:
+        raise MismatchError(
+            f"{video.path}: expected images of {own_width} x {own_height} as the keypoints of "
+            f"{camera.name} have, or resized ones, found {width} x {height}; give the video in "
+            "which they were detected"
+        )
+    return (
+        f"{camera.name}: its video has {width} x {height} pixels and its keypoints are of "
+        f"{own_width} x {own_height}: all is drawn {width / own_width:.3g} times as large"
+    )
+
+
+def read_frames(video: Video, wanted: frozenset[int] | None) -> Iterator[tuple[int, Any]]:
+    """Yield the index, from 0, and the image of each frame, one in memory at a time.
+
+    wanted: the indices of those that are yielded; None: all. What lies between is decoded, as a
+        seek does not find the right frame in many videos.
+
+    Raises MismatchError where the frames are not equally far apart in time.
+    """
+    pace, last = _Pace(video), None if wanted is None else max(wanted, default=-1)
+    with _opened(video.path) as capture:
+        index = 0
+        while (last is None or index <= last) and capture.grab():
+            pace.check(index, float(capture.get(cv2.CAP_PROP_POS_MSEC)))
+            if wanted is None or index in wanted:
+                whole, image = capture.retrieve()
+                if not whole:
+                    return
+                yield index, image
+            index += 1
+
+
+class _Pace:
+    """Holds the frames of a video to a constant rate: else a number does not tell the moment."""
+
+    def __init__(self, video: Video) -> None:
+        self.video = video
+        self.times: list[float] = []
+
+    def check(self, index: int, milliseconds: float) -> None:
+        """Look at the next frame. Raises MismatchError where it comes too early or too late."""
+        self.times = [*self.times[-1:], milliseconds]
+        if index == 0:
+            return
+        usual = 1000 / self.video.rate
+        gap = self.times[1] - self.times[0]
+        if not np.isclose(gap, usual, rtol=_STEADY, atol=1.0):
+            raise MismatchError(
+                f"{self.video.path}: expected frames {usual:.1f} ms apart, found {gap:.1f} ms "
+                f"before frame {index}: with a variable frame rate nobody knows which frame a "
+                "detection is of; make it constant, and detect again: ffmpeg -i "
+                f"{self.video.path.name} -fps_mode cfr -r {self.video.rate:.6g} new.mp4"
+            )

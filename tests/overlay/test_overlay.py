@@ -1,0 +1,207 @@
+"""Results on videos: what is drawn lies where the camera saw it, in the frame in which it did."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from mocap_calib.colours import COLOURS, NOBODY, colour_of, rgb
+from mocap_calib.errors import MismatchError
+from mocap_calib.geometry.projection import pixels_from_points
+from mocap_calib.overlay.drawing import View, camera_lines, floor_lines, resize
+from mocap_calib.overlay.make import make_overlays
+from mocap_calib.overlay.results import CameraResults, Results, read_results
+from mocap_calib.overlay.video import Video, _Pace
+from mocap_calib.types import Camera, CameraClock, Floats, World
+
+FRAMES = 12  # of the videos
+BARREL = (-0.25, 0.06, 0.002, -0.001, 0.0)
+
+
+@pytest.fixture(scope="module")
+def found(done) -> Results:
+    """The results of a run, in which the lenses are bent, cam2 is 5 frames late, and nobody is
+    joined by bones: then discs are alone."""
+    results = read_results(done[0])
+    ((first, last, rig),) = results.epochs
+    cameras = tuple(replace(camera, distortion=np.array(BARREL)) for camera in rig.cameras)
+    rig = replace(rig, cameras=cameras, clocks=(CameraClock("cam2", "clock", 5),))
+    poses = replace(results.poses, edges=())
+    return replace(results, epochs=((first, last, rig),), poses=poses)
+
+
+def seen_by(results: Results, name: str, frame: int) -> Floats:
+    """Where OpenCV has the joints of the first individual in the images of a camera."""
+    camera = results.epochs[0][2][name]
+    points = results.poses.poses.positions[frame, 0]
+    rotation, _ = cv2.Rodrigues(camera.rotation)
+    pixels, _ = cv2.projectPoints(
+        points[:, None], rotation, camera.translation, camera.matrix, camera.distortion
+    )
+    return pixels[:, 0]
+
+
+def write_video(path: Path, results: Results, name: str, *, late: int = 0, scale: float = 1.0):
+    """Dots on blank frames where OpenCV has the joints; of the joints that stand alone."""
+    width, height = (round(scale * side) for side in results.epochs[0][2][name].size)
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 30, (width, height))
+    for number in range(FRAMES):
+        image = np.full((height, width, 3), 40, np.uint8)
+        if number >= late:
+            for x, y in (seen_by(results, name, number - late) + 0.5) * scale - 0.5:
+                place = (round(16 * x), round(16 * y))
+                cv2.circle(image, place, 16 * 5, (255, 255, 255), -1, cv2.LINE_AA, 4)
+        writer.write(image)
+    writer.release()
+    return path
+
+
+def middle_of(image: np.ndarray, colour: str, near: Floats, radius: int = 6) -> Floats:
+    """The middle of what has nearly a colour around a pixel."""
+    x, y = np.round(near).astype(int)
+    window = image[y - radius : y + radius + 1, x - radius : x + radius + 1].astype(float)
+    far = np.abs(window - rgb(colour)[::-1]).max(-1)
+    rows, columns = np.nonzero(far < 90)
+    return np.array([columns.mean() + x - radius, rows.mean() + y - radius])
+
+
+@pytest.mark.parametrize(("name", "late", "scale"), [("cam1", 0, 1.0), ("cam2", 5, 0.5)])
+def test_the_overlay_lies_on_what_the_video_shows(found, tmp_path, name, late, scale):
+    """Measured: at most 0.4 px, of frame, lens, clock and size together. A frame is 3 px or more."""
+    video = write_video(tmp_path / "a.mp4", found, name, late=late, scale=scale)
+    notes = make_overlays(found, (), {name: video}, tmp_path / "out", frames=[3, 6])
+    assert len(notes) == (scale != 1)
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {
+        f"{name}_000003.png",
+        f"{name}_000006.png",
+    }
+    image = cv2.imread(str(tmp_path / "out" / f"{name}_000006.png"))
+    expected = (seen_by(found, name, 6) + 0.5) * scale - 0.5
+    others = np.linalg.norm(expected[:, None] - expected, axis=-1) + 99 * np.eye(len(expected))
+    alone = expected[others.min(1) > 20]
+    assert len(alone) >= 3
+    for joint in alone:
+        assert np.linalg.norm(middle_of(image, COLOURS[0], joint) - joint) < 1
+        assert np.linalg.norm(middle_of(image, "#ffffff", joint) - joint) < 1  # the ring around it
+
+
+def test_the_command_writes_a_video_with_the_detections_of_the_run(done, found, tool, tmp_path):
+    video = write_video(tmp_path / "a.mp4", found, "cam1")
+    made = tool("overlay", done[0], "--video", f"cam1={video}", "-o", tmp_path / "out")
+    assert made.returncode == 0, made.stderr
+    assert made.stderr.splitlines()[-1] == f"overlays in {tmp_path / 'out'}"
+    drawn = cv2.VideoCapture(str(tmp_path / "out" / "cam1.mp4"))
+    assert drawn.get(cv2.CAP_PROP_FRAME_COUNT) == FRAMES
+    _, image = drawn.read()
+    ring = np.array(rgb(COLOURS[1]))[::-1]
+    assert (np.abs(image.astype(int) - ring).max(-1) < 60).sum() > 50
+
+
+def blank_video(path: Path, size: tuple[int, int]) -> Path:
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 30, size)
+    writer.write(np.zeros((size[1], size[0], 3), np.uint8))
+    writer.release()
+    return path
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("--video", "cam9={video}"), "expected one of the cameras cam1, cam2, cam3, found cam9"),
+        (("--video", "cam1=none.mp4"), "none.mp4: expected a video, found no such file"),
+        (("--video", "cam1={done}/run.json"), "expected a video that OpenCV can read"),
+        (("--video", "cam1={wide}"), "expected images of 1280 x 720 as the keypoints of cam1 have"),
+        (("--video", "cam1={video}", "--frames", "500"), "--frames: expected frames that "),
+        (("--video", "cam1={video}", "--frames", "9-5"), "expected frame numbers, as 100,200-210"),
+        (("--video", "{video}"), "expected CAM=FILE, found "),
+        (("--video", "cam1={video}", "--video", "cam1=b"), "found two of cam1"),
+    ],
+)
+def test_mistakes_get_a_line_and_leave_nothing(done, tool, tmp_path, words, says):
+    video = blank_video(tmp_path / "a.mp4", (1280, 720))
+    wide = blank_video(tmp_path / "wide.mp4", (640, 200))
+    texts = [word.format(video=video, wide=wide, done=done[0]) for word in words]
+    made = tool("overlay", done[0], *texts, "-o", tmp_path / "out")
+    assert made.returncode in (1, 2)
+    assert says in made.stderr.splitlines()[-1]
+    assert made.returncode == 2 or made.stderr.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_of_something_else_is_refused(tmp_path):
+    with pytest.raises(MismatchError, match=r"expected the results of a run, found no cameras"):
+        read_results(tmp_path)
+
+
+def test_a_variable_frame_rate_is_refused_with_the_way_to_mend_it():
+    """Frames 33 ms apart, of which one in ten was dropped: 27 a second in the mean."""
+    pace = _Pace(Video(Path("a.mp4"), (640, 480), 27.0, 100))
+    times = [1000 / 30 * k for k in range(30) if k % 10 != 9]
+    with pytest.raises(MismatchError, match=r"66.7 ms before frame 9: .* -fps_mode cfr -r 27 "):
+        [pace.check(*each) for each in enumerate(times)]
+    steady = _Pace(Video(Path("a.mp4"), (640, 480), 29.97, 100))
+    [steady.check(k, float(round(1001 / 30 * k))) for k in range(100)]  # as Matroska rounds
+
+
+def test_frames_belong_to_moments_by_the_clock_of_the_camera(found):
+    ((first, last, rig),) = found.epochs
+    poses = found.poses.poses
+    late = CameraResults("cam2", replace(found, late={"cam2": 0.25}), None)
+    assert late.moments(np.array([4, 5, 9])) == pytest.approx([np.nan, 0.25, 4.25], nan_ok=True)
+    between = 0.75 * poses.positions[4] + 0.25 * poses.positions[5]
+    np.testing.assert_allclose(late.bodies_at(4.25), between)
+    assert np.isnan(late.bodies_at(np.nan)).all()
+    other = replace(rig, translation=rig.translation + 1)
+    moved = CameraResults("cam1", replace(found, epochs=((0, 9, rig), (10, last, other))), None)
+    assert [moved.rig_at(time) is other for time in (9.0, 10.0, np.nan)] == [False, True, False]
+
+
+# --- what is drawn
+
+
+def test_lines_end_at_the_near_plane_and_do_not_come_back_through_a_bent_lens(found):
+    """A line from behind the camera to before it, and one far outside the image."""
+    rig = found.epochs[0][2]
+    view = View.of(rig, "cam1", rig["cam1"].size, mirrored=False)
+    axis, side = rig["cam1"].rotation[2], rig["cam1"].rotation[0]
+    centre = rig["cam1"].centre
+    ahead = centre + 3 * axis
+    (line,) = view.bend(np.array([[centre - 2 * axis + 0.3 * side, ahead]]))
+    seen = line[np.isfinite(line).all(1)]
+    assert 2 <= len(seen)
+    (expected,) = pixels_from_points(rig["cam1"], np.array([[0.0, 0.0, 3.0]]))
+    np.testing.assert_allclose(seen[-1], expected, atol=1e-6)
+    assert np.isnan(view.project(centre + 0.1 * axis + 5 * side)).all()
+    assert np.isnan(view.bend(np.array([[centre - axis, centre - 2 * axis]]))).all()
+    flipped = View.of(rig, "cam1", rig["cam1"].size, mirrored=True).project(ahead[None])
+    assert flipped[0, 0] == pytest.approx(rig["cam1"].size[0] - 1 - expected[0])
+
+
+def test_resized_images_have_the_same_rays():
+    camera = Camera("a", (1280, 720), np.array([[900.0, 0, 630], [0, 905, 355], [0, 0, 1]]))
+    points = np.random.default_rng(0).normal(size=(20, 3)) + (0, 0, 5)
+    small = pixels_from_points(resize(camera, (640, 360)), points)
+    np.testing.assert_allclose(small + 0.5, (pixels_from_points(camera, points) + 0.5) / 2)
+
+
+def test_a_grid_lies_on_the_floor_a_metre_apart(found):
+    ((_, _, rig),) = found.epochs
+    poses = found.poses.poses
+    assert len(camera_lines(rig, "cam1")) == 8 * (len(rig) - 1)
+    unknown = replace(rig, world=World(kind="first camera"))
+    assert floor_lines(unknown, poses).shape == (0, 2, 3)
+    up, floor = np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, 0.5])
+    size = float(np.nanpercentile(poses.positions, 99) - np.nanpercentile(poses.positions, 1))
+    metric = replace(rig, world=World(kind="floor", up=up, floor=floor)).scale(8 / size, "m")
+    lines = floor_lines(metric, poses.scale(8 / size, "m"))
+    np.testing.assert_allclose(lines[..., 2], 0.5 * 8 / size)
+    along = np.unique(np.round(lines[np.ptp(lines[..., 0], 1) == 0][:, 0, 0], 6))
+    np.testing.assert_allclose(np.diff(along), 1.0)
+
+
+def test_colours_are_one_table():
+    assert len(set(COLOURS)) == 7
+    assert colour_of(-1) == NOBODY
+    assert (colour_of(7), rgb(colour_of(0))) == (COLOURS[0], (0, 114, 178))
