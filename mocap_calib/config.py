@@ -1318,6 +1318,20 @@ ANIMAL_MOTION = {
 
 
 @dataclass(frozen=True)
+class DoctorConfig:
+    """The self-test: a simulated recording, and how far the result may be from the truth.
+
+    least_disk_gb: free on the disk, below which that is said.
+    """
+
+    cameras: int = 3
+    people: int = 2
+    frames: int = 40
+    most_error_deg: float = 0.5  # measured 0.23
+    least_disk_gb: float = 1.0
+
+
+@dataclass(frozen=True)
 class SimulateConfig:
     """A synthetic recording. Lengths in metres; all move in a square 0.9 radii wide.
 

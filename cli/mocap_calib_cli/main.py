@@ -40,6 +40,7 @@ COMMANDS = {
     "verify": "Judge an existing calibration by keypoints: which camera moved since?",
     "evaluate": "Compare cameras with a reference calibration.",
     "simulate": "Make a synthetic recording with its truth.",
+    "doctor": "Look at the machine and the installation, with a self-test.",
     "models": "List the networks that are shipped.",
     "train": "Train the network that lifts 2D poses.",
 }

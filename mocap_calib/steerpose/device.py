@@ -25,3 +25,9 @@ def check_device(device: str) -> None:
         raise MismatchError(
             f"device {device}: expected a CUDA device and a torch built for it, found none; use cpu"
         )
+
+
+def describe_devices() -> dict[str, object]:
+    """Return which GPUs torch can use, the CUDA it was built for, and its threads."""
+    names = [torch.cuda.get_device_name(each) for each in range(torch.cuda.device_count())]
+    return {"gpus": names, "cuda": torch.version.cuda, "torch_threads": torch.get_num_threads()}

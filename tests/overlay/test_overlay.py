@@ -69,7 +69,7 @@ def middle_of(image: np.ndarray, colour: str, near: Floats, radius: int = 6) -> 
 
 @pytest.mark.parametrize(("name", "late", "scale"), [("cam1", 0, 1.0), ("cam2", 5, 0.5)])
 def test_the_overlay_lies_on_what_the_video_shows(found, tmp_path, name, late, scale):
-    """Measured: at most 0.4 px, of frame, lens, clock and size together. A frame is 3 px or more."""
+    """Frame, lens, clock and size together."""
     video = write_video(tmp_path / "a.mp4", found, name, late=late, scale=scale)
     notes = make_overlays(found, (), {name: video}, tmp_path / "out", frames=[3, 6])
     assert len(notes) == (scale != 1)
@@ -146,7 +146,7 @@ def test_a_variable_frame_rate_is_refused_with_the_way_to_mend_it():
 
 
 def test_frames_belong_to_moments_by_the_clock_of_the_camera(found):
-    ((first, last, rig),) = found.epochs
+    ((_, last, rig),) = found.epochs
     poses = found.poses.poses
     late = CameraResults("cam2", replace(found, late={"cam2": 0.25}), None)
     assert late.moments(np.array([4, 5, 9])) == pytest.approx([np.nan, 0.25, 4.25], nan_ok=True)
@@ -170,7 +170,7 @@ def test_lines_end_at_the_near_plane_and_do_not_come_back_through_a_bent_lens(fo
     ahead = centre + 3 * axis
     (line,) = view.bend(np.array([[centre - 2 * axis + 0.3 * side, ahead]]))
     seen = line[np.isfinite(line).all(1)]
-    assert 2 <= len(seen)
+    assert len(seen) >= 2
     (expected,) = pixels_from_points(rig["cam1"], np.array([[0.0, 0.0, 3.0]]))
     np.testing.assert_allclose(seen[-1], expected, atol=1e-6)
     assert np.isnan(view.project(centre + 0.1 * axis + 5 * side)).all()
