@@ -58,16 +58,15 @@ def show(*parts: Shown, err: bool, console: "Console | None" = None) -> None:
 
 def _rich_table(table: Table) -> "RichTable":
     """Return a table as rich draws it. Names are text, whatever brackets they have."""
-    from rich import box
     from rich.table import Table as RichTable
     from rich.text import Text
 
-    drawn = RichTable(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1), header_style="bold")
+    drawn = RichTable(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="bold")
     numeric = _numeric_columns(table.rows, len(table.header))
     for index, name in enumerate(table.header):
         is_number = numeric[index]
         drawn.add_column(
-            name,
+            name.replace(" ", "\n") if is_number else name,  # a unit below leaves room for names
             justify="right" if is_number else "left",
             no_wrap=is_number,
             overflow="fold",

@@ -194,10 +194,12 @@ def draw_text(image: Image, text: str, place: Floats, unit: int, colour: str = _
     """Write a text on dark edges, with its lower left corner at a pixel."""
     if not (np.abs(place) < _LARGEST).all():  # also NaN
         return
-    x, y = np.round(place).astype(int).tolist()
-    for shade, width in (("#000000", 3 * unit), (colour, unit)):
-        font = cv2.FONT_HERSHEY_SIMPLEX
-        cv2.putText(image, text, (x, y), font, 0.5 * unit, _bgr(shade), width, cv2.LINE_AA)
+    font, size = cv2.FONT_HERSHEY_SIMPLEX, 0.5 * unit
+    # not a thicker text below: where fonts have weights, its letters stand elsewhere
+    edges = [(-unit, 0), (unit, 0), (0, -unit), (0, unit)]
+    for shade, shift in (*(("#000000", edge) for edge in edges), (colour, (0, 0))):
+        x, y = np.round(place + np.array(shift)).astype(int).tolist()
+        cv2.putText(image, text, (x, y), font, size, _bgr(shade), unit, cv2.LINE_AA)
 
 
 def _fixed(pixels: Floats) -> Any:
