@@ -7,7 +7,7 @@ WORKERS := -n 2 --dist loadfile --no-loadscope-reorder  # the scenes of a file a
 # what is used is compiled when it is used: that is a small part of what is installed
 INSTALL := $(BIN)/pip install --disable-pip-version-check --no-compile -c constraints.txt
 
-.PHONY: demo test test-quick fuzz lint benchmark cli-docs clean
+.PHONY: demo test test-quick fuzz lint benchmark docs cli-docs clean
 
 demo: .venv/installed
 	@echo "== three people, four cameras, nobody knows who is who =="
@@ -37,6 +37,10 @@ lint: .venv/tested
 benchmark: .venv/installed
 	$(BIN)/python benchmarks/recordings.py
 
+# the pages of docs/ as a site; warnings are errors
+docs: .venv/tested
+	$(BIN)/zensical build --clean --strict
+
 cli-docs: .venv/installed
 	$(BIN)/python docs/make_cli.py
 
@@ -52,4 +56,4 @@ cli-docs: .venv/installed
 	@touch $@
 
 clean:
-	rm -rf .venv out build dist *.egg-info
+	rm -rf .venv out build dist site *.egg-info
