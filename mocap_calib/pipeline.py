@@ -39,10 +39,10 @@ from mocap_calib.recording.assumed import choose_refinement
 from mocap_calib.recording.retiming import retime
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
 from mocap_calib.recording.synchronise import hide_blind_spots
-from mocap_calib.steerpose.checkpoint import AUTO, choose_model
 from mocap_calib.steerpose.device import check_device
 from mocap_calib.steerpose.lift import lift
-from mocap_calib.steerpose.model import Lifter
+from mocap_calib.steerpose.lifter import Lifter
+from mocap_calib.steerpose.loading import AUTO, choose_model
 from mocap_calib.steerpose.remembered import RememberedLift
 from mocap_calib.two_view.solve import PairSolver, calibrate_pairs
 from mocap_calib.types import (
@@ -77,7 +77,7 @@ def calibrate(
     The rigs are found from a sample of the frames, whose size does not depend on the length of
     the recording. The result does not depend on the number of threads.
 
-    model: lifts the detections, as `steerpose.checkpoint.choose_model` takes it: "auto", the name
+    model: lifts the detections, as `steerpose.loading.choose_model` takes it: "auto", the name
         of a shipped model, a file of weights, "none" for geometry alone, or a loaded lifter.
     refine: which intrinsics are estimated, "none", "focal" or "focal+k1"; None: what `config` says,
         or focal lengths and lenses where nothing is known of the cameras (`AssumedCamera`).

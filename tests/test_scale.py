@@ -19,8 +19,8 @@ from mocap_calib.config import Config, SampleConfig, TriangulateConfig
 from mocap_calib.multi_view.observations import gather_observations
 from mocap_calib.multi_view.triangulation import triangulate_rays
 from mocap_calib.recording.sampling import take_sample
-from mocap_calib.steerpose.checkpoint import load_lifter
 from mocap_calib.steerpose.lift import lift
+from mocap_calib.steerpose.loading import load_lifter
 from mocap_calib.types import silent
 
 TOOL = Path(sys.executable).with_name("mocap-calib")

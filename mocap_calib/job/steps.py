@@ -52,9 +52,8 @@ from mocap_calib.recording.epochs import (
 )
 from mocap_calib.recording.joints import edges_of_keypoints
 from mocap_calib.report import run_report
-from mocap_calib.steerpose.checkpoint import load_model
-from mocap_calib.steerpose.device import use_threads
-from mocap_calib.steerpose.model import Lifter
+from mocap_calib.steerpose.lifter import Lifter
+from mocap_calib.steerpose.loading import load_model
 from mocap_calib.steerpose.weights import load_vocabulary
 from mocap_calib.two_view.solve import PairSolver, pair_mapper
 from mocap_calib.two_view.solvers import choose_pair_solver
@@ -127,7 +126,6 @@ def calibrate_job(
     Raises DegenerateError, and MismatchError where there is no such device.
     """
     request = job.request
-    use_threads(1)
     return calibrate(
         job.loaded.recording,
         job.lifter,

@@ -8,10 +8,9 @@ say who the pieces are.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from mocap_calib.config import MatchingConfig
+from mocap_calib.geometry.graphs import connected_parts
 from mocap_calib.types import Bools, Floats, Ints
 
 _FRAMES = 512  # compared at a time
@@ -186,9 +185,8 @@ def _number_pieces(links: Bools, present: Bools, distance: Floats) -> Pieces:
     after[frame, i] = j
 
     groups = present.shape[1]
-    edges = (np.ones(len(frame)), (frame * groups + i, (frame + 1) * groups + j))
-    graph = coo_array(edges, shape=(present.size, present.size))
-    component = connected_components(graph, directed=False)[1][present.ravel()]
+    earlier, later = frame * groups + i, (frame + 1) * groups + j
+    component = connected_parts(earlier, later, present.size)[present.ravel()]
     _, begin, inverse = np.unique(component, return_index=True, return_inverse=True)
     rank = np.argsort(np.argsort(begin))
     number = np.full(present.shape, -1, dtype=np.int64)
