@@ -29,7 +29,6 @@ from mocap_calib.wording import count
 from mocap_calib.world.body import find_joints, keep_triangulated
 from mocap_calib.world.cues import Measurable, Scale, find_scale
 from mocap_calib.world.floor import find_floor
-from mocap_calib.world.place import describe_scale, is_of_scale
 
 _CAMERAS = "cameras.yaml"
 _POSES = "poses3d.h5"
@@ -120,13 +119,7 @@ def _scale_cameras(source: Path, target: Path, scale: Scale) -> None:
 
 def _scaled_world(world: World, scale: Scale) -> World:
     """Return a world, whose lengths are scaled already, that says by what."""
-    remarks = (line for line in world.remarks if not is_of_scale(line))
-    return replace(
-        world,
-        scale_sigma=scale.sigma,
-        cues=scale.cues,
-        remarks=(*remarks, *describe_scale(scale)),
-    )
+    return replace(world, scale_sigma=scale.sigma, cues=scale.cues)
 
 
 def _scale_report(folder: Path, work: Path, rig: CameraRig, scale: Scale) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.alignment import align_by_similarity
 from mocap_calib.multi_view.evaluation import with_axes
 from mocap_calib.recording.epochs import views_by_camera
-from mocap_calib.types import Camera, CameraRig, Floats
+from mocap_calib.types import Camera, CameraRig, Floats, MeasuredLandmark
 from mocap_calib.wording import count
 from mocap_calib.world.moving import Similarity
 
@@ -49,10 +49,10 @@ def shared_cameras(known: Sequence[KnownCamera], names: Sequence[str]) -> list[K
 
 def align_to_landmarks(
     rig: CameraRig, landmarks: Sequence[Landmark], config: WorldConfig
-) -> tuple[Similarity, float, tuple[str, ...]]:
-    """Return the similarity to the world of landmarks, its relative error of scale, and remarks.
+) -> tuple[Similarity, float, tuple[MeasuredLandmark, ...]]:
+    """Return the similarity to the world of landmarks, and its relative error of scale.
 
-    The landmarks are triangulated. A remark says how far each is from where it should be.
+    The landmarks are triangulated. Returned is also how far each is from where it should be.
 
     Raises MismatchError for unknown cameras, and landmarks that are too few or on a line.
     """
@@ -68,16 +68,18 @@ def align_to_landmarks(
         _check_extent(points, where, config)
     by = Similarity(*align_by_similarity(found[seen], known[seen]))
     away = np.linalg.norm(by.apply(found) - known, axis=1)
-    remarks = [
-        f"landmark {name}: {1e3 * distance:.0f} mm from its place"
-        if np.isfinite(distance)
-        else f"landmark {name}: not used, two cameras that agree on it are needed"
-        for name, distance in zip(names, away, strict=True)
-    ]
-    rms = float(np.sqrt((away[seen] ** 2).mean()))
-    first = f"aligned to {count(int(seen.sum()), 'landmark')}, RMS distance {1e3 * rms:.0f} mm"
-    sigma = _scale_sigma(by.apply(found[seen]), known[seen])
-    return by, sigma, (first, *remarks)
+    measured = (
+        MeasuredLandmark(name, float(distance)) for name, distance in zip(names, away, strict=True)
+    )
+    return by, _scale_sigma(by.apply(found[seen]), known[seen]), tuple(measured)
+
+
+def describe_alignment(landmarks: Sequence[MeasuredLandmark]) -> str:
+    """Return how well landmarks are where they should be, in words."""
+    away = np.array([each.distance for each in landmarks])
+    away = away[np.isfinite(away)]
+    rms = float(np.sqrt((away**2).mean()))
+    return f"aligned to {count(len(away), 'landmark')}, RMS distance {1e3 * rms:.0f} mm"
 
 
 def _collect(

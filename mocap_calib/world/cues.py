@@ -68,7 +68,7 @@ def find_scale(
     logs = np.log(known / lengths)
     mean = float(weight @ logs / weight.sum())
     left = np.maximum(sigma**2 - 1 / weight.sum(), 0.0)  # the mean follows each of them in part
-    residual = (mean - logs) / np.sqrt(left) if len(cues) > 1 else np.zeros(1)
+    residual = (mean - logs) / np.sqrt(left) if len(cues) > 1 else [np.nan]
     factor = float(np.exp(mean))
     measured = tuple(
         MeasuredCue(describe_cue(cue), cue.metres, float(factor * length), float(own), float(off))
@@ -87,7 +87,7 @@ def describe_cue(cue: ScaleCue) -> str:
 
 def _check_agreement(cues: Sequence[MeasuredCue], config: CueConfig) -> None:
     """Raise MismatchError where cues are further apart than chance allows."""
-    if max(abs(cue.residual) for cue in cues) <= config.most_residual:
+    if not any(abs(cue.residual) > config.most_residual for cue in cues):
         return
     said = ", ".join(
         f"{cue.text}={cue.metres:g} m ({cue.measured:.3g} m by all of them, "

@@ -20,16 +20,16 @@ from mocap_calib.types import (
     Recording,
     World,
 )
-from mocap_calib.world.alignment import align_to_cameras, align_to_landmarks, shared_cameras
+from mocap_calib.world.alignment import (
+    align_to_cameras,
+    align_to_landmarks,
+    describe_alignment,
+    shared_cameras,
+)
 from mocap_calib.world.body import Joints, find_joints, keep_triangulated
 from mocap_calib.world.cues import Measurable, Scale, camera_pair, find_scale, joint_pair
 from mocap_calib.world.floor import Floor, find_floor
 from mocap_calib.world.moving import Similarity, move_group
-
-_NOT_SCALED = (
-    "lengths are arbitrary: one that is known sets the scale (--height, --length, "
-    "--camera-distance; afterwards `mocap-calib scale`)"
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,8 +139,9 @@ def find_placement(on: Measurable, config: WorldConfig) -> Placement:
     Raises MismatchError where what is asked for is not possible.
     """
     if config.landmarks:
-        by, sigma, remarks = align_to_landmarks(on.rig, config.landmarks, config)
-        world = World(kind="landmarks", scale_sigma=sigma, remarks=remarks)
+        by, sigma, seen = align_to_landmarks(on.rig, config.landmarks, config)
+        remarks = (describe_alignment(seen),)
+        world = World(kind="landmarks", scale_sigma=sigma, remarks=remarks, landmarks=seen)
         return _with_floor(Placement(by, "m", world), on)
     scale = find_scale(config.cues, on, config.measure, config.floor)
     if config.cameras:
@@ -219,40 +220,11 @@ def _look_through_camera(on: Measurable, config: WorldConfig) -> Placement:
 def _with_scale(placement: Placement, scale: Scale | None) -> Placement:
     """Return the placement with lengths in metres, where something says how long they are."""
     if scale is None:
-        known = placement.unit in METRES
-        remarks = placement.world.remarks + (() if known else (_NOT_SCALED,))
-        return replace(placement, world=replace(placement.world, remarks=remarks))
+        return placement
     by = placement.by  # to a world whose lengths may differ from those that were measured
     moved = Similarity(scale.factor, by.rotation, scale.factor / by.scale * by.shift)
-    world = replace(
-        placement.world,
-        scale_sigma=scale.sigma,
-        cues=scale.cues,
-        remarks=(*placement.world.remarks, *describe_scale(scale)),
-    )
+    world = replace(placement.world, scale_sigma=scale.sigma, cues=scale.cues)
     return Placement(moved, "m", world)
-
-
-def describe_scale(scale: Scale) -> tuple[str, ...]:
-    """Return how sure the scale is, and what each cue says, a line each."""
-    return (
-        f"lengths are in m, uncertain by {100 * scale.sigma:.1f} %, a standard deviation",
-        *(
-            f"{cue.text}: {cue.metres:g} m, {cue.measured:.4g} m by all cues "
-            f"({cue.residual:+.1f} sigma)"
-            for cue in scale.cues
-        ),
-    )
-
-
-def is_detail(remark: str) -> bool:
-    """Return whether a remark says what a single known length or landmark does."""
-    return " m by all cues (" in remark or remark.startswith("landmark ")
-
-
-def is_of_scale(remark: str) -> bool:
-    """Return whether a remark is one of `describe_scale`, or says that there is no scale."""
-    return remark.startswith("lengths are ") or " m by all cues (" in remark
 
 
 def _with_floor(placement: Placement, on: Measurable) -> Placement:

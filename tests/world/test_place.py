@@ -15,7 +15,7 @@ from mocap_calib.io.cameras.write import format_rig
 from mocap_calib.io.poses import npz
 from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.results.poses_h5 import parse_poses_h5, poses_to_h5
-from mocap_calib.types import MeasuredCue, RigCovariance, World
+from mocap_calib.types import MeasuredCue, MeasuredLandmark, RigCovariance, World
 from mocap_calib.world.alignment import align_to_cameras, align_to_landmarks
 from mocap_calib.world.body import find_joints
 from mocap_calib.world.cues import Measurable
@@ -31,7 +31,8 @@ WORLD = World(
     floor_sigma=0.01,
     scale_sigma=0.03,
     remarks=("from feet",),
-    cues=(MeasuredCue("height", 1.75, 1.75, 0.03, 0.0),),
+    cues=(MeasuredCue("height", 1.75, 1.75, 0.03, 0.5),),
+    landmarks=(MeasuredLandmark("a", 0.25),),
 )
 
 
@@ -83,11 +84,11 @@ def test_known_cameras_and_landmarks_bring_a_rig_back_to_its_world():
     by, sigma = align_to_cameras(away, known[1:3])
     np.testing.assert_allclose(by.apply(away.centres), made.rig.centres, atol=1e-8)
     assert sigma < 1e-8
-    by, sigma, remarks = align_to_landmarks(away, landmarks(), WorldConfig())
+    by, sigma, seen = align_to_landmarks(away, landmarks(), WorldConfig())
     np.testing.assert_allclose(by.apply(away.centres), made.rig.centres, atol=1e-5)
     assert sigma < 1e-5
-    assert len(remarks) == 5
-    assert "landmark d: 0 mm" in remarks[-1]
+    assert [each.name for each in seen] == list("abcd")
+    assert max(each.distance for each in seen) < 1e-5
 
 
 def landmarks(places=((0, 0, 0), (1, 0, 0), (0, 1, 0), (0.3, 0.2, 1))) -> tuple[Landmark, ...]:
@@ -172,6 +173,7 @@ def test_a_file_of_cameras_that_nobody_recorded_is_refused_before_anything_is_co
 
 def same_world(found: World) -> None:
     assert (found.kind, found.remarks) == ("floor", WORLD.remarks)
+    assert (found.cues, found.landmarks) == (WORLD.cues, WORLD.landmarks)
     np.testing.assert_array_equal(found.up, WORLD.up)
     np.testing.assert_array_equal(found.floor, WORLD.floor)
     sigmas = [found.up_sigma, found.floor_sigma]
