@@ -325,6 +325,8 @@ class World(Record):
     remarks: how axes and floor were found, or why they were not, a line each.
     cues: what the scale follows from, where it follows from known lengths.
     landmarks: what the axes and the scale follow from, where they follow from known points.
+    axes_unmet, scale_unmet: why axes or lengths are not those that were asked for, in a line; "" =
+        they are.
     """
 
     kind: WorldKind = "not known"
@@ -337,6 +339,8 @@ class World(Record):
     remarks: tuple[str, ...] = ()
     cues: tuple[MeasuredCue, ...] = ()
     landmarks: tuple[MeasuredLandmark, ...] = ()
+    axes_unmet: str = ""
+    scale_unmet: str = ""
 
     def __post_init__(self) -> None:
         self._copy("world", "up", float, 3)

@@ -6,6 +6,7 @@ from typing import Any
 
 from mocap_calib.io.provenance import advice_on
 from mocap_calib.io.results.group import REVERSED_RIG
+from mocap_calib.job.outcome import WrittenGroup
 from mocap_calib.recording.meanings import describe_unshared
 from mocap_calib.recording.summary import RecordingSummary
 from mocap_calib.types import CalibrationResult, GroupResult
@@ -121,6 +122,11 @@ def describe_group(group: GroupResult, report: dict[str, Any], folder: Path) -> 
         f"results in {folder}",
         *describe_world(report["world"]),
     ]
+
+
+def describe_refused(files: WrittenGroup) -> list[str]:
+    """Say which further formats of a group were not written, and why."""
+    return [f"{name} is not written: {error}" for name, error in files.refused.items()]
 
 
 def describe_adjusted(group: GroupResult, report: dict[str, Any]) -> list[str]:

@@ -9,6 +9,7 @@ _NOT_SCALED = (
     "lengths are arbitrary: one that is known sets the scale (--height, --length, "
     "--camera-distance; afterwards `mocap-calib scale`)"
 )
+_UNMET = ("axes_unmet", "scale_unmet")
 
 
 def describe_world(world: Mapping[str, Any]) -> list[str]:
@@ -19,7 +20,12 @@ def describe_world(world: Mapping[str, Any]) -> list[str]:
     said = [*world["remarks"], _describe_unit(world)]
     if world["kind"] == "floor":
         said.insert(0, "z is up, the origin is on the floor")
-    details = [*map(_describe_cue, world["cues"]), *map(_describe_landmark, world["landmarks"])]
+    unmet = [f"not as asked for: {world[key]}" for key in _UNMET if world[key]]
+    details = [
+        *unmet,
+        *map(_describe_cue, world["cues"]),
+        *map(_describe_landmark, world["landmarks"]),
+    ]
     return [f"world: {'; '.join(said)}", *(f"  {line}" for line in details)]
 
 

@@ -51,6 +51,8 @@ def world_fields(world: World, unit: str) -> dict[str, Any]:
             for landmark in world.landmarks
         ],
         "remarks": list(world.remarks),
+        "axes_unmet": world.axes_unmet or None,
+        "scale_unmet": world.scale_unmet or None,
     }
     plain: dict[str, Any] = unsigned_zeros(fields)
     return plain
@@ -71,10 +73,9 @@ def read_world(stored: Any) -> World:
     if kind == "not known":
         return World()
     remarks = stored.get("remarks")
-    camera = stored.get("camera")
     return World(
         kind=kind,
-        camera=camera if isinstance(camera, str) else "",
+        camera=_read_text(stored.get("camera")),
         up=_read_vector(stored.get("up")),
         up_sigma=math.radians(_read_number(stored.get("up_sigma_deg"))),
         floor=_read_vector(stored.get("floor")),
@@ -85,6 +86,8 @@ def read_world(stored: Any) -> World:
         else (),
         cues=_read_cues(_read_rows(stored.get("cues"), "cue")),
         landmarks=tuple(map(_read_landmark, _read_rows(stored.get("landmarks"), "name"))),
+        axes_unmet=_read_text(stored.get("axes_unmet")),
+        scale_unmet=_read_text(stored.get("scale_unmet")),
     )
 
 
@@ -120,6 +123,11 @@ def _if_finite(value: float) -> float | None:
 
 def _list_if_known(vector: Floats) -> list[float] | None:
     return [float(part) for part in vector] if np.isfinite(vector).all() else None
+
+
+def _read_text(value: Any) -> str:
+    """Return a text, an empty one for anything else."""
+    return value if isinstance(value, str) and value.isprintable() else ""
 
 
 def _read_number(value: Any) -> float:

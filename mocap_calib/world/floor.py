@@ -37,6 +37,7 @@ _TRUNK = {
         *("left_shoulder", "right_shoulder", "left_hip", "right_hip"),
     ),
 }
+NO_FEET = "no feet are among the keypoints"  # of people, of animals on four legs
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +91,12 @@ def find_floor(poses: Poses3D, joints: Joints, rig: CameraRig, config: FloorConf
     return Floor(up, sigma, point, height_sigma)
 
 
+def has_feet(joints: Joints) -> bool:
+    """Return whether the keypoints are of bodies that can show a floor."""
+    feet = joints.present(FEET.get(joints.kind, ()))
+    return len(feet) >= 2 and bool(joints.present(_TRUNK.get(joints.kind, ())))
+
+
 def _doubt_feet(found: _Lowest, residual: Floats, config: FloorConfig) -> str:
     """Return why feet do not lie in a plane, empty where they do.
 
@@ -122,10 +129,9 @@ def _doubt_up(found: _Lowest, up: Floats, sigma: float, rig: CameraRig, config: 
 
 def _lowest_feet(poses: Poses3D, joints: Joints, config: FloorConfig) -> _Lowest | str:
     """Return the lowest foot of each body, or why there is none, in words."""
-    feet = joints.present(FEET.get(joints.kind, ()))
-    trunk = joints.present(_TRUNK.get(joints.kind, ()))
-    if len(feet) < 2 or not trunk:
-        return "no feet are among the keypoints"
+    if not has_feet(joints):
+        return NO_FEET
+    feet, trunk = joints.present(FEET[joints.kind]), joints.present(_TRUNK[joints.kind])
     positions = poses.positions
     size = body_size(positions)
     middle, above = mean_of(positions, feet), mean_of(positions, trunk)

@@ -17,11 +17,13 @@ from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.results.poses_h5 import parse_poses_h5, poses_to_h5
 from mocap_calib.types import MeasuredCue, MeasuredLandmark, RigCovariance, World
 from mocap_calib.world.alignment import align_to_cameras, align_to_landmarks
+from mocap_calib.world.asked import check_world
 from mocap_calib.world.body import find_joints
 from mocap_calib.world.cues import Measurable
 from mocap_calib.world.moving import Similarity, move_covariance, move_poses, move_rig
-from mocap_calib.world.place import check_world, find_placement
+from mocap_calib.world.place import find_placement
 
+SIDES = ("left", "right", "left")
 BY = Similarity(1.7, matrix_from_vector(np.array([0.3, -0.2, 1.2])), np.array([1.0, -2.0, 0.5]))
 WORLD = World(
     kind="floor",
@@ -123,6 +125,12 @@ def test_landmarks_that_do_not_say_enough_are_refused_in_a_line():
             {"forward": "left_hip-right_hip", "axes": "first-camera"},
             "--forward: expected a world on the floor",
         ),
+        ({"cues": (ScaleCue("height", 1.7, of="anna"),)}, "the number of an individual"),
+        ({"cues": (ScaleCue("height", 1.7), ScaleCue("height", 1.8))}, "each length once"),
+        (
+            {"cues": tuple(ScaleCue("length", 0.4, 0, f"{side}_hip-left_knee") for side in SIDES)},
+            "length left_hip-left_knee twice",
+        ),
         ({"landmarks": (Landmark("a", (0, 0, 0), "cam9", (1, 1)),)}, "--align: .*'cam9'"),
     ],
 )
@@ -161,6 +169,27 @@ def test_a_known_length_scales_a_world_of_cameras_whose_unit_nobody_knows():
     np.testing.assert_allclose(found.rotation, target.rotation, atol=1e-9)
     ratio = 3.0 / np.linalg.norm(target.centres[1] - target.centres[0])
     np.testing.assert_allclose(found.centres, ratio * target.centres, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("asked", "axes", "scale"),
+    [
+        ({"axes": "floor"}, "--world floor: expected subjects that show a floor, found that", ""),
+        ({"axes": "cam9"}, "--world cam9: expected a camera of the rig", ""),
+        ({"forward": "left_hip-right_hip"}, "--forward left_hip-right_hip: expected subjects", ""),
+        ({"cues": (ScaleCue("height", 1.7),)}, "", "--height: expected somebody who stands"),
+        ({"cues": (ScaleCue("camera distance", 3, 0, "cam1-cam9"),)}, "", "found 'cam9'"),
+    ],
+)
+def test_what_a_recording_does_not_show_is_left_out_and_said(asked, axes, scale):
+    made = scene()
+    poses, joints = poses_of(made.poses, made.joints), find_joints(made.joints)
+    placement = find_placement(Measurable(poses, joints, made.rig, "seated"), WorldConfig(**asked))
+    assert (placement.world.kind, placement.world.camera) == ("camera", made.rig.names[0])
+    assert placement.unit == "arbitrary"
+    for found, says in ((placement.world.axes_unmet, axes), (placement.world.scale_unmet, scale)):
+        assert bool(found) == bool(says)
+        assert says in found
 
 
 def test_a_file_of_cameras_that_nobody_recorded_is_refused_before_anything_is_computed():
