@@ -57,7 +57,8 @@ from mocap_calib.types import (
     UnusedPair,
     silent,
 )
-from mocap_calib.world.place import check_world, place_result
+from mocap_calib.world.asked import check_world
+from mocap_calib.world.place import place_result
 
 
 def calibrate(
@@ -90,10 +91,11 @@ def calibrate(
     does not determine are left out. Raises FormatError where there is no such model, and
     MismatchError where there is no such device, the model knows too few of the joints,
     intrinsics that nobody knows are not to be estimated, or coordinates and known lengths
-    (`config.world`) cannot be had: see `world.place`.
+    (`config.world`) are asked for that the recording has no names for: see `world.asked`. What else
+    of them cannot be had, `World.axes_unmet` and `World.scale_unmet` of the rigs say.
     """
     check_device(device)
-    check_world(config.world, recording)
+    check_world(config.world, recording, config.matching.individuals)
     intrinsics = choose_refinement(recording.cameras, config.intrinsics, refine)
     config = replace(config, intrinsics=intrinsics)
     recording, lifter = choose_model(recording, model)

@@ -289,7 +289,7 @@ class MeasuredCue:
 
     text: what it is of, as "height of 0". metres: as it is known. measured: the same in metres, as
     the results have it. sigma: relative standard deviation of its ratio, all told. residual: how
-    many standard deviations it is longer than the other cues say, 0 where there is none.
+    many standard deviations it is longer than the other cues say, NaN where there is none.
     """
 
     text: str
@@ -297,6 +297,17 @@ class MeasuredCue:
     measured: float
     sigma: float
     residual: float
+
+
+@dataclass(frozen=True)
+class MeasuredLandmark:
+    """A point whose place is known, and how far from it cameras see it.
+
+    distance: in metres; NaN = no two cameras agree on where it is, and it was not used.
+    """
+
+    name: str
+    distance: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -311,8 +322,11 @@ class World(Record):
     floor: `[3]` a point of the floor, NaN = not known. floor_sigma: standard deviation of its
         height in the unit.
     scale_sigma: relative standard deviation of lengths, NaN = arbitrary or not known.
-    remarks: how it was found, or why it was not, a line each.
+    remarks: how axes and floor were found, or why they were not, a line each.
     cues: what the scale follows from, where it follows from known lengths.
+    landmarks: what the axes and the scale follow from, where they follow from known points.
+    axes_unmet, scale_unmet: why axes or lengths are not those that were asked for, in a line; "" =
+        they are.
     """
 
     kind: WorldKind = "not known"
@@ -324,6 +338,9 @@ class World(Record):
     scale_sigma: float = np.nan
     remarks: tuple[str, ...] = ()
     cues: tuple[MeasuredCue, ...] = ()
+    landmarks: tuple[MeasuredLandmark, ...] = ()
+    axes_unmet: str = ""
+    scale_unmet: str = ""
 
     def __post_init__(self) -> None:
         self._copy("world", "up", float, 3)

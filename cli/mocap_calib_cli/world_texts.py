@@ -74,10 +74,10 @@ def _parse_cues(texts: Sequence[str], option: str, kind: CueKind) -> list[ScaleC
     """Return the cue of each `[OF=]METRES[+-SIGMA]`."""
     cues = []
     for text in texts:
-        of, _, value = text.rpartition("=")
+        of, equals, value = text.rpartition("=")
         metres, _, sigma = value.replace("±", "+-").partition("+-")
         try:
-            if bool(of) or kind == "height":
+            if of.strip() or (kind == "height" and not equals):
                 cues.append(ScaleCue(kind, float(metres), float(sigma or 0), of.strip()))
                 continue
         except ValueError:

@@ -24,12 +24,11 @@ from mocap_calib.io.results.poses_h5 import write_poses_h5
 from mocap_calib.io.results.stored import provenance_of_cameras, provenance_of_poses
 from mocap_calib.io.world_fields import world_fields
 from mocap_calib.multi_view.rig_covariance import rig_size
-from mocap_calib.types import CameraRig, World
+from mocap_calib.types import ARBITRARY, CameraRig, World
 from mocap_calib.wording import count
 from mocap_calib.world.body import find_joints, keep_triangulated
 from mocap_calib.world.cues import Measurable, Scale, find_scale
 from mocap_calib.world.floor import find_floor
-from mocap_calib.world.place import describe_scale, is_of_scale
 
 _CAMERAS = "cameras.yaml"
 _POSES = "poses3d.h5"
@@ -63,6 +62,7 @@ def scale_results(folder: Path, cues: Sequence[ScaleCue], config: WorldConfig) -
                 f"found no {name}; give the folder that `run -o` wrote"
             )
     rig, file = read_rig(folder / _CAMERAS), load_poses(folder / _POSES)
+    _refuse_known_unit(folder, rig, file.poses.unit)
     poses = keep_triangulated(file.poses)
     joints = find_joints(poses.keypoints)
     floor = find_floor(poses, joints, rig, config.floor)
@@ -95,6 +95,24 @@ def scale_results(folder: Path, cues: Sequence[ScaleCue], config: WorldConfig) -
     return Scaled(world, left)
 
 
+def _refuse_known_unit(folder: Path, rig: CameraRig, unit: str) -> None:
+    """Raise MismatchError where something better than a known length said the unit already.
+
+    unit: of the poses.
+    """
+    if rig.unit != unit:
+        raise MismatchError(
+            f"{folder}: expected cameras and poses in one unit, found {rig.unit} and {unit}; "
+            "give the folder as `run -o` wrote it"
+        )
+    if unit != ARBITRARY and not rig.world.cues:
+        by = {"landmarks": " by landmarks", "file": " by cameras whose places were given"}
+        raise MismatchError(
+            f"{folder}: expected lengths that are arbitrary, or scaled by known ones, found them "
+            f"in {unit}{by.get(rig.world.kind, '')}; `mocap-calib convert --unit` writes others"
+        )
+
+
 def _camera_folders(folder: Path) -> list[Path]:
     """Return the folders with cameras of the same group: that of each epoch."""
     found = [path.parent for path in sorted(folder.glob(f"epoch_*/{_CAMERAS}"))]
@@ -120,13 +138,7 @@ def _scale_cameras(source: Path, target: Path, scale: Scale) -> None:
 
 def _scaled_world(world: World, scale: Scale) -> World:
     """Return a world, whose lengths are scaled already, that says by what."""
-    remarks = (line for line in world.remarks if not is_of_scale(line))
-    return replace(
-        world,
-        scale_sigma=scale.sigma,
-        cues=scale.cues,
-        remarks=(*remarks, *describe_scale(scale)),
-    )
+    return replace(world, scale_sigma=scale.sigma, cues=scale.cues, scale_unmet="")
 
 
 def _scale_report(folder: Path, work: Path, rig: CameraRig, scale: Scale) -> tuple[str, ...]:

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mocap_calib.recording.joints import choose_skeleton, match_names
-from mocap_calib.types import POINT_SOURCES, Bools, Floats, Poses3D, Skeleton
+from mocap_calib.steerpose.weights import load_vocabulary
+from mocap_calib.types import POINT_SOURCES, Bools, Floats, Poses3D, Recording, Skeleton
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,17 @@ def find_joints(keypoints: tuple[str, ...], skeleton: Skeleton | None = None) ->
     known = match_names(keypoints, skeleton)
     columns = {skeleton.keypoints[joint]: k for k, joint in enumerate(known) if joint >= 0}
     return Joints(skeleton.name, columns)
+
+
+def joints_of_recording(recording: Recording) -> Joints:
+    """Return which keypoints of a recording are which joints, as its model calls them."""
+    skeleton = load_vocabulary(recording.model)
+    columns = {
+        skeleton.keypoints[joint]: k for k, joint in enumerate(recording.vocabulary) if joint >= 0
+    }
+    if not columns:
+        return find_joints(recording.keypoints)
+    return Joints(choose_skeleton(columns).name, columns)
 
 
 def keep_triangulated(poses: Poses3D) -> Poses3D:

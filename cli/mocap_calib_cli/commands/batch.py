@@ -2,7 +2,7 @@
 
 import json
 import traceback
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +15,7 @@ from mocap_calib_cli.numbers import COUNT
 if TYPE_CHECKING:
     from mocap_calib.compute.cluster import Cluster
     from mocap_calib.compute.parallel import Processes
+    from mocap_calib.errors import MismatchError
     from mocap_calib.job.request import CalibrationRequest
     from mocap_calib.job.steps import Job
     from mocap_calib.types import CalibrationResult
@@ -100,7 +101,8 @@ def command(
         document = {"recordings": outcomes, "failed": failed, "verdicts": counts}
         click.echo(json.dumps(document, indent=1, allow_nan=False))
     doubtful = any(verdicts.exit_status(outcome["rig"], shared) for outcome in outcomes)
-    context.exit(1 if failed or doubtful else 0)
+    wanting = any(outcome["error"] for outcome in outcomes)
+    context.exit(1 if wanting or doubtful else 0)
 
 
 # --- which recordings
@@ -187,14 +189,15 @@ class _Batch:
             calibrated = workers.completed(calibrate, jobs)
         for job, get_result in calibrated:
             try:
-                report = write_results(job, get_result())[0].report
+                first = write_results(job, get_result())[0]
             except Exception as error:
                 self._note_failure(job.request, error)
             else:
-                self._note_result(job.request, "done", report)
+                self._note_result(job.request, "done", first.report, first.complaint)
 
     def _read_unfinished(self, requests: "Iterable[CalibrationRequest]") -> "Iterator[Job]":
         """Read the recordings without results, one by one when they are asked for."""
+        from mocap_calib.job.outcome import complain
         from mocap_calib.job.steps import find_finished
 
         for request in requests:
@@ -205,14 +208,18 @@ class _Batch:
                 self._note_failure(request, error)
                 continue
             if report:
-                self._note_result(request, "kept", report)
+                self._note_result(request, "kept", report, complain(report, {}))
             if job:
                 yield job
 
     def _note_result(
-        self, request: "CalibrationRequest", status: str, report: dict[str, Any]
+        self,
+        request: "CalibrationRequest",
+        status: str,
+        report: "Mapping[str, Any]",
+        complaint: "MismatchError | None",
     ) -> None:
-        """Note what was found; the figures are those of the largest group of cameras."""
+        """Note what was found of the largest group, and what of it could not be had."""
         from mocap_calib.wording import count
         from mocap_calib_cli.verdicts import warn_of_verdict
 
@@ -221,7 +228,7 @@ class _Batch:
         groups = len(report["groups"])
         outcome = {
             "status": status,
-            "error": None,
+            "error": None if complaint is None else str(complaint),
             "groups": groups,
             "cameras": len(report["cameras"]),
             "left_out": report["left_out"],
@@ -247,6 +254,8 @@ class _Batch:
             self.shared,
             reasons=verdict["reasons"],
         )
+        if complaint:
+            click.echo(f"mocap-calib: {name}: {complaint}", err=True)
         self._note(request, outcome)
 
     def _note_failure(self, request: "CalibrationRequest", error: Exception) -> None:

@@ -40,8 +40,9 @@ def command(
     OUT/group_3, ... Where a camera was moved during the recording, OUT has the cameras up to
     then, and OUT/epoch_2, OUT/epoch_3, ... those from each move on.
 
-    The exit status is 1 where the recording does not determine the rig of the largest group, after
-    all files were written, and with --strict also where that rig is weak.
+    The exit status is 1 where the recording does not determine the rig of the largest group, or
+    does not show a floor or a length that was asked for, after all files were written; with
+    --strict also where that rig is weak.
 
     \b
     Example:
@@ -79,6 +80,8 @@ def command(
         folder = output / group_folder(number)
         reporter.say(*describe.describe_group(group, files.report, folder))
         reporter.say(*files.notes)
+        if number:  # what of the largest group cannot be had ends the run, in an error
+            reporter.say(*describe.describe_refused(files))
     reporter.say(*describe.describe_unused_cameras(result.left_out))
     if as_json:
         click.echo(json.dumps(written[0].report, indent=1, allow_nan=False))
@@ -87,4 +90,6 @@ def command(
         verdicts.warn_of_verdict(
             reporter, group.verdict, place, shared, reasons=group.reasons, counts=number == 0
         )
+    if complaint := written[0].complaint:
+        raise complaint
     context.exit(verdicts.exit_status(result.groups[0].verdict, shared))
