@@ -1362,6 +1362,13 @@ class SimulateConfig:
         return USUAL_RADIUS * self.scale if self.radius is None else self.radius
 
 
+# recordings to begin with (`mocap-calib example`), each made within a second
+EXAMPLES = {
+    "people": SimulateConfig(people=2, frames=100, distortion="brown"),
+    "dog": SimulateConfig(people=0, animals=(("quadruped", 1),), frames=100, distortion="brown"),
+    "mouse": SimulateConfig(people=0, animals=(("rodent", 1),), frames=100, distortion="brown"),
+}
+
 USUAL_RADIUS = 4.5  # metres from the middle of a room for people to the cameras
 CAMERA_HEIGHT = 2.2  # metres in a room for people: above people's heads, as cameras hang in rooms
 CAMERA_AIM = (0.0, 0.0, 0.9)  # metres: the middle of the people in the room

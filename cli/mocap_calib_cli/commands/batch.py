@@ -62,10 +62,11 @@ def command(
     """Calibrate many recordings as `run` does: one after the other, in processes, or on a cluster.
 
     RECORDINGS: a folder of keypoint files each, or a folder with such a folder named `keypoints`
-    in it. Results that are there already are kept if they follow from the same files, options,
-    weights and version: call it again to go on. A recording that fails is reported and the others
-    go on; the exit status is 1 then, as it is where the rig of a recording is not determined, and
-    with --strict also where one is weak.
+    in it. A `recording.yaml` in that folder holds options of this recording, as `run --config`
+    reads them; those of the command line win. Results that are there already are kept if they
+    follow from the same files, options, weights and version: call it again to go on. A recording
+    that fails is reported and the others go on; the exit status is 1 then, as it is where the rig
+    of a recording is not determined, and with --strict also where one is weak.
 
     \b
     Example:
@@ -75,6 +76,7 @@ def command(
     """
     from mocap_calib_cli import outputs, verdicts
     from mocap_calib_cli.progress import Reporter
+    from mocap_calib_cli.recordings import make_requests
     from mocap_calib_cli.workers import open_workers
 
     verdicts.check_demands(shared)
@@ -83,7 +85,7 @@ def command(
             "--jobs is for this machine, --scheduler for others; give one of them"
         )
     outputs.check_folder(output)
-    requests = _make_requests(shared, recordings, output)
+    requests = make_requests(context, shared, recordings, output)
     with (
         Reporter(quiet=shared.quiet) as reporter,
         open_workers(
@@ -103,56 +105,6 @@ def command(
     doubtful = any(verdicts.exit_status(outcome["rig"], shared) for outcome in outcomes)
     wanting = any(outcome["error"] for outcome in outcomes)
     context.exit(1 if wanting or doubtful else 0)
-
-
-# --- which recordings
-
-
-def _make_requests(
-    shared: options.SharedOptions, recordings: Iterable[str], output: Path
-) -> "list[CalibrationRequest]":
-    """Return what is asked for of each recording; its results go to a folder of its name."""
-    from dataclasses import replace
-
-    from mocap_calib_cli import inputs
-
-    requests = []
-    for name, folder in _name_recordings(recordings).items():
-        files = replace(
-            shared,
-            keypoints=(_find_keypoints(folder),),
-            cameras=_find_cameras(folder, shared.cameras),
-        )
-        requests.append(inputs.calibration_request(files, output / name))
-    return requests
-
-
-def _name_recordings(recordings: Iterable[str]) -> dict[str, Path]:
-    """Return the folder of each recording, by the name that its results will have."""
-    from mocap_calib.errors import MismatchError
-
-    found: dict[str, Path] = {}
-    for path in map(Path, recordings):
-        name = path.resolve().name
-        if name in found:
-            raise MismatchError(
-                f"expected recordings of different names, found {found[name]} and {path}; "
-                "rename one, or call batch for each"
-            )
-        found[name] = path
-    return found
-
-
-def _find_keypoints(folder: Path) -> str:
-    """Return the folder with the keypoint files of a recording."""
-    inner = folder / "keypoints"
-    return str(inner if inner.is_dir() else folder)
-
-
-def _find_cameras(folder: Path, cameras: str) -> str:
-    """Return the cameras in the folder of a recording, else those for all; none where none are."""
-    within = folder / cameras
-    return str(within) if cameras and within.exists() else cameras
 
 
 # --- what becomes of them

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import click
 
-from mocap_calib_cli import options, values
+from mocap_calib_cli import option_files, options, values
 
 
-@click.command(name="run")
+@click.command(name="run", cls=option_files.ConfigurableCommand)
 @options.output_folder("Folder to write; made when missing.")
 @options.shared_options(
     "keypoints",
@@ -24,9 +24,14 @@ from mocap_calib_cli import options, values
     ),
 )
 @options.as_json("Write the content of run.json to stdout as well.")
+@option_files.option_files
 @click.pass_context
 def command(
-    context: click.Context, shared: options.SharedOptions, output: Path, as_json: bool
+    context: click.Context,
+    shared: options.SharedOptions,
+    output: Path,
+    as_json: bool,
+    save_config: Path | None,
 ) -> None:
     """Calibrate the cameras that saw KEYPOINTS, find who is who, and triangulate the poses.
 
@@ -54,6 +59,8 @@ def command(
       mocap-calib run keypoints/ --cameras intrinsics.toml -o out --write movement-3d --fps 60
       mocap-calib run keypoints/ --cameras intrinsics.toml -o out --fps 60 --fps cam2:30
       mocap-calib run keypoints/ --cameras intrinsics.toml -o out --sync check
+      mocap-calib run keypoints/ --image-size 1920x1080 -o out --save-config recording.yaml
+      mocap-calib run --config recording.yaml
     """
     from mocap_calib.io.results.group import group_folder
     from mocap_calib.job.steps import calibrate_job_resumably, read_job, write_results
@@ -65,6 +72,8 @@ def command(
     verdicts.check_demands(shared)
     outputs.check_folder(output)
     request = inputs.calibration_request(shared, output)
+    if save_config:
+        option_files.save_options(context, save_config)
     with (
         Reporter(quiet=shared.quiet) as reporter,
         open_workers(reporter, scheduler=shared.scheduler) as workers,
