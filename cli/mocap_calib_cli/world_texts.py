@@ -69,10 +69,12 @@ def _parse_cues(texts: Sequence[str], option: str, kind: CueKind) -> list[ScaleC
     cues = []
     for text in texts:
         of, equals, value = text.rpartition("=")
-        metres, _, sigma = value.replace("±", "+-").partition("+-")
+        metres, stated, sigma = value.replace("±", "+-").partition("+-")
         try:
             if of.strip() or (kind == "height" and not equals):
-                cues.append(ScaleCue(kind, float(metres), float(sigma or 0), of.strip()))
+                cues.append(
+                    ScaleCue(kind, float(metres), float(sigma if stated else 0), of.strip())
+                )
                 continue
         except ValueError:
             pass

@@ -10,12 +10,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from mocap_calib.config import ScaleCue, WorldConfig
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.atomic import numbered_file, replace_folder, replace_text
 from mocap_calib.io.cameras.own import SUBFRAME
 from mocap_calib.io.cameras.read import read_rig
 from mocap_calib.io.cameras.write import format_rig
+from mocap_calib.io.file import malformed
 from mocap_calib.io.hashing import hash_files
 from mocap_calib.io.poses.read import load_poses
 from mocap_calib.io.results.group import REPORT, read_outputs
@@ -146,11 +149,10 @@ def _scale_report(folder: Path, work: Path, rig: CameraRig, scale: Scale) -> tup
 
     It is no longer that of the command: it loses its fingerprint.
     """
-    outputs = read_outputs(folder)
+    outputs, report = read_outputs(folder), _read_report(folder / REPORT)
     written = hash_files(work)
     left = [name for name in outputs if name not in written and Path(name).name not in _OWN]
-    if (folder / REPORT).is_file():
-        report = json.loads((folder / REPORT).read_text("utf-8"))
+    if report:
         world = _scaled_world(rig.world.scale(scale.factor), scale)
         report |= {"unit": "m", "world": world_fields(world, "m")}
         _scale_camera_figures(report["cameras"], rig, scale)
@@ -165,6 +167,24 @@ def _scale_report(folder: Path, work: Path, rig: CameraRig, scale: Scale) -> tup
         f"not rewritten: {count(len(left), 'file')} of other formats or groups ({some}); "
         "write formats anew with `convert`, scale groups by themselves",
     )
+
+
+def _read_report(path: Path) -> dict[str, Any]:
+    """Return what a run.json holds, nothing where there is none. Raises FormatError."""
+    if not path.is_file():
+        return {}
+    try:
+        report: dict[str, Any] = json.loads(path.read_bytes())
+        json.dumps(report, allow_nan=False)
+        figures = [
+            (each["centre_sigma"], each["centre_sigma_percent"]) for each in report["cameras"]
+        ]
+        np.array(figures, dtype=np.float64)  # None is NaN
+    except (ValueError, LookupError, TypeError, RecursionError):
+        raise malformed(
+            str(path), "what a run writes", "other text", "remove it to scale all else"
+        ) from None
+    return report
 
 
 def _scale_camera_figures(cameras: list[dict[str, Any]], rig: CameraRig, scale: Scale) -> None:

@@ -154,6 +154,8 @@ def _lowest_feet(poses: Poses3D, joints: Joints, config: FloorConfig) -> _Lowest
     middle, above = mean_of(positions, feet), mean_of(positions, trunk)
     seen = np.isfinite(middle[..., 0]) & np.isfinite(above[..., 0])
     bodies = np.isfinite(positions[..., 0]).any(-1).sum()
+    if not bodies:
+        return "nobody was found"
     if not np.isfinite(size) or seen.sum() < max(config.least_feet, config.least_seen * bodies):
         return f"feet were seen of {seen.sum()} bodies of {bodies} alone"
     axis, sigma = _body_axis(poses, joints, above - middle, config)

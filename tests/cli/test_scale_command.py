@@ -65,11 +65,18 @@ def test_scaled_results_are_scaled_again_and_known_units_are_left_alone(done, to
     given = replace(rig, world=replace(rig.world, kind="file", cues=()))
     (content,) = format_rig(given, "mocap-calib", {}).files.values()
     (out / "cameras.yaml").write_bytes(content)
+    (out / "run.json").write_text("edited", "utf-8")
     before = {file.name: hash_file(file) for file in out.iterdir() if file.is_file()}
     said = tool("scale", out, "--height", "1.75")
     assert (said.returncode, said.stderr.count("\n")) == (1, 1)
     assert "found them in m by cameras whose places were given" in said.stderr
-    assert {file.name: hash_file(file) for file in out.iterdir() if file.is_file()} == before
+    (content,) = format_rig(rig, "mocap-calib", {}).files.values()
+    (out / "cameras.yaml").write_bytes(content)
+    damaged = tool("scale", out, "--camera-distance", f"{names}=2")
+    assert (damaged.returncode, damaged.stderr.count("\n")) == (1, 1)
+    assert "run.json: expected what a run writes" in damaged.stderr
+    after = {file.name: hash_file(file) for file in out.iterdir() if file.is_file()}
+    assert {name for name in before if after[name] != before[name]} == {"cameras.yaml"}  # ours
 
 
 @pytest.mark.parametrize(

@@ -8,10 +8,11 @@ from scenes import recording, scene
 from test_floor import poses_of
 
 from mocap_calib.config import KnownCamera, Landmark, ScaleCue, WorldConfig
-from mocap_calib.errors import MismatchError
+from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.io.cameras.read import make_rig, parse_content
 from mocap_calib.io.cameras.write import format_rig
+from mocap_calib.io.landmarks_csv import read_landmarks
 from mocap_calib.io.poses import npz
 from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.results.poses_h5 import parse_poses_h5, poses_to_h5
@@ -190,6 +191,12 @@ def test_what_a_recording_does_not_show_is_left_out_and_said(asked, axes, scale)
     for found, says in ((placement.world.axes_unmet, axes), (placement.world.scale_unmet, scale)):
         assert bool(found) == bool(says)
         assert says in found
+
+
+def test_a_file_of_landmarks_without_any_is_refused(tmp_path):
+    (tmp_path / "a.csv").write_text("name,x,y,z,camera,u,v\n", "utf-8")
+    with pytest.raises(FormatError, match="expected landmarks, found a header alone"):
+        read_landmarks(tmp_path / "a.csv")
 
 
 def test_a_file_of_cameras_that_nobody_recorded_is_refused_before_anything_is_computed():
