@@ -1103,10 +1103,10 @@ class CueConfig:
     """How lengths are measured that somebody knows.
 
     head_height: of a point of the head over the floor, in statures. Measured against the heads of
-        the references: head_top 1.00 to 1.06, eyes 0.94 to 0.98. Checked against anatomy, which
-        nothing here was chosen by (Drillis and Contini 1966: eyes at 0.936, the vertex at 1,
-        ankles at 0.039, hips at 0.530): from the ankle, 0.12 legs over the sole here, eyes are at
-        0.891 statures for 0.897, the top of the head at 0.971 for 0.961.
+        the references: head_top 1.00 to 1.06, eyes 0.94 to 0.98. Beside anatomy (Drillis and
+        Contini 1966: eyes at 0.936 statures, the vertex at 1, ankles at 0.039, hips at 0.530):
+        from the ankle, 0.12 legs over the sole here, eyes are at 0.891 statures for 0.897, the
+        top of the head at 0.971 for 0.961.
     standing_quantile: of the heights of who stands: walkers bob. least_frames: that somebody
         stands in, or that a length is seen in.
     height_sigma: relative, of a stature, and length_sigma: of a length between joints, that stay
