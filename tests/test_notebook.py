@@ -29,7 +29,7 @@ class Reader(HTMLParser):
         self.cells: list[str] = []
         self.feed(html)
 
-    def handle_starttag(self, tag, attrs):
+    def handle_starttag(self, tag, attrs):  # noqa: ARG002 - the interface of the parser
         self.tags.append(tag)
 
     def handle_data(self, data):
