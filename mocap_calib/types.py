@@ -20,6 +20,7 @@ from mocap_calib.wording import count
 
 if TYPE_CHECKING:
     import xarray
+    from plotly.graph_objects import Figure
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -388,6 +389,12 @@ class CameraRig(Record):
         lines = [f"  {camera.name}: {camera._describe()}" for camera in self]
         title = f"CameraRig of {count(len(self), 'camera')}, {_describe_unit(self.unit)}"
         return "\n".join([title, *lines])
+
+    def _repr_html_(self) -> str:
+        """Return the table that notebooks show."""
+        from mocap_calib.notebook.tables import describe_rig
+
+        return describe_rig(self)
 
     def __len__(self) -> int:
         return len(self.cameras)
@@ -1340,6 +1347,24 @@ class GroupResult(Record):
     def __repr__(self) -> str:
         return f"GroupResult({self._describe()})"
 
+    def _repr_html_(self) -> str:
+        """Return the verdict and the table that notebooks show."""
+        from mocap_calib.notebook.tables import describe_group
+
+        return describe_group(self)
+
+    def plot(self, *, moments: int = 60) -> "Figure":
+        """Return a figure of plotly: cameras with their names, floor, and bodies with a slider.
+
+        moments: how many frames the slider has at most; they are spread over the recording.
+
+        Raises MismatchError where the package plotly, an extra, is absent, and ValueError for no
+        moment.
+        """
+        from mocap_calib.notebook.figure import draw_group
+
+        return draw_group(self, moments)
+
     @property
     def rig(self) -> CameraRig:
         """The adjusted rig, with the verdict on it among its `judgement`."""
@@ -1395,6 +1420,16 @@ class CalibrationResult(Record):
             lines.append(f"  left out: {', '.join(self.left_out)}")
         title = f"CalibrationResult of {count(len(self.groups), 'group')} of cameras"
         return "\n".join([title, *lines])
+
+    def _repr_html_(self) -> str:
+        """Return the verdicts and the tables that notebooks show."""
+        from mocap_calib.notebook.tables import describe_result
+
+        return describe_result(self)
+
+    def plot(self, *, moments: int = 60) -> "Figure":
+        """Return a figure of the largest group of cameras, see `GroupResult.plot`."""
+        return self.groups[0].plot(moments=moments)
 
 
 # --- what a second look says of a calibration
