@@ -181,6 +181,7 @@ def test_a_bumped_camera_is_named_and_both_epochs_are_right(cameras, people, deg
 
 @pytest.mark.slow
 def test_sound_cameras_are_not_accused():
+    """Of anything: neither of having moved, nor of belonging to another recording."""
     recording, _ = recorded(people=2)
     assert calibrate_all(recording).faults == ()
 
