@@ -4,7 +4,9 @@
 PYTHON ?= python3
 BIN := .venv/bin
 WORKERS := -n 2 --dist loadfile --no-loadscope-reorder  # the scenes of a file are made once
-# what is used is compiled when it is used: that is a small part of what is installed
+# what is used is compiled when it is used: that is a small part of what is installed. It is kept also
+# where the environment says otherwise: compiling takes several seconds of every process
+export PYTHONDONTWRITEBYTECODE :=
 INSTALL := $(BIN)/pip install --disable-pip-version-check --no-compile -c constraints.txt
 
 .PHONY: demo test test-quick fuzz lint benchmark docs cli-docs clean

@@ -57,8 +57,9 @@ def calibrate_group(recording: Recording, *, seed: int = 0, **options) -> GroupR
     return group
 
 
-def calibrated(seed: int = 0, **changes) -> GroupResult:
-    return calibrate_group(recording(**changes), seed=seed)
+@lru_cache
+def calibrated(**changes) -> GroupResult:
+    return calibrate_group(recording(**changes))
 
 
 def truth(**changes) -> Matches:
