@@ -44,13 +44,14 @@ class _Individual:
     """What is known of one individual.
 
     index: of its label. frames: `[frame]` indices of those in which it is estimated.
-    lengths: `[edge]` of its bones.
+    lengths, varies: `[edge]` of its bones, and by how much they vary.
     """
 
     index: int
     frames: Ints
     size: float
     lengths: Floats
+    varies: Floats
 
 
 @dataclass(frozen=True)
@@ -103,9 +104,9 @@ class _Scene:
             size = body_size(raw[there])
             if len(there) < _LEAST_FRAMES or not size > 0:
                 continue
-            lengths = bone_lengths(raw[there], self.poses.sigma[there, index], self.edges)
+            lengths, varies = bone_lengths(raw[there], self.poses.sigma[there, index], self.edges)
             frames = _with_gaps(there, self.times, self.config.longest_gap)
-            found.append(_Individual(index, frames, size, lengths))
+            found.append(_Individual(index, frames, size, lengths, varies))
         return found
 
     def track(self, who: _Individual, frames: Ints) -> tuple[Floats, Detections, Body]:
@@ -127,6 +128,7 @@ class _Scene:
         body = Body(
             edges=self.edges,
             lengths=np.repeat(who.lengths[:, None], len(frames), axis=1),
+            varies=np.repeat(who.varies[:, None], len(frames), axis=1),
             size=np.full(len(frames), who.size),
             steps=acceleration_steps(times, self.config.longest_gap + 1),
         )
@@ -198,6 +200,7 @@ def smooth_poses(
     smoothing = Smoothing(
         acceleration=choice.strengths.acceleration,
         bones=choice.strengths.bones,
+        loss=choice.strengths.loss,
         held_out=choice.held_out,
         held_out_raw=choice.without,
         outliers=outliers,
@@ -261,7 +264,8 @@ def _estimate(scene: _Scene, who: _Individual, frames: Ints, strengths: Strength
     points = fit(points, seen, body, strengths, config, steps=config.fit_steps // 2)
     # the detectors' noise does not depend on their confidence, which is a weight
     even = np.where(seen.precision > 0, scene.noise[:, None, None] ** -2.0, 0.0)
-    system = linearise(points, replace(seen, precision=even), body, strengths, config)
+    wide = replace(strengths, loss=config.losses[0])  # a narrow loss weighs all errors as outliers
+    system = linearise(points, replace(seen, precision=even), body, wide, config)
     ridge = config.ridge / body.size**2
     covariance = covariances(system, body.steps, body.edges, ridge)
     met = np.isfinite(scene.start[frames, who.index, :, 0]).T
