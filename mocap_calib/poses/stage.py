@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.config import Config, PosesConfig, TriangulateConfig
+from mocap_calib.geometry.bodies import body_size
 from mocap_calib.multi_view.noise import view_noise
 from mocap_calib.multi_view.observations import gather_observations
 from mocap_calib.poses.certainty import covariances
 from mocap_calib.poses.cleaning import drop_outliers, exchange_sides
 from mocap_calib.poses.energy import Strengths, fit, linearise
 from mocap_calib.poses.held_out import Choice, choose_strengths
-from mocap_calib.poses.start import add_refused, body_size, bone_lengths, fill_gaps
+from mocap_calib.poses.start import add_refused, bone_lengths, fill_gaps
 from mocap_calib.poses.track import Body, Detections, acceleration_steps, detections_of
 from mocap_calib.recording.joints import edges_of_keypoints
 from mocap_calib.steerpose.weights import load_vocabulary

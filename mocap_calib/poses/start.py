@@ -38,20 +38,6 @@ def add_refused(
     return np.where(np.isfinite(points), points, wider)
 
 
-def body_size(points: Floats) -> float:
-    """Return the RMS distance of joints `[frame, keypoint, 3]` from their middle, typically.
-
-    NaN where no frame has three joints.
-    """
-    known = np.isfinite(points[..., 0])
-    whole = points[known.sum(1) >= min(3, points.shape[1])]
-    if not len(whole):
-        return float("nan")
-    middle = np.nanmean(whole, axis=1, keepdims=True)
-    square = ((whole - middle) ** 2).sum(-1)
-    return float(np.median(np.sqrt(np.nanmean(square, axis=1))))
-
-
 def bone_lengths(points: Floats, sigma: Floats, edges: Ints) -> tuple[Floats, Floats]:
     """Return the length `[edge]` of each bone and how much it varies; NaN where it was never seen.
 
