@@ -527,10 +527,13 @@ class PosesConfig:
         where nothing over time helps. Measured: MVOR has 0.455 of its joints with it, 0.436
         without. In motions interpolated points are better: with 10 % of wrong detections, errors
         at refused points are 0.01 m, and 0.15 m from such a start.
-    loss: of angles between rays and points, in standard deviations; prior_loss: of accelerations
-        and of bones: most are small, some large. Measured on ten recordings: with 2 or 3 for
-        `loss` errors change by at most 2.7 %; with 3 for `prior_loss` by +5 % of HumanEva, +2.5 %
-        of two dogs, at most 1 % of the others.
+    losses: of angles between rays and points, in standard deviations, among which held-out
+        detections choose, for normal errors first. Chosen: the second for most detectors; it would
+        cost projected recordings 2 to 3 %. first_loss: how much wider it is at the first step;
+        half of that at each that follows.
+    prior_loss: of accelerations and of bones: most are small, some large. Measured on ten
+        recordings: with 3 errors change by +5 % of HumanEva, +2.5 % of two dogs, at most 1 % of the
+        others.
     accelerations, bones: standard deviations among which, and none, held-out detections choose,
         the largest first. Chosen: 0.2 to 0.008 of motions at 10 to 60 frames a second.
     least_hidden: detections; with fewer, accelerations are allowed as large as those of the
@@ -548,7 +551,8 @@ class PosesConfig:
 
     smooth: SmoothMode = "auto"
     alone_outlier: float = 8.0
-    loss: float = 2.5
+    losses: tuple[float, ...] = (2.5, 1.5)
+    first_loss: float = 4.0
     prior_loss: float = 2.0
     accelerations: tuple[float, ...] = tuple(0.4 / 2**k for k in range(11))
     bones: tuple[float, ...] = (0.1, 0.05, 0.025, 0.012)

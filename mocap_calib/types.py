@@ -40,7 +40,7 @@ WorldKind = Literal["not known", "camera", "floor", "file", "landmarks"]
 WORLD_KINDS: tuple[WorldKind, ...] = get_args(WorldKind)
 
 # what a 3D point is made of, by the number that `Poses3D.source` has for it
-PointSource = Literal["missing", "triangulated", "one view", "model", "interpolated"]
+PointSource = Literal["missing", "triangulated", "one view", "interpolated"]
 POINT_SOURCES: tuple[PointSource, ...] = get_args(PointSource)
 
 NO_FRAME = np.iinfo(np.int64).min  # the number of a frame that a camera does not have
@@ -1273,8 +1273,9 @@ class Smoothing:
     """How best estimates of poses were made of what was seen.
 
     acceleration, bones: standard deviations of accelerations (in the square of the usual step
-        between frames) and of the lengths of bones that were allowed, in body sizes; infinite = no
-        limit, which is how it is where nothing was smoothed.
+        between frames) and of the lengths of bones, beyond what they vary by, that were allowed, in
+        body sizes; infinite = no limit, which is how it is where nothing was smoothed.
+    loss: error of a ray, in standard deviations, that counts by half; NaN = nothing was smoothed.
     held_out, held_out_raw: how badly detections that were not shown are predicted, with these and
         without, as `poses.held_out` measures it; NaN where there was nothing to hide.
     outliers: detections that were dropped since they are far from the estimates.
@@ -1283,6 +1284,7 @@ class Smoothing:
 
     acceleration: float = np.inf
     bones: float = np.inf
+    loss: float = np.nan
     held_out: float = np.nan
     held_out_raw: float = np.nan
     outliers: int = 0

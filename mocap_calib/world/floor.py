@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocap_calib.config import FloorConfig
+from mocap_calib.geometry.bodies import body_size
 from mocap_calib.types import CameraRig, Floats, Ints, Poses3D
 from mocap_calib.world.body import (
     Joints,
-    body_size,
     leg_lengths,
     mean_of,
     stand_straight,
