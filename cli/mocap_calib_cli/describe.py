@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from mocap_calib.job.outcome import WrittenGroup
 from mocap_calib.recording.meanings import describe_unshared
 from mocap_calib.recording.summary import RecordingSummary
 from mocap_calib.types import CalibrationResult
@@ -85,3 +86,8 @@ def describe_unused_cameras(names: Sequence[str]) -> list[str]:
     if not names:
         return []
     return [f"left out, no other camera confirms what they see: {', '.join(names)}"]
+
+
+def describe_refused(files: WrittenGroup) -> list[str]:
+    """Say which further formats of a group were not written, and why."""
+    return [f"{name} is not written: {error}" for name, error in files.refused.items()]

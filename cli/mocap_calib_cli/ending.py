@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from mocap_calib.io.results.group import REVERSED_RIG
-from mocap_calib.types import ARBITRARY
 from mocap_calib.wording import count
-from mocap_calib.world.place import is_detail
+from mocap_calib_cli.describe_world import describe_world
 from mocap_calib_cli.screen import Table, format_number
 
 _MOST_PAIRS = 6  # that are named in a line
@@ -71,7 +70,7 @@ def describe_group(report: dict[str, Any], folder: Path) -> list[str]:
         *describe_rig(report),
         *_describe_pairs(report),
         *_describe_epochs(report, folder),
-        *_describe_world(report["world"]),
+        *describe_world(report["world"]),
         _describe_results(report, folder),
     ]
 
@@ -157,17 +156,6 @@ def _describe_epochs(report: dict[str, Any], folder: Path) -> list[str]:
         for epoch in epochs
     ]
     return [f"{len(epochs)} rigs, as cameras were moved: {', '.join(places)}"]
-
-
-def _describe_world(world: dict[str, Any]) -> list[str]:
-    """Say in a line what the coordinates are, then what each known length and landmark says."""
-    details = [line for line in world["remarks"] if is_detail(line)]
-    said = [line for line in world["remarks"] if line not in details]
-    if world["kind"] == "floor":
-        said.insert(0, "z is up, the origin is on the floor")
-    if not any(line.startswith("lengths are ") for line in said):
-        said.append(f"lengths are {'in ' * (world['unit'] != ARBITRARY)}{world['unit']}")
-    return [f"world: {'; '.join(said)}", *(f"  {line}" for line in details)]
 
 
 def _describe_results(report: dict[str, Any], folder: Path) -> str:

@@ -39,6 +39,7 @@ COMMANDS = {
     "overlay": "Draw what a run found on its videos.",
     "verify": "Judge an existing calibration by keypoints: which camera moved since?",
     "evaluate": "Compare cameras with a reference calibration.",
+    "example": "Lay out a recording to begin with: people, a dog, a mouse.",
     "simulate": "Make a synthetic recording with its truth.",
     "doctor": "Look at the machine and the installation, with a self-test.",
     "models": "List the networks that are shipped.",

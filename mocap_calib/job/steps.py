@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.config import Config
-from mocap_calib.errors import ClusterError, MocapCalibError
+from mocap_calib.errors import ClusterError, MismatchError, MocapCalibError
 from mocap_calib.io.atomic import replace_folder
 from mocap_calib.io.cameras.read import load_cameras, parse_content
 from mocap_calib.io.cameras.source import CameraFile
@@ -38,6 +38,7 @@ from mocap_calib.io.results.group import (
 from mocap_calib.io.results.pair_store import remember_pairs
 from mocap_calib.io.zeros import unsigned_zeros
 from mocap_calib.job.load import LoadedRecording, load_recording
+from mocap_calib.job.outcome import WrittenGroup
 from mocap_calib.job.request import CalibrationRequest
 from mocap_calib.judging import judge_cameras
 from mocap_calib.multi_view.observed_points import observe_points
@@ -52,9 +53,8 @@ from mocap_calib.recording.epochs import (
 )
 from mocap_calib.recording.joints import edges_of_keypoints
 from mocap_calib.report import run_report
-from mocap_calib.steerpose.checkpoint import load_model
-from mocap_calib.steerpose.device import use_threads
-from mocap_calib.steerpose.model import Lifter
+from mocap_calib.steerpose.lifter import Lifter
+from mocap_calib.steerpose.loading import load_model
 from mocap_calib.steerpose.weights import load_vocabulary
 from mocap_calib.two_view.solve import PairSolver, pair_mapper
 from mocap_calib.two_view.solvers import choose_pair_solver
@@ -66,7 +66,7 @@ from mocap_calib.types import (
     Progress,
     silent,
 )
-from mocap_calib.world.place import check_world
+from mocap_calib.world.asked import check_world
 
 # in the folder of results: the pairs of a run that is under way or was killed
 _UNFINISHED = ".unfinished"
@@ -86,18 +86,6 @@ class Job:
     pair_solver: PairSolver | None
 
 
-@dataclass(frozen=True)
-class WrittenGroup:
-    """What was written of a group of cameras.
-
-    report: what `run.json` holds.
-    notes: a line for each further format: what it does not hold.
-    """
-
-    report: dict[str, Any]
-    notes: tuple[str, ...]
-
-
 def read_job(request: CalibrationRequest) -> Job:
     """Read the keypoints, the cameras and the model of a request.
 
@@ -109,7 +97,8 @@ def read_job(request: CalibrationRequest) -> Job:
     hashes = request.hash_inputs()  # first: what changes from now on makes another fingerprint
     loaded = load_recording(request.keypoints, _load_camera_file(request.cameras))
     check_recording(request.formats, loaded.recording, request.fps, unit)
-    check_world(request.config.world, loaded.recording)
+    config = request.config
+    check_world(config.world, loaded.recording, config.matching.individuals)
     lifter = load_model(loaded.recording.model)
     solver = choose_pair_solver(
         request.pair_solver, loaded.recording, lifter, request.config.pairwise
@@ -127,7 +116,6 @@ def calibrate_job(
     Raises DegenerateError, and MismatchError where there is no such device.
     """
     request = job.request
-    use_threads(1)
     return calibrate(
         job.loaded.recording,
         job.lifter,
@@ -162,10 +150,7 @@ def calibrate_job_resumably(
 
 
 def write_results(job: Job, result: CalibrationResult) -> tuple[WrittenGroup, ...]:
-    """Write all files of a run, as `write_result` does; return what was written of each group.
-
-    Raises what `write_result` raises.
-    """
+    """Write all files of a run, as `write_result` does; return what was written of each group."""
     request = job.request
     return write_result(
         request.output,
@@ -195,10 +180,8 @@ def write_result(
 
     output: the folder. inputs: SHA-256 of the files that were read, by path.
     described: further keys of `run.json`. fingerprint: of all that the result follows from, where
-        that is known. formats, fps: as in `CalibrationRequest`.
-
-    Raises MismatchError, after all else is written, where a further format cannot hold the rig or
-    the poses.
+        that is known. formats, fps: as in `CalibrationRequest`; what cannot hold the rig or the
+        poses of a group is left out.
     """
     earlier = read_outputs(output)
     reports = _report_groups(result, inputs, described)
@@ -222,11 +205,9 @@ def write_result(
             (place / REPORT).write_text(text + "\n", encoding="utf-8", newline="\n")
     _remove_unfinished(output)
     remove_earlier_outputs(output, earlier, kept=reports[0]["outputs"].keys())
-    for files in further.values():
-        for error in files.refused:
-            raise error
     return tuple(
-        WrittenGroup(report, further[number].notes) for number, report in enumerate(reports)
+        WrittenGroup(report, further[number].notes, further[number].refused)
+        for number, report in enumerate(reports)
     )
 
 
@@ -255,8 +236,10 @@ def _write_further(
             )
         )
     notes = dict.fromkeys(note for outcome in outcomes for note in outcome.notes)
-    refused = [error for outcome in outcomes for error in outcome.refused]
-    return WriteOutcome(tuple(notes), tuple(refused[:1]) if len(epochs) > 1 else tuple(refused))
+    refused: dict[str, MismatchError] = {}
+    for outcome in reversed(outcomes):
+        refused |= outcome.refused
+    return WriteOutcome(tuple(notes), refused)
 
 
 def _observe_points(group: GroupResult, epoch: Epoch, config: Config) -> ObservedPoints:

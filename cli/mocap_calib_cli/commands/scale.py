@@ -23,8 +23,10 @@ def command(shared: options.SharedOptions, output: Path) -> None:
       mocap-calib scale out --length left_hip-left_knee=0.42+-0.01 --camera-distance cam1-cam2=3.1
     """
     from mocap_calib.config import WorldConfig
+    from mocap_calib.io.world_fields import world_fields
     from mocap_calib.job.scaling import scale_results
     from mocap_calib_cli import outputs
+    from mocap_calib_cli.describe_world import describe_world
     from mocap_calib_cli.progress import Reporter
     from mocap_calib_cli.world_texts import scale_cues
 
@@ -35,4 +37,5 @@ def command(shared: options.SharedOptions, output: Path) -> None:
         )
     outputs.check_folder(output)
     done = scale_results(output, cues, WorldConfig())
-    Reporter(quiet=shared.quiet).say(*done.world.remarks, *done.notes)
+    said = describe_world(world_fields(done.world, "m"))
+    Reporter(quiet=shared.quiet).say(*said, *done.notes)
