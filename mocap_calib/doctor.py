@@ -26,7 +26,7 @@ from mocap_calib.errors import MocapCalibError
 from mocap_calib.multi_view.evaluation import evaluate
 from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.joints import SHIPPED
-from mocap_calib.steerpose.checkpoint import load_model
+from mocap_calib.steerpose.loading import load_lifter
 from mocap_calib.steerpose.device import describe_devices
 from mocap_calib.steerpose.weights import digest
 from mocap_calib.synthetic import simulate
@@ -137,7 +137,7 @@ def _look_at(package: str, module: str) -> dict[str, Any]:
 def _look_at_model(name: str) -> dict[str, Any]:
     """Return the SHA-256 of a shipped model's weights, and the error where they do not load."""
     hashes: list[str] = []
-    error = _error_of(lambda: hashes.append(digest(name))) or _error_of(lambda: load_model(name))
+    error = _error_of(lambda: hashes.append(digest(name))) or _error_of(lambda: load_lifter(name))
     return {"sha256": hashes[0] if hashes else None, "error": error}
 
 
