@@ -26,8 +26,8 @@ from mocap_calib.errors import MocapCalibError
 from mocap_calib.multi_view.evaluation import evaluate
 from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.joints import SHIPPED
-from mocap_calib.steerpose.loading import load_lifter
 from mocap_calib.steerpose.device import describe_devices
+from mocap_calib.steerpose.loading import load_lifter
 from mocap_calib.steerpose.weights import digest
 from mocap_calib.synthetic import simulate
 from mocap_calib.types import Recording
