@@ -18,7 +18,7 @@ from mocap_calib.multi_view.observations import gather_observations
 from mocap_calib.multi_view.triangulation import project
 from mocap_calib.multi_view.verdict import judge_group
 from mocap_calib.report import run_report
-from mocap_calib.types import CalibrationResult, Clocks, TimeOffsets
+from mocap_calib.types import FAULT_WORDS, CalibrationResult, Clocks, TimeOffsets
 from mocap_calib_cli.describe import describe_group
 
 DESCRIPTION = Path(__file__).parents[1] / "docs" / "run-json.md"
@@ -122,6 +122,11 @@ def test_what_is_wrong_with_a_camera_is_in_its_faults():
     assert "inconsistent: cam2, cam3" in said
     assert "weak perspective, translation not observable: cam3, cam4" in said
     assert "rig: weak" in said
+
+
+def test_each_word_for_a_fault_is_described():
+    page = DESCRIPTION.read_text("utf-8")
+    assert [word for word in FAULT_WORDS if f"| `{word}` |" not in page] == []
 
 
 def test_every_finding_of_a_report_is_said():
