@@ -18,7 +18,7 @@ from mocap_calib.multi_view.observations import gather_observations
 from mocap_calib.multi_view.triangulation import project
 from mocap_calib.multi_view.verdict import judge_group
 from mocap_calib.report import run_report
-from mocap_calib.types import CalibrationResult, Clocks, TimeOffsets
+from mocap_calib.types import FAULT_WORDS, CalibrationResult, Clocks, TimeOffsets
 from mocap_calib_cli.ending import camera_table, describe_group
 
 DESCRIPTION = Path(__file__).parents[1] / "docs" / "run-json.md"
@@ -63,6 +63,7 @@ def test_every_field_of_run_json_is_described_and_nothing_else(done):
     report = json.loads((done[0] / "run.json").read_text("utf-8"))
     empty = (
         "unused_pairs",
+        "world.landmarks",
         "pairs[].alternatives",
         "left_out",
         "cameras[].fault",
@@ -128,6 +129,11 @@ def test_what_is_wrong_with_a_camera_is_in_its_faults():
     assert said == ["-", "inconsistent", "inconsistent, weak perspective", "weak perspective"]
     (reason,) = report["verdict"]["reasons"]
     assert reason.startswith("cam2, cam3: errors several times those of the others; ")
+
+
+def test_each_word_for_a_fault_is_described():
+    page = DESCRIPTION.read_text("utf-8")
+    assert [word for word in FAULT_WORDS if f"| `{word}` |" not in page] == []
 
 
 def test_every_finding_of_a_report_is_said_in_one_place():

@@ -390,3 +390,9 @@ def test_every_format_is_documented():
         rows = re.findall(r"^\| `(?!--)([^`]+)` \|", section, re.M)
         assert sorted(rows) == sorted(format_names(FORMATS[kind]))
         assert {each.kind for each in FORMATS[kind]} == {kind}
+
+
+def test_it_is_said_what_each_format_that_is_read_was_tried_on():
+    page = (Path(__file__).parents[2] / "docs" / "formats-checks.md").read_text("utf-8")
+    names = [each.name for kind in FORMATS for each in FORMATS[kind] if not each.only_written]
+    assert [name for name in names if f"`{name}`" not in page] == []

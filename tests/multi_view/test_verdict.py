@@ -1,6 +1,8 @@
 """What a rig is called, from how far it may be off and from the checks."""
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -90,6 +92,13 @@ def values(group: GroupResult) -> dict[str, Check]:
     """Return the checks of a group by name."""
     used = np.arange(0, len(group.recording.frames), 2)
     return {check.name: check for check in check_rig(group, Config(), used_frames=used)}
+
+
+def test_each_check_has_a_row_on_the_page():
+    page = (Path(__file__).parents[2] / "docs" / "how-good.md").read_text("utf-8")
+    table = page.split("## The checks")[1].split("\n## ")[0]
+    rows = re.findall(r"^\| ([\w -]+?) \|", table, re.MULTILINE)
+    assert rows[1:] == list(MEANING)
 
 
 @pytest.mark.slow
