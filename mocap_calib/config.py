@@ -561,9 +561,9 @@ class PosesConfig:
     least_hidden: int = 100
     held_out_frames: int = 200
     held_out_stretch: int = 50
-    fit_steps: int = 6
+    fit_steps: int = 10
     choice_steps: int = 4
-    inner_steps: int = 6
+    inner_steps: int = 3
     ridge: float = 1e-2
     longest_gap: int = 10
     largest_sigma: float = 0.15

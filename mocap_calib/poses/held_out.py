@@ -67,7 +67,7 @@ def choose_strengths(
         candidates = list(_until_worse(candidates, lambda each: float(loss(each).mean())))
         best = loss(min(candidates, key=lambda each: float(loss(each).mean())))
         more = ((each, loss(each) - best) for each in candidates)
-        return next(each for each, lost in more if lost.mean() <= _error_of_mean(lost, run))
+        return next(each for each, lost in more if lost.mean() <= error_of_mean(lost, run))
 
     accelerations = (np.inf, *config.accelerations) if moves else (np.inf,)
     chosen = weakest([replace(usual, acceleration=sigma) for sigma in accelerations])
@@ -81,7 +81,7 @@ def choose_strengths(
     return Choice(chosen, float(loss(chosen).mean()), float(raw.mean()))
 
 
-def _error_of_mean(values: Floats, run: Ints) -> float:
+def error_of_mean(values: Floats, run: Ints) -> float:
     """Return the standard error of the mean of values `[N]`, which go together in runs.
 
     run: `[N]` the number of the run that each belongs to.

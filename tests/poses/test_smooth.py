@@ -11,7 +11,9 @@ from mocap_calib.config import Config, PosesConfig
 from mocap_calib.multi_view.triangulation import triangulate
 from mocap_calib.poses.certainty import covariances
 from mocap_calib.poses.energy import System, couplings
+from mocap_calib.poses.held_out import error_of_mean
 from mocap_calib.poses.stage import smooth_poses
+from mocap_calib.poses.start import bone_lengths
 from mocap_calib.poses.track import acceleration_steps
 from mocap_calib.types import POINT_SOURCES, Matches, Poses3D, Recording, Smoothing
 
@@ -159,6 +161,45 @@ def test_modes_of_smoothing():
     _, smoothing = smooth_poses(seen, rig, matches, raw, PosesConfig(smooth="bones"))
     assert smoothing.acceleration == np.inf
     assert Config().poses.smooth == "auto"
+
+
+def test_heavy_tails_of_a_detector_choose_the_narrow_loss():
+    """Normal errors choose the wide one."""
+    seen, rng = recording(**EASY), np.random.default_rng(0)
+    positions = seen.positions.copy()
+    wrong = rng.random(positions.shape[:-1]) < 0.25
+    positions[wrong] += rng.standard_t(2, size=(wrong.sum(), 2)) * 15
+    _, smoothing = smooth(replace(seen, positions=positions), **EASY)
+    wide, narrow = PosesConfig().losses
+    assert smoothing.loss == narrow < wide == smoothed(**EASY)[1].loss
+
+
+def test_errors_that_go_together_count_once():
+    values, run = np.random.default_rng(0).normal(size=40), np.arange(40)
+    alone = error_of_mean(values, run)
+    assert alone == pytest.approx(values.std() / np.sqrt(40))
+    assert error_of_mean(values.repeat(25), run.repeat(25)) == pytest.approx(alone)
+
+
+def test_lengths_of_bones_and_how_much_they_vary():
+    """A rigid bone, one that bends by 0.02 m, one never seen; every twentieth point is wrong.
+
+    Measured with five seeds: lengths within 0.002 m, 0 to 0.008 m and 0.018 to 0.024 m.
+    """
+    rng = np.random.default_rng(0)
+    frames, noise = 600, rng.uniform(0.005, 0.015, size=(600, 1, 1))
+    points = np.zeros((frames, 4, 3))
+    points[:, 1, 0] = 0.3
+    points[:, 2, 0] = 0.3 + 0.25 + rng.normal(size=frames) * 0.02
+    points += rng.normal(size=points.shape) * noise
+    points[::20, 1:3] += rng.normal(size=(30, 2, 3))
+    points[:, 3] = np.nan
+    sigma = np.broadcast_to(noise[..., 0] * np.sqrt(3), (frames, 4))
+    length, varies = bone_lengths(points, sigma, np.array([[0, 1], [1, 2], [2, 3]]))
+    assert length[:2] == pytest.approx([0.3, 0.25], abs=0.003)
+    assert varies[0] < 0.012
+    assert 0.014 < varies[1] < 0.028
+    assert np.isnan([length[2], varies[2]]).all()
 
 
 def test_blocks_of_time_join_without_a_seam():
