@@ -1,0 +1,75 @@
+"""What bodies do over time: lengths of bones, height, speed, in bins of frames."""
+
+from typing import Any
+
+import numpy as np
+
+from mocap_calib.config import ReportConfig
+from mocap_calib.html_report.encode import pack_floats
+from mocap_calib.html_report.frames import quantiles, split_evenly
+from mocap_calib.html_report.source import ReportSource
+from mocap_calib.kinematics.definitions import define
+from mocap_calib.kinematics.motion import frame_velocity, mean_known
+from mocap_calib.recording.joints import choose_skeleton
+from mocap_calib.types import Floats, Ints
+
+_CONFIG = ReportConfig()
+
+
+def describe_series(source: ReportSource) -> dict[str, Any]:
+    """Return the series for a page: medians over some consecutive frames of each bin."""
+    poses = source.poses
+    total, individuals, joints = poses.positions.shape[:3]
+    numbers = max(1, individuals * (len(source.edges) + 2))
+    bins = max(_CONFIG.least_bins, min(_CONFIG.series_bins, _CONFIG.series_numbers // numbers))
+    edges = split_evenly(total, bins)
+    begin, end = edges[:-1], edges[1:]
+    each = max(3, _CONFIG.most_keypoints // max(1, len(begin) * individuals * joints))
+    looked = min(int((end - begin).max(initial=0)), each)
+    index = begin[:, None] + np.arange(looked)
+    inside = index < end[:, None]
+    index = np.minimum(index, total - 1)
+    points = poses.positions[index]  # [bin, frame, individual, keypoint, 3]
+    points[~inside] = np.nan
+    pairs = np.array(source.edges, dtype=np.int64).reshape(-1, 2)
+    bones = np.linalg.norm(points[..., pairs[:, 0], :] - points[..., pairs[:, 1], :], axis=-1)
+    return {
+        "bins": poses.frames[begin].tolist(),
+        "bones": pack_floats(np.moveaxis(_medians(bones), 0, -1)),
+        "height": _heights(source, points),
+        "speed": pack_floats(_medians(_speeds(source, points, poses.frames[index])).T),
+    }
+
+
+def _medians(values: Floats) -> Floats:
+    """Return medians `[bin, ...]` of values `[bin, frame, ...]`."""
+    return quantiles(np.moveaxis(values, 1, -1), (0.5,))[0]
+
+
+def _heights(source: ReportSource, points: Floats) -> dict[str, Any] | None:
+    """Return the height of the highest joint above the floor; None where that is not known."""
+    world = source.poses.world
+    if not (np.isfinite(world.up).all() and np.isfinite(world.floor).all()):
+        return None
+    height = (points - world.floor) @ world.up
+    highest = np.where(np.isfinite(height), height, -np.inf).max(-1, initial=-np.inf)
+    return pack_floats(_medians(np.where(np.isfinite(highest), highest, np.nan)).T)
+
+
+def _speeds(source: ReportSource, points: Floats, frames: Ints) -> Floats:
+    """Return the speeds of trunks `[bin, frame, individual]`, per second where fps is known.
+
+    points: `[bin, frame, individual, keypoint, 3]`. frames: `[bin, frame]` numbers.
+    """
+    names = source.poses.keypoints
+    trunk = list(define(names, choose_skeleton(names)).trunk) or list(range(len(names)))
+    own = points[..., trunk, :]
+    velocity = (
+        np.stack(
+            [frame_velocity(number, of_bin) for number, of_bin in zip(frames, own, strict=True)]
+        )
+        if len(own)
+        else own
+    )
+    rate = source.fps if np.isfinite(source.fps) else 1.0
+    return rate * np.linalg.norm(mean_known(velocity, axis=3), axis=-1)
