@@ -36,6 +36,7 @@ COMMANDS = {
     "convert": "Keypoints, cameras and poses from one format to another.",
     "kinematics": "Joint angles, speeds, contacts and bone lengths of 3D poses.",
     "complete": "Fill keypoints that were not seen.",
+    "report": "The results of a run to look at, in one HTML file.",
     "verify": "Judge an existing calibration by keypoints: which camera moved since?",
     "evaluate": "Compare cameras with a reference calibration.",
     "simulate": "Make a synthetic recording with its truth.",

@@ -19,7 +19,7 @@ def describe_detections(seen: Seen, shown: Ints, room: int) -> dict[str, Any] | 
     shown: `[frame]` indices of the frames whose poses the page has.
     """
     recording = seen.recording
-    of_all = max(1, int(recording.seen[:, shown].any(-1).sum()))
+    of_all = max(1, int(np.isfinite(recording.positions[:, shown, ..., 0]).any(-1).sum()))
     each = of_all * (4 * len(recording.keypoints) + 6) / max(1, len(shown))
     count = min(len(shown), int(2 * room / each))
     while count:

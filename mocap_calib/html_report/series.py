@@ -11,7 +11,8 @@ from mocap_calib.html_report.source import ReportSource
 from mocap_calib.kinematics.definitions import define
 from mocap_calib.kinematics.motion import frame_velocity, mean_known
 from mocap_calib.recording.joints import choose_skeleton
-from mocap_calib.types import Floats, Ints
+from mocap_calib.recording.stretches import usual_step
+from mocap_calib.types import Floats, Ints, Poses3D
 
 _CONFIG = ReportConfig()
 
@@ -26,19 +27,33 @@ def describe_series(source: ReportSource) -> dict[str, Any]:
     begin, end = edges[:-1], edges[1:]
     each = max(3, _CONFIG.most_keypoints // max(1, len(begin) * individuals * joints))
     looked = min(int((end - begin).max(initial=0)), each)
-    index = begin[:, None] + np.arange(looked)
-    inside = index < end[:, None]
-    index = np.minimum(index, total - 1)
-    points = poses.positions[index]  # [bin, frame, individual, keypoint, 3]
-    points[~inside] = np.nan
+    # and a frame before and after these: a frame by itself has no speed
+    index = begin[:, None] + np.arange(-1, looked + 1)
+    frames, points = _take_frames(poses, index)
+    speeds = _speeds(source, points, frames)[:, 1:-1]
+    points = points[:, 1:-1]
+    outside = index[:, 1:-1] >= end[:, None]
+    points[outside] = speeds[outside] = np.nan
     pairs = np.array(source.edges, dtype=np.int64).reshape(-1, 2)
     bones = np.linalg.norm(points[..., pairs[:, 0], :] - points[..., pairs[:, 1], :], axis=-1)
     return {
         "bins": poses.frames[begin].tolist(),
         "bones": pack_floats(np.moveaxis(_medians(bones), 0, -1)),
         "height": _heights(source, points),
-        "speed": pack_floats(_medians(_speeds(source, points, poses.frames[index])).T),
+        "speed": pack_floats(_medians(speeds).T),
     }
+
+
+def _take_frames(poses: Poses3D, index: Ints) -> tuple[Ints, Floats]:
+    """Return the numbers `[bin, frame]` of frames (indices), and their positions.
+
+    What is before the first frame and after the last has numbers that go on, and no positions.
+    """
+    last = len(poses.frames) - 1
+    inside = index.clip(0, last)
+    points = poses.positions[inside]
+    points[inside != index] = np.nan
+    return poses.frames[inside] + (index - inside) * usual_step(poses.frames), points
 
 
 def _medians(values: Floats) -> Floats:
