@@ -78,7 +78,7 @@ class Bodies {
       title: `Length of ${nameOf(recording, edge)} over time, by individual`,
       frames: recording.series.bins, unit,
       curves: others.map((i): Curve => ({
-        label: String(recording.individuals[i]), colour: () => ofIndividual(i), values: lengths(recording, i, edge), width: i === individual ? 2.4 : 1.1,
+        label: `individual ${recording.individuals[i]}`, colour: () => ofIndividual(i), values: lengths(recording, i, edge), width: i === individual ? 2.4 : 1.1,
       })),
     });
     this.list.replaceChildren(boneTable(recording, individual, edge, (to) => {
@@ -92,7 +92,7 @@ class Bodies {
 /** Return one curve for each individual. */
 function each(recording: Recording, numbers: ArrayLike<number>): Curve[] {
   const n = recording.series.bins.length;
-  return recording.individuals.map((name, i) => ({ label: String(name), colour: () => ofIndividual(i), values: values(numbers, i * n, (i + 1) * n) }));
+  return recording.individuals.map((name, i) => ({ label: `individual ${name}`, colour: () => ofIndividual(i), values: values(numbers, i * n, (i + 1) * n) }));
 }
 
 /** Return the second part of the fifth section. */

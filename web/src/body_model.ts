@@ -24,14 +24,14 @@ export class BodyModel {
     const { individuals, edges } = recording;
     this.bones = new Lines(individuals.length * edges.length, 3.5);
     this.trails = new Lines(individuals.length * TRAIL, 2);
-    this.shadows = new Lines(individuals.length * edges.length, 3, 0.16);
+    this.shadows = new Lines(individuals.length * edges.length, 4, 0.99);
     this.group.add(this.shadows.object, this.trails.object, this.bones.object);
   }
 
   /** Draw all bodies at a frame. */
   update(frame: number, { trails, shadows, follow }: BodyOptions): void {
     const ground = channels(colour("stage"));
-    const shade = channels(colour("ink"));
+    const shade = blend(ground, channels(colour("ink")), 0.12);
     for (const lines of [this.bones, this.trails, this.shadows]) lines.clear();
     this.recording.individuals.forEach((_, index) => {
       const own = channels(ofIndividual(index));

@@ -6,8 +6,12 @@ import { short } from "./labels";
 import { figure, format, term, type Path } from "./number";
 import { mix } from "./palette";
 import type { Player } from "./player";
-import type { Fits, Recording } from "./recording";
+import { median, type Fits, type Recording } from "./recording";
+import { openFaults } from "./run";
 import { colour, onTheme } from "./theme";
+
+/** So many joints a cell has at least, where its mean error is shown. */
+const FEW = 10;
 
 /** Draw where in the image of a camera joints were seen, and by what the 3D points miss them. */
 function drawCoverage(canvas: HTMLCanvasElement, recording: Recording, view: number, arrows: boolean): number {
@@ -33,11 +37,12 @@ function drawCoverage(canvas: HTMLCanvasElement, recording: Recording, view: num
 
 /** Draw the mean errors as arrows; return by how many times they are longer than they are. */
 function drawResiduals(context: CanvasRenderingContext2D, fits: Fits, first: number, w: number, hgt: number): number {
-  const { columns, rows, residuals } = fits;
+  const { columns, rows, residuals, counts } = fits;
   const lengths: number[] = [];
-  for (let i = 2 * first; i < 2 * (first + columns * rows); i += 2) {
-    const length = Math.hypot(residuals[i]!, residuals[i + 1]!);
-    if (length === length) lengths.push(length);
+  // the mean of a few joints is chance
+  const enough = (cell: number): boolean => counts[cell]! >= FEW && residuals[2 * cell] === residuals[2 * cell];
+  for (let cell = first; cell < first + columns * rows; cell++) {
+    if (enough(cell)) lengths.push(Math.hypot(residuals[2 * cell]!, residuals[2 * cell + 1]!));
   }
   if (!lengths.length) return 0;
   lengths.sort((a, b) => a - b);
@@ -46,20 +51,21 @@ function drawResiduals(context: CanvasRenderingContext2D, fits: Fits, first: num
   context.strokeStyle = context.fillStyle = colour("ink");
   context.lineWidth = 1.2;
   for (let i = 0; i < columns * rows; i++) {
+    if (!enough(first + i)) continue;
     const at = 2 * (first + i);
     let [dx, dy] = [residuals[at]! * factor, residuals[at + 1]! * factor];
-    if (dx !== dx) continue;
     const length = Math.hypot(dx, dy);
-    const most = 2.2 * Math.min(w, hgt);
+    const most = 2 * Math.min(w, hgt);
     if (length > most) [dx, dy] = [(dx * most) / length, (dy * most) / length];
     const [x, y] = [((i % columns) + 0.5) * w, (Math.floor(i / columns) + 0.5) * hgt];
     const angle = Math.atan2(dy, dx);
+    const head = Math.min(4, 0.5 * Math.hypot(dx, dy));
     context.beginPath();
     context.moveTo(x, y);
     context.lineTo(x + dx, y + dy);
     for (const side of [-0.5, 0.5]) {
       context.moveTo(x + dx, y + dy);
-      context.lineTo(x + dx - 4 * Math.cos(angle + side), y + dy - 4 * Math.sin(angle + side));
+      context.lineTo(x + dx - head * Math.cos(angle + side), y + dy - head * Math.sin(angle + side));
     }
     context.stroke();
   }
@@ -70,15 +76,17 @@ function drawResiduals(context: CanvasRenderingContext2D, fits: Fits, first: num
 function jointBars(recording: Recording, view: number): HTMLElement {
   const { fits, joints, sides } = recording;
   const errors = joints.map((_, joint) => fits!.byJoint[view * joints.length + joint]!);
-  const most = Math.max(...errors.filter(Number.isFinite), 1e-9);
+  const known = errors.filter(Number.isFinite);
+  // one joint that is far off must not hide the others
+  const most = Math.min(Math.max(...known, 1e-9), 5 * median(known) || 1);
   const rows = joints.map((name, joint) => {
     const error = errors[joint]!;
-    const width = Number.isFinite(error) ? Math.max(1, (100 * error) / most) : 0;
+    const width = Number.isFinite(error) ? Math.max(1, Math.min(100, (100 * error) / most)) : 0;
     return h("tr", {},
       h("th", { scope: "row" }, name),
       h("td", { class: "wide" }, svg("svg", { class: `bars ${sides[joint]}`, viewBox: "0 0 100 10", preserveAspectRatio: "none", "aria-hidden": "true" },
         svg("rect", { x: 0, y: 1, width, height: 8 }))),
-      h("td", { class: "n" }, Number.isFinite(error) ? `${error.toFixed(1)} px` : "never"));
+      h("td", { class: error > most ? "n warn" : "n" }, Number.isFinite(error) ? `${error.toFixed(1)} px` : "never"));
   });
   return table("Median error of each joint", ["Joint", "", "Error"], rows, "tight");
 }
@@ -100,7 +108,7 @@ function facts(recording: Recording, camera: number): HTMLElement {
     pair("Part of a frame", figure(at("clock", "subframe_offset")), " ± ", figure(at("clock", "sigma")), about.clock.used ? " (used)" : " (not used)"),
     pair("Focal length", figure(at("intrinsics", "focal_px"), { unit: " px" }), ` ${about.intrinsics.source}`,
       ...(run.cameras[camera]!.intrinsics.source === "given"
-        ? ["; free, it would change by ", figure(at("intrinsics", "focal_change"), { unit: " of it" }), " ± ", figure(at("intrinsics", "focal_change_sigma"))]
+        ? ["; free, it would change by ", figure(at("intrinsics", "focal_change"), { unit: " %", scale: 100 }), " ± ", figure(at("intrinsics", "focal_change_sigma"), { unit: " %", scale: 100 })]
         : [" ± ", figure(at("intrinsics", "focal_sigma_px"), { unit: " px" })])),
     pair("Lens k1", figure(at("intrinsics", "k1"))),
     pair("Focal part of the turn", figure(at("focal_turn_deg"), { unit: "°" })),
@@ -115,7 +123,8 @@ class Detail {
   private readonly chart: Chart;
   private readonly select: HTMLSelectElement;
   private readonly title = h("h3", {});
-  private readonly joints = h("div", {});
+  private readonly curve = h("h4", {});
+  private readonly joints = h("div", { class: "joints" });
   private readonly known = h("div", {});
 
   constructor(private readonly recording: Recording, private readonly player: Player) {
@@ -127,7 +136,7 @@ class Detail {
     if (fits) {
       this.element.append(h("div", { class: "columns" },
         h("figure", {}, h("h4", {}, "Where in the image, and by what it is missed"), this.canvas, this.key),
-        h("div", {}, h("h4", {}, "Error over time (px)"), this.chart.element),
+        h("div", { class: "time" }, this.curve, this.chart.element),
         this.joints));
     }
     player.on((change) => change === "camera" && this.show());
@@ -148,7 +157,12 @@ class Detail {
     if (!fits) return;
     this.joints.replaceChildren(jointBars(recording, view));
     const [n, at] = [fits.bins.length, view * fits.bins.length];
+    const high = Array.from(fits.p95.slice(at, at + n)).filter(Number.isFinite);
+    const top = 4 * median(high);
+    const cut = Math.max(...high) > top;
+    this.curve.textContent = cut ? "Error over time (px; peaks are cut)" : "Error over time (px)";
     this.chart.show({
+      ...(cut ? { top } : {}),
       title: `Reprojection error of ${camera.name} over time, median and 95th percentile`,
       frames: fits.bins, unit: " px",
       curves: [
@@ -194,7 +208,12 @@ function row(recording: Recording, player: Player, camera: number, redraw: (() =
   const size = cameras[view]?.size;
   if (size?.[0]) thumb.style.setProperty("aspect-ratio", `${size[0]} / ${size[1]}`);
   redraw.push(() => drawCoverage(thumb, recording, view, false));
+  const open = openFaults(about);
   const words = [...about.faults, ...(about.weak ? ["weak"] : [])];
+  const chips = words.map((word) => {
+    const mended = about.faults.includes(word) && !open.includes(word);
+    return h("span", { class: mended ? "chip good" : "chip poor" }, mended ? `${word}, mended` : word);
+  });
   const clock = run.clocks.findIndex((each) => each.camera === about.name);
   const button = h("button", { type: "button", class: "link", on: { click: () => player.choose("camera", view) } }, short(about.name, 30));
   if (about.name.length > 30) button.title = about.name;
@@ -203,7 +222,7 @@ function row(recording: Recording, player: Player, camera: number, redraw: (() =
     recording.fits ? h("td", {}, thumb) : null,
     ...COLUMNS.map(([path, , unit]) => h("td", { class: "n" }, figure(["cameras", camera, ...path], { quiet: true, unit }))),
     h("td", { class: "n" }, clock < 0 ? "–" : figure(["clocks", clock, "offset_frames"], { quiet: true })),
-    h("td", {}, words.length ? h("span", { class: "chip poor" }, words.join(", ")) : "none"));
+    h("td", {}, ...(chips.length ? chips : ["none"])));
   const mark = (): void => {
     const chosen = cameras[player.camera]?.camera === camera;
     element.classList.toggle("chosen", chosen);

@@ -23,6 +23,14 @@ export interface Plot {
   /** Whether the axis begins at 0. */
   zero?: boolean;
   legend?: boolean;
+  /** Where the axis ends, whatever the values are. */
+  top?: number;
+}
+
+/** Return 1, 2 or 5 times a power of ten, at least as large as asked. */
+export function niceStep(wanted: number): number {
+  const power = 10 ** Math.floor(Math.log10(Math.max(1, wanted)));
+  return power * ([1, 2, 5].find((each) => each * power >= wanted) ?? 10);
 }
 
 /** Return numbers as uPlot takes them: null where there is nothing. */
@@ -58,14 +66,20 @@ export class Chart {
     const width = this.element.clientWidth;
     if (!what || !width) return;
     this.plot?.destroy();
-    const { frames, curves, unit, height = 190, zero = true, legend = true } = what;
+    this.element.replaceChildren();
+    const { frames, curves, unit, height = 190, zero = true, legend = true, top } = what;
+    if (!curves.some((curve) => curve.values.some((value) => value !== null))) {
+      this.plot = null;
+      this.element.append(h("p", { class: "none" }, "Nothing to show: not known in this recording."));
+      return;
+    }
     const axis = { stroke: colour("muted"), grid: { stroke: colour("grid"), width: 1 }, ticks: { show: false }, font: "11px system-ui, sans-serif" };
     const options: uPlot.Options = {
       width,
       height,
       legend: { show: legend, live: true },
       cursor: { y: false, points: { size: 6 }, drag: { x: false, y: false } },
-      scales: { x: { time: false }, y: zero ? { range: (_, __, high) => [0, (high || 1) * 1.08] } : {} },
+      scales: { x: { time: false }, y: zero ? { range: (_, __, high) => [0, top ?? (high || 1) * 1.08] } : {} },
       axes: [{ ...axis, size: 30 }, { ...axis, size: 52, values: (_, ticks) => ticks.map((tick) => `${Number(tick.toPrecision(4))}`) }],
       series: [
         { label: "frame" },

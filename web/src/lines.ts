@@ -24,7 +24,7 @@ export class Lines {
     this.geometry.setAttribute("instanceEnd", new InterleavedBufferAttribute(this.places, 3, 3));
     this.geometry.setAttribute("instanceColorStart", new InterleavedBufferAttribute(this.colours, 3, 0));
     this.geometry.setAttribute("instanceColorEnd", new InterleavedBufferAttribute(this.colours, 3, 3));
-    const material = new LineMaterial({ linewidth: width, vertexColors: true, transparent: opacity < 1, opacity });
+    const material = new LineMaterial({ linewidth: width, vertexColors: true, transparent: opacity < 1, opacity, depthWrite: opacity === 1 });
     this.object = new LineSegments2(this.geometry, material);
     this.object.frustumCulled = false;
   }

@@ -35,10 +35,22 @@ function footer({ run }: Recording): HTMLElement {
   return h("footer", {}, `mocap-calib ${run.version} · ${run.date ?? ""} · this file needs no network and sends nothing`);
 }
 
-/** Build the page; sections that fail must not take the others with them. */
+/** Return the first frame in which about as many joints are seen as ever. */
+function firstFull({ frames, individuals, joints, points }: Recording): number {
+  const counts = new Int32Array(frames.length);
+  const stride = 3 * joints.length;
+  for (let i = 0; i < points.length; i += 3) {
+    if (points[i] === points[i]) counts[Math.floor(i / stride) % frames.length]!++;
+  }
+  const most = counts.reduce((high, count) => Math.max(high, count), 0);
+  return individuals.length ? Math.max(0, counts.findIndex((count) => count >= 0.95 * most)) : 0;
+}
+
+/** Build the page. */
 function show(root: HTMLElement, recording: Recording): void {
   setRun(recording.run as unknown as Json);
   const player = new Player(recording.frames, recording.breaks, recording.fps ?? USUAL_RATE);
+  player.seek(firstFull(recording));
   const sections: Child[] = [
     verdictSection(recording),
     theatre(recording, player),

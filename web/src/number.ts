@@ -28,7 +28,7 @@ export function format(value: number): string {
   if (Number.isInteger(value)) return value.toLocaleString("en-US");
   const size = Math.abs(value);
   if (size >= 1000) return Math.round(value).toLocaleString("en-US");
-  if (size < 1e-3) return value.toExponential(1).replace("e-", "e−").replace("-", "−").replace("e−", "e-");
+  if (size < 1e-3) return value.toExponential(1).replaceAll("-", "−");
   return String(Number(value.toPrecision(3))).replace("-", "−");
 }
 
@@ -42,10 +42,12 @@ function words(value: Json | undefined): string {
 
 /** Return an element that shows the value at a path of run.json, with its explanation.
  *
+ * `scale`: it is shown so many times as large (100 for a share in percent).
  * `quiet`: not a stop of the tab key, in tables whose headings explain it.
  */
-export function figure(path: Path, { unit = "", quiet = false, name = "" } = {}): HTMLElement {
+export function figure(path: Path, { unit = "", quiet = false, name = "", scale = 1 } = {}): HTMLElement {
   const value = lookUp(path);
+  const text = typeof value === "number" ? format(scale * value) : words(value);
   const known = value !== null && value !== undefined;
   const explanation = explain(path);
   const element = h(
@@ -54,11 +56,13 @@ export function figure(path: Path, { unit = "", quiet = false, name = "" } = {})
       class: known ? "figure" : "figure unknown",
       value: JSON.stringify(value ?? null),
       "data-field": JSON.stringify(path),
+      "data-unexplained": !explanation,
+      "data-scale": scale === 1 ? undefined : scale,
       tabindex: quiet ? undefined : 0,
       role: quiet ? undefined : "note",
-      "aria-label": quiet ? undefined : `${name || explanation?.label || path.at(-1)}: ${words(value)}${unit}`,
+      "aria-label": quiet ? undefined : `${name || explanation?.label || path.at(-1)}: ${text}${unit}`,
     },
-    words(value),
+    text,
     known && unit ? h("span", { class: "unit" }, unit) : null,
   );
   if (explanation) explanations.set(element, explanation);

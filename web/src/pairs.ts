@@ -30,6 +30,9 @@ const MEASURES: Measure[] = [
 ];
 const MORE: Path[] = [["frames"], ["sampled_matches"], ["in_front"], ["reprojection_error_px", "p95"], ["epipolar_error_px"]];
 
+/** Up to so many cameras a matrix has room for words. */
+const MOST_WORDS = 12;
+
 class Matrix {
   private measure = MEASURES[0]!;
   private readonly body = h("div", { class: "scroll", role: "region", tabindex: 0, "aria-label": "Pairs of cameras" });
@@ -51,7 +54,7 @@ class Matrix {
       this.measure = MEASURES[Number(value)]!;
       this.draw();
     });
-    this.element = h("div", {}, h("div", { class: "bar" }, list.label), h("div", { class: "split" }, this.body, this.about));
+    this.element = h("div", {}, h("div", { class: "bar" }, list.label), h("div", { class: this.names.length <= MOST_WORDS ? "split pairs" : "pairs" }, this.body, this.about));
     onTheme(() => this.draw());
     this.draw();
     if (run.pairs.length) this.choose(0);
@@ -73,7 +76,7 @@ class Matrix {
         on: { click: () => this.choose(index) } }, figure(["pairs", index, ...measure.path], { quiet: true }));
     };
     const rows = names.slice(1).map((a, i) => h("tr", {}, h("th", { scope: "row", title: a }, short(a, 16)), ...names.slice(0, i + 1).map((b) => cell(a, b))));
-    const few = names.length <= 12;
+    const few = names.length <= MOST_WORDS;
     this.body.replaceChildren(h("table", { class: few ? "matrix" : "matrix many" },
       h("caption", {}, term(measure.label, explain(["pairs", 0, ...measure.path])), ` of each pair of cameras; ${measure.says}. · is a pair that is not used`),
       h("tbody", {}, ...rows, h("tr", {}, h("td", {}), ...names.slice(0, -1).map((name) => h("th", { scope: "col", class: "foot", title: name }, h("span", {}, short(name, 16))))))));

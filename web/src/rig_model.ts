@@ -4,6 +4,7 @@ import { centreOf, cornersOf, type CameraModel } from "./camera_model";
 import { Lines } from "./lines";
 import { channels } from "./palette";
 import { median, type Recording } from "./recording";
+import { openFaults } from "./run";
 import { colour } from "./theme";
 
 const STEPS = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000];
@@ -48,7 +49,7 @@ export class RigModel {
     recording.cameras.forEach((camera, view) => {
       if (!standsAt(camera, frame)) return;
       const about = recording.run.cameras[camera.camera];
-      const doubtful = about?.faults.length || about?.weak;
+      const doubtful = about && (about.weak || openFaults(about).length > 0);
       drawFrustum(this.frusta, camera, view === chosen ? 1.25 * this.size : this.size,
         view === chosen ? accent! : doubtful ? warn! : usual!);
     });

@@ -62,3 +62,8 @@ export interface Run {
   seconds: Record<string, number>;
   config: Record<string, Json>;
 }
+
+/** Return the faults of a camera that were not mended for the run. */
+export function openFaults(camera: RunCamera): string[] {
+  return camera.faults.filter((word) => !camera.fault_evidence[word]?.mended);
+}

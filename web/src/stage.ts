@@ -1,5 +1,5 @@
 /** The rig and the bodies in 3D: orbit with mouse or keys, click a camera to choose it. */
-import { Color, Group, LineBasicMaterial, LineSegments, BufferGeometry, Float32BufferAttribute, PerspectiveCamera, Quaternion, Scene, Vector3, WebGLRenderer } from "three";
+import { Color, ColorManagement, Group, LinearSRGBColorSpace, LineBasicMaterial, LineSegments, BufferGeometry, Float32BufferAttribute, PerspectiveCamera, Quaternion, Scene, Vector3, WebGLRenderer } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { BodyModel } from "./body_model";
 import { h } from "./dom";
@@ -7,8 +7,12 @@ import { drawLabels, type Label } from "./labels";
 import { ofIndividual } from "./palette";
 import type { Player } from "./player";
 import { middleOf, type Recording } from "./recording";
+import { niceStep } from "./charts";
 import { RigModel, standsAt } from "./rig_model";
 import { colour, onTheme } from "./theme";
+
+// colours are those of the style, as they are
+ColorManagement.enabled = false;
 
 const SLOW_MS = 36;
 const KEYS: Record<string, [number, number]> = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
@@ -33,7 +37,7 @@ export class Stage {
   private readonly view = new PerspectiveCamera(40, 1, 0.01, 1000);
   private readonly controls: OrbitControls;
   private grid: LineSegments | null = null;
-  private home = { target: new Vector3(), distance: 1 };
+  private home = new Vector3();
   private ratios: number[];
   private pending = false;
   private shadows = true;
@@ -47,6 +51,7 @@ export class Stage {
   constructor(private readonly recording: Recording, private readonly player: Player) {
     const ratio = Math.min(devicePixelRatio || 1, 2);
     this.renderer = new WebGLRenderer({ canvas: this.canvas, antialias: !isSoftware(), powerPreference: "high-performance" });
+    this.renderer.outputColorSpace = LinearSRGBColorSpace;
     this.ratios = [ratio, 1, 0.75, 0.5].filter((each, i) => i === 0 || each < ratio);
     this.view.up.set(0, 0, 1);
     this.moves = recording.cameras.some((camera) => camera.first > recording.frames[0]!);
@@ -106,19 +111,25 @@ export class Stage {
   /** Put everything into view. */
   frameAll(): void {
     this.root.updateMatrixWorld(true);
-    const cameras = this.recording.centres.map((centre) => this.root.localToWorld(new Vector3(...centre)));
-    const middles = this.someMiddles().map((middle) => this.root.localToWorld(new Vector3(...middle)));
-    const all = [...cameras, ...middles];
-    const low = new Vector3(Infinity, Infinity, Infinity);
-    const high = new Vector3(-Infinity, -Infinity, -Infinity);
-    for (const point of all) low.min(point), high.max(point);
-    const target = low.clone().add(high).multiplyScalar(0.5);
-    if (middles.length) target.lerp(middles.reduce((sum, each) => sum.add(each), new Vector3()).multiplyScalar(1 / middles.length), 0.35);
-    const radius = Math.max(...all.map((point) => point.distanceTo(target))) || 1;
-    const distance = (1.02 * radius) / Math.sin((this.view.fov * Math.PI) / 360) / Math.min(1, 0.75 * this.view.aspect);
-    this.home = { target, distance };
-    const direction = new Vector3(0.62, -0.72, 0.5).normalize();
-    this.view.position.copy(target).addScaledVector(direction, distance);
+    const toWorld = (point: readonly number[]): Vector3 => this.root.localToWorld(new Vector3(point[0], point[1], point[2]));
+    const cameras = this.recording.centres.map(toWorld);
+    const all = [...cameras, ...usualCorners(this.someMiddles().map(toWorld))];
+    const low = all.reduce((least, point) => least.min(point), all[0]!.clone());
+    const high = all.reduce((most, point) => most.max(point), all[0]!.clone());
+    const target = low.add(high).multiplyScalar(0.5);
+    const back = new Vector3(0.62, -0.72, 0.5).normalize();
+    const right = new Vector3().crossVectors(this.view.up, back).normalize();
+    const above = new Vector3().crossVectors(back, right);
+    const tall = Math.tan((this.view.fov * Math.PI) / 360);
+    // the nearest place from which every point is within the margins
+    const distance = Math.max(4 * this.rig.size, ...all.map((point) => {
+      const offset = point.clone().sub(target);
+      const x = Math.abs(offset.dot(right)) + 0.7 * this.rig.size;
+      const y = Math.abs(offset.dot(above)) + 0.7 * this.rig.size;
+      return offset.dot(back) + Math.max(x / (0.92 * tall * this.view.aspect), y / (0.88 * tall));
+    }));
+    this.home = target;
+    this.view.position.copy(target).addScaledVector(back, distance);
     this.view.near = distance / 500;
     this.view.far = distance * 20;
     this.view.updateProjectionMatrix();
@@ -145,9 +156,9 @@ export class Stage {
     const { floor } = this.recording;
     if (!floor) return;
     const middle = this.root.localToWorld(new Vector3(...floor)).z;
-    const target = this.home.target;
-    const cell = 10 ** Math.round(Math.log10(this.rig.size * 4)) / 2;
-    const half = 12 * cell;
+    const target = this.home;
+    const cell = niceStep(1e6 * this.rig.size) / 1e6;
+    const half = 14 * cell;
     const origin = [Math.round(target.x / cell) * cell, Math.round(target.y / cell) * cell] as const;
     const places: number[] = [];
     for (let at = -half; at <= half + cell / 2; at += cell) {
@@ -267,6 +278,16 @@ export class Stage {
     });
     drawLabels(this.overlay, labels);
   }
+}
+
+/** Return the corners of the box that most points are in: some are far away, by mistake. */
+function usualCorners(points: Vector3[]): Vector3[] {
+  if (!points.length) return [];
+  const at = (share: number, axis: "x" | "y" | "z"): number => {
+    const sorted = points.map((point) => point[axis]).sort((a, b) => a - b);
+    return sorted[Math.floor(share * (sorted.length - 1))]!;
+  };
+  return [0.1, 0.9].flatMap((x) => [0.1, 0.9].flatMap((y) => [0.1, 0.9].map((z) => new Vector3(at(x, "x"), at(y, "y"), at(z, "z")))));
 }
 
 /** Return whether WebGL is made by the processor. */

@@ -3,6 +3,7 @@ import { choice, h, section, tick } from "./dom";
 import { Look } from "./look";
 import type { Player } from "./player";
 import type { Recording } from "./recording";
+import { openFaults } from "./run";
 import { Stage, type StageOptions } from "./stage";
 import { transport } from "./transport";
 
@@ -40,7 +41,9 @@ function note(recording: Recording): string {
   const lengths = run.unit === "arbitrary" ? "Lengths are arbitrary: no known length was stated." : `Lengths are in ${run.unit}.`;
   const floor = recording.floor ? "The grid is the floor." : "No floor is known, so there is no grid.";
   const left = run.left_out.length ? ` Not in the rig: ${run.left_out.join(", ")}.` : "";
-  return `${lengths} ${floor}${left}`;
+  const doubtful = run.cameras.some((camera) => camera.weak || openFaults(camera).length) ? " Red cameras are weak, or have a fault that was not mended." : "";
+  const shapes = recording.covarianceKind === "axes" ? "" : " The ellipsoids are spheres: files of results say how far a camera may be off, not in which direction.";
+  return `${lengths} ${floor}${doubtful}${shapes}${left}`;
 }
 
 /** Return the second section, and start the views. */

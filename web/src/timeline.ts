@@ -1,4 +1,5 @@
 /** Who is who: when each camera saw each individual. */
+import { niceStep } from "./charts";
 import { fit, h, section, table, tick } from "./dom";
 import { explain } from "./explain";
 import { short } from "./labels";
@@ -165,12 +166,6 @@ class Timeline {
     context.textAlign = "right";
     context.fillText("frame", LEFT - 10, height - 7);
   }
-}
-
-/** Return 1, 2 or 5 times a power of ten, about as large as asked. */
-export function niceStep(wanted: number): number {
-  const power = 10 ** Math.floor(Math.log10(Math.max(1, wanted)));
-  return power * ([1, 2, 5].find((each) => each * power >= wanted) ?? 10);
 }
 
 function inWords({ cameras, individuals }: Recording, { camera, frame, from, to }: Swap): string {

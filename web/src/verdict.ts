@@ -93,8 +93,8 @@ function faultRow(run: Run, camera: RunCamera, word: string): HTMLElement {
     typeof evidence.advice === "string" ? h("p", { class: "do" }, evidence.advice) : null,
     typeof evidence.option === "string" ? h("p", { class: "option" }, "State it beforehand: ", h("code", {}, evidence.option)) : null,
     numbers.length
-      ? h("p", { class: "evidence" }, ...numbers.flatMap((key) => [
-          `${key.replaceAll("_", " ")} `, figure(["cameras", view, "fault_evidence", word, key], { name: key }), "  "]))
+      ? h("p", { class: "evidence" }, "Evidence: ", ...numbers.flatMap((key, i) => [
+          `${i ? " · " : ""}${key.replaceAll("_", " ")} `, figure(["cameras", view, "fault_evidence", word, key], { name: key })]))
       : null,
   );
 }
