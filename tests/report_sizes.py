@@ -5,20 +5,19 @@ from itertools import combinations
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
-from report_pages import report_source
 
 from mocap_calib.html_report.source import ReportSource, Seen
 from mocap_calib.types import CameraRig, Matches, Poses3D, Recording
 
 
 def large_source(
-    *, cameras: int, people: int, frames: int, matched: float = 0.9, seed: int = 0
+    small: ReportSource, *, cameras: int, people: int, frames: int, seed: int = 0
 ) -> ReportSource:
     """Return the source of a report of a recording of any size, in little memory.
 
+    small: that of a recording that was calibrated, of which all else is taken.
     A frame of an array begins a number after the one before: each is of other noise.
     """
-    small = report_source(cameras=3, people=2, frames=30)
     rng = np.random.default_rng(seed)
     recording = small.seen.recording
     joints = len(recording.keypoints)
@@ -29,7 +28,7 @@ def large_source(
         rng.uniform(0, 1000, size=frames + cameras * people * joints * 2).astype(np.float32),
         (frames, cameras, people, joints, 2),
     )
-    labels = np.where(rng.random((cameras, frames, people)) < matched, np.arange(people), -1)
+    labels = np.where(rng.random((cameras, frames, people)) < 0.9, np.arange(people), -1)
     shape = (frames, people, joints)
     full = np.broadcast_to(1.0, shape)
     numbers = np.arange(frames)

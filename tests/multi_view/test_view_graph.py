@@ -289,6 +289,7 @@ def test_run_writes_each_group_and_says_so(tool, tmp_path):
         "poses3d.h5",
         "poses3d_0.csv",
         "poses3d_1.csv",
+        "report.html",
         "run.json",
     }
     assert {file.name for file in out.iterdir()} == plain | {"group_2", "notes.txt"}

@@ -9,8 +9,6 @@ from mocap_calib_cli import options, values
 
 if TYPE_CHECKING:
     from mocap_calib.html_report.source import Reference
-    from mocap_calib.job.reports import ResultsFolder
-    from mocap_calib.job.request import KeypointSource
 
 
 @click.command(name="report")
@@ -54,9 +52,10 @@ def command(
       mocap-calib report out keypoints/
     """
     from mocap_calib.io.results.group import PAGE
-    from mocap_calib.job.reports import note_page, open_results, read_source, write_page
+    from mocap_calib.job.reports import open_results
     from mocap_calib_cli import outputs
     from mocap_calib_cli.progress import Reporter
+    from mocap_calib_cli.results_page import draw_results
 
     first = open_results(Path(results))
     whole = output is None and first.number == 0
@@ -66,17 +65,7 @@ def command(
     other = _read_reference(reference)
     reporter = Reporter(quiet=shared.quiet)
     for folder in folders:
-        source = read_source(
-            folder,
-            _keypoints_of(folder, shared),
-            insist=bool(shared.keypoints),
-            reference=other,
-        )
-        path = output or folder.path / PAGE
-        write_page(source, path)
-        if output is None:
-            note_page(folder)
-        reporter.say(*source.notes, f"report in {path}")
+        reporter.say(*draw_results(folder, shared, output, other))
 
 
 def _read_reference(path: str | None) -> "Reference | None":
@@ -88,14 +77,3 @@ def _read_reference(path: str | None) -> "Reference | None":
         return None
     rig, _ = inputs.read_rig(path, "--reference")
     return Reference(path, rig)
-
-
-def _keypoints_of(
-    folder: "ResultsFolder", shared: options.SharedOptions
-) -> "KeypointSource | None":
-    """Return where the keypoints of a run are, and how they are read; None: nobody says."""
-    from mocap_calib_cli import inputs
-    from mocap_calib_cli.reading import options_of_reading
-
-    read = options_of_reading(folder.run.get("reading", {}), shared)
-    return inputs.keypoint_source(read) if read.keypoints else None
