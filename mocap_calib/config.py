@@ -977,6 +977,8 @@ class ReportConfig:
         that run.json may take. share_of_bodies: of what is left after all else, the rest is for
         detections.
     stretch: frames that follow each other, where not all are shown, and least_stretches of them.
+    full: share of the room for bodies or detections that is enough, and fillings: how often it is
+        tried to fill it.
     step: that positions are rounded to, in sizes of a body (distance of a joint from its middle).
     pixel_step: that detections are rounded to. residual_step: the same of mean errors, in pixels.
     mantissa_bits: of numbers in single precision.
@@ -992,6 +994,8 @@ class ReportConfig:
     share_of_bodies: float = 0.6
     stretch: int = 60
     least_stretches: int = 8
+    full: float = 0.7
+    fillings: int = 5
     step: float = 0.002
     pixel_step: float = 0.25
     residual_step: float = 0.01

@@ -23,9 +23,9 @@ from mocap_calib.html_report.checks import CHECK_MEANINGS
 from mocap_calib.html_report.encode import MISSING, pack, pack_floats, pack_text, to_script
 from mocap_calib.html_report.frames import choose_frames, quantiles, starts_of_stretches
 from mocap_calib.html_report.page import report_page
-from mocap_calib.html_report.source import Reference, Seen
+from mocap_calib.html_report.source import Reference
 from mocap_calib.multi_view.explained import Leftover
-from mocap_calib.types import CameraRig, Matches
+from mocap_calib.types import CameraRig
 
 ROOT = Path(__file__).parents[1]
 LIMIT = 3_000_000  # bytes

@@ -1,12 +1,13 @@
 """The bodies in space, as many frames of them as there is room for."""
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from mocap_calib.config import ReportConfig
-from mocap_calib.html_report.encode import pack, packed_size, quantise, small_ints
-from mocap_calib.html_report.frames import choose_frames, starts_of_stretches
+from mocap_calib.html_report.encode import pack, quantise, small_ints
+from mocap_calib.html_report.frames import fill_room, starts_of_stretches
 from mocap_calib.html_report.source import ReportSource
 from mocap_calib.types import Floats, Ints, Poses3D
 
@@ -22,14 +23,8 @@ def describe_bodies(
     """
     poses = source.poses
     total, bodies, joints = poses.positions.shape[:3]
-    count = min(total, 2 * room // max(1, 7 * bodies * joints))
-    while True:
-        index = choose_frames(total, count)
-        packed = _pack_poses(poses, index)
-        size = packed_size(packed)
-        if size <= room or not count:
-            break
-        count = int(0.95 * len(index) * room / size)
+    guess = 2 * room // max(1, 7 * bodies * joints)
+    packed, index = fill_room(partial(_pack_poses, poses), total, guess, room)
     return {
         **packed,
         "total": total,

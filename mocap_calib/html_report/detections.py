@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.config import ReportConfig
-from mocap_calib.html_report.encode import pack, packed_size, quantise, small_ints
-from mocap_calib.html_report.frames import choose_frames
+from mocap_calib.html_report.encode import pack, quantise, small_ints
+from mocap_calib.html_report.frames import fill_room
 from mocap_calib.html_report.source import Seen
 from mocap_calib.types import Ints
 
@@ -21,18 +21,15 @@ def describe_detections(seen: Seen, shown: Ints, room: int) -> dict[str, Any] | 
     recording = seen.recording
     of_all = max(1, int(np.isfinite(recording.positions[:, shown, ..., 0]).any(-1).sum()))
     each = of_all * (4 * len(recording.keypoints) + 6) / max(1, len(shown))
-    count = min(len(shown), int(2 * room / each))
-    while count:
-        places = choose_frames(len(shown), count)
+
+    def pack_frames(places: Ints) -> dict[str, Any]:
         cameras = [
             _pack_camera(seen, view, shown[places]) for view in range(len(recording.cameras))
         ]
-        packed = {"frames": pack(small_ints(places), delta=0), "cameras": cameras}
-        size = packed_size(packed)
-        if size <= room:
-            return packed
-        count = int(0.95 * len(places) * room / size)
-    return None
+        return {"frames": pack(small_ints(places), delta=0), "cameras": cameras}
+
+    packed, index = fill_room(pack_frames, len(shown), int(2 * room / each), room)
+    return packed if len(index) else None
 
 
 def _pack_camera(seen: Seen, view: int, index: Ints) -> dict[str, Any]:

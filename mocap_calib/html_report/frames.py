@@ -1,8 +1,12 @@
 """Which frames of a long recording a report shows: stretches in which frames follow each other."""
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 
 from mocap_calib.config import ReportConfig
+from mocap_calib.html_report.encode import packed_size
 from mocap_calib.types import Floats, Ints
 
 _CONFIG = ReportConfig()
@@ -24,6 +28,28 @@ def starts_of_stretches(index: Ints) -> list[int]:
     if not len(index):
         return []
     return [0, *(np.flatnonzero(np.diff(index) > 1) + 1).tolist()]
+
+
+def fill_room(
+    pack: Callable[[Ints], dict[str, Any]], total: int, guess: int, room: int
+) -> tuple[dict[str, Any], Ints]:
+    """Return what was packed of about as many of `total` frames as fit, and their indices.
+
+    pack: of frames `[frame]` (indices); of none it is taken to fit. guess: how many may fit.
+    room: bytes that there are.
+    """
+    count, best = min(total, guess), 0
+    packed, index = pack(choose_frames(total, 0)), choose_frames(total, 0)
+    for _ in range(_CONFIG.fillings):
+        tried_index = choose_frames(total, count)
+        tried = pack(tried_index)
+        size = packed_size(tried)
+        if best < len(tried_index) and size <= room:
+            packed, index, best = tried, tried_index, len(tried_index)
+        if size <= room and (count >= total or size > _CONFIG.full * room):
+            break
+        count = min(total, int(0.95 * len(tried_index) * room / size))
+    return packed, index
 
 
 def split_evenly(count: int, bins: int) -> Ints:
