@@ -9,7 +9,8 @@ const TRAIL = 40;
 
 export interface BodyOptions {
   trails: boolean;
-  shadows: boolean;
+  /** Whether there is time for wide trails and for shadows. */
+  detail: boolean;
   follow: number;
 }
 
@@ -24,14 +25,16 @@ export class BodyModel {
     const { individuals, edges } = recording;
     this.bones = new Lines(individuals.length * edges.length, 3.5);
     this.trails = new Lines(individuals.length * TRAIL, 2);
-    this.shadows = new Lines(individuals.length * edges.length, 4, 0.99);
+    this.shadows = new Lines(individuals.length * edges.length, 4, true);
     this.group.add(this.shadows.object, this.trails.object, this.bones.object);
   }
 
   /** Draw all bodies at a frame. */
-  update(frame: number, { trails, shadows, follow }: BodyOptions): void {
+  update(frame: number, { trails, detail, follow }: BodyOptions): void {
     const ground = channels(colour("stage"));
     const shade = blend(ground, channels(colour("ink")), 0.12);
+    const shadows = detail && this.recording.floor !== null;
+    this.trails.wide = detail;
     for (const lines of [this.bones, this.trails, this.shadows]) lines.clear();
     this.recording.individuals.forEach((_, index) => {
       const own = channels(ofIndividual(index));

@@ -37,7 +37,7 @@ function words(value: Json | undefined): string {
   if (value === null || value === undefined) return "–";
   if (typeof value === "number") return format(value);
   if (typeof value === "boolean") return value ? "yes" : "no";
-  return typeof value === "string" ? value : JSON.stringify(value);
+  return typeof value === "string" && value ? value : JSON.stringify(value);
 }
 
 /** Return an element that shows the value at a path of run.json, with its explanation.

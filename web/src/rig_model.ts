@@ -9,6 +9,16 @@ import { colour } from "./theme";
 
 const STEPS = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000];
 
+/** More cameras have ellipsoids of fewer faces. */
+const MANY = 12;
+
+export interface RigOptions {
+  ellipsoids: boolean;
+  reference: boolean;
+  /** Whether there is time for wide lines. */
+  detail: boolean;
+}
+
 export class RigModel {
   readonly group = new Group();
   readonly size: number;
@@ -27,7 +37,7 @@ export class RigModel {
     this.reference = new Lines(10 * references, 1.5);
     this.factors = cameras.map((camera) => (camera.covariance ? rootOf(camera.covariance) : null));
     const material = new MeshBasicMaterial({ transparent: true, opacity: 0.35, depthWrite: false });
-    this.ellipsoids = new InstancedMesh(new SphereGeometry(1, 20, 14), material, Math.max(1, cameras.length));
+    this.ellipsoids = new InstancedMesh(new SphereGeometry(1, ...(cameras.length > MANY ? [10, 7] : [24, 16])), material, Math.max(1, cameras.length));
     this.ellipsoids.frustumCulled = false;
     this.group.add(this.frusta.object, this.reference.object, this.ellipsoids);
     this.exaggeration = this.usualExaggeration();
@@ -42,9 +52,10 @@ export class RigModel {
   }
 
   /** Draw the cameras that stand here at a frame, the chosen one apart. */
-  update(chosen: number, frame: number, { ellipsoids = true, reference = true } = {}): void {
+  update(chosen: number, frame: number, { ellipsoids, reference, detail }: RigOptions): void {
     const { recording } = this;
     const [usual, accent, warn, faint] = ["ink", "accent", "bad", "muted"].map((name) => channels(colour(name)));
+    this.frusta.wide = this.reference.wide = detail;
     this.frusta.clear();
     recording.cameras.forEach((camera, view) => {
       if (!standsAt(camera, frame)) return;

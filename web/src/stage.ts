@@ -8,27 +8,27 @@ import { ofIndividual } from "./palette";
 import type { Player } from "./player";
 import { middleOf, type Recording } from "./recording";
 import { niceStep } from "./charts";
-import { RigModel, standsAt } from "./rig_model";
+import { RigModel, standsAt, type RigOptions } from "./rig_model";
 import { colour, onTheme } from "./theme";
 
 // colours are those of the style, as they are
 ColorManagement.enabled = false;
 
 const SLOW_MS = 36;
+/** More cameras or individuals are drawn with less detail by a processor. */
+const MANY = 12;
 const KEYS: Record<string, [number, number]> = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
-export interface StageOptions {
+export interface StageOptions extends RigOptions {
   trails: boolean;
   names: boolean;
-  ellipsoids: boolean;
-  reference: boolean;
 }
 
 export class Stage {
   readonly canvas = h("canvas", { class: "gl", tabindex: 0, role: "application" });
   private readonly overlay = h("canvas", { class: "labels", "aria-hidden": "true" });
   readonly host = h("div", { class: "stage" }, this.canvas, this.overlay);
-  readonly options: StageOptions = { trails: true, names: true, ellipsoids: true, reference: true };
+  readonly options: StageOptions = { trails: true, names: true, ellipsoids: true, reference: true, detail: true };
   readonly rig: RigModel;
   private readonly bodies: BodyModel;
   private readonly renderer: WebGLRenderer;
@@ -40,7 +40,6 @@ export class Stage {
   private home = new Vector3();
   private ratios: number[];
   private pending = false;
-  private shadows = true;
   private lastDrawn = 0;
   /** Whether cameras stand elsewhere later. */
   private readonly moves: boolean;
@@ -49,8 +48,11 @@ export class Stage {
 
   /** Throws where the browser has no WebGL. */
   constructor(private readonly recording: Recording, private readonly player: Player) {
-    const ratio = Math.min(devicePixelRatio || 1, 2);
-    this.renderer = new WebGLRenderer({ canvas: this.canvas, antialias: !isSoftware(), powerPreference: "high-performance" });
+    const software = isSoftware();
+    const ratio = software ? 1 : Math.min(devicePixelRatio || 1, 2);
+    const { cameras, individuals } = recording;
+    this.options.detail = !(software && (cameras.length > MANY || individuals.length > MANY));
+    this.renderer = new WebGLRenderer({ canvas: this.canvas, antialias: !software, powerPreference: "high-performance" });
     this.renderer.outputColorSpace = LinearSRGBColorSpace;
     this.ratios = [ratio, 1, 0.75, 0.5].filter((each, i) => i === 0 || each < ratio);
     this.view.up.set(0, 0, 1);
@@ -232,7 +234,7 @@ export class Stage {
     this.lastDrawn = now;
     const { player } = this;
     if (player.follow >= 0) this.moveTo(middleOf(this.recording, player.follow, player.index));
-    this.bodies.update(player.index, { trails: this.options.trails, shadows: this.shadows && !!this.recording.floor, follow: player.follow });
+    this.bodies.update(player.index, { ...this.options, follow: player.follow });
     this.renderer.setClearColor(new Color(colour("stage")));
     this.renderer.render(this.scene, this.view);
     this.drawLabels();
@@ -248,17 +250,20 @@ export class Stage {
     this.view.updateMatrixWorld();
   }
 
-  /** Lower the detail where drawing takes too long: fewer pixels first, then no shadows. */
+  /** Lower the detail where drawing takes too long: thin lines first, then fewer pixels. */
   private adapt(milliseconds: number): void {
     this.slow.push(milliseconds);
     if (this.slow.length < 12) return;
     const usual = this.slow.slice(2).reduce((sum, each) => sum + each, 0) / (this.slow.length - 2);
     this.slow = [];
     if (usual < SLOW_MS) return;
-    if (this.ratios.length > 1) {
+    if (this.options.detail) {
+      this.options.detail = false;
+      this.refreshRig();
+    } else if (this.ratios.length > 1) {
       this.ratios.shift();
       this.resize();
-    } else this.shadows = false;
+    }
   }
 
   private drawLabels(): void {

@@ -73,5 +73,9 @@ export function startTooltip(root: HTMLElement): void {
   });
   document.addEventListener("focusout", hide);
   document.addEventListener("keydown", (event) => event.key === "Escape" && hide());
-  addEventListener("scroll", hide, { passive: true });
+  const stay = (): void => {
+    if (owner && owner === document.activeElement) place(tip, owner);
+    else hide();
+  };
+  addEventListener("scroll", stay, { passive: true });
 }
