@@ -57,6 +57,24 @@ def unpack_text(packed: dict[str, str]) -> str:
     return zlib.decompress(base64.b64decode(packed["text"])).decode()
 
 
+def timeless_page(page: str) -> str:
+    """Return a page without what tells the time, and without the name of its folder."""
+    data = page_data(page)
+    run = timeless_run(json.loads(unpack_text(data["run"])))
+    program = _DATA.sub("", page).replace(f"<title>{data['title']}", "<title>")
+    return program + json.dumps({**data, "run": run, "title": ""})
+
+
+def timeless_run(run: dict[str, Any]) -> dict[str, Any]:
+    """Return what run.json holds without what tells the time: the hash of the page does, too."""
+    assert run["seconds"] != {}
+    outputs = {
+        name: found for name, found in run.get("outputs", {}).items() if "report.html" not in name
+    }
+    left = {key: run[key] for key in run if key not in ("date", "seconds")}
+    return {**left, "outputs": outputs}
+
+
 if __name__ == "__main__":
     source = report_source(cameras=4, people=3, frames=120)
     Path(sys.argv[1]).write_text(report_page(source), encoding="utf-8", newline="\n")
