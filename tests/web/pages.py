@@ -32,7 +32,12 @@ class Shown:
 
     def __init__(self, browser: Any, file: Path, *, script: str = "", **options: Any) -> None:
         self.complaints: list[str] = []
-        self.context = browser.new_context(viewport={"width": 1440, "height": 900}, **options)
+        options = {
+            "viewport": {"width": 1440, "height": 900},
+            "reduced_motion": "reduce",
+            **options,
+        }
+        self.context = browser.new_context(**options)
         self.context.set_default_timeout(10_000)
         self.page = self.context.new_page()
         if script:

@@ -88,7 +88,7 @@ function jointBars(recording: Recording, view: number): HTMLElement {
         svg("rect", { x: 0, y: 1, width, height: 8 }))),
       h("td", { class: error > most ? "n warn" : "n" }, Number.isFinite(error) ? `${error.toFixed(1)} px` : "never"));
   });
-  return table("Median error of each joint", ["Joint", "", "Error"], rows, "tight");
+  return table("Median error of each joint", ["Joint", "Bar", "Error"], rows, "tight");
 }
 
 function pair(label: string, ...content: Child[]): HTMLElement {

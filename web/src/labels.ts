@@ -21,6 +21,19 @@ export function short(name: string, most = MOST): string {
   return name.length <= most ? name : `${name.slice(0, most - 8)}…${name.slice(-7)}`;
 }
 
+const widths = new Map<string, number>();
+
+/** Return how wide a text is; asking the canvas each time is slow. */
+export function widthOf(context: CanvasRenderingContext2D, text: string): number {
+  const key = `${context.font} ${text}`;
+  let width = widths.get(key);
+  if (width === undefined) {
+    width = context.measureText(text).width;
+    widths.set(key, width);
+  }
+  return width;
+}
+
 export function drawLabels(canvas: HTMLCanvasElement, labels: Label[]): void {
   const fitted = fit(canvas);
   if (!fitted) return;
@@ -34,7 +47,7 @@ export function drawLabels(canvas: HTMLCanvasElement, labels: Label[]): void {
   for (const label of order) {
     const text = short(label.text);
     context.font = label.badge ? "600 11px system-ui, sans-serif" : "500 12px system-ui, sans-serif";
-    const width = context.measureText(text).width + 8;
+    const width = widthOf(context, text) + 8;
     const box = [label.x - width / 2, label.y - 9, label.x + width / 2, label.y + 9] as [number, number, number, number];
     if (taken.some((other) => box[0] < other[2] && box[2] > other[0] && box[1] < other[3] && box[3] > other[1])) continue;
     taken.push(box);

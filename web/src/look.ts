@@ -2,12 +2,14 @@
 import { project } from "./camera_model";
 import type { RigCamera } from "./data";
 import { choice, fit, h } from "./dom";
-import { short } from "./labels";
+import { short, widthOf } from "./labels";
 import { ofIndividual } from "./palette";
 import type { Player } from "./player";
 import { offsetOf, type Recording } from "./recording";
 import { standsAt } from "./rig_model";
 import { colour, onTheme } from "./theme";
+
+const CROWD = 12;
 
 type Box = [number, number, number, number];
 
@@ -147,9 +149,11 @@ export class Look {
       context.lineTo(...this.at(u, v));
     }
     context.stroke();
+    // the joints of a crowd would hide each other, and take time
+    const most = this.recording.individuals.length > CROWD ? 0 : points.length;
     context.beginPath();
     const radius = dots ? 1.8 : 4;
-    for (let i = 0; i < points.length; i += 2) {
+    for (let i = 0; i < most; i += 2) {
       if (points[i] !== points[i]) continue;
       const [x, y] = this.at(points[i]!, points[i + 1]!);
       context.moveTo(x + radius, y);
@@ -176,7 +180,7 @@ export class Look {
     context.textBaseline = "middle";
     context.fillStyle = ofIndividual(individual);
     context.beginPath();
-    const width = context.measureText(text).width + 9;
+    const width = widthOf(context, text) + 9;
     context.roundRect(x - width / 2, y - 22, width, 15, 7);
     context.fill();
     context.fillStyle = colour("paper");

@@ -148,7 +148,7 @@ function checks({ run, checks: abouts }: Recording): HTMLElement {
   const list = run.verdict.checks;
   const failed = list.filter((check) => !check.passed).length;
   const open = failed > 0;
-  const heads = ["Check", "", term("Found", explain(["verdict", "checks", 0, "value"])), "Found, sound range, limit", "Sound recordings",
+  const heads = ["Check", "State", term("Found", explain(["verdict", "checks", 0, "value"])), "Found, sound range, limit", "Sound recordings",
     term("Limit", explain(["verdict", "checks", 0, "limit"])), "Camera"];
   return h(
     "details",
