@@ -4,10 +4,12 @@
 PYTHON ?= python3
 BIN := .venv/bin
 WORKERS := -n 2 --dist loadfile --no-loadscope-reorder  # the scenes of a file are made once
-# what is used is compiled when it is used: that is a small part of what is installed
+# what is used is compiled when it is used: that is a small part of what is installed. It is kept also
+# where the environment says otherwise: compiling takes several seconds of every process
+export PYTHONDONTWRITEBYTECODE :=
 INSTALL := $(BIN)/pip install --disable-pip-version-check --no-compile -c constraints.txt
 
-.PHONY: demo test test-quick fuzz lint benchmark cli-docs web clean
+.PHONY: demo test test-quick fuzz lint benchmark docs cli-docs web clean
 
 demo: .venv/installed
 	@echo "== three people, four cameras, nobody knows who is who =="
@@ -37,6 +39,10 @@ lint: .venv/tested
 benchmark: .venv/installed
 	$(BIN)/python benchmarks/recordings.py
 
+# the pages of docs/ as a site; warnings are errors
+docs: .venv/tested
+	$(BIN)/zensical build --clean --strict
+
 cli-docs: .venv/installed
 	$(BIN)/python docs/make_cli.py
 
@@ -56,4 +62,4 @@ web:
 	@touch $@
 
 clean:
-	rm -rf .venv out build dist *.egg-info
+	rm -rf .venv out build dist site *.egg-info

@@ -119,14 +119,7 @@ def peer(
     method: str, scratch: Path, recording: Sample, start: CameraRig, matches: Matches
 ) -> tuple[CameraRig, float, float]:
     """Return what `ours` does, of an adjustment in another environment."""
-    python = scratch / "peers" / "bin" / "python"
-    if not python.exists():
-        subprocess.run([sys.executable, "-m", "venv", scratch / "peers"], check=True)
-        subprocess.run(
-            [python, "-m", "pip", "install", "--quiet", "aniposelib==0.8.0"],
-            check=True,
-            stdout=sys.stderr,
-        )
+    python = peers_python(scratch)
     seen = gather_observations(recording, matches, np.arange(len(recording.frames)))
     problem = {
         "pixels": np.moveaxis(seen.pixels, 1, 2),
@@ -149,6 +142,19 @@ def peer(
             translation=result["translation"],
         )
         return found, float(result["seconds"]), float(result["processor"])
+
+
+def peers_python(scratch: Path) -> Path:
+    """Return the interpreter of an environment that has aniposelib; it is made where it lacks."""
+    python = scratch / "peers" / "bin" / "python"
+    if not python.exists():
+        subprocess.run([sys.executable, "-m", "venv", scratch / "peers"], check=True)
+        subprocess.run(
+            [python, "-m", "pip", "install", "--quiet", "aniposelib==0.8.0"],
+            check=True,
+            stdout=sys.stderr,
+        )
+    return python
 
 
 def figures(found: CameraRig, true: CameraRig) -> str:

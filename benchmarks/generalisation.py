@@ -19,10 +19,8 @@ import torch
 
 from mocap_calib.config import TrainConfig
 from mocap_calib.recording.joints import load_section, load_skeleton
-from mocap_calib.steerpose.checkpoint import load_lifter
-from mocap_calib.steerpose.completion import complete
-from mocap_calib.steerpose.model import Lifter
-from mocap_calib.steerpose.steer import steer
+from mocap_calib.steerpose.checkpoint import load_steerer
+from mocap_calib.steerpose.steer import Model, complete, steer
 from mocap_calib.steerpose.training.dataset import Synthesiser
 from mocap_calib.steerpose.training.poses import PoseSet, load_poses
 from mocap_calib.steerpose.training.train import train_lifter, training_config
@@ -42,7 +40,7 @@ def main() -> None:
     options = parser.parse_args()
     torch.set_num_threads(1)
     skeleton = load_skeleton("quadruped")
-    shared, _ = load_lifter("quadruped")
+    shared, _ = load_steerer("quadruped")
     config = training_config(load_section("quadruped", "training"))
     config = replace(
         config,
@@ -72,7 +70,7 @@ def main() -> None:
 
 @torch.no_grad()
 def displaced(
-    lifter: Lifter,
+    lifter: Model,
     poses: PoseSet,
     skeleton: Skeleton,
     config: TrainConfig,

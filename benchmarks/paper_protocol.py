@@ -30,7 +30,7 @@ from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.recording.sampling import take_sample
 from mocap_calib.recording.synchronise import make_recording
-from mocap_calib.steerpose.checkpoint import load_lifter
+from mocap_calib.steerpose.loading import load_lifter
 from mocap_calib.types import CameraRig, silent
 
 NOISE_PX = 3.0

@@ -19,7 +19,7 @@ from mocap_calib.config import (
 from mocap_calib.geometry.epipolar import pose_from_essential
 from mocap_calib.steerpose.checkpoint import load_steerer
 from mocap_calib.steerpose.lift import lift
-from mocap_calib.steerpose.model import Lifter
+from mocap_calib.steerpose.model import LifterModule, lifter_of
 from mocap_calib.steerpose.paper.batch import TwoViews
 from mocap_calib.steerpose.paper.solver import solve_pair, solve_pairs
 from mocap_calib.steerpose.rays import rays_by_joint
@@ -140,8 +140,9 @@ def ours(config: PairwiseConfig) -> Method:
     """Lift and search, as `mocap-calib pairwise` does; the seconds include the lifting."""
 
     def method(problems: Sequence[Problem], models: dict[str, Model]) -> Answers:
-        lifter = models["factorised"]
-        assert isinstance(lifter, Lifter)
+        module = models["factorised"]
+        assert isinstance(module, LifterModule)
+        lifter = lifter_of(module)
 
         def solve(problem: Problem) -> Found | None:
             lifted = lift(problem.recording, lifter, progress=silent)

@@ -32,7 +32,7 @@ from mocap_calib.io.cameras.own import format_calibration_toml
 from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.recording.synchronise import make_recording
-from mocap_calib.steerpose.checkpoint import load_lifter
+from mocap_calib.steerpose.loading import load_lifter
 from mocap_calib.synthetic import LAYOUTS, detect, people, ring_rig, simulate
 from mocap_calib.types import CameraRig, Floats, silent
 

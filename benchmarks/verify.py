@@ -26,8 +26,8 @@ from mocap_calib.multi_view.rig_covariance import rig_size
 from mocap_calib.multi_view.verify import verify_rig
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
 from mocap_calib.recording.synchronise import hide_blind_spots
-from mocap_calib.steerpose.checkpoint import choose_model
 from mocap_calib.steerpose.lift import lift
+from mocap_calib.steerpose.loading import choose_model
 from mocap_calib.types import CameraRig, LiftedPoses, Sample, silent
 
 TURNS_DEG = (1.0, 2.0, 5.0)

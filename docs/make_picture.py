@@ -13,12 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from mocap_calib.geometry.rotation import looking_along
 from mocap_calib.io.cameras.read import read_rig
 from mocap_calib.io.keypoints.read import read_keypoints
-from mocap_calib.io.poses.common import PoseFile
-from mocap_calib.io.poses.read import read_poses
-from mocap_calib.types import CameraRig, Floats, Keypoints2D
+from mocap_calib.io.poses.read import load_poses
+from mocap_calib.types import CameraRig, Floats, Keypoints2D, Poses3D
 
 ROOT = Path(__file__).parents[1]
 PICTURE = Path(__file__).with_name("three_people.svg")
@@ -27,8 +25,8 @@ TRAIL = 100  # frames before it whose paths are drawn
 WIDTH, HEIGHT = 960, 500
 PANEL = (187, 105)  # width and height of an image at the left
 SCENE = (592, 312)  # where the middle of the floor is
-METRE = 56  # pixels of the picture
-AZIMUTH, ELEVATION = np.radians(-6), np.radians(24)
+METRE = 50  # pixels of the picture
+AZIMUTH, ELEVATION = np.radians(-35), np.radians(24)
 COLOURS = ("#0072b2", "#d55e00", "#009e73")  # told apart by colour-blind people too
 GREY, PALE, DARK = "#7a7a7a", "#e4e4e4", "#333333"
 
@@ -40,31 +38,25 @@ def main() -> None:
     )
     parser.add_argument("out", nargs="?", type=Path, default=ROOT / "out" / "demo")
     folder = parser.parse_args().out
-    rig, poses = read_rig(folder / "cameras.yaml"), read_poses(folder / "poses3d.h5")
+    rig, poses = read_rig(folder / "cameras.yaml"), load_poses(folder / "poses3d.h5")
     views = read_keypoints([ROOT / "examples" / "three_people" / "keypoints"])
-    marks = [*draw_views(views, poses.edges), *draw_scene(*put_on_floor(rig, poses), poses.edges)]
+    marks = [
+        *draw_views(views, poses.edges),
+        *draw_scene(*of_human_size(rig, poses.poses), poses.edges),
+    ]
     style = 'font-family="sans-serif" stroke-linecap="round" stroke-linejoin="round"'
     head = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}" {style}>'
     background = f'<rect width="{WIDTH}" height="{HEIGHT}" fill="#ffffff"/>'
     PICTURE.write_text("\n".join([head, background, *marks, "</svg>", ""]), "utf-8")
 
 
-def put_on_floor(rig: CameraRig, poses: PoseFile) -> tuple[CameraRig, Floats]:
-    """Return the cameras and `[frame, individual, keypoint, 3]` positions with z up, feet at 0.
+def of_human_size(rig: CameraRig, poses: Poses3D) -> tuple[CameraRig, Floats]:
+    """Return the cameras and `[frame, individual, keypoint, 3]` positions, people of 1.7 high.
 
-    Up is opposite to the mean of the cameras' y axes, as they stand around the scene. Lengths are
-    those of a person of 1.7.
+    The run found the floor: z is up, and the floor is at 0.
     """
-    up = -rig.rotation[:, 1].mean(0)
-    turn = looking_along(up[None] / np.linalg.norm(up), np.array([0.0, 1.0, 0.0]))[0]
-    positions = poses.poses.positions @ turn.T
-    low, high = np.nanpercentile(positions[..., 2], [1, 99])
-    middle = np.append(np.nanmedian(positions[..., :2], axis=(0, 1, 2)), low)
-    scale = 1.7 / (high - low)
-    rotation = rig.rotation @ turn.T
-    translation = scale * (rig.translation + rotation @ middle)
-    upright = CameraRig(rig.cameras, rotation, translation, "m")
-    return upright, scale * (positions - middle)
+    scale = 1.7 / np.nanpercentile(poses.positions[..., 2], 99)
+    return rig.scale(scale, "m"), scale * poses.positions
 
 
 # --- the left: what goes in
@@ -90,7 +82,7 @@ def draw_views(views: Sequence[Keypoints2D], edges: Iterable[tuple[int, int]]) -
 def draw_scene(rig: CameraRig, positions: Floats, edges: Iterable[tuple[int, int]]) -> list[str]:
     """Return marks of the floor, the cameras and the people, those behind first.
 
-    positions: `[frame, individual, keypoint, 3]`, z up, as `put_on_floor` gives them.
+    positions: `[frame, individual, keypoint, 3]`, z up, as `of_human_size` gives them.
     """
     marks = [text(330, 30, "Out: cameras, who is who, 3D poses", size=17), *draw_floor(rig)]
     now = positions[FRAME]

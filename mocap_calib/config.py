@@ -6,6 +6,8 @@ from typing import Literal, get_args
 LIFT_CONFIDENCE = 0.4  # of a view's best confidence: joints below it are hidden from the network
 LIFT_BEST_PERCENTILE = 90.0  # of a view's confidences: the view's best
 LIFT_UPRIGHT_SAMPLE = 128  # detections of a view that tell which way is down in its images
+LIFT_UPRIGHT_FIRST = 16  # of them, which tell by themselves where they are sure
+LIFT_UPRIGHT_LEAD = 1.25  # where the second best direction is less sure by so much, they are
 LIFT_LEAST_DEPTH = 0.5  # body sizes: no body is nearer to a camera
 LIFT_LEAST_FORWARD = 0.1  # z of a unit ray in the virtual camera: what is beside it stays finite
 
@@ -525,10 +527,13 @@ class PosesConfig:
         where nothing over time helps. Measured: MVOR has 0.455 of its joints with it, 0.436
         without. In motions interpolated points are better: with 10 % of wrong detections, errors
         at refused points are 0.01 m, and 0.15 m from such a start.
-    loss: of angles between rays and points, in standard deviations; prior_loss: of accelerations
-        and of bones: most are small, some large. Measured on ten recordings: with 2 or 3 for
-        `loss` errors change by at most 2.7 %; with 3 for `prior_loss` by +5 % of HumanEva, +2.5 %
-        of two dogs, at most 1 % of the others.
+    losses: of angles between rays and points, in standard deviations, among which held-out
+        detections choose, for normal errors first. Chosen: the second for most detectors; it would
+        cost projected recordings 2 to 3 %. first_loss: how much wider it is at the first step;
+        half of that at each that follows.
+    prior_loss: of accelerations and of bones: most are small, some large. Measured on ten
+        recordings: with 3 errors change by +5 % of HumanEva, +2.5 % of two dogs, at most 1 % of the
+        others.
     accelerations, bones: standard deviations among which, and none, held-out detections choose,
         the largest first. Chosen: 0.2 to 0.008 of motions at 10 to 60 frames a second.
     least_hidden: detections; with fewer, accelerations are allowed as large as those of the
@@ -546,7 +551,8 @@ class PosesConfig:
 
     smooth: SmoothMode = "auto"
     alone_outlier: float = 8.0
-    loss: float = 2.5
+    losses: tuple[float, ...] = (2.5, 1.5)
+    first_loss: float = 4.0
     prior_loss: float = 2.0
     accelerations: tuple[float, ...] = tuple(0.4 / 2**k for k in range(11))
     bones: tuple[float, ...] = (0.1, 0.05, 0.025, 0.012)
@@ -1147,8 +1153,10 @@ class CueConfig:
     """How lengths are measured that somebody knows.
 
     head_height: of a point of the head over the floor, in statures. Measured against the heads of
-        the references: head_top 1.00 to 1.06, eyes 0.94 to 0.98; anatomy has eyes at 0.936
-        (Drillis and Contini 1966).
+        the references: head_top 1.00 to 1.06, eyes 0.94 to 0.98. Beside anatomy (Drillis and
+        Contini 1966: eyes at 0.936 statures, the vertex at 1, ankles at 0.039, hips at 0.530):
+        from the ankle, 0.12 legs over the sole here, eyes are at 0.891 statures for 0.897, the
+        top of the head at 0.971 for 0.961.
     standing_quantile: of the heights of who stands: walkers bob. least_frames: that somebody
         stands in, or that a length is seen in.
     height_sigma: relative, of a stature, and length_sigma: of a length between joints, that stay
@@ -1405,6 +1413,13 @@ class SimulateConfig:
         """From the middle of the room to the cameras."""
         return USUAL_RADIUS * self.scale if self.radius is None else self.radius
 
+
+# recordings to begin with (`mocap-calib example`), each made within a second
+EXAMPLES = {
+    "people": SimulateConfig(people=2, frames=100, distortion="brown"),
+    "dog": SimulateConfig(people=0, animals=(("quadruped", 1),), frames=100, distortion="brown"),
+    "mouse": SimulateConfig(people=0, animals=(("rodent", 1),), frames=100, distortion="brown"),
+}
 
 USUAL_RADIUS = 4.5  # metres from the middle of a room for people to the cameras
 CAMERA_HEIGHT = 2.2  # metres in a room for people: above people's heads, as cameras hang in rooms

@@ -185,6 +185,8 @@ def _write_result(
             )
     check_formats(formats, fps, unit)
     groups = write_result(path, result, inputs={}, described={}, formats=formats, fps=fps)
+    for error in groups[0].refused.values():
+        raise error
     return tuple(note for group in groups for note in group.notes)
 
 

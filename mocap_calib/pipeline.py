@@ -39,10 +39,10 @@ from mocap_calib.recording.assumed import choose_refinement
 from mocap_calib.recording.retiming import retime
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
 from mocap_calib.recording.synchronise import hide_blind_spots
-from mocap_calib.steerpose.checkpoint import AUTO, choose_model
 from mocap_calib.steerpose.device import check_device
 from mocap_calib.steerpose.lift import lift
-from mocap_calib.steerpose.model import Lifter
+from mocap_calib.steerpose.lifter import Lifter
+from mocap_calib.steerpose.loading import AUTO, choose_model
 from mocap_calib.steerpose.remembered import RememberedLift
 from mocap_calib.two_view.solve import PairSolver, calibrate_pairs
 from mocap_calib.types import (
@@ -57,7 +57,8 @@ from mocap_calib.types import (
     UnusedPair,
     silent,
 )
-from mocap_calib.world.place import check_world, place_result
+from mocap_calib.world.asked import check_world
+from mocap_calib.world.place import place_result
 
 
 def calibrate(
@@ -77,7 +78,7 @@ def calibrate(
     The rigs are found from a sample of the frames, whose size does not depend on the length of
     the recording. The result does not depend on the number of threads.
 
-    model: lifts the detections, as `steerpose.checkpoint.choose_model` takes it: "auto", the name
+    model: lifts the detections, as `steerpose.loading.choose_model` takes it: "auto", the name
         of a shipped model, a file of weights, "none" for geometry alone, or a loaded lifter.
     refine: which intrinsics are estimated, "none", "focal" or "focal+k1"; None: what `config` says,
         or focal lengths and lenses where nothing is known of the cameras (`AssumedCamera`).
@@ -90,10 +91,11 @@ def calibrate(
     does not determine are left out. Raises FormatError where there is no such model, and
     MismatchError where there is no such device, the model knows too few of the joints,
     intrinsics that nobody knows are not to be estimated, or coordinates and known lengths
-    (`config.world`) cannot be had: see `world.place`.
+    (`config.world`) are asked for that the recording has no names for: see `world.asked`. What else
+    of them cannot be had, `World.axes_unmet` and `World.scale_unmet` of the rigs say.
     """
     check_device(device)
-    check_world(config.world, recording)
+    check_world(config.world, recording, config.matching.individuals)
     intrinsics = choose_refinement(recording.cameras, config.intrinsics, refine)
     config = replace(config, intrinsics=intrinsics)
     recording, lifter = choose_model(recording, model)

@@ -263,6 +263,7 @@ def _describe_poses(group: GroupResult) -> dict[str, Any]:
     return {
         "acceleration_sigma": finite_or_none(smoothing.acceleration),
         "bone_sigma": finite_or_none(smoothing.bones),
+        "loss": finite_or_none(smoothing.loss),
         "held_out_error": finite_or_none(smoothing.held_out),
         "held_out_error_raw": finite_or_none(smoothing.held_out_raw),
         **{

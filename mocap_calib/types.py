@@ -20,6 +20,7 @@ from mocap_calib.wording import count
 
 if TYPE_CHECKING:
     import xarray
+    from plotly.graph_objects import Figure
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -39,7 +40,7 @@ WorldKind = Literal["not known", "camera", "floor", "file", "landmarks"]
 WORLD_KINDS: tuple[WorldKind, ...] = get_args(WorldKind)
 
 # what a 3D point is made of, by the number that `Poses3D.source` has for it
-PointSource = Literal["missing", "triangulated", "one view", "model", "interpolated"]
+PointSource = Literal["missing", "triangulated", "one view", "interpolated"]
 POINT_SOURCES: tuple[PointSource, ...] = get_args(PointSource)
 
 NO_FRAME = np.iinfo(np.int64).min  # the number of a frame that a camera does not have
@@ -289,7 +290,7 @@ class MeasuredCue:
 
     text: what it is of, as "height of 0". metres: as it is known. measured: the same in metres, as
     the results have it. sigma: relative standard deviation of its ratio, all told. residual: how
-    many standard deviations it is longer than the other cues say, 0 where there is none.
+    many standard deviations it is longer than the other cues say, NaN where there is none.
     """
 
     text: str
@@ -297,6 +298,17 @@ class MeasuredCue:
     measured: float
     sigma: float
     residual: float
+
+
+@dataclass(frozen=True)
+class MeasuredLandmark:
+    """A point whose place is known, and how far from it cameras see it.
+
+    distance: in metres; NaN = no two cameras agree on where it is, and it was not used.
+    """
+
+    name: str
+    distance: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -311,8 +323,11 @@ class World(Record):
     floor: `[3]` a point of the floor, NaN = not known. floor_sigma: standard deviation of its
         height in the unit.
     scale_sigma: relative standard deviation of lengths, NaN = arbitrary or not known.
-    remarks: how it was found, or why it was not, a line each.
+    remarks: how axes and floor were found, or why they were not, a line each.
     cues: what the scale follows from, where it follows from known lengths.
+    landmarks: what the axes and the scale follow from, where they follow from known points.
+    axes_unmet, scale_unmet: why axes or lengths are not those that were asked for, in a line; "" =
+        they are.
     """
 
     kind: WorldKind = "not known"
@@ -324,6 +339,9 @@ class World(Record):
     scale_sigma: float = np.nan
     remarks: tuple[str, ...] = ()
     cues: tuple[MeasuredCue, ...] = ()
+    landmarks: tuple[MeasuredLandmark, ...] = ()
+    axes_unmet: str = ""
+    scale_unmet: str = ""
 
     def __post_init__(self) -> None:
         self._copy("world", "up", float, 3)
@@ -371,6 +389,12 @@ class CameraRig(Record):
         lines = [f"  {camera.name}: {camera._describe()}" for camera in self]
         title = f"CameraRig of {count(len(self), 'camera')}, {_describe_unit(self.unit)}"
         return "\n".join([title, *lines])
+
+    def _repr_html_(self) -> str:
+        """Return the table that notebooks show."""
+        from mocap_calib.notebook.tables import describe_rig
+
+        return describe_rig(self)
 
     def __len__(self) -> int:
         return len(self.cameras)
@@ -1249,8 +1273,9 @@ class Smoothing:
     """How best estimates of poses were made of what was seen.
 
     acceleration, bones: standard deviations of accelerations (in the square of the usual step
-        between frames) and of the lengths of bones that were allowed, in body sizes; infinite = no
-        limit, which is how it is where nothing was smoothed.
+        between frames) and of the lengths of bones, beyond what they vary by, that were allowed, in
+        body sizes; infinite = no limit, which is how it is where nothing was smoothed.
+    loss: error of a ray, in standard deviations, that counts by half; NaN = nothing was smoothed.
     held_out, held_out_raw: how badly detections that were not shown are predicted, with these and
         without, as `poses.held_out` measures it; NaN where there was nothing to hide.
     outliers: detections that were dropped since they are far from the estimates.
@@ -1259,6 +1284,7 @@ class Smoothing:
 
     acceleration: float = np.inf
     bones: float = np.inf
+    loss: float = np.nan
     held_out: float = np.nan
     held_out_raw: float = np.nan
     outliers: int = 0
@@ -1323,6 +1349,24 @@ class GroupResult(Record):
     def __repr__(self) -> str:
         return f"GroupResult({self._describe()})"
 
+    def _repr_html_(self) -> str:
+        """Return the verdict and the table that notebooks show."""
+        from mocap_calib.notebook.tables import describe_group
+
+        return describe_group(self)
+
+    def plot(self, *, moments: int = 60) -> "Figure":
+        """Return a figure of plotly: cameras with their names, floor, and bodies with a slider.
+
+        moments: how many frames the slider has at most; they are spread over the recording.
+
+        Raises MismatchError where the package plotly, an extra, is absent, and ValueError for no
+        moment.
+        """
+        from mocap_calib.notebook.figure import draw_group
+
+        return draw_group(self, moments)
+
     @property
     def rig(self) -> CameraRig:
         """The adjusted rig, with the verdict on it among its `judgement`."""
@@ -1378,6 +1422,16 @@ class CalibrationResult(Record):
             lines.append(f"  left out: {', '.join(self.left_out)}")
         title = f"CalibrationResult of {count(len(self.groups), 'group')} of cameras"
         return "\n".join([title, *lines])
+
+    def _repr_html_(self) -> str:
+        """Return the verdicts and the tables that notebooks show."""
+        from mocap_calib.notebook.tables import describe_result
+
+        return describe_result(self)
+
+    def plot(self, *, moments: int = 60) -> "Figure":
+        """Return a figure of the largest group of cameras, see `GroupResult.plot`."""
+        return self.groups[0].plot(moments=moments)
 
 
 # --- what a second look says of a calibration

@@ -9,11 +9,13 @@ import atexit
 import importlib
 import json
 import os
+import pkgutil
 import socket
 import subprocess
 import sys
 import threading
 import traceback
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NoReturn
@@ -21,15 +23,12 @@ from typing import NoReturn
 from mocap_calib.compute import BLAS_THREADS
 
 # what the commands import; the thread pools of these start when they are first used, not here
-PRELOADED = (
-    "cv2",
-    "h5py",
-    "mocap_calib.job.steps",
-    "mocap_calib_cli.main",
-    "rich.progress",
-    "scipy.optimize",
-    "scipy.sparse.linalg",
-    "torch",
+PROGRAM = ("mocap_calib", "mocap_calib_cli")
+LIBRARIES = ("rich.progress", "scipy.optimize", "torch")
+NOT_PRELOADED = (
+    "mocap_calib.compute.cluster",  # imports Dask, which few need
+    "mocap_calib.io.poses.blender_scene",  # is for Blender's own Python
+    "mocap_calib_cli.__main__",  # runs the command
 )
 
 
@@ -93,11 +92,19 @@ def _write(descriptor: int, text: str) -> None:
         pass
 
 
+def list_modules() -> Iterator[str]:
+    """Yield the modules of the program, which are found by importing its packages."""
+    for package in map(importlib.import_module, PROGRAM):
+        for found in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            if found.name not in NOT_PRELOADED:
+                yield found.name
+
+
 def serve(connection: socket.socket) -> None:
     """Fork a process for each command that comes through the connection."""
     for name in BLAS_THREADS:
         os.environ.setdefault(name, "1")  # as the command does before numpy is imported
-    for module in PRELOADED:
+    for module in (*LIBRARIES, *list_modules()):
         importlib.import_module(module)
     while True:
         head, descriptors, _, _ = socket.recv_fds(connection, 4, 3)

@@ -11,8 +11,8 @@ from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.recording.sampling import take_sample
 from mocap_calib.recording.synchronise import make_recording
-from mocap_calib.steerpose.checkpoint import load_lifter
 from mocap_calib.steerpose.lift import lift
+from mocap_calib.steerpose.loading import load_lifter
 from mocap_calib.synthetic import Scene, simulate
 from mocap_calib.types import (
     CalibrationResult,
@@ -57,8 +57,9 @@ def calibrate_group(recording: Recording, *, seed: int = 0, **options) -> GroupR
     return group
 
 
-def calibrated(seed: int = 0, **changes) -> GroupResult:
-    return calibrate_group(recording(**changes), seed=seed)
+@lru_cache
+def calibrated(**changes) -> GroupResult:
+    return calibrate_group(recording(**changes))
 
 
 def truth(**changes) -> Matches:

@@ -5,7 +5,6 @@ import re
 import warnings
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ from mocap_calib.multi_view.observations import gather_observations
 from mocap_calib.multi_view.triangulation import project
 from mocap_calib.multi_view.verdict import judge_group
 from mocap_calib.report import run_report
-from mocap_calib.types import CalibrationResult, Clocks, GroupResult, TimeOffsets
+from mocap_calib.types import CalibrationResult, Clocks, TimeOffsets
 from mocap_calib_cli.describe import describe_group
 
 DESCRIPTION = Path(__file__).parents[1] / "docs" / "run-json.md"
@@ -29,11 +28,6 @@ BY_NAME = {
 }
 STATISTIC = {"median", "max", "p95"}
 NAMES = tuple(enumerate(("cam1", "cam2", "cam3", "cam4")))
-
-
-@lru_cache
-def sound_group() -> GroupResult:
-    return calibrated()
 
 
 def described() -> set[str]:
@@ -81,7 +75,7 @@ def test_every_field_of_run_json_is_described_and_nothing_else(done):
 
 @pytest.mark.slow
 def test_offsets_of_clocks_are_reported_where_they_are_used(tmp_path):
-    found = sound_group()
+    found = calibrated()
     offsets = TimeOffsets(
         tau=np.array([0.0, 0.3, 0.04, np.nan]),
         sigma=np.array([0.0, 0.02, 0.03, np.nan]),
@@ -103,7 +97,7 @@ def test_offsets_of_clocks_are_reported_where_they_are_used(tmp_path):
 
 @pytest.mark.slow
 def test_what_is_wrong_with_a_camera_is_in_its_faults():
-    found = sound_group()
+    found = calibrated()
     uncertainty = replace(
         found.uncertainty,
         outlier_cameras=np.array([False, True, True, False]),
@@ -134,7 +128,7 @@ def test_what_is_wrong_with_a_camera_is_in_its_faults():
 
 def test_every_finding_of_a_report_is_said():
     """Each at its worst gives a line more than a sound rig; what nobody says nobody mends."""
-    found = sound_group()
+    found = calibrated()
     result = CalibrationResult(
         groups=(found,), left_out=(), unused_pairs=(), clocks=Clocks.of_one(found.recording)
     )
@@ -159,7 +153,7 @@ def test_every_finding_of_a_report_is_said():
 
 
 def test_files_say_the_verdict_and_what_explains_it():
-    found = sound_group()
+    found = calibrated()
     uncertainty = replace(
         found.uncertainty,
         outlier_cameras=np.array([False, True, False, False]),
@@ -195,7 +189,7 @@ def test_the_error_is_what_anipose_calls_one():
 
     The mean over two to four views is below their root mean square.
     """
-    found = sound_group()
+    found = calibrated()
     result = CalibrationResult(
         groups=(found,), left_out=(), unused_pairs=(), clocks=Clocks.of_one(found.recording)
     )
@@ -211,7 +205,7 @@ def test_the_error_is_what_anipose_calls_one():
 
 
 def test_individuals_are_counted_by_camera():
-    found = sound_group()
+    found = calibrated()
     labels = found.matches.labels.copy()
     labels[0][labels[0] == 1] = -1
     found = replace(found, matches=replace(found.matches, labels=labels))

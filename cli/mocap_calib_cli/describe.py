@@ -6,12 +6,13 @@ from typing import Any
 
 from mocap_calib.io.provenance import advice_on
 from mocap_calib.io.results.group import REVERSED_RIG
+from mocap_calib.job.outcome import WrittenGroup
 from mocap_calib.recording.meanings import describe_unshared
 from mocap_calib.recording.summary import RecordingSummary
-from mocap_calib.types import ARBITRARY, CalibrationResult, GroupResult
+from mocap_calib.types import CalibrationResult, GroupResult
 from mocap_calib.wording import count
-from mocap_calib.world.place import is_detail
 from mocap_calib_cli.describe_faults import describe_faults, describe_measured_faults
+from mocap_calib_cli.describe_world import describe_world
 from mocap_calib_cli.progress import format_number, format_table
 
 _MOST_INDIVIDUALS = 20  # that have a row in a table
@@ -119,19 +120,13 @@ def describe_group(group: GroupResult, report: dict[str, Any], folder: Path) -> 
         *_describe_reversal(group, folder),
         f"{count(len(report['individuals']), 'individual')}, {count(points, 'point')}; "
         f"results in {folder}",
-        *_describe_world(report["world"]),
+        *describe_world(report["world"]),
     ]
 
 
-def _describe_world(world: dict[str, Any]) -> list[str]:
-    """Say in a line what the coordinates are, then what each known length and landmark says."""
-    details = [line for line in world["remarks"] if is_detail(line)]
-    said = [line for line in world["remarks"] if line not in details]
-    if world["kind"] == "floor":
-        said.insert(0, "z is up, the origin is on the floor")
-    if not any(line.startswith("lengths are ") for line in said):
-        said.append(f"lengths are {'in ' * (world['unit'] != ARBITRARY)}{world['unit']}")
-    return [f"world: {'; '.join(said)}", *(f"  {line}" for line in details)]
+def describe_refused(files: WrittenGroup) -> list[str]:
+    """Say which further formats of a group were not written, and why."""
+    return [f"{name} is not written: {error}" for name, error in files.refused.items()]
 
 
 def describe_adjusted(group: GroupResult, report: dict[str, Any]) -> list[str]:

@@ -187,11 +187,10 @@ def lift_sample(
 
 def lift_with_model(sample: Sample, model: str, device: str, reporter: Reporter) -> LiftedPoses:
     """Lift the detections of a sample. Raises MismatchError where there is no such device."""
-    from mocap_calib.steerpose.checkpoint import load_model
-    from mocap_calib.steerpose.device import check_device, use_threads
+    from mocap_calib.steerpose.device import check_device
     from mocap_calib.steerpose.lift import lift
+    from mocap_calib.steerpose.loading import load_model
 
-    use_threads(1)
     check_device(device)
     return lift(sample, load_model(model), device=device, progress=reporter)
 

@@ -39,6 +39,7 @@ COMMANDS = {
     "report": "The results of a run to look at, in one HTML file.",
     "verify": "Judge an existing calibration by keypoints: which camera moved since?",
     "evaluate": "Compare cameras with a reference calibration.",
+    "example": "Lay out a recording to begin with: people, a dog, a mouse.",
     "simulate": "Make a synthetic recording with its truth.",
     "models": "List the networks that are shipped.",
     "train": "Train the network that lifts 2D poses.",

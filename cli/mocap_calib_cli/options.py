@@ -180,6 +180,7 @@ _OPTIONS = {
     ),
     "model": click.option(
         "--model",
+        type=values.NAME_OR_FILE,
         metavar="NAME|FILE|none",
         shell_complete=values.offer_models,
         help="Network: shipped (see `models`) or one of your own; none: geometry alone. "

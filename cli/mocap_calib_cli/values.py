@@ -7,6 +7,7 @@ imported when they are asked for, so that --help is quick; torch never is.
 
 from collections.abc import Callable, Mapping
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -47,6 +48,16 @@ class IntrinsicsPath(PathOf):
         )
 
 
+class NameOrFile(click.types.StringParamType):
+    """A word that the command knows, or a file, which its ending or its being there tells."""
+
+    endings = (".toml", ".yaml", ".yml", ".json", ".xml", ".csv", ".txt", ".safetensors")
+
+    def is_file(self, path: Path) -> bool:
+        """Return whether it is a file rather than a word or the name of a camera."""
+        return path.suffix.lower() in self.endings or path.is_file()
+
+
 KEYPOINTS = PathOf(
     "Expected the folder with the 2D keypoints, or a file for each camera; "
     "docs/formats.md lists the formats."
@@ -67,6 +78,7 @@ POSES = PathOf(
     "Expected 3D poses; give the folder of `run`, or files of a 3D format of docs/formats.md."
 )
 ANY_PATH = PathOf()
+NAME_OR_FILE = NameOrFile()
 
 
 # --- what the shell offers

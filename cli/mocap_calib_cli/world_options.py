@@ -5,11 +5,13 @@ from pathlib import Path
 import click
 
 from mocap_calib.config import WorldConfig
+from mocap_calib_cli import values
 
 WORLD_OPTIONS = {
     "axes": click.option(
         "--world",
         "axes",
+        type=values.NAME_OR_FILE,
         default=WorldConfig.axes,
         metavar="WORLD",
         help="Coordinates of the results: floor (z up, the origin on it), first-camera, the name "

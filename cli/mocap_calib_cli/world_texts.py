@@ -13,8 +13,8 @@ from mocap_calib.io.cameras.read import read_rig
 from mocap_calib.io.landmarks_csv import read_landmarks
 from mocap_calib.types import ARBITRARY
 from mocap_calib_cli.options import SharedOptions
+from mocap_calib_cli.values import NAME_OR_FILE
 
-_ENDINGS = (".toml", ".yaml", ".yml", ".json", ".xml", ".csv", ".txt")  # what is a file, not a name
 _FORMS = {
     "--height": "metres above 0, or individual=metres, as 0=1.75+-0.01",
     "--length": "two joints and metres above 0, as left_hip-left_knee=0.42+-0.01",
@@ -24,7 +24,7 @@ _FORMS = {
 
 def world_config(options: SharedOptions) -> WorldConfig:
     """Return the coordinates that are asked for. Raises FormatError and click's UsageError."""
-    given = _is_file(options.axes)
+    given = NAME_OR_FILE.is_file(Path(options.axes))
     cues = scale_cues(options)
     landmarks: tuple[Landmark, ...] = ()
     if options.align is not None:
@@ -64,21 +64,17 @@ def read_known_cameras(path: Path) -> tuple[tuple[KnownCamera, ...], str]:
     return cameras, rig.unit
 
 
-def _is_file(text: str) -> bool:
-    """Return whether a text is a file rather than a word or the name of a camera."""
-    path = Path(text)
-    return path.suffix.lower() in _ENDINGS or path.is_file()
-
-
 def _parse_cues(texts: Sequence[str], option: str, kind: CueKind) -> list[ScaleCue]:
     """Return the cue of each `[OF=]METRES[+-SIGMA]`."""
     cues = []
     for text in texts:
-        of, _, value = text.rpartition("=")
-        metres, _, sigma = value.replace("±", "+-").partition("+-")
+        of, equals, value = text.rpartition("=")
+        metres, stated, sigma = value.replace("±", "+-").partition("+-")
         try:
-            if bool(of) or kind == "height":
-                cues.append(ScaleCue(kind, float(metres), float(sigma or 0), of.strip()))
+            if of.strip() or (kind == "height" and not equals):
+                cues.append(
+                    ScaleCue(kind, float(metres), float(sigma if stated else 0), of.strip())
+                )
                 continue
         except ValueError:
             pass

@@ -18,6 +18,7 @@ from distributed import Client, Future, KilledWorker, as_completed
 from distributed.comm.addressing import get_address_host_port
 from distributed.comm.core import CommClosedError
 from distributed.protocol.pickle import dumps, loads
+from distributed.security import Security
 
 from mocap_calib.compute.program import identify_program
 from mocap_calib.errors import ClusterError
@@ -87,9 +88,11 @@ class Cluster:
 
 @contextmanager
 def cluster(address: str) -> Iterator[Cluster]:
-    """Connect to the Dask scheduler at `address` (tcp://...).
+    """Connect to the Dask scheduler at `address` (tcp://..., or tls://...).
 
-    Raises ClusterError where there is none.
+    The certificates of tls:// are those of Dask's configuration (DASK_DISTRIBUTED__COMM__TLS__...).
+
+    Raises ClusterError where there is no scheduler, and where a certificate is missing.
     """
     with _large_pieces():
         try:
@@ -99,6 +102,7 @@ def cluster(address: str) -> Iterator[Cluster]:
                 f"expected the address of a Dask scheduler (tcp://HOST:PORT), found {address} "
                 f"({error}); it says it when it starts"
             ) from None
+        _check_certificate(address)
         try:
             client = Client(address, timeout=_PATIENCE, set_as_default=False)
         except OSError as error:
@@ -108,6 +112,16 @@ def cluster(address: str) -> Iterator[Cluster]:
             ) from None
         with client:
             yield Cluster(client)
+
+
+def _check_certificate(address: str) -> None:
+    """Raise ClusterError where the address asks for TLS and nobody said by which certificate."""
+    if address.startswith("tls://") and not Security().get_connection_args("client")["ssl_context"]:
+        raise ClusterError(
+            f"{address}: expected a certificate for TLS in Dask's configuration, found none; "
+            "set DASK_DISTRIBUTED__COMM__TLS__CA_FILE, ..._CLIENT__CERT and ..._CLIENT__KEY "
+            "(docs/many-recordings.md)"
+        )
 
 
 @contextmanager

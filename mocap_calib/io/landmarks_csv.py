@@ -34,6 +34,8 @@ def read_landmarks(path: Path) -> tuple[Landmark, ...]:
             "write this header",
         )
     found = tuple(_parse_row(row, f"{path}: line {rows.line_num}") for row in rows)
+    if not found:
+        raise malformed(str(path), "landmarks", "a header alone", "add a line per observation")
     _check_each_once(found, str(path))
     return found
 

@@ -2,13 +2,13 @@
 
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from mocap_calib.config import Config
+from mocap_calib.errors import MismatchError
 from mocap_calib.html_report.page import report_page
 from mocap_calib.html_report.source import source_of_group
 from mocap_calib.io.atomic import replace_folder, write_bytes
@@ -26,6 +26,7 @@ from mocap_calib.io.results.group import (
     write_run_json,
 )
 from mocap_calib.io.zeros import unsigned_zeros
+from mocap_calib.job.outcome import WrittenGroup
 from mocap_calib.judging import judge_cameras
 from mocap_calib.multi_view.observed_points import observe_points
 from mocap_calib.recording.epochs import (
@@ -43,18 +44,6 @@ from mocap_calib.types import CalibrationResult, GroupResult, ObservedPoints
 
 # in the folder of results: the pairs of a run that is under way or was killed
 UNFINISHED = ".unfinished"
-
-
-@dataclass(frozen=True)
-class WrittenGroup:
-    """What was written of a group of cameras.
-
-    report: what `run.json` holds.
-    notes: a line for all that a further format does not hold.
-    """
-
-    report: dict[str, Any]
-    notes: tuple[str, ...]
 
 
 def write_result(
@@ -75,11 +64,9 @@ def write_result(
 
     output: the folder. inputs: SHA-256 of the files that were read, by path.
     described: further keys of `run.json`. fingerprint: of all that the result follows from, where
-        that is known. formats, fps: as in `CalibrationRequest`.
+        that is known. formats, fps: as in `CalibrationRequest`; what cannot hold the rig or the
+        poses of a group is left out.
     page: whether report.html is written.
-
-    Raises MismatchError, after all else is written, where a further format cannot hold the rig or
-    the poses.
     """
     earlier = read_outputs(output)
     reports = _report_groups(result, inputs, described)
@@ -107,11 +94,9 @@ def write_result(
             write_run_json(place, reports[number])
     remove_unfinished(output)
     remove_earlier_outputs(output, earlier, kept=reports[0]["outputs"].keys())
-    for files in further.values():
-        for error in files.refused:
-            raise error
     return tuple(
-        WrittenGroup(report, further[number].notes) for number, report in enumerate(reports)
+        WrittenGroup(report, further[number].notes, further[number].refused)
+        for number, report in enumerate(reports)
     )
 
 
@@ -152,8 +137,10 @@ def _write_further(
             )
         )
     notes = dict.fromkeys(note for outcome in outcomes for note in outcome.notes)
-    refused = [error for outcome in outcomes for error in outcome.refused]
-    return WriteOutcome(tuple(notes), tuple(refused[:1]) if len(epochs) > 1 else tuple(refused))
+    refused: dict[str, MismatchError] = {}
+    for outcome in reversed(outcomes):
+        refused |= outcome.refused
+    return WriteOutcome(tuple(notes), refused)
 
 
 def _observe_points(group: GroupResult, epoch: Epoch, config: Config) -> ObservedPoints:

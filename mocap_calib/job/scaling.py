@@ -10,12 +10,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from mocap_calib.config import ScaleCue, WorldConfig
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.atomic import numbered_file, replace_folder, replace_text
 from mocap_calib.io.cameras.own import SUBFRAME
 from mocap_calib.io.cameras.read import read_rig
 from mocap_calib.io.cameras.write import format_rig
+from mocap_calib.io.file import malformed
 from mocap_calib.io.hashing import hash_files
 from mocap_calib.io.poses.read import load_poses
 from mocap_calib.io.results.group import PAGE, REPORT, read_outputs, write_run_json
@@ -24,12 +27,11 @@ from mocap_calib.io.results.poses_h5 import write_poses_h5
 from mocap_calib.io.results.stored import provenance_of_cameras, provenance_of_poses
 from mocap_calib.io.world_fields import world_fields
 from mocap_calib.multi_view.rig_covariance import rig_size
-from mocap_calib.types import CameraRig, World
+from mocap_calib.types import ARBITRARY, CameraRig, World
 from mocap_calib.wording import count
 from mocap_calib.world.body import find_joints, keep_triangulated
 from mocap_calib.world.cues import Measurable, Scale, find_scale
 from mocap_calib.world.floor import find_floor
-from mocap_calib.world.place import describe_scale, is_of_scale
 
 _CAMERAS = "cameras.yaml"
 _POSES = "poses3d.h5"
@@ -63,6 +65,7 @@ def scale_results(folder: Path, cues: Sequence[ScaleCue], config: WorldConfig) -
                 f"found no {name}; give the folder that `run -o` wrote"
             )
     rig, file = read_rig(folder / _CAMERAS), load_poses(folder / _POSES)
+    _refuse_known_unit(folder, rig, file.poses.unit)
     poses = keep_triangulated(file.poses)
     joints = find_joints(poses.keypoints)
     floor = find_floor(poses, joints, rig, config.floor)
@@ -95,6 +98,24 @@ def scale_results(folder: Path, cues: Sequence[ScaleCue], config: WorldConfig) -
     return Scaled(world, left)
 
 
+def _refuse_known_unit(folder: Path, rig: CameraRig, unit: str) -> None:
+    """Raise MismatchError where something better than a known length said the unit already.
+
+    unit: of the poses.
+    """
+    if rig.unit != unit:
+        raise MismatchError(
+            f"{folder}: expected cameras and poses in one unit, found {rig.unit} and {unit}; "
+            "give the folder as `run -o` wrote it"
+        )
+    if unit != ARBITRARY and not rig.world.cues:
+        by = {"landmarks": " by landmarks", "file": " by cameras whose places were given"}
+        raise MismatchError(
+            f"{folder}: expected lengths that are arbitrary, or scaled by known ones, found them "
+            f"in {unit}{by.get(rig.world.kind, '')}; `mocap-calib convert --unit` writes others"
+        )
+
+
 def _camera_folders(folder: Path) -> list[Path]:
     """Return the folders with cameras of the same group: that of each epoch."""
     found = [path.parent for path in sorted(folder.glob(f"epoch_*/{_CAMERAS}"))]
@@ -120,13 +141,7 @@ def _scale_cameras(source: Path, target: Path, scale: Scale) -> None:
 
 def _scaled_world(world: World, scale: Scale) -> World:
     """Return a world, whose lengths are scaled already, that says by what."""
-    remarks = (line for line in world.remarks if not is_of_scale(line))
-    return replace(
-        world,
-        scale_sigma=scale.sigma,
-        cues=scale.cues,
-        remarks=(*remarks, *describe_scale(scale)),
-    )
+    return replace(world, scale_sigma=scale.sigma, cues=scale.cues, scale_unmet="")
 
 
 def _scale_report(folder: Path, work: Path, rig: CameraRig, scale: Scale) -> tuple[str, ...]:
@@ -134,11 +149,10 @@ def _scale_report(folder: Path, work: Path, rig: CameraRig, scale: Scale) -> tup
 
     It is no longer that of the command: it loses its fingerprint.
     """
-    outputs = read_outputs(folder)
+    outputs, report = read_outputs(folder), _read_report(folder / REPORT)
     written = hash_files(work)
     left = [name for name in outputs if name not in written and Path(name).name not in _OWN]
-    if (folder / REPORT).is_file():
-        report = json.loads((folder / REPORT).read_text("utf-8"))
+    if report:
         world = _scaled_world(rig.world.scale(scale.factor), scale)
         report |= {"unit": "m", "world": world_fields(world, "m")}
         _scale_camera_figures(report["cameras"], rig, scale)
@@ -152,6 +166,24 @@ def _scale_report(folder: Path, work: Path, rig: CameraRig, scale: Scale) -> tup
         f"not rewritten: {count(len(left), 'file')} of other formats or groups ({some}); "
         "write formats anew with `convert`, scale groups by themselves",
     )
+
+
+def _read_report(path: Path) -> dict[str, Any]:
+    """Return what a run.json holds, nothing where there is none. Raises FormatError."""
+    if not path.is_file():
+        return {}
+    try:
+        report: dict[str, Any] = json.loads(path.read_bytes())
+        json.dumps(report, allow_nan=False)
+        figures = [
+            (each["centre_sigma"], each["centre_sigma_percent"]) for each in report["cameras"]
+        ]
+        np.array(figures, dtype=np.float64)  # None is NaN
+    except (ValueError, LookupError, TypeError, RecursionError):
+        raise malformed(
+            str(path), "what a run writes", "other text", "remove it to scale all else"
+        ) from None
+    return report
 
 
 def _scale_camera_figures(cameras: list[dict[str, Any]], rig: CameraRig, scale: Scale) -> None:

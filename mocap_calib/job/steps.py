@@ -18,16 +18,16 @@ from mocap_calib.io.results.further_formats import check_formats, check_recordin
 from mocap_calib.io.results.group import REPORT
 from mocap_calib.io.results.pair_store import remember_pairs
 from mocap_calib.job.load import LoadedRecording, load_recording
+from mocap_calib.job.outcome import WrittenGroup
 from mocap_calib.job.request import CalibrationRequest
-from mocap_calib.job.results import UNFINISHED, WrittenGroup, remove_unfinished, write_result
+from mocap_calib.job.results import UNFINISHED, remove_unfinished, write_result
 from mocap_calib.pipeline import calibrate
-from mocap_calib.steerpose.checkpoint import load_model
-from mocap_calib.steerpose.device import use_threads
-from mocap_calib.steerpose.model import Lifter
+from mocap_calib.steerpose.lifter import Lifter
+from mocap_calib.steerpose.loading import load_model
 from mocap_calib.two_view.solve import PairSolver, pair_mapper
 from mocap_calib.two_view.solvers import choose_pair_solver
 from mocap_calib.types import CalibrationResult, Mapper, Progress, silent
-from mocap_calib.world.place import check_world
+from mocap_calib.world.asked import check_world
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,8 @@ def read_job(request: CalibrationRequest) -> Job:
     hashes = request.hash_inputs()  # first: what changes from now on makes another fingerprint
     loaded = load_recording(request.keypoints, _load_camera_file(request.cameras))
     check_recording(request.formats, loaded.recording, request.fps, unit)
-    check_world(request.config.world, loaded.recording)
+    config = request.config
+    check_world(config.world, loaded.recording, config.matching.individuals)
     lifter = load_model(loaded.recording.model)
     solver = choose_pair_solver(
         request.pair_solver, loaded.recording, lifter, request.config.pairwise
@@ -73,7 +74,6 @@ def calibrate_job(
     Raises DegenerateError, and MismatchError where there is no such device.
     """
     request = job.request
-    use_threads(1)
     return calibrate(
         job.loaded.recording,
         job.lifter,
@@ -108,10 +108,7 @@ def calibrate_job_resumably(
 
 
 def write_results(job: Job, result: CalibrationResult) -> tuple[WrittenGroup, ...]:
-    """Write all files of a run, as `write_result` does; return what was written of each group.
-
-    Raises what `write_result` raises.
-    """
+    """Write all files of a run, as `write_result` does; return what was written of each group."""
     request = job.request
     return write_result(
         request.output,

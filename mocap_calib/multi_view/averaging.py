@@ -9,10 +9,9 @@ way. A pair that contradicts its loops loses its weight and is named.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 
 from mocap_calib.config import AveragingConfig
+from mocap_calib.geometry.graphs import spanning_tree
 from mocap_calib.geometry.rotation import (
     angle_between,
     direction_angle,
@@ -92,14 +91,12 @@ def _average_rotations(edges: _Edges, views: int, config: AveragingConfig) -> tu
 
 def _rotations_along_tree(edges: _Edges, views: int) -> Floats:
     """Return `[view, 3, 3]` rotations chained along the spanning tree of the most trusted edges."""
-    cost = 1e-6 + np.max(edges.trust) - edges.trust  # above zero: a zero would be no edge
-    graph = csr_array((cost, (edges.a, edges.b)), shape=(views, views))
-    order, parent = breadth_first_order(minimum_spanning_tree(graph), 0, directed=False)
+    cost = np.full((views, views), np.inf)
+    cost[edges.a, edges.b] = -edges.trust
     views_of_edges = zip(edges.a, edges.b, strict=True)
     edge_of = {views_of_edge: edge for edge, views_of_edge in enumerate(views_of_edges)}
     rotation = np.tile(np.eye(3), (views, 1, 1))
-    for view in order[1:]:
-        before = parent[view]
+    for before, view in spanning_tree(cost).tolist():
         if (before, view) in edge_of:
             view_from_before = edges.rotation[edge_of[before, view]]
         else:

@@ -6,9 +6,9 @@ seen in what the model leaves over. docs/how-good.md has the values of sound rec
 """
 
 import numpy as np
-from scipy.sparse.csgraph import minimum_spanning_tree
 
 from mocap_calib.config import Config
+from mocap_calib.geometry.graphs import spanning_tree
 from mocap_calib.multi_view.explained import Leftover
 from mocap_calib.multi_view.labels import matched_share
 from mocap_calib.multi_view.observations import labelled_frames
@@ -100,10 +100,10 @@ def _weakest_bridge(group: GroupResult) -> float:
     other. NaN where there are fewer than three cameras.
     """
     views = len(group.rig.cameras)
-    cost = np.zeros((views, views))
+    cost = np.full((views, views), np.inf)
     for pair in group.pairs:
         cost[pair.a, pair.b] = 1 / max(pair.score, 1e-6)
-    used = np.sort(minimum_spanning_tree(cost).data)
+    used = np.sort(np.minimum(cost, cost.T)[tuple(spanning_tree(cost).T)])
     return float(used[-1] / np.median(used[:-1])) if len(used) >= 2 else np.nan
 
 

@@ -11,9 +11,9 @@ from mocap_calib.recording.retiming import clocks_of_rates, retime
 from mocap_calib.recording.sampling import take_sample
 from mocap_calib.recording.stretches import choose_stretches
 from mocap_calib.recording.synchronise import hide_blind_spots
-from mocap_calib.steerpose.checkpoint import AUTO, choose_model
 from mocap_calib.steerpose.device import check_device
-from mocap_calib.steerpose.model import Lifter
+from mocap_calib.steerpose.lifter import Lifter
+from mocap_calib.steerpose.loading import AUTO, choose_model
 from mocap_calib.steerpose.remembered import RememberedLift
 from mocap_calib.types import Clocks, Progress, Recording, silent
 

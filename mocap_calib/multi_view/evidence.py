@@ -8,7 +8,8 @@ in so many frames within the pieces, and how far individuals are from each other
 import numpy as np
 
 from mocap_calib.config import MatchingConfig
-from mocap_calib.multi_view.pieces import Pieces, mean_of_known, rms_distance, surprise
+from mocap_calib.geometry.bodies import mean_of_known
+from mocap_calib.multi_view.pieces import Pieces, rms_distance, surprise
 from mocap_calib.multi_view.tracklets import tracklets
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Floats, Ints, Recording
@@ -41,8 +42,8 @@ def motion_evidence(
     distance = course[np.arange(len(gaps)), scales.argmin(1)[at]]
     scale = np.minimum(scales.min(1)[at] * np.maximum(gaps / lags[at], 1.0), apart)
     without = ~np.isfinite(distance)  # too few joints in common: by the middles of the bodies
-    end = mean_of_known(points[tuple(last[earlier].T)])
-    begin = mean_of_known(points[tuple(first[later].T)])
+    end = np.nan_to_num(mean_of_known(points[tuple(last[earlier].T)], axis=-2))
+    begin = np.nan_to_num(mean_of_known(points[tuple(first[later].T)], axis=-2))
     distance[without] = np.linalg.norm(begin - end, axis=-1)[without]
     scale[without] = np.minimum(scale[without] + apart / 4, apart)
     nats = surprise(distance, apart) + 3 * np.log(apart)
@@ -145,7 +146,7 @@ def _velocities(points: Floats, frames: Ints, way: Ints, at: Ints) -> Floats:
         index = np.where(onward >= 0, index + direction, index)
         group = np.where(onward >= 0, onward, group)
     elapsed = frames[at[:, 0]] - frames[index]
-    moved = mean_of_known(points[tuple(at.T)] - points[index, group])
+    moved = np.nan_to_num(mean_of_known(points[tuple(at.T)] - points[index, group], axis=-2))
     return np.where(elapsed[:, None] != 0, moved / np.where(elapsed, elapsed, 1)[:, None], 0.0)
 
 

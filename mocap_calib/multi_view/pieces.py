@@ -8,10 +8,10 @@ say who the pieces are.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from mocap_calib.config import MatchingConfig
+from mocap_calib.geometry.bodies import mean_of_known
+from mocap_calib.geometry.graphs import connected_parts
 from mocap_calib.types import Bools, Floats, Ints
 
 _FRAMES = 512  # compared at a time
@@ -145,15 +145,8 @@ def _last_moves(points: Floats, links: Bools) -> Floats:
     moves = np.zeros((*points.shape[:2], 3))
     frame, before, after = np.nonzero(links)
     step = points[frame + 1, after] - points[frame, before]
-    moves[frame + 1, after] = mean_of_known(step)
+    moves[frame + 1, after] = np.nan_to_num(mean_of_known(step, axis=-2))
     return moves
-
-
-def mean_of_known(vectors: Floats) -> Floats:
-    """Return the mean `[..., 3]` of the vectors `[..., joint, 3]` that are not NaN, 0 of none."""
-    known = np.isfinite(vectors[..., 0])
-    total = np.where(known[..., None], vectors, 0.0).sum(-2)
-    return np.asarray(total / np.maximum(known.sum(-1), 1)[..., None])
 
 
 def _certain_links(distance: Floats, config: MatchingConfig) -> Bools:
@@ -186,9 +179,8 @@ def _number_pieces(links: Bools, present: Bools, distance: Floats) -> Pieces:
     after[frame, i] = j
 
     groups = present.shape[1]
-    edges = (np.ones(len(frame)), (frame * groups + i, (frame + 1) * groups + j))
-    graph = coo_array(edges, shape=(present.size, present.size))
-    component = connected_components(graph, directed=False)[1][present.ravel()]
+    earlier, later = frame * groups + i, (frame + 1) * groups + j
+    component = connected_parts(earlier, later, present.size)[present.ravel()]
     _, begin, inverse = np.unique(component, return_index=True, return_inverse=True)
     rank = np.argsort(np.argsort(begin))
     number = np.full(present.shape, -1, dtype=np.int64)

@@ -7,9 +7,9 @@ together differ: where these are alike, lengths say nothing of others.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse.csgraph import minimum_spanning_tree
 
 from mocap_calib.config import MatchingConfig
+from mocap_calib.geometry.graphs import spanning_tree
 from mocap_calib.multi_view.pieces import Pieces
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Floats, Ints
@@ -153,12 +153,12 @@ def _find_bones(points: Floats, pieces: Pieces, config: MatchingConfig) -> tuple
     usual = np.fmax(
         _NORMAL / np.sqrt(2) * _medians(np.abs(steps[0])), _NORMAL * _medians(np.abs(stays[0]))
     )
-    weight = np.zeros((joints, joints))
-    weight[pairs] = np.nan_to_num((usual + config.least_spread) * length)  # 0: no edge
-    tree = minimum_spanning_tree(weight).tocoo()
+    cost = np.full((joints, joints), np.inf)
+    cost[pairs] = np.nan_to_num((usual + config.least_spread) * length, nan=np.inf)
+    bones = np.unique(np.sort(spanning_tree(cost), axis=1), axis=0)
     spread = np.zeros((joints, joints))
     spread[pairs] = np.nan_to_num(usual) + config.least_spread
-    return np.stack([tree.row, tree.col], axis=-1).astype(np.int64), spread[tree.row, tree.col]
+    return bones, spread[tuple(bones.T)]
 
 
 def _length_changes(

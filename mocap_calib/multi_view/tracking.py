@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import MatchingConfig
@@ -119,10 +118,26 @@ def _nearest_individuals(last_place: Floats, here: Floats, limit: Floats) -> Int
         return individual
     # what is too far away costs the same however far it is
     cost = np.minimum(distance, 2 * limit[:, None])
-    rows, columns = linear_sum_assignment(cost)
+    rows, columns = _assign(cost)
     near = distance[rows, columns] <= limit[rows]
     individual[columns[near]] = rows[near]
     return individual
+
+
+def _assign(cost: Floats) -> tuple[Ints, Ints]:
+    """Return the rows and columns of the assignment `[row, column]` of least cost.
+
+    Where no two rows want the same column, or no two columns the same row, each gets what it wants.
+    """
+    rows, columns = cost.shape
+    if rows <= columns and len(np.unique(wanted := cost.argmin(1))) == rows:
+        return np.arange(rows), wanted
+    if columns <= rows and len(np.unique(wanted := cost.argmin(0))) == columns:
+        return wanted, np.arange(columns)
+    # takes half a second to import, which few recordings need
+    from scipy.optimize import linear_sum_assignment  # noqa: PLC0415
+
+    return linear_sum_assignment(cost)
 
 
 def _largest_step(places: Floats, frames: Ints, config: MatchingConfig) -> float:

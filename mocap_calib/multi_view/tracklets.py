@@ -6,10 +6,9 @@ followed.
 """
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from mocap_calib.config import MatchingConfig
+from mocap_calib.geometry.graphs import connected_parts
 from mocap_calib.types import Bools, Floats, Ints, Reals, Recording
 
 _FRAMES = 512  # linked at a time
@@ -48,10 +47,7 @@ def tracklets(recording: Recording, view: int, config: MatchingConfig) -> Ints:
     earlier = frame * instances + i
     later = (frame + 1) * instances + j
 
-    detections = frames * instances
-    edges = (np.ones(len(earlier)), (earlier, later))
-    graph = coo_array(edges, shape=(detections, detections))
-    _, number = connected_components(graph, directed=False)
+    number = connected_parts(earlier, later, frames * instances)
     detected = np.isfinite(positions[..., 0]).any(-1)
     return np.where(detected, number.reshape(frames, instances), -1)
 

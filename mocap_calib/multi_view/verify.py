@@ -29,9 +29,9 @@ from mocap_calib.multi_view.verified import SecondLook, describe_rig, has_detect
 from mocap_calib.recording.retiming import retime
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
 from mocap_calib.recording.synchronise import hide_blind_spots
-from mocap_calib.steerpose.checkpoint import AUTO, choose_model
 from mocap_calib.steerpose.device import check_device
-from mocap_calib.steerpose.model import Lifter
+from mocap_calib.steerpose.lifter import Lifter
+from mocap_calib.steerpose.loading import AUTO, choose_model
 from mocap_calib.steerpose.remembered import RememberedLift
 from mocap_calib.types import (
     Adjusted,

@@ -23,7 +23,7 @@ def exchange_sides(
     paired = mirror != np.arange(len(mirror))
     as_seen = squared_errors(points, seen)
     other = squared_errors(points[mirror], seen)
-    scale = config.loss**2
+    scale = config.losses[0] ** 2
     gain = np.log1p(as_seen / scale) - np.log1p(other / scale)
     both = (seen.precision > 0) & (seen.precision[:, mirror] > 0) & paired[:, None]
     gain = np.where(both, (gain + gain[:, mirror]) * scale / 2, 0.0)

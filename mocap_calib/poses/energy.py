@@ -8,7 +8,7 @@ for which the bands precondition conjugate gradients: the cost grows with the nu
 with its cube.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
@@ -20,13 +20,17 @@ from mocap_calib.types import Floats
 
 @dataclass(frozen=True)
 class Strengths:
-    """Standard deviations in body sizes: of accelerations, and of the lengths of bones; inf = off.
+    """How much counts for how much.
 
-    acceleration: in the square of the usual step from frame to frame.
+    acceleration: standard deviation in body sizes in the square of the usual step from frame to
+        frame; inf = off.
+    bones: standard deviation of their lengths in body sizes, beyond what they vary by; inf = off.
+    loss: error of a ray, in standard deviations, that counts by half.
     """
 
     acceleration: float
     bones: float
+    loss: float
 
 
 @dataclass(frozen=True)
@@ -80,7 +84,7 @@ def linearise(
     points: Floats, seen: Detections, body: Body, strengths: Strengths, config: PosesConfig
 ) -> System:
     """Return the normal equations at these points."""
-    data, gradient = _data_terms(points, seen, config.loss)
+    data, gradient = _data_terms(points, seen, strengths.loss)
     own = data
     pull = np.zeros(points.shape[:2])
     if np.isfinite(strengths.acceleration):
@@ -135,9 +139,10 @@ def _bone_terms(
     """
     along = points[body.edges[:, 0]] - points[body.edges[:, 1]]
     length = np.sqrt((along**2).sum(-1))
-    sigma = strengths.bones * body.size
+    known = np.isfinite(body.lengths)
+    sigma = np.hypot(strengths.bones * body.size, np.where(known, body.varies, 0.0))
     error = np.nan_to_num(length - body.lengths) / sigma
-    weight = np.isfinite(body.lengths) / (1 + error**2 / config.prior_loss**2)
+    weight = known / (1 + error**2 / config.prior_loss**2)
     root = np.sqrt(weight) / sigma
     direction = along * (root / np.maximum(length, 1e-9 * body.size))[..., None]
     return direction, np.sqrt(weight) * error
@@ -230,9 +235,14 @@ def fit(
     *,
     steps: int,
 ) -> Floats:
-    """Return the points `[keypoint, frame, 3]` of least energy, from those to start from."""
+    """Return the points `[keypoint, frame, 3]` of least energy, from those to start from.
+
+    The loss of rays starts wide and narrows: what to start from may rest on a wrong detection.
+    """
     ridge = config.ridge / body.size**2
-    for _ in range(steps):
-        system = linearise(points, seen, body, strengths, config)
+    for step in range(steps):
+        widening = max(config.first_loss / 2**step, 1.0)
+        wider = replace(strengths, loss=strengths.loss * widening)
+        system = linearise(points, seen, body, wider, config)
         points = points - _solve(system, body, ridge, config)
     return points

@@ -21,8 +21,15 @@ def filter_poses(poses: Poses3D, config: FilterConfig, *, fps: float | None = No
     is nobody knows: the covariance is left out. A piece between gaps that is shorter than the
     filter stays as it is.
 
-    Raises MismatchError for a cutoff without a rate, or one that is not below half of it.
+    Raises MismatchError for a cutoff without a rate, or one that is not below half of it, and a
+    window that is longer than the recording.
     """
+    longest = max(len(poses.frames), FilterConfig.window)
+    if config.method != "butterworth" and config.window > longest:
+        raise MismatchError(
+            f"expected a window of at most {longest} frames, found {config.window}; "
+            "give a shorter one"
+        )
     run, least = _choose_filter(config, fps)
     positions = poses.positions.copy()
     for individual in range(positions.shape[1]):

@@ -8,7 +8,7 @@ import numpy as np
 from mocap_calib.config import PosesConfig
 from mocap_calib.poses.energy import Strengths, accelerations, fit, squared_errors
 from mocap_calib.poses.track import Body, Detections
-from mocap_calib.types import Bools, Floats
+from mocap_calib.types import Bools, Floats, Ints
 
 _SEED = 0  # of which detections are hidden
 # Frames for which a joint is hidden from a view. Errors go together for some time, and what is seen
@@ -37,9 +37,9 @@ def choose_strengths(
 ) -> Choice:
     """Return the strengths that predict hidden detections best.
 
-    The accelerations' first, then the bones', then the accelerations' again, more finely. The
-    weakest counts of those that are as good as the best within a standard error. Where too few
-    points have three views to hide one, they are what the points themselves show.
+    The accelerations' first, then the bones', then the loss, then the accelerations' again, more
+    finely. The first counts of those that are as good as the best within a standard error. Where
+    too few points have three views to hide one, they are what the points themselves show.
 
     points: `[keypoint, frame, 3]` to start from. moves: whether accelerations may be smoothed.
     """
@@ -49,6 +49,8 @@ def choose_strengths(
     hidden = _hide(seen)
     if hidden.sum() < config.least_hidden:
         return Choice(usual)
+    _, joint, frame = np.nonzero(hidden)
+    run = joint * hidden.shape[2] + frame // _RUN
     shown = replace(seen, precision=np.where(hidden, 0.0, seen.precision))
     losses: dict[Strengths, Floats] = {}
 
@@ -65,18 +67,27 @@ def choose_strengths(
         candidates = list(_until_worse(candidates, lambda each: float(loss(each).mean())))
         best = loss(min(candidates, key=lambda each: float(loss(each).mean())))
         more = ((each, loss(each) - best) for each in candidates)
-        error = np.sqrt(len(best))
-        return next(each for each, lost in more if lost.mean() <= lost.std() / error)
+        return next(each for each, lost in more if lost.mean() <= _error_of_mean(lost, run))
 
     accelerations = (np.inf, *config.accelerations) if moves else (np.inf,)
     chosen = weakest([replace(usual, acceleration=sigma) for sigma in accelerations])
     if len(body.edges):
         chosen = weakest([replace(chosen, bones=sigma) for sigma in (np.inf, *config.bones)])
+    chosen = weakest([replace(chosen, loss=scale) for scale in config.losses])
     factors = (2, np.sqrt(2), 1, np.sqrt(0.5)) if np.isfinite(chosen.acceleration) else (1,)
     finely = [float(chosen.acceleration * factor) for factor in factors]
     chosen = weakest([replace(chosen, acceleration=sigma) for sigma in finely])
-    raw = loss(Strengths(np.inf, np.inf))
+    raw = loss(replace(chosen, acceleration=np.inf, bones=np.inf))
     return Choice(chosen, float(loss(chosen).mean()), float(raw.mean()))
+
+
+def _error_of_mean(values: Floats, run: Ints) -> float:
+    """Return the standard error of the mean of values `[N]`, which go together in runs.
+
+    run: `[N]` the number of the run that each belongs to.
+    """
+    off = np.bincount(run, values - values.mean())
+    return float(np.sqrt((off**2).sum()) / len(values))
 
 
 def _until_worse(
@@ -108,7 +119,7 @@ def usual_strengths(points: Floats, seen: Detections, body: Body, config: PosesC
     sigma = float(np.median(size[counted])) / _MEDIAN_LENGTH if counted.any() else np.inf
     allowed = sigma if sigma < config.largest_acceleration else np.inf
     bones = config.usual_bones if len(body.edges) else np.inf
-    return Strengths(max(allowed, config.accelerations[-1]), bones)
+    return Strengths(max(allowed, config.accelerations[-1]), bones, config.losses[0])
 
 
 def _hide(seen: Detections) -> Bools:

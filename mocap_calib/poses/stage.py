@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.config import Config, PosesConfig, TriangulateConfig
+from mocap_calib.geometry.bodies import body_size
 from mocap_calib.multi_view.noise import view_noise
 from mocap_calib.multi_view.observations import gather_observations
 from mocap_calib.poses.certainty import covariances
 from mocap_calib.poses.cleaning import drop_outliers, exchange_sides
 from mocap_calib.poses.energy import Strengths, fit, linearise
 from mocap_calib.poses.held_out import Choice, choose_strengths
-from mocap_calib.poses.start import add_refused, body_size, bone_lengths, fill_gaps
+from mocap_calib.poses.start import add_refused, bone_lengths, fill_gaps
 from mocap_calib.poses.track import Body, Detections, acceleration_steps, detections_of
 from mocap_calib.recording.joints import edges_of_keypoints
 from mocap_calib.steerpose.weights import load_vocabulary
@@ -44,13 +45,14 @@ class _Individual:
     """What is known of one individual.
 
     index: of its label. frames: `[frame]` indices of those in which it is estimated.
-    lengths: `[edge]` of its bones.
+    lengths, varies: `[edge]` of its bones, and by how much they vary.
     """
 
     index: int
     frames: Ints
     size: float
     lengths: Floats
+    varies: Floats
 
 
 @dataclass(frozen=True)
@@ -103,9 +105,9 @@ class _Scene:
             size = body_size(raw[there])
             if len(there) < _LEAST_FRAMES or not size > 0:
                 continue
-            lengths = bone_lengths(raw[there], self.poses.sigma[there, index], self.edges)
+            lengths, varies = bone_lengths(raw[there], self.poses.sigma[there, index], self.edges)
             frames = _with_gaps(there, self.times, self.config.longest_gap)
-            found.append(_Individual(index, frames, size, lengths))
+            found.append(_Individual(index, frames, size, lengths, varies))
         return found
 
     def track(self, who: _Individual, frames: Ints) -> tuple[Floats, Detections, Body]:
@@ -127,6 +129,7 @@ class _Scene:
         body = Body(
             edges=self.edges,
             lengths=np.repeat(who.lengths[:, None], len(frames), axis=1),
+            varies=np.repeat(who.varies[:, None], len(frames), axis=1),
             size=np.full(len(frames), who.size),
             steps=acceleration_steps(times, self.config.longest_gap + 1),
         )
@@ -198,6 +201,7 @@ def smooth_poses(
     smoothing = Smoothing(
         acceleration=choice.strengths.acceleration,
         bones=choice.strengths.bones,
+        loss=choice.strengths.loss,
         held_out=choice.held_out,
         held_out_raw=choice.without,
         outliers=outliers,
@@ -261,7 +265,8 @@ def _estimate(scene: _Scene, who: _Individual, frames: Ints, strengths: Strength
     points = fit(points, seen, body, strengths, config, steps=config.fit_steps // 2)
     # the detectors' noise does not depend on their confidence, which is a weight
     even = np.where(seen.precision > 0, scene.noise[:, None, None] ** -2.0, 0.0)
-    system = linearise(points, replace(seen, precision=even), body, strengths, config)
+    wide = replace(strengths, loss=config.losses[0])  # a narrow loss weighs all errors as outliers
+    system = linearise(points, replace(seen, precision=even), body, wide, config)
     ridge = config.ridge / body.size**2
     covariance = covariances(system, body.steps, body.edges, ridge)
     met = np.isfinite(scene.start[frames, who.index, :, 0]).T

@@ -6,6 +6,9 @@ from mocap_calib.config import TriangulateConfig
 from mocap_calib.multi_view.triangulation import frame_blocks, triangulate_frames
 from mocap_calib.types import CameraRig, Floats, Ints, Matches, Recording
 
+_MEDIAN_SQUARE = 0.455  # of normal errors of variance 1
+_ROUNDS = 10  # of the middle of bones' lengths and its weights
+
 
 def add_refused(
     recording: Recording,
@@ -35,36 +38,39 @@ def add_refused(
     return np.where(np.isfinite(points), points, wider)
 
 
-def body_size(points: Floats) -> float:
-    """Return the RMS distance of joints `[frame, keypoint, 3]` from their middle, typically.
+def bone_lengths(points: Floats, sigma: Floats, edges: Ints) -> tuple[Floats, Floats]:
+    """Return the length `[edge]` of each bone and how much it varies; NaN where it was never seen.
 
-    NaN where no frame has three joints.
-    """
-    known = np.isfinite(points[..., 0])
-    whole = points[known.sum(1) >= min(3, points.shape[1])]
-    if not len(whole):
-        return float("nan")
-    middle = np.nanmean(whole, axis=1, keepdims=True)
-    square = ((whole - middle) ** 2).sum(-1)
-    return float(np.median(np.sqrt(np.nanmean(square, axis=1))))
-
-
-def bone_lengths(points: Floats, sigma: Floats, edges: Ints) -> Floats:
-    """Return the length `[edge]` of each bone, NaN where it was never seen.
-
-    points: `[frame, keypoint, 3]` triangulated; sigma: `[frame, keypoint]` of these. The median of
-    the surer half of the frames: noise makes bones longer.
+    points: `[frame, keypoint, 3]` triangulated; sigma: `[frame, keypoint]` of these, of all axes
+    together. Noise across a bone makes it longer: that is taken off.
     """
     a, b = edges.T
     length = np.sqrt(((points[:, a] - points[:, b]) ** 2).sum(-1))
-    noise = np.sqrt(sigma[:, a] ** 2 + sigma[:, b] ** 2)
-    noise = np.where(np.isfinite(length), noise, np.nan)
-    found = np.full(len(edges), np.nan)
-    for edge in np.flatnonzero(np.isfinite(length).any(0)):
-        own = np.isfinite(noise[:, edge])
-        surer = own & (noise[:, edge] <= np.median(noise[own, edge])) if own.any() else own
-        found[edge] = np.median(length[surer, edge]) if surer.any() else np.nan
-    return found
+    noise = (sigma[:, a] ** 2 + sigma[:, b] ** 2) / 3
+    known = np.isfinite(length) & np.isfinite(noise) & (length > 0)
+    found = np.full((2, len(edges)), np.nan)
+    for edge in np.flatnonzero(known.any(0)):
+        seen, variance = length[known[:, edge], edge], noise[known[:, edge], edge]
+        seen = seen - np.minimum(variance / seen, seen / 2)
+        found[:, edge] = _middle_and_spread(seen, variance)
+    return found[0], found[1]
+
+
+def _middle_and_spread(values: Floats, noise: Floats) -> tuple[float, float]:
+    """Return the middle of values `[N]` and their standard deviation beyond that of their noise.
+
+    noise: `[N]` variances. A bone's length varies as well: detectors see joints elsewhere as a body
+    turns, and spines bend. Half of the values are within the median of a normal error; each
+    counts by its whole variance, robustly.
+    """
+    middle, varies = float(np.median(values[noise <= np.median(noise)])), 0.0
+    for _ in range(_ROUNDS):
+        square = (values - middle) ** 2
+        varies = max(float(np.median(square / _MEDIAN_SQUARE - noise)), 0.0)
+        variance = noise + varies
+        weight = 1 / (variance + square / 4)
+        middle = float((weight * values).sum() / weight.sum())
+    return middle, float(np.sqrt(varies))
 
 
 def fill_gaps(points: Floats, times: Floats, edges: Ints) -> Floats:

@@ -44,7 +44,8 @@ class Body:
     """What is expected of bodies in each frame of a track.
 
     edges: `[edge, 2]` keypoints whose distance is constant. lengths: `[edge, frame]` these
-        distances, NaN where they are not known. size: `[frame]` of the bodies: strengths are in it.
+        distances, NaN where they are not known. varies: `[edge, frame]` by how much (standard
+        deviation) they vary all the same. size: `[frame]` of the bodies: strengths are in it.
     steps: `[3, frame]` what the positions in a frame, the next one and the one after that are
         multiplied by for the acceleration there, zero where these frames do not follow each other.
         Times are in the usual step from one frame to the next.
@@ -52,13 +53,14 @@ class Body:
 
     edges: Ints
     lengths: Floats
+    varies: Floats
     size: Floats
     steps: Floats
 
     def join(self, others: Sequence["Body"]) -> "Body":
         """Return this body and then, later in time, the others."""
         parts = [self, *others]
-        names = ("lengths", "size", "steps")
+        names = ("lengths", "varies", "size", "steps")
         joined = {
             name: np.concatenate([getattr(part, name) for part in parts], axis=-1) for name in names
         }

@@ -5,6 +5,7 @@ Lives below `io` because the readers and the model both need it.
 
 import re
 from collections.abc import Container, Iterable, Mapping, Set
+from functools import cache
 from importlib import resources
 from itertools import pairwise
 from pathlib import Path
@@ -18,6 +19,8 @@ from mocap_calib.types import Ints, Skeleton
 
 # the first of those that know a recording equally well is chosen
 SHIPPED = ("people", "quadruped", "rodent", "bird")
+# in C, where PyYAML has it; for our own files, as it may crash on what is nested deeply
+_FAST_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _SIDES = {"l": "left", "left": "left", "r": "right", "right": "right"}
 # between `aB`, between `L` and `Ab`, and at spaces and marks
 _WORD_BREAK = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[LR])(?=[A-Z][a-z])|[\s\-.()]+")
@@ -105,8 +108,15 @@ def load_skeleton(name_or_path: str | Path) -> Skeleton:
 
     Raises FormatError.
     """
-    fields = _read_yaml(_skeleton_text(name_or_path), f"skeleton {name_or_path}")
-    return parse_skeleton(fields, str(name_or_path))
+    if name_or_path in SHIPPED:
+        return _load_shipped(str(name_or_path))
+    return parse_skeleton(_read_fields(name_or_path), str(name_or_path))
+
+
+@cache
+def _load_shipped(name: str) -> Skeleton:
+    """Return a skeleton that is shipped; it is read once."""
+    return parse_skeleton(_read_fields(name), name)
 
 
 def load_section(name_or_path: str | Path, section: str) -> dict[str, Any]:
@@ -116,7 +126,7 @@ def load_section(name_or_path: str | Path, section: str) -> dict[str, Any]:
 
     Raises FormatError.
     """
-    fields = _read_yaml(_skeleton_text(name_or_path), f"skeleton {name_or_path}") or {}
+    fields = _read_fields(name_or_path) or {}
     found = fields.get(section) or {}
     if not isinstance(found, dict):
         raise FormatError(
@@ -216,18 +226,23 @@ def _symmetries(keypoints: tuple[str, ...]) -> tuple[tuple[int, int], ...]:
     return tuple((index[left], index[right]) for left, right in mirrored if right in index)
 
 
+def _read_fields(name_or_path: str | Path) -> Any:
+    """Return what a skeleton's file holds. Raises FormatError."""
+    text = _skeleton_text(name_or_path)
+    if name_or_path in SHIPPED:
+        return yaml.load(text, _FAST_LOADER)
+    return _read_yaml(text, f"skeleton {name_or_path}")
+
+
 def _skeleton_text(name_or_path: str | Path) -> str:
     """Return the text of a skeleton's file. Raises FormatError."""
     shipped = resources.files("mocap_calib") / "skeletons" / f"{name_or_path}.yaml"
     if shipped.is_file():
         return shipped.read_text("utf-8")
-    path = Path(name_or_path)
-    if path.is_file():
-        return path.read_text("utf-8")
-    raise FormatError(
-        f"skeleton {name_or_path}: expected the name of a shipped skeleton or a YAML file, "
-        "found neither"
-    )
+    if Path(name_or_path).is_file():
+        return Path(name_or_path).read_text("utf-8")
+    source = f"skeleton {name_or_path}"
+    raise FormatError(f"{source}: expected the name of a shipped one or a YAML file, found neither")
 
 
 # --- a user's own names

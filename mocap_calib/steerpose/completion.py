@@ -1,30 +1,16 @@
 """Complete keypoints that were not seen, and bridge skeletons: SteerPose with no rotation.
 
-Appendix D of the paper (Lee et al., BMVC 2025).
+Appendix D of the paper (Lee et al., BMVC 2025); `steer.complete` is its form for either network.
 """
 
 from collections.abc import Sequence
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from mocap_calib.config import COMPLETION_CONFIDENCE, COMPLETION_SPREAD
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.recording.views import split_by_view
-from mocap_calib.steerpose.steer import Model, steer
 from mocap_calib.types import Bools, Floats, Keypoints2D, LiftedPoses, Sample, Skeleton
-
-
-@torch.no_grad()
-def complete(model: Model, pose: Tensor, seen: Tensor) -> Tensor:
-    """Return poses `[B, J, 2]` with the joints that are not seen where the network expects them.
-
-    pose: `[B, J, 2]` centred and scaled by `model.normalise`; seen: `[B, J]` bool.
-    """
-    no_rotation = torch.zeros(len(pose), 3, dtype=pose.dtype, device=pose.device)
-    predicted = steer(model, pose, seen, no_rotation)  # (B, J, 2)
-    return torch.where(seen[..., None], pose, predicted)
 
 
 def complete_sample(

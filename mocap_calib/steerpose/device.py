@@ -1,27 +1,35 @@
-"""Where the network computes: on which device, and on how many threads."""
+"""Where networks compute."""
 
-import torch
+import re
+from collections.abc import Callable
 
 from mocap_calib.errors import MismatchError
+from mocap_calib.steerpose.lifter import Floats32, Lifter
+from mocap_calib.types import Bools
 
-
-def use_threads(count: int) -> None:
-    """Let torch use so many threads.
-
-    Networks as small as these are slower on more than one, and reproducible on one.
-    """
-    torch.set_num_threads(count)
+CPU = "cpu"
+# joints `[B, J, 3]` and logarithms of deviations `[B, J, 2]` of poses `[B, J, 2]`: see `Lifter`
+Network = Callable[[Floats32, Bools], tuple[Floats32, Floats32]]
 
 
 def check_device(device: str) -> None:
     """Raise MismatchError where there is no such device ("cpu", "cuda" or "cuda:1")."""
-    try:
-        wanted = torch.device(device)
-    except (RuntimeError, TypeError):
-        wanted = None
-    if wanted is None or wanted.type not in ("cpu", "cuda"):
+    if device == CPU:
+        return
+    if not (found := re.fullmatch(r"cuda(?::(\d+))?", device)):
         raise MismatchError(f"device: expected cpu or cuda, found {device!r}; use cpu")
-    if wanted.type == "cuda" and (wanted.index or 0) >= torch.cuda.device_count():
+    import torch  # noqa: PLC0415 - takes more than a second
+
+    if int(found[1] or 0) >= torch.cuda.device_count():
         raise MismatchError(
             f"device {device}: expected a CUDA device and a torch built for it, found none; use cpu"
         )
+
+
+def network_on(device: str, lifter: Lifter) -> Network:
+    """Return what lifts poses on a device, which `check_device` has found good."""
+    if device == CPU:
+        return lifter
+    from mocap_calib.steerpose.module_on_device import put_on  # noqa: PLC0415 - torch
+
+    return put_on(device, lifter)

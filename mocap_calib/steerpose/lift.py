@@ -6,26 +6,26 @@ stand upright or are turned by a quarter: each view is lifted in the quarter tur
 which the network is surest.
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
-from mocap_calib.compute.parallel import map_in_threads
+from mocap_calib.compute.parallel import map_in_threads, single_threaded_libraries
 from mocap_calib.config import (
     LEAST_JOINTS,
     LIFT_BEST_PERCENTILE,
     LIFT_CONFIDENCE,
     LIFT_LEAST_DEPTH,
     LIFT_LEAST_FORWARD,
+    LIFT_UPRIGHT_FIRST,
+    LIFT_UPRIGHT_LEAD,
     LIFT_UPRIGHT_SAMPLE,
 )
 from mocap_calib.geometry.rotation import looking_along
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.recording.synchronise import check_joints
-from mocap_calib.steerpose.model import Lifter, normalise
+from mocap_calib.steerpose.device import CPU, Network, network_on
+from mocap_calib.steerpose.lifter import Floats32, Lifter
 from mocap_calib.steerpose.rays import rays_by_joint
 from mocap_calib.types import Bools, Floats, LiftedPoses, Progress, Sample
 
@@ -47,7 +47,7 @@ class _Bodies:
     spread: Floats
 
 
-def lift(sample: Sample, lifter: Lifter, *, device: str = "cpu", progress: Progress) -> LiftedPoses:
+def lift(sample: Sample, lifter: Lifter, *, device: str = CPU, progress: Progress) -> LiftedPoses:
     """Lift all detections that surely show at least four joints of the model's vocabulary.
 
     The lifted body (E[X | p] of `model.py`) is freed of the virtual camera and scaled to unit size;
@@ -56,17 +56,17 @@ def lift(sample: Sample, lifter: Lifter, *, device: str = "cpu", progress: Progr
     Raises MismatchError where the model knows too few joints and several subjects make it needed;
     a single subject can be calibrated by geometry alone.
     """
-    lifter = lifter.to(device)
     check_joints(sample)
+    network = network_on(device, lifter)
     rays = rays_by_joint(_confident_rays(sample), sample.vocabulary, lifter.config.joints)
     views = len(rays)
 
     def lift_view(view: int) -> _Bodies:
         """Lift the detections of one view (index)."""
-        return _lift_view(rays[view], lifter, device)
+        return _lift_view(rays[view], network)
 
     lifted: list[_Bodies] = []
-    with _one_torch_thread():
+    with single_threaded_libraries():
         for bodies in map_in_threads(lift_view, range(views)):
             lifted.append(bodies)
             progress("lift", len(lifted), views)
@@ -75,20 +75,6 @@ def lift(sample: Sample, lifter: Lifter, *, device: str = "cpu", progress: Progr
         centre=np.stack([bodies.centre for bodies in lifted]),
         spread=np.stack([bodies.spread for bodies in lifted]),
     )
-
-
-@contextmanager
-def _one_torch_thread() -> Iterator[None]:
-    """Hold torch to one thread for each of ours.
-
-    Networks as small as these are slower on more threads, and their last digits differ.
-    """
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def _confident_rays(sample: Sample) -> Floats:
@@ -109,7 +95,7 @@ def _best_confidence(confidence: Floats) -> float:
     return float(np.percentile(positive, LIFT_BEST_PERCENTILE)) if len(positive) else 1.0
 
 
-def _lift_view(rays: Floats, lifter: Lifter, device: str) -> _Bodies:
+def _lift_view(rays: Floats, network: Network) -> _Bodies:
     """Lift the detections of one view, rays `[frame, instance, joint, 3]`; NaN for the others."""
     enough = np.isfinite(rays[..., 0]).sum(-1) >= LEAST_JOINTS  # [frame, instance]
     lifted = _Bodies(
@@ -118,18 +104,18 @@ def _lift_view(rays: Floats, lifter: Lifter, device: str) -> _Bodies:
         spread=np.full(rays.shape[:3], np.nan),
     )
     if enough.any():
-        found = _lift_in_blocks(rays[enough], lifter, device)
+        found = _lift_in_blocks(rays[enough], network)
         lifted.body[enough] = found.body
         lifted.centre[enough] = found.centre
         lifted.spread[enough] = found.spread
     return lifted
 
 
-def _lift_in_blocks(rays: Floats, lifter: Lifter, device: str) -> _Bodies:
+def _lift_in_blocks(rays: Floats, network: Network) -> _Bodies:
     """Lift the detections `[B, J, 3]` of one view, with the view's own direction of down."""
-    down = _direction_of_down(rays, lifter, device)
+    down = _direction_of_down(rays, network)
     blocks = [
-        _lift_rays(rays[start : start + _BLOCK], down, lifter, device)
+        _lift_rays(rays[start : start + _BLOCK], down, network)
         for start in range(0, len(rays), _BLOCK)
     ]
     return _Bodies(
@@ -139,22 +125,27 @@ def _lift_in_blocks(rays: Floats, lifter: Lifter, device: str) -> _Bodies:
     )
 
 
-def _direction_of_down(rays: Floats, lifter: Lifter, device: str) -> Floats:
+def _direction_of_down(rays: Floats, network: Network) -> Floats:
     """Return the direction `[3]` in a view's image under which the network is surest.
 
-    rays: `[B, J, 3]` of the view's detections, of which a sample is lifted.
+    rays: `[B, J, 3]` of the view's detections, of which a sample is lifted: a small one, and a
+    larger one where that is not sure.
     """
-    sample = rays[evenly_spaced(np.arange(len(rays)), LIFT_UPRIGHT_SAMPLE)]
-    spread = [np.median(_lift_rays(sample, down, lifter, device).spread) for down in _DOWN]
-    return _DOWN[int(np.argmin(spread))]
+    for size in (LIFT_UPRIGHT_FIRST, LIFT_UPRIGHT_SAMPLE):
+        sample = rays[evenly_spaced(np.arange(len(rays)), size)]
+        spread = [float(np.median(_lift_rays(sample, down, network).spread)) for down in _DOWN]
+        surest, second, *_ = sorted(spread)
+        if second > LIFT_UPRIGHT_LEAD * surest:
+            break
+    return _DOWN[spread.index(surest)]
 
 
-def _lift_rays(rays: Floats, down: Floats, lifter: Lifter, device: str) -> _Bodies:
+def _lift_rays(rays: Floats, down: Floats, network: Network) -> _Bodies:
     """Lift rays `[B, J, 3]` in one camera's axes, the direction `down` `[3]` being down."""
     seen = np.isfinite(rays[..., 0])
     virtual_from_camera = looking_along(np.nansum(rays, axis=1), down)
     image = _project(rays, seen, virtual_from_camera)
-    joints, deviation = _apply_network(image, seen, lifter, device)
+    joints, deviation = _apply_network(image, seen, network)
     body = joints - joints.mean(1, keepdims=True)
     size = np.sqrt((body**2).sum(-1).mean(-1))[:, None]
     body = body / size[..., None]
@@ -174,19 +165,26 @@ def _project(rays: Floats, seen: Bools, virtual_from_camera: Floats) -> Floats:
     return turned[..., :2] / np.maximum(turned[..., 2:], LIFT_LEAST_FORWARD)
 
 
-@torch.no_grad()
-def _apply_network(
-    image: Floats, seen: Bools, lifter: Lifter, device: str
-) -> tuple[Floats, Floats]:
+def _apply_network(image: Floats, seen: Bools, network: Network) -> tuple[Floats, Floats]:
     """Return joints `[B, J, 3]` and their standard deviations `[B, J, 2]` across and along the ray.
 
     image: `[B, J, 2]` normalised image points in the virtual cameras; seen: `[B, J]`.
     """
-    seen_tensor = torch.from_numpy(seen).to(device)
-    pose, _, _ = normalise(torch.from_numpy(image).float().to(device), seen_tensor)
-    joints, log_deviation = lifter(pose, seen_tensor)
-    deviation = np.exp(log_deviation.double().cpu().numpy())
-    return joints.double().cpu().numpy(), deviation
+    joints, log_deviation = network(_normalise(image, seen), seen)
+    return joints.astype(np.float64), np.exp(log_deviation.astype(np.float64))
+
+
+def _normalise(image: Floats, seen: Bools) -> Floats32:
+    """Centre image points `[B, J, 2]` on those seen `[B, J]`, scaled to an RMS radius of 1.
+
+    What `model.normalise` does in training. What is not seen is 0.
+    """
+    weight = seen[..., None]
+    count = np.maximum(weight.sum(1), 1)  # [B, 1]
+    centre = np.where(weight, image, 0.0).sum(1) / count
+    offset = np.where(weight, image - centre[:, None], 0.0)
+    scale = np.sqrt((offset**2).sum((1, 2)) / count[:, 0])
+    return (offset / np.maximum(scale, 1e-9)[:, None, None]).astype(np.float32)
 
 
 def _centre(body: Floats, image: Floats, seen: Bools) -> Floats:

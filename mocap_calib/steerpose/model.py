@@ -6,26 +6,16 @@ the 2D pose p, rotated by R and projected by P. The network therefore estimates 
 is covariant to R by construction, and another R costs no network pass.
 """
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor, nn
 
-from mocap_calib.config import ENCODER_HEADS
+from mocap_calib.steerpose.lifter import LOG_DEVIATIONS, Lifter, ModelConfig
 
 
-@dataclass(frozen=True)
-class ModelConfig:
-    """Size of the network; saved inside the checkpoint."""
-
-    joints: int
-    width: int = 64
-    layers: int = 4
-    heads: int = ENCODER_HEADS
-
-
-class Lifter(nn.Module):
+class LifterModule(nn.Module):
     """Lift a 2D pose, seen by a virtual camera that looks at the body, to 3D with its uncertainty.
+
+    What is trained, and what computes on a GPU; `lifter.Lifter` computes the same without torch.
 
     One token a joint (a projection of its position, or a learnt vector where it is missing, plus a
     learnt embedding of which joint it is), a transformer encoder, one linear head for all tokens.
@@ -53,8 +43,22 @@ class Lifter(nn.Module):
         out = self.head(self.encoder(token))  # (B, J, 5)
         across, along = out[..., :2], out[..., 2:3]
         joints = torch.cat([known + across, along], dim=-1)  # (B, J, 3)
-        log_deviation = out[..., 3:].clamp(-6.0, 3.0)  # (B, J, 2)
+        log_deviation = out[..., 3:].clamp(*LOG_DEVIATIONS)  # (B, J, 2)
         return joints, log_deviation
+
+
+def module_of(lifter: Lifter) -> LifterModule:
+    """Return the module of a trained lifter."""
+    module = LifterModule(lifter.config)
+    module.load_state_dict({name: torch.tensor(each) for name, each in lifter.weights.items()})
+    return module.eval()
+
+
+def lifter_of(module: LifterModule) -> Lifter:
+    """Return what a module has learnt, without torch."""
+    return Lifter(
+        module.config, {name: each.cpu().numpy() for name, each in module.state_dict().items()}
+    )
 
 
 def transformer_encoder(width: int, *, heads: int, layers: int) -> nn.TransformerEncoder:

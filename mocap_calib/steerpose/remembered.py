@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 
 from mocap_calib.steerpose.lift import lift
-from mocap_calib.steerpose.model import Lifter
+from mocap_calib.steerpose.lifter import Lifter
 from mocap_calib.types import LiftedPoses, Progress, Sample
 
 

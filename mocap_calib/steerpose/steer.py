@@ -10,11 +10,11 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from mocap_calib.steerpose.model import Lifter
+from mocap_calib.steerpose.model import LifterModule
 from mocap_calib.steerpose.token import TokenSteerer
 
 Architecture = Literal["token", "factorised"]
-Model = Lifter | TokenSteerer
+Model = LifterModule | TokenSteerer
 
 
 def steer(model: Model, pose: Tensor, seen: Tensor, vector: Tensor) -> Tensor:
@@ -27,6 +27,18 @@ def steer(model: Model, pose: Tensor, seen: Tensor, vector: Tensor) -> Tensor:
     return prepare_steering(model, pose, seen)(vector)
 
 
+@torch.no_grad()
+def complete(model: Model, pose: Tensor, seen: Tensor) -> Tensor:
+    """Return poses `[B, J, 2]` with the joints that are not seen where the network expects them.
+
+    By no rotation: appendix D of the paper. pose: `[B, J, 2]` centred and scaled by
+    `model.normalise`; seen: `[B, J]` bool.
+    """
+    no_rotation = torch.zeros(len(pose), 3, dtype=pose.dtype, device=pose.device)
+    predicted = steer(model, pose, seen, no_rotation)  # (B, J, 2)
+    return torch.where(seen[..., None], pose, predicted)
+
+
 def prepare_steering(model: Model, pose: Tensor, seen: Tensor) -> Callable[[Tensor], Tensor]:
     """Return a function from rotation vectors `[B, 3]` to the steered poses `[B, J, 2]`.
 
@@ -34,7 +46,7 @@ def prepare_steering(model: Model, pose: Tensor, seen: Tensor) -> Callable[[Tens
     factorised model lifts here and only rotates afterwards; the rotation-token model needs the
     whole network for each rotation.
     """
-    if not isinstance(model, Lifter):
+    if not isinstance(model, LifterModule):
         return lambda vector: model(pose, seen, shortest(vector))
     body, _ = model(pose, seen)  # (B, J, 3)
 

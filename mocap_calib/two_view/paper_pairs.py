@@ -13,6 +13,7 @@ from mocap_calib.steerpose.paper.batch import TwoViews
 from mocap_calib.steerpose.paper.solver import seeded_generator, solve_pair
 from mocap_calib.steerpose.rays import rays_by_joint
 from mocap_calib.steerpose.steer import Model
+from mocap_calib.steerpose.threads import torch_threads
 from mocap_calib.two_view.solve import PairProblem, judge_pair, mean_focal
 from mocap_calib.types import Floats, Ints, PairwiseCalibration
 
@@ -37,7 +38,8 @@ class PaperPairs:
             return None
         frames = evenly_spaced(np.arange(len(problem.pair.frames)), self.config.frames)
         generator = seeded_generator(int(problem.rng.integers(2**62)))
-        found = solve_pair(self._two_views(problem, frames), self.model, self.config, generator)
+        with torch_threads(1):
+            found = solve_pair(self._two_views(problem, frames), self.model, self.config, generator)
         frame, instances = found.matches[:, 0], found.matches[:, 1:]
         return judge_pair(
             problem,

@@ -3,9 +3,8 @@
 import numpy as np
 
 from mocap_calib.config import FivePointConfig, PairwiseConfig, PaperConfig
-from mocap_calib.steerpose.model import Lifter
+from mocap_calib.steerpose.lifter import Lifter
 from mocap_calib.two_view.five_point_pairs import FivePointPairs
-from mocap_calib.two_view.paper_pairs import PaperPairs
 from mocap_calib.two_view.solve import PairSolver
 from mocap_calib.types import Recording
 
@@ -23,8 +22,11 @@ def choose_pair_solver(
     focal = np.array([camera.focal for camera in recording.cameras])
     if name == "five-point":
         return FivePointPairs(focal=focal, pairwise=config, config=FivePointConfig())
+    from mocap_calib.steerpose.model import module_of  # noqa: PLC0415 - torch: over a second
+    from mocap_calib.two_view.paper_pairs import PaperPairs  # noqa: PLC0415
+
     return PaperPairs(
-        model=lifter,
+        model=module_of(lifter),
         vocabulary=recording.vocabulary,
         focal=focal,
         pairwise=config,

@@ -1,16 +1,16 @@
 """Align a rig to a world that is known: by its cameras, or by landmarks that cameras see."""
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 
 import numpy as np
 
 from mocap_calib.config import KnownCamera, Landmark, WorldConfig
-from mocap_calib.errors import MismatchError
+from mocap_calib.errors import MismatchError, suggest
 from mocap_calib.geometry.alignment import align_by_similarity
 from mocap_calib.multi_view.evaluation import with_axes
 from mocap_calib.recording.epochs import views_by_camera
-from mocap_calib.types import Camera, CameraRig, Floats
+from mocap_calib.types import Camera, CameraRig, Floats, MeasuredLandmark
 from mocap_calib.wording import count
 from mocap_calib.world.moving import Similarity
 
@@ -44,40 +44,68 @@ def shared_cameras(known: Sequence[KnownCamera], names: Sequence[str]) -> list[K
             "--world: expected a file with at least two cameras of the recording "
             f"({', '.join(names)}), found {found}; check their names"
         )
+    if all(_same_place(camera, shared[0]) for camera in shared):
+        raise MismatchError(
+            "--world: expected a file whose cameras are in different places, found "
+            f"{', '.join(camera.name for camera in shared)} in one; give another"
+        )
     return shared
+
+
+def _same_place(a: KnownCamera, b: KnownCamera) -> bool:
+    """Return whether two cameras have the same centre, to the digits that a file may have."""
+    first, second = (-np.reshape(each.rotation, (3, 3)).T @ each.translation for each in (a, b))
+    return bool(np.abs(first - second).max() <= 1e-9 * np.abs(first).max())
+
+
+def check_landmarks(
+    landmarks: Sequence[Landmark], cameras: Sequence[str], config: WorldConfig
+) -> None:
+    """Hold landmarks to the cameras of a recording, before it is calibrated.
+
+    Raises MismatchError for unknown cameras, and landmarks that are too few or on a line.
+    """
+    strangers = {each.camera for each in landmarks} - set(cameras)
+    if strangers:
+        raise MismatchError(
+            f"--align: expected cameras of the recording ({', '.join(cameras)}), "
+            f"found {min(strangers)!r}; {suggest(min(strangers), cameras)}"
+        )
+    seen = Counter(each.name for each in landmarks)
+    places = {each.name: each.position for each in landmarks if seen[each.name] >= 2}
+    _check_number(len(places), len(seen), config)
+    _check_extent(np.array(list(places.values())), "stated", config)
 
 
 def align_to_landmarks(
     rig: CameraRig, landmarks: Sequence[Landmark], config: WorldConfig
-) -> tuple[Similarity, float, tuple[str, ...]]:
-    """Return the similarity to the world of landmarks, its relative error of scale, and remarks.
+) -> tuple[Similarity, float, tuple[MeasuredLandmark, ...]]:
+    """Return the similarity to the world of landmarks, and its relative error of scale.
 
-    The landmarks are triangulated. A remark says how far each is from where it should be.
+    The landmarks are triangulated. Returned is also how far each is from where it should be.
 
     Raises MismatchError for unknown cameras, and landmarks that are too few or on a line.
     """
     names, known, pixels = _collect(rig, landmarks)
     found, _ = rig.triangulate(pixels)
     seen = np.isfinite(found[:, 0])
-    if seen.sum() < config.least_landmarks:
-        raise MismatchError(
-            f"--align: expected {config.least_landmarks} landmarks that two cameras see, "
-            f"found {seen.sum()} of {len(names)}; add observations"
-        )
+    _check_number(int(seen.sum()), len(names), config)
     for points, where in ((known[seen], "stated"), (found[seen], "seen")):
         _check_extent(points, where, config)
     by = Similarity(*align_by_similarity(found[seen], known[seen]))
     away = np.linalg.norm(by.apply(found) - known, axis=1)
-    remarks = [
-        f"landmark {name}: {1e3 * distance:.0f} mm from its place"
-        if np.isfinite(distance)
-        else f"landmark {name}: not used, two cameras that agree on it are needed"
-        for name, distance in zip(names, away, strict=True)
-    ]
-    rms = float(np.sqrt((away[seen] ** 2).mean()))
-    first = f"aligned to {count(int(seen.sum()), 'landmark')}, RMS distance {1e3 * rms:.0f} mm"
-    sigma = _scale_sigma(by.apply(found[seen]), known[seen])
-    return by, sigma, (first, *remarks)
+    measured = (
+        MeasuredLandmark(name, float(distance)) for name, distance in zip(names, away, strict=True)
+    )
+    return by, _scale_sigma(by.apply(found[seen]), known[seen]), tuple(measured)
+
+
+def describe_alignment(landmarks: Sequence[MeasuredLandmark]) -> str:
+    """Return how well landmarks are where they should be, in words."""
+    away = np.array([each.distance for each in landmarks])
+    away = away[np.isfinite(away)]
+    rms = float(np.sqrt((away**2).mean()))
+    return f"aligned to {count(len(away), 'landmark')}, RMS distance {1e3 * rms:.0f} mm"
 
 
 def _collect(
@@ -98,6 +126,15 @@ def _collect(
             if landmark.camera in views:
                 pixels[views[landmark.camera], k] = landmark.pixel
     return tuple(seen), known, pixels
+
+
+def _check_number(seen: int, all: int, config: WorldConfig) -> None:
+    """Raise MismatchError where too few landmarks are seen by two cameras."""
+    if seen < config.least_landmarks:
+        raise MismatchError(
+            f"--align: expected {config.least_landmarks} landmarks that two cameras see, "
+            f"found {seen} of {all}; add observations"
+        )
 
 
 def _check_extent(points: Floats, where: str, config: WorldConfig) -> None:

@@ -5,8 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mocap_calib.geometry.bodies import mean_of_known
 from mocap_calib.recording.joints import choose_skeleton, match_names
-from mocap_calib.types import POINT_SOURCES, Bools, Floats, Poses3D, Skeleton
+from mocap_calib.steerpose.weights import load_vocabulary
+from mocap_calib.types import POINT_SOURCES, Bools, Floats, Poses3D, Recording, Skeleton
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,17 @@ def find_joints(keypoints: tuple[str, ...], skeleton: Skeleton | None = None) ->
     return Joints(skeleton.name, columns)
 
 
+def joints_of_recording(recording: Recording) -> Joints:
+    """Return which keypoints of a recording are which joints, as its model calls them."""
+    skeleton = load_vocabulary(recording.model)
+    columns = {
+        skeleton.keypoints[joint]: k for k, joint in enumerate(recording.vocabulary) if joint >= 0
+    }
+    if not columns:
+        return find_joints(recording.keypoints)
+    return Joints(choose_skeleton(columns).name, columns)
+
+
 def keep_triangulated(poses: Poses3D) -> Poses3D:
     """Return poses without the points that no two views saw: these rest on other bodies."""
     seen = poses.source == POINT_SOURCES.index("triangulated")
@@ -43,26 +56,9 @@ def keep_triangulated(poses: Poses3D) -> Poses3D:
     return replace(poses, positions=positions, raw=positions, source=poses.source * seen)
 
 
-def body_size(positions: Floats) -> float:
-    """Return the median RMS distance of a body's joints from their middle, NaN without bodies.
-
-    positions: `[frame, individual, keypoint, 3]`.
-    """
-    seen = np.isfinite(positions[..., 0])
-    count = np.maximum(seen.sum(-1), 1)
-    middle = np.where(seen[..., None], positions, 0.0).sum(2) / count[..., None]
-    squares = np.where(seen, ((positions - middle[:, :, None]) ** 2).sum(-1), 0.0).sum(-1) / count
-    bodies = squares[seen.sum(-1) >= max(3, seen.shape[-1] // 2)]
-    return float(np.sqrt(np.median(bodies))) if len(bodies) else np.nan
-
-
 def mean_of(positions: Floats, columns: Sequence[int]) -> Floats:
     """Return the middle `[frame, individual, 3]` of some keypoints, NaN where none is there."""
-    parts = positions[:, :, list(columns)]
-    seen = np.isfinite(parts[..., 0])
-    total = np.where(seen[..., None], parts, 0.0).sum(2)
-    count = seen.sum(-1)[..., None]
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    return mean_of_known(positions[:, :, list(columns)], axis=2)
 
 
 def distance(positions: Floats, a: int, b: int) -> Floats:
@@ -78,7 +74,7 @@ def leg_lengths(poses: Poses3D, joints: Joints) -> Floats:
         if len(chain) == 3:
             bones = [distance(poses.positions, *pair) for pair in (chain[:2], chain[1:])]
             lengths[k] = sum(median_over_frames(bone) for bone in bones)
-    return mean_present(lengths)
+    return mean_of_known(lengths, axis=0)
 
 
 def stand_straight(poses: Poses3D, joints: Joints, least: float) -> Bools:
@@ -107,10 +103,3 @@ def quantile_over_frames(values: Floats, share: float) -> Floats:
     index = np.floor(share * np.maximum(count - 1, 0)).astype(np.int64)
     found = np.take_along_axis(ordered, index[None], axis=0)[0] if len(values) else np.nan
     return np.where(count > 0, found, np.nan)
-
-
-def mean_present(values: Floats) -> Floats:
-    """Return the mean `[...]` of `[part, ...]` values without NaN; NaN where there is none."""
-    seen = np.isfinite(values)
-    total = np.where(seen, values, 0.0).sum(0)
-    return np.where(seen.any(0), total / np.maximum(seen.sum(0), 1), np.nan)

@@ -4,20 +4,26 @@ Each cue says what a length of 1 is: the logarithms of what is known over what w
 averaged, weighted by their variances (a product of errors is a sum of logarithms).
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from mocap_calib.config import CueConfig, FloorConfig, ScaleCue
 from mocap_calib.errors import MismatchError, suggest
+from mocap_calib.geometry.bodies import body_size
 from mocap_calib.multi_view.rig_covariance import rig_size
-from mocap_calib.recording.epochs import own_name, views_by_camera
-from mocap_calib.recording.joints import normalise_name
+from mocap_calib.recording.epochs import own_name
 from mocap_calib.types import Bools, CameraRig, Floats, MeasuredCue, Poses3D, RigCovariance
+from mocap_calib.world.asked import (
+    camera_pair,
+    check_cues,
+    describe_cue,
+    head_columns,
+    joint_pair,
+)
 from mocap_calib.world.body import (
     Joints,
-    body_size,
     distance,
     leg_lengths,
     median_over_frames,
@@ -61,6 +67,7 @@ def find_scale(
     """
     if not cues:
         return None
+    check_cues(cues, on.poses.keypoints, on.joints, on.rig.names, config)
     lengths, sigmas = np.array([_measure(cue, on, config, floor) for cue in cues]).T
     known = np.array([cue.metres for cue in cues])
     sigma = np.hypot(sigmas, [cue.sigma / cue.metres for cue in cues])
@@ -68,7 +75,7 @@ def find_scale(
     logs = np.log(known / lengths)
     mean = float(weight @ logs / weight.sum())
     left = np.maximum(sigma**2 - 1 / weight.sum(), 0.0)  # the mean follows each of them in part
-    residual = (mean - logs) / np.sqrt(left) if len(cues) > 1 else np.zeros(1)
+    residual = (mean - logs) / np.sqrt(left) if len(cues) > 1 else [np.nan]
     factor = float(np.exp(mean))
     measured = tuple(
         MeasuredCue(describe_cue(cue), cue.metres, float(factor * length), float(own), float(off))
@@ -78,16 +85,9 @@ def find_scale(
     return Scale(factor, float(np.sqrt(1 / weight.sum())), measured)
 
 
-def describe_cue(cue: ScaleCue) -> str:
-    """Return what a cue is of: `height of 0`, `length left_hip-left_knee`."""
-    if cue.kind == "height":
-        return f"height of {cue.of}" if cue.of else "height"
-    return f"{cue.kind} {cue.of}"
-
-
 def _check_agreement(cues: Sequence[MeasuredCue], config: CueConfig) -> None:
     """Raise MismatchError where cues are further apart than chance allows."""
-    if max(abs(cue.residual) for cue in cues) <= config.most_residual:
+    if not any(abs(cue.residual) > config.most_residual for cue in cues):
         return
     said = ", ".join(
         f"{cue.text}={cue.metres:g} m ({cue.measured:.3g} m by all of them, "
@@ -122,13 +122,7 @@ def statures(on: Measurable, config: CueConfig, floor: FloorConfig) -> Floats:
 
     Raises MismatchError where it is not known where the floor is.
     """
-    heads = [(on.joints.columns[name], share) for name, share in config.head_height
-             if name in on.joints.columns]  # fmt: skip
-    if on.joints.kind != "people" or not heads:
-        raise MismatchError(
-            "--height: expected people with points of the head (head_top, eyes, ears or nose), "
-            "found none; say a --length or --camera-distance"
-        )
+    heads = head_columns(on.joints, config)
     if isinstance(on.floor, str):
         raise MismatchError(
             f"--height: expected somebody who stands, found that {on.floor}; "
@@ -191,52 +185,6 @@ def _find_individual(text: str, on: Measurable) -> int:
 # --- lengths between joints, distances of cameras
 
 
-def joint_pair(
-    text: str, keypoints: tuple[str, ...], joints: Joints, option: str
-) -> tuple[int, int]:
-    """Return the indices of two keypoints of `A-B`, by their own names or those of joints.
-
-    Raises MismatchError.
-    """
-    known = {normalise_name(name): k for name, k in joints.columns.items()}
-    known |= {normalise_name(name): k for k, name in enumerate(keypoints)}
-    known |= {name: k for k, name in enumerate(keypoints)}
-    first, second = split_pair(text, known, "joints", keypoints, option)
-    return _lookup(known, first), _lookup(known, second)
-
-
-def camera_pair(text: str, rig: CameraRig, option: str) -> tuple[int, int]:
-    """Return the indices of the views of two cameras of `A-B`. Raises MismatchError."""
-    known = {name: own[0] for name, own in views_by_camera(rig.names).items()}
-    first, second = split_pair(text, known, "cameras", tuple(known), option)
-    return known[first], known[second]
-
-
-def split_pair(
-    text: str, known: Iterable[str], what: str, offered: Sequence[str], option: str
-) -> tuple[str, str]:
-    """Return the two names of `A-B`, either of which may have a `-`. Raises MismatchError."""
-    names = set(known)
-    parts = text.split("-")
-    halves = [("-".join(parts[:k]), "-".join(parts[k:])) for k in range(1, len(parts))]
-    for first, second in halves:
-        if _is_known(first, names) and _is_known(second, names) and first != second:
-            return first, second
-    stranger = next((half for pair in halves for half in pair if not _is_known(half, names)), text)
-    raise MismatchError(
-        f"{option} {text}: expected two {what}, as A-B, of {', '.join(offered)}, "
-        f"found {stranger!r}; {suggest(stranger, offered)}"
-    )
-
-
-def _is_known(name: str, names: set[str]) -> bool:
-    return name in names or normalise_name(name) in names
-
-
-def _lookup(known: dict[str, int], name: str) -> int:
-    return known[name] if name in known else known[normalise_name(name)]
-
-
 def _measure_length(cue: ScaleCue, on: Measurable, config: CueConfig) -> tuple[float, float]:
     """Return the median distance of two joints, of the median individual."""
     pair = joint_pair(cue.of, on.poses.keypoints, on.joints, "--length")
@@ -257,7 +205,7 @@ def _measure_length(cue: ScaleCue, on: Measurable, config: CueConfig) -> tuple[f
 
 def _measure_cameras(cue: ScaleCue, on: Measurable) -> tuple[float, float]:
     """Return the distance of two cameras."""
-    a, b = camera_pair(cue.of, on.rig, "--camera-distance")
+    a, b = camera_pair(cue.of, on.rig.names, "--camera-distance")
     offset = on.rig.centres[b] - on.rig.centres[a]
     length = float(np.linalg.norm(offset))
     if length == 0:

@@ -6,30 +6,26 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mocap_calib.config import WORLDS, ScaleCue, WorldConfig
-from mocap_calib.errors import MismatchError, suggest
+from mocap_calib.errors import DegenerateError, MismatchError
 from mocap_calib.geometry.rotation import nearest_rotation
-from mocap_calib.recording.epochs import own_names, views_by_camera
-from mocap_calib.recording.joints import choose_skeleton
-from mocap_calib.steerpose.weights import load_vocabulary
+from mocap_calib.recording.epochs import views_by_camera
 from mocap_calib.types import (
     METRES,
     CalibrationResult,
-    CameraRig,
     Floats,
     GroupResult,
-    Recording,
     World,
 )
-from mocap_calib.world.alignment import align_to_cameras, align_to_landmarks, shared_cameras
-from mocap_calib.world.body import Joints, find_joints, keep_triangulated
-from mocap_calib.world.cues import Measurable, Scale, camera_pair, find_scale, joint_pair
+from mocap_calib.world.alignment import (
+    align_to_cameras,
+    align_to_landmarks,
+    describe_alignment,
+)
+from mocap_calib.world.asked import camera_pair, joint_pair
+from mocap_calib.world.body import joints_of_recording, keep_triangulated
+from mocap_calib.world.cues import Measurable, Scale, find_scale
 from mocap_calib.world.floor import Floor, find_floor
 from mocap_calib.world.moving import Similarity, move_group
-
-_NOT_SCALED = (
-    "lengths are arbitrary: one that is known sets the scale (--height, --length, "
-    "--camera-distance; afterwards `mocap-calib scale`)"
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,84 +37,23 @@ class Placement:
     world: World
 
 
-def check_world(config: WorldConfig, recording: Recording) -> None:
-    """Hold what is asked for to the names of a recording, before it is calibrated.
-
-    Raises MismatchError for unknown joints, cameras and axes.
-    """
-    cameras = own_names(recording.names)
-    if not config.cameras and config.axes not in (*WORLDS, *cameras):
-        offered = ", ".join((*WORLDS, *cameras))
-        raise MismatchError(
-            f"--world: expected one of {offered}, or a file, found {config.axes!r}; "
-            f"{suggest(config.axes, (*WORLDS, *cameras))}"
-        )
-    if config.cameras:
-        shared_cameras(config.cameras, cameras)
-    known_scale = config.landmarks or (config.cameras and config.unit in METRES)
-    if config.cues and known_scale:
-        raise MismatchError(
-            "scale: expected lengths from one source, found known lengths beside a world that has "
-            "its unit; leave out --height, --length and --camera-distance"
-        )
-    strangers = {each.camera for each in config.landmarks} - set(cameras)
-    if strangers:
-        raise MismatchError(
-            f"--align: expected cameras of the recording ({', '.join(cameras)}), "
-            f"found {min(strangers)!r}; {suggest(min(strangers), cameras)}"
-        )
-    _check_names(config, recording)
-
-
-def _check_names(config: WorldConfig, recording: Recording) -> None:
-    """Raise MismatchError for joints and cameras that the recording does not have."""
-    joints = _joints_of(recording)
-    rig = CameraRig(
-        recording.cameras,
-        np.tile(np.eye(3), (len(recording.cameras), 1, 1)),
-        np.zeros((len(recording.cameras), 3)),
-    )
-    for cue in config.cues:
-        if cue.kind == "length":
-            joint_pair(cue.of, recording.keypoints, joints, "--length")
-        elif cue.kind == "camera distance":
-            camera_pair(cue.of, rig, "--camera-distance")
-    if config.forward:
-        if config.cameras or config.landmarks or config.axes not in ("auto", "floor"):
-            raise MismatchError(
-                "--forward: expected a world on the floor, whose heading it says, found another; "
-                "leave it, --world or --align out"
-            )
-        joint_pair(config.forward, recording.keypoints, joints, "--forward")
-
-
 def place_result(result: CalibrationResult) -> CalibrationResult:
     """Return the result with each group in the coordinates that its configuration asks for.
 
-    What is asked for must be possible in the largest group; in others it is done where it is.
-
-    Raises MismatchError where it is not possible, and where known lengths contradict each other.
+    A group whose cameras or subjects do not allow that has others, and lengths that are arbitrary:
+    `World.axes_unmet` and `World.scale_unmet` say why.
     """
     config = result.config.world
     groups = []
     for number, group in enumerate(result.groups):
         own = replace(config, cues=_cues_of_group(config.cues, result.groups, number))
-        try:
-            groups.append(place_in_world(group, own))
-        except MismatchError as error:
-            if number == 0:
-                raise
-            plain = replace(config, axes="auto", cues=(), cameras=(), landmarks=(), forward="")
-            groups.append(_remark(place_in_world(group, plain), str(error)))
+        groups.append(place_in_world(group, own))
     return replace(result, groups=tuple(groups))
 
 
 def place_in_world(group: GroupResult, config: WorldConfig) -> GroupResult:
-    """Return a group of cameras and all that is known of it in the coordinates asked for.
-
-    Raises MismatchError as `place_result` does.
-    """
-    joints = _joints_of(group.recording)
+    """Return a group of cameras and all that is known of it in the coordinates asked for."""
+    joints = joints_of_recording(group.recording)
     trusted = group.verdict != "not determined"
     poses = keep_triangulated(group.poses)
     floor: Floor | str = "the rig is not determined"
@@ -136,30 +71,49 @@ def place_in_world(group: GroupResult, config: WorldConfig) -> GroupResult:
 def find_placement(on: Measurable, config: WorldConfig) -> Placement:
     """Return where to move cameras and poses, and what is known of the coordinates then.
 
-    Raises MismatchError where what is asked for is not possible.
+    What cannot be had is left out, and the world says why.
+    """
+    scale, scale_unmet = None, ""
+    try:
+        scale = find_scale(config.cues, on, config.measure, config.floor)
+    except MismatchError as error:
+        scale_unmet = str(error)
+    try:
+        placement = _find_axes(on, config)
+    except (MismatchError, DegenerateError) as error:
+        plain = replace(config, axes="auto", cameras=(), landmarks=(), forward="")
+        placement = _find_axes(on, plain)
+        unmet = replace(placement.world, axes_unmet=str(error))
+        placement = replace(placement, world=unmet)
+    placement = _with_floor(_with_scale(placement, scale), on)
+    return replace(placement, world=replace(placement.world, scale_unmet=scale_unmet))
+
+
+def _find_axes(on: Measurable, config: WorldConfig) -> Placement:
+    """Return the way to the axes that are asked for, with lengths as those say them.
+
+    Raises MismatchError and DegenerateError where they cannot be had.
     """
     if config.landmarks:
-        by, sigma, remarks = align_to_landmarks(on.rig, config.landmarks, config)
-        world = World(kind="landmarks", scale_sigma=sigma, remarks=remarks)
-        return _with_floor(Placement(by, "m", world), on)
-    scale = find_scale(config.cues, on, config.measure, config.floor)
+        by, sigma, seen = align_to_landmarks(on.rig, config.landmarks, config)
+        remarks = (describe_alignment(seen),)
+        world = World(kind="landmarks", scale_sigma=sigma, remarks=remarks, landmarks=seen)
+        return Placement(by, "m", world)
     if config.cameras:
         by, sigma = align_to_cameras(on.rig, config.cameras)
         remark = "aligned to cameras whose places were given"
         known = config.unit in METRES
         world = World(kind="file", scale_sigma=sigma if known else np.nan, remarks=(remark,))
-        return _with_floor(_with_scale(Placement(by, config.unit, world), scale), on)
+        return Placement(by, config.unit, world)
     if isinstance(on.floor, Floor) and config.axes in ("auto", "floor"):
-        by = _stand_on_floor(on, on.floor, config)
-        placement = Placement(by, on.poses.unit, World(kind="floor"))
-    elif config.axes == "floor":
+        return Placement(_stand_on_floor(on, on.floor, config), on.poses.unit, World(kind="floor"))
+    if config.axes == "floor" or config.forward:
+        option = f"--forward {config.forward}" if config.forward else "--world floor"
         raise MismatchError(
-            f"--world floor: expected subjects that show a floor, found that {on.floor}; "
-            "leave it out, or name a camera"
+            f"{option}: expected subjects that show a floor, found that {on.floor}; "
+            "leave it out, or name a camera with --world"
         )
-    else:
-        placement = _look_through_camera(on, config)
-    return _with_floor(_with_scale(placement, scale), on)
+    return _look_through_camera(on, config)
 
 
 def _stand_on_floor(on: Measurable, floor: Floor, config: WorldConfig) -> Similarity:
@@ -219,40 +173,11 @@ def _look_through_camera(on: Measurable, config: WorldConfig) -> Placement:
 def _with_scale(placement: Placement, scale: Scale | None) -> Placement:
     """Return the placement with lengths in metres, where something says how long they are."""
     if scale is None:
-        known = placement.unit in METRES
-        remarks = placement.world.remarks + (() if known else (_NOT_SCALED,))
-        return replace(placement, world=replace(placement.world, remarks=remarks))
+        return placement
     by = placement.by  # to a world whose lengths may differ from those that were measured
     moved = Similarity(scale.factor, by.rotation, scale.factor / by.scale * by.shift)
-    world = replace(
-        placement.world,
-        scale_sigma=scale.sigma,
-        cues=scale.cues,
-        remarks=(*placement.world.remarks, *describe_scale(scale)),
-    )
+    world = replace(placement.world, scale_sigma=scale.sigma, cues=scale.cues)
     return Placement(moved, "m", world)
-
-
-def describe_scale(scale: Scale) -> tuple[str, ...]:
-    """Return how sure the scale is, and what each cue says, a line each."""
-    return (
-        f"lengths are in m, uncertain by {100 * scale.sigma:.1f} %, a standard deviation",
-        *(
-            f"{cue.text}: {cue.metres:g} m, {cue.measured:.4g} m by all cues "
-            f"({cue.residual:+.1f} sigma)"
-            for cue in scale.cues
-        ),
-    )
-
-
-def is_detail(remark: str) -> bool:
-    """Return whether a remark says what a single known length or landmark does."""
-    return " m by all cues (" in remark or remark.startswith("landmark ")
-
-
-def is_of_scale(remark: str) -> bool:
-    """Return whether a remark is one of `describe_scale`, or says that there is no scale."""
-    return remark.startswith("lengths are ") or " m by all cues (" in remark
 
 
 def _with_floor(placement: Placement, on: Measurable) -> Placement:
@@ -279,17 +204,6 @@ def _with_floor(placement: Placement, on: Measurable) -> Placement:
     return replace(placement, world=world)
 
 
-def _joints_of(recording: Recording) -> Joints:
-    """Return which keypoints of a recording are which joints."""
-    skeleton = load_vocabulary(recording.model)
-    columns = {
-        skeleton.keypoints[joint]: k for k, joint in enumerate(recording.vocabulary) if joint >= 0
-    }
-    if not columns:
-        return find_joints(recording.keypoints)
-    return Joints(choose_skeleton(columns).name, columns)
-
-
 def _cues_of_group(
     cues: Sequence[ScaleCue], groups: Sequence[GroupResult], number: int
 ) -> tuple[ScaleCue, ...]:
@@ -310,14 +224,7 @@ def _cues_of_group(
 def _has_cameras(group: GroupResult, cue: ScaleCue) -> bool:
     """Return whether both cameras of a cue are in a group."""
     try:
-        camera_pair(cue.of, group.rig, "")
+        camera_pair(cue.of, group.rig.names, "")
     except MismatchError:
         return False
     return True
-
-
-def _remark(group: GroupResult, remark: str) -> GroupResult:
-    """Return a group whose coordinates have one more remark."""
-    world = replace(group.rig.world, remarks=(*group.rig.world.remarks, remark))
-    still = Similarity(1.0, np.eye(3), np.zeros(3))
-    return move_group(group, still, group.rig.unit, world)

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import click
 import numpy as np
 import psutil
 import pytest
@@ -34,6 +35,7 @@ from mocap_calib_cli.commands import batch as batch_module
 from mocap_calib_cli.commands import run as run_module
 from mocap_calib_cli.options import SharedOptions
 from mocap_calib_cli.progress import Reporter
+from mocap_calib_cli.recordings import make_requests
 from mocap_calib_cli.workers import open_workers
 
 
@@ -152,7 +154,7 @@ def option_flags(command) -> set[str]:
 def test_batch_has_the_options_of_run():
     run, many = (option_flags(module.command) for module in (run_module, batch_module))
     assert many - run == {"--jobs"}
-    assert run - many == set()
+    assert run - many == {"--config", "--save-config"}  # batch reads those of each recording
     assert {"--layout", "--format", "--image-size", "--views", "--frame-offset"} < many
     assert {"--camera-regex", "--write", "--fps"} < many
 
@@ -170,7 +172,8 @@ def test_each_recording_is_read_and_written_as_was_asked(tmp_path):
         fps=("25",),
     )
     (tmp_path / "one" / "keypoints").mkdir(parents=True)
-    (asked,) = batch_module._make_requests(options, [str(tmp_path / "one")], tmp_path / "out")
+    context = click.Context(batch_module.command)
+    (asked,) = make_requests(context, options, [str(tmp_path / "one")], tmp_path / "out")
     found = asked.keypoints.options
     assert asked.keypoints.paths == (str(tmp_path / "one" / "keypoints"),)
     assert (asked.keypoints.format, found.layout) == ("openpose", tuple("abcd"))

@@ -202,7 +202,11 @@ def test_a_scheduler_that_goes_is_one_line(machines, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("address", "said"),
-    [("tcp://127.0.0.1:1", "found none that answers"), ("node1", "(tcp://HOST:PORT), found node1")],
+    [
+        ("tcp://127.0.0.1:1", "found none that answers"),
+        ("node1", "(tcp://HOST:PORT), found node1"),
+        ("tls://127.0.0.1:1", "expected a certificate for TLS"),
+    ],
 )
 def test_no_scheduler_is_one_line(address, said, small, tool, tmp_path):
     done = tool(

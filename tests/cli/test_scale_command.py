@@ -2,11 +2,13 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from mocap_calib.io.cameras.read import read_rig
+from mocap_calib.io.cameras.write import format_rig
 from mocap_calib.io.hashing import hash_file
 from mocap_calib.io.poses.read import load_poses
 
@@ -48,6 +50,33 @@ def test_scale_rewrites_cameras_poses_and_the_report_together(done, tool, tmp_pa
     np.testing.assert_allclose(
         read_rig(tmp_path / "a.toml").centres, 1000 * factor * before.centres, atol=1e-6
     )
+
+
+@pytest.mark.slow
+def test_scaled_results_are_scaled_again_and_known_units_are_left_alone(done, tool, tmp_path):
+    out = shutil.copytree(done[0], tmp_path / "out")
+    names = "-".join(read_rig(out / "cameras.yaml").names[:2])
+    for length in (3.1, 3.0):
+        said = tool("scale", out, "--camera-distance", f"{names}={length}")
+        assert said.returncode == 0, said.stderr
+    rig = read_rig(out / "cameras.yaml")
+    assert np.linalg.norm(rig.centres[1] - rig.centres[0]) == pytest.approx(3.0)
+    assert [cue.metres for cue in rig.world.cues] == [3.0]
+    given = replace(rig, world=replace(rig.world, kind="file", cues=()))
+    (content,) = format_rig(given, "mocap-calib", {}).files.values()
+    (out / "cameras.yaml").write_bytes(content)
+    (out / "run.json").write_text("edited", "utf-8")
+    before = {file.name: hash_file(file) for file in out.iterdir() if file.is_file()}
+    said = tool("scale", out, "--height", "1.75")
+    assert (said.returncode, said.stderr.count("\n")) == (1, 1)
+    assert "found them in m by cameras whose places were given" in said.stderr
+    (content,) = format_rig(rig, "mocap-calib", {}).files.values()
+    (out / "cameras.yaml").write_bytes(content)
+    damaged = tool("scale", out, "--camera-distance", f"{names}=2")
+    assert (damaged.returncode, damaged.stderr.count("\n")) == (1, 1)
+    assert "run.json: expected what a run writes" in damaged.stderr
+    after = {file.name: hash_file(file) for file in out.iterdir() if file.is_file()}
+    assert {name for name in before if after[name] != before[name]} == {"cameras.yaml"}  # ours
 
 
 @pytest.mark.parametrize(

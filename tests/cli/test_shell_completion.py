@@ -41,7 +41,7 @@ def test_commands_and_options_are_offered():
     assert values("") == set(COMMANDS)
     assert values("ev") == {"evaluate"}
     assert values("run --c") == {
-        *("--cameras", "--camera-regex", "--camera-distance", "--crop-offset")
+        *("--cameras", "--camera-regex", "--camera-distance", "--crop-offset", "--config")
     }
 
 
@@ -91,7 +91,14 @@ def test_models_skeletons_and_solvers_are_offered():
             for name in ("adjust", "triangulate", "convert", "complete", "evaluate", "verify")
         ),
         *("train ", "convert a ", "train --from ", "run --skeleton ", "run -o ", "match -o "),
-        *("run --cameras ", "batch --cameras ", "inspect --cameras ", "match --rig "),
+        *(
+            "run --config ",
+            "run --save-config ",
+            "run --cameras ",
+            "batch --cameras ",
+            "inspect --cameras ",
+            "match --rig ",
+        ),
         *("adjust --matches ", "adjust --matches-out ", "evaluate --reference "),
     ],
 )

@@ -76,8 +76,10 @@ def examples(text: str) -> list[str]:
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_examples_are_valid(name):
-    """click takes each of them."""
+def test_examples_are_valid(name, tmp_path, monkeypatch):
+    """click takes each of them, and a file of options that one names."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "recording.yaml").write_text("keypoints: k\noutput: o\n", encoding="utf-8")
     command = group.get_command(click.Context(group), name)
     for example in examples(command.get_help(click.Context(command))):
         for part in example.split(" | "):

@@ -4,14 +4,17 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
+from mocap_calib.errors import MocapCalibError
 from mocap_calib.io.cameras.read import read_rig
 from mocap_calib.job import steps
 from mocap_calib.job.request import CalibrationRequest, KeypointSource
 from mocap_calib.multi_view import conclusion
 from mocap_calib.types import VERDICTS, CalibrationResult
+from mocap_calib.world.moving import Similarity, move_group
 from mocap_calib_cli.commands import adjust, batch, run
 from mocap_calib_cli.main import group
 from mocap_calib_cli.options import SharedOptions
@@ -19,6 +22,7 @@ from mocap_calib_cli.progress import Reporter
 from mocap_calib_cli.verdicts import exit_status
 
 REASON = "cam1 and cam2 face each other: add a camera between them"
+STILL = Similarity(1.0, np.eye(3), np.zeros(3))
 FILES = {"cameras.yaml", "calibration.toml", "matches.csv", "poses3d.h5", "run.json"}
 
 
@@ -41,7 +45,11 @@ def judged(result: CalibrationResult, *verdicts: str) -> CalibrationResult:
 
 
 def call(command, *words: object) -> Result:
-    return CliRunner().invoke(command, [*map(str, words)], catch_exceptions=False)
+    """Call a command; what it raises for a user's mistake is the result's exception."""
+    done = CliRunner().invoke(command, [*map(str, words)])
+    if not isinstance(done.exception, SystemExit | MocapCalibError | None):
+        raise done.exception
+    return done
 
 
 @pytest.fixture
@@ -87,6 +95,27 @@ def test_the_status_follows_from_the_verdict_after_all_files_were_written(
             assert lines[0].startswith(f"mocap-calib: {tmp_path / 'out'}: rig {verdict}: ")
             assert ("all files are written, and the exit status is 1" in lines[0]) == expected
             assert lines[1:] == [f"  {REASON}"]
+
+
+def test_what_cannot_be_had_of_the_world_ends_a_run_after_all_files_were_written(
+    run_with, found, monkeypatch, tmp_path
+):
+    """A format in metres is left out then, also of a further group, where it is no error."""
+    unmet = replace(found.groups[0].rig.world, scale_unmet="--height 9: expected 0, found 9; ask")
+    placed = judged(found, "usable", "usable")
+    groups = [move_group(group, STILL, "arbitrary", unmet) for group in placed.groups]
+    monkeypatch.setattr(
+        "test_verdicts.judged", lambda *_: replace(placed, groups=(groups[0], placed.groups[1]))
+    )
+    done = run_with(("usable",), "--write", "trc", "--height", "9=1.7", "--fps", "30")
+    assert (done.exit_code, type(done.exception).__name__) == (1, "MismatchError")
+    assert {path.name for path in (tmp_path / "out").iterdir()} >= {*FILES, "group_2"}
+    said = str(done.exception)
+    assert said.startswith("--height 9: expected 0, found 9; ask; all files but trc are written")
+    assert "mocap-calib scale OUT" in said
+    assert done.stderr.count("trc is not written: ") == 1
+    report = json.loads((tmp_path / "out" / "run.json").read_text("utf-8"))
+    assert report["world"]["scale_unmet"] == unmet.scale_unmet
 
 
 def test_every_verdict_has_a_status():

@@ -482,7 +482,7 @@ def test_a_format_that_cannot_hold_the_poses_is_left_out(tmp_path):
     rig = CameraRig(tuple(map(camera, "ab")), rotation, np.eye(3)[:2], "arbitrary")
     files = write_formats(tmp_path, rig, PoseFile(poses, 30.0), ("c3d", "sleap-anipose"), {})
     assert [path.name for path in tmp_path.iterdir()] == ["points3d.h5"]
-    assert ["unit" in str(error) for error in files.refused] == [True]
+    assert ["unit" in str(error) for error in files.refused.values()] == [True]
     assert files.notes
     assert all(note.startswith("sleap-anipose does not hold ") for note in files.notes)
 

@@ -17,7 +17,7 @@ from mocap_calib.multi_view.uncertainty import estimated_focal_changes, given_fo
 from mocap_calib.multi_view.wrong_focal import find_wrong_focal
 from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.sampling import with_cameras
-from mocap_calib.steerpose.checkpoint import load_lifter
+from mocap_calib.steerpose.loading import load_lifter
 from mocap_calib.types import Camera, CameraRig, EstimatedCamera, silent
 
 SMALL = {"cameras": 3, "people": 1, "false_detections": 0.0}

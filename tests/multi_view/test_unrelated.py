@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import pytest
-from scenes import PEOPLE, calibrate_all, recording, scene
+from scenes import PEOPLE, calibrate_all, scene
 
 from mocap_calib.recording.synchronise import make_recording
 
@@ -38,8 +38,3 @@ def test_two_and_two_cameras_of_two_recordings_are_two_groups():
     result = calibrate_all(together)
     for group in result.groups:
         assert len({name[0] for name in group.rig.names}) == 1 or group.verdict != "well determined"
-
-
-@pytest.mark.slow
-def test_cameras_of_one_recording_are_related():
-    assert calibrate_all(recording(people=2)).faults == ()

@@ -16,8 +16,9 @@ from mocap_calib.recording.joints import (
     match_names,
     parse_skeleton,
 )
-from mocap_calib.steerpose.checkpoint import load_lifter
-from mocap_calib.steerpose.model import Lifter, ModelConfig
+from mocap_calib.steerpose.lifter import ModelConfig
+from mocap_calib.steerpose.loading import load_lifter
+from mocap_calib.steerpose.model import LifterModule
 from mocap_calib.steerpose.training.dataset import Synthesiser
 from mocap_calib.steerpose.training.evaluation import held_out_error
 from mocap_calib.steerpose.training.losses import lifting_loss
@@ -403,7 +404,7 @@ def test_the_loss_does_not_depend_on_what_is_said_of_unknown_joints():
     torch.manual_seed(0)
     skeleton = load_skeleton("rodent")
     batch = Synthesiser(partial(skeleton, ["nose"]), skeleton, SMALL, seed=0).batch(16)
-    lifter = Lifter(ModelConfig(len(skeleton.keypoints), 16, 1))
+    lifter = LifterModule(ModelConfig(len(skeleton.keypoints), 16, 1))
     lifting_loss(lifter, batch).backward()
     assert all(torch.isfinite(p.grad).all() for p in lifter.parameters())
 

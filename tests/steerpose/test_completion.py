@@ -13,9 +13,11 @@ from mocap_calib.io.cameras.read import load_cameras
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.job.load import load_recording
 from mocap_calib.job.request import KeypointSource
-from mocap_calib.steerpose.checkpoint import load_lifter
-from mocap_calib.steerpose.completion import complete, complete_sample
+from mocap_calib.steerpose.checkpoint import load_steerer
+from mocap_calib.steerpose.completion import complete_sample
 from mocap_calib.steerpose.lift import lift
+from mocap_calib.steerpose.loading import load_lifter
+from mocap_calib.steerpose.steer import complete
 from mocap_calib.types import silent
 
 PLAIN = {"people": 1, "false_detections": 0.0, "outliers": 0.0, "missing": 0.0}
@@ -24,7 +26,7 @@ PLAIN = {"people": 1, "false_detections": 0.0, "outliers": 0.0, "missing": 0.0}
 def test_what_is_seen_stays_and_the_rest_is_filled():
     seen = torch.tensor([[True] * 20 + [False] * 9])
     pose = torch.randn(1, 29, 2, generator=torch.Generator().manual_seed(0))
-    filled = complete(load_lifter()[0], pose, seen)
+    filled = complete(load_steerer()[0], pose, seen)
     assert torch.equal(filled[seen], pose[seen])
     assert torch.isfinite(filled).all()
     assert not torch.equal(filled[~seen], pose[~seen])

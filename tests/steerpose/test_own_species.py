@@ -9,7 +9,8 @@ from scenes import calibrate_group, calibrated, recording, rotation_errors_deg, 
 from mocap_calib.config import PairwiseConfig, PaperConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.recording.joints import load_skeleton
-from mocap_calib.steerpose.checkpoint import load_lifter
+from mocap_calib.steerpose.loading import load_lifter
+from mocap_calib.steerpose.model import module_of
 from mocap_calib.steerpose.training.own_species import own_poses, own_skeleton, up_of_rig
 from mocap_calib.two_view.paper_pairs import PaperPairs
 from mocap_calib.types import CameraRig, Poses3D
@@ -125,7 +126,11 @@ def test_the_papers_solver_calibrates_pairs_of_the_pipeline():
     seen, (lifter, _) = recording(**alone), load_lifter()
     focal = np.array([camera.focal for camera in seen.cameras])
     solve = PaperPairs(
-        lifter, seen.vocabulary, focal, PairwiseConfig(), replace(PaperConfig(), iterations=300)
+        module_of(lifter),
+        seen.vocabulary,
+        focal,
+        PairwiseConfig(),
+        replace(PaperConfig(), iterations=300),
     )
     found = calibrate_group(seen, lifter=lifter, pair_solver=solve)
     assert found.pairs[0].source == "paper"

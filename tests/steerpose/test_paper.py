@@ -13,8 +13,10 @@ from mocap_calib.geometry.rotation import (
 )
 from mocap_calib.geometry.rotation import matrix_from_vector as matrix_numpy
 from mocap_calib.recording.joints import load_skeleton
-from mocap_calib.steerpose.checkpoint import load_lifter, load_steerer, save_lifter
-from mocap_calib.steerpose.model import Lifter, ModelConfig
+from mocap_calib.steerpose.checkpoint import load_steerer, save_model
+from mocap_calib.steerpose.lifter import ModelConfig
+from mocap_calib.steerpose.loading import load_lifter
+from mocap_calib.steerpose.model import LifterModule
 from mocap_calib.steerpose.paper.batch import TwoViews
 from mocap_calib.steerpose.paper.losses import (
     geometric_loss,
@@ -150,7 +152,7 @@ def test_token_model_has_the_paper_s_shape_and_is_deterministic():
 
 
 def test_factorised_steering_is_lift_rotate_project():
-    model = Lifter(ModelConfig(29, 16, 1)).eval()
+    model = LifterModule(ModelConfig(29, 16, 1)).eval()
     pose, seen, vector = (
         torch.randn(3, 29, 2),
         torch.ones(3, 29, dtype=torch.bool),
@@ -180,7 +182,7 @@ def test_training_and_checkpoint_of_the_token_model(poses, tmp_path):
     first, second = (
         train_steerer(poses, PEOPLE, config, PairsConfig(), progress=silent) for _ in range(2)
     )
-    save_lifter(tmp_path / "w.safetensors", first, PEOPLE, {"data": "none"})
+    save_model(tmp_path / "w.safetensors", first, PEOPLE, {"data": "none"})
     found, skeleton = load_steerer(tmp_path / "w.safetensors")
     assert isinstance(found, TokenSteerer)
     assert skeleton == PEOPLE
@@ -318,7 +320,7 @@ def test_solver_finds_rotation_and_matches_from_a_close_start():
     views, vector, t = steered_scene()
     config = PaperConfig(iterations=60, tries=1)
     found = solve_pair(
-        views, load_lifter()[0], config, torch.Generator().manual_seed(0), start=vector + 0.1
+        views, load_steerer()[0], config, torch.Generator().manual_seed(0), start=vector + 0.1
     )
     assert {tuple(m) for m in found.matches.tolist()} == {
         (f, i, 1 - i) for f in range(3) for i in range(2)

@@ -11,9 +11,11 @@ from mocap_calib.config import TrainConfig
 from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.recording.joints import load_skeleton, match_names, normalise_name
-from mocap_calib.steerpose.checkpoint import load_lifter, save_lifter
+from mocap_calib.steerpose.checkpoint import load_steerer, save_model
 from mocap_calib.steerpose.lift import lift
-from mocap_calib.steerpose.model import Lifter, ModelConfig, normalise
+from mocap_calib.steerpose.lifter import ModelConfig
+from mocap_calib.steerpose.loading import load_lifter
+from mocap_calib.steerpose.model import LifterModule, lifter_of, module_of, normalise
 from mocap_calib.steerpose.rays import rays_by_joint
 from mocap_calib.steerpose.training.dataset import Batch, Synthesiser
 from mocap_calib.steerpose.training.losses import lifting_loss
@@ -94,7 +96,7 @@ def test_normalise_forgets_place_and_size_and_hidden_joints():
 
 
 def test_lifter_does_not_look_at_hidden_joints():
-    lifter = Lifter(ModelConfig(29, 16, 1)).eval()
+    lifter = LifterModule(ModelConfig(29, 16, 1)).eval()
     pose, seen = torch.randn(2, 29, 2), torch.ones(2, 29, dtype=torch.bool)
     seen[:, 5:9] = False
     with torch.no_grad():
@@ -103,10 +105,40 @@ def test_lifter_does_not_look_at_hidden_joints():
         torch.testing.assert_close(lifter(pose, seen)[0], first)
 
 
+def unit_size(joints: np.ndarray) -> np.ndarray:
+    return joints / np.sqrt((joints**2).sum(-1).mean(-1))[:, None, None]
+
+
+@pytest.mark.parametrize("name", ["people", "quadruped"])
+def test_numpy_and_torch_compute_the_same(name):
+    """To 1e-5 of a body's size; measured 5e-6, and torch's own rounding is as much."""
+    lifter, skeleton = load_lifter(name)
+    rng = np.random.default_rng(0)
+    seen = rng.random((100, len(skeleton.keypoints))) < 0.7
+    pose, _, _ = normalise(torch.from_numpy(rng.normal(size=(*seen.shape, 2))), torch.tensor(seen))
+    pose = pose.float()
+    joints, log_deviation = lifter(pose.numpy(), seen)
+    with torch.no_grad():
+        true_joints, true_log_deviation = module_of(lifter)(pose, torch.from_numpy(seen))
+    np.testing.assert_allclose(unit_size(joints), unit_size(true_joints.numpy()), rtol=0, atol=1e-5)
+    np.testing.assert_allclose(log_deviation, true_log_deviation.numpy(), rtol=0, atol=1e-5)
+    again, _ = lifter_of(module_of(lifter))(pose.numpy(), seen)
+    np.testing.assert_array_equal(again, joints)
+
+
+def test_attention_to_large_scores_is_finite():
+    """Exponentials of what is above 88 are not, in 32 bits."""
+    lifter, _ = load_lifter()
+    name = "encoder.layers.0.self_attn.in_proj_weight"
+    sharp = replace(lifter, weights={**lifter.weights, name: 100 * lifter.weights[name]})
+    joints, _ = sharp(np.ones((3, 29, 2), np.float32), np.ones((3, 29), dtype=bool))
+    assert np.isfinite(joints).all()
+
+
 def test_gradient_of_the_loss():
     """Against finite differences, in double precision, through the whole network."""
     torch.manual_seed(0)
-    lifter = Lifter(ModelConfig(5, 4, 1, 1)).double()
+    lifter = LifterModule(ModelConfig(5, 4, 1, 1)).double()
     batch = Batch(
         torch.randn(2, 5, 2).double(),
         torch.ones(2, 5, dtype=torch.bool),
@@ -178,9 +210,9 @@ def test_training_lowers_the_loss(poses):
 
 
 def test_checkpoint_round_trip(tmp_path):
-    lifter = Lifter(ModelConfig(29, 16, 1)).eval()
-    save_lifter(tmp_path / "w.safetensors", lifter, PEOPLE, {"data": "none"})
-    found, skeleton = load_lifter(tmp_path / "w.safetensors")
+    lifter = LifterModule(ModelConfig(29, 16, 1)).eval()
+    save_model(tmp_path / "w.safetensors", lifter, PEOPLE, {"data": "none"})
+    found, skeleton = load_steerer(tmp_path / "w.safetensors")
     assert skeleton == PEOPLE
     assert found.config == lifter.config
     assert all(

@@ -8,20 +8,23 @@ from scenes import recording, scene
 from test_floor import poses_of
 
 from mocap_calib.config import KnownCamera, Landmark, ScaleCue, WorldConfig
-from mocap_calib.errors import MismatchError
+from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.io.cameras.read import make_rig, parse_content
 from mocap_calib.io.cameras.write import format_rig
+from mocap_calib.io.landmarks_csv import read_landmarks
 from mocap_calib.io.poses import npz
 from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.results.poses_h5 import parse_poses_h5, poses_to_h5
-from mocap_calib.types import MeasuredCue, RigCovariance, World
+from mocap_calib.types import MeasuredCue, MeasuredLandmark, RigCovariance, World
 from mocap_calib.world.alignment import align_to_cameras, align_to_landmarks
+from mocap_calib.world.asked import check_world
 from mocap_calib.world.body import find_joints
 from mocap_calib.world.cues import Measurable
 from mocap_calib.world.moving import Similarity, move_covariance, move_poses, move_rig
-from mocap_calib.world.place import check_world, find_placement
+from mocap_calib.world.place import find_placement
 
+SIDES = ("left", "right", "left")
 BY = Similarity(1.7, matrix_from_vector(np.array([0.3, -0.2, 1.2])), np.array([1.0, -2.0, 0.5]))
 WORLD = World(
     kind="floor",
@@ -31,7 +34,8 @@ WORLD = World(
     floor_sigma=0.01,
     scale_sigma=0.03,
     remarks=("from feet",),
-    cues=(MeasuredCue("height", 1.75, 1.75, 0.03, 0.0),),
+    cues=(MeasuredCue("height", 1.75, 1.75, 0.03, 0.5),),
+    landmarks=(MeasuredLandmark("a", 0.25),),
 )
 
 
@@ -83,11 +87,11 @@ def test_known_cameras_and_landmarks_bring_a_rig_back_to_its_world():
     by, sigma = align_to_cameras(away, known[1:3])
     np.testing.assert_allclose(by.apply(away.centres), made.rig.centres, atol=1e-8)
     assert sigma < 1e-8
-    by, sigma, remarks = align_to_landmarks(away, landmarks(), WorldConfig())
+    by, sigma, seen = align_to_landmarks(away, landmarks(), WorldConfig())
     np.testing.assert_allclose(by.apply(away.centres), made.rig.centres, atol=1e-5)
     assert sigma < 1e-5
-    assert len(remarks) == 5
-    assert "landmark d: 0 mm" in remarks[-1]
+    assert [each.name for each in seen] == list("abcd")
+    assert max(each.distance for each in seen) < 1e-5
 
 
 def landmarks(places=((0, 0, 0), (1, 0, 0), (0, 1, 0), (0.3, 0.2, 1))) -> tuple[Landmark, ...]:
@@ -121,6 +125,12 @@ def test_landmarks_that_do_not_say_enough_are_refused_in_a_line():
         (
             {"forward": "left_hip-right_hip", "axes": "first-camera"},
             "--forward: expected a world on the floor",
+        ),
+        ({"cues": (ScaleCue("height", 1.7, of="anna"),)}, "the number of an individual"),
+        ({"cues": (ScaleCue("height", 1.7), ScaleCue("height", 1.8))}, "each length once"),
+        (
+            {"cues": tuple(ScaleCue("length", 0.4, 0, f"{side}_hip-left_knee") for side in SIDES)},
+            "length left_hip-left_knee twice",
         ),
         ({"landmarks": (Landmark("a", (0, 0, 0), "cam9", (1, 1)),)}, "--align: .*'cam9'"),
     ],
@@ -162,6 +172,33 @@ def test_a_known_length_scales_a_world_of_cameras_whose_unit_nobody_knows():
     np.testing.assert_allclose(found.centres, ratio * target.centres, atol=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("asked", "axes", "scale"),
+    [
+        ({"axes": "floor"}, "--world floor: expected subjects that show a floor, found that", ""),
+        ({"axes": "cam9"}, "--world cam9: expected a camera of the rig", ""),
+        ({"forward": "left_hip-right_hip"}, "--forward left_hip-right_hip: expected subjects", ""),
+        ({"cues": (ScaleCue("height", 1.7),)}, "", "--height: expected somebody who stands"),
+        ({"cues": (ScaleCue("camera distance", 3, 0, "cam1-cam9"),)}, "", "found 'cam9'"),
+    ],
+)
+def test_what_a_recording_does_not_show_is_left_out_and_said(asked, axes, scale):
+    made = scene()
+    poses, joints = poses_of(made.poses, made.joints), find_joints(made.joints)
+    placement = find_placement(Measurable(poses, joints, made.rig, "seated"), WorldConfig(**asked))
+    assert (placement.world.kind, placement.world.camera) == ("camera", made.rig.names[0])
+    assert placement.unit == "arbitrary"
+    for found, says in ((placement.world.axes_unmet, axes), (placement.world.scale_unmet, scale)):
+        assert bool(found) == bool(says)
+        assert says in found
+
+
+def test_a_file_of_landmarks_without_any_is_refused(tmp_path):
+    (tmp_path / "a.csv").write_text("name,x,y,z,camera,u,v\n", "utf-8")
+    with pytest.raises(FormatError, match="expected landmarks, found a header alone"):
+        read_landmarks(tmp_path / "a.csv")
+
+
 def test_a_file_of_cameras_that_nobody_recorded_is_refused_before_anything_is_computed():
     strangers = tuple(
         KnownCamera(f"other{k}", (1, 0, 0, 0, 1, 0, 0, 0, 1), (k, 0, 0)) for k in (0, 1)
@@ -172,6 +209,7 @@ def test_a_file_of_cameras_that_nobody_recorded_is_refused_before_anything_is_co
 
 def same_world(found: World) -> None:
     assert (found.kind, found.remarks) == ("floor", WORLD.remarks)
+    assert (found.cues, found.landmarks) == (WORLD.cues, WORLD.landmarks)
     np.testing.assert_array_equal(found.up, WORLD.up)
     np.testing.assert_array_equal(found.floor, WORLD.floor)
     sigmas = [found.up_sigma, found.floor_sigma]

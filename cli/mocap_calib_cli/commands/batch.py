@@ -2,7 +2,7 @@
 
 import json
 import traceback
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +15,7 @@ from mocap_calib_cli.numbers import COUNT
 if TYPE_CHECKING:
     from mocap_calib.compute.cluster import Cluster
     from mocap_calib.compute.parallel import Processes
+    from mocap_calib.errors import MismatchError
     from mocap_calib.job.request import CalibrationRequest
     from mocap_calib.job.steps import Job
     from mocap_calib.types import CalibrationResult
@@ -61,10 +62,11 @@ def command(
     """Calibrate many recordings as `run` does: one after the other, in processes, or on a cluster.
 
     RECORDINGS: a folder of keypoint files each, or a folder with such a folder named `keypoints`
-    in it. Results that are there already are kept if they follow from the same files, options,
-    weights and version: call it again to go on. A recording that fails is reported and the others
-    go on; the exit status is 1 then, as it is where the rig of a recording is not determined, and
-    with --strict also where one is weak.
+    in it. A `recording.yaml` in that folder holds options of this recording, as `run --config`
+    reads them; those of the command line win. Results that are there already are kept if they
+    follow from the same files, options, weights and version: call it again to go on. A recording
+    that fails is reported and the others go on; the exit status is 1 then, as it is where the rig
+    of a recording is not determined, and with --strict also where one is weak.
 
     \b
     Example:
@@ -74,6 +76,7 @@ def command(
     """
     from mocap_calib_cli import outputs, verdicts
     from mocap_calib_cli.progress import Reporter
+    from mocap_calib_cli.recordings import make_requests
     from mocap_calib_cli.workers import open_workers
 
     verdicts.check_demands(shared)
@@ -82,7 +85,7 @@ def command(
             "--jobs is for this machine, --scheduler for others; give one of them"
         )
     outputs.check_folder(output)
-    requests = _make_requests(shared, recordings, output)
+    requests = make_requests(context, shared, recordings, output)
     with (
         Reporter(quiet=shared.quiet) as reporter,
         open_workers(
@@ -100,57 +103,8 @@ def command(
         document = {"recordings": outcomes, "failed": failed, "verdicts": counts}
         click.echo(json.dumps(document, indent=1, allow_nan=False))
     doubtful = any(verdicts.exit_status(outcome["rig"], shared) for outcome in outcomes)
-    context.exit(1 if failed or doubtful else 0)
-
-
-# --- which recordings
-
-
-def _make_requests(
-    shared: options.SharedOptions, recordings: Iterable[str], output: Path
-) -> "list[CalibrationRequest]":
-    """Return what is asked for of each recording; its results go to a folder of its name."""
-    from dataclasses import replace
-
-    from mocap_calib_cli import inputs
-
-    requests = []
-    for name, folder in _name_recordings(recordings).items():
-        files = replace(
-            shared,
-            keypoints=(_find_keypoints(folder),),
-            cameras=_find_cameras(folder, shared.cameras),
-        )
-        requests.append(inputs.calibration_request(files, output / name))
-    return requests
-
-
-def _name_recordings(recordings: Iterable[str]) -> dict[str, Path]:
-    """Return the folder of each recording, by the name that its results will have."""
-    from mocap_calib.errors import MismatchError
-
-    found: dict[str, Path] = {}
-    for path in map(Path, recordings):
-        name = path.resolve().name
-        if name in found:
-            raise MismatchError(
-                f"expected recordings of different names, found {found[name]} and {path}; "
-                "rename one, or call batch for each"
-            )
-        found[name] = path
-    return found
-
-
-def _find_keypoints(folder: Path) -> str:
-    """Return the folder with the keypoint files of a recording."""
-    inner = folder / "keypoints"
-    return str(inner if inner.is_dir() else folder)
-
-
-def _find_cameras(folder: Path, cameras: str) -> str:
-    """Return the cameras in the folder of a recording, else those for all; none where none are."""
-    within = folder / cameras
-    return str(within) if cameras and within.exists() else cameras
+    wanting = any(outcome["error"] for outcome in outcomes)
+    context.exit(1 if wanting or doubtful else 0)
 
 
 # --- what becomes of them
@@ -187,14 +141,15 @@ class _Batch:
             calibrated = workers.completed(calibrate, jobs)
         for job, get_result in calibrated:
             try:
-                report = write_results(job, get_result())[0].report
+                first = write_results(job, get_result())[0]
             except Exception as error:
                 self._note_failure(job.request, error)
             else:
-                self._note_result(job.request, "done", report)
+                self._note_result(job.request, "done", first.report, first.complaint)
 
     def _read_unfinished(self, requests: "Iterable[CalibrationRequest]") -> "Iterator[Job]":
         """Read the recordings without results, one by one when they are asked for."""
+        from mocap_calib.job.outcome import complain
         from mocap_calib.job.steps import find_finished
 
         for request in requests:
@@ -205,14 +160,18 @@ class _Batch:
                 self._note_failure(request, error)
                 continue
             if report:
-                self._note_result(request, "kept", report)
+                self._note_result(request, "kept", report, complain(report, {}))
             if job:
                 yield job
 
     def _note_result(
-        self, request: "CalibrationRequest", status: str, report: dict[str, Any]
+        self,
+        request: "CalibrationRequest",
+        status: str,
+        report: "Mapping[str, Any]",
+        complaint: "MismatchError | None",
     ) -> None:
-        """Note what was found; the figures are those of the largest group of cameras."""
+        """Note what was found of the largest group, and what of it could not be had."""
         from mocap_calib.wording import count
         from mocap_calib_cli.verdicts import warn_of_verdict
 
@@ -221,7 +180,7 @@ class _Batch:
         groups = len(report["groups"])
         outcome = {
             "status": status,
-            "error": None,
+            "error": None if complaint is None else str(complaint),
             "groups": groups,
             "cameras": len(report["cameras"]),
             "left_out": report["left_out"],
@@ -247,6 +206,8 @@ class _Batch:
             self.shared,
             reasons=verdict["reasons"],
         )
+        if complaint:
+            click.echo(f"mocap-calib: {name}: {complaint}", err=True)
         self._note(request, outcome)
 
     def _note_failure(self, request: "CalibrationRequest", error: Exception) -> None:

@@ -109,10 +109,8 @@ def _compare_clocks(report: dict[str, Any], shared: options.SharedOptions) -> No
     from mocap_calib.job.load import load_recording
     from mocap_calib.multi_view.clock_faults import clock_faults, describe_clock
     from mocap_calib.multi_view.common_clock import compare_clocks
-    from mocap_calib.steerpose.device import use_threads
     from mocap_calib_cli import inputs
 
-    use_threads(1)
     file = inputs.load_camera_file(shared.cameras, "--cameras") if shared.cameras else None
     recording = load_recording(inputs.keypoint_source(shared), file).recording
     clocks = compare_clocks(recording, recording.model)

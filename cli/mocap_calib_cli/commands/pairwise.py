@@ -22,7 +22,7 @@ def command(shared: options.SharedOptions, output: str) -> None:
 
     from mocap_calib.config import PairwiseConfig
     from mocap_calib.io.results.pairs_json import pairs_to_json
-    from mocap_calib.steerpose.checkpoint import load_model
+    from mocap_calib.steerpose.loading import load_model
     from mocap_calib.two_view.solve import calibrate_pairs, in_recording
     from mocap_calib.two_view.solvers import choose_pair_solver
     from mocap_calib_cli import inputs, outputs

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import click
 
-from mocap_calib_cli import options, values
+from mocap_calib_cli import option_files, options, values
 
 
-@click.command(name="run")
+@click.command(name="run", cls=option_files.ConfigurableCommand)
 @options.output_folder("Folder to write; made when missing.")
 @options.shared_options(
     "keypoints",
@@ -24,9 +24,14 @@ from mocap_calib_cli import options, values
     ),
 )
 @options.as_json("Write the content of run.json to stdout as well.")
+@option_files.option_files
 @click.pass_context
 def command(
-    context: click.Context, shared: options.SharedOptions, output: Path, as_json: bool
+    context: click.Context,
+    shared: options.SharedOptions,
+    output: Path,
+    as_json: bool,
+    save_config: Path | None,
 ) -> None:
     """Calibrate the cameras that saw KEYPOINTS, find who is who, and triangulate the poses.
 
@@ -40,8 +45,9 @@ def command(
     OUT/group_3, ... Where a camera was moved during the recording, OUT has the cameras up to
     then, and OUT/epoch_2, OUT/epoch_3, ... those from each move on.
 
-    The exit status is 1 where the recording does not determine the rig of the largest group, after
-    all files were written, and with --strict also where that rig is weak.
+    The exit status is 1 where the recording does not determine the rig of the largest group, or
+    does not show a floor or a length that was asked for, after all files were written; with
+    --strict also where that rig is weak.
 
     \b
     Example:
@@ -53,6 +59,8 @@ def command(
       mocap-calib run keypoints/ --cameras intrinsics.toml -o out --write movement-3d --fps 60
       mocap-calib run keypoints/ --cameras intrinsics.toml -o out --fps 60 --fps cam2:30
       mocap-calib run keypoints/ --cameras intrinsics.toml -o out --sync check
+      mocap-calib run keypoints/ --image-size 1920x1080 -o out --save-config recording.yaml
+      mocap-calib run --config recording.yaml
     """
     from mocap_calib.io.results.group import group_folder
     from mocap_calib.job.steps import calibrate_job_resumably, read_job, write_results
@@ -64,6 +72,8 @@ def command(
     verdicts.check_demands(shared)
     outputs.check_folder(output)
     request = inputs.calibration_request(shared, output)
+    if save_config:
+        option_files.save_options(context, save_config)
     with (
         Reporter(quiet=shared.quiet) as reporter,
         open_workers(reporter, scheduler=shared.scheduler) as workers,
@@ -79,6 +89,8 @@ def command(
         folder = output / group_folder(number)
         reporter.say(*describe.describe_group(group, files.report, folder))
         reporter.say(*files.notes)
+        if number:  # what of the largest group cannot be had ends the run, in an error
+            reporter.say(*describe.describe_refused(files))
     reporter.say(*describe.describe_unused_cameras(result.left_out))
     if as_json:
         click.echo(json.dumps(written[0].report, indent=1, allow_nan=False))
@@ -87,4 +99,6 @@ def command(
         verdicts.warn_of_verdict(
             reporter, group.verdict, place, shared, reasons=group.reasons, counts=number == 0
         )
+    if complaint := written[0].complaint:
+        raise complaint
     context.exit(verdicts.exit_status(result.groups[0].verdict, shared))

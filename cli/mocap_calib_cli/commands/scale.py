@@ -24,9 +24,11 @@ def command(shared: options.SharedOptions, output: Path) -> None:
     """
     from mocap_calib.config import WorldConfig
     from mocap_calib.io.results.group import PAGE, REPORT
+    from mocap_calib.io.world_fields import world_fields
     from mocap_calib.job.reports import open_results
     from mocap_calib.job.scaling import scale_results
     from mocap_calib_cli import outputs
+    from mocap_calib_cli.describe_world import describe_world
     from mocap_calib_cli.progress import Reporter
     from mocap_calib_cli.results_page import draw_results
     from mocap_calib_cli.world_texts import scale_cues
@@ -38,7 +40,8 @@ def command(shared: options.SharedOptions, output: Path) -> None:
         )
     outputs.check_folder(output)
     done = scale_results(output, cues, WorldConfig())
+    said = describe_world(world_fields(done.world, "m"))
     reporter = Reporter(quiet=shared.quiet)
-    reporter.say(*done.world.remarks, *done.notes)
+    reporter.say(*said, *done.notes)
     if (output / PAGE).is_file() and (output / REPORT).is_file():
         reporter.say(*draw_results(open_results(output), options.SharedOptions()))

@@ -120,8 +120,9 @@ def command(
       mocap-calib train --skeleton quadruped -o quadruped.safetensors --steps 4000
       mocap-calib train --from out/poses3d.h5 -o beetle.safetensors --steps 2000
     """
-    from mocap_calib.steerpose.checkpoint import save_lifter
-    from mocap_calib.steerpose.device import check_device, use_threads
+    from mocap_calib.steerpose.checkpoint import save_model
+    from mocap_calib.steerpose.device import check_device
+    from mocap_calib.steerpose.threads import torch_threads
     from mocap_calib.steerpose.training.sources import (
         TrainingSource,
         load_pose_sets,
@@ -138,7 +139,6 @@ def command(
         )
     outputs.check_file(output)
     check_device(shared.device)
-    use_threads(threads)
     source = TrainingSource(poses, calibrated, skeleton, up, procedural)
     _check_source(source)
     vocabulary, settings = load_vocabulary(source)
@@ -147,7 +147,7 @@ def command(
         asked = {"width": PAPER_WIDTH, "layers": PAPER_LAYERS} | asked
     config = replace(training_config(settings), seed=shared.seed, **asked)  # type: ignore[arg-type]
     training, testing = load_pose_sets(source, vocabulary, config)
-    with Reporter(quiet=shared.quiet) as reporter:
+    with torch_threads(threads), Reporter(quiet=shared.quiet) as reporter:
         train = _train_steerer if architecture == "token" else _train_lifter
         network, errors = train(
             training, testing, vocabulary, config, device=shared.device, progress=reporter
@@ -159,7 +159,7 @@ def command(
         data=data or source.describe(),
         terms=terms or ("not stated" if source.files else "none: no data"),
     )
-    save_lifter(output, network, vocabulary, card)
+    save_model(output, network, vocabulary, card)
     listed = ", ".join(f"{name} {value}" for name, value in errors.items())
     reporter.say(f"held out: {listed}; weights in {output}")
     if as_json:

@@ -175,6 +175,8 @@ def _make_labels(file: PoseFile) -> list[str]:
         for individual in individuals
         for keypoint in file.poses.keypoints
     ]
+    if not individuals:
+        raise MismatchError("c3d: expected at least one individual, found none; nothing to write")
     if not 0 < len(labels) <= _MOST_MARKERS:
         raise MismatchError(
             f"c3d: expected 1 to {_MOST_MARKERS} markers, found {len(labels)} "

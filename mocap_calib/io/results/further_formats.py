@@ -23,11 +23,11 @@ class WriteOutcome:
     """What was lost or left out when further formats were written.
 
     notes: a line for each thing that a format that was written does not hold.
-    refused: an error for each format that was not written, as it cannot hold the rig or the poses.
+    refused: format -> why it was not written: it cannot hold the rig or the poses.
     """
 
-    notes: tuple[str, ...] = ()
-    refused: tuple[MismatchError, ...] = ()
+    notes: tuple[str, ...]
+    refused: Mapping[str, MismatchError]
 
 
 def check_formats(names: Sequence[str], fps: float | None, unit: str = ARBITRARY) -> None:
@@ -119,7 +119,7 @@ def write_formats(
     format (SLEAP-anipose: points3d.h5). A format that cannot hold them is left out.
     """
     notes: list[str] = []
-    refused: list[MismatchError] = []
+    refused: dict[str, MismatchError] = {}
     for name in names:
         try:
             if name in written_names(CAMERA_FORMATS):
@@ -129,10 +129,10 @@ def write_formats(
             else:
                 continue
         except MismatchError as error:
-            refused.append(error)
+            refused[name] = error
         else:
             notes += [f"{name} does not hold {what}" for what in lost]
-    return WriteOutcome(tuple(notes), tuple(refused))
+    return WriteOutcome(tuple(notes), refused)
 
 
 def _write_rig(

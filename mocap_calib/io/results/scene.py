@@ -6,12 +6,12 @@
 - truth.npz: `ids` (view, frame, instance) who each detection is, in file order, -1 = nobody;
   `poses3d` (frame, individual, joint, 3) metres, NaN for joints that an individual does not have;
   `joints` names; `kinds` (individual) people, quadruped, rodent or bird;
-- README.md: what it is and how it was made.
+- README.md: what it is, how it was made, and commands to run.
 """
 
 import io
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -24,6 +24,14 @@ from mocap_calib.io.keypoints.coco_writer import format_coco
 from mocap_calib.recording.pairing import compose_name
 from mocap_calib.types import CameraRig, Floats, Ints, Keypoints2D
 from mocap_calib.wording import count
+
+_COMMANDS = """\
+In this folder:
+
+    mocap-calib inspect keypoints/ --cameras intrinsics.toml
+    mocap-calib run keypoints/ --cameras intrinsics.toml -o out
+    mocap-calib evaluate out/cameras.yaml --reference reference.toml
+"""
 
 
 class SceneLike(Protocol):
@@ -72,6 +80,16 @@ def write_scene(path: Path, scene: SceneLike, command: str) -> None:
     write_files(path, scene_files(scene, command))
 
 
+def check_own_files(path: Path, files: Mapping[str, bytes]) -> None:
+    """Raise MismatchError where a file in the folder `path` is another than the one of its name."""
+    for name, content in files.items():
+        if (path / name).exists() and (path / name).read_bytes() != content:
+            raise MismatchError(
+                f"{path / name}: expected a new folder, or one with the same example, "
+                "found another file of that name; choose another folder"
+            )
+
+
 def scene_files(scene: SceneLike, command: str) -> dict[str, bytes]:
     """Return the files of a scene: relative path -> content."""
     texts = {f"keypoints/{file.camera}.json": format_coco(file) for file in scene.files}
@@ -79,7 +97,7 @@ def scene_files(scene: SceneLike, command: str) -> dict[str, bytes]:
     texts["reference.toml"] = format_calibration_toml(scene.rig, {"command": command})
     texts["README.md"] = (
         f"A synthetic recording of {describe_kinds(scene.kinds)}: keypoints and cameras, and the "
-        f"truth: where cameras stand, who is who, 3D.\nMade by `{command}`.\n"
+        f"truth: where cameras stand, who is who, 3D.\nMade by `{command}`.\n\n{_COMMANDS}"
     )
     files = {name: text.encode() for name, text in texts.items()}
     return files | {"truth.npz": _pack_truth(scene)}

@@ -12,7 +12,7 @@ from mocap_calib.config import (
     PairsConfig,
     TrainConfig,
 )
-from mocap_calib.steerpose.model import Lifter
+from mocap_calib.steerpose.model import LifterModule
 from mocap_calib.steerpose.steer import Model, steer
 from mocap_calib.steerpose.training.dataset import Synthesiser
 from mocap_calib.steerpose.training.losses import displacement
@@ -23,7 +23,7 @@ from mocap_calib.types import Skeleton
 
 @torch.no_grad()
 def held_out_error(
-    lifter: Lifter,
+    lifter: LifterModule,
     poses: PoseSet,
     skeleton: Skeleton,
     config: TrainConfig,

@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 from mocap_calib.config import UNCERTAINTY_WEIGHT
-from mocap_calib.steerpose.model import Lifter
+from mocap_calib.steerpose.model import LifterModule
 from mocap_calib.steerpose.training.dataset import Batch
 
 _EPSILON = 1e-8  # the root has a gradient also at zero
@@ -19,7 +19,7 @@ def displacement(steered: Tensor, target: Tensor) -> Tensor:
     return torch.sqrt(square + _EPSILON).mean(-1)
 
 
-def lifting_loss(lifter: Lifter, batch: Batch) -> Tensor:
+def lifting_loss(lifter: LifterModule, batch: Batch) -> Tensor:
     """Return the scalar loss of a lifter on a batch `[B, J, ...]`, over the joints with a target.
 
     The mean joint distance (the paper's eq. 1 in 3D, which bounds it for every R), plus the

@@ -5,8 +5,6 @@ geometry alone, and its poses train the model.
 """
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 
 from mocap_calib.config import (
     OWN_SPECIES_LARGEST_ERROR,
@@ -14,6 +12,7 @@ from mocap_calib.config import (
     TRAINING_JOINTS,
 )
 from mocap_calib.errors import DegenerateError
+from mocap_calib.geometry.graphs import spanning_tree
 from mocap_calib.geometry.rotation import looking_along
 from mocap_calib.recording.joints import match_names, parse_skeleton
 from mocap_calib.steerpose.training.poses import PoseSet, Split, every_tenth, parse_up
@@ -82,11 +81,10 @@ def own_skeleton(name: str, poses: Poses3D) -> Skeleton:
     seen = np.flatnonzero(known.any((0, 1)))
     keypoints = [poses.keypoints[keypoint] for keypoint in seen]
     spread, length = _lengths(poses.positions[:, :, seen])
-    spread = 1e-6 + np.nan_to_num(spread, nan=np.nanmax(spread))
-    tree = minimum_spanning_tree(csr_array(np.triu(spread, 1)))
+    spread = np.nan_to_num(spread, nan=np.nanmax(spread))
     root = int(np.nanmean(length, axis=1).argmin())  # the most central keypoint
-    order, parent = breadth_first_order(tree, root, directed=False)
-    edges = [[keypoints[parent[child]], keypoints[child]] for child in order[1:]]
+    tree = spanning_tree(spread, root).tolist()
+    edges = [[keypoints[parent], keypoints[child]] for parent, child in tree]
     return parse_skeleton({"name": name, "keypoints": keypoints, "edges": edges}, name)
 
 

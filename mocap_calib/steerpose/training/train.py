@@ -9,7 +9,8 @@ from torch import Tensor, nn
 
 from mocap_calib.config import LARGEST_GRADIENT, WARM_UP, WEIGHT_DECAY, PairsConfig, TrainConfig
 from mocap_calib.errors import FormatError
-from mocap_calib.steerpose.model import Lifter, ModelConfig
+from mocap_calib.steerpose.lifter import ModelConfig
+from mocap_calib.steerpose.model import LifterModule
 from mocap_calib.steerpose.token import TokenConfig, TokenSteerer
 from mocap_calib.steerpose.training.dataset import Synthesiser
 from mocap_calib.steerpose.training.losses import displacement, lifting_loss
@@ -42,11 +43,11 @@ def train_lifter(
     *,
     device: str = "cpu",
     progress: Progress,
-) -> Lifter:
+) -> LifterModule:
     """Train a lifter on synthesised views of poses, by `lifting_loss`."""
     torch.manual_seed(config.seed)
     size = ModelConfig(len(skeleton.keypoints), config.width, config.layers)
-    lifter = Lifter(size).to(device).train()
+    lifter = LifterModule(size).to(device).train()
     source = Synthesiser(poses, skeleton, config, seed=config.seed)
 
     def next_loss() -> Tensor:

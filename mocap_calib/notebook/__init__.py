@@ -1,0 +1,1 @@
+"""What records show of themselves in notebooks: tables in HTML, and figures of plotly."""

@@ -1,0 +1,200 @@
+"""A result in three dimensions, as a figure of plotly: cameras, floor, and bodies that move."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_calib.errors import MismatchError
+from mocap_calib.geometry.rotation import looking_along
+from mocap_calib.recording.joints import edges_of_keypoints
+from mocap_calib.steerpose.weights import load_vocabulary
+from mocap_calib.types import ARBITRARY, CameraRig, Floats, GroupResult, Ints
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
+
+Lines = NDArray[np.float32]  # `[point, 3]`, NaN between pieces; 32 bits are a tenth of a hair
+
+# told apart by colour-blind people too (Okabe and Ito)
+_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
+_CAMERA_COLOUR, _FLOOR_COLOUR = "#555555", "#bbbbbb"
+_FRUSTUM = 0.15  # depth of a drawn camera, in sizes of the rig
+_FLOOR_LINES = 11  # in each direction
+_MOMENT_MS = 50  # how long a moment is shown when the figure plays
+
+
+def draw_group(group: GroupResult, moments: int) -> "Figure":
+    """Return a figure of the cameras of a group, the floor, and the bodies, with a slider of time.
+
+    moments: how many frames the slider has at most.
+
+    Raises MismatchError where plotly is not installed, and ValueError where there is no moment.
+    """
+    if moments < 1:
+        raise ValueError(f"plot: moments: expected 1 or more, got {moments}")
+    try:
+        from plotly import graph_objects  # noqa: PLC0415 - an extra
+    except ImportError:
+        raise MismatchError(
+            "plot: expected the package plotly, found none; "
+            "install it with `pip install mocap-calib[notebook]`"
+        ) from None
+    poses = group.poses
+    pieces = _bones(group)
+    shown = _choose_moments(len(poses.frames), moments)
+    bodies = [_bodies(poses.positions[frame], pieces) for frame in shown]
+    still = [*_draw_cameras(group.rig), *_draw_floor(group)]
+    names = [*map(_escape, poses.keypoints), ""]  # -1 is the last
+    moving = [
+        _trace(
+            body,
+            mode="lines+markers",
+            name=f"individual {individual}",
+            marker={"size": 2},
+            line={"width": 4, "color": _COLOURS[individual % len(_COLOURS)]},
+            hovertext=[names[keypoint] for keypoint in pieces],
+        )
+        for individual, body in enumerate(bodies[0] if bodies else ())
+    ]
+    places = list(range(len(still), len(still) + len(moving)))
+    numbers = [str(number) for number in poses.frames[shown]]
+    frames = [
+        {"name": number, "traces": places, "data": [_trace(body) for body in at]}
+        for number, at in zip(numbers, bodies, strict=True)
+    ]
+    return graph_objects.Figure(
+        {
+            "data": [*still, *moving],
+            "frames": frames,
+            "layout": _layout(group, numbers),
+        }
+    )
+
+
+def _choose_moments(frames: int, moments: int) -> Ints:
+    """Return the indices of frames that are shown, evenly spread."""
+    return np.rint(np.linspace(0, max(frames - 1, 0), min(moments, frames))).astype(np.int64)
+
+
+# --- bodies
+
+
+def _bones(group: GroupResult) -> Ints:
+    """Return indices of keypoints, in the order in which lines join them; -1 ends a line.
+
+    Keypoints that no bone has are there by themselves.
+    """
+    recording = group.recording
+    edges = edges_of_keypoints(load_vocabulary(recording.model), recording.vocabulary)
+    joined = {keypoint for edge in edges for keypoint in edge}
+    alone = [(k,) for k in range(len(recording.keypoints)) if k not in joined]
+    return np.array([k for piece in (*edges, *alone) for k in (*piece, -1)], dtype=np.int64)
+
+
+def _bodies(positions: Floats, pieces: Ints) -> list[Lines]:
+    """Return the lines of each body of a moment, `[individual, keypoint, 3]`."""
+    ended = np.pad(positions, ((0, 0), (0, 1), (0, 0)), constant_values=np.nan)  # -1 is the last
+    return list(ended[:, pieces].astype(np.float32))
+
+
+# --- what stands still
+
+
+def _draw_cameras(rig: CameraRig) -> list[dict[str, Any]]:
+    """Return the frusta of the cameras, and their names."""
+    lines = np.concatenate([_frustum(rig, view) for view in range(len(rig))])
+    frusta = _trace(
+        lines.astype(np.float32),
+        mode="lines",
+        name="cameras",
+        line={"width": 2, "color": _CAMERA_COLOUR},
+        hoverinfo="skip",
+    )
+    names = _trace(
+        rig.centres.astype(np.float32),
+        mode="markers+text",
+        text=[_escape(name) for name in rig.names],
+        marker={"size": 3, "color": _CAMERA_COLOUR},
+        showlegend=False,
+    )
+    return [frusta, names]
+
+
+def _frustum(rig: CameraRig, view: int) -> Floats:
+    """Return the edges of a pyramid from a camera through the corners of its image."""
+    camera = rig.cameras[view]
+    width, height = camera.size if all(camera.size) else 2 * camera.matrix[:2, 2]
+    corners = np.array([[0, 0, 1], [width, 0, 1], [width, height, 1], [0, height, 1]], dtype=float)
+    rays = corners @ np.linalg.inv(camera.matrix).T * _FRUSTUM * _size(rig)
+    points = (rays - rig.translation[view]) @ rig.rotation[view]
+    centre, end = rig.centres[view], np.full(3, np.nan)
+    edges = [[centre, points[k], points[(k + 1) % 4], end] for k in range(4)]
+    return np.array(edges).reshape(-1, 3)
+
+
+def _size(rig: CameraRig) -> float:
+    """Return the RMS distance of the cameras from their middle."""
+    apart = rig.centres - rig.centres.mean(0)
+    return float(np.sqrt((apart**2).sum(-1).mean()))
+
+
+def _draw_floor(group: GroupResult) -> list[dict[str, Any]]:
+    """Return a grid on the floor below the cameras, nothing where it is not known."""
+    world = group.rig.world
+    if not np.isfinite([world.up, world.floor]).all():
+        return []
+    axes = looking_along(world.up[None], np.array([0.0, 1.0, 0.0]))[0][:2]
+    centres = (group.rig.centres - world.floor) @ axes.T
+    low, high = centres.min(0), centres.max(0)
+    steps = np.linspace(0, 1, _FLOOR_LINES)
+    end = np.full(2, np.nan)
+    lines = []
+    for share in steps:
+        x, y = low + share * (high - low)
+        lines += [[x, low[1]], [x, high[1]], end, [low[0], y], [high[0], y], end]
+    points = np.array(lines) @ axes + world.floor
+    line = {"width": 1, "color": _FLOOR_COLOUR}
+    return [
+        _trace(points.astype(np.float32), mode="lines", name="floor", line=line, hoverinfo="skip")
+    ]
+
+
+# --- how it is laid out
+
+
+def _trace(points: Lines, **said: Any) -> dict[str, Any]:
+    """Return points `[point, 3]` as plotly takes them."""
+    x, y, z = np.ascontiguousarray(points.T)
+    return {"type": "scatter3d", "x": x, "y": y, "z": z, **said}
+
+
+def _layout(group: GroupResult, names: Sequence[str]) -> dict[str, Any]:
+    """Return the axes, the slider and the buttons. names: of the frames."""
+    world, unit = group.rig.world, group.rig.unit
+    up = world.up if np.isfinite(world.up).all() else -group.rig.rotation[:, 1].mean(0)
+    suffix = "" if unit == ARBITRARY else f" ({unit})"
+    axes = {f"{axis}axis": {"title": {"text": axis + suffix}} for axis in "xyz"}
+    turn = {"up": dict(zip("xyz", up.tolist(), strict=True))}
+    at_once = {"frame": {"duration": 0}, "mode": "immediate", "transition": {"duration": 0}}
+    steps = [{"label": name, "method": "animate", "args": [[name], at_once]} for name in names]
+    play = at_once | {"frame": {"duration": _MOMENT_MS}, "fromcurrent": True}
+    buttons = [
+        {"label": "play", "method": "animate", "args": [None, play]},
+        {"label": "stop", "method": "animate", "args": [[None], at_once]},
+    ]
+    return {
+        "title": {"text": f"rig {group.verdict}"},
+        "scene": {"aspectmode": "data", "camera": turn, **axes},
+        "margin": {"l": 0, "r": 0, "b": 0, "t": 40},
+        "height": 600,
+        "template": None,  # a tenth of the size of the figure
+        "sliders": [{"steps": steps, "currentvalue": {"prefix": "frame "}, "x": 0.1, "len": 0.9}],
+        "updatemenus": [{"type": "buttons", "buttons": buttons, "x": 0.08, "y": 0}],
+    }
+
+
+def _escape(name: str) -> str:
+    """Return a name in which plotly, which reads texts as HTML, finds no tag."""
+    return name.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")

@@ -1,0 +1,92 @@
+"""Rigs and results as HTML, which notebooks show in place of their text.
+
+Names come from files of others: everything is escaped.
+"""
+
+from collections.abc import Iterable, Sequence
+from html import escape
+
+from mocap_calib.types import (
+    ARBITRARY,
+    CalibrationResult,
+    Camera,
+    CameraRig,
+    EstimatedCamera,
+    Floats,
+    GroupResult,
+)
+from mocap_calib.wording import count
+
+_HEADER = ("camera", "image", "focal length (px)", "centre", "turn (deg)", "place (% of the rig)")
+
+
+def describe_rig(rig: CameraRig) -> str:
+    """Return a rig as HTML: each camera, its focal length, its centre, and how sure these are."""
+    unit = "arbitrary lengths" if rig.unit == ARBITRARY else f"lengths in {rig.unit}"
+    verdict = rig.judgement.get("verdict")
+    said = f": {verdict}" if verdict else ""
+    turns = rig.judgement.get("rotation_sigma_deg", {})
+    places = rig.judgement.get("centre_sigma_percent", {})
+    rows = [
+        [
+            camera.name,
+            f"{camera.size[0]} x {camera.size[1]}",
+            _describe_focal(camera),
+            _describe_point(centre),
+            *(_describe_sigma(sigmas.get(camera.name)) for sigmas in (turns, places)),
+        ]
+        for camera, centre in zip(rig.cameras, rig.centres, strict=True)
+    ]
+    note = "<p>turn, place: how far a camera may be off, a standard deviation</p>"
+    title = f"<p><b>{escape(count(len(rig), 'camera'))}{escape(said)}</b>, {escape(unit)}</p>"
+    return f"{title}{_table(_HEADER, rows)}{note if turns or places else ''}"
+
+
+def describe_result(result: CalibrationResult) -> str:
+    """Return a result as HTML: the verdict on each group of cameras, its reasons, and the rig."""
+    parts = [describe_group(group) for group in result.groups]
+    faults = [f"{fault.camera}: {fault.says}" for fault in result.faults]
+    if result.left_out:
+        faults.append(f"left out, as nothing confirms them: {', '.join(result.left_out)}")
+    return "".join([*parts, _list(faults)])
+
+
+def describe_group(group: GroupResult) -> str:
+    """Return a group of cameras as HTML: the verdict, its reasons, what was found, and the rig."""
+    frames, individuals = group.poses.positions.shape[:2]
+    found = f"{count(individuals, 'individual')} in {count(frames, 'frame')}"
+    verdict = f"<p><b>The rig is {escape(group.verdict)}.</b> {escape(found)}.</p>"
+    return f"{verdict}{_list(group.reasons)}{describe_rig(group.rig)}"
+
+
+def _describe_focal(camera: Camera) -> str:
+    """Return the focal length of a camera, and how sure it is where it was estimated."""
+    sigma = f" ± {camera.focal_sigma:.1f}" if isinstance(camera, EstimatedCamera) else ""
+    return f"{camera.focal:.1f}{sigma}"
+
+
+def _describe_point(point: Floats) -> str:
+    """Return the coordinates of a point in a few digits."""
+    return ", ".join(f"{coordinate + 0.0:.4g}" for coordinate in point)  # no -0
+
+
+def _describe_sigma(value: float | None) -> str:
+    """Return a standard deviation, nothing where nobody knows it."""
+    return "" if value is None else f"± {value:.2g}"
+
+
+def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table as HTML."""
+    lines = [_row("th", header), *(_row("td", row) for row in rows)]
+    return f"<table>{''.join(lines)}</table>"
+
+
+def _row(tag: str, cells: Iterable[str]) -> str:
+    """Return a row of a table as HTML."""
+    return f"<tr>{''.join(f'<{tag}>{escape(cell)}</{tag}>' for cell in cells)}</tr>"
+
+
+def _list(lines: Iterable[str]) -> str:
+    """Return lines as a list in HTML, nothing where there are none."""
+    items = "".join(f"<li>{escape(line)}</li>" for line in lines)
+    return f"<ul>{items}</ul>" if items else ""

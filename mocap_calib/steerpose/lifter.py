@@ -1,0 +1,194 @@
+"""A trained network that lifts 2D poses: its weights as arrays, and what it computes in numpy.
+
+The same function as `model.LifterModule`, which torch trains; a test holds the two together. torch
+takes more than a second to import, and is no quicker for networks as small as these.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_calib.config import ENCODER_HEADS
+from mocap_calib.types import Bools
+
+Floats32 = NDArray[np.float32]
+
+LOG_DEVIATIONS = (-6.0, 3.0)  # the least and the largest that a network states
+_BLOCK = 32  # poses at a time: what they need stays in the cache of a core
+_EPSILON = np.float32(1e-5)  # of torch's LayerNorm
+# erfc(x) = (a1 t + ... + a5 t^5) exp(-x^2) + e, t = 1 / (1 + p x), |e| <= 1.5e-7 for x >= 0:
+# Abramowitz and Stegun 1964, 7.1.26
+_ERFC_P = 0.3275911
+_ERFC_A = (0.254829592, -0.284496736, 1.421413741, -1.453152027, 1.061405429)
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """Size of the network; saved inside the checkpoint."""
+
+    joints: int
+    width: int = 64
+    layers: int = 4
+    heads: int = ENCODER_HEADS
+
+
+@dataclass(frozen=True)
+class _Linear:
+    """x -> x @ matrix + bias. matrix: `[input, output]`; bias: `[output]`."""
+
+    matrix: Floats32
+    bias: Floats32
+
+    def __call__(self, values: Floats32) -> Floats32:
+        """Return `[..., output]` of values `[..., input]`."""
+        result: Floats32 = values @ self.matrix
+        result += self.bias
+        return result
+
+
+@dataclass(frozen=True)
+class _Layer:
+    """A layer of the encoder.
+
+    The gains and offsets of its norms are part of `attend` and `widen`, the scale of the scores of
+    the queries in `attend`.
+    """
+
+    attend: _Linear  # to queries, keys and values, of each the heads
+    project: _Linear
+    widen: _Linear
+    narrow: _Linear
+
+
+@dataclass(frozen=True, eq=False)
+class Lifter:
+    """Lifts 2D poses, seen by a virtual camera that looks at the body, to 3D with uncertainty.
+
+    weights: float32 arrays by the names that torch gives them (`model.LifterModule`).
+    """
+
+    config: ModelConfig
+    weights: Mapping[str, Floats32]
+
+    def __call__(self, pose: Floats32, seen: Bools) -> tuple[Floats32, Floats32]:
+        """Lift a batch of poses.
+
+        pose: `[B, J, 2]` positions, centred and scaled by `normalise`; seen: `[B, J]`.
+        Returns joints `[B, J, 3]` in the same units (x right, y down, z away from the camera) and
+        `[B, J, 2]` logarithms of their standard deviations, across the ray and along it.
+        """
+        known = np.where(seen[..., None], pose, np.float32(0))
+        out = np.empty((*seen.shape, 5), dtype=np.float32)
+        for start in range(0, len(pose), _BLOCK):
+            block = slice(start, start + _BLOCK)
+            out[block] = self._apply(known[block], seen[block])
+        joints = np.concatenate([known + out[..., :2], out[..., 2:3]], axis=-1)
+        return joints, np.clip(out[..., 3:], *LOG_DEVIATIONS)
+
+    def _apply(self, known: Floats32, seen: Bools) -> Floats32:
+        """Return what the head says `[B, J, 5]` of poses `[B, J, 2]`, 0 where not seen."""
+        size = self.config
+        token = np.where(seen[..., None], self._position(known), self.weights["missing"])
+        token += self.weights["joint"]
+        token = token.reshape(-1, size.width)  # [B J, C]
+        for layer in self._layers:
+            heads = layer.attend(_standardise(token))
+            heads = heads.reshape(len(seen), size.joints, 3, size.heads, -1)
+            token += layer.project(_attend(heads).reshape(token.shape))
+            token += layer.narrow(_gelu(layer.widen(_standardise(token))))
+        return self._head(_standardise(token)).reshape(len(seen), size.joints, 5)
+
+    @cached_property
+    def _position(self) -> _Linear:
+        """From a position to a token."""
+        return _linear(self.weights["position.weight"], self.weights["position.bias"])
+
+    @cached_property
+    def _layers(self) -> tuple[_Layer, ...]:
+        """The encoder."""
+        return tuple(self._list_layers())
+
+    @cached_property
+    def _head(self) -> _Linear:
+        """From a token of the encoder, whose last norm is a part of it, to a joint."""
+        return self._linear_of_norm("encoder.norm", "head.weight", "head.bias")
+
+    def _list_layers(self) -> Iterator[_Layer]:
+        """Yield the layers of the encoder."""
+        size = self.config
+        scale = np.ones(3 * size.width)
+        scale[: size.width] = (size.width // size.heads) ** -0.5
+        for number in range(size.layers):
+            layer = f"encoder.layers.{number}"
+            inward = f"{layer}.self_attn.in_proj"
+            outward = f"{layer}.self_attn.out_proj"
+            attend = self._linear_of_norm(f"{layer}.norm1", f"{inward}_weight", f"{inward}_bias")
+            widen = (f"{layer}.linear1.weight", f"{layer}.linear1.bias")
+            narrow = (f"{layer}.linear2.weight", f"{layer}.linear2.bias")
+            yield _Layer(
+                attend=_linear(attend.matrix.T * scale[:, None], attend.bias * scale),
+                project=_linear(self.weights[f"{outward}.weight"], self.weights[f"{outward}.bias"]),
+                widen=self._linear_of_norm(f"{layer}.norm2", *widen),
+                narrow=_linear(*(self.weights[name] for name in narrow)),
+            )
+
+    def _linear_of_norm(self, norm: str, weight: str, bias: str) -> _Linear:
+        """Return the linear map of those names after the gain and the offset of a norm."""
+        matrix = self.weights[weight].astype(np.float64)
+        offset = matrix @ self.weights[f"{norm}.bias"]
+        return _linear(matrix * self.weights[f"{norm}.weight"], self.weights[bias] + offset)
+
+
+def _linear(weight: NDArray[np.floating], bias: NDArray[np.floating]) -> _Linear:
+    """Return the linear map of a weight `[output, input]` and a bias `[output]`."""
+    return _Linear(np.ascontiguousarray(weight.T, dtype=np.float32), bias.astype(np.float32))
+
+
+def _standardise(token: Floats32) -> Floats32:
+    """Return tokens `[N, C]` with mean 0 and variance 1: a LayerNorm without gain and offset."""
+    centred: Floats32 = token - token.mean(-1, keepdims=True)
+    variance = np.einsum("nc,nc->n", centred, centred) / np.float32(token.shape[-1])
+    centred /= np.sqrt(variance + _EPSILON)[:, None]
+    return centred
+
+
+def _attend(heads: Floats32) -> Floats32:
+    """Return what each joint gathers from all joints of its pose, `[B, J, head, C / heads]`.
+
+    heads: `[B, J, 3, head, C / heads]` queries, which are scaled, keys and values.
+    """
+    query, key, value = heads.transpose(2, 0, 3, 1, 4)  # [B, head, J, C / heads] each
+    score = query @ np.swapaxes(key, -1, -2)  # [B, head, J, J]
+    score -= score.max(-1, keepdims=True)
+    np.exp(score, out=score)
+    total = score @ np.ones((score.shape[-1], 1), dtype=np.float32)
+    gathered: Floats32 = score @ value
+    gathered /= total
+    return np.swapaxes(gathered, 1, 2)
+
+
+def _gelu(values: Floats32) -> Floats32:
+    """Return x Phi(x) = max(x, 0) - |x| erfc(|x| / sqrt(2)) / 2 of values `[...]`, in their place.
+
+    In place, as memory is what takes the time.
+    """
+    size = np.abs(values)
+    ratio = size * np.float32(_ERFC_P * 0.5**0.5)
+    ratio += np.float32(1)
+    np.reciprocal(ratio, out=ratio)
+    tail = ratio * np.float32(_ERFC_A[-1])
+    for factor in _ERFC_A[-2::-1]:
+        tail += np.float32(factor)
+        tail *= ratio
+    tail *= size
+    tail *= np.float32(0.5)
+    size *= size
+    size *= np.float32(-0.5)
+    np.exp(size, out=size)
+    tail *= size
+    np.maximum(values, np.float32(0), out=values)
+    values -= tail
+    return values

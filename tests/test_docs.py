@@ -1,0 +1,176 @@
+"""The pages of docs/: links lead somewhere, commands exist, and what is shown works."""
+
+import ast
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import click
+import pytest
+
+from mocap_calib_cli.main import group
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+PAGES = sorted(DOCS.glob("*.md"))
+SITE = tomllib.loads((ROOT / "zensical.toml").read_text("utf-8"))["project"]
+BLOCK = re.compile(r"^```(\w+)\n(.*?)^```", flags=re.DOTALL | re.MULTILINE)
+
+
+def blocks(page: Path, *languages: str) -> list[str]:
+    """Return the blocks of a page in some languages."""
+    return [text for kind, text in BLOCK.findall(page.read_text("utf-8")) if kind in languages]
+
+
+def listed(entries: list[dict]) -> Iterator[str]:
+    """Yield the pages of a navigation."""
+    for entry in entries:
+        for target in entry.values():
+            yield from listed(target) if isinstance(target, list) else [target]
+
+
+def test_every_page_is_in_the_navigation():
+    assert sorted(listed(SITE["nav"])) == [page.name for page in PAGES]
+
+
+# --- commands
+
+
+def commands(page: Path) -> Iterator[list[str]]:
+    """Yield the words of each call of the program in the blocks of a page."""
+    for text in blocks(page, "sh", "text", "console", "bat"):
+        for line in text.replace("\\\n", " ").splitlines():
+            if not re.search(r"(^|[|(&] *)(\S*/)?mocap-calib ", line.strip()):
+                continue
+            tokens = shlex.shlex(line, posix=True, punctuation_chars="|&<>()")
+            tokens.whitespace_split = True
+            words = list(tokens)
+            first = next(k for k, word in enumerate(words) if word.endswith("mocap-calib"))
+            end = next(
+                (k for k in range(first, len(words)) if set(words[k]) <= set("|&<>()")), len(words)
+            )
+            yield words[first + 1 : end]
+
+
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "README.md"], ids=lambda page: page.stem)
+def test_commands_that_pages_show_exist(page):
+    """With all their options; what these are set to is not looked at."""
+    for name, *words in commands(page):
+        if name.startswith("-"):
+            continue
+        command = group.get_command(click.Context(group), name)
+        assert command is not None, name
+        context = click.Context(command)
+        command.make_parser(context).parse_args(words)  # raises NoSuchOption
+
+
+@pytest.mark.slow
+def test_the_first_calibration(tmp_path):
+    """Each line of docs/first.md works, and the file that it hands on can be read.
+
+    The example of docs/pipelines.md for Python reads what it wrote.
+    """
+    shutil.copytree(ROOT / "examples", tmp_path / "examples")
+    program = Path(sys.executable).with_name("mocap-calib")
+    script = "\n".join(["set -e", *blocks(DOCS / "first.md", "sh")])
+    script = script.replace("mocap-calib ", f"{program} ")
+    done = subprocess.run(
+        ["sh", "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    folder = tmp_path / "examples" / "three_people"
+    assert (folder / "Calib.toml").is_file()
+    assert (folder / "people_0.trc").is_file()
+    (code,) = [text for text in blocks(DOCS / "pipelines.md", "python") if "h5py" in text]
+    read = subprocess.run(
+        [sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=True
+    )
+    assert read.stdout.startswith("m ")
+
+
+# --- messages
+
+
+def constants() -> str:
+    """Return all strings of the program, a line each, with what is put in left out."""
+    found = []
+    for folder in ("mocap_calib", "cli"):
+        for path in sorted((ROOT / folder).rglob("*.py")):
+            for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+                if isinstance(node, ast.JoinedStr):
+                    parts = [p.value if isinstance(p, ast.Constant) else "{}" for p in node.values]
+                    found.append("".join(parts))
+                elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                    found.append(node.value)
+    return "\n".join(found)
+
+
+def test_messages_that_are_explained_are_said():
+    rows = re.findall(r"^\| `([^`]+)` \|", (DOCS / "messages.md").read_text("utf-8"), re.MULTILINE)
+    assert len(rows) > 20
+    said = constants()
+    assert [row for row in rows if row not in said] == []
+
+
+# --- the site
+
+
+class Links(HTMLParser):
+    """Collects where a page leads, and the places in it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.targets: list[str] = []
+        self.places: set[str] = set()
+
+    def handle_starttag(self, tag, attrs):  # noqa: ARG002 - HTMLParser calls it so
+        """Take the addresses and the place of a tag."""
+        fields = dict(attrs)
+        self.targets += [fields[key] for key in ("href", "src") if fields.get(key)]
+        if fields.get("id"):
+            self.places.add(fields["id"])
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory) -> Path:
+    """The built site; warnings are errors."""
+    pytest.importorskip("zensical", reason="the site is built with zensical (the extra docs)")
+    folder = tmp_path_factory.mktemp("site")
+    for name in ("docs", "zensical.toml"):
+        (folder / name).symlink_to(ROOT / name)
+    command = [sys.executable, "-m", "zensical", "build", "--strict"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return folder / "site"
+
+
+def test_links_of_the_site_lead_somewhere(site):
+    """Within the site, places in pages included."""
+    pages = {}
+    for path in site.glob("*.html"):
+        pages[path.name] = Links()
+        pages[path.name].feed(path.read_text("utf-8"))
+    lost = []
+    for name, page in pages.items():
+        for target in page.targets:
+            parts = urlsplit(target)
+            if parts.scheme or parts.netloc:
+                continue
+            file = unquote(parts.path).lstrip("/") or name
+            place = unquote(parts.fragment)
+            known = not place or file not in pages or place in pages[file].places
+            if not (site / file).exists() or not known:
+                lost.append((name, target))
+    assert lost == []
+
+
+def test_pages_ask_no_other_server_for_anything(site):
+    for path in site.glob("*.html"):
+        assert re.findall(r'<(?:script|img|link)[^>]*(?:src|href)="https?:', path.read_text()) == []
