@@ -10,6 +10,9 @@ from report_pages import page_data, report_source, unpack_text
 from report_sizes import large_source
 
 from mocap_calib.html_report.page import report_page
+from mocap_calib.html_report.source import Reference
+
+pytestmark = pytest.mark.slow
 
 EVIL = '<script>window.hacked=1</script><img src=x onerror="window.hacked=2">'
 WITHOUT_WEBGL = """
@@ -273,6 +276,7 @@ def test_names_are_text_and_never_a_program(browser, source, tmp_path):
         rig=replace(source.rig, cameras=tuple(cameras)),
         poses=replace(source.poses, keypoints=joints),
         notes=(EVIL,),
+        reference=Reference(EVIL, replace(source.rig, cameras=tuple(cameras))),
     )
     path = tmp_path / "report.html"
     path.write_text(report_page(evil), encoding="utf-8")
@@ -283,6 +287,9 @@ def test_names_are_text_and_never_a_program(browser, source, tmp_path):
     assert shown.page.locator("script").count() == 2  # the data and the program
     assert shown.page.locator("h1 .name").inner_text() == EVIL
     assert EVIL in shown.page.locator("#cameras .joints").inner_text()
+    # the rig laid over itself
+    assert shown.page.locator("#reference tbody tr").count() == 4
+    assert shown.page.get_by_label("Reference rig").is_checked()
     assert shown.complaints == []
     shown.context.close()
 

@@ -130,7 +130,7 @@ class Detail {
   constructor(private readonly recording: Recording, private readonly player: Player) {
     this.chart = new Chart(player);
     const { cameras, fits } = recording;
-    const list = choice("Camera", cameras.map((camera, view) => [String(view), camera.name] as const), (value) => player.choose("camera", Number(value)));
+    const list = choice("Camera", cameras.map((camera, view) => [String(view), short(camera.name, 28)] as const), (value) => player.choose("camera", Number(value)));
     this.select = list.select;
     this.element.append(h("div", { class: "bar" }, this.title, list.label), this.known);
     if (fits) {

@@ -37,7 +37,7 @@ export function widthOf(context: CanvasRenderingContext2D, text: string): number
 export function drawLabels(canvas: HTMLCanvasElement, labels: Label[]): void {
   const fitted = fit(canvas);
   if (!fitted) return;
-  const [context] = fitted;
+  const [context, room] = fitted;
   const taken: [number, number, number, number][] = [];
   const order = labels.filter((label) => label.depth < 1).sort((a, b) => Number(b.first) - Number(a.first) || a.depth - b.depth);
   const ground = colour("stage");
@@ -48,7 +48,9 @@ export function drawLabels(canvas: HTMLCanvasElement, labels: Label[]): void {
     const text = short(label.text);
     context.font = label.badge ? "600 11px system-ui, sans-serif" : "500 12px system-ui, sans-serif";
     const width = widthOf(context, text) + 8;
-    const box = [label.x - width / 2, label.y - 9, label.x + width / 2, label.y + 9] as [number, number, number, number];
+    if (label.x < 0 || label.x > room) continue;
+    const x = Math.max(width / 2, Math.min(room - width / 2, label.x));
+    const box: [number, number, number, number] = [x - width / 2, label.y - 9, x + width / 2, label.y + 9];
     if (taken.some((other) => box[0] < other[2] && box[2] > other[0] && box[1] < other[3] && box[3] > other[1])) continue;
     taken.push(box);
     if (label.badge) {
@@ -57,13 +59,13 @@ export function drawLabels(canvas: HTMLCanvasElement, labels: Label[]): void {
       context.roundRect(box[0], box[1] + 1, width, 16, 8);
       context.fill();
       context.fillStyle = ground;
-      context.fillText(text, label.x, label.y + 0.5);
+      context.fillText(text, x, label.y + 0.5);
     } else {
       context.strokeStyle = ground;
       context.lineWidth = 4;
-      context.strokeText(text, label.x, label.y);
+      context.strokeText(text, x, label.y);
       context.fillStyle = label.colour;
-      context.fillText(text, label.x, label.y);
+      context.fillText(text, x, label.y);
     }
   }
 }

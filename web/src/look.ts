@@ -25,7 +25,7 @@ export class Look {
   private origin: [number, number] = [0, 0];
 
   constructor(private readonly recording: Recording, private readonly player: Player) {
-    const names = recording.cameras.map((camera, view) => [String(view), camera.name] as const);
+    const names = recording.cameras.map((camera, view) => [String(view), short(camera.name, 28)] as const);
     const list = choice("Look through", names, (value) => player.choose("camera", Number(value)));
     this.select = list.select;
     const zoom = choice("Show", [["all", "the whole image"], ["near", "the bodies, near"]], (value) => {

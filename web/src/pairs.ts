@@ -3,7 +3,7 @@ import { choice, h, section, type Child } from "./dom";
 import { explain } from "./explain";
 import { short } from "./labels";
 import { figure, format, lookUp, term, type Path } from "./number";
-import { mix } from "./palette";
+import { mix, readable } from "./palette";
 import type { Recording } from "./recording";
 import { colour, onTheme } from "./theme";
 
@@ -28,6 +28,7 @@ const MEASURES: Measure[] = [
   { path: ["baseline_body_sizes"], label: "Baseline", unit: " body sizes", range: upTo, says: "dark is far apart" },
   { path: ["weight"], label: "Weight", unit: "", range: () => [0, 1], says: "dark counts much" },
 ];
+const SOURCES: Record<string, string> = { lifted: "the lifted bodies", "five-point": "five points of each", paper: "the solver of the paper" };
 const MORE: Path[] = [["frames"], ["sampled_matches"], ["in_front"], ["reprojection_error_px", "p95"], ["epipolar_error_px"]];
 
 /** Up to so many cameras a matrix has room for words. */
@@ -72,7 +73,8 @@ class Matrix {
       const value = Number(lookUp(["pairs", index, ...measure.path]) ?? NaN);
       const share = Math.min(1, Math.max(0, (value - low) / (high - low || 1)));
       const pair = run.pairs[index]!;
-      return h("td", { class: `n cell${share > 0.55 ? " dark" : ""}${pair.breaks_loop ? " breaks" : ""}`, css: { "background-color": mix(from, to, 0.06 + 0.84 * (share || 0)) },
+      const depth = 0.06 + 0.84 * (share || 0);
+      return h("td", { class: `n cell${pair.breaks_loop ? " breaks" : ""}`, css: { "background-color": mix(from, to, depth), color: readable(from, to, depth) },
         on: { click: () => this.choose(index) } }, figure(["pairs", index, ...measure.path], { quiet: true }));
     };
     const rows = names.slice(1).map((a, i) => h("tr", {}, h("th", { scope: "row", title: a }, short(a, 16)), ...names.slice(0, i + 1).map((b) => cell(a, b))));
@@ -85,7 +87,7 @@ class Matrix {
   /** Show all numbers of a pair. */
   private choose(index: number): void {
     const pair = this.recording.run.pairs[index]!;
-    const list = this.recording.run.pairs.map((each, i) => [String(i), `${each.a} – ${each.b}`] as const);
+    const list = this.recording.run.pairs.map((each, i) => [String(i), `${short(each.a, 18)} – ${short(each.b, 18)}`] as const);
     const chosen = choice("Pair", list, (value) => this.choose(Number(value)), String(index));
     const line = (path: Path, label: Child, unit = ""): HTMLElement => h("div", {}, h("dt", {}, label), h("dd", {}, figure(["pairs", index, ...path], { unit })));
     const hints = [
@@ -97,7 +99,7 @@ class Matrix {
     this.about.replaceChildren(chosen.label,
       h("dl", { class: "facts" }, ...MEASURES.map(({ path, label, unit }) => line(path, label, unit)),
         ...MORE.map((path) => line(path, explain(["pairs", 0, ...path])?.label ?? path.join(" ")))),
-      h("p", { class: pair.breaks_loop ? "small warn" : "small" }, `Found by ${pair.source}. ${hints}`));
+      h("p", { class: pair.breaks_loop ? "small warn" : "small" }, `Found by ${SOURCES[pair.source] ?? pair.source}. ${hints}`));
     if (held) chosen.select.focus();
   }
 }

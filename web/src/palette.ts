@@ -24,3 +24,13 @@ export function mix(from: string, to: string, share: number): string {
   const at = (i: number): number => Math.round(255 * (a[i]! + (b[i]! - a[i]!) * share));
   return `rgb(${at(0)}, ${at(1)}, ${at(2)})`;
 }
+
+/** Return black or white: what is easier to read on a colour between two (at least 4.5 to 1). */
+export function readable(from: string, to: string, share: number): string {
+  const [a, b] = [channels(from), channels(to)];
+  const linear = [0, 1, 2].map((i) => {
+    const value = a[i]! + (b[i]! - a[i]!) * share;
+    return value <= 0.04045 ? value / 12.92 : ((value + 0.055) / 1.055) ** 2.4;
+  });
+  return 0.2126 * linear[0]! + 0.7152 * linear[1]! + 0.0722 * linear[2]! > 0.179 ? "#000000" : "#ffffff";
+}

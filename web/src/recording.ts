@@ -204,20 +204,28 @@ export function offsetOf(recording: Recording, individual: number, frame: number
   return (individual * recording.frames.length + frame) * recording.joints.length * 3;
 }
 
-/** Return the middle of a body: the mean of its joints, or null where it is not there. */
+const middles = new WeakMap<Recording, Map<number, Vector | null>>();
+
+/** Return the middle of a body: the medians of its joints, or null where it is not there. */
 export function middleOf(recording: Recording, individual: number, frame: number): Vector | null {
-  const { points, joints } = recording;
+  const known = middles.get(recording) ?? new Map<number, Vector | null>();
+  middles.set(recording, known);
   const start = offsetOf(recording, individual, frame);
-  let [x, y, z, n] = [0, 0, 0, 0];
-  for (let i = start; i < start + 3 * joints.length; i += 3) {
-    const value = points[i]!;
-    if (value !== value) continue;
-    x += value;
-    y += points[i + 1]!;
-    z += points[i + 2]!;
-    n++;
+  let middle = known.get(start);
+  if (middle === undefined) {
+    const { points, joints } = recording;
+    const at = (axis: number): number => {
+      const values: number[] = [];
+      for (let i = start + axis; i < start + 3 * joints.length; i += 3) {
+        if (points[i] === points[i]) values.push(points[i]!);
+      }
+      return median(values);
+    };
+    const found: Vector = [at(0), at(1), at(2)];
+    middle = found[0] === found[0] ? found : null;
+    known.set(start, middle);
   }
-  return n ? [x / n, y / n, z / n] : null;
+  return middle;
 }
 
 /** Return the median of numbers, NaN of none. */

@@ -173,32 +173,34 @@ function inWords({ cameras, individuals }: Recording, { camera, frame, from, to 
 }
 
 /** Return in how many frames each camera saw each individual. */
-function counts(recording: Recording): HTMLElement {
+function counts(recording: Recording, open = false): HTMLElement {
   const { run } = recording;
   const heads = ["Individual", term("Frames", explain(["individuals", 0, "frames"])), ...run.cameras.map((camera) => camera.name)];
   const rows = run.individuals.map((each, i) => h("tr", {},
     h("th", { scope: "row" }, h("span", { class: "dot", css: { "--own": ofIndividual(i) }, "aria-hidden": "true" }), figure(["individuals", i, "individual"], { quiet: true })),
     h("td", { class: "n" }, figure(["individuals", i, "frames"], { quiet: true })),
     ...run.cameras.map((camera) => h("td", { class: "n" }, each.cameras[camera.name] === undefined ? "never" : figure(["individuals", i, "cameras", camera.name], { quiet: true })))));
-  return h("details", {}, h("summary", {}, "The same in numbers"), table("Frames in which each camera saw each individual", heads, rows));
+  return h("details", { open }, h("summary", {}, open ? "In numbers" : "The same in numbers"), table("Frames in which each camera saw each individual", heads, rows));
 }
 
 /** Return the third section. */
 export function timelineSection(recording: Recording, player: Player): HTMLElement {
-  const { individuals, cameras, swaps, swapsTotal } = recording;
+  const { individuals, cameras, tracks, swaps, swapsTotal } = recording;
   const few = individuals.length * cameras.length <= FEW;
+  if (!tracks.length) {
+    const why = individuals.length ? "The timeline needs the keypoints, and this report was made without them." : "No individual was found in two cameras.";
+    return section("who", "Who is who", why, counts(recording, true));
+  }
   const timeline = new Timeline(recording, player, few);
   return section(
     "who",
     "Who is who",
-    individuals.length
-      ? "When each individual was found: the darker, the more cameras see it. Click to go to a frame; a click on a camera's line looks through it."
-      : "No individual was found in two cameras.",
+    "When each individual was found: the darker, the more cameras see it. Click to go to a frame; a click on a camera's line looks through it.",
     h("div", { class: "bar" }, tick("Each camera by itself", few, (on) => {
       timeline.byCamera = on;
       timeline.layOut();
     }), swaps.length ? h("span", { class: "swapkey" }, `▼ ${swapsTotal} times a file gives the name of one individual to another`) : null),
-    individuals.length ? timeline.element : null,
+    timeline.element,
     swaps.length ? h("ul", { class: "small" }, ...swaps.slice(0, 12).map((swap) => h("li", {}, inWords(recording, swap)))) : null,
     counts(recording),
   );
