@@ -9,7 +9,7 @@ WORKERS := -n 2 --dist loadfile --no-loadscope-reorder  # the scenes of a file a
 export PYTHONDONTWRITEBYTECODE :=
 INSTALL := $(BIN)/pip install --disable-pip-version-check --no-compile -c constraints.txt
 
-.PHONY: demo test test-quick fuzz lint benchmark docs cli-docs clean
+.PHONY: demo test test-quick fuzz lint benchmark docs cli-docs web clean
 
 demo: .venv/installed
 	@echo "== three people, four cameras, nobody knows who is who =="
@@ -45,6 +45,10 @@ docs: .venv/tested
 
 cli-docs: .venv/installed
 	$(BIN)/python docs/make_cli.py
+
+# the program of report.html; node is needed for this alone, since what it makes is committed
+web:
+	cd web && npm ci --silent --no-audit --no-fund && npm run --silent check && npm run --silent build
 
 .venv/installed: setup.cfg constraints.txt
 	@echo "== making the environment in .venv (a minute or two) =="

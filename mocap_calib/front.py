@@ -172,7 +172,7 @@ def _write_result(
 ) -> tuple[str, ...]:
     """Write the files of a run; return what a further format does not hold."""
     from mocap_calib.io.results.further_formats import check_formats
-    from mocap_calib.job.steps import write_result
+    from mocap_calib.job.results import write_result
 
     formats = () if format is None else (format,)
     unit = result.groups[0].rig.unit if result.groups else ARBITRARY

@@ -35,6 +35,7 @@ def test_demo():
         "poses3d_0.csv",
         "matches.csv",
         "run.json",
+        "report.html",
     ):
         assert name in listed
 

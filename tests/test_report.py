@@ -23,7 +23,9 @@ from mocap_calib_cli.ending import camera_table, describe_group
 
 DESCRIPTION = Path(__file__).parents[1] / "docs" / "run-json.md"
 # their keys are files, stages, cameras or constants
-BY_NAME = {"config", "inputs", "outputs", "seconds", "cameras", "fault_evidence", "evidence"}
+BY_NAME = {
+    *("config", "inputs", "outputs", "reading", "seconds", "cameras", "fault_evidence", "evidence")
+}
 STATISTIC = {"median", "max", "p95"}
 NAMES = tuple(enumerate(("cam1", "cam2", "cam3", "cam4")))
 

@@ -44,6 +44,7 @@ from mocap_calib.types import (
 from mocap_calib_cli.describe import describe_recording
 from mocap_calib_cli.options import STDIO, SharedOptions
 from mocap_calib_cli.progress import Reporter
+from mocap_calib_cli.reading import describe_reading
 from mocap_calib_cli.texts import parse_rates, read_options, stated_mends
 from mocap_calib_cli.world_texts import world_config
 
@@ -91,6 +92,8 @@ def calibration_request(options: SharedOptions, output: Path) -> CalibrationRequ
         ),
         formats=options.write,
         fps=fps,
+        report=options.report,
+        reading=describe_reading(options),
     )
 
 

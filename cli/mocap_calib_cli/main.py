@@ -37,6 +37,7 @@ COMMANDS = {
     "kinematics": "Joint angles, speeds, contacts and bone lengths of 3D poses.",
     "complete": "Fill keypoints that were not seen.",
     "overlay": "Draw what a run found on its videos.",
+    "report": "The results of a run to look at, in one HTML file.",
     "verify": "Judge an existing calibration by keypoints: which camera moved since?",
     "evaluate": "Compare cameras with a reference calibration.",
     "example": "Lay out a recording to begin with: people, a dog, a mouse.",

@@ -25,6 +25,7 @@ from mocap_calib.config import (
 from mocap_calib_cli import values
 from mocap_calib_cli.file_options import FILE_OPTIONS
 from mocap_calib_cli.numbers import COUNT, PERCENTAGE, SEED
+from mocap_calib_cli.result_options import RESULT_OPTIONS
 from mocap_calib_cli.world_options import WORLD_OPTIONS
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -53,8 +54,7 @@ CALIBRATION = (
     "sync_window",
     *WORLD_OPTIONS,
     "smooth",
-    "write",
-    "fps",
+    *RESULT_OPTIONS,
     *VERDICT,
     "quiet",
 )
@@ -71,6 +71,7 @@ class SharedOptions:
     individuals: how many there are at most, None = nobody knows.
     solver: of pairs. scheduler: address of a Dask scheduler, None = the work is done here.
     write: further formats of the results. fps: frames per second, see `texts.parse_rates`.
+    report: whether report.html is written.
     sync, sync_window: what is done about clocks that differ, see `inputs.sync_config`.
     axes ... align: the coordinates of the results, see `world_texts.world_config`.
     smooth: what is done to poses, one of `config.SMOOTH_MODES`.
@@ -107,6 +108,7 @@ class SharedOptions:
     scheduler: str | None = None
     write: tuple[str, ...] = ()
     fps: tuple[str, ...] = ()
+    report: bool = True
     sync: str = SyncConfig.mode
     sync_window: int = SyncConfig.window
     axes: str = WorldConfig.axes
@@ -123,6 +125,7 @@ class SharedOptions:
 
 _OPTIONS = {
     **FILE_OPTIONS,
+    **RESULT_OPTIONS,
     **WORLD_OPTIONS,
     "keypoints": click.argument(
         "keypoints", nargs=-1, required=True, type=values.KEYPOINTS, metavar="KEYPOINTS..."
@@ -214,21 +217,6 @@ _OPTIONS = {
         "--scheduler",
         metavar="ADDRESS",
         help="Dask scheduler whose workers do the work (tcp://HOST:PORT); same results.",
-    ),
-    "write": click.option(
-        "--write",
-        metavar="FORMAT",
-        shell_complete=values.offer_result_formats,
-        multiple=True,
-        help="Write this format too (colmap, movement-3d, ...: docs/formats.md); may be repeated. "
-        "Those in metres need a known length: --height, --length, --camera-distance.",
-    ),
-    "fps": click.option(
-        "--fps",
-        metavar="FPS|CAM:FPS",
-        multiple=True,
-        help="Frames per second, for the formats that need it; and of a single camera whose rate "
-        "is another.",
     ),
     "sync": click.option(
         "--sync",

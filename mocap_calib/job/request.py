@@ -5,6 +5,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 from mocap_calib.compute.program import identify_program
 from mocap_calib.config import PAIR_SOLVERS, Config
@@ -47,6 +48,8 @@ class CalibrationRequest:
     device: where the network computes, "cpu" or "cuda".
     formats: names of further formats of cameras and 3D poses in which the results are written.
     fps: frames per second, for the formats that need it.
+    report: whether report.html is written. reading: the options that say how the keypoints are
+        read, as a user typed them, for run.json.
     """
 
     keypoints: KeypointSource
@@ -58,6 +61,8 @@ class CalibrationRequest:
     config: Config = field(default_factory=Config)
     formats: tuple[str, ...] = ()
     fps: float | None = None
+    report: bool = True
+    reading: Mapping[str, Any] = field(default_factory=dict)
 
     def hash_inputs(self) -> dict[str, str]:
         """Return the SHA-256 of all files that the results follow from, by path."""

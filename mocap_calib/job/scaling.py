@@ -21,7 +21,7 @@ from mocap_calib.io.cameras.write import format_rig
 from mocap_calib.io.file import malformed
 from mocap_calib.io.hashing import hash_files
 from mocap_calib.io.poses.read import load_poses
-from mocap_calib.io.results.group import REPORT, read_outputs
+from mocap_calib.io.results.group import PAGE, REPORT, read_outputs, write_run_json
 from mocap_calib.io.results.poses_csv import poses_csv
 from mocap_calib.io.results.poses_h5 import write_poses_h5
 from mocap_calib.io.results.stored import provenance_of_cameras, provenance_of_poses
@@ -36,7 +36,7 @@ from mocap_calib.world.floor import find_floor
 _CAMERAS = "cameras.yaml"
 _POSES = "poses3d.h5"
 _FORMATS = {_CAMERAS: "mocap-calib", "calibration.toml": "anipose"}
-_OWN = ("matches.csv", REPORT)  # hold no lengths, or are written last
+_OWN = ("matches.csv", REPORT, PAGE)  # hold no lengths, or are written last
 
 
 @dataclass(frozen=True)
@@ -158,8 +158,7 @@ def _scale_report(folder: Path, work: Path, rig: CameraRig, scale: Scale) -> tup
         _scale_camera_figures(report["cameras"], rig, scale)
         if "fingerprint" in report:
             report |= {"fingerprint": None, "outputs": outputs | written}
-        text = json.dumps(report, indent=1, allow_nan=False)
-        (work / REPORT).write_text(text + "\n", encoding="utf-8", newline="\n")
+        write_run_json(work, report)
     if not left:
         return ()
     some = ", ".join(left[:3]) + (", ..." if len(left) > 3 else "")

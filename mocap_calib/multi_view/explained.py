@@ -6,10 +6,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocap_calib.config import REPORT_FRAMES
-from mocap_calib.multi_view.observations import gather_observations
+from mocap_calib.multi_view.observations import matched_pixels
 from mocap_calib.multi_view.triangulation import project
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.types import CalibrationResult, Camera, Floats, GroupResult, Recording
+from mocap_calib.types import (
+    CalibrationResult,
+    Camera,
+    CameraRig,
+    Floats,
+    GroupResult,
+    Ints,
+    Matches,
+    Recording,
+)
 
 
 @dataclass(frozen=True)
@@ -31,16 +40,22 @@ class Leftover:
     def of(cls, group: GroupResult) -> "Leftover":
         """Return that of the matched keypoints and the triangulated points of a group."""
         frames = evenly_spaced(np.arange(len(group.recording.frames)), REPORT_FRAMES)
-        pixels = gather_observations(group.recording, group.matches, frames).pixels
-        points = group.poses.raw[frames]
-        gap = project(group.rig, points.reshape(-1, 3).T) - pixels
-        distance = np.linalg.norm(gap, axis=1)
-        bodies = points.shape[:3]
-        return cls(
-            pixels=pixels.reshape(len(gap), 2, *bodies),
-            gap=gap.reshape(len(gap), 2, *bodies),
-            distance=distance.reshape(len(gap), *bodies),
-        )
+        return cls.of_points(group.recording, group.matches, group.rig, group.poses.raw, frames)
+
+    @classmethod
+    def of_points(
+        cls, recording: Recording, matches: Matches, rig: CameraRig, points: Floats, frames: Ints
+    ) -> "Leftover":
+        """Return that of points `[frame, individual, keypoint, 3]`, in frames `[frame]` (indices).
+
+        rig: of the cameras of the recording.
+        """
+        seen, _ = matched_pixels(recording, matches, frames)
+        pixels = np.moveaxis(seen, -1, 1)
+        bodies = seen.shape[1:4]
+        seen_at = project(rig, points[frames].reshape(-1, 3).T)
+        gap = seen_at.reshape(len(seen), 2, *bodies) - pixels
+        return cls(pixels=pixels, gap=gap, distance=np.linalg.norm(gap, axis=1))
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,16 @@ def gather_observations(recording: Recording, matches: Matches, frames: Ints) ->
 
     N = frames x individuals x keypoints, in that order.
     """
+    pixels, confidence = matched_pixels(recording, matches, frames)
+    views = len(pixels)
+    return observe(recording.cameras, pixels.reshape(views, -1, 2), confidence.reshape(views, -1))
+
+
+def matched_pixels(recording: Recording, matches: Matches, frames: Ints) -> tuple[Floats, Floats]:
+    """Return the detections of all individuals in the frames with these indices `[frame]`.
+
+    Pixels `[view, frame, individual, keypoint, 2]`, NaN = missing, and the confidence, 0 = missing.
+    """
     labels = matches.labels[:, frames]
     view, frame, instance = np.nonzero(labels >= 0)
     individual = labels[view, frame, instance]
@@ -37,7 +47,7 @@ def gather_observations(recording: Recording, matches: Matches, frames: Ints) ->
     confidence = np.zeros(shape)
     pixels[view, frame, individual] = recording.positions[view, frames[frame], instance]
     confidence[view, frame, individual] = recording.confidence[view, frames[frame], instance]
-    return observe(recording.cameras, pixels.reshape(views, -1, 2), confidence.reshape(views, -1))
+    return pixels, confidence
 
 
 def observe(cameras: Sequence[Camera], pixels: Floats, confidence: Floats) -> Observations:

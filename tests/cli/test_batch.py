@@ -17,6 +17,7 @@ import psutil
 import pytest
 from conftest import TOOL
 from platforms import posix
+from report_pages import timeless_page, timeless_run
 from scenes import lifted, recording, scene
 
 from mocap_calib import __version__
@@ -39,17 +40,16 @@ from mocap_calib_cli.workers import open_workers
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """The files of a folder of results; of run.json all but the date and the times."""
+    """The files of a folder of results; of run.json and pages all but the date and the times."""
     found = {
         path.relative_to(folder).as_posix(): path.read_bytes()
         for path in folder.rglob("*")
         if path.is_file()
     }
     for name in [name for name in found if name.endswith("run.json")]:
-        report = json.loads(found[name])
-        assert report.pop("seconds") != {}
-        assert report.pop("date")
-        found[name] = json.dumps(report).encode()
+        found[name] = json.dumps(timeless_run(json.loads(found[name]))).encode()
+    for name in [name for name in found if name.endswith("report.html")]:
+        found[name] = timeless_page(found[name].decode()).encode()
     return found
 
 

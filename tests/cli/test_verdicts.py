@@ -134,6 +134,16 @@ def test_the_largest_group_counts_and_the_others_are_warned_of(run_with, tmp_pat
     assert run_with(("not determined", "usable")).exit_code == 1
 
 
+def test_each_group_has_a_report_unless_it_is_not_wanted(run_with, tmp_path):
+    pages = [tmp_path / "out" / name for name in ("report.html", "group_2/report.html")]
+    run_with(("usable", "weak"))
+    assert all(page.is_file() for page in pages)
+    run_with(("usable", "weak"), "--no-report")
+    assert not any(page.is_file() for page in pages)
+    listed = json.loads((tmp_path / "out" / "run.json").read_text("utf-8"))["outputs"]
+    assert not any("report" in name for name in listed)
+
+
 def test_reasons_are_said_once_and_stand_in_the_files(run_with, tmp_path):
     said = run_with(("weak",)).stderr
     assert said.splitlines()[-2:] == [f"  {WHY}", f"next: {REMEDY}"]

@@ -2,9 +2,12 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
+from report_pages import page_data
 from scenes import PEOPLE, calibrate_all, rotation_errors_deg, scene
 
 from mocap_calib.config import MovedConfig
@@ -18,6 +21,7 @@ from mocap_calib.multi_view.resection import CameraPoses, Sightings, costs_of, s
 from mocap_calib.recording.epochs import list_epochs, rig_of_epoch
 from mocap_calib.recording.mending import Moved
 from mocap_calib.recording.synchronise import make_recording
+from mocap_calib_cli.commands import report as report_command
 
 CONFIG = MovedConfig()
 NOISE = 0.003  # radians
@@ -193,6 +197,19 @@ def test_of_two_cameras_none_is_named():
     assert calibrate_all(moved).faults == ()
 
 
+def check_page_made_again(out: Path) -> None:
+    """The page shows a camera that was moved as two views, and so does one that is made again."""
+    before = page_data((out / "report.html").read_text("utf-8"))
+    views = [(each["name"], each["camera"], each["last"]) for each in before["rig"]["cameras"]]
+    name = before["rig"]["cameras"][1]["name"]
+    assert views[1:3] == [(name, 1, 69), (f"{name}@70", 1, 119)]
+    assert CliRunner().invoke(report_command.command, [str(out)]).exit_code == 0
+    after = page_data((out / "report.html").read_text("utf-8"))
+    assert [each["name"] for each in after["rig"]["cameras"]] == [view[0] for view in views]
+    assert after["detections"] == before["detections"]
+    assert after["timeline"] == before["timeline"]
+
+
 @pytest.mark.slow
 def test_the_command_writes_a_rig_for_each_epoch(tmp_path, tool):
     recording, rig = recorded(people=1)
@@ -232,6 +249,7 @@ def test_the_command_writes_a_rig_for_each_epoch(tmp_path, tool):
         "opencv",
     }
     assert "@" not in (out / "matches.csv").read_text()
+    check_page_made_again(out)
     # a run on the recording as it should be leaves nothing of the later epoch
     for file in scene(frames=FRAMES, people=1).files:
         write_keypoints(tmp_path / "keypoints" / f"{file.camera}.json", (file,), "coco")

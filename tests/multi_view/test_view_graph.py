@@ -8,6 +8,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from report_pages import page_data
 from scenes import PEOPLE, calibrate_all, lifted, precision, recording, rotation_errors_deg, scene
 
 from mocap_calib.config import AveragingConfig, PairwiseConfig
@@ -289,10 +290,18 @@ def test_run_writes_each_group_and_says_so(tool, tmp_path):
         "poses3d.h5",
         "poses3d_0.csv",
         "poses3d_1.csv",
+        "report.html",
         "run.json",
     }
     assert {file.name for file in out.iterdir()} == plain | {"group_2", "notes.txt"}
     assert {file.name for file in (out / "group_2").iterdir()} == plain
+    pages = [folder / "report.html" for folder in (out, out / "group_2")]
+    before = [page_data(page.read_text("utf-8")) for page in pages]
+    assert tool("report", out).returncode == 0
+    for page, of_run in zip(pages, before, strict=True):
+        again = page_data(page.read_text("utf-8"))
+        assert (again["title"], again["detections"]) == (of_run["title"], of_run["detections"])
+    assert before[1]["title"] == "out/group_2"
     first, second = (
         json.loads((folder / "run.json").read_text()) for folder in (out, out / "group_2")
     )

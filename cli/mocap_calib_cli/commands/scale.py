@@ -13,9 +13,9 @@ from mocap_calib_cli import options
 def command(shared: options.SharedOptions, output: Path) -> None:
     """Set the scale of the results in OUT, which a run wrote, by lengths that you know.
 
-    Cameras, 3D poses and run.json are rewritten, in metres. Several lengths are weighed by how
-    sure they are; where they contradict each other, nothing is written. Results of a further group
-    of cameras (OUT/group_2) have a scale of their own: give that folder.
+    Cameras, 3D poses, run.json and report.html are rewritten, in metres. Several lengths are
+    weighed by how sure they are; where they contradict each other, nothing is written. Results of a
+    further group of cameras (OUT/group_2) have a scale of their own: give that folder.
 
     \b
     Example, in the folder examples/three_people:
@@ -23,11 +23,14 @@ def command(shared: options.SharedOptions, output: Path) -> None:
       mocap-calib scale out --length left_hip-left_knee=0.42+-0.01 --camera-distance cam1-cam2=3.1
     """
     from mocap_calib.config import WorldConfig
+    from mocap_calib.io.results.group import PAGE, REPORT
     from mocap_calib.io.world_fields import world_fields
+    from mocap_calib.job.reports import open_results
     from mocap_calib.job.scaling import scale_results
     from mocap_calib_cli import outputs
     from mocap_calib_cli.describe_world import describe_world
     from mocap_calib_cli.progress import Reporter
+    from mocap_calib_cli.results_page import draw_results
     from mocap_calib_cli.world_texts import scale_cues
 
     cues = scale_cues(shared)
@@ -38,4 +41,7 @@ def command(shared: options.SharedOptions, output: Path) -> None:
     outputs.check_folder(output)
     done = scale_results(output, cues, WorldConfig())
     said = describe_world(world_fields(done.world, "m"))
-    Reporter(quiet=shared.quiet).say(*said, *done.notes)
+    reporter = Reporter(quiet=shared.quiet)
+    reporter.say(*said, *done.notes)
+    if (output / PAGE).is_file() and (output / REPORT).is_file():
+        reporter.say(*draw_results(open_results(output), options.SharedOptions()))

@@ -24,6 +24,7 @@ from mocap_calib.recording.epochs import Epoch, epoch_folder, list_epochs, rig_o
 from mocap_calib.types import CameraRig, Clocks, GroupResult
 
 REPORT = "run.json"
+PAGE = "report.html"
 REVERSED_RIG = "calibration_reversed.toml"
 _POSES = "poses3d.csv"  # with the number of the individual: poses3d_0.csv, ...
 _REVERSED = "this is the rig reversed in depth, which fits as well as that of calibration.toml"
@@ -93,6 +94,11 @@ def epoch_provenance(
     if number + 1 < len(epochs):
         remarks.append(f"the rig from frame {epochs[number + 1].first} on: another folder epoch_N")
     return {**provenance, "remarks": [*remarks, *provenance.get("remarks", [])]}
+
+
+def write_run_json(folder: Path, report: Mapping[str, Any]) -> None:
+    """Write what run.json holds of a group into its folder."""
+    replace_text(folder / REPORT, [json.dumps(report, indent=1, allow_nan=False), "\n"])
 
 
 def read_outputs(folder: Path) -> dict[str, str]:

@@ -1,0 +1,115 @@
+"""The rig of a report, and another one that is laid over it."""
+
+from collections.abc import Sequence
+from pathlib import PurePath
+from typing import Any
+
+import numpy as np
+
+from mocap_calib.errors import MismatchError
+from mocap_calib.geometry.alignment import align_by_similarity
+from mocap_calib.geometry.rotation import angle_between
+from mocap_calib.html_report.source import Reference, ReportSource
+from mocap_calib.multi_view.evaluation import with_axes
+from mocap_calib.recording.epochs import list_epochs, views_by_camera
+from mocap_calib.types import CameraRig, Floats, PosedCamera
+
+
+def describe_rig(source: ReportSource) -> dict[str, Any]:
+    """Return the cameras, the floor and the uncertainty of the centres for a page."""
+    rig = source.rig
+    camera_of = {
+        view: number
+        for number, views in enumerate(views_by_camera(rig.names).values())
+        for view in views
+    }
+    epochs = list_epochs(rig.names, source.poses.frames)
+    cameras = []
+    for view, camera in enumerate(rig):
+        holding = [epoch for epoch in epochs if view in epoch.views]
+        cameras.append(
+            {
+                **_describe_camera(camera),
+                "camera": camera_of[view],
+                "first": min((epoch.first for epoch in holding), default=0),
+                "last": max((epoch.last for epoch in holding), default=0),
+                "covariance": _flat_if_known(source.covariance[view]),
+            }
+        )
+    return {
+        "unit": rig.unit,
+        "up": _flat_if_known(rig.world.up),
+        "floor": _flat_if_known(rig.world.floor),
+        "size": rig_size(rig),
+        "covariance": "axes" if source.directed else "spheres",
+        "cameras": cameras,
+    }
+
+
+def describe_reference(reference: Reference, rig: CameraRig) -> dict[str, Any]:
+    """Return another rig as it lies over a rig after the best similarity, and how far it is off.
+
+    Raises MismatchError where they have fewer than two cameras in common.
+    """
+    names = [name for name in rig.names if name in reference.rig]
+    if len(names) < 2:
+        raise MismatchError(
+            f"{reference.title}: expected at least two cameras of {', '.join(rig.names)}, found "
+            f"{', '.join(reference.rig.names)}; match their names"
+        )
+    other = _lay_over(reference.rig, rig, names)
+    ours, theirs = rig.select(names), other.select(names)
+    turned = np.degrees(angle_between(ours.rotation, theirs.rotation))
+    shifted = np.linalg.norm(ours.centres - theirs.centres, axis=1)
+    size = rig_size(ours)
+    return {
+        "title": PurePath(reference.title).name or reference.title,
+        "cameras": [{**_describe_camera(camera), "covariance": None} for camera in other],
+        "errors": [
+            {
+                "name": name,
+                "rotation_deg": float(angle),
+                "centre_percent": float(100 * distance / size),
+                "centre": float(distance),
+            }
+            for name, angle, distance in zip(names, turned, shifted, strict=True)
+        ],
+    }
+
+
+def rig_size(rig: CameraRig) -> float:
+    """Return the RMS distance of the centres from their middle."""
+    offset = rig.centres - rig.centres.mean(0)
+    return float(np.sqrt((offset**2).sum(1).mean()))
+
+
+def _lay_over(other: CameraRig, rig: CameraRig, names: Sequence[str]) -> CameraRig:
+    """Return another rig in the world of a rig, by the cameras of these names."""
+    points, targets = (with_axes(each.select(names)) for each in (other, rig))
+    scale, turn, shift = align_by_similarity(points, targets)
+    rotation = other.rotation @ turn.T
+    centres = scale * other.centres @ turn.T + shift
+    return CameraRig(
+        cameras=other.cameras,
+        rotation=rotation,
+        translation=-np.einsum("vij,vj->vi", rotation, centres),
+        unit=rig.unit,
+    )
+
+
+def _describe_camera(camera: PosedCamera) -> dict[str, Any]:
+    """Return the lens of a camera and where it stands."""
+    return {
+        "name": camera.name,
+        "size": list(camera.size),
+        "matrix": camera.matrix.ravel().tolist(),
+        "distortion": camera.distortion.tolist(),
+        "fisheye": camera.fisheye,
+        "rotation": camera.rotation.ravel().tolist(),
+        "translation": camera.translation.tolist(),
+    }
+
+
+def _flat_if_known(values: Floats) -> list[float] | None:
+    """Return numbers, row by row; None where they are not known."""
+    return values.ravel().tolist() if np.isfinite(values).all() else None

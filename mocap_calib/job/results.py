@@ -1,0 +1,186 @@
+"""Write the folder of a run: all files of all groups of cameras, together or not at all."""
+
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mocap_calib.config import Config
+from mocap_calib.errors import MismatchError
+from mocap_calib.html_report.page import report_page
+from mocap_calib.html_report.source import source_of_group
+from mocap_calib.io.atomic import replace_folder, write_bytes
+from mocap_calib.io.hashing import hash_file, hash_files
+from mocap_calib.io.poses.common import PoseFile, describe_poses
+from mocap_calib.io.provenance import date_of_making, provenance
+from mocap_calib.io.results.further_formats import WriteOutcome, any_holds_points, write_formats
+from mocap_calib.io.results.group import (
+    PAGE,
+    epoch_provenance,
+    group_folder,
+    read_outputs,
+    remove_earlier_outputs,
+    write_group,
+    write_run_json,
+)
+from mocap_calib.io.zeros import unsigned_zeros
+from mocap_calib.job.outcome import WrittenGroup
+from mocap_calib.judging import judge_cameras
+from mocap_calib.multi_view.observed_points import observe_points
+from mocap_calib.recording.epochs import (
+    Epoch,
+    epoch_folder,
+    list_epochs,
+    own_names,
+    recording_of_epoch,
+    rig_of_epoch,
+)
+from mocap_calib.recording.joints import edges_of_keypoints
+from mocap_calib.report import run_report
+from mocap_calib.steerpose.weights import load_vocabulary
+from mocap_calib.types import CalibrationResult, GroupResult, ObservedPoints
+
+# in the folder of results: the pairs of a run that is under way or was killed
+UNFINISHED = ".unfinished"
+
+
+def write_result(
+    output: Path,
+    result: CalibrationResult,
+    *,
+    inputs: Mapping[str, str],
+    described: Mapping[str, Any],
+    fingerprint: str | None = None,
+    formats: Sequence[str] = (),
+    fps: float | None = None,
+    page: bool = True,
+) -> tuple[WrittenGroup, ...]:
+    """Write all files of a run, together or not at all; return what was written of each group.
+
+    What the `run.json` of an earlier run lists and this one did not write is removed: further
+    groups, individuals and formats, and a rig reversed in depth.
+
+    output: the folder. inputs: SHA-256 of the files that were read, by path.
+    described: further keys of `run.json`. fingerprint: of all that the result follows from, where
+        that is known. formats, fps: as in `CalibrationRequest`; what cannot hold the rig or the
+        poses of a group is left out.
+    page: whether report.html is written.
+    """
+    earlier = read_outputs(output)
+    reports = _report_groups(result, inputs, described)
+    further: dict[int, WriteOutcome] = {}
+    with replace_folder(output) as work:
+        # the first group comes last: its report has the hashes of all other files
+        for number in reversed(range(len(result.groups))):
+            group, place = result.groups[number], work / group_folder(number)
+            place.mkdir(exist_ok=True)
+            judged = judge_cameras(reports[number])
+            source = provenance("run", seed=result.seed, inputs=inputs, **judged)
+            poses = _describe_poses(group, fps)
+            write_group(place, group, poses, source, clocks=result.clocks)
+            further[number] = _write_further(
+                place, group, poses, formats=formats, source=source, config=result.config
+            )
+            if number == 0:
+                reports[0]["fingerprint"] = fingerprint
+                reports[0]["outputs"] = hash_files(work)
+            if page:
+                title = name_results(output, number)
+                write_bytes(place / PAGE, _draw_page(group, reports[number], poses, title))
+                if number == 0:  # the page holds the hashes of all files but its own
+                    reports[0]["outputs"][PAGE] = hash_file(place / PAGE)
+            write_run_json(place, reports[number])
+    remove_unfinished(output)
+    remove_earlier_outputs(output, earlier, kept=reports[0]["outputs"].keys())
+    return tuple(
+        WrittenGroup(report, further[number].notes, further[number].refused)
+        for number, report in enumerate(reports)
+    )
+
+
+def name_results(output: Path, number: int) -> str:
+    """Return what the report of a group, counted from 0, is called: by the folder of the run."""
+    name = output.resolve().name
+    return f"{name}/{group_folder(number)}" if number else name
+
+
+def _draw_page(group: GroupResult, report: Mapping[str, Any], poses: PoseFile, title: str) -> bytes:
+    """Return the report.html of a group. report: what its run.json holds."""
+    source = source_of_group(group, report, title=title, edges=tuple(poses.edges), fps=poses.rate)
+    return report_page(source).encode()
+
+
+def _write_further(
+    folder: Path,
+    group: GroupResult,
+    poses: PoseFile,
+    *,
+    formats: Sequence[str],
+    source: Mapping[str, Any],
+    config: Config,
+) -> WriteOutcome:
+    """Write the further formats of a group: of later epochs the cameras alone."""
+    epochs = list_epochs(group.rig.names, group.recording.frames)
+    outcomes = []
+    for number, epoch in enumerate(epochs):
+        points = _observe_points(group, epoch, config) if any_holds_points(formats) else None
+        outcomes.append(
+            write_formats(
+                folder / epoch_folder(number),
+                rig_of_epoch(group.rig, epoch),
+                None if number else poses,
+                formats,
+                epoch_provenance(source, epochs, number),
+                points=points,
+            )
+        )
+    notes = dict.fromkeys(note for outcome in outcomes for note in outcome.notes)
+    refused: dict[str, MismatchError] = {}
+    for outcome in reversed(outcomes):
+        refused |= outcome.refused
+    return WriteOutcome(tuple(notes), refused)
+
+
+def _observe_points(group: GroupResult, epoch: Epoch, config: Config) -> ObservedPoints:
+    """Return the triangulated points of an epoch, and the detections that they were made of."""
+    recording = recording_of_epoch(group.recording, epoch)
+    frames = np.flatnonzero(np.isin(group.recording.frames, recording.frames))
+    matches = group.matches.select(views=epoch.views, frames=frames)
+    rig = rig_of_epoch(group.rig, epoch)
+    return observe_points(recording, rig, matches, config.triangulate)
+
+
+def _describe_poses(group: GroupResult, fps: float | None) -> PoseFile:
+    """Return the poses of a group with what is known beside them."""
+    skeleton = load_vocabulary(group.recording.model)
+    edges = edges_of_keypoints(skeleton, group.recording.vocabulary)
+    return describe_poses(group.poses, fps, edges=edges)
+
+
+def _report_groups(
+    result: CalibrationResult, inputs: Mapping[str, str], described: Mapping[str, Any]
+) -> list[dict[str, Any]]:
+    """Return what `run.json` holds of each group, but for the hashes of the results."""
+    groups = [
+        {"folder": group_folder(number), "cameras": list(own_names(group.rig.names))}
+        for number, group in enumerate(result.groups)
+    ]
+    shared = {"date": date_of_making(), **described, "groups": groups}
+    return [
+        unsigned_zeros(
+            run_report(group, result, seed=result.seed, config=result.config, inputs=inputs)
+        )
+        | {"model": group.recording.model, **shared}
+        for group in result.groups
+    ]
+
+
+def remove_unfinished(output: Path) -> None:
+    """Remove the pairs of an unfinished run, and the folder made for them if it is empty now."""
+    if not (output / UNFINISHED).is_dir():
+        return
+    shutil.rmtree(output / UNFINISHED, ignore_errors=True)
+    if not any(output.iterdir()):
+        output.rmdir()
