@@ -23,6 +23,7 @@ import numpy as np
 from certainty_cases import KINDS, Case, degenerate_cases, recorded_case, simulated_cases
 from certainty_errors import judge_group
 from recordings import NAMES
+from scipy.stats import chi2
 
 from mocap_calib.errors import MocapCalibError
 from mocap_calib.pipeline import calibrate
@@ -34,6 +35,7 @@ SIMULATED = 200
 DEGENERATE = 25  # of each kind
 INSIDE = (0.90, 0.99)  # share of cameras whose 95 % region holds the truth
 RIG_SIZES = {"3": (3, 3), "4": (4, 4), "5 and more": (5, np.inf)}
+CHI2_95 = float(chi2.ppf(0.95, 3))
 RATIO = (0.4, 2.5)  # of the RMS error to the RMS sigma
 RATIO_FREE = ("mvor_openpose",)  # reference and people's joints are apart there
 RIGHT = 0.95  # share of the verdicts
@@ -121,10 +123,8 @@ def table_of_regions(lines: Sequence[Line]) -> bool:
 
 def inside(groups: Sequence[dict[str, Any]], what: str) -> float:
     """Return the share of cameras whose error is within the 95 % region; what: which error."""
-    within = [
-        each <= group["region"] for group in groups for each in group[f"{what}_distance"]
-    ]
-    return float(np.mean(within)) if within else np.nan
+    distance = [each for group in groups for each in group[f"{what}_distance"]]
+    return float((np.array(distance) <= CHI2_95).mean()) if distance else np.nan
 
 
 def table_of_ratios(lines: Sequence[Line]) -> bool:

@@ -6,7 +6,6 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2, f
 
 from mocap_calib.config import EPOCH_MARK
 from mocap_calib.geometry.rotation import angle_between, nearest_rotation
@@ -20,9 +19,8 @@ def judge_group(group: GroupResult, truth: Sequence[CameraRig]) -> dict[str, Any
     truth: rigs of cameras that belong together. Where the group has cameras of several of them, no
     errors are given (`true` is false).
     Angles are in degrees, lengths in percent of the size of the rig; `*_distance` are the squared
-    Mahalanobis distances of the errors of a camera (3 degrees of freedom), and `region` is that of
-    the edge of the 95 % region. `pair_deg` is the largest angle between relative rotations of two
-    cameras and the true ones.
+    Mahalanobis distances of the errors of a camera (3 degrees of freedom). `pair_deg` is the
+    largest angle between relative rotations of two cameras and the true ones.
     """
     covariance = group.uncertainty.covariance
     found: dict[str, Any] = {
@@ -32,7 +30,6 @@ def judge_group(group: GroupResult, truth: Sequence[CameraRig]) -> dict[str, Any
         "reasons": list(group.reasons),
         "rotation_sigma_deg": np.degrees(covariance.rotation_sigma).tolist(),
         "centre_sigma": (100 * covariance.centre_sigma).tolist(),
-        "region": edge_of_region(covariance.degrees),
         "true": False,
     }
     true = find_truth(group.rig, truth)
@@ -47,17 +44,6 @@ def judge_group(group: GroupResult, truth: Sequence[CameraRig]) -> dict[str, Any
         "centre": (100 * norms(error[:, shift])).tolist(),
         "centre_distance": mahalanobis(error[:, shift], covariance.matrix[:, shift, :, shift]),
     }
-
-
-def edge_of_region(degrees: float) -> float:
-    """Return the squared distance within which 95 % of errors `[3]` are, of a covariance.
-
-    degrees: of freedom, by which the covariance was estimated (Hotelling's T^2).
-    """
-    if not np.isfinite(degrees):
-        return float(chi2.ppf(0.95, 3))
-    left = max(degrees - 2, 1.0)
-    return float(3 * degrees / left * f.ppf(0.95, 3, left))
 
 
 def find_truth(rig: CameraRig, truth: Sequence[CameraRig]) -> CameraRig | None:

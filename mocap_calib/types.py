@@ -1030,13 +1030,10 @@ class RigCovariance(Record):
     matrix: `[view, 6, view, 6]` covariance of small turns of the cameras (3, radians, about the
         axes of the world) and of shifts of their centres (3, in sizes of the rig).
     size: of the rig: RMS distance of the centres from their middle, in the unit of the rig.
-    degrees: degrees of freedom of the covariance, which is estimated itself: with few, errors
-        beyond it are likelier than a normal distribution has them.
     """
 
     matrix: Floats
     size: float
-    degrees: float = np.inf
 
     @classmethod
     def unknown(cls, views: int, size: float) -> "RigCovariance":

@@ -45,14 +45,13 @@ class CurvedCovariance:
     """The covariance of free unknowns by the errors that go together in one way or the other.
 
     parts: `[cluster, free, free]` by what each kind of groups scatters by.
-    alone: `[free, free]` as if all points erred independently.
-    shared: share (0.5..1) of the sum of the parts that is not counted twice. Errors of a single
-        detection are in all parts; where there are no others, two parts are twice the covariance.
+    once: share (0.5..1) of the sum of the parts that is not counted twice: what detections of one
+        moment and one joint have in common is in both parts. Where there is nothing else, the sum
+        is twice the covariance.
     """
 
     parts: Floats
-    alone: Floats
-    shared: float
+    once: float
 
 
 def find_covariance(
@@ -116,14 +115,12 @@ def find_curved_covariance(
     system = freedom.basis.T @ schur @ freedom.basis
     bread = _inverse_at_size(_less_curved(system, bent, least_curvature), state)
     scatters = np.stack([scatter_of(scores, cluster) for cluster in clusters])
-    alone = scores @ scores.T
+    first, second = clusters
+    both = scatter_of(scores, first * (second.max() + 1) + second)
     # in standard deviations of independent errors, so that all directions count alike
-    single = float(np.trace(bread @ alone) / max(np.einsum("ij,cji->", bread, scatters), 1e-300))
-    return CurvedCovariance(
-        parts=bread @ scatters @ bread,
-        alone=bread @ alone @ bread,
-        shared=min(1.0, max(1 - single, single)),
-    )
+    twice = float(np.trace(bread @ both) / max(np.einsum("ij,cji->", bread, scatters), 1e-300))
+    # the whole is not less than what is in both parts
+    return CurvedCovariance(bread @ scatters @ bread, once=min(1.0, max(1 - twice, twice)))
 
 
 def _less_curved(system: Floats, bent: Floats, least: float) -> Floats:

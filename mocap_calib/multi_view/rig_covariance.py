@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from scipy.special import chdtri, fdtri
 
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import Config
@@ -32,14 +33,18 @@ from mocap_calib.multi_view.residuals import State
 from mocap_calib.multi_view.schur import Freedom, free_poses
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Matches, RigCovariance, Sample
 
+# With fewer degrees of freedom a region has hardly a bound; the check "moments" is for these
+_LEAST_DEGREES = 6.0
+
 
 @dataclass(frozen=True)
 class FirstOrder:
     """How far errors move a rig in proportion.
 
-    whole: the covariance by all errors. of_time, of_joints: square radians by which all cameras
-    together turn by errors that the detections of a moment, and those of a joint, have in common;
-    those of single detections are part of both.
+    whole: the covariance by all errors, as wide as one must be that is estimated itself.
+    of_time, of_joints: square radians by which all cameras together turn by errors that the
+    detections of a moment, and those of a joint, have in common; those of single detections are
+    part of both.
     """
 
     whole: RigCovariance
@@ -191,12 +196,20 @@ def first_order(fitted: FittedRig, config: Config) -> FirstOrder:
     # each of G groups tells of G - 1 (Satterthwaite 1946, of the sum of two such variances)
     fewer = [max(len(np.unique(cluster)) - 1, 1) for cluster in clusters]
     spread = of_time**2 / fewer[0] + of_joints**2 / fewer[1]
-    whole = RigCovariance(
-        matrix=found.shared * (time.matrix + joints.matrix),
-        size=time.size,
-        degrees=(of_time + of_joints) ** 2 / max(spread, 1e-300),
-    )
-    return FirstOrder(whole, of_time, of_joints)
+    degrees = (of_time + of_joints) ** 2 / max(spread, 1e-300)
+    matrix = found.once * _widening(degrees) * (time.matrix + joints.matrix)
+    return FirstOrder(replace(time, matrix=matrix), of_time, of_joints)
+
+
+def _widening(degrees: float) -> float:
+    """Return by how much an estimated covariance must grow for its 95 % regions to hold 95 %.
+
+    Regions of three numbers, as of a normal distribution. degrees: of freedom of the covariance.
+    Its own error makes the squared distances those of Hotelling's T^2.
+    """
+    degrees = max(degrees, _LEAST_DEGREES)
+    left = degrees - 2
+    return float(3 * degrees / left * fdtri(3, left, 0.95) / chdtri(3, 0.05))
 
 
 def cautious_covariances(fitted: FittedRig, config: Config) -> tuple[RigCovariance, RigCovariance]:

@@ -20,8 +20,8 @@ from mocap_calib.multi_view.refinement import adjust_until_stable
 from mocap_calib.multi_view.relocation import find_lost_camera
 from mocap_calib.multi_view.rig_changes import find_changes
 from mocap_calib.multi_view.rig_covariance import (
-    covariance_of,
     cautious_covariances,
+    covariance_of,
     fit_again,
 )
 from mocap_calib.multi_view.triangulation import check_same_cameras
