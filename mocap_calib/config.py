@@ -591,6 +591,7 @@ class UncertaintyConfig:
     # An outlier camera has so many times the errors of the others. Measured: 1 to 2.6 where the
     # cameras agree, 3.8 between telescopes, 5 to 18 where one is out of step.
     outlier_factor: float = 4.0
+    outlier_good_factor: float = 2.0  # and of the best quarter of them
     # With fewer moments, standard deviations over moments are too small to accuse anybody: of 3 to
     # 10 frames of a sound rig two focal lengths were "wrong" by 3 to 5 of them.
     accusing_moments: int = 20
