@@ -731,8 +731,9 @@ class DiagnosisConfig:
     resize_gain: float = 0.05
     resize_significance: float = 100.0
     plain_factor: float = 0.12  # of the logarithm: as near to a plain factor, it is meant
-    # of focal lengths, sizes and corners; measured: 3000 and more, 248 where a sound one was wrong
-    intrinsic_keypoints: int = 400
+    # of focal lengths, sizes, corners, and sides of a part of the detections; measured: 3000 and
+    # more; 248 where a sound camera was accused of either
+    telling_keypoints: int = 400
     crop_significance: float = 40.0
     least_crop: float = 0.08  # of a side of the image; shelf, which is sound, asks for up to 0.068
     crop_outside: float = 0.005  # share of the keypoints that a crop would have cut off

@@ -34,7 +34,7 @@ class Finding:
     core: the rig of the others.
     gain: what it lowers the robust cost of a keypoint by, against the intrinsics and the labels as
         they are given. keypoints: how many tell.
-    exchanged: share of the detections that fit with exchanged sides alone; exchanged_sigma: of it.
+    exchanged: share of the detections that fit with exchanged sides alone.
     """
 
     core: CoreRig
@@ -43,7 +43,6 @@ class Finding:
     gain: float
     keypoints: int
     exchanged: float
-    exchanged_sigma: float
 
     @property
     def evidence(self) -> float:
@@ -77,8 +76,8 @@ def explain(observed: Observed, view: int, config: Config, *, seed: int) -> tupl
     if not seen or len(seen["given"].points) < config.diagnosis.least_keypoints:
         return ()
     findings = _fit_all(tried, seen, resections, core, config.diagnosis)
-    share, sigma = exchanged_share(sightings[False], sightings[True], best)
-    return tuple(replace(each, exchanged=share, exchanged_sigma=sigma) for each in findings)
+    share = exchanged_share(sightings[False], sightings[True], best)
+    return tuple(replace(each, exchanged=share) for each in findings)
 
 
 def _count_comparable(sighting: Sighting) -> int:
@@ -200,7 +199,6 @@ def _fit_all(
             gain=given - _cost(fits[each.name], sharpest),
             keypoints=len(fits[each.name].error),
             exchanged=0.0,
-            exchanged_sigma=0.0,
         )
         for each in tried
         if each.name in fits

@@ -101,10 +101,8 @@ def match(scene: Sighting, projection: Floats, tolerance: float) -> tuple[Ints, 
     return np.where(detected & (least < _FITS), cost.argmin(-1), -1), mean
 
 
-def exchanged_share(
-    given: Sighting, exchanged: Sighting, resection: Resection
-) -> tuple[float, float]:
-    """Return the share of the detections that fit with exchanged sides alone, and its sigma.
+def exchanged_share(given: Sighting, exchanged: Sighting, resection: Resection) -> float:
+    """Return the share of the detections that fit with exchanged sides alone.
 
     given, exchanged: the same detections with the sides as given and exchanged. Those that fit
     with neither, or about as well with both, are not counted.
@@ -117,9 +115,7 @@ def exchanged_share(
         np.asarray((cost < _FITS) & (cost < _CLEARLY * other))
         for cost, other in zip(costs, reversed(costs), strict=True)
     ]
-    told = max(int(fits[0].sum() + fits[1].sum()), 1)
-    share = float(fits[1].sum()) / told
-    return share, float(np.sqrt(share * (1 - share) / told))
+    return float(fits[1].sum()) / max(int(fits[0].sum() + fits[1].sum()), 1)
 
 
 def decompose(projection: Floats) -> Decomposition:
