@@ -33,9 +33,6 @@ from mocap_calib.multi_view.residuals import State
 from mocap_calib.multi_view.schur import Freedom, free_poses
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Matches, RigCovariance, Sample
 
-# With fewer degrees of freedom a region has hardly a bound; the check "moments" is for these
-_LEAST_DEGREES = 6.0
-
 
 @dataclass(frozen=True)
 class FirstOrder:
@@ -197,7 +194,8 @@ def first_order(fitted: FittedRig, config: Config) -> FirstOrder:
     fewer = [max(len(np.unique(cluster)) - 1, 1) for cluster in clusters]
     spread = of_time**2 / fewer[0] + of_joints**2 / fewer[1]
     degrees = (of_time + of_joints) ** 2 / max(spread, 1e-300)
-    matrix = found.once * _widening(degrees) * (time.matrix + joints.matrix)
+    least = config.uncertainty.least_degrees
+    matrix = found.once * _widening(max(degrees, least)) * (time.matrix + joints.matrix)
     return FirstOrder(replace(time, matrix=matrix), of_time, of_joints)
 
 
@@ -207,7 +205,6 @@ def _widening(degrees: float) -> float:
     Regions of three numbers, as of a normal distribution. degrees: of freedom of the covariance.
     Its own error makes the squared distances those of Hotelling's T^2.
     """
-    degrees = max(degrees, _LEAST_DEGREES)
     left = degrees - 2
     return float(3 * degrees / left * fdtri(3, left, 0.95) / chdtri(3, 0.05))
 
