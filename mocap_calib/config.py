@@ -577,8 +577,8 @@ class UncertaintyConfig:
     # of a robust cost, as a share of one whose weights stay as they are. Measured: 0.31 to 0.68 in
     # the direction of least curvature, 0.63 to 0.75 on average
     least_curvature: float = 0.2
-    # of freedom that its estimate counts as having at least: with fewer, a region has hardly a bound,
-    # and the check of the moments is for these
+    # of freedom that its estimate counts as having at least: with fewer, a region has no bound to
+    # speak of, and the check of the moments is for these
     least_degrees: float = 6.0
     parts: int = 5  # of the recording, that a rig is adjusted without,
     moments_of_a_part: int = 4  # at least
