@@ -710,8 +710,8 @@ class DiagnosisConfig:
     suspicious_outside: float = 0.02  # share of its keypoints outside its images
     suspicious_frames: int = 80  # that are looked at for it,
     suspicious_keypoints: int = 1500  # and keypoints of a camera
-    # expected error of the rig of the others: with more it accuses nobody. Measured: 3.6 and 11 of a
-    # sound recording that hardly determines them
+    # expected error of the rig of the others: with more it accuses nobody. Measured: 3.6 and 11 of
+    # a sound recording that hardly determines them
     core_deg: float = 3.5
     candidates: int = 5  # suspicious cameras that are looked at closely
 
