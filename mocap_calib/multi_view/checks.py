@@ -16,9 +16,6 @@ from mocap_calib.multi_view.view_graph import best_scores
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Check, Floats, GroupResult, Ints
 
-_LEAST_IN_BLOCK = 30  # keypoints of a camera that tell how large its errors are
-_LEAST_SHARE = 0.5  # and of those that a stretch of time has usually
-
 
 def check_rig(group: GroupResult, config: Config, *, used_frames: Ints) -> tuple[Check, ...]:
     """Return all checks of the rig of a group.
@@ -154,7 +151,8 @@ def _over_time(left: Leftover, config: Config) -> Floats:
     stretches = np.array_split(left.distance, config.uncertainty.time_blocks, axis=1)
     counts = np.stack([np.isfinite(part).sum((1, 2, 3)) for part in stretches])
     # a stretch in which a camera hardly matches anybody tells nothing of where it stands
-    least = np.maximum(_LEAST_IN_BLOCK, _LEAST_SHARE * np.median(counts, axis=0))
+    limits = config.verdict
+    least = np.maximum(limits.stretch_keypoints, limits.stretch_share * np.median(counts, axis=0))
     medians = np.stack([_medians_by_view(part, least) for part in stretches])
     some = np.isfinite(medians).any(0)
     found = np.full(len(left.distance), np.nan)

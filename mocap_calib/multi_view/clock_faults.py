@@ -5,6 +5,7 @@ from typing import Any, cast
 
 from mocap_calib.config import EPOCH_MARK
 from mocap_calib.multi_view.verdict import no_better_than
+from mocap_calib.multi_view.view_graph import best_scores
 from mocap_calib.recording.mending import find_view
 from mocap_calib.recording.retiming import clocks_from, retime
 from mocap_calib.types import (
@@ -80,7 +81,25 @@ def add_clocks(result: CalibrationResult, clocks: Clocks) -> CalibrationResult:
     else:
         groups = tuple(_out_of_step(group, clocks) for group in groups)
     faults = clock_faults(clocks, applied=clocks.changed)
+    refuted = {name for group in groups for name in _refuted(group, result)}
+    faults = tuple(fault for fault in faults if not fault.mend or fault.camera not in refuted)
     return replace(result, groups=groups, clocks=clocks, faults=(*faults, *result.faults))
+
+
+def _refuted(group: GroupResult, result: CalibrationResult) -> list[str]:
+    """Return the cameras of which another clock explains nothing.
+
+    The rig is not determined, and the bodies that they see then look like those of nobody.
+    """
+    if group.verdict != "not determined":
+        return []
+    best = best_scores(group.pairs, len(group.rig))
+    unlike = best < result.config.averaging.weak_score
+    return [
+        name.partition(EPOCH_MARK)[0]
+        for name, odd in zip(group.rig.names, unlike, strict=True)
+        if odd
+    ]
 
 
 def _with_clocks(group: GroupResult, clocks: Clocks) -> GroupResult:

@@ -5,14 +5,20 @@ joint. The inverse of the Hessian, which knows nothing of that, is 1.5 to 10 tim
 sandwich B M B is right: B is the inverse of the reduced camera system, and M the sum, over groups
 whose errors go together, of what their gradients scatter by (Cameron, Gelbach and Miller 2011:
 "Robust Inference With Multiway Clustering").
+
+The system of an adjustment is that of weights which stay as they are, as suits its steps. The cost
+itself is less curved, since a robust loss bends: a rig goes 1.4 times as far as that system says
+(Huber 1981: "Robust Statistics", section 7.6). `find_curved_covariance` takes the curvature of the
+cost.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from mocap_calib.multi_view.residuals import Observations, State, blocks_of, jacobian
-from mocap_calib.multi_view.schur import Freedom, eliminate_points, linearise
+from mocap_calib.multi_view.schur import Freedom, NormalEquations, eliminate_points, linearise
 from mocap_calib.types import Floats, Ints
 
 
@@ -34,6 +40,20 @@ class Covariance:
         return self.bread @ self.scatter @ self.bread
 
 
+@dataclass(frozen=True)
+class CurvedCovariance:
+    """The covariance of free unknowns by the errors that go together in one way or the other.
+
+    parts: `[cluster, free, free]` by what each kind of groups scatters by.
+    once: share (0.5..1) of the sum of the parts that is not counted twice: what detections of one
+        moment and one joint have in common is in both parts. Where there is nothing else, the sum
+        is twice the covariance.
+    """
+
+    parts: Floats
+    once: float
+
+
 def find_covariance(
     state: State,
     seen: Observations,
@@ -41,36 +61,114 @@ def find_covariance(
     *,
     clusters: tuple[Ints, ...],
     loss_scale: float,
-    cautious: bool = True,
 ) -> Covariance:
     """Return the covariance of the free unknowns at a minimum, at the size that the rig has.
 
     clusters: `[N]` numbers each; the errors of points of one number go together.
-    cautious: count residuals for as much as points have absorbed of them. The derivatives without
-        the points are blind to that part, so nothing is missing without it: what it adds, 1.2 to 2
-        times, is a margin for what shall not be accused by mistake.
+
+    Residuals count for as much as points have absorbed of them. The derivatives without the points
+    are blind to that part, so nothing is missing without it: what it adds, 1.2 to 2 times, is a
+    margin for what shall not be accused by mistake.
     """
     equations = linearise(state, seen, freedom, loss_scale)
     inverse, schur, _ = eliminate_points(equations, 0.0)
     centred = np.einsum("ijn,jn->in", inverse, equations.point_gradient)
-    gradients = _gradients_of_points(state, seen, loss_scale)
+    gradients, _ = _gradients(state, seen, loss_scale)
     gradients -= np.einsum("vcin,in->vcn", equations.mixed, centred)
     scores = freedom.basis.T @ gradients.reshape(-1, gradients.shape[2])
-    if cautious:
-        scores *= _inflation(seen.weight)
+    scores *= _inflation(seen.weight)
     return Covariance(
         bread=_inverse_at_size(freedom.basis.T @ schur @ freedom.basis, state),
         scatter=np.sum([scatter_of(scores, cluster) for cluster in clusters], axis=0),
     )
 
 
-def _gradients_of_points(state: State, seen: Observations, loss_scale: float) -> Floats:
-    """Return what each point adds to the gradient of the cameras, `[view, C, N]`."""
-    parts = []
+def find_curved_covariance(
+    state: State,
+    seen: Observations,
+    freedom: Freedom,
+    *,
+    clusters: tuple[Ints, Ints],
+    loss_scale: float,
+    least_curvature: float,
+) -> CurvedCovariance:
+    """Return the covariance of the free unknowns at a minimum of the robust cost.
+
+    clusters: as of `find_covariance`. least_curvature: of the cost in any direction, as a share of
+        what it would be with weights that stay as they are.
+
+    Cauchy's loss w s^2 log(1 + r'r / s^2) has the curvature u (I - 2 u r r' / (w s^2)) where its
+    weight is u = w / (1 + r'r / s^2). With residuals and derivatives weighed by sqrt(u), as
+    everywhere here, what is missing in the reduced system is the sum of 2 / (w s^2) q q' over all
+    detections, q being what each adds to the gradient of the cameras.
+    """
+    equations = linearise(state, seen, freedom, loss_scale)
+    inverse, schur, _ = eliminate_points(equations, 0.0)
+    by_view = _scores_by_view(state, seen, equations, inverse, loss_scale)
+    rows = freedom.basis.shape[1]
+    scores, bent = np.zeros((rows, seen.weight.shape[1])), np.zeros((rows, rows))
+    for of_view, weight in zip(by_view, seen.weight, strict=True):
+        score = freedom.basis.T @ of_view
+        share = np.where(weight > 0, 2 / (np.where(weight > 0, weight, 1.0) * loss_scale**2), 0.0)
+        bent += (score * share) @ score.T
+        scores += score
+    system = freedom.basis.T @ schur @ freedom.basis
+    bread = _inverse_at_size(_less_curved(system, bent, least_curvature), state)
+    scatters = np.stack([scatter_of(scores, cluster) for cluster in clusters])
+    first, second = clusters
+    both = scatter_of(scores, first * (second.max() + 1) + second)
+    # in standard deviations of independent errors, so that all directions count alike
+    twice = float(np.trace(bread @ both) / max(np.einsum("ij,cji->", bread, scatters), 1e-300))
+    # the whole is not less than what is in both parts
+    return CurvedCovariance(bread @ scatters @ bread, once=min(1.0, max(1 - twice, twice)))
+
+
+def _less_curved(system: Floats, bent: Floats, least: float) -> Floats:
+    """Return a reduced system `[free, free]` without a part of it, at least a share in each way.
+
+    bent: `[free, free]` the part.
+    """
+    stiffness = np.diag(system)
+    scale = np.sqrt(np.maximum(stiffness, 1e-15 * stiffness.max()))
+    values, vectors = np.linalg.eigh(system / scale / scale[:, None])
+    root = np.sqrt(np.maximum(values, 1e-13 * values.max()))
+    whitening = vectors / root / scale[:, None]
+    shares, ways = np.linalg.eigh(np.eye(len(system)) - whitening.T @ bent @ whitening)
+    half = scale[:, None] * (vectors * root) @ ways
+    return np.asarray((half * np.maximum(shares, least)) @ half.T)
+
+
+def _scores_by_view(
+    state: State,
+    seen: Observations,
+    equations: NormalEquations,
+    inverse: Floats,
+    loss_scale: float,
+) -> Iterator[Floats]:
+    """Yield what the detections of each view add to the gradient of all cameras, `[C view, N]`.
+
+    With the points eliminated: they go where the others want them.
+    inverse: `[3, 3, N]` of the blocks of the points.
+    """
+    by_camera, by_point = _gradients(state, seen, loss_scale)
+    for view, (own, pull) in enumerate(zip(by_camera, by_point, strict=True)):
+        moved = np.einsum("ijn,jn->in", inverse, pull)
+        score = -np.einsum("vcin,in->vcn", equations.mixed, moved)
+        score[view] += own
+        yield score.reshape(-1, score.shape[2])
+
+
+def _gradients(state: State, seen: Observations, loss_scale: float) -> tuple[Floats, Floats]:
+    """Return the gradients by the camera `[view, C, N]` and by the point `[view, 3, N]`.
+
+    Of each detection.
+    """
+    cameras, points = [], []
     for block in blocks_of(state.points):
         found = jacobian(block, state, seen, loss_scale)
-        parts.append(np.einsum("vkcn,vkn->vcn", found.camera, found.residual))
-    return np.concatenate(parts, axis=2)
+        cameras.append(np.einsum("vkcn,vkn->vcn", found.camera, found.residual))
+        points.append(np.einsum("vkcn,vkn->vcn", found.point, found.residual))
+    return np.concatenate(cameras, axis=2), np.concatenate(points, axis=2)
 
 
 def _inflation(weight: Floats) -> Floats:

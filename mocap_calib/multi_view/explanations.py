@@ -99,7 +99,7 @@ def plain_factor(factor: float, config: DiagnosisConfig) -> float:
 
 def is_acceptable(explanation: Explanation, fit: CameraFit, config: DiagnosisConfig) -> bool:
     """Return whether the unknowns of an explanation are what it says, and are significant."""
-    if explanation.free and len(fit.error) < config.intrinsic_keypoints:
+    if explanation.free and len(fit.error) < config.telling_keypoints:
         return False
     if explanation.name == "resized":
         change = abs(float(fit.unknowns[0]))

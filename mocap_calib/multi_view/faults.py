@@ -59,28 +59,52 @@ def mend_faults(
     recording: as it was handed in. calibrated: what was found of it. calibrate: finds the same of
         a recording that was mended.
     """
-    config = calibrated[1].config.mend
+    config, as_given = calibrated[1].config.mend, calibrated
     faults: tuple[Fault, ...] = ()
     for _ in range(config.rounds):
         best = _best_explanation(recording, calibrated, faults, calibrate)
         if best is None or best.gain <= -config.refuting_loss:
+            break
+        if best.gain <= 0 and faults:  # nothing is left over that another fault would explain
             break
         if best.gain <= 0 or not config.apply:
             faults += _only_named(best.faults)
             break
         calibrated = best.calibrated
         faults += best.faults
+    if faults and all(fault.word == "moved" for fault in faults) and _is_in_vain(calibrated[1]):
+        observed, result = as_given
+        doubted = tuple(map(_in_doubt, result.groups))
+        calibrated, faults = (observed, replace(result, groups=doubted)), ()
     observed, result = calibrated
     named = {fault.camera for fault in faults}
     unrelated = (
         fault
         for group in result.groups
+        if group.verdict != "not determined"
         for fault in find_unrelated_cameras(observed, group, result.config)
         if fault.camera not in named
     )
     faults = (*faults, *unrelated)
     groups = tuple(_judge_faulty(group, faults) for group in result.groups)
     return replace(result, groups=groups, faults=faults)
+
+
+def _is_in_vain(result: CalibrationResult) -> bool:
+    """Return whether cameras that were moved leave a rig that is not determined all the same.
+
+    Then errors come and go for another reason.
+    """
+    return result.groups[0].verdict == "not determined"
+
+
+def _in_doubt(group: GroupResult) -> GroupResult:
+    """Return the group of files as they are, whose errors come and go without a reason."""
+    reason = (
+        "errors come and go as if cameras had been moved, and no rig explains that; "
+        "check the keypoints, and record again"
+    )
+    return no_better_than(group, "weak", reason)
 
 
 def find_explanations(

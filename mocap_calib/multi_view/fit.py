@@ -18,7 +18,8 @@ class Fit:
 
     misfit: RMS distance in pixels of all detections from the reprojected points, none counted for
         more than a few usual distances.
-    angle: `[view]` median distance of the view's detections, in radians.
+    angle: `[view]` median distance of the view's detections, in radians; good_angle: the distance
+        that a quarter of them is below.
     noise: `[view]` robust standard deviation of one coordinate, in pixels.
     perspective: `[view]` RMS in pixels of what no affine camera explains. Where it is far below
         the noise, the camera might as well be infinitely far away: its distance follows from its
@@ -27,6 +28,7 @@ class Fit:
 
     misfit: float
     angle: Floats
+    good_angle: Floats
     noise: Floats
     perspective: Floats
 
@@ -39,7 +41,8 @@ def measure_fit(sample: Sample, rig: CameraRig, matches: Matches, config: Config
     focal = np.array([camera.focal for camera in rig.cameras])
     return Fit(
         misfit=_misfit(error[counted], config.uncertainty.misfit_limit),
-        angle=_medians(error, counted) / focal,
+        angle=_quantiles(error, counted, 0.5) / focal,
+        good_angle=_quantiles(error, counted, 0.25) / focal,
         noise=noise * focal,
         perspective=_perspective(rig, points, counted) * focal,
     )
@@ -71,13 +74,20 @@ def find_outlier_cameras(fit: Fit, config: UncertaintyConfig) -> Bools:
     """Return the cameras `[view]` whose errors are several times those of the others.
 
     They are out of step, were moved, or have other intrinsics than given. Of two cameras both
-    have the errors, so none is named.
+    have the errors, so none is named. All errors of such a camera are large: where half of what a
+    camera detects is of nobody, the other half is as good as that of the others.
     """
     views = len(fit.angle)
     if views <= 2:
         return np.zeros(views, dtype=bool)
-    others = [np.median(np.delete(fit.angle, view)) for view in range(views)]
-    return fit.angle > config.outlier_factor * np.array(others)
+    good = _times_others(fit.good_angle) > config.outlier_good_factor
+    return np.asarray((_times_others(fit.angle) > config.outlier_factor) & good)
+
+
+def _times_others(values: Floats) -> Floats:
+    """Return each value `[view]` in medians of the others."""
+    others = [np.median(np.delete(values, view)) for view in range(len(values))]
+    return values / np.maximum(others, 1e-300)
 
 
 def find_weak_perspective(fit: Fit) -> Bools:
@@ -98,16 +108,16 @@ def _misfit(error: Floats, limit: float) -> float:
     return float(np.sqrt((error**2).mean()))
 
 
-def _medians(error: Floats, counted: Bools) -> Floats:
-    """Return the median `[view]` of the counted errors `[view, N]`, NaN where there is none.
+def _quantiles(error: Floats, counted: Bools, share: float) -> Floats:
+    """Return a quantile `[view]` of the counted errors `[view, N]`, NaN where there is none.
 
     An error of NaN, behind the camera, counts as the largest.
     """
-    medians = np.full(len(error), np.nan)
+    found = np.full(len(error), np.nan)
     for view in np.flatnonzero(counted.any(1)):
         in_view = error[view, counted[view]]
-        medians[view] = np.median(np.nan_to_num(in_view, nan=np.inf))
-    return medians
+        found[view] = np.quantile(np.nan_to_num(in_view, nan=np.inf), share, method="lower")
+    return found
 
 
 def _perspective(rig: CameraRig, points: Floats, counted: Bools) -> Floats:

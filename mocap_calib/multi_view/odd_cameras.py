@@ -88,7 +88,9 @@ def _is_acceptable(finding: Finding, config: DiagnosisConfig) -> bool:
         return False
     if explanation.name.startswith("rotated"):
         return _effective(finding, config) > -config.rotation_prior
-    if explanation.name == "sides" and finding.exchanged > config.least_exchanged:
+    # of few keypoints a third of the detections may fit better by chance
+    enough = finding.keypoints >= config.telling_keypoints
+    if explanation.name == "sides" and enough and finding.exchanged > config.least_exchanged:
         return True
     least = {"cropped": 0.0, "focal": config.focal_gain, "resized": config.resize_gain}
     return finding.gain > least.get(explanation.name, config.least_gain) and is_acceptable(

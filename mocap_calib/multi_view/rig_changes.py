@@ -61,7 +61,7 @@ def find_changes(
 ) -> RigChange:
     """Return which cameras were moved between two rigs of the same cameras, and by how much.
 
-    covariances: of the adjusted rig, as of `first_order_covariances`.
+    covariances: of the adjusted rig, as of `cautious_covariances`.
     """
     covariance, _ = covariances
     problem = _Problem.of(given, adjusted, covariances, config)

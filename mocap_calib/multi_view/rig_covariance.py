@@ -6,16 +6,16 @@ cameras are from where they should be after the best similarity between the two.
 the fixed one, and all have a share of what is not known.
 
 The covariance is of first order: it holds where a rig bends in proportion to what pulls at it.
-Rigs that are hardly determined bend more. Adjusting again without a fifth of the moments or of the
-joints, and to halves of the joints, shows that (the delete-a-group jackknife; Shao and Wu 1989: "A
-General Theory for Jackknife Variance Estimation").
+Rigs that are hardly determined bend more. Adjusting again without a fifth of the moments, and to
+halves of the joints, shows that (the delete-a-group jackknife; Shao and Wu 1989: "A General Theory
+for Jackknife Variance Estimation").
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from scipy.special import chdtri, fdtri
 
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import Config
@@ -27,13 +27,26 @@ from mocap_calib.multi_view.bundle_adjustment import (
     minimise_in_steps,
     observe_rays,
 )
-from mocap_calib.multi_view.covariance import find_covariance
+from mocap_calib.multi_view.covariance import find_covariance, find_curved_covariance
 from mocap_calib.multi_view.ray_residuals import RayObservations
 from mocap_calib.multi_view.residuals import State
-from mocap_calib.multi_view.schur import free_poses
+from mocap_calib.multi_view.schur import Freedom, free_poses
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Matches, RigCovariance, Sample
 
-_MOMENTS_OF_A_PART = 4  # at least
+
+@dataclass(frozen=True)
+class FirstOrder:
+    """How far errors move a rig in proportion.
+
+    whole: the covariance by all errors, as wide as one must be that is estimated itself.
+    of_time, of_joints: square radians by which all cameras together turn by errors that the
+    detections of a moment, and those of a joint, have in common; those of single detections are
+    part of both.
+    """
+
+    whole: RigCovariance
+    of_time: float
+    of_joints: float
 
 
 @dataclass(frozen=True)
@@ -64,29 +77,18 @@ def rig_covariance(
 def covariance_of(fitted: FittedRig, config: Config, *, seed: int) -> RigCovariance:
     """Return the covariance of a rig; see `rig_covariance`."""
     rig = fitted.rig
-    first_order, _ = _first_order(fitted, config, cautious=False)
-    bend = _bend(fitted, first_order, config, seed=seed) / config.uncertainty.usual_bend
+    first = first_order(fitted, config)
+    bend = _bend(fitted, first, config, seed=seed) / config.uncertainty.usual_bend
     if not np.isfinite(bend):  # too little is left to leave a part of it out
         return RigCovariance.unknown(len(rig.cameras), rig_size(rig))
     # what parts of the errors do more than in proportion, all of them together do once more
     inflation = max(1.0, bend) ** 2
     # a single moment does not show what all joints of a moment share: it counts twice
     moments = 1 + 1 / len(np.unique(fitted.points.frame))
-    found = replace(first_order, matrix=first_order.matrix * inflation**2 * moments)
+    found = replace(first.whole, matrix=first.whole.matrix * inflation**2 * moments)
     if not found.rotation_sigma.max() < np.pi:  # no angle is larger
         return RigCovariance.unknown(len(rig.cameras), rig_size(rig))
     return found
-
-
-def first_order_covariances(
-    fitted: FittedRig, config: Config
-) -> tuple[RigCovariance, RigCovariance]:
-    """Return the covariance of a rig of first order, and the one of independent errors.
-
-    The second is what it would be if all detections erred independently: too small, but it has
-    the shape that the images give it.
-    """
-    return _first_order(fitted, config, cautious=True)
 
 
 def rig_change(before: CameraRig, after: CameraRig) -> Floats:
@@ -173,25 +175,68 @@ def _settle(state: State, seen: RayObservations, config: Config) -> State:
     return minimise_in_steps(state, seen, freedom, config.adjust, already_close=True)
 
 
-def _first_order(
-    fitted: FittedRig, config: Config, *, cautious: bool
-) -> tuple[RigCovariance, RigCovariance]:
-    """Return the covariance of first order, and that of independent errors."""
+def first_order(fitted: FittedRig, config: Config) -> FirstOrder:
+    """Return how far errors move a rig in proportion."""
     views, points = len(fitted.rig.cameras), fitted.points
     freedom = free_poses(views)
+    clusters = points.time_blocks(config.uncertainty.time_blocks), points.keypoint
+    found = find_curved_covariance(
+        fitted.state,
+        fitted.seen,
+        freedom,
+        clusters=clusters,
+        loss_scale=config.adjust.loss_scales[-1],
+        least_curvature=config.uncertainty.least_curvature,
+    )
+    time, joints = (_of_poses(part, freedom, fitted.rig) for part in found.parts)
+    of_time, of_joints = _turn_variance(time), _turn_variance(joints)
+    # each of G groups tells of G - 1 (Satterthwaite 1946, of the sum of two such variances)
+    fewer = [max(len(np.unique(cluster)) - 1, 1) for cluster in clusters]
+    spread = of_time**2 / fewer[0] + of_joints**2 / fewer[1]
+    degrees = (of_time + of_joints) ** 2 / max(spread, 1e-300)
+    least = config.uncertainty.least_degrees
+    matrix = found.once * _widening(max(degrees, least)) * (time.matrix + joints.matrix)
+    return FirstOrder(replace(time, matrix=matrix), of_time, of_joints)
+
+
+def _widening(degrees: float) -> float:
+    """Return by how much an estimated covariance must grow for its 95 % regions to hold 95 %.
+
+    Regions of three numbers, as of a normal distribution. degrees: of freedom of the covariance.
+    Its own error makes the squared distances those of Hotelling's T^2.
+    """
+    left = degrees - 2
+    return float(3 * degrees / left * fdtri(3, left, 0.95) / chdtri(3, 0.05))
+
+
+def cautious_covariances(fitted: FittedRig, config: Config) -> tuple[RigCovariance, RigCovariance]:
+    """Return a covariance of first order with a margin, and the one of independent errors.
+
+    The second is what it would be if all detections erred independently: too small, but it has
+    the shape that the images give it.
+    """
+    points, freedom = fitted.points, free_poses(len(fitted.rig.cameras))
     found = find_covariance(
         fitted.state,
         fitted.seen,
         freedom,
         clusters=(points.time_blocks(config.uncertainty.time_blocks), points.keypoint),
         loss_scale=config.adjust.loss_scales[-1],
-        cautious=cautious,
     )
-    real, independent = (
-        (freedom.basis @ free @ freedom.basis.T).reshape(views, 6, views, 6)
-        for free in (found.sandwich, found.bread)
-    )
-    return _in_the_world(real, fitted.rig), _in_the_world(independent, fitted.rig)
+    real, independent = found.sandwich, found.bread
+    return _of_poses(real, freedom, fitted.rig), _of_poses(independent, freedom, fitted.rig)
+
+
+def _turn_variance(covariance: RigCovariance) -> float:
+    """Return the sum of the variances of all turns, in square radians."""
+    return float(np.einsum("vivi->", covariance.matrix[:, :3, :, :3]))
+
+
+def _of_poses(matrix: Floats, freedom: Freedom, rig: CameraRig) -> RigCovariance:
+    """Return the covariance of a rig from that of its free unknowns, `[free, free]`."""
+    views = len(rig.cameras)
+    poses = freedom.basis @ matrix @ freedom.basis.T
+    return _in_the_world(poses.reshape(views, 6, views, 6), rig)
 
 
 def _in_the_world(matrix: Floats, rig: CameraRig) -> RigCovariance:
@@ -213,19 +258,19 @@ def _in_the_world(matrix: Floats, rig: CameraRig) -> RigCovariance:
 # What first order does not tell
 
 
-def _bend(fitted: FittedRig, first_order: RigCovariance, config: Config, *, seed: int) -> float:
+def _bend(fitted: FittedRig, first: FirstOrder, config: Config, *, seed: int) -> float:
     """Return by how much more rigs of parts of what was seen differ than first order tells.
 
-    Of standard deviations: the geometric mean of what rigs without a fifth and rigs of halves say.
-    The former are many, the latter bend far; either alone is a rough estimate.
+    Of standard deviations: without each fifth of the recording, and of halves of the joints.
     """
-    expected = float(np.einsum("vivi->", first_order.matrix[:, :3, :, :3]))
-    fifths = sum(
-        _jackknife(fitted, part, config)
-        for part in _parts(fitted.points, config.uncertainty.parts, seed=seed)
-    )
-    halves = _halves(fitted, config, seed=seed)
-    return float((fifths * halves) ** 0.25 / max(expected, 1e-30) ** 0.5)
+    found, expected = _halves(fitted, config, seed=seed), first.of_joints
+    count = config.uncertainty.parts
+    moments = len(np.unique(fitted.points.frame))
+    # of hardly more moments than parts, each part would weigh too much
+    if moments >= config.uncertainty.moments_of_a_part * count:
+        found += _jackknife(fitted, fitted.points.time_blocks(count), config)
+        expected += first.of_time
+    return float(np.sqrt(found / max(expected, 1e-30)))
 
 
 def _jackknife(fitted: FittedRig, part: Ints, config: Config) -> float:
@@ -235,8 +280,6 @@ def _jackknife(fitted: FittedRig, part: Ints, config: Config) -> float:
     number of the part that each point is of.
     """
     count = int(part.max()) + 1
-    if count < 2:
-        return 0.0
     kept = (np.flatnonzero(part != left_out) for left_out in range(count))
     turns = np.stack(list(map_in_threads(partial(_turns, fitted=fitted, config=config), kept)))
     return (count - 1) / count * float(((turns - turns.mean(0)) ** 2).sum())
@@ -253,19 +296,6 @@ def _halves(fitted: FittedRig, config: Config, *, seed: int) -> float:
     turns = np.stack(list(map_in_threads(partial(_turns, fitted=fitted, config=config), kept)))
     # a half errs by twice the variance of the whole, and two of them differ by four times that
     return float(((turns[::2] - turns[1::2]) ** 2).sum()) / (4 * len(half))
-
-
-def _parts(points: AdjustablePoints, count: int, *, seed: int) -> Iterator[Ints]:
-    """Yield the part `[N]` of the recording, and then the part of the joints, of each point.
-
-    None of the recording where it has hardly more moments than parts: each part of so few would
-    weigh too much.
-    """
-    if len(np.unique(points.frame)) >= _MOMENTS_OF_A_PART * count:
-        yield points.time_blocks(count)
-    joints, joint = np.unique(points.keypoint, return_inverse=True)
-    # neighbours on the body err alike, and have neighbouring numbers
-    yield (np.random.default_rng(seed).permutation(len(joints)) % min(count, len(joints)))[joint]
 
 
 def _turns(kept: Ints, *, fitted: FittedRig, config: Config) -> Floats:

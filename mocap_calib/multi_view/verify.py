@@ -20,8 +20,8 @@ from mocap_calib.multi_view.refinement import adjust_until_stable
 from mocap_calib.multi_view.relocation import find_lost_camera
 from mocap_calib.multi_view.rig_changes import find_changes
 from mocap_calib.multi_view.rig_covariance import (
+    cautious_covariances,
     covariance_of,
-    first_order_covariances,
     fit_again,
 )
 from mocap_calib.multi_view.triangulation import check_same_cameras
@@ -97,7 +97,7 @@ def verify_rig(
     look = _look_again(sample, lifted, rig, config, progress=progress)
     adjusted, matches = look.adjusted.rig, look.adjusted.matches
     fitted = fit_again(look.sample, adjusted, matches, config)
-    covariances = first_order_covariances(fitted, config)
+    covariances = cautious_covariances(fitted, config)
     change = find_changes(rig.select(look.views), adjusted, covariances, config)
     covariance = covariance_of(fitted, config, seed=seed)
     return describe_rig(sample, look, rig, change=change, covariance=covariance, config=config)

@@ -53,7 +53,7 @@ def move_covariance(covariance: RigCovariance, by: Similarity) -> RigCovariance:
     """Return the covariance of a rig in other coordinates: its axes turn, its size scales."""
     turn = np.kron(np.eye(2), by.rotation)  # turns of the cameras, and shifts of their centres
     matrix = np.einsum("ij,vjwk,lk->viwl", turn, covariance.matrix, turn)
-    return RigCovariance(matrix, by.scale * covariance.size)
+    return replace(covariance, matrix=matrix, size=by.scale * covariance.size)
 
 
 def move_group(group: GroupResult, by: Similarity, unit: str, world: World) -> GroupResult:

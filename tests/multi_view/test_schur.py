@@ -7,6 +7,8 @@ import pytest
 from scenes import scene, turn_cameras
 
 from mocap_calib.geometry import lens
+from mocap_calib.geometry.rotation import vector_from_matrix
+from mocap_calib.multi_view.covariance import find_curved_covariance
 from mocap_calib.multi_view.pixel_residuals import PixelObservations
 from mocap_calib.multi_view.ray_residuals import RayObservations
 from mocap_calib.multi_view.residuals import State, robust_cost
@@ -176,3 +178,38 @@ def test_minimising_ends_where_the_gradient_vanishes():
     assert np.abs(after).max() < 1e-4 * np.abs(before).max()
     assert robust_cost(found, seen, SCALE) < 0.5 * robust_cost(state, seen, SCALE)
     np.testing.assert_array_equal(found.rotation[0], state.rotation[0])
+
+
+def test_a_covariance_is_how_far_many_draws_of_noise_scatter_the_cameras():
+    """Three views: residuals lie where the cameras pull, so the bend of the loss tells most."""
+    state, _ = problem()
+    rng = np.random.default_rng(1)
+    true = scene(cameras=3).rig
+    loss_scale, found, stated = 1.5, [], []
+    for _ in range(20):
+        in_camera = true.rotation @ state.points + true.translation[:, :, None]
+        rays = in_camera / np.linalg.norm(in_camera, axis=1, keepdims=True)
+        basis = np.linalg.svd(np.moveaxis(rays, 1, 2)[..., None, :])[2][..., 1:, :]
+        noise = rng.normal(0, 1 / 300, (3, 100, 2))
+        noisy = rays + np.moveaxis(np.einsum("vnk,vnki->vni", noise, basis), 1, 2)
+        noisy /= np.linalg.norm(noisy, axis=1, keepdims=True)
+        basis = np.linalg.svd(np.moveaxis(noisy, 1, 2)[..., None, :])[2][..., 1:, :]
+        # residuals are in what is left of the noise when points have bent to it, as in a run
+        metric = 300 * np.sqrt(2) * np.moveaxis(basis, 1, 3)
+        drawn = RayObservations(rays=noisy, metric=metric, weight=np.ones((3, 100)))
+        start = State(true.rotation, true.translation, state.points, np.zeros((3, 0)))
+        fitted = minimise(start, drawn, FREE, loss_scale=loss_scale, tolerance=1e-9)
+        turns = vector_from_matrix(fitted.rotation @ np.swapaxes(true.rotation, 1, 2))
+        found.append((turns[1:] ** 2).sum())
+        covariance = find_curved_covariance(
+            fitted,
+            drawn,
+            FREE,
+            clusters=(np.arange(100) // 5, np.arange(100) % 17),
+            loss_scale=loss_scale,
+            least_curvature=0.2,
+        )
+        whole = covariance.once * covariance.parts.sum(0)
+        stated.append(np.diag(whole).reshape(2, 6)[:, :3].sum())
+    # 1.2 here; 1.6 without the bend
+    assert 0.8 < np.sqrt(np.mean(found) / np.mean(stated)) < 1.35
