@@ -4,6 +4,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +12,6 @@ from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.io.cameras.own import SUBFRAME
 from mocap_calib.io.cameras.read import read_rig
 from mocap_calib.io.file import decode, read_bytes
-from mocap_calib.io.keypoints.read import looks_like_keypoints
 from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.poses.read import load_poses
 from mocap_calib.io.results.group import REPORT
@@ -32,7 +32,7 @@ class Results:
     poses: of all frames. individuals: by camera and (frame number of its file, instance).
     late: by camera, the part of a frame by which its images are later than those of the first.
     mirrored: cameras whose images were found to be mirrored, left for right.
-    inputs: the files of keypoints that the run read.
+    reading: the options with which the run read its keypoints.
     """
 
     epochs: tuple[tuple[int, int, CameraRig], ...]
@@ -40,7 +40,7 @@ class Results:
     individuals: Mapping[str, Mapping[tuple[int, int], int]]
     late: Mapping[str, float]
     mirrored: frozenset[str]
-    inputs: tuple[str, ...]
+    reading: Mapping[str, Any]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -63,7 +63,7 @@ def read_results(folder: Path) -> Results:
         report = json.loads((folder / REPORT).read_bytes())
         epochs = [(each["folder"], each["first"], each["last"]) for each in report["epochs"]]
         faults = {each["name"]: each["fault_evidence"] for each in report["cameras"]}
-        inputs = tuple(path for path in report["inputs"] if looks_like_keypoints(Path(path)))
+        reading = dict(report.get("reading", {}))
     except (ValueError, LookupError, TypeError, AttributeError):
         raise FormatError(
             f"{folder / REPORT}: expected what `run` wrote, found something else; run it again"
@@ -83,7 +83,7 @@ def read_results(folder: Path) -> Results:
         individuals=individuals,
         late={camera: -offset for camera, offset in offsets.items()},
         mirrored=frozenset(name for name, found in faults.items() if "mirrored" in found),
-        inputs=inputs,
+        reading=reading,
     )
 
 

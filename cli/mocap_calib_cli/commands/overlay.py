@@ -1,5 +1,6 @@
 """mocap-calib overlay: what a run found, on its videos."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -8,7 +9,6 @@ import click
 from mocap_calib_cli import options, values
 
 if TYPE_CHECKING:
-    from mocap_calib.overlay.results import Results
     from mocap_calib.types import Keypoints2D
 
 _READING = tuple(
@@ -57,8 +57,8 @@ def command(
     Where rings and discs of a body come apart, the calibration or the detection is wrong.
 
     A video's frames are numbered from 0; what the run found of clocks is taken into account.
-    Options that `run` needed to read the keypoints are needed here too. One video a camera is
-    written, CAM.mp4, or pictures, CAM_000100.png. docs/overlay.md has more.
+    Keypoints are read as the run read them. One video a camera is written, CAM.mp4, or pictures,
+    CAM_000100.png. docs/overlay.md has more.
 
     \b
     Example:
@@ -69,6 +69,7 @@ def command(
     from mocap_calib.overlay.results import read_results
     from mocap_calib_cli import outputs
     from mocap_calib_cli.progress import Reporter
+    from mocap_calib_cli.reading import options_of_reading
     from mocap_calib_cli.texts import read_options
 
     files = _parse_videos(videos)
@@ -76,34 +77,32 @@ def command(
     outputs.check_folder(output)
     with Reporter(quiet=shared.quiet) as reporter:
         found = read_results(results)
+        read = options_of_reading(found.reading, replace(shared, keypoints=keypoints))
         notes = make_overlays(
             found,
-            _read_detections(found, shared, keypoints),
+            _read_detections(read),
             files,
             output,
             frames=chosen,
-            shifts=read_options(shared).frame_offset,
-            mirrored=shared.mirrored,
+            shifts=read_options(read).frame_offset,
+            mirrored=read.mirrored,
             progress=reporter,
         )
     reporter.say(*notes, f"overlays in {output}")
 
 
-def _read_detections(
-    found: "Results", shared: options.SharedOptions, keypoints: tuple[str, ...]
-) -> "tuple[Keypoints2D, ...]":
+def _read_detections(read: options.SharedOptions) -> "tuple[Keypoints2D, ...]":
     """Return the detections of each camera. Raises FormatError and MismatchError."""
     from mocap_calib.errors import MismatchError
     from mocap_calib.io.keypoints.read import read_keypoints
     from mocap_calib_cli.texts import read_options
 
-    paths = keypoints or found.inputs
-    if not paths:
+    if not read.keypoints:
         raise MismatchError(
-            "expected the keypoint files that the run read, found none of them where run.json has "
-            "them; give --keypoints"
+            "expected run.json to say which keypoints the run read, found that it does not; "
+            "give --keypoints"
         )
-    return read_keypoints(paths, shared.format, read_options(shared))
+    return read_keypoints(read.keypoints, read.format, read_options(read))
 
 
 def _parse_videos(texts: tuple[str, ...]) -> dict[str, Path]:
