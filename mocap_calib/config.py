@@ -834,13 +834,17 @@ class MovedConfig:
 
     In the end:
     least_angle_deg, and least_shift in sizes of the rig: a change below both is none: clocks that
-        differ by a part of a frame look like 0.1 deg and 0.004.
+        differ by a part of a frame look like 0.1 deg and 0.004. estimated_angle_deg and
+        estimated_shift: the same where intrinsics were estimated: a lens whose k1 is wrong by 0.05
+        bends rays by 0.6 deg at the side of an image, and subjects walk from side to side.
     candidates: cameras that are tried, each in the rig that the others make without it.
     near_detections: on either side, among which the frame of a change is looked for.
     """
 
     least_angle_deg: float = 0.5
     least_shift: float = 0.01
+    estimated_angle_deg: float = 1.5
+    estimated_shift: float = 0.03
     glanced_detections: int = 120
     detections: int = 300
     least_frames: int = 40

@@ -24,8 +24,7 @@ def test_demo():
     )
     assert median < 0.1  # measured 0.02 degrees
     assert largest < 0.2  # 0.04
-    assert "3 individuals" in said.stderr
-    assert "frames in which each individual was found" in said.stderr
+    assert "3 individuals in 200 of 200 frames" in said.stderr
     assert "the results are in out/demo" in said.stdout
     listed = said.stdout.split("the results are in out/demo")[1]
     for name in (

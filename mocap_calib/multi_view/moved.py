@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mocap_calib.config import Config
+from mocap_calib.config import Config, MovedConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.multi_view.changes import (
@@ -29,6 +29,7 @@ from mocap_calib.recording.mending import Moved
 from mocap_calib.recording.sampling import evenly_spaced, take_sample
 from mocap_calib.types import (
     CameraRig,
+    EstimatedCamera,
     Fault,
     Floats,
     GroupResult,
@@ -187,9 +188,10 @@ def _describe_changes(
     centres = -np.einsum("pji,pj->pi", poses.rotation, poses.translation)
     angles = np.rad2deg(angle_between(poses.rotation[:-1], poses.rotation[1:])).tolist()
     shifts = np.linalg.norm(np.diff(centres, axis=0), axis=1).tolist()
-    faults, options = [], config.moved
+    least_angle, least_shift = _least_change(group.rig, moved.view, config.moved)
+    faults = []
     for change, (angle, shift) in enumerate(zip(angles, shifts, strict=True)):
-        if angle < options.least_angle_deg and shift < options.least_shift * rig_size(group.rig):
+        if angle < least_angle and shift < least_shift:
             continue
         index = _find_frame(recording, group.matches, moved, change, config)
         frame = int(recording.frames[index])
@@ -202,6 +204,13 @@ def _describe_changes(
         says = f"moved at frame {frame}, turned by {angle:.1f} deg"
         faults.append(Fault(name, "moved", says, evidence, Moved(name, frame)))
     return tuple(faults)
+
+
+def _least_change(rig: CameraRig, view: int, config: MovedConfig) -> tuple[float, float]:
+    """Return the angle in degrees, and the shift, below which a change of a view is none."""
+    if isinstance(rig.cameras[view], EstimatedCamera):
+        return config.estimated_angle_deg, config.estimated_shift * rig_size(rig)
+    return config.least_angle_deg, config.least_shift * rig_size(rig)
 
 
 def _find_frame(

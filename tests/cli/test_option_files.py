@@ -31,7 +31,7 @@ def example_of(param: click.Parameter) -> str:
     if isinstance(param.type, click.Choice):
         return next(choice for choice in reversed(param.type.choices) if choice != param.default)
     if isinstance(param.type, click.types.BoolParamType):
-        return "true"
+        return "false" if param.default is True else "true"
     return {"integer": "3", "integer range": "3", "percentage": "0.07"}.get(param.type.name, "a.b")
 
 
@@ -39,7 +39,8 @@ def type_words(param: click.Parameter, value: str) -> list[str]:
     """The same on the command line."""
     if isinstance(param, click.Argument):
         return [value]
-    return [max(param.opts, key=len), *([] if param.is_flag else [value])]
+    names = param.secondary_opts if value == "false" else param.opts
+    return [max(names, key=len), *([] if param.is_flag else [value])]
 
 
 @pytest.mark.parametrize("key", OPTIONS)

@@ -83,7 +83,7 @@ def test_examples_are_valid(name, tmp_path, monkeypatch):
     command = group.get_command(click.Context(group), name)
     for example in examples(command.get_help(click.Context(command))):
         for part in example.split(" | "):
-            words = shlex.split(part.partition(" <")[0])
+            words = shlex.split(re.split(r" [<>]", part)[0])
             called = group.get_command(click.Context(group), words[1])
             called.make_context(words[1], words[2:])
 

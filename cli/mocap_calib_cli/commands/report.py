@@ -48,7 +48,7 @@ def command(
     \b
     Example:
       mocap-calib report out
-      mocap-calib report out --reference reference.toml -o compared.html
+      mocap-calib report out --reference board.toml -o compared.html
       mocap-calib report out keypoints/
     """
     from mocap_calib.io.results.group import PAGE
