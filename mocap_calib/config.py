@@ -6,8 +6,6 @@ from typing import Literal, get_args
 LIFT_CONFIDENCE = 0.4  # of a view's best confidence: joints below it are hidden from the network
 LIFT_BEST_PERCENTILE = 90.0  # of a view's confidences: the view's best
 LIFT_UPRIGHT_SAMPLE = 128  # detections of a view that tell which way is down in its images
-LIFT_UPRIGHT_FIRST = 16  # of them, which tell by themselves where they are sure
-LIFT_UPRIGHT_LEAD = 1.25  # where the second best direction is less sure by so much, they are
 LIFT_LEAST_DEPTH = 0.5  # body sizes: no body is nearer to a camera
 LIFT_LEAST_FORWARD = 0.1  # z of a unit ray in the virtual camera: what is beside it stays finite
 
