@@ -58,7 +58,9 @@ def place_in_world(group: GroupResult, config: WorldConfig) -> GroupResult:
     poses = keep_triangulated(group.poses)
     floor: Floor | str = "the rig is not determined"
     if trusted:
-        floor = find_floor(poses, joints, group.rig, config.floor)
+        # as they were seen: best estimates lift or lower feet a little, for the sake of bones
+        seen = replace(poses, positions=group.poses.raw)
+        floor = find_floor(seen, joints, group.rig, config.floor)
     covariance = group.uncertainty.covariance
     if isinstance(floor, Floor):
         turn = float(np.median(covariance.rotation_sigma))
