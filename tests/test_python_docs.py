@@ -1,6 +1,7 @@
 """The Python in README.md and docs/python.md, run as it stands on a small recording."""
 
 import re
+import textwrap
 from dataclasses import replace
 from pathlib import Path
 
@@ -70,6 +71,28 @@ def test_page(folder, capsys):
     assert names["session_poses"].positions.shape == names["poses"].positions.shape
     written = {path.name for path in folder.iterdir()}
     assert {"Calib.toml", "model", "poses_0.trc", "poses_1.trc", "poses.nc", "openpose"} <= written
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("folder")
+def test_the_world():
+    """The distance that the page states is that of the rig."""
+    (block,) = blocks("docs/world.md")
+    names = {}
+    exec(block, names)
+    rig = names["result"].groups[0].rig
+    assert rig.unit == "m"
+    distance = np.linalg.norm(rig["cam1"].centre - rig["cam2"].centre)
+    assert distance == pytest.approx(3.1, abs=1e-9)
+
+
+PAGES = sorted((ROOT / "docs").glob("*.md"))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_python_of_all_pages_can_be_read(page):
+    for block in blocks(page.relative_to(ROOT).as_posix()):
+        compile(textwrap.dedent(block), page.name, "exec")
 
 
 def test_the_page_says_all_names():
