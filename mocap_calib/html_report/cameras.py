@@ -11,6 +11,7 @@ from mocap_calib.geometry.alignment import align_by_similarity
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.html_report.source import Reference, ReportSource
 from mocap_calib.multi_view.evaluation import with_axes
+from mocap_calib.multi_view.rig_covariance import rig_size
 from mocap_calib.recording.epochs import list_epochs, views_by_camera
 from mocap_calib.types import CameraRig, Floats, PosedCamera
 
@@ -75,12 +76,6 @@ def describe_reference(reference: Reference, rig: CameraRig) -> dict[str, Any]:
             for name, angle, distance in zip(names, turned, shifted, strict=True)
         ],
     }
-
-
-def rig_size(rig: CameraRig) -> float:
-    """Return the RMS distance of the centres from their middle."""
-    offset = rig.centres - rig.centres.mean(0)
-    return float(np.sqrt((offset**2).sum(1).mean()))
 
 
 def _lay_over(other: CameraRig, rig: CameraRig, names: Sequence[str]) -> CameraRig:

@@ -6,8 +6,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_calib.colours import colour_of
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.rotation import looking_along
+from mocap_calib.multi_view.rig_covariance import rig_size
 from mocap_calib.recording.joints import edges_of_keypoints
 from mocap_calib.steerpose.weights import load_vocabulary
 from mocap_calib.types import ARBITRARY, CameraRig, Floats, GroupResult, Ints
@@ -17,8 +19,6 @@ if TYPE_CHECKING:
 
 Lines = NDArray[np.float32]  # `[point, 3]`, NaN between pieces; 32 bits are a tenth of a hair
 
-# told apart by colour-blind people too (Okabe and Ito)
-_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 _CAMERA_COLOUR, _FLOOR_COLOUR = "#555555", "#bbbbbb"
 _FRUSTUM = 0.15  # depth of a drawn camera, in sizes of the rig
 _FLOOR_LINES = 11  # in each direction
@@ -53,7 +53,7 @@ def draw_group(group: GroupResult, moments: int) -> "Figure":
             mode="lines+markers",
             name=f"individual {individual}",
             marker={"size": 2},
-            line={"width": 4, "color": _COLOURS[individual % len(_COLOURS)]},
+            line={"width": 4, "color": colour_of(individual)},
             hovertext=[names[keypoint] for keypoint in pieces],
         )
         for individual, body in enumerate(bodies[0] if bodies else ())
@@ -127,17 +127,11 @@ def _frustum(rig: CameraRig, view: int) -> Floats:
     camera = rig.cameras[view]
     width, height = camera.size if all(camera.size) else 2 * camera.matrix[:2, 2]
     corners = np.array([[0, 0, 1], [width, 0, 1], [width, height, 1], [0, height, 1]], dtype=float)
-    rays = corners @ np.linalg.inv(camera.matrix).T * _FRUSTUM * _size(rig)
+    rays = corners @ np.linalg.inv(camera.matrix).T * _FRUSTUM * rig_size(rig)
     points = (rays - rig.translation[view]) @ rig.rotation[view]
     centre, end = rig.centres[view], np.full(3, np.nan)
     edges = [[centre, points[k], points[(k + 1) % 4], end] for k in range(4)]
     return np.array(edges).reshape(-1, 3)
-
-
-def _size(rig: CameraRig) -> float:
-    """Return the RMS distance of the cameras from their middle."""
-    apart = rig.centres - rig.centres.mean(0)
-    return float(np.sqrt((apart**2).sum(-1).mean()))
 
 
 def _draw_floor(group: GroupResult) -> list[dict[str, Any]]:

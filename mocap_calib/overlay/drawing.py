@@ -12,6 +12,7 @@ import numpy as np
 
 from mocap_calib.colours import colour_of, rgb
 from mocap_calib.geometry.projection import CORNER_OFFSET, pixels_from_points, rays_from_pixels
+from mocap_calib.multi_view.rig_covariance import rig_size
 from mocap_calib.types import ARBITRARY, METRES, Camera, CameraRig, Floats, Poses3D
 
 Image = Any  # numpy's array of uint8 [height, width, 3], blue green red
@@ -50,7 +51,7 @@ class View:
             rotation=rig.rotation[view],
             translation=rig.translation[view],
             widest=_widest_angle(camera),
-            near=1e-3 * _extent(rig),
+            near=1e-3 * (rig_size(rig) or 1.0),
             mirrored=mirrored,
         )
 
@@ -104,11 +105,6 @@ def _widest_angle(camera: Camera) -> float:
     return _MARGIN * float(np.nanmax(angles)) if np.isfinite(angles).any() else np.pi / 3
 
 
-def _extent(rig: CameraRig) -> float:
-    """Return the RMS distance of the cameras from their middle."""
-    return float(np.sqrt(((rig.centres - rig.centres.mean(0)) ** 2).sum(1).mean())) or 1.0
-
-
 def floor_lines(rig: CameraRig, poses: Poses3D) -> Floats:
     """Return the lines `[line, 2, 3]` of a grid on the floor where bodies are; none without floor.
 
@@ -123,7 +119,7 @@ def floor_lines(rig: CameraRig, poses: Poses3D) -> Floats:
     axes = np.stack([first, np.cross(world.up, first)])
     places = (points - world.floor) @ axes.T
     low, high = np.percentile(places, [1, 99], axis=0)
-    reach = max(float((high - low).max()), 0.5 * _extent(rig))
+    reach = max(float((high - low).max()), 0.5 * (rig_size(rig) or 1.0))
     step = 1.0 / METRES[rig.unit] if rig.unit != ARBITRARY else _round_step(reach / _GRID_LINES)
     if reach / step > 5 * _GRID_LINES or reach < step:
         step = _round_step(reach / _GRID_LINES)
@@ -147,7 +143,7 @@ def _round_step(length: float) -> float:
 
 def camera_lines(rig: CameraRig, name: str) -> Floats:
     """Return the edges `[line, 2, 3]` of a pyramid for each camera of a rig but one."""
-    depth, lines = 0.12 * _extent(rig), []
+    depth, lines = 0.12 * (rig_size(rig) or 1.0), []
     for view, camera in enumerate(rig.cameras):
         width, height = camera.size if all(camera.size) else 2 * camera.matrix[:2, 2]
         if camera.name == name:
