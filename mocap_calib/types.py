@@ -1098,9 +1098,10 @@ class RigCovariance(Record):
 class Uncertainty(Record):
     """How well a rig is determined by what was seen.
 
-    covariance: of where the cameras stand; what wrong focal lengths may do is part of it.
-    focal_turn: `[view]` radians that a camera may be turned by because of focal lengths: those
-        given, by what the rig changes by when they are free; or the uncertainty of estimated ones.
+    covariance: of where the cameras stand; what wrong intrinsics may do is part of it.
+    intrinsics_turn: `[view]` radians that a camera may be turned by because of its intrinsics: of
+        given focal lengths, what the rig changes by when they are free; of estimated ones their
+        uncertainty; and that of a principal point taken to be in the middle of the image.
     outlier_cameras: `[view]` cameras whose errors are several times those of the others.
     weak_perspective: `[view]` cameras in whose images perspective drowns in noise: their distance
         follows from their focal length alone.
@@ -1110,7 +1111,7 @@ class Uncertainty(Record):
     """
 
     covariance: RigCovariance
-    focal_turn: Floats
+    intrinsics_turn: Floats
     outlier_cameras: Bools
     weak_perspective: Bools
     focal_change: Floats
