@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config, PosesConfig, TriangulateConfig
 from mocap_calib.geometry.bodies import body_size
 from mocap_calib.multi_view.noise import view_noise
@@ -152,6 +153,7 @@ class _Estimate:
     exchanged: Bools
 
 
+@single_threaded_libraries()
 def smooth_poses(
     recording: Recording,
     rig: CameraRig,
