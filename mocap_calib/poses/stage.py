@@ -170,8 +170,7 @@ def smooth_poses(
     all as strongly as held-out detections say; short gaps are bridged, and joints that a single
     view saw are completed. What is not sure enough stays missing. docs/poses.md says how.
 
-    poses: what `triangulate` returned for the same recording, rig and matches. triangulate: with
-    which it did.
+    poses: what `triangulate` found for the same recording, rig, matches and config `triangulate`.
     """
     if config.smooth == "off":
         return poses, Smoothing()
