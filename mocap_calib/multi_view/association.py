@@ -10,7 +10,7 @@ from itertools import combinations
 
 import numpy as np
 
-from mocap_calib.compute.parallel import map_in_threads
+from mocap_calib.compute.parallel import map_in_threads, single_threaded_libraries
 from mocap_calib.config import (
     SCALE_FRAMES,
     SCALE_LEAST_FIT,
@@ -52,6 +52,7 @@ _LIFTED_PAIRS = 2_000_000  # of a sample, compared by rays and lifted bodies
 _PLAIN_PAIRS = 200_000  # of a recording, compared by rays alone: they stay in the cache
 
 
+@single_threaded_libraries()
 def associate(
     sample: Sample, lifted: LiftedPoses, rig: CameraRig, config: Config, *, progress: Progress
 ) -> Matches:
@@ -80,6 +81,7 @@ def associate(
     return _link_groups(sample, rig, labels, config.matching, scale=scale)
 
 
+@single_threaded_libraries()
 def label_all_frames(
     recording: Recording,
     rig: CameraRig,

@@ -13,7 +13,7 @@ from itertools import combinations
 
 import numpy as np
 
-from mocap_calib.compute.parallel import map_in_processes, map_in_threads
+from mocap_calib.compute.parallel import map_in_processes, map_in_threads, single_threaded_libraries
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.two_view.hypotheses import Hypotheses, generate_hypotheses, well_separated
@@ -69,6 +69,7 @@ class PairProblem:
 PairSolver = Callable[[PairProblem], PairwiseCalibration | None]
 
 
+@single_threaded_libraries()
 def calibrate_pairs(
     sample: Sample,
     lifted: LiftedPoses,
