@@ -303,6 +303,48 @@ PAPER_LEAST_JOINTS = 4  # seen joints of a body that is steered
 PAPER_LEAST_RAY_DEPTH = 0.05  # z of a unit ray that has an image point
 
 
+# which pairs of cameras are calibrated; the first is the default
+PairChoice = Literal["chosen", "all"]
+PAIR_CHOICES: tuple[PairChoice, ...] = get_args(PairChoice)
+
+
+@dataclass(frozen=True)
+class ViewGraphConfig:
+    """Which pairs of cameras are calibrated.
+
+    pairs: one of `PAIR_CHOICES`.
+    pairs_of_camera: where all pairs are no more than so many for each camera, all are; of up to
+        17 cameras.
+
+    What two views see in common, by the shapes of lifted bodies:
+    frames: that are compared, and in how many shifts out of step.
+    axes: of the shapes; alike: share of the usual squared distance at which two are alike.
+
+    The first graph, of each camera:
+    nearest: partners that see most in common with it; spread: further ones, evenly spread over
+        those with at least the share `likely` of what the best sees in common.
+
+    Where the graph grows:
+    least_confirmed: pairs of a camera that close triangles; least_bridges: such pairs between two
+        parts.
+    grown: further partners in the first round, twice as many in each that follows; rounds: at most.
+    """
+
+    pairs: PairChoice = "chosen"
+    pairs_of_camera: int = 8
+    frames: int = 60
+    shifts: int = 4
+    axes: int = 12
+    alike: float = 0.05
+    nearest: int = 4
+    spread: int = 4
+    likely: float = 0.4
+    least_confirmed: int = 4
+    least_bridges: int = 6
+    grown: int = 4
+    rounds: int = 3
+
+
 @dataclass(frozen=True)
 class AveragingConfig:
     """From the pairs to groups of cameras, and to a rig.
@@ -1234,6 +1276,7 @@ class Config:
     sample: SampleConfig = SampleConfig()
     sync: SyncConfig = SyncConfig()
     pairwise: PairwiseConfig = PairwiseConfig()
+    view_graph: ViewGraphConfig = ViewGraphConfig()
     averaging: AveragingConfig = AveragingConfig()
     matching: MatchingConfig = MatchingConfig()
     adjust: AdjustConfig = AdjustConfig()
