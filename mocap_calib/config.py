@@ -344,6 +344,11 @@ class ViewGraphConfig:
     grown: int = 4
     rounds: int = 3
 
+    @property
+    def small_rig(self) -> int:
+        """Cameras up to which a rig is small: all its pairs are so many for each."""
+        return 2 * self.pairs_of_camera + 1
+
 
 @dataclass(frozen=True)
 class AveragingConfig:

@@ -181,9 +181,7 @@ def _observe(
         pairs = calibrate_view_graph(
             sample,
             lifted,
-            config.pairwise,
-            config.averaging,
-            config.view_graph,
+            config,
             rng=np.random.default_rng(seed),
             progress=progress,
             mapper=mapper,

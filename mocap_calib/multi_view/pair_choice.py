@@ -10,7 +10,7 @@ from copy import deepcopy
 
 import numpy as np
 
-from mocap_calib.config import AveragingConfig, PairwiseConfig, ViewGraphConfig
+from mocap_calib.config import AveragingConfig, Config, ViewGraphConfig
 from mocap_calib.geometry.graphs import connected_parts
 from mocap_calib.multi_view.covisibility import measure_covisibility
 from mocap_calib.multi_view.view_graph import pairs_in_closed_triangles, select_hypotheses
@@ -31,9 +31,7 @@ from mocap_calib.types import (
 def calibrate_view_graph(
     sample: Sample,
     lifted: LiftedPoses,
-    pairwise: PairwiseConfig,
-    averaging: AveragingConfig,
-    graph: ViewGraphConfig,
+    config: Config,
     *,
     rng: np.random.Generator,
     progress: Progress,
@@ -44,7 +42,7 @@ def calibrate_view_graph(
 
     A pair is calibrated as it would be among all pairs. rng: is not consumed.
     """
-    views = len(sample.cameras)
+    views, graph = len(sample.cameras), config.view_graph
     wanted = all_pairs(views)
     calibrated: tuple[PairwiseCalibration, ...] = ()
     asked = np.zeros((views, views), dtype=bool)
@@ -56,7 +54,7 @@ def calibrate_view_graph(
         calibrated += calibrate_pairs(
             sample,
             lifted,
-            pairwise,
+            config.pairwise,
             rng=deepcopy(rng),
             progress=progress,
             mapper=mapper,
@@ -67,7 +65,7 @@ def calibrate_view_graph(
         calibrated = tuple(sorted(calibrated, key=lambda pair: (pair.a, pair.b)))
         if asked.sum() == len(all_pairs(views)) or number == graph.rounds:
             break
-        confirmed = confirmed_pairs(calibrated, views, averaging)
+        confirmed = confirmed_pairs(calibrated, views, config.averaging)
         partners = graph.grown * 2**number
         wanted = pairs_to_grow(confirmed, covisible, asked, partners=partners, config=graph)
         if not wanted:
@@ -77,7 +75,19 @@ def calibrate_view_graph(
 
 def takes_all_pairs(views: int, config: ViewGraphConfig) -> bool:
     """Return whether a rig is so small that all its pairs are calibrated."""
-    return config.pairs == "all" or len(all_pairs(views)) <= config.pairs_of_camera * views
+    return config.pairs == "all" or views <= config.small_rig
+
+
+def some_pairs(views: int, config: ViewGraphConfig) -> list[tuple[int, int]]:
+    """Return all pairs (a, b), a < b, of a small rig, and an even choice of those of a large one.
+
+    For what a few pairs tell as well as all.
+    """
+    every = all_pairs(views)
+    if takes_all_pairs(views, config):
+        return every
+    chosen = evenly_spaced(np.arange(len(every)), config.pairs_of_camera * views)
+    return [every[k] for k in chosen]
 
 
 def first_pairs(covisible: Floats, config: ViewGraphConfig) -> list[tuple[int, int]]:
@@ -141,7 +151,8 @@ def _weak_parts(confirmed: Bools, config: ViewGraphConfig) -> list[Bools]:
     The parts that nothing joins. Where all is connected, the half on one side of the weakest cut,
     as its Fiedler vector tells (Fiedler 1973).
     """
-    part = connected_parts(*np.nonzero(confirmed), nodes=len(confirmed))
+    first, second = np.nonzero(confirmed)
+    part = connected_parts(first, second, len(confirmed))
     sizes = np.bincount(part)
     if len(sizes) > 1:
         several = np.flatnonzero(sizes > 1)
