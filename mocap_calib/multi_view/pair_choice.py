@@ -126,6 +126,10 @@ def pairs_to_grow(
 ) -> list[tuple[int, int]]:
     """Return further pairs (a, b), a < b, where the graph of confirmed pairs is weak.
 
+    Where less than the share `config.least_confirmed_share` of what was asked is confirmed, all
+    pairs that are left: what was chosen sees too little in common, and of many wrong pairs some
+    close triangles by chance.
+
     A view with fewer confirmed pairs than `config.least_confirmed` gets so many more partners, and
     so does each part of the graph that fewer than `config.least_bridges` confirmed pairs join to
     the rest. Those come first that see most in common.
@@ -134,6 +138,8 @@ def pairs_to_grow(
     """
     views = len(confirmed)
     free = ~(asked | asked.T | np.eye(views, dtype=bool))
+    if confirmed.sum() / 2 < config.least_confirmed_share * asked.sum():
+        return _list_pairs(free)
     joined = np.zeros((views, views), dtype=bool)
     for view in np.flatnonzero(confirmed.sum(1) < config.least_confirmed):
         ranked = _rank_partners(covisible[view], free[view])
