@@ -235,6 +235,8 @@ def _weigh_rays_and_bodies(
     translation = refined.hypotheses.translation.copy()
     for m, matched in enumerate(refined.matched):
         rays = matched_rays(pair, matched)
+        if not len(rays):  # views that see nothing in common may match nothing
+            continue
         drawn = rays[rng.permutation(len(rays))[: config.points]]
         rotation[m], translation[m] = most_probable(
             pair, matched, drawn, config, rotation=rotation[m], translation=translation[m]
