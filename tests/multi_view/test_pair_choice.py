@@ -97,7 +97,7 @@ def test_views_of_the_same_people_are_told_from_views_of_others():
 
     Measured: 0.12 at least within a room, 0.00 at most across.
     """
-    one, other = lifted(), lifted(seed=1)
+    one, other = (lifted(cameras=4, people=2, frames=60, seed=seed) for seed in (0, 1))
     room = np.random.default_rng(0).permutation(np.repeat([0, 1], 4))
     found = measure_covisibility(in_rooms([one, other], room), CONFIG)
     same = np.equal.outer(room, room) & ~np.eye(8, dtype=bool)
