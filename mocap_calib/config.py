@@ -303,6 +303,56 @@ PAPER_LEAST_JOINTS = 4  # seen joints of a body that is steered
 PAPER_LEAST_RAY_DEPTH = 0.05  # z of a unit ray that has an image point
 
 
+# which pairs of cameras are calibrated; the first is the default
+PairChoice = Literal["chosen", "all"]
+PAIR_CHOICES: tuple[PairChoice, ...] = get_args(PairChoice)
+
+
+@dataclass(frozen=True)
+class ViewGraphConfig:
+    """Which pairs of cameras are calibrated.
+
+    pairs: one of `PAIR_CHOICES`.
+    pairs_of_camera: where all pairs are no more than so many for each camera, all are; of up to
+        17 cameras.
+
+    What two views see in common, by the shapes of lifted bodies:
+    frames: that are compared, and in how many shifts out of step.
+    axes: of the shapes; alike: share of the usual squared distance at which two are alike.
+
+    The first graph, of each camera:
+    nearest: partners that see most in common with it; spread: further ones, evenly spread over
+        those with at least the share `likely` of what the best sees in common.
+
+    Where the graph grows:
+    least_confirmed_share: share of the pairs that close triangles; with a smaller one all pairs are
+        calibrated. Measured in the first graph: 0.84 to 1 in halls and rings, at most 0.5 in a hall
+        of 63 cameras where partners are drawn at random.
+    least_confirmed: such pairs of a camera; least_bridges: between two parts.
+    grown: further partners in the first round, twice as many in each that follows; rounds: at most.
+    """
+
+    pairs: PairChoice = "chosen"
+    pairs_of_camera: int = 8
+    frames: int = 60
+    shifts: int = 4
+    axes: int = 12
+    alike: float = 0.05
+    nearest: int = 5
+    spread: int = 5
+    likely: float = 0.4
+    least_confirmed_share: float = 0.6
+    least_confirmed: int = 4
+    least_bridges: int = 6
+    grown: int = 4
+    rounds: int = 3
+
+    @property
+    def small_rig(self) -> int:
+        """Cameras up to which a rig is small: all its pairs are so many for each."""
+        return 2 * self.pairs_of_camera + 1
+
+
 @dataclass(frozen=True)
 class AveragingConfig:
     """From the pairs to groups of cameras, and to a rig.
@@ -1242,6 +1292,7 @@ class Config:
     sample: SampleConfig = SampleConfig()
     sync: SyncConfig = SyncConfig()
     pairwise: PairwiseConfig = PairwiseConfig()
+    view_graph: ViewGraphConfig = ViewGraphConfig()
     averaging: AveragingConfig = AveragingConfig()
     matching: MatchingConfig = MatchingConfig()
     adjust: AdjustConfig = AdjustConfig()
