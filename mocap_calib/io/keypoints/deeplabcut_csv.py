@@ -43,7 +43,7 @@ def sniff(document: Document) -> bool:
 
     The wrong separator is recognised so that `read` can refuse it in words.
     """
-    return _FIRST_CELL.match(document.content[:64]) is not None
+    return _FIRST_CELL.match(document.start[:64]) is not None
 
 
 def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
@@ -68,7 +68,7 @@ def _read_plain_table(document: Document) -> Table | None:
         return None
     columns = _columns(header, document)
     is_number = [column >= columns.first for column in range(columns.end)]
-    found = read_plain_rows(document.blocks(len(header)), is_number)
+    found = read_plain_rows(document.blocks(len(header)), document.size, is_number)
     if found is None:
         return None
     return Table(

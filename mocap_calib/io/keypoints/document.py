@@ -34,7 +34,7 @@ _FOREIGN = {
 _DAMAGED = "the file is cut or damaged: export it again"
 _LISTED_TEXT = 40  # characters of a file in a message
 _HEAD = 65536  # bytes of a file that formats are told by
-_BLOCK = 1_000_000  # bytes that are read at a time
+_BLOCK = 250_000  # bytes that are read at a time
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ class Document:
             yield file
 
     def blocks(self, first_line: int = 0) -> Iterator[bytes]:
-        """Return the content from a line on, in blocks of whole lines, of about a megabyte."""
+        """Return the content from a line on, in blocks of whole lines, of about 250 kB."""
         with self.opened() as file:
             for _ in range(first_line):
                 file.readline()

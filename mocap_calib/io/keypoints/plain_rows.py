@@ -11,6 +11,8 @@ from mocap_calib.compute.kernels import compiled
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.types import Bools, Floats
 
+_ROOM = 1.2  # times the rows that the first block lets expect
+
 
 @dataclass(frozen=True)
 class PlainRows:
@@ -18,15 +20,20 @@ class PlainRows:
 
     texts: of each row, its cells that are texts.
     values: `[row, number]`, NaN where a cell is empty.
+    size: number of bytes that they take.
     """
 
     texts: list[tuple[str, ...]]
     values: Floats
+    size: int
 
 
-def read_plain_rows(blocks: Iterable[bytes], is_number: Sequence[bool]) -> PlainRows | None:
+def read_plain_rows(
+    blocks: Iterable[bytes], size: int, is_number: Sequence[bool]
+) -> PlainRows | None:
     """Return the rows in blocks of whole lines, whose numbers are read as `float` reads them.
 
+    size: number of bytes in all blocks, roughly.
     is_number: `[cell]` whether the cells of a row are numbers.
 
     None where a row is odd in any way (quotes, an empty text, a blank line, another number of
@@ -37,15 +44,20 @@ def read_plain_rows(blocks: Iterable[bytes], is_number: Sequence[bool]) -> Plain
     if kernels is None:
         return None
     parse = partial(_parse, kernels, kernels.powers_of_ten(), np.array(is_number, dtype=bool))
-    parts = []
+    texts: list[tuple[str, ...]] = []
+    values = np.empty((0, sum(is_number)))
     for part in map_in_threads(parse, blocks):
         if part is None:
             return None
-        parts.append(part)
-    if not parts:
-        return None
-    texts = [cells for part in parts for cells in part.texts]
-    return PlainRows(texts, np.concatenate([part.values for part in parts]))
+        start = len(texts)
+        texts += part.texts
+        if len(texts) > len(values):
+            # in one piece at the first part, as a rule: rows are of about one length
+            room = len(texts) + int(_ROOM * len(part.texts) * size / part.size)
+            values, before = np.empty((room, values.shape[1])), values
+            values[:start] = before[:start]
+        values[start : len(texts)] = part.values
+    return PlainRows(texts, values[: len(texts)], size) if texts else None
 
 
 def _parse(kernels: Any, powers: Floats, is_number: Bools, block: bytes) -> PlainRows | None:
@@ -57,10 +69,11 @@ def _parse(kernels: Any, powers: Floats, is_number: Bools, block: bytes) -> Plai
     octets = np.frombuffer(text, dtype=np.uint8)
     if kernels.parse_rows(octets, is_number, powers, values, places) < rows:
         return None
+    cells = [text[begin:end] for begin, end in places.reshape(-1, 2).tolist()]
     try:
-        texts = [tuple(text[i:j].decode() for i, j in cells) for cells in places.tolist()]
+        words = b"\n".join(cells).decode().split("\n")
     except UnicodeDecodeError:
         return None
-    if not all(all(cells) for cells in texts):
+    if not all(words):
         return None
-    return PlainRows(texts, values)
+    return PlainRows(list(zip(*[iter(words)] * places.shape[1], strict=True)), values, len(text))
