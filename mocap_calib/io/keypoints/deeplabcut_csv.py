@@ -20,6 +20,9 @@ from mocap_calib.types import Floats, Keypoints2D
 
 _FIRST_CELL = re.compile(rb'(\xef\xbb\xbf)?"?(scorer|individuals|bodyparts|coords)"?[,;\t]')
 
+# bytes from which on reading cell by cell takes longer than loading the compiled reader
+_LARGE = 5_000_000
+
 Header = dict[str, list[str]]  # name of the level -> cells of its row
 
 
@@ -58,6 +61,8 @@ def _read_plain_table(document: Document) -> Table | None:
 
     Raises FormatError where the header is wrong.
     """
+    if document.size < _LARGE:
+        return None
     header: Header = {}
     for line in document.lines():
         cells = line.rstrip("\r\n").split(",")
