@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
+Octets = NDArray[np.uint8]
 # float32 where whole recordings are kept: that is a ten-thousandth of a pixel
 Reals = NDArray[np.floating[Any]]
 
