@@ -5,6 +5,7 @@ import struct
 
 import numpy as np
 import pytest
+
 from mocap_calib.io.keypoints import deeplabcut_csv
 from mocap_calib.io.keypoints.plain_rows import read_plain_rows
 from mocap_calib.io.keypoints.read import read_keypoints
