@@ -1,9 +1,9 @@
-"""What the readers share: complaints in one line, frame numbers, marks of a missing point."""
+"""What the readers share: complaints in one line, frame numbers, detections."""
 
 import codecs
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,13 +12,13 @@ from typing import BinaryIO
 import numpy as np
 
 from mocap_calib.errors import FormatError
-from mocap_calib.types import Bools, Floats, Ints, Keypoints2D
+from mocap_calib.io.missing import MISSING_CUSTOMS, mark_missing
+from mocap_calib.types import Floats, Ints, Keypoints2D
 from mocap_calib.wording import one_line
 
 NO_SCORE = "no scores in the file: every point counts fully"
 MOST_INSTANCES = 1000  # in a frame
 MOST_POINTS = 100_000_000  # in a camera: 2.4 GB
-MISSING_CUSTOMS = ("(0, 0)", "(-1, -1)", "empty or NaN", "confidence 0")
 _POINTS_AT_A_TIME = 50_000
 _MOST_CAMERAS = 200  # in a file; the time to compare views grows with the square of their number
 _MOST_KEYPOINTS = 5000
@@ -231,47 +231,6 @@ def make_view(
         missing={name: missing[name] for name in MISSING_CUSTOMS if name in missing},
         remarks=remarks,
     )
-
-
-def mark_missing(positions: Floats, confidence: Floats) -> tuple[Floats, Floats, dict[str, int]]:
-    """Mark every point that a custom of files calls missing.
-
-    positions: `[..., keypoint, 2]`. confidence: `[..., keypoint]`.
-
-    Returns the positions with NaN and the confidences with 0 where a point is missing, and how many
-    points each custom marks; of several customs the first counts. The customs are (0, 0) (OpenPose,
-    COCO), (-1, -1) (DeepLabCut 3), not a number (counted in detections that have any point), and a
-    confidence of 0 or below.
-    """
-    x, y = positions[..., 0], positions[..., 1]  # `all` over an axis of two is slow
-    marks = (
-        (x == 0) & (y == 0),
-        (x == -1) & (y == -1),
-        ~(np.isfinite(x) & np.isfinite(y) & np.isfinite(confidence)),
-        confidence <= 0,
-    )
-    customs = dict(zip(MISSING_CUSTOMS, marks, strict=True))
-    missing = np.logical_or.reduce(marks)
-    counts = _count_customs(customs, ~missing)
-    positions = np.where(missing[..., None], np.nan, positions)
-    return positions, np.where(missing, 0.0, confidence), counts
-
-
-def _count_customs(customs: Mapping[str, Bools], present: Bools) -> dict[str, int]:
-    """Return how many points each custom marks as missing, of those that mark any.
-
-    customs: name -> `[..., keypoint]` points that it marks. present: `[..., keypoint]`.
-    """
-    counts = {}
-    counted = np.zeros_like(present)
-    has_points = present.any(-1, keepdims=True)
-    for name, marked in customs.items():
-        added = marked & ~counted
-        number = int((added & has_points if name == "empty or NaN" else added).sum())
-        if number:
-            counts[name] = number
-        counted |= marked
-    return counts
 
 
 def blank(frames: int, instances: int, keypoints: int, source: str) -> Floats:

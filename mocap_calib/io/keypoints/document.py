@@ -124,21 +124,34 @@ class Document:
             yield file
 
     def blocks(self, first_line: int = 0) -> Iterator[bytes]:
-        """Return the content from a line on, in blocks of whole lines, of about 250 kB."""
+        """Return the content from a line on, in blocks of whole lines, of about 250 kB.
+
+        The file is closed between two blocks: nobody need read it to its end.
+        """
         with self.opened() as file:
             for _ in range(first_line):
                 file.readline()
-            while block := file.read(_BLOCK):
-                yield block + file.readline()
+            place = file.tell()
+        while True:
+            with self.opened() as file:
+                file.seek(place)
+                block = file.read(_BLOCK) + file.readline()
+                place = file.tell()
+            if not block:
+                return
+            yield block
 
     def lines(self) -> Iterator[str]:
-        """Return the lines of the text with their ends, one in memory at a time."""
-        with self.opened() as file:
+        """Return the lines of the text with their ends, a block of them in memory at a time."""
+        encoding = "utf-8-sig"  # of the first block
+        for block in self.blocks():
             try:
-                yield from io.TextIOWrapper(file, encoding="utf-8-sig", newline="")
+                text = block.decode(encoding)
             except UnicodeDecodeError:
                 decode(self.content, self.source)  # says where
                 raise
+            yield from io.StringIO(text, newline="")
+            encoding = "utf-8"
 
     @cached_property
     def text(self) -> str:
