@@ -6,12 +6,13 @@ All steps of a point are done before the next one, on the rays of the views that
 import numpy as np
 
 from mocap_calib.compute.jit import INT, changed_floats, floats, inlined, ints, kernel
+from mocap_calib.types import Floats, Ints
 
 _RIDGE = 1e-10  # as of `symmetric`
 
 
 @inlined
-def _solve(matrix, side, solution):
+def _solve(matrix: Floats, side: Floats, solution: Floats) -> None:
     """Solve a symmetric system (xx, xy, xz, yy, yz, zz) of a side, as `symmetric.solve` does."""
     xy, xz, yz = matrix[1], matrix[2], matrix[4]
     xx, yy, zz = matrix[0] + _RIDGE, matrix[3] + _RIDGE, matrix[5] + _RIDGE
@@ -27,7 +28,9 @@ def _solve(matrix, side, solution):
 
 
 @inlined
-def _add(matrix, side, weight, ray, offset, along):
+def _add(
+    matrix: Floats, side: Floats, weight: float, ray: Floats, offset: Floats, along: float
+) -> None:
     """Add w (I - u u') to a matrix, and w (o - u'o u) to a side."""
     x, y, z = ray[0], ray[1], ray[2]
     wx, wy, wz = weight * x, weight * y, weight * z
@@ -43,7 +46,15 @@ def _add(matrix, side, weight, ray, offset, along):
 
 
 @inlined
-def _intersect_lines(views, centre, ray, precision, matrix, side, point):
+def _intersect_lines(
+    views: Ints,
+    centre: Floats,
+    ray: Floats,
+    precision: Floats,
+    matrix: Floats,
+    side: Floats,
+    point: Floats,
+) -> None:
     """Set the point nearest to weighted lines, in closed form, of these views."""
     total = 0.0
     for i in views:
@@ -57,7 +68,17 @@ def _intersect_lines(views, centre, ray, precision, matrix, side, point):
 
 
 @inlined
-def _refine(count, centre, ray, precision, scales, weight, matrix, side, point):
+def _refine(
+    count: int,
+    centre: Floats,
+    ray: Floats,
+    precision: Floats,
+    scales: Floats,
+    weight: Floats,
+    matrix: Floats,
+    side: Floats,
+    point: Floats,
+) -> None:
     """Take a Gauss-Newton step of a point at each scale of the loss of Geman and McClure."""
     offset, step = np.empty(3), np.empty(3)
     for scale in scales:
@@ -81,23 +102,35 @@ def _refine(count, centre, ray, precision, scales, weight, matrix, side, point):
 
 
 @inlined
-def _lengths(centre, ray, point):
+def _lengths(centre: Floats, ray: Floats, point: Floats) -> tuple[float, float]:
     """Return the squared length of the offset of a point, and its length along a ray."""
     x, y, z = point[0] - centre[0], point[1] - centre[1], point[2] - centre[2]
     return max(x * x + y * y + z * z, 1e-18), x * ray[0] + y * ray[1] + z * ray[2]
 
 
 @inlined
-def _squared_error(centre, ray, precision, point):
+def _squared_error(centre: Floats, ray: Floats, precision: float, point: Floats) -> float:
     """Return the squared sine between a ray and a point, infinite behind the camera."""
     square, along = _lengths(centre, ray, point)
     if not along > 0:
         return np.inf
-    return max(1 - along * along / square, 0.0) * precision
+    error: float = max(1 - along * along / square, 0.0) * precision
+    return error
 
 
 @inlined
-def _search_pairs(rows, pairs, first, count, centre, ray, precision, outlier, found, point):
+def _search_pairs(
+    rows: Ints,
+    pairs: Ints,
+    first: int,
+    count: int,
+    centre: Floats,
+    ray: Floats,
+    precision: Floats,
+    outlier: float,
+    found: Floats,
+    point: Floats,
+) -> None:
     """Set the best of the points that pairs of views give.
 
     rows: `[view]` the row of each view among the rays of the point, -1 = not seen.
@@ -118,7 +151,16 @@ def _search_pairs(rows, pairs, first, count, centre, ray, precision, outlier, fo
 
 
 @inlined
-def _gather(n, centres, world, seen, rows, centre, ray, precision):
+def _gather(
+    n: int,
+    centres: Floats,
+    world: Floats,
+    seen: Floats,
+    rows: Ints,
+    centre: Floats,
+    ray: Floats,
+    precision: Floats,
+) -> int:
     """Gather the rays of the views that see a point; return their number."""
     count = 0
     for view in range(len(centres)):
@@ -145,7 +187,18 @@ def _gather(n, centres, world, seen, rows, centre, ray, precision):
     floats(1),
     changed_floats(2),
 )
-def intersect_rays(centres, world, seen, pairs, first, steps, tightening, polish, limits, points):
+def intersect_rays(
+    centres: Floats,
+    world: Floats,
+    seen: Floats,
+    pairs: Ints,
+    first: int,
+    steps: Floats,
+    tightening: Floats,
+    polish: Floats,
+    limits: Floats,
+    points: Floats,
+) -> None:
     """Set points `[3, N]` nearest to rays.
 
     centres `[view, 3]`, world `[view, 3, N]` and seen `[view, N]`: as of `intersection._Rays`.

@@ -195,22 +195,24 @@ def _linearise_block(
         camera = np.einsum("vkin,vkjn->vij", found.camera, found.camera, optimize=True)
         return camera, np.einsum("vkin,vkn->vi", found.camera, found.residual)
     residuals, robust, slopes = slopes_of(block, state, seen, loss_scale)
-    camera, gradient = np.zeros(equations.camera.shape), np.zeros(equations.camera_gradient.shape)
+    residual = residuals.residual * robust[:, None]
+    views, unknowns = equations.camera_gradient.shape
+    camera = np.empty((views, unknowns, *residual.shape[1:]))
     kernels.normal_equations(
         block.start,
         np.ascontiguousarray(state.rotation),
-        robust,
         np.ascontiguousarray(residuals.in_camera),
         slopes.in_camera,
         slopes.intrinsics,
-        residuals.residual,
+        residual,
         equations.point,
         equations.point_gradient,
         equations.mixed,
         camera,
-        gradient,
     )
-    return camera, gradient
+    rows = camera.reshape(views, unknowns, -1)
+    gradient = np.matmul(rows, residual.reshape(views, -1, 1))[..., 0]
+    return np.matmul(rows, np.swapaxes(rows, 1, 2)), gradient
 
 
 # The step

@@ -6,7 +6,53 @@ point on; arrays of a block have its n points alone.
 
 import numpy as np
 
-from mocap_calib.compute.jit import FLOAT, INT, changed_floats, floats, kernel
+from mocap_calib.compute.jit import FLOAT, INT, changed_floats, floats, inlined, kernel
+from mocap_calib.types import Floats
+
+
+@inlined
+def _cross(last: Floats, next_one: Floats, in_camera: Floats, i: int, into: Floats) -> None:
+    """Set a component of the cross product of points and slopes."""
+    after, before = in_camera[(i + 1) % 3], in_camera[(i + 2) % 3]
+    for n in range(len(into)):
+        into[n] = last[n] * after[n] - next_one[n] * before[n]
+
+
+@inlined
+def _add_products(first_row: Floats, second_row: Floats, others: Floats, into: Floats) -> None:
+    """Add the products of two rows each."""
+    first_other, second_other = others[0], others[1]
+    for n in range(len(into)):
+        into[n] += first_row[n] * first_other[n] + second_row[n] * second_other[n]
+
+
+@inlined
+def _turn_rows(x: Floats, y: Floats, z: Floats, root: Floats, into: Floats) -> None:
+    """Set the products of rows `[n]` with upper triangles `[3, 3, n]`."""
+    xx, xy, xz = root[0, 0], root[0, 1], root[0, 2]
+    yy, yz, zz = root[1, 1], root[1, 2], root[2, 2]
+    by_x, by_y, by_z = into[0], into[1], into[2]
+    for n in range(len(x)):
+        by_x[n] = x[n] * xx[n]
+    for n in range(len(x)):
+        by_y[n] = x[n] * xy[n] + y[n] * yy[n]
+    for n in range(len(x)):
+        by_z[n] = x[n] * xz[n] + y[n] * yz[n] + z[n] * zz[n]
+
+
+@inlined
+def _derivatives(
+    turn: Floats, in_camera: Floats, slope: Floats, camera: Floats, by_point: Floats
+) -> None:
+    """Set the derivatives of the residuals of a view by its pose and by the points."""
+    for k in range(2):
+        by_x, by_y, by_z = slope[k, 0], slope[k, 1], slope[k, 2]
+        for i in range(3):
+            camera[3 + i, k] = slope[k, i]
+            _cross(slope[k, (i + 2) % 3], slope[k, (i + 1) % 3], in_camera, i, camera[i, k])
+            x, y, z, into = turn[0, i], turn[1, i], turn[2, i], by_point[k, i]
+            for n in range(len(into)):
+                into[n] = by_x[n] * x + by_y[n] * y + by_z[n] * z
 
 
 @kernel(
@@ -18,7 +64,15 @@ from mocap_calib.compute.jit import FLOAT, INT, changed_floats, floats, kernel
     changed_floats(2),
     changed_floats(3),
 )
-def ray_residuals(first, rays, metric, in_camera, least, depth, residual):
+def ray_residuals(
+    first: int,
+    rays: Floats,
+    metric: Floats,
+    in_camera: Floats,
+    least: float,
+    depth: Floats,
+    residual: Floats,
+) -> None:
     """Set the depths `[view, n]` and residuals `[view, 2, n]` of points in front of rays.
 
     least: depth of a point as a share of its size, so that none is behind.
@@ -45,7 +99,15 @@ def ray_residuals(first, rays, metric, in_camera, least, depth, residual):
     floats(2),
     changed_floats(4),
 )
-def ray_slopes(first, rays, metric, depth, residual, weight, slope):
+def ray_slopes(
+    first: int,
+    rays: Floats,
+    metric: Floats,
+    depth: Floats,
+    residual: Floats,
+    weight: Floats,
+    slope: Floats,
+) -> None:
     """Set the weighed derivatives `[view, 2, 3, n]` of residuals by the points in the cameras."""
     views, count = depth.shape
     for v in range(views):
@@ -60,7 +122,6 @@ def ray_slopes(first, rays, metric, depth, residual, weight, slope):
 @kernel(
     INT,
     floats(3),
-    floats(2),
     floats(3),
     floats(4),
     floats(4),
@@ -68,79 +129,61 @@ def ray_slopes(first, rays, metric, depth, residual, weight, slope):
     changed_floats(3),
     changed_floats(2),
     changed_floats(4),
-    changed_floats(3),
-    changed_floats(2),
+    changed_floats(4),
 )
 def normal_equations(
-    first,
-    rotation,
-    weight,
-    in_camera,
-    slope,
-    own,
-    residual,
-    point,
-    point_gradient,
-    mixed,
-    camera,
-    camera_gradient,
-):
-    """Fill in the equations of a block of points, and add to the cameras' (as `Jacobian`, fused).
+    first: int,
+    rotation: Floats,
+    in_camera: Floats,
+    slope: Floats,
+    own: Floats,
+    residual: Floats,
+    point: Floats,
+    point_gradient: Floats,
+    mixed: Floats,
+    camera: Floats,
+) -> None:
+    """Fill in the equations of a block of points, from its derivatives.
 
-    weight: `[view, n]` of the robust loss, 0 = nothing to add. in_camera: `[view, 3, n]`.
-    slope: `[view, 2, 3, n]` and own: `[view, 2, intrinsic, n]` as of `Slopes`.
-    residual: `[view, 2, n]`, before it is weighed. The rest: as of `NormalEquations`.
+    in_camera: `[view, 3, n]`. slope: `[view, 2, 3, n]` and own: `[view, 2, intrinsic, n]` as of
+    `Slopes`. residual: `[view, 2, n]`, weighed. camera: `[view, 6 + intrinsic, 2, n]` is set to
+    the derivatives by the cameras. The rest: as of `NormalEquations`.
     """
-    views, unknowns = camera_gradient.shape
-    count = weight.shape[1]
-    a, b, r = np.empty((2, unknowns)), np.empty((2, 3)), np.empty(2)
-    for i in range(3):
-        point_gradient[i, first : first + count] = 0.0
-        for j in range(3):
-            point[i, j, first : first + count] = 0.0
+    views, unknowns, _, count = camera.shape
+    by_point = np.empty((2, 3, count))
+    last = first + count
+    point[:, :, first:last] = 0.0
+    point_gradient[:, first:last] = 0.0
     for v in range(views):
-        turn = rotation[v]
-        for n in range(count):
-            m = first + n
-            if weight[v, n] == 0:
-                for c in range(unknowns):
-                    for j in range(3):
-                        mixed[v, c, j, m] = 0.0
-                continue
-            x, y, z = in_camera[v, 0, n], in_camera[v, 1, n], in_camera[v, 2, n]
+        _derivatives(rotation[v], in_camera[v], slope[v], camera[v], by_point)
+        for c in range(6, unknowns):
             for k in range(2):
-                by_x, by_y, by_z = slope[v, k, 0, n], slope[v, k, 1, n], slope[v, k, 2, n]
-                a[k, 0] = by_z * y - by_y * z
-                a[k, 1] = by_x * z - by_z * x
-                a[k, 2] = by_y * x - by_x * y
-                a[k, 3], a[k, 4], a[k, 5] = by_x, by_y, by_z
-                for c in range(6, unknowns):
-                    a[k, c] = own[v, k, c - 6, n]
-                for j in range(3):
-                    b[k, j] = by_x * turn[0, j] + by_y * turn[1, j] + by_z * turn[2, j]
-                r[k] = residual[v, k, n] * weight[v, n]
-            for i in range(3):
-                point_gradient[i, m] += b[0, i] * r[0] + b[1, i] * r[1]
-                for j in range(i + 1):
-                    point[i, j, m] += b[0, i] * b[0, j] + b[1, i] * b[1, j]
-            for c in range(unknowns):
-                first_row, second_row = a[0, c], a[1, c]
-                camera_gradient[v, c] += first_row * r[0] + second_row * r[1]
-                for d in range(c + 1):
-                    camera[v, c, d] += first_row * a[0, d] + second_row * a[1, d]
-                for j in range(3):
-                    mixed[v, c, j, m] = first_row * b[0, j] + second_row * b[1, j]
-        for c in range(unknowns):  # the other half
-            for d in range(c):
-                camera[v, d, c] = camera[v, c, d]
-    for i in range(3):
-        for j in range(i):
-            for n in range(first, first + count):
-                point[j, i, n] = point[i, j, n]
+                camera[v, c, k] = own[v, k, c - 6]
+        for i in range(3):
+            _add_products(
+                by_point[0, i], by_point[1, i], residual[v], point_gradient[i, first:last]
+            )
+            for j in range(3):
+                _add_products(
+                    by_point[0, i], by_point[1, i], by_point[:, j], point[i, j, first:last]
+                )
+        for c in range(unknowns):
+            for j in range(3):
+                into = mixed[v, c, j, first:last]
+                into[:] = 0.0
+                _add_products(camera[v, c, 0], camera[v, c, 1], by_point[:, j], into)
 
 
 @kernel(INT, FLOAT, floats(3), floats(4), changed_floats(3), changed_floats(3), changed_floats(3))
-def damped_products(first, damping, point, mixed, inverse, root, product):
+def damped_products(
+    first: int,
+    damping: float,
+    point: Floats,
+    mixed: Floats,
+    inverse: Floats,
+    root: Floats,
+    product: Floats,
+) -> None:
     """Set V^-1 `[3, 3, N]` of a block, its root `[3, 3, n]`, and W times that.
 
     product: `[C view, 3, n]`.
@@ -172,10 +215,7 @@ def damped_products(first, damping, point, mixed, inverse, root, product):
                 inverse[i, j, m] = total
     for v in range(views):
         for c in range(unknowns):
-            row = v * unknowns + c
-            for n in range(count):
-                m = first + n
-                wx, wy, wz = mixed[v, c, 0, m], mixed[v, c, 1, m], mixed[v, c, 2, m]
-                product[row, 0, n] = wx * root[0, 0, n]
-                product[row, 1, n] = wx * root[0, 1, n] + wy * root[1, 1, n]
-                product[row, 2, n] = wx * root[0, 2, n] + wy * root[1, 2, n] + wz * root[2, 2, n]
+            into, last = product[v * unknowns + c], first + count
+            x, y = mixed[v, c, 0, first:last], mixed[v, c, 1, first:last]
+            z = mixed[v, c, 2, first:last]
+            _turn_rows(x, y, z, root, into)
