@@ -17,12 +17,14 @@ from mocap_calib.config import (
     IntrinsicsConfig,
     MatchingConfig,
     MendConfig,
+    PairChoice,
     PosesConfig,
     Refinement,
     SampleConfig,
     SmoothMode,
     SyncConfig,
     SyncMode,
+    ViewGraphConfig,
 )
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.cameras.read import load_cameras, make_rig, parse_content
@@ -84,6 +86,7 @@ def calibration_request(options: SharedOptions, output: Path) -> CalibrationRequ
         seed=options.seed,
         device=options.device,
         config=Config(
+            view_graph=view_graph_config(options),
             intrinsics=intrinsics,
             matching=MatchingConfig(individuals=options.individuals),
             mend=MendConfig(apply=options.mend != "none"),
@@ -96,6 +99,11 @@ def calibration_request(options: SharedOptions, output: Path) -> CalibrationRequ
         report=options.report,
         reading=describe_reading(options),
     )
+
+
+def view_graph_config(options: SharedOptions) -> ViewGraphConfig:
+    """Return which pairs of cameras are calibrated."""
+    return ViewGraphConfig(pairs=cast(PairChoice, options.pairs))
 
 
 def sync_config(options: SharedOptions) -> SyncConfig:

@@ -136,9 +136,14 @@ def _search_pairs(rays: _Rays) -> Floats:
     for a, b in first_pairs:
         both = np.flatnonzero(seen[a] & seen[b])
         _try_candidates(rays, (a, b), both, points=points, cost=cost)
+    missed = np.flatnonzero(~np.isfinite(cost))
     for a, b in other_pairs:
-        both = np.flatnonzero(seen[a] & seen[b] & ~np.isfinite(cost))
-        _try_candidates(rays, (a, b), both, points=points, cost=cost)
+        if not len(missed):
+            break
+        both = missed[seen[a, missed] & seen[b, missed]]
+        if len(both):
+            _try_candidates(rays, (a, b), both, points=points, cost=cost)
+            missed = missed[~np.isfinite(cost[missed])]
     return _refine(rays, points, INTERSECT_POLISH_STEPS)
 
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import AdjustConfig, Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
 from mocap_calib.geometry.projection import pixels_from_points
@@ -74,6 +75,7 @@ class AdjustablePoints:
         return np.asarray(rank * blocks // len(frames), dtype=np.int64)
 
 
+@single_threaded_libraries()
 def adjust(
     sample: Sample,
     rig: CameraRig,

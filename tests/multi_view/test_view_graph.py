@@ -164,6 +164,17 @@ def test_loops_of_a_large_rig_are_quick():
     assert errors_deg(found, rig).max() < 1e-5
 
 
+def test_a_pair_that_explains_nothing_keeps_the_only_hypothesis_it_has():
+    """Beside pairs of several: what it lacks would close the loops better."""
+    rig = scene(cameras=6).rig
+    first, *others = pairs_of(rig, set())
+    turned = matrix_from_vector(np.array([0.0, np.pi, 0.0])) @ first.rotation
+    nothing = replace(
+        first, rotation=turned, translation=1e3 * np.ones(3), score=0.0, alternatives=()
+    )
+    assert select_hypotheses((nothing, *others), CONFIG)[0] == nothing
+
+
 def test_hypotheses_of_a_single_frame():
     """One frame of one person, six cameras, measured without the loops and with them.
 
