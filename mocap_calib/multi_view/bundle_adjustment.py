@@ -242,7 +242,7 @@ def observe_rays(rig: CameraRig, points: AdjustablePoints) -> RayObservations:
     ]
     metric = np.ascontiguousarray(np.moveaxis(np.stack(metrics), 1, -1))
     return RayObservations(
-        rays=rays,
+        rays=np.ascontiguousarray(rays),
         metric=np.where(used[:, None, None], np.nan_to_num(metric), 0.0),
         weight=points.weight,
     )
