@@ -28,6 +28,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -38,6 +39,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = ("geometry", "two_view", "multi_view", "steerpose", "io")
 TESTS = (*PACKAGES, "recording", "synthetic", "poses", "world", "test_pipeline.py", "test_types.py")
 PRELOADED = ("cv2", "h5py", "hypothesis.extra.numpy", "pycolmap", "scipy.optimize", "torch")
+BROKEN = 70  # status of a process that could not run the tests
 SLOWER = 4  # than in the run that was timed: longer, and a mutation is taken to never end
 
 
@@ -124,14 +126,13 @@ def recall_tests(copy: Path, kept: Path) -> Tests:
 
 def learn_tests(copy: Path) -> list[dict]:
     """Run every file of tests as it is, each in a process of its own, and see what it calls."""
-    learned = []
+    learned, found = [], copy / "calls.json"
     paths = [copy / "tests" / name for name in TESTS]
     files = [f for path in paths for f in ([path] if path.suffix else path.rglob("test_*.py"))]
     for file in sorted(files):
         name = str(file.relative_to(copy))
-        found = copy / "calls.json"
         start = time.monotonic()
-        status = in_process(copy, lambda: CallsOfTests(copy, found), [name], seconds=900)
+        status = in_process(copy, partial(CallsOfTests, copy, found), [name], seconds=900)
         if status:
             print(f"{name} fails as it is, and is left out", file=sys.stderr)
             continue
@@ -155,7 +156,7 @@ def try_one(mutation: Mutation, copy: Path, tests: Tests, *, seconds: float) -> 
         files = sorted({name.split("::")[0] for name in names})
         expected = sum(tests.seconds[name] for name in names)
         limit = 30 + SLOWER * expected
-        status = in_process(copy, lambda: Selected(names, failed), files, seconds=limit)
+        status = in_process(copy, partial(Selected, names, failed), files, seconds=limit)
     finally:
         file.write_bytes(original)
         os.utime(file, ns=(stat.st_atime_ns, stat.st_mtime_ns))
@@ -171,8 +172,12 @@ def in_process(
     """Run tests of the copy in a process of their own; return its status, -1 = out of time."""
     child = os.fork()
     if not child:
-        os.setsid()
-        os._exit(run_tests(copy, plugin, files))
+        status = BROKEN
+        try:
+            os.setsid()
+            status = run_tests(copy, plugin, files)
+        finally:  # nothing of the parent's is cleared away by the child
+            os._exit(status)
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         done, status = os.waitpid(child, os.WNOHANG)
