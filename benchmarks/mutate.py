@@ -15,6 +15,7 @@ was stopped goes on. Needs an operating system that can fork.
 """
 
 import argparse
+import compileall
 import hashlib
 import json
 import os
@@ -27,7 +28,7 @@ import tempfile
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -88,6 +89,7 @@ def copy_tree(target: Path) -> Path:
         if (ROOT / name).is_file():
             (target / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(ROOT / name, target / name)
+    compileall.compile_dir(target / "mocap_calib", quiet=2)  # mutations write no compiled files
     return target
 
 
@@ -102,7 +104,7 @@ def try_all(chosen: list[Mutation], copy: Path, options: argparse.Namespace) -> 
     missing = [mutation for mutation in chosen if mutation.name not in known]
     if not missing:
         return
-    tests = recall_tests(copy, options.log.with_suffix(".tests.json"))
+    tests = learn_tests(copy, options.log.with_suffix(".tests.json"))
     for k, mutation in enumerate(missing, 1):
         entry = asdict(mutation) | try_one(mutation, copy, tests, seconds=options.seconds)
         with open(options.log, "a", encoding="utf-8", newline="\n") as log:
@@ -111,38 +113,40 @@ def try_all(chosen: list[Mutation], copy: Path, options: argparse.Namespace) -> 
         print(f"{k}/{len(missing)} {mutation.describe()}: {word}", file=sys.stderr, flush=True)
 
 
-def recall_tests(copy: Path, kept: Path) -> Tests:
-    """Return what an earlier run learned of the same tree, or learn it."""
-    files = sorted(f for name in ("mocap_calib", "tests") for f in (copy / name).rglob("*.py"))
-    tree = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
-    if kept.exists():
-        known = json.loads(kept.read_text("utf-8"))
-        if known["tree"] == tree:
-            return Tests(known["files"])
-    found = learn_tests(copy)
-    content = json.dumps({"tree": tree, "files": found})
-    kept.write_text(content, encoding="utf-8", newline="\n")
-    return Tests(found)
+def learn_tests(copy: Path, kept: Path) -> Tests:
+    """Run every file of tests as it is, each in a process of its own, and see what it calls.
 
-
-def learn_tests(copy: Path) -> list[dict]:
-    """Run every file of tests as it is, each in a process of its own, and see what it calls."""
-    learned, found = [], copy / "calls.json"
-    paths = [copy / "tests" / name for name in TESTS]
-    files = [f for path in paths for f in ([path] if path.suffix else path.rglob("test_*.py"))]
-    for file in sorted(files):
-        name = str(file.relative_to(copy))
-        start = time.monotonic()
-        status = in_process(copy, partial(CallsOfTests, copy, found), [name], seconds=900)
-        if status:
-            print(f"{name} fails as it is, and is left out", file=sys.stderr)
-            continue
-        learned.append(json.loads(found.read_text("utf-8")))
-        took = time.monotonic() - start
-        print(f"{name}: {took:.0f} s", file=sys.stderr, flush=True)
-    if not learned:
+    What an earlier run learned of a file is in `kept`; that holds as long as the program and the
+    file are the same.
+    """
+    known = json.loads(kept.read_text("utf-8")) if kept.exists() else {}
+    program = sorted([*(copy / "mocap_calib").rglob("*.py"), *(copy / "tests").glob("*.py")])
+    learned = {}
+    for file in sorted(tests_of(copy)):
+        content = b"".join(path.read_bytes() for path in [*program, file])
+        key = hashlib.sha256(content).hexdigest()
+        learned[key] = known[key] if key in known else learn_file(copy, file)
+        kept.write_text(json.dumps(known | learned), encoding="utf-8", newline="\n")
+    if not any(learned.values()):
         raise SystemExit("expected tests that pass before anything is changed, found none")
-    return learned
+    return Tests([found for found in learned.values() if found])
+
+
+def tests_of(copy: Path) -> Iterator[Path]:
+    """Return the files of the tests that are run."""
+    for name in TESTS:
+        path = copy / "tests" / name
+        yield from [path] if path.suffix else path.rglob("test_*.py")
+
+
+def learn_file(copy: Path, file: Path) -> dict:
+    """Return what the tests of a file call; nothing where one fails before any change."""
+    name, found, start = str(file.relative_to(copy)), copy / "calls.json", time.monotonic()
+    status = in_process(copy, partial(CallsOfTests, copy, found), [name], seconds=900)
+    took = f"{time.monotonic() - start:.0f} s"
+    word = "fails as it is, and is left out" if status else took
+    print(f"{name}: {word}", file=sys.stderr, flush=True)
+    return {} if status else json.loads(found.read_text("utf-8"))
 
 
 def try_one(mutation: Mutation, copy: Path, tests: Tests, *, seconds: float) -> dict[str, object]:
