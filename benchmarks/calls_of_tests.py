@@ -15,10 +15,12 @@ import pytest
 class Tests:
     """What is known of the tests: their seconds, and the functions that they call.
 
-    files: of each file of tests what `CallsOfTests` wrote.
+    files: of each file of tests what `CallsOfTests` wrote. otherwise: the files for what no test
+    calls.
     """
 
-    def __init__(self, files: list[dict[str, Any]]) -> None:
+    def __init__(self, files: list[dict[str, Any]], otherwise: tuple[str, ...]) -> None:
+        self.otherwise = otherwise
         self.seconds: dict[str, float] = {}
         self.of_file: dict[str, list[str]] = defaultdict(list)
         self.callers: dict[str, set[str]] = defaultdict(set)
@@ -36,16 +38,24 @@ class Tests:
         """Return the tests to try, in their order, and how many are left out.
 
         Those that call the function first (any of the module's where it is ""), then the others
-        of their files, which may look at what the first ones have made; the quickest of each
-        first.
+        of their files, which may look at what the first ones have made; the tests of its package
+        before those of others, the quickest first.
         """
         keys = [f"{path}:{function}"]
         if not function:
             keys = [key for key in self.callers if key.startswith(f"{path}:")]
         direct = set().union(*(self.callers.get(key, ()) for key in keys))
-        files = {name.split("::")[0] for name in direct}
+        files = {name.split("::")[0] for name in direct} or set(self.otherwise)
         names = [name for file in files for name in self.of_file[file]]
-        names.sort(key=lambda name: (name not in direct, self.seconds[name], name))
+        own = f"tests/{path.split('/')[1]}/"
+        names.sort(
+            key=lambda name: (
+                name not in direct,
+                not name.startswith(own),
+                self.seconds[name],
+                name,
+            )
+        )
         kept, spent = [], 0.0
         for name in names:
             if spent + self.seconds[name] <= seconds:
