@@ -11,6 +11,7 @@ from mocap_calib.config import Config, MatchingConfig
 from mocap_calib.multi_view.identities import finalise_identities
 from mocap_calib.multi_view.joining import join_pieces
 from mocap_calib.multi_view.name_swaps import exchanged_pieces
+from mocap_calib.multi_view.pieces import cut_into_pieces
 from mocap_calib.multi_view.proportions import Proportions
 from mocap_calib.multi_view.triangulation import project
 from mocap_calib.recording.synchronise import make_recording
@@ -134,6 +135,18 @@ def test_where_bodies_cannot_be_followed_names_go_by_place():
     places = np.random.default_rng(1).uniform(-1.5, 1.5, (FRAMES, 2, 3)) * [1, 1, 0]
     names = name_walkers(places, [a_body(), a_body()], everybody())
     assert (np.sort(names, axis=1) == [0, 1]).all()
+
+
+def test_pieces_have_no_gaps():
+    """As many groups as frames from the first to the last; two bodies, one of them away twice."""
+    rng, seen = np.random.default_rng(0), everybody()
+    seen[50:60, 1] = seen[100:130, 1] = False
+    places = 0.3 * on_lines() + np.array([[0.0, 0, 0], [0, 2.0, 0]])
+    points = a_body() + places[:, :, None] + 0.002 * rng.normal(size=(FRAMES, 2, JOINTS, 3))
+    points[~seen] = np.nan
+    pieces = cut_into_pieces(points, np.arange(FRAMES), MatchingConfig())
+    assert pieces.lengths.tolist() == np.bincount(pieces.number[seen]).tolist()
+    assert sorted(pieces.lengths) == [30, 40, 50, 160]
 
 
 @pytest.mark.parametrize("seed", range(3))
