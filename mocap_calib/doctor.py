@@ -1,5 +1,7 @@
 """Look at the machine, the installation and the models, and calibrate a small recording with truth.
 
+What can be compiled is compiled first, and kept: no run waits for it later.
+
 Nothing is sent anywhere, and no network is needed. Paths begin with ~ where they lie in the home
 directory.
 """
@@ -19,6 +21,7 @@ import numpy as np
 from threadpoolctl import threadpool_info
 
 from mocap_calib.compute import BLAS_THREADS
+from mocap_calib.compute.kernels import compile_ahead
 from mocap_calib.compute.parallel import thread_count
 from mocap_calib.compute.program import identify_program
 from mocap_calib.config import Config, DoctorConfig, SimulateConfig
@@ -35,6 +38,7 @@ from mocap_calib.types import Recording
 # name of a package -> of what is imported
 NEEDED = {
     "numpy": "numpy",
+    "numba": "numba",
     "scipy": "scipy",
     "torch": "torch",
     "opencv-python-headless": "cv2",
@@ -65,6 +69,7 @@ def examine(*, self_test: bool = True, config: DoctorConfig = DoctorConfig()) ->
 
     self_test: also calibrate a small recording, which takes some seconds.
     """
+    compile_ahead()
     packages = {name: _look_at(name, module) for name, module in NEEDED.items()}
     extras = {name: _look_at(name, module) for name, module in OPTIONAL.items()}
     found: dict[str, Any] = {

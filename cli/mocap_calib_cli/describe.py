@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from mocap_calib.compute.kernels import kernels_at_hand
 from mocap_calib.job.outcome import WrittenGroup
 from mocap_calib.recording.meanings import describe_unshared
 from mocap_calib.recording.summary import RecordingSummary
@@ -22,6 +23,13 @@ def describe_recording(summary: RecordingSummary) -> list[str]:
         *_describe_joints(summary),
         *describe_ignored_files(summary.ignored_files),
     ]
+
+
+def describe_kernels() -> list[str]:
+    """Say where the run is slower than it need be."""
+    if kernels_at_hand():
+        return []
+    return ["numba cannot be imported: this takes several times longer than with it"]
 
 
 def describe_ignored_files(files: Sequence[str]) -> list[str]:

@@ -1,0 +1,63 @@
+"""How kernels are compiled: the only module that imports numba.
+
+A kernel is a function of loops over numbers, in a module `..._kernels.py` beside the stage that it
+serves. It is compiled when its module is imported for the first time, and kept on disk. numba looks
+at that file alone to tell whether what it kept is still right: a kernel calls no kernel of another
+file. There is always a definition in numpy too, which a test holds it to, and which runs where
+numba is missing (`compute.kernels`).
+"""
+
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+import numba
+from numba import types
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+FLOAT = types.float64
+INT = types.int64
+BOOL = types.boolean
+
+
+def kernel(*arguments: Any) -> Callable[[Function], Function]:
+    """Compile a function for arguments of these types, without Python's lock.
+
+    Sums stay in the order in which they are written, so that results do not depend on the machine.
+    """
+
+    def compile_it(function: Function) -> Function:
+        try:
+            found = numba.njit(arguments, cache=True, nogil=True, error_model="numpy")(function)
+        except (
+            RuntimeError
+        ):  # nowhere to keep it: neither beside the file nor in the home directory
+            found = numba.njit(arguments, nogil=True, error_model="numpy")(function)
+        return cast(Function, found)
+
+    return compile_it
+
+
+def inlined(function: Function) -> Function:
+    """Return a function that kernels of the same file call."""
+    return cast(Function, numba.njit(inline="never", nogil=True, error_model="numpy")(function))
+
+
+def floats(dimensions: int) -> Any:
+    """Return the type of an array of 64-bit floats in C order, which is only read."""
+    return types.Array(FLOAT, dimensions, "C", readonly=True)
+
+
+def ints(dimensions: int) -> Any:
+    """Return the type of an array of 64-bit integers in C order, which is only read."""
+    return types.Array(INT, dimensions, "C", readonly=True)
+
+
+def bools(dimensions: int) -> Any:
+    """Return the type of an array of booleans in C order, which is only read."""
+    return types.Array(BOOL, dimensions, "C", readonly=True)
+
+
+def changed_floats(dimensions: int) -> Any:
+    """Return the type of an array of 64-bit floats in C order, which is changed in place."""
+    return types.Array(FLOAT, dimensions, "C")

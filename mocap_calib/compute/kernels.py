@@ -1,0 +1,34 @@
+"""Compiled kernels, where numba is at hand."""
+
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+
+PACKAGE = Path(__file__).parents[1]
+
+
+@cache
+def kernels_at_hand() -> bool:
+    """Return whether kernels can be compiled: numba is installed and fits this numpy."""
+    try:
+        import_module("mocap_calib.compute.jit")
+    except ImportError:
+        return False
+    return True
+
+
+@cache
+def compiled(module: str) -> ModuleType | None:
+    """Return a module of kernels by its full name; None where its numpy definitions are to run.
+
+    The first import on a machine compiles, which takes some seconds.
+    """
+    return import_module(module) if kernels_at_hand() else None
+
+
+def compile_ahead() -> list[str]:
+    """Compile all kernels, so that no calibration waits for them, and return their modules."""
+    files = sorted(PACKAGE.rglob("*_kernels.py"))
+    names = [".".join(file.relative_to(PACKAGE.parent).with_suffix("").parts) for file in files]
+    return [name for name in names if compiled(name)]
