@@ -37,14 +37,14 @@ class Tests:
     def of_function(self, path: str, function: str, *, seconds: float) -> tuple[list[str], int]:
         """Return the tests to try, in their order, and how many are left out.
 
-        Those that call the function first (any of the module's where it is ""), then the others
+        Those that call the function first (where none does, any of its module), then the others
         of their files, which may look at what the first ones have made; the tests of its package
         before those of others, the quickest first.
         """
-        keys = [f"{path}:{function}"]
-        if not function:
-            keys = [key for key in self.callers if key.startswith(f"{path}:")]
-        direct = set().union(*(self.callers.get(key, ()) for key in keys))
+        direct = self.callers.get(f"{path}:{function}", set())
+        if not direct:  # of the module, or what runs in other processes
+            of_module = [key for key in self.callers if key.startswith(f"{path}:")]
+            direct = set().union(*(self.callers[key] for key in of_module))
         files = {name.split("::")[0] for name in direct} or set(self.otherwise)
         names = [name for file in files for name in self.of_file[file]]
         own = f"tests/{path.split('/')[1]}/"

@@ -7,9 +7,10 @@ As many mutations are drawn of each package: a comparison turned, + made -, a co
 condition negated, a line left out, arguments exchanged (`mutations.py`). It works on a copy of the
 tree. First each file of tests runs once as it is, which tells the functions that each test calls.
 A mutation is then tried with the tests that call its function and with all others of their files,
-the quickest first, until one fails; where none calls it, with those of the command, which runs in
-processes of its own. Of tests that would take longer than `--seconds` together, the slow ones are
-left out. Mutations that never end are noticed by the time they take.
+the quickest first, until one fails; where none calls it, with those of its module, or those of the
+command: readers of files and the command run in processes of their own. Of tests that would take
+longer than `--seconds` together, the slow ones are left out. Mutations that never end are noticed
+by the time they take.
 
 What was tried is kept in a file (`--log`), a line of JSON each, and not tried again: a run that
 was stopped goes on. Needs an operating system that can fork.
