@@ -66,6 +66,7 @@ def main() -> None:
     packages = (options.package,) if options.package else PACKAGES
     chosen = choose(packages, options.number, random.Random(options.seed))
     options.log.parent.mkdir(parents=True, exist_ok=True)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # and clear away what is begun
     os.environ["OMP_NUM_THREADS"] = "1"  # threads of libraries do not survive a fork
     for name in PRELOADED:
         __import__(name)
@@ -193,6 +194,7 @@ def in_process(
         status = BROKEN
         try:
             os.setsid()
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
             status = run_tests(copy, plugin, files)
         except BaseException:
             traceback.print_exc()
