@@ -114,3 +114,14 @@ def test_slopes_of_the_errors_of_rays():
     slope = ray_errors(rays, *START)[1]
     expected = np.stack([difference(lambda r, t: ray_errors(rays, r, t)[0], k) for k in range(6)])
     assert np.abs(slope - expected).max() < 0.05 * np.abs(slope).max()
+
+
+def test_the_energy_of_bodies_is_that_of_their_distance():
+    """None where exact bodies lie on each other, and more the farther they are turned away."""
+    pair, lifted = exact_pair(2), np.eye(2, dtype=bool)[None]
+    turned = [
+        body_energy(pair, lifted, matrix_from_vector(angle * np.eye(3)[0]) @ ROTATION, CONFIG).value
+        for angle in (0.0, 0.1, 0.2)
+    ]
+    assert turned[0] == pytest.approx(0.0, abs=1e-12)
+    assert 0 < turned[1] < turned[2]
