@@ -11,6 +11,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack, contextmanager
+from functools import cache
 from itertools import islice
 from queue import SimpleQueue
 from typing import TypeVar
@@ -83,20 +84,41 @@ def single_threaded_libraries() -> Iterator[None]:
 def map_in_threads(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
     """Yield `function` of every item in order, computed on threads.
 
-    A few items at a time are under way, and no more are taken from `items`.
+    A few items at a time are under way, and no more are taken from `items`. What such a thread
+    spreads in its turn it does itself: the others are busy.
     """
     count = thread_count()
-    if count == 1:
+    if count == 1 or getattr(_THREAD, "of_the_pool", False):
         yield from map(function, items)
         return
-    with ThreadPoolExecutor(count) as pool:
-        waiting: deque[Future[Result]] = deque()
+    waiting: deque[Future[Result]] = deque()
+    try:
         for item in items:
-            waiting.append(pool.submit(function, item))
+            waiting.append(_pool(count).submit(function, item))
             if len(waiting) > 2 * count:
                 yield waiting.popleft().result()
         while waiting:
             yield waiting.popleft().result()
+    finally:
+        for call in waiting:
+            call.cancel()
+
+
+_THREAD = threading.local()
+
+
+@cache
+def _pool(count: int) -> ThreadPoolExecutor:
+    """Return the threads of this process, which stay: an adjustment asks for them every step."""
+
+    def mark() -> None:
+        _THREAD.of_the_pool = True
+
+    return ThreadPoolExecutor(count, initializer=mark)
+
+
+if hasattr(os, "register_at_fork"):  # a child has no threads but its own
+    os.register_at_fork(after_in_child=_pool.cache_clear)
 
 
 def map_in_processes(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
