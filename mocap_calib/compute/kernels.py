@@ -4,6 +4,10 @@ from functools import cache
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 PACKAGE = Path(__file__).parents[1]
 
@@ -32,3 +36,8 @@ def compile_ahead() -> list[str]:
     files = sorted(PACKAGE.rglob("*_kernels.py"))
     names = [".".join(file.relative_to(PACKAGE.parent).with_suffix("").parts) for file in files]
     return [name for name in names if compiled(name)]
+
+
+def contiguous(*arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
+    """Return arrays in C order, as kernels take them; those that are so already as they are."""
+    return tuple(np.ascontiguousarray(array) for array in arrays)

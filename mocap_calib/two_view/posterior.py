@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mocap_calib.compute.kernels import compiled, contiguous
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.two_view.refine import epipolar_system
@@ -72,6 +73,18 @@ def most_probable(
     noise = _noise(ray_errors(rays, rotation, translation)[0], config)
     # the errors of lifted bodies are alike: many know little more than one
     share = 1 / (1 + lifted.sum() / config.lift_independent)
+    kernels = compiled("mocap_calib.two_view.refine_kernels")
+    if kernels:
+        frame, i, j = np.nonzero(lifted)
+        return kernels.minimise(
+            rays.in_blocks(),
+            pair.overlap.cross[lifted].sum(0),
+            float(pair.overlap.norm[lifted].sum()),
+            np.hstack([pair.a.centre[frame, i], pair.b.centre[frame, j]]),
+            *contiguous(rotation, translation),
+            *_rule(noise, share, config),
+            config.posterior_steps,
+        )
 
     def energy_at(rotation: Floats, translation: Floats) -> Energy:
         """Return the negative log posterior of R `[3, 3]` and t `[3]`."""
@@ -81,6 +94,14 @@ def most_probable(
         return of_rays + of_bodies.scale(share) + of_centres.scale(share)
 
     return _minimise(energy_at, rotation, translation, config)
+
+
+def _rule(noise: float, share: float, config: PairwiseConfig) -> tuple[Floats, Floats]:
+    """Return the energies and the damping by the numbers that the compiled kernel takes."""
+    of_rays = (noise, _loss_width(noise, config))
+    of_bodies = (share, config.lift_spread, config.centre_spread, config.centre_outlier)
+    damping = (config.posterior_damping, config.posterior_damping_factor, config.posterior_settled)
+    return np.array([*of_rays, *of_bodies]), np.array(damping)
 
 
 def _minimise(
@@ -136,7 +157,7 @@ def ray_energy(
 
     rotation: `[3, 3]` and translation: `[3]` of b_from_a. noise: in body sizes.
     """
-    width = max(config.loss_noises * noise, config.inlier)
+    width = _loss_width(noise, config)
     error, jacobian = ray_errors(rays, rotation, translation)
     square = (error / width) ** 2
     robust = rays.weight / (noise * (1 + square)) ** 2
@@ -146,6 +167,11 @@ def ray_energy(
         hessian=(jacobian * robust) @ jacobian.T,
         gradient=jacobian @ (robust * error),
     )
+
+
+def _loss_width(noise: float, config: PairwiseConfig) -> float:
+    """Return the width of the loss of rays, in body sizes."""
+    return max(config.loss_noises * noise, config.inlier)
 
 
 def ray_errors(rays: MatchedRays, rotation: Floats, translation: Floats) -> tuple[Floats, Floats]:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mocap_calib.compute.kernels import compiled, contiguous
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.two_view.hypotheses import Hypotheses
@@ -65,16 +66,23 @@ def refine_two_view(
     """
     length = np.linalg.norm(translation, axis=-1, keepdims=True)
     direction = translation / np.maximum(length, 1e-12)
+    narrowing = config.refine_widest * config.refine_narrowing ** np.arange(config.refine_steps)
+    widths = config.inlier * np.maximum(narrowing, 1.0)
+    kernels = compiled("mocap_calib.two_view.refine_kernels")
+    if kernels:
+        rotation, direction = kernels.refine(
+            *contiguous(rotation, direction, rays.in_blocks(), widths), config.refine_largest_step
+        )
+        return rotation, direction * length
     rays_a = np.ascontiguousarray(np.swapaxes(rays.a, 1, 2))  # by component, [M, 3, N]
     rays_b = np.ascontiguousarray(np.swapaxes(rays.b, 1, 2))
-    for step in range(config.refine_steps):
-        widening = max(config.refine_widest * config.refine_narrowing**step, 1.0)
+    for width in widths:
         tangent = np.linalg.svd(direction[:, None])[2][:, 1:]  # [M, 2, 3], normal to t
         angle, jacobian = epipolar_system(
             rotation, direction, rays_a=rays_a, rays_b=rays_b, tangent=tangent
         )
         error = angle * rays.body_sizes_per_radian
-        robust = rays.weight / (1 + (error / (config.inlier * widening)) ** 2) ** 2
+        robust = rays.weight / (1 + (error / width) ** 2) ** 2
         delta = _gauss_newton_step(
             error, jacobian * rays.body_sizes_per_radian[:, None], robust, config
         )

@@ -11,6 +11,8 @@ from mocap_calib.config import LEAST_LIFT_SPREAD, PairwiseConfig
 from mocap_calib.geometry.epipolar import depths
 from mocap_calib.types import Bools, Floats, Ints, LiftedPoses, Sample
 
+RAYS_OF_A_BLOCK = 64  # in compiled loops
+
 
 @dataclass(frozen=True)
 class Detections:
@@ -89,6 +91,19 @@ class MatchedRays:
 
     def __len__(self) -> int:
         return len(self.a)
+
+    def in_blocks(self) -> Floats:
+        """Return `[..., block, 8, RAYS_OF_A_BLOCK]` all of it by component, as kernels take it.
+
+        Rays of no weight fill up the last block.
+        """
+        columns = (self.weight[..., None], self.body_sizes_per_radian[..., None])
+        *batch, count, _ = self.a.shape
+        blocks = -(-count // RAYS_OF_A_BLOCK)
+        filled = np.zeros((*batch, blocks * RAYS_OF_A_BLOCK, 8))
+        np.concatenate([self.a, self.b, *columns], axis=-1, out=filled[..., :count, :])
+        by_block = filled.reshape(*batch, blocks, RAYS_OF_A_BLOCK, 8)
+        return np.ascontiguousarray(np.swapaxes(by_block, -1, -2))
 
     def __getitem__(self, index: Ints) -> "MatchedRays":
         return MatchedRays(
