@@ -61,33 +61,28 @@ def main() -> None:
     parser.add_argument("--people", type=int, default=1)
     parser.add_argument("--methods", nargs="*", default=list(METHODS), choices=METHODS)
     options = parser.parse_args()
-    made = simulate(
-        SimulateConfig(
-            cameras=options.cameras,
-            frames=options.frames,
-            people=options.people,
-            false_detections=0.0,
-        )
-    )
-    recording = take_sample(
-        make_recording(made.files, made.rig.cameras, load_skeleton("people"), {}), slice(None)
-    )
-    matches = Matches(made.identity.astype(np.int64))
-    start = moved(made.rig)
+    true, recording, matches = make_scene(options.cameras, options.frames, options.people)
+    start = moved(true)
     print(
         "| method | seconds | processor (s) | E_R median / max (deg) | E_t median / max (deg) |\n"
         "|---|---|---|---|---|"
     )
-    print(f"| start | | | {figures(start, made.rig)} |")
+    print(f"| start | | | {figures(start, true)} |")
     for method in options.methods:
         found, wall, processor = (
             ours(*OURS[method], recording, start, matches)
             if method in OURS
             else peer(method, options.scratch, recording, start, matches)
         )
-        print(
-            f"| {method} | {wall:.2f} | {processor:.2f} | {figures(found, made.rig)} |", flush=True
-        )
+        print(f"| {method} | {wall:.2f} | {processor:.2f} | {figures(found, true)} |", flush=True)
+
+
+def make_scene(cameras: int, frames: int, people: int) -> tuple[CameraRig, Sample, Matches]:
+    """Return the true rig, what was detected, and who is who."""
+    size = {"cameras": cameras, "frames": frames, "people": people}
+    made = simulate(SimulateConfig(**size, false_detections=0.0))
+    recording = make_recording(made.files, made.rig.cameras, load_skeleton("people"), {})
+    return made.rig, take_sample(recording, slice(None)), Matches(made.identity.astype(np.int64))
 
 
 def moved(rig: CameraRig) -> CameraRig:
@@ -119,9 +114,19 @@ def peer(
     method: str, scratch: Path, recording: Sample, start: CameraRig, matches: Matches
 ) -> tuple[CameraRig, float, float]:
     """Return what `ours` does, of an adjustment in another environment."""
-    python = peers_python(scratch)
+    result = call_peer(PEERS, method, scratch, as_problem(recording, start, matches))
+    found = replace(
+        start,
+        rotation=matrix_from_vector(result["rotation"]),
+        translation=result["translation"],
+    )
+    return found, float(result["seconds"]), float(result["processor"])
+
+
+def as_problem(recording: Sample, start: CameraRig, matches: Matches) -> dict[str, Floats]:
+    """Return the arrays that the peers are given, as adjustment_peers.py says."""
     seen = gather_observations(recording, matches, np.arange(len(recording.frames)))
-    problem = {
+    return {
         "pixels": np.moveaxis(seen.pixels, 1, 2),
         "matrix": np.stack([camera.matrix for camera in start.cameras]),
         "distortion": np.stack([np.pad(camera.distortion, (0, 5))[:5] for camera in start.cameras]),
@@ -129,19 +134,26 @@ def peer(
         "rotation": vector_from_matrix(start.rotation),
         "translation": start.translation,
     }
+
+
+def call_peer(
+    program: Path, method: str, scratch: Path, problem: dict[str, Floats]
+) -> dict[str, Floats]:
+    """Return what a method of a program finds in the environment of the peers."""
     np.savez(scratch / "problem.npz", **problem)
     subprocess.run(
-        [python, PEERS, method, scratch / "problem.npz", scratch / "result.npz"],
+        [
+            peers_python(scratch),
+            program,
+            method,
+            scratch / "problem.npz",
+            scratch / "result.npz",
+        ],
         check=True,
         stdout=sys.stderr,
     )
     with np.load(scratch / "result.npz") as result:
-        found = replace(
-            start,
-            rotation=matrix_from_vector(result["rotation"]),
-            translation=result["translation"],
-        )
-        return found, float(result["seconds"]), float(result["processor"])
+        return dict(result)
 
 
 def peers_python(scratch: Path) -> Path:

@@ -4,6 +4,7 @@ Every run is a process of its own, so that its peak memory is its own.
 
     .venv/bin/python benchmarks/scale.py long      # 8 cameras, 4 people: 2,000 and 100,000 frames
     .venv/bin/python benchmarks/scale.py ring      # 31 cameras (465 pairs), 3 people, 100 frames
+    .venv/bin/python benchmarks/scale.py hall 64   # along the walls of a hall: each sees a part
     .venv/bin/python benchmarks/scale.py stages    # seconds of each stage
 
 Synthetic people with 2 px of noise, 5 % missing and 1 % gross errors, seed 0. Of `long`, each
@@ -27,16 +28,27 @@ import h5py
 import numpy as np
 
 from mocap_calib.config import Config, SimulateConfig
-from mocap_calib.geometry.rotation import angle_between
+from mocap_calib.geometry.rotation import angle_between, looking_along
 from mocap_calib.io.cameras.own import format_calibration_toml
 from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.steerpose.loading import load_lifter
-from mocap_calib.synthetic import LAYOUTS, detect, people, ring_rig, simulate
-from mocap_calib.types import CameraRig, Floats, silent
+from mocap_calib.synthetic import (
+    LAYOUTS,
+    Detections,
+    detect,
+    keypoint_files,
+    people,
+    ring_rig,
+    simulate,
+)
+from mocap_calib.types import Bools, CameraRig, Floats, Keypoints2D, silent
 
 TOOL = Path(sys.executable).with_name("mocap-calib")
+SCENES = ("ring", "hall")
+WIDTH, LENGTH_OF_CAMERA = 12.0, 0.36  # metres of a hall
+WALLS_APART, OPENING, RANGE = 12.0, 4.0, 9.0  # metres in it
 PART = 5000  # frames simulated at a time
 GRID = (
     (4, 3, 200),
@@ -54,13 +66,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("what", choices=["long", "ring", "stages", "child"])
+    parser.add_argument("what", choices=["long", "ring", "hall", "stages", "child"])
     parser.add_argument(
         "numbers",
         nargs="*",
         type=int,
         metavar="N",
-        help="long: other numbers of frames; ring, child: cameras, people, frames",
+        help="long: other numbers of frames; ring, hall: cameras, people, frames, seed",
     )
     parser.add_argument(
         "--scratch",
@@ -72,9 +84,13 @@ def main() -> None:
         with tempfile.TemporaryDirectory(dir=options.scratch) as work:
             long(Path(work), options.numbers or [2000, 100_000])
     elif options.what == "child":
-        print(json.dumps(child(*options.numbers)))
+        kind, *numbers = options.numbers
+        print(json.dumps(child(SCENES[kind], *numbers)))
+    elif options.what == "stages":
+        table("ring", GRID)
     else:
-        table([tuple(options.numbers) or (31, 3, 100)] if options.what == "ring" else GRID)
+        usual = {"ring": (31, 3, 100, 0), "hall": (64, 12, 100, 0)}[options.what]
+        table(options.what, [(*options.numbers, *usual[len(options.numbers) :])])
 
 
 # --- files to files
@@ -259,26 +275,18 @@ def dlc_table(file: h5py.File, individuals: int, names: Sequence[str], frames: i
 # --- in the library
 
 
-def table(grid: Sequence[tuple[int, ...]]) -> None:
+def table(scene: str, grid: Sequence[tuple[int, ...]]) -> None:
     """Stage times of whole calibrations."""
-    stages = (
-        "lift",
-        "pairwise",
-        "average",
-        "match",
-        "adjust",
-        "match all",
-        "verdict",
-        "triangulate",
-    )
+    stages = ("lift", "pairwise", "match", "adjust", "match all", "verdict", "triangulate")
     print(
-        f"| cameras | people | frames | {' | '.join(stages)} | all (s) | processor (s) "
-        "| E_R median / max | peak memory (GB) |"
+        f"| cameras | people | frames | seed | pairs | in the rig | {' | '.join(stages)} "
+        "| all (s) | processor (s) | E_R median / max | peak memory (GB) |"
     )
-    print("|" + "---|" * (len(stages) + 7))
+    print("|" + "---|" * (len(stages) + 10))
     for numbers in grid:
+        asked = (*numbers, 0)[:4]  # the seed
         done = subprocess.run(
-            [sys.executable, __file__, "child", *map(str, numbers)],
+            [sys.executable, __file__, "child", *map(str, (SCENES.index(scene), *asked))],
             check=True,
             stdout=subprocess.PIPE,
             text=True,
@@ -286,7 +294,9 @@ def table(grid: Sequence[tuple[int, ...]]) -> None:
         found = json.loads(done.stdout)
         spent = " | ".join(f"{found['seconds'][stage]:.2f}" for stage in stages)
         cells = (
-            *numbers,
+            *asked,
+            found["pairs"],
+            found["cameras"],
             spent,
             f"{found['all']:.1f}",
             f"{found['processor']:.1f}",
@@ -296,25 +306,138 @@ def table(grid: Sequence[tuple[int, ...]]) -> None:
         print(f"| {' | '.join(map(str, cells))} |", flush=True)
 
 
-def child(cameras: int, individuals: int, frames: int) -> dict[str, Any]:
+def child(scene: str, cameras: int, individuals: int, frames: int, seed: int) -> dict[str, Any]:
     """One calibration, with all that the process has used."""
-    made = simulate(SimulateConfig(cameras=cameras, people=individuals, frames=frames))
-    recording = make_recording(made.files, made.rig.cameras, load_skeleton("people"), {})
+    if scene == "ring":
+        config = SimulateConfig(cameras=cameras, people=individuals, frames=frames, seed=seed)
+        made = simulate(config)
+        files, rig = made.files, made.rig
+    else:
+        files, rig = hall(cameras, individuals, frames, seed)
+    recording = make_recording(files, rig.cameras, load_skeleton("people"), {})
     lifter = load_lifter()[0]
-    start, before = time.perf_counter(), time.process_time()
+    start, before = time.perf_counter(), processor_time()
     result = calibrate(recording, lifter, Config(), seed=0, device="cpu", progress=silent)
     found = result.groups[0]
-    wall, processor = time.perf_counter() - start, time.process_time() - before
-    error = np.degrees(errors(found.rig, made.rig))
+    wall, processor = time.perf_counter() - start, processor_time() - before
+    error = np.degrees(errors(found.rig, rig))
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9
     return {
         "seconds": found.seconds,
+        "pairs": len(found.pairs) + len(result.unused_pairs),
+        "cameras": len(found.rig),
         "all": wall,
         "processor": processor,
         "median": float(np.median(error)),
         "max": float(error.max()),
         "peak": peak,
     }
+
+
+def processor_time() -> float:
+    """Return the processor seconds of this process and of those that it has ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return time.process_time() + used.ru_utime + used.ru_stime
+
+
+# --- a hall
+
+
+def hall(
+    cameras: int, individuals: int, frames: int, seed: int
+) -> tuple[tuple[Keypoints2D, ...], CameraRig]:
+    """Return what detectors make of people in a hall, and the rig of its cameras.
+
+    The hall is 12 m wide, and the longer the more cameras there are along its walls. Each looks
+    across it, and a wall with an opening of 4 m stands every 12 m. Nobody is found who is behind a
+    wall, behind somebody else, or farther away than 9 m. The names of cameras say nothing of where
+    they are.
+    """
+    usual = SimulateConfig(noise_px=2.0)
+    of_people, of_rig, of_detector = np.random.default_rng(seed).spawn(3)
+    room = (max(8.0, LENGTH_OF_CAMERA * cameras), WIDTH)
+    bodies = people(
+        of_people,
+        individuals=individuals,
+        frames=frames,
+        fps=10.0,
+        room=(room[0] - 2.0, room[1] - 2.0),
+    )
+    rig = hall_rig(of_rig, cameras, room, usual.size)
+    found = detect(
+        of_detector,
+        rig,
+        bodies,
+        noise_px=usual.noise_px,
+        missing=usual.missing,
+        outliers=usual.outliers,
+        false_detections=usual.false_detections,
+    )
+    return keypoint_files(rig, without_hidden(found, hidden(rig, bodies, room[0]))), rig
+
+
+def hall_rig(
+    rng: np.random.Generator, cameras: int, room: tuple[float, float], size: tuple[int, int]
+) -> CameraRig:
+    """Return cameras of the walls of a hall, in random order."""
+    made = ring_rig(
+        rng, cameras=cameras, radius=4.5, height=2.2, size=size, distortion="none"
+    ).cameras
+    along = 2 * sum(room) * (np.arange(cameras) + rng.uniform(-0.2, 0.2, cameras)) / cameras
+    along = rng.permutation(along % (2 * sum(room)))
+    corner = np.array([[0, 0], [room[0], 0], room, [0, room[1]], [0, 0]])
+    so_far = np.cumsum([0, room[0], room[1], room[0], room[1]])
+    level = np.stack([np.interp(along, so_far, corner[:, axis]) for axis in (0, 1)], 1)
+    level -= np.array(room) / 2
+    centres = np.column_stack([level, 2.6 + rng.uniform(-0.4, 0.4, cameras)])
+    inward = np.sign(-level) * (np.abs(np.abs(level) - np.array(room) / 2) < 1e-6)
+    yaw = rng.uniform(-0.6, 0.6, cameras)
+    ahead = np.stack(
+        [
+            inward[:, 0] * np.cos(yaw) - inward[:, 1] * np.sin(yaw),
+            inward[:, 0] * np.sin(yaw) + inward[:, 1] * np.cos(yaw),
+        ],
+        1,
+    )
+    aims = np.column_stack([level + 5.0 * ahead, np.full(cameras, 0.9)])
+    rotation = looking_along(aims - centres, np.array([0.0, 0.0, -1.0]))
+    return CameraRig(made, rotation, -np.einsum("vij,vj->vi", rotation, centres), "m")
+
+
+def hidden(rig: CameraRig, bodies: Floats, length: float) -> Bools:
+    """Return `[view, frame, individual]` who cannot be seen by a camera of a hall."""
+    middle = np.nanmean(bodies, axis=2)  # [frame, individual, 3]
+    offset = middle - rig.centres[:, None, None]
+    distance = np.linalg.norm(offset, axis=-1)
+    behind = distance > RANGE
+    for wall in np.arange(-length / 2, length / 2, WALLS_APART)[1:]:
+        share = (wall - rig.centres[:, None, None, 0]) / offset[..., 0]
+        crossing = rig.centres[:, None, None, 1] + share * offset[..., 1]
+        behind |= (share > 0) & (share < 1) & (np.abs(crossing) > OPENING / 2)
+    angle = 0.25 / distance  # about half the width of a body
+    ray = offset / distance[..., None]
+    for other in range(bodies.shape[1]):
+        between = np.arccos(np.clip((ray * ray[:, :, [other]]).sum(-1), -1, 1))
+        nearer = distance[:, :, [other]] < distance - 0.3
+        behind |= nearer & (between < 0.7 * angle[:, :, [other]])
+    return np.asarray(behind)
+
+
+def without_hidden(found: Detections, hides: Bools) -> Detections:
+    """Return the detections of those that are not hidden (`[view, frame, individual]`)."""
+    there = np.isfinite(found.positions[..., 0]).any(-1)
+    of_body = np.take_along_axis(hides, np.maximum(found.identity, 0), axis=2)
+    there &= ~(of_body & (found.identity >= 0))
+    order = np.argsort(~there, axis=2, kind="stable")[:, :, : int(there.sum(2).max())]
+    positions = np.where(there[..., None, None], found.positions, np.nan)
+    return Detections(
+        keypoints=found.keypoints,
+        positions=np.take_along_axis(positions, order[..., None, None], axis=2),
+        confidence=np.take_along_axis(
+            np.where(there[..., None], found.confidence, 0.0), order[..., None], axis=2
+        ),
+        identity=np.take_along_axis(np.where(there, found.identity, -1), order, axis=2),
+    )
 
 
 def errors(rig: CameraRig, true: CameraRig) -> Floats:

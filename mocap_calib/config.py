@@ -303,6 +303,56 @@ PAPER_LEAST_JOINTS = 4  # seen joints of a body that is steered
 PAPER_LEAST_RAY_DEPTH = 0.05  # z of a unit ray that has an image point
 
 
+# which pairs of cameras are calibrated; the first is the default
+PairChoice = Literal["chosen", "all"]
+PAIR_CHOICES: tuple[PairChoice, ...] = get_args(PairChoice)
+
+
+@dataclass(frozen=True)
+class ViewGraphConfig:
+    """Which pairs of cameras are calibrated.
+
+    pairs: one of `PAIR_CHOICES`.
+    pairs_of_camera: where all pairs are no more than so many for each camera, all are; of up to
+        17 cameras.
+
+    What two views see in common, by the shapes of lifted bodies:
+    frames: that are compared, and in how many shifts out of step.
+    axes: of the shapes; alike: share of the usual squared distance at which two are alike.
+
+    The first graph, of each camera:
+    nearest: partners that see most in common with it; spread: further ones, evenly spread over
+        those with at least the share `likely` of what the best sees in common.
+
+    Where the graph grows:
+    least_confirmed_share: share of the pairs that close triangles; with a smaller one all pairs are
+        calibrated. Measured in the first graph: 0.84 to 1 in halls and rings, at most 0.5 in a hall
+        of 63 cameras where partners are drawn at random.
+    least_confirmed: such pairs of a camera; least_bridges: between two parts.
+    grown: further partners in the first round, twice as many in each that follows; rounds: at most.
+    """
+
+    pairs: PairChoice = "chosen"
+    pairs_of_camera: int = 8
+    frames: int = 60
+    shifts: int = 4
+    axes: int = 12
+    alike: float = 0.05
+    nearest: int = 5
+    spread: int = 5
+    likely: float = 0.4
+    least_confirmed_share: float = 0.6
+    least_confirmed: int = 4
+    least_bridges: int = 6
+    grown: int = 4
+    rounds: int = 3
+
+    @property
+    def small_rig(self) -> int:
+        """Cameras up to which a rig is small: all its pairs are so many for each."""
+        return 2 * self.pairs_of_camera + 1
+
+
 @dataclass(frozen=True)
 class AveragingConfig:
     """From the pairs to groups of cameras, and to a rig.
@@ -478,6 +528,10 @@ class IntrinsicsConfig:
     least_gain: share of the uncertainty that an estimate may leave: where more is left, the
         recording does not determine the focal lengths, and they stay as given.
     k1_uncertainty: standard deviation of the first coefficient of the lens.
+    unlike_lenses: standard deviations, root mean square over the cameras, by which focal lengths
+        that are free must be away from the one that cameras of equal image size share: each has its
+        own then. Measured: 0.7 to 1.3 where they are equal, 2.0 where clocks and keypoints are poor
+        besides; 3.3 to 20 where they differ by 8 to 20 %.
     k1_significance: standard deviations that k1 must be away from what was given, to be changed.
     overconfidence: by how much the variance is larger than that of independent errors, until it
         has been measured. Real recordings have 2 to 100.
@@ -491,6 +545,7 @@ class IntrinsicsConfig:
     focal_per_camera: bool = False
     least_gain: float = 0.5
     k1_uncertainty: float = 0.2
+    unlike_lenses: float = 3.0
     k1_significance: float = 3.0
     overconfidence: float = 25.0
     most_overconfidence: float = 1e4
@@ -595,6 +650,9 @@ class UncertaintyConfig:
     # Free focal lengths go back most of the way to the true ones, and the rig with them: it was off
     # by so many times what it changes by. Measured 1.1 to 1.25 where all are wrong by 20 or 30 %.
     focal_reach: float = 1.2
+    # Where the principal point is, from the middle of the image, in longer sides of it: a standard
+    # deviation of each coordinate. Measured on 15 recordings: 0 to 4.8 %, root mean square 1.8 %.
+    principal_point: float = 0.018
     # An outlier camera has so many times the errors of the others. Measured: 1 to 2.6 where the
     # cameras agree, 3.8 between telescopes, 5 to 18 where one is out of step.
     outlier_factor: float = 4.0
@@ -1234,6 +1292,7 @@ class Config:
     sample: SampleConfig = SampleConfig()
     sync: SyncConfig = SyncConfig()
     pairwise: PairwiseConfig = PairwiseConfig()
+    view_graph: ViewGraphConfig = ViewGraphConfig()
     averaging: AveragingConfig = AveragingConfig()
     matching: MatchingConfig = MatchingConfig()
     adjust: AdjustConfig = AdjustConfig()

@@ -31,6 +31,7 @@ from mocap_calib.multi_view.estimated_cameras import estimate_cameras
 from mocap_calib.multi_view.faults import mend_faults
 from mocap_calib.multi_view.identities import finalise_identities
 from mocap_calib.multi_view.observed import Observed, leave_out_underconstrained
+from mocap_calib.multi_view.pair_choice import calibrate_view_graph
 from mocap_calib.multi_view.refinement import adjust_from_best_start
 from mocap_calib.multi_view.triangulation import check_same_cameras
 from mocap_calib.multi_view.view_graph import camera_groups, select_hypotheses
@@ -44,7 +45,7 @@ from mocap_calib.steerpose.lift import lift
 from mocap_calib.steerpose.lifter import Lifter
 from mocap_calib.steerpose.loading import AUTO, choose_model
 from mocap_calib.steerpose.remembered import RememberedLift
-from mocap_calib.two_view.solve import PairSolver, calibrate_pairs
+from mocap_calib.two_view.solve import PairSolver
 from mocap_calib.types import (
     CalibrationResult,
     CameraRig,
@@ -177,10 +178,10 @@ def _observe(
     with clock("lift"):
         lifted = lift_sample(sample)
     with clock("pairwise"):
-        pairs = calibrate_pairs(
+        pairs = calibrate_view_graph(
             sample,
             lifted,
-            config.pairwise,
+            config,
             rng=np.random.default_rng(seed),
             progress=progress,
             mapper=mapper,

@@ -17,7 +17,7 @@ def describe_verdict(group: GroupResult) -> dict[str, Any]:
         "reasons": list(group.reasons),
         "rotation_sigma_deg": median_and_max(np.degrees(uncertainty.covariance.rotation_sigma)),
         "centre_sigma_percent": median_and_max(100 * uncertainty.covariance.centre_sigma),
-        "focal_turn_deg": median_and_max(np.degrees(uncertainty.focal_turn)),
+        "intrinsics_turn_deg": median_and_max(np.degrees(uncertainty.intrinsics_turn)),
         "checks": [_describe_check(check) for check in group.checks],
         "reversal": "not observable" if reversal else "none found",
         "translation": "not observable" if uncertainty.weak_perspective.any() else "observed",
@@ -35,7 +35,7 @@ def describe_sigma(group: GroupResult, views: list[int]) -> dict[str, float | No
         "rotation_sigma_deg": float(np.degrees(covariance.rotation_sigma[views].max())),
         "centre_sigma_percent": 100 * centre,
         "centre_sigma": None if group.rig.unit == ARBITRARY else centre * covariance.size,
-        "focal_turn_deg": float(np.degrees(group.uncertainty.focal_turn[views].max())),
+        "intrinsics_turn_deg": float(np.degrees(group.uncertainty.intrinsics_turn[views].max())),
     }
 
 

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
+Octets = NDArray[np.uint8]
 # float32 where whole recordings are kept: that is a ten-thousandth of a pixel
 Reals = NDArray[np.floating[Any]]
 
@@ -1098,9 +1099,10 @@ class RigCovariance(Record):
 class Uncertainty(Record):
     """How well a rig is determined by what was seen.
 
-    covariance: of where the cameras stand; what wrong focal lengths may do is part of it.
-    focal_turn: `[view]` radians that a camera may be turned by because of focal lengths: those
-        given, by what the rig changes by when they are free; or the uncertainty of estimated ones.
+    covariance: of where the cameras stand; what wrong intrinsics may do is part of it.
+    intrinsics_turn: `[view]` radians that a camera may be turned by because of its intrinsics: of
+        given focal lengths, what the rig changes by when they are free; of estimated ones their
+        uncertainty; and that of a principal point taken to be in the middle of the image.
     outlier_cameras: `[view]` cameras whose errors are several times those of the others.
     weak_perspective: `[view]` cameras in whose images perspective drowns in noise: their distance
         follows from their focal length alone.
@@ -1110,7 +1112,7 @@ class Uncertainty(Record):
     """
 
     covariance: RigCovariance
-    focal_turn: Floats
+    intrinsics_turn: Floats
     outlier_cameras: Bools
     weak_perspective: Bools
     focal_change: Floats

@@ -144,7 +144,9 @@ def test_the_source_distribution_runs_its_own_tests(unpacked):
 
 def list_files(folder: Path) -> set[str]:
     """The files below a folder, but for what Python leaves behind."""
-    files = (file for file in folder.rglob("*") if file.is_file() and file.suffix != ".pyc")
+    files = (
+        file for file in folder.rglob("*") if file.is_file() and "__pycache__" not in file.parts
+    )
     return {file.relative_to(folder).as_posix() for file in files}
 
 

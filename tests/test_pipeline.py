@@ -228,7 +228,8 @@ def test_an_underconstrained_camera_is_named_and_the_rest_is_tried(monkeypatch):
             raise UnderconstrainedCameraError("camera cam3: too little", "cam3")
         return rig
 
-    monkeypatch.setitem(adjust_until_stable.__kwdefaults__, "adjuster", refusing)
+    defaults = adjust_until_stable.__wrapped__.__kwdefaults__
+    monkeypatch.setitem(defaults, "adjuster", refusing)
     result = calibrate_all(recording())
     assert (result.groups[0].rig.names, result.left_out) == (("cam1", "cam2", "cam4"), ("cam3",))
     assert tried[0] == ("cam1", "cam2", "cam3", "cam4")

@@ -13,6 +13,9 @@ import pytest
 from scenes import calibrated
 
 from mocap_calib.config import Config
+from mocap_calib.io.cameras.read import read_rig
+from mocap_calib.io.poses.common import PoseFile
+from mocap_calib.io.results.group import REVERSED_RIG, write_group
 from mocap_calib.judging import judge_cameras, judge_rigs
 from mocap_calib.multi_view.observations import gather_observations
 from mocap_calib.multi_view.triangulation import project
@@ -173,6 +176,23 @@ def test_every_finding_of_a_report_is_said_in_one_place():
     )
     judged = judge_group(replace(found, uncertainty=uncertainty), Config(), used_frames=frames)
     assert judged.reasons[0].startswith("cam2 +4.0% (+- 1.0%): fits better with the focal length")
+
+
+def test_a_rig_reversed_in_depth_is_written_beside_the_other(tmp_path):
+    """The other has cameras elsewhere here; without one there is no such file."""
+    found = calibrated()
+    other = replace(found.rig, translation=2 * found.rig.translation)
+    reversible = replace(found, adjusted=replace(found.adjusted, depth_reversed_rig=other))
+    poses, clocks = PoseFile(found.poses), Clocks.of_one(found.recording)
+    for group, folder in ((found, tmp_path / "one"), (reversible, tmp_path / "two")):
+        folder.mkdir()
+        write_group(folder, group, poses, {}, clocks=clocks)
+    assert not (tmp_path / "one" / REVERSED_RIG).exists()
+    back = read_rig(tmp_path / "two" / REVERSED_RIG)
+    np.testing.assert_allclose(back.centres, other.centres, atol=1e-9)
+    np.testing.assert_allclose(
+        read_rig(tmp_path / "two" / "calibration.toml").centres, found.rig.centres, atol=1e-9
+    )
 
 
 def test_files_say_the_verdict_and_what_explains_it():

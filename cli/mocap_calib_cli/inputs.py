@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import cast
 
 import click
+import numpy as np
 
 from mocap_calib.config import (
     ASSUMED_REFINEMENT,
@@ -16,12 +17,14 @@ from mocap_calib.config import (
     IntrinsicsConfig,
     MatchingConfig,
     MendConfig,
+    PairChoice,
     PosesConfig,
     Refinement,
     SampleConfig,
     SmoothMode,
     SyncConfig,
     SyncMode,
+    ViewGraphConfig,
 )
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.cameras.read import load_cameras, make_rig, parse_content
@@ -83,6 +86,7 @@ def calibration_request(options: SharedOptions, output: Path) -> CalibrationRequ
         seed=options.seed,
         device=options.device,
         config=Config(
+            view_graph=view_graph_config(options),
             intrinsics=intrinsics,
             matching=MatchingConfig(individuals=options.individuals),
             mend=MendConfig(apply=options.mend != "none"),
@@ -95,6 +99,11 @@ def calibration_request(options: SharedOptions, output: Path) -> CalibrationRequ
         report=options.report,
         reading=describe_reading(options),
     )
+
+
+def view_graph_config(options: SharedOptions) -> ViewGraphConfig:
+    """Return which pairs of cameras are calibrated."""
+    return ViewGraphConfig(pairs=cast(PairChoice, options.pairs))
 
 
 def sync_config(options: SharedOptions) -> SyncConfig:
@@ -153,17 +162,34 @@ def read_recording_of_rig(
 ) -> tuple[CameraRig, LoadedRecording]:
     """Read a rig and the keypoints of its cameras; the rig has those with keypoints alone.
 
-    They are put on one clock, where the rig says that those of its cameras differ.
+    They are put on one clock, where the rig says that those of its cameras differ. Where a camera
+    was moved, the recording has the frames alone for which the rig holds.
 
     Raises FormatError and MismatchError.
     """
-    return read_recording_of(*read_rig(options.rig, "--rig"), options, reporter)
+    rig, loaded = read_recording_of(*read_rig(options.rig, "--rig"), options, reporter)
+    held = _frames_of_rig(loaded.recording, rig, reporter)
+    return rig, replace(loaded, recording=loaded.recording.select(frames=held))
+
+
+def read_matched_recording(
+    options: SharedOptions, reporter: Reporter
+) -> tuple[CameraRig, LoadedRecording, Matches]:
+    """Read a rig, the keypoints of its cameras, and who is who; see `read_recording_of_rig`.
+
+    Raises FormatError and MismatchError.
+    """
+    rig, loaded = read_recording_of(*read_rig(options.rig, "--rig"), options, reporter)
+    matches = read_matches(options.matches, loaded)
+    held = _frames_of_rig(loaded.recording, rig, reporter)
+    part = replace(loaded, recording=loaded.recording.select(frames=held))
+    return rig, part, matches.select(frames=held)
 
 
 def read_recording_of(
     rig: CameraRig, camera_file: CameraFile, options: SharedOptions, reporter: Reporter
 ) -> tuple[CameraRig, LoadedRecording]:
-    """Read the keypoints of a rig, as `read_recording_of_rig` does.
+    """Read the keypoints of a rig, on one clock, in all frames.
 
     camera_file: all that the file of the rig says.
     """
@@ -171,6 +197,23 @@ def read_recording_of(
     rig = _rig_of_recording(rig, loaded.recording)
     clocks = clocks_of_rig(loaded.recording, rig)
     return rig, replace(loaded, recording=retime(loaded.recording, clocks), clocks=clocks)
+
+
+def _frames_of_rig(recording: Recording, rig: CameraRig, reporter: Reporter) -> Ints:
+    """Return the frames (indices) for which a rig holds: all, unless its file says which.
+
+    Raises MismatchError where there are none.
+    """
+    first, last = rig.judgement.get("frames", recording.frames[[0, -1]])
+    held = np.flatnonzero((recording.frames >= first) & (recording.frames <= last))
+    if not len(held):
+        raise MismatchError(
+            f"--rig: holds for the frames {first} to {last}, found {recording.frames[0]} to "
+            f"{recording.frames[-1]}; a camera was moved: give the rig of these frames"
+        )
+    if len(held) < len(recording.frames):
+        reporter.say(f"frames {first} to {last}: a camera was moved, the rig holds for these alone")
+    return held
 
 
 def lift_sample(

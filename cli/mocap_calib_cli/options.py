@@ -14,12 +14,14 @@ import click
 
 from mocap_calib.config import (
     MENDING,
+    PAIR_CHOICES,
     PAIR_SOLVERS,
     REFINEMENTS,
     SMOOTH_MODES,
     SYNC_MODES,
     PosesConfig,
     SyncConfig,
+    ViewGraphConfig,
     WorldConfig,
 )
 from mocap_calib_cli import values
@@ -44,6 +46,7 @@ CALIBRATION = (
     *INTRINSICS,
     *MODEL,
     "individuals",
+    "pairs",
     "solver",
     "seed",
     "scheduler",
@@ -69,7 +72,8 @@ class SharedOptions:
     cameras ... focal_per_camera: what is known of the intrinsics, see `inputs.intrinsics_config`.
     skeleton: file with names of joints of one's own. model: None = chosen by joint names.
     individuals: how many there are at most, None = nobody knows.
-    solver: of pairs. scheduler: address of a Dask scheduler, None = the work is done here.
+    pairs: of cameras that are calibrated. solver: of pairs.
+    scheduler: address of a Dask scheduler, None = the work is done here.
     write: further formats of the results. fps: frames per second, see `texts.parse_rates`.
     report: whether report.html is written.
     sync, sync_window: what is done about clocks that differ, see `inputs.sync_config`.
@@ -103,6 +107,7 @@ class SharedOptions:
     model: str | None = None
     device: str = "cpu"
     individuals: int | None = None
+    pairs: str = ViewGraphConfig.pairs
     solver: str = PAIR_SOLVERS[0]
     seed: int = 0
     scheduler: str | None = None
@@ -198,6 +203,14 @@ _OPTIONS = {
         metavar="N",
         help="How many individuals there are, where you know it: never more get a name, and those "
         "best supported do. [default: as many as the recording needs]",
+    ),
+    "pairs": click.option(
+        "--pairs",
+        type=click.Choice(PAIR_CHOICES),
+        default=SharedOptions.pairs,
+        help="Which pairs of more than "
+        f"{ViewGraphConfig().small_rig} cameras are calibrated: those chosen by what they see in "
+        "common, or all, which takes longer. Of fewer cameras, all are.",
     ),
     "solver": click.option(
         "--solver",

@@ -87,7 +87,14 @@ class Reporter:
         silence = time.monotonic() - max(self.stage_start, self.last_line)
         if silence > _LINE_AFTER and self.done < self.total:
             self.last_line = time.monotonic()
-            self.say(f"{self.stage}: {self.done} of {self.total}")
+            self.say(f"{self.stage}: {self.done} of {self.total}{self._time_left()}")
+
+    def _time_left(self) -> str:
+        """Say how long the stage takes yet, if its steps go on as they did."""
+        if self.done <= 0:
+            return ""
+        spent = time.monotonic() - self.stage_start
+        return f", about {spent * (self.total - self.done) / self.done:.0f} s left"
 
     def _finish_stage(self) -> None:
         """Close the stage: it did all its steps, or another has begun."""
@@ -130,13 +137,22 @@ def _plain_name(stage: str) -> str:
 def _start_bars() -> "Progress":
     """Start bars on stderr. rich is imported here because it takes a while."""
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
 
     bars = Progress(
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
+        TextColumn("left:"),
+        TimeRemainingColumn(),
         console=Console(stderr=True),
     )
     bars.start()

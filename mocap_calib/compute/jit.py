@@ -18,6 +18,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 FLOAT = types.float64
 INT = types.int64
 BOOL = types.boolean
+OCTET = types.uint8
 
 
 def kernel(*arguments: Any) -> Callable[[Function], Function]:
@@ -58,6 +59,16 @@ def bools(dimensions: int) -> Any:
     return types.Array(BOOL, dimensions, "C", readonly=True)
 
 
+def octets(dimensions: int) -> Any:
+    """Return the type of an array of bytes in C order, which is only read."""
+    return types.Array(OCTET, dimensions, "C", readonly=True)
+
+
 def changed_floats(dimensions: int) -> Any:
     """Return the type of an array of 64-bit floats in C order, which is changed in place."""
     return types.Array(FLOAT, dimensions, "C")
+
+
+def changed_ints(dimensions: int) -> Any:
+    """Return the type of an array of 64-bit integers in C order, which is changed in place."""
+    return types.Array(INT, dimensions, "C")

@@ -6,10 +6,12 @@ number of threads, are held to one.
 """
 
 import os
+import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from functools import cache
 from itertools import islice
 from queue import SimpleQueue
 from typing import TypeVar
@@ -35,30 +37,88 @@ def thread_count() -> int:
     return at_hand
 
 
+class _Libraries:
+    """BLAS and OpenMP, held to one thread each as long as anything holds them.
+
+    Their number of threads is one for the whole program: only the first who holds them sets it
+    (which looks through all libraries, 4 ms), and only the last gives back what it was.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._holders = 0
+        self._limits = ExitStack()
+
+    def hold(self) -> None:
+        """Hold them, until as many `release` as `hold`."""
+        with self._lock:
+            if not self._holders:
+                self._limits.enter_context(threadpool_limits(1))
+            self._holders += 1
+
+    def release(self) -> None:
+        """Give them their threads again, where nothing else holds them."""
+        with self._lock:
+            self._holders -= 1
+            if not self._holders:
+                self._limits.close()
+
+
+_LIBRARIES = _Libraries()
+
+
 @contextmanager
 def single_threaded_libraries() -> Iterator[None]:
-    """Hold BLAS and OpenMP to one thread each: the threads of this module are enough."""
-    with threadpool_limits(1):
+    """Hold BLAS and OpenMP to one thread each: the threads of this module are enough.
+
+    Also the decorator of what Python users call: their arrays are small, and threads that wait for
+    each other take twenty times the processor and make sums depend on the machine.
+    """
+    _LIBRARIES.hold()
+    try:
         yield
+    finally:
+        _LIBRARIES.release()
 
 
 def map_in_threads(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
     """Yield `function` of every item in order, computed on threads.
 
-    A few items at a time are under way, and no more are taken from `items`.
+    A few items at a time are under way, and no more are taken from `items`. What such a thread
+    spreads in its turn it does itself: the others are busy.
     """
     count = thread_count()
-    if count == 1:
+    if count == 1 or getattr(_THREAD, "of_the_pool", False):
         yield from map(function, items)
         return
-    with ThreadPoolExecutor(count) as pool:
-        waiting: deque[Future[Result]] = deque()
+    waiting: deque[Future[Result]] = deque()
+    try:
         for item in items:
-            waiting.append(pool.submit(function, item))
+            waiting.append(_pool(count).submit(function, item))
             if len(waiting) > 2 * count:
                 yield waiting.popleft().result()
         while waiting:
             yield waiting.popleft().result()
+    finally:
+        for call in waiting:
+            call.cancel()
+
+
+_THREAD = threading.local()
+
+
+@cache
+def _pool(count: int) -> ThreadPoolExecutor:
+    """Return the threads of this process, which stay: an adjustment asks for them every step."""
+
+    def mark() -> None:
+        _THREAD.of_the_pool = True
+
+    return ThreadPoolExecutor(count, initializer=mark)
+
+
+if hasattr(os, "register_at_fork"):  # a child has no threads but its own
+    os.register_at_fork(after_in_child=_pool.cache_clear)
 
 
 def map_in_processes(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:

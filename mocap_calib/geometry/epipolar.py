@@ -2,7 +2,6 @@
 
 from itertools import product
 
-import cv2
 import numpy as np
 
 from mocap_calib.config import (
@@ -75,6 +74,8 @@ def five_point(rays_a: Floats, rays_b: Floats, threshold: float) -> list[tuple[F
         return []
     rays_a = rays_a[forward]
     rays_b = rays_b[forward]
+    import cv2  # noqa: PLC0415 - slow to import, and not needed where nobody is known
+
     model, _ = cv2.findEssentialMat(
         rays_a[:, :2] / rays_a[:, 2:],
         rays_b[:, :2] / rays_b[:, 2:],
@@ -105,6 +106,8 @@ def pose_from_essential(matrix: Floats, rays_a: Floats, rays_b: Floats) -> tuple
 
 def _decompose_essential(matrix: Floats) -> list[tuple[Floats, Floats]]:
     """Return the four R `[3, 3]`, t `[3]` (of length 1) of an essential matrix `[3, 3]`."""
+    import cv2  # noqa: PLC0415 - as above
+
     first, second, column = (
         np.asarray(part, dtype=np.float64) for part in cv2.decomposeEssentialMat(matrix)
     )

@@ -8,9 +8,11 @@ too few rays agree even then, every pair of rays gives a candidate. Arrays are k
 
 from dataclasses import dataclass
 from itertools import combinations
+from types import ModuleType
 
 import numpy as np
 
+from mocap_calib.compute.kernels import compiled
 from mocap_calib.config import (
     INTERSECT_AGREEING_RAYS,
     INTERSECT_AGREEING_SHARE,
@@ -62,13 +64,46 @@ def intersect(rig: CameraRig, world: Floats, precision: Floats) -> Floats:
     """
     middle = rig.centres.mean(0)
     rays = _Rays(rig.centres - middle, world, precision)
+    kernels = compiled("mocap_calib.geometry.intersection_kernels")
+    points = _intersect_rays(rays) if kernels is None else _by_kernel(kernels, rays)
+    return points + middle[:, None]
+
+
+def _by_kernel(kernels: ModuleType, rays: _Rays) -> Floats:
+    """Return what `_intersect_rays` returns, all steps of a point at once."""
+    first, others = _candidate_pairs(len(rays.centres))
+    points = np.empty(rays.direction.shape[1:])
+    kernels.intersect_rays(
+        np.ascontiguousarray(rays.centres),
+        np.ascontiguousarray(rays.direction),
+        np.ascontiguousarray(rays.precision),
+        np.array(first + others, dtype=np.int64).reshape(-1, 2),
+        len(first),
+        np.full(INTERSECT_STEPS, INTERSECT_LOSS_SCALE),
+        np.array(INTERSECT_TIGHTENING_SCALES),
+        np.full(INTERSECT_POLISH_STEPS, INTERSECT_LOSS_SCALE),
+        np.array(
+            [
+                INTERSECT_DOUBTFUL,
+                INTERSECT_OUTLIER,
+                INTERSECT_AGREEING_RAYS,
+                INTERSECT_AGREEING_SHARE,
+            ]
+        ),
+        points,
+    )
+    return points
+
+
+def _intersect_rays(rays: _Rays) -> Floats:
+    """Return the points `[3, N]` nearest to rays; NaN where fewer than two are seen."""
     points = _intersect_lines(rays)
     points = _refine(rays, points, INTERSECT_STEPS)
     points[:, rays.seen.sum(0) < 2] = np.nan
     doubtful = _doubtful_points(rays, points)
     if len(doubtful):
         points[:, doubtful] = _refine_among_outliers(rays.of_points(doubtful), points[:, doubtful])
-    return points + middle[:, None]
+    return points
 
 
 def _doubtful_points(rays: _Rays, points: Floats) -> Ints:
@@ -101,9 +136,14 @@ def _search_pairs(rays: _Rays) -> Floats:
     for a, b in first_pairs:
         both = np.flatnonzero(seen[a] & seen[b])
         _try_candidates(rays, (a, b), both, points=points, cost=cost)
+    missed = np.flatnonzero(~np.isfinite(cost))
     for a, b in other_pairs:
-        both = np.flatnonzero(seen[a] & seen[b] & ~np.isfinite(cost))
-        _try_candidates(rays, (a, b), both, points=points, cost=cost)
+        if not len(missed):
+            break
+        both = missed[seen[a, missed] & seen[b, missed]]
+        if len(both):
+            _try_candidates(rays, (a, b), both, points=points, cost=cost)
+            missed = missed[~np.isfinite(cost[missed])]
     return _refine(rays, points, INTERSECT_POLISH_STEPS)
 
 

@@ -1,21 +1,25 @@
-"""What the readers share: complaints in one line, frame numbers, marks of a missing point."""
+"""What the readers share: complaints in one line, frame numbers, detections."""
 
 import codecs
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
 from mocap_calib.errors import FormatError
-from mocap_calib.types import Bools, Floats, Ints, Keypoints2D
+from mocap_calib.io.missing import MISSING_CUSTOMS, mark_missing
+from mocap_calib.types import Floats, Ints, Keypoints2D
 from mocap_calib.wording import one_line
 
 NO_SCORE = "no scores in the file: every point counts fully"
 MOST_INSTANCES = 1000  # in a frame
 MOST_POINTS = 100_000_000  # in a camera: 2.4 GB
+_POINTS_AT_A_TIME = 50_000
 _MOST_CAMERAS = 200  # in a file; the time to compare views grows with the square of their number
 _MOST_KEYPOINTS = 5000
 LARGEST_FRAME = 2**62  # so that the difference of two frame numbers is an int64 as well
@@ -51,8 +55,27 @@ def read_bytes(path: Path) -> bytes:
 
     UTF-16, which PowerShell's `>` writes, becomes UTF-8. Raises FormatError.
     """
+    with opened(path) as file:
+        content = file.read()
+    if not is_utf16(content):
+        return content
     try:
-        content = path.read_bytes()
+        return content.decode("utf-16").encode()
+    except UnicodeError:
+        return content
+
+
+def is_utf16(content: bytes) -> bool:
+    """Return whether content begins with the mark of UTF-16."""
+    return content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[BinaryIO]:
+    """Open a file whose bytes are read. Raises FormatError where it cannot be."""
+    try:
+        with path.open("rb") as file:
+            yield file
     except FileNotFoundError:
         raise malformed(str(path), "a file or folder", "none", "check the path") from None
     except IsADirectoryError:
@@ -60,12 +83,6 @@ def read_bytes(path: Path) -> bytes:
     except (OSError, ValueError) as error:
         found = getattr(error, "strerror", None) or error
         raise malformed(str(path), "a readable file", found, "check the path") from None
-    if not content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return content
-    try:
-        return content.decode("utf-16").encode()
-    except UnicodeError:
-        return content
 
 
 def decode(content: bytes, source: str) -> str:
@@ -194,7 +211,14 @@ def make_view(
     """
     numbers = np.asarray(frames, dtype=np.int64)
     order = frame_order(numbers, numbers.tolist() if rows is None else rows, origin.source)
-    positions, confidence, missing = mark_missing(values[order, ..., :2], values[order, ..., 2])
+    positions, confidence = np.empty((*values.shape[:3], 2)), np.empty(values.shape[:3])
+    missing: Counter[str] = Counter()
+    step = max(1, _POINTS_AT_A_TIME // max(1, values[0].size // 3 if len(values) else 1))
+    for start in range(0, len(order), step):  # so that nothing of this size is made in between
+        part = values[order[start : start + step]]
+        marked = mark_missing(part[..., :2], part[..., 2])
+        positions[start : start + step], confidence[start : start + step] = marked[:2]
+        missing.update(marked[2])
     return Keypoints2D(
         camera=origin.camera,
         keypoints=unique_names(tuple(names), origin.source),
@@ -204,55 +228,22 @@ def make_view(
         tracked=tracked,
         image_size=image_size,
         source=origin.source,
-        missing=missing,
+        missing={name: missing[name] for name in MISSING_CUSTOMS if name in missing},
         remarks=remarks,
     )
-
-
-def mark_missing(positions: Floats, confidence: Floats) -> tuple[Floats, Floats, dict[str, int]]:
-    """Mark every point that a custom of files calls missing.
-
-    positions: `[..., keypoint, 2]`. confidence: `[..., keypoint]`.
-
-    Returns the positions with NaN and the confidences with 0 where a point is missing, and how many
-    points each custom marks; of several customs the first counts. The customs are (0, 0) (OpenPose,
-    COCO), (-1, -1) (DeepLabCut 3), not a number (counted in detections that have any point), and a
-    confidence of 0 or below.
-    """
-    customs = {
-        "(0, 0)": (positions == 0).all(-1),
-        "(-1, -1)": (positions == -1).all(-1),
-        "empty or NaN": ~(np.isfinite(positions).all(-1) & np.isfinite(confidence)),
-        "confidence 0": confidence <= 0,
-    }
-    missing = np.logical_or.reduce(list(customs.values()))
-    counts = _count_customs(customs, ~missing)
-    positions = np.where(missing[..., None], np.nan, positions)
-    return positions, np.where(missing, 0.0, confidence), counts
-
-
-def _count_customs(customs: Mapping[str, Bools], present: Bools) -> dict[str, int]:
-    """Return how many points each custom marks as missing, of those that mark any.
-
-    customs: name -> `[..., keypoint]` points that it marks. present: `[..., keypoint]`.
-    """
-    counts = {}
-    counted = np.zeros_like(present)
-    has_points = present.any(-1, keepdims=True)
-    for name, marked in customs.items():
-        added = marked & ~counted
-        number = int((added & has_points if name == "empty or NaN" else added).sum())
-        if number:
-            counts[name] = number
-        counted |= marked
-    return counts
 
 
 def blank(frames: int, instances: int, keypoints: int, source: str) -> Floats:
     """Return NaN for x, y and confidence of each point: `[frame, instance, keypoint, 3]`.
 
-    Raises FormatError for more than memory holds: a damaged file may ask for anything.
+    Raises FormatError as `check_size` does.
     """
+    check_size(frames, instances, keypoints, source)
+    return np.full((frames, instances, keypoints, 3), np.nan)
+
+
+def check_size(frames: int, instances: int, keypoints: int, source: str) -> None:
+    """Raise FormatError for more points than memory holds: a damaged file may ask for anything."""
     if instances > MOST_INSTANCES:
         expected = f"at most {MOST_INSTANCES} detections in a frame"
         raise malformed(source, expected, instances, "check its frame numbers and individuals")
@@ -260,7 +251,6 @@ def blank(frames: int, instances: int, keypoints: int, source: str) -> Floats:
         expected = f"at most {MOST_POINTS} points in a camera"
         found = f"{frames} frames x {instances} detections x {keypoints} keypoints"
         raise malformed(source, expected, found, "check its individuals, or split it")
-    return np.full((frames, instances, keypoints, 3), np.nan)
 
 
 def stack_detections(detections: Sequence[Sequence[Floats]], keypoints: int, source: str) -> Floats:

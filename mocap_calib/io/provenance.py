@@ -13,14 +13,16 @@ from mocap_calib.errors import MismatchError
 from mocap_calib.types import VERDICTS
 
 # what a provenance says of the cameras beside it, and a conversion hands on: whether they were
-# adjusted, the verdict and what explains it, the error of the points in pixels, and by the names of
-# cameras how far these may be off
+# adjusted, the verdict and what explains it, the error of the points in pixels, the first and last
+# frame that they hold for (where a camera was moved), and by the names of cameras how far these may
+# be off
 _SIGMAS = ("rotation_sigma_deg", "centre_sigma_percent")
 _JUDGEMENT = {
     "adjusted": bool,
     "verdict": str,
     "remarks": list,
     "reprojection_error_px": float,
+    "frames": list,
     **dict.fromkeys(_SIGMAS, dict),
 }
 _ADVICE = {
@@ -69,6 +71,11 @@ def _is_sigma(camera: Any, value: Any) -> bool:
     return isinstance(camera, str) and type(value) is float and 0 <= value < math.inf
 
 
+def _is_span(frames: list[Any]) -> bool:
+    """Return whether these are a first and a last frame."""
+    return [type(each) for each in frames] == [int, int] and frames[0] <= frames[1]
+
+
 def advice_on(verdict: str) -> str:
     """Return what a verdict means for the use of a rig, to go on with after it; may be empty.
 
@@ -91,6 +98,8 @@ def read_judgement(stored: Any) -> dict[str, Any]:
         del found["reprojection_error_px"]
     if "remarks" in found:
         found["remarks"] = [each for each in found["remarks"] if _is_remark(each)]
+    if "frames" in found and not _is_span(found["frames"]):
+        del found["frames"]
     for name in _SIGMAS:
         if name in found and not all(_is_sigma(*each) for each in found[name].items()):
             del found[name]

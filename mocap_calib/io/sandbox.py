@@ -27,18 +27,20 @@ Ts = TypeVarTuple("Ts")
 T = TypeVar("T")
 
 
-def call_contained(content: bytes, source: str, parse: Callable[[*Ts], T], *args: *Ts) -> T:
-    """Return `parse(*args)`, from the other process where `content` is HDF5.
+def call_contained(
+    start: bytes, size: int, source: str, parse: Callable[[*Ts], T], *args: *Ts
+) -> T:
+    """Return `parse(*args)`, from the other process where what it parses is HDF5.
 
+    start: the beginning of that. size: of it, in bytes.
     parse: a function of a module, whose arguments, result and errors can be pickled.
 
     Raises what it raises, and FormatError where the file ends the process, or takes more than 2 to
     3 s of computing and 10 s per MB (20 times that by the clock), or more memory than 1 GB, 100
     times its size, and five copies of what deflate may have packed into it, up to 1 GB each.
     """
-    if not content.startswith(HDF5):
+    if not start.startswith(HDF5):
         return parse(*args)
-    size = len(content)
     unpacked = min(DEFLATE * size, _MOST_UNPACKED)
     return call_elsewhere(
         parse,

@@ -10,7 +10,7 @@ from itertools import combinations
 
 import numpy as np
 
-from mocap_calib.compute.parallel import map_in_threads
+from mocap_calib.compute.parallel import map_in_threads, single_threaded_libraries
 from mocap_calib.config import (
     SCALE_FRAMES,
     SCALE_LEAST_FIT,
@@ -20,6 +20,7 @@ from mocap_calib.config import (
 )
 from mocap_calib.multi_view.clustering import cluster_detections
 from mocap_calib.multi_view.labels import per_frame_labels
+from mocap_calib.multi_view.pair_choice import some_pairs
 from mocap_calib.multi_view.tracking import link_through_time, locate_groups
 from mocap_calib.recording.sampling import evenly_spaced, take_sample
 from mocap_calib.two_view.affinity import (
@@ -52,6 +53,7 @@ _LIFTED_PAIRS = 2_000_000  # of a sample, compared by rays and lifted bodies
 _PLAIN_PAIRS = 200_000  # of a recording, compared by rays alone: they stay in the cache
 
 
+@single_threaded_libraries()
 def associate(
     sample: Sample, lifted: LiftedPoses, rig: CameraRig, config: Config, *, progress: Progress
 ) -> Matches:
@@ -62,7 +64,7 @@ def associate(
     """
     views, frames, instances = sample.positions.shape[:3]
     labels = np.full((views, frames, instances), -1, dtype=np.int64)
-    scale = _body_scale(sample, lifted, rig, config.pairwise)
+    scale = _body_scale(sample, lifted, rig, config)
     geometry_alone = has_single_subject(sample, config.matching.geometry_alone_share)
     step = max(1, _LIFTED_PAIRS // (views * instances) ** 2)
     for block in _cut_into_blocks(np.arange(frames), step):
@@ -80,6 +82,7 @@ def associate(
     return _link_groups(sample, rig, labels, config.matching, scale=scale)
 
 
+@single_threaded_libraries()
 def label_all_frames(
     recording: Recording,
     rig: CameraRig,
@@ -111,7 +114,7 @@ def label_all_frames(
     for done, (block, groups) in enumerate(zip(blocks, found, strict=True), start=1):
         labels[:, block, : groups.shape[2]] = groups
         progress("match all", done, len(blocks))
-    scale = _body_scale(sample, lifted, rig, config.pairwise)
+    scale = _body_scale(sample, lifted, rig, config)
     return _link_groups(recording, rig, labels, config.matching, scale=scale)
 
 
@@ -143,13 +146,11 @@ def have_same_groups(first: Matches, second: Matches) -> bool:
     return np.array_equal(per_frame_labels(first).labels, per_frame_labels(second).labels)
 
 
-def _body_scale(
-    sample: Sample, lifted: LiftedPoses, rig: CameraRig, config: PairwiseConfig
-) -> float:
+def _body_scale(sample: Sample, lifted: LiftedPoses, rig: CameraRig, config: Config) -> float:
     """Return the body sizes per unit of the rig; 1 where nothing tells.
 
     It is the median, over joints, of how far away they were lifted over how far away the rig
-    triangulates them.
+    triangulates them; of a large rig, over those of some pairs of views.
     """
     found = [np.zeros(0), *_scales_of_pairs(sample, lifted, rig, config)]
     ratios = np.concatenate(found)
@@ -157,16 +158,16 @@ def _body_scale(
 
 
 def _scales_of_pairs(
-    sample: Sample, lifted: LiftedPoses, rig: CameraRig, config: PairwiseConfig
+    sample: Sample, lifted: LiftedPoses, rig: CameraRig, config: Config
 ) -> Iterator[Floats]:
-    """Yield `[joint]` body sizes per unit of the rig, by the matches of each pair of views."""
-    for a, b in combinations(range(len(rig.cameras)), 2):
-        shared = shared_frames(sample, a, b, config)
+    """Yield `[joint]` body sizes per unit of the rig, by the matches of pairs of views."""
+    for a, b in some_pairs(len(rig.cameras), config.view_graph):
+        shared = shared_frames(sample, a, b, config.pairwise)
         if len(shared):
             pair = gather_view_pair(sample, lifted, (a, b), evenly_spaced(shared, SCALE_FRAMES))
             rotation, translation = rig.relative(a, b)
             error, weight = epipolar_error(pair, rotation[None], translation[None])
-            matched = epipolar_fit(error, weight, config)[0] > SCALE_LEAST_FIT
+            matched = epipolar_fit(error, weight, config.pairwise)[0] > SCALE_LEAST_FIT
             yield distance_ratios(pair, rotation, translation, matched)
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import AveragingConfig
 from mocap_calib.geometry.graphs import spanning_tree
 from mocap_calib.geometry.rotation import (
@@ -37,6 +38,7 @@ class _Edges:
     trust: Floats
 
 
+@single_threaded_libraries()
 def average(
     cameras: tuple[Camera, ...], pairs: tuple[PairwiseCalibration, ...], config: AveragingConfig
 ) -> Averaged:

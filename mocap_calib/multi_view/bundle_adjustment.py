@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import AdjustConfig, Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
 from mocap_calib.geometry.projection import pixels_from_points
@@ -74,6 +75,7 @@ class AdjustablePoints:
         return np.asarray(rank * blocks // len(frames), dtype=np.int64)
 
 
+@single_threaded_libraries()
 def adjust(
     sample: Sample,
     rig: CameraRig,
@@ -240,7 +242,7 @@ def observe_rays(rig: CameraRig, points: AdjustablePoints) -> RayObservations:
     ]
     metric = np.ascontiguousarray(np.moveaxis(np.stack(metrics), 1, -1))
     return RayObservations(
-        rays=rays,
+        rays=np.ascontiguousarray(rays),
         metric=np.where(used[:, None, None], np.nan_to_num(metric), 0.0),
         weight=points.weight,
     )

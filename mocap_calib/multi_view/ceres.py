@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pycolmap
 
+from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config
 from mocap_calib.geometry.colmap import build_model, silent_colmap
 from mocap_calib.geometry.projection import CORNER_OFFSET
@@ -18,6 +19,7 @@ from mocap_calib.types import Camera, CameraRig, Floats, Matches, ObservedPoints
 _STEPS = 100  # at most
 
 
+@single_threaded_libraries()
 def adjust_by_ceres(
     sample: Sample,
     rig: CameraRig,

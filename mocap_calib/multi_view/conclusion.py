@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from mocap_calib.compute.clock import Clock
+from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config
 from mocap_calib.multi_view.observed import Observed
 from mocap_calib.multi_view.triangulation import triangulate
@@ -67,6 +68,7 @@ def conclude(
     return replace(group, seconds=clock.seconds)
 
 
+@single_threaded_libraries()
 def conclude_without_pairs(
     sample: Sample,
     lifted: LiftedPoses,

@@ -88,8 +88,15 @@ def _triangulate_groups(
         )
         return points.T.reshape(len(frames), groups.individuals, len(recording.keypoints), 3)
 
-    blocks = frame_blocks(len(recording.frames), groups.individuals * len(recording.keypoints))
-    return np.concatenate(list(map_in_threads(locate, blocks)))
+    joints = len(recording.keypoints)
+    blocks = frame_blocks(len(recording.frames), groups.individuals * joints)
+    # not a list of parts that is joined in the end: that would be twice the memory; components
+    # lie apart, as the parts have them
+    by_component = np.empty((3, len(recording.frames), groups.individuals, joints))
+    points = np.moveaxis(by_component, 0, -1)
+    for block, part in zip(blocks, map_in_threads(locate, blocks), strict=True):
+        points[block] = part
+    return points
 
 
 def _followable_pieces(points: Floats, frames: Ints, config: MatchingConfig) -> Pieces | None:

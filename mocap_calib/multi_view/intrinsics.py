@@ -10,11 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mocap_calib.config import (
-    SAME_IMAGE_SIZE,
-    Config,
-    IntrinsicsConfig,
-)
+from mocap_calib.config import SAME_IMAGE_SIZE, Config, IntrinsicsConfig
+from mocap_calib.errors import DegenerateError
 from mocap_calib.multi_view.association import associate, have_same_groups
 from mocap_calib.multi_view.bundle_adjustment import (
     choose_points,
@@ -82,13 +79,15 @@ def estimate_intrinsics(
 
     rig: with the cameras as they are given, and roughly where they stand.
 
-    Raises DegenerateError and UnderconstrainedCameraError where what was matched does not
-    constrain the rig.
+    Raises what `adjust` raises: DegenerateError and UnderconstrainedCameraError.
     """
     start = _start(sample, rig, matches, config.intrinsics)
     found = _settle(start, sample, config, lifted=lifted, progress=progress)
     if not _focal_is_determined(found, config.intrinsics):
         return _estimated_cameras(start)
+    if _lenses_differ(found, config):
+        config = replace(config, intrinsics=replace(config.intrinsics, focal_per_camera=True))
+        found = _settle(found, sample, config, lifted=lifted, progress=progress)
     if config.intrinsics.refine == "focal+k1":
         with_k1 = _settle(_with_k1(found), sample, config, lifted=lifted, progress=progress)
         if _k1_is_significant(with_k1, config.intrinsics):
@@ -154,6 +153,17 @@ def shared_intrinsics(cameras: tuple[Camera, ...], config: IntrinsicsConfig) -> 
     sizes = np.array([sorted(camera.size) for camera in cameras], dtype=np.float64)
     alike = np.abs(sizes[:, None] - sizes).max(-1) <= SAME_IMAGE_SIZE * sizes[:, None].max(-1)
     return np.asarray(alike.argmax(1), dtype=np.int64)  # the first one of that size
+
+
+def _lenses_differ(found: _Estimate, config: Config) -> bool:
+    """Return whether cameras of equal image size certainly have unlike focal lengths."""
+    if config.intrinsics.focal_per_camera:
+        return False
+    try:
+        free = free_focal_lengths(found.sample, found.rig, found.matches, config)
+    except DegenerateError:
+        return False
+    return float(np.mean((free.change / free.sigma) ** 2)) > config.intrinsics.unlike_lenses**2
 
 
 def _with_k1(found: _Estimate) -> _Estimate:

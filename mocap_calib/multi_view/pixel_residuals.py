@@ -1,6 +1,6 @@
 """Residuals of cameras and points against observed pixels, for lenses that are adjusted too."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -30,6 +30,7 @@ class PixelObservations:
     pixels: Floats
     sigma: Floats
     weight: Floats
+    _changed: dict[bytes, tuple[Camera, ...]] = field(default_factory=dict, init=False)
 
     def residuals(self, block: slice, state: State) -> Residuals:
         """Return a block of points as the cameras see them."""
@@ -37,7 +38,7 @@ class PixelObservations:
         depth, behind = positive_depth(in_camera, in_camera[:, 2])
         on_plane = in_camera / depth[:, None]
         on_plane[:, 2] = 1.0  # also what is behind, which fits nothing there
-        cameras = changed_cameras(self.cameras, state)
+        cameras = self._cameras_of(state)
         images = map(lens.project, cameras, on_plane)
         gap = np.stack(list(images)) - self.pixels[..., block]
         return Residuals(
@@ -54,7 +55,7 @@ class PixelObservations:
         views, _, count = image.shape
         by_point = np.empty((views, 2, 3, count))
         by_intrinsic = np.empty((views, 2, state.intrinsics.shape[1], count))
-        for view, camera in enumerate(changed_cameras(self.cameras, state)):
+        for view, camera in enumerate(self._cameras_of(state)):
             slopes = lens.image_slopes(camera, image[view])
             by_image = slopes.image * (scale[view] / found.depth[view])
             by_point[view, :, :2] = by_image
@@ -62,6 +63,15 @@ class PixelObservations:
             both = np.stack([slopes.log_focal, slopes.k1], axis=1)
             by_intrinsic[view] = both[:, : by_intrinsic.shape[2]] * scale[view]
         return Slopes(in_camera=by_point, intrinsics=by_intrinsic)
+
+    def _cameras_of(self, state: State) -> tuple[Camera, ...]:
+        """Return the cameras with the intrinsics of a state, for which all blocks of points ask."""
+        key = state.intrinsics.tobytes()
+        found = self._changed.get(key)
+        if found is None:
+            self._changed.clear()
+            found = self._changed[key] = changed_cameras(self.cameras, state)
+        return found
 
 
 def changed_cameras(cameras: tuple[Camera, ...], state: State) -> tuple[Camera, ...]:

@@ -19,6 +19,7 @@ _LONGEST = 500  # pieces that are compared with those seen at the same time
 _NORMAL = 1.48  # standard deviations over the median distance of a normal error from 0
 _NORMAL_SQUARE = 0.455  # the median square of a normal error over its variance
 _NO_LENGTH = 1e-12
+_BODIES = 8192  # measured at a time
 
 
 @dataclass(frozen=True)
@@ -104,10 +105,8 @@ def measure_proportions(points: Floats, pieces: Pieces, config: MatchingConfig) 
     if not len(bones):
         nothing = np.zeros((pieces.count, 0))
         return Proportions(mean=nothing, precision=nothing.copy(), apart=np.zeros(0))
-    a, b = bones.T
     frame, group = np.nonzero(pieces.number >= 0)
-    bodies = points[frame, group]
-    lengths = _log_lengths(bodies[:, a], bodies[:, b])
+    lengths = _bone_lengths(points, bones, frame, group)
     piece = pieces.number[frame, group]
     order = np.argsort(piece, kind="stable")
     cuts = np.flatnonzero(np.diff(piece[order])) + 1
@@ -120,6 +119,20 @@ def measure_proportions(points: Floats, pieces: Pieces, config: MatchingConfig) 
     precision = np.where(seen > 0, 1 / variance, 0.0)
     mean = np.nan_to_num(mean)
     return Proportions(mean, precision, apart=_variance_apart(mean, precision, pieces))
+
+
+def _bone_lengths(points: Floats, bones: Ints, frame: Ints, group: Ints) -> Floats:
+    """Return the logarithms of the lengths `[body, bone]` of the bodies at `[body]` frame, group.
+
+    In blocks, as copies of the joints of all bodies of a long recording would not fit in memory.
+    """
+    lengths = np.empty((len(frame), len(bones)))
+    a, b = bones.T
+    for start in range(0, len(frame), _BODIES):
+        block = slice(start, start + _BODIES)
+        bodies = points[frame[block], group[block]]
+        lengths[block] = _log_lengths(bodies[:, a], bodies[:, b])
+    return lengths
 
 
 def _log_lengths(a: Floats, b: Floats) -> Floats:

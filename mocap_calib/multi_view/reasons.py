@@ -112,13 +112,12 @@ def _explain_error(group: GroupResult, config: Config) -> Iterator[str]:
     sigma = group.uncertainty.covariance.rotation_sigma
     worst = int(sigma.argmax())
     said = f"{group.rig.names[worst]} may be turned by {np.rad2deg(sigma[worst]):.1f} deg"
-    if 2 * group.uncertainty.focal_turn[worst] ** 2 > sigma[worst] ** 2:
-        estimated = any(isinstance(camera, EstimatedCamera) for camera in group.rig.cameras)
-        yield f"{said}, most of it by focal lengths; " + (
-            "give the intrinsics (--cameras)"
-            if estimated
-            else "calibrate the intrinsics anew, or run again with --refine focal"
-        )
+    if 2 * group.uncertainty.intrinsics_turn[worst] ** 2 > sigma[worst] ** 2:
+        if any(isinstance(camera, EstimatedCamera) for camera in group.rig.cameras):
+            yield f"{said}, most of it as intrinsics are estimated; give them (--cameras)"
+            return
+        remedy = "calibrate the intrinsics anew, or run again with --refine focal"
+        yield f"{said}, most of it by focal lengths; {remedy}"
         return
     yield f"{said}; {_remedy(group, config, worst)}"
 

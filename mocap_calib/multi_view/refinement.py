@@ -5,6 +5,7 @@ from typing import Protocol
 
 import numpy as np
 
+from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config, MatchingConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.rotation import angle_between
@@ -50,6 +51,7 @@ def choose_adjuster(name: str) -> Adjuster:
     return adjust_by_ceres
 
 
+@single_threaded_libraries()
 def adjust_from_best_start(
     sample: Sample,
     rig: CameraRig,
@@ -80,6 +82,7 @@ def adjust_from_best_start(
     return _best_fit(sample, found, config)
 
 
+@single_threaded_libraries()
 def adjust_until_stable(
     sample: Sample,
     rig: CameraRig,

@@ -20,7 +20,7 @@ _BLOCK = 1024  # points at a time: what is computed of them stays in the cache
 
 # Cosine between ray and point that stands for all points behind the camera: such a point fits
 # nothing, and moves nothing.
-_BEHIND = 1e-6
+BEHIND = 1e-6
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,8 @@ class Jacobian:
 
 def blocks_of(points: Floats) -> list[slice]:
     """Return the blocks of points `[3, N]` that are worked on at a time."""
-    return [slice(start, start + _BLOCK) for start in range(0, points.shape[1], _BLOCK)]
+    count = points.shape[1]
+    return [slice(start, min(start + _BLOCK, count)) for start in range(0, count, _BLOCK)]
 
 
 def points_in_cameras(block: slice, state: State) -> Floats:
@@ -115,9 +116,13 @@ def positive_depth(in_camera: Floats, depth: Floats) -> tuple[Floats, Bools]:
 
     in_camera: `[view, 3, n]` the points in each camera's frame.
     """
-    size = np.abs(in_camera).max(1)
-    depth = np.maximum(depth, _BEHIND * size)
-    return depth, depth <= 2 * _BEHIND * size
+    depth = np.maximum(depth, BEHIND * np.abs(in_camera).max(1))
+    return depth, is_behind(in_camera, depth)
+
+
+def is_behind(in_camera: Floats, depth: Floats) -> Bools:
+    """Return which points are behind their cameras, of depths that were made positive."""
+    return np.asarray(depth <= 2 * BEHIND * np.abs(in_camera).max(1))
 
 
 def robust_cost(state: State, seen: Observations, loss_scale: float) -> float:
@@ -140,14 +145,24 @@ def jacobian(block: slice, state: State, seen: Observations, loss_scale: float) 
     A rotation w about the camera's centre and a translation t move a point x in the camera's
     frame by w x x + t; the point p in the world moves it by R p.
     """
-    found = seen.residuals(block, state)
-    robust = _robust_weight(found, seen.weight[:, block], loss_scale)
-    slopes = seen.slopes(block, state, found, robust)
+    found, robust, slopes = slopes_of(block, state, seen, loss_scale)
     return Jacobian(
         camera=_camera_derivatives(slopes, found.in_camera),
         point=np.einsum("vkin,vij->vkjn", slopes.in_camera, state.rotation),
         residual=found.residual * robust[:, None],
     )
+
+
+def slopes_of(
+    block: slice, state: State, seen: Observations, loss_scale: float
+) -> tuple[Residuals, Floats, Slopes]:
+    """Return the residuals of a block of points, their robust weight and weighed derivatives.
+
+    The square root of the weight, `[view, n]`.
+    """
+    found = seen.residuals(block, state)
+    robust = _robust_weight(found, seen.weight[:, block], loss_scale)
+    return found, robust, seen.slopes(block, state, found, robust)
 
 
 def _robust_weight(residuals: Residuals, weight: Floats, loss_scale: float) -> Floats:

@@ -15,11 +15,11 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from scipy.special import chdtri, fdtri
 
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError
+from mocap_calib.geometry.fisher import fisher_quantile
 from mocap_calib.geometry.rotation import skew, vector_from_matrix
 from mocap_calib.multi_view.bundle_adjustment import (
     AdjustablePoints,
@@ -32,6 +32,8 @@ from mocap_calib.multi_view.ray_residuals import RayObservations
 from mocap_calib.multi_view.residuals import State
 from mocap_calib.multi_view.schur import Freedom, free_poses
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Matches, RigCovariance, Sample
+
+_WITHIN_95 = 7.814727903251178  # 95 % of the values of chi-square with 3 degrees of freedom
 
 
 @dataclass(frozen=True)
@@ -206,7 +208,7 @@ def _widening(degrees: float) -> float:
     Its own error makes the squared distances those of Hotelling's T^2.
     """
     left = degrees - 2
-    return float(3 * degrees / left * fdtri(3, left, 0.95) / chdtri(3, 0.05))
+    return 3 * degrees / left * fisher_quantile(0.95, 3, left) / _WITHIN_95
 
 
 def cautious_covariances(fitted: FittedRig, config: Config) -> tuple[RigCovariance, RigCovariance]:

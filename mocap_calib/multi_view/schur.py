@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 
+from mocap_calib.compute.kernels import compiled
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import (
     LM_DAMPING_FACTOR,
@@ -24,8 +25,11 @@ from mocap_calib.multi_view.residuals import (
     blocks_of,
     jacobian,
     robust_cost,
+    slopes_of,
 )
 from mocap_calib.types import Bools, Floats, Ints
+
+KERNELS = "mocap_calib.multi_view.schur_kernels"
 
 
 @dataclass(frozen=True)
@@ -182,13 +186,33 @@ def _linearise_block(
 
     Returns what the block adds to the cameras' blocks `[view, C, C]` and gradient `[view, C]`.
     """
-    found = jacobian(block, state, seen, loss_scale)
-    equations.point[..., block] = np.einsum("vkin,vkjn->ijn", found.point, found.point)
-    equations.point_gradient[:, block] = np.einsum("vkin,vkn->in", found.point, found.residual)
-    equations.mixed[..., block] = np.einsum("vkin,vkjn->vijn", found.camera, found.point)
-    camera = np.einsum("vkin,vkjn->vij", found.camera, found.camera, optimize=True)
-    camera_gradient = np.einsum("vkin,vkn->vi", found.camera, found.residual)
-    return camera, camera_gradient
+    kernels = compiled(KERNELS)
+    if kernels is None:
+        found = jacobian(block, state, seen, loss_scale)
+        equations.point[..., block] = np.einsum("vkin,vkjn->ijn", found.point, found.point)
+        equations.point_gradient[:, block] = np.einsum("vkin,vkn->in", found.point, found.residual)
+        equations.mixed[..., block] = np.einsum("vkin,vkjn->vijn", found.camera, found.point)
+        camera = np.einsum("vkin,vkjn->vij", found.camera, found.camera, optimize=True)
+        return camera, np.einsum("vkin,vkn->vi", found.camera, found.residual)
+    residuals, robust, slopes = slopes_of(block, state, seen, loss_scale)
+    residual = residuals.residual * robust[:, None]
+    views, unknowns = equations.camera_gradient.shape
+    camera = np.empty((views, unknowns, *residual.shape[1:]))
+    kernels.normal_equations(
+        block.start,
+        np.ascontiguousarray(state.rotation),
+        np.ascontiguousarray(residuals.in_camera),
+        slopes.in_camera,
+        slopes.intrinsics,
+        residual,
+        equations.point,
+        equations.point_gradient,
+        equations.mixed,
+        camera,
+    )
+    rows = camera.reshape(views, unknowns, -1)
+    gradient = np.matmul(rows, residual.reshape(views, -1, 1))[..., 0]
+    return np.matmul(rows, np.swapaxes(rows, 1, 2)), gradient
 
 
 # The step
@@ -211,13 +235,11 @@ def _step(state: State, equations: NormalEquations, freedom: Freedom, damping: f
 def eliminate_points(equations: NormalEquations, damping: float) -> tuple[Floats, Floats, Floats]:
     """Return V^-1 `[3, 3, N]`, S `[C view, C view]` and a - W V^-1 b `[C view]`."""
     (views, unknowns), count = equations.camera_gradient.shape, equations.point.shape[2]
-    blocks = blocks_of(equations.point_gradient)
-    work = partial(_eliminate_block, equations=equations, damping=damping)
     inverse = np.empty((3, 3, count))
+    work = partial(_eliminate_block, equations=equations, damping=damping, inverse=inverse)
     schur = np.zeros((unknowns * views, unknowns * views))
     gradient = equations.camera_gradient.reshape(-1).copy()
-    for block, (of_block, matrix, side) in zip(blocks, map_in_threads(work, blocks), strict=True):
-        inverse[..., block] = of_block
+    for matrix, side in map_in_threads(work, blocks_of(equations.point_gradient)):
         schur -= matrix
         gradient -= side
     for view, camera in enumerate(equations.camera):
@@ -227,30 +249,50 @@ def eliminate_points(equations: NormalEquations, damping: float) -> tuple[Floats
 
 
 def _eliminate_block(
-    block: slice, *, equations: NormalEquations, damping: float
-) -> tuple[Floats, Floats, Floats]:
-    """Return V^-1 `[3, 3, n]`, W V^-1 W' `[C view, C view]` and W V^-1 b `[C view]` of a block."""
-    inverse = _damped_inverse(equations.point[..., block], damping)
-    mixed = equations.mixed.reshape(-1, *equations.point_gradient.shape)[..., block]
-    rows = len(mixed)
-    # written out: einsum has no fast way for it
-    columns = [sum(mixed[:, j] * inverse[j, k] for j in range(3)) for k in range(3)]
-    product = np.stack(columns, axis=1).reshape(rows, -1)
-    matrix = product @ mixed.reshape(rows, -1).T
-    side = product @ equations.point_gradient[:, block].reshape(-1)
-    return inverse, matrix, side
+    block: slice, *, equations: NormalEquations, damping: float, inverse: Floats
+) -> tuple[Floats, Floats]:
+    """Return W V^-1 W' `[C view, C view]` and W V^-1 b `[C view]` of a block.
+
+    inverse: `[3, 3, N]`, of which V^-1 of the block is filled in.
+    """
+    root, product = _rooted(block, equations, damping, inverse)
+    rows = product.reshape(len(product), -1)
+    side = np.einsum("jkn,jn->kn", root, equations.point_gradient[:, block])
+    return rows @ rows.T, rows @ side.reshape(-1)
 
 
-def _damped_inverse(matrix: Floats, damping: float) -> Floats:
-    """Return the inverses of matrices `[3, 3, n]` whose diagonals are damped."""
+def _rooted(
+    block: slice, equations: NormalEquations, damping: float, inverse: Floats
+) -> tuple[Floats, Floats]:
+    """Return a root Q of V^-1 = QQ' `[3, 3, n]` of a block, and W Q `[C view, 3, n]`.
+
+    inverse: as of `_eliminate_block`.
+    """
+    kernels = compiled(KERNELS)
+    if kernels is None:
+        root = _damped_root(equations.point[..., block], damping)
+        inverse[..., block] = np.einsum("ikn,jkn->ijn", root, root)
+        mixed = equations.mixed.reshape(-1, *equations.point_gradient.shape)[..., block]
+        return root, np.einsum("rjn,jkn->rkn", mixed, root)
+    views, unknowns = equations.camera_gradient.shape
+    count = equations.point_gradient[:, block].shape[1]
+    root, product = np.empty((3, 3, count)), np.empty((views * unknowns, 3, count))
+    kernels.damped_products(
+        block.start, damping, equations.point, equations.mixed, inverse, root, product
+    )
+    return root, product
+
+
+def _damped_root(matrix: Floats, damping: float) -> Floats:
+    """Return Q of QQ' = V^-1 of matrices V `[3, 3, n]` whose diagonals are damped."""
     damped = matrix.transpose(2, 0, 1).copy()  # [n, 3, 3]
     diagonal = np.einsum("nii->ni", damped)  # a view: what is added to it is added to `damped`
     diagonal *= 1 + damping
     largest = diagonal.max(1, keepdims=True)
     # a point that no view sees stays where it is
     diagonal += np.where(largest > 0, 1e-12 * largest, 1.0)
-    inverse = np.linalg.inv(damped).transpose(1, 2, 0)
-    return np.ascontiguousarray(inverse, dtype=np.float64)
+    root = np.linalg.inv(np.linalg.cholesky(damped)).transpose(2, 1, 0)
+    return np.ascontiguousarray(root, dtype=np.float64)
 
 
 def _solve_cameras(schur: Floats, gradient: Floats, basis: Floats) -> Floats:

@@ -159,7 +159,8 @@ def _hold_against_others(
     Each camera is held against the points that the others know by the rig as it is.
     """
     diagnosis = config.diagnosis
-    frames = evenly_spaced(labelled_frames(matches), diagnosis.suspicious_frames)
+    large = max(1.0, len(rig) / config.view_graph.small_rig)  # the work grows as the cameras
+    frames = evenly_spaced(labelled_frames(matches), round(diagnosis.suspicious_frames / large))
     noise = view_noise(sample, rig, matches, config.triangulate)
     seen = gather_observations(sample, matches, frames)
     views = len(rig)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_calib.compute.parallel import map_in_threads
+from mocap_calib.compute.parallel import map_in_threads, single_threaded_libraries
 from mocap_calib.config import TriangulateConfig
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry import lens
@@ -31,6 +31,7 @@ from mocap_calib.types import (
 _BLOCK = 8192  # points at a time: enough that calls cost little beside, few enough for the cache
 
 
+@single_threaded_libraries()
 def triangulate(
     recording: Recording,
     rig: CameraRig,

@@ -21,7 +21,12 @@ from mocap_calib.multi_view.bundle_adjustment import adjust
 from mocap_calib.multi_view.fit import find_outlier_cameras, find_weak_perspective, measure_fit
 from mocap_calib.multi_view.intrinsics import FreeFocal, free_focal_lengths, shared_intrinsics
 from mocap_calib.multi_view.observations import labelled_frames
-from mocap_calib.multi_view.rig_covariance import rig_change, rig_covariance, rig_size
+from mocap_calib.multi_view.rig_covariance import (
+    project_out_similarity,
+    rig_change,
+    rig_covariance,
+    rig_size,
+)
 from mocap_calib.multi_view.wrong_focal import find_wrong_focal
 from mocap_calib.recording.sampling import with_cameras
 from mocap_calib.types import (
@@ -29,11 +34,14 @@ from mocap_calib.types import (
     CameraRig,
     EstimatedCamera,
     Floats,
+    Ints,
     Matches,
     RigCovariance,
     Sample,
     Uncertainty,
 )
+
+_SAME_POINT = 1.0  # pixels: readers differ by half of one in where the middle of an image is
 
 
 def assess_uncertainty(
@@ -46,16 +54,14 @@ def assess_uncertainty(
     fit = measure_fit(sample, rig, matches, config)
     covariance = rig_covariance(sample, rig, matches, config, seed=seed)
     free = _free_focal(sample, rig, matches, config)
+    off = _intrinsics_changes(sample, rig, matches, config, free=free)
     unknown = np.full(len(rig.cameras), np.nan)
-    change, sigma = (unknown, unknown) if free is None else (free.change, free.sigma)
-    if free is None:
-        off = estimated_focal_changes(sample, rig, matches, config)
-    else:
-        off = given_focal_change(rig, free, config.uncertainty)[None]
+    told = free is not None and not _any_estimated(rig)
+    change, sigma = (free.change, free.sigma) if free and told else (unknown, unknown)
     tells = len(labelled_frames(matches)) >= config.uncertainty.accusing_moments
     return Uncertainty(
         covariance=covariance.with_changes(off),
-        focal_turn=np.sqrt((off[..., :3] ** 2).sum((0, 2))),
+        intrinsics_turn=np.sqrt((off[..., :3] ** 2).sum((0, 2))),
         outlier_cameras=find_outlier_cameras(fit, config.uncertainty) & tells,
         weak_perspective=find_weak_perspective(fit),
         focal_change=change,
@@ -67,8 +73,9 @@ def assess_uncertainty(
 def _free_focal(
     sample: Sample, rig: CameraRig, matches: Matches, config: Config
 ) -> FreeFocal | None:
-    """Return the rig with free focal lengths, None where they were not given."""
-    if any(isinstance(camera, EstimatedCamera) for camera in rig.cameras):
+    """Return the rig with free focal lengths, None where each was estimated by itself."""
+    groups = shared_intrinsics(rig.cameras, config.intrinsics)
+    if _any_estimated(rig) and len(np.unique(groups)) == len(rig.cameras):
         return None
     try:
         return free_focal_lengths(sample, rig, matches, config)
@@ -76,8 +83,52 @@ def _free_focal(
         return None
 
 
+def _any_estimated(rig: CameraRig) -> bool:
+    """Return whether the intrinsics of a camera were estimated from the recording."""
+    return any(isinstance(camera, EstimatedCamera) for camera in rig.cameras)
+
+
+def _intrinsics_changes(
+    sample: Sample, rig: CameraRig, matches: Matches, config: Config, *, free: FreeFocal | None
+) -> Floats:
+    """Return by how much `[change, view, 6]` cameras may be off because of intrinsics.
+
+    Focal lengths that were given, or estimated as one for several cameras, may each be another.
+    Those that were estimated are known to a standard deviation, and so is a principal point that is
+    taken to be in the middle of the image.
+    """
+    off = [
+        estimated_focal_changes(sample, rig, matches, config),
+        assumed_middle_changes(rig, config.uncertainty),
+    ]
+    if free is not None:
+        off.append(given_focal_change(rig, free, config.uncertainty)[None])
+    return np.concatenate(off)
+
+
+def assumed_middle_changes(rig: CameraRig, config: UncertaintyConfig) -> Floats:
+    """Return by how much `[change, view, 6]` cameras may be off because of their principal points.
+
+    A camera whose principal point is beside the middle of the image is turned by that angle in a
+    rig that takes it to be there. Of cameras whose intrinsics were estimated, and which have it in
+    the middle: two changes each, about the two axes of the image.
+    """
+    changes = []
+    for view, camera in enumerate(rig.cameras):
+        middle = (np.array(camera.size) - 1) / 2
+        offset = np.abs(camera.matrix[:2, 2] - middle).max()
+        if not isinstance(camera, EstimatedCamera) or offset > _SAME_POINT:
+            continue
+        angle = config.principal_point * max(camera.size) / camera.focal
+        for axis in rig.rotation[view, :2]:  # x and y of the camera, in the world
+            change = np.zeros((len(rig.cameras), 6))
+            change[view, :3] = angle * axis
+            changes.append(project_out_similarity(change, rig))
+    return np.array(changes).reshape(-1, len(rig.cameras), 6)
+
+
 def given_focal_change(rig: CameraRig, free: FreeFocal, config: UncertaintyConfig) -> Floats:
-    """Return by how much `[view, 6]` cameras may be off because of the focal lengths given.
+    """Return by how much `[view, 6]` cameras may be off because of focal lengths held fixed.
 
     What the rig changes by when they are free, less what is likely to be chance: of the mean square
     of the changes of focal length, in standard deviations, chance is 1. Efron and Morris 1973:
@@ -97,12 +148,22 @@ def estimated_focal_changes(
     standard deviation and the rig is adjusted again; none where focal lengths were given.
     """
     sigma = np.array([_log_focal_sigma(camera) for camera in rig.cameras])
-    group = shared_intrinsics(rig.cameras, config.intrinsics)
+    group = _estimated_together(rig.cameras, sigma, config)
     changes = [
         _change_with_focal(sample, rig, matches, config, np.where(group == number, sigma, 0.0))
         for number in np.unique(group[sigma > 0])
     ]
     return np.array(changes).reshape(-1, len(rig.cameras), 6)
+
+
+def _estimated_together(cameras: tuple[Camera, ...], sigma: Floats, config: Config) -> Ints:
+    """Return the number `[view]` of the group of cameras whose focal lengths are one estimate.
+
+    sigma: `[view]` of their logarithms, which is one too.
+    """
+    kind = shared_intrinsics(cameras, config.intrinsics)
+    _, number = np.unique(np.stack([kind, sigma.round(9)]), axis=1, return_inverse=True)
+    return np.asarray(number)
 
 
 def _log_focal_sigma(camera: Camera) -> float:

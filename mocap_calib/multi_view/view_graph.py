@@ -11,7 +11,6 @@ Groups of cameras that no such loop and no certain pair connects are not joined 
 """
 
 from dataclasses import dataclass, replace
-from itertools import combinations
 
 import numpy as np
 
@@ -142,7 +141,7 @@ def _join_cameras(
     """
     group = np.arange(cameras)
     certain = np.zeros(cameras, dtype=bool)  # by number of the group
-    closes = _pairs_in_closed_triangles(pairs, config)
+    closes = pairs_in_closed_triangles(pairs, config)
     usable = [k for k, pair in enumerate(pairs) if pair.score >= config.least_score]
     for k in sorted(usable, key=lambda k: -pairs[k].score):
         first, second = group[pairs[k].a], group[pairs[k].b]
@@ -154,7 +153,7 @@ def _join_cameras(
     return group
 
 
-def _pairs_in_closed_triangles(
+def pairs_in_closed_triangles(
     pairs: tuple[PairwiseCalibration, ...], config: AveragingConfig
 ) -> Bools:
     """Return `[pair]` whether it closes a triangle with two other pairs of sufficient score."""
@@ -185,11 +184,14 @@ def _triangles(pairs: tuple[PairwiseCalibration, ...]) -> Ints:
     """
     edges = [(min(pair.a, pair.b), max(pair.a, pair.b)) for pair in pairs]
     index = {edge: k for k, edge in enumerate(edges)}
-    views = sorted({view for edge in edges for view in edge})
-    found = []
-    for a, b, c in combinations(views, 3):
-        if (a, b) in index and (b, c) in index and (a, c) in index:
-            found.append((index[a, b], index[b, c], index[a, c]))
+    later: dict[int, set[int]] = {}  # of each view: those after it that a pair joins it to
+    for a, b in edges:
+        later.setdefault(a, set()).add(b)
+    found = [
+        (index[a, b], index[b, c], index[a, c])
+        for a, b in sorted(index)
+        for c in sorted(later[a] & later.get(b, set()))
+    ]
     return np.array(found, dtype=np.int64).reshape(-1, 3)
 
 
@@ -202,13 +204,15 @@ def _stack_hypotheses(pairs: tuple[PairwiseCalibration, ...], least_score: float
     rotation = np.tile(np.eye(3), (len(pairs), count, 1, 1))
     translation = np.zeros((len(pairs), count, 3))
     score = np.zeros((len(pairs), count))
+    exists = np.zeros((len(pairs), count), dtype=bool)
     for k, pair in enumerate(pairs):
         best = max(hypothesis.score for hypothesis in pair.hypotheses)
         for m, hypothesis in enumerate(pair.hypotheses):
             rotation[k, m], translation[k, m] = _later_from_earlier(hypothesis)
+            exists[k, m] = True
             if hypothesis.score >= min(best, least_score):
                 score[k, m] = hypothesis.score
-    is_best = score == score.max(1, keepdims=True)
+    is_best = exists & (score == score.max(1, keepdims=True))
     prior = score**2 + 1e-9 * is_best  # a pair without any score keeps its best hypothesis
     return _Hypotheses(rotation, translation, prior / prior.sum(1, keepdims=True))
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config, PosesConfig, TriangulateConfig
 from mocap_calib.geometry.bodies import body_size
 from mocap_calib.multi_view.noise import view_noise
@@ -152,6 +153,7 @@ class _Estimate:
     exchanged: Bools
 
 
+@single_threaded_libraries()
 def smooth_poses(
     recording: Recording,
     rig: CameraRig,
@@ -168,8 +170,7 @@ def smooth_poses(
     all as strongly as held-out detections say; short gaps are bridged, and joints that a single
     view saw are completed. What is not sure enough stays missing. docs/poses.md says how.
 
-    poses: what `triangulate` returned for the same recording, rig and matches. triangulate: with
-    which it did.
+    poses: what `triangulate` found for the same recording, rig, matches and config `triangulate`.
     """
     if config.smooth == "off":
         return poses, Smoothing()

@@ -6,14 +6,14 @@ are refined by turns of matching (Sinkhorn) and robust least squares on rays. Th
 best score is the answer, the others are its alternatives, which a third view may speak for.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
 
 import numpy as np
 
-from mocap_calib.compute.parallel import map_in_processes, map_in_threads
+from mocap_calib.compute.parallel import map_in_processes, map_in_threads, single_threaded_libraries
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.two_view.hypotheses import Hypotheses, generate_hypotheses, well_separated
@@ -69,6 +69,7 @@ class PairProblem:
 PairSolver = Callable[[PairProblem], PairwiseCalibration | None]
 
 
+@single_threaded_libraries()
 def calibrate_pairs(
     sample: Sample,
     lifted: LiftedPoses,
@@ -78,36 +79,43 @@ def calibrate_pairs(
     progress: Progress,
     mapper: Mapper | None = None,
     solve: PairSolver | None = None,
+    pairs: Sequence[tuple[int, int]] | None = None,
 ) -> tuple[PairwiseCalibration, ...]:
-    """Calibrate all pairs of views that see something in the same frames; leave the others out.
+    """Calibrate the pairs of views that see something in the same frames; leave the others out.
 
+    pairs: (a, b), a < b, by default all. What is found of one does not depend on the others.
     mapper: has it done elsewhere; by default see `pair_mapper`.
     solve: calibrates one pair, by default `calibrate_pair`.
     """
-    mapper = mapper or pair_mapper(sample, config)
+    pairs = all_pairs(len(sample.cameras)) if pairs is None else pairs
+    mapper = mapper or pair_mapper(sample, config, count=len(pairs))
     solve = solve or partial(calibrate_pair, config=config)
-    views = len(sample.cameras)
-    count = views * (views - 1) // 2
     found: list[PairwiseCalibration] = []
-    for done, result in enumerate(mapper(solve, _problems(sample, lifted, config, rng))):
+    for done, result in enumerate(mapper(solve, _problems(sample, lifted, pairs, config, rng))):
         if result is not None:
             found.append(result)
-        progress("pairwise", done + 1, count)
+        progress("pairwise", done + 1, len(pairs))
     return tuple(sorted(found, key=lambda pair: (pair.a, pair.b)))
 
 
-def pair_mapper(recording: Recording, config: PairwiseConfig) -> Mapper:
-    """Choose where the pairs are calibrated.
+def all_pairs(views: int) -> list[tuple[int, int]]:
+    """Return the pairs (a, b), a < b, of so many views, in order."""
+    return list(combinations(range(views), 2))
+
+
+def pair_mapper(recording: Recording, config: PairwiseConfig, count: int | None = None) -> Mapper:
+    """Choose where so many pairs are calibrated, by default all.
 
     In threads where a pair keeps one busy. On small arrays threads wait for the interpreter:
     in processes where there are many pairs, in a plain loop where there are few.
     """
     views, frames, instances, keypoints = recording.positions.shape[:4]
-    pairs = views * (views - 1) // 2
-    work = min(frames, _frames_of_each(pairs, config)) * instances**2 * keypoints
+    every = len(all_pairs(views))
+    work = min(frames, _frames_of_each(every, config)) * instances**2 * keypoints
     if work >= _WORTH_A_THREAD:
         return map_in_threads
-    return map_in_processes if pairs * work >= _WORTH_PROCESSES else map
+    count = every if count is None else count
+    return map_in_processes if count * work >= _WORTH_PROCESSES else map
 
 
 def in_recording(
@@ -127,13 +135,21 @@ def in_recording(
 
 
 def _problems(
-    sample: Sample, lifted: LiftedPoses, config: PairwiseConfig, rng: np.random.Generator
+    sample: Sample,
+    lifted: LiftedPoses,
+    pairs: Sequence[tuple[int, int]],
+    config: PairwiseConfig,
+    rng: np.random.Generator,
 ) -> Iterator[PairProblem]:
-    """Gather the problem of each pair, with random numbers of its own, when it is asked for."""
-    pairs = list(combinations(range(len(sample.cameras)), 2))
-    config = replace(config, frames=_frames_of_each(len(pairs), config))
-    for (a, b), rng_of_pair in zip(pairs, rng.spawn(len(pairs)), strict=True):
-        yield pair_problem(sample, lifted, a, b, config=config, rng=rng_of_pair)
+    """Gather the problem of each pair, with random numbers of its own, when it is asked for.
+
+    Frames and random numbers of a pair are those that it has where all pairs are asked for.
+    """
+    every = all_pairs(len(sample.cameras))
+    config = replace(config, frames=_frames_of_each(len(every), config))
+    generators = dict(zip(every, rng.spawn(len(every)), strict=True))
+    for a, b in pairs:
+        yield pair_problem(sample, lifted, a, b, config=config, rng=generators[a, b])
 
 
 def _frames_of_each(pairs: int, config: PairwiseConfig) -> int:
@@ -220,6 +236,8 @@ def _weigh_rays_and_bodies(
     translation = refined.hypotheses.translation.copy()
     for m, matched in enumerate(refined.matched):
         rays = matched_rays(pair, matched)
+        if not len(rays):  # views that see nothing in common may match nothing
+            continue
         drawn = rays[rng.permutation(len(rays))[: config.points]]
         rotation[m], translation[m] = most_probable(
             pair, matched, drawn, config, rotation=rotation[m], translation=translation[m]

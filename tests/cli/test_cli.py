@@ -270,6 +270,29 @@ def test_the_stages_through_pipes_are_the_run(small, tool, tmp_path):
         np.testing.assert_array_equal(first["position"][:], second["position_raw"][:])
 
 
+def test_stages_keep_to_the_frames_that_the_rig_of_a_moved_camera_holds_for(
+    done, small, tool, tmp_path
+):
+    keypoints, matches = small / "keypoints", done[0] / "matches.csv"
+    rig = tmp_path / "cameras.yaml"
+
+    def hold_for(frames: str) -> None:
+        text = (done[0] / "cameras.yaml").read_text()
+        rig.write_text(text.replace("provenance:\n", f"provenance:\n  frames: {frames}\n"))
+
+    hold_for("[7, 12]")
+    for command in ("triangulate", "smooth"):
+        poses = tmp_path / f"{command}.h5"
+        said = tool(command, keypoints, "--rig", rig, "--matches", matches, "-o", poses)
+        assert "frames 7 to 12: a camera was moved" in said.stderr
+        with h5py.File(poses) as file:
+            assert file["frames"][:].tolist() == list(range(7, 13))
+    hold_for("[1007, 1012]")
+    said = tool("match", keypoints, "--rig", rig, "-q")
+    assert (said.returncode, said.stdout) == (1, "")
+    assert "holds for the frames 1007 to 1012, found 0 to 29" in said.stderr
+
+
 @pytest.mark.slow
 def test_adjust_takes_a_recording_with_an_overcrowded_frame(small, tool, tmp_path):
     """The frame is not in the sample, whose arrays hold fewer instances than the matches do."""

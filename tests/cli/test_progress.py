@@ -24,3 +24,14 @@ def test_the_last_stage_is_done_too(capsys):
         "pairwise: done in T",
         "adjust: done in T (needed 2 of at most 6 steps)",
     ]
+
+
+def test_a_long_stage_says_how_long_it_takes_yet(capsys, monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr("time.monotonic", lambda: now[0])
+    with Reporter(quiet=False) as reporter:
+        reporter("match all", 0, 10)
+        now[0] = 40.0
+        reporter("match all", 4, 10)
+    said = capsys.readouterr().err.splitlines()
+    assert said[0] == "match all: 4 of 10, about 60 s left"

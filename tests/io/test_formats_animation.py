@@ -114,6 +114,7 @@ def about(axis, angle):
     [
         (None, {}),
         (COCO, {}),
+        (("mid_hip", "spine", "neck", "head_top"), {}),  # nothing says where left is
         (None, {"people": 0, "animals": (("quadruped", 1),)}),
         (None, {"people": 0, "animals": (("bird", 1),)}),
     ],

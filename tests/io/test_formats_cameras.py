@@ -20,7 +20,13 @@ from mocap_calib.errors import FormatError, MismatchError, MocapCalibError
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.io.cameras.formats import CAMERA_FORMATS
-from mocap_calib.io.cameras.read import load_cameras, make_rig, parse_content, read_rig
+from mocap_calib.io.cameras.read import (
+    load_cameras,
+    make_rig,
+    parse_content,
+    read_cameras,
+    read_rig,
+)
 from mocap_calib.io.cameras.source import Source
 from mocap_calib.io.cameras.write import format_rig, write_cameras
 from mocap_calib.io.conversion import convert_cameras
@@ -559,3 +565,11 @@ def test_what_cannot_be_camera_yaml():
     ):
         with pytest.raises(FormatError, match=reason):
             parse_content(text.encode(), "x.yaml")
+
+
+@pytest.mark.parametrize("text", ["- intrinsics\n- b\n", "intrinsics\n", "cameras: intrinsics\n"])
+def test_words_of_a_format_do_not_make_a_file_of_it(text, tmp_path):
+    path = tmp_path / "cameras.yaml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(FormatError, match="expected cameras, one of: mocap-calib, "):
+        read_cameras(path)

@@ -53,7 +53,7 @@ def echo(values):
 
 
 def inside(call, *args, content=HDF5):
-    return call_contained(content, "there/x.h5", call, *args)
+    return call_contained(content, len(content), "there/x.h5", call, *args)
 
 
 def test_only_hdf5_is_read_elsewhere():

@@ -73,3 +73,27 @@ def test_a_camera_that_no_pair_holds_is_left_out():
     kept = usable_cameras(rig.cameras, pairs, AveragingConfig())
     assert kept.tolist() == [0, 2, 3]
     assert [(p.a, p.b) for p in pairs_among(pairs, kept)] == [(0, 1), (0, 2), (1, 2)]
+
+
+def test_a_wrong_baseline_of_a_right_rotation_moves_no_camera():
+    """It points elsewhere and is three times as long: measured 1e-3 of the rig's size."""
+    rig = scene(cameras=5).rig
+    pairs = list(exact_pairs(rig))
+    pairs[4] = replace(pairs[4], translation=3 * np.roll(pairs[4].translation, 1))
+    found = average(rig.cameras, tuple(pairs), AveragingConfig())
+    assert found.weight[4] < 0.05
+    for a, b in combinations(range(5), 2):
+        expected = rig.relative(a, b)[1]
+        gap = np.linalg.norm(found.rig.relative(a, b)[1] - expected)
+        assert gap < 0.01 * np.linalg.norm(expected)
+
+
+def test_a_pair_counts_by_the_square_of_its_score():
+    """Half a degree that a loop does not close, shared as least squares do: by inverse weights."""
+    rig = scene(cameras=3).rig
+    first, second, third = exact_pairs(rig)
+    turn = matrix_from_vector(np.radians([0.0, 0.0, 0.5]))
+    pairs = (replace(first, score=0.4), second, replace(third, rotation=turn @ third.rotation))
+    error = average(rig.cameras, pairs, AveragingConfig()).loop_error
+    assert np.degrees(error.sum()) == pytest.approx(0.5, rel=1e-3)
+    assert error[0] / error[1:] == pytest.approx([4.0, 4.0], rel=0.02)

@@ -13,7 +13,7 @@ from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.multi_view.bundle_adjustment import adjust
 from mocap_calib.multi_view.ceres import adjust_by_ceres
-from mocap_calib.types import Matches
+from mocap_calib.types import CameraRig, Matches
 
 
 def test_adjustment_comes_home_from_three_degrees():
@@ -36,6 +36,14 @@ def test_adjustment_does_not_depend_on_the_gauge():
     )
     first, second = (adjust(recording(), rig, truth(), Config()) for rig in (start, elsewhere))
     assert rotation_errors_deg(first, second).max() < 0.01
+    for start_rig, found in ((start, first), (elsewhere, second)):
+        np.testing.assert_allclose(found.centres[0], start_rig.centres[0], atol=1e-9)
+        assert size(found) == pytest.approx(size(start_rig), rel=1e-9)
+
+
+def size(rig: CameraRig) -> float:
+    """Return how far the cameras are from the first one."""
+    return float(np.linalg.norm(rig.centres - rig.centres[0]))
 
 
 @pytest.mark.parametrize("solver", [adjust, adjust_by_ceres])

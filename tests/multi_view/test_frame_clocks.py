@@ -9,6 +9,7 @@ from scenes import lifted, recording
 
 from mocap_calib.config import SyncConfig
 from mocap_calib.multi_view.clock_faults import Retimed, clock_faults
+from mocap_calib.multi_view.clock_kinds import StretchNumbers, describe_clock
 from mocap_calib.multi_view.clock_paths import follow_ridge
 from mocap_calib.multi_view.frame_clocks import choose_pairs, doubt_lost_frames, find_clocks
 from mocap_calib.recording.retiming import clocks_from, retime
@@ -215,3 +216,28 @@ def test_few_pairs_of_many_cameras_are_compared(views):
     assert all(a < b for a, b in pairs)
     assert len(pairs) <= 3 * views
     assert partners.min() >= min(views - 1, 5)
+
+
+SURE = {"margin": 9.0, "sigma": 9.0, "score": 0.9, "gain": 0.3, "votes": 1.0, "partners": 3}
+
+
+@pytest.mark.parametrize(
+    ("lost", "kind"),
+    [([], "in step"), ([0], "clock"), ([70], "dropped"), ([20, 60, 100, 140, 180], "rate")],
+)
+def test_steps_that_come_evenly_are_another_rate(lost, kind):
+    """Frames that were lost: none, one before the first, one, and every fortieth."""
+    time = np.arange(200)
+    own = time + sum((time >= frame).astype(np.int64) for frame in lost)
+    clock = describe_clock(
+        "cam1",
+        np.atleast_2d(own + np.zeros(200, dtype=np.int64)),
+        1.0,
+        numbers=StretchNumbers(np.zeros(1, dtype=np.int64), 1),
+        evidence=SURE,
+        config=CONFIG,
+    )
+    assert clock.kind == kind
+    begins = [(0, 0)] if lost and lost[0] else []
+    steps = [(frame, number) for number, frame in enumerate(lost, 1)]
+    assert clock.table == (*begins, *steps)

@@ -9,7 +9,10 @@ from scenes import PEOPLE, scene
 
 from mocap_calib.config import Config, MatchingConfig
 from mocap_calib.multi_view.identities import finalise_identities
+from mocap_calib.multi_view.joining import join_pieces
 from mocap_calib.multi_view.name_swaps import exchanged_pieces
+from mocap_calib.multi_view.pieces import cut_into_pieces
+from mocap_calib.multi_view.proportions import Proportions
 from mocap_calib.multi_view.triangulation import project
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.types import Matches
@@ -116,11 +119,48 @@ def test_no_more_individuals_than_are_known_to_be_there():
     assert set(names[:, 0]) | set(names[:, 1]) == {0, 1}
 
 
+@pytest.mark.parametrize(("frames", "named"), [(8, False), (9, True)])
+def test_who_is_seen_for_a_moment_is_nobody(frames, named):
+    """A twentieth of the recording, 8 of 160 frames, is a moment."""
+    places = np.concatenate([on_lines(), on_lines()[:, :1] + [0, 1.5, 0]], axis=1)
+    seen = np.ones((FRAMES, 3), dtype=bool)
+    seen[:, 2] = np.arange(FRAMES) < frames
+    names = name_walkers(places, [a_body(), 1.1 * a_body(1), 0.9 * a_body(2)], seen)
+    assert set(names[seen[:, 2], 2]) == ({2} if named else {-1})
+    assert set(names[:, 0]) | set(names[:, 1]) == {0, 1}
+
+
 def test_where_bodies_cannot_be_followed_names_go_by_place():
     """Frames that do not follow each other: as many names as bodies, none twice in a frame."""
     places = np.random.default_rng(1).uniform(-1.5, 1.5, (FRAMES, 2, 3)) * [1, 1, 0]
     names = name_walkers(places, [a_body(), a_body()], everybody())
     assert (np.sort(names, axis=1) == [0, 1]).all()
+
+
+def test_pieces_have_no_gaps():
+    """As many groups as frames from the first to the last; two bodies, one of them away twice."""
+    rng, seen = np.random.default_rng(0), everybody()
+    seen[50:60, 1] = seen[100:130, 1] = False
+    places = 0.3 * on_lines() + np.array([[0.0, 0, 0], [0, 2.0, 0]])
+    points = a_body() + places[:, :, None] + 0.002 * rng.normal(size=(FRAMES, 2, JOINTS, 3))
+    points[~seen] = np.nan
+    pieces = cut_into_pieces(points, np.arange(FRAMES), MatchingConfig())
+    assert pieces.lengths.tolist() == np.bincount(pieces.number[seen]).tolist()
+    assert sorted(pieces.lengths) == [30, 40, 50, 160]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_pieces_are_joined_by_all_evidence_together(seed):
+    """Forty pieces of two bodies: one in four pairs speaks for the wrong answer."""
+    rng, pieces = np.random.default_rng(seed), 40
+    truth = rng.integers(2, size=pieces)
+    same = truth[:, None] == truth
+    pairs = np.where(same, 1.0, -1.0) + 1.5 * rng.normal(size=same.shape)
+    pairs = np.triu(pairs, 1) + np.triu(pairs, 1).T
+    nothing = Proportions(np.zeros((pieces, 0)), np.zeros((pieces, 0)), np.zeros(0))
+    first = 10 * np.arange(pieces)
+    found = join_pieces(first, first + 8, pairs, nothing, MatchingConfig())
+    np.testing.assert_array_equal(found[:, None] == found, same)
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -8,15 +8,16 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from report_pages import page_data
-from scenes import PEOPLE, calibrate_all, rotation_errors_deg, scene
+from scenes import PEOPLE, calibrate_all, recording, rotation_errors_deg, scene
 
-from mocap_calib.config import MovedConfig
+from mocap_calib.config import Config, MovedConfig
 from mocap_calib.geometry.projection import pixels_from_points, rays_from_pixels
 from mocap_calib.geometry.rotation import angle_between, matrix_from_vector
 from mocap_calib.io.cameras.own import format_intrinsics_toml
 from mocap_calib.io.cameras.read import read_rig
 from mocap_calib.io.keypoints.write import write_keypoints
 from mocap_calib.multi_view.changes import find_epochs, last_moments, split_gains, stands_out
+from mocap_calib.multi_view.placed import choose_frames
 from mocap_calib.multi_view.resection import CameraPoses, Sightings, costs_of, sightings_of
 from mocap_calib.recording.epochs import list_epochs, rig_of_epoch
 from mocap_calib.recording.mending import Moved
@@ -256,3 +257,12 @@ def test_the_command_writes_a_rig_for_each_epoch(tmp_path, tool):
     said = tool(*command, "--sync", "off", "--smooth", "off")
     assert said.returncode == 0, said.stderr
     assert not (out / "epoch_2").exists()
+
+
+@pytest.mark.parametrize("cameras", [4, 16])
+def test_frames_are_chosen_for_their_detections(cameras):
+    """So many a view, and half as many of sixteen views as of eight."""
+    found = recording(cameras=cameras, people=2, frames=200)
+    a_frame = found.seen.any(-1).sum(2).mean()
+    count = len(choose_frames(found, round(90 * a_frame), Config()))
+    assert count == pytest.approx(90 * 8 / max(cameras, 8), abs=1)

@@ -8,6 +8,7 @@ from scenes import scene, turn_cameras
 
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.rotation import vector_from_matrix
+from mocap_calib.multi_view import ray_residuals, schur
 from mocap_calib.multi_view.covariance import find_curved_covariance
 from mocap_calib.multi_view.pixel_residuals import PixelObservations
 from mocap_calib.multi_view.ray_residuals import RayObservations
@@ -16,6 +17,7 @@ from mocap_calib.multi_view.schur import (
     Freedom,
     NormalEquations,
     _step,
+    eliminate_points,
     free_intrinsics,
     free_poses,
     linearise,
@@ -213,3 +215,20 @@ def test_a_covariance_is_how_far_many_draws_of_noise_scatter_the_cameras():
         stated.append(np.diag(whole).reshape(2, 6)[:, :3].sum())
     # 1.2 here; 1.6 without the bend
     assert 0.8 < np.sqrt(np.mean(found) / np.mean(stated)) < 1.35
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_the_kernels_give_the_equations_of_their_definition(known, monkeypatch):
+    """Of rays and of pixels, with a point that nobody sees."""
+    state, seen, freedom = (*problem(), FREE) if known else problem_with_intrinsics("brown")
+    seen = replace(seen, weight=np.where(np.arange(100) == 7, 0.0, seen.weight))
+
+    def found() -> list[np.ndarray]:
+        equations = linearise(state, seen, freedom, SCALE)
+        return [*vars(equations).values(), *eliminate_points(equations, 1e-4)]
+
+    by_kernels = found()
+    for module in (schur, ray_residuals):
+        monkeypatch.setattr(module, "compiled", lambda _: None)
+    for ours, expected in zip(by_kernels, found(), strict=True):
+        assert np.abs(ours - expected).max() < 1e-11 * np.abs(expected).max()

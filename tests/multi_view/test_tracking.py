@@ -7,6 +7,7 @@ import pytest
 from scenes import PEOPLE, calibrate_group, precision, recording, rotation_errors_deg, scene, truth
 
 from mocap_calib.config import MatchingConfig
+from mocap_calib.multi_view.tracking import reuse_names
 from mocap_calib.multi_view.tracklets import name_by_tracklets, tracklets
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.types import GroupResult, Keypoints2D
@@ -119,6 +120,34 @@ def test_what_jumps_is_not_followed():
     assert np.linalg.norm(between) > 50  # or following would be guessing
     track = tracklets(replace(found, positions=positions), 0, MatchingConfig())
     assert track[29, 0] == track[30, 1] != track[30, 0] == track[29, 1]
+
+
+def test_nobody_is_followed_over_frames_that_are_not_there():
+    """Frame 30 is numbered 31: each detection before it is of another tracklet than those after."""
+    found = recording(**HARD)
+    numbers = np.where(np.arange(90) < 30, found.frames, found.frames + 1)
+    for view in range(3):
+        followed = tracklets(found, view, MatchingConfig())
+        track = tracklets(replace(found, frames=numbers), view, MatchingConfig())
+        assert len(np.intersect1d(followed[29], followed[30])) > 1
+        assert not set(track[:30][track[:30] >= 0]) & set(track[30:][track[30:] >= 0])
+
+
+def test_names_are_reused_for_those_who_come_back_nearest():
+    """Two leave, and two appear where the other one was; a third is always there."""
+    places = np.full((20, 3, 3), np.nan)
+    places[:, 2] = [0.0, 9.0, 0.0]
+    places[:8, 0], places[:8, 1] = [0.0, 0.0, 0.0], [5.0, 0.0, 0.0]
+    places[12:, 0], places[12:, 1] = [5.1, 0.0, 0.0], [0.1, 0.0, 0.0]
+    groups = np.where(np.isfinite(places[..., 0]), np.arange(3), -1)
+    labels = groups.copy()
+    labels[12:, :2] = [3, 4]
+    labels, groups = np.stack([labels, labels]), np.stack([groups, groups])
+    names = reuse_names(labels, groups, places)
+    assert len(np.unique(names[names >= 0])) == 3
+    assert names[0, 12, 0] == names[0, 0, 1]
+    assert names[0, 12, 1] == names[0, 0, 0]
+    np.testing.assert_array_equal(names < 0, labels < 0)
 
 
 def test_the_forgotten_are_named_by_their_tracklet():

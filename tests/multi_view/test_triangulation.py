@@ -93,6 +93,14 @@ def test_two_views_that_disagree_or_look_alike_give_nothing():
     assert np.isfinite(meet(rig, rays)[0]).all()
 
 
+def test_a_point_behind_its_views_is_none_however_rough_they_are():
+    """Rays the other way meet in the same point; angles of more than half a turn may pass."""
+    rig, points = ring(3), np.array([[0.1, 0.2, 1.0]])
+    found, used = meet(rig, -rays_to(rig, points), noise=2.0)
+    assert np.isnan(found).all()
+    assert not used.any()
+
+
 def test_reprojection_error_is_the_rms_over_the_used_views():
     """Detections 3, 4 and 300 pixels off, the last not used: sqrt((9 + 16) / 2)."""
     rig, points = ring(3), np.array([[0.1, 0.2, 1.0]]).T

@@ -33,7 +33,7 @@ def uncertainty(
     matrix[-1, 0, -1, 0] = np.deg2rad(degrees) ** 2
     return Uncertainty(
         covariance=RigCovariance(matrix=matrix, size=1.0),
-        focal_turn=np.zeros(views),
+        intrinsics_turn=np.zeros(views),
         outlier_cameras=np.isin(np.arange(views), outliers),
         weak_perspective=np.zeros(views, dtype=bool),
         focal_change=np.zeros(views),
@@ -149,7 +149,7 @@ def test_reasons_name_the_camera_the_size_and_the_remedy():
     first, second = explain(group, Config())
     assert first.startswith(f"{group.rig.names[3]} may be turned by 4.2 deg")
     assert "vary by 40%" in second
-    focal = replace(group.uncertainty, focal_turn=np.deg2rad([0, 0, 0, 4.0]))
+    focal = replace(group.uncertainty, intrinsics_turn=np.deg2rad([0, 0, 0, 4.0]))
     first, _ = explain(replace(group, uncertainty=focal), Config())
     assert "focal" in first
 

@@ -14,8 +14,9 @@ from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.multi_view.verified import verification_to_dict
 from mocap_calib.multi_view.verify import verify_rig
+from mocap_calib.multi_view.verify_words import describe_move
 from mocap_calib.recording.sampling import take_sample, with_cameras
-from mocap_calib.types import CameraRig, Verification, silent
+from mocap_calib.types import CameraRig, Verification, VerifiedCamera, silent
 
 AXIS = np.array([0.48, 0.6, 0.64])
 
@@ -155,6 +156,27 @@ def test_from_a_recording_and_its_clock_is_put_right():
     clock = found.clocks.cameras[1]
     assert clock.kind == "clock"
     assert clock.offset == 4
+
+
+def test_a_move_is_told_as_far_as_it_is_sure():
+    """A tenth of the rig to within a fifth of that; a turn of half its sigma is none."""
+    camera = VerifiedCamera(
+        name="cam1",
+        word="moved",
+        turn=np.radians(0.5),
+        turn_sigma=np.radians(1.0),
+        shift=0.3,
+        shift_sigma=0.06,
+        relative_shift=0.1,
+        focal_change=0.0,
+        error_px=9.0,
+        refitted_px=2.0,
+    )
+    shifted = "shifted by 10.0% +- 2.0% of the rig's size"
+    assert describe_move(camera) == f"is {shifted}"
+    turned = replace(camera, turn=np.radians(7.0))
+    assert describe_move(turned) == f"is turned by 7.00 +- 1.00 deg and {shifted}"
+    assert describe_move(replace(camera, shift_sigma=0.3)) == "stands elsewhere"
 
 
 def test_other_cameras_are_refused():

@@ -137,6 +137,35 @@ def swap_views(pair: PairwiseCalibration) -> PairwiseCalibration:
     )
 
 
+@pytest.mark.parametrize("swapped", [(), (0,), (1,), (2,), (0, 2)])
+def test_a_loop_tells_baselines_that_point_the_other_way(swapped):
+    """Also where some pairs are those of (b, a): rotations alone are the same."""
+    rig = scene(cameras=3).rig
+    pairs = [hypothesis(rig, a, b, 0.7) for a, b in combinations(range(3), 2)]
+    other_way = replace(pairs[1], translation=-pairs[1].translation, score=0.8)
+    pairs[1] = replace(other_way, alternatives=(pairs[1],))
+    for k in swapped:
+        pairs[k] = swap_views(pairs[k])
+    assert [pair.score for pair in select_hypotheses(tuple(pairs), CONFIG)] == [0.7] * 3
+
+
+def turned(pair: PairwiseCalibration, degrees: float) -> PairwiseCalibration:
+    """Return the relative pose with its rotation so far off, and the same translation."""
+    turn = matrix_from_vector(np.radians([0.0, degrees, 0.0]))
+    return replace(pair, rotation=turn @ pair.rotation)
+
+
+@pytest.mark.parametrize(("degrees", "overruled"), [(10.6, False), (20.8, True)])
+def test_loops_are_weighed_against_the_squares_of_scores(degrees, overruled):
+    """A score twice as good counts four times: it stands at a closure of 0.3, not at 0.1."""
+    rig = scene(cameras=3).rig
+    pairs = [hypothesis(rig, a, b, 0.8) for a, b in combinations(range(3), 2)]
+    other = replace(pairs[1], score=0.4)
+    pairs[1] = replace(turned(pairs[1], degrees), alternatives=(other,))
+    found = select_hypotheses(tuple(pairs), CONFIG)
+    assert [alternative_taken(pair) for pair in found] == [False, overruled, False]
+
+
 def test_without_a_loop_the_score_decides():
     """Two views, and a chain of three."""
     for cameras in (2, 3):
@@ -162,6 +191,17 @@ def test_loops_of_a_large_rig_are_quick():
     found = select_hypotheses(pairs, CONFIG)
     assert time.perf_counter() - start < 3.0
     assert errors_deg(found, rig).max() < 1e-5
+
+
+def test_a_pair_that_explains_nothing_keeps_the_only_hypothesis_it_has():
+    """Beside pairs of several: what it lacks would close the loops better."""
+    rig = scene(cameras=6).rig
+    first, *others = pairs_of(rig, set())
+    turned = matrix_from_vector(np.array([0.0, np.pi, 0.0])) @ first.rotation
+    nothing = replace(
+        first, rotation=turned, translation=1e3 * np.ones(3), score=0.0, alternatives=()
+    )
+    assert select_hypotheses((nothing, *others), CONFIG)[0] == nothing
 
 
 def test_hypotheses_of_a_single_frame():
@@ -221,6 +261,16 @@ def test_certain_groups_are_joined_by_strong_pairs_or_by_loops(score, right, gro
     if groups > 1:
         with pytest.raises(DegenerateError, match=r"cam1, cam2 \| cam3, cam4"):
             usable_cameras(rig.cameras, pairs, CONFIG)
+
+
+@pytest.mark.parametrize(("degrees", "groups"), [(6.5, 1), (7.4, 2)])
+def test_a_triangle_closes_to_within_the_scale_of_rotations(degrees, groups):
+    """Two certain pairs, and weak ones to one camera of the other: sqrt(3) x 4 degrees is half."""
+    rig, pairs = bridged(0.3, right=True)
+    kept = [pair for pair in pairs if 3 not in (pair.a, pair.b) or pair.a == 2]
+    kept[1] = turned(kept[1], degrees)
+    assert [(pair.a, pair.b) for pair in kept] == [(0, 1), (0, 2), (1, 2), (2, 3)]
+    assert len(camera_groups(rig.cameras, tuple(kept), CONFIG)) == groups
 
 
 def test_a_single_camera_goes_where_its_best_pair_is():

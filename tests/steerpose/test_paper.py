@@ -116,6 +116,16 @@ def test_views_look_at_the_origin():
         views @ np.swapaxes(views, 1, 2), np.broadcast_to(np.eye(3), views.shape), atol=1e-12
     )
     assert (views[:, 2, 2] < 0).all()  # all look down from the upper hemisphere
+    by_camera = views.reshape(100, 20, 3, 3)
+    np.testing.assert_allclose(by_camera[:, 1:, 2], by_camera[:, :-1, 2], atol=1e-12)
+    between = (by_camera[:, 1:, 0] * by_camera[:, :-1, 0]).sum(-1)
+    np.testing.assert_allclose(between, np.cos(2 * np.pi / 20))  # rolled evenly
+
+
+def test_pairs_are_of_rolled_views(poses):
+    """The image's down is up in the world for half of them."""
+    source = PairSynthesiser(poses, PEOPLE, PairsConfig(), split="train", seed=0)
+    assert (source.first[:, 1, 2] > 0).double().mean().item() == pytest.approx(0.5, abs=0.05)
 
 
 def test_pairs_are_one_body_seen_twice(poses):
@@ -237,6 +247,14 @@ def test_sinkhorn_finds_the_permutation_and_the_odd_one_out():
     assert matching_loss(weight, score, there_a, there_b).item() == pytest.approx(0.3, abs=0.01)
 
 
+def test_who_is_not_there_costs_nothing():
+    score = random(3, 3).sigmoid()
+    there = torch.tensor([True, True, False])
+    weight = sinkhorn(with_dummies(score, there, there), sharpness=10.0, sweeps=20)
+    expected = (weight * (1 - score))[:2, :2].sum()
+    torch.testing.assert_close(matching_loss(weight, score, there, there), expected)
+
+
 def test_gradient_of_the_matching_loss():
     there = torch.ones(3, dtype=torch.bool)
 
@@ -316,7 +334,10 @@ def steered_scene() -> tuple[TwoViews, torch.Tensor, torch.Tensor]:
 
 
 def test_solver_finds_rotation_and_matches_from_a_close_start():
-    """60 iterations from 10 degrees away; measured 2.3 degrees from the truth."""
+    """60 iterations from 10 degrees away: measured 0.8 and 0.4 degrees, and 0.10 pixels.
+
+    Without L_geom 1.9 degrees and 0.8 pixels.
+    """
     views, vector, t = steered_scene()
     config = PaperConfig(iterations=60, tries=1)
     found = solve_pair(
@@ -325,9 +346,9 @@ def test_solver_finds_rotation_and_matches_from_a_close_start():
     assert {tuple(m) for m in found.matches.tolist()} == {
         (f, i, 1 - i) for f in range(3) for i in range(2)
     }
-    assert np.degrees(angle_between(found.rotation, matrix_numpy(vector.numpy()))) < 5
-    assert np.degrees(direction_angle(found.translation, t.numpy())) < 8
-    assert found.error < 10
+    assert np.degrees(angle_between(found.rotation, matrix_numpy(vector.numpy()))) < 1.2
+    assert np.degrees(direction_angle(found.translation, t.numpy())) < 0.6
+    assert found.error < 0.15
 
 
 def test_solver_tries_again_and_is_deterministic():

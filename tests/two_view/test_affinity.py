@@ -6,16 +6,22 @@ from scenes import lifted, recording, scene
 from mocap_calib.config import (
     PairwiseConfig,
 )
-from mocap_calib.geometry.epipolar import essential_matrix, sampson_angle
+from mocap_calib.geometry.epipolar import depths, essential_matrix, sampson_angle
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.two_view.affinity import (
+    body_agreement,
     centre_error,
     epipolar_affinity,
     epipolar_error,
     epipolar_fit,
     steering_error,
 )
-from mocap_calib.two_view.view_pair import body_sizes_per_radian, distances, gather_view_pair
+from mocap_calib.two_view.view_pair import (
+    body_sizes_per_radian,
+    distance_ratios,
+    distances,
+    gather_view_pair,
+)
 
 
 def ten_frames_of_two_views():
@@ -45,6 +51,24 @@ def test_centre_error_is_the_distance_over_the_distances():
     )
 
 
+def test_bodies_agree_by_pose_and_place_as_far_as_the_network_is_sure():
+    """The doubt is the expected squared distance of two lifts, with the weights of the error."""
+    pair, config, bodies = ten_frames_of_two_views(), PairwiseConfig(), lifted()
+    rotation, translation = matrix_from_vector(np.array([[0.3, -1.0, 0.2]])), np.ones((1, 3))
+    variance = [np.nan_to_num(bodies.spread[v, :10]) ** 2 for v in (0, 1)]
+    weight = [np.nan_to_num(1 / (bodies.spread[v, :10] ** 2 + 0.05**2)) for v in (0, 1)]
+    w = weight[0][:, :, None] * weight[1][:, None]
+    doubt = (w * (variance[0][:, :, None] + variance[1][:, None])).sum(-1)
+    doubt *= config.pose_doubt**2 / np.maximum(w.sum(-1), 1e-12)
+    tolerance = np.maximum(config.pose_tolerance**2, doubt)
+    pose = steering_error(pair, rotation) / tolerance
+    place = centre_error(pair, rotation, translation) / config.centre_tolerance**2
+    slow = (w.sum(-1) > 0) * np.exp(-pose / 2) / (1 + place / 2)
+    found = body_agreement(pair, rotation, translation, config)
+    np.testing.assert_allclose(found, slow, atol=1e-12)
+    assert (doubt > config.pose_tolerance**2).any()
+
+
 def test_epipolar_error_is_sampsons_at_the_body():
     pair = ten_frames_of_two_views()
     rotation, translation = matrix_from_vector(np.array([0.1, 0.5, 0.0])), np.array([0.6, 0.0, 0.8])
@@ -71,3 +95,24 @@ def test_the_affinity_by_a_rig_is_the_epipolar_fit_of_its_pairs():
     np.testing.assert_allclose(affinity[:, rows, columns], fit, atol=1e-9)
     assert ((comparable[:, rows, columns] > 0) | (fit == 0)).all()
     np.testing.assert_array_equal(affinity, np.swapaxes(affinity, 1, 2))
+
+
+def test_distances_are_compared_where_joints_are_in_front_of_both_views():
+    """Under a wrong pose, by which some joints are behind one of them."""
+    pair, matched = ten_frames_of_two_views(), np.zeros((10, 3, 3), dtype=bool)
+    matched[:, :2, 1:] = True
+    shape = pair.overlap.lifted.shape
+    matched = np.pad(matched, [(0, 0), (0, shape[1] - 3), (0, shape[2] - 3)])
+    rotation, translation = matrix_from_vector(np.array([0.1, 1.0, 0.0])), np.array([1.0, 0.0, 2.0])
+    expected, one_sided = [], 0
+    for frame, i, j in zip(*np.nonzero(matched), strict=True):
+        seen = (pair.a.weight[frame, i] > 0) & (pair.b.weight[frame, j] > 0)
+        rays_a, rays_b = pair.a.rays[frame, i, seen], pair.b.rays[frame, j, seen]
+        ahead_a, ahead_b = depths(rotation, translation, rays_a, rays_b)
+        one_sided += int(((ahead_a > 0) ^ (ahead_b > 0)).sum())
+        both = (ahead_a > 0) & (ahead_b > 0)
+        body = pair.a.distance[frame, i] + pair.b.distance[frame, j]
+        expected.append(body / (ahead_a + ahead_b)[both])
+    assert one_sided > 0
+    found = distance_ratios(pair, rotation, translation, matched)
+    np.testing.assert_allclose(found, np.concatenate(expected), rtol=1e-9)

@@ -152,3 +152,14 @@ def test_kernels_find_the_most_probable_pose_that_numpy_finds(monkeypatch):
     slow = most_probable(pair, matched, rays, CONFIG, **start)
     for found, expected in zip(quick, slow, strict=True):
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
+
+
+def test_the_energy_of_bodies_is_that_of_their_distance():
+    """None where exact bodies lie on each other, and more the farther they are turned away."""
+    pair, lifted = exact_pair(2), np.eye(2, dtype=bool)[None]
+    turned = [
+        body_energy(pair, lifted, matrix_from_vector(angle * np.eye(3)[0]) @ ROTATION, CONFIG).value
+        for angle in (0.0, 0.1, 0.2)
+    ]
+    assert turned[0] == pytest.approx(0.0, abs=1e-12)
+    assert 0 < turned[1] < turned[2]

@@ -111,7 +111,7 @@ function facts(recording: Recording, camera: number): HTMLElement {
         ? ["; free, it would change by ", figure(at("intrinsics", "focal_change"), { unit: " %", scale: 100 }), " ± ", figure(at("intrinsics", "focal_change_sigma"), { unit: " %", scale: 100 })]
         : [" ± ", figure(at("intrinsics", "focal_sigma_px"), { unit: " px" })])),
     pair("Lens k1", figure(at("intrinsics", "k1"))),
-    pair("Focal part of the turn", figure(at("focal_turn_deg"), { unit: "°" })),
+    pair("Intrinsics' part of the turn", figure(at("intrinsics_turn_deg"), { unit: "°" })),
     pair("Shift as a length", figure(at("centre_sigma"), { unit: run.unit === "arbitrary" ? "" : ` ${run.unit}` })),
     about.weak_perspective ? pair("Perspective", "weak: its distance follows from its focal length alone") : null);
 }

@@ -19,8 +19,9 @@ const TURN = "By how much a camera may be turned from its true rotation, one sta
   + "after the rig was laid on the true one as well as can be.";
 const SHIFT = "By how far a camera's centre may be off, one standard deviation, in percent of the "
   + "size of the rig (distance of the cameras from their middle).";
-const FOCAL = "The part of the rotation's uncertainty that focal lengths stand for: what the rig "
-  + "changes by when they are free, beyond chance.";
+const INTRINSICS = "The part of the rotation's uncertainty that intrinsics stand for: what the rig "
+  + "changes by when focal lengths are free, beyond chance; what estimated ones and an assumed "
+  + "principal point may be off by.";
 const REPROJECTION = "Distance in the image between a detection and the 3D point it belongs to. "
   + "A low error alone proves nothing.";
 const SCORE = "Share of the detections that are explained, times the share of joints in front of "
@@ -35,8 +36,8 @@ const EXPLANATIONS: Record<string, Explanation> = {
   "verdict.rotation_sigma_deg.median": e("Rotation of the usual camera", TURN, "°", SETTLED),
   "verdict.centre_sigma_percent.max": e("Place of the worst camera", SHIFT, "%"),
   "verdict.centre_sigma_percent.median": e("Place of the usual camera", SHIFT, "%"),
-  "verdict.focal_turn_deg.max": e("Focal lengths, worst camera", FOCAL, "°"),
-  "verdict.focal_turn_deg.median": e("Focal lengths, usual camera", FOCAL, "°"),
+  "verdict.intrinsics_turn_deg.max": e("Intrinsics, worst camera", INTRINSICS, "°"),
+  "verdict.intrinsics_turn_deg.median": e("Intrinsics, usual camera", INTRINSICS, "°"),
   "verdict.checks.*.value": e("What was found", "Each check looks at what the model leaves over, in a way that is independent of the stated uncertainty."),
   "verdict.checks.*.limit": e("Limit", "Up to this value sound recordings go. A check above it makes a rig usable at best."),
   "frames.count": e("Frames", "Frames that two cameras or more have.", "frames"),
@@ -54,7 +55,7 @@ const EXPLANATIONS: Record<string, Explanation> = {
   "cameras.*.rotation_sigma_deg": e("Rotation uncertainty", TURN, "°", SETTLED),
   "cameras.*.centre_sigma_percent": e("Place uncertainty", SHIFT, "%"),
   "cameras.*.centre_sigma": e("Place uncertainty as a length", "By how far the camera's centre may be off, one standard deviation; not known where lengths are arbitrary."),
-  "cameras.*.focal_turn_deg": e("Focal part", FOCAL, "°"),
+  "cameras.*.intrinsics_turn_deg": e("Intrinsics' part", INTRINSICS, "°"),
   "cameras.*.reprojection_error_px.median": e("Reprojection error", `${REPROJECTION} Median of this camera's detections.`, "px"),
   "cameras.*.reprojection_error_px.p95": e("Reprojection error, 95 %", `${REPROJECTION} 95 of 100 are better than this.`, "px"),
   "cameras.*.clock.subframe_offset": e("Part of a frame", "What part of a frame this camera's clock is ahead or behind the first camera's; not known where the motion does not tell.", "frames"),

@@ -63,9 +63,8 @@ def command(
     outputs.check_text(matches_out)
     config = Config()
     with Reporter(quiet=shared.quiet) as reporter:
-        rig, loaded = inputs.read_recording_of_rig(shared, reporter)
+        rig, loaded, matches = inputs.read_matched_recording(shared, reporter)
         recording = loaded.recording
-        matches = inputs.read_matches(shared.matches, loaded)
         sample_frames, sample, lifted = inputs.lift_sample(loaded, shared.device, reporter)
         instances = sample.positions.shape[2]  # a frame that is not in the sample may have more
         sampled = matches.select(frames=sample_frames, instances=instances)

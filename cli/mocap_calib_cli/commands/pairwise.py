@@ -1,4 +1,4 @@
-"""mocap-calib pairwise: relative poses of all pairs of cameras."""
+"""mocap-calib pairwise: relative poses of pairs of cameras."""
 
 import click
 
@@ -7,9 +7,11 @@ from mocap_calib_cli import options
 
 @click.command(name="pairwise")
 @options.output_text("pairs (JSON)")
-@options.shared_options("cameras", *options.MODEL, "solver", "seed", *options.KEYPOINTS, "quiet")
+@options.shared_options(
+    "cameras", *options.MODEL, "pairs", "solver", "seed", *options.KEYPOINTS, "quiet"
+)
 def command(shared: options.SharedOptions, output: str) -> None:
-    """Find the relative pose of every pair of cameras, and who matches whom.
+    """Find the relative poses of pairs of cameras, and who matches whom.
 
     This is the first stage of `run`. The file it writes is for `average`.
 
@@ -20,23 +22,24 @@ def command(shared: options.SharedOptions, output: str) -> None:
     """
     import numpy as np
 
-    from mocap_calib.config import PairwiseConfig
+    from mocap_calib.config import Config
     from mocap_calib.io.results.pairs_json import pairs_to_json
+    from mocap_calib.multi_view.pair_choice import calibrate_view_graph
     from mocap_calib.steerpose.loading import load_model
-    from mocap_calib.two_view.solve import calibrate_pairs, in_recording
+    from mocap_calib.two_view.solve import in_recording
     from mocap_calib.two_view.solvers import choose_pair_solver
     from mocap_calib_cli import inputs, outputs
     from mocap_calib_cli.progress import Reporter
 
     outputs.check_text(output)
-    config = PairwiseConfig()
+    config = Config(view_graph=inputs.view_graph_config(shared))
     with Reporter(quiet=shared.quiet) as reporter:
         camera_file = inputs.load_camera_file(shared.cameras, "--cameras")
         loaded = inputs.read_recording(shared, camera_file, reporter)
         sample_frames, sample, lifted = inputs.lift_sample(loaded, shared.device, reporter)
         lifter = load_model(loaded.recording.model)
-        solver = choose_pair_solver(shared.solver, loaded.recording, lifter, config)
-        pairs = calibrate_pairs(
+        solver = choose_pair_solver(shared.solver, loaded.recording, lifter, config.pairwise)
+        pairs = calibrate_view_graph(
             sample,
             lifted,
             config,

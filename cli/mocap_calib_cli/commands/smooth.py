@@ -33,8 +33,7 @@ def command(shared: options.SharedOptions, output: Path) -> None:
 
     outputs.check_poses(output)
     with Reporter(quiet=shared.quiet) as reporter:
-        rig, loaded = inputs.read_recording_of_rig(shared, reporter)
-        matches = inputs.read_matches(shared.matches, loaded)
+        rig, loaded, matches = inputs.read_matched_recording(shared, reporter)
         outputs.check_individuals(output, matches.individuals)
         poses = triangulate(loaded.recording, rig, matches, progress=reporter)
         config = PosesConfig(smooth=cast(SmoothMode, shared.smooth))

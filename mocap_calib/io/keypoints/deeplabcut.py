@@ -12,12 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mocap_calib.io.file import NO_SCORE, Origin, blank, frame_number, make_view, malformed
+from mocap_calib.io.file import NO_SCORE, Origin, check_size, frame_number, make_view, malformed
 from mocap_calib.types import Floats, Ints, Keypoints2D
 
 LEVELS = ("scorer", "individuals", "bodyparts", "coords")
 LEVELS_OF_ONE = ("scorer", "bodyparts", "coords")  # of a table of one animal
 COORDS = ("x", "y", "likelihood")
+_NO_PART, _NO_LIKELIHOOD = -1, -2  # in the place of a column
+_DIGITS = 18  # of a number that int64 holds
 _UNIQUE = "single"  # the pseudo-individual of unique body parts
 _AGAIN = "export it from DeepLabCut again"
 
@@ -58,22 +60,35 @@ def keypoints_from_table(table: Table, origin: Origin) -> Keypoints2D:
     left_out = sorted({part for name, part in columns if name not in individuals})
     columns = {label: coords for label, coords in columns.items() if label[0] in individuals}
     parts = tuple(dict.fromkeys(part for _, part in columns))
-    values = blank(len(table.rows), len(individuals), len(parts), source)
+    places = np.full((len(individuals), len(parts), len(COORDS)), _NO_PART)
     for (name, part), coords in columns.items():
-        points = values[:, individuals.index(name), parts.index(part)]
-        points[:, 2] = 1.0
-        for axis, coord in enumerate(COORDS):
-            if coord in coords:
-                points[:, axis] = table.values[:, coords[coord]]
+        places[individuals.index(name), parts.index(part)] = [
+            coords.get(c, _NO_LIKELIHOOD) for c in COORDS
+        ]
+    check_size(len(table.rows), len(individuals), len(parts), source)
     return make_view(
         origin,
         parts,
         _frame_numbers(table.rows, source),
-        values,
+        _select(table.values, places),
         tracked=not _are_in_any_order(individuals),
         rows=table.lines or table.rows,
         remarks=_remarks(table, left_out),
     )
+
+
+def _select(values: Floats, places: Ints) -> Floats:
+    """Return the `[row, individual, part, 3]` points in the `[row, column]` values of a table.
+
+    places: `[individual, part, 3]` column; `_NO_PART` and `_NO_LIKELIHOOD` where there is none.
+    """
+    shape = (len(values), *places.shape)
+    if np.array_equal(places.ravel(), np.arange(values.shape[1])):
+        return values.reshape(shape)  # without a copy
+    points = values[:, places.ravel()].reshape(shape)
+    points[:, places == _NO_PART] = np.nan
+    points[:, places == _NO_LIKELIHOOD] = 1.0
+    return points
 
 
 def _remarks(table: Table, left_out: list[str]) -> tuple[str, ...]:
@@ -155,6 +170,8 @@ def _frame_numbers(rows: Sequence[str], source: str) -> Ints:
     """Return the `[row]` frame numbers. Raises FormatError."""
     if not rows:
         raise malformed(source, "at least one row of data", "none", _AGAIN)
+    if all(row.isascii() and row.isdigit() and len(row) <= _DIGITS for row in rows):
+        return np.array([int(row) for row in rows], dtype=np.int64)
     folders = list(dict.fromkeys(row.replace("\\", "/").rpartition("/")[0] for row in rows))
     if len(folders) > 1:
         raise malformed(

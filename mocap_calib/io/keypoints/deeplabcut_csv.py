@@ -6,20 +6,39 @@ files; Lightning Pose adds a last column `set`; spreadsheets write semicolons an
 """
 
 import csv
-import io
 import re
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
 from mocap_calib.io.file import malformed
 from mocap_calib.io.keypoints.deeplabcut import LEVELS, Table, keypoints_from_table
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
+from mocap_calib.io.keypoints.plain_rows import read_plain_rows
 from mocap_calib.types import Floats, Keypoints2D
 
 _FIRST_CELL = re.compile(rb'(\xef\xbb\xbf)?"?(scorer|individuals|bodyparts|coords)"?[,;\t]')
 
+# bytes from which on reading cell by cell takes longer than loading the compiled reader
+_LARGE = 5_000_000
+
 Header = dict[str, list[str]]  # name of the level -> cells of its row
-Rows = list[tuple[int, list[str]]]  # number in the file, cells
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """The columns from `first` to before `end` hold numbers; those before name the frame.
+
+    levels: names of the header rows. labels: of each column, one per level.
+    has_sets: Lightning Pose's last column follows: what the frame was used for.
+    """
+
+    first: int
+    end: int
+    levels: tuple[str, ...]
+    labels: tuple[tuple[str, ...], ...]
+    has_sets: bool
 
 
 def sniff(document: Document) -> bool:
@@ -27,58 +46,100 @@ def sniff(document: Document) -> bool:
 
     The wrong separator is recognised so that `read` can refuse it in words.
     """
-    return _FIRST_CELL.match(document.content[:64]) is not None
+    return _FIRST_CELL.match(document.start[:64]) is not None
 
 
 def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
     """Read the camera of a DeepLabCut or Lightning Pose .csv. Raises FormatError."""
-    table = _read_table(item.document.text, item.origin.source)
+    document = item.document
+    table = _read_plain_table(document) or _read_any_table(document)
     return (keypoints_from_table(table, item.origin),)
 
 
-def _read_table(text: str, source: str) -> Table:
-    """Return the table in the text. Raises FormatError."""
-    header, rows = _split(text, source)
+def _read_plain_table(document: Document) -> Table | None:
+    """Return the table of a file with nothing odd about it, None for any other.
+
+    Raises FormatError where the header is wrong.
+    """
+    if document.size < _LARGE:
+        return None
+    header: Header = {}
+    for line in document.lines():
+        cells = line.rstrip("\r\n").split(",")
+        if cells[0] not in LEVELS or '"' in line:
+            break
+        header[cells[0]] = cells
+    if "coords" not in header:
+        return None
+    columns = _columns(header, document)
+    is_number = [column >= columns.first for column in range(columns.end)]
+    found = read_plain_rows(document.blocks(len(header)), document.size, is_number)
+    if found is None:
+        return None
+    return Table(
+        levels=columns.levels,
+        columns=columns.labels,
+        rows=["/".join(cells) for cells in found.texts],
+        values=found.values,
+        lines=[
+            f"row {number} ({cells[-1]})"
+            for number, cells in enumerate(found.texts, len(header) + 1)
+        ],
+    )
+
+
+def _read_any_table(document: Document) -> Table:
+    """Return the table of a file, cell by cell. Raises FormatError."""
+    source = document.source
+    header: Header = {}
+    columns: _Columns | None = None
+    rows, lines, numbers = [], [], []
+    for number, row in _rows(document):
+        if row[0] in LEVELS and columns is None:
+            header[row[0]] = row
+            continue
+        columns = columns or _columns(header, document)
+        first, end = columns.first, columns.end
+        cells = row[:end] if columns.has_sets else row
+        numbers.append(_numbers(cells, first, end, f"{source}: row {number}"))
+        rows.append("/".join(row[:first]))
+        lines.append(f"row {number} ({row[first - 1]})")
+    columns = columns or _columns(header, document)
+    values = np.array(numbers).reshape(len(rows), columns.end - columns.first)
+    return Table(columns.levels, columns.labels, rows, values, lines)
+
+
+def _rows(document: Document) -> Iterator[tuple[int, list[str]]]:
+    """Return the number in the file and the cells of each row that is not empty.
+
+    Raises FormatError.
+    """
+    try:
+        for number, row in enumerate(csv.reader(document.lines()), start=1):
+            if any(row):
+                yield number, row
+    except csv.Error as error:
+        raise malformed(
+            document.source, "comma-separated values", error, "export it from DeepLabCut again"
+        ) from None
+
+
+def _columns(header: Header, document: Document) -> _Columns:
+    """Return which columns hold numbers, and what of. Raises FormatError."""
+    source = document.source
     coords = header.get("coords", [])
     if not any(coords[1:]):
         raise malformed(
             source,
             "commas between cells and a header row `coords`",
-            text.splitlines()[0][:60],
+            document.head.splitlines()[0][:60],
             "export it with commas",
         )
     headed = [column for column, cell in enumerate(coords) if column and cell]
     first, end = headed[0], headed[-1] + 1
-    levels, columns = _labels(header, first, end, source)
-    if header.get("scorer", [])[end:] == ["set"]:
-        # Lightning Pose's last column: what the frame was used for
-        rows = [(number, row[:end]) for number, row in rows]
-    numbers = [_numbers(row, first, end, f"{source}: row {number}") for number, row in rows]
-    return Table(
-        levels=levels,
-        columns=columns,
-        rows=["/".join(row[:first]) for _, row in rows],
-        values=np.array(numbers).reshape(len(rows), end - first),
-        lines=[f"row {number} ({row[first - 1]})" for number, row in rows],
-    )
-
-
-def _split(text: str, source: str) -> tuple[Header, Rows]:
-    """Return the header rows, and the rows below that are not empty. Raises FormatError."""
-    header: Header = {}
-    rows: Rows = []
-    reader = csv.reader(io.StringIO(text, newline=""))
-    try:
-        for number, row in enumerate(reader, start=1):
-            if row and row[0] in LEVELS and not rows:
-                header[row[0]] = row
-            elif any(row):
-                rows.append((number, row))
-    except csv.Error as error:
-        raise malformed(
-            source, "comma-separated values", error, "export it from DeepLabCut again"
-        ) from None
-    return header, rows
+    levels, labels = _labels(header, first, end, source)
+    has_sets = header.get("scorer", [])[end:] == ["set"]
+    return _Columns(first, end, levels, labels, has_sets)
 
 
 def _labels(

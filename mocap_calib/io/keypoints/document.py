@@ -3,19 +3,22 @@
 However many formats look at a file, it is read and parsed once, so that a pipe can be sniffed too.
 """
 
+import codecs
 import csv
 import io
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import h5py
+import msgspec
 
-from mocap_calib.io.file import Origin, decode, malformed, read_bytes
+from mocap_calib.io.file import Origin, decode, is_utf16, malformed, opened, read_bytes
 from mocap_calib.io.hdf5 import HDF5_DAMAGE
 from mocap_calib.io.sandbox import HDF5
 from mocap_calib.recording.pairing import compose_name
@@ -30,7 +33,8 @@ _FOREIGN = {
 }
 _DAMAGED = "the file is cut or damaged: export it again"
 _LISTED_TEXT = 40  # characters of a file in a message
-_HEAD = 65536  # bytes that the first line is looked for in
+_HEAD = 65536  # bytes of a file that formats are told by
+_BLOCK = 250_000  # bytes that are read at a time
 
 
 @dataclass(frozen=True)
@@ -67,7 +71,10 @@ class ReadOptions:
 
 @dataclass(frozen=True)
 class Document:
-    """One file, read when it is first looked at. All its properties raise FormatError."""
+    """One file, read when it is first looked at. All its properties raise FormatError.
+
+    A large one is read whole only where its `content` is asked for.
+    """
 
     path: Path
 
@@ -77,9 +84,74 @@ class Document:
         return str(self.path)
 
     @cached_property
+    def _read(self) -> tuple[bytes, bool]:
+        """The beginning of the content, and whether it is all.
+
+        What is no file, such as a pipe, is read to its end, since it can be read but once.
+        """
+        if self.path.is_file():
+            with opened(self.path) as file:
+                start = file.read(_HEAD)
+            if not is_utf16(start):
+                return start, len(start) < _HEAD
+        return read_bytes(self.path), True
+
+    @property
+    def start(self) -> bytes:
+        """The beginning of the content."""
+        return self._read[0][:_HEAD]
+
+    @cached_property
     def content(self) -> bytes:
-        """The whole file."""
-        return read_bytes(self.path)
+        """The whole content."""
+        start, is_all = self._read
+        return start if is_all else read_bytes(self.path)
+
+    @property
+    def size(self) -> int:
+        """Number of bytes of the content."""
+        start, is_all = self._read
+        return len(start) if is_all else self.path.stat().st_size
+
+    @contextmanager
+    def opened(self) -> Iterator[BinaryIO]:
+        """Open the content, which is not kept."""
+        start, is_all = self._read
+        if is_all:
+            yield io.BytesIO(start)
+            return
+        with opened(self.path) as file:
+            yield file
+
+    def blocks(self, first_line: int = 0) -> Iterator[bytes]:
+        """Return the content from a line on, in blocks of whole lines, of about 250 kB.
+
+        The file is closed between two blocks: nobody need read it to its end.
+        """
+        with self.opened() as file:
+            for _ in range(first_line):
+                file.readline()
+            place = file.tell()
+        while True:
+            with self.opened() as file:
+                file.seek(place)
+                block = file.read(_BLOCK) + file.readline()
+                place = file.tell()
+            if not block:
+                return
+            yield block
+
+    def lines(self) -> Iterator[str]:
+        """Return the lines of the text with their ends, a block of them in memory at a time."""
+        encoding = "utf-8-sig"  # of the first block
+        for block in self.blocks():
+            try:
+                text = block.decode(encoding)
+            except UnicodeDecodeError:
+                decode(self.content, self.source)  # says where
+                raise
+            yield from io.StringIO(text, newline="")
+            encoding = "utf-8"
 
     @cached_property
     def text(self) -> str:
@@ -89,25 +161,27 @@ class Document:
     @cached_property
     def head(self) -> str:
         """The beginning of the content as text, with marks for what is none."""
-        return self.content[:_HEAD].decode("utf-8-sig", errors="replace")
+        return self.start.decode("utf-8-sig", errors="replace")
 
     @property
     def is_json(self) -> bool:
         """Whether the content begins as a JSON array or object does; `[word` begins TOML."""
         start = rb"(\xef\xbb\xbf)?\s*(\{|\[(?!\s*\[?\s*[A-Za-z_]))"
-        return re.match(start, self.content[:4096]) is not None
+        return re.match(start, self.start[:4096]) is not None
 
     @property
     def is_hdf5(self) -> bool:
         """Whether the content has HDF5's signature."""
-        return self.content.startswith(HDF5)
+        return self.start.startswith(HDF5)
 
     @cached_property
     def json(self) -> Any:
         """The content as JSON; None where it does not begin like it."""
         if not self.is_json:
             return None
-        try:
+        with suppress(msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+            return msgspec.json.decode(self.content.removeprefix(codecs.BOM_UTF8))
+        try:  # which also reads NaN and Infinity, and says what is wrong
             return json.loads(self.text)
         except RecursionError:
             raise malformed(
@@ -131,7 +205,8 @@ class Document:
         if not self.is_hdf5:
             return None
         try:
-            return h5py.File(io.BytesIO(self.content), "r")
+            start, is_all = self._read
+            return h5py.File(io.BytesIO(start) if is_all else self.path, "r", locking=False)
         except HDF5_DAMAGE as error:
             raise malformed(
                 self.source, "a whole HDF5 file", f"an error ({error})", _DAMAGED
@@ -158,7 +233,7 @@ class Item:
         """The file, or the first file of the folder that is not empty."""
         documents = [Document(path) for path in self.members or (self.path,)]
         for document in documents:
-            if document.content.strip() not in (b"", b"[]"):
+            if document.size > _HEAD or document.content.strip() not in (b"", b"[]"):
                 return document
         return documents[0]
 
@@ -180,7 +255,7 @@ def describe(document: Document) -> tuple[str, str]:
     Raises FormatError where the file is damaged.
     """
     for start, description_and_remedy in _FOREIGN.items():
-        if document.content.startswith(start):
+        if document.start.startswith(start):
             return description_and_remedy
     return _describe_content(document), ""
 

@@ -20,7 +20,7 @@ _VARIABLES = ("camnames", "labelData")
 
 def sniff(document: Document) -> bool:
     """Return whether the file has the mark of a MATLAB 5 file."""
-    return document.content.startswith(b"MATLAB 5.0 MAT-file")
+    return document.start.startswith(b"MATLAB 5.0 MAT-file")
 
 
 def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:

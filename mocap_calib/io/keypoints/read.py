@@ -96,7 +96,8 @@ def _read_contained(
     item: Item, format: str | None, options: ReadOptions
 ) -> tuple[Keypoints2D, ...]:
     """Read the cameras in an item; HDF5 in another process."""
-    return call_contained(item.document.content, str(item.path), _read, item, format, options)
+    start, size = item.document.start, item.document.size
+    return call_contained(start, size, str(item.path), _read, item, format, options)
 
 
 def _read(item: Item, format: str | None, options: ReadOptions) -> tuple[Keypoints2D, ...]:

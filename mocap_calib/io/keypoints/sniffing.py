@@ -21,7 +21,9 @@ def sniff_item(item: Item, format: str | None) -> Item:
         return item
     document = item.document
     try:
-        found = call_contained(document.content, document.source, sniff_content, document, format)
+        found = call_contained(
+            document.start, document.size, document.source, sniff_content, document, format
+        )
     except FormatError:
         return item
     return replace(item, format=found)  # without the content: many items need not fit into memory

@@ -44,7 +44,7 @@ def parse_poses(
     content: bytes, source: str, format: str | None = None, unit: str | None = None
 ) -> PoseFile:
     """Return what `load_poses` does of the content of a file; `source` stands for its path."""
-    file = call_contained(content, source, _parse, content, source, format)
+    file = call_contained(content, len(content), source, _parse, content, source, format)
     if unit is None:
         return file
     if poses3d_h5.sniff(content) and file.poses.unit == ARBITRARY:
@@ -60,7 +60,7 @@ def parse_poses(
 def looks_like_poses(content: bytes) -> bool:
     """Return whether the content of a file is of one of the formats."""
     try:
-        return call_contained(content, "content", _sniff, content) != ""
+        return call_contained(content, len(content), "content", _sniff, content) != ""
     except FormatError:
         return False
 

@@ -93,7 +93,8 @@ def epoch_provenance(
         remarks.append(f"moved at frame {epoch.first}: {', '.join(epoch.moved)}")
     if number + 1 < len(epochs):
         remarks.append(f"the rig from frame {epochs[number + 1].first} on: another folder epoch_N")
-    return {**provenance, "remarks": [*remarks, *provenance.get("remarks", [])]}
+    remarks += provenance.get("remarks", [])
+    return {**provenance, "frames": [epoch.first, epoch.last], "remarks": remarks}
 
 
 def write_run_json(folder: Path, report: Mapping[str, Any]) -> None:

@@ -1,0 +1,261 @@
+"""Change the program in small ways, one at a time, and see whether its tests notice.
+
+    .venv/bin/python benchmarks/mutate.py              # 200 mutations, chosen by seed 0
+    .venv/bin/python benchmarks/mutate.py --number 20 --seed 1 --package geometry
+
+As many mutations are drawn of each package: a comparison turned, + made -, a constant changed, a
+condition negated, a line left out, arguments exchanged (`mutations.py`). It works on a copy of the
+tree. First each file of tests runs once as it is, which tells the functions that each test calls.
+A mutation is then tried with the tests that call its function and with all others of their files,
+the quickest first, until one fails; where none calls it, with those of its module, or those of the
+command: readers of files and the command run in processes of their own. Of tests that would take
+longer than `--seconds` together, the slow ones are left out. Mutations that never end are noticed
+by the time they take.
+
+What was tried is kept in a file (`--log`), a line of JSON each, and not tried again: a run that
+was stopped goes on. Needs an operating system that can fork.
+"""
+
+import argparse
+import compileall
+import hashlib
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import traceback
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+
+import pytest
+from calls_of_tests import CallsOfTests, Selected, Tests
+from mutations import Mutation, find_mutations
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("geometry", "two_view", "multi_view", "steerpose", "io")
+COMMAND = ("cli/test_cli.py", "cli/test_cli_convert.py", "cli/test_cli_inputs.py")
+TESTS = (*PACKAGES, "recording", "synthetic", "poses", "world")
+TESTS += ("test_front_door.py", "test_pipeline.py", "test_report.py", "test_types.py")
+TESTS += COMMAND
+PRELOADED = ("cv2", "h5py", "pycolmap", "scipy.optimize", "torch")
+BROKEN = 70  # status of a process that could not run the tests
+FIRST = 20  # tests, which notice most
+SLOWER = 4  # than in the run that was timed: longer, and a mutation is taken to never end
+
+
+def main() -> None:
+    """Markdown on stdout, progress on stderr."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--number", type=int, default=200, help="of mutations (default 200)")
+    parser.add_argument("--seed", type=int, default=0, help="of their choice (default 0)")
+    parser.add_argument("--package", choices=PACKAGES, help="this one alone")
+    parser.add_argument("--seconds", type=float, default=60, help="of tests for each (default 60)")
+    parser.add_argument("--log", type=Path, default=ROOT / "runs" / "mutations.jsonl")
+    parser.add_argument("--again", action="store_true", help="try survivors of the log again")
+    options = parser.parse_args()
+    packages = (options.package,) if options.package else PACKAGES
+    chosen = choose(packages, options.number, random.Random(options.seed))
+    options.log.parent.mkdir(parents=True, exist_ok=True)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # and clear away what is begun
+    os.environ["OMP_NUM_THREADS"] = "1"  # threads of libraries do not survive a fork
+    for name in PRELOADED:
+        __import__(name)
+    with tempfile.TemporaryDirectory() as work:
+        copy = copy_tree(Path(work) / "tree")
+        try_all(chosen, copy, options)
+    print(report(chosen, read_log(options.log)))
+
+
+def choose(packages: tuple[str, ...], number: int, rng: random.Random) -> list[Mutation]:
+    """Return as many mutations of each package, in an order in which packages take turns."""
+    drawn = []
+    for package in packages:
+        files = sorted((ROOT / "mocap_calib" / package).rglob("*.py"))
+        found = [m for file in files for m in find_mutations(ROOT, file.relative_to(ROOT))]
+        drawn.append(rng.sample(found, min(-(-number // len(packages)), len(found))))
+    longest = max(map(len, drawn))
+    turns = [some[k] for k in range(longest) for some in drawn if k < len(some)]
+    return turns[:number]
+
+
+def copy_tree(target: Path) -> Path:
+    """Copy what git knows of, and what is new."""
+    listed = ["git", "ls-files", "--cached", "--others", "--exclude-standard"]
+    names = subprocess.run(listed, cwd=ROOT, capture_output=True, text=True, check=True)
+    for name in names.stdout.splitlines():
+        if (ROOT / name).is_file():
+            (target / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(ROOT / name, target / name)
+    compileall.compile_dir(target / "mocap_calib", quiet=2)  # mutations write no compiled files
+    return target
+
+
+# --- tests
+
+
+def try_all(chosen: list[Mutation], copy: Path, options: argparse.Namespace) -> None:
+    """Try what the log does not have, and add it there."""
+    known = read_log(options.log)
+    if options.again:
+        known = {name: entry for name, entry in known.items() if entry["killed"]}
+    missing = [mutation for mutation in chosen if mutation.name not in known]
+    if not missing:
+        return
+    tests = learn_tests(copy, options.log.with_suffix(".tests.json"))
+    for k, mutation in enumerate(missing, 1):
+        entry = asdict(mutation) | try_one(mutation, copy, tests, seconds=options.seconds)
+        with open(options.log, "a", encoding="utf-8", newline="\n") as log:
+            log.write(json.dumps({"name": mutation.name, **entry}) + "\n")
+        word = entry["killed"] or "SURVIVED"
+        print(f"{k}/{len(missing)} {mutation.describe()}: {word}", file=sys.stderr, flush=True)
+
+
+def learn_tests(copy: Path, kept: Path) -> Tests:
+    """Run every file of tests as it is, each in a process of its own, and see what it calls.
+
+    What an earlier run learned of a file is in `kept`; that holds as long as the program and the
+    file are the same.
+    """
+    known = json.loads(kept.read_text("utf-8")) if kept.exists() else {}
+    program = sorted([*(copy / "mocap_calib").rglob("*.py"), *(copy / "tests").glob("*.py")])
+    learned = {}
+    for file in sorted(tests_of(copy)):
+        content = b"".join(path.read_bytes() for path in [*program, file])
+        key = hashlib.sha256(content).hexdigest()
+        learned[key] = known[key] if key in known else learn_file(copy, file)
+        kept.write_text(json.dumps(known | learned), encoding="utf-8", newline="\n")
+    if not any(learned.values()):
+        raise SystemExit("expected tests that pass before anything is changed, found none")
+    otherwise = tuple(f"tests/{name}" for name in COMMAND)
+    return Tests([found for found in learned.values() if found], otherwise)
+
+
+def tests_of(copy: Path) -> Iterator[Path]:
+    """Return the files of the tests that are run."""
+    for name in TESTS:
+        path = copy / "tests" / name
+        yield from [path] if path.suffix else path.rglob("test_*.py")
+
+
+def learn_file(copy: Path, file: Path) -> dict:
+    """Return what the tests of a file call; nothing where one fails before any change."""
+    name, found, start = str(file.relative_to(copy)), copy / "calls.json", time.monotonic()
+    status = in_process(copy, partial(CallsOfTests, copy, found), [name], seconds=900)
+    took = f"{time.monotonic() - start:.0f} s"
+    word = "fails as it is, and is left out" if status else took
+    print(f"{name}: {word}", file=sys.stderr, flush=True)
+    return {} if status else json.loads(found.read_text("utf-8"))
+
+
+def try_one(mutation: Mutation, copy: Path, tests: Tests, *, seconds: float) -> dict[str, object]:
+    """Return by what the mutation was noticed, "" = not, and how many tests tried."""
+    names, left_out = tests.of_function(mutation.path, mutation.function, seconds=seconds)
+    if not names:
+        return {"killed": "", "tests": 0, "left_out": left_out}
+    file, failed = copy / mutation.path, copy / "failed.txt"
+    original = file.read_bytes()
+    stat = file.stat()
+    failed.unlink(missing_ok=True)
+    try:
+        file.write_bytes(mutation.apply(original))
+        for some in (names[:FIRST], names[FIRST:]):  # files of tests take long to collect
+            expected = sum(tests.seconds[name] for name in some)
+            limit = 30 + SLOWER * expected
+            files = sorted({name.split("::")[0] for name in some})
+            plugin = partial(Selected, some, failed)
+            status = in_process(copy, plugin, files, seconds=limit) if files else 0
+            if status:
+                break
+    finally:
+        file.write_bytes(original)
+        os.utime(file, ns=(stat.st_atime_ns, stat.st_mtime_ns))
+    killed = ""
+    if status:
+        killed = failed.read_text("utf-8") if failed.exists() else f"status {status}"
+    return {"killed": killed, "tests": len(names), "left_out": left_out}
+
+
+def in_process(
+    copy: Path, plugin: Callable[[], object], files: list[str], *, seconds: float
+) -> int:
+    """Run tests of the copy in a process of their own; return its status, -1 = out of time."""
+    child = os.fork()
+    if not child:
+        status = BROKEN
+        try:
+            os.setsid()
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
+            status = run_tests(copy, plugin, files)
+        except BaseException:
+            traceback.print_exc()
+        finally:  # nothing of the parent's is cleared away by the child
+            os._exit(status)
+    end, done = time.monotonic() + seconds, 0
+    try:
+        while time.monotonic() < end:
+            done, status = os.waitpid(child, os.WNOHANG)
+            if done:
+                return os.waitstatus_to_exitcode(status)
+            time.sleep(0.05)
+        return -1
+    finally:
+        if not done:
+            os.killpg(child, signal.SIGKILL)
+            os.waitpid(child, 0)
+
+
+def run_tests(copy: Path, plugin: Callable[[], object], files: list[str]) -> int:
+    """Run tests in this process, in silence, and return the status."""
+    os.chdir(copy)
+    silence = os.open(os.devnull, os.O_RDWR)
+    for stream in (0, 1):  # of the three; what goes wrong here is said
+        os.dup2(silence, stream)
+    roots = [str(copy), str(copy / "cli")]
+    os.environ["PYTHONPATH"] = os.pathsep.join(roots)
+    sys.path[:0] = roots
+    # compiled files of mutations must not be taken for those of the files
+    sys.dont_write_bytecode = True
+    quiet = ["-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist"]
+    return int(pytest.main([*quiet, *files], plugins=[plugin()]))
+
+
+# --- results
+
+
+def read_log(path: Path) -> dict[str, dict]:
+    """Return what was tried by name; the last line of a name counts."""
+    if not path.exists():
+        return {}
+    entries = map(json.loads, path.read_text("utf-8").splitlines())
+    return {entry["name"]: entry for entry in entries}
+
+
+def report(chosen: list[Mutation], known: dict[str, dict]) -> str:
+    """Return the share that was noticed, and all that was not."""
+    tried = [mutation for mutation in chosen if mutation.name in known]
+    survived = [mutation for mutation in tried if not known[mutation.name]["killed"]]
+    alive, of = Counter(m.package for m in survived), Counter(m.package for m in tried)
+    lines = ["| package | mutations | noticed |", "|---|---|---|"]
+    lines += [f"| {name} | {of[name]} | {of[name] - alive[name]} |" for name in of]
+    share = 100 * (1 - len(survived) / max(len(tried), 1))
+    lines += [f"| all | {len(tried)} | {len(tried) - len(survived)} ({share:.0f} %) |", ""]
+    for mutation in survived:
+        entry = known[mutation.name]
+        lines.append(
+            f"* {mutation.describe()}: {entry['tests']} tests, {entry['left_out']} not run"
+        )
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    main()
