@@ -283,7 +283,7 @@ def _add_match(
 
 
 @kernel(*(floats(3), floats(2), FLOAT, floats(2)), *(floats(2), floats(1)), *(floats(1),) * 2, INT)
-def minimise(  # noqa: PLR0917 (kernels take what they need by position)
+def minimise(
     rays: Floats,
     cross: Floats,
     norm: float,
