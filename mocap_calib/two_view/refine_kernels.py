@@ -1,9 +1,8 @@
 """Compiled: relative poses by robust least squares on rays, with lifted bodies or without.
 
-`refine.refine_two_view` and the energies of `posterior` say the same in numpy. What is summed over
-the rays needs one division a ray: with the error e = s v / sqrt(g), its slopes s j / sqrt(g) and
-q = s^2 v^2 / width^2, the weight of Geman and McClure is 1 / (1 + q / g)^2, so that the sums of
-weighted products of slopes and errors are those of j and v with the weight s^2 g / (g + q)^2.
+`refine.refine_two_view` and the energies of `posterior` say the same in numpy. The sums over rays
+take one division a ray: where the error is s v / sqrt(g), its slopes s j / sqrt(g), and
+q = (s v / width)^2, Geman and McClure weigh it by (g / (g + q))^2.
 """
 
 import math
@@ -14,7 +13,7 @@ from mocap_calib.compute.jit import FLOAT, INT, floats, inlined, kernel
 from mocap_calib.two_view.view_pair import RAYS_OF_A_BLOCK
 from mocap_calib.types import Floats
 
-LANES = RAYS_OF_A_BLOCK  # at a time: loops of a fixed length over arrays in the cache are quick
+LANES = RAYS_OF_A_BLOCK
 
 
 @inlined
@@ -85,9 +84,7 @@ def _write_terms(
         terms[n] = y * cz - z * cy
         terms[LANES + n] = z * cx - x * cz
         terms[2 * LANES + n] = x * cy - y * cx
-        terms[3 * LANES + n] = nx
-        terms[4 * LANES + n] = ny
-        terms[5 * LANES + n] = nz
+        terms[3 * LANES + n], terms[4 * LANES + n], terms[5 * LANES + n] = nx, ny, nz
         terms[6 * LANES + n] = value
         terms[7 * LANES + n] = weight * size * size * gradient * inverse * inverse
         terms[8 * LANES + n] = weight * square * inverse
@@ -106,8 +103,7 @@ def _sum_over_rays(
 ) -> tuple[Floats, float]:
     """Return the Hessian and the gradient `[6, 7]`, and the loss: the sum of w q / (g + q).
 
-    data: `[block, 8, LANES]` rays; rotation: `[3, 3]`; direction: `[3]` unit; shifts: `[3, 3]` of
-    it; width: of the loss.
+    data: `[block, 8, LANES]` rays; direction: `[3]` unit; shifts: `[3, 3]` of it; width of loss.
     """
     size = len(shifts) + 3
     terms, slopes = np.empty((9, LANES)), np.empty((7, LANES))
@@ -172,8 +168,7 @@ def refine(
 ) -> tuple[Floats, Floats]:
     """Return rotations `[M, 3, 3]` and unit directions `[M, 3]` after the steps of Gauss-Newton.
 
-    rays: `[M, block, 8, LANES]`, see `MatchedRays.in_blocks`; widths: `[step]` of the loss;
-    largest: the length of a step at most.
+    rays: `[M, block, 8, LANES]` as `MatchedRays.in_blocks`; widths: `[step]`; largest: of a step.
     """
     rotations, directions = rotation.copy(), direction.copy()
     for m in range(len(rotation)):
@@ -232,8 +227,8 @@ def _add_centres(
     share, across, along, outlier = rule[2], rule[3] ** 2, rule[4] ** 2, rule[5] ** 2
     value = 0.0
     covariance, information, slope = np.empty((3, 3)), np.empty((3, 3)), np.zeros((3, 6))
-    slope[:, 3:] = np.eye(3)
     turned, gap, pull = np.empty(3), np.empty(3), np.empty(3)
+    slope[:, 3:] = np.eye(3)
     for n in range(len(centres)):
         for i in range(3):
             turned[i] = 0.0
@@ -243,8 +238,7 @@ def _add_centres(
         for i in range(3):
             for j in range(3):
                 outer = turned[i] * turned[j] + centres[n, 3 + i] * centres[n, 3 + j]
-                covariance[i, j] = along * outer
-            covariance[i, i] += across
+                covariance[i, j] = along * outer + (across if i == j else 0.0)
         _invert(covariance, information)
         squared = 0.0
         for i in range(3):

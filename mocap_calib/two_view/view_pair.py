@@ -11,7 +11,7 @@ from mocap_calib.config import LEAST_LIFT_SPREAD, PairwiseConfig
 from mocap_calib.geometry.epipolar import depths
 from mocap_calib.types import Bools, Floats, Ints, LiftedPoses, Sample
 
-RAYS_OF_A_BLOCK = 64  # in compiled loops
+RAYS_OF_A_BLOCK = 64  # loops of a fixed length over arrays in the cache are quick
 
 
 @dataclass(frozen=True)
