@@ -123,8 +123,9 @@ def find_explanations(
         for group in result.groups
         for fault in find_exchanged_cameras(observed, group, config)
     )
-    odd = tuple(exchanged) or find_odd_cameras(observed, result, config)
-    return tuple(moved), odd
+    files = tuple(exchanged)
+    odd = (files,) if files else find_odd_cameras(observed, result, config)
+    return tuple(moved), *odd
 
 
 def mends_of(faults: Sequence[Fault]) -> tuple[Mend, ...]:

@@ -3,7 +3,8 @@
 A camera that is suspicious is held against the rig of all others: what would its images, its
 labels or its intrinsics have to be, for it to see what these know? The camera that another reading
 explains best is the odd one. One is named at a time: the others are looked at again once it was
-mended, since it spoils every rig that it is part of.
+mended, since it spoils every rig that it is part of. Two that are odd in the same way go together,
+and to mend one of them may make it worse: those that need no estimate are also named together.
 """
 
 import numpy as np
@@ -21,8 +22,11 @@ _LEAST_CAMERAS = 3  # of two nobody can say which is odd
 
 def find_odd_cameras(
     observed: Observed, result: CalibrationResult, config: Config
-) -> tuple[Fault, ...]:
+) -> tuple[tuple[Fault, ...], ...]:
     """Return the fault of the camera that is most certainly odd; nothing where none is.
+
+    And, as a rival of that, the faults of all cameras that certainly are odd in a way that has no
+    unknowns, where there are several.
 
     observed: what was known before the rigs were built. result: what was found.
     """
@@ -38,7 +42,11 @@ def find_odd_cameras(
         return ()
     for finding in certain:
         if is_determined(finding.core, config, seed=result.seed):
-            return (_name_fault(finding, config.diagnosis),)
+            exact = [each for each in certain if each.explanation.mend is not None]
+            rivals = [[finding], exact] if len(exact) > 1 else [[finding]]
+            return tuple(
+                tuple(_name_fault(each, config.diagnosis) for each in faults) for faults in rivals
+            )
     return ()
 
 
