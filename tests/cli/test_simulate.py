@@ -57,7 +57,8 @@ def written(tmp_path_factory):
 
 def check_scene(folder, scene):
     """The files of a folder say what the scene does, to the digits that they have."""
-    truth = np.load(folder / "truth.npz", allow_pickle=False)
+    with np.load(folder / "truth.npz", allow_pickle=False) as file:
+        truth = dict(file)
     np.testing.assert_array_equal(truth["ids"], scene.identity)
     np.testing.assert_allclose(truth["poses3d"], scene.poses, atol=1e-6)
     assert tuple(truth["joints"]) == scene.joints
@@ -173,7 +174,8 @@ def test_a_mixed_scene_is_written_with_its_truth(tmp_path):
     assert "3 cameras, 12 frames, 2 people, 1 quadruped, 1" in done.stderr
     assert "mocap-calib run --model people" in done.stderr
     check_scene(tmp_path, simulate(replace(SCENE, animals=(("quadruped", 1),))))
-    truth = np.load(tmp_path / "truth.npz")
+    with np.load(tmp_path / "truth.npz") as file:
+        truth = dict(file)
     assert truth["kinds"].tolist() == ["people", "people", "quadruped"]
     has = dict(
         zip(truth["joints"], np.isfinite(truth["poses3d"][0, :, :, 0]).T.tolist(), strict=True)
