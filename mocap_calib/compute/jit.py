@@ -40,8 +40,8 @@ def kernel(*arguments: Any) -> Callable[[Function], Function]:
 
 
 def inlined(function: Function) -> Function:
-    """Return a function that kernels of the same file call."""
-    return cast(Function, numba.njit(inline="never", nogil=True, error_model="numpy")(function))
+    """Compile a function that kernels of the same file call, with the first that calls it."""
+    return cast(Function, numba.njit(nogil=True, error_model="numpy")(function))
 
 
 def floats(dimensions: int) -> Any:

@@ -12,7 +12,7 @@ from types import ModuleType
 
 import numpy as np
 
-from mocap_calib.compute.kernels import compiled
+from mocap_calib.compute.kernels import compiled, contiguous
 from mocap_calib.config import (
     INTERSECT_AGREEING_RAYS,
     INTERSECT_AGREEING_SHARE,
@@ -74,9 +74,7 @@ def _by_kernel(kernels: ModuleType, rays: _Rays) -> Floats:
     first, others = _candidate_pairs(len(rays.centres))
     points = np.empty(rays.direction.shape[1:])
     kernels.intersect_rays(
-        np.ascontiguousarray(rays.centres),
-        np.ascontiguousarray(rays.direction),
-        np.ascontiguousarray(rays.precision),
+        *contiguous(rays.centres, rays.direction, rays.precision),
         np.array(first + others, dtype=np.int64).reshape(-1, 2),
         len(first),
         np.full(INTERSECT_STEPS, INTERSECT_LOSS_SCALE),

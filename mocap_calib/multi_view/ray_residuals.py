@@ -11,10 +11,11 @@ from types import ModuleType
 
 import numpy as np
 
-from mocap_calib.compute.kernels import compiled
+from mocap_calib.compute.kernels import compiled, contiguous
 from mocap_calib.multi_view.motion import Motion
 from mocap_calib.multi_view.residuals import (
     BEHIND,
+    KERNELS,
     Residuals,
     Slopes,
     State,
@@ -23,8 +24,6 @@ from mocap_calib.multi_view.residuals import (
     positive_depth,
 )
 from mocap_calib.types import Floats, Ints
-
-KERNELS = "mocap_calib.multi_view.schur_kernels"
 
 
 @dataclass(frozen=True)
@@ -44,9 +43,7 @@ class RayObservations:
     def select(self, points: Ints) -> "RayObservations":
         """Return what was seen of some of the points, given their indices."""
         return RayObservations(
-            rays=np.ascontiguousarray(self.rays[..., points]),
-            metric=np.ascontiguousarray(self.metric[..., points]),
-            weight=np.ascontiguousarray(self.weight[:, points]),
+            *contiguous(self.rays[..., points], self.metric[..., points], self.weight[:, points])
         )
 
     def residuals(self, block: slice, state: State) -> Residuals:
@@ -77,7 +74,7 @@ class RayObservations:
         """Return what `residuals_of` returns."""
         views, _, count = in_camera.shape
         depth, residual = np.empty((views, count)), np.empty((views, 2, count))
-        rays, metric = np.ascontiguousarray(self.rays), np.ascontiguousarray(self.metric)
+        rays, metric = contiguous(self.rays, self.metric)
         kernels.ray_residuals(block.start, rays, metric, in_camera, BEHIND, depth, residual)
         return Residuals(in_camera, depth, residual, is_behind(in_camera, depth))
 
@@ -88,7 +85,7 @@ class RayObservations:
         kernels = compiled(KERNELS)
         if kernels is not None:
             slope = np.empty((views, rows, 3, count))
-            rays, metric = np.ascontiguousarray(self.rays), np.ascontiguousarray(self.metric)
+            rays, metric = contiguous(self.rays, self.metric)
             kernels.ray_slopes(
                 block.start, rays, metric, found.depth, found.residual, weight, slope
             )

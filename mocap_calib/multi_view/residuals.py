@@ -16,6 +16,7 @@ import numpy as np
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.types import Bools, Floats
 
+KERNELS = "mocap_calib.multi_view.schur_kernels"
 _BLOCK = 1024  # points at a time: what is computed of them stays in the cache
 
 # Cosine between ray and point that stands for all points behind the camera: such a point fits

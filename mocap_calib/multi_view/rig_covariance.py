@@ -19,7 +19,6 @@ import numpy as np
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError
-from mocap_calib.geometry.fisher import fisher_quantile
 from mocap_calib.geometry.rotation import skew, vector_from_matrix
 from mocap_calib.multi_view.bundle_adjustment import (
     AdjustablePoints,
@@ -32,8 +31,6 @@ from mocap_calib.multi_view.ray_residuals import RayObservations
 from mocap_calib.multi_view.residuals import State
 from mocap_calib.multi_view.schur import Freedom, free_poses
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Matches, RigCovariance, Sample
-
-_WITHIN_95 = 7.814727903251178  # 95 % of the values of chi-square with 3 degrees of freedom
 
 
 @dataclass(frozen=True)
@@ -207,8 +204,11 @@ def _widening(degrees: float) -> float:
     Regions of three numbers, as of a normal distribution. degrees: of freedom of the covariance.
     Its own error makes the squared distances those of Hotelling's T^2.
     """
+    # slow to import, which a recording that is not calibrated need not pay for
+    from scipy.special import chdtri, fdtri  # noqa: PLC0415
+
     left = degrees - 2
-    return 3 * degrees / left * fisher_quantile(0.95, 3, left) / _WITHIN_95
+    return float(3 * degrees / left * fdtri(3, left, 0.95) / chdtri(3, 0.05))
 
 
 def cautious_covariances(fitted: FittedRig, config: Config) -> tuple[RigCovariance, RigCovariance]:

@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from mocap_calib.compute.kernels import compiled
+from mocap_calib.compute.kernels import compiled, contiguous
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import (
     LM_DAMPING_FACTOR,
@@ -20,6 +20,7 @@ from mocap_calib.config import (
 )
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.multi_view.residuals import (
+    KERNELS,
     Observations,
     State,
     blocks_of,
@@ -28,8 +29,6 @@ from mocap_calib.multi_view.residuals import (
     slopes_of,
 )
 from mocap_calib.types import Bools, Floats, Ints
-
-KERNELS = "mocap_calib.multi_view.schur_kernels"
 
 
 @dataclass(frozen=True)
@@ -200,8 +199,7 @@ def _linearise_block(
     camera = np.empty((views, unknowns, *residual.shape[1:]))
     kernels.normal_equations(
         block.start,
-        np.ascontiguousarray(state.rotation),
-        np.ascontiguousarray(residuals.in_camera),
+        *contiguous(state.rotation, residuals.in_camera),
         slopes.in_camera,
         slopes.intrinsics,
         residual,

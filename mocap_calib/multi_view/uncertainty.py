@@ -56,8 +56,8 @@ def assess_uncertainty(
     free = _free_focal(sample, rig, matches, config)
     off = _intrinsics_changes(sample, rig, matches, config, free=free)
     unknown = np.full(len(rig.cameras), np.nan)
-    told = free is not None and not _any_estimated(rig)
-    change, sigma = (free.change, free.sigma) if free and told else (unknown, unknown)
+    given = None if _any_estimated(rig) else free  # nobody is accused of what was estimated
+    change, sigma = (unknown, unknown) if given is None else (given.change, given.sigma)
     tells = len(labelled_frames(matches)) >= config.uncertainty.accusing_moments
     return Uncertainty(
         covariance=covariance.with_changes(off),
@@ -73,7 +73,10 @@ def assess_uncertainty(
 def _free_focal(
     sample: Sample, rig: CameraRig, matches: Matches, config: Config
 ) -> FreeFocal | None:
-    """Return the rig with free focal lengths, None where each was estimated by itself."""
+    """Return the rig with free focal lengths, None where nothing more can be said.
+
+    That is where each was estimated by itself, and where nothing goes with free ones.
+    """
     groups = shared_intrinsics(rig.cameras, config.intrinsics)
     if _any_estimated(rig) and len(np.unique(groups)) == len(rig.cameras):
         return None
