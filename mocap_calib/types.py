@@ -9,11 +9,13 @@ docs/conventions.md has the rest.
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, Protocol, Self, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mocap_calib import mapped
 from mocap_calib.config import EPOCH_MARK, Config
 from mocap_calib.records import Record, as_array, check_names, check_shape
 from mocap_calib.wording import count
@@ -708,7 +710,9 @@ class Recording(Record):
     @property
     def seen(self) -> Bools:
         """`[view, frame, instance, keypoint]` where there is a detection."""
-        return np.isfinite(self.positions[..., 0])
+        return mapped.in_blocks(
+            lambda block: np.isfinite(self.positions[:, block, ..., 0]), len(self.frames), axis=1
+        )
 
     def select(
         self, *, views: Views | None = None, frames: Ints | Bools | slice | None = None
@@ -726,7 +730,7 @@ class Recording(Record):
             found = replace(found, frames=found.frames[frames], **parts)
         index = None if views is None else _find_views(self.names, views)
         if index is not None and not np.array_equal(index, np.arange(len(self.cameras))):
-            parts = {name: getattr(found, name)[index] for name in self._by_view_and_frame}
+            parts = {name: found._take(name, index) for name in self._by_view_and_frame}
             cameras = tuple(self.cameras[view] for view in index)
             found = replace(found, cameras=cameras, tracked=found.tracked[index], **parts)
         return found
@@ -736,11 +740,23 @@ class Recording(Record):
 
         source: `[view, frame]` index of what is shown, -1 = nothing. frames: `[frame]` numbers.
         """
-        view, missing = np.arange(len(self.cameras))[:, None], source < 0
-        parts = {name: getattr(self, name)[view, source] for name in self._by_view_and_frame}
-        for name, part in parts.items():
-            part[missing] = 0.0 if name == "confidence" else np.nan
+        view = np.arange(len(self.cameras))[:, None]
+
+        def show(name: str, block: slice) -> Reals:
+            part: Reals = getattr(self, name)[view, source[:, block]]
+            part[source[:, block] < 0] = 0.0 if name == "confidence" else np.nan
+            return part
+
+        parts: dict[str, Any] = {
+            name: mapped.in_blocks(partial(show, name), len(frames), axis=1)
+            for name in self._by_view_and_frame
+        }
         return replace(self, frames=frames, **parts)
+
+    def _take(self, name: str, views: Ints) -> Reals:
+        """Return an array of views and frames with these views (`[view]` indices) alone."""
+        array: Reals = getattr(self, name)
+        return mapped.in_blocks(lambda block: array[views, block], len(self.frames), axis=1)
 
     @property
     def _by_view_and_frame(self) -> tuple[str, ...]:
@@ -1191,7 +1207,7 @@ class Poses3D(Record):
             object.__setattr__(self, "raw", self.positions)
         self._hold("poses", "raw", float, *points, 3)
         if np.shape(self.source) == (0,):
-            there = np.isfinite(self.positions).all(-1)
+            there = self._in_blocks(lambda block: np.isfinite(self.positions[block]).all(-1))
             object.__setattr__(self, "source", there.astype(np.int8))  # 1: triangulated
         check_shape("poses: source", self.source, *points)
 
@@ -1215,7 +1231,9 @@ class Poses3D(Record):
             self,
             positions=positions,
             raw=raw,
-            covariance=(factor**2 * self.covariance).astype(np.float32),
+            covariance=self._in_blocks(
+                lambda block: (factor**2 * self.covariance[block]).astype(np.float32)
+            ),
             unit=unit,
             world=self.world.scale(factor),
         )
@@ -1223,14 +1241,17 @@ class Poses3D(Record):
     def turn(self, rotation: Floats) -> "Poses3D":
         """Return the poses in other axes, to which a rotation `[3, 3]` turns those of the world."""
         rows = ((0, 1, 2), (1, 3, 4), (2, 4, 5))
-        matrix = rotation @ self.covariance[..., rows] @ rotation.T
-        entries = matrix[..., (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)].astype(np.float32)
+
+        def turn(block: slice) -> Reals:
+            matrix = rotation @ self.covariance[block][..., rows] @ rotation.T
+            return matrix[..., (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)].astype(np.float32)
+
         positions, raw = self._move(lambda points: points @ rotation.T)
         return replace(
             self,
             positions=positions,
             raw=raw,
-            covariance=entries,
+            covariance=self._in_blocks(turn),
             world=self.world.turn(rotation),
         )
 
@@ -1240,10 +1261,21 @@ class Poses3D(Record):
         parts: dict[str, Any] = {name: getattr(self, name)[:, individuals] for name in names}
         return replace(self, **parts)
 
+    def shift(self, by: Floats) -> "Poses3D":
+        """Return the poses with all points shifted by `[3]` in the unit."""
+        positions, raw = self._move(lambda points: points + by)
+        return replace(self, positions=positions, raw=raw)
+
     def _move(self, move: Callable[[Floats], Floats]) -> tuple[Floats, Floats]:
         """Return the positions and the triangulated points after a move."""
-        positions = move(self.positions)
-        return positions, positions if self.raw is self.positions else move(self.raw)
+        positions = self._in_blocks(lambda block: move(self.positions[block]))
+        if self.raw is self.positions:
+            return positions, positions
+        return positions, self._in_blocks(lambda block: move(self.raw[block]))
+
+    def _in_blocks(self, function: Callable[[slice], Any]) -> NDArray[Any]:
+        """Return what a function makes of all frames, see `mapped.in_blocks`."""
+        return mapped.in_blocks(function, len(self.frames))
 
     @property
     def sigma(self) -> Floats:
@@ -1251,7 +1283,9 @@ class Poses3D(Record):
 
         As far as it is due to the detectors' noise: what follows from `covariance`.
         """
-        return np.sqrt(self.covariance[..., [0, 3, 5]].sum(-1, dtype=np.float64))
+        return self._in_blocks(
+            lambda block: np.sqrt(self.covariance[block][..., [0, 3, 5]].sum(-1, dtype=np.float64))
+        )
 
     def to_xarray(
         self, fps: float | None = None, individuals: Sequence[str] = ()

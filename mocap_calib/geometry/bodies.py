@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from mocap_calib import mapped
 from mocap_calib.types import Floats
 
 
@@ -20,10 +21,15 @@ def body_size(points: Floats) -> float:
     have three, or all where joints are fewer. NaN without bodies.
     """
     keypoints = points.shape[-2]
-    count = np.isfinite(points[..., 0]).sum(-1)
+    points = points.reshape(-1, keypoints, 3)
+    count, size = np.zeros(len(points), dtype=np.int64), np.zeros(len(points))
+    for block in mapped.frame_slices(len(points)):
+        bodies = points[block]
+        count[block] = np.isfinite(bodies[..., 0]).sum(-1)
+        square = ((bodies - mean_of_known(bodies, 1)[:, None]) ** 2).sum(-1)
+        size[block] = np.sqrt(mean_of_known(square, 1))
     for least in (max(3, keypoints // 2), min(3, keypoints)):
-        bodies = points[count >= least]
-        if len(bodies):
-            square = ((bodies - mean_of_known(bodies, 1)[:, None]) ** 2).sum(-1)
-            return float(np.median(np.sqrt(mean_of_known(square, 1))))
+        enough = count >= least
+        if enough.any():
+            return float(np.median(size[enough]))
     return float("nan")

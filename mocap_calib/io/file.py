@@ -11,6 +11,7 @@ from typing import BinaryIO
 
 import numpy as np
 
+from mocap_calib import mapped
 from mocap_calib.errors import FormatError
 from mocap_calib.io.missing import MISSING_CUSTOMS, mark_missing
 from mocap_calib.types import Floats, Ints, Keypoints2D
@@ -211,7 +212,8 @@ def make_view(
     """
     numbers = np.asarray(frames, dtype=np.int64)
     order = frame_order(numbers, numbers.tolist() if rows is None else rows, origin.source)
-    positions, confidence = np.empty((*values.shape[:3], 2)), np.empty(values.shape[:3])
+    shape = values.shape[:3]
+    positions, confidence = mapped.empty((*shape, 2)), mapped.empty(shape)
     missing: Counter[str] = Counter()
     step = max(1, _POINTS_AT_A_TIME // max(1, values[0].size // 3 if len(values) else 1))
     for start in range(0, len(order), step):  # so that nothing of this size is made in between
@@ -219,6 +221,7 @@ def make_view(
         marked = mark_missing(part[..., :2], part[..., 2])
         positions[start : start + step], confidence[start : start + step] = marked[:2]
         missing.update(marked[2])
+        mapped.let_go()
     return Keypoints2D(
         camera=origin.camera,
         keypoints=unique_names(tuple(names), origin.source),

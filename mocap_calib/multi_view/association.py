@@ -10,6 +10,7 @@ from itertools import combinations
 
 import numpy as np
 
+from mocap_calib import mapped
 from mocap_calib.compute.parallel import map_in_threads, single_threaded_libraries
 from mocap_calib.config import (
     SCALE_FRAMES,
@@ -113,6 +114,7 @@ def label_all_frames(
     found = map_in_threads(label, blocks)
     for done, (block, groups) in enumerate(zip(blocks, found, strict=True), start=1):
         labels[:, block, : groups.shape[2]] = groups
+        mapped.let_go()
         progress("match all", done, len(blocks))
     scale = _body_scale(sample, lifted, rig, config)
     return _link_groups(recording, rig, labels, config.matching, scale=scale)

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mocap_calib import mapped
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import Config, MatchingConfig
 from mocap_calib.errors import DegenerateError
@@ -92,10 +93,11 @@ def _triangulate_groups(
     blocks = frame_blocks(len(recording.frames), groups.individuals * joints)
     # not a list of parts that is joined in the end: that would be twice the memory; components
     # lie apart, as the parts have them
-    by_component = np.empty((3, len(recording.frames), groups.individuals, joints))
+    by_component = mapped.empty((3, len(recording.frames), groups.individuals, joints))
     points = np.moveaxis(by_component, 0, -1)
     for block, part in zip(blocks, map_in_threads(locate, blocks), strict=True):
         points[block] = part
+        mapped.let_go()
     return points
 
 
@@ -148,7 +150,7 @@ def _names_of_groups(individual: Ints, pieces: Pieces, points: Floats) -> Ints:
     Where two groups of a frame would have one name, the one with more joints has it.
     """
     names = np.append(individual, -1)[pieces.number]
-    joints = np.isfinite(points[..., 0]).sum(-1)
+    joints = mapped.in_blocks(lambda block: np.isfinite(points[block, ..., 0]).sum(-1), len(points))
     first = np.argsort(-joints, axis=1, kind="stable")
     ordered = np.take_along_axis(names, first, axis=1)
     earlier = np.tril(np.ones((names.shape[1],) * 2, dtype=bool), -1)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mocap_calib import mapped
 from mocap_calib.config import MatchingConfig
 from mocap_calib.geometry.bodies import mean_of_known
 from mocap_calib.geometry.graphs import connected_parts
@@ -93,6 +94,7 @@ def step_distances(points: Floats, moved: Floats, config: MatchingConfig) -> Flo
         later = points[block.start + 1 : block.stop + 1]
         expected = points[block] + moved[block, :, None]
         distance[block] = rms_distance(expected[:, :, None], later[:, None], config.tracklet_joints)
+        mapped.let_go()
     return distance
 
 
@@ -112,7 +114,9 @@ def cut_into_pieces(points: Floats, frames: Ints, config: MatchingConfig) -> Pie
 
     Where bodies keep on moving as they did, which is tried, they are expected where they go.
     """
-    present = np.asarray(np.isfinite(points[..., 0]).any(-1))
+    present = mapped.in_blocks(
+        lambda block: np.isfinite(points[block, ..., 0]).any(-1), len(points)
+    )
     still = np.zeros((*points.shape[:2], 3))
     next_to = _follows(frames)[:, None, None]
     distance = np.where(next_to, step_distances(points, still, config), np.inf)
@@ -143,9 +147,11 @@ def _nearest_both_ways(distance: Floats) -> Bools:
 def _last_moves(points: Floats, links: Bools) -> Floats:
     """Return what groups moved by since the frame before, `[frame, group, 3]`; 0 = not known."""
     moves = np.zeros((*points.shape[:2], 3))
-    frame, before, after = np.nonzero(links)
-    step = points[frame + 1, after] - points[frame, before]
-    moves[frame + 1, after] = np.nan_to_num(mean_of_known(step, axis=-2))
+    for block in mapped.frame_slices(len(links)):
+        frame, before, after = np.nonzero(links[block])
+        frame += block.start
+        step = points[frame + 1, after] - points[frame, before]
+        moves[frame + 1, after] = np.nan_to_num(mean_of_known(step, axis=-2))
     return moves
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mocap_calib import mapped
 from mocap_calib.config import MatchingConfig
 from mocap_calib.geometry.graphs import spanning_tree
 from mocap_calib.multi_view.pieces import Pieces
@@ -132,6 +133,7 @@ def _bone_lengths(points: Floats, bones: Ints, frame: Ints, group: Ints) -> Floa
         block = slice(start, start + _BODIES)
         bodies = points[frame[block], group[block]]
         lengths[block] = _log_lengths(bodies[:, a], bodies[:, b])
+        mapped.let_go()
     return lengths
 
 

@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 
+from mocap_calib import mapped
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import MatchingConfig
 from mocap_calib.geometry.projection import rays_from_pixels
@@ -28,7 +29,11 @@ def locate_groups(recording: Recording, rig: CameraRig, labels: Ints) -> Floats:
     starts = range(0, labels.shape[1], _FRAMES)
     blocks = [slice(start, start + _FRAMES) for start in starts]
     locate = partial(_locate_in_block, recording=recording, rig=rig, labels=labels, groups=groups)
-    return np.concatenate(list(map_in_threads(locate, blocks)))
+    found = []
+    for part in map_in_threads(locate, blocks):
+        found.append(part)
+        mapped.let_go()
+    return np.concatenate(found)
 
 
 def _locate_in_block(

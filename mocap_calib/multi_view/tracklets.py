@@ -7,6 +7,7 @@ followed.
 
 import numpy as np
 
+from mocap_calib import mapped
 from mocap_calib.config import MatchingConfig
 from mocap_calib.geometry.graphs import connected_parts
 from mocap_calib.types import Bools, Floats, Ints, Reals, Recording
@@ -48,7 +49,7 @@ def tracklets(recording: Recording, view: int, config: MatchingConfig) -> Ints:
     later = (frame + 1) * instances + j
 
     number = connected_parts(earlier, later, frames * instances)
-    detected = np.isfinite(positions[..., 0]).any(-1)
+    detected = mapped.in_blocks(lambda block: np.isfinite(positions[block, ..., 0]).any(-1), frames)
     return np.where(detected, number.reshape(frames, instances), -1)
 
 
@@ -59,8 +60,8 @@ def _links(positions: Reals, config: MatchingConfig) -> Bools:
     """
     frames, instances = positions.shape[:2]
     blocks = [
-        _links_in_block(positions[start : start + _FRAMES + 1], config)
-        for start in range(0, frames - 1, _FRAMES)
+        _links_in_block(positions[block.start : block.stop + 1], config)
+        for block in mapped.frame_slices(frames - 1, _FRAMES)
     ]
     nothing = np.zeros((0, instances, instances), dtype=bool)
     return np.concatenate([nothing, *blocks])

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_calib import mapped
 from mocap_calib.compute.parallel import map_in_threads, single_threaded_libraries
 from mocap_calib.config import TriangulateConfig
 from mocap_calib.errors import MismatchError
@@ -53,11 +54,11 @@ def triangulate(
     frames, keypoints = len(recording.frames), len(recording.keypoints)
     shape = (frames, matches.individuals, keypoints)
     found: dict[str, NDArray[Any]] = {
-        "positions": np.empty((*shape, 3)),
-        "error": np.empty(shape),
-        "views": np.empty(shape, dtype=np.int64),
-        "confidence": np.empty(shape),
-        "covariance": np.empty((*shape, 6), dtype=np.float32),
+        "positions": mapped.empty((*shape, 3)),
+        "error": mapped.empty(shape),
+        "views": mapped.empty(shape, np.int64),
+        "confidence": mapped.empty(shape),
+        "covariance": mapped.empty((*shape, 6), np.float32),
     }
     work = partial(
         _triangulate_block,
@@ -71,6 +72,7 @@ def triangulate(
     for block, part in zip(blocks, map_in_threads(work, blocks), strict=True):
         for name, array in found.items():
             array[block] = getattr(part, name)
+        mapped.let_go()
         progress("triangulate", int(block[-1]) + 1, frames)
     return Poses3D(
         keypoints=recording.keypoints,

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from mocap_calib import mapped
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config, PosesConfig, TriangulateConfig
 from mocap_calib.geometry.bodies import body_size
@@ -99,17 +100,26 @@ class _Scene:
     @cached_property
     def individuals(self) -> list[_Individual]:
         """The individuals that were triangulated in enough frames."""
-        found = []
-        for index in range(self.poses.raw.shape[1]):
-            raw = self.poses.raw[:, index]
-            there = np.flatnonzero(np.isfinite(raw[..., 0]).any(1))
-            size = body_size(raw[there])
-            if len(there) < _LEAST_FRAMES or not size > 0:
-                continue
-            lengths, varies = bone_lengths(raw[there], self.poses.sigma[there, index], self.edges)
-            frames = _with_gaps(there, self.times, self.config.longest_gap)
-            found.append(_Individual(index, frames, size, lengths, varies))
-        return found
+        sigma = self.poses.sigma
+        found = (self._find(index, sigma[:, index]) for index in range(sigma.shape[1]))
+        return [who for who in found if who is not None]
+
+    def _find(self, index: int, sigma: Floats) -> _Individual | None:
+        """Return what is known of the individual of an index, None where it is too little.
+
+        sigma: `[frame, keypoint]` of its triangulated points.
+        """
+        raw = self.poses.raw[:, index]
+        seen = mapped.in_blocks(lambda rows: np.isfinite(raw[rows, :, 0]).any(1), len(raw))
+        there = np.flatnonzero(seen)
+        points = mapped.in_blocks(lambda rows: raw[there[rows]], len(there))
+        size = body_size(points)
+        if len(there) < _LEAST_FRAMES or not size > 0:
+            return None
+        own = mapped.in_blocks(lambda rows: sigma[there[rows]], len(there))
+        lengths, varies = bone_lengths(points, own, self.edges)
+        frames = _with_gaps(there, self.times, self.config.longest_gap)
+        return _Individual(index, frames, size, lengths, varies)
 
     def track(self, who: _Individual, frames: Ints) -> tuple[Floats, Detections, Body]:
         """Return points `[keypoint, frame, 3]` to start from, detections and body.
@@ -184,10 +194,13 @@ def smooth_poses(
         start = add_refused(recording, rig, matches, poses.raw, noise=noise, config=wider)
         scene = replace(scene, start=start)
     arrays: dict[str, Any] = {
-        "positions": np.full_like(poses.raw, np.nan),
-        "covariance": np.full_like(poses.covariance, np.nan, subok=False),
-        "source": np.zeros(poses.source.shape, dtype=np.int8),
+        "positions": mapped.empty(poses.raw.shape, poses.raw.dtype),
+        "covariance": mapped.empty(poses.covariance.shape, poses.covariance.dtype),
+        "source": mapped.empty(poses.source.shape, np.int8),
     }
+    for block in mapped.frame_slices(len(poses.frames)):
+        for name, array in arrays.items():
+            array[block] = 0 if name == "source" else np.nan
     outliers = exchanged = done = 0
     total = sum(len(who.frames) for who in scene.individuals)
     for who in scene.individuals:
@@ -198,6 +211,7 @@ def smooth_poses(
             outliers += int(found.outliers[:, inner].sum())
             exchanged += int(found.exchanged[:, inner].sum()) // 2
             done += len(range(*inner.indices(len(frames))))
+            mapped.let_go()
             progress("smooth", done, total)
     smoothing = Smoothing(
         acceleration=choice.strengths.acceleration,

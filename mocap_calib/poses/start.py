@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from mocap_calib import mapped
 from mocap_calib.config import TriangulateConfig
 from mocap_calib.multi_view.triangulation import frame_blocks, triangulate_frames
 from mocap_calib.types import CameraRig, Floats, Ints, Matches, Recording
@@ -28,14 +29,15 @@ def add_refused(
     limit.
     """
     frames, individuals, keypoints, _ = points.shape
-    found = [
-        triangulate_frames(
+    found = mapped.empty(points.shape)
+    for block in frame_blocks(frames, individuals * keypoints):
+        _, wider, _ = triangulate_frames(
             block, recording=recording, rig=rig, matches=matches, noise=noise, config=config
-        )[1]
-        for block in frame_blocks(frames, individuals * keypoints)
-    ]
-    wider = np.concatenate(found, axis=1).T.reshape(points.shape)
-    return np.where(np.isfinite(points), points, wider)
+        )
+        own = points[block]
+        found[block] = np.where(np.isfinite(own), own, wider.T.reshape(own.shape))
+        mapped.let_go()
+    return found
 
 
 def bone_lengths(points: Floats, sigma: Floats, edges: Ints) -> tuple[Floats, Floats]:
@@ -44,15 +46,16 @@ def bone_lengths(points: Floats, sigma: Floats, edges: Ints) -> tuple[Floats, Fl
     points: `[frame, keypoint, 3]` triangulated; sigma: `[frame, keypoint]` of these, of all axes
     together. Noise across a bone makes it longer: that is taken off.
     """
-    a, b = edges.T
-    length = np.sqrt(((points[:, a] - points[:, b]) ** 2).sum(-1))
-    noise = (sigma[:, a] ** 2 + sigma[:, b] ** 2) / 3
-    known = np.isfinite(length) & np.isfinite(noise) & (length > 0)
     found = np.full((2, len(edges)), np.nan)
-    for edge in np.flatnonzero(known.any(0)):
-        seen, variance = length[known[:, edge], edge], noise[known[:, edge], edge]
-        seen = seen - np.minimum(variance / seen, seen / 2)
-        found[:, edge] = _middle_and_spread(seen, variance)
+    for edge, (a, b) in enumerate(edges.tolist()):
+        length = np.sqrt(((points[:, a] - points[:, b]) ** 2).sum(-1))
+        noise = (sigma[:, a] ** 2 + sigma[:, b] ** 2) / 3
+        known = np.isfinite(length) & np.isfinite(noise) & (length > 0)
+        if known.any():
+            seen, variance = length[known], noise[known]
+            seen = seen - np.minimum(variance / seen, seen / 2)
+            found[:, edge] = _middle_and_spread(seen, variance)
+        mapped.let_go()
     return found[0], found[1]
 
 

@@ -11,6 +11,7 @@ from itertools import combinations
 
 import numpy as np
 
+from mocap_calib import mapped
 from mocap_calib.config import CopyConfig
 from mocap_calib.errors import MismatchError
 from mocap_calib.recording.sampling import evenly_spaced
@@ -18,7 +19,6 @@ from mocap_calib.types import Floats, Ints, Keypoints2D
 from mocap_calib.wording import count
 
 _DEFAULT = CopyConfig()
-_BLOCK = 4096  # frames at a time, so that long recordings need no more memory than they hold
 
 
 @dataclass(frozen=True)
@@ -107,13 +107,15 @@ def _shared_columns(views: Sequence[Keypoints2D], meanings: Mapping[str, str]) -
 def _list_detections(view: Keypoints2D, columns: Ints) -> _Detections:
     """Return the detections of a view by their keys."""
     parts = [(np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.int64))]
-    for start in range(0, len(view.frames), _BLOCK):
-        block = view.positions[start : start + _BLOCK][:, :, columns]
+    for rows in mapped.frame_slices(len(view.frames)):
+        block = view.positions[rows][:, :, columns]
         seen = np.isfinite(block)
         number = seen.sum((2, 3))
         total = np.where(seen, block, 0).sum((2, 3), dtype=np.float64)
         frame, instance = np.nonzero(number)
-        parts.append((total[frame, instance] / number[frame, instance], frame + start, instance))
+        parts.append(
+            (total[frame, instance] / number[frame, instance], frame + rows.start, instance)
+        )
     key, frame, instance = (np.concatenate(each) for each in zip(*parts, strict=True))
     order = np.argsort(key, kind="stable")
     return _Detections(key[order], frame[order], instance[order])

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mocap_calib import mapped
 from mocap_calib.config import CROWDED_SHARE, LEAST_JOINTS, TYPICAL_PERCENTILE
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.projection import rays_from_pixels
@@ -24,8 +25,6 @@ from mocap_calib.types import (
     Recording,
     Skeleton,
 )
-
-_BLOCK = 4096  # frames at a time, so that long recordings need no more memory than they hold
 
 
 @dataclass(frozen=True)
@@ -116,18 +115,33 @@ def hide_blind_spots(recording: Recording) -> Recording:
 
     With right intrinsics there are hardly any.
     """
-    blind = np.zeros(recording.confidence.shape, dtype=bool)
-    for view, (camera, seen) in enumerate(zip(recording.cameras, recording.positions, strict=True)):
-        for start in range(0, len(seen), _BLOCK):
-            block = slice(start, start + _BLOCK)
-            rays = rays_from_pixels(camera, seen[block])
-            blind[view, block] = np.isnan(rays[..., 0]) & np.isfinite(seen[block][..., 0])
+    frames = len(recording.frames)
+
+    def find_blind(block: slice) -> Bools:
+        """Return `[view, frame, instance, keypoint]` where a ray is missing that was seen."""
+        views = zip(recording.cameras, recording.positions[:, block], strict=True)
+        return np.stack(
+            [
+                np.isnan(rays_from_pixels(camera, seen)[..., 0]) & np.isfinite(seen[..., 0])
+                for camera, seen in views
+            ]
+        )
+
+    blind = mapped.in_blocks(find_blind, frames, axis=1)
     if not blind.any():
         return recording
+
+    def hide(name: str, value: float) -> Reals:
+        array = getattr(recording, name)
+        hidden = blind[..., None] if name == "positions" else blind
+        return mapped.in_blocks(
+            lambda block: np.where(hidden[:, block], np.float32(value), array[:, block]),
+            frames,
+            axis=1,
+        )
+
     return replace(
-        recording,
-        positions=np.where(blind[..., None], np.float32(np.nan), recording.positions),
-        confidence=np.where(blind, np.float32(0.0), recording.confidence),
+        recording, positions=hide("positions", np.nan), confidence=hide("confidence", 0.0)
     )
 
 
@@ -196,8 +210,8 @@ def _fill_arrays(
     """
     instances = max(view.positions.shape[1] for view in views)
     shape = (len(views), len(frames), instances, len(shared))
-    positions = np.full((*shape, 2), np.nan, dtype=np.float32)
-    confidence = np.zeros(shape, dtype=np.float32)
+    positions = mapped.empty((*shape, 2), np.float32)
+    confidence = mapped.empty(shape, np.float32)
     column_of = {meaning: column for column, meaning in enumerate(shared)}
     for v, view in enumerate(views):
         columns = [column_of.get(meanings[name], -1) for name in view.keypoints]
@@ -223,15 +237,16 @@ def _fill_view(
 
     frames: `[frame]` numbers of the recording.
     columns: `[keypoint]` index in the recording of each keypoint of the view, -1 = not shared.
-    positions: `[frame, instance, keypoint, 2]`, all NaN. confidence: `[frame, instance, keypoint]`,
-        all 0.
+    positions: `[frame, instance, keypoint, 2]`. confidence: `[frame, instance, keypoint]`.
     """
+    for block in mapped.frame_slices(len(frames)):
+        positions[block], confidence[block] = np.nan, 0.0
     used = np.flatnonzero(columns >= 0)
     instances = np.arange(view.positions.shape[1])
     largest = largest_confidence(view.confidence)
     shared_rows = np.flatnonzero(np.isin(view.frames, frames))
-    for start in range(0, len(shared_rows), _BLOCK):
-        rows = shared_rows[start : start + _BLOCK]
+    for block in mapped.frame_slices(len(shared_rows)):
+        rows = shared_rows[block]
         target = np.ix_(np.searchsorted(frames, view.frames[rows]), instances, columns[used])
         seen = view.positions[rows][:, :, used].astype(np.float32)
         scaled = (view.confidence[rows][:, :, used] / largest).clip(0.0, 1.0)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mocap_calib import mapped
 from mocap_calib.geometry.bodies import mean_of_known
 from mocap_calib.recording.joints import choose_skeleton, match_names
 from mocap_calib.steerpose.weights import load_vocabulary
@@ -52,18 +53,25 @@ def joints_of_recording(recording: Recording) -> Joints:
 def keep_triangulated(poses: Poses3D) -> Poses3D:
     """Return poses without the points that no two views saw: these rest on other bodies."""
     seen = poses.source == POINT_SOURCES.index("triangulated")
-    positions = np.where(seen[..., None], poses.positions, np.nan)
+    positions = mapped.in_blocks(
+        lambda block: np.where(seen[block, ..., None], poses.positions[block], np.nan), len(seen)
+    )
     return replace(poses, positions=positions, raw=positions, source=poses.source * seen)
 
 
 def mean_of(positions: Floats, columns: Sequence[int]) -> Floats:
     """Return the middle `[frame, individual, 3]` of some keypoints, NaN where none is there."""
-    return mean_of_known(positions[:, :, list(columns)], axis=2)
+    return mapped.in_blocks(
+        lambda block: mean_of_known(positions[block][:, :, list(columns)], axis=2), len(positions)
+    )
 
 
 def distance(positions: Floats, a: int, b: int) -> Floats:
     """Return the distance `[frame, individual]` between two keypoints."""
-    return np.linalg.norm(positions[:, :, a] - positions[:, :, b], axis=-1)
+    return mapped.in_blocks(
+        lambda block: np.linalg.norm(positions[block, :, a] - positions[block, :, b], axis=-1),
+        len(positions),
+    )
 
 
 def leg_lengths(poses: Poses3D, joints: Joints) -> Floats:

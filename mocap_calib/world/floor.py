@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mocap_calib import mapped
 from mocap_calib.config import FloorConfig
 from mocap_calib.geometry.bodies import body_size
 from mocap_calib.types import CameraRig, Floats, Ints, Poses3D
@@ -153,7 +154,10 @@ def _lowest_feet(poses: Poses3D, joints: Joints, config: FloorConfig) -> _Lowest
     size = body_size(positions)
     middle, above = mean_of(positions, feet), mean_of(positions, trunk)
     seen = np.isfinite(middle[..., 0]) & np.isfinite(above[..., 0])
-    bodies = np.isfinite(positions[..., 0]).any(-1).sum()
+    bodies = sum(
+        int(np.isfinite(positions[block, ..., 0]).any(-1).sum())
+        for block in mapped.frame_slices(len(positions))
+    )
     if not bodies:
         return "nobody was found"
     if not np.isfinite(size) or seen.sum() < max(config.least_feet, config.least_seen * bodies):

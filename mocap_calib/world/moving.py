@@ -42,11 +42,7 @@ def move_poses(poses: Poses3D, by: Similarity, unit: str, world: World) -> Poses
     """Return poses in other coordinates, whose unit and world are said."""
     if by.still:
         return replace(poses, unit=unit, world=world)
-    turned = poses.scale(by.scale, unit).turn(by.rotation)
-    same = turned.raw is turned.positions
-    positions = turned.positions + by.shift
-    raw = positions if same else turned.raw + by.shift
-    return replace(turned, positions=positions, raw=raw, world=world)
+    return replace(poses.scale(by.scale, unit).turn(by.rotation).shift(by.shift), world=world)
 
 
 def move_covariance(covariance: RigCovariance, by: Similarity) -> RigCovariance:

@@ -13,6 +13,7 @@ from typing import Any, Never
 
 import numpy as np
 
+from mocap_calib import mapped
 from mocap_calib.io.file import malformed
 from mocap_calib.io.hdf5 import damage_refused, has_attribute, require_filters, text
 from mocap_calib.io.keypoints.deeplabcut import LEVELS, LEVELS_OF_ONE, Table, keypoints_from_table
@@ -127,8 +128,8 @@ def _from_fixed_layout(group: Any) -> Table:
         rows = list(map(text, group["axis1"][...]))
     else:
         rows = ["/".join(labels) for labels in _read_multi_index(group, "axis1")[1]]
-    values = np.concatenate(blocks, axis=1).astype(np.float64)
-    return _make_table(levels, columns, rows=rows, values=values)
+    values = blocks[0] if len(blocks) == 1 else np.concatenate(blocks, axis=1)
+    return _make_table(levels, columns, rows=rows, values=values.astype(np.float64, copy=False))
 
 
 def _count_blocks(group: Any) -> int:
@@ -141,8 +142,9 @@ def _read_block(dataset: Any) -> Any:
 
     pandas holds a block column by column, and PyTables usually transposes it.
     """
-    is_transposed = dataset.attrs.get("transposed")
-    return dataset[...] if is_transposed else dataset[...].T
+    if dataset.attrs.get("transposed"):
+        return mapped.in_blocks(lambda rows: dataset[rows], len(dataset))
+    return dataset[...].T
 
 
 def _read_multi_index(group: Any, name: str) -> tuple[Labels, list[Labels]]:

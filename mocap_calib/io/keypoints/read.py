@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mocap_calib import mapped
 from mocap_calib.errors import MismatchError, MocapCalibError
 from mocap_calib.io.file import check_cameras, malformed
 from mocap_calib.io.keypoints.adjust import apply_offsets, convert_to_pixels, split_views
@@ -17,7 +18,7 @@ from mocap_calib.io.keypoints.sniffing import require_format, sniff_item
 from mocap_calib.io.names import camera_name
 from mocap_calib.io.registry import find_format
 from mocap_calib.io.sandbox import call_contained
-from mocap_calib.types import Keypoints2D
+from mocap_calib.types import Keypoints2D, Reals
 
 
 def read_keypoints(
@@ -61,7 +62,7 @@ def read_what_can(
     while waiting:
         item = waiting.popleft()  # which holds its file: one at a time
         try:
-            views += _read_contained(item, format, options)
+            views += map(_keep, _read_contained(item, format, options))
         except MocapCalibError as error:
             errors.append(error)
     _check_cameras_once([(view.camera, view.source) for view in views])
@@ -139,8 +140,14 @@ def _name_camera(views: tuple[Keypoints2D, ...], item: Item) -> tuple[Keypoints2
 
 def _in_single_precision(view: Keypoints2D) -> Keypoints2D:
     """Return the view with positions and confidences of 32 bits, half the memory."""
-    return replace(
-        view,
-        positions=view.positions.astype(np.float32),
-        confidence=view.confidence.astype(np.float32),
-    )
+
+    def halve(array: Reals) -> Reals:
+        return mapped.in_blocks(lambda block: array[block].astype(np.float32), len(array))
+
+    return replace(view, positions=halve(view.positions), confidence=halve(view.confidence))
+
+
+def _keep(view: Keypoints2D) -> Keypoints2D:
+    """Return the view, out of memory where it is long."""
+    positions, confidence = mapped.keep(view.positions), mapped.keep(view.confidence)
+    return replace(view, positions=positions, confidence=confidence)

@@ -4,6 +4,8 @@ import csv
 import io
 from collections.abc import Iterator, Sequence
 
+from mocap_calib import mapped
+
 _PIECE = 4096  # frames: Python's numbers take four times the room of numpy's
 
 
@@ -16,5 +18,4 @@ def format_csv_line(cells: Sequence[str]) -> str:
 
 def slice_frames(frames: int) -> Iterator[slice]:
     """Yield slices of so many frames that are written in one go."""
-    for start in range(0, frames, _PIECE):
-        yield slice(start, start + _PIECE)
+    yield from mapped.frame_slices(frames, _PIECE)

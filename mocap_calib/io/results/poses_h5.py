@@ -18,6 +18,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_calib import mapped
 from mocap_calib.io import hdf5
 from mocap_calib.io.atomic import replace_file
 from mocap_calib.io.file import malformed
@@ -30,6 +31,7 @@ Edges = Sequence[tuple[int, int]]
 _FORMAT = "mocap-calib poses"
 _POINTS = "frame, individual, keypoint"
 _SQUARE = "^2"
+_ROWS = 1 << 16  # written at a time
 
 
 @dataclass(frozen=True)
@@ -163,13 +165,12 @@ def _fill(
     }
     if poses.raw is not poses.positions:
         arrays["position_raw"] = poses.raw
-    if np.isfinite(poses.covariance).any():
+    if _any_known(poses.covariance):
         arrays["covariance"] = poses.covariance
     if edges:
         arrays["edges"] = np.array(edges, dtype=np.int64)
     for name, array in arrays.items():
-        packed = {"compression": "gzip", "shuffle": True} if array.size else {}
-        file.create_dataset(name, data=array, track_times=False, **packed)
+        _write_array(file, name, array)
     _write_names(file, "keypoint_names", poses.keypoints)
     if individuals:
         _write_names(file, "individual_names", individuals)
@@ -187,6 +188,20 @@ def _fill(
     if np.isfinite(fps):
         file.attrs["fps"] = file["frames"].attrs["fps"] = fps
     file.attrs["provenance"] = json.dumps(provenance, default=str)
+
+
+def _any_known(array: NDArray[Any]) -> bool:
+    """Return whether any number of an array `[frame, ...]` is finite."""
+    return any(np.isfinite(array[block]).any() for block in mapped.frame_slices(len(array)))
+
+
+def _write_array(file: h5py.File, name: str, array: NDArray[Any]) -> None:
+    """Write an array as a dataset, rows of whole chunks at a time."""
+    packed = {"compression": "gzip", "shuffle": True} if array.size else {}
+    dataset = file.create_dataset(name, array.shape, array.dtype, track_times=False, **packed)
+    chunk = dataset.chunks[0] if dataset.chunks else 1
+    for block in mapped.frame_slices(len(array), max(1, _ROWS // chunk) * chunk):
+        dataset[block] = array[block]
 
 
 def _write_names(file: h5py.File, dataset: str, names: Sequence[str]) -> None:

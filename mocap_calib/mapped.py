@@ -1,0 +1,81 @@
+"""Arrays of long recordings: on disk as far as memory is wanted for other things.
+
+Arrays with an element per frame are the only ones that grow with a recording. The large ones lie
+in temporary files (without a name, in the folder that TMPDIR says) that are mapped into memory:
+they are numpy's arrays, for all to use as any other. What goes through them in blocks of frames
+and lets go of the pages after each needs no more memory than a block, however long the recording.
+"""
+
+import mmap
+import os
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from math import prod
+from typing import Any
+from weakref import WeakSet
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+_LARGE = 1 << 24  # bytes; smaller arrays stay in memory
+_BLOCK = 4096  # frames at a time
+
+_maps: WeakSet[mmap.mmap] = WeakSet()
+
+
+def empty(shape: Sequence[int], dtype: DTypeLike = np.float64) -> NDArray[Any]:
+    """Return an array to be filled; a large one lies on disk, where there is room for it."""
+    kind = np.dtype(dtype)
+    size = prod(shape) * kind.itemsize
+    if size < _LARGE or not hasattr(os, "posix_fallocate"):
+        return np.empty(shape, kind)
+    try:
+        with tempfile.TemporaryFile() as file:
+            os.posix_fallocate(file.fileno(), 0, size)  # else a full disk would end the program
+            mapped = mmap.mmap(file.fileno(), size)
+    except OSError:
+        return np.empty(shape, kind)
+    _maps.add(mapped)
+    return np.frombuffer(mapped, kind).reshape(shape)
+
+
+def keep(array: NDArray[Any]) -> NDArray[Any]:
+    """Return an array `[frame, ...]`, a copy on disk where it is large."""
+    if array.nbytes < _LARGE:
+        return array
+    return in_blocks(lambda block: array[block], len(array))
+
+
+def in_blocks(function: Callable[[slice], Any], frames: int, *, axis: int = 0) -> NDArray[Any]:
+    """Return what a function makes of blocks of frames, one after the other, as `empty` does.
+
+    function: of a slice of frames; what it returns has these along an axis.
+    """
+    found: NDArray[Any] | None = None
+    for block in frame_slices(frames):
+        part = function(block)
+        if found is None:
+            if part.shape[axis] == frames:
+                return part
+            shape = list(part.shape)
+            shape[axis] = frames
+            found = empty(shape, part.dtype)
+        found[(slice(None),) * axis + (block,)] = part
+    return function(slice(0, 0)) if found is None else found
+
+
+def frame_slices(frames: int, size: int = _BLOCK) -> Iterator[slice]:
+    """Yield slices of so many frames, and let go of what was used after each."""
+    for start in range(0, frames, size):
+        yield slice(start, min(start + size, frames))
+        let_go()
+
+
+def let_go() -> None:
+    """Give back the memory of all arrays that lie on disk, until they are used again.
+
+    What they hold stays. It costs some microseconds for each.
+    """
+    if hasattr(mmap, "MADV_DONTNEED"):
+        for mapped in list(_maps):
+            mapped.madvise(mmap.MADV_DONTNEED)
