@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mocap_calib import mapped
-from mocap_calib.compute.parallel import single_threaded_libraries
+from mocap_calib.compute.parallel import map_in_threads, single_threaded_libraries
 from mocap_calib.config import Config, PosesConfig, TriangulateConfig
 from mocap_calib.geometry.bodies import body_size
 from mocap_calib.multi_view.noise import view_noise
@@ -203,16 +203,22 @@ def smooth_poses(
             array[block] = 0 if name == "source" else np.nan
     outliers = exchanged = done = 0
     total = sum(len(who.frames) for who in scene.individuals)
-    for who in scene.individuals:
-        for inner, frames in _blocks(who.frames, config):
-            found = _estimate(scene, who, frames, choice.strengths)
-            for name, array in arrays.items():
-                array[frames[inner], who.index] = getattr(found, name)[inner]
-            outliers += int(found.outliers[:, inner].sum())
-            exchanged += int(found.exchanged[:, inner].sum()) // 2
-            done += len(range(*inner.indices(len(frames))))
-            mapped.let_go()
-            progress("smooth", done, total)
+    blocks = [
+        (who, inner, frames)
+        for who in scene.individuals
+        for inner, frames in _blocks(who.frames, config)
+    ]
+    estimates = map_in_threads(
+        lambda block: _estimate(scene, block[0], block[2], choice.strengths), blocks
+    )
+    for (who, inner, frames), found in zip(blocks, estimates, strict=True):
+        for name, array in arrays.items():
+            array[frames[inner], who.index] = getattr(found, name)[inner]
+        outliers += int(found.outliers[:, inner].sum())
+        exchanged += int(found.exchanged[:, inner].sum()) // 2
+        done += len(range(*inner.indices(len(frames))))
+        mapped.let_go()
+        progress("smooth", done, total)
     smoothing = Smoothing(
         acceleration=choice.strengths.acceleration,
         bones=choice.strengths.bones,
