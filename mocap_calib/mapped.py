@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 _LARGE = 1 << 24  # bytes; smaller arrays stay in memory
-_BLOCK = 4096  # frames at a time
+_BLOCK = 4096  # frames at a time,
+_FAR = 512  # and of those that lie far from each other
 
 _maps: WeakSet[mmap.mmap] = WeakSet()
 
@@ -62,6 +63,22 @@ def in_blocks(function: Callable[[slice], Any], frames: int, *, axis: int = 0) -
             found = empty(shape, part.dtype)
         found[(slice(None),) * axis + (block,)] = part
     return function(slice(0, 0)) if found is None else found
+
+
+def take(array: NDArray[Any], frames: Any, *, axis: int = 0) -> NDArray[Any]:
+    """Return an array with some of its frames (indices, a mask or a slice) along an axis alone.
+
+    The system brings in much around each frame, so that far frames are taken a few at a time.
+    """
+    before: tuple[Any, ...] = (slice(None),) * axis
+    index = np.asarray(frames) if not isinstance(frames, slice) else None
+    if index is None or index.dtype == np.bool_ or array.nbytes < _LARGE:
+        return array[(*before, frames)]
+    shape = (*array.shape[:axis], len(index), *array.shape[axis + 1 :])
+    found = empty(shape, array.dtype)
+    for block in frame_slices(len(index), _FAR):
+        found[(*before, block)] = array[(*before, index[block])]
+    return found
 
 
 def frame_slices(frames: int, size: int = _BLOCK) -> Iterator[slice]:

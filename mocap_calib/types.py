@@ -726,7 +726,10 @@ class Recording(Record):
         """
         found = self
         if frames is not None:
-            parts = {name: getattr(found, name)[:, frames] for name in self._by_view_and_frame}
+            parts: dict[str, Any] = {
+                name: mapped.take(getattr(found, name), frames, axis=1)
+                for name in self._by_view_and_frame
+            }
             found = replace(found, frames=found.frames[frames], **parts)
         index = None if views is None else _find_views(self.names, views)
         if index is not None and not np.array_equal(index, np.arange(len(self.cameras))):
@@ -817,7 +820,7 @@ class Clocks(Record):
         return cls(
             frames=recording.frames,
             given=recording.frames,
-            source=np.tile(np.arange(frames), (views, 1)),
+            source=np.broadcast_to(np.arange(frames), (views, frames)),
             cameras=tuple(cameras) or tuple(map(CameraClock, recording.names)),
         )
 

@@ -7,6 +7,7 @@ seen in what the model leaves over. docs/how-good.md has the values of sound rec
 
 import numpy as np
 
+from mocap_calib import mapped
 from mocap_calib.config import Config
 from mocap_calib.geometry.graphs import spanning_tree
 from mocap_calib.multi_view.explained import Leftover
@@ -57,10 +58,15 @@ def _held_out(group: GroupResult, used_frames: Ints) -> float:
     """Return the error in frames that were never used, in errors of those that were."""
     error = group.poses.error
     never = np.setdiff1d(np.arange(len(error)), used_frames)
-    parts = [part[np.isfinite(part)] for part in (error[never], error[used_frames])]
+    parts = [_known(mapped.take(error, frames)) for frames in (never, used_frames)]
     if not all(len(part) for part in parts):
         return np.nan
     return float(np.median(parts[0]) / np.median(parts[1]))
+
+
+def _known(values: Floats) -> Floats:
+    """Return the values that are finite."""
+    return values[np.isfinite(values)]
 
 
 def _bones(positions: Floats) -> float:
@@ -70,7 +76,7 @@ def _bones(positions: Floats) -> float:
     """
     frames = evenly_spaced(np.arange(len(positions)), 300)
     first, second = np.triu_indices(positions.shape[2], 1)
-    bodies = positions[frames]
+    bodies = mapped.take(positions, frames)
     length = np.linalg.norm(bodies[:, :, first] - bodies[:, :, second], axis=-1)
     length = length.reshape(len(frames), -1)  # each distance of each individual: sizes differ
     known = np.isfinite(length).sum(0)

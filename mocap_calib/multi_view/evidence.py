@@ -7,6 +7,7 @@ in so many frames within the pieces, and how far individuals are from each other
 
 import numpy as np
 
+from mocap_calib import mapped
 from mocap_calib.config import MatchingConfig
 from mocap_calib.geometry.bodies import mean_of_known
 from mocap_calib.multi_view.pieces import Pieces, rms_distance, surprise
@@ -76,7 +77,7 @@ def _pieces_between(first: Ints, last: Ints, pairs: tuple[Ints, Ints]) -> Ints:
 
 def usual_distance_apart(points: Floats, config: MatchingConfig) -> float:
     """Return the median distance between groups of one frame; NaN where there is one at most."""
-    sampled = points[evenly_spaced(np.arange(len(points)), _SAMPLE)]
+    sampled = mapped.take(points, evenly_spaced(np.arange(len(points)), _SAMPLE))
     distance = rms_distance(sampled[:, :, None], sampled[:, None], config.tracklet_joints)
     first, second = np.triu_indices(points.shape[1], 1)
     found = distance[:, first, second]

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mocap_calib import mapped
 from mocap_calib.config import REPORT_FRAMES
 from mocap_calib.multi_view.observations import matched_pixels
 from mocap_calib.multi_view.triangulation import project
@@ -53,7 +54,7 @@ class Leftover:
         seen, _ = matched_pixels(recording, matches, frames)
         pixels = np.moveaxis(seen, -1, 1)
         bodies = seen.shape[1:4]
-        seen_at = project(rig, points[frames].reshape(-1, 3).T)
+        seen_at = project(rig, mapped.take(points, frames).reshape(-1, 3).T)
         gap = seen_at.reshape(len(seen), 2, *bodies) - pixels
         return cls(pixels=pixels, gap=gap, distance=np.linalg.norm(gap, axis=1))
 
@@ -98,7 +99,7 @@ def explained_share(result: CalibrationResult, recording: Recording, yardstick: 
     """
     group = result.groups[0]
     frames = evenly_spaced(np.arange(len(recording.frames)), REPORT_FRAMES)
-    detected = int(np.isfinite(recording.positions[:, frames, ..., 0]).sum())
+    detected = int(recording.select(frames=frames).seen.sum())
     width = np.array([yardstick.width(camera) for camera in group.rig.cameras])
     fit = 1 / (1 + (distances_from_points(group) / width[:, None, None, None]) ** 2)
     return float(np.nansum(fit)) / max(detected, 1)

@@ -20,7 +20,7 @@ from mocap_calib.multi_view.evidence import (
     usual_distance_apart,
 )
 from mocap_calib.multi_view.joining import join_pieces
-from mocap_calib.multi_view.labels import per_frame_labels, replace_labels
+from mocap_calib.multi_view.labels import name_groups, per_frame_labels, replace_labels
 from mocap_calib.multi_view.noise import view_noise
 from mocap_calib.multi_view.pieces import Pieces, cut_into_pieces
 from mocap_calib.multi_view.proportions import measure_proportions
@@ -63,7 +63,7 @@ def finalise_identities(
     else:
         individual = _join_pieces(recording, points, groups, pieces, matching)
         names = _names_of_groups(individual, pieces, points)
-        labels = _name_groups(groups.labels, names)
+        labels = name_groups(groups.labels, names)
         followed = Matches(labels)
         labels = _select_individuals(followed, lasting_individuals(followed, matching))
     labels = sort_by_presence(labels)
@@ -158,13 +158,6 @@ def _names_of_groups(individual: Ints, pieces: Pieces, points: Floats) -> Ints:
     ordered[again] = -1
     np.put_along_axis(names, first, ordered, axis=1)
     return names
-
-
-def _name_groups(groups: Ints, names: Ints) -> Ints:
-    """Return the labels `[view, frame, instance]` of groups whose names are `[frame, group]`."""
-    frame = np.arange(len(names))[:, None]
-    padded = np.concatenate([names, np.full((len(names), 1), -1)], axis=1)
-    return np.asarray(padded[frame, groups])
 
 
 def _select_individuals(matches: Matches, real: Bools) -> Ints:

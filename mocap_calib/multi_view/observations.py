@@ -45,8 +45,9 @@ def matched_pixels(recording: Recording, matches: Matches, frames: Ints) -> tupl
     shape = (views, len(frames), matches.individuals, keypoints)
     pixels = np.full((*shape, 2), np.nan)
     confidence = np.zeros(shape)
-    pixels[view, frame, individual] = recording.positions[view, frames[frame], instance]
-    confidence[view, frame, individual] = recording.confidence[view, frames[frame], instance]
+    part = recording.select(frames=frames)
+    pixels[view, frame, individual] = part.positions[view, frame, instance]
+    confidence[view, frame, individual] = part.confidence[view, frame, instance]
     return pixels, confidence
 
 

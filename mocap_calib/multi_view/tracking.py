@@ -13,7 +13,7 @@ from mocap_calib import mapped
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import MatchingConfig
 from mocap_calib.geometry.projection import rays_from_pixels
-from mocap_calib.multi_view.labels import replace_labels
+from mocap_calib.multi_view.labels import name_groups, replace_labels
 from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Matches, Recording
 
 _FRAMES = 512  # in which groups are located at a time
@@ -88,27 +88,26 @@ def link_through_time(labels: Ints, places: Floats, frames: Ints, config: Matchi
     in most frames first.
     """
     largest_step = _largest_step(places, frames, config)
-    linked = np.full_like(labels, -1)
+    names = np.full(places.shape[:2], -1, dtype=np.int64)
+    present = np.isfinite(places[..., 0])
     last_place = np.zeros((0, 3))  # of every individual so far
     last_frame = np.zeros(0, dtype=np.int64)
     for index, frame in enumerate(frames):
-        groups = np.flatnonzero(np.isfinite(places[index, :, 0]))
+        groups = np.flatnonzero(present[index])
         here = places[index, groups]
         limit = largest_step * np.minimum(frame - last_frame, config.memory)
         individual = _nearest_individuals(last_place, here, limit)
 
         is_new = individual < 0
-        new = int(is_new.sum())
-        individual[is_new] = len(last_place) + np.arange(new)
-        last_place = np.concatenate([last_place, np.zeros((new, 3))])
-        last_frame = np.concatenate([last_frame, np.zeros(new, dtype=np.int64)])
+        if is_new.any():
+            new = int(is_new.sum())
+            individual[is_new] = len(last_place) + np.arange(new)
+            last_place = np.concatenate([last_place, np.zeros((new, 3))])
+            last_frame = np.concatenate([last_frame, np.zeros(new, dtype=np.int64)])
         last_place[individual] = here
         last_frame[individual] = frame
-
-        individual_of_group = np.full(places.shape[1], -1, dtype=np.int64)
-        individual_of_group[groups] = individual
-        linked[:, index] = replace_labels(labels[:, index], individual_of_group)
-    return sort_by_presence(linked)
+        names[index, groups] = individual
+    return sort_by_presence(name_groups(labels, names))
 
 
 def _nearest_individuals(last_place: Floats, here: Floats, limit: Floats) -> Ints:
@@ -135,9 +134,9 @@ def _assign(cost: Floats) -> tuple[Ints, Ints]:
     Where no two rows want the same column, or no two columns the same row, each gets what it wants.
     """
     rows, columns = cost.shape
-    if rows <= columns and len(np.unique(wanted := cost.argmin(1))) == rows:
+    if rows <= columns and len(set((wanted := cost.argmin(1)).tolist())) == rows:
         return np.arange(rows), wanted
-    if columns <= rows and len(np.unique(wanted := cost.argmin(0))) == columns:
+    if columns <= rows and len(set((wanted := cost.argmin(0)).tolist())) == columns:
         return wanted, np.arange(columns)
     # takes half a second to import, which few recordings need
     from scipy.optimize import linear_sum_assignment  # noqa: PLC0415
@@ -193,10 +192,19 @@ class _Appearances:
 def _appearances(labels: Ints) -> _Appearances:
     """Return who is seen when, of labels `[view, frame, instance]`."""
     frames = labels.shape[1]
-    _, frame, _ = np.nonzero(labels >= 0)
-    individual = labels[labels >= 0]
-    key, views = np.unique(individual * frames + frame, return_counts=True)
-    return _Appearances(individual=key // frames, frame=key % frames, views=views)
+    keys, views = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
+    for block in mapped.frame_slices(frames):
+        _, frame, _ = np.nonzero(labels[:, block] >= 0)
+        individual = labels[:, block][labels[:, block] >= 0]
+        key, count = np.unique(individual * frames + frame + block.start, return_counts=True)
+        keys.append(key)
+        views.append(count)
+    key = np.concatenate(keys)
+    order = np.argsort(key)  # each once: one frame is in one block
+    key = key[order]
+    return _Appearances(
+        individual=key // frames, frame=key % frames, views=np.concatenate(views)[order]
+    )
 
 
 @dataclass(frozen=True)
