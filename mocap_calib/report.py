@@ -280,10 +280,9 @@ def _describe_points(group: GroupResult, error: Floats) -> dict[str, Any]:
 
     error: `[view, frame, individual, keypoint]` reprojection errors in pixels.
     """
-    of_points = group.poses.error[np.isfinite(group.poses.error)]
     return {
-        "triangulated": len(of_points),
-        "reprojection_error_px": _median_and_p95(of_points),
+        "triangulated": int(np.isfinite(group.poses.error).sum()),
+        "reprojection_error_px": _median_and_p95(group.poses.error),
         "mean_error_px": _median_of_means(error),
     }
 
@@ -305,4 +304,6 @@ def _median_and_p95(values: Floats) -> dict[str, float | None]:
     values = values[np.isfinite(values)]
     if not len(values):
         return {"median": None, "p95": None}
-    return {"median": float(np.median(values)), "p95": float(np.percentile(values, 95))}
+    # in place, as these are a copy already
+    median = float(np.median(values, overwrite_input=True))
+    return {"median": median, "p95": float(np.percentile(values, 95, overwrite_input=True))}

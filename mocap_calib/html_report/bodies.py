@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from mocap_calib import mapped
 from mocap_calib.config import ReportConfig
 from mocap_calib.html_report.encode import pack, quantise, small_ints
 from mocap_calib.html_report.frames import fill_room, starts_of_stretches
@@ -36,7 +37,7 @@ def describe_bodies(
 
 def _pack_poses(poses: Poses3D, index: Ints) -> dict[str, Any]:
     """Return the numbers of the frames, the positions and what they are made of."""
-    points = poses.positions[index]
+    points = mapped.take(poses.positions, index)
     middle, scale = _choose_steps(points)
     steps = quantise(points - middle, scale)
     steps[(steps == -32768).any(-1)] = -32768

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from mocap_calib import mapped
 from mocap_calib.config import ReportConfig
 from mocap_calib.html_report.encode import pack, quantise, small_ints
 from mocap_calib.html_report.frames import fill_room
@@ -19,7 +20,7 @@ def describe_detections(seen: Seen, shown: Ints, room: int) -> dict[str, Any] | 
     shown: `[frame]` indices of the frames whose poses the page has.
     """
     recording = seen.recording
-    of_all = max(1, int(np.isfinite(recording.positions[:, shown, ..., 0]).any(-1).sum()))
+    of_all = max(1, int(recording.select(frames=shown).seen.any(-1).sum()))
     each = of_all * (4 * len(recording.keypoints) + 6) / max(1, len(shown))
 
     def pack_frames(places: Ints) -> dict[str, Any]:
@@ -35,7 +36,7 @@ def describe_detections(seen: Seen, shown: Ints, room: int) -> dict[str, Any] | 
 def _pack_camera(seen: Seen, view: int, index: Ints) -> dict[str, Any]:
     """Return the detections of one view in frames `[frame]` (indices), by individual."""
     recording = seen.recording
-    positions = recording.positions[view, index]
+    positions = mapped.take(recording.positions[view], index)
     frame, instance = np.nonzero(np.isfinite(positions[..., 0]).any(-1))
     individual = seen.matches.labels[view, index][frame, instance]
     order = np.lexsort((instance, frame, individual))

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from mocap_calib import mapped
 from mocap_calib.config import REPORT_FRAMES, ReportConfig
 from mocap_calib.html_report.encode import pack, pack_floats, quantise, small_ints
 from mocap_calib.html_report.frames import quantiles, split_evenly
@@ -66,7 +67,7 @@ def _grid_errors(
 
 def _grid_unmatched(seen: Seen, view: int, frames: Ints, grid: tuple[int, int]) -> Ints:
     """Return how many keypoints `[row, column]` of a view are nobody's."""
-    positions = seen.recording.positions[view, frames]
+    positions = mapped.take(seen.recording.positions[view], frames)
     nobody = seen.matches.labels[view, frames] < 0
     pixels = positions[nobody].reshape(-1, 2).T
     known = np.isfinite(pixels).all(0)

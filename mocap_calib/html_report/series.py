@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from mocap_calib import mapped
 from mocap_calib.config import ReportConfig
 from mocap_calib.html_report.encode import pack_floats
 from mocap_calib.html_report.frames import quantiles, split_evenly
@@ -51,7 +52,8 @@ def _take_frames(poses: Poses3D, index: Ints) -> tuple[Ints, Floats]:
     """
     last = len(poses.frames) - 1
     inside = index.clip(0, last)
-    points = poses.positions[inside]
+    points = mapped.take(poses.positions, inside.ravel())
+    points = points.reshape(*inside.shape, *points.shape[1:])
     points[inside != index] = np.nan
     return poses.frames[inside] + (index - inside) * usual_step(poses.frames), points
 

@@ -61,7 +61,8 @@ def _held_out(group: GroupResult, used_frames: Ints) -> float:
     parts = [_known(mapped.take(error, frames)) for frames in (never, used_frames)]
     if not all(len(part) for part in parts):
         return np.nan
-    return float(np.median(parts[0]) / np.median(parts[1]))
+    first, second = (np.median(part, overwrite_input=True) for part in parts)
+    return float(first / second)
 
 
 def _known(values: Floats) -> Floats:

@@ -125,7 +125,9 @@ def _stand_on_floor(on: Measurable, floor: Floor, config: WorldConfig) -> Simila
     ahead = ahead / np.linalg.norm(ahead)
     rotation = nearest_rotation(np.stack([np.cross(ahead, floor.up), ahead, floor.up]))
     points = on.poses.positions.reshape(-1, 3)
-    middle = np.median(points[np.isfinite(points[:, 0])], axis=0)
+    known = np.isfinite(points[:, 0])
+    # an axis at a time, and in place: copies of all points would be as large as the recording
+    middle = np.array([np.median(points[known, axis], overwrite_input=True) for axis in range(3)])
     origin = middle - ((middle - floor.point) @ floor.up) * floor.up
     return Similarity(1.0, rotation, -rotation @ origin)
 
