@@ -36,8 +36,9 @@ def assert_same(first: GroupResult, second: GroupResult) -> None:
     assert replace(first, seconds={}) == replace(second, seconds={})
 
 
+@pytest.mark.slow
 def test_a_recording_in_small_blocks_on_disk_gives_the_same_to_the_last_bit(request):
-    seen = recording(people=2, frames=60, cameras=3)
+    seen = recording(people=1, frames=40, cameras=3)
     in_memory = calibrate_group(seen)
     request.getfixturevalue("all_on_disk")
     on_disk = calibrate_group(seen)
@@ -46,7 +47,8 @@ def test_a_recording_in_small_blocks_on_disk_gives_the_same_to_the_last_bit(requ
     assert not is_mapped(in_memory.poses.positions)
 
 
-def test_what_a_mapped_array_holds_stays_when_its_memory_is_given_back(all_on_disk):
+@pytest.mark.usefixtures("all_on_disk")
+def test_what_a_mapped_array_holds_stays_when_its_memory_is_given_back():
     array = mapped.empty((1000, 3))
     array[:] = np.arange(3000).reshape(1000, 3)
     half = array[500:]
@@ -58,7 +60,8 @@ def test_what_a_mapped_array_holds_stays_when_its_memory_is_given_back(all_on_di
     np.testing.assert_array_equal(half, np.arange(1500, 3000).reshape(500, 3))
 
 
-def test_blocks_and_far_frames_are_those_of_the_whole(all_on_disk):
+@pytest.mark.usefixtures("all_on_disk")
+def test_blocks_and_far_frames_are_those_of_the_whole():
     rng = np.random.default_rng(0)
     array = rng.normal(size=(4, 50, 2))
     blocks = mapped.in_blocks(lambda block: 2 * array[:, block], 50, axis=1)
@@ -69,7 +72,8 @@ def test_blocks_and_far_frames_are_those_of_the_whole(all_on_disk):
     assert mapped.in_blocks(lambda block: array[:, block], 0, axis=1).shape == (4, 0, 2)
 
 
-def test_arrays_stay_in_memory_where_the_disk_is_full(all_on_disk, monkeypatch):
+@pytest.mark.usefixtures("all_on_disk")
+def test_arrays_stay_in_memory_where_the_disk_is_full(monkeypatch):
     def refuse(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
