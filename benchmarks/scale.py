@@ -3,6 +3,7 @@
 Every run is a process of its own, so that its peak memory is its own.
 
     .venv/bin/python benchmarks/scale.py long      # 8 cameras, 4 people: 2,000 and 100,000 frames
+    .venv/bin/python benchmarks/scale.py long 100000 1000000 --cameras 4 --people 1
     .venv/bin/python benchmarks/scale.py ring      # 31 cameras (465 pairs), 3 people, 100 frames
     .venv/bin/python benchmarks/scale.py hall 64   # along the walls of a hall: each sees a part
     .venv/bin/python benchmarks/scale.py stages    # seconds of each stage
@@ -74,6 +75,8 @@ def main() -> None:
         metavar="N",
         help="long: other numbers of frames; ring, hall: cameras, people, frames, seed",
     )
+    parser.add_argument("--cameras", type=int, default=8, help="of `long`")
+    parser.add_argument("--people", type=int, default=4, help="of `long`")
     parser.add_argument(
         "--scratch",
         type=Path,
@@ -82,7 +85,8 @@ def main() -> None:
     options = parser.parse_args()
     if options.what == "long":
         with tempfile.TemporaryDirectory(dir=options.scratch) as work:
-            long(Path(work), options.numbers or [2000, 100_000])
+            scene = {"cameras": options.cameras, "individuals": options.people}
+            long(Path(work), options.numbers or [2000, 100_000], **scene)
     elif options.what == "child":
         kind, *numbers = options.numbers
         print(json.dumps(child(SCENES[kind], *numbers)))
@@ -96,7 +100,7 @@ def main() -> None:
 # --- files to files
 
 
-def long(work: Path, lengths: Sequence[int]) -> None:
+def long(work: Path, lengths: Sequence[int], *, cameras: int, individuals: int) -> None:
     """Measure the same rig and people for longer and longer."""
     columns = (
         "frames",
@@ -110,7 +114,7 @@ def long(work: Path, lengths: Sequence[int]) -> None:
     print(f"| {' | '.join(columns)} |\n|{'---|' * len(columns)}")
     for frames in lengths:
         folder = work / str(frames)
-        reference = write_scene(folder, cameras=8, individuals=4, frames=frames)
+        reference = write_scene(folder, cameras=cameras, individuals=individuals, frames=frames)
         start = time.perf_counter()
         with Measured() as measured:
             measured.run(

@@ -25,7 +25,10 @@ _maps: WeakSet[mmap.mmap] = WeakSet()
 
 
 def empty(shape: Sequence[int], dtype: DTypeLike = np.float64) -> NDArray[Any]:
-    """Return an array to be filled; a large one lies on disk, where there is room for it."""
+    """Return an array to be filled; a large one lies on disk, where there is room for it.
+
+    Under Linux alone: other systems do not say beforehand whether there is room.
+    """
     kind = np.dtype(dtype)
     size = prod(shape) * kind.itemsize
     if size < _LARGE or not hasattr(os, "posix_fallocate"):

@@ -2,6 +2,9 @@
 
 import re
 
+import pytest
+
+from mocap_calib_cli.interrupted import say_how_to_go_on
 from mocap_calib_cli.progress import Reporter
 
 
@@ -35,3 +38,15 @@ def test_a_long_stage_says_how_long_it_takes_yet(capsys, monkeypatch):
         reporter("match all", 4, 10)
     said = capsys.readouterr().err.splitlines()
     assert said[0] == "match all: 4 of 10, about 60 s left"
+
+
+@pytest.mark.parametrize("pairs", [0, 3])
+def test_a_run_that_is_interrupted_says_what_it_kept(capsys, tmp_path, pairs):
+    for number in range(pairs):
+        (tmp_path / ".unfinished").mkdir(exist_ok=True)
+        (tmp_path / ".unfinished" / f"{number}.json").touch()
+    with pytest.raises(KeyboardInterrupt), say_how_to_go_on(Reporter(quiet=True), tmp_path):
+        raise KeyboardInterrupt
+    said = capsys.readouterr().err
+    assert said == "" if not pairs else said.startswith("3 pairs of cameras kept in ")
+    assert ("the same command goes on from there" in said) == bool(pairs)

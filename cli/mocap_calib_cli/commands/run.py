@@ -68,6 +68,7 @@ def command(
     from mocap_calib.job.steps import calibrate_job_resumably, read_job, write_results
     from mocap_calib.multi_view.clock_faults import describe_unknown_clocks
     from mocap_calib_cli import describe, ending, inputs, outputs, verdicts
+    from mocap_calib_cli.interrupted import say_how_to_go_on
     from mocap_calib_cli.progress import Reporter
     from mocap_calib_cli.workers import open_workers
 
@@ -82,7 +83,8 @@ def command(
     ):
         job = read_job(request)
         reporter.say(*describe.describe_recording(job.loaded.summary), *describe.describe_kernels())
-        result = calibrate_job_resumably(job, progress=reporter, mapper=workers)
+        with say_how_to_go_on(reporter, output):
+            result = calibrate_job_resumably(job, progress=reporter, mapper=workers)
     written = write_results(job, result)
 
     reporter.say("", *describe.describe_groups(result), *describe_unknown_clocks(result))
