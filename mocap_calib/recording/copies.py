@@ -145,6 +145,7 @@ def _find_shift(
     ours = first.positions[here.frame[own], here.instance[own]][:, first_columns]
     theirs = second.positions[there.frame[candidate], there.instance[candidate]]
     theirs = theirs[:, second_columns]
+    mapped.let_go()
     equal = np.isclose(ours, theirs, rtol=0.0, atol=tolerance, equal_nan=True).all((1, 2))
     shifts = second.frames[there.frame[candidate]] - first.frames[here.frame[own]]
     values, counts = np.unique(

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mocap_calib import mapped
 from mocap_calib.config import OTHER_RESOLUTION, TYPICAL_PERCENTILE, ReadConfig
 from mocap_calib.errors import MismatchError
 from mocap_calib.types import Camera, Keypoints2D
@@ -106,6 +107,7 @@ def check_pixels(view: Keypoints2D) -> None:
     """Raise MismatchError where the positions are shares of the image."""
     highest = np.nanmax(view.positions, initial=0.0)
     lowest = np.nanmin(view.positions, initial=0.0)
+    mapped.let_go()
     limit = ReadConfig().largest_share
     if 0 < max(highest, -lowest) <= limit:
         raise MismatchError(
@@ -129,7 +131,8 @@ def _check_one_file_each(views: Sequence[Keypoints2D], matched: Sequence[str]) -
 
 def _has_detections(view: Keypoints2D) -> bool:
     """Return whether the view has any detection."""
-    return bool(np.isfinite(view.positions).any())
+    blocks = mapped.frame_slices(len(view.frames))
+    return any(np.isfinite(view.positions[block]).any() for block in blocks)
 
 
 def _take_image_size(camera: Camera, view: Keypoints2D) -> Camera:
@@ -142,12 +145,15 @@ def _take_image_size(camera: Camera, view: Keypoints2D) -> Camera:
         return replace(camera, size=view.image_size)
     found = ""
     if view.image_size == _UNKNOWN_SIZE:
-        x, y = np.nanpercentile(view.positions, TYPICAL_PERCENTILE, axis=(0, 1, 2))
+        x, y = (
+            np.nanpercentile(view.positions[..., axis], TYPICAL_PERCENTILE) for axis in range(2)
+        )
         width, height = camera.size
         if x > OTHER_RESOLUTION * width or y > OTHER_RESOLUTION * height:
             found = f"detections at ({x:.0f}, {y:.0f})"
     elif view.image_size != camera.size:
         found = _size_text(view.image_size)
+    mapped.let_go()
     if found:
         raise MismatchError(
             f"{view.source}: expected an image of {_size_text(camera.size)} as camera "

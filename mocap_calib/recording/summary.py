@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mocap_calib import mapped
 from mocap_calib.config import LEAST_JOINTS
 from mocap_calib.recording.meanings import unshared_keypoints
 from mocap_calib.recording.pairing import views_with_detections
@@ -90,7 +91,8 @@ def summarise_recording(
 
 def count_detections(view: Keypoints2D) -> int:
     """Return the number of instances, in all frames, that have any keypoint."""
-    return int(np.isfinite(view.positions[..., 0]).any(-1).sum())
+    blocks = mapped.frame_slices(len(view.frames))
+    return sum(int(np.isfinite(view.positions[block, ..., 0]).any(-1).sum()) for block in blocks)
 
 
 def _count_lone_detections(views: Sequence[Keypoints2D], recording: Recording) -> int:

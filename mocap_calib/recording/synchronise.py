@@ -270,7 +270,9 @@ def _check_covisible(confidence: Reals) -> None:
 
     confidence: `[view, frame, instance, keypoint]`.
     """
-    sees = (confidence > 0).any(axis=(2, 3))
+    sees = mapped.in_blocks(
+        lambda block: (confidence[:, block] > 0).any(axis=(2, 3)), confidence.shape[1], axis=1
+    )
     if not (sees.sum(axis=0) >= 2).any():
         raise MismatchError(
             "expected frames in which two cameras see the subject, "
