@@ -16,13 +16,13 @@ from mocap_calib.multi_view.observations import gather_observations
 from mocap_calib.poses.certainty import covariances
 from mocap_calib.poses.cleaning import drop_outliers, exchange_sides
 from mocap_calib.poses.energy import Strengths, fit, linearise
+from mocap_calib.poses.gaps import point_sources, with_gaps
 from mocap_calib.poses.held_out import Choice, choose_strengths
 from mocap_calib.poses.start import add_refused, bone_lengths, fill_gaps
 from mocap_calib.poses.track import Body, Detections, acceleration_steps, detections_of
 from mocap_calib.recording.joints import edges_of_keypoints
 from mocap_calib.steerpose.weights import load_vocabulary
 from mocap_calib.types import (
-    POINT_SOURCES,
     Bools,
     CameraRig,
     Floats,
@@ -36,9 +36,6 @@ from mocap_calib.types import (
     silent,
 )
 
-_TRIANGULATED = POINT_SOURCES.index("triangulated")
-_ONE_VIEW = POINT_SOURCES.index("one view")
-_INTERPOLATED = POINT_SOURCES.index("interpolated")
 _LEAST_FRAMES = 3  # of an individual: with fewer there is nothing to go by
 
 
@@ -118,7 +115,7 @@ class _Scene:
             return None
         own = mapped.in_blocks(lambda rows: sigma[there[rows]], len(there))
         lengths, varies = bone_lengths(points, own, self.edges)
-        frames = _with_gaps(there, self.times, self.config.longest_gap)
+        frames = with_gaps(there, self.times, self.config.longest_gap)
         return _Individual(index, frames, size, lengths, varies)
 
     def track(self, who: _Individual, frames: Ints) -> tuple[Floats, Detections, Body]:
@@ -292,7 +289,7 @@ def _estimate(scene: _Scene, who: _Individual, frames: Ints, strengths: Strength
     covariance = covariances(system, body.steps, body.edges, ridge)
     met = np.isfinite(scene.start[frames, who.index, :, 0]).T
     moves = np.isfinite(strengths.acceleration)
-    source = _sources(seen, met, scene.times[frames], config.longest_gap if moves else -1)
+    source = point_sources(seen, met, scene.times[frames], config.longest_gap if moves else -1)
     sigma = np.sqrt(covariance[..., (0, 3, 5)].sum(-1))
     source = np.where(sigma <= config.largest_sigma * who.size, source, 0)
     missing = (source == 0)[..., None]
@@ -303,42 +300,6 @@ def _estimate(scene: _Scene, who: _Individual, frames: Ints, strengths: Strength
         outliers=outliers.swapaxes(1, 2),
         exchanged=exchanged.swapaxes(1, 2),
     )
-
-
-def _sources(seen: Detections, met: Bools, times: Floats, longest: int) -> Ints:
-    """Return what points are made of, `[keypoint, frame]`, 0 = missing.
-
-    met: `[keypoint, frame]` whether there is a point that was started from. longest: gap that is
-    bridged, and distance from a triangulated point up to which one view will do: along its ray a
-    point may be at either of two places. Below 0 neither is.
-    """
-    views = (seen.precision > 0).sum(0)
-    firm = met & (views >= 2)
-    gap = _around(views > 0, times)
-    source = np.where(gap.sum(0) <= longest + 1, _INTERPOLATED, 0)
-    near = _around(firm, times).min(0) <= longest
-    source = np.where(views > 0, np.where(near, _ONE_VIEW, 0), source)
-    return np.where(firm, _TRIANGULATED, source)
-
-
-def _around(there: Bools, times: Floats) -> Floats:
-    """Return times `[2, keypoint, frame]`: since the last that is there, and to the next."""
-    last = np.maximum.accumulate(np.where(there, times, -np.inf), axis=1)
-    following = np.minimum.accumulate(np.where(there, times, np.inf)[:, ::-1], axis=1)[:, ::-1]
-    return np.stack([times - last, following - times])
-
-
-def _with_gaps(there: Ints, times: Floats, longest: int) -> Ints:
-    """Return indices of frames, with those of gaps between them that are no longer than this."""
-    if not len(there):
-        return there
-    short = np.diff(times[there]) <= longest + 1
-    inside = np.zeros(len(times) + 1, dtype=np.int64)
-    np.add.at(inside, there[:-1][short], 1)
-    np.add.at(inside, there[1:][short], -1)
-    wanted = np.cumsum(inside)[:-1] > 0
-    wanted[there] = True
-    return np.flatnonzero(wanted)
 
 
 def _blocks(frames: Ints, config: PosesConfig) -> Iterator[tuple[slice, Ints]]:

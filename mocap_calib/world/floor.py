@@ -163,11 +163,12 @@ def _lowest_feet(poses: Poses3D, joints: Joints, config: FloorConfig) -> _Lowest
     if not np.isfinite(size) or seen.sum() < max(config.least_feet, config.least_seen * bodies):
         return f"feet were seen of {seen.sum()} bodies of {bodies} alone"
     axis, sigma = _body_axis(poses, joints, above - middle, config)
-    each = positions[:, :, feet]
+    each = mapped.in_blocks(lambda block: positions[block][:, :, feet], len(positions))
     height = np.where(np.isfinite(each[..., 0]), each @ axis, np.inf)
     which = height.argmin(-1)[..., None]
     lowest = np.take_along_axis(each, which[..., None], axis=2)[:, :, 0]
     noise = np.take_along_axis(poses.sigma[:, :, feet], which, axis=2)[..., 0]
+    mapped.let_go()
     frame, individual = np.nonzero(seen)
     chosen = np.linspace(0, len(frame) - 1, min(len(frame), config.most_points)).astype(np.int64)
     frame, individual = frame[chosen], individual[chosen]

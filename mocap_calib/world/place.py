@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mocap_calib import mapped
 from mocap_calib.config import WORLDS, ScaleCue, WorldConfig
 from mocap_calib.errors import DegenerateError, MismatchError
 from mocap_calib.geometry.rotation import nearest_rotation
@@ -125,11 +126,15 @@ def _stand_on_floor(on: Measurable, floor: Floor, config: WorldConfig) -> Simila
     ahead = ahead / np.linalg.norm(ahead)
     rotation = nearest_rotation(np.stack([np.cross(ahead, floor.up), ahead, floor.up]))
     points = on.poses.positions.reshape(-1, 3)
-    known = np.isfinite(points[:, 0])
-    # an axis at a time, and in place: copies of all points would be as large as the recording
-    middle = np.array([np.median(points[known, axis], overwrite_input=True) for axis in range(3)])
+    middle = np.array([_median_of_known(points[:, axis]) for axis in range(3)])
     origin = middle - ((middle - floor.point) @ floor.up) * floor.up
     return Similarity(1.0, rotation, -rotation @ origin)
+
+
+def _median_of_known(values: Floats) -> float:
+    """Return the median of the values `[N]` that are finite; in place, as they may be very many."""
+    own = mapped.in_blocks(lambda block: values[block], len(values))
+    return float(np.median(own[np.isfinite(own)], overwrite_input=True))
 
 
 def _heading(on: Measurable, up: Floats, config: WorldConfig) -> Floats:
