@@ -13,10 +13,17 @@ from mocap_calib.geometry.bodies import body_size
 from mocap_calib.multi_view.noise import view_noise
 from mocap_calib.multi_view.observations import gather_observations
 from mocap_calib.poses.certainty import covariances
-from mocap_calib.poses.cleaning import drop_outliers, exchange_sides
+from mocap_calib.poses.cleaning import are_beyond_reach, drop_outliers, exchange_sides
 from mocap_calib.poses.energy import Strengths, fit, linearise
 from mocap_calib.poses.held_out import Choice, choose_strengths
-from mocap_calib.poses.start import add_refused, bone_lengths, fill_gaps
+from mocap_calib.poses.spans import blocks, time_around, with_gaps
+from mocap_calib.poses.start import (
+    add_refused,
+    bone_lengths,
+    fill_gaps,
+    reach_of_bones,
+    with_second_neighbours,
+)
 from mocap_calib.poses.track import Body, Detections, acceleration_steps, detections_of
 from mocap_calib.recording.joints import edges_of_keypoints
 from mocap_calib.steerpose.weights import load_vocabulary
@@ -46,7 +53,8 @@ class _Individual:
     """What is known of one individual.
 
     index: of its label. frames: `[frame]` indices of those in which it is estimated.
-    lengths, varies: `[edge]` of its bones, and by how much they vary.
+    lengths, varies: `[edge]` of its bones and what joins their ends, and by how much they vary.
+    reach: `[keypoint, keypoint]` how far joints can be from each other.
     """
 
     index: int
@@ -54,6 +62,7 @@ class _Individual:
     size: float
     lengths: Floats
     varies: Floats
+    reach: Floats
 
 
 @dataclass(frozen=True)
@@ -72,11 +81,16 @@ class _Scene:
     config: PosesConfig
 
     @cached_property
-    def edges(self) -> Ints:
-        """`[edge, 2]` keypoints that bones join."""
+    def bones(self) -> Ints:
+        """`[bone, 2]` keypoints that bones join."""
         skeleton = load_vocabulary(self.recording.model)
-        edges = edges_of_keypoints(skeleton, self.recording.vocabulary)
-        return np.array(edges, dtype=np.int64).reshape(-1, 2)
+        bones = edges_of_keypoints(skeleton, self.recording.vocabulary)
+        return np.array(bones, dtype=np.int64).reshape(-1, 2)
+
+    @cached_property
+    def edges(self) -> Ints:
+        """`[edge, 2]` keypoints whose distance tells: those that one bone joins, or two in turn."""
+        return with_second_neighbours(self.bones, len(self.recording.keypoints))
 
     @cached_property
     def mirror(self) -> Ints:
@@ -107,14 +121,16 @@ class _Scene:
             if len(there) < _LEAST_FRAMES or not size > 0:
                 continue
             lengths, varies = bone_lengths(raw[there], self.poses.sigma[there, index], self.edges)
-            frames = _with_gaps(there, self.times, self.config.longest_gap)
-            found.append(_Individual(index, frames, size, lengths, varies))
+            bones = slice(len(self.bones))
+            reach = reach_of_bones(lengths[bones], varies[bones], self.bones, raw.shape[1])
+            frames = with_gaps(there, self.times, self.config.longest_gap)
+            found.append(_Individual(index, frames, size, lengths, varies, reach + size))
         return found
 
     def track(self, who: _Individual, frames: Ints) -> tuple[Floats, Detections, Body]:
         """Return points `[keypoint, frame, 3]` to start from, detections and body.
 
-        frames: `[frame]` indices.
+        Detections of points that no body can have are none. frames: `[frame]` indices.
         """
         own = Matches(np.where(self.matches.labels[:, frames] == who.index, 0, -1))
         recording = self.recording.select(frames=frames)
@@ -134,7 +150,12 @@ class _Scene:
             size=np.full(len(frames), who.size),
             steps=acceleration_steps(times, self.config.longest_gap + 1),
         )
-        points = fill_gaps(self.start[frames, who.index], times, self.edges)
+        start = self.start[frames, who.index]
+        impossible = are_beyond_reach(start, who.reach)
+        points = fill_gaps(np.where(impossible[..., None], np.nan, start), times, self.bones)
+        detections = replace(
+            detections, precision=np.where(impossible.T, 0.0, detections.precision)
+        )
         return np.ascontiguousarray(points.swapaxes(0, 1)), detections, body
 
 
@@ -191,7 +212,7 @@ def smooth_poses(
     outliers = exchanged = done = 0
     total = sum(len(who.frames) for who in scene.individuals)
     for who in scene.individuals:
-        for inner, frames in _blocks(who.frames, config):
+        for inner, frames in blocks(who.frames, config):
             found = _estimate(scene, who, frames, choice.strengths)
             for name, array in arrays.items():
                 array[frames[inner], who.index] = getattr(found, name)[inner]
@@ -275,6 +296,7 @@ def _estimate(scene: _Scene, who: _Individual, frames: Ints, strengths: Strength
     source = _sources(seen, met, scene.times[frames], config.longest_gap if moves else -1)
     sigma = np.sqrt(covariance[..., (0, 3, 5)].sum(-1))
     source = np.where(sigma <= config.largest_sigma * who.size, source, 0)
+    source = np.where(are_beyond_reach(points.swapaxes(0, 1), who.reach).T, 0, source)
     missing = (source == 0)[..., None]
     return _Estimate(
         positions=np.where(missing, np.nan, points).swapaxes(0, 1),
@@ -294,37 +316,8 @@ def _sources(seen: Detections, met: Bools, times: Floats, longest: int) -> Ints:
     """
     views = (seen.precision > 0).sum(0)
     firm = met & (views >= 2)
-    gap = _around(views > 0, times)
+    gap = time_around(views > 0, times)
     source = np.where(gap.sum(0) <= longest + 1, _INTERPOLATED, 0)
-    near = _around(firm, times).min(0) <= longest
+    near = time_around(firm, times).min(0) <= longest
     source = np.where(views > 0, np.where(near, _ONE_VIEW, 0), source)
     return np.where(firm, _TRIANGULATED, source)
-
-
-def _around(there: Bools, times: Floats) -> Floats:
-    """Return times `[2, keypoint, frame]`: since the last that is there, and to the next."""
-    last = np.maximum.accumulate(np.where(there, times, -np.inf), axis=1)
-    following = np.minimum.accumulate(np.where(there, times, np.inf)[:, ::-1], axis=1)[:, ::-1]
-    return np.stack([times - last, following - times])
-
-
-def _with_gaps(there: Ints, times: Floats, longest: int) -> Ints:
-    """Return indices of frames, with those of gaps between them that are no longer than this."""
-    if not len(there):
-        return there
-    short = np.diff(times[there]) <= longest + 1
-    inside = np.zeros(len(times) + 1, dtype=np.int64)
-    np.add.at(inside, there[:-1][short], 1)
-    np.add.at(inside, there[1:][short], -1)
-    wanted = np.cumsum(inside)[:-1] > 0
-    wanted[there] = True
-    return np.flatnonzero(wanted)
-
-
-def _blocks(frames: Ints, config: PosesConfig) -> Iterator[tuple[slice, Ints]]:
-    """Yield frames to fit at once, and which of them are new there: the others are margins."""
-    for start in range(0, len(frames), config.block_frames):
-        first = max(start - config.margin_frames, 0)
-        last = start + config.block_frames
-        own = frames[first : last + config.margin_frames]
-        yield slice(start - first, min(last, len(frames)) - first), own
