@@ -15,7 +15,7 @@ from mocap_calib.multi_view.observations import gather_observations
 from mocap_calib.poses.certainty import covariances
 from mocap_calib.poses.cleaning import are_beyond_reach, drop_outliers, exchange_sides
 from mocap_calib.poses.energy import Strengths, fit, linearise
-from mocap_calib.poses.held_out import Choice, choose_strengths
+from mocap_calib.poses.held_out import Choice, choose_strengths, choose_trust
 from mocap_calib.poses.spans import blocks, time_around, with_gaps
 from mocap_calib.poses.start import (
     add_refused,
@@ -25,6 +25,7 @@ from mocap_calib.poses.start import (
     with_second_neighbours,
 )
 from mocap_calib.poses.track import Body, Detections, acceleration_steps, detections_of
+from mocap_calib.poses.trust import Trust
 from mocap_calib.recording.joints import edges_of_keypoints
 from mocap_calib.steerpose.weights import load_vocabulary
 from mocap_calib.types import (
@@ -199,7 +200,7 @@ def smooth_poses(
     scene = _Scene(recording, rig, matches, poses, noise, poses.raw, config)
     if not scene.individuals:
         return poses, Smoothing()
-    choice = _choose(scene)
+    trust, choice = _choose(scene)
     if not np.isfinite(choice.strengths.acceleration):
         wider = replace(triangulate, outlier=max(config.alone_outlier, triangulate.outlier))
         start = add_refused(recording, rig, matches, poses.raw, noise=noise, config=wider)
@@ -213,7 +214,7 @@ def smooth_poses(
     total = sum(len(who.frames) for who in scene.individuals)
     for who in scene.individuals:
         for inner, frames in blocks(who.frames, config):
-            found = _estimate(scene, who, frames, choice.strengths)
+            found = _estimate(scene, who, frames, trust, choice.strengths)
             for name, array in arrays.items():
                 array[frames[inner], who.index] = getattr(found, name)[inner]
             outliers += int(found.outliers[:, inner].sum())
@@ -246,18 +247,16 @@ def smooth_group(group: GroupResult, config: Config, *, progress: Progress = sil
     return replace(group, poses=poses, smoothing=smoothing)
 
 
-def _choose(scene: _Scene) -> Choice:
-    """Return how strongly to smooth, from some stretches of all individuals."""
+def _choose(scene: _Scene) -> tuple[Trust, Choice]:
+    """Return what confidences tell and how strongly to smooth, from stretches of all."""
     config = scene.config
     tracks = [scene.track(who, frames) for who, frames in _stretches(scene.individuals, config)]
-    points, seen, bodies = (list(parts) for parts in zip(*tracks, strict=True))
-    return choose_strengths(
-        np.concatenate(points, axis=1),
-        seen[0].join(seen[1:]),
-        bodies[0].join(bodies[1:]),
-        config,
-        moves=config.smooth != "bones",
-    )
+    parts = [list(each) for each in zip(*tracks, strict=True)]
+    points, (seen, body) = np.concatenate(parts[0], axis=1), (p[0].join(p[1:]) for p in parts[1:])
+    moves = config.smooth != "bones"
+    trust = choose_trust(points, seen, body, scene.noise, config, moves=moves)
+    seen = trust.weigh(seen, scene.noise)
+    return trust, choose_strengths(points, seen, body, config, moves=moves)
 
 
 def _stretches(
@@ -277,10 +276,13 @@ def _stretches(
         yield who, who.frames[start : start + length]
 
 
-def _estimate(scene: _Scene, who: _Individual, frames: Ints, strengths: Strengths) -> _Estimate:
+def _estimate(
+    scene: _Scene, who: _Individual, frames: Ints, trust: Trust, strengths: Strengths
+) -> _Estimate:
     """Return the best estimates of one individual in frames that follow each other."""
     config = scene.config
     points, seen, body = scene.track(who, frames)
+    seen = trust.weigh(seen, scene.noise)
     points = fit(points, seen, body, strengths, config, steps=config.fit_steps)
     seen, exchanged = exchange_sides(points, seen, scene.mirror, config)
     seen, outliers = drop_outliers(points, seen, config)

@@ -15,6 +15,7 @@ from mocap_calib.poses.held_out import error_of_mean
 from mocap_calib.poses.stage import smooth_poses
 from mocap_calib.poses.start import bone_lengths, reach_of_bones, with_second_neighbours
 from mocap_calib.poses.track import acceleration_steps
+from mocap_calib.poses.trust import measure_trust
 from mocap_calib.types import POINT_SOURCES, Matches, Poses3D, Recording, Smoothing
 
 HARD = {"missing": 0.3, "noise_px": 4.0}
@@ -172,6 +173,17 @@ def test_heavy_tails_of_a_detector_choose_the_narrow_loss():
     _, smoothing = smooth(replace(seen, positions=positions), **EASY)
     wide, narrow = PosesConfig().losses
     assert smoothing.loss == narrow < wide == smoothed(**EASY)[1].loss
+
+
+@pytest.mark.parametrize(("power", "expected"), [(0, 0), (0.5, 0.5), (1, 1), (3, 1)])
+def test_confidences_count_as_far_as_they_tell_of_errors(power, expected):
+    """Of 4,000 errors, a fifth of them of wrong detections; the slope is uncertain by 0.06."""
+    rng = np.random.default_rng(0)
+    confidence = rng.uniform(0.1, 1, size=4000)
+    square = rng.chisquare(2, size=4000) * confidence**-power
+    square[::5] *= 1e4
+    assert measure_trust(square, confidence, 0.5).power == pytest.approx(expected, abs=0.2)
+    assert measure_trust(square, np.full(4000, 0.7), 0.7).power == 1
 
 
 def test_errors_that_go_together_count_once():
