@@ -16,6 +16,7 @@ _SEED = 0  # of which detections are hidden
 # just before and after is as wrong: with 5 frames Shelf was smoothed to the end of the scale.
 _RUN = 25
 _VIEWS = 3  # of a point of which one is hidden: two must be left
+_ALIKE = 1e-6  # logarithms of confidences that differ by less tell nothing
 _LARGEST = 900.0  # squared error that counts in full
 _MEDIAN_LENGTH = 1.538  # of normal vectors in space, in standard deviations of a coordinate
 
@@ -98,7 +99,8 @@ def choose_trust(
     there = confidence > 0
     usual = float(np.exp(np.log(confidence[there]).mean())) if there.any() else 1.0
     hidden = _hide(seen)
-    if hidden.sum() < config.least_hidden:
+    few = hidden.sum() < config.least_hidden
+    if few or np.ptp(np.log(confidence[hidden])) < _ALIKE:
         return Trust(1.0, usual)
     shown = replace(seen, precision=np.where(hidden, 0.0, seen.precision))
     strengths = usual_strengths(points, seen, body, config, moves=moves)

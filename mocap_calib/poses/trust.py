@@ -7,8 +7,6 @@ import numpy as np
 from mocap_calib.poses.track import Detections
 from mocap_calib.types import Floats
 
-_ALIKE = 1e-6  # logarithms of confidences that differ by less tell nothing
-
 
 @dataclass(frozen=True)
 class Trust:
@@ -40,11 +38,9 @@ def measure_trust(square: Floats, confidence: Floats, usual: float) -> Trust:
     were inverse variances: on Shelf it would be 3.3, with errors smaller by 1 % and fewer limbs
     that are right, since single views decide where each is.
 
-    square: `[N]` squared errors. confidence: `[N]`. usual: see `Trust`.
+    square: `[N]` squared errors. confidence: `[N]`, not all alike. usual: see `Trust`.
     """
     told = np.log(confidence) - np.log(confidence).mean()
-    if np.abs(told).max() < _ALIKE:
-        return Trust(1.0, usual)
     error = np.log(np.maximum(square, np.finfo(float).tiny))
     power = -float(told @ error) / float(told @ told)
     return Trust(float(np.clip(power, 0.0, 1.0)), usual)
