@@ -31,7 +31,7 @@ from mocap_calib.multi_view.observations import gather_observations
 from mocap_calib.multi_view.triangulation import triangulate
 from mocap_calib.poses.stage import smooth_poses
 from mocap_calib.recording.joints import edges_of_keypoints
-from mocap_calib.steerpose.checkpoint import AUTO, choose_model
+from mocap_calib.steerpose.loading import AUTO, choose_model
 from mocap_calib.steerpose.weights import load_vocabulary
 from mocap_calib.types import CameraRig, Floats, Matches, Recording
 

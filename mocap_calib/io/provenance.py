@@ -66,6 +66,15 @@ def judgement(
     return fields
 
 
+def hold_for(fields: Mapping[str, Any], frames: Sequence[int], *more: str) -> dict[str, Any]:
+    """Return the fields of a provenance with the frames that its cameras hold for, and a remark.
+
+    frames: first and last number. more: further remarks, before those of the fields.
+    """
+    remarks = [f"holds for the frames {frames[0]} to {frames[1]}", *more]
+    return {**fields, "frames": list(frames), "remarks": remarks + fields.get("remarks", [])}
+
+
 def _is_sigma(camera: Any, value: Any) -> bool:
     """Return whether this is the name of a camera and a standard deviation."""
     return isinstance(camera, str) and type(value) is float and 0 <= value < math.inf

@@ -1,4 +1,7 @@
-"""Detections that a fit exposes: left and right taken for each other, and what is far off."""
+"""Detections that a fit exposes: left and right taken for each other, and what is far off.
+
+And points that no body can have, however well the views agree on them.
+"""
 
 from dataclasses import replace
 
@@ -48,3 +51,17 @@ def drop_outliers(
     """
     far = (seen.precision > 0) & (squared_errors(points, seen) > config.outlier**2)
     return replace(seen, precision=np.where(far, 0.0, seen.precision)), far
+
+
+def are_beyond_reach(points: Floats, reach: Floats) -> Bools:
+    """Return which points `[frame, keypoint]` are farther from most of the others than is possible.
+
+    Two views that take the same thing in the background for a joint agree on where it is. What the
+    bones allow, they do not.
+
+    points: `[frame, keypoint, 3]`. reach: `[keypoint, keypoint]` the largest possible distances.
+    """
+    apart = np.sqrt(((points[:, :, None] - points[:, None]) ** 2).sum(-1))
+    compared = np.isfinite(apart) & np.isfinite(reach) & ~np.eye(len(reach), dtype=bool)
+    beyond = compared & (apart > reach)
+    return np.asarray(2 * beyond.sum(2) > compared.sum(2))

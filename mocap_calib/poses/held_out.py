@@ -8,6 +8,7 @@ import numpy as np
 from mocap_calib.config import PosesConfig
 from mocap_calib.poses.energy import Strengths, accelerations, fit, squared_errors
 from mocap_calib.poses.track import Body, Detections
+from mocap_calib.poses.trust import Trust, measure_trust
 from mocap_calib.types import Bools, Floats, Ints
 
 _SEED = 0  # of which detections are hidden
@@ -15,6 +16,7 @@ _SEED = 0  # of which detections are hidden
 # just before and after is as wrong: with 5 frames Shelf was smoothed to the end of the scale.
 _RUN = 25
 _VIEWS = 3  # of a point of which one is hidden: two must be left
+_ALIKE = 1e-6  # logarithms of confidences that differ by less tell nothing
 _LARGEST = 900.0  # squared error that counts in full
 _MEDIAN_LENGTH = 1.538  # of normal vectors in space, in standard deviations of a coordinate
 
@@ -43,9 +45,8 @@ def choose_strengths(
 
     points: `[keypoint, frame, 3]` to start from. moves: whether accelerations may be smoothed.
     """
+    usual = usual_strengths(points, seen, body, config, moves=moves)
     moves = moves and bool(body.steps.any())
-    usual = usual_strengths(points, seen, body, config)
-    usual = usual if moves else replace(usual, acceleration=np.inf)
     hidden = _hide(seen)
     if hidden.sum() < config.least_hidden:
         return Choice(usual)
@@ -81,6 +82,33 @@ def choose_strengths(
     return Choice(chosen, float(loss(chosen).mean()), float(raw.mean()))
 
 
+def choose_trust(
+    points: Floats,
+    seen: Detections,
+    body: Body,
+    noise: Floats,
+    config: PosesConfig,
+    *,
+    moves: bool,
+) -> Trust:
+    """Return how much confidences tell of the errors of hidden detections.
+
+    points, seen, body, moves: as for `choose_strengths`. noise: `[view]` in radians.
+    """
+    confidence = seen.precision * noise[:, None, None] ** 2
+    there = confidence > 0
+    usual = float(np.exp(np.log(confidence[there]).mean())) if there.any() else 1.0
+    hidden = _hide(seen)
+    few = hidden.sum() < config.least_hidden
+    if few or np.ptp(np.log(confidence[hidden])) < _ALIKE:
+        return Trust(1.0, usual)
+    shown = replace(seen, precision=np.where(hidden, 0.0, seen.precision))
+    strengths = usual_strengths(points, seen, body, config, moves=moves)
+    found = fit(points, shown, body, strengths, config, steps=config.choice_steps)
+    square = squared_errors(found, seen)[hidden] / confidence[hidden]
+    return measure_trust(square, confidence[hidden], usual)
+
+
 def error_of_mean(values: Floats, run: Ints) -> float:
     """Return the standard error of the mean of values `[N]`, which go together in runs.
 
@@ -104,7 +132,9 @@ def _until_worse(
             return
 
 
-def usual_strengths(points: Floats, seen: Detections, body: Body, config: PosesConfig) -> Strengths:
+def usual_strengths(
+    points: Floats, seen: Detections, body: Body, config: PosesConfig, *, moves: bool = True
+) -> Strengths:
     """Return strengths without held-out detections: weak ones.
 
     Accelerations are allowed that are as large as those of the points, noise and all; where even
@@ -117,7 +147,8 @@ def usual_strengths(points: Floats, seen: Detections, body: Body, config: PosesC
     counted = np.all([there[:, k : k + ends] for k in range(3)], axis=0)
     counted &= body.steps[0, :ends] != 0
     sigma = float(np.median(size[counted])) / _MEDIAN_LENGTH if counted.any() else np.inf
-    allowed = sigma if sigma < config.largest_acceleration else np.inf
+    follow = moves and sigma < config.largest_acceleration
+    allowed = sigma if follow else np.inf
     bones = config.usual_bones if len(body.edges) else np.inf
     return Strengths(max(allowed, config.accelerations[-1]), bones, config.losses[0])
 

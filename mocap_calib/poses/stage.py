@@ -14,12 +14,19 @@ from mocap_calib.geometry.bodies import body_size
 from mocap_calib.multi_view.noise import view_noise
 from mocap_calib.multi_view.observations import gather_observations
 from mocap_calib.poses.certainty import covariances
-from mocap_calib.poses.cleaning import drop_outliers, exchange_sides
+from mocap_calib.poses.cleaning import are_beyond_reach, drop_outliers, exchange_sides
 from mocap_calib.poses.energy import Strengths, fit, linearise
-from mocap_calib.poses.gaps import point_sources, with_gaps
-from mocap_calib.poses.held_out import Choice, choose_strengths
-from mocap_calib.poses.start import add_refused, bone_lengths, fill_gaps
+from mocap_calib.poses.held_out import Choice, choose_strengths, choose_trust
+from mocap_calib.poses.spans import blocks, point_sources, with_gaps
+from mocap_calib.poses.start import (
+    add_refused,
+    bone_lengths,
+    fill_gaps,
+    reach_of_bones,
+    with_second_neighbours,
+)
 from mocap_calib.poses.track import Body, Detections, acceleration_steps, detections_of
+from mocap_calib.poses.trust import Trust
 from mocap_calib.recording.joints import edges_of_keypoints
 from mocap_calib.steerpose.weights import load_vocabulary
 from mocap_calib.types import (
@@ -44,7 +51,8 @@ class _Individual:
     """What is known of one individual.
 
     index: of its label. frames: `[frame]` indices of those in which it is estimated.
-    lengths, varies: `[edge]` of its bones, and by how much they vary.
+    lengths, varies: `[edge]` of its bones and what joins their ends, and by how much they vary.
+    reach: `[keypoint, keypoint]` how far joints can be from each other.
     """
 
     index: int
@@ -52,6 +60,7 @@ class _Individual:
     size: float
     lengths: Floats
     varies: Floats
+    reach: Floats
 
 
 @dataclass(frozen=True)
@@ -70,11 +79,16 @@ class _Scene:
     config: PosesConfig
 
     @cached_property
-    def edges(self) -> Ints:
-        """`[edge, 2]` keypoints that bones join."""
+    def bones(self) -> Ints:
+        """`[bone, 2]` keypoints that bones join."""
         skeleton = load_vocabulary(self.recording.model)
-        edges = edges_of_keypoints(skeleton, self.recording.vocabulary)
-        return np.array(edges, dtype=np.int64).reshape(-1, 2)
+        bones = edges_of_keypoints(skeleton, self.recording.vocabulary)
+        return np.array(bones, dtype=np.int64).reshape(-1, 2)
+
+    @cached_property
+    def edges(self) -> Ints:
+        """`[edge, 2]` keypoints whose distance tells: those that one bone joins, or two in turn."""
+        return with_second_neighbours(self.bones, len(self.recording.keypoints))
 
     @cached_property
     def mirror(self) -> Ints:
@@ -115,13 +129,15 @@ class _Scene:
             return None
         own = mapped.in_blocks(lambda rows: sigma[there[rows]], len(there))
         lengths, varies = bone_lengths(points, own, self.edges)
+        bones = slice(len(self.bones))
+        reach = reach_of_bones(lengths[bones], varies[bones], self.bones, raw.shape[1])
         frames = with_gaps(there, self.times, self.config.longest_gap)
-        return _Individual(index, frames, size, lengths, varies)
+        return _Individual(index, frames, size, lengths, varies, reach + size)
 
     def track(self, who: _Individual, frames: Ints) -> tuple[Floats, Detections, Body]:
         """Return points `[keypoint, frame, 3]` to start from, detections and body.
 
-        frames: `[frame]` indices.
+        Detections of points that no body can have are none. frames: `[frame]` indices.
         """
         own = Matches(np.where(self.matches.labels[:, frames] == who.index, 0, -1))
         recording = self.recording.select(frames=frames)
@@ -141,7 +157,12 @@ class _Scene:
             size=np.full(len(frames), who.size),
             steps=acceleration_steps(times, self.config.longest_gap + 1),
         )
-        points = fill_gaps(self.start[frames, who.index], times, self.edges)
+        start = self.start[frames, who.index]
+        impossible = are_beyond_reach(start, who.reach)
+        points = fill_gaps(np.where(impossible[..., None], np.nan, start), times, self.bones)
+        detections = replace(
+            detections, precision=np.where(impossible.T, 0.0, detections.precision)
+        )
         return np.ascontiguousarray(points.swapaxes(0, 1)), detections, body
 
 
@@ -185,7 +206,7 @@ def smooth_poses(
     scene = _Scene(recording, rig, matches, poses, noise, poses.raw, config)
     if not scene.individuals:
         return poses, Smoothing()
-    choice = _choose(scene)
+    trust, choice = _choose(scene)
     if not np.isfinite(choice.strengths.acceleration):
         wider = replace(triangulate, outlier=max(config.alone_outlier, triangulate.outlier))
         start = add_refused(recording, rig, matches, poses.raw, noise=noise, config=wider)
@@ -200,15 +221,15 @@ def smooth_poses(
             array[block] = 0 if name == "source" else np.nan
     outliers = exchanged = done = 0
     total = sum(len(who.frames) for who in scene.individuals)
-    blocks = [
+    pieces = [
         (who, inner, frames)
         for who in scene.individuals
-        for inner, frames in _blocks(who.frames, config)
+        for inner, frames in blocks(who.frames, config)
     ]
     estimates = map_in_threads(
-        lambda block: _estimate(scene, block[0], block[2], choice.strengths), blocks
+        lambda piece: _estimate(scene, piece[0], piece[2], trust, choice.strengths), pieces
     )
-    for (who, inner, frames), found in zip(blocks, estimates, strict=True):
+    for (who, inner, frames), found in zip(pieces, estimates, strict=True):
         for name, array in arrays.items():
             array[frames[inner], who.index] = getattr(found, name)[inner]
         outliers += int(found.outliers[:, inner].sum())
@@ -242,18 +263,16 @@ def smooth_group(group: GroupResult, config: Config, *, progress: Progress = sil
     return replace(group, poses=poses, smoothing=smoothing)
 
 
-def _choose(scene: _Scene) -> Choice:
-    """Return how strongly to smooth, from some stretches of all individuals."""
+def _choose(scene: _Scene) -> tuple[Trust, Choice]:
+    """Return what confidences tell and how strongly to smooth, from stretches of all."""
     config = scene.config
     tracks = [scene.track(who, frames) for who, frames in _stretches(scene.individuals, config)]
-    points, seen, bodies = (list(parts) for parts in zip(*tracks, strict=True))
-    return choose_strengths(
-        np.concatenate(points, axis=1),
-        seen[0].join(seen[1:]),
-        bodies[0].join(bodies[1:]),
-        config,
-        moves=config.smooth != "bones",
-    )
+    parts = [list(each) for each in zip(*tracks, strict=True)]
+    points, (seen, body) = np.concatenate(parts[0], axis=1), (p[0].join(p[1:]) for p in parts[1:])
+    moves = config.smooth != "bones"
+    trust = choose_trust(points, seen, body, scene.noise, config, moves=moves)
+    seen = trust.weigh(seen, scene.noise)
+    return trust, choose_strengths(points, seen, body, config, moves=moves)
 
 
 def _stretches(
@@ -273,10 +292,13 @@ def _stretches(
         yield who, who.frames[start : start + length]
 
 
-def _estimate(scene: _Scene, who: _Individual, frames: Ints, strengths: Strengths) -> _Estimate:
+def _estimate(
+    scene: _Scene, who: _Individual, frames: Ints, trust: Trust, strengths: Strengths
+) -> _Estimate:
     """Return the best estimates of one individual in frames that follow each other."""
     config = scene.config
     points, seen, body = scene.track(who, frames)
+    seen = trust.weigh(seen, scene.noise)
     points = fit(points, seen, body, strengths, config, steps=config.fit_steps)
     seen, exchanged = exchange_sides(points, seen, scene.mirror, config)
     seen, outliers = drop_outliers(points, seen, config)
@@ -292,6 +314,7 @@ def _estimate(scene: _Scene, who: _Individual, frames: Ints, strengths: Strength
     source = point_sources(seen, met, scene.times[frames], config.longest_gap if moves else -1)
     sigma = np.sqrt(covariance[..., (0, 3, 5)].sum(-1))
     source = np.where(sigma <= config.largest_sigma * who.size, source, 0)
+    source = np.where(are_beyond_reach(points.swapaxes(0, 1), who.reach).T, 0, source)
     missing = (source == 0)[..., None]
     return _Estimate(
         positions=np.where(missing, np.nan, points).swapaxes(0, 1),
@@ -300,12 +323,3 @@ def _estimate(scene: _Scene, who: _Individual, frames: Ints, strengths: Strength
         outliers=outliers.swapaxes(1, 2),
         exchanged=exchanged.swapaxes(1, 2),
     )
-
-
-def _blocks(frames: Ints, config: PosesConfig) -> Iterator[tuple[slice, Ints]]:
-    """Yield frames to fit at once, and which of them are new there: the others are margins."""
-    for start in range(0, len(frames), config.block_frames):
-        first = max(start - config.margin_frames, 0)
-        last = start + config.block_frames
-        own = frames[first : last + config.margin_frames]
-        yield slice(start - first, min(last, len(frames)) - first), own

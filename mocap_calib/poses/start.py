@@ -1,6 +1,8 @@
 """Where the fit starts: bones' lengths, and triangulated points with their gaps filled in."""
 
 import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import shortest_path
 
 from mocap_calib import mapped
 from mocap_calib.config import TriangulateConfig
@@ -57,6 +59,35 @@ def bone_lengths(points: Floats, sigma: Floats, edges: Ints) -> tuple[Floats, Fl
             found[:, edge] = _middle_and_spread(seen, variance)
         mapped.let_go()
     return found[0], found[1]
+
+
+def reach_of_bones(lengths: Floats, varies: Floats, bones: Ints, keypoints: int) -> Floats:
+    """Return how far each keypoint can be from each other `[keypoint, keypoint]`.
+
+    That is the sum of the bones between them, each as long as three standard deviations of what it
+    varies by allow; inf where no bones of known length lead from one to the other.
+
+    lengths, varies: `[bone]` as `bone_lengths` finds them.
+    """
+    known = np.isfinite(lengths)
+    a, b = bones[known].T
+    longest = (lengths + 3 * varies)[known]
+    return np.asarray(
+        shortest_path(csr_array((longest, (a, b)), shape=(keypoints, keypoints)), directed=False)
+    )
+
+
+def with_second_neighbours(bones: Ints, keypoints: int) -> Ints:
+    """Return bones `[bone, 2]` and then the pairs that two bones join, all of them `[edge, 2]`.
+
+    Hips, shoulders and heads hardly change their shape: the ends of two bones of theirs are as far
+    from each other as those of one. Those of a leg are not; how much they vary is measured.
+    """
+    joined = np.zeros((keypoints, keypoints), dtype=np.int64)
+    a, b = bones.T
+    joined[a, b] = joined[b, a] = 1
+    second = np.triu((joined @ joined > 0) & (joined == 0), k=1)
+    return np.concatenate([bones, np.argwhere(second)])
 
 
 def _middle_and_spread(values: Floats, noise: Floats) -> tuple[float, float]:

@@ -287,6 +287,11 @@ def test_stages_keep_to_the_frames_that_the_rig_of_a_moved_camera_holds_for(
         assert "frames 7 to 12: a camera was moved" in said.stderr
         with h5py.File(poses) as file:
             assert file["frames"][:].tolist() == list(range(7, 13))
+    new = tmp_path / "adjusted.yaml"
+    # six frames determine a rig weakly, or not at all
+    tool("adjust", keypoints, "--rig", rig, "--matches", matches, "-o", new, "-q")
+    assert read_rig(new).judgement["frames"] == [7, 12]
+    assert "holds for the frames 7 to 12" in read_rig(new).judgement["remarks"]
     hold_for("[1007, 1012]")
     said = tool("match", keypoints, "--rig", rig, "-q")
     assert (said.returncode, said.stdout) == (1, "")

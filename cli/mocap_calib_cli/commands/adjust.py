@@ -91,7 +91,8 @@ def command(
             matches = finalise_identities(recording, adjusted.rig, matches, config)
             outputs.write_text(matches_out, matches_csv(recording, matches, loaded.clocks))
         result = conclude_without_pairs(sample, lifted, rig, adjusted, config)
-    _write_judged(result, output, shared, reporter, solver=solver)
+    frames = rig.judgement.get("frames")
+    _write_judged(result, output, shared, reporter, solver=solver, frames=frames)
     context.exit(verdicts.exit_status(result.groups[0].verdict, shared))
 
 
@@ -102,17 +103,24 @@ def _write_judged(
     reporter: "Reporter",
     *,
     solver: str,
+    frames: list[int] | None,
 ) -> None:
-    """Write the cameras with the verdict on them, and say the errors and the verdict."""
+    """Write the cameras with the verdict on them, and say the errors and the verdict.
+
+    frames: first and last for which they hold, None = all: a camera was moved.
+    """
     from mocap_calib.io.cameras.write import format_rig
-    from mocap_calib.io.provenance import provenance
+    from mocap_calib.io.provenance import hold_for, provenance
     from mocap_calib.judging import judge_cameras
     from mocap_calib.report import rig_report
     from mocap_calib_cli import ending, outputs, verdicts
 
     (group,) = result.groups
     report = rig_report(group, result)
-    source = provenance("adjust", solver=solver, **judge_cameras(report))
+    judged = judge_cameras(report)
+    if frames is not None:
+        judged = hold_for(judged, frames)
+    source = provenance("adjust", solver=solver, **judged)
     (content,) = format_rig(group.rig, "mocap-calib", source).files.values()
     outputs.write_text(output, [content.decode()])
     reporter.say("")

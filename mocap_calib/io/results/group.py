@@ -17,6 +17,7 @@ from mocap_calib.io.cameras.own import SUBFRAME
 from mocap_calib.io.cameras.write import format_rig
 from mocap_calib.io.hashing import hash_file
 from mocap_calib.io.poses.common import PoseFile
+from mocap_calib.io.provenance import hold_for
 from mocap_calib.io.results.matches_csv import matches_csv
 from mocap_calib.io.results.poses_csv import poses_csv
 from mocap_calib.io.results.poses_h5 import write_poses_h5
@@ -88,13 +89,12 @@ def epoch_provenance(
     if len(epochs) == 1:
         return dict(provenance)
     epoch = epochs[number]
-    remarks = [f"holds for the frames {epoch.first} to {epoch.last}"]
+    remarks = []
     if number:
         remarks.append(f"moved at frame {epoch.first}: {', '.join(epoch.moved)}")
     if number + 1 < len(epochs):
         remarks.append(f"the rig from frame {epochs[number + 1].first} on: another folder epoch_N")
-    remarks += provenance.get("remarks", [])
-    return {**provenance, "frames": [epoch.first, epoch.last], "remarks": remarks}
+    return hold_for(provenance, (epoch.first, epoch.last), *remarks)
 
 
 def write_run_json(folder: Path, report: Mapping[str, Any]) -> None:
