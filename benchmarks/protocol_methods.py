@@ -59,7 +59,7 @@ Method = Callable[[Sequence[Problem], dict[str, Model]], Answers]
 
 
 def load_models(methods: Sequence[str], skeleton: str = "people") -> dict[str, Model]:
-    """Load the shipped networks that these methods need; rotation tokens are for people alone."""
+    """Load the shipped networks that these methods need: not all skeletons have rotation tokens."""
     models: dict[str, Model] = {"factorised": load_steerer(skeleton)[0]}
     if any("token" in method for method in methods):
         models["token"] = load_steerer(skeleton, architecture="token")[0]
