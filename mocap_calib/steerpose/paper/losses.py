@@ -129,10 +129,17 @@ def collinearity_system(rotation: Tensor, rays_a: Tensor, rays_b: Tensor) -> Ten
     cross_a, cross_b = skew(rays_a), skew(rays_b)  # (N, 3, 3)
     normal = torch.linalg.cross(rays_a @ rotation.T, rays_b)  # (N, 3)
     nothing = rays_a.new_zeros(3 * count, 3)
-    seen_by_a = torch.cat([torch.block_diag(*cross_a), nothing], -1)
-    seen_by_b = torch.cat([torch.block_diag(*(cross_b @ rotation)), cross_b.reshape(-1, 3)], -1)
+    seen_by_a = torch.cat([_block_diagonal(cross_a), nothing], -1)
+    seen_by_b = torch.cat([_block_diagonal(cross_b @ rotation), cross_b.reshape(-1, 3)], -1)
     coplanar = torch.cat([rays_a.new_zeros(count, 3 * count), normal], -1)
     return torch.cat([seen_by_a, seen_by_b, coplanar], -2)
+
+
+def _block_diagonal(blocks: Tensor) -> Tensor:
+    """Return the matrix `[3 N, 3 N]` with blocks `[N, 3, 3]` on its diagonal."""
+    count = len(blocks)
+    apart = torch.eye(count, dtype=blocks.dtype, device=blocks.device)
+    return torch.einsum("kl,kij->kilj", apart, blocks).reshape(3 * count, 3 * count)
 
 
 def full_geometric_loss(rotation: Tensor, rays_a: Tensor, rays_b: Tensor, weight: Tensor) -> Tensor:
