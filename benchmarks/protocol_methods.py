@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 import torch
+from protocol_rivals import LiftedPair, adjust, lifted_pair, procrustes, sphere
 
 from mocap_calib.config import (
     FIVE_POINT_CONFIDENCE,
@@ -17,6 +18,7 @@ from mocap_calib.config import (
     PaperConfig,
 )
 from mocap_calib.geometry.epipolar import pose_from_essential
+from mocap_calib.recording.joints import SHIPPED, load_skeleton, match_names
 from mocap_calib.steerpose.checkpoint import load_steerer
 from mocap_calib.steerpose.lift import lift
 from mocap_calib.steerpose.model import LifterModule, lifter_of
@@ -33,7 +35,7 @@ from mocap_calib.two_view.five_point import (
     match_by_pose,
 )
 from mocap_calib.two_view.solve import calibrate_pair, pair_problem
-from mocap_calib.types import Floats, Sample, silent
+from mocap_calib.types import Bools, Floats, Sample, Skeleton, silent
 
 TIMED = 3  # pairs that the paper's solver does alone, to know its seconds
 BATCH = 50  # of the others
@@ -41,11 +43,15 @@ BATCH = 50  # of the others
 
 @dataclass(frozen=True)
 class Problem:
-    """Views a and b of a recording, all of its frames."""
+    """Views a and b of a recording, all of its frames.
+
+    identities: `[frame, I, J]` who is who, for `INFORMED` methods alone.
+    """
 
     recording: Sample
     a: int
     b: int
+    identities: Bools | None = None
 
 
 Answers = tuple[list[Found | None], float]
@@ -53,7 +59,7 @@ Method = Callable[[Sequence[Problem], dict[str, Model]], Answers]
 
 
 def load_models(methods: Sequence[str], skeleton: str = "people") -> dict[str, Model]:
-    """Load the shipped networks that these methods need; rotation tokens are for people alone."""
+    """Load the shipped networks that these methods need: not all skeletons have rotation tokens."""
     models: dict[str, Model] = {"factorised": load_steerer(skeleton)[0]}
     if any("token" in method for method in methods):
         models["token"] = load_steerer(skeleton, architecture="token")[0]
@@ -164,6 +170,40 @@ def ours(config: PairwiseConfig) -> Method:
     return method
 
 
+Rival = Callable[[LiftedPair, Bools | None], Found | None]
+
+
+def rival(solve: Rival, *, adjusted: bool, informed: bool = False) -> Method:
+    """Lift and register; the seconds include the lifting. informed: who is who is given."""
+
+    def method(problems: Sequence[Problem], models: dict[str, Model]) -> Answers:
+        module = models["factorised"]
+        assert isinstance(module, LifterModule)
+        lifter = lifter_of(module)
+
+        def solve_one(problem: Problem) -> Found | None:
+            recording = problem.recording
+            lifted = lift(recording, lifter, progress=silent)
+            skeleton = _skeleton_of(recording)
+            pair = lifted_pair(recording, lifted, skeleton, problem.a, problem.b)
+            if informed and problem.identities is None:
+                raise ValueError("expected problems with identities, found one without")
+            found = solve(pair, problem.identities if informed else None)
+            return adjust(pair, found) if found is not None and adjusted else found
+
+        return _each(problems, solve_one)
+
+    return method
+
+
+def _skeleton_of(recording: Sample) -> Skeleton:
+    """Return the shipped skeleton whose joints a recording's vocabulary means."""
+    for skeleton in map(load_skeleton, SHIPPED):
+        if np.array_equal(match_names(recording.keypoints, skeleton), recording.vocabulary):
+            return skeleton
+    raise ValueError("expected a recording with the joints of a shipped skeleton, found others")
+
+
 def _two_views(problem: Problem, joints: int) -> TwoViews:
     """Return the detections of the two views, in the order of the model's joints."""
     recording = problem.recording
@@ -201,11 +241,29 @@ METHODS: dict[str, Method] = {
     "five-point-opencv": five_point(opencv(cv2.RANSAC)),
     "all-pairs": all_pairs(estimate_by_loransac),
     "all-pairs-opencv": all_pairs(opencv(cv2.RANSAC)),
+    "five-point-magsac": five_point(opencv(cv2.USAC_MAGSAC)),
     "magsac": all_pairs(opencv(cv2.USAC_MAGSAC)),
+    "procrustes": rival(procrustes, adjusted=False),
+    "procrustes-adjusted": rival(procrustes, adjusted=True),
+    "sphere": rival(sphere, adjusted=False),
+    "sphere-adjusted": rival(sphere, adjusted=True),
     "paper-token": paper("token", PaperConfig()),
+    "paper-token-full": paper("token", PaperConfig(full_system=True)),
     "paper-token-nogeom": paper("token", PaperConfig(geometric_weight=0.0)),
     "paper-factorised": paper("factorised", PaperConfig()),
+    "paper-factorised-full": paper("factorised", PaperConfig(full_system=True)),
     "paper-factorised-nogeom": paper("factorised", PaperConfig(geometric_weight=0.0)),
     "ours": ours(PairwiseConfig()),
     "ours-norays": ours(replace(PairwiseConfig(), points=0)),
+}
+
+# these are told who is who (`Problem.identities`), which nobody tells the others
+INFORMED: dict[str, Method] = {
+    f"{name}-informed": rival(solve, adjusted=adjusted, informed=True)
+    for name, solve, adjusted in (
+        ("procrustes", procrustes, False),
+        ("procrustes-adjusted", procrustes, True),
+        ("sphere", sphere, False),
+        ("sphere-adjusted", sphere, True),
+    )
 }

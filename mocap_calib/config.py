@@ -292,6 +292,8 @@ class PaperConfig:
     sharpness: float = 10.0  # of Sinkhorn; open in the paper
     sweeps: int = 10  # of Sinkhorn; open in the paper
     geometric_weight: float = 1.0  # lambda, "empirically determined"; 0 leaves L_geom out
+    # L_geom of the whole system as in the paper, or with its points eliminated, which is 3 x 3
+    full_system: bool = False
     geometric_from: float = 0.4  # share of the iterations before L_geom is active
     mutual: int = 2  # matches, mutual in both directions, before L_geom is active
     tries: int = 5

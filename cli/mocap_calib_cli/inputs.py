@@ -217,25 +217,32 @@ def _frames_of_rig(recording: Recording, rig: CameraRig, reporter: Reporter) -> 
 
 
 def lift_sample(
-    loaded: LoadedRecording, device: str, reporter: Reporter
+    loaded: LoadedRecording, device: str, reporter: Reporter, *, pair_solver: str = "search"
 ) -> tuple[Ints, Sample, LiftedPoses]:
     """Return the `[frame]` indices that calibration looks at, their detections, and those lifted.
+
+    pair_solver: what will calibrate the pairs, see `steerpose.loading.load_model`.
 
     Raises MismatchError where there is no such device.
     """
     sample_frames = choose_sample_frames(loaded.recording, SampleConfig())
     sample = take_sample(loaded.recording, sample_frames)
-    return sample_frames, sample, lift_with_model(sample, loaded.recording.model, device, reporter)
+    model = loaded.recording.model
+    lifted = lift_with_model(sample, model, device, reporter, pair_solver=pair_solver)
+    return sample_frames, sample, lifted
 
 
-def lift_with_model(sample: Sample, model: str, device: str, reporter: Reporter) -> LiftedPoses:
+def lift_with_model(
+    sample: Sample, model: str, device: str, reporter: Reporter, *, pair_solver: str = "search"
+) -> LiftedPoses:
     """Lift the detections of a sample. Raises MismatchError where there is no such device."""
     from mocap_calib.steerpose.device import check_device
     from mocap_calib.steerpose.lift import lift
     from mocap_calib.steerpose.loading import load_model
 
     check_device(device)
-    return lift(sample, load_model(model), device=device, progress=reporter)
+    lifter = load_model(model, pair_solver=pair_solver)
+    return lift(sample, lifter, device=device, progress=reporter)
 
 
 # --- cameras and matches

@@ -218,7 +218,7 @@ _OPTIONS = {
         default=SharedOptions.solver,
         metavar="NAME",
         help="How pairs of cameras are calibrated: search (ours), paper (its gradient descent, "
-        "slow), or five-point (its baseline).",
+        "slow; through its own network with --model people_token), or five-point (its baseline).",
     ),
     "seed": click.option(
         "--seed",

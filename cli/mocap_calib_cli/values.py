@@ -138,8 +138,10 @@ def _list_layouts() -> dict[str, str]:
 def _list_models() -> dict[str, str]:
     """Return the shipped models, and how to do without one."""
     from mocap_calib.recording.joints import SHIPPED
+    from mocap_calib.steerpose.weights import shipped_tokens
 
-    return dict.fromkeys(SHIPPED, "shipped weights") | {"none": "geometry alone"}
+    models = dict.fromkeys(SHIPPED, "shipped weights") | {"none": "geometry alone"}
+    return models | dict.fromkeys(shipped_tokens(), "the paper's, for --solver paper")
 
 
 def _list_skeletons() -> dict[str, str]:

@@ -57,7 +57,7 @@ def read_job(request: CalibrationRequest) -> Job:
     check_recording(request.formats, loaded.recording, request.fps, unit)
     config = request.config
     check_world(config.world, loaded.recording, config.matching.individuals)
-    lifter = load_model(loaded.recording.model)
+    lifter = load_model(loaded.recording.model, pair_solver=request.pair_solver)
     solver = choose_pair_solver(
         request.pair_solver, loaded.recording, lifter, request.config.pairwise
     )

@@ -22,7 +22,7 @@ from mocap_calib.steerpose.token import TokenConfig, TokenSteerer
 from mocap_calib.steerpose.weights import (
     DESCRIPTION,
     read_description,
-    shipped_weights,
+    weights_of,
 )
 from mocap_calib.types import Skeleton
 
@@ -49,12 +49,11 @@ def load_steerer(
 
     architecture: of a shipped one; a file says its own. Raises FormatError.
     """
-    if isinstance(name_or_path, str) and name_or_path in SHIPPED:
-        token = architecture == "token"
-        shipped = shipped_weights(f"{name_or_path}_token" if token else name_or_path)
-        with resources.as_file(shipped) as path:
-            return _read(path)
-    return _read(Path(name_or_path))
+    name = str(name_or_path)
+    if name in SHIPPED and architecture == "token":
+        name = f"{name}_token"
+    with resources.as_file(weights_of(name)) as path:
+        return _read(path)
 
 
 def _describe_skeleton(skeleton: Skeleton) -> dict[str, Any]:

@@ -7,13 +7,15 @@ from pathlib import Path
 from safetensors import safe_open
 
 from mocap_calib.errors import FormatError, MismatchError
-from mocap_calib.recording.joints import SHIPPED, match_names, parse_skeleton
+from mocap_calib.recording.joints import match_names, parse_skeleton
 from mocap_calib.steerpose.lifter import Lifter, ModelConfig
 from mocap_calib.steerpose.weights import (
     GEOMETRY_ALONE,
+    is_token,
+    lifter_beside,
     load_vocabulary,
     read_description,
-    shipped_weights,
+    weights_of,
 )
 from mocap_calib.types import Recording, Skeleton
 
@@ -25,10 +27,8 @@ def load_lifter(name_or_path: str | Path = "people") -> tuple[Lifter, Skeleton]:
 
     Raises FormatError.
     """
-    if isinstance(name_or_path, str) and name_or_path in SHIPPED:
-        with resources.as_file(shipped_weights(name_or_path)) as path:
-            return _read(path)
-    return _read(Path(name_or_path))
+    with resources.as_file(weights_of(str(name_or_path))) as path:
+        return _read(path)
 
 
 def _read(path: Path) -> tuple[Lifter, Skeleton]:
@@ -36,8 +36,8 @@ def _read(path: Path) -> tuple[Lifter, Skeleton]:
     description = read_description(path)
     if description.get("architecture") == "token":
         raise FormatError(
-            f"{path}: expected weights of the factorised architecture, "
-            "found those of the rotation token"
+            f"{path}: expected weights that lift, found the paper's, whose rotation token cannot; "
+            "`run` and `pairwise` take them with --solver paper"
         )
     with safe_open(path, framework="np") as file:
         weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no dict
@@ -75,10 +75,17 @@ def _check_joints(recording: Recording, lifter: Lifter) -> None:
         )
 
 
-def load_model(name: str = "people") -> Lifter:
+def load_model(name: str = "people", *, pair_solver: str = "search") -> Lifter:
     """Return the lifter of a shipped skeleton, or that in a weights file. Raises FormatError.
 
-    For geometry alone any will do, as it is given no joint.
+    For geometry alone any will do, as it is given no joint. The paper's solver may steer by a
+    rotation token; then the shipped model of the same joints lifts, for what it finds to be scored.
+
+    pair_solver: what will calibrate the pairs, one of `config.PAIR_SOLVERS`.
     """
-    lifter, _ = load_lifter("people" if name == GEOMETRY_ALONE else name)
+    if name == GEOMETRY_ALONE:
+        name = "people"
+    elif pair_solver == "paper" and is_token(name):
+        name = lifter_beside(name)
+    lifter, _ = load_lifter(name)
     return lifter

@@ -10,11 +10,12 @@ from typing import Any
 from safetensors import SafetensorError, safe_open
 
 from mocap_calib.errors import FormatError, suggest
-from mocap_calib.recording.joints import SHIPPED, parse_skeleton
+from mocap_calib.recording.joints import SHIPPED, load_skeleton, parse_skeleton
 from mocap_calib.types import Skeleton
 
 DESCRIPTION = "mocap_calib"  # key of the description in the metadata of a file of weights
 GEOMETRY_ALONE = "none"  # asks for no model: it knows no joint, and the geometry must do
+_TOKEN = "_token"  # ends the names of shipped weights of the paper's architecture
 
 
 def models() -> dict[str, dict[str, Any]]:
@@ -31,24 +32,56 @@ def load_vocabulary(name: str) -> Skeleton:
     """Return the joints that a model knows: none for geometry alone. Raises FormatError."""
     if name == GEOMETRY_ALONE:
         return Skeleton(GEOMETRY_ALONE, keypoints=(), edges=(), symmetries=(), aliases={})
-    with resources.as_file(_weights_of(name)) as path:
+    with resources.as_file(weights_of(name)) as path:
         return parse_skeleton(read_description(path)["skeleton"], str(path))
 
 
 def identify_model(name: str) -> str:
-    """Return what tells a model from others: the SHA-256 of its weights, if it has any."""
-    return GEOMETRY_ALONE if name == GEOMETRY_ALONE else digest(name)
+    """Return what tells a model from others: the SHA-256 of its weights, if it has any.
+
+    Of a rotation token also that of the weights that lift for it.
+    """
+    if name == GEOMETRY_ALONE:
+        return GEOMETRY_ALONE
+    return digest(name) + (digest(lifter_beside(name)) if is_token(name) else "")
 
 
 def digest(name_or_path: str) -> str:
-    """Return the SHA-256 of the weights of a lifter: a shipped one, or one in a file."""
-    return hashlib.sha256(_weights_of(name_or_path).read_bytes()).hexdigest()
+    """Return the SHA-256 of the weights of a model: a shipped one, or one in a file."""
+    return hashlib.sha256(weights_of(name_or_path).read_bytes()).hexdigest()
 
 
-def _weights_of(name_or_path: str) -> Traversable:
+def weights_of(name_or_path: str) -> Traversable:
     """Return the place of the weights of a shipped model, or the file of that name."""
-    shipped = name_or_path in SHIPPED
+    shipped = name_or_path in (*SHIPPED, *shipped_tokens())
     return shipped_weights(name_or_path) if shipped else Path(name_or_path)
+
+
+def shipped_tokens() -> tuple[str, ...]:
+    """Return the names of the shipped weights of the paper's architecture."""
+    names = (f"{name}{_TOKEN}" for name in SHIPPED)
+    return tuple(name for name in names if shipped_weights(name).is_file())
+
+
+def is_token(name_or_path: str) -> bool:
+    """Return whether weights are of the paper's architecture. Raises FormatError."""
+    with resources.as_file(weights_of(name_or_path)) as path:
+        return read_description(path).get("architecture") == "token"
+
+
+def lifter_beside(token: str) -> str:
+    """Return the shipped model that lifts where a rotation token steers: of the same joints.
+
+    token: a shipped one, or one in a file. Raises FormatError where none has the same joints.
+    """
+    joints = load_vocabulary(token)
+    if joints.name in SHIPPED and load_skeleton(joints.name).keypoints == joints.keypoints:
+        return joints.name
+    raise FormatError(
+        f"{token}: expected a rotation token with the joints of a shipped model "
+        f"({', '.join(SHIPPED)}), which lifts where it steers, found others ({joints.name}); "
+        "train it with --skeleton and a name of these"
+    )
 
 
 def shipped_weights(name: str) -> Traversable:

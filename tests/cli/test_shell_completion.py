@@ -12,6 +12,7 @@ from conftest import TOOL
 
 from mocap_calib.io.kinds import FORMATS
 from mocap_calib.recording.joints import SHIPPED
+from mocap_calib.steerpose.weights import shipped_tokens
 from mocap_calib_cli.main import COMMANDS, group
 
 FILES = [("file", "")]
@@ -73,7 +74,8 @@ def test_what_a_run_writes_is_offered_without_formats_that_need_a_unit(command):
 
 
 def test_models_skeletons_and_solvers_are_offered():
-    assert values("run x --model ") == {*SHIPPED, "none", ""}
+    assert values("run x --model ") == {*SHIPPED, *shipped_tokens(), "none", ""}
+    assert "people_token" in shipped_tokens()
     assert offered("run x --model mine") == [("file", "mine")]
     assert values("train x --skeleton r") == {"rodent", "r"}
     assert values("pairwise x --solver ") == {"search", "paper", "five-point"}

@@ -1,5 +1,7 @@
 """The paper's system: its network, its losses, its solver."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -19,16 +21,19 @@ from mocap_calib.steerpose.loading import load_lifter
 from mocap_calib.steerpose.model import LifterModule
 from mocap_calib.steerpose.paper.batch import TwoViews
 from mocap_calib.steerpose.paper.losses import (
+    collinearity_system,
+    full_geometric_loss,
     geometric_loss,
     keypoint_distance,
     matching_loss,
     similarity,
     sinkhorn,
     translation_direction,
+    translation_matrix,
     with_dummies,
 )
 from mocap_calib.steerpose.paper.solver import random_rotations, solve_pair
-from mocap_calib.steerpose.steer import matrix_from_vector, shortest, skew, steer
+from mocap_calib.steerpose.steer import matrix_from_vector, shortest, steer
 from mocap_calib.steerpose.token import TokenConfig, TokenSteerer
 from mocap_calib.steerpose.training.pairs import PairSynthesiser
 from mocap_calib.steerpose.training.poses import PoseSet
@@ -58,33 +63,6 @@ def two_views(
         torch.nn.functional.normalize(points, dim=-1),
         torch.nn.functional.normalize(seen, dim=-1),
     )
-
-
-def geometric_system(
-    rotation: torch.Tensor, points_a: torch.Tensor, points_b: torch.Tensor
-) -> torch.Tensor:
-    """A of A [x_1 .. x_N t]' = 0 (section 3.2): collinearity and coplanarity, `[7 N, 3 N + 3]`.
-
-    rotation: `[3, 3]` b_from_a; points: `[N, 3]` rays u of the matches. With X_k in the axes of a:
-    u_a x X_k = 0 and u_b x (R X_k + t) = 0 (collinearity), and t . (R u_a x u_b) = 0 (coplanarity).
-    """
-    count = len(points_a)
-    cross_a, cross_b = skew(points_a), skew(points_b)  # (N, 3, 3)
-    normal = torch.linalg.cross(points_a @ rotation.T, points_b)  # (N, 3)
-    zero = torch.zeros(3 * count, 3, dtype=points_a.dtype)
-    seen_by_a = torch.cat([torch.block_diag(*cross_a), zero], -1)
-    seen_by_b = torch.cat([torch.block_diag(*(cross_b @ rotation)), cross_b.reshape(-1, 3)], -1)
-    empty = torch.zeros(count, 3 * count, dtype=points_a.dtype)
-    coplanar = torch.cat([empty, normal], -1)
-    return torch.cat([seen_by_a, seen_by_b, coplanar], -2)
-
-
-def geometric_loss_full(
-    rotation: torch.Tensor, points_a: torch.Tensor, points_b: torch.Tensor
-) -> torch.Tensor:
-    """L_geom = sigma_1 / sigma_2 of the full system, which the reduced form must agree with."""
-    values = torch.linalg.svdvals(geometric_system(rotation, points_a, points_b))
-    return values[-1] / values[-2]
 
 
 @pytest.fixture(scope="module")
@@ -277,7 +255,10 @@ def test_gradients_of_both_geometric_losses():
         lambda v: geometric_loss(matrix_from_vector(v), rays_a, rays_b, weight), (near,)
     )
     assert torch.autograd.gradcheck(
-        lambda v: geometric_loss_full(matrix_from_vector(v), rays_a, rays_b), (near,)
+        lambda v: full_geometric_loss(
+            matrix_from_vector(v)[None], rays_a[None], rays_b[None], weight[None]
+        ),
+        (near,),
     )
 
 
@@ -287,7 +268,7 @@ def test_geometric_losses_agree_on_the_minimiser():
     weight = torch.ones(7).double()
     forms = (
         lambda r: geometric_loss(r, rays_a, rays_b, weight),
-        lambda r: geometric_loss_full(r, rays_a, rays_b),
+        lambda r: full_geometric_loss(r[None], rays_a[None], rays_b[None], weight[None])[0],
     )
     for form in forms:
         at_truth = form(matrix_from_vector(vector))
@@ -301,6 +282,45 @@ def test_geometric_losses_agree_on_the_minimiser():
             optimiser.step()
             schedule.step()
         assert (found - vector).norm() < 2e-3
+
+
+def test_the_whole_system_without_its_points_is_the_small_one_but_for_weights():
+    """min over the points of |A [x t]|^2 is t' S t, S = sum (1 + 1 / (2 |n|^2)) n n', at any R."""
+    vector, _, rays_a, rays_b = two_views(7)
+    rotation = matrix_from_vector(vector + 0.3)
+    system = collinearity_system(rotation, rays_a, rays_b)
+    square = system.T @ system
+    inner, mixed, outer = square[:-3, :-3], square[:-3, -3:], square[-3:, -3:]
+    schur = outer - mixed.T @ torch.linalg.solve(inner, mixed)
+    normal = torch.linalg.cross(rays_a @ rotation.T, rays_b)
+    weight = 1 + 0.5 / normal.square().sum(-1)
+    torch.testing.assert_close(
+        schur, translation_matrix(rotation, rays_a, rays_b, weight), atol=1e-10, rtol=0
+    )
+
+
+def test_the_solver_takes_the_whole_system_as_well():
+    """8 steps on one frame from 10 degrees away: both come nearer, on ways of their own."""
+    views, vector, _ = steered_scene()
+    views = replace(views, rays_a=views.rays_a[:1], rays_b=views.rays_b[:1])
+    model, start = load_steerer()[0], vector + 0.1
+    config = PaperConfig(iterations=8, tries=1, geometric_from=0.0)
+    whole, small = (
+        solve_pair(
+            views,
+            model,
+            replace(config, full_system=full),
+            torch.Generator().manual_seed(0),
+            start=start,
+        ).rotation
+        for full in (True, False)
+    )
+    before, *after = (
+        np.degrees(angle_between(each, matrix_numpy(vector.numpy())))
+        for each in (matrix_numpy(start.numpy()), whole, small)
+    )
+    assert max(after) < 0.8 * before
+    assert np.degrees(angle_between(whole, small)) > 0.01
 
 
 def test_translation_and_cheirality():

@@ -36,8 +36,10 @@ def command(shared: options.SharedOptions, output: str) -> None:
     with Reporter(quiet=shared.quiet) as reporter:
         camera_file = inputs.load_camera_file(shared.cameras, "--cameras")
         loaded = inputs.read_recording(shared, camera_file, reporter)
-        sample_frames, sample, lifted = inputs.lift_sample(loaded, shared.device, reporter)
-        lifter = load_model(loaded.recording.model)
+        sample_frames, sample, lifted = inputs.lift_sample(
+            loaded, shared.device, reporter, pair_solver=shared.solver
+        )
+        lifter = load_model(loaded.recording.model, pair_solver=shared.solver)
         solver = choose_pair_solver(shared.solver, loaded.recording, lifter, config.pairwise)
         pairs = calibrate_view_graph(
             sample,

@@ -7,6 +7,8 @@ SteerPose (Lee et al., BMVC 2025), section 3.2. `depths` does in torch what
 import torch
 from torch import Tensor
 
+from mocap_calib.steerpose.steer import skew
+
 _EPSILON = 1e-12
 
 
@@ -91,15 +93,19 @@ def matching_loss(weight: Tensor, score: Tensor, present_a: Tensor, present_b: T
 def translation_matrix(rotation: Tensor, rays_a: Tensor, rays_b: Tensor, weight: Tensor) -> Tensor:
     """Return M(R) = sum w n n' `[..., 3, 3]`, n = (R u_a) x u_b.
 
-    The paper's full system with the points eliminated (Kneip and Lynen 2013). rotation:
-    `[..., 3, 3]` b_from_a; rays: `[..., N, 3]` of unit length; weight: `[..., N]`, 0 = no match.
+    `collinearity_system` with the points eliminated (Kneip and Lynen 2013): what is left for t is
+    sum (1 + 1 / (2 |n|^2)) n n'. Here the weight is 1, as n of rays that are nearly parallel, where
+    |n| is small, is noise; a factor changes no zero, which is where the loss is led to.
+
+    rotation: `[..., 3, 3]` b_from_a; rays: `[..., N, 3]` of unit length; weight: `[..., N]`, 0 = no
+    match.
     """
     normal = torch.linalg.cross(rays_a @ rotation.transpose(-1, -2), rays_b)
     return torch.einsum("...n,...ni,...nj->...ij", weight, normal, normal)
 
 
 def geometric_loss(rotation: Tensor, rays_a: Tensor, rays_b: Tensor, weight: Tensor) -> Tensor:
-    """Return L_geom `[...]` (section 3.2) in its reduced form, from the eigenvalues of M(R).
+    """Return L_geom `[...]` (section 3.2) with the points eliminated, from the eigenvalues of M(R).
 
     sigma_1 / sigma_2 of the rows n: 0 where the rotation and the matches allow a translation.
     Shapes as in `translation_matrix`.
@@ -110,6 +116,47 @@ def geometric_loss(rotation: Tensor, rays_a: Tensor, rays_b: Tensor, weight: Ten
     # The root has no slope at zero: an angle of 1e-5 is below what any image resolves.
     smallest, second = values[..., 0].clamp_min(0), values[..., 1]
     return torch.sqrt((smallest + 1e-10) / (second + 1e-10))
+
+
+def collinearity_system(rotation: Tensor, rays_a: Tensor, rays_b: Tensor) -> Tensor:
+    """Return A `[7 N, 3 N + 3]` of the paper's A [x_1 .. x_N t]' = 0 (section 3.2).
+
+    With the points x in the axes of a: u_a x x = 0 and u_b x (R x + t) = 0 (collinearity), and
+    t . (R u_a x u_b) = 0 (coplanarity). rotation: `[3, 3]` b_from_a; rays u: `[N, 3]` of unit
+    length.
+    """
+    count = len(rays_a)
+    cross_a, cross_b = skew(rays_a), skew(rays_b)  # (N, 3, 3)
+    normal = torch.linalg.cross(rays_a @ rotation.T, rays_b)  # (N, 3)
+    nothing = rays_a.new_zeros(3 * count, 3)
+    seen_by_a = torch.cat([_block_diagonal(cross_a), nothing], -1)
+    seen_by_b = torch.cat([_block_diagonal(cross_b @ rotation), cross_b.reshape(-1, 3)], -1)
+    coplanar = torch.cat([rays_a.new_zeros(count, 3 * count), normal], -1)
+    return torch.cat([seen_by_a, seen_by_b, coplanar], -2)
+
+
+def _block_diagonal(blocks: Tensor) -> Tensor:
+    """Return the matrix `[3 N, 3 N]` with blocks `[N, 3, 3]` on its diagonal."""
+    count = len(blocks)
+    apart = torch.eye(count, dtype=blocks.dtype, device=blocks.device)
+    return torch.einsum("kl,kij->kilj", apart, blocks).reshape(3 * count, 3 * count)
+
+
+def full_geometric_loss(rotation: Tensor, rays_a: Tensor, rays_b: Tensor, weight: Tensor) -> Tensor:
+    """Return L_geom `[B]` as the paper has it: sigma_1 / sigma_2 of the whole system.
+
+    In double precision, from the eigenvalues of A'A, which has a row for each coordinate of each
+    point. Shapes as in `geometric_loss`, with one axis in front; 0 without a match.
+    """
+    losses = [weight.new_zeros((), dtype=torch.float64) for _ in range(len(weight))]
+    for k, of_one in enumerate(weight):
+        known = of_one > 0
+        if known.any():
+            rays = (rays_a[k, known].double(), rays_b[k, known].double())
+            system = collinearity_system(rotation[k].double(), *rays)
+            values = torch.linalg.eigvalsh(system.T @ system).clamp_min(0)
+            losses[k] = torch.sqrt((values[0] + _EPSILON) / (values[1] + _EPSILON))
+    return torch.stack(losses).to(weight.dtype)
 
 
 def translation_direction(

@@ -1,8 +1,9 @@
 """The paper's solver: rotation and matches of two views by gradient descent through SteerPose.
 
 Lee et al., BMVC 2025, section 3.2 and appendix C.3: Adam from a random rotation on
-L_match + lambda L_geom, up to five tries until the 3D poses reproject within 10 pixels. Kept as a
-measured reference; `two_view.solve` is the program's own. Several pairs of views and tries run in
+L_match + lambda L_geom, up to five tries until the 3D poses reproject within 10 pixels. L_geom is
+that of the system with the points eliminated, unless the whole is asked for. Kept as a measured
+reference; `two_view.solve` is the program's own. Several pairs of views and tries run in
 one batch, each as if it were alone.
 """
 
@@ -19,6 +20,7 @@ from mocap_calib.steerpose.model import normalise
 from mocap_calib.steerpose.paper.batch import Batch, TwoViews, stack_problems
 from mocap_calib.steerpose.paper.losses import (
     depths,
+    full_geometric_loss,
     geometric_loss,
     keypoint_distance,
     matching_loss,
@@ -205,7 +207,8 @@ def _geometric_term(batch: Batch, vector: Tensor, mutual: Tensor, config: PaperC
     """
     needed = batch.most_matches.clamp(1, config.mutual)
     rays_a, rays_b, weight = _matched_rays(batch, mutual)
-    loss = geometric_loss(matrix_from_vector(vector), rays_a, rays_b, weight)
+    loss_of = full_geometric_loss if config.full_system else geometric_loss
+    loss = loss_of(matrix_from_vector(vector), rays_a, rays_b, weight)
     return torch.where(mutual.sum((1, 2, 3)) >= needed, loss, torch.zeros_like(loss))
 
 
