@@ -71,7 +71,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--quick", action="store_true", help="few pairs; the page is not written")
     parser.add_argument("--tables", action="store_true", help="from the results that are there")
     parser.add_argument("--list", action="store_true", help="print the cells, and their sizes")
-    parser.add_argument("--pairs", type=int, help="at most so many pairs of views in a cell")
+    parser.add_argument("--pairs", type=int, help="at most so many pairs, or scenes, in a cell")
     parser.add_argument("--workers", type=int, default=os.cpu_count(), help="processes")
     parser.add_argument("--out", type=Path, default=Path("out/paper"), help="folder of the figures")
     parser.add_argument(
@@ -89,7 +89,7 @@ def sizes(options: argparse.Namespace) -> Sizes:
     given = QUICK if options.quick else WHOLE
     if options.pairs is None:
         return given
-    names = ("pairs", "solver_pairs", "token_pairs")
+    names = ("pairs", "solver_pairs", "token_pairs", "scenes")
     return replace(given, **{name: min(options.pairs, getattr(given, name)) for name in names})
 
 

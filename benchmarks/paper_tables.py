@@ -15,7 +15,6 @@ from paper_cells import (
     SPECIES,
     WRONG,
     Line,
-    is_solver,
     is_variant,
 )
 from protocol_methods import METHODS
@@ -32,7 +31,9 @@ NOUNS = {
     "hawk": ("hawk", "hawks"),
     "chickadee": ("chickadee", "chickadees"),
 }
+OF_POINTS = ("five-point", "all-pairs", "magsac")  # methods that know nothing of bodies
 RESAMPLES = 2000
+LEAST_PAIRS = 5  # of an interval
 INTERVAL = (2.5, 97.5)  # percent
 PAIR_HEADER = (
     *("method", "pairs", "RRA@20", "RTA@20", "AUC@20", "RRA@30", "RTA@30", "AUC@30"),
@@ -130,12 +131,12 @@ def _ablation(results: Results) -> str:
 def _rows(
     label: str, lines: Sequence[Line], results: Results, *, plain: bool = False
 ) -> list[Sequence[str]]:
-    """Return a row a method: the best AUC@20 is bold, and the best of the others the baseline.
+    """Return a row a method: the best AUC@20 is bold, and the best of points alone the baseline.
 
-    Others are those that steer no poses. plain: without such marks.
+    plain: without such marks.
     """
     scores = {line["method"]: auc(*_errors(line), 20) for line in lines}
-    others = {name: score for name, score in scores.items() if not is_solver(name)}
+    others = {name: score for name, score in scores.items() if name.startswith(OF_POINTS)}
     best, baseline = (max(each, key=each.__getitem__, default="") for each in (scores, others))
     rows = []
     for line in lines:
@@ -157,10 +158,12 @@ def _figures(line: Line) -> list[str]:
     rotation, translation = _errors(line)
     cells = [str(len(rotation))]
     for most in (20, 30):
-        low, high = auc_interval(rotation, translation, most)
-        score = auc(rotation, translation, most)
+        score = f"{auc(rotation, translation, most):.3f}"
+        if len(rotation) >= LEAST_PAIRS:
+            low, high = auc_interval(rotation, translation, most)
+            score += f" [{low:.2f}, {high:.2f}]"
         cells += [f"{(each < most).mean():.2f}" for each in (rotation, translation)]
-        cells.append(f"{score:.3f} [{low:.2f}, {high:.2f}]")
+        cells.append(score)
     cells += [f"{np.median(each):.3g}" for each in (rotation, translation)]
     return [*cells, f"{line['right'] / line['matched']:.3f}" if line["matched"] else "-"]
 
