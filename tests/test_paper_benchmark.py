@@ -60,12 +60,11 @@ def test_a_row_has_the_largest_measurement_and_says_how_many_pairs_and_where(ben
 
 
 @needs_data
-def test_two_pairs_of_every_table(benchmark, tmp_path, monkeypatch):
+def test_two_pairs_of_every_table(benchmark, monkeypatch):
     """A cell of each group; the rows of the first pairs are those that are committed."""
     cells = benchmark("paper_cells")
     data = cells.Data(SHARED / "poses3d", SHARED / "recordings")
     monkeypatch.setattr(benchmark("generalisation"), "EXAMPLES", 16)
-    monkeypatch.setattr(cells, "RIG_FRAMES", 20)
     lines = [
         cells.measure(cells.Cell(*cell), data)
         for cell in (
