@@ -59,6 +59,7 @@ def test_a_row_has_the_largest_measurement_and_says_how_many_pairs_and_where(ben
     assert rat[:3] == ["rats", "ours", "5"]
 
 
+@pytest.mark.slow
 @needs_data
 def test_two_pairs_of_every_table(benchmark, monkeypatch):
     """A cell of each group; the rows of the first pairs are those that are committed."""
@@ -90,6 +91,7 @@ def test_two_pairs_of_every_table(benchmark, monkeypatch):
     np.testing.assert_allclose(lines[0]["rotation"], first["rotation"][:2], atol=0.5)
 
 
+@pytest.mark.slow
 @needs_data
 def test_what_is_there_is_not_measured_again(tmp_path):
     """A run, the same again, and one without data: files of results, tables, one line on stderr."""
