@@ -15,6 +15,7 @@ from paper_cells import (
     SPECIES,
     WRONG,
     Line,
+    is_paper,
     is_variant,
 )
 from protocol_methods import METHODS
@@ -133,21 +134,30 @@ def _rows(
 ) -> list[Sequence[str]]:
     """Return a row a method: the best AUC@20 is bold, and the best of points alone the baseline.
 
+    The paper's solver, measured on fewer pairs, does not compete.
+
     plain: without such marks.
     """
-    scores = {line["method"]: auc(*_errors(line), 20) for line in lines}
-    others = {name: score for name, score in scores.items() if name.startswith(OF_POINTS)}
-    best, baseline = (max(each, key=each.__getitem__, default="") for each in (scores, others))
+    best = "" if plain else _best(line for line in lines if not is_paper(line["method"]))
+    baseline = "" if plain else _best(x for x in lines if x["method"].startswith(OF_POINTS))
     rows = []
     for line in lines:
         name, cells = line["method"], _figures(line)
-        if not plain and name == best:
+        if name == best:
             cells[3] = f"**{cells[3]}**"
-        if not plain and name == baseline:
+        if name == baseline:
             name += " (baseline)"
         rows.append([label, name, *cells, f"{line['seconds']:.2g}", results.letter(line)])
         label = ""
     return rows
+
+
+def _best(lines: Iterable[Line]) -> str:
+    """Return the method with the best AUC@20, "" where not all were measured on as many pairs."""
+    compared = list(lines)
+    if len({line["size"] for line in compared}) != 1:
+        return ""
+    return max(compared, key=lambda line: auc(*_errors(line), 20))["method"]
 
 
 def _errors(line: Line) -> tuple[Floats, Floats]:
