@@ -80,7 +80,9 @@ def mend_of(explanation: Explanation, fit: CameraFit, config: DiagnosisConfig) -
     if explanation.name == "resized":
         return Resized(camera.name, plain_factor(float(np.exp(fit.unknowns[0])), config))
     if explanation.name == "cropped":
-        return Cropped(camera.name, *(round(-shift) for shift in fit.unknowns.tolist()))
+        x, y = (round(-shift) for shift in fit.unknowns.tolist())
+        sigma = float(np.sqrt(np.diag(fit.covariance).max()))
+        return Cropped(camera.name, x=x, y=y, sigma=sigma)
     if explanation.name == "focal":
         focal = camera.focal * float(np.exp(fit.unknowns[0]))
         return Refocused(camera.name, focal, focal * float(np.sqrt(fit.covariance[0, 0])))

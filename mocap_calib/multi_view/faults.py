@@ -16,17 +16,25 @@ from mocap_calib.multi_view.moved import find_moved_cameras
 from mocap_calib.multi_view.observed import Observed
 from mocap_calib.multi_view.odd_cameras import find_odd_cameras
 from mocap_calib.multi_view.sides import exchanged_instead
+from mocap_calib.multi_view.uncertainty import with_uncertain_corner
 from mocap_calib.multi_view.unrelated import find_unrelated_cameras
-from mocap_calib.multi_view.verdict import no_better_than
+from mocap_calib.multi_view.verdict import no_better_than, verdict_of_error
+from mocap_calib.recording.mended_intrinsics import Cropped
 from mocap_calib.recording.mending import apply_mends
-from mocap_calib.types import CalibrationResult, Fault, FaultWord, GroupResult, Mend, Recording
+from mocap_calib.types import (
+    CalibrationResult,
+    Fault,
+    FaultWord,
+    GroupResult,
+    Mend,
+    Recording,
+    Verdict,
+)
 
 # what was known before the rigs of a recording were built, and all that was found
 Calibrated = tuple[Observed, CalibrationResult]
 Calibrate = Callable[[Recording], Calibrated]
 
-# mends that put an estimate in the place of what was given: the rig is no better than that
-_ESTIMATED: tuple[FaultWord, ...] = ("cropped",)
 _HARMFUL: tuple[FaultWord, ...] = (
     "mirrored",
     "rotated",
@@ -86,7 +94,7 @@ def mend_faults(
         if fault.camera not in named
     )
     faults = (*faults, *unrelated)
-    groups = tuple(_judge_faulty(group, faults) for group in result.groups)
+    groups = tuple(_judge_faulty(group, faults, result.config) for group in result.groups)
     return replace(result, groups=groups, faults=faults)
 
 
@@ -208,16 +216,31 @@ def _explained_shares(recording: Recording, rivals: Sequence[Calibrated]) -> lis
     return [explained_share(result, recording, strict) for _, result in rivals]
 
 
-def _judge_faulty(group: GroupResult, faults: Sequence[Fault]) -> GroupResult:
-    """Return the group, weak at best where a fault is left, or its mend is an estimate."""
+def _judge_faulty(group: GroupResult, faults: Sequence[Fault], config: Config) -> GroupResult:
+    """Return the group, weak at best where a fault is left, less sure where its mend is estimated.
+
+    No rig is well determined with an estimate in the place of what its files should say.
+    """
     for fault in faults:
         if fault.camera not in group.rig.names:
             continue
-        if fault.mend and fault.word in _ESTIMATED:
+        if isinstance(fault.mend, Cropped):
+            group = _less_sure(group, fault.mend, config)
             remedy = f"undo it, or say {fault.mend.option} with what is known"
             reason = f"{fault.camera}: {fault.says}, which is an estimate; {remedy}"
-            group = no_better_than(group, "weak", reason)
+            by_error = verdict_of_error(group.uncertainty, config.verdict)
+            at_best: Verdict = "usable" if by_error == "well determined" else by_error
+            group = no_better_than(group, at_best, reason)
         elif fault.mend is None and fault.word in _HARMFUL:
             reason = f"{fault.camera}: {fault.says}, which was not mended; mend its files"
             group = no_better_than(group, "weak", reason)
     return group
+
+
+def _less_sure(group: GroupResult, mend: Cropped, config: Config) -> GroupResult:
+    """Return the group with what the estimate of a mend leaves unknown."""
+    view = group.rig.names.index(mend.camera)
+    uncertainty = with_uncertain_corner(
+        group.uncertainty, group.rig, view, mend.sigma, config.uncertainty
+    )
+    return replace(group, uncertainty=uncertainty)

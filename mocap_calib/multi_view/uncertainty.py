@@ -116,18 +116,45 @@ def assumed_middle_changes(rig: CameraRig, config: UncertaintyConfig) -> Floats:
     rig that takes it to be there. Of cameras whose intrinsics were estimated, and which have it in
     the middle: two changes each, about the two axes of the image.
     """
-    changes = []
-    for view, camera in enumerate(rig.cameras):
-        middle = (np.array(camera.size) - 1) / 2
-        offset = np.abs(camera.matrix[:2, 2] - middle).max()
-        if not isinstance(camera, EstimatedCamera) or offset > _SAME_POINT:
-            continue
-        angle = config.principal_point * max(camera.size) / camera.focal
-        for axis in rig.rotation[view, :2]:  # x and y of the camera, in the world
-            change = np.zeros((len(rig.cameras), 6))
-            change[view, :3] = angle * axis
-            changes.append(project_out_similarity(change, rig))
-    return np.array(changes).reshape(-1, len(rig.cameras), 6)
+    changes = [
+        _middle_changes(rig, view, config.principal_point * max(camera.size))
+        for view, camera in enumerate(rig.cameras)
+        if isinstance(camera, EstimatedCamera) and _is_in_the_middle(camera)
+    ]
+    return np.concatenate([np.zeros((0, len(rig.cameras), 6)), *changes])
+
+
+def with_uncertain_corner(
+    uncertainty: Uncertainty, rig: CameraRig, view: int, sigma: float, config: UncertaintyConfig
+) -> Uncertainty:
+    """Return what is uncertain when a camera shows a part of its images, estimated where.
+
+    sigma: standard deviation in pixels of the corner of that part, by the errors of the
+        detections. What is wrong with their joints moves the corner as well: it is known no better
+        than where an image is taken to have its middle.
+    """
+    sigma = float(np.hypot(sigma, config.principal_point * max(rig.cameras[view].size)))
+    off = _middle_changes(rig, view, sigma)
+    turn = np.hypot(uncertainty.intrinsics_turn, np.sqrt((off[..., :3] ** 2).sum((0, 2))))
+    covariance = uncertainty.covariance.with_changes(off)
+    return replace(uncertainty, covariance=covariance, intrinsics_turn=turn)
+
+
+def _is_in_the_middle(camera: Camera) -> bool:
+    """Return whether the principal point is in the middle of the image."""
+    middle = (np.array(camera.size) - 1) / 2
+    return bool(np.abs(camera.matrix[:2, 2] - middle).max() <= _SAME_POINT)
+
+
+def _middle_changes(rig: CameraRig, view: int, sigma: float) -> Floats:
+    """Return by how much `[2, view, 6]` cameras are off when one principal point is off.
+
+    sigma: in pixels, along both axes of the image of that view.
+    """
+    changes = np.zeros((2, len(rig.cameras), 6))
+    # x and y of the camera, in the world
+    changes[:, view, :3] = sigma / rig.cameras[view].focal * rig.rotation[view, :2]
+    return np.stack([project_out_similarity(change, rig) for change in changes])
 
 
 def given_focal_change(rig: CameraRig, free: FreeFocal, config: UncertaintyConfig) -> Floats:

@@ -52,10 +52,8 @@ def judge_rig(
 
     reversible: the rig reversed in depth fits as well.
     """
-    limits = (config.well_determined_deg, config.usable_deg, config.weak_deg)
-    worst = np.rad2deg(uncertainty.covariance.rotation_sigma.max())
     outliers = uncertainty.outlier_cameras
-    by_error = int(np.searchsorted(limits, worst, side="right"))
+    by_error = VERDICTS.index(verdict_of_error(uncertainty, config))
     failed = [check.name for check in checks if not check.passed]
     # of two cameras, their pair is the bridge
     unbridged = ("bridge" if len(outliers) > 2 else "pair score") in failed
@@ -70,6 +68,13 @@ def judge_rig(
         (3, 2 * outliers.sum() > len(outliers) or in_vain),
     ]
     return VERDICTS[max([by_error, *(place for place, holds in at_best if holds)])]
+
+
+def verdict_of_error(uncertainty: Uncertainty, config: VerdictConfig) -> Verdict:
+    """Return the verdict that the expected error of the worst camera alone allows."""
+    limits = (config.well_determined_deg, config.usable_deg, config.weak_deg)
+    worst = np.rad2deg(uncertainty.covariance.rotation_sigma.max())
+    return VERDICTS[int(np.searchsorted(limits, worst, side="right"))]
 
 
 def no_better_than(group: GroupResult, verdict: Verdict, reason: str) -> GroupResult:

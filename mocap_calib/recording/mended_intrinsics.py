@@ -79,12 +79,14 @@ class Resized:
 class Cropped:
     """The images of a camera are a part of those that its intrinsics are for.
 
-    x, y: corner of the part, in pixels.
+    x, y: corner of the part, in pixels. sigma: standard deviation of both where they are an
+        estimate, 0 where they are known.
     """
 
     camera: str
     x: float
     y: float
+    sigma: float = 0.0
     word: ClassVar[FaultWord] = "cropped"
 
     @property

@@ -17,12 +17,20 @@ from mocap_calib.multi_view.uncertainty import (
     assumed_middle_changes,
     estimated_focal_changes,
     given_focal_change,
+    with_uncertain_corner,
 )
 from mocap_calib.multi_view.wrong_focal import find_wrong_focal
 from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.sampling import with_cameras
 from mocap_calib.steerpose.loading import load_lifter
-from mocap_calib.types import Camera, CameraRig, EstimatedCamera, silent
+from mocap_calib.types import (
+    Camera,
+    CameraRig,
+    EstimatedCamera,
+    RigCovariance,
+    Uncertainty,
+    silent,
+)
 
 SMALL = {"cameras": 3, "people": 1, "false_detections": 0.0}
 FOCAL = IntrinsicsConfig(refine="focal")
@@ -184,6 +192,28 @@ def test_an_assumed_principal_point_turns_a_camera_by_its_angle():
     np.testing.assert_allclose(turns[:, 1] / angle, 0.8, atol=0.06)  # measured 0.78 and 0.83
     axes = rig.rotation[1, :2]
     np.testing.assert_allclose((changes[:, 1, :3] * axes).sum(1), turns[:, 1], rtol=0.1)
+
+
+def test_an_estimated_corner_of_a_crop_turns_its_camera_and_hardly_the_others():
+    rig, config = scene(**SMALL).rig, UncertaintyConfig(principal_point=0.0)
+    zeros, nobody = np.zeros(3), np.zeros(3, dtype=bool)
+    sure = Uncertainty(
+        covariance=RigCovariance(matrix=np.zeros((3, 6, 3, 6)), size=1.0),
+        intrinsics_turn=zeros,
+        outlier_cameras=nobody,
+        weak_perspective=nobody,
+        focal_change=zeros,
+        focal_sigma=zeros,
+        wrong_focal=nobody,
+    )
+    assert with_uncertain_corner(sure, rig, 1, 0.0, config).covariance.rotation_sigma.max() == 0
+    found = with_uncertain_corner(sure, rig, 1, 20.0, config)
+    angle = 20.0 / rig.cameras[1].focal
+    # about two axes, of which a fifth goes with the rig: measured 1.14, 0.25 and 0.25
+    share = found.covariance.rotation_sigma / angle
+    assert share[1] == pytest.approx(1.14, abs=0.1)
+    assert share[[0, 2]].max() < 0.4
+    np.testing.assert_allclose(found.intrinsics_turn, found.covariance.rotation_sigma)
 
 
 def test_a_wrong_focal_length_is_found_and_right_ones_are_not_accused():

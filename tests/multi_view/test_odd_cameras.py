@@ -88,6 +88,10 @@ def test_a_damaged_camera_is_named_and_mended(what, cameras):
         true = replace(true, rotation=rotation, translation=translation)
     errors = rotation_errors_deg(result.groups[0].rig, true)
     assert np.median(errors) < (3.0 if what == "cropped" else 1.0)
+    group = result.groups[0]
+    if what == "cropped":  # an estimate, and its sigma knows of it
+        assert group.verdict != "well determined"
+        assert errors.max() < 2 * np.rad2deg(group.uncertainty.covariance.rotation_sigma.max())
 
 
 @pytest.mark.slow
@@ -181,7 +185,7 @@ def test_a_crop_moves_what_is_seen_to_the_left_and_up_and_hides_the_rest():
     fit = fit_of([-0.2 * width, -0.15 * height], [10, 10])
     assert is_acceptable(cropped, fit, config)
     assert mend_of(cropped, fit, config) == Cropped(
-        given.names[ODD], round(0.2 * width), round(0.15 * height)
+        given.names[ODD], round(0.2 * width), round(0.15 * height), sigma=10.0
     )
     assert not is_acceptable(cropped, fit_of([-0.2 * width, 0], [10, 10], keypoints=300), config)
     assert not is_acceptable(cropped, fit_of([0.2 * width, 0], [10, 10]), config)
