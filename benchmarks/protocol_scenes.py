@@ -198,9 +198,18 @@ def scene(
     confidence = np.isfinite(positions[..., 0]).astype(np.float64)
     tracked = np.zeros(views, dtype=bool)
     vocabulary = np.array([subjects.skeleton.keypoints.index(name) for name in joints])
-    return Sample(
-        rig.cameras, joints, np.arange(frames), positions, confidence, tracked, vocabulary, rays
-    ), Truth(rig, ids)
+    sample = Sample(
+        rig.cameras,
+        joints,
+        np.arange(frames),
+        positions,
+        confidence,
+        tracked,
+        vocabulary,
+        rays,
+        model=subjects.skeleton.name,
+    )
+    return sample, Truth(rig, ids)
 
 
 def misplace(sample: Sample, share: float) -> Sample:

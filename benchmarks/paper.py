@@ -1,0 +1,184 @@
+"""Make the tables and figures of the paper: two views, identities unknown, all methods alike.
+
+    .venv/bin/python benchmarks/paper.py             # all, overnight; it goes on where it stopped
+    .venv/bin/python benchmarks/paper.py --quick     # few pairs, minutes; the page stays as it is
+    .venv/bin/python benchmarks/paper.py pairs/dog/4x1/ours detections/shelf
+    .venv/bin/python benchmarks/paper.py --tables    # nothing is measured
+
+PART is a cell's name, or a part of it: `--list` prints them. What is measured of a cell is a line
+of JSON in a file (`--results`), and a cell that is there is not measured again; to measure it
+again, delete its line. The tables follow from that file alone: they go to stdout and, but for
+--quick, between the markers of the page (`--page`). Figures go to a folder (`--out`). Poses are of
+subjects that were held out; references are read by the judge, never by the methods.
+"""
+
+import argparse
+import json
+import multiprocessing
+import os
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+from paper_cells import QUICK, WHOLE, Cell, Data, Line, Sizes, measure, plan
+from paper_tables import all_tables, insert_tables
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import TimeRemainingColumn as Remaining
+
+ROOT = Path(__file__).parents[1]
+RESULTS = ROOT / "benchmarks" / "paper_results.jsonl"
+PAGE = ROOT / "docs" / "benchmarks.md"
+STOPPED = 130  # status after an interrupt
+
+
+def main() -> None:
+    """Measure what is not there yet, and write tables and figures."""
+    options = parse()
+    data = Data(options.poses, options.recordings)
+    cells = [cell for cell in plan(sizes(options), quick=options.quick) if chosen(cell, options)]
+    if options.list:
+        print("\n".join(f"{cell.name} {cell.size}" for cell in cells))
+        return
+    if not cells:
+        sys.exit(f"expected parts of names that --list prints, found {' '.join(options.parts)}")
+    done = True
+    if not options.tables:
+        ready = with_data(cells, data)
+        done = len(ready) == len(cells) and measure_all(ready, data, options)
+    lines = read_results(options.results)
+    print(all_tables(lines))
+    if not options.quick:
+        page = insert_tables(options.page.read_text("utf-8"), lines)
+        options.page.write_text(page, "utf-8", newline="\n")
+        tell(f"the tables of {options.page} are written")
+    if not options.tables:
+        draw(data, options)
+    sys.exit(0 if done else 1)
+
+
+def parse() -> argparse.Namespace:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("parts", nargs="*", metavar="PART", help="these cells alone")
+    parser.add_argument("--poses", type=Path, default=Path("../shared/poses3d"))
+    parser.add_argument("--recordings", type=Path, default=Path("../shared/recordings"))
+    parser.add_argument("--quick", action="store_true", help="few pairs; the page is not written")
+    parser.add_argument("--tables", action="store_true", help="from the results that are there")
+    parser.add_argument("--list", action="store_true", help="print the cells, and their sizes")
+    parser.add_argument("--pairs", type=int, help="at most so many pairs, or scenes, in a cell")
+    parser.add_argument("--workers", type=int, default=os.cpu_count(), help="processes")
+    parser.add_argument("--out", type=Path, default=Path("out/paper"), help="folder of the figures")
+    parser.add_argument(
+        "--results", type=Path, help=f"default: {RESULTS.name}; with --quick, in the folder --out"
+    )
+    parser.add_argument("--page", type=Path, default=PAGE)
+    options = parser.parse_args()
+    if options.results is None:
+        options.results = options.out / "quick.jsonl" if options.quick else RESULTS
+    return options
+
+
+def sizes(options: argparse.Namespace) -> Sizes:
+    """Return how much is measured."""
+    given = QUICK if options.quick else WHOLE
+    if options.pairs is None:
+        return given
+    names = ("pairs", "solver_pairs", "token_pairs", "scenes")
+    return replace(given, **{name: min(options.pairs, getattr(given, name)) for name in names})
+
+
+def chosen(cell: Cell, options: argparse.Namespace) -> bool:
+    """Return whether a cell was asked for."""
+    return not options.parts or any(part in cell.name for part in options.parts)
+
+
+def with_data(cells: Sequence[Cell], data: Data) -> list[Cell]:
+    """Return the cells whose data are there, and tell of the others: a line for each that lacks."""
+    paths = {cell: data.of(cell) for cell in cells}
+    for path in sorted({path for path in paths.values() if not path.exists()}):
+        option = "--recordings" if path.parent == data.recordings else "--poses"
+        tell(f"{path}: expected data there, found none; its rows are left out; check {option}")
+    return [cell for cell, path in paths.items() if path.exists()]
+
+
+def tell(message: str) -> None:
+    """Say something that is no data."""
+    print(message, file=sys.stderr, flush=True)
+
+
+# --- measuring
+
+
+def measure_all(cells: Sequence[Cell], data: Data, options: argparse.Namespace) -> bool:
+    """Measure the cells that the results lack, each a line; return whether all are there then."""
+    known = {tuple(line[part] for part in KEY) for line in read_results(options.results)}
+    missing = [cell for cell in cells if tuple(getattr(cell, part) for part in KEY) not in known]
+    options.results.parent.mkdir(parents=True, exist_ok=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    columns += (TimeElapsedColumn(), Remaining())
+    failed = 0
+    with Progress(*columns, console=Console(stderr=True)) as progress:
+        task = progress.add_task("cells", total=len(cells), completed=len(cells) - len(missing))
+        try:
+            for cell, line in measured(missing, data, options.workers):
+                if isinstance(line, Exception):
+                    failed += 1
+                    progress.console.print(f"{cell.name}: {type(line).__name__}: {line}")
+                else:
+                    with options.results.open("a", encoding="utf-8", newline="\n") as file:
+                        file.write(json.dumps(line) + "\n")
+                    progress.console.print(f"{cell.name}: {line['processor_s']:.0f} s")
+                progress.advance(task)
+        except KeyboardInterrupt:
+            tell(f"stopped; what was measured is in {options.results}, and the same goes on")
+            sys.exit(STOPPED)
+    return not failed
+
+
+KEY = ("group", "what", "scenario", "method", "size")
+
+
+def measured(
+    cells: Iterable[Cell], data: Data, workers: int
+) -> Iterator[tuple[Cell, Line | Exception]]:
+    """Yield cells with what was found of them, or why nothing was."""
+    os.environ["OMP_NUM_THREADS"] = "1"  # of the processes that are started
+    start = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(workers, start, torch.set_num_threads, (1,))
+    try:
+        working: dict[Future[Line], Cell] = {pool.submit(measure, c, data): c for c in cells}
+        for future in as_completed(working):
+            error = future.exception()
+            if error is not None and not isinstance(error, Exception):
+                raise error
+            yield working[future], error or future.result()
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+
+
+def read_results(path: Path) -> list[Line]:
+    """Return the lines of a file of results; of none where there is no file."""
+    if not path.is_file():
+        return []
+    return [json.loads(line) for line in path.read_text("utf-8").splitlines() if line.strip()]
+
+
+def draw(data: Data, options: argparse.Namespace) -> None:
+    """Draw the figures, where matplotlib is there."""
+    try:
+        from paper_figures import draw_all  # noqa: PLC0415 - an extra
+    except ModuleNotFoundError as error:
+        tell(f"no figures: {error.name} is missing; pip install 'mocap-calib[figures]'")
+        return
+    for path in draw_all(data, options.out):
+        tell(f"drew {path}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,288 @@
+"""The cells of the paper's tables: what is measured of which method, and how.
+
+A cell is one measurement, the smallest thing that is kept and not made again. What was measured of
+it is a dict that goes into a line of JSON.
+"""
+
+import os
+import platform
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from generalisation import displacements
+from protocol_judge import FAILED, Judged, judge, rig_errors
+from protocol_methods import METHODS, Problem, load_models
+from protocol_recordings import RECORDINGS, real_pairs
+from protocol_scenes import KINDS, Subjects, Truth, misplace, scene
+
+from mocap_calib.config import Config
+from mocap_calib.errors import DegenerateError
+from mocap_calib.multi_view.triangulation import triangulate
+from mocap_calib.pipeline import calibrate
+from mocap_calib.steerpose.weights import shipped_weights
+from mocap_calib.types import Sample, silent
+
+Line = dict[str, Any]
+Group = Literal["pairs", "detections", "networks", "rigs"]
+
+NOISE_PX = 3.0
+SEED = 0
+RIG_VIEWS, RIG_FRAMES = 4, 20
+EVERYWHERE = ("4x1", "1x1")  # subjects x frames
+FIVE_FRAMES = {"people": ("4x5", "1x5"), "dog": ("4x5", "1x5")}
+WRONG = "1x5 30 % misplaced"
+WRONG_SHARE = 0.3
+SPECIES = ("dog", "cheetah")  # with which networks are trained
+RIGS = {kind: (1, 4) if kind == "people" else (4,) for kind in KINDS}
+ABLATED, ABLATED_SCENARIO = ("people", "dog"), "4x1"
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """How much is measured: pairs of views, of the paper's solver, of that with rotation tokens.
+
+    scenes: of four views; steps: of the training of a species' own network.
+    """
+
+    pairs: int
+    solver_pairs: int
+    token_pairs: int
+    scenes: int
+    steps: int
+
+    def of_method(self, method: str) -> int:
+        """Return how many pairs of views a method gets: the paper's solver takes long."""
+        if not is_paper(method):
+            return self.pairs
+        return self.token_pairs if "token" in method else self.solver_pairs
+
+
+WHOLE = Sizes(pairs=100, solver_pairs=100, token_pairs=30, scenes=10, steps=1500)
+QUICK = Sizes(pairs=5, solver_pairs=1, token_pairs=1, scenes=1, steps=50)
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One measurement.
+
+    what: a kind of subjects, or a recording. scenario: subjects x frames, "" of a recording.
+    method: "" where only ours is measured. size: pairs of views, scenes or steps of training.
+    """
+
+    group: Group
+    what: str
+    scenario: str
+    method: str
+    size: int
+
+    @property
+    def name(self) -> str:
+        """Return what it is called, without its size."""
+        parts = (self.group, self.what, self.scenario, self.method)
+        return "/".join(part for part in parts if part)
+
+
+@dataclass(frozen=True)
+class Data:
+    """Where the sets of 3D poses and the recordings are."""
+
+    poses: Path
+    recordings: Path
+
+    def of(self, cell: Cell) -> Path:
+        """Return what a cell needs, which may not be there."""
+        if cell.group == "detections":
+            return self.recordings / cell.what
+        return self.poses / KINDS[cell.what].file
+
+
+def plan(sizes: Sizes, *, quick: bool) -> list[Cell]:
+    """Return all cells, the short ones first.
+
+    quick: the paper's solver takes part in the ablation alone.
+    """
+    cells = [*_pairs(sizes), *_detections(sizes)]
+    if quick:
+        cells = [cell for cell in cells if not is_paper(cell.method) or _ablated(cell)]
+    cells += [Cell("networks", kind, "", "", sizes.steps) for kind in SPECIES]
+    cells += [
+        Cell("rigs", kind, f"{count}x{RIG_FRAMES}", "", sizes.scenes)
+        for kind, counts in RIGS.items()
+        for count in counts
+    ]
+    return sorted(cells, key=_effort)
+
+
+def _effort(cell: Cell) -> int:
+    """Return a rank of the time that a cell takes: rotation tokens pass a network each step."""
+    return is_paper(cell.method) + ("token" in cell.method)
+
+
+def _ablated(cell: Cell) -> bool:
+    """Return whether a cell is one of the ablation's scenes."""
+    return cell.what in ABLATED and cell.scenario == ABLATED_SCENARIO
+
+
+def _pairs(sizes: Sizes) -> list[Cell]:
+    cells = [
+        Cell("pairs", kind, scenario, method, sizes.of_method(method))
+        for kind in KINDS
+        for scenario in (*EVERYWHERE, *FIVE_FRAMES.get(kind, ()))
+        for method in METHODS
+        if has_networks(method, KINDS[kind].model)
+        and (scenario in EVERYWHERE or not is_paper(method))
+    ]
+    cells = [cell for cell in cells if not is_variant(cell.method) or _ablated(cell)]
+    robust = [name for name in METHODS if not is_solver(name)]
+    return cells + [Cell("pairs", "people", WRONG, method, sizes.pairs) for method in robust]
+
+
+def _detections(sizes: Sizes) -> list[Cell]:
+    return [
+        Cell("detections", name, "", method, sizes.of_method(method))
+        for name, model in RECORDINGS.items()
+        for method in METHODS
+        if not is_variant(method) and has_networks(method, model)
+    ]
+
+
+def is_paper(method: str) -> bool:
+    """Return whether a method is the paper's solver, which takes long."""
+    return method.startswith("paper")
+
+
+def is_solver(method: str) -> bool:
+    """Return whether a method steers poses: ours and the paper's, and their variants."""
+    return method.startswith("ours") or is_paper(method)
+
+
+def is_variant(method: str) -> bool:
+    """Return whether a method is another with something changed: `ours-norays` is of `ours`."""
+    return is_solver(method) and any(method.startswith(f"{other}-") for other in METHODS)
+
+
+def has_networks(method: str, model: str) -> bool:
+    """Return whether the networks that a method takes are shipped for a skeleton."""
+    return "token" not in method or shipped_weights(f"{model}_token").is_file()
+
+
+# --- measuring
+
+
+def measure(cell: Cell, data: Data) -> Line:
+    """Measure a cell: its fields, what was found, the processor's seconds and the machine."""
+    start = time.process_time()
+    work: dict[Group, Callable[[Cell, Data], Line]] = {
+        "pairs": _measure_pairs,
+        "detections": _measure_pairs,
+        "networks": _measure_networks,
+        "rigs": _measure_rigs,
+    }
+    found = work[cell.group](cell, data)
+    seconds = round(time.process_time() - start, 1)
+    return asdict(cell) | found | {"processor_s": seconds, "machine": machine()}
+
+
+@cache
+def machine() -> str:
+    """Return the processor, and how many of its cores there are."""
+    try:
+        text = Path("/proc/cpuinfo").read_text("utf-8")
+        name = text.split("model name")[1].split("\n")[0].split(":")[1].strip()
+    except (OSError, IndexError):
+        name = platform.processor() or platform.machine()
+    return f"{name}, {os.cpu_count()} cores, {platform.system()}"
+
+
+def problems_of(cell: Cell, data: Data) -> tuple[list[Problem], list[Truth]]:
+    """Return the pairs of views of a cell, and their truth."""
+    if cell.group == "detections":
+        return real_pairs(data.of(cell), RECORDINGS[cell.what], cell.size, seed=SEED)
+    count, frames = (int(part) for part in cell.scenario.split()[0].split("x"))
+    made = scenes(data.poses, cell.what, count, frames, views=2, size=cell.size)
+    if cell.scenario == WRONG:
+        made = [(misplace(sample, WRONG_SHARE), truth) for sample, truth in made]
+    return [Problem(sample, 0, 1) for sample, _ in made], [truth for _, truth in made]
+
+
+@cache
+def _subjects(poses: Path, kind: str) -> Subjects:
+    return Subjects(poses, KINDS[kind])
+
+
+def scenes(
+    poses: Path, kind: str, count: int, frames: int, *, views: int, size: int
+) -> list[tuple[Sample, Truth]]:
+    """Return so many scenes of `count` subjects, always the same."""
+    subjects = _subjects(poses, kind)
+    return [
+        scene(
+            subjects,
+            np.random.default_rng([SEED, count, frames, views, k]),
+            count=count,
+            frames=frames,
+            views=views,
+            noise_px=NOISE_PX,
+            joints=subjects.joints,
+        )
+        for k in range(size)
+    ]
+
+
+def _measure_pairs(cell: Cell, data: Data) -> Line:
+    model = RECORDINGS.get(cell.what) or KINDS[cell.what].model
+    problems, truths = problems_of(cell, data)
+    models = load_models([cell.method], model)
+    wall, processor = time.perf_counter(), time.process_time()
+    found, seconds = METHODS[cell.method](problems, models)
+    # a method tells wall time; of it, the share that the processor worked for this process
+    share = (time.process_time() - processor) / (time.perf_counter() - wall)
+    return _describe(judge(found, problems, truths)) | {"seconds": _brief(seconds * share)}
+
+
+def _describe(judged: Judged) -> Line:
+    return {
+        "rotation": [_brief(error) for error in judged.rotation],
+        "translation": [_brief(error) for error in judged.translation],
+        "matched": judged.matched,
+        "right": judged.right,
+    }
+
+
+def _measure_networks(cell: Cell, data: Data) -> Line:
+    own, shared, completed = displacements(data.poses, KINDS[cell.what], cell.size)
+    return {"own": _brief(own), "shared": _brief(shared), "completed": _brief(completed)}
+
+
+def _measure_rigs(cell: Cell, data: Data) -> Line:
+    """Calibrate four views: the medians of E_R, E_t and E_2D after averaging and adjustment."""
+    count, frames = (int(part) for part in cell.scenario.split("x"))
+    config = Config()
+    stages: dict[str, list[Sequence[float]]] = {"averaging": [], "adjustment": []}
+    made = scenes(data.poses, cell.what, count, frames, views=RIG_VIEWS, size=cell.size)
+    for sample, truth in made:
+        try:
+            done = calibrate(sample, KINDS[cell.what].model, config, seed=SEED).groups[0]
+        except DegenerateError:
+            for found in stages.values():
+                found.append((FAILED, FAILED, np.nan))
+            continue
+        rig = done.averaged.rig
+        before = triangulate(done.recording, rig, done.matches, config.triangulate, progress=silent)
+        reference = truth.rig.select(done.rig.names)
+        for found, own, error in (
+            (stages["averaging"], rig, before.error),
+            (stages["adjustment"], done.rig, done.poses.error),
+        ):
+            found.append((*rig_errors(own, reference), float(np.nanmedian(error))))
+    return {name: [_brief(x) for x in np.nanmedian(found, 0)] for name, found in stages.items()}
+
+
+def _brief(value: float) -> float:
+    """Return a number to four digits, as it is kept."""
+    return float(f"{value:.4g}")

@@ -1,0 +1,64 @@
+"""Judge answers of the paper's protocol against the truth, which no method sees."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from protocol_methods import Found, Problem
+from protocol_scenes import Truth
+
+from mocap_calib.geometry.rotation import angle_between, direction_angle
+from mocap_calib.types import CameraRig, Floats
+
+FAILED = 180.0  # degrees: what no answer counts as
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Errors of rotation and translation `[pair]` in degrees; how many matches, and right ones.
+
+    Matches of detections that nobody knows do not count.
+    """
+
+    rotation: Floats
+    translation: Floats
+    matched: int
+    right: int
+
+
+def judge(
+    found: Sequence[Found | None], problems: Sequence[Problem], truths: Sequence[Truth]
+) -> Judged:
+    """Compare answers, None where a method has none, with the truth."""
+    errors = np.full((len(problems), 2), FAILED)
+    right = matched = 0
+    for k, (one, problem, truth) in enumerate(zip(found, problems, truths, strict=True)):
+        if one is None:
+            continue
+        errors[k] = pair_errors((one.rotation, one.translation), truth.rig, problem.a, problem.b)
+        frame, i, j = one.matches.reshape(-1, 3).T
+        who_a, who_b = truth.ids[problem.a][frame, i], truth.ids[problem.b][frame, j]
+        known = (who_a >= 0) & (who_b >= 0)
+        matched += int(known.sum())
+        right += int((known & (who_a == who_b)).sum())
+    return Judged(errors[:, 0], errors[:, 1], matched, right)
+
+
+def pair_errors(
+    found: tuple[Floats, Floats], truth: CameraRig, a: int, b: int
+) -> tuple[float, float]:
+    """Return E_R and E_t in degrees of a relative pose, R `[3, 3]` and t `[3]` of b_from_a."""
+    rotation, translation = truth.relative(a, b)
+    return (
+        float(np.degrees(angle_between(found[0], rotation))),
+        float(np.degrees(direction_angle(found[1], translation))),
+    )
+
+
+def rig_errors(found: CameraRig, truth: CameraRig) -> tuple[float, float]:
+    """Return the median E_R and E_t in degrees over the pairs of a rig."""
+    pairs = combinations(range(len(truth.cameras)), 2)
+    errors = [pair_errors(found.relative(a, b), truth, a, b) for a, b in pairs]
+    rotation, translation = np.median(errors, axis=0)
+    return float(rotation), float(translation)

@@ -1,0 +1,117 @@
+"""benchmarks/paper.py: every table from the data to the page, which is never stale."""
+
+import json
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).parents[1]
+BENCHMARKS = ROOT / "benchmarks"
+SHARED = ROOT.parent / "shared"
+needs_data = pytest.mark.skipif(not SHARED.is_dir(), reason="recordings are not there")
+
+
+@pytest.fixture
+def benchmark(monkeypatch):
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    return import_module
+
+
+def committed():
+    text = (BENCHMARKS / "paper_results.jsonl").read_text("utf-8")
+    return [json.loads(line) for line in text.splitlines()]
+
+
+def test_the_page_has_the_tables_of_the_committed_results(benchmark):
+    tables = benchmark("paper_tables")
+    page = (ROOT / "docs" / "benchmarks.md").read_text("utf-8")
+    assert tables.insert_tables(page, committed()) == page
+    assert {found[2] for found in tables.MARKED.finditer(page)} == set(tables.TABLES)
+
+
+def test_the_auc_and_its_interval(benchmark):
+    """Half of the pairs perfect and half wrong: 0.5, and 1.96 sqrt(1/4 / 400) on both sides."""
+    tables = benchmark("paper_tables")
+    errors = np.repeat([0.0, 180.0], 200)
+    assert tables.auc(errors, 0 * errors, 20) == pytest.approx(0.5)
+    assert tables.auc_interval(errors, errors, 20) == pytest.approx((0.451, 0.549), abs=0.006)
+    assert tables.auc(np.full(3, 9.5), np.zeros(3), 20) == pytest.approx(11 / 20)
+
+
+def line(size, error, **changes):
+    cell = {"group": "pairs", "what": "dog", "scenario": "4x1", "method": "ours", "size": size}
+    found = {"rotation": [error] * size, "translation": [error] * size, "matched": 4, "right": 3}
+    return cell | found | {"seconds": 0.25, "processor_s": 1.0, "machine": "one"} | changes
+
+
+def test_a_row_has_the_largest_measurement_and_says_how_many_pairs_and_where(benchmark):
+    lines = [line(9, 1.5), line(7, 90.0), line(9, 0.5, method="gone"), line(5, 3.0, what="rat")]
+    lines += [line(9, 9.5, method="magsac", machine="two"), line(6, 0.5, method="paper-factorised")]
+    rows = benchmark("paper_tables").TABLES["four"](benchmark("paper_tables").Results(lines))
+    magsac, paper, ours, rat = (row.strip("| ").split(" | ") for row in rows.splitlines()[2:])
+    assert magsac[:3] == ["dogs", "magsac (baseline)", "9"]
+    assert paper[:2] == ["paper-factorised", "6"]
+    assert ours[:5] == ["ours", "9", "1.00", "1.00", "**0.950 [0.95, 0.95]**"]
+    assert (magsac[-1], ours[-2:]) == ("B", ["0.25", "A"])
+    assert rat[:3] == ["rats", "ours", "5"]
+
+
+@pytest.mark.slow
+@needs_data
+def test_two_pairs_of_every_table(benchmark, monkeypatch):
+    """A cell of each group; the rows of the first pairs are those that are committed."""
+    cells = benchmark("paper_cells")
+    data = cells.Data(SHARED / "poses3d", SHARED / "recordings")
+    monkeypatch.setattr(benchmark("generalisation"), "EXAMPLES", 16)
+    lines = [
+        cells.measure(cells.Cell(*cell), data)
+        for cell in (
+            ("pairs", "people", "4x1", "ours", 2),
+            ("pairs", "dog", "1x5", "magsac", 2),
+            ("pairs", "people", cells.WRONG, "magsac", 2),
+            ("detections", "shelf", "", "ours", 2),
+            ("networks", "dog", "", "", 1),
+            ("rigs", "dog", "4x20", "", 1),
+        )
+    ]
+    tables = benchmark("paper_tables").all_tables(lines)
+    assert tables.count("\n| people |") == 1  # a name, of the pairs of four
+    for label in ("4 dogs | 1 | adjustment", "| shelf | ours", "| person | magsac", "| dog | "):
+        assert label in tables
+    assert lines[-1]["adjustment"][0] < 1.0  # degrees: measured 0.1
+    first = next(
+        each
+        for each in committed()
+        if [each[part] for part in ("what", "scenario", "method", "size")]
+        == ["people", "4x1", "ours", 100]
+    )
+    np.testing.assert_allclose(lines[0]["rotation"], first["rotation"][:2], atol=0.5)
+
+
+@pytest.mark.slow
+@needs_data
+def test_what_is_there_is_not_measured_again(tmp_path):
+    """A run, the same again, and one without data: files of results, tables, one line on stderr."""
+    results, page = tmp_path / "results.jsonl", tmp_path / "page.md"
+    page.write_text("<!-- table: four -->\nstale\n<!-- end of table -->\n")
+    results.write_text(json.dumps(line(2, 1.5, method="magsac")) + "\n")
+    command = [sys.executable, BENCHMARKS / "paper.py", "dog/4x1/magsac", "--pairs", "2"]
+    command += ["--results", results, "--page", page, "--out", tmp_path / "figures"]
+    command += ["--poses", tmp_path / "nowhere", "--workers", "1"]
+    said = subprocess.run(
+        [str(word) for word in command],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=tmp_path,
+        env={"PYTHONPATH": f"{ROOT}:{ROOT / 'cli'}"},
+    )
+    assert said.returncode == 1
+    assert f"{tmp_path / 'nowhere' / 'train_dog_mocap'}: expected data there" in said.stderr
+    assert len(results.read_text().splitlines()) == 1
+    assert "| dogs | magsac (baseline) | 2 |" in page.read_text()
+    assert "stale" not in page.read_text()
