@@ -70,7 +70,7 @@ def open_results(path: Path) -> ResultsFolder:
         found = run["schema"]
         names = [camera["name"] for camera in run["cameras"]]
         folders = [group["folder"] for group in run["groups"]]
-    except (ValueError, LookupError, TypeError) as error:
+    except (ValueError, LookupError, TypeError, RecursionError) as error:
         raise malformed(source, "what `run` writes", error, "run again") from None
     if found != SCHEMA or not names or not folders:
         raise malformed(source, f"`schema` {SCHEMA}", found, "run again, with this version")

@@ -64,7 +64,7 @@ def read_results(folder: Path) -> Results:
         epochs = [(each["folder"], each["first"], each["last"]) for each in report["epochs"]]
         faults = {each["name"]: each["fault_evidence"] for each in report["cameras"]}
         reading = dict(report.get("reading", {}))
-    except (ValueError, LookupError, TypeError, AttributeError):
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
         raise FormatError(
             f"{folder / REPORT}: expected what `run` wrote, found something else; run it again"
         ) from None

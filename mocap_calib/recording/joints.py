@@ -234,13 +234,13 @@ def _read_fields(name_or_path: str | Path) -> Any:
     return _read_yaml(text, f"skeleton {name_or_path}")
 
 
-def _skeleton_text(name_or_path: str | Path) -> str:
-    """Return the text of a skeleton's file. Raises FormatError."""
+def _skeleton_text(name_or_path: str | Path) -> str | bytes:
+    """Return the text of a shipped skeleton, the bytes of a user's file. Raises FormatError."""
     shipped = resources.files("mocap_calib") / "skeletons" / f"{name_or_path}.yaml"
     if shipped.is_file():
         return shipped.read_text("utf-8")
     if Path(name_or_path).is_file():
-        return Path(name_or_path).read_text("utf-8")
+        return Path(name_or_path).read_bytes()
     source = f"skeleton {name_or_path}"
     raise FormatError(f"{source}: expected the name of a shipped one or a YAML file, found neither")
 
@@ -318,11 +318,12 @@ def _read_aliases(path: Path) -> dict[str, str]:
     return _strings(found)
 
 
-def _read_yaml(text: str, source: str) -> Any:
+def _read_yaml(text: str | bytes, source: str) -> Any:
     """Return what a YAML text holds. Raises FormatError."""
     try:
         return yaml.safe_load(text)
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    # dates and numbers that are none are ValueErrors, keys that are lists TypeErrors
+    except (yaml.YAMLError, ValueError, TypeError, RecursionError) as error:
         reason = str(error).splitlines()[0]
         raise FormatError(
             f"{source}: expected a YAML file, found an error ({reason}); mend that place"
