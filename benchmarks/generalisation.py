@@ -2,7 +2,7 @@
 
 With and without keypoint completion.
 
-    .venv/bin/python benchmarks/generalisation.py [--poses ../shared/poses3d] [--steps 1500]
+    .venv/bin/python benchmarks/generalisation.py --poses FOLDER [--steps 1500]
 
 Mean keypoint displacement (the paper's eq. 1) after a rotation about the vertical, in units of the
 visible pose's RMS radius, on the last tenth of each set; 10-30 % of the joints masked, 3 % noise.
@@ -35,7 +35,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--poses", type=Path, default=Path("../shared/poses3d"))
+    parser.add_argument("--poses", type=Path, required=True)
     parser.add_argument("--steps", type=int, default=1500)
     options = parser.parse_args()
     torch.set_num_threads(1)
