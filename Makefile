@@ -26,9 +26,10 @@ test-quick: .venv/tested
 	$(BIN)/python -m pytest $(WORKERS) -m "not slow"
 
 # damaged files of each of the formats
-FUZZ_EXAMPLES ?= 5500
+FUZZ_FILES ?= 50000
+FUZZ_LOG ?= /tmp/mocap-calib-fuzz
 fuzz: .venv/tested
-	FUZZ_EXAMPLES=$(FUZZ_EXAMPLES) $(BIN)/python -m pytest tests/io/test_fuzz.py tests/io/test_fuzz_outputs.py --durations=0
+	$(BIN)/python benchmarks/fuzz.py $(FUZZ_LOG) --files $(FUZZ_FILES)
 
 lint: .venv/tested
 	$(BIN)/ruff check .

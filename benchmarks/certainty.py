@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from certainty_cases import KINDS, Case, degenerate_cases, recorded_case, simulated_cases
 from certainty_errors import judge_group
+from recording_folders import add_recordings
 from recordings import NAMES
 from scipy.stats import chi2
 
@@ -52,7 +53,7 @@ def main() -> None:
     )
     parser.add_argument("what", choices=["simulated", "recordings", "degenerate"])
     parser.add_argument("--cases", type=int, help="simulated scenes, or cases of each kind")
-    parser.add_argument("--recordings", type=Path, default=Path("../shared/recordings"))
+    add_recordings(parser)
     parser.add_argument("--results", type=Path, help="lines of JSON; default: out/certainty/")
     given = parser.parse_args()
     cases = {

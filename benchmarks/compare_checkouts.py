@@ -22,6 +22,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import yaml
+from recording_folders import add_recordings
 from recordings import NAMES
 
 TOLERANCE = 1e-6
@@ -36,7 +37,7 @@ def main() -> None:
     parser.add_argument("before", type=Path)
     parser.add_argument("after", type=Path)
     parser.add_argument("names", nargs="*", default=NAMES, metavar="NAME")
-    parser.add_argument("--recordings", type=Path, default=Path("../shared/recordings"))
+    add_recordings(parser)
     parser.add_argument("--work", type=Path, default=Path(tempfile.gettempdir()) / "compared")
     given = parser.parse_args()
     print("| recording | matches.csv | cameras.yaml | poses3d.h5 | verdict | before, after (s) |")

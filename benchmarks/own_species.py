@@ -33,7 +33,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("out", type=Path)
-    parser.add_argument("--shared", type=Path, default=Path("../shared"))
+    parser.add_argument("--shared", type=Path, required=True)
     parser.add_argument("--steps", type=int, default=2000)
     options = parser.parse_args()
     out, two = options.out, options.shared / "recordings" / "dannce_two_mice_projected"

@@ -1,15 +1,14 @@
 """Make the tables and figures of the paper: two views, identities unknown, all methods alike.
 
-    .venv/bin/python benchmarks/paper.py             # all, overnight; it goes on where it stopped
-    .venv/bin/python benchmarks/paper.py --quick     # few pairs, minutes; the page stays as it is
-    .venv/bin/python benchmarks/paper.py pairs/dog/4x1/ours detections/shelf
-    .venv/bin/python benchmarks/paper.py --tables    # nothing is measured
+    .venv/bin/python benchmarks/paper.py --poses POSES --recordings RECORDINGS [PART ...]
 
-PART is a cell's name, or a part of it: `--list` prints them. What is measured of a cell is a line
-of JSON in a file (`--results`), and a cell that is there is not measured again; to measure it
-again, delete its line. The tables follow from that file alone: they go to stdout and, but for
---quick, between the markers of the page (`--page`). Figures go to a folder (`--out`). Poses are of
-subjects that were held out; references are read by the judge, never by the methods.
+All cells take a night, and it goes on where it stopped; `--quick` takes few pairs and minutes, and
+leaves the page as it is; `--tables` measures nothing. PART is a cell's name, or a part of it:
+`--list` prints them. What is measured of a cell is a line of JSON in a file (`--results`), and a
+cell that is there is not measured again; to measure it again, delete its line. The tables follow
+from that file alone: they go to stdout and, but for --quick, between the markers of the page
+(`--page`). Figures go to a folder (`--out`). Poses are of subjects that were held out; references
+are read by the judge, never by the methods.
 """
 
 import argparse
@@ -25,6 +24,7 @@ from pathlib import Path
 import torch
 from paper_cells import QUICK, WHOLE, Cell, Data, Line, Sizes, measure, plan
 from paper_tables import all_tables, insert_tables
+from recording_folders import add_recordings
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.progress import TimeRemainingColumn as Remaining
@@ -66,8 +66,8 @@ def parse() -> argparse.Namespace:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("parts", nargs="*", metavar="PART", help="these cells alone")
-    parser.add_argument("--poses", type=Path, default=Path("../shared/poses3d"))
-    parser.add_argument("--recordings", type=Path, default=Path("../shared/recordings"))
+    parser.add_argument("--poses", type=Path, required=True, help="folder of sets of 3D poses")
+    add_recordings(parser)
     parser.add_argument("--quick", action="store_true", help="few pairs; the page is not written")
     parser.add_argument("--tables", action="store_true", help="from the results that are there")
     parser.add_argument("--list", action="store_true", help="print the cells, and their sizes")

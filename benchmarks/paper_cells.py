@@ -25,7 +25,7 @@ from mocap_calib.errors import DegenerateError
 from mocap_calib.multi_view.triangulation import triangulate
 from mocap_calib.pipeline import calibrate
 from mocap_calib.steerpose.weights import shipped_weights
-from mocap_calib.types import Sample, silent
+from mocap_calib.types import Bools, Sample, silent
 
 Line = dict[str, Any]
 Group = Literal["pairs", "detections", "networks", "rigs"]
@@ -135,10 +135,10 @@ def _pairs(sizes: Sizes) -> list[Cell]:
         for scenario in (*EVERYWHERE, *FIVE_FRAMES.get(kind, ()))
         for method in METHODS
         if has_networks(method, KINDS[kind].model)
-        and (scenario in EVERYWHERE or not is_paper(method))
+        and (scenario in EVERYWHERE or not (is_paper(method) or is_informed(method)))
     ]
     cells = [cell for cell in cells if not is_variant(cell.method) or _ablated(cell)]
-    robust = [name for name in METHODS if not is_solver(name)]
+    robust = [name for name in METHODS if not is_solver(name) and not is_informed(name)]
     return cells + [Cell("pairs", "people", WRONG, method, sizes.pairs) for method in robust]
 
 
@@ -147,7 +147,7 @@ def _detections(sizes: Sizes) -> list[Cell]:
         Cell("detections", name, "", method, sizes.of_method(method))
         for name, model in RECORDINGS.items()
         for method in METHODS
-        if not is_variant(method) and has_networks(method, model)
+        if not (is_variant(method) or is_informed(method)) and has_networks(method, model)
     ]
 
 
@@ -159,6 +159,11 @@ def is_paper(method: str) -> bool:
 def is_solver(method: str) -> bool:
     """Return whether a method steers poses: ours and the paper's, and their variants."""
     return method.startswith("ours") or is_paper(method)
+
+
+def is_informed(method: str) -> bool:
+    """Return whether a method is told who is who."""
+    return method.endswith("-informed")
 
 
 def is_variant(method: str) -> bool:
@@ -207,7 +212,14 @@ def problems_of(cell: Cell, data: Data) -> tuple[list[Problem], list[Truth]]:
     made = scenes(data.poses, cell.what, count, frames, views=2, size=cell.size)
     if cell.scenario == WRONG:
         made = [(misplace(sample, WRONG_SHARE), truth) for sample, truth in made]
-    return [Problem(sample, 0, 1) for sample, _ in made], [truth for _, truth in made]
+    problems = [Problem(sample, 0, 1, identities_of(truth)) for sample, truth in made]
+    return problems, [truth for _, truth in made]
+
+
+def identities_of(truth: Truth) -> Bools:
+    """Return which detections of two views are of one subject, `[frame, I, J]`."""
+    first, second = truth.ids[0][:, :, None], truth.ids[1][:, None]
+    return np.asarray((first == second) & (first >= 0))
 
 
 @cache

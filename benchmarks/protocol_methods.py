@@ -45,7 +45,7 @@ BATCH = 50  # of the others
 class Problem:
     """Views a and b of a recording, all of its frames.
 
-    identities: `[frame, I, J]` who is who, for `INFORMED` methods alone.
+    identities: `[frame, I, J]` who is who, for methods `...-informed` alone.
     """
 
     recording: Sample
@@ -255,15 +255,9 @@ METHODS: dict[str, Method] = {
     "paper-factorised-nogeom": paper("factorised", PaperConfig(geometric_weight=0.0)),
     "ours": ours(PairwiseConfig()),
     "ours-norays": ours(replace(PairwiseConfig(), points=0)),
-}
-
-# these are told who is who (`Problem.identities`), which nobody tells the others
-INFORMED: dict[str, Method] = {
-    f"{name}-informed": rival(solve, adjusted=adjusted, informed=True)
-    for name, solve, adjusted in (
-        ("procrustes", procrustes, False),
-        ("procrustes-adjusted", procrustes, True),
-        ("sphere", sphere, False),
-        ("sphere-adjusted", sphere, True),
-    )
+    # these are told who is who (`Problem.identities`), which nobody tells the others
+    "procrustes-informed": rival(procrustes, adjusted=False, informed=True),
+    "procrustes-adjusted-informed": rival(procrustes, adjusted=True, informed=True),
+    "sphere-informed": rival(sphere, adjusted=False, informed=True),
+    "sphere-adjusted-informed": rival(sphere, adjusted=True, informed=True),
 }

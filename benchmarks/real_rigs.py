@@ -2,7 +2,7 @@
 
 Intrinsics or clocks are rough or unknown, or a camera was bumped.
 
-    .venv/bin/python benchmarks/real_rigs.py [--recordings ../shared/recordings] [PART ...]
+    .venv/bin/python benchmarks/real_rigs.py --recordings FOLDER [PART ...]
 
 PART is a row's name, or a part of it; without one all rows are made. Each run is a process of its
 own that sees the keypoints, and the intrinsics that the row says, alone. Rotation errors come from
@@ -32,6 +32,7 @@ from real_rigs_rows import (
     synced,
     unknown,
 )
+from recording_folders import add_recordings
 
 # median E_R in degrees; relative error of the focal lengths
 UNKNOWN = {
@@ -89,7 +90,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("parts", nargs="*", metavar="PART")
-    parser.add_argument("--recordings", type=Path, default=Path("../shared/recordings"))
+    add_recordings(parser)
     given = parser.parse_args()
     print("| row | figures | wall (s) |\n|---|---|---|")
     good = True

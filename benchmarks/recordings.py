@@ -1,6 +1,6 @@
 """Runs the main job on real recordings and prints the README's table.
 
-    .venv/bin/python benchmarks/recordings.py [--recordings ../shared/recordings] [NAME ...]
+    .venv/bin/python benchmarks/recordings.py --recordings FOLDER [NAME ...]
 
 Each run is a process of its own that sees the keypoints and the intrinsics alone; rotation and
 translation errors come from `mocap-calib evaluate`, precision and recall from the known identities,
@@ -19,6 +19,7 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
+from recording_folders import add_recordings
 
 TOOL = Path(sys.executable).with_name("mocap-calib")
 NAMES = (
@@ -56,7 +57,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("names", nargs="*", default=NAMES, metavar="NAME")
-    parser.add_argument("--recordings", type=Path, default=Path("../shared/recordings"))
+    add_recordings(parser)
     options = parser.parse_args()
     print(f"| {' | '.join(HEADER)} |")
     print("|---" * len(HEADER) + "|")

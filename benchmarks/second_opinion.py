@@ -1,6 +1,6 @@
 """Adjust real recordings with our solver and with COLMAP's, and print how far apart the rigs are.
 
-    .venv/bin/python benchmarks/second_opinion.py [--recordings ../shared/recordings] [NAME ...]
+    .venv/bin/python benchmarks/second_opinion.py --recordings FOLDER [NAME ...]
 
 Each stage is a command of its own. Both solvers start from the same averaged rig and the same
 matches; errors come from `mocap-calib evaluate` against the reference, and so does the angle
@@ -14,6 +14,8 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+
+from recording_folders import add_recordings
 
 from mocap_calib.config import ADJUST_SOLVERS
 
@@ -33,7 +35,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("names", nargs="*", default=NAMES, metavar="NAME")
-    parser.add_argument("--recordings", type=Path, default=Path("../shared/recordings"))
+    add_recordings(parser)
     options = parser.parse_args()
     columns = [f"{solver} {what}" for solver in ADJUST_SOLVERS for what in ("E_R", "E_t", "s")]
     print(f"| recording | {' | '.join(columns)} | rigs apart, median / max (deg) |")

@@ -1,7 +1,7 @@
 """Compare best estimates of poses with aniposelib's `triangulate_optim`: errors, jitter, time.
 
-    .venv/bin/python benchmarks/smoothing.py SCRATCH [NAME ...] [--recordings ../shared/recordings]
-        [--judge ../shared/judge_poses.py]
+    .venv/bin/python benchmarks/smoothing.py SCRATCH [NAME ...] --recordings FOLDER
+        --judge judge_poses.py
 
 Both get the same detections, identities and cameras, those of `mocap-calib run --smooth off`. A
 judge compares the poses with the truth: a script that takes NAME and `--out FOLDER` and prints
@@ -22,6 +22,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 from adjustment import peers_python
+from recording_folders import add_recordings
 
 import mocap_calib as mc
 from mocap_calib.compute.parallel import single_threaded_libraries
@@ -54,8 +55,8 @@ def main() -> None:
     )
     parser.add_argument("scratch", type=Path)
     parser.add_argument("names", nargs="*", default=NAMES, metavar="NAME")
-    parser.add_argument("--recordings", type=Path, default=Path("../shared/recordings"))
-    parser.add_argument("--judge", type=Path, default=Path("../shared/judge_poses.py"))
+    add_recordings(parser)
+    parser.add_argument("--judge", type=Path, required=True)
     options = parser.parse_args()
     print(
         "| recording | raw mm | ours mm | theirs mm | ours jitter | theirs | truth's "

@@ -1,7 +1,7 @@
 """Measure how fast everything is, beside what others need for the same: one table.
 
     .venv/bin/python benchmarks/speed.py SCRATCH [--quick] [--runs 5]
-        [--recordings ../shared/recordings] [--batch 40]
+        --recordings FOLDER [--batch 40]
 
 Start, recordings files to files, a batch in two processes: each a process of its own, with its
 seconds, seconds of the processor and peak memory; the least of several runs. A second table has the
@@ -26,6 +26,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 from adjustment import as_problem, call_peer, figures, make_scene, moved, ours, peer
+from recording_folders import add_recordings
 
 from mocap_calib.config import AdjustConfig
 from mocap_calib.geometry.projection import rays_from_pixels
@@ -57,7 +58,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="no peers, no batch")
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--batch", type=int, default=40, help="recordings of the batch")
-    parser.add_argument("--recordings", type=Path, default=Path("../shared/recordings"))
+    add_recordings(parser)
     options = parser.parse_args()
     options.scratch.mkdir(parents=True, exist_ok=True)
     print(f"{describe_machine()}; least of {options.runs} runs\n")

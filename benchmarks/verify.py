@@ -1,6 +1,6 @@
 """Turns, shifts and zooms cameras of good calibrations, and counts what `verify` says of them.
 
-    .venv/bin/python benchmarks/verify.py [--recordings ../shared/recordings] [NAME ...]
+    .venv/bin/python benchmarks/verify.py --recordings FOLDER [NAME ...]
 
 Each recording is judged by its reference calibration, which must pass, and by the same with one
 camera turned about its own centre (each camera, about random axes), shifted, or with another focal
@@ -15,6 +15,7 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
+from recording_folders import add_recordings
 from recordings import NAMES
 
 import mocap_calib as mc
@@ -43,7 +44,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("names", nargs="*", default=NAMES, metavar="NAME")
-    parser.add_argument("--recordings", type=Path, default=Path("../shared/recordings"))
+    add_recordings(parser)
     options = parser.parse_args()
     print("| recording | verdict | named |", " | ".join(KINDS), "|")
     print("|---" * (3 + len(KINDS)) + "|")

@@ -101,7 +101,7 @@ def test_what_is_there_is_not_measured_again(tmp_path):
     results.write_text(json.dumps(line(2, 1.5, method="magsac")) + "\n")
     command = [sys.executable, BENCHMARKS / "paper.py", "dog/4x1/magsac", "--pairs", "2"]
     command += ["--results", results, "--page", page, "--out", tmp_path / "figures"]
-    command += ["--poses", tmp_path / "nowhere", "--workers", "1"]
+    command += ["--poses", tmp_path / "nowhere", "--recordings", tmp_path, "--workers", "1"]
     said = subprocess.run(
         [str(word) for word in command],
         capture_output=True,

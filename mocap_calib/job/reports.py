@@ -1,6 +1,5 @@
 """report.html of a folder of results, made again from its files and the keypoints of the run."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,10 +15,11 @@ from mocap_calib.io.atomic import write_bytes
 from mocap_calib.io.cameras.read import read_rig
 from mocap_calib.io.cameras.source import CameraFile
 from mocap_calib.io.conversion import load_pose_sources
-from mocap_calib.io.file import malformed, read_bytes
+from mocap_calib.io.file import malformed
 from mocap_calib.io.hashing import hash_file
 from mocap_calib.io.results.group import PAGE, REPORT, group_folder, write_run_json
 from mocap_calib.io.results.matches_csv import read_matches_csv
+from mocap_calib.io.results.run_json import read_run_json
 from mocap_calib.job.load import load_recording
 from mocap_calib.job.request import KeypointSource
 from mocap_calib.job.results import name_results
@@ -64,16 +64,9 @@ def open_results(path: Path) -> ResultsFolder:
         raise malformed(str(path), "a folder of results", "none", _REMEDY)
     if not (path / REPORT).is_file():
         raise malformed(str(path), f"a folder with {REPORT} in it", "none", _REMEDY)
-    source = str(path / REPORT)
-    try:
-        run = json.loads(read_bytes(path / REPORT))
-        found = run["schema"]
-        names = [camera["name"] for camera in run["cameras"]]
-        folders = [group["folder"] for group in run["groups"]]
-    except (ValueError, LookupError, TypeError) as error:
-        raise malformed(source, "what `run` writes", error, "run again") from None
-    if found != SCHEMA or not names or not folders:
-        raise malformed(source, f"`schema` {SCHEMA}", found, "run again, with this version")
+    run = read_run_json(path / REPORT, SCHEMA)
+    if not run["cameras"] or not run["groups"]:
+        raise malformed(str(path / REPORT), "cameras in a group", "none", "run again")
     return ResultsFolder(path, run)
 
 

@@ -1,6 +1,5 @@
 """What of the results of a run is drawn on videos, and which of it belongs to a frame."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.errors import FormatError, MismatchError
+from mocap_calib.errors import MismatchError
 from mocap_calib.io.cameras.own import SUBFRAME
 from mocap_calib.io.cameras.read import read_rig
 from mocap_calib.io.file import decode, read_bytes
@@ -16,9 +15,11 @@ from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.poses.read import load_poses
 from mocap_calib.io.results.group import REPORT
 from mocap_calib.io.results.matches_csv import parse_matches
+from mocap_calib.io.results.run_json import read_run_json
 from mocap_calib.io.results.stored import provenance_of_cameras
 from mocap_calib.recording.retiming import own_frames
 from mocap_calib.recording.stretches import usual_step
+from mocap_calib.report import SCHEMA
 from mocap_calib.types import NO_FRAME, CameraClock, CameraRig, Floats, Ints, Keypoints2D
 
 _FILES = ("cameras.yaml", "poses3d.h5", "matches.csv", REPORT)
@@ -59,15 +60,8 @@ def read_results(folder: Path) -> Results:
                 f"{folder}: expected the results of a run, found no {name}; "
                 "give the folder that `run -o` wrote"
             )
-    try:
-        report = json.loads((folder / REPORT).read_bytes())
-        epochs = [(each["folder"], each["first"], each["last"]) for each in report["epochs"]]
-        faults = {each["name"]: each["fault_evidence"] for each in report["cameras"]}
-        reading = dict(report.get("reading", {}))
-    except (ValueError, LookupError, TypeError, AttributeError):
-        raise FormatError(
-            f"{folder / REPORT}: expected what `run` wrote, found something else; run it again"
-        ) from None
+    report = read_run_json(folder / REPORT, SCHEMA)
+    faults = {each["name"]: each["fault_evidence"] for each in report["cameras"]}
     table = folder / "matches.csv"
     offsets = provenance_of_cameras(folder / "cameras.yaml").get(SUBFRAME, {})
     cameras, rows = parse_matches(decode(read_bytes(table), str(table)), str(table))
@@ -76,14 +70,14 @@ def read_results(folder: Path) -> Results:
         individuals.setdefault(camera, {})[frame, instance] = individual
     return Results(
         epochs=tuple(
-            (first, last, read_rig(folder / place / "cameras.yaml"))
-            for place, first, last in epochs
+            (each["first"], each["last"], read_rig(folder / each["folder"] / "cameras.yaml"))
+            for each in report["epochs"]
         ),
         poses=load_poses(folder / "poses3d.h5"),
         individuals=individuals,
         late={camera: -offset for camera, offset in offsets.items()},
         mirrored=frozenset(name for name, found in faults.items() if "mirrored" in found),
-        reading=reading,
+        reading=report.get("reading", {}),
     )
 
 

@@ -15,6 +15,7 @@ import numpy as np
 import yaml
 
 from mocap_calib.errors import FormatError
+from mocap_calib.recording.skeleton_fields import parse_skeleton, strings
 from mocap_calib.types import Ints, Skeleton
 
 # the first of those that know a recording equally well is chosen
@@ -146,36 +147,6 @@ def choose_skeleton(names: Iterable[str]) -> Skeleton:
     return max((load_skeleton(name) for name in SHIPPED), key=known)
 
 
-def parse_skeleton(fields: Any, source: str) -> Skeleton:
-    """Return a skeleton from the fields of its YAML file. Raises FormatError."""
-    if not isinstance(fields, dict) or not isinstance(fields.get("keypoints"), list):
-        raise FormatError(
-            f"skeleton {source}: expected a mapping with a list `keypoints`; see docs/skeletons.md"
-        )
-    keypoints = tuple(str(name) for name in fields["keypoints"])
-    aliases = _strings(fields.get("aliases") or {})
-    layouts = tuple(_strings(layout) for layout in (fields.get("layouts") or {}).values())
-    edges = [tuple(map(str, edge)) for edge in fields.get("edges") or []]
-
-    named = {name for edge in edges for name in edge}
-    named |= {joint for renaming in (aliases, *layouts) for joint in renaming.values()}
-    strangers = sorted(named - set(keypoints))
-    if strangers:
-        raise FormatError(
-            f"skeleton {source}: edges, aliases or layouts name {', '.join(strangers)}, "
-            "expected only its own keypoints"
-        )
-    index = {name: k for k, name in enumerate(keypoints)}
-    return Skeleton(
-        name=str(fields.get("name", source)),
-        keypoints=keypoints,
-        edges=tuple((index[parent], index[child]) for parent, child in edges),
-        symmetries=_symmetries(keypoints),
-        aliases=aliases,
-        layouts=layouts,
-    )
-
-
 def edges_of_keypoints(skeleton: Skeleton, vocabulary: Ints) -> tuple[tuple[int, int], ...]:
     """Return the edges of a skeleton between the keypoints of a recording, as pairs of indices.
 
@@ -213,19 +184,6 @@ def _nearest_above(joint: int, parents: Mapping[int, int], known: Container[int]
     return -1
 
 
-def _strings(mapping: Mapping[Any, Any]) -> dict[str, str]:
-    """Return a mapping of a YAML file, whose names may read as numbers, as strings."""
-    return {str(name): str(joint) for name, joint in mapping.items()}
-
-
-def _symmetries(keypoints: tuple[str, ...]) -> tuple[tuple[int, int], ...]:
-    """Return the index pairs (left, right) of keypoints `left...` and `right...`."""
-    index = {name: k for k, name in enumerate(keypoints)}
-    left_names = [name for name in keypoints if name.startswith("left")]
-    mirrored = [(name, "right" + name.removeprefix("left")) for name in left_names]
-    return tuple((index[left], index[right]) for left, right in mirrored if right in index)
-
-
 def _read_fields(name_or_path: str | Path) -> Any:
     """Return what a skeleton's file holds. Raises FormatError."""
     text = _skeleton_text(name_or_path)
@@ -234,13 +192,13 @@ def _read_fields(name_or_path: str | Path) -> Any:
     return _read_yaml(text, f"skeleton {name_or_path}")
 
 
-def _skeleton_text(name_or_path: str | Path) -> str:
-    """Return the text of a skeleton's file. Raises FormatError."""
+def _skeleton_text(name_or_path: str | Path) -> str | bytes:
+    """Return the text of a shipped skeleton, the bytes of a user's file. Raises FormatError."""
     shipped = resources.files("mocap_calib") / "skeletons" / f"{name_or_path}.yaml"
     if shipped.is_file():
         return shipped.read_text("utf-8")
     if Path(name_or_path).is_file():
-        return Path(name_or_path).read_text("utf-8")
+        return Path(name_or_path).read_bytes()
     source = f"skeleton {name_or_path}"
     raise FormatError(f"{source}: expected the name of a shipped one or a YAML file, found neither")
 
@@ -315,14 +273,15 @@ def _read_aliases(path: Path) -> dict[str, str]:
             f"{path}: expected a mapping `aliases` of own names to joints, found none; "
             "write for instance `aliases: {beak: nose}`"
         )
-    return _strings(found)
+    return strings(found)
 
 
-def _read_yaml(text: str, source: str) -> Any:
+def _read_yaml(text: str | bytes, source: str) -> Any:
     """Return what a YAML text holds. Raises FormatError."""
     try:
         return yaml.safe_load(text)
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    # dates and numbers that are none are ValueErrors, keys that are lists TypeErrors
+    except (yaml.YAMLError, ValueError, TypeError, RecursionError) as error:
         reason = str(error).splitlines()[0]
         raise FormatError(
             f"{source}: expected a YAML file, found an error ({reason}); mend that place"

@@ -14,7 +14,8 @@ from safetensors.torch import save
 from torch import Tensor
 
 from mocap_calib.io.atomic import write_bytes
-from mocap_calib.recording.joints import SHIPPED, parse_skeleton
+from mocap_calib.recording.joints import SHIPPED
+from mocap_calib.recording.skeleton_fields import parse_skeleton
 from mocap_calib.steerpose.lifter import ModelConfig
 from mocap_calib.steerpose.model import LifterModule
 from mocap_calib.steerpose.steer import Architecture, Model

@@ -7,7 +7,8 @@ from pathlib import Path
 from safetensors import safe_open
 
 from mocap_calib.errors import FormatError, MismatchError
-from mocap_calib.recording.joints import match_names, parse_skeleton
+from mocap_calib.recording.joints import match_names
+from mocap_calib.recording.skeleton_fields import parse_skeleton
 from mocap_calib.steerpose.lifter import Lifter, ModelConfig
 from mocap_calib.steerpose.weights import (
     GEOMETRY_ALONE,

@@ -10,7 +10,8 @@ from typing import Any
 from safetensors import SafetensorError, safe_open
 
 from mocap_calib.errors import FormatError, suggest
-from mocap_calib.recording.joints import SHIPPED, load_skeleton, parse_skeleton
+from mocap_calib.recording.joints import SHIPPED, load_skeleton
+from mocap_calib.recording.skeleton_fields import parse_skeleton
 from mocap_calib.types import Skeleton
 
 DESCRIPTION = "mocap_calib"  # key of the description in the metadata of a file of weights

@@ -15,6 +15,7 @@ import numpy as np
 
 from mocap_calib.errors import FormatError
 from mocap_calib.types import Floats, Ints, Skeleton
+from mocap_calib.wording import one_line
 
 AXES = ("roll", "pitch", "yaw")
 ROOT = "root"  # the name of the whole body among the bones
@@ -67,8 +68,19 @@ class BodyPlan:
 def parse_body(fields: Mapping[str, Any], skeleton: Skeleton) -> BodyPlan:
     """Return the parsed section `body` of a skeleton's file.
 
-    Raises FormatError where bones are missing or names are unknown.
+    Raises FormatError where bones are missing, names are unknown, or values are no numbers.
     """
+    try:
+        return _parse_plan(fields, skeleton)
+    except (ValueError, TypeError, LookupError, AttributeError, OverflowError) as error:
+        raise FormatError(
+            f"skeleton {skeleton.name}: expected a section `body` as docs/skeletons.md has it, "
+            f"found an error ({one_line(error)}); mend that place"
+        ) from None
+
+
+def _parse_plan(fields: Mapping[str, Any], skeleton: Skeleton) -> BodyPlan:
+    """Return the parsed section. Raises FormatError, and what Python raises of other types."""
     parent, order = _tree(skeleton)
     twin = _left_twins(skeleton)
     rest = _rest_pose(fields.get("bones") or {}, skeleton, order=order, twin=twin)

@@ -14,7 +14,8 @@ from mocap_calib.config import (
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.graphs import spanning_tree
 from mocap_calib.geometry.rotation import looking_along
-from mocap_calib.recording.joints import match_names, parse_skeleton
+from mocap_calib.recording.joints import match_names
+from mocap_calib.recording.skeleton_fields import parse_skeleton
 from mocap_calib.steerpose.training.poses import PoseSet, Split, every_tenth, parse_up
 from mocap_calib.types import CameraRig, Floats, Poses3D, Skeleton
 

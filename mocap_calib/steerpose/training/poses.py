@@ -3,7 +3,11 @@
 A set may lack joints of the vocabulary: they are NaN, never seen, and no target.
 """
 
+import io
 import json
+import struct
+import zipfile
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,6 +33,11 @@ _UP = {  # column and sign
     "+z": (2, 1.0),
     "-z": (2, -1.0),
 }
+# what numpy and zipfile raise of a file that is cut, changed or none of theirs
+_DAMAGED = (
+    *(OSError, EOFError, ValueError, KeyError, TypeError, NotImplementedError, MemoryError),
+    *(SyntaxError, RecursionError, zipfile.BadZipFile, zlib.error, struct.error),
+)
 _ARRAYS = ("poses", "poses3d", "joints", "split", "subject", "clip")
 _OTHER_NAMES = {"poses3d": "poses", "clip": "subject"}
 
@@ -91,7 +100,7 @@ def _read(path: Path) -> dict[str, NDArray[Any]]:
     """Return the arrays `poses`, `joints` and what else there is. Raises FormatError."""
     try:
         fields = _read_arrays(path)
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except _DAMAGED as error:
         raise FormatError(
             f"{path}: expected an npz file of 3D poses, "
             f"or a folder with poses3d.npz and joints.json: {error}"
@@ -102,7 +111,7 @@ def _read(path: Path) -> dict[str, NDArray[Any]]:
     if not {"poses", "joints"} <= set(fields):
         found = ", ".join(fields) or "neither"
         raise FormatError(f"{path}: expected the arrays `poses` and `joints`, found {found}")
-    shape, joints = fields["poses"].shape, len(fields["joints"])
+    shape, joints = fields["poses"].shape, fields["joints"].size
     if len(shape) != 3 or shape[1:] != (joints, 3):
         raise FormatError(f"{path}: expected poses of shape (any, {joints}, 3), found {shape}")
     return fields
@@ -112,7 +121,7 @@ def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     """Return the arrays of a file that are known, with the names of joints.json beside it."""
     folder = path if path.is_dir() else path.parent
     file_path = path / "poses3d.npz" if path.is_dir() else path
-    with np.load(file_path, allow_pickle=False) as file:
+    with np.load(io.BytesIO(file_path.read_bytes()), allow_pickle=False) as file:
         fields = {name: file[name] for name in file.files if name in _ARRAYS}
     names = folder / "joints.json"
     if "joints" not in fields and names.is_file():
