@@ -37,6 +37,7 @@ lint: .venv/tested
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+# MOCAP_CALIB_RECORDINGS says where the recordings are
 benchmark: .venv/installed
 	$(BIN)/python benchmarks/recordings.py
 
