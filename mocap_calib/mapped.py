@@ -11,6 +11,7 @@ import os
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from math import prod
+from threading import Lock
 from typing import Any
 from weakref import WeakSet
 
@@ -22,6 +23,7 @@ _BLOCK = 4096  # frames at a time,
 _FAR = 512  # and of those that lie far from each other
 
 _maps: WeakSet[mmap.mmap] = WeakSet()
+_maps_lock = Lock()  # threads make arrays while others let go of them
 
 
 def empty(shape: Sequence[int], dtype: DTypeLike = np.float64) -> NDArray[Any]:
@@ -39,7 +41,8 @@ def empty(shape: Sequence[int], dtype: DTypeLike = np.float64) -> NDArray[Any]:
             mapped = mmap.mmap(file.fileno(), size)
     except OSError:
         return np.empty(shape, kind)
-    _maps.add(mapped)
+    with _maps_lock:
+        _maps.add(mapped)
     return np.frombuffer(mapped, kind).reshape(shape)
 
 
@@ -97,5 +100,7 @@ def let_go() -> None:
     What they hold stays. It costs some microseconds for each.
     """
     if hasattr(mmap, "MADV_DONTNEED"):
-        for mapped in list(_maps):
+        with _maps_lock:
+            maps = list(_maps)
+        for mapped in maps:
             mapped.madvise(mmap.MADV_DONTNEED)
