@@ -38,12 +38,14 @@ class Tests:
         """Return the tests to try, in their order, and how many are left out.
 
         lines: from the first of the function to the last of the change. Those that run the change
-        come first (where none does, any of its module), then the others of their files, which may
-        look at what the first ones have made; the tests of its package before those of others, the
-        quickest first.
+        come first (where none does, any of its module; of kernels, those that are named so), then
+        the others of their files, which may look at what the first ones have made; the tests of
+        its package before those of others, the quickest first.
         """
         runners = self.runners.get(path, {})
         direct = next((runners[k] for k in reversed(lines) if runners.get(k)), set())
+        if path.endswith("_kernels.py"):  # compiled, so that nothing is seen of their lines
+            direct = {name for name in self.seconds if "kernel" in name}
         if not direct:  # of the module, or what runs in other processes
             direct = set().union(*runners.values())
         files = {name.split("::")[0] for name in direct} or set(self.otherwise)

@@ -45,7 +45,13 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = ("geometry", "two_view", "multi_view", "steerpose", "io")
 COMMAND = ("cli/test_cli.py", "cli/test_cli_convert.py", "cli/test_cli_inputs.py")
 TESTS = (*PACKAGES, "recording", "synthetic", "poses", "world")
-TESTS += ("test_front_door.py", "test_pipeline.py", "test_report.py", "test_types.py")
+TESTS += (
+    "compute/test_kernels.py",
+    "test_front_door.py",
+    "test_pipeline.py",
+    "test_report.py",
+    "test_types.py",
+)
 TESTS += COMMAND
 PRELOADED = ("cv2", "h5py", "pycolmap", "scipy.optimize", "torch")
 BROKEN = 70  # status of a process that could not run the tests
@@ -187,7 +193,8 @@ def try_one(mutation: Mutation, copy: Path, tests: Tests, *, seconds: float) -> 
     end = mutation.line + mutation.before.count("\n")
     lines = range(min(mutation.first, mutation.line), end + 1)
     os.environ.pop("NUMBA_CACHE_DIR", None)
-    if mutation.path.endswith("_kernels.py"):  # what is compiled of it is not kept for the others
+    is_kernel = mutation.path.endswith("_kernels.py")
+    if is_kernel:  # what is compiled of it is not kept for the others
         os.environ["NUMBA_CACHE_DIR"] = str(copy / "kernels")
     names, left_out = tests.of_lines(mutation.path, lines, seconds=seconds)
     if not names:
@@ -200,7 +207,7 @@ def try_one(mutation: Mutation, copy: Path, tests: Tests, *, seconds: float) -> 
         file.write_bytes(mutation.apply(original))
         for some in (names[:FIRST], names[FIRST:]):  # files of tests take long to collect
             expected = sum(tests.seconds[name] for name in some)
-            limit = 30 + SLOWER * expected
+            limit = (120 if is_kernel else 30) + SLOWER * expected  # with compiling
             files = sorted({name.split("::")[0] for name in some})
             plugin = partial(Selected, some, failed)
             status = in_process(copy, plugin, files, seconds=limit) if files else 0

@@ -248,6 +248,16 @@ def test_a_file_where_a_folder_is_is_refused_by_its_name(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["there"]
 
 
+def test_a_row_of_a_trc_that_has_a_number_more_is_refused(tmp_path):
+    write_poses(tmp_path / "p.trc", example(1), "trc")
+    lines = (tmp_path / "p.trc").read_text().splitlines()
+    cells = 2 + 3 * len(example().poses.keypoints)
+    lines[-1] = "\t".join([*lines[-1].split("\t")[:cells], "0.5"])
+    (tmp_path / "p.trc").write_text("\n".join(lines))
+    with pytest.raises(FormatError, match=f"expected {cells} cells, found {cells + 1}"):
+        load_poses(tmp_path / "p.trc")
+
+
 def test_a_trc_is_what_opensim_reads(tmp_path):
     write_poses(tmp_path / "p.trc", example(1), "trc")
     lines = (tmp_path / "p.trc").read_text().splitlines()
