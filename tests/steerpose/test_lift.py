@@ -1,10 +1,16 @@
 """Parts of lifting, held to their definitions."""
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
+from scenes import recording
 from scipy.special import erfc
 
+from mocap_calib.errors import MismatchError
 from mocap_calib.steerpose.lift import _centre
 from mocap_calib.steerpose.lifter import _gelu
+from mocap_calib.steerpose.loading import choose_model, load_lifter
 
 
 def test_the_centre_puts_a_body_where_its_joints_are_seen():
@@ -24,3 +30,11 @@ def test_the_activation_is_that_of_its_definition():
     expected = x * erfc(-x / np.sqrt(2)) / 2
     found = _gelu(x.astype(np.float32))
     np.testing.assert_allclose(found, expected, rtol=3e-7, atol=4e-7)
+
+
+def test_a_network_of_too_few_joints_is_refused():
+    found, lifter = recording(), load_lifter()[0]
+    assert choose_model(found, lifter)[1] is lifter
+    few = replace(lifter, config=replace(lifter.config, joints=int(found.vocabulary.max())))
+    with pytest.raises(MismatchError, match="expected a network of the"):
+        choose_model(found, few)
