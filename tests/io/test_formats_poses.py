@@ -162,6 +162,23 @@ def test_formats_of_one_individual_write_a_file_each(tmp_path):
     assert_poses(file, back, "trc")
 
 
+def test_of_joined_files_nothing_is_said_where_one_has_no_frame():
+    first = example(1)
+    kept = Poses3D(
+        first.poses.keypoints,
+        first.poses.frames[1:] + 2,
+        *(getattr(first.poses, name)[1:] for name in ("positions", "error", "views")),
+        first.poses.confidence[1:],
+        "m",
+    )
+    joined = join_individuals([first, replace(first, poses=kept)], "there").poses
+    absent = ~np.isin(joined.frames, kept.frames)
+    assert absent.any()
+    assert np.isnan(joined.positions[absent, 1]).all()
+    assert (joined.views[absent, 1] == 0).all()
+    assert (joined.source[absent, 1] == 0).all()
+
+
 @pytest.mark.parametrize(
     ("given_", "kept"),
     [

@@ -7,7 +7,12 @@ import numpy as np
 from mocap_calib.compute.parallel import map_in_processes, map_in_threads
 from mocap_calib.config import FivePointConfig, PairwiseConfig
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.two_view.five_point import _count_inliers, _Problem, estimate_by_loransac
+from mocap_calib.two_view.five_point import (
+    _count_inliers,
+    _possible_matches,
+    _Problem,
+    estimate_by_loransac,
+)
 from mocap_calib.two_view.hypotheses import _known_identities
 from mocap_calib.two_view.solve import pair_mapper
 
@@ -63,3 +68,13 @@ def test_pairs_are_spread_by_the_work_that_they_are():
     for (views, frames, instances), mapper in expected.items():
         recording = SimpleNamespace(positions=np.empty((views, frames, instances, 17, 2), np.int8))
         assert pair_mapper(recording, PairwiseConfig()) is mapper
+
+
+def test_sets_of_two_matches_are_of_two_bodies_in_each_view():
+    """Each set once; one match where there are not two bodies."""
+    found = _possible_matches(np.array([True, False, True]), np.array([True, True]))
+    assert found == [[(0, 0), (2, 1)], [(0, 1), (2, 0)]]
+    assert _possible_matches(np.array([False, True]), np.array([True, True])) == [
+        [(1, 0)],
+        [(1, 1)],
+    ]
