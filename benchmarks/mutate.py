@@ -5,15 +5,16 @@
 
 As many mutations are drawn of each package: a comparison turned, + made -, a constant changed, a
 condition negated, a line left out, arguments exchanged (`mutations.py`). It works on a copy of the
-tree. First each file of tests runs once as it is, which tells the functions that each test calls.
-A mutation is then tried with the tests that call its function and with all others of their files,
-the quickest first, until one fails; where none calls it, with those of its module, or those of the
+tree. First each file of tests runs once as it is, which tells the lines that each test runs. A
+mutation is then tried with the tests that run its line and with all others of their files, the
+quickest first, until one fails; where none runs it, with those of its module, or those of the
 command: readers of files and the command run in processes of their own. Of tests that would take
 longer than `--seconds` together, the slow ones are left out. Mutations that never end are noticed
-by the time they take.
+by the processor time that they take.
 
 What was tried is kept in a file (`--log`), a line of JSON each, and not tried again: a run that
-was stopped goes on. Needs an operating system that can fork.
+was stopped goes on. What survives is explained in `mutations.md`. Needs an operating system that
+can fork.
 """
 
 import argparse
@@ -22,6 +23,7 @@ import hashlib
 import json
 import os
 import random
+import resource
 import shutil
 import signal
 import subprocess
@@ -36,19 +38,26 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from calls_of_tests import CallsOfTests, Selected, Tests
+from lines_of_tests import LinesOfTests, Selected, Tests
 from mutations import Mutation, find_mutations
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("geometry", "two_view", "multi_view", "steerpose", "io")
 COMMAND = ("cli/test_cli.py", "cli/test_cli_convert.py", "cli/test_cli_inputs.py")
 TESTS = (*PACKAGES, "recording", "synthetic", "poses", "world")
-TESTS += ("test_front_door.py", "test_pipeline.py", "test_report.py", "test_types.py")
+TESTS += (
+    "compute/test_kernels.py",
+    "test_front_door.py",
+    "test_pipeline.py",
+    "test_report.py",
+    "test_types.py",
+)
 TESTS += COMMAND
 PRELOADED = ("cv2", "h5py", "pycolmap", "scipy.optimize", "torch")
 BROKEN = 70  # status of a process that could not run the tests
 FIRST = 20  # tests, which notice most
 SLOWER = 4  # than in the run that was timed: longer, and a mutation is taken to never end
+WAITING = 4  # times as long by the clock
 
 
 def main() -> None:
@@ -59,6 +68,7 @@ def main() -> None:
     parser.add_argument("--number", type=int, default=200, help="of mutations (default 200)")
     parser.add_argument("--seed", type=int, default=0, help="of their choice (default 0)")
     parser.add_argument("--package", choices=PACKAGES, help="this one alone")
+    parser.add_argument("--jobs", type=int, default=1, help="at a time (default 1)")
     parser.add_argument("--seconds", type=float, default=60, help="of tests for each (default 60)")
     parser.add_argument("--log", type=Path, default=ROOT / "runs" / "mutations.jsonl")
     parser.add_argument("--again", action="store_true", help="try survivors of the log again")
@@ -71,8 +81,7 @@ def main() -> None:
     for name in PRELOADED:
         __import__(name)
     with tempfile.TemporaryDirectory() as work:
-        copy = copy_tree(Path(work) / "tree")
-        try_all(chosen, copy, options)
+        try_all(chosen, Path(work), options)
     print(report(chosen, read_log(options.log)))
 
 
@@ -97,13 +106,15 @@ def copy_tree(target: Path) -> Path:
             (target / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(ROOT / name, target / name)
     compileall.compile_dir(target / "mocap_calib", quiet=2)  # mutations write no compiled files
+    for kernel in (ROOT / "mocap_calib").rglob("__pycache__/*.nb[ci]"):  # what numba compiled
+        shutil.copy2(kernel, target / kernel.relative_to(ROOT))
     return target
 
 
 # --- tests
 
 
-def try_all(chosen: list[Mutation], copy: Path, options: argparse.Namespace) -> None:
+def try_all(chosen: list[Mutation], work: Path, options: argparse.Namespace) -> None:
     """Try what the log does not have, and add it there."""
     known = read_log(options.log)
     if options.again:
@@ -111,13 +122,31 @@ def try_all(chosen: list[Mutation], copy: Path, options: argparse.Namespace) -> 
     missing = [mutation for mutation in chosen if mutation.name not in known]
     if not missing:
         return
-    tests = learn_tests(copy, options.log.with_suffix(".tests.json"))
-    for k, mutation in enumerate(missing, 1):
+    copies = [copy_tree(work / f"tree{k}") for k in range(options.jobs)]
+    tests = learn_tests(copies[0], options.log.with_suffix(".tests.json"))
+    jobs = []
+    try:
+        for k, copy in enumerate(copies):
+            some = missing[k :: len(copies)]
+            jobs.append(fork(partial(try_some, some, copy, tests, options)))
+        for child in jobs:
+            os.waitpid(child, 0)
+            jobs[jobs.index(child)] = 0
+    finally:
+        for child in filter(None, jobs):
+            os.kill(child, signal.SIGTERM)
+            os.waitpid(child, 0)
+
+
+def try_some(some: list[Mutation], copy: Path, tests: Tests, options: argparse.Namespace) -> int:
+    """Try mutations one after the other."""
+    for k, mutation in enumerate(some, 1):
         entry = asdict(mutation) | try_one(mutation, copy, tests, seconds=options.seconds)
         with open(options.log, "a", encoding="utf-8", newline="\n") as log:
             log.write(json.dumps({"name": mutation.name, **entry}) + "\n")
         word = entry["killed"] or "SURVIVED"
-        print(f"{k}/{len(missing)} {mutation.describe()}: {word}", file=sys.stderr, flush=True)
+        print(f"{k}/{len(some)} {mutation.describe()}: {word}", file=sys.stderr, flush=True)
+    return 0
 
 
 def learn_tests(copy: Path, kept: Path) -> Tests:
@@ -132,8 +161,10 @@ def learn_tests(copy: Path, kept: Path) -> Tests:
     for file in sorted(tests_of(copy)):
         content = b"".join(path.read_bytes() for path in [*program, file])
         key = hashlib.sha256(content).hexdigest()
-        learned[key] = known[key] if key in known else learn_file(copy, file)
-        kept.write_text(json.dumps(known | learned), encoding="utf-8", newline="\n")
+        if key not in known:
+            known[key] = learn_file(copy, file)
+            kept.write_text(json.dumps(known), encoding="utf-8", newline="\n")
+        learned[key] = known[key]
     if not any(learned.values()):
         raise SystemExit("expected tests that pass before anything is changed, found none")
     otherwise = tuple(f"tests/{name}" for name in COMMAND)
@@ -150,7 +181,7 @@ def tests_of(copy: Path) -> Iterator[Path]:
 def learn_file(copy: Path, file: Path) -> dict:
     """Return what the tests of a file call; nothing where one fails before any change."""
     name, found, start = str(file.relative_to(copy)), copy / "calls.json", time.monotonic()
-    status = in_process(copy, partial(CallsOfTests, copy, found), [name], seconds=900)
+    status = in_process(copy, partial(LinesOfTests, copy, found), [name], seconds=900)
     took = f"{time.monotonic() - start:.0f} s"
     word = "fails as it is, and is left out" if status else took
     print(f"{name}: {word}", file=sys.stderr, flush=True)
@@ -159,7 +190,13 @@ def learn_file(copy: Path, file: Path) -> dict:
 
 def try_one(mutation: Mutation, copy: Path, tests: Tests, *, seconds: float) -> dict[str, object]:
     """Return by what the mutation was noticed, "" = not, and how many tests tried."""
-    names, left_out = tests.of_function(mutation.path, mutation.function, seconds=seconds)
+    end = mutation.line + mutation.before.count("\n")
+    lines = range(min(mutation.first, mutation.line), end + 1)
+    os.environ.pop("NUMBA_CACHE_DIR", None)
+    is_kernel = mutation.path.endswith("_kernels.py")
+    if is_kernel:  # what is compiled of it is not kept for the others
+        os.environ["NUMBA_CACHE_DIR"] = str(copy / "kernels")
+    names, left_out = tests.of_lines(mutation.path, lines, seconds=seconds)
     if not names:
         return {"killed": "", "tests": 0, "left_out": left_out}
     file, failed = copy / mutation.path, copy / "failed.txt"
@@ -170,7 +207,7 @@ def try_one(mutation: Mutation, copy: Path, tests: Tests, *, seconds: float) -> 
         file.write_bytes(mutation.apply(original))
         for some in (names[:FIRST], names[FIRST:]):  # files of tests take long to collect
             expected = sum(tests.seconds[name] for name in some)
-            limit = 30 + SLOWER * expected
+            limit = (120 if is_kernel else 30) + SLOWER * expected  # with compiling
             files = sorted({name.split("::")[0] for name in some})
             plugin = partial(Selected, some, failed)
             status = in_process(copy, plugin, files, seconds=limit) if files else 0
@@ -188,19 +225,12 @@ def try_one(mutation: Mutation, copy: Path, tests: Tests, *, seconds: float) -> 
 def in_process(
     copy: Path, plugin: Callable[[], object], files: list[str], *, seconds: float
 ) -> int:
-    """Run tests of the copy in a process of their own; return its status, -1 = out of time."""
-    child = os.fork()
-    if not child:
-        status = BROKEN
-        try:
-            os.setsid()
-            signal.signal(signal.SIGTERM, signal.SIG_DFL)
-            status = run_tests(copy, plugin, files)
-        except BaseException:
-            traceback.print_exc()
-        finally:  # nothing of the parent's is cleared away by the child
-            os._exit(status)
-    end, done = time.monotonic() + seconds, 0
+    """Run tests of the copy in a process of their own; return its status, below 0 = out of time.
+
+    seconds: of the processor.
+    """
+    child = fork(partial(run_tests, copy, plugin, files, seconds=seconds))
+    end, done = time.monotonic() + WAITING * seconds, 0
     try:
         while time.monotonic() < end:
             done, status = os.waitpid(child, os.WNOHANG)
@@ -214,9 +244,26 @@ def in_process(
             os.waitpid(child, 0)
 
 
-def run_tests(copy: Path, plugin: Callable[[], object], files: list[str]) -> int:
+def fork(work: Callable[[], int]) -> int:
+    """Start a process that does the work and ends with its status; return its number."""
+    child = os.fork()
+    if not child:
+        status = BROKEN
+        try:
+            os.setsid()
+            status = work()
+        except BaseException:
+            traceback.print_exc()
+        finally:  # nothing of the parent's is cleared away by the child
+            os._exit(status)
+    return child
+
+
+def run_tests(copy: Path, plugin: Callable[[], object], files: list[str], *, seconds: float) -> int:
     """Run tests in this process, in silence, and return the status."""
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
     os.chdir(copy)
+    resource.setrlimit(resource.RLIMIT_CPU, (int(seconds), int(seconds) + 5))
     silence = os.open(os.devnull, os.O_RDWR)
     for stream in (0, 1):  # of the three; what goes wrong here is said
         os.dup2(silence, stream)

@@ -39,12 +39,14 @@ COMMUTE = ("hypot", "logaddexp", "max", "maximum", "min", "minimum", "multiply")
 class Mutation:
     """One change: the text from `start` to `end` (bytes of the file) becomes `after`.
 
-    function: qualified name of the function it is in, "" = none.
+    function: qualified name of the function it is in, "" = none. first: its first line, or that
+    of the change.
     """
 
     path: str
     line: int
     function: str
+    first: int
     kind: str
     start: int
     end: int
@@ -79,20 +81,22 @@ def find_mutations(root: Path, path: Path) -> list[Mutation]:
     lines = content.splitlines(keepends=True)
     starts = [sum(map(len, lines[:k])) for k in range(len(lines))]
     found = []
-    for node, function in _nodes(ast.parse(content), ""):
+    for node, function, first in _nodes(ast.parse(content), "", 0):
         for kind, after in _changes(node):
             start = starts[node.lineno - 1] + node.col_offset
             end = starts[node.end_lineno - 1] + node.end_col_offset
             before = content[start:end].decode()
-            mutation = Mutation(
-                path.as_posix(), node.lineno, function, kind, start, end, before, after
-            )
-            found.append(mutation)
+            line = node.lineno
+            where = (path.as_posix(), line, function, first or line)
+            found.append(Mutation(*where, kind, start, end, before, after))
     return sorted(found, key=lambda mutation: (mutation.start, mutation.end, mutation.kind))
 
 
-def _nodes(node: ast.AST, function: str) -> Iterator[tuple[ast.AST, str]]:
-    """Walk through code that computes: no annotations, decorators, texts or imports."""
+def _nodes(node: ast.AST, function: str, first: int) -> Iterator[tuple[ast.AST, str, int]]:
+    """Walk through code that computes: no annotations, decorators, texts or imports.
+
+    Yields each node with the name of its function, and the first line of that.
+    """
     skipped = ("annotation", "returns", "decorator_list", "type_params", "msg")
     for name, value in ast.iter_fields(node):
         if name in skipped or isinstance(node, ast.Raise | ast.JoinedStr | ast.Assert):
@@ -101,14 +105,14 @@ def _nodes(node: ast.AST, function: str) -> Iterator[tuple[ast.AST, str]]:
             if not isinstance(child, ast.AST):
                 continue
             if hasattr(child, "lineno"):
-                yield child, function
-            inside = function
+                yield child, function, first
+            inside, start = function, first
             if isinstance(child, ast.FunctionDef | ast.ClassDef):
                 parent = f"{function}." if function else ""
                 if parent and isinstance(node, ast.FunctionDef):
                     parent = f"{function}.<locals>."
-                inside = f"{parent}{child.name}"
-            yield from _nodes(child, inside)
+                inside, start = f"{parent}{child.name}", child.body[0].lineno
+            yield from _nodes(child, inside, start)
 
 
 def _changes(node: ast.AST) -> Iterator[tuple[str, str]]:

@@ -17,6 +17,7 @@ from samples2d import FRAMES, NAMES, SIZE, recording, triples, write_sample
 from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.io.keypoints.document import ReadOptions
 from mocap_calib.io.keypoints.layouts import LAYOUTS, parse_layout
+from mocap_calib.io.keypoints.per_frame import triples as per_frame_triples
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.io.keypoints.write import write_keypoints
 from mocap_calib.recording.joints import load_skeleton, match_names
@@ -482,3 +483,9 @@ def test_a_comma_in_the_name_of_a_column_is_part_of_it(tmp_path):
     (found,) = read_keypoints([path], "sleap-csv")
     assert found.keypoints == ("tail,base",)
     np.testing.assert_array_equal(found.positions, [[[[10.0, 20.0]]]])
+
+
+@pytest.mark.parametrize(("points", "found"), [([1.0, 2.0], "2 numbers"), ({"x": 1}, "dict")])
+def test_what_is_no_list_of_triples_is_said(points, found):
+    with pytest.raises(FormatError, match=f"found {found}"):
+        per_frame_triples(points, "a.json")

@@ -13,10 +13,11 @@ import pytest
 from scenes import scene
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.geometry.rotation import turn_between
+from mocap_calib.geometry.rotation import matrix_from_vector, turn_between
 from mocap_calib.io.conversion import convert_poses, load_pose_sources
 from mocap_calib.io.poses.axes import turn_up_axis, turn_upright, up_axis
 from mocap_calib.io.poses.blender import describe_scene
+from mocap_calib.io.poses.bvh import _angles
 from mocap_calib.io.poses.bvh_motion import find_motion, make_tree, place_joints
 from mocap_calib.io.poses.common import PoseFile, bare_poses, known_edges
 from mocap_calib.io.poses.formats import POSE_FORMATS
@@ -399,3 +400,18 @@ def test_angles_do_not_jump_by_a_turn():
     assert (
         max(abs(b - a) for one, two in pairwise(rows) for a, b in zip(one, two, strict=True)) < 350
     )
+
+
+@pytest.mark.parametrize("x", [-90.0, -30.0, 0.0, 45.0, 90.0])
+def test_angles_of_a_bvh_make_the_turns_again(x):
+    """Also where a limb points straight up, so that z and y turn about one axis."""
+    angles = np.radians([[20.0, x, -70.0], [150.0, x, 30.0]])
+    turns = turned_about_z_x_y(angles)
+    found = turned_about_z_x_y(np.radians(_angles(turns, 2)))
+    np.testing.assert_allclose(found, turns, atol=1e-6)
+
+
+def turned_about_z_x_y(angles):
+    axes = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
+    z, x, y = (matrix_from_vector(angles[:, [k]] * axis) for k, axis in enumerate(axes))
+    return z @ x @ y

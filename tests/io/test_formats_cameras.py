@@ -266,6 +266,17 @@ def studio(name):
     return CameraRig(cameras, turns, np.tile([0.1, -0.2, 4.0], (3, 1)), "m")
 
 
+def test_names_that_are_lost_are_said():
+    """Where cameras are counted from 0, and are not called so."""
+    rig = replace(studio("4d-association"), unit="m")
+    numbered = replace(
+        rig, cameras=tuple(replace(each, name=str(k)) for k, each in enumerate(rig.cameras))
+    )
+    for each, expected in ((rig, True), (numbered, False)):
+        lost = format_rig(each, "4d-association", {}).lost
+        assert any("names" in words for words in lost) == expected
+
+
 def test_a_unit_is_never_assumed():
     rig = replace(studio("anipose"), unit="arbitrary")
     for name in WRITTEN:

@@ -4,6 +4,7 @@ documentation.
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -15,7 +16,7 @@ from mocap_calib.errors import FormatError
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.io.cameras.intrinsics import make_camera
-from mocap_calib.io.cameras.read import load_cameras, make_rig, parse_content
+from mocap_calib.io.cameras.read import _note_same_places, load_cameras, make_rig, parse_content
 from mocap_calib.io.cameras.write import write_cameras
 
 K = [[500.0, 0.0, 320.0], [0.0, 501.0, 240.0], [0.0, 0.0, 1.0]]
@@ -230,6 +231,16 @@ def test_panoptic_takes_what_the_data_set_has():
         (1920, 1080),
     )
     assert any("same place" in note for note in found.notes)
+
+
+def test_cameras_that_only_look_one_way_are_in_no_doubt():
+    """Nor are those that only stand in one place."""
+    turn, other = np.eye(3), matrix_from_vector(np.array([0.0, 0.3, 0.0]))
+    here, there = np.array([0.0, 0, 1]), np.array([1.0, 0, 1])
+    placed = {"a": (turn, here), "b": (turn, there), "c": (other, here)}
+    assert _note_same_places(SimpleNamespace(extrinsics=placed)) == []
+    (note,) = _note_same_places(SimpleNamespace(extrinsics=placed | {"d": (turn, there)}))
+    assert "cameras b and d" in note
 
 
 def test_freemocap_is_told_from_anipose_by_what_it_adds():

@@ -162,6 +162,23 @@ def test_formats_of_one_individual_write_a_file_each(tmp_path):
     assert_poses(file, back, "trc")
 
 
+def test_of_joined_files_nothing_is_said_where_one_has_no_frame():
+    first = example(1)
+    kept = Poses3D(
+        first.poses.keypoints,
+        first.poses.frames[1:] + 2,
+        *(getattr(first.poses, name)[1:] for name in ("positions", "error", "views")),
+        first.poses.confidence[1:],
+        "m",
+    )
+    joined = join_individuals([first, replace(first, poses=kept)], "there").poses
+    absent = ~np.isin(joined.frames, kept.frames)
+    assert absent.any()
+    assert np.isnan(joined.positions[absent, 1]).all()
+    assert (joined.views[absent, 1] == 0).all()
+    assert (joined.source[absent, 1] == 0).all()
+
+
 @pytest.mark.parametrize(
     ("given_", "kept"),
     [
@@ -246,6 +263,16 @@ def test_a_file_where_a_folder_is_is_refused_by_its_name(tmp_path):
         write_poses(tmp_path / "there", example(), "npz")
     assert caught.value.filename == str(tmp_path / "there")
     assert [path.name for path in tmp_path.iterdir()] == ["there"]
+
+
+def test_a_row_of_a_trc_that_has_a_number_more_is_refused(tmp_path):
+    write_poses(tmp_path / "p.trc", example(1), "trc")
+    lines = (tmp_path / "p.trc").read_text().splitlines()
+    cells = 2 + 3 * len(example().poses.keypoints)
+    lines[-1] = "\t".join([*lines[-1].split("\t")[:cells], "0.5"])
+    (tmp_path / "p.trc").write_text("\n".join(lines))
+    with pytest.raises(FormatError, match=f"expected {cells} cells, found {cells + 1}"):
+        load_poses(tmp_path / "p.trc")
 
 
 def test_a_trc_is_what_opensim_reads(tmp_path):

@@ -8,11 +8,15 @@ from scenes import lifted, recording, rotation_errors_deg, scene, truth, turn_ca
 
 from mocap_calib.config import Config, IntrinsicsConfig, UncertaintyConfig
 from mocap_calib.multi_view.bundle_adjustment import adjust
+from mocap_calib.multi_view.covariance import Covariance
 from mocap_calib.multi_view.intrinsics import (
+    _overconfidence,
+    _sigma,
     estimate_intrinsics,
     free_focal_lengths,
     shared_intrinsics,
 )
+from mocap_calib.multi_view.schur import Freedom, free_intrinsics
 from mocap_calib.multi_view.uncertainty import (
     assumed_middle_changes,
     estimated_focal_changes,
@@ -102,6 +106,30 @@ def test_the_sigma_is_right():
     ]
     independent = np.concatenate([each[:1] if k % 2 == 0 else each for k, each in enumerate(found)])
     assert 0.5 < np.sqrt((independent**2).mean()) < 1.3
+
+
+def certain_of(repeats: float, *, own: float) -> tuple[Covariance, Freedom]:
+    """Two views that share a focal length, whose detections alone give it a variance of `own`.
+
+    They come in groups of equal ones, so that their gradients scatter `repeats` times as much.
+    """
+    freedom = free_intrinsics(np.array([0, 0]), np.full((2, 1), 0.5))
+    curvature = np.eye(7) * np.array([*[3.0] * 6, 1 / own])
+    prior = np.diag([*[0.0] * 6, 0.5**-2])
+    bread = np.linalg.inv(curvature + prior)
+    return Covariance(bread=bread, scatter=repeats * curvature), freedom
+
+
+def test_detections_that_come_many_times_count_once():
+    """The factor is found whatever is known beforehand, and the sigma is that of both together."""
+    most = FOCAL.most_overconfidence
+    for repeats, expected in ((9.0, 9.0), (0.2, 1.0), (2 * most, most)):
+        found = _overconfidence(*certain_of(repeats, own=0.01), FOCAL)
+        np.testing.assert_allclose(found, np.full((2, 1), expected), rtol=1e-9)
+    covariance, freedom = certain_of(9.0, own=0.01)
+    # what was known beforehand was made to count 9 times, as the detections do
+    sigma = _sigma(covariance, freedom, np.full((2, 1), 9.0))
+    np.testing.assert_allclose(sigma, 3 / np.sqrt(1 / 0.01 + 0.5**-2), rtol=1e-9)
 
 
 def test_what_is_known_beforehand_counts():

@@ -1,6 +1,5 @@
 """Cameras on one clock: by name, by number, by meaning; and what does not belong together."""
 
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -345,7 +344,6 @@ def test_two_files_without_a_source_are_two_files():
 @pytest.mark.skipif(not SHARED.is_dir(), reason="no ../shared here")
 @pytest.mark.parametrize("folder", sorted(SHARED.glob("recordings/*")), ids=lambda path: path.name)
 def test_real_recordings_are_recordings(folder):
-    start = time.perf_counter()
     views = read_keypoints([folder / "keypoints"])
     recording = make_recording(
         views, read_cameras(folder / "intrinsics.toml"), load_skeleton("people"), {}
@@ -361,8 +359,6 @@ def test_real_recordings_are_recordings(folder):
         )
         # measured 1.06 %: noise beyond the fold of one lens near the corners, which has no ray
         assert kept.sum() >= 0.98 * np.isfinite(views[k].positions[..., 0]).sum()
-    # measured 0.25 s for the largest
-    assert time.perf_counter() - start < 5
 
 
 def named_edges(names: tuple[str, ...]) -> set[frozenset[str]]:

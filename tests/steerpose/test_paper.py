@@ -117,6 +117,16 @@ def test_pairs_are_one_body_seen_twice(poses):
     assert hidden.min() >= 0.1 - 1 / 29
 
 
+def test_the_second_of_a_pair_of_views_is_one_of_them_too(poses):
+    """The rotation between them goes from the first to the second."""
+    config = PairsConfig()
+    source = PairSynthesiser(poses, PEOPLE, config, split="test", seed=0)
+    views = torch.from_numpy(hemisphere_views(config.cameras, config.rolls)).float()
+    second = source.rotation @ source.first
+    gap = torch.cdist(second.flatten(1), views.flatten(1)).min(1).values
+    assert gap.max() < 1e-2
+
+
 def test_splits_share_no_pair_of_views(poses):
     vectors = [
         PairSynthesiser(poses, PEOPLE, PairsConfig(), split=split, seed=0).vector

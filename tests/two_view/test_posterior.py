@@ -8,7 +8,13 @@ import pytest
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.rotation import angle_between, direction_angle, matrix_from_vector
 from mocap_calib.two_view import posterior, refine
-from mocap_calib.two_view.posterior import body_energy, centre_energy, most_probable, ray_errors
+from mocap_calib.two_view.posterior import (
+    body_energy,
+    centre_energy,
+    most_probable,
+    ray_energy,
+    ray_errors,
+)
 from mocap_calib.two_view.view_pair import Detections, MatchedRays, Overlap, ViewPair
 
 CONFIG = PairwiseConfig()
@@ -163,3 +169,13 @@ def test_the_energy_of_bodies_is_that_of_their_distance():
     ]
     assert turned[0] == pytest.approx(0.0, abs=1e-12)
     assert 0 < turned[1] < turned[2]
+
+
+def test_small_errors_of_rays_count_by_their_square_in_units_of_the_noise():
+    """Far below the width of the loss: E = 1/2 sum w (error / noise)^2, to 1 %."""
+    rays = rays_of(exact_pair(3))
+    near = matrix_from_vector(np.array([0.0, 0.0, 2e-4])) @ ROTATION
+    error, _ = ray_errors(rays, near, TRANSLATION)
+    noise = 0.4 * CONFIG.lift_spread
+    found = ray_energy(rays, near, TRANSLATION, noise=noise, config=CONFIG)
+    assert found.value == pytest.approx(0.5 * (rays.weight * (error / noise) ** 2).sum(), rel=0.01)

@@ -1,50 +1,53 @@
-"""Which tests call which functions of the program: plugins of pytest for `mutate.py`."""
+"""Which tests run which lines of the program: plugins of pytest for `mutate.py`."""
 
 import json
-import sys
-import threading
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
+import coverage
 import pytest
 
 
 class Tests:
-    """What is known of the tests: their seconds, and the functions that they call.
+    """What is known of the tests: their seconds, and the lines that they run.
 
-    files: of each file of tests what `CallsOfTests` wrote. otherwise: the files for what no test
-    calls.
+    files: of each file of tests what `LinesOfTests` wrote. otherwise: the files for what no test
+    runs.
     """
 
     def __init__(self, files: list[dict[str, Any]], otherwise: tuple[str, ...]) -> None:
         self.otherwise = otherwise
         self.seconds: dict[str, float] = {}
         self.of_file: dict[str, list[str]] = defaultdict(list)
-        self.callers: dict[str, set[str]] = defaultdict(set)
+        self.runners: dict[str, dict[int, set[str]]] = defaultdict(lambda: defaultdict(set))
         for found in files:
             self._add(found)
 
     def _add(self, found: dict[str, Any]) -> None:
         self.seconds.update(found["seconds"])
-        for name in found["seconds"]:
+        names = list(found["seconds"])
+        for name in names:
             self.of_file[name.split("::")[0]].append(name)
-        for function, names in found["callers"].items():
-            self.callers[function].update(names)
+        for path, lines in found["lines"].items():
+            for line, runners in lines.items():
+                self.runners[path][int(line)].update(names[k] for k in runners)
 
-    def of_function(self, path: str, function: str, *, seconds: float) -> tuple[list[str], int]:
+    def of_lines(self, path: str, lines: range, *, seconds: float) -> tuple[list[str], int]:
         """Return the tests to try, in their order, and how many are left out.
 
-        Those that call the function first (where none does, any of its module), then the others
-        of their files, which may look at what the first ones have made; the tests of its package
-        before those of others, the quickest first.
+        lines: from the first of the function to the last of the change. Those that run the change
+        come first (where none does, any of its module; of kernels, those that are named so), then
+        the others of their files, which may look at what the first ones have made; the tests of
+        its package before those of others, the quickest first.
         """
-        direct = self.callers.get(f"{path}:{function}", set())
+        runners = self.runners.get(path, {})
+        direct = next((runners[k] for k in reversed(lines) if runners.get(k)), set())
+        if path.endswith("_kernels.py"):  # compiled, so that nothing is seen of their lines
+            direct = {name for name in self.seconds if "kernel" in name}
         if not direct:  # of the module, or what runs in other processes
-            of_module = [key for key in self.callers if key.startswith(f"{path}:")]
-            direct = set().union(*(self.callers[key] for key in of_module))
+            direct = set().union(*runners.values())
         files = {name.split("::")[0] for name in direct} or set(self.otherwise)
         names = [name for file in files for name in self.of_file[file]]
         own = f"tests/{path.split('/')[1]}/"
@@ -64,40 +67,23 @@ class Tests:
         return kept, len(names) - len(kept)
 
 
-class CallsOfTests:
-    """Notes what each test calls, and writes it to a file."""
+class LinesOfTests:
+    """Notes what each test runs, and writes it to a file."""
 
     def __init__(self, root: Path, out: Path) -> None:
-        self.root, self.out = f"{root}/", out
-        self.called: set[str] = set()
+        self.root, self.out = root, out
         self.seconds: dict[str, float] = {}
-        self.callers: dict[str, list[str]] = defaultdict(list)
-        self.keys: dict[Any, str] = {}
-
-    def _note(self, frame: FrameType, _event: str, _argument: object) -> None:
-        code = frame.f_code
-        key = self.keys.get(code)
-        if key is None:
-            path = code.co_filename
-            ours = path.startswith(f"{self.root}mocap_calib/")
-            key = f"{path[len(self.root) :]}:{code.co_qualname}" if ours else ""
-            self.keys[code] = key
-        if key:
-            self.called.add(key)
+        self.coverage = coverage.Coverage(data_file=None, source=[str(root / "mocap_calib")])
+        self.coverage.start()
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
         """Watch one test, with what is set up for it."""
-        self.called = set()
-        threading.settrace(self._note)
-        sys.settrace(self._note)
+        self.coverage.switch_context(item.nodeid)
         try:
             return (yield)
         finally:
-            sys.settrace(None)
-            threading.settrace(None)
-            for key in self.called:
-                self.callers[key].append(item.nodeid)
+            self.coverage.switch_context("")
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Add up the seconds of its phases."""
@@ -105,7 +91,15 @@ class CallsOfTests:
 
     def pytest_sessionfinish(self) -> None:
         """Write what was found."""
-        content = {"seconds": self.seconds, "callers": self.callers}
+        self.coverage.stop()
+        place = {name: k for k, name in enumerate(self.seconds)}
+        data = self.coverage.get_data()
+        lines = {}
+        for path in data.measured_files():
+            found = data.contexts_by_lineno(path).items()
+            runners = {line: [place[name] for name in names if name] for line, names in found}
+            lines[str(Path(path).relative_to(self.root))] = {k: v for k, v in runners.items() if v}
+        content = {"seconds": self.seconds, "lines": lines}
         self.out.write_text(json.dumps(content), encoding="utf-8", newline="\n")
 
 

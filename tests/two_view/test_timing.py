@@ -1,0 +1,45 @@
+"""Rotations and offsets of views whose clocks differ, held to their definitions."""
+
+import numpy as np
+
+from mocap_calib.config import SyncConfig
+from mocap_calib.geometry.rotation import angle_between, matrix_from_vector
+from mocap_calib.two_view.timing import ViewInTime, _align, _best_in_blocks, count_blocks
+
+CONFIG = SyncConfig()
+FRAMES = 4 * CONFIG.block_frames
+
+
+def unit_bodies(rng: np.random.Generator, frames: int) -> np.ndarray:
+    """Bodies `[1, frame, 1, axis, 3]` of length 1."""
+    body = rng.normal(size=(1, frames, 1, 3, 3))
+    return body / np.linalg.norm(body, axis=(-2, -1), keepdims=True)
+
+
+def view_of(body: np.ndarray) -> ViewInTime:
+    return ViewInTime(body.astype(np.float32), np.ones(body.shape[:3], bool))
+
+
+def test_bodies_are_aligned_at_their_offset_and_unlike_ones_do_not_count():
+    """Two frames late, a third of the bodies others: exact, from 10 degrees off."""
+    rng = np.random.default_rng(0)
+    truth = matrix_from_vector(np.array([0.4, -0.3, 0.8]))
+    body = unit_bodies(rng, FRAMES)
+    seen_by_b = np.roll(body @ truth.T, 2, axis=1)
+    others = rng.random(FRAMES) < 1 / 3
+    seen_by_b[:, others] = unit_bodies(rng, int(others.sum()))
+    start = matrix_from_vector(np.radians([6.0, -6.0, 5.0])) @ truth
+    rows = np.arange(FRAMES)
+    found = _align(view_of(body), view_of(seen_by_b), start, rate=1.0, rows=rows, config=CONFIG)
+    assert np.degrees(angle_between(found, truth)) < 0.5
+
+
+def test_blocks_of_time_that_show_nothing_count_where_they_are_the_most():
+    """Half of the blocks are enough; of less the score is less."""
+    blocks = count_blocks(FRAMES, CONFIG)
+    for used, expected in ((blocks, 0.8), (blocks // 2, 0.8), (blocks // 4, 0.4)):
+        values = np.full((1, 1, FRAMES, FRAMES), np.nan, np.float32)
+        values[:, :, : used * CONFIG.block_frames] = 0.8
+        score, offsets = _best_in_blocks(values, 1.0, np.arange(FRAMES), CONFIG)
+        np.testing.assert_allclose(score, expected, rtol=1e-6)
+        assert (offsets >= 0).sum() == used
