@@ -1,8 +1,6 @@
 """Where the fit starts: bones' lengths, and triangulated points with their gaps filled in."""
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import shortest_path
 
 from mocap_calib import mapped
 from mocap_calib.config import TriangulateConfig
@@ -71,10 +69,11 @@ def reach_of_bones(lengths: Floats, varies: Floats, bones: Ints, keypoints: int)
     """
     known = np.isfinite(lengths)
     a, b = bones[known].T
-    longest = (lengths + 3 * varies)[known]
-    return np.asarray(
-        shortest_path(csr_array((longest, (a, b)), shape=(keypoints, keypoints)), directed=False)
-    )
+    reach = np.where(np.eye(keypoints, dtype=bool), 0.0, np.inf)
+    reach[a, b] = reach[b, a] = (lengths + 3 * varies)[known]
+    for via in range(keypoints):  # Floyd and Warshall 1962; scipy's graphs take long to import
+        reach = np.minimum(reach, reach[:, via, None] + reach[via])
+    return reach
 
 
 def with_second_neighbours(bones: Ints, keypoints: int) -> Ints:
