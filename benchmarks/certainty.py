@@ -53,9 +53,11 @@ def main() -> None:
     )
     parser.add_argument("what", choices=["simulated", "recordings", "degenerate"])
     parser.add_argument("--cases", type=int, help="simulated scenes, or cases of each kind")
-    add_recordings(parser)
+    add_recordings(parser, needed=False)
     parser.add_argument("--results", type=Path, help="lines of JSON; default: out/certainty/")
     given = parser.parse_args()
+    if given.what == "recordings" and given.recordings is None:
+        parser.error("expected --recordings FOLDER, found none")
     cases = {
         "simulated": lambda: simulated_cases(given.cases or SIMULATED),
         "recordings": lambda: (recorded_case(given.recordings / name) for name in NAMES),

@@ -13,8 +13,8 @@ longer than `--seconds` together, the slow ones are left out. Mutations that nev
 by the processor time that they take.
 
 What was tried is kept in a file (`--log`), a line of JSON each, and not tried again: a run that
-was stopped goes on. What survives is explained in `mutations.md`. Needs an operating system that
-can fork.
+was stopped goes on. What survives is printed with the tests
+that tried. Needs an operating system that can fork.
 """
 
 import argparse

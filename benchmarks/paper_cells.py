@@ -4,8 +4,6 @@ A cell is one measurement, the smallest thing that is kept and not made again. W
 it is a dict that goes into a line of JSON.
 """
 
-import os
-import platform
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -15,6 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 from generalisation import displacements
+from machines import describe_machine
 from protocol_judge import FAILED, Judged, judge, rig_errors
 from protocol_methods import METHODS, Problem, load_models
 from protocol_recordings import RECORDINGS, real_pairs
@@ -190,18 +189,7 @@ def measure(cell: Cell, data: Data) -> Line:
     }
     found = work[cell.group](cell, data)
     seconds = round(time.process_time() - start, 1)
-    return asdict(cell) | found | {"processor_s": seconds, "machine": machine()}
-
-
-@cache
-def machine() -> str:
-    """Return the processor, and how many of its cores there are."""
-    try:
-        text = Path("/proc/cpuinfo").read_text("utf-8")
-        name = text.split("model name")[1].split("\n")[0].split(":")[1].strip()
-    except (OSError, IndexError):
-        name = platform.processor() or platform.machine()
-    return f"{name}, {os.cpu_count()} cores, {platform.system()}"
+    return asdict(cell) | found | {"processor_s": seconds, "machine": describe_machine()}
 
 
 def problems_of(cell: Cell, data: Data) -> tuple[list[Problem], list[Truth]]:

@@ -18,7 +18,7 @@ from protocol_scenes import KINDS
 from mocap_calib.geometry.alignment import align_by_similarity
 from mocap_calib.multi_view.evaluation import with_axes
 from mocap_calib.pipeline import calibrate
-from mocap_calib.recording.joints import load_skeleton
+from mocap_calib.recording.joints import edges_of_keypoints, load_skeleton
 from mocap_calib.steerpose.checkpoint import load_steerer
 from mocap_calib.steerpose.steer import steer
 from mocap_calib.steerpose.training.dataset import Synthesiser
@@ -83,7 +83,7 @@ def draw_matches(poses: Path, kind: str) -> Figure:
     ((sample, truth),) = scenes(poses, kind, SUBJECTS, 1, views=2, size=1)
     (found,), _ = METHODS["ours"]([Problem(sample, 0, 1)], load_models(["ours"], KINDS[kind].model))
     skeleton = load_skeleton(KINDS[kind].model)
-    edges = _edges(skeleton.edges, sample.vocabulary)
+    edges = edges_of_keypoints(skeleton, sample.vocabulary)
     figure = Figure(figsize=(4 * INCH, 1.3 * INCH))
     axes = figure.subplots()
     width, height = sample.cameras[0].size
@@ -120,18 +120,12 @@ def draw_rig(poses: Path, kind: str) -> Figure:
         scale, rotation, translation = align_by_similarity(with_axes(rig), with_axes(reference))
         centres = scale * rig.centres @ rotation.T + translation
         _draw_cameras(axes, centres, rig.rotation @ rotation.T, colour)
-    edges = _edges(skeleton.edges, sample.vocabulary)
+    edges = edges_of_keypoints(skeleton, sample.vocabulary)
     bodies = scale * group.poses.positions[0] @ rotation.T + translation
     _draw_bodies(axes, bodies, edges, [f"C{who}" for who in range(len(bodies))])
     axes.set_aspect("equal")
     axes.set_axis_off()
     return figure
-
-
-def _edges(edges: tuple[tuple[int, int], ...], vocabulary: np.ndarray) -> list[tuple[int, int]]:
-    """Return the edges between joints that a recording has, as indices of its keypoints."""
-    index = {int(joint): k for k, joint in enumerate(vocabulary)}
-    return [(index[a], index[b]) for a, b in edges if a in index and b in index]
 
 
 def _draw_bodies(axes: Axes, bodies: Floats, edges: object, colours: list[str]) -> None:

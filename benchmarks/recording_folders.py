@@ -7,14 +7,17 @@ from pathlib import Path
 _VARIABLE = "MOCAP_CALIB_RECORDINGS"
 
 
-def add_recordings(parser: argparse.ArgumentParser) -> None:
-    """Add `--recordings`, the folder of all recordings; an environment variable may name it."""
+def add_recordings(parser: argparse.ArgumentParser, *, needed: bool = True) -> None:
+    """Add `--recordings`, the folder of all recordings; an environment variable may name it.
+
+    needed: whether nothing goes without them.
+    """
     parser.add_argument(
         "--recordings",
         type=_folder,
         metavar="FOLDER",
         default=os.environ.get(_VARIABLE),
-        required=_VARIABLE not in os.environ,
+        required=needed and _VARIABLE not in os.environ,
         help=f"folder with a folder for each recording (README.md); or ${_VARIABLE} says it",
     )
 

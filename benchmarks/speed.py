@@ -14,7 +14,6 @@ own; `--quick` leaves them and the batch out. Reading beside pandas: reading.py.
 import argparse
 import json
 import os
-import platform
 import shutil
 import subprocess
 import sys
@@ -26,6 +25,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 from adjustment import as_problem, call_peer, figures, make_scene, moved, ours, peer
+from machines import describe_machine
 from recording_folders import add_recordings
 
 from mocap_calib.config import AdjustConfig
@@ -61,7 +61,7 @@ def main() -> None:
     add_recordings(parser)
     options = parser.parse_args()
     options.scratch.mkdir(parents=True, exist_ok=True)
-    print(f"{describe_machine()}; least of {options.runs} runs\n")
+    print(f"{describe_load()}; least of {options.runs} runs\n")
     print(f"| {' | '.join(COLUMNS)} |\n|{'---|' * len(COLUMNS)}")
     print_row("import and start", repeat(options.runs, lambda: measure("-c", START)))
     stages = {}
@@ -73,17 +73,12 @@ def main() -> None:
             print_batch(Path(work), options.recordings / HERE[0], options.batch)
     print_arrays(options)
     print_stages(stages)
-    print(f"\nafterwards: {describe_machine()}")
+    print(f"\nafterwards: {describe_load()}")
 
 
-def describe_machine() -> str:
+def describe_load() -> str:
     """Return the processor, how many there are, and what else they do."""
-    names = [platform.processor() or platform.machine()]
-    if Path("/proc/cpuinfo").exists():
-        lines = Path("/proc/cpuinfo").read_text("utf-8").splitlines()
-        names = [line.split(":")[1].strip() for line in lines if line.startswith("model name")]
-    load = " ".join(f"{each:.1f}" for each in os.getloadavg())
-    return f"{names[0]}, {len(os.sched_getaffinity(0))} cores, load {load}"
+    return f"{describe_machine()}, load {' '.join(f'{each:.1f}' for each in os.getloadavg())}"
 
 
 def print_row(name: str, found: Measured, others: str = "") -> None:

@@ -39,6 +39,23 @@ def recording(**changes) -> Sample:
     return take_sample(make_recording(made.files, made.rig.cameras, PEOPLE, {}), slice(None))
 
 
+def permuted(found: Sample, *, views=None, frames=None, instances=None) -> Sample:
+    """The same recording in another order."""
+    views = np.arange(len(found.cameras)) if views is None else np.array(views)
+    if frames is not None:
+        found = found.select(frames=np.array(frames))
+    instances = np.arange(found.positions.shape[2]) if instances is None else np.array(instances)
+    pick = np.ix_(views, np.arange(len(found.frames)), instances)
+    return replace(
+        found,
+        cameras=tuple(found.cameras[v] for v in views),
+        positions=found.positions[pick],
+        confidence=found.confidence[pick],
+        rays=found.rays[pick],
+        tracked=found.tracked[views],
+    )
+
+
 @lru_cache
 def lifted(**changes) -> LiftedPoses:
     return lift(recording(**changes), load_lifter()[0], progress=silent)

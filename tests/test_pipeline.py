@@ -13,6 +13,7 @@ from scenes import (
     calibrate_group,
     calibrated,
     lifted,
+    permuted,
     precision,
     recording,
     rotation_errors_deg,
@@ -24,7 +25,7 @@ from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
 from mocap_calib.multi_view.association import associate
 from mocap_calib.multi_view.refinement import adjust_until_stable
 from mocap_calib.recording.synchronise import make_recording
-from mocap_calib.types import Sample, silent
+from mocap_calib.types import silent
 
 SCENES = [
     ("ring of four, three people", {}, 0.15),  # 0.03
@@ -59,23 +60,6 @@ def test_an_empty_view_is_left_out():
     )
     found = make_recording(files, made.rig.cameras, PEOPLE, {})
     assert found.names == ("cam1", "cam3", "cam4")
-
-
-def permuted(found: Sample, *, views=None, frames=None, instances=None) -> Sample:
-    """The same recording in another order."""
-    views = np.arange(len(found.cameras)) if views is None else np.array(views)
-    if frames is not None:
-        found = found.select(frames=np.array(frames))
-    instances = np.arange(found.positions.shape[2]) if instances is None else np.array(instances)
-    pick = np.ix_(views, np.arange(len(found.frames)), instances)
-    return replace(
-        found,
-        cameras=tuple(found.cameras[v] for v in views),
-        positions=found.positions[pick],
-        confidence=found.confidence[pick],
-        rays=found.rays[pick],
-        tracked=found.tracked[views],
-    )
 
 
 def run(found):

@@ -89,12 +89,10 @@ def step_distances(points: Floats, moved: Floats, config: MatchingConfig) -> Flo
     """
     frames, groups = points.shape[:2]
     distance = np.empty((max(frames - 1, 0), groups, groups))
-    for start in range(0, frames - 1, _FRAMES):
-        block = slice(start, min(start + _FRAMES, frames - 1))
+    for block in mapped.frame_slices(frames - 1, _FRAMES):
         later = points[block.start + 1 : block.stop + 1]
         expected = points[block] + moved[block, :, None]
         distance[block] = rms_distance(expected[:, :, None], later[:, None], config.tracklet_joints)
-        mapped.let_go()
     return distance
 
 

@@ -129,11 +129,9 @@ def _bone_lengths(points: Floats, bones: Ints, frame: Ints, group: Ints) -> Floa
     """
     lengths = np.empty((len(frame), len(bones)))
     a, b = bones.T
-    for start in range(0, len(frame), _BODIES):
-        block = slice(start, start + _BODIES)
+    for block in mapped.frame_slices(len(frame), _BODIES):
         bodies = points[frame[block], group[block]]
         lengths[block] = _log_lengths(bodies[:, a], bodies[:, b])
-        mapped.let_go()
     return lengths
 
 

@@ -61,7 +61,7 @@ def assess_uncertainty(
     tells = len(labelled_frames(matches)) >= config.uncertainty.accusing_moments
     return Uncertainty(
         covariance=covariance.with_changes(off),
-        intrinsics_turn=np.sqrt((off[..., :3] ** 2).sum((0, 2))),
+        intrinsics_turn=_turn_of(off),
         outlier_cameras=find_outlier_cameras(fit, config.uncertainty) & tells,
         weak_perspective=find_weak_perspective(fit),
         focal_change=change,
@@ -135,9 +135,14 @@ def with_uncertain_corner(
     """
     sigma = float(np.hypot(sigma, config.principal_point * max(rig.cameras[view].size)))
     off = _middle_changes(rig, view, sigma)
-    turn = np.hypot(uncertainty.intrinsics_turn, np.sqrt((off[..., :3] ** 2).sum((0, 2))))
+    turn = np.hypot(uncertainty.intrinsics_turn, _turn_of(off))
     covariance = uncertainty.covariance.with_changes(off)
     return replace(uncertainty, covariance=covariance, intrinsics_turn=turn)
+
+
+def _turn_of(changes: Floats) -> Floats:
+    """Return by how much `[view]` radians all changes `[change, view, 6]` together turn cameras."""
+    return np.asarray(np.sqrt((changes[..., :3] ** 2).sum((0, 2))))
 
 
 def _is_in_the_middle(camera: Camera) -> bool:

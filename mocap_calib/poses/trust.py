@@ -1,6 +1,6 @@
 """How much a detection's confidence tells of its error: measured, since detectors differ in it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,7 +27,7 @@ class Trust:
         there = seen.precision > 0
         confidence = np.where(there, seen.precision / even, self.usual)
         precision = np.where(there, even * (confidence / self.usual) ** self.power, 0.0)
-        return Detections(seen.axes, precision, seen.centres)
+        return replace(seen, precision=precision)
 
 
 def measure_trust(square: Floats, confidence: Floats, usual: float) -> Trust:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rigs import uncertainty
 from scenes import lifted, recording, rotation_errors_deg, scene, truth, turn_cameras
 
 from mocap_calib.config import Config, IntrinsicsConfig, UncertaintyConfig
@@ -31,8 +32,6 @@ from mocap_calib.types import (
     Camera,
     CameraRig,
     EstimatedCamera,
-    RigCovariance,
-    Uncertainty,
     silent,
 )
 
@@ -224,16 +223,7 @@ def test_an_assumed_principal_point_turns_a_camera_by_its_angle():
 
 def test_an_estimated_corner_of_a_crop_turns_its_camera_and_hardly_the_others():
     rig, config = scene(**SMALL).rig, UncertaintyConfig(principal_point=0.0)
-    zeros, nobody = np.zeros(3), np.zeros(3, dtype=bool)
-    sure = Uncertainty(
-        covariance=RigCovariance(matrix=np.zeros((3, 6, 3, 6)), size=1.0),
-        intrinsics_turn=zeros,
-        outlier_cameras=nobody,
-        weak_perspective=nobody,
-        focal_change=zeros,
-        focal_sigma=zeros,
-        wrong_focal=nobody,
-    )
+    sure = uncertainty(0.0)
     assert with_uncertain_corner(sure, rig, 1, 0.0, config).covariance.rotation_sigma.max() == 0
     found = with_uncertain_corner(sure, rig, 1, 20.0, config)
     angle = 20.0 / rig.cameras[1].focal

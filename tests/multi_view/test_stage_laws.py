@@ -6,7 +6,7 @@ from itertools import combinations
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scenes import recording, scene, truth
+from scenes import permuted, recording, scene, truth
 
 from mocap_calib.config import AveragingConfig, Config, TriangulateConfig
 from mocap_calib.geometry.rotation import angle_between, matrix_from_vector
@@ -36,18 +36,12 @@ def moved(rig: CameraRig, rng: np.random.Generator) -> tuple[CameraRig, np.ndarr
 def triangulated(order: dict | None = None, rig: CameraRig | None = None) -> Poses3D:
     """The poses of a scene whose views, frames and instances are taken in another order."""
     found, rig, labels = recording(**SMALL), rig or scene(**SMALL).rig, truth(**SMALL).labels
-    count = found.positions.shape[:3]
-    pick = np.ix_(*(np.asarray((order or {}).get(k, range(n))) for k, n in enumerate(count)))
-    views = pick[0].ravel()
-    found = replace(
-        found,
-        cameras=tuple(found.cameras[v] for v in views),
-        positions=found.positions[pick],
-        confidence=found.confidence[pick],
-        rays=found.rays[pick],
-        tracked=found.tracked[views],
+    views, frames, instances = (
+        np.asarray((order or {}).get(k, range(n))) for k, n in enumerate(labels.shape)
     )
-    return triangulate(found, rig.select(views), Matches(labels[pick]), TriangulateConfig())
+    found = permuted(found, views=views, frames=frames, instances=instances)
+    matches = Matches(labels[np.ix_(views, frames, instances)])
+    return triangulate(found, rig.select(views), matches, TriangulateConfig())
 
 
 @law

@@ -6,13 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rigs import uncertainty
 from scenes import calibrated
 
 from mocap_calib.config import Config, VerdictConfig
 from mocap_calib.multi_view.checks import check_rig
 from mocap_calib.multi_view.reasons import MEANING, explain
 from mocap_calib.multi_view.verdict import judge_group, judge_rig, no_better_than
-from mocap_calib.types import Check, GroupResult, RigCovariance, Uncertainty
+from mocap_calib.types import Check, GroupResult
 
 LIMITS = VerdictConfig()
 SOUND = (Check("bones", 0.1, 0.3),)
@@ -23,23 +24,6 @@ STRANGER = (
     Check("unmatched", 0.5, 0.3),
     Check("errors", 0.12, 0.1),
 )
-
-
-def uncertainty(
-    degrees: float, *, views: int = 3, outliers: tuple[int, ...] = (), focal: bool = False
-) -> Uncertainty:
-    """Return the uncertainty of a rig whose last camera may be turned by so many degrees."""
-    matrix = np.zeros((views, 6, views, 6))
-    matrix[-1, 0, -1, 0] = np.deg2rad(degrees) ** 2
-    return Uncertainty(
-        covariance=RigCovariance(matrix=matrix, size=1.0),
-        intrinsics_turn=np.zeros(views),
-        outlier_cameras=np.isin(np.arange(views), outliers),
-        weak_perspective=np.zeros(views, dtype=bool),
-        focal_change=np.zeros(views),
-        focal_sigma=np.ones(views),
-        wrong_focal=np.array([focal] * views),
-    )
 
 
 @pytest.mark.parametrize(

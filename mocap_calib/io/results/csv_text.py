@@ -18,4 +18,4 @@ def format_csv_line(cells: Sequence[str]) -> str:
 
 def slice_frames(frames: int) -> Iterator[slice]:
     """Yield slices of so many frames that are written in one go."""
-    yield from mapped.frame_slices(frames, _PIECE)
+    return mapped.frame_slices(frames, _PIECE)
