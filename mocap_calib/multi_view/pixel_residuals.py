@@ -1,6 +1,6 @@
 """Residuals of cameras and points against observed pixels, for lenses that are adjusted too."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from mocap_calib.multi_view.residuals import (
     points_in_cameras,
     positive_depth,
 )
-from mocap_calib.types import Camera, Floats
+from mocap_calib.types import Camera, Floats, Ints
 
 
 @dataclass(frozen=True)
@@ -31,6 +31,10 @@ class PixelObservations:
     sigma: Floats
     weight: Floats
     _changed: dict[bytes, tuple[Camera, ...]] = field(default_factory=dict, init=False)
+
+    def select(self, points: Ints) -> "PixelObservations":
+        """Return what was seen of some of the points, given their indices."""
+        return replace(self, pixels=self.pixels[..., points], weight=self.weight[:, points])
 
     def residuals(self, block: slice, state: State) -> Residuals:
         """Return a block of points as the cameras see them."""
