@@ -7,9 +7,7 @@ from mocap_calib.types import Floats
 
 
 @inlined
-def _look(
-    turn: Floats, shift: Floats, x: float, y: float, z: float
-) -> tuple[float, float, float]:
+def _look(turn: Floats, shift: Floats, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Return a point in a camera's frame."""
     return (
         turn[0, 0] * x + turn[0, 1] * y + turn[0, 2] * z + shift[0],

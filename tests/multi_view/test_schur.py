@@ -8,7 +8,7 @@ from scenes import scene, turn_cameras
 
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.rotation import vector_from_matrix
-from mocap_calib.multi_view import ray_residuals, schur
+from mocap_calib.multi_view import schur, settling
 from mocap_calib.multi_view.covariance import find_curved_covariance
 from mocap_calib.multi_view.pixel_residuals import PixelObservations
 from mocap_calib.multi_view.ray_residuals import RayObservations
@@ -16,7 +16,6 @@ from mocap_calib.multi_view.residuals import State, robust_cost
 from mocap_calib.multi_view.schur import (
     Freedom,
     NormalEquations,
-    _step,
     eliminate_points,
     free_intrinsics,
     free_poses,
@@ -163,12 +162,12 @@ def test_the_reduced_system_gives_the_step_of_the_whole_system():
     """All unknowns but those of the first camera, solved at once: measured 3e-11 of the largest."""
     state, seen = problem()
     equations = linearise(state, seen, FREE, SCALE)
-    damping = 0.01
-    matrix, gradient = whole_system(equations)
-    matrix += damping * np.diag(np.diag(matrix))
-    step = -np.linalg.solve(matrix[6:, 6:], gradient[6:])
-    expected = step[12:].reshape(-1, 3).T  # after the steps of the second and the third camera
-    found = _step(state, equations, FREE, damping).points - state.points
+    # nothing of the whole system holds the size of the rig
+    whole = replace(equations, camera=equations.camera * 1.01)
+    matrix, gradient = whole_system(whole)
+    expected = -np.linalg.solve(matrix[6:, 6:], gradient[6:])[:12]
+    _, reduced, side = eliminate_points(whole)
+    found = -np.linalg.solve(reduced[6:, 6:], side[6:])
     np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
 
 
@@ -219,16 +218,40 @@ def test_a_covariance_is_how_far_many_draws_of_noise_scatter_the_cameras():
 
 @pytest.mark.parametrize("known", [True, False])
 def test_the_kernels_give_the_equations_of_their_definition(known, monkeypatch):
-    """Of rays and of pixels, with a point that nobody sees."""
+    """Of rays and of pixels, with a point that nobody sees, and none that a single view sees."""
     state, seen, freedom = (*problem(), FREE) if known else problem_with_intrinsics("brown")
-    seen = replace(seen, weight=np.where(np.arange(100) == 7, 0.0, seen.weight))
+    several = ((seen.weight > 0).sum(0) >= 2) & (np.arange(100) != 7)
+    seen = replace(seen, weight=np.where(several, seen.weight, 0.0))
 
     def found() -> list[np.ndarray]:
         equations = linearise(state, seen, freedom, SCALE)
-        return [*vars(equations).values(), *eliminate_points(equations, 1e-4)]
+        settled = settling.settle(slice(0, 100), state, seen, SCALE)
+        parts = [settled.points, settled.in_camera, settled.residual, np.array(settled.cost)]
+        parts += [settled.slopes.in_camera, settled.slopes.intrinsics]
+        return [*vars(equations).values(), *eliminate_points(equations), *parts]
 
     by_kernels = found()
-    for module in (schur, ray_residuals):
+    for module in (schur, settling):
         monkeypatch.setattr(module, "compiled", lambda _: None)
     for ours, expected in zip(by_kernels, found(), strict=True):
-        assert np.abs(ours - expected).max() < 1e-11 * np.abs(expected).max()
+        assert ours.size == expected.size == 0 or (
+            np.abs(ours - expected).max() < 1e-9 * np.abs(expected).max()
+        )
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_points_settle_where_they_pull_no_more(known):
+    """Each by itself, under cameras that stay: what a step more would gain, from a median of 4.
+
+    Measured: 1e-8, and 6e-8 of three in four; the slowest, of gross errors, end early.
+    """
+    state, seen, freedom = (*problem(), FREE) if known else problem_with_intrinsics("brown")
+    settled = settling.settle(slice(0, 100), state, seen, SCALE)
+    there = replace(state, points=settled.points)
+    equations = linearise(there, seen, freedom, SCALE)
+    inverse, _, _ = eliminate_points(equations)
+    pull = equations.point_gradient
+    gain = np.einsum("in,ijn,jn->n", pull, inverse, pull)
+    assert np.quantile(gain, 0.75) < 1e-6
+    assert settled.cost * SCALE**2 == pytest.approx(robust_cost(there, seen, SCALE))
+    assert settled.cost * SCALE**2 < robust_cost(state, seen, SCALE)
