@@ -14,6 +14,8 @@ from mocap_calib.multi_view.residuals import (
 )
 from mocap_calib.types import Camera, Floats, Ints
 
+_LENS_ROW = 14  # numbers of a lens, as kernels take it
+
 
 @dataclass(frozen=True)
 class PixelObservations:
@@ -67,6 +69,21 @@ class PixelObservations:
             both = np.stack([slopes.log_focal, slopes.k1], axis=1)
             by_intrinsic[view] = both[:, : by_intrinsic.shape[2]] * scale[view]
         return Slopes(in_camera=by_point, intrinsics=by_intrinsic)
+
+    def lens_rows(self, state: State) -> Floats:
+        """Return the lenses `[view, 14]` with the intrinsics of a state.
+
+        Kind (1 Brown and Conrady's, 2 fisheye), a pixel, focal lengths and principal point, all in
+        standard deviations, and coefficients.
+        """
+        rows = np.zeros((len(self.cameras), _LENS_ROW))
+        for row, camera, sigma in zip(rows, self._cameras_of(state), self.sigma, strict=True):
+            coefficients = camera.distortion[: 4 if camera.fisheye else 8]
+            row[:2] = 2 if camera.fisheye else 1, 1 / sigma
+            row[2:4] = camera.matrix[[0, 1], [0, 1]] / sigma
+            row[4:6] = camera.matrix[:2, 2] / sigma
+            row[6 : 6 + len(coefficients)] = coefficients
+        return rows
 
     def _cameras_of(self, state: State) -> tuple[Camera, ...]:
         """Return the cameras with the intrinsics of a state, for which all blocks of points ask."""

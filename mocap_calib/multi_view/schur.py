@@ -152,8 +152,8 @@ def linearise(
     """Return the normal equations about a state."""
     work = partial(_linearise_block, state=state, seen=seen, loss_scale=loss_scale)
     blocks = list(map_in_threads(work, blocks_of(state.points)))
-    camera = sum(block.camera for block in blocks)
-    gradient = sum(block.camera_gradient for block in blocks)
+    camera = np.sum([block.camera for block in blocks], axis=0)
+    gradient = np.sum([block.camera_gradient for block in blocks], axis=0)
     _add_prior(camera, gradient, state, freedom)
     return NormalEquations(
         camera=camera,
@@ -197,8 +197,7 @@ def _equations_of(
             point_gradient=np.einsum("vkin,vkn->in", point, residual),
             mixed=np.einsum("vkin,vkjn->vijn", camera, point),
         )
-    views, _, count = in_camera.shape
-    unknowns = 6 + slopes.intrinsics.shape[2]
+    (views, _, count), unknowns = in_camera.shape, 6 + slopes.intrinsics.shape[2]
     camera = np.empty((views, unknowns, 2, count))
     point, point_gradient = np.empty((3, 3, count)), np.empty((3, count))
     mixed = np.empty((views, unknowns, 3, count))

@@ -10,13 +10,14 @@ x = r'r / s^2, which is taken where it is more than a share of the weight u (Tri
 section 4.3).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from types import ModuleType
 
 import numpy as np
 
 from mocap_calib.compute.kernels import compiled, contiguous
 from mocap_calib.config import LM_LEAST_CURVATURE, LM_POINT_GAIN, LM_POINT_STEPS
+from mocap_calib.multi_view.pixel_residuals import PixelObservations
 from mocap_calib.multi_view.ray_residuals import RayObservations
 from mocap_calib.multi_view.residuals import (
     BEHIND,
@@ -54,31 +55,33 @@ def settle(block: slice, state: State, seen: Observations, loss_scale: float) ->
     """
     kernels = compiled(KERNELS)
     if kernels is not None and isinstance(seen, RayObservations):
-        return _settle_by_kernels(kernels, block, state, seen, loss_scale)
-    count = state.points.shape[1]
-    seen = seen.select(np.arange(count)[block])
+        given = contiguous(seen.rays, seen.metric, seen.weight)
+        return _settle_by_kernel(kernels.settle_rays, given, block, state, loss_scale)
+    if kernels is not None and isinstance(seen, PixelObservations):
+        given = contiguous(seen.lens_rows(state), seen.pixels, seen.weight)
+        return _settle_by_kernel(kernels.settle_pixels, given, block, state, loss_scale)
+    seen = seen.select(np.arange(state.points.shape[1])[block])
     state = replace(state, points=state.points[:, block])
     return _weigh(replace(state, points=_settle(state, seen, loss_scale)), seen, loss_scale)
 
 
-def _settle_by_kernels(
-    kernels: ModuleType, block: slice, state: State, seen: RayObservations, loss_scale: float
+def _settle_by_kernel(
+    kernel: Callable[..., float],
+    given: tuple[Floats, ...],
+    block: slice,
+    state: State,
+    loss_scale: float,
 ) -> Weighed:
-    """Return what `settle` returns."""
+    """Return what `settle` returns; given: what was seen, as the kernel takes it."""
     points = state.points[:, block].copy(order="C")
-    views, count = len(seen.rays), points.shape[1]
-    in_camera = np.empty((views, 3, count))
-    slope, residual = np.empty((views, 2, 3, count)), np.empty((views, 2, count))
-    given = (
-        block.start,
-        *contiguous(state.rotation, state.translation, seen.rays, seen.metric, seen.weight),
-    )
-    options = np.array([loss_scale**2, BEHIND, LM_POINT_GAIN])
-    kernels.settle(*given, options, LM_POINT_STEPS, points)
-    options = np.array([loss_scale**2, BEHIND, LM_LEAST_CURVATURE])
-    cost = kernels.weigh(*given, options, points, in_camera, slope, residual)
-    slopes = Slopes(in_camera=slope, intrinsics=np.empty((views, 2, 0, count)))
-    return Weighed(points, in_camera, slopes, residual, cost)
+    (views, intrinsics), count = state.intrinsics.shape, points.shape[1]
+    in_camera, residual = np.empty((views, 3, count)), np.empty((views, 2, count))
+    slope, own = np.empty((views, 2, 3, count)), np.empty((views, 2, intrinsics, count))
+    options = np.array([loss_scale**2, BEHIND, LM_POINT_GAIN, LM_LEAST_CURVATURE])
+    given = (*contiguous(state.rotation, state.translation), *given, options)
+    changed = (points, in_camera, slope, own, residual)
+    cost = kernel(block.start, *given, LM_POINT_STEPS, *changed)
+    return Weighed(points, in_camera, Slopes(slope, own), residual, cost)
 
 
 def _settle(state: State, seen: Observations, loss_scale: float) -> Floats:

@@ -216,10 +216,10 @@ def test_a_covariance_is_how_far_many_draws_of_noise_scatter_the_cameras():
     assert 0.8 < np.sqrt(np.mean(found) / np.mean(stated)) < 1.35
 
 
-@pytest.mark.parametrize("known", [True, False])
-def test_the_kernels_give_the_equations_of_their_definition(known, monkeypatch):
+@pytest.mark.parametrize("lens", ["known", "brown", "fisheye"])
+def test_the_kernels_give_the_equations_of_their_definition(lens, monkeypatch):
     """Of rays and of pixels, with a point that nobody sees, and none that a single view sees."""
-    state, seen, freedom = (*problem(), FREE) if known else problem_with_intrinsics("brown")
+    state, seen, freedom = (*problem(), FREE) if lens == "known" else problem_with_intrinsics(lens)
     several = ((seen.weight > 0).sum(0) >= 2) & (np.arange(100) != 7)
     seen = replace(seen, weight=np.where(several, seen.weight, 0.0))
 
