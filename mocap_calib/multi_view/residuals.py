@@ -8,12 +8,10 @@ once, in blocks of points that threads share.
 """
 
 from dataclasses import dataclass
-from functools import partial
 from typing import Protocol, Self
 
 import numpy as np
 
-from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.types import Bools, Floats, Ints
 
 _BLOCK = 1024  # points at a time: what is computed of them stays in the cache
@@ -126,20 +124,6 @@ def positive_depth(in_camera: Floats, depth: Floats) -> tuple[Floats, Bools]:
 def is_behind(in_camera: Floats, depth: Floats) -> Bools:
     """Return which points are behind their cameras, of depths that were made positive."""
     return np.asarray(depth <= 2 * BEHIND * np.abs(in_camera).max(1))
-
-
-def robust_cost(state: State, seen: Observations, loss_scale: float) -> float:
-    """Return the robust cost: the sum of w s^2 log(1 + r'r / s^2)."""
-    work = partial(_cost_of_block, state=state, seen=seen, loss_scale=loss_scale)
-    return sum(map_in_threads(work, blocks_of(state.points))) * loss_scale**2
-
-
-def _cost_of_block(block: slice, *, state: State, seen: Observations, loss_scale: float) -> float:
-    """Return what a block of points adds to the cost, divided by s^2."""
-    residual = seen.residuals(block, state).residual
-    square = np.einsum("vkn,vkn->vn", residual, residual)
-    loss = np.log1p(square / loss_scale**2)
-    return float((seen.weight[:, block] * loss).sum())
 
 
 def jacobian(block: slice, state: State, seen: Observations, loss_scale: float) -> Jacobian:

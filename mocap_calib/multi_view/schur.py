@@ -25,7 +25,6 @@ from mocap_calib.multi_view.residuals import (
     State,
     blocks_of,
     derivatives,
-    robust_cost,
     slopes_of,
 )
 from mocap_calib.multi_view.settling import settle
@@ -135,12 +134,6 @@ def minimise(
         if promised <= tolerance * now.cost or damping > LM_MOST_DAMPING:
             break
     return now.state
-
-
-def total_cost(state: State, seen: Observations, freedom: Freedom, loss_scale: float) -> float:
-    """Return the robust cost of a state and of how far its intrinsics have changed."""
-    unlikely = float((freedom.precision * state.intrinsics**2).sum())
-    return robust_cost(state, seen, loss_scale) + unlikely
 
 
 # The normal equations

@@ -12,7 +12,7 @@ from mocap_calib.multi_view import schur, settling
 from mocap_calib.multi_view.covariance import find_curved_covariance
 from mocap_calib.multi_view.pixel_residuals import PixelObservations
 from mocap_calib.multi_view.ray_residuals import RayObservations
-from mocap_calib.multi_view.residuals import State, robust_cost
+from mocap_calib.multi_view.residuals import Observations, State
 from mocap_calib.multi_view.schur import (
     Freedom,
     NormalEquations,
@@ -21,7 +21,6 @@ from mocap_calib.multi_view.schur import (
     free_poses,
     linearise,
     minimise,
-    total_cost,
 )
 
 SCALE = 3.0  # of the loss
@@ -71,9 +70,20 @@ def problem_with_intrinsics(
     return state, seen, free_intrinsics(np.arange(3), np.full((3, 2), 0.2))
 
 
+def robust_cost(state: State, seen: Observations) -> float:
+    """Return the sum of w s^2 log(1 + r'r / s^2)."""
+    residual = seen.residuals(slice(0, state.points.shape[1]), state).residual
+    return float((seen.weight * np.log1p((residual**2).sum(1) / SCALE**2)).sum() * SCALE**2)
+
+
+def total_cost(state: State, seen: Observations, freedom: Freedom) -> float:
+    """Return the robust cost and that of intrinsics that differ from what is known beforehand."""
+    return robust_cost(state, seen) + float((freedom.precision * state.intrinsics**2).sum())
+
+
 def slope(seen: RayObservations, ahead: State, behind: State, distance: float) -> float:
     """Return the slope of the cost between two states."""
-    return (robust_cost(ahead, seen, SCALE) - robust_cost(behind, seen, SCALE)) / distance
+    return (robust_cost(ahead, seen) - robust_cost(behind, seen)) / distance
 
 
 @pytest.mark.parametrize("axis", range(3))
@@ -107,7 +117,7 @@ def test_the_gradient_by_intrinsics_is_the_slope_of_the_cost(distortion, intrins
     nudge = np.zeros_like(state.intrinsics)
     nudge[1, intrinsic] = 1e-6
     costs = [
-        total_cost(replace(state, intrinsics=state.intrinsics + step), seen, freedom, SCALE)
+        total_cost(replace(state, intrinsics=state.intrinsics + step), seen, freedom)
         for step in (nudge, -nudge)
     ]
     slope = (costs[0] - costs[1]) / 2e-6
@@ -138,7 +148,7 @@ def test_what_is_known_beforehand_counts_once_for_all_views_that_share_it():
     blind = replace(seen, weight=np.zeros_like(seen.weight))
     freedom = free_intrinsics(np.array([0, 0, 2]), np.full((3, 1), 0.1))
     state = replace(state, intrinsics=np.array([[0.3], [0.3], [0.2]]))
-    assert total_cost(state, blind, freedom, SCALE) == pytest.approx(3.0**2 + 2.0**2)
+    assert total_cost(state, blind, freedom) == pytest.approx(3.0**2 + 2.0**2)
     np.testing.assert_array_equal(freedom.intrinsics, [[12], [12], [13]])
 
 
@@ -177,7 +187,7 @@ def test_minimising_ends_where_the_gradient_vanishes():
     before = linearise(state, seen, FREE, SCALE).camera_gradient[1:]
     after = linearise(found, seen, FREE, SCALE).camera_gradient[1:]
     assert np.abs(after).max() < 1e-4 * np.abs(before).max()
-    assert robust_cost(found, seen, SCALE) < 0.5 * robust_cost(state, seen, SCALE)
+    assert robust_cost(found, seen) < 0.5 * robust_cost(state, seen)
     np.testing.assert_array_equal(found.rotation[0], state.rotation[0])
 
 
@@ -253,5 +263,5 @@ def test_points_settle_where_they_pull_no_more(known):
     pull = equations.point_gradient
     gain = np.einsum("in,ijn,jn->n", pull, inverse, pull)
     assert np.quantile(gain, 0.75) < 1e-6
-    assert settled.cost * SCALE**2 == pytest.approx(robust_cost(there, seen, SCALE))
-    assert settled.cost * SCALE**2 < robust_cost(state, seen, SCALE)
+    assert settled.cost * SCALE**2 == pytest.approx(robust_cost(there, seen))
+    assert settled.cost * SCALE**2 < robust_cost(state, seen)
