@@ -515,7 +515,7 @@ LM_LEAST_CURVATURE = 0.2
 # Points settle after each step of the cameras, in so many steps of their own at most, until one
 # lowers the cost by less than so much, in squared standard deviations
 LM_POINT_STEPS = 10
-LM_POINT_GAIN = 1e-6
+LM_POINT_GAIN = 1e-4
 
 
 # what of the intrinsics may be estimated

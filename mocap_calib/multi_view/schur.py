@@ -124,16 +124,26 @@ def minimise(
     now = _reduce(state, seen, freedom, loss_scale)
     for _ in range(LM_STEPS):
         step = _solve_cameras(now, freedom.basis, damping)
+        moved = _move(now.state, step)
         promised = -float(step.ravel() @ now.gradient)
-        then = _reduce(_move(now.state, step), seen, freedom, loss_scale)
+        if damping <= LM_FIRST_DAMPING and promised <= tolerance * now.cost:
+            return _settle(moved, seen, loss_scale)
+        then = _reduce(moved, seen, freedom, loss_scale)
         if then.cost < now.cost:
             now = then
             damping = max(damping / LM_DAMPING_FACTOR, LM_LEAST_DAMPING)
         else:
             damping *= LM_DAMPING_FACTOR
-        if promised <= tolerance * now.cost or damping > LM_MOST_DAMPING:
-            break
+            if damping > LM_MOST_DAMPING:
+                break
     return now.state
+
+
+def _settle(state: State, seen: Observations, loss_scale: float) -> State:
+    """Return the state with its points settled."""
+    work = partial(settle, state=state, seen=seen, loss_scale=loss_scale)
+    blocks = map_in_threads(work, blocks_of(state.points))
+    return replace(state, points=np.concatenate([found.points for found in blocks], axis=1))
 
 
 # The normal equations

@@ -113,22 +113,13 @@ def _residual(
 
 
 @inlined
-def _add(
-    turn: Floats, v: int, w: float, residual: float, x: float, y: float, z: float, sums: Floats
-) -> None:
-    """Add a residual, whose slopes by the point in the camera's frame are x, y, z, to the sums."""
-    a = turn[v, 0, 0] * x + turn[v, 1, 0] * y + turn[v, 2, 0] * z
-    b = turn[v, 0, 1] * x + turn[v, 1, 1] * y + turn[v, 2, 1] * z
-    c = turn[v, 0, 2] * x + turn[v, 1, 2] * y + turn[v, 2, 2] * z
-    sums[0] += w * a * a
-    sums[1] += w * a * b
-    sums[2] += w * a * c
-    sums[3] += w * b * b
-    sums[4] += w * b * c
-    sums[5] += w * c * c
-    sums[6] += w * a * residual
-    sums[7] += w * b * residual
-    sums[8] += w * c * residual
+def _to_world(turn: Floats, v: int, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Return slopes by a point in the world, given those by it in a camera's frame."""
+    return (
+        turn[v, 0, 0] * x + turn[v, 1, 0] * y + turn[v, 2, 0] * z,
+        turn[v, 0, 1] * x + turn[v, 1, 1] * y + turn[v, 2, 1] * z,
+        turn[v, 0, 2] * x + turn[v, 1, 2] * y + turn[v, 2, 2] * z,
+    )
 
 
 @inlined
@@ -139,15 +130,27 @@ def _pull(given: Any, saw: Floats, weight: Floats, point: Floats, into: Any) -> 
     """
     _, turn, shift, lens, _, _, _, options = given
     square, robust, sums = into
-    sums[:] = 0.0
+    xx = xy = xz = yy = yz = zz = by_x = by_y = by_z = 0.0
     for v in range(len(weight)):
         if weight[v] > 0:
             x, y, z = _look(turn, shift, v, point[0], point[1], point[2])
             r, s, in_front, a, b, c, d, e, f = _residual(lens, saw, v, options[1], x, y, z)
             square[v] = r * r + s * s
-            robust[v] = weight[v] / (1 + square[v] / options[0]) if in_front else 0.0
-            _add(turn, v, robust[v], r, a, b, c, sums)
-            _add(turn, v, robust[v], s, d, e, f, sums)
+            w = weight[v] / (1 + square[v] / options[0]) if in_front else 0.0
+            robust[v] = w
+            a, b, c = _to_world(turn, v, a, b, c)
+            d, e, f = _to_world(turn, v, d, e, f)
+            xx += w * (a * a + d * d)
+            xy += w * (a * b + d * e)
+            xz += w * (a * c + d * f)
+            yy += w * (b * b + e * e)
+            yz += w * (b * c + e * f)
+            zz += w * (c * c + f * f)
+            by_x += w * (a * r + d * s)
+            by_y += w * (b * r + e * s)
+            by_z += w * (c * r + f * s)
+    sums[0], sums[1], sums[2], sums[3], sums[4], sums[5] = xx, xy, xz, yy, yz, zz
+    sums[6], sums[7], sums[8] = by_x, by_y, by_z
 
 
 @inlined
@@ -227,15 +230,9 @@ def _set_own(lens: Floats | None, v: int, x: float, y: float, by: Any, own: Floa
 
 
 @inlined
-def _weigh(
-    given: Any,
-    points: Floats,
-    in_camera: Floats,
-    slope: Floats,
-    own: Floats,
-    residual: Floats,
-) -> float:
+def _weigh(given: Any, points: Floats, into: Any) -> float:
     """Set what `settling.Weighed` has of points of a block, as kernels do; return their cost."""
+    in_camera, slope, own, residual = into
     first, turn, shift, lens, seen, metric, weight, options = given
     views, count = len(seen), points.shape[1]
     square_scale, least, least_curvature = options[0], options[1], options[3]
@@ -297,7 +294,7 @@ def settle_rays(
     """
     given = (first, rotation, translation, None, seen, metric, weight, options)
     _settle(given, steps, points)
-    return _weigh(given, points, in_camera, slope, own, residual)
+    return _weigh(given, points, (in_camera, slope, own, residual))
 
 
 @kernel(*_POSES, floats(2), floats(3), *_WEIGHTS, *_SET)
@@ -323,4 +320,4 @@ def settle_pixels(
     none = np.empty((len(seen), 2, 3, 0))
     given = (first, rotation, translation, lens, seen, none, weight, options)
     _settle(given, steps, points)
-    return _weigh(given, points, in_camera, slope, own, residual)
+    return _weigh(given, points, (in_camera, slope, own, residual))
