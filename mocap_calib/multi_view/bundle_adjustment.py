@@ -8,12 +8,13 @@ from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import AdjustConfig, Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
 from mocap_calib.geometry.projection import pixels_from_points
+from mocap_calib.multi_view.freedom import Freedom, free_poses
 from mocap_calib.multi_view.labels import per_frame_labels
 from mocap_calib.multi_view.noise import view_residual
 from mocap_calib.multi_view.observations import gather_observations, labelled_frames
 from mocap_calib.multi_view.ray_residuals import RayObservations
 from mocap_calib.multi_view.residuals import Observations, State
-from mocap_calib.multi_view.schur import Freedom, free_poses, minimise
+from mocap_calib.multi_view.schur import minimise
 from mocap_calib.multi_view.triangulation import triangulate_rays
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import (

@@ -17,8 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mocap_calib.multi_view.freedom import Freedom
 from mocap_calib.multi_view.residuals import Observations, State, blocks_of, jacobian
-from mocap_calib.multi_view.schur import Freedom, NormalEquations, eliminate_points, linearise
+from mocap_calib.multi_view.schur import NormalEquations, eliminate_points, linearise
 from mocap_calib.types import Floats, Ints
 
 

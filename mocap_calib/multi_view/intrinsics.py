@@ -19,9 +19,9 @@ from mocap_calib.multi_view.bundle_adjustment import (
     placed_as,
 )
 from mocap_calib.multi_view.covariance import Covariance, find_covariance
+from mocap_calib.multi_view.freedom import Freedom, free_intrinsics
 from mocap_calib.multi_view.pixel_residuals import PixelObservations, changed_cameras
 from mocap_calib.multi_view.residuals import State
-from mocap_calib.multi_view.schur import Freedom, free_intrinsics
 from mocap_calib.recording.sampling import with_cameras
 from mocap_calib.types import (
     Camera,

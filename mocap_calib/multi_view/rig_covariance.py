@@ -27,9 +27,9 @@ from mocap_calib.multi_view.bundle_adjustment import (
     observe_rays,
 )
 from mocap_calib.multi_view.covariance import find_covariance, find_curved_covariance
+from mocap_calib.multi_view.freedom import Freedom, free_poses
 from mocap_calib.multi_view.ray_residuals import RayObservations
 from mocap_calib.multi_view.residuals import State
-from mocap_calib.multi_view.schur import Freedom, free_poses
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Matches, RigCovariance, Sample
 
 

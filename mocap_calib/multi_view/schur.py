@@ -19,6 +19,7 @@ from mocap_calib.config import (
     LM_STEPS,
 )
 from mocap_calib.geometry.rotation import matrix_from_vector
+from mocap_calib.multi_view.freedom import Freedom
 from mocap_calib.multi_view.residuals import (
     Observations,
     Slopes,
@@ -27,30 +28,10 @@ from mocap_calib.multi_view.residuals import (
     derivatives,
     slopes_of,
 )
-from mocap_calib.multi_view.settling import settle
-from mocap_calib.types import Bools, Floats, Ints
+from mocap_calib.multi_view.settling import Weighed, settle
+from mocap_calib.types import Floats
 
 KERNELS = "mocap_calib.multi_view.schur_kernels"
-
-
-@dataclass(frozen=True)
-class Freedom:
-    """What of the cameras may change, and how far their intrinsics are likely to.
-
-    basis: `[C view, free]` 1 where an unknown of a camera is one of the free ones, else 0.
-    precision: `[view, intrinsic]` inverse variance of a change of intrinsics, as much of it as
-        one view of those that share them has.
-    """
-
-    basis: Floats
-    precision: Floats
-
-    @property
-    def intrinsics(self) -> Ints:
-        """Index `[view, intrinsic]` of the free unknown that each of the intrinsics is."""
-        views, intrinsics = self.precision.shape
-        by_view = self.basis.reshape(views, 6 + intrinsics, -1)
-        return np.asarray(by_view[:, 6:].argmax(2), dtype=np.int64)
 
 
 @dataclass(frozen=True)
@@ -69,47 +50,6 @@ class NormalEquations:
     point: Floats
     point_gradient: Floats
     mixed: Floats
-
-
-def free_poses(views: int) -> Freedom:
-    """Return the freedom of cameras whose intrinsics are known.
-
-    The first camera stays where it is: it is the frame of the world.
-    """
-    return Freedom(basis=np.eye(6 * views)[:, 6:], precision=np.zeros((views, 0)))
-
-
-def free_intrinsics(group: Ints, sigma: Floats) -> Freedom:
-    """Return the freedom of cameras some of whose intrinsics are adjusted with their poses.
-
-    group: `[view]` cameras of one number share the changes of their intrinsics.
-    sigma: `[view, intrinsic]` standard deviation of a change, the same in all views of a group.
-    """
-    views, intrinsics = sigma.shape
-    first_free = 6 * (views - 1)
-    groups, of_view, sizes = np.unique(group, return_inverse=True, return_counts=True)
-    basis = np.zeros((views, 6 + intrinsics, first_free + len(groups) * intrinsics))
-    for view in range(views):
-        if view > 0:
-            basis[view, :6, 6 * (view - 1) : 6 * view] = np.eye(6)
-        start = first_free + of_view[view] * intrinsics
-        basis[view, 6:, start : start + intrinsics] = np.eye(intrinsics)
-    precision = 1 / (sigma**2 * sizes[of_view][:, None])
-    return Freedom(basis=basis.reshape(-1, basis.shape[2]), precision=precision)
-
-
-def free_clocks(free: Bools, sigma: float) -> Freedom:
-    """Return the freedom of cameras the offsets of whose clocks are adjusted with their poses.
-
-    free: `[view]` the cameras whose clocks may change; that of the first camera must stay.
-    sigma: standard deviation of an offset, in frames.
-    """
-    every = np.eye(7 * len(free)).reshape(len(free), 7, -1)
-    unknown = np.ones((len(free), 7), dtype=bool)
-    unknown[0, :6] = False
-    unknown[:, 6] = free
-    basis = every.reshape(7 * len(free), -1)[:, unknown.ravel()]
-    return Freedom(basis=basis, precision=np.full((len(free), 1), sigma**-2))
 
 
 def minimise(
@@ -206,14 +146,8 @@ def _equations_of(
     mixed = np.empty((views, unknowns, 3, count))
     given = contiguous(rotation, in_camera, slopes.in_camera, slopes.intrinsics, residual)
     kernels.normal_equations(*given, point, point_gradient, mixed, camera)
-    rows = camera.reshape(views, unknowns, -1)
-    return NormalEquations(
-        camera=np.matmul(rows, np.swapaxes(rows, 1, 2)),
-        camera_gradient=np.matmul(rows, residual.reshape(views, -1, 1))[..., 0],
-        point=point,
-        point_gradient=point_gradient,
-        mixed=mixed,
-    )
+    blocks, gradient = _own_blocks(camera, residual)
+    return NormalEquations(blocks, gradient, point, point_gradient, mixed)
 
 
 # The reduced camera system
@@ -225,15 +159,28 @@ def eliminate_points(equations: NormalEquations) -> tuple[Floats, Floats, Floats
     S = U - W V^-1 W' is the Schur complement of V, `[C view, C view]`; g = a - W V^-1 b.
     """
     root, product = _rooted(equations)
-    rows = product.reshape(len(product), -1)
     side = np.einsum("jkn,jn->kn", root, equations.point_gradient)
+    gradient = equations.camera_gradient
+    return (
+        np.einsum("ikn,jkn->ijn", root, root),
+        *_schur_complement(equations.camera, gradient, product, side),
+    )
+
+
+def _schur_complement(
+    camera: Floats, gradient: Floats, product: Floats, side: Floats
+) -> tuple[Floats, Floats]:
+    """Return S and g of `eliminate_points`.
+
+    camera, gradient: as of `NormalEquations`. product: W Q `[C view, 3, n]` with a root Q of V^-1;
+    side: Q'b `[3, n]`.
+    """
+    rows, unknowns = product.reshape(len(product), -1), camera.shape[1]
     matrix = -(rows @ rows.T)
-    unknowns = equations.camera.shape[1]
-    for view, camera in enumerate(equations.camera):
+    for view, block in enumerate(camera):
         own = slice(unknowns * view, unknowns * (view + 1))
-        matrix[own, own] += camera
-    gradient = equations.camera_gradient.reshape(-1) - rows @ side.reshape(-1)
-    return np.einsum("ikn,jkn->ijn", root, root), matrix, gradient
+        matrix[own, own] += block
+    return matrix, gradient.reshape(-1) - rows @ side.reshape(-1)
 
 
 def _rooted(equations: NormalEquations) -> tuple[Floats, Floats]:
@@ -298,10 +245,36 @@ def _reduce_block(
 ) -> tuple[Floats, float, Floats, Floats, Floats]:
     """Return a block of points where they settle, their cost / s^2, and their part of the rest."""
     found = settle(block, state, seen, loss_scale)
-    equations = _equations_of(state.rotation, found.in_camera, found.slopes, found.residual)
-    _, matrix, gradient = eliminate_points(equations)
-    stiffness = np.einsum("vii->vi", equations.camera).ravel()
-    return found.points, found.cost, matrix, gradient, stiffness
+    camera, matrix, gradient = _reduced_system(state.rotation, found)
+    return found.points, found.cost, matrix, gradient, np.einsum("vii->vi", camera).ravel()
+
+
+def _reduced_system(rotation: Floats, found: Weighed) -> tuple[Floats, Floats, Floats]:
+    """Return the cameras' own blocks `[view, C, C]` and the reduced system of some points."""
+    kernels = compiled(KERNELS)
+    if kernels is None:
+        found_slopes = found.in_camera, found.slopes, found.residual
+        equations = _equations_of(rotation, *found_slopes)
+        _, matrix, gradient = eliminate_points(equations)
+        return equations.camera, matrix, gradient
+    (views, _, count), unknowns = found.in_camera.shape, 6 + found.slopes.intrinsics.shape[2]
+    camera, side = np.empty((views, unknowns, 2, count)), np.empty((3, count))
+    product = np.empty((views * unknowns, 3, count))
+    slopes = found.slopes.in_camera, found.slopes.intrinsics
+    given = contiguous(rotation, found.in_camera, *slopes, found.residual)
+    kernels.reduced(*given, camera, product, side)
+    own = _own_blocks(camera, found.residual)
+    return own[0], *_schur_complement(*own, product, side)
+
+
+def _own_blocks(camera: Floats, residual: Floats) -> tuple[Floats, Floats]:
+    """Return the cameras' blocks U `[view, C, C]` and gradients a `[view, C]`.
+
+    camera: `[view, C, 2, n]` the derivatives; residual: `[view, 2, n]`.
+    """
+    rows = camera.reshape(*camera.shape[:2], -1)
+    gradient = np.matmul(rows, residual.reshape(len(rows), -1, 1))[..., 0]
+    return np.matmul(rows, np.swapaxes(rows, 1, 2)), gradient
 
 
 # The step

@@ -10,18 +10,11 @@ from mocap_calib.geometry import lens
 from mocap_calib.geometry.rotation import vector_from_matrix
 from mocap_calib.multi_view import schur, settling
 from mocap_calib.multi_view.covariance import find_curved_covariance
+from mocap_calib.multi_view.freedom import Freedom, free_intrinsics, free_poses
 from mocap_calib.multi_view.pixel_residuals import PixelObservations
 from mocap_calib.multi_view.ray_residuals import RayObservations
 from mocap_calib.multi_view.residuals import Observations, State
-from mocap_calib.multi_view.schur import (
-    Freedom,
-    NormalEquations,
-    eliminate_points,
-    free_intrinsics,
-    free_poses,
-    linearise,
-    minimise,
-)
+from mocap_calib.multi_view.schur import NormalEquations, eliminate_points, linearise, minimise
 
 SCALE = 3.0  # of the loss
 FREE = free_poses(3)
@@ -238,6 +231,7 @@ def test_the_kernels_give_the_equations_of_their_definition(lens, monkeypatch):
         settled = settling.settle(slice(0, 100), state, seen, SCALE)
         parts = [settled.points, settled.in_camera, settled.residual, np.array(settled.cost)]
         parts += [settled.slopes.in_camera, settled.slopes.intrinsics]
+        parts += schur._reduced_system(state.rotation, settled)
         return [*vars(equations).values(), *eliminate_points(equations), *parts]
 
     by_kernels = found()
