@@ -129,6 +129,7 @@ def minimise_in_steps(
 ) -> State:
     """Return the state of least robust cost, under a loss that is tightened in steps.
 
+    Its points have yet to settle after the last of them (`schur.settle_points`).
     already_close: only the last step is needed.
     """
     *wide_scales, last_scale = config.loss_scales

@@ -30,6 +30,7 @@ from mocap_calib.multi_view.covariance import find_covariance, find_curved_covar
 from mocap_calib.multi_view.freedom import Freedom, free_poses
 from mocap_calib.multi_view.ray_residuals import RayObservations
 from mocap_calib.multi_view.residuals import State
+from mocap_calib.multi_view.schur import settle_points
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Matches, RigCovariance, Sample
 
 
@@ -145,7 +146,8 @@ def fit_again(sample: Sample, rig: CameraRig, matches: Matches, config: Config) 
     points = choose_points(sample, rig, matches, fewer)
     seen = observe_rays(rig, points)
     start = State(rig.rotation, rig.translation, points.points, np.zeros((len(rig.cameras), 0)))
-    state = _settle(start, seen, config)
+    state = _minimise(start, seen, config)
+    state = settle_points(state, seen, loss_scale=config.adjust.loss_scales[-1])
     adjusted = replace(rig, rotation=state.rotation, translation=state.translation)
     kept = np.flatnonzero(~_at_a_camera(adjusted, state.points, points.used, config))
     return FittedRig(
@@ -168,8 +170,8 @@ def _at_a_camera(rig: CameraRig, points: Floats, used: Bools, config: Config) ->
     return np.asarray((distance < config.uncertainty.least_distance * usual).any(0))
 
 
-def _settle(state: State, seen: RayObservations, config: Config) -> State:
-    """Return the state at the minimum that it is close to."""
+def _minimise(state: State, seen: RayObservations, config: Config) -> State:
+    """Return the state at the minimum that it is close to, whose points have yet to settle."""
     freedom = free_poses(len(state.rotation))
     return minimise_in_steps(state, seen, freedom, config.adjust, already_close=True)
 
@@ -306,6 +308,6 @@ def _turns(kept: Ints, *, fitted: FittedRig, config: Config) -> Floats:
     some = replace(state, points=state.points[:, kept])
     tolerance = config.uncertainty.bend_tolerance
     rougher = replace(config, adjust=replace(config.adjust, tolerance=tolerance))
-    found = _settle(some, fitted.seen.select(kept), rougher)
+    found = _minimise(some, fitted.seen.select(kept), rougher)
     bent = replace(fitted.rig, rotation=found.rotation, translation=found.translation)
     return rig_change(fitted.rig, bent)[:, :3]

@@ -58,7 +58,8 @@ def minimise(
     """Return the state of least robust cost: Cauchy's loss at `loss_scale` standard deviations.
 
     The scale of the rig is free. The points settle after each step of the cameras. It ends with a
-    step that promises to lower the cost by no more than the share `tolerance`.
+    step that promises to lower the cost by no more than the share `tolerance`, after which the
+    points have yet to settle (`settle_points`).
     """
     damping = LM_FIRST_DAMPING
     now = _reduce(state, seen, freedom, loss_scale)
@@ -67,7 +68,7 @@ def minimise(
         moved = _move(now.state, step)
         promised = -float(step.ravel() @ now.gradient)
         if damping <= LM_FIRST_DAMPING and promised <= tolerance * now.cost:
-            return _settle(moved, seen, loss_scale)
+            return moved
         then = _reduce(moved, seen, freedom, loss_scale)
         if then.cost < now.cost:
             now = then
@@ -79,8 +80,8 @@ def minimise(
     return now.state
 
 
-def _settle(state: State, seen: Observations, loss_scale: float) -> State:
-    """Return the state with its points settled."""
+def settle_points(state: State, seen: Observations, *, loss_scale: float) -> State:
+    """Return the state with its points where they cost least while the cameras stay."""
     work = partial(settle, state=state, seen=seen, loss_scale=loss_scale)
     blocks = map_in_threads(work, blocks_of(state.points))
     return replace(state, points=np.concatenate([found.points for found in blocks], axis=1))
