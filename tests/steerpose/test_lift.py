@@ -13,7 +13,8 @@ from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.steerpose.completion import _confidence_of_lifted
 from mocap_calib.steerpose.lift import _DOWN, _centre, _lift_rays
-from mocap_calib.steerpose.lifter import _gelu
+from mocap_calib.steerpose.lifter import _LARGEST_SCORE, _gelu
+from mocap_calib.steerpose.lifter_kernels import activate
 from mocap_calib.steerpose.loading import choose_model, load_lifter
 from mocap_calib.steerpose.training.evaluation import _project_turned
 
@@ -30,11 +31,28 @@ def test_the_centre_puts_a_body_where_its_joints_are_seen():
 
 
 def test_the_activation_is_that_of_its_definition():
-    """To what its approximation of erfc is good for, 1.5e-7, and single precision."""
+    """To what approximations of erf are good for, 1.5e-7, and single precision; compiled or not."""
     x = np.linspace(-6, 6, 2001)
     expected = x * erfc(-x / np.sqrt(2)) / 2
     found = _gelu(x.astype(np.float32))
     np.testing.assert_allclose(found, expected, rtol=3e-7, atol=4e-7)
+    compiled = (x[:, None] - [0.5, -2.0]).astype(np.float32)
+    activate(compiled, np.array([0.5, -2.0], dtype=np.float32))
+    np.testing.assert_allclose(compiled, np.column_stack([expected] * 2), rtol=3e-7, atol=8e-7)
+
+
+def test_no_score_of_the_networks_that_are_shipped_is_cut():
+    """What their weights let a query and a key be at most: 67."""
+    for name in ("people", "quadruped", "bird", "rodent"):
+        lifter = load_lifter(name)[0]
+        width, heads = lifter.config.width, lifter.config.heads
+        for layer in lifter._encoder.layers:
+            matrix = layer.attend.matrix.reshape(width, 3, heads, -1).astype(np.float64)
+            query, key = np.moveaxis(matrix[:, :2], (1, 2), (0, 1))  # [head, C, C / heads] each
+            offset = layer.attend.bias.reshape(3, heads, -1)[0]
+            largest = np.linalg.norm(query @ np.swapaxes(key, 1, 2), ord=2, axis=(1, 2)) * width
+            largest += np.linalg.norm(np.einsum("hck,hk->hc", key, offset), axis=1) * width**0.5
+            assert largest.max() < 67 < _LARGEST_SCORE
 
 
 def test_a_network_of_too_few_joints_is_refused():
