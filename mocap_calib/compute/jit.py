@@ -16,6 +16,7 @@ from numba import types
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 FLOAT = types.float64
+SINGLE = types.float32
 INT = types.int64
 BOOL = types.boolean
 OCTET = types.uint8
@@ -49,6 +50,11 @@ def floats(dimensions: int) -> Any:
     return types.Array(FLOAT, dimensions, "C", readonly=True)
 
 
+def singles(dimensions: int) -> Any:
+    """Return the type of an array of 32-bit floats in C order, which is only read."""
+    return types.Array(SINGLE, dimensions, "C", readonly=True)
+
+
 def ints(dimensions: int) -> Any:
     """Return the type of an array of 64-bit integers in C order, which is only read."""
     return types.Array(INT, dimensions, "C", readonly=True)
@@ -67,6 +73,11 @@ def octets(dimensions: int) -> Any:
 def changed_floats(dimensions: int) -> Any:
     """Return the type of an array of 64-bit floats in C order, which is changed in place."""
     return types.Array(FLOAT, dimensions, "C")
+
+
+def changed_singles(dimensions: int) -> Any:
+    """Return the type of an array of 32-bit floats in C order, which is changed in place."""
+    return types.Array(SINGLE, dimensions, "C")
 
 
 def changed_ints(dimensions: int) -> Any:
