@@ -6,7 +6,6 @@ cycle-consistent by construction. Groups are then carried through time by where 
 
 from collections.abc import Iterator
 from functools import partial
-from itertools import combinations
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from mocap_calib.config import (
     MatchingConfig,
     PairwiseConfig,
 )
+from mocap_calib.multi_view.body_affinity import temper_by_bodies
 from mocap_calib.multi_view.clustering import cluster_detections
 from mocap_calib.multi_view.labels import per_frame_labels
 from mocap_calib.multi_view.pair_choice import some_pairs
@@ -28,7 +28,6 @@ from mocap_calib.two_view.affinity import (
     epipolar_affinity,
     epipolar_error,
     epipolar_fit,
-    match_affinity,
 )
 from mocap_calib.two_view.view_pair import (
     distance_ratios,
@@ -196,22 +195,10 @@ def _affinities(
     affinity, comparable = epipolar_affinity(block, rig, distance, config)
     if geometry_alone:
         return affinity, comparable
-    views, count, instances = distance.shape
-    by_views = affinity.reshape(count, views, instances, views, instances)
-    for a, b in combinations(range(views), 2):
-        pair = gather_view_pair(sample, lifted, (a, b), frames)
-        rotation, translation = rig.relative(a, b)
-        epipolar = by_views[:, a, :, b]
-        found = match_affinity(
-            pair,
-            rotation[None],
-            scale * translation[None],
-            config,
-            epipolar=epipolar[None],
-        )
-        by_views[:, a, :, b] = found[0]
-        by_views[:, b, :, a] = np.swapaxes(found[0], 1, 2)
-    return affinity, comparable
+    tempered = temper_by_bodies(
+        affinity, lifted, rig, frames, distance=distance, scale=scale, config=config
+    )
+    return tempered, comparable
 
 
 def _label_by_rig(frames: Ints, *, recording: Recording, rig: CameraRig, config: Config) -> Ints:
