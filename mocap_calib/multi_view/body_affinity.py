@@ -40,18 +40,17 @@ def temper_by_bodies(
 ) -> Floats:
     """Return affinities by geometry, `[frame, N, N]`, tempered by how well lifted bodies agree.
 
-    A detection that could not be lifted has less to say than others, unless nothing of two views
-    could be compared in these frames: then geometry is all there is.
+    A detection that could not be lifted has less to say than others, unless no lifted bodies of two
+    views could be compared in any frame: then geometry is all there is.
 
     affinity: `[frame, N, N]` of `two_view.affinity.epipolar_affinity`, N = views x instances.
     frames: `[frame]` indices into what was lifted. distance: `[view, frame, instance]` of the
     bodies in body sizes. scale: body sizes per unit of the rig.
     """
-    views, _, instances = distance.shape
+    instances = distance.shape[2]
     bodies = _turn_into_world(lifted, rig, frames, scale=scale)
     agreement, compared = _agreement(bodies, _by_frame(distance), config)
-    by_view = compared.reshape(-1, views, instances, views, instances)
-    of_views = np.where(by_view.any((0, 2, 4)), config.unlifted_affinity, 1.0)
+    of_views = np.where(_ever_compared(lifted), config.unlifted_affinity, 1.0)
     unlifted = of_views.repeat(instances, axis=0).repeat(instances, axis=1)
     return np.asarray(affinity * np.where(compared, np.sqrt(agreement), unlifted))
 
@@ -70,6 +69,13 @@ def _turn_into_world(
         variance=_by_frame(np.nan_to_num(spread) ** 2),
         place=_by_frame((seen[..., None, :] @ turned)[..., 0, :]),
     )
+
+
+def _ever_compared(lifted: LiftedPoses) -> Bools:
+    """Return `[view, view]` whether lifted bodies of both have a joint in common in some frame."""
+    known = np.isfinite(lifted.spread).any(2).astype(np.float32)
+    by_view = known.reshape(len(known), -1)
+    return np.asarray(by_view @ by_view.T > 0)
 
 
 def _by_frame(array: Floats) -> Floats:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mocap_calib.compute.kernels import compiled, contiguous
 from mocap_calib.types import Bools, Floats, Ints
 
 
@@ -41,6 +42,20 @@ def cluster_detections(
         of them are, 0..1, and 1 where they can be compared.
     least_affinity: the mean affinity down to which groups are merged.
     """
+    kernels = compiled("mocap_calib.multi_view.clustering_kernels")
+    if kernels is None:
+        return merge_clusters(affinity, comparable, views=views, least_affinity=least_affinity)
+    cluster = np.empty(affinity.shape[:2], dtype=np.int64)
+    detections = affinity.shape[1]
+    view = np.arange(detections) // max(detections // views, 1)
+    kernels.cluster_frames(*contiguous(affinity, comparable), view, least_affinity, cluster)
+    return cluster
+
+
+def merge_clusters(
+    affinity: Floats, comparable: Floats, *, views: int, least_affinity: float
+) -> Ints:
+    """Return what `cluster_detections` does, in numpy."""
     clusters = _single_detections(affinity, comparable, views)
     frames = np.arange(len(affinity))
     while len(frames):

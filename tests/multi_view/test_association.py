@@ -9,7 +9,7 @@ from scenes import lifted, precision, recording, scene
 from mocap_calib.config import Config, MatchingConfig, PairwiseConfig
 from mocap_calib.multi_view.association import associate
 from mocap_calib.multi_view.body_affinity import temper_by_bodies
-from mocap_calib.multi_view.clustering import cluster_detections
+from mocap_calib.multi_view.clustering import cluster_detections, merge_clusters
 from mocap_calib.multi_view.labels import per_frame_labels, replace_labels
 from mocap_calib.multi_view.tracking import link_through_time
 from mocap_calib.two_view.affinity import match_affinity
@@ -57,6 +57,18 @@ def test_clusters_are_those_of_average_linkage_step_by_step():
     for frame, groups in enumerate(cluster(affinity, comparable)):
         found = {frozenset(np.flatnonzero(groups == k).tolist()) for k in set(groups) - {-1}}
         assert found == slow_groups(affinity[frame], comparable[frame])
+
+
+def test_the_kernel_groups_as_numpy_does_of_any_number_of_views():
+    """With ties, and more views than a word has bits."""
+    for views, frames in ((VIEWS, 50), (100, 2)):
+        rng = np.random.default_rng(views)
+        half = np.triu(rng.integers(0, 8, (frames, views * 3, views * 3)) / 7, 1)
+        affinity = half + half.swapaxes(1, 2)
+        comparable = (affinity != 2 / 7).astype(float)
+        asked = {"views": views, "least_affinity": LEAST}
+        found = cluster_detections(affinity, comparable, **asked)
+        np.testing.assert_array_equal(found, merge_clusters(affinity, comparable, **asked))
 
 
 def test_a_group_never_holds_two_detections_of_a_view():
