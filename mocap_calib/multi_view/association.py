@@ -49,7 +49,7 @@ from mocap_calib.types import (
 )
 
 # pairs of detections grouped at a time: so many frames, or fewer in a crowd
-_LIFTED_PAIRS = 2_000_000  # of a sample, compared by rays and lifted bodies
+_LIFTED_PAIRS = 500_000  # of a sample, compared by rays and lifted bodies
 _PLAIN_PAIRS = 200_000  # of a recording, compared by rays alone: they stay in the cache
 
 
@@ -67,7 +67,9 @@ def associate(
     scale = _body_scale(sample, lifted, rig, config)
     geometry_alone = has_single_subject(sample, config.matching.geometry_alone_share)
     step = max(1, _LIFTED_PAIRS // (views * instances) ** 2)
-    for block in _cut_into_blocks(np.arange(frames), step):
+    blocks = _cut_into_blocks(np.arange(frames), step)
+
+    def group(block: Ints) -> Ints:
         affinity, comparable = _affinities(
             sample,
             lifted,
@@ -77,7 +79,10 @@ def associate(
             geometry_alone=geometry_alone,
             config=config.pairwise,
         )
-        labels[:, block] = _group_detections(affinity, comparable, views, config.matching)
+        return _group_detections(affinity, comparable, views, config.matching)
+
+    for block, groups in zip(blocks, map_in_threads(group, blocks), strict=True):
+        labels[:, block] = groups
         progress("match", int(block[-1]) + 1, frames)
     return _link_groups(sample, rig, labels, config.matching, scale=scale)
 

@@ -73,8 +73,8 @@ def _turn_into_world(
 
 def _ever_compared(lifted: LiftedPoses) -> Bools:
     """Return `[view, view]` whether lifted bodies of both have a joint in common in some frame."""
-    known = np.isfinite(lifted.spread).any(2).astype(np.float32)
-    by_view = known.reshape(len(known), -1)
+    known: Bools = np.asarray(np.isfinite(lifted.spread).any(2))
+    by_view = known.reshape(len(known), -1).astype(np.float32)
     return np.asarray(by_view @ by_view.T > 0)
 
 

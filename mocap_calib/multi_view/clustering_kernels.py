@@ -115,10 +115,10 @@ def cluster_frames(
             own[i] = -1
             _look_for_closest(linkage, best, closest, i)
         while True:
-            kept = best.argmax()
+            kept = int(best.argmax())
             if not best[kept] >= least:
                 break
-            merged = closest[kept]
+            merged = int(closest[kept])
             _merge(total, pairs, linkage, holds, best, closest, kept, merged)
             for i in range(count):
                 if own[i] == merged:
