@@ -108,7 +108,8 @@ def label_all_frames(
     Returns labels `[view, frame, instance]`, -1 = nobody.
     """
     views, frames, instances = recording.positions.shape[:3]
-    labels = np.full((views, frames, instances), -1, dtype=np.int64)
+    labels = mapped.empty((views, frames, instances), np.int64)
+    labels.fill(-1)
     labels[:, sample_frames, : matches.labels.shape[2]] = per_frame_labels(matches).labels
 
     others = np.setdiff1d(np.arange(frames), sample_frames)
@@ -228,7 +229,8 @@ def _link_groups(
     recording: Recording, rig: CameraRig, labels: Ints, config: MatchingConfig, *, scale: float
 ) -> Matches:
     """Return the groups of each frame as individuals of the recording."""
-    places = locate_groups(recording, rig, labels) * scale
+    places = locate_groups(recording, rig, labels)
+    places *= scale
     return Matches(link_through_time(labels, places, recording.frames, config))
 
 

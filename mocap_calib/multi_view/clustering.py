@@ -38,6 +38,8 @@ def cluster_detections(
 ) -> Ints:
     """Return the group of each detection in its frame, `[frame, N]`; -1 for one that stays alone.
 
+    Groups are numbered from 0 in each frame, by their first detection.
+
     affinity, comparable: `[frame, N, N]` of the N = views x instances detections: how alike two
         of them are, 0..1, and 1 where they can be compared.
     least_affinity: the mean affinity down to which groups are merged.
@@ -62,7 +64,11 @@ def merge_clusters(
         frames, kept, merged = _closest_clusters(clusters, frames, least_affinity)
         _merge(clusters, frames, kept, merged)
     together = clusters.cluster[:, :, None] == clusters.cluster[:, None]
-    return np.where(together.sum(-1) > 1, clusters.cluster, -1)
+    alone = together.sum(-1) == 1
+    # a cluster goes by its first detection
+    begins = (clusters.cluster == np.arange(affinity.shape[1])) & ~alone
+    number = np.take_along_axis(begins.cumsum(1) - 1, clusters.cluster, axis=1)
+    return np.where(alone, -1, number)
 
 
 def _single_detections(affinity: Floats, comparable: Floats, views: int) -> _Clusters:

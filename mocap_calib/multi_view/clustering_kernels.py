@@ -93,6 +93,22 @@ def _merge(
             _look_for_closest(linkage, best, closest, i)
 
 
+@inlined
+def _number(cluster: Ints, number: Ints) -> None:
+    """Give clusters numbers from 0 in place, by their first detection.
+
+    number: `[N]`, to be written over.
+    """
+    count = 0
+    for i in range(len(cluster)):
+        if cluster[i] == i:
+            number[i] = count
+            count += 1
+    for i in range(len(cluster)):
+        if cluster[i] >= 0:
+            cluster[i] = number[cluster[i]]
+
+
 @kernel(floats(3), floats(3), ints(1), FLOAT, changed_ints(2))
 def cluster_frames(
     affinity: Floats, comparable: Floats, view: Ints, least: float, cluster: Ints
@@ -124,3 +140,4 @@ def cluster_frames(
                 if own[i] == merged:
                     own[i] = kept
             own[kept] = own[merged] = kept
+        _number(own, closest)
