@@ -150,7 +150,7 @@ class SyncConfig:
         least_step_gain: by which steps must agree better than a constant offset; wandering_score:
         agreement from which on steps may go either way, as where several cameras lost frames.
     least_restless_gain: by steps of one of several cameras, held out, for which maps are looked for
-        from every camera as root. In step no camera gains 0.003 (0.05 in a slow crowd, Shelf);
+        from `roots` cameras. In step no camera gains 0.003 (0.05 in a slow crowd, Shelf);
         where all cameras lost 2 % of the frames one gains 0.039 to 0.22 in four recordings, and
         none in one of poor agreement (panoptic), whose clocks are not known then.
     decisive: standard errors over `evidence_blocks` blocks of time (at least `least_blocks`) that
@@ -189,6 +189,7 @@ class SyncConfig:
     least_step_gain: float = 0.04
     wandering_score: float = 1.6
     least_restless_gain: float = 0.02
+    roots: int = 8
     decisive: float = 5.0
     decisive_of_good: float = 3.0
     good_score: float = 1.2

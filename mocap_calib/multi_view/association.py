@@ -24,16 +24,12 @@ from mocap_calib.multi_view.labels import per_frame_labels
 from mocap_calib.multi_view.pair_choice import some_pairs
 from mocap_calib.multi_view.tracking import link_through_time, locate_groups
 from mocap_calib.recording.sampling import evenly_spaced, take_sample
-from mocap_calib.two_view.affinity import (
-    epipolar_affinity,
-    epipolar_error,
-    epipolar_fit,
-)
+from mocap_calib.two_view.affinity import epipolar_affinity
 from mocap_calib.two_view.view_pair import (
     distance_ratios,
     distances,
     distances_by_size,
-    gather_view_pair,
+    gather_detections,
     shared_frames,
 )
 from mocap_calib.types import (
@@ -171,11 +167,17 @@ def _scales_of_pairs(
     for a, b in some_pairs(len(rig.cameras), config.view_graph):
         shared = shared_frames(sample, a, b, config.pairwise)
         if len(shared):
-            pair = gather_view_pair(sample, lifted, (a, b), evenly_spaced(shared, SCALE_FRAMES))
-            rotation, translation = rig.relative(a, b)
-            error, weight = epipolar_error(pair, rotation[None], translation[None])
-            matched = epipolar_fit(error, weight, config.pairwise)[0] > SCALE_LEAST_FIT
-            yield distance_ratios(pair, rotation, translation, matched)
+            frames = evenly_spaced(shared, SCALE_FRAMES)
+            first, second = (gather_detections(sample, lifted, view, frames) for view in (a, b))
+            affinity, _ = epipolar_affinity(
+                sample.select(views=[a, b]).select(frames=frames),
+                rig.select([a, b]),
+                np.stack([first.distance, second.distance]),
+                config.pairwise,
+            )
+            instances = first.distance.shape[1]
+            matched = affinity[:, :instances, instances:] > SCALE_LEAST_FIT
+            yield distance_ratios(first, second, *rig.relative(a, b), matched)
 
 
 def _affinities(

@@ -118,5 +118,5 @@ def test_distances_are_compared_where_joints_are_in_front_of_both_views():
         body = pair.a.distance[frame, i] + pair.b.distance[frame, j]
         expected.append(body / (ahead_a + ahead_b)[both])
     assert one_sided > 0
-    found = distance_ratios(pair, rotation, translation, matched)
+    found = distance_ratios(pair.a, pair.b, rotation, translation, matched)
     np.testing.assert_allclose(found, np.concatenate(expected), rtol=1e-9)
