@@ -1,10 +1,9 @@
 """The normal equations of a fit, compiled: `energy.linearise` says the same in numpy.
 
-Joints lie side by side in groups of `LANES`, whose rows are computed at once; what the last group
-has no joints for is filled with copies of the last joint, which nothing looks at. A frame's rows
-follow those of the frame before, so that each pass goes once through the memory. The bands of the
-joints are factored in blocks of a frame: S[t] = A[t] - c[t]^2 P[t-2] - F[t] P[t-1] F[t]', where
-P = S^-1, c couples t with t-2, and F[t] = b[t] - c[t] P[t-2] F[t-1]' with t-1.
+What rays and bones tell is summed in tiles of `LANES` frames, rows of which are computed at once.
+Over time, `LANES` joints lie side by side in a group; what the last has no joints for stays zero.
+The bands of the joints are factored in blocks of a frame: S[t] = A[t] - c[t]^2 P[t-2] - F[t] P[t-1]
+F[t]', where P = S^-1, c couples t with t-2, and F[t] = b[t] - c[t] P[t-2] F[t-1]' with t-1.
 """
 
 import math
@@ -14,26 +13,29 @@ import numpy as np
 from mocap_calib.compute.jit import FLOAT, changed_floats, floats, inlined, ints, kernel
 from mocap_calib.types import Floats, Ints
 
-LANES = 8
+LANES = 16  # with fewer the loops of fixed length are not made into vector instructions
 _POINT = 3 * LANES  # numbers of a group in a frame: coordinates,
-_RAYS = 4 * LANES  # of a view: directions and precisions,
-_OWN = 9 * LANES  # a block of the diagonal and the gradient,
 _MOTION = 4 * LANES  # weights of accelerations, and these times them,
 _FACTOR = 16 * LANES  # P, F and c
+_OWN = 9 * LANES  # blocks of the diagonal, and the gradient
 
 
 @inlined
-def _add_view(rays: Floats, point: Floats, centre: Floats, narrow: float, own: Floats) -> None:
-    """Add a view's rays to the blocks and the gradient. narrow: the loss to the power of -2."""
+def _add_view(rays: Floats, centre: Floats, narrow: float, own: Floats) -> None:
+    """Add a view's rays to the blocks and the gradient of a joint in a tile.
+
+    rays: directions and precisions. own: `[12 * LANES]`, and the points. narrow: the loss to the
+    power of -2.
+    """
     from_x, from_y, from_z = centre[0], centre[1], centre[2]
     for n in range(LANES):
         rx, ry, rz = rays[n], rays[LANES + n], rays[2 * LANES + n]
         precision = rays[3 * LANES + n]
-        x, y, z = point[n] - from_x, point[LANES + n] - from_y, point[2 * LANES + n] - from_z
+        x, y = own[9 * LANES + n] - from_x, own[10 * LANES + n] - from_y
+        z = own[11 * LANES + n] - from_z
         along = rx * x + ry * y + rz * z
         behind = 1e-3 * math.sqrt(x * x + y * y + z * z)
-        depth = along if along > 0 else behind
-        inverse = 1 / depth
+        inverse = 1 / (along if along > 0 else behind)
         x, y, z = (x - along * rx) * inverse, (y - along * ry) * inverse, (z - along * rz) * inverse
         square = x * x + y * y + z * z
         weight = precision / (1 + square * precision * narrow) * inverse
@@ -51,49 +53,82 @@ def _add_view(rays: Floats, point: Floats, centre: Floats, narrow: float, own: F
 
 
 @inlined
-def _weigh_bones(along: Floats, bones: Floats, narrow: float) -> None:
-    """Turn vectors along bones into directions times the root of their weights, and errors.
-
-    along: `[4, edge]` the errors last. bones: `[3, edge]` lengths, inverse standard deviations
-    and the shortest length. narrow: the loss to the power of -2.
-    """
-    ax, ay, az, errors = along[0], along[1], along[2], along[3]
-    lengths, known, least = bones[0], bones[1], bones[2]
-    for e in range(len(ax)):
-        x, y, z = ax[e], ay[e], az[e]
-        length = math.sqrt(x * x + y * y + z * z)
-        error = (length - lengths[e]) * known[e]
-        weight = math.sqrt(1 / (1 + error * error * narrow))
-        scale = weight * known[e] / max(length, least[e])
-        ax[e], ay[e], az[e] = x * scale, y * scale, z * scale
-        errors[e] = weight * error
+def _set_along(first: Floats, second: Floats, along: Floats) -> None:
+    """Set the vectors between the points of two joints."""
+    for n in range(_POINT):
+        along[n] = first[9 * LANES + n] - second[9 * LANES + n]
 
 
 @inlined
-def _add_bones(
-    t: int, points: Floats, edges: Ints, bones: Floats, narrow: float, along: Floats, own: Floats
+def _weigh_bone(bone: Floats, narrow: float, along: Floats) -> None:
+    """Turn vectors along a bone into directions times the root of their weights, and errors.
+
+    bone: lengths, inverse standard deviations and shortest lengths. along: the errors last.
+    """
+    for n in range(LANES):
+        x, y, z = along[n], along[LANES + n], along[2 * LANES + n]
+        known, shortest = bone[LANES + n], bone[2 * LANES + n]
+        length = math.sqrt(x * x + y * y + z * z)
+        error = (length - bone[n]) * known
+        weight = math.sqrt(1 / (1 + error * error * narrow))
+        scale = weight * known / (length if length > shortest else shortest)
+        along[n], along[LANES + n], along[2 * LANES + n] = x * scale, y * scale, z * scale
+        along[3 * LANES + n] = weight * error
+
+
+@inlined
+def _add_bone(along: Floats, sign: float, own: Floats) -> None:
+    """Add a bone to the blocks and the gradient of a joint at its end. sign: 1, -1 at the other."""
+    for n in range(LANES):
+        x, y, z = along[n], along[LANES + n], along[2 * LANES + n]
+        error = sign * along[3 * LANES + n]
+        own[n] += x * x
+        own[LANES + n] += x * y
+        own[2 * LANES + n] += x * z
+        own[3 * LANES + n] += y * y
+        own[4 * LANES + n] += y * z
+        own[5 * LANES + n] += z * z
+        own[6 * LANES + n] += x * error
+        own[7 * LANES + n] += y * error
+        own[8 * LANES + n] += z * error
+
+
+@inlined
+def _sum_tile(
+    points: Floats,
+    rays: Floats,
+    centres: Floats,
+    narrow: float,
+    edges: Ints,
+    bones: Floats,
+    bones_narrow: float,
+    along: Floats,
+    own: Floats,
+    turned: Floats,
 ) -> None:
-    """Set the directions of bones in a frame, and add them to its blocks and gradients."""
+    """Set the blocks and gradients of a tile, turned `[frame, group, 9 * LANES]`.
+
+    points: `[group, frame, 3 * LANES]` of the tile. own: `[joint, 12 * LANES]`, is overwritten.
+    """
+    for j in range(len(own)):
+        row, g, n = own[j], j // LANES, j % LANES
+        row[:_OWN] = 0.0
+        for k in range(3):
+            for f in range(LANES):
+                row[_OWN + k * LANES + f] = points[g, f, k * LANES + n]
+        for v in range(len(centres)):
+            _add_view(rays[v, j], centres[v], narrow, row)
     for e in range(len(edges)):
         a, b = edges[e, 0], edges[e, 1]
-        start, end = points[a // LANES, t], points[b // LANES, t]
-        for c in range(3):
-            along[c, e] = start[c * LANES + a % LANES] - end[c * LANES + b % LANES]
-    _weigh_bones(along, bones, narrow)
-    for e in range(len(edges)):
-        x, y, z, error = along[0, e], along[1, e], along[2, e], along[3, e]
-        for k in range(2):
-            joint, sign = edges[e, k], 1.0 - 2.0 * k
-            row, n = own[joint // LANES], joint % LANES
-            row[n] += x * x
-            row[LANES + n] += x * y
-            row[2 * LANES + n] += x * z
-            row[3 * LANES + n] += y * y
-            row[4 * LANES + n] += y * z
-            row[5 * LANES + n] += z * z
-            row[6 * LANES + n] += sign * x * error
-            row[7 * LANES + n] += sign * y * error
-            row[8 * LANES + n] += sign * z * error
+        _set_along(own[a], own[b], along[e])
+        _weigh_bone(bones[e], bones_narrow, along[e])
+        _add_bone(along[e], 1.0, own[a])
+        _add_bone(along[e], -1.0, own[b])
+    for j in range(len(own)):
+        row, g, n = own[j], j // LANES, j % LANES
+        for f in range(LANES):
+            for k in range(9):
+                turned[f, g, k * LANES + n] = row[k * LANES + f]
 
 
 @inlined
@@ -204,7 +239,7 @@ def _factor_frame(own: Floats, factor: Floats) -> None:
 
 
 @kernel(
-    floats(3),
+    floats(4),
     floats(2),
     floats(3),
     floats(2),
@@ -233,46 +268,47 @@ def factor_bands(
 ) -> None:
     """Set the normal equations at these points, their bands factored.
 
-    All have two frames of zeros before and after, where not said otherwise. rays: `[group, frame,
-    view * 32]` as of `pack_rays`, without. points, gradient: `[group, frame, 3 * LANES]`. steps:
-    `[frame, 3]`. by_frame: `[2, frame]` inverse variances of accelerations, and the ridge. bones:
-    `[frame, 3, edge]` lengths, inverse standard deviations and the shortest length, without.
-    along: `[frame, 4, edge]`, without. factor: `[group, frame, 16 * LANES]`.
+    Frames fill whole tiles. rays: `[tile, view, keypoint, 4 * LANES]` as of `pack_rays`. bones:
+    `[tile, edge, 3 * LANES]` lengths, inverse standard deviations and the shortest length. along:
+    `[tile, edge, 4 * LANES]`. The others have two frames of zeros before and after: points and
+    gradient `[group, frame, 3 * LANES]`, steps `[frame, 3]`, by_frame `[2, frame]` inverse
+    variances of accelerations, and the ridge; factor `[group, frame, 16 * LANES]`.
     """
     groups, padded = points.shape[:2]
-    own, link = np.empty((groups, _OWN)), np.empty(2 * LANES)
+    own, link = np.empty((rays.shape[2], 12 * LANES)), np.empty(2 * LANES)
+    turned = np.zeros((LANES, groups, _OWN))
     motion = np.zeros((groups, padded, _MOTION))
     narrow, prior_narrow = 1 / loss**2, 1 / prior_loss**2
-    for t in range(2, padded - 2):
-        own[:] = 0.0
-        for g in range(groups):
-            for v in range(len(centres)):
-                part = rays[g, t - 2, v * _RAYS : (v + 1) * _RAYS]
-                _add_view(part, points[g, t], centres[v], narrow, own[g])
-        _add_bones(t, points, edges, bones[t - 2], prior_narrow, along[t - 2], own)
-        for g in range(groups):
-            three = points[g, t : t + 3].reshape(-1)
-            _weigh_motion(three, steps[t], by_frame[0, t], prior_narrow, motion[g, t])
-            recent = motion[g, t - 2 : t + 1].reshape(-1)
-            _add_motion(recent, steps[t - 2 : t + 1], by_frame[1, t], own[g], link)
-            last = factor[g, t - 2 : t + 1].reshape(-1)
-            _link_frames(link, last)
-            _factor_frame(own[g], last)
-            gradient[g, t] = own[g, 6 * LANES :]
+    for k in range(len(rays)):
+        first = 2 + k * LANES
+        tile = points[:, first : first + LANES]
+        _sum_tile(
+            tile, rays[k], centres, narrow, edges, bones[k], prior_narrow, along[k], own, turned
+        )
+        for f in range(LANES):
+            t = first + f
+            for g in range(groups):
+                three = points[g, t : t + 3].reshape(-1)
+                _weigh_motion(three, steps[t], by_frame[0, t], prior_narrow, motion[g, t])
+                recent = motion[g, t - 2 : t + 1].reshape(-1)
+                _add_motion(recent, steps[t - 2 : t + 1], by_frame[1, t], turned[f, g], link)
+                last = factor[g, t - 2 : t + 1].reshape(-1)
+                _link_frames(link, last)
+                _factor_frame(turned[f, g], last)
+                gradient[g, t] = turned[f, g, 6 * LANES :]
 
 
-@kernel(floats(4), floats(3), changed_floats(3))
+@kernel(floats(4), floats(3), changed_floats(4))
 def pack_rays(rays: Floats, precision: Floats, packed: Floats) -> None:
-    """Set rows `[group, frame, view * 32]` of rays `[3, view, keypoint, frame]`, precisions last.
+    """Set `[tile, view, keypoint, 4 * LANES]` from rays `[3, view, keypoint, frame]`.
 
-    precision: `[view, keypoint, frame]`.
+    precision: `[view, keypoint, frame]`, which comes last. Frames that there are none of stay.
     """
     _, views, joints, frames = rays.shape
     for v in range(views):
         for j in range(joints):
-            place = v * _RAYS + j % LANES
             for t in range(frames):
-                row = packed[j // LANES, t]
+                row, n = packed[t // LANES, v, j], t % LANES
                 for c in range(3):
-                    row[place + c * LANES] = rays[c, v, j, t]
-                row[place + 3 * LANES] = precision[v, j, t]
+                    row[c * LANES + n] = rays[c, v, j, t]
+                row[3 * LANES + n] = precision[v, j, t]

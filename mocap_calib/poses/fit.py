@@ -9,11 +9,11 @@ from mocap_calib.compute.kernels import compiled, contiguous
 from mocap_calib.config import PosesConfig
 from mocap_calib.poses.energy import Strengths, linearise, solve
 from mocap_calib.poses.track import Body, Detections
-from mocap_calib.types import Floats
+from mocap_calib.types import Floats, Ints
 
 _EQUATIONS = "mocap_calib.poses.energy_kernels"
 _STEP = "mocap_calib.poses.step_kernels"
-_AROUND = 2  # frames of zeros before and after: as far as accelerations reach
+_AROUND = 2  # frames before and after all: as far as accelerations reach
 
 
 def fit(
@@ -64,18 +64,17 @@ def _fit_compiled(
     """Return what `_fit` returns."""
     equations, step = kernels
     joints, frames = points.shape[:2]
-    views = len(seen.centres)
     lanes = equations.LANES
-    groups = -(-joints // lanes)
-    packed = np.zeros((groups, frames, views * 4 * lanes))
+    tiles = -(-frames // lanes)
+    packed = np.zeros((tiles, len(seen.centres), joints, 4 * lanes))
     equations.pack_rays(*contiguous(seen.rays, seen.precision), packed)
     found = _in_lanes(points, lanes)
     stiffness = 1 / (strengths.acceleration * body.size) ** 2 * (body.steps[0] != 0)
-    by_frame = _between_zeros(np.stack([stiffness, config.ridge / body.size**2]), axis=1)
-    motion = _between_zeros(np.ascontiguousarray(body.steps.T), axis=0)
-    edges, bones = _bones(body, strengths)
-    along = np.empty((frames, 4, len(edges)))
-    factor = np.zeros((groups, found.shape[1], 16 * lanes))
+    by_frame = _in_tiles(np.stack([stiffness, config.ridge / body.size**2]), lanes)
+    motion = np.ascontiguousarray(_in_tiles(body.steps, lanes).T)
+    edges, bones = _bones(body, strengths, lanes)
+    along = np.empty((tiles, len(edges), 4 * lanes))
+    factor = np.zeros((len(found), found.shape[1], 16 * lanes))
     centres = np.ascontiguousarray(seen.centres)
     for loss in losses:
         gradient = np.zeros_like(found)
@@ -93,35 +92,41 @@ def _fit_compiled(
             factor,
             gradient,
         )
-        step.take_step(along, factor, edges, config.inner_steps, gradient, found)
-    return _from_lanes(found, joints)
+        step.take_step(along, factor, edges, joints, config.inner_steps, gradient, found)
+    return _from_lanes(found, joints, frames)
 
 
 def _in_lanes(points: Floats, lanes: int) -> Floats:
-    """Return points `[keypoint, frame, 3]` as `[group, frame, 3 * lanes]`, between zeros."""
-    joints, frames = points.shape[:2]
+    """Return points `[keypoint, frame, 3]` as `[group, frame, 3 * lanes]`, in tiles."""
+    joints = len(points)
     groups = -(-joints // lanes)
-    index = np.minimum(np.arange(groups * lanes), joints - 1).reshape(groups, lanes)
-    found = np.zeros((groups, frames + 2 * _AROUND, 3, lanes))
-    found[:, _AROUND:-_AROUND] = points[index].transpose(0, 2, 3, 1)
-    return found.reshape(groups, -1, 3 * lanes)
+    padded = _in_tiles(points.swapaxes(1, 2), lanes)
+    found = np.zeros((groups * lanes, *padded.shape[1:]))
+    found[:joints] = padded
+    found = found.reshape(groups, lanes, 3, -1).transpose(0, 3, 2, 1)
+    return np.ascontiguousarray(found).reshape(groups, -1, 3 * lanes)
 
 
-def _from_lanes(found: Floats, joints: int) -> Floats:
+def _from_lanes(found: Floats, joints: int, frames: int) -> Floats:
     """Return points `[keypoint, frame, 3]`: the inverse of `_in_lanes`."""
-    groups, frames, _ = found.shape
-    points = found.reshape(groups, frames, 3, -1)[:, _AROUND:-_AROUND].transpose(0, 3, 1, 2)
-    return np.ascontiguousarray(points.reshape(-1, frames - 2 * _AROUND, 3)[:joints])
+    groups = len(found)
+    points = found.reshape(groups, found.shape[1], 3, -1)[:, _AROUND : _AROUND + frames]
+    points = points.transpose(0, 3, 1, 2).reshape(-1, frames, 3)
+    return np.ascontiguousarray(points[:joints])
 
 
-def _between_zeros(values: Floats, *, axis: int) -> Floats:
-    """Return values with two frames of zeros before and after, along the axis of frames."""
-    widths = [(_AROUND, _AROUND) if k == axis else (0, 0) for k in range(values.ndim)]
-    return np.pad(values, widths)
+def _in_tiles(values: Floats, lanes: int) -> Floats:
+    """Return values `[..., frame]` with more frames, alike the first and the last.
+
+    So many that they fill tiles, and two on each side.
+    """
+    short = -values.shape[-1] % lanes
+    widths = [(0, 0)] * (values.ndim - 1) + [(_AROUND, _AROUND + short)]
+    return np.pad(values, widths, mode="edge")
 
 
-def _bones(body: Body, strengths: Strengths) -> tuple[Floats, Floats]:
-    """Return the edges that tell `[edge, 2]`, and of each frame `[frame, 3, edge]`.
+def _bones(body: Body, strengths: Strengths, lanes: int) -> tuple[Ints, Floats]:
+    """Return the edges that tell `[edge, 2]`, and of these `[tile, edge, 3 * lanes]`.
 
     The lengths, their inverse standard deviations, and the shortest length to divide by.
     """
@@ -130,5 +135,10 @@ def _bones(body: Body, strengths: Strengths) -> tuple[Floats, Floats]:
     known = np.isfinite(lengths)
     sigma = np.hypot(strengths.bones * body.size, np.where(known, varies, 0.0))
     shortest = np.broadcast_to(1e-9 * body.size, lengths.shape)
-    rows = np.stack([np.where(known, lengths, 0.0), known / sigma, shortest])
-    return np.ascontiguousarray(edges), np.ascontiguousarray(rows.transpose(2, 0, 1))
+    rows = np.stack([np.where(known, lengths, 0.0), known / sigma, shortest], axis=1)
+    rows = _in_tiles(rows, lanes)[..., _AROUND:-_AROUND]
+    rows[:, 1, lengths.shape[1] :] = 0
+    tiles = rows.shape[-1] // lanes
+    rows = rows.reshape(len(edges), 3, tiles, lanes).transpose(2, 0, 1, 3)
+    rows = np.ascontiguousarray(rows).reshape(tiles, len(edges), 3 * lanes)
+    return np.ascontiguousarray(edges), rows

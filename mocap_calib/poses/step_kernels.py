@@ -8,7 +8,7 @@ import numpy as np
 from mocap_calib.compute.jit import INT, changed_floats, floats, inlined, ints, kernel
 from mocap_calib.types import Floats, Ints
 
-LANES = 8
+LANES = 16
 _POINT = 3 * LANES
 _FACTOR = 16 * LANES
 
@@ -60,124 +60,140 @@ def _substitute_back(factor: Floats, vectors: Floats) -> None:
 
 
 @inlined
-def _couple(t: int, along: Floats, edges: Ints, vectors: Floats, image: Floats) -> None:
-    """Set what the bones' coupling makes of vectors in a frame, `[group, _POINT]`."""
-    image[:] = 0.0
+def _couple_ends(along: Floats, first: Floats, second: Floats) -> None:
+    """Add to each end of a bone, in a tile, what it couples to it. Rows: vectors, and sums."""
+    for n in range(LANES):
+        x, y, z = along[n], along[LANES + n], along[2 * LANES + n]
+        by_first = x * first[n] + y * first[LANES + n] + z * first[2 * LANES + n]
+        by_second = x * second[n] + y * second[LANES + n] + z * second[2 * LANES + n]
+        first[3 * LANES + n] += x * by_second
+        first[4 * LANES + n] += y * by_second
+        first[5 * LANES + n] += z * by_second
+        second[3 * LANES + n] += x * by_first
+        second[4 * LANES + n] += y * by_first
+        second[5 * LANES + n] += z * by_first
+
+
+@inlined
+def _couple(along: Floats, edges: Ints, joints: Floats, vectors: Floats, image: Floats) -> None:
+    """Set what the bones' coupling makes of vectors in a tile, `[group, frame, _POINT]`.
+
+    joints: `[joint, 2 * _POINT]`, is overwritten.
+    """
+    for j in range(len(joints)):
+        row, g, n = joints[j], j // LANES, j % LANES
+        for f in range(LANES):
+            for k in range(3):
+                row[k * LANES + f] = vectors[g, f, k * LANES + n]
+        row[_POINT:] = 0.0
     for e in range(len(edges)):
-        a, b = edges[e, 0], edges[e, 1]
-        x, y, z = along[0, e], along[1, e], along[2, e]
-        of_a, of_b = vectors[a // LANES, t], vectors[b // LANES, t]
-        to_a, to_b = image[a // LANES], image[b // LANES]
-        n, m = a % LANES, b % LANES
-        by_a = x * of_a[n] + y * of_a[n + LANES] + z * of_a[n + 2 * LANES]
-        by_b = x * of_b[m] + y * of_b[m + LANES] + z * of_b[m + 2 * LANES]
-        to_a[n] += x * by_b
-        to_a[n + LANES] += y * by_b
-        to_a[n + 2 * LANES] += z * by_b
-        to_b[m] += x * by_a
-        to_b[m + LANES] += y * by_a
-        to_b[m + 2 * LANES] += z * by_a
+        _couple_ends(along[e], joints[edges[e, 0]], joints[edges[e, 1]])
+    for j in range(len(joints)):
+        row, g, n = joints[j], j // LANES, j % LANES
+        for f in range(LANES):
+            for k in range(3):
+                image[g, f, k * LANES + n] = row[_POINT + k * LANES + f]
 
 
 @inlined
 def _add_products(first: Floats, second: Floats, total: Floats) -> None:
-    """Add the products of rows `[_POINT]` to a third."""
-    for n in range(_POINT):
-        total[n] += first[n] * second[n]
+    """Add the products of tiles `[frame, _POINT]` to a row."""
+    for f in range(LANES):
+        one, other = first[f], second[f]
+        for n in range(len(total)):
+            total[n] += one[n] * other[n]
 
 
 @inlined
-def _add_times(factor: float, row: Floats, total: Floats) -> None:
-    """Add a factor times a row `[_POINT]` to another."""
-    for n in range(_POINT):
-        total[n] += factor * row[n]
+def _add_times(factor: float, rows: Floats, total: Floats) -> None:
+    """Add a factor times rows to others."""
+    for n in range(len(rows)):
+        total[n] += factor * rows[n]
 
 
 @inlined
-def _renew(row: Floats, share: float, direction: Floats) -> None:
-    """Set a direction `[_POINT]` to a row and its share of what it was."""
-    for n in range(_POINT):
-        direction[n] = row[n] + share * direction[n]
+def _renew(rows: Floats, share: float, direction: Floats) -> None:
+    """Set a direction to rows and its share of what it was."""
+    for n in range(len(rows)):
+        direction[n] = rows[n] + share * direction[n]
 
 
 @inlined
-def _forwards(t: int, factor: Floats, vectors: Floats) -> None:
-    """Solve a frame forwards, after those before it."""
-    for g in range(len(vectors)):
-        _substitute(factor[g, t], vectors[g, t - 2 : t + 1].reshape(-1))
+def _forwards(first: int, factor: Floats, vectors: Floats) -> None:
+    """Solve a tile forwards, after those before it."""
+    for t in range(first, first + LANES):
+        for g in range(len(vectors)):
+            _substitute(factor[g, t], vectors[g, t - 2 : t + 1].reshape(-1))
 
 
 @inlined
-def _backwards(t: int, factor: Floats, vectors: Floats) -> None:
-    """Solve a frame backwards, after those that follow."""
-    for g in range(len(vectors)):
-        _substitute_back(factor[g, t : t + 3].reshape(-1), vectors[g, t : t + 3].reshape(-1))
-
-
-@inlined
-def _first_step(
-    along: Floats, factor: Floats, edges: Ints, step: Floats, residual: Floats, towards: Floats
-) -> None:
-    """Solve the bands alone: the step is its side at first. Then set what this leaves."""
-    padded = step.shape[1]
-    for t in range(2, padded - 2):
-        _forwards(t, factor, step)
-    for t in range(padded - 3, 1, -1):
-        _backwards(t, factor, step)
-    for t in range(2, padded - 2):
-        _couple(t, along[t - 2], edges, step, residual[:, t])
-        towards[:, t] = residual[:, t]
-        _forwards(t, factor, towards)
+def _backwards(first: int, factor: Floats, vectors: Floats) -> None:
+    """Solve a tile backwards, after those that follow."""
+    for t in range(first + LANES - 1, first - 1, -1):
+        for g in range(len(vectors)):
+            _substitute_back(factor[g, t : t + 3].reshape(-1), vectors[g, t : t + 3].reshape(-1))
 
 
 @inlined
 def _finish(factor: Floats, residual: Floats, towards: Floats) -> float:
     """Solve all frames backwards; return the product of the residual and the solution."""
     total = np.zeros(_POINT)
-    for t in range(towards.shape[1] - 3, 1, -1):
-        _backwards(t, factor, towards)
+    for first in range(towards.shape[1] - 2 - LANES, 1, -LANES):
+        last = first + LANES
+        _backwards(first, factor, towards)
         for g in range(len(towards)):
-            _add_products(residual[g, t], towards[g, t], total)
+            _add_products(residual[g, first:last], towards[g, first:last], total)
     return float(total.sum())
 
 
-@kernel(floats(3), floats(3), ints(2), INT, changed_floats(3), changed_floats(3))
+@kernel(floats(3), floats(3), ints(2), INT, INT, changed_floats(3), changed_floats(3))
 def take_step(
-    along: Floats, factor: Floats, edges: Ints, rounds: int, step: Floats, points: Floats
+    along: Floats,
+    factor: Floats,
+    edges: Ints,
+    keypoints: int,
+    rounds: int,
+    step: Floats,
+    points: Floats,
 ) -> None:
     """Move points by the step of normal equations. step: their gradient, which is overwritten.
 
     rounds: of conjugate gradients. The rest: as of `energy_kernels.factor_bands`.
     """
     groups, padded, _ = step.shape
-    residual, towards = np.zeros_like(step), np.zeros_like(step)
+    residual, towards, image = np.zeros_like(step), np.zeros_like(step), np.zeros_like(step)
     direction, by_bands = np.zeros_like(step), np.zeros_like(step)
-    image, total = np.zeros_like(step), np.empty(_POINT)
-    _first_step(along, factor, edges, step, residual, towards)
-    before, share = np.inf, 0.0
+    joints, total = np.empty((keypoints, 2 * _POINT)), np.empty(_POINT)
+    for first in range(2, padded - 2, LANES):
+        _forwards(first, factor, step)
+    for first in range(padded - 2 - LANES, 1, -LANES):
+        _backwards(first, factor, step)
+    before, length = np.inf, 0.0
     for k in range(rounds if len(edges) else 0):
+        for first in range(2, padded - 2, LANES):
+            tile = slice(first, first + LANES)
+            if k == 0:
+                _couple(along[first // LANES], edges, joints, step[:, tile], residual[:, tile])
+            for g in range(groups):
+                _add_times(-length, image[g, tile].reshape(-1), residual[g, tile].reshape(-1))
+                towards[g, tile] = residual[g, tile]
+            _forwards(first, factor, towards)
         product = _finish(factor, residual, towards)
         if product <= 0:
             break
         share, before = product / before, product
         total[:] = 0.0
-        for t in range(2, padded - 2):
+        for first in range(2, padded - 2, LANES):
+            tile = slice(first, first + LANES)
             for g in range(groups):
-                _renew(towards[g, t], share, direction[g, t])
-                _renew(residual[g, t], share, by_bands[g, t])
-            _couple(t, along[t - 2], edges, direction, image[:, t])
+                _renew(towards[g, tile].reshape(-1), share, direction[g, tile].reshape(-1))
+                _renew(residual[g, tile].reshape(-1), share, by_bands[g, tile].reshape(-1))
+            _couple(along[first // LANES], edges, joints, direction[:, tile], image[:, tile])
             for g in range(groups):
-                _renew(by_bands[g, t], -1.0, image[g, t])
-                _add_products(direction[g, t], image[g, t], total)
+                _renew(by_bands[g, tile].reshape(-1), -1.0, image[g, tile].reshape(-1))
+                _add_products(direction[g, tile], image[g, tile], total)
         length = product / total.sum()
-        for t in range(2, padded - 2):
-            for g in range(groups):
-                _add_times(length, direction[g, t], step[g, t])
-            if k + 1 < rounds:
-                for g in range(groups):
-                    _add_times(-length, image[g, t], residual[g, t])
-                    towards[g, t] = residual[g, t]
-                _forwards(t, factor, towards)
-    for t in range(2, padded - 2):
         for g in range(groups):
-            _add_times(-1.0, step[g, t], points[g, t])
+            _add_times(length, direction[g].reshape(-1), step[g].reshape(-1))
+    for g in range(groups):
+        _add_times(-1.0, step[g].reshape(-1), points[g].reshape(-1))
