@@ -694,6 +694,7 @@ class UncertaintyConfig:
     # 2.4, 5.3 and 8 where all are wrong by 10, 20 and 30 % and each is uncertain by 5 %
     common_focal_significance: float = 4.0
     misfit_limit: float = 4.0  # usual errors: no error counts for more in the misfit of a rig
+    tied_misfit: float = 1.001  # ratio of misfits that differ by where an adjustment ended alone
     same_misfit: float = 1.05  # ratio of the misfits of two rigs that fit equally well
     same_rig_deg: float = 10.0  # two rigs whose cameras turn by no more than this are one answer
 
