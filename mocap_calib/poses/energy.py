@@ -17,6 +17,8 @@ from mocap_calib.config import PosesConfig
 from mocap_calib.poses.track import Body, Detections
 from mocap_calib.types import Floats
 
+_ROUNDING = 1e-12  # of what a point is held by
+
 
 @dataclass(frozen=True)
 class Strengths:
@@ -76,6 +78,9 @@ def _data_terms(points: Floats, seen: Detections, loss: float) -> tuple[Floats, 
     aw, bw = a * weight, b * weight
     rows = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
     own = np.stack([(aw[i] * a[j] + bw[i] * b[j]).sum(0) for i, j in rows], axis=-1)
+    # a point next to a camera is held so hard across the ray that rounding would outweigh what
+    # holds it along the ray
+    own[..., (0, 3, 5)] += _ROUNDING * own[..., (0, 3, 5)].sum(-1, keepdims=True)
     gradient = (aw * first + bw * second).sum(1)
     return own, gradient.transpose(1, 2, 0)
 

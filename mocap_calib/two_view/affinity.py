@@ -11,6 +11,7 @@ from itertools import combinations
 
 import numpy as np
 
+from mocap_calib.compute.kernels import compiled, contiguous
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.epipolar import essential_matrix
 from mocap_calib.two_view.view_pair import ViewPair, body_sizes_per_radian
@@ -177,11 +178,53 @@ def epipolar_affinity(
     something, else 0.
     """
     views, frames, instances, _ = sample.confidence.shape
-    rays = np.ascontiguousarray(np.moveaxis(np.nan_to_num(sample.rays), -1, 1))  # by component
-    closeness = 1 / distance**2
+    kernels = compiled("mocap_calib.two_view.affinity_kernels")
+    if kernels is None:
+        affinity, comparable = fit_each_pair_of_views(sample, rig, distance, config)
+    else:
+        affinity = np.zeros((frames, views, instances, views, instances))
+        comparable = np.zeros_like(affinity)
+        kernels.fit_all_views(
+            *contiguous(
+                np.moveaxis(np.nan_to_num(sample.rays), (1, 4), (0, 3)),
+                np.swapaxes(sample.confidence, 0, 1),
+                np.swapaxes(1 / distance**2, 0, 1),
+                _essential_matrices(rig),
+            ),
+            config.inlier,
+            config.least_common_joints,
+            affinity,
+            comparable,
+        )
+    nodes = views * instances
+    return affinity.reshape(frames, nodes, nodes), comparable.reshape(frames, nodes, nodes)
+
+
+def _essential_matrices(rig: CameraRig) -> Floats:
+    """Return `[view, view, 3, 3]` the essential matrices of all pairs a < b, transposed at (b, a).
+
+    0 on the diagonal.
+    """
+    a, b = np.triu_indices(len(rig.cameras), 1)
+    rotation = rig.rotation[b] @ np.swapaxes(rig.rotation[a], 1, 2)
+    translation = rig.translation[b] - (rotation @ rig.translation[a][..., None])[..., 0]
+    length = np.linalg.norm(translation, axis=-1, keepdims=True)
+    matrices = np.zeros((len(rig.cameras), len(rig.cameras), 3, 3))
+    matrices[a, b] = essential_matrix(rotation, translation / length)
+    matrices[b, a] = np.swapaxes(matrices[a, b], 1, 2)
+    return matrices
+
+
+def fit_each_pair_of_views(
+    sample: Sample, rig: CameraRig, distance: Floats, config: PairwiseConfig
+) -> tuple[Floats, Floats]:
+    """Return what `epipolar_affinity` does in numpy, `[frame, view, instance, view, instance]`."""
+    views, frames, instances, _ = sample.confidence.shape
     affinity = np.zeros((frames, views, instances, views, instances))
     comparable = np.zeros_like(affinity)
-    for a, b in combinations(range(views), 2):
+    rays = np.ascontiguousarray(np.moveaxis(np.nan_to_num(sample.rays), -1, 1))  # by component
+    closeness = 1 / distance**2
+    for a, b in combinations(range(len(rig.cameras)), 2):
         rotation, translation = rig.relative(a, b)
         matrix = essential_matrix(rotation, translation / np.linalg.norm(translation))
         body_sizes_squared = 2 / (closeness[a][:, :, None] + closeness[b][:, None])
@@ -198,8 +241,7 @@ def epipolar_affinity(
         for table, values in ((affinity, found), (comparable, common)):
             table[:, a, :, b] = values
             table[:, b, :, a] = np.swapaxes(values, 1, 2)
-    nodes = views * instances
-    return affinity.reshape(frames, nodes, nodes), comparable.reshape(frames, nodes, nodes)
+    return affinity, comparable
 
 
 def _fit_by_component(

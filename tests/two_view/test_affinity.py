@@ -13,6 +13,7 @@ from mocap_calib.two_view.affinity import (
     epipolar_affinity,
     epipolar_error,
     epipolar_fit,
+    fit_each_pair_of_views,
     steering_error,
 )
 from mocap_calib.two_view.view_pair import (
@@ -88,6 +89,9 @@ def test_the_affinity_by_a_rig_is_the_epipolar_fit_of_its_pairs():
     np.testing.assert_allclose(affinity[:, rows, columns], fit, atol=1e-9)
     assert ((comparable[:, rows, columns] > 0) | (fit == 0)).all()
     np.testing.assert_array_equal(affinity, np.swapaxes(affinity, 1, 2))
+    slow = fit_each_pair_of_views(sample, rig, distance, config)
+    np.testing.assert_allclose(affinity, slow[0].reshape(affinity.shape), rtol=1e-12, atol=1e-14)
+    np.testing.assert_array_equal(comparable, slow[1].reshape(comparable.shape))
 
 
 def test_distances_are_compared_where_joints_are_in_front_of_both_views():
@@ -107,5 +111,5 @@ def test_distances_are_compared_where_joints_are_in_front_of_both_views():
         body = pair.a.distance[frame, i] + pair.b.distance[frame, j]
         expected.append(body / (ahead_a + ahead_b)[both])
     assert one_sided > 0
-    found = distance_ratios(pair, rotation, translation, matched)
+    found = distance_ratios(pair.a, pair.b, rotation, translation, matched)
     np.testing.assert_allclose(found, np.concatenate(expected), rtol=1e-9)
