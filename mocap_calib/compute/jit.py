@@ -7,7 +7,9 @@ file. There is always a definition in numpy too, which a test holds it to, and w
 numba is missing (`compute.kernels`).
 """
 
+import sys
 from collections.abc import Callable
+from importlib import import_module
 from typing import Any, TypeVar, cast
 
 import numba
@@ -20,6 +22,25 @@ SINGLE = types.float32
 INT = types.int64
 BOOL = types.boolean
 OCTET = types.uint8
+
+
+def _leave_blas_for_later() -> None:
+    """Import what numba needs without scipy's BLAS: 0.2 s, for products that no kernel here has.
+
+    Whoever compiles such a product has it imported then.
+    """
+    blas = "scipy.linalg.cython_blas"
+    if blas in sys.modules or "numba.np.arraymath" in sys.modules:
+        return
+    sys.modules[blas] = None  # type: ignore[assignment] # Python's way to say that it is missing
+    try:
+        arraymath: Any = import_module("numba.np.arraymath")
+    finally:
+        del sys.modules[blas]
+    arraymath._HAVE_BLAS = True
+
+
+_leave_blas_for_later()
 
 
 def kernel(*arguments: Any) -> Callable[[Function], Function]:
