@@ -193,10 +193,9 @@ def _lift_rays(rays: Floats, down: Floats, network: Network) -> _Bodies:
     size = np.sqrt((body**2).sum(-1).mean(-1))[:, None]
     body = body / size[..., None]
     centre = _centre(body, image, seen)
-    camera_from_virtual = np.swapaxes(virtual_from_camera, 1, 2)
     return _Bodies(
-        body=np.einsum("bij,bkj->bki", camera_from_virtual, body),
-        centre=np.einsum("bij,bj->bi", camera_from_virtual, centre),
+        body=body @ virtual_from_camera,  # in rows: turned by the transpose
+        centre=np.einsum("bji,bj->bi", virtual_from_camera, centre),
         spread=np.hypot(deviation[..., 0], deviation[..., 1]) / size,
     )
 
@@ -204,7 +203,7 @@ def _lift_rays(rays: Floats, down: Floats, network: Network) -> _Bodies:
 def _project(rays: Floats, seen: Bools, virtual_from_camera: Floats) -> Floats:
     """Return the normalised image points `[B, J, 2]` of rays `[B, J, 3]` in virtual cameras."""
     known = np.where(seen[..., None], rays, [0.0, 0.0, 1.0])
-    turned = np.einsum("bij,bkj->bki", virtual_from_camera, known)
+    turned = known @ np.swapaxes(virtual_from_camera, 1, 2)
     return turned[..., :2] / np.maximum(turned[..., 2:], LIFT_LEAST_FORWARD)
 
 
