@@ -238,6 +238,20 @@ def _factor_frame(own: Floats, factor: Floats) -> None:
         factor[m + 4 * LANES], factor[m + 5 * LANES] = z * third, third
 
 
+@inlined
+def _factor_next(
+    t: int, motion: Floats, steps: Floats, ridge: float, own: Floats, link: Floats, factor: Floats
+) -> None:
+    """Add the accelerations to a frame's blocks, and factor these after those of the frames before.
+
+    motion, factor: of a group.
+    """
+    _add_motion(motion[t - 2 : t + 1].reshape(-1), steps[t - 2 : t + 1], ridge, own, link)
+    last = factor[t - 2 : t + 1].reshape(-1)
+    _link_frames(link, last)
+    _factor_frame(own, last)
+
+
 @kernel(
     floats(4),
     floats(2),
@@ -268,7 +282,7 @@ def factor_bands(
 ) -> None:
     """Set the normal equations at these points, their bands factored.
 
-    Frames fill whole tiles. rays: `[tile, view, keypoint, 4 * LANES]` as of `pack_rays`. bones:
+    Frames fill whole tiles. rays: `[tile, view, keypoint, 4 * LANES]`, precisions last. bones:
     `[tile, edge, 3 * LANES]` lengths, inverse standard deviations and the shortest length. along:
     `[tile, edge, 4 * LANES]`. The others have two frames of zeros before and after: points and
     gradient `[group, frame, 3 * LANES]`, steps `[frame, 3]`, by_frame `[2, frame]` inverse
@@ -290,25 +304,20 @@ def factor_bands(
             for g in range(groups):
                 three = points[g, t : t + 3].reshape(-1)
                 _weigh_motion(three, steps[t], by_frame[0, t], prior_narrow, motion[g, t])
-                recent = motion[g, t - 2 : t + 1].reshape(-1)
-                _add_motion(recent, steps[t - 2 : t + 1], by_frame[1, t], turned[f, g], link)
-                last = factor[g, t - 2 : t + 1].reshape(-1)
-                _link_frames(link, last)
-                _factor_frame(turned[f, g], last)
+                _factor_next(t, motion[g], steps, by_frame[1, t], turned[f, g], link, factor[g])
                 gradient[g, t] = turned[f, g, 6 * LANES :]
 
 
-@kernel(floats(4), floats(3), changed_floats(4))
-def pack_rays(rays: Floats, precision: Floats, packed: Floats) -> None:
-    """Set `[tile, view, keypoint, 4 * LANES]` from rays `[3, view, keypoint, frame]`.
+@kernel(floats(3), floats(2), floats(1), changed_floats(3), changed_floats(3))
+def factor_blocks(
+    motion: Floats, steps: Floats, ridge: Floats, blocks: Floats, factor: Floats
+) -> None:
+    """Factor bands of given blocks and weights of accelerations; arrays are as of `factor_bands`.
 
-    precision: `[view, keypoint, frame]`, which comes last. Frames that there are none of stay.
+    motion: `[group, frame, 4 * LANES]` the weights first. ridge: `[frame]`. blocks: `[group,
+    frame, 9 * LANES]`, which are overwritten.
     """
-    _, views, joints, frames = rays.shape
-    for v in range(views):
-        for j in range(joints):
-            for t in range(frames):
-                row, n = packed[t // LANES, v, j], t % LANES
-                for c in range(3):
-                    row[c * LANES + n] = rays[c, v, j, t]
-                row[3 * LANES + n] = precision[v, j, t]
+    link = np.empty(2 * LANES)
+    for g in range(len(blocks)):
+        for t in range(2, blocks.shape[1] - 2):
+            _factor_next(t, motion[g], steps, ridge[t], blocks[g, t], link, factor[g])
