@@ -240,13 +240,13 @@ def _factor_frame(own: Floats, factor: Floats) -> None:
 
 @inlined
 def _factor_next(
-    t: int, motion: Floats, steps: Floats, ridge: float, own: Floats, link: Floats, factor: Floats
+    t: int, recent: Floats, steps: Floats, ridge: float, own: Floats, link: Floats, factor: Floats
 ) -> None:
     """Add the accelerations to a frame's blocks, and factor these after those of the frames before.
 
-    motion, factor: of a group.
+    recent: accelerations of three frames. factor: of a group.
     """
-    _add_motion(motion[t - 2 : t + 1].reshape(-1), steps[t - 2 : t + 1], ridge, own, link)
+    _add_motion(recent, steps[t - 2 : t + 1], ridge, own, link)
     last = factor[t - 2 : t + 1].reshape(-1)
     _link_frames(link, last)
     _factor_frame(own, last)
@@ -288,10 +288,10 @@ def factor_bands(
     gradient `[group, frame, 3 * LANES]`, steps `[frame, 3]`, by_frame `[2, frame]` inverse
     variances of accelerations, and the ridge; factor `[group, frame, 16 * LANES]`.
     """
-    groups, padded = points.shape[:2]
+    groups = len(points)
     own, link = np.empty((rays.shape[2], 12 * LANES)), np.empty(2 * LANES)
     turned = np.zeros((LANES, groups, _OWN))
-    motion = np.zeros((groups, padded, _MOTION))
+    motion = np.zeros((groups, LANES + 2, _MOTION))  # of the tile and two frames before
     narrow, prior_narrow = 1 / loss**2, 1 / prior_loss**2
     for k in range(len(rays)):
         first = 2 + k * LANES
@@ -299,13 +299,14 @@ def factor_bands(
         _sum_tile(
             tile, rays[k], centres, narrow, edges, bones[k], prior_narrow, along[k], own, turned
         )
-        for f in range(LANES):
-            t = first + f
-            for g in range(groups):
-                three = points[g, t : t + 3].reshape(-1)
-                _weigh_motion(three, steps[t], by_frame[0, t], prior_narrow, motion[g, t])
-                _factor_next(t, motion[g], steps, by_frame[1, t], turned[f, g], link, factor[g])
-                gradient[g, t] = turned[f, g, 6 * LANES :]
+        for g in range(groups):
+            motion[g, :2] = motion[g, LANES:]
+            for f in range(LANES):
+                t, own_frame = first + f, turned[f, g]
+                three, recent = points[g, t : t + 3].reshape(-1), motion[g, f : f + 3].reshape(-1)
+                _weigh_motion(three, steps[t], by_frame[0, t], prior_narrow, motion[g, f + 2])
+                _factor_next(t, recent, steps, by_frame[1, t], own_frame, link, factor[g])
+                gradient[g, t] = own_frame[6 * LANES :]
 
 
 @kernel(floats(3), floats(2), floats(1), changed_floats(3), changed_floats(3))
@@ -320,4 +321,5 @@ def factor_blocks(
     link = np.empty(2 * LANES)
     for g in range(len(blocks)):
         for t in range(2, blocks.shape[1] - 2):
-            _factor_next(t, motion[g], steps, ridge[t], blocks[g, t], link, factor[g])
+            recent = motion[g, t - 2 : t + 1].reshape(-1)
+            _factor_next(t, recent, steps, ridge[t], blocks[g, t], link, factor[g])

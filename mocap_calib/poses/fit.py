@@ -73,8 +73,8 @@ def _fit_compiled(
     along = np.empty((tiles, len(edges), 4 * lanes))
     factor = np.zeros((len(found), found.shape[1], 16 * lanes))
     centres = np.ascontiguousarray(seen.centres)
+    gradient, work = np.zeros_like(found), np.zeros((5, *found.shape))
     for loss in losses:
-        gradient = np.zeros_like(found)
         equations.factor_bands(
             packed,
             centres,
@@ -89,7 +89,7 @@ def _fit_compiled(
             factor,
             gradient,
         )
-        step.take_step(along, factor, edges, joints, config.inner_steps, gradient, found)
+        step.take_step(along, factor, edges, joints, config.inner_steps, work, gradient, found)
     return from_lanes(found, lanes, joints, frames)
 
 

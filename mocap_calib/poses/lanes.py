@@ -24,15 +24,15 @@ def in_lanes(values: Floats, lanes: int) -> Floats:
     padded = in_tiles(values.swapaxes(1, 2), lanes)
     found = np.zeros((groups * lanes, *padded.shape[1:]))
     found[:joints] = padded
-    found = found.reshape(groups, lanes, numbers, -1).transpose(0, 3, 2, 1)
-    return np.ascontiguousarray(found).reshape(groups, -1, numbers * lanes)
+    rows = found.reshape(groups, lanes, numbers, -1).transpose(0, 3, 2, 1)
+    return np.ascontiguousarray(rows).reshape(groups, -1, numbers * lanes)
 
 
 def from_lanes(rows: Floats, lanes: int, joints: int, frames: int) -> Floats:
     """Return values `[keypoint, frame, N]` of rows `[group, frame, N * lanes]`."""
     numbers = rows.shape[2] // lanes
-    own = rows[:, AROUND : AROUND + frames].reshape(len(rows), frames, numbers, lanes)
-    own = own.transpose(0, 3, 1, 2).reshape(-1, frames, numbers)
+    by_lane = rows[:, AROUND : AROUND + frames].reshape(len(rows), frames, numbers, lanes)
+    own = by_lane.transpose(0, 3, 1, 2).reshape(-1, frames, numbers)
     return np.ascontiguousarray(own[:joints])
 
 

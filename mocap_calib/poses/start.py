@@ -96,14 +96,22 @@ def _middle_and_spread(values: Floats, noise: Floats) -> tuple[float, float]:
     turns, and spines bend. Half of the values are within the median of a normal error; each
     counts by its whole variance, robustly.
     """
-    middle, varies = float(np.median(values[noise <= np.median(noise)])), 0.0
+    middle, varies = _median(values[noise <= _median(noise)]), 0.0
     for _ in range(_ROUNDS):
         square = (values - middle) ** 2
-        varies = max(float(np.median(square / _MEDIAN_SQUARE - noise)), 0.0)
+        varies = max(_median(square / _MEDIAN_SQUARE - noise), 0.0)
         variance = noise + varies
         weight = 1 / (variance + square / 4)
         middle = float((weight * values).sum() / weight.sum())
     return middle, float(np.sqrt(varies))
+
+
+def _median(values: Floats) -> float:
+    """Return the median of values `[N]`; numpy's looks at much else first, for few values."""
+    last = len(values) // 2
+    first = last - 1 + len(values) % 2
+    middle = np.partition(values, (first, last))
+    return float(middle[first] + middle[last]) / 2
 
 
 def fill_gaps(points: Floats, times: Floats, edges: Ints) -> Floats:

@@ -146,23 +146,26 @@ def _finish(factor: Floats, residual: Floats, towards: Floats) -> float:
     return float(total.sum())
 
 
-@kernel(floats(3), floats(3), ints(2), INT, INT, changed_floats(3), changed_floats(3))
+@kernel(
+    floats(3), floats(3), ints(2), INT, INT, changed_floats(4), changed_floats(3), changed_floats(3)
+)
 def take_step(
     along: Floats,
     factor: Floats,
     edges: Ints,
     keypoints: int,
     rounds: int,
+    work: Floats,
     step: Floats,
     points: Floats,
 ) -> None:
     """Move points by the step of normal equations. step: their gradient, which is overwritten.
 
-    rounds: of conjugate gradients. The rest: as of `energy_kernels.factor_bands`.
+    rounds: of conjugate gradients. work: five arrays like the step, at first of zeros. The
+    rest: as of `energy_kernels.factor_bands`.
     """
     groups, padded, _ = step.shape
-    residual, towards, image = np.zeros_like(step), np.zeros_like(step), np.zeros_like(step)
-    direction, by_bands = np.zeros_like(step), np.zeros_like(step)
+    residual, towards, image, direction, by_bands = work[0], work[1], work[2], work[3], work[4]
     joints, total = np.empty((keypoints, 2 * _POINT)), np.empty(_POINT)
     for first in range(2, padded - 2, LANES):
         _forwards(first, factor, step)
