@@ -12,6 +12,7 @@ import numpy as np
 from mocap_calib import mapped
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import MatchingConfig
+from mocap_calib.geometry.graphs import assign
 from mocap_calib.geometry.projection import rays_from_pixels
 from mocap_calib.multi_view.labels import name_groups, replace_labels
 from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Matches, Recording
@@ -29,11 +30,11 @@ def locate_groups(recording: Recording, rig: CameraRig, labels: Ints) -> Floats:
     starts = range(0, labels.shape[1], _FRAMES)
     blocks = [slice(start, start + _FRAMES) for start in starts]
     locate = partial(_locate_in_block, recording=recording, rig=rig, labels=labels, groups=groups)
-    found = []
-    for part in map_in_threads(locate, blocks):
-        found.append(part)
+    places = mapped.empty((labels.shape[1], groups, 3))
+    for block, part in zip(blocks, map_in_threads(locate, blocks), strict=True):
+        places[block] = part
         mapped.let_go()
-    return np.concatenate(found)
+    return places
 
 
 def _locate_in_block(
@@ -138,20 +139,19 @@ def _assign(cost: Floats) -> tuple[Ints, Ints]:
         return np.arange(rows), wanted
     if columns <= rows and len(set((wanted := cost.argmin(0)).tolist())) == columns:
         return wanted, np.arange(columns)
-    # takes half a second to import, which few recordings need
-    from scipy.optimize import linear_sum_assignment  # noqa: PLC0415
-
-    return linear_sum_assignment(cost)
+    return assign(cost)
 
 
 def _largest_step(places: Floats, frames: Ints, config: MatchingConfig) -> float:
     """Return how far a body may be from where it was one frame number ago, in body sizes."""
-    step = places[:-1, :, None] - places[1:, None]
-    elapsed = np.diff(frames)[:, None, None]
-    speed = np.linalg.norm(step, axis=-1) / elapsed
-    speed = np.where(np.isfinite(speed), speed, np.inf)
-    nearest = np.nanmin(speed, axis=-1, initial=np.inf)  # group of the next frame
-    steps = nearest[np.isfinite(nearest)]
+    found = [np.zeros(0)]
+    for block in mapped.frame_slices(len(frames) - 1, _FRAMES):
+        after = slice(block.start + 1, block.stop + 1)
+        apart = np.linalg.norm(places[block, :, None] - places[after, None], axis=-1)
+        speed = apart / (frames[after] - frames[block])[:, None, None]
+        nearest = np.where(np.isfinite(speed), speed, np.inf).min(-1, initial=np.inf)
+        found.append(nearest[np.isfinite(nearest)])  # of each group, in the next frame
+    steps = np.concatenate(found)
     if len(steps) == 0:
         return config.largest_step
     return max(config.largest_step, config.usual_steps * float(np.median(steps)))

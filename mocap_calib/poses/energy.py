@@ -11,11 +11,12 @@ with its cube.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from mocap_calib.config import PosesConfig
 from mocap_calib.poses.track import Body, Detections
 from mocap_calib.types import Floats
+
+_ROUNDING = 1e-12  # of what a point is held by
 
 
 @dataclass(frozen=True)
@@ -90,6 +91,9 @@ def _data_terms(points: Floats, seen: Detections, loss: float) -> tuple[Floats, 
     rows = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
     both = (float(i == j) - (ray[i] * towards[j] + towards[i] * ray[j]) / 2 for i, j in rows)
     own = np.stack([(weight * part).sum(0) for part in both], axis=-1)
+    # a point next to a camera is held so hard across the ray that rounding would outweigh what
+    # holds it along the ray
+    own[..., (0, 3, 5)] += _ROUNDING * own[..., (0, 3, 5)].sum(-1, keepdims=True)
     return own, gradient.transpose(1, 2, 0)
 
 
@@ -202,6 +206,9 @@ def _bands(system: System, body: Body, ridge: Floats) -> Floats:
 
 def solve(system: System, body: Body, ridge: Floats, config: PosesConfig) -> Floats:
     """Return the step `[keypoint, frame, 3]` by preconditioned conjugate gradients."""
+    # slow to import, which the kernels need not pay for
+    from scipy.linalg import cho_solve_banded, cholesky_banded  # noqa: PLC0415
+
     factor = cholesky_banded(_bands(system, body, ridge), overwrite_ab=True, check_finite=False)
     shape = system.gradient.shape
 

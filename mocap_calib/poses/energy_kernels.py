@@ -18,6 +18,7 @@ _POINT = 3 * LANES  # numbers of a group in a frame: coordinates,
 _MOTION = 4 * LANES  # weights of accelerations, and these times them,
 _FACTOR = 16 * LANES  # P, F and c
 _OWN = 9 * LANES  # blocks of the diagonal, and the gradient
+_ROUNDING = 1e-12  # of what a point is held by, as in `energy`
 
 
 @inlined
@@ -50,6 +51,16 @@ def _add_view(rays: Floats, centre: Floats, narrow: float, own: Floats) -> None:
         own[3 * LANES + n] += weight * (1 - (size * ry + 2 * y) * ry)
         own[4 * LANES + n] -= weight * (size * ry * rz + y * rz + z * ry)
         own[5 * LANES + n] += weight * (1 - (size * rz + 2 * z) * rz)
+
+
+@inlined
+def _hold(own: Floats) -> None:
+    """Add a trace of their size to the blocks of a joint, as `energy.linearise` does."""
+    for n in range(LANES):
+        trace = _ROUNDING * (own[n] + own[3 * LANES + n] + own[5 * LANES + n])
+        own[n] += trace
+        own[3 * LANES + n] += trace
+        own[5 * LANES + n] += trace
 
 
 @inlined
@@ -118,6 +129,7 @@ def _sum_tile(
                 row[_OWN + k * LANES + f] = points[g, f, k * LANES + n]
         for v in range(len(centres)):
             _add_view(rays[v, j], centres[v], narrow, row)
+        _hold(row)
     for e in range(len(edges)):
         a, b = edges[e, 0], edges[e, 1]
         _set_along(own[a], own[b], along[e])
