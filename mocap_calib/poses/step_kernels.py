@@ -178,11 +178,13 @@ def take_step(
             if k == 0:
                 _couple(along[first // LANES], edges, joints, step[:, tile], residual[:, tile])
             for g in range(groups):
+                _add_times(length, direction[g, tile].reshape(-1), step[g, tile].reshape(-1))
                 _add_times(-length, image[g, tile].reshape(-1), residual[g, tile].reshape(-1))
                 towards[g, tile] = residual[g, tile]
             _forwards(first, factor, towards)
         product = _finish(factor, residual, towards)
         if product <= 0:
+            length = 0.0
             break
         share, before = product / before, product
         total[:] = 0.0
@@ -196,10 +198,11 @@ def take_step(
                 _renew(by_bands[g, tile].reshape(-1), -1.0, image[g, tile].reshape(-1))
                 _add_products(direction[g, tile], image[g, tile], total)
         length = product / total.sum()
-        for g in range(groups):
-            _add_times(length, direction[g].reshape(-1), step[g].reshape(-1))
     for g in range(groups):
-        _add_times(-1.0, step[g].reshape(-1), points[g].reshape(-1))
+        for first in range(2, padded - 2, LANES):
+            tile = slice(first, first + LANES)
+            _add_times(length, direction[g, tile].reshape(-1), step[g, tile].reshape(-1))
+            _add_times(-1.0, step[g, tile].reshape(-1), points[g, tile].reshape(-1))
 
 
 @inlined
