@@ -18,6 +18,7 @@ _POINT = 3 * LANES  # numbers of a group in a frame: coordinates,
 _MOTION = 4 * LANES  # weights of accelerations, and these times them,
 _FACTOR = 16 * LANES  # P, F and c
 _OWN = 9 * LANES  # blocks of the diagonal, and the gradient
+_TABLE, _ROWS, _SET = floats(2), floats(3), changed_floats(3)
 _ROUNDING = 1e-12  # of what a point is held by, as in `energy`
 
 
@@ -264,20 +265,7 @@ def _factor_next(
     _factor_frame(own, last)
 
 
-@kernel(
-    floats(4),
-    floats(2),
-    floats(3),
-    floats(2),
-    floats(2),
-    ints(2),
-    floats(3),
-    FLOAT,
-    FLOAT,
-    changed_floats(3),
-    changed_floats(3),
-    changed_floats(3),
-)
+@kernel(floats(4), _TABLE, _ROWS, _TABLE, _TABLE, ints(2), _ROWS, FLOAT, FLOAT, _SET, _SET, _SET)
 def factor_bands(
     rays: Floats,
     centres: Floats,
@@ -321,7 +309,7 @@ def factor_bands(
                 gradient[g, t] = own_frame[6 * LANES :]
 
 
-@kernel(floats(3), floats(2), floats(1), changed_floats(3), changed_floats(3))
+@kernel(_ROWS, _TABLE, floats(1), _SET, _SET)
 def factor_blocks(
     motion: Floats, steps: Floats, ridge: Floats, blocks: Floats, factor: Floats
 ) -> None:
