@@ -18,6 +18,7 @@ _POINT = 3 * LANES  # numbers of a group in a frame: coordinates,
 _MOTION = 4 * LANES  # weights of accelerations, and these times them,
 _FACTOR = 16 * LANES  # P, F and c
 _OWN = 9 * LANES  # blocks of the diagonal, and the gradient
+_TABLE, _ROWS, _SET = floats(2), floats(3), changed_floats(3)
 _ROUNDING = 1e-12  # of what a point is held by, as in `energy`
 
 
@@ -250,20 +251,21 @@ def _factor_frame(own: Floats, factor: Floats) -> None:
         factor[m + 4 * LANES], factor[m + 5 * LANES] = z * third, third
 
 
-@kernel(
-    floats(4),
-    floats(2),
-    floats(3),
-    floats(2),
-    floats(2),
-    ints(2),
-    floats(3),
-    FLOAT,
-    FLOAT,
-    changed_floats(3),
-    changed_floats(3),
-    changed_floats(3),
-)
+@inlined
+def _factor_next(
+    t: int, recent: Floats, steps: Floats, ridge: float, own: Floats, link: Floats, factor: Floats
+) -> None:
+    """Add the accelerations to a frame's blocks, and factor these after those of the frames before.
+
+    recent: accelerations of three frames. factor: of a group.
+    """
+    _add_motion(recent, steps[t - 2 : t + 1], ridge, own, link)
+    last = factor[t - 2 : t + 1].reshape(-1)
+    _link_frames(link, last)
+    _factor_frame(own, last)
+
+
+@kernel(floats(4), _TABLE, _ROWS, _TABLE, _TABLE, ints(2), _ROWS, FLOAT, FLOAT, _SET, _SET, _SET)
 def factor_bands(
     rays: Floats,
     centres: Floats,
@@ -280,16 +282,16 @@ def factor_bands(
 ) -> None:
     """Set the normal equations at these points, their bands factored.
 
-    Frames fill whole tiles. rays: `[tile, view, keypoint, 4 * LANES]` as of `pack_rays`. bones:
+    Frames fill whole tiles. rays: `[tile, view, keypoint, 4 * LANES]`, precisions last. bones:
     `[tile, edge, 3 * LANES]` lengths, inverse standard deviations and the shortest length. along:
     `[tile, edge, 4 * LANES]`. The others have two frames of zeros before and after: points and
     gradient `[group, frame, 3 * LANES]`, steps `[frame, 3]`, by_frame `[2, frame]` inverse
     variances of accelerations, and the ridge; factor `[group, frame, 16 * LANES]`.
     """
-    groups, padded = points.shape[:2]
+    groups = len(points)
     own, link = np.empty((rays.shape[2], 12 * LANES)), np.empty(2 * LANES)
     turned = np.zeros((LANES, groups, _OWN))
-    motion = np.zeros((groups, padded, _MOTION))
+    motion = np.zeros((groups, LANES + 2, _MOTION))  # of the tile and two frames before
     narrow, prior_narrow = 1 / loss**2, 1 / prior_loss**2
     for k in range(len(rays)):
         first = 2 + k * LANES
@@ -297,30 +299,27 @@ def factor_bands(
         _sum_tile(
             tile, rays[k], centres, narrow, edges, bones[k], prior_narrow, along[k], own, turned
         )
-        for f in range(LANES):
-            t = first + f
-            for g in range(groups):
-                three = points[g, t : t + 3].reshape(-1)
-                _weigh_motion(three, steps[t], by_frame[0, t], prior_narrow, motion[g, t])
-                recent = motion[g, t - 2 : t + 1].reshape(-1)
-                _add_motion(recent, steps[t - 2 : t + 1], by_frame[1, t], turned[f, g], link)
-                last = factor[g, t - 2 : t + 1].reshape(-1)
-                _link_frames(link, last)
-                _factor_frame(turned[f, g], last)
-                gradient[g, t] = turned[f, g, 6 * LANES :]
+        for g in range(groups):
+            motion[g, :2] = motion[g, LANES:]
+            for f in range(LANES):
+                t, own_frame = first + f, turned[f, g]
+                three, recent = points[g, t : t + 3].reshape(-1), motion[g, f : f + 3].reshape(-1)
+                _weigh_motion(three, steps[t], by_frame[0, t], prior_narrow, motion[g, f + 2])
+                _factor_next(t, recent, steps, by_frame[1, t], own_frame, link, factor[g])
+                gradient[g, t] = own_frame[6 * LANES :]
 
 
-@kernel(floats(4), floats(3), changed_floats(4))
-def pack_rays(rays: Floats, precision: Floats, packed: Floats) -> None:
-    """Set `[tile, view, keypoint, 4 * LANES]` from rays `[3, view, keypoint, frame]`.
+@kernel(_ROWS, _TABLE, floats(1), _SET, _SET)
+def factor_blocks(
+    motion: Floats, steps: Floats, ridge: Floats, blocks: Floats, factor: Floats
+) -> None:
+    """Factor bands of given blocks and weights of accelerations; arrays are as of `factor_bands`.
 
-    precision: `[view, keypoint, frame]`, which comes last. Frames that there are none of stay.
+    motion: `[group, frame, 4 * LANES]` the weights first. ridge: `[frame]`. blocks: `[group,
+    frame, 9 * LANES]`, which are overwritten.
     """
-    _, views, joints, frames = rays.shape
-    for v in range(views):
-        for j in range(joints):
-            for t in range(frames):
-                row, n = packed[t // LANES, v, j], t % LANES
-                for c in range(3):
-                    row[c * LANES + n] = rays[c, v, j, t]
-                row[3 * LANES + n] = precision[v, j, t]
+    link = np.empty(2 * LANES)
+    for g in range(len(blocks)):
+        for t in range(2, blocks.shape[1] - 2):
+            recent = motion[g, t - 2 : t + 1].reshape(-1)
+            _factor_next(t, recent, steps, ridge[t], blocks[g, t], link, factor[g])

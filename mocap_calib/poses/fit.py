@@ -5,15 +5,11 @@ from types import ModuleType
 
 import numpy as np
 
-from mocap_calib.compute.kernels import compiled, contiguous
 from mocap_calib.config import PosesConfig
 from mocap_calib.poses.energy import Strengths, linearise, solve
+from mocap_calib.poses.lanes import AROUND, band_kernels, from_lanes, in_lanes, in_tiles
 from mocap_calib.poses.track import Body, Detections
 from mocap_calib.types import Floats, Ints
-
-_EQUATIONS = "mocap_calib.poses.energy_kernels"
-_STEP = "mocap_calib.poses.step_kernels"
-_AROUND = 2  # frames before and after all: as far as accelerations reach
 
 
 def fit(
@@ -30,10 +26,10 @@ def fit(
     The loss of rays starts wide and narrows: what to start from may rest on a wrong detection.
     """
     losses = [strengths.loss * max(config.first_loss / 2**step, 1.0) for step in range(steps)]
-    equations, step = compiled(_EQUATIONS), compiled(_STEP)
-    if equations and step:
-        return _fit_compiled(points, seen, body, strengths, config, losses, (equations, step))
-    return _fit(points, seen, body, strengths, config, losses)
+    kernels = band_kernels()
+    if kernels:
+        return _fit_compiled(points, seen, body, strengths, config, losses=losses, kernels=kernels)
+    return _fit(points, seen, body, strengths, config, losses=losses)
 
 
 def _fit(
@@ -42,6 +38,7 @@ def _fit(
     body: Body,
     strengths: Strengths,
     config: PosesConfig,
+    *,
     losses: list[float],
 ) -> Floats:
     """Return the points after a step for each of these losses of rays."""
@@ -58,6 +55,7 @@ def _fit_compiled(
     body: Body,
     strengths: Strengths,
     config: PosesConfig,
+    *,
     losses: list[float],
     kernels: tuple[ModuleType, ModuleType],
 ) -> Floats:
@@ -66,18 +64,17 @@ def _fit_compiled(
     joints, frames = points.shape[:2]
     lanes = equations.LANES
     tiles = -(-frames // lanes)
-    packed = np.zeros((tiles, len(seen.centres), joints, 4 * lanes))
-    equations.pack_rays(*contiguous(seen.rays, seen.precision), packed)
-    found = _in_lanes(points, lanes)
+    packed = _pack_rays(seen, lanes)
+    found = in_lanes(points, lanes)
     stiffness = 1 / (strengths.acceleration * body.size) ** 2 * (body.steps[0] != 0)
-    by_frame = _in_tiles(np.stack([stiffness, config.ridge / body.size**2]), lanes)
-    motion = np.ascontiguousarray(_in_tiles(body.steps, lanes).T)
+    by_frame = in_tiles(np.stack([stiffness, config.ridge / body.size**2]), lanes)
+    motion = np.ascontiguousarray(in_tiles(body.steps, lanes).T)
     edges, bones = _bones(body, strengths, lanes)
     along = np.empty((tiles, len(edges), 4 * lanes))
     factor = np.zeros((len(found), found.shape[1], 16 * lanes))
     centres = np.ascontiguousarray(seen.centres)
+    gradient, work = np.zeros_like(found), np.zeros((5, *found.shape))
     for loss in losses:
-        gradient = np.zeros_like(found)
         equations.factor_bands(
             packed,
             centres,
@@ -92,37 +89,18 @@ def _fit_compiled(
             factor,
             gradient,
         )
-        step.take_step(along, factor, edges, joints, config.inner_steps, gradient, found)
-    return _from_lanes(found, joints, frames)
+        step.take_step(along, factor, edges, joints, config.inner_steps, work, gradient, found)
+    return from_lanes(found, lanes, joints, frames)
 
 
-def _in_lanes(points: Floats, lanes: int) -> Floats:
-    """Return points `[keypoint, frame, 3]` as `[group, frame, 3 * lanes]`, in tiles."""
-    joints = len(points)
-    groups = -(-joints // lanes)
-    padded = _in_tiles(points.swapaxes(1, 2), lanes)
-    found = np.zeros((groups * lanes, *padded.shape[1:]))
-    found[:joints] = padded
-    found = found.reshape(groups, lanes, 3, -1).transpose(0, 3, 2, 1)
-    return np.ascontiguousarray(found).reshape(groups, -1, 3 * lanes)
-
-
-def _from_lanes(found: Floats, joints: int, frames: int) -> Floats:
-    """Return points `[keypoint, frame, 3]`: the inverse of `_in_lanes`."""
-    groups = len(found)
-    points = found.reshape(groups, found.shape[1], 3, -1)[:, _AROUND : _AROUND + frames]
-    points = points.transpose(0, 3, 1, 2).reshape(-1, frames, 3)
-    return np.ascontiguousarray(points[:joints])
-
-
-def _in_tiles(values: Floats, lanes: int) -> Floats:
-    """Return values `[..., frame]` with more frames, alike the first and the last.
-
-    So many that they fill tiles, and two on each side.
-    """
-    short = -values.shape[-1] % lanes
-    widths = [(0, 0)] * (values.ndim - 1) + [(_AROUND, _AROUND + short)]
-    return np.pad(values, widths, mode="edge")
+def _pack_rays(seen: Detections, lanes: int) -> Floats:
+    """Return rays and precisions `[tile, view, keypoint, 4 * lanes]`."""
+    rows = in_tiles(np.concatenate([seen.rays, seen.precision[None]]), lanes)
+    rows = rows[..., AROUND:-AROUND]
+    _, views, joints, frames = rows.shape
+    rows[3, ..., seen.rays.shape[-1] :] = 0
+    rows = rows.reshape(4, views, joints, frames // lanes, lanes).transpose(3, 1, 2, 0, 4)
+    return np.ascontiguousarray(rows).reshape(frames // lanes, views, joints, 4 * lanes)
 
 
 def _bones(body: Body, strengths: Strengths, lanes: int) -> tuple[Ints, Floats]:
@@ -136,7 +114,7 @@ def _bones(body: Body, strengths: Strengths, lanes: int) -> tuple[Ints, Floats]:
     sigma = np.hypot(strengths.bones * body.size, np.where(known, varies, 0.0))
     shortest = np.broadcast_to(1e-9 * body.size, lengths.shape)
     rows = np.stack([np.where(known, lengths, 0.0), known / sigma, shortest], axis=1)
-    rows = _in_tiles(rows, lanes)[..., _AROUND:-_AROUND]
+    rows = in_tiles(rows, lanes)[..., AROUND:-AROUND]
     rows[:, 1, lengths.shape[1] :] = 0
     tiles = rows.shape[-1] // lanes
     rows = rows.reshape(len(edges), 3, tiles, lanes).transpose(2, 0, 1, 3)

@@ -1,6 +1,6 @@
-"""The step of a fit, compiled: `energy._solve` says the same in numpy.
+"""What factored bands give: the step of a fit, and the blocks of the inverse, compiled.
 
-Rows are as in `energy_kernels`.
+`energy.solve` and `certainty` say the same in numpy. Rows are as in `energy_kernels`.
 """
 
 import numpy as np
@@ -146,23 +146,26 @@ def _finish(factor: Floats, residual: Floats, towards: Floats) -> float:
     return float(total.sum())
 
 
-@kernel(floats(3), floats(3), ints(2), INT, INT, changed_floats(3), changed_floats(3))
+@kernel(
+    floats(3), floats(3), ints(2), INT, INT, changed_floats(4), changed_floats(3), changed_floats(3)
+)
 def take_step(
     along: Floats,
     factor: Floats,
     edges: Ints,
     keypoints: int,
     rounds: int,
+    work: Floats,
     step: Floats,
     points: Floats,
 ) -> None:
     """Move points by the step of normal equations. step: their gradient, which is overwritten.
 
-    rounds: of conjugate gradients. The rest: as of `energy_kernels.factor_bands`.
+    rounds: of conjugate gradients. work: five arrays like the step, at first of zeros. The
+    rest: as of `energy_kernels.factor_bands`.
     """
     groups, padded, _ = step.shape
-    residual, towards, image = np.zeros_like(step), np.zeros_like(step), np.zeros_like(step)
-    direction, by_bands = np.zeros_like(step), np.zeros_like(step)
+    residual, towards, image, direction, by_bands = work[0], work[1], work[2], work[3], work[4]
     joints, total = np.empty((keypoints, 2 * _POINT)), np.empty(_POINT)
     for first in range(2, padded - 2, LANES):
         _forwards(first, factor, step)
@@ -175,11 +178,13 @@ def take_step(
             if k == 0:
                 _couple(along[first // LANES], edges, joints, step[:, tile], residual[:, tile])
             for g in range(groups):
+                _add_times(length, direction[g, tile].reshape(-1), step[g, tile].reshape(-1))
                 _add_times(-length, image[g, tile].reshape(-1), residual[g, tile].reshape(-1))
                 towards[g, tile] = residual[g, tile]
             _forwards(first, factor, towards)
         product = _finish(factor, residual, towards)
         if product <= 0:
+            length = 0.0
             break
         share, before = product / before, product
         total[:] = 0.0
@@ -193,7 +198,68 @@ def take_step(
                 _renew(by_bands[g, tile].reshape(-1), -1.0, image[g, tile].reshape(-1))
                 _add_products(direction[g, tile], image[g, tile], total)
         length = product / total.sum()
-        for g in range(groups):
-            _add_times(length, direction[g].reshape(-1), step[g].reshape(-1))
     for g in range(groups):
-        _add_times(-1.0, step[g].reshape(-1), points[g].reshape(-1))
+        for first in range(2, padded - 2, LANES):
+            tile = slice(first, first + LANES)
+            _add_times(length, direction[g, tile].reshape(-1), step[g, tile].reshape(-1))
+            _add_times(-1.0, step[g, tile].reshape(-1), points[g, tile].reshape(-1))
+
+
+@inlined
+def _eliminate(factor: Floats, sides: Floats, found: Floats) -> None:
+    """Set -P (F' x + c y), with P of the first of three frames, F of the next, c of the last.
+
+    sides: `[6 * LANES]` x and y.
+    """
+    for n in range(LANES):
+        c = factor[2 * _FACTOR + 15 * LANES + n]
+        x, y, z = sides[n], sides[n + LANES], sides[n + 2 * LANES]
+        i, j, k = _FACTOR + 6 * LANES + n, _FACTOR + 9 * LANES + n, _FACTOR + 12 * LANES + n
+        to_x = factor[i] * x + factor[j] * y + factor[k] * z
+        to_y = factor[i + LANES] * x + factor[j + LANES] * y + factor[k + LANES] * z
+        to_z = factor[i + 2 * LANES] * x + factor[j + 2 * LANES] * y + factor[k + 2 * LANES] * z
+        m = 3 * LANES + n
+        x = to_x + c * sides[m]
+        y = to_y + c * sides[m + LANES]
+        z = to_z + c * sides[m + 2 * LANES]
+        xx, xy, xz = factor[n], factor[n + LANES], factor[n + 2 * LANES]
+        yy, yz, zz = factor[n + 3 * LANES], factor[n + 4 * LANES], factor[n + 5 * LANES]
+        found[n] = -(xx * x + xy * y + xz * z)
+        found[n + LANES] = -(xy * x + yy * y + yz * z)
+        found[n + 2 * LANES] = -(xz * x + yz * y + zz * z)
+
+
+@kernel(floats(3), changed_floats(3))
+def invert_bands(factor: Floats, found: Floats) -> None:
+    """Set the blocks of the diagonal of the inverse `[group, frame, 6 * LANES]` (Takahashi 1973).
+
+    factor: as of `energy_kernels.factor_bands`. Blocks of a frame and of the next ones follow from
+    those of the next ones alone.
+    """
+    sides, column = np.empty((6, LANES)), np.empty((3, LANES))
+    first, both = np.empty((3, 3, LANES)), np.empty((2, 3, 3, LANES))
+    for g in range(len(found)):
+        # of the next frame, of it and the one after, and of that
+        near, link, far = np.zeros_like(first), np.zeros_like(first), np.zeros_like(first)
+        for t in range(found.shape[1] - 3, 1, -1):
+            three = factor[g, t : t + 3].reshape(-1)
+            for k in range(3):
+                sides[:3], sides[3:] = near[:, k], link[k]
+                _eliminate(three, sides.reshape(-1), column.reshape(-1))
+                both[0, :, k] = column
+                sides[:3], sides[3:] = link[:, k], far[:, k]
+                _eliminate(three, sides.reshape(-1), column.reshape(-1))
+                both[1, :, k] = column
+            for k in range(3):
+                sides[:3], sides[3:] = both[0, k], both[1, k]
+                _eliminate(three, sides.reshape(-1), column.reshape(-1))
+                first[:, k] = column
+            row = 0
+            far[:], link[:] = near, both[0]
+            for i in range(3):
+                for j in range(i, 3):
+                    for n in range(LANES):
+                        value = first[i, j, n] + three[row * LANES + n]
+                        found[g, t, row * LANES + n] = value
+                        near[i, j, n], near[j, i, n] = value, value
+                    row += 1
