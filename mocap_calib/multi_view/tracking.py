@@ -6,10 +6,12 @@ other. The final names are those of `identities`.
 
 from dataclasses import dataclass
 from functools import partial
+from types import ModuleType
 
 import numpy as np
 
 from mocap_calib import mapped
+from mocap_calib.compute.kernels import compiled
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import MatchingConfig
 from mocap_calib.geometry.projection import rays_from_pixels
@@ -17,6 +19,7 @@ from mocap_calib.multi_view.labels import name_groups, replace_labels
 from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Matches, Recording
 
 _FRAMES = 512  # in which groups are located at a time
+_ROOM = 64  # individuals that there is room for at first
 
 
 def locate_groups(recording: Recording, rig: CameraRig, labels: Ints) -> Floats:
@@ -87,27 +90,85 @@ def link_through_time(labels: Ints, places: Floats, frames: Ints, config: Matchi
     body sizes; frames: `[frame]` numbers. Returns labels of the same shape, those that are seen
     in most frames first.
     """
-    largest_step = _largest_step(places, frames, config)
-    names = np.full(places.shape[:2], -1, dtype=np.int64)
-    present = np.isfinite(places[..., 0])
-    last_place = np.zeros((0, 3))  # of every individual so far
-    last_frame = np.zeros(0, dtype=np.int64)
-    for index, frame in enumerate(frames):
-        groups = np.flatnonzero(present[index])
-        here = places[index, groups]
-        limit = largest_step * np.minimum(frame - last_frame, config.memory)
-        individual = _nearest_individuals(last_place, here, limit)
+    linking = _Linking.of(places, frames, config)
+    kernels = compiled("mocap_calib.multi_view.tracking_kernels")
+    for block in mapped.frame_slices(len(frames)):
+        index = block.start
+        while index < block.stop:
+            if kernels is not None:
+                index = linking.link_easy_frames(kernels, index, block.stop)
+            if index < block.stop:
+                linking.link_frame(index)
+                index += 1
+    return sort_by_presence(name_groups(labels, linking.names))
 
+
+@dataclass
+class _Linking:
+    """The individuals so far, changed in place from frame to frame.
+
+    places: `[frame, group, 3]`; frames: `[frame]` numbers. names: `[frame, group]` the individual
+    of each group, -1 = none. last_place, last_frame: `[room]` of the first `count` individuals.
+    """
+
+    places: Floats
+    frames: Ints
+    names: Ints
+    last_place: Floats
+    last_frame: Ints
+    count: int
+    largest_step: float
+    memory: int
+
+    @classmethod
+    def of(cls, places: Floats, frames: Ints, config: MatchingConfig) -> "_Linking":
+        """Return the beginning, with nobody."""
+        return cls(
+            places=np.ascontiguousarray(places),
+            frames=frames,
+            names=np.full(places.shape[:2], -1, dtype=np.int64),
+            last_place=np.zeros((_ROOM, 3)),
+            last_frame=np.zeros(_ROOM, dtype=np.int64),
+            count=0,
+            largest_step=_largest_step(places, frames, config),
+            memory=config.memory,
+        )
+
+    def link_frame(self, index: int) -> None:
+        """Name the groups of a frame."""
+        groups = np.flatnonzero(np.isfinite(self.places[index, :, 0]))
+        here = self.places[index, groups]
+        known, frame = slice(self.count), self.frames[index]
+        limit = self.largest_step * np.minimum(frame - self.last_frame[known], self.memory)
+        individual = _nearest_individuals(self.last_place[known], here, limit)
         is_new = individual < 0
-        if is_new.any():
-            new = int(is_new.sum())
-            individual[is_new] = len(last_place) + np.arange(new)
-            last_place = np.concatenate([last_place, np.zeros((new, 3))])
-            last_frame = np.concatenate([last_frame, np.zeros(new, dtype=np.int64)])
-        last_place[individual] = here
-        last_frame[individual] = frame
-        names[index, groups] = individual
-    return sort_by_presence(name_groups(labels, names))
+        individual[is_new] = self.count + np.arange(is_new.sum())
+        self.count += int(is_new.sum())
+        while self.count > len(self.last_frame):
+            self.last_place = np.concatenate([self.last_place, np.zeros_like(self.last_place)])
+            self.last_frame = np.concatenate([self.last_frame, np.zeros_like(self.last_frame)])
+        self.last_place[individual] = here
+        self.last_frame[individual] = frame
+        self.names[index, groups] = individual
+
+    def link_easy_frames(self, kernels: ModuleType, start: int, stop: int) -> int:
+        """Name the groups of frames until two want the same, and return the index of that frame."""
+        reached = np.zeros(2, dtype=np.int64)
+        kernels.link_frames(
+            self.places,
+            self.frames,
+            start,
+            stop,
+            self.count,
+            self.largest_step,
+            self.memory,
+            self.last_place,
+            self.last_frame,
+            self.names,
+            reached,
+        )
+        self.count = int(reached[1])
+        return int(reached[0])
 
 
 def _nearest_individuals(last_place: Floats, here: Floats, limit: Floats) -> Ints:
