@@ -492,8 +492,9 @@ class AdjustConfig:
     # the rig is not yet right, and the robust loss deals with outliers.
     outlier_tolerance: float = 5.0
     loss_scales: tuple[float, ...] = (6.0, 3.0, 1.5)  # one after the other, to tighten the loss
-    # Share of the cost: a step that lowers it by less is the last one at the last loss scale ...
-    tolerance: float = 1e-5
+    # Share of the cost: a step of the cameras that promises to lower it by less is the last one at
+    # the last loss scale ...
+    tolerance: float = 1e-6
     rough_tolerance: float = 1e-3  # ... and at those before, which need not be minimised to the end
     # Detections are weighed by this power of their confidence: detectors' own confidence is no
     # measure of their precision.
@@ -515,6 +516,13 @@ LM_FIRST_DAMPING = 1e-4
 LM_DAMPING_FACTOR = 10.0  # more damping after a step that raised the cost, less after another
 LM_LEAST_DAMPING = 1e-10
 LM_MOST_DAMPING = 1e8  # beyond it no step lowers the cost
+# A robust loss bends less than its weights say, or the other way where residuals are large: as
+# little as this share of the weight counts
+LM_LEAST_CURVATURE = 0.2
+# Points settle after each step of the cameras, in so many steps of their own at most, until one
+# lowers the cost by less than so much, in squared standard deviations
+LM_POINT_STEPS = 10
+LM_POINT_GAIN = 1e-6
 
 
 # what of the intrinsics may be estimated

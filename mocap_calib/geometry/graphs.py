@@ -51,3 +51,52 @@ def connected_parts(first: Ints, second: Ints, nodes: int) -> Ints:
         while not np.array_equal(jumped := lowest[lowest], lowest):
             lowest = jumped
     return np.unique(lowest, return_inverse=True)[1]
+
+
+def assign(cost: Floats) -> tuple[Ints, Ints]:
+    """Return the rows and the columns of the assignment of least total cost, as scipy's does.
+
+    Shortest augmenting paths: Crouse (2016), "On implementing 2D rectangular assignment
+    algorithms". For a few rows at a time: each costs a search over all columns.
+
+    cost: `[row, column]`, finite. As many pairs as there are of the fewer of the two, by their
+    rows.
+    """
+    if cost.shape[0] > cost.shape[1]:
+        columns, rows = assign(cost.T)
+        order = np.argsort(rows)
+        return rows[order], columns[order]
+    price = np.zeros(cost.shape[1])  # of each column
+    paid = np.zeros(cost.shape[0])  # by each row
+    owner = np.full(cost.shape[1], -1)
+    for row in range(len(cost)):
+        _find_room(row, cost, price, paid, owner)
+    columns = np.flatnonzero(owner >= 0)
+    order = np.argsort(owner[columns])
+    return owner[columns][order], columns[order]
+
+
+def _find_room(row: int, cost: Floats, price: Floats, paid: Floats, owner: Ints) -> None:
+    """Give a column to one more row, along the shortest path of exchanges; changes the others."""
+    shortest = np.full(len(price), np.inf)  # to each column
+    before = np.full(len(price), -1)  # the row from which it is reached
+    settled = np.zeros(len(price), dtype=bool)
+    length, here = 0.0, row
+    while True:
+        through = length + cost[here] - paid[here] - price
+        closer = ~settled & (through < shortest)
+        shortest[closer], before[closer] = through[closer], here
+        column = int(np.argmin(np.where(settled, np.inf, shortest)))
+        length = float(shortest[column])
+        settled[column] = True
+        if owner[column] < 0:
+            break
+        here = int(owner[column])
+    paid[row] += length
+    others = settled & (owner >= 0)
+    paid[owner[others]] += length - shortest[others]
+    price[settled] -= length - shortest[settled]
+    while (here := int(before[column])) != row:
+        given_up = int(np.flatnonzero(owner == here)[0])
+        owner[column], column = here, given_up
+    owner[column] = row

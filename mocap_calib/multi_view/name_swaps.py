@@ -25,7 +25,7 @@ def exchanged_pieces(
     gained = np.concatenate([[0.0], (bound.sum(1) - bound.sum(0)).cumsum()[:-1]])
     ended = np.concatenate([[-1], np.maximum.accumulate(last)[:-1]])
     loss = np.where(ended < first, gained, np.inf)
-    loss[0] = 0.0
+    loss[:1] = 0.0  # there may be no pieces
 
     total = np.array([0.0, 0.0])  # with names as they are, exchanged
     came_from = np.zeros((len(first), 2), dtype=np.int64)

@@ -134,6 +134,8 @@ def _starts_without_model(
 
 def _best_fit(sample: Sample, adjusted: list[Adjusted], config: Config) -> Adjusted:
     """Return the rig that fits best, with another that fits as well, if there is one."""
+    if len(adjusted) == 1:
+        return adjusted[0]
     fits = [measure_fit(sample, each.rig, each.matches, config) for each in adjusted]
     best, *others = sorted(range(len(adjusted)), key=lambda k: fits[k].misfit)
     for k in others:

@@ -204,13 +204,16 @@ def _compare_block(
     """Return how poses fit some detections."""
     bodies, rays = seen.bodies[seen.frame[block]], seen.rays[block]
     joints = np.isfinite(bodies[..., 0]) & np.isfinite(rays[:, None, :, 0])  # [n, body, joint]
-    points = np.where(joints[..., None], bodies, 1.0)
-    in_camera = np.matmul(points, np.swapaxes(poses.rotation, 1, 2)[:, None, None])
-    in_camera += poses.translation[:, None, None, None]
-    length = np.maximum(np.sqrt((in_camera**2).sum(-1)), 1e-12)
-    along = np.einsum("pdbji,dji->pdbj", in_camera, np.nan_to_num(rays)) / length
+    points, known = np.where(joints[..., None], bodies, 1.0), np.nan_to_num(rays)[:, None]
+    # coordinates first: sums over the last three numbers of an array take several times as long
+    flat = np.moveaxis(points, -1, 0).reshape(3, -1)
+    in_camera = (poses.rotation @ flat).reshape(len(poses), 3, *joints.shape)
+    in_camera += poses.translation[:, :, None, None, None]
+    x, y, z = np.moveaxis(in_camera, 1, 0)
+    along = x * known[..., 0] + y * known[..., 1] + z * known[..., 2]
+    along /= np.maximum(np.sqrt(x * x + y * y + z * z), 1e-12)
     square = np.maximum(2 - 2 * along, 0.0) / tolerance[:, None, None] ** 2
-    cost = np.where(joints, square / (1 + square), 0.0).sum(-1)
+    cost = (np.where(joints, square, 0.0) / (1 + square)) @ np.ones(joints.shape[-1])
     count = joints.sum(-1)
     cost = np.where(count >= least_joints, cost / np.maximum(count, 1), np.inf)
     best = cost.argmin(-1)
@@ -250,9 +253,8 @@ def _linearise(
     across = (np.eye(3) - unit[..., :, None] * unit[..., None, :]) / length[..., None, None]
     # translations in units of the depth, so that both halves are of one size
     depth = np.maximum((weight * length).sum((1, 2)) / np.maximum(weight.sum((1, 2)), 1e-12), 1e-12)
-    slope = np.concatenate(
-        [-across @ skew(in_camera), across * depth[:, None, None, None, None]], axis=-1
-    )
+    # across @ skew(in_camera) is skew(unit): what is along the ray does not turn it
+    slope = np.concatenate([-skew(unit), across * depth[:, None, None, None, None]], axis=-1)
     number, detections = weight.shape[:2]
     slope = slope.reshape(number, detections, -1, 6)
     weighed = np.swapaxes(np.repeat(weight, 3, axis=2)[..., None] * slope, 2, 3)

@@ -28,6 +28,7 @@ from mocap_calib.multi_view.bundle_adjustment import (
 )
 from mocap_calib.multi_view.covariance import find_covariance, find_curved_covariance
 from mocap_calib.multi_view.ray_residuals import RayObservations
+from mocap_calib.multi_view.regions import widening
 from mocap_calib.multi_view.residuals import State
 from mocap_calib.multi_view.schur import Freedom, free_poses
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Matches, RigCovariance, Sample
@@ -194,21 +195,8 @@ def first_order(fitted: FittedRig, config: Config) -> FirstOrder:
     spread = of_time**2 / fewer[0] + of_joints**2 / fewer[1]
     degrees = (of_time + of_joints) ** 2 / max(spread, 1e-300)
     least = config.uncertainty.least_degrees
-    matrix = found.once * _widening(max(degrees, least)) * (time.matrix + joints.matrix)
+    matrix = found.once * widening(max(degrees, least)) * (time.matrix + joints.matrix)
     return FirstOrder(replace(time, matrix=matrix), of_time, of_joints)
-
-
-def _widening(degrees: float) -> float:
-    """Return by how much an estimated covariance must grow for its 95 % regions to hold 95 %.
-
-    Regions of three numbers, as of a normal distribution. degrees: of freedom of the covariance.
-    Its own error makes the squared distances those of Hotelling's T^2.
-    """
-    # slow to import, which a recording that is not calibrated need not pay for
-    from scipy.special import chdtri, fdtri  # noqa: PLC0415
-
-    left = degrees - 2
-    return float(3 * degrees / left * fdtri(3, left, 0.95) / chdtri(3, 0.05))
 
 
 def cautious_covariances(fitted: FittedRig, config: Config) -> tuple[RigCovariance, RigCovariance]:

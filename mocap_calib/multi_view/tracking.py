@@ -14,6 +14,7 @@ from mocap_calib import mapped
 from mocap_calib.compute.kernels import compiled
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import MatchingConfig
+from mocap_calib.geometry.graphs import assign
 from mocap_calib.geometry.projection import rays_from_pixels
 from mocap_calib.multi_view.labels import name_groups, replace_labels
 from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Matches, Recording
@@ -199,10 +200,7 @@ def _assign(cost: Floats) -> tuple[Ints, Ints]:
         return np.arange(rows), wanted
     if columns <= rows and len(set((wanted := cost.argmin(0)).tolist())) == columns:
         return wanted, np.arange(columns)
-    # takes half a second to import, which few recordings need
-    from scipy.optimize import linear_sum_assignment  # noqa: PLC0415
-
-    return linear_sum_assignment(cost)
+    return assign(cost)
 
 
 def _largest_step(places: Floats, frames: Ints, config: MatchingConfig) -> float:

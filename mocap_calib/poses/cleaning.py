@@ -35,7 +35,7 @@ def exchange_sides(
     return (
         replace(
             seen,
-            axes=np.where(exchanged, seen.axes[:, :, :, mirror], seen.axes),
+            rays=np.where(exchanged, seen.rays[:, :, mirror], seen.rays),
             precision=np.where(exchanged, seen.precision[:, mirror], seen.precision),
         ),
         exchanged,

@@ -182,3 +182,10 @@ def test_the_best_exchange_of_names_is_found(seed):
     best = max(evidence(np.array(choice)) for choice in product([False, True], repeat=pieces))
     found = exchanged_pieces(frames, frames, of_second, preference, pairs)
     assert evidence(found) == pytest.approx(best)
+
+
+def test_of_nobody_left_no_piece_is_exchanged():
+    """Two names may have lost all their pieces to a third before they are compared."""
+    none, nothing = np.zeros(0, dtype=np.int64), np.zeros(0)
+    found = exchanged_pieces(none, none, none == 1, nothing, np.zeros((0, 0)))
+    assert found.shape == (0,)
