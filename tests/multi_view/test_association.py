@@ -7,12 +7,12 @@ import numpy as np
 from scenes import lifted, precision, recording, scene
 
 from mocap_calib.config import Config, MatchingConfig, PairwiseConfig
-from mocap_calib.multi_view import tracking
+from mocap_calib.multi_view import linking
 from mocap_calib.multi_view.association import associate
 from mocap_calib.multi_view.body_affinity import temper_by_bodies
 from mocap_calib.multi_view.clustering import cluster_detections, merge_clusters
 from mocap_calib.multi_view.labels import per_frame_labels, replace_labels
-from mocap_calib.multi_view.tracking import link_through_time
+from mocap_calib.multi_view.linking import link_through_time
 from mocap_calib.two_view.affinity import match_affinity
 from mocap_calib.two_view.view_pair import distances, gather_view_pair
 from mocap_calib.types import Matches, silent
@@ -147,7 +147,7 @@ def test_the_kernel_links_as_numpy_does(monkeypatch):
     labels = np.where(np.isfinite(places[None, ..., 0]), np.arange(groups), -1)
     numbers = np.cumsum(rng.integers(1, 4, frames))
     quick = link_through_time(labels, places, numbers, MatchingConfig())
-    monkeypatch.setattr(tracking, "compiled", lambda _: None)
+    monkeypatch.setattr(linking, "compiled", lambda _: None)
     slow = link_through_time(labels, places, numbers, MatchingConfig())
     np.testing.assert_array_equal(quick, slow)
     assert slow.max() > 70

@@ -1,6 +1,6 @@
 """Carry groups through time where each goes to an individual of its own, compiled.
 
-`tracking.link_through_time` defines what is computed.
+`linking.link_through_time` defines what is computed.
 """
 
 import numpy as np
