@@ -21,8 +21,9 @@ from mocap_calib.config import (
 from mocap_calib.multi_view.body_affinity import temper_by_bodies
 from mocap_calib.multi_view.clustering import cluster_detections
 from mocap_calib.multi_view.labels import per_frame_labels
+from mocap_calib.multi_view.linking import link_through_time
 from mocap_calib.multi_view.pair_choice import some_pairs
-from mocap_calib.multi_view.tracking import link_through_time, locate_groups
+from mocap_calib.multi_view.tracking import locate_groups
 from mocap_calib.recording.sampling import evenly_spaced, take_sample
 from mocap_calib.two_view.affinity import epipolar_affinity
 from mocap_calib.two_view.view_pair import (

@@ -7,11 +7,12 @@ import numpy as np
 from scenes import lifted, precision, recording, scene
 
 from mocap_calib.config import Config, MatchingConfig, PairwiseConfig
+from mocap_calib.multi_view import linking
 from mocap_calib.multi_view.association import associate
 from mocap_calib.multi_view.body_affinity import temper_by_bodies
 from mocap_calib.multi_view.clustering import cluster_detections, merge_clusters
 from mocap_calib.multi_view.labels import per_frame_labels, replace_labels
-from mocap_calib.multi_view.tracking import link_through_time
+from mocap_calib.multi_view.linking import link_through_time
 from mocap_calib.two_view.affinity import match_affinity
 from mocap_calib.two_view.view_pair import distances, gather_view_pair
 from mocap_calib.types import Matches, silent
@@ -135,6 +136,21 @@ def test_groups_are_linked_by_where_they_stand():
     linked = link_through_time(labels, shuffled, np.arange(frames), MatchingConfig())
     assert (linked == linked[:, :1]).all()
     assert set(linked[0, 0]) == {0, 1}
+
+
+def test_the_kernel_links_as_numpy_does(monkeypatch):
+    """Bodies that come, go, meet and jump, more of them than there is room for at first."""
+    rng, frames, groups = np.random.default_rng(0), 400, 5
+    places = rng.normal(size=(frames, groups, 3)).cumsum(0) * 0.2
+    places[rng.uniform(size=(frames, groups)) < 0.2] = np.nan
+    places[::7] += 40.0 * np.arange(len(places[::7]))[:, None, None]
+    labels = np.where(np.isfinite(places[None, ..., 0]), np.arange(groups), -1)
+    numbers = np.cumsum(rng.integers(1, 4, frames))
+    quick = link_through_time(labels, places, numbers, MatchingConfig())
+    monkeypatch.setattr(linking, "compiled", lambda _: None)
+    slow = link_through_time(labels, places, numbers, MatchingConfig())
+    np.testing.assert_array_equal(quick, slow)
+    assert slow.max() > 70
 
 
 def test_matching_with_the_true_rig_finds_everybody():
