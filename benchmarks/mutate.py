@@ -53,7 +53,9 @@ TESTS += (
     "test_types.py",
 )
 TESTS += COMMAND
-PRELOADED = ("cv2", "h5py", "pycolmap", "scipy.optimize", "torch")
+PRELOADED = ("cv2", "h5py", "pycolmap", "safetensors.torch")
+PRELOADED += ("scipy.optimize", "torch", "xarray", "yaml")
+NONE = 5  # status of pytest where no test is selected
 BROKEN = 70  # status of a process that could not run the tests
 FIRST = 20  # tests, which notice most
 SLOWER = 4  # than in the run that was timed: longer, and a mutation is taken to never end
@@ -70,6 +72,7 @@ def main() -> None:
     parser.add_argument("--package", choices=PACKAGES, help="this one alone")
     parser.add_argument("--jobs", type=int, default=1, help="at a time (default 1)")
     parser.add_argument("--seconds", type=float, default=60, help="of tests for each (default 60)")
+    parser.add_argument("--slow", action="store_true", help="with the tests that are marked slow")
     parser.add_argument("--log", type=Path, default=ROOT / "runs" / "mutations.jsonl")
     parser.add_argument("--again", action="store_true", help="try survivors of the log again")
     options = parser.parse_args()
@@ -105,7 +108,8 @@ def copy_tree(target: Path) -> Path:
         if (ROOT / name).is_file():
             (target / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(ROOT / name, target / name)
-    compileall.compile_dir(target / "mocap_calib", quiet=2)  # mutations write no compiled files
+    for name in ("mocap_calib", "cli"):  # mutations write no compiled files
+        compileall.compile_dir(target / name, quiet=2)
     for kernel in (ROOT / "mocap_calib").rglob("__pycache__/*.nb[ci]"):  # what numba compiled
         shutil.copy2(kernel, target / kernel.relative_to(ROOT))
     return target
@@ -123,7 +127,7 @@ def try_all(chosen: list[Mutation], work: Path, options: argparse.Namespace) -> 
     if not missing:
         return
     copies = [copy_tree(work / f"tree{k}") for k in range(options.jobs)]
-    tests = learn_tests(copies[0], options.log.with_suffix(".tests.json"))
+    tests = learn_tests(copies[0], options.log.with_suffix(".tests.json"), slow=options.slow)
     jobs = []
     try:
         for k, copy in enumerate(copies):
@@ -149,22 +153,24 @@ def try_some(some: list[Mutation], copy: Path, tests: Tests, options: argparse.N
     return 0
 
 
-def learn_tests(copy: Path, kept: Path) -> Tests:
+def learn_tests(copy: Path, kept: Path, *, slow: bool) -> Tests:
     """Run every file of tests as it is, each in a process of its own, and see what it calls.
 
     What an earlier run learned of a file is in `kept`; that holds as long as the program and the
-    file are the same.
+    file are the same. slow: also the tests that are marked so.
     """
     known = json.loads(kept.read_text("utf-8")) if kept.exists() else {}
-    program = sorted([*(copy / "mocap_calib").rglob("*.py"), *(copy / "tests").glob("*.py")])
+    program = sorted([*(copy / "mocap_calib").rglob("*.py"), *(copy / "tests").glob("[!t]*.py")])
     learned = {}
     for file in sorted(tests_of(copy)):
         content = b"".join(path.read_bytes() for path in [*program, file])
-        key = hashlib.sha256(content).hexdigest()
-        if key not in known:
-            known[key] = learn_file(copy, file)
-            kept.write_text(json.dumps(known), encoding="utf-8", newline="\n")
-        learned[key] = known[key]
+        marks = ["not slow"] + ["slow"] * (slow and b"mark.slow" in file.read_bytes())
+        for mark in marks:
+            key = hashlib.sha256(content + mark.encode()).hexdigest()
+            if key not in known:
+                known[key] = learn_file(copy, file, mark)
+                kept.write_text(json.dumps(known), encoding="utf-8", newline="\n")
+            learned[key] = known[key]
     if not any(learned.values()):
         raise SystemExit("expected tests that pass before anything is changed, found none")
     otherwise = tuple(f"tests/{name}" for name in COMMAND)
@@ -178,13 +184,15 @@ def tests_of(copy: Path) -> Iterator[Path]:
         yield from [path] if path.suffix else path.rglob("test_*.py")
 
 
-def learn_file(copy: Path, file: Path) -> dict:
+def learn_file(copy: Path, file: Path, mark: str) -> dict:
     """Return what the tests of a file call; nothing where one fails before any change."""
     name, found, start = str(file.relative_to(copy)), copy / "calls.json", time.monotonic()
-    status = in_process(copy, partial(LinesOfTests, copy, found), [name], seconds=900)
+    which = [name, "-m", mark]
+    status = in_process(copy, partial(LinesOfTests, copy, found), which, seconds=900, compiled=True)
     took = f"{time.monotonic() - start:.0f} s"
-    word = "fails as it is, and is left out" if status else took
-    print(f"{name}: {word}", file=sys.stderr, flush=True)
+    reason = "no such tests" if status == NONE else "fails as it is, and is left out"
+    word = reason if status else took
+    print(f"{name}, {mark}: {word}", file=sys.stderr, flush=True)
     return {} if status else json.loads(found.read_text("utf-8"))
 
 
@@ -223,13 +231,18 @@ def try_one(mutation: Mutation, copy: Path, tests: Tests, *, seconds: float) -> 
 
 
 def in_process(
-    copy: Path, plugin: Callable[[], object], files: list[str], *, seconds: float
+    copy: Path,
+    plugin: Callable[[], object],
+    files: list[str],
+    *,
+    seconds: float,
+    compiled: bool = False,
 ) -> int:
     """Run tests of the copy in a process of their own; return its status, below 0 = out of time.
 
-    seconds: of the processor.
+    seconds: of the processor. compiled: keep what is compiled, for later processes.
     """
-    child = fork(partial(run_tests, copy, plugin, files, seconds=seconds))
+    child = fork(partial(run_tests, copy, plugin, files, seconds=seconds, compiled=compiled))
     end, done = time.monotonic() + WAITING * seconds, 0
     try:
         while time.monotonic() < end:
@@ -259,7 +272,14 @@ def fork(work: Callable[[], int]) -> int:
     return child
 
 
-def run_tests(copy: Path, plugin: Callable[[], object], files: list[str], *, seconds: float) -> int:
+def run_tests(
+    copy: Path,
+    plugin: Callable[[], object],
+    files: list[str],
+    *,
+    seconds: float,
+    compiled: bool,
+) -> int:
     """Run tests in this process, in silence, and return the status."""
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     os.chdir(copy)
@@ -271,7 +291,7 @@ def run_tests(copy: Path, plugin: Callable[[], object], files: list[str], *, sec
     os.environ["PYTHONPATH"] = os.pathsep.join(roots)
     sys.path[:0] = roots
     # compiled files of mutations must not be taken for those of the files
-    sys.dont_write_bytecode = True
+    sys.dont_write_bytecode = not compiled
     quiet = ["-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist"]
     return int(pytest.main([*quiet, *files], plugins=[plugin()]))
 
