@@ -7,6 +7,8 @@ from pathlib import Path
 
 from mutations import Mutation
 
+ROOT = Path(__file__).parents[1]
+KEYS = ("path", "function", "line", "kind", "before", "after")
 SURVIVED = Path(__file__).with_name("mutations_survived.toml")
 
 
@@ -21,8 +23,14 @@ def read_log(path: Path) -> dict[str, dict]:
 def read_reasons() -> dict[tuple[str, ...], str]:
     """Return why a mutation cannot be noticed, by its place and its change."""
     listed = tomllib.loads(SURVIVED.read_text("utf-8"))["survived"]
-    keys = ("path", "function", "kind", "before", "after")
-    return {tuple(entry[key] for key in keys): entry["why"] for entry in listed}
+    return {tuple(entry[key] for key in KEYS): entry["why"] for entry in listed}
+
+
+def place(mutation: Mutation) -> tuple[str, ...]:
+    """Return what tells a mutation from others even where lines above it come and go."""
+    line = (ROOT / mutation.path).read_text("utf-8").splitlines()[mutation.line - 1].strip()
+    before, after = (" ".join(text.split()) for text in (mutation.before, mutation.after))
+    return mutation.path, mutation.function, line, mutation.kind, before, after
 
 
 def report(chosen: list[Mutation], known: dict[str, dict]) -> str:
@@ -30,7 +38,7 @@ def report(chosen: list[Mutation], known: dict[str, dict]) -> str:
     reasons = read_reasons()
     tried = [mutation for mutation in chosen if mutation.name in known]
     survived = [mutation for mutation in tried if not known[mutation.name]["killed"]]
-    unexplained = [mutation for mutation in survived if mutation.place not in reasons]
+    unexplained = [mutation for mutation in survived if place(mutation) not in reasons]
     of, alive = Counter(m.package for m in tried), Counter(m.package for m in survived)
     open_ = Counter(m.package for m in unexplained)
     rows = [(name, of[name], alive[name], open_[name]) for name in of]

@@ -63,12 +63,6 @@ class Mutation:
         """What tells it from all others, as long as the lines above it stay."""
         return f"{self.path}:{self.line}:{self.start}:{self.kind}:{self.before}:{self.after}"
 
-    @property
-    def place(self) -> tuple[str, ...]:
-        """What tells it from others of its file even where lines above it change."""
-        before, after = (" ".join(text.split()) for text in (self.before, self.after))
-        return self.path, self.function, self.kind, before, after
-
     def apply(self, content: bytes) -> bytes:
         """Return the content of the file with the change."""
         assert content[self.start : self.end].decode() == self.before
@@ -76,8 +70,9 @@ class Mutation:
 
     def describe(self) -> str:
         """Return it in a line."""
-        path, function, kind, before, after = self.place
-        return f"{path}:{self.line} {function}: {kind}: `{before}` -> `{after}`"
+        before, after = (" ".join(text.split()) for text in (self.before, self.after))
+        where = f"{self.path}:{self.line} {self.function}"
+        return f"{where}: {self.kind}: `{before}` -> `{after}`"
 
 
 def find_mutations(root: Path, path: Path) -> list[Mutation]:

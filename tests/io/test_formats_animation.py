@@ -3,9 +3,13 @@
 import json
 import shutil
 import subprocess
+import sys
 from dataclasses import replace
+from importlib import resources
 from itertools import pairwise
 from pathlib import Path
+from runpy import run_path
+from unittest.mock import MagicMock
 
 import c3d
 import numpy as np
@@ -311,6 +315,20 @@ print("FOUND", json.dumps({
     "floor": "floor" in scene.objects,
 }))
 """
+
+
+def test_bodies_of_a_blender_scene_differ_in_colour(monkeypatch):
+    """Seven bodies, more than there are colours; what Blender does is left out."""
+    for name in ("bmesh", "bpy", "mathutils"):
+        monkeypatch.setitem(sys.modules, name, MagicMock())
+    script = resources.files("mocap_calib.io.poses") / "blender_scene.py"
+    made = run_path(str(script))
+    colours: list[tuple[float, ...]] = []
+    made["build"].__globals__["build_body"] = lambda _scene, _said, _body, one: colours.append(one)
+    nothing = {"title": "", "frames": [0, 1], "fps": 30, "cameras": [], "floor": None}
+    made["build"]({**nothing, "bodies": list(range(7))})
+    assert len(set(colours)) == 5
+    assert colours[5:] == colours[:2]
 
 
 @pytest.mark.skipif(shutil.which("blender") is None, reason="Blender is not installed")

@@ -271,7 +271,8 @@ def test_a_row_of_a_trc_that_has_a_number_more_is_refused(tmp_path):
     cells = 2 + 3 * len(example().poses.keypoints)
     lines[-1] = "\t".join([*lines[-1].split("\t")[:cells], "0.5"])
     (tmp_path / "p.trc").write_text("\n".join(lines))
-    with pytest.raises(FormatError, match=f"expected {cells} cells, found {cells + 1}"):
+    said = f"line {len(lines)}: expected {cells} cells, found {cells + 1}"
+    with pytest.raises(FormatError, match=said):
         load_poses(tmp_path / "p.trc")
 
 
