@@ -2,6 +2,7 @@
 are refused in a line.
 """
 
+import io
 import itertools
 from dataclasses import replace
 from pathlib import Path
@@ -362,6 +363,26 @@ def test_nwb_says_what_is_missing_or_comes_back():
     assert_poses(example(), back, "nwb-3d")
     np.testing.assert_array_equal(back.poses.confidence, example().poses.confidence)
     assert (back.individuals, back.rate) == (example().individuals, 60.0)
+
+
+def test_nwb_is_read_without_its_packages():
+    """Two keypoints in three dimensions, in millimetres; of one there is also a series of two."""
+    content = io.BytesIO()
+    position = np.random.default_rng(0).normal(size=(2, 5, 3))
+    with h5py.File(content, "w") as file:
+        for name, values in (("nose", position[0]), ("tail", position[1]), ("2D", np.ones((5, 2)))):
+            series = file.create_group(f"processing/behavior/mouse/{name}")
+            series.attrs["neurodata_type"] = "PoseEstimationSeries"
+            series["data"] = values
+            series["data"].attrs["conversion"] = 1000.0
+            series["data"].attrs["unit"] = "millimeters"
+            series["starting_time"] = 0.1
+            series["starting_time"].attrs["rate"] = 30.0
+    back = parse_poses(content.getvalue(), "x")
+    assert (back.individuals, back.rate) == (("mouse",), 30.0)
+    assert (back.poses.keypoints, back.poses.unit) == (("nose", "tail"), "mm")
+    assert back.poses.frames.tolist() == [3, 4, 5, 6, 7]
+    np.testing.assert_allclose(back.poses.positions[:, 0], 1000 * position.swapaxes(0, 1))
 
 
 @pytest.mark.parametrize("up", UP_AXES)
