@@ -367,6 +367,17 @@ def test_dannce_s_files_of_one_camera_each_are_its_file_of_all(tmp_path):
         read_rig(tmp_path / "no.mat")
 
 
+@pytest.mark.parametrize("compressed", [False, True])
+def test_a_matlab_file_that_ends_early_is_no_whole_file(compressed):
+    content = io.BytesIO()
+    savemat(content, {"K": np.arange(9.0).reshape(3, 3)}, do_compression=compressed)
+    whole = content.getvalue()
+    np.testing.assert_array_equal(read_mat(whole, ("K",))["K"], np.arange(9.0).reshape(3, 3))
+    for end in (len(whole) - 1, len(whole) - 16):
+        with pytest.raises(ValueError, match="beyond the end"):
+            read_mat(whole[:end], ("K",))
+
+
 def test_a_crowd_of_values_is_refused_before_all_are_read():
     """Camera files are small; a megabyte of numbers took PyYAML 20 s and 400 MB, fifty thousand
     take it 2 s.
