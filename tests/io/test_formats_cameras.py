@@ -2,6 +2,7 @@
 are refused in a line.
 """
 
+import io
 import re
 import time
 from dataclasses import replace
