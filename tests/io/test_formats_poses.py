@@ -251,6 +251,7 @@ def test_movement_s_dimensions_are_as_long_as_their_coordinates(tmp_path):
     """
     write_poses(tmp_path / "p.nc", example(2), "movement-3d")
     with h5py.File(tmp_path / "p.nc", "a") as file:
+        np.testing.assert_allclose(file["time"], example(2).poses.frames / 60.0)  # seconds
         turned_round = file["position"][:].transpose(0, 3, 2, 1)
         del file["position"]
         file["position"] = turned_round
