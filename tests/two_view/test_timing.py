@@ -42,6 +42,18 @@ def test_bodies_are_aligned_at_their_offset_and_unlike_ones_do_not_count():
     assert np.degrees(angle_between(found, truth)) < 0.5
 
 
+def test_bodies_before_the_first_frame_of_the_other_view_are_not_compared():
+    """Two frames early: the last of b are like the first of a, but turned, and not their match."""
+    rng = np.random.default_rng(2)
+    truth = matrix_from_vector(np.array([0.4, -0.3, 0.8]))
+    body = unit_bodies(rng, FRAMES)
+    seen_by_b = np.roll(body @ truth.T, -2, axis=1)
+    seen_by_b[:, -2:] @= matrix_from_vector(np.array([0.2, 0.0, 0.0]))
+    views, rows = (view_of(body), view_of(seen_by_b)), np.arange(FRAMES)
+    found = _align(*views, truth, rate=1.0, rows=rows, config=CONFIG)
+    assert np.degrees(angle_between(found, truth)) < 0.001
+
+
 def test_blocks_of_time_that_show_nothing_count_where_they_are_the_most():
     """Half of the blocks are enough; of less the score is less."""
     blocks = count_blocks(FRAMES, CONFIG)
