@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-from mocap_calib.config import SyncConfig
+from mocap_calib.config import CLOCK_RATES, SyncConfig
 from mocap_calib.geometry.rotation import angle_between, matrix_from_vector
 from mocap_calib.two_view.timing import (
     ViewInTime,
     _align,
     _best_in_blocks,
     _candidates,
+    _score_at_any_time,
     agree_in_all_frames,
     count_blocks,
 )
@@ -93,3 +94,14 @@ def test_candidates_turn_bodies_to_those_of_the_same_shape():
     found = _candidates(view_of(body), view_of(body @ truth.T), CONFIG, rng)
     nearest = found.reshape(20, -1, 3, 3)[:, 0]
     assert np.degrees(angle_between(nearest, truth)).max() < 0.1
+
+
+def test_a_rotation_is_scored_at_each_rate():
+    """Bodies in step: only the truth, and only at one frame for one."""
+    rng = np.random.default_rng(3)
+    view, rows = view_of(unit_bodies(rng, FRAMES)), np.arange(FRAMES)
+    turned = np.stack([np.eye(3), matrix_from_vector(np.array([0.0, 2.0, 0.0]))])
+    score = _score_at_any_time(view, view, turned, rows, CONFIG)
+    assert score.shape == (2, len(CLOCK_RATES))
+    assert score[0, CLOCK_RATES.index(1.0)] == pytest.approx(1.0, abs=1e-3)
+    assert score[1].max() < 0.5
