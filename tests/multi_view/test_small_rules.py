@@ -4,10 +4,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.linalg import null_space
 
 from mocap_calib.config import MovedConfig, SyncConfig
+from mocap_calib.geometry.rotation import nearest_rotation
 from mocap_calib.multi_view.changes import _choose_number
 from mocap_calib.multi_view.clock_evidence import along_map, standard_errors
+from mocap_calib.multi_view.covariance import _inverse_at_size
 from mocap_calib.multi_view.evidence import _pieces_between
 from mocap_calib.multi_view.labels import matched_share
 from mocap_calib.multi_view.time_offsets import _choose_stretches
@@ -65,6 +68,24 @@ def test_a_table_says_of_a_map_what_stands_at_its_offset():
     values, shown = along_map(table, own, 1.0)
     assert shown.tolist() == [[True, True, True, False, True, False]]
     assert values.tolist() == [[2.0, 8.0, 11.0, 0.0, 24.0, 0.0]]
+
+
+def test_the_inverse_at_a_size_is_that_of_all_that_leaves_it():
+    """D (D' M D)^-1 D', where D spans what the size does not change; scales from 1e-2 to 1e2."""
+    rng = np.random.default_rng(0)
+    rotation, translation = nearest_rotation(rng.normal(size=(3, 3, 3))), rng.normal(size=(3, 3))
+    scale = np.exp(rng.uniform(-4, 4, 15))  # two poses, and three that are shared
+    matrix = rng.normal(size=(15, 40)) * scale[:, None]
+    matrix = matrix @ matrix.T
+    found = _inverse_at_size(matrix, SimpleNamespace(rotation=rotation, translation=translation))
+    centres = -np.einsum("vji,vj->vi", rotation, translation)
+    size = np.zeros(15)
+    for view in (1, 2):  # a translation changes by -R (C - C0)
+        size[6 * view - 3 : 6 * view] = rotation[view] @ (centres[0] - centres[view])
+    free = null_space(size[None])
+    expected = free @ np.linalg.inv(free.T @ matrix @ free) @ free.T
+    unit = np.outer(scale, scale)
+    np.testing.assert_allclose(found * unit, expected * unit, atol=1e-6)
 
 
 def test_stretches_are_whole_and_spread_over_the_recording():
