@@ -26,13 +26,11 @@ def a_body(seed: int = 0) -> np.ndarray:
     return 0.4 * np.random.default_rng(seed).normal(size=(JOINTS, 3)) + [0, 0, 1]
 
 
-def name_walkers(
-    places: np.ndarray, bodies: list, seen: np.ndarray, *, followed: int = 0, **options
-):
+def name_walkers(places: np.ndarray, bodies: list, seen: np.ndarray, **options):
     """Return the names `[frame, body]` of bodies `[joint, 3]` at places `[frame, body, 3]`.
 
-    seen: `[frame, body]`, but by the first `followed` views always. Four cameras, noise of 2
-    pixels, detections in another order in each frame and view. -1 = not seen, or nobody.
+    seen: `[frame, body]`. Four cameras, noise of 2 pixels, detections in another order in each
+    frame and view. -1 = not seen, or nobody.
     """
     rng, made = np.random.default_rng(0), scene()
     frames, count = seen.shape
@@ -40,7 +38,7 @@ def name_walkers(
     pixels = project(made.rig, points.reshape(-1, 3).T)
     pixels = np.moveaxis(pixels, 1, -1).reshape(4, frames, count, JOINTS, 2)
     pixels += 2 * rng.normal(size=pixels.shape)
-    pixels[followed:, ~seen] = np.nan
+    pixels[:, ~seen] = np.nan
     order = rng.permuted(np.tile(np.arange(count), (4, frames, 1)), axis=-1)
     shuffled = np.take_along_axis(pixels, order[..., None, None], axis=2)
     files = [
@@ -107,18 +105,6 @@ def test_twins_who_come_back_get_no_new_names():
     seen[40:120] = False
     names = name_walkers(places, [a_body(), a_body()], seen)
     assert set(names[seen]) == {0, 1}
-
-
-def test_twins_whom_one_view_follows_keep_their_names():
-    """Both walk on for 80 frames in one view alone: the first to where the second left."""
-    way = 1.6 * np.clip((np.arange(FRAMES) - 40) / 80, 0, 1)
-    places, seen = np.zeros((FRAMES, 2, 3)), everybody()
-    places[..., 1] = way[:, None] + [-1.2, 0.4]
-    seen[40:120] = False
-    names = name_walkers(places, [a_body(), a_body()], seen, followed=1)
-    first, second = names[seen[:, 0]].T
-    assert set(first) != set(second)
-    assert len(set(first)) == len(set(second)) == 1
 
 
 def test_no_more_individuals_than_are_known_to_be_there():

@@ -12,6 +12,7 @@ from mocap_calib.multi_view.changes import _choose_number
 from mocap_calib.multi_view.clock_evidence import along_map, standard_errors
 from mocap_calib.multi_view.covariance import _inverse_at_size
 from mocap_calib.multi_view.evidence import _pieces_between
+from mocap_calib.multi_view.faults import _has_moved
 from mocap_calib.multi_view.labels import matched_share
 from mocap_calib.multi_view.time_offsets import _choose_stretches
 from mocap_calib.types import Matches
@@ -40,6 +41,13 @@ def test_epochs_are_believed_as_far_as_each_change_gains(costs, changes):
     )
     assert found == ["none", "one", "two"][changes]
     assert gain == pytest.approx(costs[0] / costs[changes] - 1 if changes else 0.0)
+
+
+def test_a_camera_has_moved_if_one_of_its_faults_says_so():
+    moved, turned = SimpleNamespace(word="moved"), SimpleNamespace(word="turned")
+    assert _has_moved([turned, moved])
+    assert not _has_moved([turned, turned])
+    assert not _has_moved([])
 
 
 def test_the_share_of_the_matched_counts_whoever_is_named():
