@@ -39,7 +39,7 @@ from pathlib import Path
 
 import pytest
 from lines_of_tests import LinesOfTests, Selected, Tests
-from mutation_report import read_log, report
+from mutation_report import place, read_log, read_reasons, report
 from mutations import Mutation, find_mutations
 
 ROOT = Path(__file__).parents[1]
@@ -77,7 +77,9 @@ def main() -> None:
     parser.add_argument("--own", action="store_true", help="tests of the mutated package alone")
     parser.add_argument("--slow", action="store_true", help="with the tests that are marked slow")
     parser.add_argument("--log", type=Path, default=ROOT / "runs" / "mutations.jsonl")
-    parser.add_argument("--again", action="store_true", help="try survivors of the log again")
+    parser.add_argument(
+        "--again", action="store_true", help="try unexplained survivors of the log again"
+    )
     options = parser.parse_args()
     chosen = choose(PACKAGES, options.number, random.Random(options.seed))
     chosen = [mutation for mutation in chosen if mutation.package in (options.package or PACKAGES)]
@@ -127,6 +129,8 @@ def try_all(chosen: list[Mutation], work: Path, options: argparse.Namespace) -> 
     if options.again:
         known = {name: entry for name, entry in known.items() if entry["killed"]}
     missing = [mutation for mutation in chosen if mutation.name not in known]
+    if options.again:
+        missing = [mutation for mutation in missing if place(mutation) not in read_reasons()]
     if not missing:
         return
     copies = [copy_tree(work / f"tree{k}") for k in range(options.jobs)]
