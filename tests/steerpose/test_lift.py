@@ -12,10 +12,11 @@ from mocap_calib.config import COMPLETION_CONFIDENCE, COMPLETION_SPREAD
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.steerpose.completion import _confidence_of_lifted
-from mocap_calib.steerpose.lift import _DOWN, _centre, _lift_rays
+from mocap_calib.steerpose.lift import _DOWN, _centre, _lift_rays, lift
 from mocap_calib.steerpose.lifter import _gelu
 from mocap_calib.steerpose.loading import choose_model, load_lifter
 from mocap_calib.steerpose.training.evaluation import _project_turned
+from mocap_calib.types import silent
 
 
 def test_the_centre_puts_a_body_where_its_joints_are_seen():
@@ -43,6 +44,13 @@ def test_a_network_of_too_few_joints_is_refused():
     few = replace(lifter, config=replace(lifter.config, joints=int(found.vocabulary.max())))
     with pytest.raises(MismatchError, match="expected a network of the"):
         choose_model(found, few)
+
+
+def test_several_subjects_without_joints_that_the_network_knows_are_refused():
+    found = recording()
+    unknown = replace(found, vocabulary=np.full_like(found.vocabulary, -1))
+    with pytest.raises(MismatchError, match="joint names that the model knows"):
+        lift(unknown, load_lifter()[0], progress=silent)
 
 
 def test_a_joint_deserves_the_mean_confidence_of_the_detection_and_less():
