@@ -54,6 +54,8 @@ TESTS += (
     "test_types.py",
 )
 TESTS += COMMAND
+# tests of other packages that hold some modules of these, too
+BESIDE = {"geometry": ("io/test_colmap.py",), "io": ("world/test_place.py",)}
 PRELOADED = ("cv2", "h5netcdf", "h5py", "hypothesis.extra.numpy", "numba", "pdb", "pycolmap")
 PRELOADED += ("safetensors.torch", "scipy.ndimage", "scipy.optimize", "torch", "xarray", "yaml")
 LOADED = "ignore::pytest.PytestAssertRewriteWarning"  # what pytest says of these
@@ -134,7 +136,9 @@ def try_all(chosen: list[Mutation], work: Path, options: argparse.Namespace) -> 
     if not missing:
         return
     copies = [copy_tree(work / f"tree{k}") for k in range(options.jobs)]
-    names = tuple(sorted({mutation.package for mutation in missing})) if options.own else TESTS
+    own = {mutation.package for mutation in missing}
+    names = tuple(sorted(own | {name for each in own for name in BESIDE.get(each, ())}))
+    names = names if options.own else TESTS
     tests = learn_tests(copies[0], names, options.log.with_suffix(".tests.json"), slow=options.slow)
     jobs = []
     try:
