@@ -8,6 +8,7 @@ from scipy.linalg import null_space
 
 from mocap_calib.config import MovedConfig, SyncConfig
 from mocap_calib.geometry.rotation import nearest_rotation
+from mocap_calib.multi_view import clock_search
 from mocap_calib.multi_view.changes import _choose_number
 from mocap_calib.multi_view.clock_evidence import along_map, standard_errors
 from mocap_calib.multi_view.covariance import _inverse_at_size
@@ -94,6 +95,17 @@ def test_the_inverse_at_a_size_is_that_of_all_that_leaves_it():
     expected = free @ np.linalg.inv(free.T @ matrix @ free) @ free.T
     unit = np.outer(scale, scale)
     np.testing.assert_allclose(found * unit, expected * unit, atol=1e-6)
+
+
+def test_what_is_held_out_is_followed_at_the_price_of_its_partners(monkeypatch):
+    """Of seven other cameras, four in one half and three in the other."""
+    counts = []
+    monkeypatch.setattr(clock_search, "step_price", lambda n, _: counts.append(n) or 1.0)
+    halves = [np.random.default_rng(k).random((1, 60, 9)) for k in range(2)]
+    held_out = clock_search._hold_out(halves, range(7), 1.0, SyncConfig())
+    assert counts == [4, 3]
+    assert held_out.shape == (1, 60)
+    assert (held_out >= 0).all()
 
 
 def test_stretches_are_whole_and_spread_over_the_recording():
