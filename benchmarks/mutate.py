@@ -1,7 +1,7 @@
 """Change the program in small ways, one at a time, and see whether its tests notice.
 
     .venv/bin/python benchmarks/mutate.py              # 200 mutations, chosen by seed 0
-    .venv/bin/python benchmarks/mutate.py --number 20 --seed 1 --package geometry
+    .venv/bin/python benchmarks/mutate.py --number 100 --seed 1 --package geometry
 
 As many mutations are drawn of each package: a comparison turned, + made -, a constant changed, a
 condition negated, a line left out, arguments exchanged (`mutations.py`). It works on a copy of the
@@ -13,8 +13,9 @@ longer than `--seconds` together, the slow ones are left out. Mutations that nev
 by the processor time that they take.
 
 What was tried is kept in a file (`--log`), a line of JSON each, and not tried again: a run that
-was stopped goes on. What survives is printed with the tests
-that tried. Needs an operating system that can fork.
+was stopped goes on. Survivors that change nothing that a user sees stand in
+`mutations_survived.toml`, each with the reason; the others are printed with the tests that tried.
+Needs an operating system that can fork.
 """
 
 import argparse
@@ -31,7 +32,6 @@ import sys
 import tempfile
 import time
 import traceback
-from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from functools import partial
@@ -39,6 +39,7 @@ from pathlib import Path
 
 import pytest
 from lines_of_tests import LinesOfTests, Selected, Tests
+from mutation_report import place, read_log, read_reasons, report
 from mutations import Mutation, find_mutations
 
 ROOT = Path(__file__).parents[1]
@@ -53,7 +54,12 @@ TESTS += (
     "test_types.py",
 )
 TESTS += COMMAND
-PRELOADED = ("cv2", "h5py", "pycolmap", "scipy.optimize", "torch")
+# tests of other packages that hold some modules of these, too
+BESIDE = {"geometry": ("io/test_colmap.py",), "io": ("world/test_place.py",)}
+PRELOADED = ("cv2", "h5netcdf", "h5py", "hypothesis.extra.numpy", "numba", "pdb", "pycolmap")
+PRELOADED += ("safetensors.torch", "scipy.ndimage", "scipy.optimize", "torch", "xarray", "yaml")
+LOADED = "ignore::pytest.PytestAssertRewriteWarning"  # what pytest says of these
+NONE = 5  # status of pytest where no test is selected
 BROKEN = 70  # status of a process that could not run the tests
 FIRST = 20  # tests, which notice most
 SLOWER = 4  # than in the run that was timed: longer, and a mutation is taken to never end
@@ -67,14 +73,18 @@ def main() -> None:
     )
     parser.add_argument("--number", type=int, default=200, help="of mutations (default 200)")
     parser.add_argument("--seed", type=int, default=0, help="of their choice (default 0)")
-    parser.add_argument("--package", choices=PACKAGES, help="this one alone")
+    parser.add_argument("--package", choices=PACKAGES, help="of these mutations, those of one")
     parser.add_argument("--jobs", type=int, default=1, help="at a time (default 1)")
     parser.add_argument("--seconds", type=float, default=60, help="of tests for each (default 60)")
+    parser.add_argument("--own", action="store_true", help="tests of the mutated package alone")
+    parser.add_argument("--slow", action="store_true", help="with the tests that are marked slow")
     parser.add_argument("--log", type=Path, default=ROOT / "runs" / "mutations.jsonl")
-    parser.add_argument("--again", action="store_true", help="try survivors of the log again")
+    parser.add_argument(
+        "--again", action="store_true", help="try unexplained survivors of the log again"
+    )
     options = parser.parse_args()
-    packages = (options.package,) if options.package else PACKAGES
-    chosen = choose(packages, options.number, random.Random(options.seed))
+    chosen = choose(PACKAGES, options.number, random.Random(options.seed))
+    chosen = [mutation for mutation in chosen if mutation.package in (options.package or PACKAGES)]
     options.log.parent.mkdir(parents=True, exist_ok=True)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # and clear away what is begun
     os.environ["OMP_NUM_THREADS"] = "1"  # threads of libraries do not survive a fork
@@ -105,7 +115,8 @@ def copy_tree(target: Path) -> Path:
         if (ROOT / name).is_file():
             (target / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(ROOT / name, target / name)
-    compileall.compile_dir(target / "mocap_calib", quiet=2)  # mutations write no compiled files
+    for name in ("mocap_calib", "cli"):  # mutations write no compiled files
+        compileall.compile_dir(target / name, quiet=2)
     for kernel in (ROOT / "mocap_calib").rglob("__pycache__/*.nb[ci]"):  # what numba compiled
         shutil.copy2(kernel, target / kernel.relative_to(ROOT))
     return target
@@ -120,10 +131,15 @@ def try_all(chosen: list[Mutation], work: Path, options: argparse.Namespace) -> 
     if options.again:
         known = {name: entry for name, entry in known.items() if entry["killed"]}
     missing = [mutation for mutation in chosen if mutation.name not in known]
+    if options.again:
+        missing = [mutation for mutation in missing if place(mutation) not in read_reasons()]
     if not missing:
         return
     copies = [copy_tree(work / f"tree{k}") for k in range(options.jobs)]
-    tests = learn_tests(copies[0], options.log.with_suffix(".tests.json"))
+    own = {mutation.package for mutation in missing}
+    names = tuple(sorted(own | {name for each in own for name in BESIDE.get(each, ())}))
+    names = names if options.own else TESTS
+    tests = learn_tests(copies[0], names, options.log.with_suffix(".tests.json"), slow=options.slow)
     jobs = []
     try:
         for k, copy in enumerate(copies):
@@ -149,42 +165,50 @@ def try_some(some: list[Mutation], copy: Path, tests: Tests, options: argparse.N
     return 0
 
 
-def learn_tests(copy: Path, kept: Path) -> Tests:
+def learn_tests(copy: Path, names: tuple[str, ...], kept: Path, *, slow: bool) -> Tests:
     """Run every file of tests as it is, each in a process of its own, and see what it calls.
 
     What an earlier run learned of a file is in `kept`; that holds as long as the program and the
-    file are the same.
+    file are the same. names: of folders and files of tests. slow: also tests that are marked so.
     """
     known = json.loads(kept.read_text("utf-8")) if kept.exists() else {}
-    program = sorted([*(copy / "mocap_calib").rglob("*.py"), *(copy / "tests").glob("*.py")])
+    program = sorted([*(copy / "mocap_calib").rglob("*.py"), *(copy / "tests").glob("[!t]*.py")])
     learned = {}
-    for file in sorted(tests_of(copy)):
+    for file in sorted(tests_of(copy, names)):
         content = b"".join(path.read_bytes() for path in [*program, file])
-        key = hashlib.sha256(content).hexdigest()
-        if key not in known:
-            known[key] = learn_file(copy, file)
-            kept.write_text(json.dumps(known), encoding="utf-8", newline="\n")
-        learned[key] = known[key]
+        marks = ["not slow"] + ["slow"] * (slow and b"mark.slow" in file.read_bytes())
+        for mark in marks:
+            key = hashlib.sha256(content + mark.encode()).hexdigest()
+            if key not in known:
+                known[key] = learn_file(copy, file, mark)
+                kept.write_text(json.dumps(known), encoding="utf-8", newline="\n")
+            learned[key] = known[key]
     if not any(learned.values()):
         raise SystemExit("expected tests that pass before anything is changed, found none")
     otherwise = tuple(f"tests/{name}" for name in COMMAND)
     return Tests([found for found in learned.values() if found], otherwise)
 
 
-def tests_of(copy: Path) -> Iterator[Path]:
+def tests_of(copy: Path, names: tuple[str, ...]) -> Iterator[Path]:
     """Return the files of the tests that are run."""
-    for name in TESTS:
+    for name in names:
         path = copy / "tests" / name
         yield from [path] if path.suffix else path.rglob("test_*.py")
 
 
-def learn_file(copy: Path, file: Path) -> dict:
+def learn_file(copy: Path, file: Path, mark: str) -> dict:
     """Return what the tests of a file call; nothing where one fails before any change."""
     name, found, start = str(file.relative_to(copy)), copy / "calls.json", time.monotonic()
-    status = in_process(copy, partial(LinesOfTests, copy, found), [name], seconds=900)
+    which = [name, "-m", mark]
+    for here in (True, False):  # some tests are of processes that readers end
+        plugin = partial(LinesOfTests, copy, found, here=here)
+        status = in_process(copy, plugin, which, seconds=900, compiled=True)
+        if status in (0, NONE):
+            break
     took = f"{time.monotonic() - start:.0f} s"
-    word = "fails as it is, and is left out" if status else took
-    print(f"{name}: {word}", file=sys.stderr, flush=True)
+    reason = "no such tests" if status == NONE else "fails as it is, and is left out"
+    word = reason if status else took
+    print(f"{name}, {mark}: {word}", file=sys.stderr, flush=True)
     return {} if status else json.loads(found.read_text("utf-8"))
 
 
@@ -223,13 +247,18 @@ def try_one(mutation: Mutation, copy: Path, tests: Tests, *, seconds: float) -> 
 
 
 def in_process(
-    copy: Path, plugin: Callable[[], object], files: list[str], *, seconds: float
+    copy: Path,
+    plugin: Callable[[], object],
+    files: list[str],
+    *,
+    seconds: float,
+    compiled: bool = False,
 ) -> int:
     """Run tests of the copy in a process of their own; return its status, below 0 = out of time.
 
-    seconds: of the processor.
+    seconds: of the processor. compiled: keep what is compiled, for later processes.
     """
-    child = fork(partial(run_tests, copy, plugin, files, seconds=seconds))
+    child = fork(partial(run_tests, copy, plugin, files, seconds=seconds, compiled=compiled))
     end, done = time.monotonic() + WAITING * seconds, 0
     try:
         while time.monotonic() < end:
@@ -259,7 +288,14 @@ def fork(work: Callable[[], int]) -> int:
     return child
 
 
-def run_tests(copy: Path, plugin: Callable[[], object], files: list[str], *, seconds: float) -> int:
+def run_tests(
+    copy: Path,
+    plugin: Callable[[], object],
+    files: list[str],
+    *,
+    seconds: float,
+    compiled: bool,
+) -> int:
     """Run tests in this process, in silence, and return the status."""
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     os.chdir(copy)
@@ -271,37 +307,10 @@ def run_tests(copy: Path, plugin: Callable[[], object], files: list[str], *, sec
     os.environ["PYTHONPATH"] = os.pathsep.join(roots)
     sys.path[:0] = roots
     # compiled files of mutations must not be taken for those of the files
-    sys.dont_write_bytecode = True
-    quiet = ["-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist"]
+    sys.dont_write_bytecode = not compiled
+    quiet = ["-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", "-W", LOADED]
+    sys.modules["numba"].config.reload_config()  # the folder of what it compiles
     return int(pytest.main([*quiet, *files], plugins=[plugin()]))
-
-
-# --- results
-
-
-def read_log(path: Path) -> dict[str, dict]:
-    """Return what was tried by name; the last line of a name counts."""
-    if not path.exists():
-        return {}
-    entries = map(json.loads, path.read_text("utf-8").splitlines())
-    return {entry["name"]: entry for entry in entries}
-
-
-def report(chosen: list[Mutation], known: dict[str, dict]) -> str:
-    """Return the share that was noticed, and all that was not."""
-    tried = [mutation for mutation in chosen if mutation.name in known]
-    survived = [mutation for mutation in tried if not known[mutation.name]["killed"]]
-    alive, of = Counter(m.package for m in survived), Counter(m.package for m in tried)
-    lines = ["| package | mutations | noticed |", "|---|---|---|"]
-    lines += [f"| {name} | {of[name]} | {of[name] - alive[name]} |" for name in of]
-    share = 100 * (1 - len(survived) / max(len(tried), 1))
-    lines += [f"| all | {len(tried)} | {len(tried) - len(survived)} ({share:.0f} %) |", ""]
-    for mutation in survived:
-        entry = known[mutation.name]
-        lines.append(
-            f"* {mutation.describe()}: {entry['tests']} tests, {entry['left_out']} not run"
-        )
-    return "\n".join(lines)
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ from mocap_calib.geometry.epipolar import (
 )
 from mocap_calib.geometry.intersection import intersect
 from mocap_calib.geometry.projection import pixels_from_points, rays_from_pixels
+from mocap_calib.geometry.rays import are_apart
 from mocap_calib.geometry.rotation import (
     angle_between,
     direction_angle,
@@ -94,6 +95,15 @@ def test_quaternion_reproduces_the_rotation_of_every_octant():
     np.testing.assert_allclose(matrix[:, 2, 2], 1 - 2 * (x**2 + y**2), atol=1e-14)
 
 
+def test_quaternions_of_turns_about_the_axes():
+    """Half turns have one component alone, so that each row of the table counts."""
+    half = matrix_from_vector(np.pi * np.eye(3))
+    np.testing.assert_allclose(np.abs(quaternion_from_matrix(half)), np.eye(4)[1:], atol=1e-15)
+    third = matrix_from_vector(2 * np.pi / 3 * np.eye(3))
+    expected = np.column_stack([np.full(3, 0.5), np.sqrt(0.75) * np.eye(3)])
+    np.testing.assert_allclose(quaternion_from_matrix(third), expected, atol=1e-15)
+
+
 def test_angle_is_exact_for_tiny_rotations():
     assert angle_between(np.eye(3), matrix_from_vector(np.array([0, 0, 1e-9]))) == pytest.approx(
         1e-9, rel=1e-6
@@ -125,6 +135,12 @@ def test_nearest_rotation_is_proper_and_optimal():
     assert (value[:, None] >= others - 1e-12).all()
 
 
+def test_nearest_rotation_of_a_positive_diagonal_is_none():
+    diagonals = np.random.default_rng(4).permuted(np.tile([1.0, 2.0, 3.0], (20, 1)), axis=1)
+    found = nearest_rotation(diagonals[:, :, None] * np.eye(3))
+    np.testing.assert_allclose(found, np.broadcast_to(np.eye(3), found.shape), atol=1e-14)
+
+
 def test_looking_along_is_a_rotation_that_looks_along():
     direction = np.concatenate(
         [np.random.default_rng(4).normal(size=(100, 3)), [[0, 1.0, 0], [0, -1.0, 0]]]
@@ -134,6 +150,14 @@ def test_looking_along_is_a_rotation_that_looks_along():
     ahead = (turn @ direction[..., None])[..., 0]
     np.testing.assert_allclose(ahead[:, :2], 0, atol=1e-12)
     assert (ahead[:, 2] > 0).all()
+
+
+def test_rays_are_apart_by_the_angle_between_those_in_use():
+    """Two rays 9, 11 and 30 degrees apart, the last with one of them not in use."""
+    angle = np.deg2rad([[0.0, 0, 0], [9, 11, 30]])
+    rays = np.stack([np.sin(angle), 0 * angle, np.cos(angle)], axis=1)
+    used = np.array([[True, True, True], [True, True, False]])
+    assert are_apart(rays, used, np.deg2rad(10)).tolist() == [False, True, False]
 
 
 @pytest.mark.parametrize("name", CAMERAS)

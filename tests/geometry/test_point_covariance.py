@@ -127,3 +127,11 @@ def test_median_angles_tell_the_noise_in_any_rig(name):
     angle, _ = ray_angles(rig, found, rays)
     noise = np.median(angle / median_angles(rig, found, weight), axis=1)
     np.testing.assert_allclose(noise, NOISE, rtol=0.06)
+
+
+def test_the_median_angle_of_a_view_that_hardly_counts_is_that_of_plain_noise():
+    """Two normal errors: sqrt(2 ln 2). Wilson and Hilferty's median is 0.7 % above it."""
+    rig, points = rig_at(PLACES["three"]), np.array([[0.2], [-0.3], [0.5]])
+    weight = np.array([[1e-9], [1.0], [1.0]])
+    median = median_angles(rig, points, weight)[0, 0]
+    assert median == pytest.approx(np.sqrt(2 * np.log(2)), rel=0.01)

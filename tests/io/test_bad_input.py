@@ -517,9 +517,9 @@ def test_16_double_lines_and_double_frames_name_both(tmp_path):
     with pytest.raises(FormatError, match=r"one_0001\.json and two_0001\.json"):
         read_keypoints([folder])
     (tmp_path / "a.csv").write_text(
-        "camera,frame,individual,keypoint,x,y\n" + "a,1,m,nose,5,6\n" * 2
+        "camera,frame,individual,keypoint,x,y\n" + "a,1,m,nose,5,6\n" * 4
     )
-    with pytest.raises(FormatError, match="frame 1, individual 0, nose 2 times, in rows 2, 3"):
+    with pytest.raises(FormatError, match="individual 0, nose 4 times, in rows 2, 3, 4; remove"):
         read_keypoints([tmp_path / "a.csv"])
     positions, confidence = recording()
     (tmp_path / "b.csv").write_text(

@@ -3,9 +3,13 @@
 import json
 import shutil
 import subprocess
+import sys
 from dataclasses import replace
+from importlib import resources
 from itertools import pairwise
 from pathlib import Path
+from runpy import run_path
+from unittest.mock import MagicMock
 
 import c3d
 import numpy as np
@@ -286,6 +290,30 @@ def test_a_blender_scene_has_all_that_is_known():
     )
 
 
+def test_cameras_of_a_blender_scene_see_what_ours_see():
+    """Its camera model, sensor 1 wide: focal length and shifts in widths, pixels not square."""
+    file = described(COCO)
+    for k, camera in enumerate(file.rig.cameras):
+        matrix = np.array([[900.0, 0, 650 + k], [0, 870 + 20 * k, 340], [0, 0, 1]])
+        size = (1280, 720) if k % 2 else (1000, 1100)
+        rig = file.rig.select(np.array([k]))
+        rig = replace(rig, cameras=(replace(camera, matrix=matrix, size=size),))
+        said = only_camera(describe_scene(replace(file, rig=rig)))
+        place = rig.centres[0] + rig.rotation[0].T @ [0.3, -0.2, 4.0]
+        x, y, z, _ = np.linalg.solve(said["matrix"], [*place, 1.0])
+        wide, high = size[0] * said["aspect_x"], size[1] * said["aspect_y"]
+        right, up = said["lens"] * np.array([x, y]) / -z - said["shift"]
+        pixel = [size[0] * (0.5 + right) - 0.5, size[1] * (0.5 - up * wide / high) - 0.5]
+        expected = matrix[:2, :2] @ [0.3 / 4, -0.2 / 4] + matrix[:2, 2]
+        np.testing.assert_allclose(pixel, expected, atol=1e-6)
+
+
+def only_camera(said):
+    """Return the camera of a scene that has one."""
+    (camera,) = said["cameras"]
+    return camera
+
+
 CHECK = """
 import json, runpy, sys
 import bpy
@@ -311,6 +339,21 @@ print("FOUND", json.dumps({
     "floor": "floor" in scene.objects,
 }))
 """
+
+
+def test_bodies_of_a_blender_scene_differ_in_colour_and_keep_time(monkeypatch):
+    """Seven bodies, more than there are colours; what Blender does is left out."""
+    for name in ("bmesh", "bpy", "mathutils"):
+        monkeypatch.setitem(sys.modules, name, MagicMock())
+    script = resources.files("mocap_calib.io.poses") / "blender_scene.py"
+    made = run_path(str(script))
+    colours: list[tuple[float, ...]] = []
+    made["build"].__globals__["build_body"] = lambda _scene, _said, _body, one: colours.append(one)
+    nothing = {"title": "", "frames": [0, 1], "fps": 29.97, "cameras": [], "floor": None}
+    scene = made["build"]({**nothing, "bodies": list(range(7))})
+    assert scene.render.fps / scene.render.fps_base == pytest.approx(29.97)
+    assert len(set(colours)) == 5
+    assert colours[5:] == colours[:2]
 
 
 @pytest.mark.skipif(shutil.which("blender") is None, reason="Blender is not installed")

@@ -2,6 +2,7 @@
 are refused in a line.
 """
 
+import io
 import re
 import time
 from dataclasses import replace
@@ -365,6 +366,17 @@ def test_dannce_s_files_of_one_camera_each_are_its_file_of_all(tmp_path):
     savemat(tmp_path / "no.mat", {"K": np.eye(3)})
     with pytest.raises(FormatError, match="give the file that has the cameras"):
         read_rig(tmp_path / "no.mat")
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_a_matlab_file_that_ends_early_is_no_whole_file(compressed):
+    content = io.BytesIO()
+    savemat(content, {"K": np.arange(9.0).reshape(3, 3)}, do_compression=compressed)
+    whole = content.getvalue()
+    np.testing.assert_array_equal(read_mat(whole, ("K",))["K"], np.arange(9.0).reshape(3, 3))
+    for end in (len(whole) - 1, len(whole) - 16):
+        with pytest.raises(ValueError, match="beyond the end"):
+            read_mat(whole[:end], ("K",))
 
 
 def test_a_crowd_of_values_is_refused_before_all_are_read():

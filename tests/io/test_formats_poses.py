@@ -2,6 +2,7 @@
 are refused in a line.
 """
 
+import io
 import itertools
 from dataclasses import replace
 from pathlib import Path
@@ -250,6 +251,7 @@ def test_movement_s_dimensions_are_as_long_as_their_coordinates(tmp_path):
     """
     write_poses(tmp_path / "p.nc", example(2), "movement-3d")
     with h5py.File(tmp_path / "p.nc", "a") as file:
+        np.testing.assert_allclose(file["time"], example(2).poses.frames / 60.0)  # seconds
         turned_round = file["position"][:].transpose(0, 3, 2, 1)
         del file["position"]
         file["position"] = turned_round
@@ -271,7 +273,8 @@ def test_a_row_of_a_trc_that_has_a_number_more_is_refused(tmp_path):
     cells = 2 + 3 * len(example().poses.keypoints)
     lines[-1] = "\t".join([*lines[-1].split("\t")[:cells], "0.5"])
     (tmp_path / "p.trc").write_text("\n".join(lines))
-    with pytest.raises(FormatError, match=f"expected {cells} cells, found {cells + 1}"):
+    said = f"line {len(lines)}: expected {cells} cells, found {cells + 1}"
+    with pytest.raises(FormatError, match=said):
         load_poses(tmp_path / "p.trc")
 
 
@@ -361,6 +364,26 @@ def test_nwb_says_what_is_missing_or_comes_back():
     assert_poses(example(), back, "nwb-3d")
     np.testing.assert_array_equal(back.poses.confidence, example().poses.confidence)
     assert (back.individuals, back.rate) == (example().individuals, 60.0)
+
+
+def test_nwb_is_read_without_its_packages():
+    """Two keypoints in three dimensions, in millimetres; of one there is also a series of two."""
+    content = io.BytesIO()
+    position = np.random.default_rng(0).normal(size=(2, 5, 3))
+    with h5py.File(content, "w") as file:
+        for name, values in (("nose", position[0]), ("tail", position[1]), ("2D", np.ones((5, 2)))):
+            series = file.create_group(f"processing/behavior/mouse/{name}")
+            series.attrs["neurodata_type"] = "PoseEstimationSeries"
+            series["data"] = values
+            series["data"].attrs["conversion"] = 1000.0
+            series["data"].attrs["unit"] = "millimeters"
+            series["starting_time"] = 0.1
+            series["starting_time"].attrs["rate"] = 30.0
+    back = parse_poses(content.getvalue(), "x")
+    assert (back.individuals, back.rate) == (("mouse",), 30.0)
+    assert (back.poses.keypoints, back.poses.unit) == (("nose", "tail"), "mm")
+    assert back.poses.frames.tolist() == [3, 4, 5, 6, 7]
+    np.testing.assert_allclose(back.poses.positions[:, 0], 1000 * position.swapaxes(0, 1))
 
 
 @pytest.mark.parametrize("up", UP_AXES)

@@ -267,12 +267,20 @@ def test_triangulated_points_and_sources_come_back(name):
     assert alone.raw is alone.positions
 
 
-@pytest.mark.parametrize("edges", [[[0, 2]], [[-1, 0]], [[0.5, 1]], [0, 1]])
-def test_edges_of_other_keypoints_are_refused(edges):
+@pytest.mark.parametrize(
+    ("edges", "said"),
+    [
+        ([[0, 2]], "found 0 to 2"),
+        ([[-1, 0]], "found -1 to 0"),
+        ([[0.5, 1]], "whole numbers"),
+        ([0, 1], "edges: expected shape"),
+    ],
+)
+def test_edges_of_other_keypoints_are_refused(edges, said):
     content = io.BytesIO(poses_to_h5(poses(), {}))
     with h5py.File(content, "a") as file:
         file["edges"] = edges
-    with pytest.raises(FormatError):
+    with pytest.raises(FormatError, match=said):
         parse(content.getvalue(), "file")
 
 

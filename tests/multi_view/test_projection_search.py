@@ -11,6 +11,7 @@ from mocap_calib.multi_view.projection_search import (
     Sighting,
     decompose,
     exchanged_share,
+    match,
     resect,
 )
 from mocap_calib.types import Camera
@@ -56,6 +57,26 @@ def test_exact_points_give_the_exact_projection_whoever_is_who(individuals, mirr
     assert angle_between(parts.rotation, POSE.rotation) < 1e-4
     np.testing.assert_array_equal(found.individual, order)
     assert found.cost < 1e-3
+
+
+@pytest.mark.parametrize(("individuals", "enough"), [(1, False), (2, True)])
+def test_of_several_subjects_fewer_frames_are_drawn(individuals, enough):
+    """Three frames: four are drawn of a single subject, and two where any may be anybody."""
+    points = bodies(frames=3, individuals=individuals)
+    found = resect(Sighting(points, project(points)), ResectionConfig(), seed=0)
+    assert (found is not None) == enough
+
+
+def test_detections_show_whom_they_fit_or_nobody():
+    """Two of three are detected in each frame, and once somebody who is not known."""
+    points = bodies(frames=6, individuals=3)
+    shown = np.array([[2, 0]] * 5 + [[1, -1]])
+    image = np.take_along_axis(project(points), shown[..., None, None], axis=1)
+    image[5, 1] += 400.0
+    projection = MATRIX @ np.column_stack([POSE.rotation, POSE.translation])
+    found, cost = match(Sighting(points, image), projection, tolerance=5.0)
+    assert found.tolist() == shown.tolist()
+    assert cost == pytest.approx(1 / 12, abs=0.01)
 
 
 def test_a_third_of_wrong_detections_and_noise_do_not_matter():

@@ -64,6 +64,13 @@ def test_a_network_of_too_few_joints_is_refused():
         choose_model(found, few)
 
 
+def test_several_subjects_without_joints_that_the_network_knows_are_refused():
+    found = recording()
+    unknown = replace(found, vocabulary=np.full_like(found.vocabulary, -1))
+    with pytest.raises(MismatchError, match="joint names that the model knows"):
+        lift(unknown, load_lifter()[0], progress=silent)
+
+
 def test_a_joint_deserves_the_mean_confidence_of_the_detection_and_less():
     found, bodies = recording(), lifted()
     seen = found.confidence > 0

@@ -43,7 +43,9 @@ def test_own_poses_stand_upright():
     """The cameras, upright within a few degrees, tell what is up: noses are above ankles."""
     found = calibrated()
     skeleton = own_skeleton("own", found.poses)
-    poses = own_poses(found.poses, skeleton, up_of_rig(found.rig), "train").poses
+    found_poses = own_poses(found.poses, skeleton, up_of_rig(found.rig), "train")
+    poses = found_poses.poses
+    np.testing.assert_allclose(found_poses.weight, 1 / len(poses))
     nose, ankle = (skeleton.keypoints.index(name) for name in ("nose", "left_ankle"))
     height = np.linalg.norm(poses[:, nose] - poses[:, ankle], axis=1)
     tilt = np.degrees(np.arccos((poses[:, nose] - poses[:, ankle])[:, 2] / height))

@@ -1,12 +1,14 @@
 """The paper's system: its network, its losses, its solver."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 
 from mocap_calib.config import PairsConfig, PaperConfig, TrainConfig
+from mocap_calib.geometry.epipolar import depths as depths_numpy
 from mocap_calib.geometry.rotation import (
     angle_between,
     direction_angle,
@@ -19,9 +21,11 @@ from mocap_calib.steerpose.checkpoint import load_steerer, save_model
 from mocap_calib.steerpose.lifter import ModelConfig
 from mocap_calib.steerpose.loading import load_lifter
 from mocap_calib.steerpose.model import LifterModule
+from mocap_calib.steerpose.paper import solver
 from mocap_calib.steerpose.paper.batch import TwoViews
 from mocap_calib.steerpose.paper.losses import (
     collinearity_system,
+    depths,
     full_geometric_loss,
     geometric_loss,
     keypoint_distance,
@@ -243,6 +247,24 @@ def test_who_is_not_there_costs_nothing():
     torch.testing.assert_close(matching_loss(weight, score, there, there), expected)
 
 
+def test_matches_are_the_best_of_their_row_and_of_their_column(monkeypatch):
+    """In both views; of the weights, and not of a dummy."""
+    score = torch.rand(2, 1, 40, 3, 3, generator=torch.Generator().manual_seed(0))
+    monkeypatch.setattr(solver, "_similarity_both_ways", lambda *_: score)
+    present, config = torch.ones(1, 40, 3, dtype=torch.bool), PaperConfig()
+    batch = SimpleNamespace(present_a=present, present_b=present, most_matches=torch.tensor([120]))
+    loss, mutual = solver._match(batch, None, None, config)
+    weight = sinkhorn(
+        with_dummies(score, present, present), sharpness=config.sharpness, sweeps=config.sweeps
+    )
+    row = weight.argmax(-1, keepdim=True) == torch.arange(weight.shape[-1])
+    column = weight.argmax(-2, keepdim=True) == torch.arange(weight.shape[-2])[:, None]
+    expected = (row & column).all(0)[..., :3, :3]
+    assert torch.equal(mutual, expected)
+    assert 0 < mutual.sum() < 120
+    assert loss.shape == (1,)
+
+
 def test_gradient_of_the_matching_loss():
     there = torch.ones(3, dtype=torch.bool)
 
@@ -255,6 +277,18 @@ def test_gradient_of_the_matching_loss():
         )
 
     assert torch.autograd.gradcheck(loss, (random(3, 3).sigmoid().requires_grad_(),))
+
+
+def test_depths_of_many_poses_are_those_of_geometry():
+    """Two poses at once, as the solver has them."""
+    vector, t, rays_a, rays_b = two_views(7)
+    poses = torch.stack([matrix_from_vector(vector), matrix_from_vector(-vector)])
+    shifts = torch.stack([t, -2 * t])
+    found = depths(poses, shifts, rays_a.expand(2, 7, 3), rays_b.expand(2, 7, 3))
+    for k in range(2):
+        expected = depths_numpy(*(each.numpy() for each in (poses[k], shifts[k], rays_a, rays_b)))
+        for one, other in zip(found, expected, strict=True):
+            np.testing.assert_allclose(one[k], other, rtol=1e-9)
 
 
 def test_gradients_of_both_geometric_losses():

@@ -1,5 +1,6 @@
 """The network, its data and its training."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -173,6 +174,23 @@ def test_views_are_upright_rotations(poses):
     assert (views[:, 1, 2] < 0).all()  # the image's down is the world's down
 
 
+def test_views_roll_as_far_as_is_said(poses):
+    """The image's right points up by the sine of the roll."""
+    views = Synthesiser(poses, PEOPLE, replace(SMALL, roll_deg=5.0), seed=2)._views(500)
+    assert np.degrees(np.arcsin(views[:, 0, 2].numpy()).std()) == pytest.approx(5.0, rel=0.2)
+
+
+def test_joints_are_hidden_the_more_the_more_is_said(poses):
+    """Without scattered ones, layouts and limbs still hide some."""
+    seen = []
+    for occlusion in (0.0, 0.8):
+        config = replace(SMALL, occlusion=occlusion)
+        known = torch.ones(500, len(PEOPLE.keypoints), dtype=torch.bool)
+        hidden = Synthesiser(poses, PEOPLE, config, seed=3)._hide_joints(known)
+        seen.append(float(hidden.double().mean()))
+    assert seen[1] + 0.1 < seen[0] < 0.99
+
+
 def test_same_seed_same_weights(poses):
     first, second, other = (
         train_lifter(poses, PEOPLE, replace(SMALL, seed=s), progress=silent) for s in (0, 0, 1)
@@ -246,6 +264,17 @@ def test_not_weights(tmp_path):
 def test_poses_of_other_joints_are_refused(tmp_path):
     np.savez(tmp_path / "p.npz", poses=np.zeros((10, 2, 3)), joints=np.array(["nose", "neck"]))
     with pytest.raises(MismatchError, match="nose, neck"):
+        load_poses(tmp_path / "p.npz", PEOPLE, "train")
+
+
+def test_poses_of_a_folder_have_their_names_beside_them(tmp_path):
+    """And no file of poses is unpacked into objects, which could run anything."""
+    names, poses = ["nose", "neck", "left_hip", "right_hip"], np.ones((20, 4, 3))
+    np.savez(tmp_path / "poses3d.npz", poses=poses)
+    (tmp_path / "joints.json").write_text(json.dumps({"names": names}), encoding="utf-8")
+    assert len(load_poses(tmp_path, PEOPLE, "train").poses) > 10
+    np.savez(tmp_path / "p.npz", poses=poses.astype(object), joints=np.array(names))
+    with pytest.raises(FormatError, match="expected an npz file of 3D poses"):
         load_poses(tmp_path / "p.npz", PEOPLE, "train")
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from mocap_calib.compute.parallel import map_in_processes, map_in_threads
 from mocap_calib.config import FivePointConfig, PairwiseConfig
 from mocap_calib.geometry.rotation import matrix_from_vector
+from mocap_calib.two_view.five_point import _candidates as _five_point_candidates
 from mocap_calib.two_view.five_point import (
     _count_inliers,
     _possible_matches,
@@ -60,6 +61,15 @@ def test_inliers_are_counted_of_right_matches_alone():
     problem = _Problem(a, b, 1e-6, FivePointConfig(), estimate_by_loransac)
     pose = rotation, translation / np.linalg.norm(translation)
     assert _count_inliers(problem, pose) == 27
+
+
+def test_candidates_are_of_detections_that_are_there():
+    """One in each view, the first of one and the second of the other."""
+    rays = np.ones((2, 1, 2, 10, 3))
+    rays[0, :, 1] = rays[1, :, 0] = np.nan
+    problem = _Problem(rays[0], rays[1], 1e-6, FivePointConfig(), estimate_by_loransac)
+    (mask,) = _five_point_candidates(problem, np.random.default_rng(0))
+    assert np.argwhere(mask).tolist() == [[0, 0, 1]]
 
 
 def test_pairs_are_spread_by_the_work_that_they_are():

@@ -8,6 +8,7 @@ import pytest
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.rotation import angle_between, direction_angle, matrix_from_vector
 from mocap_calib.two_view import posterior, refine
+from mocap_calib.two_view.hypotheses import Hypotheses
 from mocap_calib.two_view.posterior import (
     body_energy,
     centre_energy,
@@ -15,6 +16,7 @@ from mocap_calib.two_view.posterior import (
     ray_energy,
     ray_errors,
 )
+from mocap_calib.two_view.scoring import score_hypotheses
 from mocap_calib.two_view.view_pair import Detections, MatchedRays, Overlap, ViewPair
 
 CONFIG = PairwiseConfig()
@@ -158,6 +160,36 @@ def test_kernels_find_the_most_probable_pose_that_numpy_finds(monkeypatch):
     slow = most_probable(pair, matched, rays, CONFIG, **start)
     for found, expected in zip(quick, slow, strict=True):
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
+
+
+def test_kernels_take_the_steps_that_numpy_takes_from_far_off(monkeypatch):
+    """About 50 degrees: which steps are taken depends on the energy itself. Measured 5e-15."""
+    pair, rays, rng = exact_pair(3), rough_rays(100), np.random.default_rng(0)
+    starts = [
+        (matrix_from_vector(rng.normal(0, 0.5, 3)) @ ROTATION, TRANSLATION + rng.normal(0, 3, 3))
+        for _ in range(20)
+    ]
+
+    def refined() -> list[np.ndarray]:
+        matched = np.eye(3, dtype=bool)[None]
+        return [
+            np.column_stack(most_probable(pair, matched, rays, CONFIG, rotation=r, translation=t))
+            for r, t in starts
+        ]
+
+    quick = refined()
+    monkeypatch.setattr(posterior, "compiled", lambda _: None)
+    np.testing.assert_allclose(quick, refined(), rtol=0, atol=1e-9)
+
+
+def test_a_pose_is_scored_by_the_matches_in_front_of_both_views():
+    """The truth, and the same with the other camera behind: there nothing counts."""
+    pair = exact_pair(3)
+    both = Hypotheses(np.stack([ROTATION] * 2), np.stack([TRANSLATION, -TRANSLATION]), ("", ""))
+    scored = score_hypotheses(pair, both, CONFIG)
+    assert np.array_equal(scored.matched[0, 0], np.eye(3, dtype=bool))
+    np.testing.assert_allclose(scored.score, [1, 0], atol=0.05)
+    assert scored.in_front.tolist() == [1.0, 0.0]
 
 
 def test_the_energy_of_bodies_is_that_of_their_distance():

@@ -1,0 +1,119 @@
+"""Rules of the stages of many cameras that are small enough for a table of cases."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.linalg import null_space
+
+from mocap_calib.config import MovedConfig, SyncConfig
+from mocap_calib.geometry.rotation import nearest_rotation
+from mocap_calib.multi_view import clock_search
+from mocap_calib.multi_view.changes import _choose_number
+from mocap_calib.multi_view.clock_evidence import along_map, standard_errors
+from mocap_calib.multi_view.covariance import _inverse_at_size
+from mocap_calib.multi_view.evidence import _pieces_between
+from mocap_calib.multi_view.faults import _has_moved
+from mocap_calib.multi_view.labels import matched_share
+from mocap_calib.multi_view.time_offsets import _choose_stretches
+from mocap_calib.types import Matches
+
+
+def test_pieces_between_others_are_those_that_begin_and_end_there():
+    """Four pieces in a row; the second column is of something else."""
+    first = np.array([[0, 9], [5, 0], [12, 3], [20, 1]])
+    last = np.array([[4, 7], [10, 0], [18, 2], [30, 5]])
+    pairs = np.array([0, 0, 1, 0]), np.array([2, 3, 3, 1])
+    assert _pieces_between(first, last, pairs).tolist() == [1, 2, 1, 0]
+
+
+@pytest.mark.parametrize(
+    ("costs", "changes"),
+    [
+        ([100.0, 99.9], 0),
+        ([100.0, 40.0], 1),
+        ([100.0, 40.0, 10.0], 2),
+        ([100.0, 50.0, 49.99, 10.0], 1),  # the second gains nothing, so the third is no matter
+    ],
+)
+def test_epochs_are_believed_as_far_as_each_change_gains(costs, changes):
+    found, gain = _choose_number(
+        ["none", "one", "two", "three"], np.array(costs), 1000, MovedConfig()
+    )
+    assert found == ["none", "one", "two"][changes]
+    assert gain == pytest.approx(costs[0] / costs[changes] - 1 if changes else 0.0)
+
+
+def test_a_camera_has_moved_if_one_of_its_faults_says_so():
+    moved, turned = SimpleNamespace(word="moved"), SimpleNamespace(word="turned")
+    assert _has_moved([turned, moved])
+    assert not _has_moved([turned, turned])
+    assert not _has_moved([])
+
+
+def test_the_share_of_the_matched_counts_whoever_is_named():
+    seen = np.ones((2, 3, 2, 1), bool)
+    seen[1, 0, 1] = False
+    labels = np.array([[[0, 1], [0, -1], [-1, -1]], [[0, -1], [0, 1], [1, 0]]])
+    share = matched_share(SimpleNamespace(seen=seen), SimpleNamespace(labels=labels))
+    np.testing.assert_allclose(share, [3 / 6, 5 / 5])
+
+
+def test_a_mean_is_told_in_standard_errors_over_blocks_of_time():
+    rng, config = np.random.default_rng(0), SyncConfig()
+    each = 14
+    values = 0.3 + rng.normal(size=(2, config.evidence_blocks * each // 2))
+    means = values.reshape(-1, each).mean(1)
+    expected = means.mean() / (means.std(ddof=1) / np.sqrt(len(means)))
+    assert standard_errors(values, config) == pytest.approx(expected)
+    shown = np.zeros(values.shape, bool)
+    assert standard_errors(values, config, shown) == 0.0
+
+
+def test_a_table_says_of_a_map_what_stands_at_its_offset():
+    """Offsets from -2 to 2; frame 3 is lost, and frame 5 is out of reach."""
+    table = np.arange(30.0).reshape(1, 6, 5)
+    own = np.array([[0, 2, 1, -1, 6, 9]])
+    values, shown = along_map(table, own, 1.0)
+    assert shown.tolist() == [[True, True, True, False, True, False]]
+    assert values.tolist() == [[2.0, 8.0, 11.0, 0.0, 24.0, 0.0]]
+
+
+def test_the_inverse_at_a_size_is_that_of_all_that_leaves_it():
+    """D (D' M D)^-1 D', where D spans what the size does not change; scales from 1e-2 to 1e2."""
+    rng = np.random.default_rng(0)
+    rotation, translation = nearest_rotation(rng.normal(size=(3, 3, 3))), rng.normal(size=(3, 3))
+    scale = np.exp(rng.uniform(-4, 4, 15))  # two poses, and three that are shared
+    matrix = rng.normal(size=(15, 40)) * scale[:, None]
+    matrix = matrix @ matrix.T
+    found = _inverse_at_size(matrix, SimpleNamespace(rotation=rotation, translation=translation))
+    centres = -np.einsum("vji,vj->vi", rotation, translation)
+    size = np.zeros(15)
+    for view in (1, 2):  # a translation changes by -R (C - C0)
+        size[6 * view - 3 : 6 * view] = rotation[view] @ (centres[0] - centres[view])
+    free = null_space(size[None])
+    expected = free @ np.linalg.inv(free.T @ matrix @ free) @ free.T
+    unit = np.outer(scale, scale)
+    np.testing.assert_allclose(found * unit, expected * unit, atol=1e-6)
+
+
+def test_what_is_held_out_is_followed_at_the_price_of_its_partners(monkeypatch):
+    """Of seven other cameras, four in one half and three in the other."""
+    counts = []
+    monkeypatch.setattr(clock_search, "step_price", lambda n, _: counts.append(n) or 1.0)
+    halves = [np.random.default_rng(k).random((1, 60, 9)) for k in range(2)]
+    held_out = clock_search._hold_out(halves, range(7), 1.0, SyncConfig())
+    assert counts == [4, 3]
+    assert held_out.shape == (1, 60)
+    assert (held_out >= 0).all()
+
+
+def test_stretches_are_whole_and_spread_over_the_recording():
+    labels = np.zeros((2, 100, 1), dtype=np.int64)
+    labels[:, 40:60] = -1
+    found = _choose_stretches(Matches(labels), 10, budget=200, stretch=5)
+    starts = found.reshape(-1, 5)[:, 0]
+    assert (found.reshape(-1, 5) == starts[:, None] + np.arange(5)).all()
+    assert len(starts) == 4
+    assert (starts[0], starts[-1]) == (0, 95)
+    assert not ((starts >= 40) & (starts < 60)).any()
