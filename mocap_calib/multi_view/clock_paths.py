@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mocap_calib.compute.kernels import compiled, contiguous
 from mocap_calib.config import LARGEST_STEP, SyncConfig
 from mocap_calib.two_view.timing import FrameAgreement, Singles, diagonals
 from mocap_calib.types import Floats, Ints
@@ -188,6 +189,10 @@ def follow_ridge(table: Floats, price: float) -> Ints:
 
     table: `[stretch, frame, offset]`.
     """
+    kernels = compiled("mocap_calib.multi_view.clock_kernels")
+    if kernels:
+        parts = contiguous(*table)
+        return np.stack([kernels.follow(part, price, LARGEST_STEP) for part in parts])
     return np.stack([_follow(part, price) for part in table])
 
 

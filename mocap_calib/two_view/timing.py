@@ -23,7 +23,8 @@ from mocap_calib.types import Bools, Floats, Ints
 
 Singles = NDArray[np.float32]
 
-_CELLS = 8_000_000  # pairs of bodies compared at a time
+_CELLS = 500_000  # pairs of bodies compared at a time: what a processor has at hand
+_NOBODY = np.float32(-1e6)  # how alike a body is to one that is not there
 
 
 @dataclass(frozen=True)
@@ -115,27 +116,37 @@ def _agreement(a: ViewInTime, b: ViewInTime, rotation: Floats, rows: Ints) -> Si
     rotation: `[hypothesis, 3, 3]` b_from_a. rows: `[row]` frames of a.
     """
     seen_a = a.seen[:, rows]
-    turned = _turn(a.body[:, rows], rotation)  # [hypothesis, stretch, instance, row, 3 axis]
-    other = np.moveaxis(_flatten(b.body), 1, 3)  # [stretch, instance, 3 axis, frame]
-    nowhere = np.full((*turned.shape[:2], len(rows), other.shape[3]), -1.0, dtype=np.float32)
-    best_of_b = [nowhere] * other.shape[1]
-    total = np.zeros_like(nowhere)
+    turned = _mark(_turn(a.body[:, rows], rotation), seen_a.swapaxes(1, 2), first=True)
+    other = _mark(_flatten(b.body).swapaxes(1, 2), b.seen.swapaxes(1, 2), first=False)
+    other = np.ascontiguousarray(other.swapaxes(2, 3))  # [stretch, instance, 3 axis, frame]
+    shape = (*turned.shape[:2], len(rows), other.shape[3])
+    best_of_b = np.full((other.shape[1], *shape), _NOBODY)
+    best_of_a, cosine, total = np.empty_like(best_of_b[0]), *np.zeros((2, *shape), np.float32)
     for i in range(turned.shape[2]):
-        best_of_a = nowhere
+        best_of_a[:] = _NOBODY
         for j in range(other.shape[1]):
-            cosine = turned[:, :, i] @ other[:, j]
-            both = seen_a[..., i][..., None] & b.seen[:, None, :, j]
-            cosine = np.where(both, cosine, np.float32(-1.0))
-            best_of_a = np.maximum(best_of_a, cosine)
-            best_of_b[j] = np.maximum(best_of_b[j], cosine)
+            np.matmul(turned[:, :, i], other[:, j], out=cosine)
+            np.maximum(best_of_a, cosine, out=best_of_a)
+            np.maximum(best_of_b[j], cosine, out=best_of_b[j])
         total += _alike(best_of_a)
     if len(best_of_b) == turned.shape[2] == 1:
         total *= np.float32(2.0)
     else:
-        total += sum(map(_alike, best_of_b))
+        for best in best_of_b:
+            total += _alike(best)
     count_a, count_b = seen_a.sum(-1)[..., None], b.seen.sum(-1)[:, None]
-    mean = total / np.maximum(count_a + count_b, 1).astype(np.float32)
-    return np.where((count_a > 0) & (count_b > 0), mean, np.float32(np.nan))
+    total /= np.maximum(count_a + count_b, 1).astype(np.float32)
+    return np.where((count_a > 0) & (count_b > 0), total, np.float32(np.nan))
+
+
+def _mark(body: Singles, seen: Bools, *, first: bool) -> Singles:
+    """Return bodies `[..., instance, frame, 3 axis]` with two more numbers each.
+
+    The product of two of them is that of the bodies, and `_NOBODY` or less where one is missing.
+    """
+    here = np.broadcast_to(np.where(seen, np.float32(0.0), _NOBODY), body.shape[:-1])
+    marks = (here, np.ones_like(here))
+    return np.concatenate([body, np.stack(marks if first else marks[::-1], axis=-1)], axis=-1)
 
 
 def _turn(body: Singles, rotation: Floats) -> Singles:
@@ -155,7 +166,8 @@ def _flatten(body: Singles) -> Singles:
 def _alike(cosine: Singles) -> Singles:
     """Return 0..1 how alike two bodies are, given tr(R' b a') / J; 0 where one is not there."""
     square = np.float32(SyncConfig.pose_tolerance**2)
-    return np.where(cosine > -1.0, np.exp((cosine - 1.0) / square), np.float32(0.0))
+    found = (cosine - np.float32(1.0)) / square
+    return np.exp(found, out=found)
 
 
 def _some_frames(view: ViewInTime, bodies: int) -> Ints:

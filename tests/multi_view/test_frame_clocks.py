@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scenes import lifted, recording
 
-from mocap_calib.config import SyncConfig
+from mocap_calib.config import LARGEST_STEP, SyncConfig
 from mocap_calib.multi_view.clock_faults import Retimed, clock_faults
 from mocap_calib.multi_view.clock_kinds import StretchNumbers, describe_clock
-from mocap_calib.multi_view.clock_paths import follow_ridge
+from mocap_calib.multi_view.clock_paths import _follow, follow_ridge
 from mocap_calib.multi_view.frame_clocks import choose_pairs, doubt_lost_frames, find_clocks
 from mocap_calib.recording.retiming import clocks_from, retime
 from mocap_calib.two_view.timing import ViewInTime, compare_in_time
@@ -241,3 +241,14 @@ def test_steps_that_come_evenly_are_another_rate(lost, kind):
     begins = [(0, 0)] if lost and lost[0] else []
     steps = [(frame, number) for number, frame in enumerate(lost, 1)]
     assert clock.table == (*begins, *steps)
+
+
+@pytest.mark.parametrize("price", [0.0, 0.7, 5.0])
+def test_compiled_paths_are_those_of_numpy(price):
+    """Of numbers that tie, too: the first of equal steps is taken."""
+    kernels = pytest.importorskip("mocap_calib.multi_view.clock_kernels")
+    rng = np.random.default_rng(0)
+    for offsets in (1, 2, 5, 41):
+        for table in (rng.normal(size=(60, offsets)), rng.integers(0, 3, (60, offsets)) * 1.0):
+            expected = _follow(table, price)
+            assert (kernels.follow(table, price, LARGEST_STEP) == expected).all()

@@ -1,0 +1,34 @@
+"""The best path of a clock through its offsets, compiled: `clock_paths` says the same in numpy."""
+
+import numpy as np
+
+from mocap_calib.compute.jit import FLOAT, INT, floats, kernel
+from mocap_calib.types import Floats, Ints
+
+
+@kernel(floats(2), FLOAT, INT)
+def follow(table: Floats, price: float, largest_step: int) -> Ints:
+    """Return the path `[frame]` through a table `[frame, offset]`: see `clock_paths._follow`.
+
+    largest_step: by which a camera is ahead at once.
+    """
+    frames, offsets = table.shape
+    origin = np.empty((frames, offsets), dtype=np.int32)
+    total, before = table[0].copy(), np.empty(offsets)
+    for frame in range(1, frames):
+        before[:] = total
+        for k in range(offsets):
+            best, value = k, before[k]
+            # in the order in which equal ones are preferred: one on, then one back, two back ...
+            for step in range(largest_step + 1):
+                source = min(k + 1, offsets - 1) if step == 0 else max(k - step, 0)
+                reached = before[source] - price
+                if reached > value:
+                    best, value = source, reached
+            origin[frame, k] = best
+            total[k] = value + table[frame, k]
+    path = np.empty(frames, dtype=np.int64)
+    path[-1] = np.argmax(total)
+    for frame in range(frames - 1, 0, -1):
+        path[frame - 1] = origin[frame, path[frame]]
+    return path
