@@ -20,7 +20,7 @@ from numpy.typing import DTypeLike, NDArray
 
 _LARGE = 1 << 24  # bytes; smaller arrays stay in memory
 _BLOCK = 4096  # frames at a time,
-_FAR = 512  # and of those that lie far from each other
+_FAR = 128  # and of those that lie far from each other
 
 _maps: WeakSet[mmap.mmap] = WeakSet()
 _maps_lock = Lock()  # threads make arrays while others let go of them

@@ -9,7 +9,7 @@ docs/conventions.md has the rest.
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Literal, Protocol, Self, TypeVar, get_args
 
 import numpy as np
@@ -1012,9 +1012,9 @@ class Matches(Record):
         labels = labels if frames is None else labels[:, frames]
         return Matches(labels[:, :, :instances])
 
-    @property
+    @cached_property
     def individuals(self) -> int:
-        """Number of individuals."""
+        """Number of individuals, counted once: each block of a long recording asks for it."""
         return int(self.labels.max(initial=-1)) + 1
 
 

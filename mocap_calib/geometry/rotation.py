@@ -137,7 +137,7 @@ def nearest_rotation(matrix: Floats) -> Floats:
 def looking_along(direction: Floats, down: Floats) -> Floats:
     """Return the rotations `[..., 3, 3]` into axes that look along directions `[..., 3]`.
 
-    The new z is along `direction`, and y is as near to `down` `[3]` as it can be. Where the
+    The new z is along `direction`, and y is as near to `down` `[..., 3]` as it can be. Where the
     direction is along `down`, the new x is near to the old one.
     """
     z = direction / np.linalg.norm(direction, axis=-1, keepdims=True)

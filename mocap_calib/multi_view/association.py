@@ -6,7 +6,6 @@ cycle-consistent by construction. Groups are then carried through time by where 
 
 from collections.abc import Iterator
 from functools import partial
-from itertools import combinations
 
 import numpy as np
 
@@ -19,22 +18,19 @@ from mocap_calib.config import (
     MatchingConfig,
     PairwiseConfig,
 )
+from mocap_calib.multi_view.body_affinity import temper_by_bodies
 from mocap_calib.multi_view.clustering import cluster_detections
 from mocap_calib.multi_view.labels import per_frame_labels
+from mocap_calib.multi_view.linking import link_through_time
 from mocap_calib.multi_view.pair_choice import some_pairs
-from mocap_calib.multi_view.tracking import link_through_time, locate_groups
+from mocap_calib.multi_view.tracking import locate_groups
 from mocap_calib.recording.sampling import evenly_spaced, take_sample
-from mocap_calib.two_view.affinity import (
-    epipolar_affinity,
-    epipolar_error,
-    epipolar_fit,
-    match_affinity,
-)
+from mocap_calib.two_view.affinity import epipolar_affinity
 from mocap_calib.two_view.view_pair import (
     distance_ratios,
     distances,
     distances_by_size,
-    gather_view_pair,
+    gather_detections,
     shared_frames,
 )
 from mocap_calib.types import (
@@ -50,7 +46,7 @@ from mocap_calib.types import (
 )
 
 # pairs of detections grouped at a time: so many frames, or fewer in a crowd
-_LIFTED_PAIRS = 2_000_000  # of a sample, compared by rays and lifted bodies
+_LIFTED_PAIRS = 500_000  # of a sample, compared by rays and lifted bodies
 _PLAIN_PAIRS = 200_000  # of a recording, compared by rays alone: they stay in the cache
 
 
@@ -68,7 +64,9 @@ def associate(
     scale = _body_scale(sample, lifted, rig, config)
     geometry_alone = has_single_subject(sample, config.matching.geometry_alone_share)
     step = max(1, _LIFTED_PAIRS // (views * instances) ** 2)
-    for block in _cut_into_blocks(np.arange(frames), step):
+    blocks = _cut_into_blocks(np.arange(frames), step)
+
+    def group(block: Ints) -> Ints:
         affinity, comparable = _affinities(
             sample,
             lifted,
@@ -78,7 +76,10 @@ def associate(
             geometry_alone=geometry_alone,
             config=config.pairwise,
         )
-        labels[:, block] = _group_detections(affinity, comparable, views, config.matching)
+        return _group_detections(affinity, comparable, views, config.matching)
+
+    for block, groups in zip(blocks, map_in_threads(group, blocks), strict=True):
+        labels[:, block] = groups
         progress("match", int(block[-1]) + 1, frames)
     return _link_groups(sample, rig, labels, config.matching, scale=scale)
 
@@ -104,7 +105,8 @@ def label_all_frames(
     Returns labels `[view, frame, instance]`, -1 = nobody.
     """
     views, frames, instances = recording.positions.shape[:3]
-    labels = np.full((views, frames, instances), -1, dtype=np.int64)
+    labels = mapped.empty((views, frames, instances), np.int64)
+    labels.fill(-1)
     labels[:, sample_frames, : matches.labels.shape[2]] = per_frame_labels(matches).labels
 
     others = np.setdiff1d(np.arange(frames), sample_frames)
@@ -166,11 +168,17 @@ def _scales_of_pairs(
     for a, b in some_pairs(len(rig.cameras), config.view_graph):
         shared = shared_frames(sample, a, b, config.pairwise)
         if len(shared):
-            pair = gather_view_pair(sample, lifted, (a, b), evenly_spaced(shared, SCALE_FRAMES))
-            rotation, translation = rig.relative(a, b)
-            error, weight = epipolar_error(pair, rotation[None], translation[None])
-            matched = epipolar_fit(error, weight, config.pairwise)[0] > SCALE_LEAST_FIT
-            yield distance_ratios(pair, rotation, translation, matched)
+            frames = evenly_spaced(shared, SCALE_FRAMES)
+            first, second = (gather_detections(sample, lifted, view, frames) for view in (a, b))
+            affinity, _ = epipolar_affinity(
+                sample.select(views=[a, b]).select(frames=frames),
+                rig.select([a, b]),
+                np.stack([first.distance, second.distance]),
+                config.pairwise,
+            )
+            instances = first.distance.shape[1]
+            matched = affinity[:, :instances, instances:] > SCALE_LEAST_FIT
+            yield distance_ratios(first, second, *rig.relative(a, b), matched)
 
 
 def _affinities(
@@ -196,22 +204,10 @@ def _affinities(
     affinity, comparable = epipolar_affinity(block, rig, distance, config)
     if geometry_alone:
         return affinity, comparable
-    views, count, instances = distance.shape
-    by_views = affinity.reshape(count, views, instances, views, instances)
-    for a, b in combinations(range(views), 2):
-        pair = gather_view_pair(sample, lifted, (a, b), frames)
-        rotation, translation = rig.relative(a, b)
-        epipolar = by_views[:, a, :, b]
-        found = match_affinity(
-            pair,
-            rotation[None],
-            scale * translation[None],
-            config,
-            epipolar=epipolar[None],
-        )
-        by_views[:, a, :, b] = found[0]
-        by_views[:, b, :, a] = np.swapaxes(found[0], 1, 2)
-    return affinity, comparable
+    tempered = temper_by_bodies(
+        affinity, lifted, rig, frames, distance=distance, scale=scale, config=config
+    )
+    return tempered, comparable
 
 
 def _label_by_rig(frames: Ints, *, recording: Recording, rig: CameraRig, config: Config) -> Ints:
@@ -236,7 +232,8 @@ def _link_groups(
     recording: Recording, rig: CameraRig, labels: Ints, config: MatchingConfig, *, scale: float
 ) -> Matches:
     """Return the groups of each frame as individuals of the recording."""
-    places = locate_groups(recording, rig, labels) * scale
+    places = locate_groups(recording, rig, labels)
+    places *= scale
     return Matches(link_through_time(labels, places, recording.frames, config))
 
 

@@ -7,13 +7,14 @@ import numpy as np
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import AdjustConfig, Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
-from mocap_calib.geometry.projection import pixels_from_points
+from mocap_calib.geometry.lens import image_slopes
+from mocap_calib.multi_view.freedom import Freedom, free_poses
 from mocap_calib.multi_view.labels import per_frame_labels
 from mocap_calib.multi_view.noise import view_residual
 from mocap_calib.multi_view.observations import gather_observations, labelled_frames
 from mocap_calib.multi_view.ray_residuals import RayObservations
 from mocap_calib.multi_view.residuals import Observations, State
-from mocap_calib.multi_view.schur import Freedom, free_poses, minimise
+from mocap_calib.multi_view.schur import minimise
 from mocap_calib.multi_view.triangulation import triangulate_rays
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import (
@@ -26,8 +27,6 @@ from mocap_calib.types import (
     Recording,
     Sample,
 )
-
-_NUDGE = 1e-4  # radians, for the differences that tell how the image moves with a ray
 
 
 @dataclass(frozen=True)
@@ -130,6 +129,7 @@ def minimise_in_steps(
 ) -> State:
     """Return the state of least robust cost, under a loss that is tightened in steps.
 
+    Its points have yet to settle after the last of them (`schur.settle_points`).
     already_close: only the last step is needed.
     """
     *wide_scales, last_scale = config.loss_scales
@@ -236,11 +236,9 @@ def observe_rays(rig: CameraRig, points: AdjustablePoints) -> RayObservations:
     axis = np.array([0.0, 0.0, 1.0])[:, None]
     used = points.used
     rays = np.where(used[:, None], points.rays, axis)
-    metrics = [
-        _pixels_per_ray(camera, ray.T) / (sigma * camera.focal)
-        for camera, ray, sigma in zip(rig.cameras, rays, points.noise, strict=True)
-    ]
-    metric = np.ascontiguousarray(np.moveaxis(np.stack(metrics), 1, -1))
+    metric = np.empty((len(rays), 2, *rays.shape[1:]))
+    for into, camera, ray, sigma in zip(metric, rig.cameras, rays, points.noise, strict=True):
+        into[:] = _pixels_per_ray(camera, ray) / (sigma * camera.focal)
     return RayObservations(
         rays=np.ascontiguousarray(rays),
         metric=np.where(used[:, None, None], np.nan_to_num(metric), 0.0),
@@ -249,16 +247,12 @@ def observe_rays(rig: CameraRig, points: AdjustablePoints) -> RayObservations:
 
 
 def _pixels_per_ray(camera: Camera, rays: Floats) -> Floats:
-    """Return by how many pixels the image moves when rays turn, `[N, 2, 3]`.
+    """Return by how many pixels the image moves when rays turn, `[2, 3, N]`.
 
-    rays: `[N, 3]` unit vectors in the camera's frame. By central differences in the plane that
-    touches the unit sphere at the ray; along the ray nothing moves.
+    rays: `[3, N]` in the camera's frame; along the ray nothing moves. NaN behind the camera.
     """
-    other = np.eye(3)[np.abs(rays).argmin(-1)]  # the axis that is farthest from the ray
-    first = np.cross(rays, other)
-    first /= np.linalg.norm(first, axis=-1, keepdims=True)
-    basis = np.stack([first, np.cross(rays, first)], axis=1)  # [N, 2, 3] of the plane
-    forth = pixels_from_points(camera, rays[:, None] + _NUDGE * basis)
-    back = pixels_from_points(camera, rays[:, None] - _NUDGE * basis)
-    slope = (forth - back) / (2 * _NUDGE)  # [N, direction in the plane, pixel coordinate]
-    return np.einsum("nbi,nbk->nik", slope, basis)
+    depth = np.where(rays[2] > 1e-9, rays[2], np.nan)
+    image = rays[:2] / depth
+    slopes = image_slopes(camera, image).image / depth
+    along = np.einsum("kin,in->kn", slopes, image)
+    return np.concatenate([slopes, -along[:, None]], axis=1)

@@ -17,6 +17,7 @@ from mocap_calib.multi_view.clock_paths import (
     ridge_of,
     step_price,
 )
+from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Floats, Ints
 
 
@@ -53,7 +54,8 @@ def find_timing(agreements: Agreements, rates: tuple[float, ...], config: SyncCo
     timing = _try_rates(agreements, timing, config)
     timing, restless = _add_steps(agreements, timing, config)
     if restless >= config.least_restless_gain and equal:
-        followed = (_follow_one(agreements, rates, root, config) for root in equal)
+        roots = evenly_spaced(np.array(equal), config.roots).tolist()
+        followed = (_follow_one(agreements, rates, root, config) for root in roots)
         other = max(followed, key=lambda each: _total(agreements, each))
         good = _median_score(agreements, other) >= config.wandering_score
         gained = _total(agreements, other) - _total(agreements, timing)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mocap_calib.compute.kernels import compiled, contiguous
 from mocap_calib.types import Bools, Floats, Ints
 
 
@@ -37,17 +38,37 @@ def cluster_detections(
 ) -> Ints:
     """Return the group of each detection in its frame, `[frame, N]`; -1 for one that stays alone.
 
+    Groups are numbered from 0 in each frame, by their first detection.
+
     affinity, comparable: `[frame, N, N]` of the N = views x instances detections: how alike two
         of them are, 0..1, and 1 where they can be compared.
     least_affinity: the mean affinity down to which groups are merged.
     """
+    kernels = compiled("mocap_calib.multi_view.clustering_kernels")
+    if kernels is None:
+        return merge_clusters(affinity, comparable, views=views, least_affinity=least_affinity)
+    cluster = np.empty(affinity.shape[:2], dtype=np.int64)
+    detections = affinity.shape[1]
+    view = np.arange(detections) // max(detections // views, 1)
+    kernels.cluster_frames(*contiguous(affinity, comparable), view, least_affinity, cluster)
+    return cluster
+
+
+def merge_clusters(
+    affinity: Floats, comparable: Floats, *, views: int, least_affinity: float
+) -> Ints:
+    """Return what `cluster_detections` does, in numpy."""
     clusters = _single_detections(affinity, comparable, views)
     frames = np.arange(len(affinity))
     while len(frames):
         frames, kept, merged = _closest_clusters(clusters, frames, least_affinity)
         _merge(clusters, frames, kept, merged)
     together = clusters.cluster[:, :, None] == clusters.cluster[:, None]
-    return np.where(together.sum(-1) > 1, clusters.cluster, -1)
+    alone = together.sum(-1) == 1
+    # a cluster goes by its first detection
+    begins = (clusters.cluster == np.arange(affinity.shape[1])) & ~alone
+    number = np.take_along_axis(begins.cumsum(1) - 1, clusters.cluster, axis=1)
+    return np.where(alone, -1, number)
 
 
 def _single_detections(affinity: Floats, comparable: Floats, views: int) -> _Clusters:

@@ -10,6 +10,7 @@ from mocap_calib.multi_view.association import associate
 from mocap_calib.multi_view.averaging import average
 from mocap_calib.multi_view.observations import labelled_frames
 from mocap_calib.multi_view.observed import Observed, leave_out_underconstrained
+from mocap_calib.multi_view.pair_choice import takes_all_pairs
 from mocap_calib.multi_view.placed import PlacedCameras, place_bodies
 from mocap_calib.multi_view.refinement import adjust_until_stable
 from mocap_calib.multi_view.rig_covariance import rig_covariance
@@ -37,8 +38,11 @@ class CoreRig:
 
 
 def find_core_rig(observed: Observed, view: int, config: Config) -> CoreRig | None:
-    """Return the rig of the cameras besides one (index); None where they make none."""
-    others = observed.without(observed.recording.names[view])
+    """Return the rig of the cameras besides one (index); None where they make none.
+
+    Of a large rig, of those that were paired with it: the others say little of what it saw.
+    """
+    others = _others(observed, view, config)
     rough = replace(
         config,
         adjust=replace(
@@ -55,6 +59,15 @@ def find_core_rig(observed: Observed, view: int, config: Config) -> CoreRig | No
         return leave_out_underconstrained(others.select(group), build)
     except DegenerateError:
         return None
+
+
+def _others(observed: Observed, view: int, config: Config) -> Observed:
+    """Return what the cameras besides one saw, of a large rig those that were paired with it."""
+    names = observed.recording.names
+    if takes_all_pairs(len(names), config.view_graph):
+        return observed.without(names[view])
+    paired = [{pair.a, pair.b} - {view} for pair in observed.pairs if view in (pair.a, pair.b)]
+    return observed.select(np.array(sorted(set().union(*paired)), dtype=np.int64))
 
 
 def _build_core(observed: Observed, config: Config) -> CoreRig:

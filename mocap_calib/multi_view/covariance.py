@@ -17,8 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mocap_calib.multi_view.freedom import Freedom
 from mocap_calib.multi_view.residuals import Observations, State, blocks_of, jacobian
-from mocap_calib.multi_view.schur import Freedom, NormalEquations, eliminate_points, linearise
+from mocap_calib.multi_view.schur import NormalEquations, eliminate_points, linearise
 from mocap_calib.types import Floats, Ints
 
 
@@ -71,7 +72,7 @@ def find_covariance(
     margin for what shall not be accused by mistake.
     """
     equations = linearise(state, seen, freedom, loss_scale)
-    inverse, schur, _ = eliminate_points(equations, 0.0)
+    inverse, schur, _ = eliminate_points(equations)
     centred = np.einsum("ijn,jn->in", inverse, equations.point_gradient)
     gradients, _ = _gradients(state, seen, loss_scale)
     gradients -= np.einsum("vcin,in->vcn", equations.mixed, centred)
@@ -103,7 +104,7 @@ def find_curved_covariance(
     detections, q being what each adds to the gradient of the cameras.
     """
     equations = linearise(state, seen, freedom, loss_scale)
-    inverse, schur, _ = eliminate_points(equations, 0.0)
+    inverse, schur, _ = eliminate_points(equations)
     by_view = _scores_by_view(state, seen, equations, inverse, loss_scale)
     rows = freedom.basis.shape[1]
     scores, bent = np.zeros((rows, seen.weight.shape[1])), np.zeros((rows, rows))

@@ -11,9 +11,8 @@ from mocap_calib import mapped
 from mocap_calib.config import MatchingConfig
 from mocap_calib.geometry.bodies import mean_of_known
 from mocap_calib.multi_view.pieces import Pieces, rms_distance, surprise
-from mocap_calib.multi_view.tracklets import tracklets
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.types import Floats, Ints, Recording
+from mocap_calib.types import Floats, Ints
 
 _SAMPLE = 2000  # groups that a scale is measured on
 _LAGS = (1, 2, 4, 8, 16, 32, 64)  # frames after which it is measured how far bodies go
@@ -151,24 +150,22 @@ def _velocities(points: Floats, frames: Ints, way: Ints, at: Ints) -> Floats:
     return np.where(elapsed[:, None] != 0, moved / np.where(elapsed, elapsed, 1)[:, None], 0.0)
 
 
-def image_links(
-    recording: Recording, groups: Ints, pieces: Pieces, config: MatchingConfig
-) -> tuple[Ints, Ints]:
+def image_links(tracks: Ints, groups: Ints, pieces: Pieces) -> tuple[Ints, Ints]:
     """Return the pieces `[link]`, `[link]` from and to which a view follows a body.
 
-    groups: `[view, frame, instance]` labels within each frame, -1 = nobody. A tracklet of one view
-    tells of pieces also where no second view sees the body in between.
+    tracks: `[view, frame, instance]` of `all_tracklets`. groups: labels within each frame, -1 =
+    nobody. A tracklet of one view tells of pieces also where no second view sees the body in
+    between.
     """
     numbers = np.append(pieces.number, np.full((len(pieces.number), 1), -1), axis=1)
     frames = np.arange(len(numbers))[:, None]
     links = []
-    for view, labels in enumerate(groups):
-        track = tracklets(recording, view, config)
+    for track, labels in zip(tracks, groups, strict=True):
         piece = numbers[frames, labels]
         known = np.nonzero((track >= 0) & (piece >= 0))
         order = np.lexsort((known[0], track[known]))
-        track, piece = track[known][order], piece[known][order]
-        onward = (track[1:] == track[:-1]) & (piece[1:] != piece[:-1])
+        number, piece = track[known][order], piece[known][order]
+        onward = (number[1:] == number[:-1]) & (piece[1:] != piece[:-1])
         links.append((piece[:-1][onward], piece[1:][onward]))
     return np.concatenate([a for a, _ in links]), np.concatenate([b for _, b in links])
 

@@ -31,7 +31,7 @@ from mocap_calib.multi_view.tracking import (
     reuse_names,
     sort_by_presence,
 )
-from mocap_calib.multi_view.tracklets import name_by_tracklets
+from mocap_calib.multi_view.tracklets import all_tracklets, name_by_tracklets
 from mocap_calib.multi_view.triangulation import frame_blocks, triangulate_frames
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Matches, Recording
 
@@ -54,6 +54,7 @@ def finalise_identities(
     matching = config.matching
     groups = per_frame_labels(matches)
     points = _triangulate_groups(recording, rig, groups, config)
+    tracks = all_tracklets(recording, matching)
     pieces = _followable_pieces(points, recording.frames, matching)
     if pieces is None:
         real = real_individuals(matches, len(rig.cameras), matching)
@@ -61,7 +62,9 @@ def finalise_identities(
         in_frames = per_frame_labels(Matches(labels)).labels
         labels = reuse_names(labels, in_frames, locate_groups(recording, rig, in_frames))
     else:
-        individual = _join_pieces(recording, points, groups, pieces, matching)
+        individual = _join_pieces(
+            recording.frames, points, pieces, matching, groups=groups.labels, tracks=tracks
+        )
         names = _names_of_groups(individual, pieces, points)
         labels = name_groups(groups.labels, names)
         followed = Matches(labels)
@@ -69,7 +72,7 @@ def finalise_identities(
     labels = sort_by_presence(labels)
     if matching.individuals is not None:
         labels = np.where(labels < matching.individuals, labels, -1)
-    return Matches(name_by_tracklets(recording, labels, matching))
+    return Matches(name_by_tracklets(tracks, labels, matching))
 
 
 def _triangulate_groups(
@@ -113,17 +116,21 @@ def _followable_pieces(points: Floats, frames: Ints, config: MatchingConfig) -> 
 
 
 def _join_pieces(
-    recording: Recording,
+    frames: Ints,
     points: Floats,
-    groups: Matches,
     pieces: Pieces,
     config: MatchingConfig,
+    *,
+    groups: Ints,
+    tracks: Ints,
 ) -> Ints:
     """Return the individual `[piece]` that each piece is of, -1 = nobody.
 
+    frames: `[frame]` numbers. groups, tracks: `[view, frame, instance]`.
+
     Of a long recording, those of its parts are joined, and then these individuals.
     """
-    links = image_links(recording, groups.labels, pieces, config)
+    links = image_links(tracks, groups, pieces)
     bodies = measure_proportions(points, pieces, config)
     individual = np.arange(pieces.count)
     while True:
@@ -132,7 +139,7 @@ def _join_pieces(
         joined = np.full(pieces.count, -1, dtype=np.int64)
         for start in range(0, pieces.count, config.most_pieces):
             among = np.arange(start, min(start + config.most_pieces, pieces.count))
-            pairs = motion_evidence(points, recording.frames, pieces, among, config)
+            pairs = motion_evidence(points, frames, pieces, among, config)
             pairs += image_evidence(links, among, config)
             first, last = pieces.first[among, 0], pieces.last[among, 0]
             found = join_pieces(first, last, pairs, bodies.select(among), wanted)

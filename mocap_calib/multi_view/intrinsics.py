@@ -19,9 +19,10 @@ from mocap_calib.multi_view.bundle_adjustment import (
     placed_as,
 )
 from mocap_calib.multi_view.covariance import Covariance, find_covariance
+from mocap_calib.multi_view.freedom import Freedom, free_intrinsics
 from mocap_calib.multi_view.pixel_residuals import PixelObservations, changed_cameras
 from mocap_calib.multi_view.residuals import State
-from mocap_calib.multi_view.schur import Freedom, free_intrinsics
+from mocap_calib.multi_view.schur import settle_points
 from mocap_calib.recording.sampling import with_cameras
 from mocap_calib.types import (
     Camera,
@@ -235,13 +236,10 @@ def _adjust(
     freedom = _freedom(found, given, config.intrinsics)
     start = State(found.rig.rotation, found.rig.translation, points.points, found.change)
     state = minimise_in_steps(start, seen, freedom, config.adjust, already_close=already_close)
-    covariance = find_covariance(
-        state,
-        seen,
-        freedom,
-        clusters=(points.time_blocks(config.uncertainty.time_blocks), points.keypoint),
-        loss_scale=config.adjust.loss_scales[-1],
-    )
+    last = config.adjust.loss_scales[-1]
+    state = settle_points(state, seen, loss_scale=last)
+    clusters = points.time_blocks(config.uncertainty.time_blocks), points.keypoint
+    covariance = find_covariance(state, seen, freedom, clusters=clusters, loss_scale=last)
     return _Adjusted(
         state=state,
         sigma=_sigma(covariance, freedom, found.overconfidence),

@@ -36,15 +36,21 @@ class _Evidence:
 
     def of(self, individual: Ints, names: int) -> Floats:
         """Return `[piece, individual]` all evidence that a piece is of each of so many."""
-        member = (individual[:, None] == np.arange(names)).astype(np.float64)
-        return np.asarray(self.pairs @ member + self.bodies.evidence_of(individual, names))
+        return self._with_pairs(individual, self.bodies.evidence_of(individual, names))
 
-    def total(self, individual: Ints, names: int) -> float:
-        """Return all evidence for these individuals, each pair of pieces once."""
+    def total(self, individual: Ints, looks: Floats) -> float:
+        """Return all evidence for these individuals, each pair of pieces once.
+
+        looks: `[piece, individual]` of the bodies that are so.
+        """
         there = np.flatnonzero(individual >= 0)
         own = (there, individual[there])
-        looks = self.bodies.evidence_of(individual, names)[own].sum()
-        return float(0.5 * (self.of(individual, names)[own].sum() + looks))
+        return float(0.5 * (self._with_pairs(individual, looks)[own].sum() + looks[own].sum()))
+
+    def _with_pairs(self, individual: Ints, looks: Floats) -> Floats:
+        """Return the evidence of bodies `[piece, individual]` with that of pairs of pieces."""
+        member = (individual[:, None] == np.arange(looks.shape[1])).astype(np.float64)
+        return np.asarray(self.pairs @ member + looks)
 
 
 def join_pieces(
@@ -184,8 +190,8 @@ def _exchange_stretches(
     piece.
     """
     names = int(individual.max(initial=-1)) + 1
+    looks = evidence.bodies.evidence_of(individual, names)
     for a, b in combinations(range(names), 2):
-        looks = evidence.bodies.evidence_of(individual, names)
         both = np.flatnonzero((individual == a) | (individual == b))  # in the order of frames
         own = individual[both]
         other = np.where(own == a, b, a)
@@ -198,9 +204,12 @@ def _exchange_stretches(
         )
         tried = individual.copy()
         tried[both[wrong]] = other[wrong]
-        gain = evidence.total(tried, names) - evidence.total(individual, names)
+        if np.array_equal(tried, individual):
+            continue
+        looks_then = evidence.bodies.evidence_of(tried, names)
+        gain = evidence.total(tried, looks_then) - evidence.total(individual, looks)
         if gain > config.sure_link:
-            individual = tried
+            individual, looks = tried, looks_then
     return individual
 
 

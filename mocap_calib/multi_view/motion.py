@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mocap_calib.types import Floats
+from mocap_calib.types import Floats, Ints
 
 _USUAL_SHARE = 0.98  # of the motions, the smaller ones
 
@@ -28,7 +28,7 @@ class Motion:
         """Return the velocity of the points after times `[view]` in frames, `[view, 3, N]`."""
         return self.velocity + frames[:, None, None] * self.acceleration
 
-    def select(self, points: slice) -> "Motion":
+    def select(self, points: slice | Ints) -> "Motion":
         """Return the motion of some of the points."""
         return Motion(self.velocity[:, points], self.acceleration[:, points])
 

@@ -1,6 +1,6 @@
 """Residuals of cameras and points against observed pixels, for lenses that are adjusted too."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,7 +12,9 @@ from mocap_calib.multi_view.residuals import (
     points_in_cameras,
     positive_depth,
 )
-from mocap_calib.types import Camera, Floats
+from mocap_calib.types import Camera, Floats, Ints
+
+_LENS_ROW = 14  # numbers of a lens, as kernels take it
 
 
 @dataclass(frozen=True)
@@ -31,6 +33,10 @@ class PixelObservations:
     sigma: Floats
     weight: Floats
     _changed: dict[bytes, tuple[Camera, ...]] = field(default_factory=dict, init=False)
+
+    def select(self, points: Ints) -> "PixelObservations":
+        """Return what was seen of some of the points, given their indices."""
+        return replace(self, pixels=self.pixels[..., points], weight=self.weight[:, points])
 
     def residuals(self, block: slice, state: State) -> Residuals:
         """Return a block of points as the cameras see them."""
@@ -63,6 +69,21 @@ class PixelObservations:
             both = np.stack([slopes.log_focal, slopes.k1], axis=1)
             by_intrinsic[view] = both[:, : by_intrinsic.shape[2]] * scale[view]
         return Slopes(in_camera=by_point, intrinsics=by_intrinsic)
+
+    def lens_rows(self, state: State) -> Floats:
+        """Return the lenses `[view, 14]` with the intrinsics of a state.
+
+        Kind (1 Brown and Conrady's, 2 fisheye), a pixel, focal lengths and principal point, all in
+        standard deviations, and coefficients.
+        """
+        rows = np.zeros((len(self.cameras), _LENS_ROW))
+        for row, camera, sigma in zip(rows, self._cameras_of(state), self.sigma, strict=True):
+            coefficients = camera.distortion[: 4 if camera.fisheye else 8]
+            row[:2] = 2 if camera.fisheye else 1, 1 / sigma
+            row[2:4] = camera.matrix[[0, 1], [0, 1]] / sigma
+            row[4:6] = camera.matrix[:2, 2] / sigma
+            row[6 : 6 + len(coefficients)] = coefficients
+        return rows
 
     def _cameras_of(self, state: State) -> tuple[Camera, ...]:
         """Return the cameras with the intrinsics of a state, for which all blocks of points ask."""

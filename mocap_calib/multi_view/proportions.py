@@ -130,14 +130,19 @@ def _bone_lengths(points: Floats, bones: Ints, frame: Ints, group: Ints) -> Floa
     lengths = np.empty((len(frame), len(bones)))
     a, b = bones.T
     for block in mapped.frame_slices(len(frame), _BODIES):
-        bodies = points[frame[block], group[block]]
-        lengths[block] = _log_lengths(bodies[:, a], bodies[:, b])
+        lengths[block] = _log_lengths(points[frame[block], group[block]], (a, b))
     return lengths
 
 
-def _log_lengths(a: Floats, b: Floats) -> Floats:
-    """Return the logarithm of the distances of points, NaN where one is missing."""
-    return np.log(np.maximum(np.linalg.norm(a - b, axis=-1), _NO_LENGTH))
+def _log_lengths(bodies: Floats, joints: tuple[Ints, Ints]) -> Floats:
+    """Return the logarithms of the distances `[N, pair]` of joints, NaN where one is missing.
+
+    bodies: `[N, joint, 3]`. joints: `[pair]` each.
+    """
+    a, b = joints
+    by_component = np.ascontiguousarray(np.moveaxis(bodies, -1, 0))
+    square = np.asarray(sum((part[:, a] - part[:, b]) ** 2 for part in by_component))
+    return np.log(np.maximum(np.sqrt(square), _NO_LENGTH))
 
 
 def _medians(values: Floats) -> Floats:
@@ -186,8 +191,7 @@ def _length_changes(
     chosen = evenly_spaced(np.arange(len(frame)), _SAMPLE)
     frame, i, j = frame[chosen], i[chosen], j[chosen]
     before, after = (
-        _log_lengths(bodies[:, joints[0]], bodies[:, joints[1]])
-        for bodies in (points[frame, i], points[frame + 1, j])
+        _log_lengths(bodies, joints) for bodies in (points[frame, i], points[frame + 1, j])
     )
     return after - before, before
 
@@ -200,7 +204,7 @@ def _length_residuals(
     where = np.argwhere(long & (pieces.number >= 0))
     where = where[evenly_spaced(np.arange(len(where)), _SAMPLE)]
     bodies = points[tuple(where.T)]
-    lengths = _log_lengths(bodies[:, joints[0]], bodies[:, joints[1]])
+    lengths = _log_lengths(bodies, joints)
     piece = pieces.number[tuple(where.T)]
     residual = lengths.copy()
     for number in np.unique(piece):

@@ -7,19 +7,15 @@ pixels: any lens will do, without its derivatives.
 """
 
 from dataclasses import dataclass
-from types import ModuleType
 
 import numpy as np
 
-from mocap_calib.compute.kernels import compiled, contiguous
+from mocap_calib.compute.kernels import contiguous
 from mocap_calib.multi_view.motion import Motion
 from mocap_calib.multi_view.residuals import (
-    BEHIND,
-    KERNELS,
     Residuals,
     Slopes,
     State,
-    is_behind,
     points_in_cameras,
     positive_depth,
 )
@@ -55,9 +51,6 @@ class RayObservations:
 
     def residuals_of(self, block: slice, in_camera: Floats) -> Residuals:
         """Return the residuals of a block of points `[view, 3, n]` in each camera's frame."""
-        kernels = compiled(KERNELS)
-        if kernels is not None:
-            return self._residuals_by_kernel(kernels, block, in_camera)
         along = np.einsum("vin,vin->vn", self.rays[..., block], in_camera)
         depth, behind = positive_depth(in_camera, along)
         offset = np.einsum("vkin,vin->vkn", self.metric[..., block], in_camera)
@@ -68,28 +61,10 @@ class RayObservations:
             behind=behind,
         )
 
-    def _residuals_by_kernel(
-        self, kernels: ModuleType, block: slice, in_camera: Floats
-    ) -> Residuals:
-        """Return what `residuals_of` returns."""
-        views, _, count = in_camera.shape
-        depth, residual = np.empty((views, count)), np.empty((views, 2, count))
-        rays, metric = contiguous(self.rays, self.metric)
-        kernels.ray_residuals(block.start, rays, metric, in_camera, BEHIND, depth, residual)
-        return Residuals(in_camera, depth, residual, is_behind(in_camera, depth))
-
     def slopes(self, block: slice, _state: State, found: Residuals, weight: Floats, /) -> Slopes:
         """Return the weighed derivatives: with r = M x / (u'x), dr/dx = (M - r u') / (u'x)."""
         views, rows, count = found.residual.shape
         none = np.empty((views, rows, 0, count))
-        kernels = compiled(KERNELS)
-        if kernels is not None:
-            slope = np.empty((views, rows, 3, count))
-            rays, metric = contiguous(self.rays, self.metric)
-            kernels.ray_slopes(
-                block.start, rays, metric, found.depth, found.residual, weight, slope
-            )
-            return Slopes(in_camera=slope, intrinsics=none)
         rays = self.rays[:, None, :, block]
         slope = self.metric[..., block] - found.residual[:, :, None] * rays
         slope = slope * (weight / found.depth)[:, None, None]
@@ -113,6 +88,10 @@ class TimedRayObservations:
     def weight(self) -> Floats:
         """What each detection counts for."""
         return self.rays.weight
+
+    def select(self, points: Ints) -> "TimedRayObservations":
+        """Return what was seen of some of the points, given their indices."""
+        return TimedRayObservations(self.rays.select(points), self.motion.select(points))
 
     def residuals(self, block: slice, state: State) -> Residuals:
         """Return a block of points as the cameras see them, each at its own time."""

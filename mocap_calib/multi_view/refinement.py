@@ -133,10 +133,18 @@ def _starts_without_model(
 
 
 def _best_fit(sample: Sample, adjusted: list[Adjusted], config: Config) -> Adjusted:
-    """Return the rig that fits best, with another that fits as well, if there is one."""
+    """Return the rig that fits best, with another that fits as well, if there is one.
+
+    The first of those that differ by no more than where an adjustment ends: the smallest change of
+    rounding would choose another.
+    """
+    if len(adjusted) == 1:
+        return adjusted[0]
     fits = [measure_fit(sample, each.rig, each.matches, config) for each in adjusted]
-    best, *others = sorted(range(len(adjusted)), key=lambda k: fits[k].misfit)
-    for k in others:
+    ranked = sorted(range(len(adjusted)), key=lambda k: fits[k].misfit)
+    most = config.uncertainty.tied_misfit * fits[ranked[0]].misfit
+    best = min(k for k in ranked if fits[k].misfit <= most)
+    for k in ranked:
         turn_deg = _largest_turn_deg(adjusted[k].rig, adjusted[best].rig)
         another_rig = turn_deg > config.uncertainty.same_rig_deg
         if another_rig and fit_equally_well(fits[k], fits[best], config.uncertainty):

@@ -8,15 +8,12 @@ once, in blocks of points that threads share.
 """
 
 from dataclasses import dataclass
-from functools import partial
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 
-from mocap_calib.compute.parallel import map_in_threads
-from mocap_calib.types import Bools, Floats
+from mocap_calib.types import Bools, Floats, Ints
 
-KERNELS = "mocap_calib.multi_view.schur_kernels"
 _BLOCK = 1024  # points at a time: what is computed of them stays in the cache
 
 # Cosine between ray and point that stands for all points behind the camera: such a point fits
@@ -84,6 +81,9 @@ class Observations(Protocol):
     def slopes(self, block: slice, state: State, found: Residuals, weight: Floats, /) -> Slopes:
         """Return the derivatives of residuals that were found, times a weight `[view, n]`."""
 
+    def select(self, points: Ints, /) -> Self:
+        """Return what was seen of some of the points, given their indices."""
+
 
 @dataclass(frozen=True)
 class Jacobian:
@@ -126,20 +126,6 @@ def is_behind(in_camera: Floats, depth: Floats) -> Bools:
     return np.asarray(depth <= 2 * BEHIND * np.abs(in_camera).max(1))
 
 
-def robust_cost(state: State, seen: Observations, loss_scale: float) -> float:
-    """Return the robust cost: the sum of w s^2 log(1 + r'r / s^2)."""
-    work = partial(_cost_of_block, state=state, seen=seen, loss_scale=loss_scale)
-    return sum(map_in_threads(work, blocks_of(state.points))) * loss_scale**2
-
-
-def _cost_of_block(block: slice, *, state: State, seen: Observations, loss_scale: float) -> float:
-    """Return what a block of points adds to the cost, divided by s^2."""
-    residual = seen.residuals(block, state).residual
-    square = np.einsum("vkn,vkn->vn", residual, residual)
-    loss = np.log1p(square / loss_scale**2)
-    return float((seen.weight[:, block] * loss).sum())
-
-
 def jacobian(block: slice, state: State, seen: Observations, loss_scale: float) -> Jacobian:
     """Return the derivatives of the residuals of a block of points.
 
@@ -147,11 +133,8 @@ def jacobian(block: slice, state: State, seen: Observations, loss_scale: float) 
     frame by w x x + t; the point p in the world moves it by R p.
     """
     found, robust, slopes = slopes_of(block, state, seen, loss_scale)
-    return Jacobian(
-        camera=_camera_derivatives(slopes, found.in_camera),
-        point=np.einsum("vkin,vij->vkjn", slopes.in_camera, state.rotation),
-        residual=found.residual * robust[:, None],
-    )
+    camera, point = derivatives(state.rotation, found.in_camera, slopes)
+    return Jacobian(camera, point, residual=found.residual * robust[:, None])
 
 
 def slopes_of(
@@ -173,10 +156,10 @@ def _robust_weight(residuals: Residuals, weight: Floats, loss_scale: float) -> F
     return np.sqrt(weight / (1 + square / loss_scale**2))
 
 
-def _camera_derivatives(slopes: Slopes, in_camera: Floats) -> Floats:
-    """Return the derivatives by rotations, translations and intrinsics of the cameras.
+def derivatives(rotation: Floats, in_camera: Floats, slopes: Slopes) -> tuple[Floats, Floats]:
+    """Return the derivatives of `Jacobian` by the cameras and by the points.
 
-    `[view, 2, 6 + intrinsic, n]`; in_camera: `[view, 3, n]` the points.
+    in_camera: `[view, 3, n]` the points.
     """
     slope = slopes.in_camera
     views, rows, _, count = slope.shape
@@ -188,4 +171,4 @@ def _camera_derivatives(slopes: Slopes, in_camera: Floats) -> Floats:
         )
     camera[:, :, 3:6] = slope
     camera[:, :, 6:] = slopes.intrinsics
-    return camera
+    return camera, np.einsum("vkin,vij->vkjn", slope, rotation)

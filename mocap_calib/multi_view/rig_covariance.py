@@ -27,9 +27,11 @@ from mocap_calib.multi_view.bundle_adjustment import (
     observe_rays,
 )
 from mocap_calib.multi_view.covariance import find_covariance, find_curved_covariance
+from mocap_calib.multi_view.freedom import Freedom, free_poses
 from mocap_calib.multi_view.ray_residuals import RayObservations
+from mocap_calib.multi_view.regions import widening
 from mocap_calib.multi_view.residuals import State
-from mocap_calib.multi_view.schur import Freedom, free_poses
+from mocap_calib.multi_view.schur import settle_points
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Matches, RigCovariance, Sample
 
 
@@ -145,7 +147,8 @@ def fit_again(sample: Sample, rig: CameraRig, matches: Matches, config: Config) 
     points = choose_points(sample, rig, matches, fewer)
     seen = observe_rays(rig, points)
     start = State(rig.rotation, rig.translation, points.points, np.zeros((len(rig.cameras), 0)))
-    state = _settle(start, seen, config)
+    state = _minimise(start, seen, config)
+    state = settle_points(state, seen, loss_scale=config.adjust.loss_scales[-1])
     adjusted = replace(rig, rotation=state.rotation, translation=state.translation)
     kept = np.flatnonzero(~_at_a_camera(adjusted, state.points, points.used, config))
     return FittedRig(
@@ -168,8 +171,8 @@ def _at_a_camera(rig: CameraRig, points: Floats, used: Bools, config: Config) ->
     return np.asarray((distance < config.uncertainty.least_distance * usual).any(0))
 
 
-def _settle(state: State, seen: RayObservations, config: Config) -> State:
-    """Return the state at the minimum that it is close to."""
+def _minimise(state: State, seen: RayObservations, config: Config) -> State:
+    """Return the state at the minimum that it is close to, whose points have yet to settle."""
     freedom = free_poses(len(state.rotation))
     return minimise_in_steps(state, seen, freedom, config.adjust, already_close=True)
 
@@ -194,21 +197,8 @@ def first_order(fitted: FittedRig, config: Config) -> FirstOrder:
     spread = of_time**2 / fewer[0] + of_joints**2 / fewer[1]
     degrees = (of_time + of_joints) ** 2 / max(spread, 1e-300)
     least = config.uncertainty.least_degrees
-    matrix = found.once * _widening(max(degrees, least)) * (time.matrix + joints.matrix)
+    matrix = found.once * widening(max(degrees, least)) * (time.matrix + joints.matrix)
     return FirstOrder(replace(time, matrix=matrix), of_time, of_joints)
-
-
-def _widening(degrees: float) -> float:
-    """Return by how much an estimated covariance must grow for its 95 % regions to hold 95 %.
-
-    Regions of three numbers, as of a normal distribution. degrees: of freedom of the covariance.
-    Its own error makes the squared distances those of Hotelling's T^2.
-    """
-    # slow to import, which a recording that is not calibrated need not pay for
-    from scipy.special import chdtri, fdtri  # noqa: PLC0415
-
-    left = degrees - 2
-    return float(3 * degrees / left * fdtri(3, left, 0.95) / chdtri(3, 0.05))
 
 
 def cautious_covariances(fitted: FittedRig, config: Config) -> tuple[RigCovariance, RigCovariance]:
@@ -306,6 +296,6 @@ def _turns(kept: Ints, *, fitted: FittedRig, config: Config) -> Floats:
     some = replace(state, points=state.points[:, kept])
     tolerance = config.uncertainty.bend_tolerance
     rougher = replace(config, adjust=replace(config.adjust, tolerance=tolerance))
-    found = _settle(some, fitted.seen.select(kept), rougher)
+    found = _minimise(some, fitted.seen.select(kept), rougher)
     bent = replace(fitted.rig, rotation=found.rotation, translation=found.translation)
     return rig_change(fitted.rig, bent)[:, :3]

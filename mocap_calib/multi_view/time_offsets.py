@@ -19,13 +19,14 @@ from mocap_calib.multi_view.bundle_adjustment import (
     observe_rays,
 )
 from mocap_calib.multi_view.covariance import find_covariance
+from mocap_calib.multi_view.freedom import free_clocks
 from mocap_calib.multi_view.in_step import held_out_error
 from mocap_calib.multi_view.labels import per_frame_labels
 from mocap_calib.multi_view.motion import Motion, motion_between, smoothness
 from mocap_calib.multi_view.observations import labelled_frames
 from mocap_calib.multi_view.ray_residuals import RayObservations, TimedRayObservations
 from mocap_calib.multi_view.residuals import State
-from mocap_calib.multi_view.schur import free_clocks, minimise
+from mocap_calib.multi_view.schur import minimise, settle_points
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.recording.stretches import usual_step
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Matches, Recording, TimeOffsets
@@ -248,7 +249,7 @@ def _estimate(
             loss_scale=last_scale,
             tolerance=config.adjust.rough_tolerance if first_look else options.tolerance,
         )
-        state = _at_size_of(rig, state)
+        state = _at_size_of(rig, settle_points(state, seen, loss_scale=last_scale))
         adjusted = replace(rig, rotation=state.rotation, translation=state.translation)
         positions = tracks.move(positions, state.points)
         tau = state.intrinsics[:, 0]

@@ -12,9 +12,8 @@ import numpy as np
 from mocap_calib import mapped
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import MatchingConfig
-from mocap_calib.geometry.graphs import assign
 from mocap_calib.geometry.projection import rays_from_pixels
-from mocap_calib.multi_view.labels import name_groups, replace_labels
+from mocap_calib.multi_view.labels import replace_labels
 from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Matches, Recording
 
 _FRAMES = 512  # in which groups are located at a time
@@ -30,11 +29,11 @@ def locate_groups(recording: Recording, rig: CameraRig, labels: Ints) -> Floats:
     starts = range(0, labels.shape[1], _FRAMES)
     blocks = [slice(start, start + _FRAMES) for start in starts]
     locate = partial(_locate_in_block, recording=recording, rig=rig, labels=labels, groups=groups)
-    found = []
-    for part in map_in_threads(locate, blocks):
-        found.append(part)
+    places = mapped.empty((labels.shape[1], groups, 3))
+    for block, part in zip(blocks, map_in_threads(locate, blocks), strict=True):
+        places[block] = part
         mapped.let_go()
-    return np.concatenate(found)
+    return places
 
 
 def _locate_in_block(
@@ -75,84 +74,6 @@ def _central_rays(cameras: tuple[Camera, ...], view: Ints, pixels: Floats) -> Fl
         rays[of_view] = np.nansum(rays_from_pixels(camera, pixels[of_view]), axis=1)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     return rays
-
-
-def link_through_time(labels: Ints, places: Floats, frames: Ints, config: MatchingConfig) -> Ints:
-    """Rename the groups of each frame so that an individual keeps its label.
-
-    A group is the nearest individual that may have moved there since it was last seen. How far
-    bodies move is a multiple of the usual step in this recording, so that sparse recordings are
-    linked as well as video. The loop over frames assigns a handful of bodies at a time.
-
-    labels: `[view, frame, instance]` groups within the frames; places: `[frame, group, 3]` in
-    body sizes; frames: `[frame]` numbers. Returns labels of the same shape, those that are seen
-    in most frames first.
-    """
-    largest_step = _largest_step(places, frames, config)
-    names = np.full(places.shape[:2], -1, dtype=np.int64)
-    present = np.isfinite(places[..., 0])
-    last_place = np.zeros((0, 3))  # of every individual so far
-    last_frame = np.zeros(0, dtype=np.int64)
-    for index, frame in enumerate(frames):
-        groups = np.flatnonzero(present[index])
-        here = places[index, groups]
-        limit = largest_step * np.minimum(frame - last_frame, config.memory)
-        individual = _nearest_individuals(last_place, here, limit)
-
-        is_new = individual < 0
-        if is_new.any():
-            new = int(is_new.sum())
-            individual[is_new] = len(last_place) + np.arange(new)
-            last_place = np.concatenate([last_place, np.zeros((new, 3))])
-            last_frame = np.concatenate([last_frame, np.zeros(new, dtype=np.int64)])
-        last_place[individual] = here
-        last_frame[individual] = frame
-        names[index, groups] = individual
-    return sort_by_presence(name_groups(labels, names))
-
-
-def _nearest_individuals(last_place: Floats, here: Floats, limit: Floats) -> Ints:
-    """Return the individual of each group `[group]`, -1 where none may have moved there.
-
-    last_place: `[individual, 3]`; here: `[group, 3]`; limit: `[individual]` distance that each
-    may have gone.
-    """
-    individual = np.full(len(here), -1, dtype=np.int64)
-    distance = np.linalg.norm(last_place[:, None] - here[None], axis=-1)
-    if distance.size == 0:
-        return individual
-    # what is too far away costs the same however far it is
-    cost = np.minimum(distance, 2 * limit[:, None])
-    rows, columns = _assign(cost)
-    near = distance[rows, columns] <= limit[rows]
-    individual[columns[near]] = rows[near]
-    return individual
-
-
-def _assign(cost: Floats) -> tuple[Ints, Ints]:
-    """Return the rows and columns of the assignment `[row, column]` of least cost.
-
-    Where no two rows want the same column, or no two columns the same row, each gets what it wants.
-    """
-    rows, columns = cost.shape
-    if rows <= columns and len(set((wanted := cost.argmin(1)).tolist())) == rows:
-        return np.arange(rows), wanted
-    if columns <= rows and len(set((wanted := cost.argmin(0)).tolist())) == columns:
-        return wanted, np.arange(columns)
-    return assign(cost)
-
-
-def _largest_step(places: Floats, frames: Ints, config: MatchingConfig) -> float:
-    """Return how far a body may be from where it was one frame number ago, in body sizes."""
-    step = places[:-1, :, None] - places[1:, None]
-    elapsed = np.diff(frames)[:, None, None]
-    speed = np.linalg.norm(step, axis=-1) / elapsed
-    speed = np.where(np.isfinite(speed), speed, np.inf)
-    nearest = np.nanmin(speed, axis=-1, initial=np.inf)  # group of the next frame
-    steps = nearest[np.isfinite(nearest)]
-    if len(steps) == 0:
-        return config.largest_step
-    return max(config.largest_step, config.usual_steps * float(np.median(steps)))
 
 
 def real_individuals(matches: Matches, views: int, config: MatchingConfig) -> Bools:

@@ -8,6 +8,7 @@ followed.
 import numpy as np
 
 from mocap_calib import mapped
+from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import MatchingConfig
 from mocap_calib.geometry.graphs import connected_parts
 from mocap_calib.types import Bools, Floats, Ints, Reals, Recording
@@ -15,17 +16,28 @@ from mocap_calib.types import Bools, Floats, Ints, Reals, Recording
 _FRAMES = 512  # linked at a time
 
 
-def name_by_tracklets(recording: Recording, labels: Ints, config: MatchingConfig) -> Ints:
+def all_tracklets(recording: Recording, config: MatchingConfig) -> Ints:
+    """Return the `tracklets` of all views, `[view, frame, instance]`."""
+    found = mapped.empty(recording.positions.shape[:3], np.int64)
+    views = list(range(len(found)))
+    parts = map_in_threads(lambda view: tracklets(recording, view, config), views)
+    for view, part in zip(views, parts, strict=True):
+        found[view] = part
+    return found
+
+
+def name_by_tracklets(tracks: Ints, labels: Ints, config: MatchingConfig) -> Ints:
     """Give detections without a name the name of their tracklet, and return the labels.
 
     A detection takes the name that most of its tracklet has, if another view has that name in the
     same frame. Names that are given stay, and none is given twice in a view and frame.
 
-    labels: `[view, frame, instance]`, -1 = nobody. Returns the same shape.
+    tracks: `[view, frame, instance]` of `all_tracklets`. labels: the same shape, -1 = nobody, which
+    is returned.
     """
     filled = labels.copy()
     for view, given in enumerate(labels):
-        wanted = _majority(tracklets(recording, view, config), given, config)
+        wanted = _majority(tracks[view], given, config)
         others = np.delete(labels, view, axis=0)
         in_other_views = np.moveaxis(others, 1, 0).reshape(len(given), -1)
         confirmed = _is_among(wanted, in_other_views)

@@ -137,17 +137,27 @@ def _join_cameras(
 
     Pairs join the groups of their cameras, the best score first. A group is certain once it has a
     pair with a strong score. Two certain groups are joined only by a pair that has a strong score
-    itself, or that closes a triangle: views of different rooms always find something alike.
+    itself, or that closes a triangle: views of different rooms always find something alike. Nor by
+    these where triangles contradict: what is alike in two rooms, it is for few of their views.
     """
     group = np.arange(cameras)
     certain = np.zeros(cameras, dtype=bool)  # by number of the group
-    closes = pairs_in_closed_triangles(pairs, config)
+    views = np.array([(pair.a, pair.b) for pair in pairs], dtype=np.int64).reshape(-1, 2)
+    closed, looked_at = _count_triangles(pairs, config)
+    many = looked_at >= config.contradicting_triangles
+    contradicted = many & (closed < config.contradicted_share * looked_at)
     usable = [k for k, pair in enumerate(pairs) if pair.score >= config.least_score]
     for k in sorted(usable, key=lambda k: -pairs[k].score):
-        first, second = group[pairs[k].a], group[pairs[k].b]
+        first, second = group[views[k]]
         strong = pairs[k].score >= config.weak_score
-        both_certain = certain[first] and certain[second]
-        if strong or closes[k] or not both_certain:
+        joins = True
+        if certain[first] and certain[second]:
+            sides = group[views]
+            between = ((sides == first).any(1) & (sides == second).any(1)).nonzero()
+            enough = config.contradicted_share * looked_at[between].sum()
+            agreed = closed[k] > 0 and closed[between].sum() >= enough
+            joins = not contradicted[k] if strong else agreed
+        if joins:
             certain[first] |= certain[second] or strong
             group[group == second] = first
     return group
@@ -157,16 +167,28 @@ def pairs_in_closed_triangles(
     pairs: tuple[PairwiseCalibration, ...], config: AveragingConfig
 ) -> Bools:
     """Return `[pair]` whether it closes a triangle with two other pairs of sufficient score."""
-    closes = np.zeros(len(pairs), dtype=bool)
+    return np.asarray(_count_triangles(pairs, config)[0] > 0)
+
+
+def _count_triangles(
+    pairs: tuple[PairwiseCalibration, ...], config: AveragingConfig
+) -> tuple[Ints, Ints]:
+    """Return `[pair]` how many triangles it closes, and of how many it is a side.
+
+    Of triangles whose three pairs have a sufficient score.
+    """
     triangles = _triangles(pairs)
     if len(triangles) == 0:
-        return closes
+        return np.zeros(len(pairs), dtype=np.int64), np.zeros(len(pairs), dtype=np.int64)
     usable = np.array([pair.score >= config.least_score for pair in pairs], dtype=bool)
     triangles = triangles[usable[triangles].all(1)]
     answers = _stack_hypotheses(tuple(replace(pair, alternatives=()) for pair in pairs), 0.0)
     closure = _closure(answers, triangles, config)[:, 0, 0, 0]
-    closes[triangles[closure >= config.closed_triangle].ravel()] = True
-    return closes
+    closed = triangles[closure >= config.closed_triangle]
+    return (
+        np.bincount(closed.ravel(), minlength=len(pairs)),
+        np.bincount(triangles.ravel(), minlength=len(pairs)),
+    )
 
 
 def _take_hypothesis(pair: PairwiseCalibration, answer: int) -> PairwiseCalibration:

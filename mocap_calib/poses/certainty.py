@@ -7,10 +7,13 @@ anything reaches. Along bones to first order: a bone tells of a joint what is kn
 end without it.
 """
 
+from types import ModuleType
+
 import numpy as np
 
 from mocap_calib.geometry import symmetric
 from mocap_calib.poses.energy import System, couplings, outer_products, spread
+from mocap_calib.poses.lanes import AROUND, band_kernels, from_lanes, in_lanes, in_tiles
 from mocap_calib.types import Floats, Ints
 
 _PAIRS = 32  # of frames in a stretch
@@ -25,7 +28,15 @@ def covariances(system: System, steps: Floats, edges: Ints, ridge: Floats) -> Fl
     of, an inverse variance.
     """
     known = system.data + _from_bones(system, edges, ridge)
-    same, next_one, one_after = couplings(system.pull, steps)
+    kernels = band_kernels()
+    if kernels:
+        return _invert_compiled(known, system.pull, steps, ridge, kernels)
+    return _invert(known, system.pull, steps, ridge)
+
+
+def _invert(known: Floats, pull: Floats, steps: Floats, ridge: Floats) -> Floats:
+    """Return the blocks `[keypoint, frame, 6]` of the inverse, from those of the diagonal."""
+    same, next_one, one_after = couplings(pull, steps)
     blocks = known[..., _ROWS] + (same + ridge)[..., None, None] * np.eye(3)
     joints, frames = same.shape
     pairs = -(-frames // 2)
@@ -37,6 +48,27 @@ def covariances(system: System, steps: Floats, edges: Ints, ridge: Floats) -> Fl
     halves = np.stack([inverse[..., :3, :3], inverse[..., 3:, 3:]], axis=2)
     found = halves.reshape(joints, 2 * pairs, 3, 3)[:, :frames]
     return found[..., (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)]
+
+
+def _invert_compiled(
+    known: Floats,
+    pull: Floats,
+    steps: Floats,
+    ridge: Floats,
+    kernels: tuple[ModuleType, ModuleType],
+) -> Floats:
+    """Return what `_invert` returns, without its stretches."""
+    equations, solution = kernels
+    lanes = equations.LANES
+    blocks = in_lanes(np.pad(known, ((0, 0), (0, 0), (0, 3))), lanes)
+    motion = in_lanes(np.pad(pull[..., None], ((0, 0), (0, 0), (0, 3))), lanes)
+    motion[:, :AROUND] = 0
+    factor = np.zeros((*blocks.shape[:2], 16 * lanes))
+    by_time = np.ascontiguousarray(in_tiles(steps, lanes).T)
+    equations.factor_blocks(motion, by_time, in_tiles(ridge, lanes), blocks, factor)
+    found = np.zeros((*blocks.shape[:2], 6 * lanes))
+    solution.invert_bands(factor, found)
+    return from_lanes(found, lanes, *known.shape[:2])
 
 
 def _from_bones(system: System, edges: Ints, ridge: Floats) -> Floats:

@@ -35,7 +35,7 @@ def exchange_sides(
     return (
         replace(
             seen,
-            axes=np.where(exchanged, seen.axes[:, :, :, mirror], seen.axes),
+            rays=np.where(exchanged, seen.rays[:, :, mirror], seen.rays),
             precision=np.where(exchanged, seen.precision[:, mirror], seen.precision),
         ),
         exchanged,
@@ -61,7 +61,9 @@ def are_beyond_reach(points: Floats, reach: Floats) -> Bools:
 
     points: `[frame, keypoint, 3]`. reach: `[keypoint, keypoint]` the largest possible distances.
     """
-    apart = np.sqrt(((points[:, :, None] - points[:, None]) ** 2).sum(-1))
-    compared = np.isfinite(apart) & np.isfinite(reach) & ~np.eye(len(reach), dtype=bool)
-    beyond = compared & (apart > reach)
-    return np.asarray(2 * beyond.sum(2) > compared.sum(2))
+    known = np.triu(np.isfinite(reach), k=1)
+    a, b = np.nonzero(known)
+    square = sum((axis[:, a] - axis[:, b]) ** 2 for axis in points.transpose(2, 0, 1))
+    ends = ((a[:, None] == np.arange(len(reach))) | (b[:, None] == np.arange(len(reach)))) * 1.0
+    beyond, compared = square > reach[known] ** 2, np.isfinite(square)
+    return np.asarray(2 * (beyond @ ends) > compared @ ends)

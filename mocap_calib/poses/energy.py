@@ -8,10 +8,9 @@ for which the bands precondition conjugate gradients: the cost grows with the nu
 with its cube.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from mocap_calib.config import PosesConfig
 from mocap_calib.poses.track import Body, Detections
@@ -55,33 +54,46 @@ class System:
 
 def squared_errors(points: Floats, seen: Detections) -> Floats:
     """Return squared angles `[view, keypoint, frame]` between rays and points in variances."""
-    first, second, _ = _across(points, seen)
-    return (first**2 + second**2) * seen.precision
+    off, _ = _off_rays(points, seen)
+    return _sum_of_squares(off) * seen.precision
 
 
-def _across(points: Floats, seen: Detections) -> tuple[Floats, Floats, Floats]:
-    """Return the tangents of the angles to the ray, and the depth; `[view, keypoint, frame]`."""
+def _off_rays(points: Floats, seen: Detections) -> tuple[Floats, Floats]:
+    """Return the tangents of angles, and the depth `[view, keypoint, frame]`.
+
+    The tangents are vectors `[3, view, keypoint, frame]` at right angles to the ray.
+    """
     offset = points.transpose(2, 0, 1)[:, None] - seen.centres.T[:, :, None, None]
-    depth, first, second = np.einsum("acvkt,cvkt->avkt", seen.axes, offset)
-    depth = np.where(depth > 0, depth, 1e-3 * np.sqrt((offset**2).sum(0)))
-    return first / depth, second / depth, depth
+    along = (seen.rays * offset).sum(0)
+    depth = np.where(along > 0, along, 1e-3 * np.sqrt(_sum_of_squares(offset)))
+    return (offset - along * seen.rays) / depth, depth
+
+
+def _sum_of_squares(vectors: Floats) -> Floats:
+    """Return the squared lengths `[...]` of vectors `[3, ...]`."""
+    x, y, z = vectors
+    return np.asarray(x * x + y * y + z * z)
 
 
 def _data_terms(points: Floats, seen: Detections, loss: float) -> tuple[Floats, Floats]:
-    """Return the blocks `[keypoint, frame, 6]` and the gradient `[keypoint, frame, 3]`."""
-    first, second, depth = _across(points, seen)
-    square = (first**2 + second**2) * seen.precision
-    weight = seen.precision / (1 + square / loss**2)
-    ray, across, up = seen.axes
-    a = (across - first * ray) / depth
-    b = (up - second * ray) / depth
-    aw, bw = a * weight, b * weight
+    """Return the blocks `[keypoint, frame, 6]` and the gradient `[keypoint, frame, 3]`.
+
+    Of a ray r and the tangent u at a depth d they are w (I - r r' - r u' - u r' + u'u r r') / d^2
+    and w (u - u'u r) / d: what two directions across the ray give, whichever they are.
+    """
+    off, depth = _off_rays(points, seen)
+    size = _sum_of_squares(off)
+    square = size * seen.precision
+    weight = seen.precision / (1 + square / loss**2) / depth
+    gradient = (weight * (off - size * seen.rays)).sum(1)
+    weight = weight / depth
+    ray, towards = seen.rays, 2 * off + (1 - size) * seen.rays
     rows = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-    own = np.stack([(aw[i] * a[j] + bw[i] * b[j]).sum(0) for i, j in rows], axis=-1)
+    both = (float(i == j) - (ray[i] * towards[j] + towards[i] * ray[j]) / 2 for i, j in rows)
+    own = np.stack([(weight * part).sum(0) for part in both], axis=-1)
     # a point next to a camera is held so hard across the ray that rounding would outweigh what
     # holds it along the ray
     own[..., (0, 3, 5)] += _ROUNDING * own[..., (0, 3, 5)].sum(-1, keepdims=True)
-    gradient = (aw * first + bw * second).sum(1)
     return own, gradient.transpose(1, 2, 0)
 
 
@@ -192,8 +204,11 @@ def _bands(system: System, body: Body, ridge: Floats) -> Floats:
     return found.reshape(7, -1)
 
 
-def _solve(system: System, body: Body, ridge: Floats, config: PosesConfig) -> Floats:
+def solve(system: System, body: Body, ridge: Floats, config: PosesConfig) -> Floats:
     """Return the step `[keypoint, frame, 3]` by preconditioned conjugate gradients."""
+    # slow to import, which the kernels need not pay for
+    from scipy.linalg import cho_solve_banded, cholesky_banded  # noqa: PLC0415
+
     factor = cholesky_banded(_bands(system, body, ridge), overwrite_ab=True, check_finite=False)
     shape = system.gradient.shape
 
@@ -229,25 +244,3 @@ def _solve(system: System, body: Body, ridge: Floats, config: PosesConfig) -> Fl
         direction = towards + product / before * direction
         by_bands = residual + product / before * by_bands
     return step
-
-
-def fit(
-    points: Floats,
-    seen: Detections,
-    body: Body,
-    strengths: Strengths,
-    config: PosesConfig,
-    *,
-    steps: int,
-) -> Floats:
-    """Return the points `[keypoint, frame, 3]` of least energy, from those to start from.
-
-    The loss of rays starts wide and narrows: what to start from may rest on a wrong detection.
-    """
-    ridge = config.ridge / body.size**2
-    for step in range(steps):
-        widening = max(config.first_loss / 2**step, 1.0)
-        wider = replace(strengths, loss=strengths.loss * widening)
-        system = linearise(points, seen, body, wider, config)
-        points = points - _solve(system, body, ridge, config)
-    return points

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mocap_calib.config import PosesConfig
-from mocap_calib.poses.energy import Strengths, accelerations, fit, squared_errors
+from mocap_calib.poses.energy import Strengths, accelerations, squared_errors
+from mocap_calib.poses.fit import fit
 from mocap_calib.poses.track import Body, Detections
 from mocap_calib.poses.trust import Trust, measure_trust
 from mocap_calib.types import Bools, Floats, Ints

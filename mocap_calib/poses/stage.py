@@ -15,7 +15,8 @@ from mocap_calib.multi_view.noise import view_noise
 from mocap_calib.multi_view.observations import gather_observations
 from mocap_calib.poses.certainty import covariances
 from mocap_calib.poses.cleaning import are_beyond_reach, drop_outliers, exchange_sides
-from mocap_calib.poses.energy import Strengths, fit, linearise
+from mocap_calib.poses.energy import Strengths, linearise
+from mocap_calib.poses.fit import fit
 from mocap_calib.poses.held_out import Choice, choose_strengths, choose_trust
 from mocap_calib.poses.spans import blocks, point_sources, with_gaps
 from mocap_calib.poses.start import (

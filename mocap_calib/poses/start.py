@@ -9,6 +9,7 @@ from mocap_calib.types import CameraRig, Floats, Ints, Matches, Recording
 
 _MEDIAN_SQUARE = 0.455  # of normal errors of variance 1
 _ROUNDS = 10  # of the middle of bones' lengths and its weights
+_LENGTHS = 1 << 17  # of bones, looked at at once
 
 
 def add_refused(
@@ -47,14 +48,19 @@ def bone_lengths(points: Floats, sigma: Floats, edges: Ints) -> tuple[Floats, Fl
     together. Noise across a bone makes it longer: that is taken off.
     """
     found = np.full((2, len(edges)), np.nan)
-    for edge, (a, b) in enumerate(edges.tolist()):
-        length = np.sqrt(((points[:, a] - points[:, b]) ** 2).sum(-1))
+    size = max(1, _LENGTHS // max(len(points), 1))
+    for start in range(0, len(edges), size):
+        a, b = edges[start : start + size].T
+        along = (points[:, a, axis] - points[:, b, axis] for axis in range(3))
+        length = np.sqrt(np.asarray(sum(part * part for part in along)))
         noise = (sigma[:, a] ** 2 + sigma[:, b] ** 2) / 3
         known = np.isfinite(length) & np.isfinite(noise) & (length > 0)
-        if known.any():
-            seen, variance = length[known], noise[known]
-            seen = seen - np.minimum(variance / seen, seen / 2)
-            found[:, edge] = _middle_and_spread(seen, variance)
+        seen = np.flatnonzero(known.any(0))
+        length, noise = (np.where(known, each, np.nan)[:, seen].T for each in (length, noise))
+        length = length - np.minimum(noise / length, length / 2)
+        found[:, start + seen] = _middle_and_spread(
+            np.ascontiguousarray(length), np.ascontiguousarray(noise)
+        )
         mapped.let_go()
     return found[0], found[1]
 
@@ -89,21 +95,32 @@ def with_second_neighbours(bones: Ints, keypoints: int) -> Ints:
     return np.concatenate([bones, np.argwhere(second)])
 
 
-def _middle_and_spread(values: Floats, noise: Floats) -> tuple[float, float]:
-    """Return the middle of values `[N]` and their standard deviation beyond that of their noise.
+def _middle_and_spread(values: Floats, noise: Floats) -> tuple[Floats, Floats]:
+    """Return the middle of rows of values and their standard deviation beyond that of their noise.
 
-    noise: `[N]` variances. A bone's length varies as well: detectors see joints elsewhere as a body
-    turns, and spines bend. Half of the values are within the median of a normal error; each
-    counts by its whole variance, robustly.
+    values, noise: `[edge, N]`, noise as variances, NaN where there is none. Returns `[edge]` each.
+    A bone's length varies as well: detectors see joints elsewhere as a body turns, and spines bend.
+    Half of the values are within the median of a normal error; each counts by its whole variance,
+    robustly.
     """
-    middle, varies = float(np.median(values[noise <= np.median(noise)])), 0.0
+    usual = _medians(noise)[:, None]
+    middle, varies = _medians(np.where(noise <= usual, values, np.nan)), np.zeros(len(values))
+    known = np.isfinite(values)
+    there = np.where(known, values, 0.0)
     for _ in range(_ROUNDS):
-        square = (values - middle) ** 2
-        varies = max(float(np.median(square / _MEDIAN_SQUARE - noise)), 0.0)
-        variance = noise + varies
-        weight = 1 / (variance + square / 4)
-        middle = float((weight * values).sum() / weight.sum())
-    return middle, float(np.sqrt(varies))
+        square = (values - middle[:, None]) ** 2
+        varies = np.maximum(_medians(square / _MEDIAN_SQUARE - noise), 0.0)
+        weight = np.where(known, 1 / (noise + varies[:, None] + square / 4), 0.0)
+        middle = (weight * there).sum(1) / weight.sum(1)
+    return middle, np.sqrt(varies)
+
+
+def _medians(values: Floats) -> Floats:
+    """Return the medians `[edge]` of rows `[edge, N]` without NaN, of which none is all."""
+    ordered = np.sort(values, axis=1)  # NaN last
+    count = np.isfinite(values).sum(1)
+    rows = np.arange(len(values))
+    return np.asarray((ordered[rows, (count - 1) // 2] + ordered[rows, count // 2]) / 2)
 
 
 def fill_gaps(points: Floats, times: Floats, edges: Ints) -> Floats:

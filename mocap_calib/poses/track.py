@@ -16,16 +16,15 @@ from mocap_calib.types import CameraRig, Floats, Ints
 
 @dataclass(frozen=True)
 class Detections:
-    """Rays of one track, each with two directions across it.
+    """Rays of one track.
 
-    axes: `[3, 3, view, keypoint, frame]` coordinate in the world's axes of: the ray, and two unit
-        vectors at right angles to it and to each other; zero = missing.
-    precision: `[view, keypoint, frame]` inverse variance of the ray's angle in each of them, in
-        1 / radians squared; 0 = missing.
+    rays: `[3, view, keypoint, frame]` unit vectors in the world's axes; zero = missing.
+    precision: `[view, keypoint, frame]` inverse variance of the ray's angle in each of the two
+        directions across it, in 1 / radians squared; 0 = missing.
     centres: `[view, 3]` of the cameras.
     """
 
-    axes: Floats
+    rays: Floats
     precision: Floats
     centres: Floats
 
@@ -34,7 +33,7 @@ class Detections:
         parts = [self, *others]
         return replace(
             self,
-            axes=np.concatenate([part.axes for part in parts], axis=-1),
+            rays=np.concatenate([part.rays for part in parts], axis=-1),
             precision=np.concatenate([part.precision for part in parts], axis=-1),
         )
 
@@ -77,26 +76,13 @@ def detections_of(
     rays = rays_in_world(rig, seen.rays)  # [view, 3, N]
     weight = np.where(np.isfinite(seen.rays[:, 0]), seen.confidence, 0.0)
     precision = weight / noise[:, None] ** 2
-    first = _any_across(rays)
-    second = np.cross(rays, first, axis=1)
-    axes = np.stack([rays, first, second])  # [3, view, 3, N]
     views = len(rig)
-    axes = axes.reshape(3, views, 3, -1, individuals, keypoints).transpose(4, 0, 2, 1, 5, 3)
+    rays = rays.reshape(views, 3, -1, individuals, keypoints).transpose(3, 1, 0, 4, 2)
     precision = precision.reshape(views, -1, individuals, keypoints).transpose(2, 0, 3, 1)
     return [
         Detections(np.ascontiguousarray(own), np.ascontiguousarray(weights), rig.centres)
-        for own, weights in zip(axes, precision, strict=True)
+        for own, weights in zip(rays, precision, strict=True)
     ]
-
-
-def _any_across(rays: Floats) -> Floats:
-    """Return unit vectors `[view, 3, N]` at right angles to rays, zero where these are."""
-    x, y, z = np.moveaxis(rays, 1, 0)
-    flat = np.abs(z) < 0.8
-    zero = np.zeros_like(x)
-    across = np.where(flat, np.stack([y, -x, zero]), np.stack([zero, z, -y]))
-    length = np.sqrt((across**2).sum(0))
-    return np.moveaxis(across / np.where(length > 0, length, 1.0), 0, 1)
 
 
 def acceleration_steps(frames: Floats, longest_gap: float) -> Floats:

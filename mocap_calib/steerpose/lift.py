@@ -25,9 +25,12 @@ from mocap_calib.recording.synchronise import check_joints
 from mocap_calib.steerpose.device import CPU, Network, network_on
 from mocap_calib.steerpose.lifter import Floats32, Lifter
 from mocap_calib.steerpose.rays import rays_by_joint
-from mocap_calib.types import Bools, Floats, LiftedPoses, Progress, Sample
+from mocap_calib.types import Bools, Floats, Ints, LiftedPoses, Progress, Sample
 
-_BLOCK = 1024  # detections at a time
+_BLOCK = 128  # detections at a time
+# Parts in which a sample is lifted to tell whether a direction is down, in sixteenths: little more
+# than half tells of most that they are not.
+_RACE = np.arange(9, 17)
 
 # The directions in a view's image that may be down: as the camera says, or turned by quarters.
 _DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]])
@@ -35,14 +38,28 @@ _DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [-1.0, 0.0
 
 @dataclass(frozen=True)
 class _Bodies:
-    """Lifted detections of one view, as in `LiftedPoses`.
+    """Lifted detections, as in `LiftedPoses`.
 
-    body: `[..., joint, 3]`; centre: `[..., 3]`; spread: `[..., joint]`.
+    body: `[B, joint, 3]`; centre: `[B, 3]`; spread: `[B, joint]`.
     """
 
     body: Floats
     centre: Floats
     spread: Floats
+
+    @property
+    def doubt(self) -> float:
+        """The median of the spread."""
+        return float(np.median(self.spread))
+
+    def put(self, index: Ints, found: "_Bodies") -> None:
+        """Set the detections of an index `[N]`."""
+        self.body[index] = found.body
+        self.centre[index] = found.centre
+        self.spread[index] = found.spread
+
+    def __getitem__(self, index: Ints) -> "_Bodies":
+        return _Bodies(self.body[index], self.centre[index], self.spread[index])
 
 
 def lift(sample: Sample, lifter: Lifter, *, device: str = CPU, progress: Progress) -> LiftedPoses:
@@ -55,24 +72,23 @@ def lift(sample: Sample, lifter: Lifter, *, device: str = CPU, progress: Progres
     a single subject can be calibrated by geometry alone.
     """
     check_joints(sample)
-    network = network_on(device, lifter)
     rays = rays_by_joint(_confident_rays(sample), sample.vocabulary, lifter.config.joints)
-    views = len(rays)
-
-    def lift_view(view: int) -> _Bodies:
-        """Lift the detections of one view (index)."""
-        return _lift_view(rays[view], network)
-
-    lifted: list[_Bodies] = []
+    enough = np.isfinite(rays[..., 0]).sum(-1) >= LEAST_JOINTS  # [view, frame, instance]
+    lifting = _Lifting(rays[enough], network_on(device, lifter), progress)
     with single_threaded_libraries():
-        for bodies in map_in_threads(lift_view, range(views)):
-            lifted.append(bodies)
-            progress("lift", len(lifted), views)
+        bodies = lifting.lift_views(np.nonzero(enough)[0])
     return LiftedPoses(
-        body=np.stack([bodies.body for bodies in lifted]),
-        centre=np.stack([bodies.centre for bodies in lifted]),
-        spread=np.stack([bodies.spread for bodies in lifted]),
+        body=_spread_out(bodies.body, enough),
+        centre=_spread_out(bodies.centre, enough),
+        spread=_spread_out(bodies.spread, enough),
     )
+
+
+def _spread_out(values: Floats, enough: Bools) -> Floats:
+    """Return values `[B, ...]` at the places where there is enough, NaN elsewhere."""
+    found = np.full((*enough.shape, *values.shape[1:]), np.nan)
+    found[enough] = values
+    return found
 
 
 def _confident_rays(sample: Sample) -> Floats:
@@ -93,49 +109,82 @@ def _best_confidence(confidence: Floats) -> float:
     return float(np.percentile(positive, LIFT_BEST_PERCENTILE)) if len(positive) else 1.0
 
 
-def _lift_view(rays: Floats, network: Network) -> _Bodies:
-    """Lift the detections of one view, rays `[frame, instance, joint, 3]`; NaN for the others."""
-    enough = np.isfinite(rays[..., 0]).sum(-1) >= LEAST_JOINTS  # [frame, instance]
-    lifted = _Bodies(
-        body=np.full(rays.shape, np.nan),
-        centre=np.full((*enough.shape, 3), np.nan),
-        spread=np.full(rays.shape[:3], np.nan),
-    )
-    if enough.any():
-        found = _lift_in_blocks(rays[enough], network)
-        lifted.body[enough] = found.body
-        lifted.centre[enough] = found.centre
-        lifted.spread[enough] = found.spread
-    return lifted
+class _Lifting:
+    """Lifts detections of several views, rays `[B, joint, 3]`, in blocks that threads share."""
 
+    def __init__(self, rays: Floats, network: Network, progress: Progress) -> None:
+        self._rays = rays
+        self._network = network
+        self._progress = progress
+        self._done = 0
 
-def _lift_in_blocks(rays: Floats, network: Network) -> _Bodies:
-    """Lift the detections `[B, J, 3]` of one view, with the view's own direction of down."""
-    down = _direction_of_down(rays, network)
-    blocks = [
-        _lift_rays(rays[start : start + _BLOCK], down, network)
-        for start in range(0, len(rays), _BLOCK)
-    ]
-    return _Bodies(
-        body=np.concatenate([block.body for block in blocks]),
-        centre=np.concatenate([block.centre for block in blocks]),
-        spread=np.concatenate([block.spread for block in blocks]),
-    )
+    def lift_views(self, view: Ints) -> _Bodies:
+        """Return the lifted bodies, in each view with its own direction of down.
 
+        That is the direction under which the network is surest of a sample of its detections, of
+        which the median counts. Smaller samples chose wrongly in real recordings, however clear
+        their answer was.
 
-def _direction_of_down(rays: Floats, network: Network) -> Floats:
-    """Return the direction `[3]` in a view's image under which the network is surest.
+        view: `[B]` in which each detection is.
+        """
+        down = np.tile(_DOWN[0], (len(view), 1))
+        bodies = _Bodies(
+            body=np.empty(self._rays.shape),
+            centre=np.empty((len(view), 3)),
+            spread=np.empty(self._rays.shape[:2]),
+        )
+        samples = [
+            evenly_spaced(np.flatnonzero(view == each), LIFT_UPRIGHT_SAMPLE)
+            for each in np.unique(view)
+        ]
+        sampled = np.isin(np.arange(len(view)), np.concatenate([*samples, np.empty(0, int)]))
+        self._lift_into(bodies, np.flatnonzero(sampled), down)
+        others = [(index, other, bodies[index].doubt) for index in samples for other in _DOWN[1:]]
+        for (index, other, _), found in zip(
+            others, map_in_threads(self._race, others), strict=True
+        ):
+            if found is not None and found.doubt < bodies[index].doubt:
+                bodies.put(index, found)
+                down[view == view[index[0]]] = other
+        self._lift_into(bodies, np.flatnonzero(~sampled), down)
+        return bodies
 
-    rays: `[B, J, 3]` of the view's detections, of which a sample is lifted. Smaller samples than
-    this one chose wrongly in real recordings, however clear their answer was.
-    """
-    sample = rays[evenly_spaced(np.arange(len(rays)), LIFT_UPRIGHT_SAMPLE)]
-    spread = [np.median(_lift_rays(sample, down, network).spread) for down in _DOWN]
-    return _DOWN[int(np.argmin(spread))]
+    def _lift_into(self, bodies: _Bodies, index: Ints, down: Floats) -> None:
+        """Lift the detections of an index, each with its direction `[B, 3]` of down."""
+
+        def lift_block(block: Ints) -> _Bodies:
+            """Lift the detections of an index."""
+            return _lift_rays(self._rays[block], down[block], self._network)
+
+        blocks = [index[start : start + _BLOCK] for start in range(0, len(index), _BLOCK)]
+        for block, found in zip(blocks, map_in_threads(lift_block, blocks), strict=True):
+            bodies.put(block, found)
+            self._done += len(block)
+            self._progress("lift", self._done, len(self._rays))
+
+    def _race(self, entry: tuple[Ints, Floats, float]) -> _Bodies | None:
+        """Lift a sample under a direction of down, unless its median is sure to be above another.
+
+        entry: the index of the sample, the direction, and the median that it has to be below.
+        It is lost when the network is less sure of more than half of the joints.
+        """
+        index, down, least = entry
+        parts: list[_Bodies] = []
+        less_sure = 0
+        for part in np.split(index, np.unique(_RACE * len(index) // _RACE[-1])[:-1]):
+            parts.append(_lift_rays(self._rays[part], down, self._network))
+            less_sure += int((parts[-1].spread >= least).sum())
+            if 2 * less_sure > len(index) * self._rays.shape[1]:
+                return None
+        return _Bodies(
+            body=np.concatenate([part.body for part in parts]),
+            centre=np.concatenate([part.centre for part in parts]),
+            spread=np.concatenate([part.spread for part in parts]),
+        )
 
 
 def _lift_rays(rays: Floats, down: Floats, network: Network) -> _Bodies:
-    """Lift rays `[B, J, 3]` in one camera's axes, the direction `down` `[3]` being down."""
+    """Lift rays `[B, J, 3]` in cameras' axes, directions `down` `[3]` or `[B, 3]` being down."""
     seen = np.isfinite(rays[..., 0])
     virtual_from_camera = looking_along(np.nansum(rays, axis=1), down)
     image = _project(rays, seen, virtual_from_camera)
@@ -144,10 +193,9 @@ def _lift_rays(rays: Floats, down: Floats, network: Network) -> _Bodies:
     size = np.sqrt((body**2).sum(-1).mean(-1))[:, None]
     body = body / size[..., None]
     centre = _centre(body, image, seen)
-    camera_from_virtual = np.swapaxes(virtual_from_camera, 1, 2)
     return _Bodies(
-        body=np.einsum("bij,bkj->bki", camera_from_virtual, body),
-        centre=np.einsum("bij,bj->bi", camera_from_virtual, centre),
+        body=body @ virtual_from_camera,  # in rows: turned by the transpose
+        centre=np.einsum("bji,bj->bi", virtual_from_camera, centre),
         spread=np.hypot(deviation[..., 0], deviation[..., 1]) / size,
     )
 
@@ -155,7 +203,7 @@ def _lift_rays(rays: Floats, down: Floats, network: Network) -> _Bodies:
 def _project(rays: Floats, seen: Bools, virtual_from_camera: Floats) -> Floats:
     """Return the normalised image points `[B, J, 2]` of rays `[B, J, 3]` in virtual cameras."""
     known = np.where(seen[..., None], rays, [0.0, 0.0, 1.0])
-    turned = np.einsum("bij,bkj->bki", virtual_from_camera, known)
+    turned = known @ np.swapaxes(virtual_from_camera, 1, 2)
     return turned[..., :2] / np.maximum(turned[..., 2:], LIFT_LEAST_FORWARD)
 
 

@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_calib.compute.kernels import compiled
 from mocap_calib.config import ENCODER_HEADS
 from mocap_calib.types import Bools
 
@@ -18,7 +19,11 @@ Floats32 = NDArray[np.float32]
 
 LOG_DEVIATIONS = (-6.0, 3.0)  # the least and the largest that a network states
 _BLOCK = 32  # poses at a time: what they need stays in the cache of a core
+_NAMES = ("weight", "bias")
 _EPSILON = np.float32(1e-5)  # of torch's LayerNorm
+# of a query and a key, as exponentials of more are too large for 32 bits: no score of the networks
+# that are shipped can be above 67, as their weights tell, and those of recordings are below 20
+_LARGEST_SCORE = np.float32(70)
 # erfc(x) = (a1 t + ... + a5 t^5) exp(-x^2) + e, t = 1 / (1 + p x), |e| <= 1.5e-7 for x >= 0:
 # Abramowitz and Stegun 1964, 7.1.26
 _ERFC_P = 0.3275911
@@ -54,13 +59,30 @@ class _Layer:
     """A layer of the encoder.
 
     The gains and offsets of its norms are part of `attend` and `widen`, the scale of the scores of
-    the queries in `attend`.
+    the queries in `attend`. What `project` and `narrow` add to a token has mean 0.
     """
 
     attend: _Linear  # to queries, keys and values, of each the heads
     project: _Linear
     widen: _Linear
     narrow: _Linear
+
+
+@dataclass(frozen=True)
+class _Encoder:
+    """What a network computes.
+
+    The mean of a token says nothing, as each layer begins with a norm: it is taken away from all
+    that is added up to one.
+
+    missing: `[C]`; joint: `[J, C]` parts of tokens.
+    """
+
+    position: _Linear  # to a part of a token
+    missing: Floats32
+    joint: Floats32
+    layers: tuple[_Layer, ...]
+    head: _Linear  # from a token, whose last norm is a part of it, to a joint
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,31 +112,28 @@ class Lifter:
 
     def _apply(self, known: Floats32, seen: Bools) -> Floats32:
         """Return what the head says `[B, J, 5]` of poses `[B, J, 2]`, 0 where not seen."""
-        size = self.config
-        token = np.where(seen[..., None], self._position(known), self.weights["missing"])
-        token += self.weights["joint"]
+        size, encoder = self.config, self._encoder
+        token = np.where(seen[..., None], encoder.position(known), encoder.missing)
+        token += encoder.joint
         token = token.reshape(-1, size.width)  # [B J, C]
-        for layer in self._layers:
-            heads = layer.attend(_standardise(token))
-            heads = heads.reshape(len(seen), size.joints, 3, size.heads, -1)
-            token += layer.project(_attend(heads).reshape(token.shape))
-            token += layer.narrow(_gelu(layer.widen(_standardise(token))))
-        return self._head(_standardise(token)).reshape(len(seen), size.joints, 5)
+        standard = np.empty_like(token)
+        _standardise(token, standard)
+        for layer in encoder.layers:
+            heads = layer.attend(standard).reshape(len(seen), size.joints, 3, size.heads, -1)
+            _add(layer.project, _attend(heads).reshape(token.shape), token, standard)
+            _add(layer.narrow, _activate(layer.widen, standard), token, standard)
+        return encoder.head(standard).reshape(len(seen), size.joints, 5)
 
     @cached_property
-    def _position(self) -> _Linear:
-        """From a position to a token."""
-        return _linear(self.weights["position.weight"], self.weights["position.bias"])
-
-    @cached_property
-    def _layers(self) -> tuple[_Layer, ...]:
-        """The encoder."""
-        return tuple(self._list_layers())
-
-    @cached_property
-    def _head(self) -> _Linear:
-        """From a token of the encoder, whose last norm is a part of it, to a joint."""
-        return self._linear_of_norm("encoder.norm", "head.weight", "head.bias")
+    def _encoder(self) -> _Encoder:
+        """What the weights compute."""
+        return _Encoder(
+            position=_centred(self.weights["position.weight"], self.weights["position.bias"]),
+            missing=_centred_vectors(self.weights["missing"]),
+            joint=_centred_vectors(self.weights["joint"]),
+            layers=tuple(self._list_layers()),
+            head=self._linear_of_norm("encoder.norm", "head.weight", "head.bias"),
+        )
 
     def _list_layers(self) -> Iterator[_Layer]:
         """Yield the layers of the encoder."""
@@ -126,13 +145,15 @@ class Lifter:
             inward = f"{layer}.self_attn.in_proj"
             outward = f"{layer}.self_attn.out_proj"
             attend = self._linear_of_norm(f"{layer}.norm1", f"{inward}_weight", f"{inward}_bias")
+            # a bias of keys adds the same to all scores of a query, which changes nothing
+            attend.bias[size.width : 2 * size.width] = 0
             widen = (f"{layer}.linear1.weight", f"{layer}.linear1.bias")
             narrow = (f"{layer}.linear2.weight", f"{layer}.linear2.bias")
             yield _Layer(
                 attend=_linear(attend.matrix.T * scale[:, None], attend.bias * scale),
-                project=_linear(self.weights[f"{outward}.weight"], self.weights[f"{outward}.bias"]),
+                project=_centred(*(self.weights[f"{outward}.{name}"] for name in _NAMES)),
                 widen=self._linear_of_norm(f"{layer}.norm2", *widen),
-                narrow=_linear(*(self.weights[name] for name in narrow)),
+                narrow=_centred(*(self.weights[name] for name in narrow)),
             )
 
     def _linear_of_norm(self, norm: str, weight: str, bias: str) -> _Linear:
@@ -147,12 +168,31 @@ def _linear(weight: NDArray[np.floating], bias: NDArray[np.floating]) -> _Linear
     return _Linear(np.ascontiguousarray(weight.T, dtype=np.float32), bias.astype(np.float32))
 
 
-def _standardise(token: Floats32) -> Floats32:
-    """Return tokens `[N, C]` with mean 0 and variance 1: a LayerNorm without gain and offset."""
-    centred: Floats32 = token - token.mean(-1, keepdims=True)
-    variance = np.einsum("nc,nc->n", centred, centred) / np.float32(token.shape[-1])
-    centred /= np.sqrt(variance + _EPSILON)[:, None]
-    return centred
+def _centred(weight: Floats32, bias: Floats32) -> _Linear:
+    """Return the linear map to a part of a token, whose mean is taken away."""
+    return _linear(_centred_vectors(weight.T).T, _centred_vectors(bias))
+
+
+def _centred_vectors(vectors: Floats32) -> Floats32:
+    """Return vectors `[..., C]` less their means."""
+    mean = vectors.mean(-1, keepdims=True, dtype=np.float64)
+    return (vectors - mean).astype(np.float32)
+
+
+def _standardise(token: Floats32, standard: Floats32) -> None:
+    """Set `standard` to tokens `[N, C]` of mean 0 with variance 1: LayerNorm but for its gain."""
+    deviation = np.einsum("nc,nc->n", token, token)
+    deviation /= np.float32(token.shape[-1])
+    deviation += _EPSILON
+    np.sqrt(deviation, out=deviation)
+    np.divide(token, deviation[:, None], out=standard)
+
+
+def _add(linear: _Linear, values: Floats32, token: Floats32, standard: Floats32) -> None:
+    """Add a linear map of values `[N, input]` to tokens `[N, C]`, and standardise those."""
+    token += values @ linear.matrix
+    token += linear.bias
+    _standardise(token, standard)
 
 
 def _attend(heads: Floats32) -> Floats32:
@@ -162,12 +202,23 @@ def _attend(heads: Floats32) -> Floats32:
     """
     query, key, value = heads.transpose(2, 0, 3, 1, 4)  # [B, head, J, C / heads] each
     score = query @ np.swapaxes(key, -1, -2)  # [B, head, J, J]
-    score -= score.max(-1, keepdims=True)
+    np.clip(score, -_LARGEST_SCORE, _LARGEST_SCORE, out=score)
     np.exp(score, out=score)
-    total = score @ np.ones((score.shape[-1], 1), dtype=np.float32)
+    joints = score.shape[-1]
+    total = score.reshape(-1, joints) @ np.ones((joints, 1), dtype=np.float32)
     gathered: Floats32 = score @ value
-    gathered /= total
+    gathered /= total.reshape(*score.shape[:-1], 1)
     return np.swapaxes(gathered, 1, 2)
+
+
+def _activate(linear: _Linear, values: Floats32) -> Floats32:
+    """Return the GELU of a linear map of values `[N, input]`."""
+    wide: Floats32 = values @ linear.matrix
+    if kernels := compiled("mocap_calib.steerpose.lifter_kernels"):
+        kernels.activate(wide, linear.bias)
+        return wide
+    wide += linear.bias
+    return _gelu(wide)
 
 
 def _gelu(values: Floats32) -> Floats32:

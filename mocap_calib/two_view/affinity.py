@@ -11,10 +11,11 @@ from itertools import combinations
 
 import numpy as np
 
+from mocap_calib.compute.kernels import compiled, contiguous
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.epipolar import essential_matrix
 from mocap_calib.two_view.view_pair import ViewPair, body_sizes_per_radian
-from mocap_calib.types import Bools, CameraRig, Floats, Sample
+from mocap_calib.types import Bools, CameraRig, Floats, Ints, Sample
 
 
 def steering_error(pair: ViewPair, rotation: Floats) -> Floats:
@@ -38,36 +39,73 @@ def steering_variance(pair: ViewPair, config: PairwiseConfig) -> Floats:
     return np.maximum(config.pose_tolerance**2, expected)
 
 
-def centre_error(pair: ViewPair, rotation: Floats, translation: Floats) -> Floats:
-    """Return |R c_a + t - c_b|^2 of lifted centres over the squares of their distances.
-
-    One matrix product for all relative poses: |R a + t - b|^2
-    = |a|^2 + |b|^2 + |t|^2 + 2 t.(R a - b) - 2 b.R a.
-    rotation: `[M, 3, 3]`; translation: `[M, 3]` in body sizes. Returns `[M, frame, I, J]`.
-    """
-    a, b = pair.a.centre, pair.b.centre
-    outer = (b[:, None, :, :, None] * a[:, :, None, None, :]).reshape(-1, 9)
-    gap = (-2 * rotation.reshape(-1, 9) @ outer.T).reshape(-1, *pair.overlap.lifted.shape)
-    t_in_a = np.einsum("mij,mi->mj", rotation, translation)
-    t_squared = (translation**2).sum(-1)[:, None, None]
-    of_a = (a**2).sum(-1) + t_squared + 2 * np.tensordot(t_in_a, a, (1, 2))
-    of_b = (b**2).sum(-1) - 2 * np.tensordot(translation, b, (1, 2))
-    gap += of_a[..., None]
-    gap += of_b[:, :, None]
-    scale = pair.a.distance[:, :, None] ** 2 + pair.b.distance[:, None, :] ** 2
-    return np.maximum(gap, 0.0) / scale
-
-
 def body_agreement(
     pair: ViewPair, rotation: Floats, translation: Floats, config: PairwiseConfig
 ) -> Floats:
     """Return in 0..1 how well the lifted bodies and their centres agree, 0 where there is no body.
 
+    exp(-p / 2) / (1 + c / 2), where p is `steering_error` over its variance, and c is
+    |R c_a + t - c_b|^2 of the centres over the squares of their distances and of the tolerance.
+    One matrix product each, of the N possible matches of lifted bodies alone.
     rotation: `[M, 3, 3]`; translation: `[M, 3]` in body sizes. Returns `[M, frame, I, J]`.
     """
-    pose = steering_error(pair, rotation) / steering_variance(pair, config)
-    centre = centre_error(pair, rotation, translation) / config.centre_tolerance**2
-    return pair.overlap.lifted * np.exp(-0.5 * pose) / (1 + 0.5 * centre)
+    cells = np.flatnonzero(pair.overlap.lifted)
+    agreement = _terms_of_rotation(rotation) @ _pose_terms(pair, cells, config)
+    agreement *= -0.5
+    np.exp(np.minimum(agreement, 0.0, out=agreement), out=agreement)
+    distance = _terms_of_relative_pose(rotation, translation) @ _centre_terms(pair, cells)
+    distance *= 0.5 / config.centre_tolerance**2
+    agreement /= 1 + np.maximum(distance, 0.0, out=distance)
+    found = np.zeros((len(rotation), pair.overlap.lifted.size))
+    found[:, cells] = agreement
+    return found.reshape(-1, *pair.overlap.lifted.shape)
+
+
+def _pose_terms(pair: ViewPair, cells: Ints, config: PairwiseConfig) -> Floats:
+    """Return `[10, N]`, of which `_terms_of_rotation` make p of `body_agreement`.
+
+    cells: `[N]` places in `[frame, I, J]`.
+    """
+    terms = np.empty((10, len(cells)))
+    cross = pair.overlap.cross.reshape(-1, 9).take(cells, axis=0).T
+    terms[:9] = cross.reshape(3, 3, -1).swapaxes(0, 1).reshape(9, -1)
+    terms[9] = pair.overlap.norm.take(cells)
+    terms /= steering_variance(pair, config).take(cells)
+    return terms
+
+
+def _terms_of_rotation(rotation: Floats) -> Floats:
+    """Return `[M, 10]` of rotations `[M, 3, 3]`: see `steering_error`."""
+    return np.column_stack([-2 * rotation.reshape(-1, 9), np.ones(len(rotation))])
+
+
+def _centre_terms(pair: ViewPair, cells: Ints) -> Floats:
+    """Return `[17, N]`, of which `_terms_of_relative_pose` make the error of the centres.
+
+    |R a + t - b|^2 = -2 b.R a + 2 t.R a - 2 t.b + |t|^2 + (|a|^2 + |b|^2), over the distances.
+    cells: `[N]` places in `[frame, I, J]`.
+    """
+    of_a, of_j = np.divmod(cells, pair.b.centre.shape[1])
+    of_b = of_a // pair.a.centre.shape[1] * pair.b.centre.shape[1] + of_j
+    terms = np.empty((17, len(cells)))
+    outer, a, b = terms[:9].reshape(3, 3, -1), terms[9:12], terms[12:15]
+    a[:] = pair.a.centre.reshape(-1, 3).take(of_a, axis=0).T
+    b[:] = pair.b.centre.reshape(-1, 3).take(of_b, axis=0).T
+    np.multiply(b[:, None], a, out=outer)
+    terms[15] = 1.0
+    terms[16] = (a**2).sum(0) + (b**2).sum(0)
+    terms /= pair.a.distance.take(of_a) ** 2 + pair.b.distance.take(of_b) ** 2
+    return terms
+
+
+def _terms_of_relative_pose(rotation: Floats, translation: Floats) -> Floats:
+    """Return `[M, 17]` of rotations `[M, 3, 3]` and translations `[M, 3]`: see `_centre_terms`."""
+    terms = np.ones((len(rotation), 17))
+    terms[:, :9] = -2 * rotation.reshape(-1, 9)
+    terms[:, 9:12] = 2 * np.einsum("mij,mi->mj", rotation, translation)
+    terms[:, 12:15] = -2 * translation
+    terms[:, 15] = (translation**2).sum(-1)
+    return terms
 
 
 def epipolar_error(pair: ViewPair, rotation: Floats, translation: Floats) -> tuple[Floats, Floats]:
@@ -140,11 +178,53 @@ def epipolar_affinity(
     something, else 0.
     """
     views, frames, instances, _ = sample.confidence.shape
-    rays = np.ascontiguousarray(np.moveaxis(np.nan_to_num(sample.rays), -1, 1))  # by component
-    closeness = 1 / distance**2
+    kernels = compiled("mocap_calib.two_view.affinity_kernels")
+    if kernels is None:
+        affinity, comparable = fit_each_pair_of_views(sample, rig, distance, config)
+    else:
+        affinity = np.zeros((frames, views, instances, views, instances))
+        comparable = np.zeros_like(affinity)
+        kernels.fit_all_views(
+            *contiguous(
+                np.moveaxis(np.nan_to_num(sample.rays), (1, 4), (0, 3)),
+                np.swapaxes(sample.confidence, 0, 1),
+                np.swapaxes(1 / distance**2, 0, 1),
+                _essential_matrices(rig),
+            ),
+            config.inlier,
+            config.least_common_joints,
+            affinity,
+            comparable,
+        )
+    nodes = views * instances
+    return affinity.reshape(frames, nodes, nodes), comparable.reshape(frames, nodes, nodes)
+
+
+def _essential_matrices(rig: CameraRig) -> Floats:
+    """Return `[view, view, 3, 3]` the essential matrices of all pairs a < b, transposed at (b, a).
+
+    0 on the diagonal.
+    """
+    a, b = np.triu_indices(len(rig.cameras), 1)
+    rotation = rig.rotation[b] @ np.swapaxes(rig.rotation[a], 1, 2)
+    translation = rig.translation[b] - (rotation @ rig.translation[a][..., None])[..., 0]
+    length = np.linalg.norm(translation, axis=-1, keepdims=True)
+    matrices = np.zeros((len(rig.cameras), len(rig.cameras), 3, 3))
+    matrices[a, b] = essential_matrix(rotation, translation / length)
+    matrices[b, a] = np.swapaxes(matrices[a, b], 1, 2)
+    return matrices
+
+
+def fit_each_pair_of_views(
+    sample: Sample, rig: CameraRig, distance: Floats, config: PairwiseConfig
+) -> tuple[Floats, Floats]:
+    """Return what `epipolar_affinity` does in numpy, `[frame, view, instance, view, instance]`."""
+    views, frames, instances, _ = sample.confidence.shape
     affinity = np.zeros((frames, views, instances, views, instances))
     comparable = np.zeros_like(affinity)
-    for a, b in combinations(range(views), 2):
+    rays = np.ascontiguousarray(np.moveaxis(np.nan_to_num(sample.rays), -1, 1))  # by component
+    closeness = 1 / distance**2
+    for a, b in combinations(range(len(rig.cameras)), 2):
         rotation, translation = rig.relative(a, b)
         matrix = essential_matrix(rotation, translation / np.linalg.norm(translation))
         body_sizes_squared = 2 / (closeness[a][:, :, None] + closeness[b][:, None])
@@ -161,8 +241,7 @@ def epipolar_affinity(
         for table, values in ((affinity, found), (comparable, common)):
             table[:, a, :, b] = values
             table[:, b, :, a] = np.swapaxes(values, 1, 2)
-    nodes = views * instances
-    return affinity.reshape(frames, nodes, nodes), comparable.reshape(frames, nodes, nodes)
+    return affinity, comparable
 
 
 def _fit_by_component(

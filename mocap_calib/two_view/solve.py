@@ -290,7 +290,7 @@ def _answer(problem: PairProblem, scored: Scored, k: int) -> PairwiseCalibration
 def _with_baseline(pair: ViewPair, rotation: Floats, translation: Floats, matched: Bools) -> Floats:
     """Return the translation at the length that makes bodies as far away as they were lifted."""
     direction = translation / np.linalg.norm(translation)
-    ratios = distance_ratios(pair, rotation, direction, matched)
+    ratios = distance_ratios(pair.a, pair.b, rotation, direction, matched)
     return direction * float(np.median(ratios)) if len(ratios) else direction
 
 

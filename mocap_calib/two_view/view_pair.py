@@ -137,14 +137,14 @@ def gather_view_pair(
     a, b = views
     return ViewPair(
         frames=frames,
-        a=_detections(sample, lifted, a, frames),
-        b=_detections(sample, lifted, b, frames),
+        a=gather_detections(sample, lifted, a, frames),
+        b=gather_detections(sample, lifted, b, frames),
         overlap=_overlap(_bodies(lifted, a, frames), _bodies(lifted, b, frames)),
     )
 
 
-def _detections(sample: Sample, lifted: LiftedPoses, view: int, frames: Ints) -> Detections:
-    """Gather the detections of one view."""
+def gather_detections(sample: Sample, lifted: LiftedPoses, view: int, frames: Ints) -> Detections:
+    """Gather the detections of one view in some frames (`[frame]` indices into the sample)."""
     rays, centre = sample.rays[view, frames], lifted.centre[view, frames]
     return Detections(
         rays=np.nan_to_num(rays),
@@ -160,8 +160,10 @@ def distances(centre: Floats, rays: Floats) -> Floats:
     centre: `[..., 3]` in body sizes, NaN = not lifted; rays: `[..., keypoint, 3]` unit vectors,
     NaN = missing. Returns `[...]` body sizes.
     """
-    lifted = np.linalg.norm(centre, axis=-1)
-    return np.where(np.isfinite(lifted), lifted, distances_by_size(rays))
+    found = np.asarray(np.linalg.norm(centre, axis=-1))
+    unknown = ~np.isfinite(found)
+    found[unknown] = distances_by_size(rays[unknown])
+    return found
 
 
 def distances_by_size(rays: Floats) -> Floats:
@@ -247,19 +249,20 @@ def matched_rays(pair: ViewPair, matched: Bools) -> MatchedRays:
 
 
 def distance_ratios(
-    pair: ViewPair, rotation: Floats, translation: Floats, matched: Bools
+    a: Detections, b: Detections, rotation: Floats, translation: Floats, matched: Bools
 ) -> Floats:
     """Return how far bodies were lifted over how far matches are triangulated, joint by joint.
 
-    rotation: `[3, 3]` and translation: `[3]` of b_from_a, in any unit; matched: `[frame, I, J]`.
+    a, b: of two views. rotation: `[3, 3]` and translation: `[3]` of b_from_a, in any unit;
+    matched: `[frame, I, J]`.
     Returns `[N]` body sizes per unit, of the joints in front of both cameras.
     """
     frame, i, j = np.nonzero(matched)
-    seen = (pair.a.weight[frame, i] > 0) & (pair.b.weight[frame, j] > 0)
-    rays_a = pair.a.rays[frame, i][seen]
-    rays_b = pair.b.rays[frame, j][seen]
+    seen = (a.weight[frame, i] > 0) & (b.weight[frame, j] > 0)
+    rays_a = a.rays[frame, i][seen]
+    rays_b = b.rays[frame, j][seen]
     depth_a, depth_b = depths(rotation, translation, rays_a, rays_b)
-    body_distance = pair.a.distance[frame, i] + pair.b.distance[frame, j]
+    body_distance = a.distance[frame, i] + b.distance[frame, j]
     lifted = np.broadcast_to(body_distance[:, None], seen.shape)[seen]
     in_front = (depth_a > 0) & (depth_b > 0)
     return lifted[in_front] / (depth_a + depth_b)[in_front]

@@ -21,6 +21,7 @@ from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.poses.formats import POSE_FORMATS
 from mocap_calib.io.poses.poses3d_h5 import parse
 from mocap_calib.io.registry import find_format
+from mocap_calib.io.results.csv_text import format_rows
 from mocap_calib.io.results.further_formats import check_recording, write_formats
 from mocap_calib.io.results.group import read_outputs, remove_earlier_outputs
 from mocap_calib.io.results.matches_csv import matches_csv, read_matches_csv
@@ -515,3 +516,15 @@ def test_what_a_format_cannot_hold_of_the_cameras_is_said_before_a_run(format, c
     with pytest.raises(MismatchError) as caught:
         check_recording([format], unfit, None)
     assert said in str(caught.value)
+
+
+def test_rows_of_csv_have_the_digits_of_repr():
+    """Whatever is small, large, whole, missing or negative."""
+    rng = np.random.default_rng(0)
+    table = rng.normal(size=(200, 30)) * 10.0 ** rng.integers(-20, 25, (200, 1))
+    table[rng.uniform(size=table.shape) < 0.1] = np.nan
+    odd = [1e-4, 9.9e-5, 5e-324, 1e15, 1e16, 9999999999999998.0, 0.0, -0.0, 3.0, np.inf]
+    table = np.concatenate([table, np.resize(odd, (3, 30)), np.full((1, 30), np.nan)])
+    for row, text in zip(table, format_rows(table), strict=True):
+        assert text == ",".join("" if np.isnan(x) else repr(float(x)) for x in row)
+    assert format_rows(table[:0]) == []

@@ -1,15 +1,20 @@
 """Groups of detections and their labels: laws on random affinities, and scenes with truth."""
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 from scenes import lifted, precision, recording, scene
 
-from mocap_calib.config import Config, MatchingConfig
+from mocap_calib.config import Config, MatchingConfig, PairwiseConfig
+from mocap_calib.multi_view import linking
 from mocap_calib.multi_view.association import associate
-from mocap_calib.multi_view.clustering import cluster_detections
+from mocap_calib.multi_view.body_affinity import temper_by_bodies
+from mocap_calib.multi_view.clustering import cluster_detections, merge_clusters
 from mocap_calib.multi_view.labels import per_frame_labels, replace_labels
-from mocap_calib.multi_view.tracking import link_through_time
+from mocap_calib.multi_view.linking import link_through_time
+from mocap_calib.two_view.affinity import match_affinity
+from mocap_calib.two_view.view_pair import distances, gather_view_pair
 from mocap_calib.types import Matches, silent
 
 VIEWS, INSTANCES = 4, 3
@@ -55,12 +60,50 @@ def test_clusters_are_those_of_average_linkage_step_by_step():
         assert found == slow_groups(affinity[frame], comparable[frame])
 
 
+def test_the_kernel_groups_as_numpy_does_of_any_number_of_views():
+    """With ties, and more views than a word has bits."""
+    for views, frames in ((VIEWS, 50), (100, 2)):
+        rng = np.random.default_rng(views)
+        half = np.triu(rng.integers(0, 8, (frames, views * 3, views * 3)) / 7, 1)
+        affinity = half + half.swapaxes(1, 2)
+        comparable = (affinity != 2 / 7).astype(float)
+        asked = {"views": views, "least_affinity": LEAST}
+        found = cluster_detections(affinity, comparable, **asked)
+        np.testing.assert_array_equal(found, merge_clusters(affinity, comparable, **asked))
+
+
 def test_a_group_never_holds_two_detections_of_a_view():
     affinity, comparable = random_affinities(50)
     groups = cluster(affinity, comparable).reshape(-1, VIEWS, INSTANCES)
     for k in range(DETECTIONS):
         assert ((groups == k).sum(-1) <= 1).all()
         assert ((groups == k).sum((1, 2)) != 1).all()
+
+
+def test_bodies_of_all_views_temper_as_those_of_each_pair_of_views():
+    """Also where one view lifted nothing at all, and another nothing in some frames."""
+    sample, rig, config = recording(), scene().rig, PairwiseConfig()
+    blind = lifted().body.copy()
+    blind[2], blind[3, :4] = np.nan, np.nan
+    bodies, frames, scale = replace(lifted(), body=blind), np.arange(10), 1.7
+    views, instances = len(rig.cameras), sample.positions.shape[2]
+    distance = distances(bodies.centre[:, frames], sample.rays[:, frames])
+    rng = np.random.default_rng(0)
+    affinity = rng.uniform(size=(len(frames), views * instances, views * instances))
+    found = temper_by_bodies(
+        affinity, bodies, rig, frames, distance=distance, scale=scale, config=config
+    )
+    by_view = [each.reshape(-1, views, instances, views, instances) for each in (affinity, found)]
+    for a, b in combinations(range(views), 2):
+        rotation, translation = rig.relative(a, b)
+        expected = match_affinity(
+            gather_view_pair(sample, bodies, (a, b), frames),
+            rotation[None],
+            scale * translation[None],
+            config,
+            epipolar=by_view[0][None, :, a, :, b],
+        )
+        np.testing.assert_allclose(by_view[1][:, a, :, b], expected[0], rtol=1e-9, atol=1e-12)
 
 
 def test_frames_are_grouped_independently():
@@ -93,6 +136,21 @@ def test_groups_are_linked_by_where_they_stand():
     linked = link_through_time(labels, shuffled, np.arange(frames), MatchingConfig())
     assert (linked == linked[:, :1]).all()
     assert set(linked[0, 0]) == {0, 1}
+
+
+def test_the_kernel_links_as_numpy_does(monkeypatch):
+    """Bodies that come, go, meet and jump, more of them than there is room for at first."""
+    rng, frames, groups = np.random.default_rng(0), 400, 5
+    places = rng.normal(size=(frames, groups, 3)).cumsum(0) * 0.2
+    places[rng.uniform(size=(frames, groups)) < 0.2] = np.nan
+    places[::7] += 40.0 * np.arange(len(places[::7]))[:, None, None]
+    labels = np.where(np.isfinite(places[None, ..., 0]), np.arange(groups), -1)
+    numbers = np.cumsum(rng.integers(1, 4, frames))
+    quick = link_through_time(labels, places, numbers, MatchingConfig())
+    monkeypatch.setattr(linking, "compiled", lambda _: None)
+    slow = link_through_time(labels, places, numbers, MatchingConfig())
+    np.testing.assert_array_equal(quick, slow)
+    assert slow.max() > 70
 
 
 def test_matching_with_the_true_rig_finds_everybody():

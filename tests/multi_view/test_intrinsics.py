@@ -10,6 +10,7 @@ from scenes import lifted, recording, rotation_errors_deg, scene, truth, turn_ca
 from mocap_calib.config import Config, IntrinsicsConfig, UncertaintyConfig
 from mocap_calib.multi_view.bundle_adjustment import adjust
 from mocap_calib.multi_view.covariance import Covariance
+from mocap_calib.multi_view.freedom import Freedom, free_intrinsics
 from mocap_calib.multi_view.intrinsics import (
     _overconfidence,
     _sigma,
@@ -17,7 +18,6 @@ from mocap_calib.multi_view.intrinsics import (
     free_focal_lengths,
     shared_intrinsics,
 )
-from mocap_calib.multi_view.schur import Freedom, free_intrinsics
 from mocap_calib.multi_view.uncertainty import (
     assumed_middle_changes,
     estimated_focal_changes,

@@ -8,22 +8,13 @@ from scenes import scene, turn_cameras
 
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.rotation import vector_from_matrix
-from mocap_calib.multi_view import ray_residuals, schur
+from mocap_calib.multi_view import schur, settling
 from mocap_calib.multi_view.covariance import find_curved_covariance
+from mocap_calib.multi_view.freedom import Freedom, free_intrinsics, free_poses
 from mocap_calib.multi_view.pixel_residuals import PixelObservations
 from mocap_calib.multi_view.ray_residuals import RayObservations
-from mocap_calib.multi_view.residuals import State, robust_cost
-from mocap_calib.multi_view.schur import (
-    Freedom,
-    NormalEquations,
-    _step,
-    eliminate_points,
-    free_intrinsics,
-    free_poses,
-    linearise,
-    minimise,
-    total_cost,
-)
+from mocap_calib.multi_view.residuals import Observations, State
+from mocap_calib.multi_view.schur import NormalEquations, eliminate_points, linearise, minimise
 
 SCALE = 3.0  # of the loss
 FREE = free_poses(3)
@@ -72,9 +63,20 @@ def problem_with_intrinsics(
     return state, seen, free_intrinsics(np.arange(3), np.full((3, 2), 0.2))
 
 
+def robust_cost(state: State, seen: Observations) -> float:
+    """Return the sum of w s^2 log(1 + r'r / s^2)."""
+    residual = seen.residuals(slice(0, state.points.shape[1]), state).residual
+    return float((seen.weight * np.log1p((residual**2).sum(1) / SCALE**2)).sum() * SCALE**2)
+
+
+def total_cost(state: State, seen: Observations, freedom: Freedom) -> float:
+    """Return the robust cost and that of intrinsics that differ from what is known beforehand."""
+    return robust_cost(state, seen) + float((freedom.precision * state.intrinsics**2).sum())
+
+
 def slope(seen: RayObservations, ahead: State, behind: State, distance: float) -> float:
     """Return the slope of the cost between two states."""
-    return (robust_cost(ahead, seen, SCALE) - robust_cost(behind, seen, SCALE)) / distance
+    return (robust_cost(ahead, seen) - robust_cost(behind, seen)) / distance
 
 
 @pytest.mark.parametrize("axis", range(3))
@@ -108,7 +110,7 @@ def test_the_gradient_by_intrinsics_is_the_slope_of_the_cost(distortion, intrins
     nudge = np.zeros_like(state.intrinsics)
     nudge[1, intrinsic] = 1e-6
     costs = [
-        total_cost(replace(state, intrinsics=state.intrinsics + step), seen, freedom, SCALE)
+        total_cost(replace(state, intrinsics=state.intrinsics + step), seen, freedom)
         for step in (nudge, -nudge)
     ]
     slope = (costs[0] - costs[1]) / 2e-6
@@ -139,7 +141,7 @@ def test_what_is_known_beforehand_counts_once_for_all_views_that_share_it():
     blind = replace(seen, weight=np.zeros_like(seen.weight))
     freedom = free_intrinsics(np.array([0, 0, 2]), np.full((3, 1), 0.1))
     state = replace(state, intrinsics=np.array([[0.3], [0.3], [0.2]]))
-    assert total_cost(state, blind, freedom, SCALE) == pytest.approx(3.0**2 + 2.0**2)
+    assert total_cost(state, blind, freedom) == pytest.approx(3.0**2 + 2.0**2)
     np.testing.assert_array_equal(freedom.intrinsics, [[12], [12], [13]])
 
 
@@ -163,22 +165,23 @@ def test_the_reduced_system_gives_the_step_of_the_whole_system():
     """All unknowns but those of the first camera, solved at once: measured 3e-11 of the largest."""
     state, seen = problem()
     equations = linearise(state, seen, FREE, SCALE)
-    damping = 0.01
-    matrix, gradient = whole_system(equations)
-    matrix += damping * np.diag(np.diag(matrix))
-    step = -np.linalg.solve(matrix[6:, 6:], gradient[6:])
-    expected = step[12:].reshape(-1, 3).T  # after the steps of the second and the third camera
-    found = _step(state, equations, FREE, damping).points - state.points
+    # nothing of the whole system holds the size of the rig
+    whole = replace(equations, camera=equations.camera * 1.01)
+    matrix, gradient = whole_system(whole)
+    expected = -np.linalg.solve(matrix[6:, 6:], gradient[6:])[:12]
+    _, reduced, side = eliminate_points(whole)
+    found = -np.linalg.solve(reduced[6:, 6:], side[6:])
     np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
 
 
 def test_minimising_ends_where_the_gradient_vanishes():
     state, seen = problem()
     found = minimise(state, seen, FREE, loss_scale=SCALE, tolerance=1e-12)
+    found = schur.settle_points(found, seen, loss_scale=SCALE)
     before = linearise(state, seen, FREE, SCALE).camera_gradient[1:]
     after = linearise(found, seen, FREE, SCALE).camera_gradient[1:]
     assert np.abs(after).max() < 1e-4 * np.abs(before).max()
-    assert robust_cost(found, seen, SCALE) < 0.5 * robust_cost(state, seen, SCALE)
+    assert robust_cost(found, seen) < 0.5 * robust_cost(state, seen)
     np.testing.assert_array_equal(found.rotation[0], state.rotation[0])
 
 
@@ -217,18 +220,43 @@ def test_a_covariance_is_how_far_many_draws_of_noise_scatter_the_cameras():
     assert 0.8 < np.sqrt(np.mean(found) / np.mean(stated)) < 1.35
 
 
-@pytest.mark.parametrize("known", [True, False])
-def test_the_kernels_give_the_equations_of_their_definition(known, monkeypatch):
-    """Of rays and of pixels, with a point that nobody sees."""
-    state, seen, freedom = (*problem(), FREE) if known else problem_with_intrinsics("brown")
-    seen = replace(seen, weight=np.where(np.arange(100) == 7, 0.0, seen.weight))
+@pytest.mark.parametrize("lens", ["known", "brown", "fisheye"])
+def test_the_kernels_give_the_equations_of_their_definition(lens, monkeypatch):
+    """Of rays and of pixels, with a point that nobody sees, and none that a single view sees."""
+    state, seen, freedom = (*problem(), FREE) if lens == "known" else problem_with_intrinsics(lens)
+    several = ((seen.weight > 0).sum(0) >= 2) & (np.arange(100) != 7)
+    seen = replace(seen, weight=np.where(several, seen.weight, 0.0))
 
     def found() -> list[np.ndarray]:
         equations = linearise(state, seen, freedom, SCALE)
-        return [*vars(equations).values(), *eliminate_points(equations, 1e-4)]
+        settled = settling.settle(slice(0, 100), state, seen, SCALE)
+        parts = [settled.points, settled.in_camera, settled.residual, np.array(settled.cost)]
+        parts += [settled.slopes.in_camera, settled.slopes.intrinsics]
+        parts += schur._reduced_system(state.rotation, settled)
+        return [*vars(equations).values(), *eliminate_points(equations), *parts]
 
     by_kernels = found()
-    for module in (schur, ray_residuals):
+    for module in (schur, settling):
         monkeypatch.setattr(module, "compiled", lambda _: None)
     for ours, expected in zip(by_kernels, found(), strict=True):
-        assert np.abs(ours - expected).max() < 1e-11 * np.abs(expected).max()
+        assert ours.size == expected.size == 0 or (
+            np.abs(ours - expected).max() < 1e-9 * np.abs(expected).max()
+        )
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_points_settle_where_they_pull_no_more(known):
+    """Each by itself, under cameras that stay: what a step more would gain, from a median of 4.
+
+    Measured: 2e-6 of three in four; the slowest, of gross errors, end early.
+    """
+    state, seen, freedom = (*problem(), FREE) if known else problem_with_intrinsics("brown")
+    settled = settling.settle(slice(0, 100), state, seen, SCALE)
+    there = replace(state, points=settled.points)
+    equations = linearise(there, seen, freedom, SCALE)
+    inverse, _, _ = eliminate_points(equations)
+    pull = equations.point_gradient
+    gain = np.einsum("in,ijn,jn->n", pull, inverse, pull)
+    assert np.quantile(gain, 0.75) < 1e-5
+    assert settled.cost * SCALE**2 == pytest.approx(robust_cost(there, seen))
+    assert settled.cost * SCALE**2 < robust_cost(state, seen)

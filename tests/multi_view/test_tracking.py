@@ -8,7 +8,7 @@ from scenes import PEOPLE, calibrate_group, precision, recording, rotation_error
 
 from mocap_calib.config import MatchingConfig
 from mocap_calib.multi_view.tracking import reuse_names
-from mocap_calib.multi_view.tracklets import name_by_tracklets, tracklets
+from mocap_calib.multi_view.tracklets import all_tracklets, name_by_tracklets, tracklets
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.types import GroupResult, Keypoints2D
 
@@ -157,7 +157,9 @@ def test_the_forgotten_are_named_by_their_tracklet():
     """
     right, found = named(), recording(**HARD)
     gone = np.random.default_rng(0).random(right.shape) < 0.1
-    filled = name_by_tracklets(found, np.where(gone, -1, right), MatchingConfig())
+    filled = name_by_tracklets(
+        all_tracklets(found, MatchingConfig()), np.where(gone, -1, right), MatchingConfig()
+    )
     people = right >= 0
     assert (filled == right)[people & ~gone].all()
     back = filled[gone & people]
@@ -173,8 +175,13 @@ def test_the_forgotten_are_named_by_their_tracklet():
 def test_the_nameless_stay_nobody():
     found = recording(**HARD)
     nobody = np.full(named().shape, -1)
-    np.testing.assert_array_equal(name_by_tracklets(found, nobody, MatchingConfig()), nobody)
+    np.testing.assert_array_equal(
+        name_by_tracklets(all_tracklets(found, MatchingConfig()), nobody, MatchingConfig()), nobody
+    )
     one_view = nobody.copy()
     third = np.arange(90)[:, None] % 3 == 0
     one_view[0] = np.where(third, -1, named()[0])  # no other view confirms them
-    np.testing.assert_array_equal(name_by_tracklets(found, one_view, MatchingConfig()), one_view)
+    np.testing.assert_array_equal(
+        name_by_tracklets(all_tracklets(found, MatchingConfig()), one_view, MatchingConfig()),
+        one_view,
+    )

@@ -59,6 +59,7 @@ def test_the_worst_camera_decides(degrees, word):
         (uncertainty(0.1), 5 * (Check("lens", 5.0, 4.0),), False, "not determined"),
         (uncertainty(0.1), STRANGER, False, "not determined"),
         (uncertainty(0.1), STRANGER[1:], False, "usable"),
+        (uncertainty(0.1), (*STRANGER[1:3], Check("convergence", 1.0, 0.0)), False, "weak"),
         (uncertainty(0.1, outliers=(0, 2)), SOUND, False, "not determined"),
         (uncertainty(20.0), FAILED, False, "not determined"),  # a fault makes nothing better
     ],

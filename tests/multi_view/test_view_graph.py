@@ -273,6 +273,26 @@ def test_certain_groups_are_joined_by_strong_pairs_or_by_loops(score, right, gro
             usable_cameras(rig.cameras, pairs, CONFIG)
 
 
+@pytest.mark.parametrize("right", [0, 3, 15])
+def test_certain_groups_are_not_joined_where_triangles_contradict(right):
+    """Rooms of 5 and 3 cameras with some right pairs between them, the others wrong, one strong.
+
+    Of a few right ones, weak as they are, chance would do as well; of all they join the rooms.
+    """
+    rig, rng, pairs = scene(cameras=8).rig, np.random.default_rng(2), []
+    between = [(a, b) for a, b in combinations(range(8), 2) if (a < 5) != (b < 5)]
+    strong = between[-1]
+    for a, b in combinations(range(8), 2):
+        if (a, b) not in between:
+            pairs.append(hypothesis(rig, a, b, 0.9))
+        else:
+            wrong = between.index((a, b)) >= right
+            score = 0.7 if (a, b) == strong else 0.3
+            pairs.append(hypothesis(rig, a, b, score, rng if wrong else None))
+    found = camera_groups(rig.cameras, tuple(pairs), CONFIG)
+    assert [len(group) for group in found] == ([8] if right == 15 else [5, 3])
+
+
 @pytest.mark.parametrize(("degrees", "groups"), [(6.5, 1), (7.4, 2)])
 def test_a_triangle_closes_to_within_the_scale_of_rotations(degrees, groups):
     """Two certain pairs, and weak ones to one camera of the other: sqrt(3) x 4 degrees is half."""

@@ -12,8 +12,9 @@ from mocap_calib.config import COMPLETION_CONFIDENCE, COMPLETION_SPREAD
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.steerpose.completion import _confidence_of_lifted
-from mocap_calib.steerpose.lift import _DOWN, _centre, _lift_rays, lift
-from mocap_calib.steerpose.lifter import _gelu
+from mocap_calib.steerpose.lift import _DOWN, _centre, _lift_rays, _Lifting, lift
+from mocap_calib.steerpose.lifter import _LARGEST_SCORE, _gelu
+from mocap_calib.steerpose.lifter_kernels import activate
 from mocap_calib.steerpose.loading import choose_model, load_lifter
 from mocap_calib.steerpose.training.evaluation import _project_turned
 from mocap_calib.types import silent
@@ -31,11 +32,28 @@ def test_the_centre_puts_a_body_where_its_joints_are_seen():
 
 
 def test_the_activation_is_that_of_its_definition():
-    """To what its approximation of erfc is good for, 1.5e-7, and single precision."""
+    """To what approximations of erf are good for, 1.5e-7, and single precision; compiled or not."""
     x = np.linspace(-6, 6, 2001)
     expected = x * erfc(-x / np.sqrt(2)) / 2
     found = _gelu(x.astype(np.float32))
     np.testing.assert_allclose(found, expected, rtol=3e-7, atol=4e-7)
+    compiled = (x[:, None] - [0.5, -2.0]).astype(np.float32)
+    activate(compiled, np.array([0.5, -2.0], dtype=np.float32))
+    np.testing.assert_allclose(compiled, np.column_stack([expected] * 2), rtol=3e-7, atol=8e-7)
+
+
+def test_no_score_of_the_networks_that_are_shipped_is_cut():
+    """What their weights let a query and a key be at most: 67."""
+    for name in ("people", "quadruped", "bird", "rodent"):
+        lifter = load_lifter(name)[0]
+        width, heads = lifter.config.width, lifter.config.heads
+        for layer in lifter._encoder.layers:
+            matrix = layer.attend.matrix.reshape(width, 3, heads, -1).astype(np.float64)
+            query, key = np.moveaxis(matrix[:, :2], (1, 2), (0, 1))  # [head, C, C / heads] each
+            offset = layer.attend.bias.reshape(3, heads, -1)[0]
+            largest = np.linalg.norm(query @ np.swapaxes(key, 1, 2), ord=2, axis=(1, 2)) * width
+            largest += np.linalg.norm(np.einsum("hck,hk->hc", key, offset), axis=1) * width**0.5
+            assert largest.max() < 67 < _LARGEST_SCORE
 
 
 def test_a_network_of_too_few_joints_is_refused():
@@ -84,3 +102,41 @@ def test_errors_seen_from_aside_keep_their_height():
     seen = _project_turned(error)
     assert torch.equal(seen[..., 1], error[..., 1])
     assert (seen[..., 0].abs() <= error[..., ::2].norm(dim=-1) + 1e-6).all()
+
+
+def test_a_direction_is_given_up_only_when_it_is_no_better():
+    """As the median of the whole sample tells, whatever median is to be beaten."""
+    rng = np.random.default_rng(0)
+    lifter = load_lifter()[0]
+    rays = rng.normal(0, 0.4, (50, lifter.config.joints, 3)) + [0, 0, 6.0]
+    rays[rng.random(rays.shape[:2]) < 0.4] = np.nan
+    lifting, index = _Lifting(rays, lifter, silent), np.arange(50)[::2]
+    doubt = _lift_rays(rays[index], _DOWN[1], lifter).doubt
+    for least in doubt * np.array([0.5, 0.8, 0.95, 0.9999]):
+        assert lifting._race((index, _DOWN[1], least)) is None
+    for least in doubt * np.array([1.0001, 1.2, 2.0]):
+        assert lifting._race((index, _DOWN[1], least)).doubt == pytest.approx(doubt, abs=1e-6)
+
+
+def test_views_that_see_nobody_are_not_lifted():
+    found, lifter = recording(), load_lifter()[0]
+    nobody = replace(found, confidence=np.zeros_like(found.confidence))
+    assert np.isnan(lift(nobody, lifter, progress=silent).body).all()
+    hidden = found.confidence.copy()
+    hidden[0] = 0
+    part = lift(replace(found, confidence=hidden), lifter, progress=silent)
+    assert np.isnan(part.body[0]).all()
+    np.testing.assert_allclose(part.body[1:], lifted().body[1:], atol=1e-5)
+
+
+def test_cameras_on_their_sides_lift_the_same_bodies_turned():
+    """Each view finds its own direction of down; measured 3e-6."""
+    found = recording()
+    rays = found.rays.copy()
+    turns = {view: matrix_from_vector(np.array([0.0, 0.0, view * np.pi / 2])) for view in range(4)}
+    for view, turn in turns.items():
+        rays[view] = found.rays[view] @ turn.T
+    bodies = lift(replace(found, rays=rays), load_lifter()[0], progress=silent)
+    for view, turn in turns.items():
+        np.testing.assert_allclose(bodies.body[view], lifted().body[view] @ turn.T, atol=3e-5)
+        np.testing.assert_allclose(bodies.spread[view], lifted().spread[view], atol=3e-5)

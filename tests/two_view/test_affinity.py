@@ -10,10 +10,10 @@ from mocap_calib.geometry.epipolar import depths, essential_matrix, sampson_angl
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.two_view.affinity import (
     body_agreement,
-    centre_error,
     epipolar_affinity,
     epipolar_error,
     epipolar_fit,
+    fit_each_pair_of_views,
     steering_error,
 )
 from mocap_calib.two_view.view_pair import (
@@ -41,20 +41,11 @@ def test_steering_error_is_the_weighted_distance_of_turned_bodies():
     np.testing.assert_allclose(fast, slow, atol=1e-10)
 
 
-def test_centre_error_is_the_distance_over_the_distances():
-    pair = ten_frames_of_two_views()
-    rotation, translation = matrix_from_vector(np.array([0.1, 0.5, 0.0])), np.array([1.0, 2.0, 3.0])
-    gap = (pair.a.centre @ rotation.T + translation)[:, :, None] - pair.b.centre[:, None]
-    slow = (gap**2).sum(-1) / (pair.a.distance[:, :, None] ** 2 + pair.b.distance[:, None] ** 2)
-    np.testing.assert_allclose(
-        centre_error(pair, rotation[None], translation[None])[0], slow, atol=1e-10
-    )
-
-
 def test_bodies_agree_by_pose_and_place_as_far_as_the_network_is_sure():
     """The doubt is the expected squared distance of two lifts, with the weights of the error."""
     pair, config, bodies = ten_frames_of_two_views(), PairwiseConfig(), lifted()
-    rotation, translation = matrix_from_vector(np.array([[0.3, -1.0, 0.2]])), np.ones((1, 3))
+    rotation = matrix_from_vector(np.array([[0.3, -1.0, 0.2], [0.1, 0.5, 0.0]]))
+    translation = np.array([[1.0, 1.0, 1.0], [1.0, 2.0, 3.0]])
     variance = [np.nan_to_num(bodies.spread[v, :10]) ** 2 for v in (0, 1)]
     weight = [np.nan_to_num(1 / (bodies.spread[v, :10] ** 2 + 0.05**2)) for v in (0, 1)]
     w = weight[0][:, :, None] * weight[1][:, None]
@@ -62,7 +53,10 @@ def test_bodies_agree_by_pose_and_place_as_far_as_the_network_is_sure():
     doubt *= config.pose_doubt**2 / np.maximum(w.sum(-1), 1e-12)
     tolerance = np.maximum(config.pose_tolerance**2, doubt)
     pose = steering_error(pair, rotation) / tolerance
-    place = centre_error(pair, rotation, translation) / config.centre_tolerance**2
+    turned = np.einsum("mij,faj->mfai", rotation, pair.a.centre) + translation[:, None, None]
+    place = ((turned[:, :, :, None] - pair.b.centre[:, None]) ** 2).sum(-1)
+    place /= pair.a.distance[:, :, None] ** 2 + pair.b.distance[:, None] ** 2
+    place /= config.centre_tolerance**2
     slow = (w.sum(-1) > 0) * np.exp(-pose / 2) / (1 + place / 2)
     found = body_agreement(pair, rotation, translation, config)
     np.testing.assert_allclose(found, slow, atol=1e-12)
@@ -95,6 +89,9 @@ def test_the_affinity_by_a_rig_is_the_epipolar_fit_of_its_pairs():
     np.testing.assert_allclose(affinity[:, rows, columns], fit, atol=1e-9)
     assert ((comparable[:, rows, columns] > 0) | (fit == 0)).all()
     np.testing.assert_array_equal(affinity, np.swapaxes(affinity, 1, 2))
+    slow = fit_each_pair_of_views(sample, rig, distance, config)
+    np.testing.assert_allclose(affinity, slow[0].reshape(affinity.shape), rtol=1e-12, atol=1e-14)
+    np.testing.assert_array_equal(comparable, slow[1].reshape(comparable.shape))
 
 
 def test_distances_are_compared_where_joints_are_in_front_of_both_views():
@@ -114,5 +111,5 @@ def test_distances_are_compared_where_joints_are_in_front_of_both_views():
         body = pair.a.distance[frame, i] + pair.b.distance[frame, j]
         expected.append(body / (ahead_a + ahead_b)[both])
     assert one_sided > 0
-    found = distance_ratios(pair, rotation, translation, matched)
+    found = distance_ratios(pair.a, pair.b, rotation, translation, matched)
     np.testing.assert_allclose(found, np.concatenate(expected), rtol=1e-9)

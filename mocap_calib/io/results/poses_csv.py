@@ -12,7 +12,7 @@ from mocap_calib.io.atomic import (
     replace_folder,
     replace_text,
 )
-from mocap_calib.io.results.csv_text import format_csv_line, slice_frames
+from mocap_calib.io.results.csv_text import format_csv_line, format_rows, slice_frames
 from mocap_calib.types import Floats, Poses3D
 
 _FIELDS = ("x", "y", "z", "error", "ncams", "score")  # of each keypoint
@@ -50,19 +50,9 @@ def poses_csv(poses: Poses3D, individual: int) -> Iterator[str]:
     no_change = [*np.eye(3).ravel().tolist(), 0.0, 0.0, 0.0]
     axes = ",".join(map(str, no_change))
     for piece in slice_frames(len(poses.frames)):
-        rows = _stack_columns(poses, individual, piece).tolist()
+        rows = format_rows(_stack_columns(poses, individual, piece))
         frames = poses.frames[piece].tolist()
-        yield "".join(
-            f"{_format_row(row)},{axes},{frame}\n" for row, frame in zip(rows, frames, strict=True)
-        )
-
-
-def _format_row(row: list[float]) -> str:
-    """Return exact numbers with commas between them, nothing for NaN.
-
-    A list prints its floats with repr, which is exact, and much faster than a call each.
-    """
-    return str(row)[1:-1].replace(" ", "").replace("nan", "")
+        yield "".join(f"{row},{axes},{frame}\n" for row, frame in zip(rows, frames, strict=True))
 
 
 def _stack_columns(poses: Poses3D, individual: int, piece: slice) -> Floats:

@@ -1,0 +1,46 @@
+"""The layout of the kernels of `poses`: tiles of frames, and groups of joints side by side."""
+
+from types import ModuleType
+
+import numpy as np
+
+from mocap_calib.compute.kernels import compiled
+from mocap_calib.types import Floats
+
+AROUND = 2  # frames before and after all: as far as accelerations reach
+
+
+def band_kernels() -> tuple[ModuleType, ModuleType] | None:
+    """Return the kernels of the equations and of their solution; None where numpy is to run."""
+    equations = compiled("mocap_calib.poses.energy_kernels")
+    solution = compiled("mocap_calib.poses.step_kernels")
+    return (equations, solution) if equations and solution else None
+
+
+def in_lanes(values: Floats, lanes: int) -> Floats:
+    """Return values `[keypoint, frame, N]` as `[group, frame, N * lanes]`, see `in_tiles`."""
+    joints, _, numbers = values.shape
+    groups = -(-joints // lanes)
+    padded = in_tiles(values.swapaxes(1, 2), lanes)
+    found = np.zeros((groups * lanes, *padded.shape[1:]))
+    found[:joints] = padded
+    rows = found.reshape(groups, lanes, numbers, -1).transpose(0, 3, 2, 1)
+    return np.ascontiguousarray(rows).reshape(groups, -1, numbers * lanes)
+
+
+def from_lanes(rows: Floats, lanes: int, joints: int, frames: int) -> Floats:
+    """Return values `[keypoint, frame, N]` of rows `[group, frame, N * lanes]`."""
+    numbers = rows.shape[2] // lanes
+    by_lane = rows[:, AROUND : AROUND + frames].reshape(len(rows), frames, numbers, lanes)
+    own = by_lane.transpose(0, 3, 1, 2).reshape(-1, frames, numbers)
+    return np.ascontiguousarray(own[:joints])
+
+
+def in_tiles(values: Floats, lanes: int) -> Floats:
+    """Return values `[..., frame]` with more frames, alike the first and the last.
+
+    So many that they fill tiles, and two on each side.
+    """
+    short = -values.shape[-1] % lanes
+    widths = [(0, 0)] * (values.ndim - 1) + [(AROUND, AROUND + short)]
+    return np.pad(values, widths, mode="edge")

@@ -1,0 +1,105 @@
+"""The fit of poses: kernels do what numpy does, and what the equations say."""
+
+import numpy as np
+import pytest
+
+from mocap_calib.compute.kernels import compiled
+from mocap_calib.config import PosesConfig
+from mocap_calib.poses import certainty, fit
+from mocap_calib.poses.energy import Strengths, accelerations, linearise
+from mocap_calib.poses.lanes import band_kernels, from_lanes, in_lanes
+from mocap_calib.poses.track import Body, Detections, acceleration_steps
+
+CONFIG = PosesConfig()
+STRENGTHS = [
+    Strengths(0.02, 0.03, 2.5),
+    Strengths(np.inf, 0.03, 1.5),
+    Strengths(0.02, np.inf, 2.5),
+]
+
+
+def track(joints: int, frames: int) -> tuple[np.ndarray, Detections, Body]:
+    """A chain of joints that sways before four cameras: some are missing, some are wrong."""
+    rng = np.random.default_rng(0)
+    times = np.cumsum(rng.choice([1.0, 1.0, 1.0, 20.0], size=frames))
+    sway = 0.2 * np.sin(times / 8)[:, None] * np.array([1, 0.5, 0.1])
+    true = sway + np.arange(joints)[:, None, None] * np.array([0, 0.1, 0.2])
+    centres = rng.normal(size=(4, 3)) * np.array([4, 4, 1])
+    offset = true.transpose(2, 0, 1)[:, None] - centres.T[:, :, None, None]
+    offset = offset + rng.normal(size=offset.shape) * 0.01
+    wrong = rng.random(offset.shape[1:]) < 0.05
+    offset[:, wrong] += rng.normal(size=(3, wrong.sum()))
+    seen = rng.random(offset.shape[1:]) < 0.85
+    rays = np.where(seen, offset / np.sqrt((offset**2).sum(0)), 0.0)
+    edges = np.stack([np.arange(joints - 1), np.arange(1, joints)], axis=1)
+    lengths = np.full((joints - 1, frames), np.sqrt(0.05))
+    lengths[-1] = np.nan
+    body = Body(
+        edges=edges,
+        lengths=lengths,
+        varies=np.full(lengths.shape, 0.01),
+        size=np.linspace(1, 1.2, frames),
+        steps=acceleration_steps(times, 10.0),
+    )
+    detections = Detections(rays, np.where(seen, 1e5, 0.0), centres)
+    return true + rng.normal(size=true.shape) * 0.03, detections, body
+
+
+@pytest.mark.parametrize(("joints", "frames"), [(5, 2), (5, 16), (17, 61)])
+@pytest.mark.parametrize("strengths", STRENGTHS)
+def test_kernels_fit_as_numpy_does(joints, frames, strengths, monkeypatch):
+    """Measured: 3e-12, and 2e-9 where nothing but two rays holds a point, which moves by 1.2."""
+    points, seen, body = track(joints, frames)
+    found = fit.fit(points, seen, body, strengths, CONFIG, steps=4)
+    monkeypatch.setattr(fit, "band_kernels", lambda: None)
+    defined = fit.fit(points, seen, body, strengths, CONFIG, steps=4)
+    assert np.abs(found - points).max() > 0.01
+    assert np.allclose(found, defined, rtol=0, atol=1e-8)
+
+
+def test_kernels_find_the_covariances_that_numpy_does(monkeypatch):
+    """numpy looks 24 frames ahead and back."""
+    points, seen, body = track(5, 61)
+    system = linearise(points, seen, body, STRENGTHS[0], CONFIG)
+    given = system, body.steps, body.edges, np.full(61, 1e-2)
+    found = certainty.covariances(*given)
+    monkeypatch.setattr(certainty, "band_kernels", lambda: None)
+    assert np.allclose(found, certainty.covariances(*given), rtol=1e-4, atol=1e-9)
+
+
+@pytest.mark.parametrize("strengths", STRENGTHS)
+def test_the_gradient_is_that_of_the_energy(strengths):
+    """By finite differences along random directions."""
+    points, seen, body = track(4, 12)
+    rng = np.random.default_rng(1)
+
+    def energy(at: np.ndarray) -> float:
+        offset = at.transpose(2, 0, 1)[:, None] - seen.centres.T[:, :, None, None]
+        along = (seen.rays * offset).sum(0)
+        there = along > 0
+        off = ((offset - along * seen.rays) ** 2).sum(0)[there] / along[there] ** 2
+        losses = [(off * seen.precision[there], strengths.loss)]
+        if np.isfinite(strengths.acceleration):
+            size = strengths.acceleration * body.size[:-2]
+            losses.append(((accelerations(at, body) ** 2).sum(-1) / size**2, CONFIG.prior_loss))
+        if np.isfinite(strengths.bones):
+            length = np.linalg.norm(at[body.edges[:, 0]] - at[body.edges[:, 1]], axis=-1)
+            sigma = np.hypot(strengths.bones * body.size, body.varies)
+            error = ((length - body.lengths) / sigma)[:-1]
+            losses.append((error**2, CONFIG.prior_loss))
+        return sum(
+            float(scale**2 * np.log1p(square / scale**2).sum()) / 2 for square, scale in losses
+        )
+
+    gradient = linearise(points, seen, body, strengths, CONFIG).gradient
+    for _ in range(3):
+        step = rng.normal(size=points.shape) * 1e-6
+        slope = (energy(points + step) - energy(points - step)) / 2
+        assert slope == pytest.approx(float((gradient * step).sum()), rel=1e-4)
+
+
+@pytest.mark.parametrize("joints", [1, 16, 17])
+def test_values_come_back_from_lanes(joints):
+    values = np.random.default_rng(0).normal(size=(joints, 21, 3))
+    assert np.array_equal(from_lanes(in_lanes(values, 16), 16, joints, 21), values)
+    assert compiled("mocap_calib.poses.step_kernels").LANES == band_kernels()[0].LANES
