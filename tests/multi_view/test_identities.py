@@ -174,12 +174,11 @@ def test_pieces_that_one_view_follows_are_joined(monkeypatch):
     nothing = Proportions(np.zeros((4, 0)), np.zeros((4, 0)), np.zeros(0))
     monkeypatch.setattr(identities, "measure_proportions", lambda *_: nothing)
     monkeypatch.setattr(identities, "motion_evidence", lambda *_: np.zeros((4, 4)))
-    groups = SimpleNamespace(labels=None)
     for one, other in ((2, 3), (3, 2)):
         links = np.array([0, 1]), np.array([one, other])
         monkeypatch.setattr(identities, "image_links", lambda *_, links=links: links)
         found = identities._join_pieces(
-            SimpleNamespace(frames=None), None, groups, pieces, MatchingConfig()
+            None, None, pieces, MatchingConfig(), groups=None, tracks=None
         )
         assert found[0] == found[one] != found[1]
         assert found[1] == found[other]
