@@ -2,12 +2,14 @@
 
 from dataclasses import replace
 from itertools import product
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scenes import PEOPLE, scene
 
 from mocap_calib.config import Config, MatchingConfig
+from mocap_calib.multi_view import identities
 from mocap_calib.multi_view.identities import finalise_identities
 from mocap_calib.multi_view.joining import join_pieces
 from mocap_calib.multi_view.name_swaps import exchanged_pieces
@@ -161,6 +163,25 @@ def test_pieces_are_joined_by_all_evidence_together(seed):
     first = 10 * np.arange(pieces)
     found = join_pieces(first, first + 8, pairs, nothing, MatchingConfig())
     np.testing.assert_array_equal(found[:, None] == found, same)
+
+
+def test_pieces_that_one_view_follows_are_joined(monkeypatch):
+    """Two begin after two others have ended, and a view has followed each of them."""
+    ends = np.zeros((4, 2), dtype=np.int64)
+    pieces = SimpleNamespace(
+        count=4, first=ends + [[0], [0], [50], [50]], last=ends + [[40], [40], [90], [90]]
+    )
+    nothing = Proportions(np.zeros((4, 0)), np.zeros((4, 0)), np.zeros(0))
+    monkeypatch.setattr(identities, "measure_proportions", lambda *_: nothing)
+    monkeypatch.setattr(identities, "motion_evidence", lambda *_: np.zeros((4, 4)))
+    for one, other in ((2, 3), (3, 2)):
+        links = np.array([0, 1]), np.array([one, other])
+        monkeypatch.setattr(identities, "image_links", lambda *_, links=links: links)
+        found = identities._join_pieces(
+            None, None, pieces, MatchingConfig(), groups=None, tracks=None
+        )
+        assert found[0] == found[one] != found[1]
+        assert found[1] == found[other]
 
 
 @pytest.mark.parametrize("seed", range(3))
