@@ -16,16 +16,18 @@ def sinkhorn(affinity: Floats, *, dummy: float) -> Floats:
     dummy: the affinity at which staying unmatched is as good.
     Returns `[..., I, J]`: rows and columns sum to at most 1.
     """
-    *batch, rows, columns = affinity.shape
-    possible = np.exp(SINKHORN_SHARPNESS * affinity)
-    weight = np.empty((*batch, rows + 1, columns + 1))
-    weight[..., :rows, :columns] = np.where(affinity > 0, possible, 0.0)
-    weight[..., rows, :] = np.exp(SINKHORN_SHARPNESS * dummy)
-    weight[..., :, columns] = np.exp(SINKHORN_SHARPNESS * dummy)
+    # instances first: sums over a few numbers that lie side by side take several times as long
+    affinity = np.moveaxis(affinity, (-2, -1), (0, 1))
+    rows, columns, *batch = affinity.shape
+    weight = np.empty((rows + 1, columns + 1, *batch))
+    possible = weight[:rows, :columns]
+    np.exp(SINKHORN_SHARPNESS * affinity, out=possible)
+    possible[affinity <= 0] = 0.0
+    weight[rows] = weight[:, columns] = np.exp(SINKHORN_SHARPNESS * dummy)
     for _ in range(SINKHORN_SWEEPS):
-        weight[..., :rows, :] /= weight[..., :rows, :].sum(-1, keepdims=True)
-        weight[..., :, :columns] /= weight[..., :, :columns].sum(-2, keepdims=True)
-    return weight[..., :rows, :columns]
+        weight[:rows] /= weight[:rows].sum(1, keepdims=True)
+        weight[:, :columns] /= weight[:, :columns].sum(0)
+    return np.moveaxis(possible, (0, 1), (-2, -1))
 
 
 def mutual_best(weight: Floats, *, least: float) -> Bools:
