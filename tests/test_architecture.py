@@ -107,7 +107,8 @@ def test_the_readme_says_what_each_dependency_is_for():
     assert sorted(re.findall(r"^\| ([\w-]+) \|", table, re.M)[1:]) == sorted(needed)
 
 
-IN_ONE_PLACE = {"types.py", "config.py"}  # all nouns, and all constants
+# all nouns, all constants, and kernels that share theirs: none calls a kernel of another file
+IN_ONE_PLACE = {"types.py", "config.py", "refine_kernels.py"}
 DOORS = {  # module: where alone it is imported
     "torch": ("mocap_calib/steerpose/",),
     "cv2": ("mocap_calib/geometry/epipolar.py", "mocap_calib/overlay/"),
