@@ -40,14 +40,12 @@ def _leave_blas_for_later() -> None:
     arraymath._HAVE_BLAS = True
 
 
-_leave_blas_for_later()
-
-
 def kernel(*arguments: Any) -> Callable[[Function], Function]:
     """Compile a function for arguments of these types, without Python's lock.
 
     Sums stay in the order in which they are written, so that results do not depend on the machine.
     """
+    _leave_blas_for_later()
 
     def compile_it(function: Function) -> Function:
         try:
