@@ -2,9 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
+from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import CLOCK_RATES, RATE_LEAST_SHARE, SyncConfig
 from mocap_calib.multi_view.clock_evidence import along_map, is_decisive, standard_errors
 from mocap_calib.multi_view.clock_paths import (
@@ -55,7 +57,8 @@ def find_timing(agreements: Agreements, rates: tuple[float, ...], config: SyncCo
     timing, restless = _add_steps(agreements, timing, config)
     if restless >= config.least_restless_gain and equal:
         roots = evenly_spaced(np.array(equal), config.roots).tolist()
-        followed = (_follow_one(agreements, rates, root, config) for root in roots)
+        follow = partial(_follow_one, agreements, rates, config=config)
+        followed = map_in_threads(follow, roots)
         other = max(followed, key=lambda each: _total(agreements, each))
         good = _median_score(agreements, other) >= config.wandering_score
         gained = _total(agreements, other) - _total(agreements, timing)

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import CROWDED_QUANTILE, SyncConfig
 from mocap_calib.multi_view.clock_evidence import weigh_clock
 from mocap_calib.multi_view.clock_kinds import StretchNumbers, describe_clock
@@ -109,11 +110,11 @@ def _compare_all(
     """Return how the pairs of views agree in time; pairs of which one sees too little are not."""
     pairs = choose_pairs(len(views))
     generators = np.random.default_rng(seed).spawn(len(pairs))
-    compared = (
-        ((a, b), compare_in_time(views[a], views[b], config, rng))
-        for (a, b), rng in zip(pairs, generators, strict=True)
+    compared = map_in_threads(
+        lambda job: compare_in_time(views[job[0][0]], views[job[0][1]], config, job[1]),
+        zip(pairs, generators, strict=True),
     )
-    return {pair: each for pair, each in compared if each is not None}
+    return {pair: each for pair, each in zip(pairs, compared, strict=True) if each is not None}
 
 
 def choose_pairs(views: int) -> list[Pair]:
