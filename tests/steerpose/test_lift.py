@@ -32,14 +32,18 @@ def test_the_centre_puts_a_body_where_its_joints_are_seen():
 
 
 def test_the_activation_is_that_of_its_definition():
-    """To what approximations of erf are good for, 1.5e-7, and single precision; compiled or not."""
+    """To what the approximation of erf is good for, 2e-7, and single precision.
+
+    The same numbers compiled or not: rigs found without numba were 1e-8 off.
+    """
     x = np.linspace(-6, 6, 2001)
     expected = x * erfc(-x / np.sqrt(2)) / 2
-    found = _gelu(x.astype(np.float32))
-    np.testing.assert_allclose(found, expected, rtol=3e-7, atol=4e-7)
-    compiled = (x[:, None] - [0.5, -2.0]).astype(np.float32)
-    activate(compiled, np.array([0.5, -2.0], dtype=np.float32))
+    bias = np.array([0.5, -2.0], dtype=np.float32)
+    compiled = (x[:, None] - bias).astype(np.float32)
+    plain = _gelu(compiled + bias)
+    activate(compiled, bias)
     np.testing.assert_allclose(compiled, np.column_stack([expected] * 2), rtol=3e-7, atol=8e-7)
+    np.testing.assert_array_equal(compiled, plain)
 
 
 def test_no_score_of_the_networks_that_are_shipped_is_too_large():
