@@ -266,16 +266,18 @@ def _add_centres(
                 outer = turned[i] * turned[j] + centres[n, 3 + i] * centres[n, 3 + j]
                 covariance[i, j] = along * outer + (across if i == j else 0.0)
         _invert(covariance, information)
-        squared = 0.0
+        squared, lean = 0.0, 0.0
         for i in range(3):
             pull[i] = 0.0
             for j in range(3):
                 pull[i] += information[i, j] * gap[j]
             squared += gap[i] * pull[i] / outlier
+            lean += turned[i] * pull[i]
         value += squared / (1 + squared)
         slope[0, 1], slope[1, 2], slope[2, 0] = turned[2], turned[0], turned[1]
         slope[1, 0], slope[2, 1], slope[0, 2] = -turned[2], -turned[0], -turned[1]
-        _add_match(slope, information, pull, share / (1 + squared) ** 2, system)
+        weight = share / (1 + squared) ** 2
+        _add_match(slope, information, pull, weight, 1 - along * lean, system)
     return share * outlier / 2 * value
 
 
@@ -295,17 +297,21 @@ def _invert(m: Floats, inverse: Floats) -> None:
 
 @inlined
 def _add_match(
-    slope: Floats, information: Floats, pull: Floats, weight: float, system: Floats
+    slope: Floats, information: Floats, pull: Floats, weight: float, of_turn: float, system: Floats
 ) -> None:
-    """Add slope' information slope and slope' pull, weighted. slope: `[3, 6]`; pull: `[3]`."""
+    """Add slope' information slope and slope' pull, weighted. slope: `[3, 6]`; pull: `[3]`.
+
+    of_turn: what the pull on the turn is multiplied by.
+    """
     for i in range(6):
+        weight_of_pull = weight * of_turn if i < 3 else weight
         for k in range(3):
             row = 0.0
             for m in range(3):
                 row += slope[m, i] * information[m, k]
             for j in range(6):
                 system[i, j] += weight * row * slope[k, j]
-            system[i, 6] += weight * slope[k, i] * pull[k]
+            system[i, 6] += weight_of_pull * slope[k, i] * pull[k]
 
 
 @kernel(*(floats(3), floats(2), FLOAT, floats(2)), *(floats(2), floats(1)), *(floats(1),) * 2, INT)
