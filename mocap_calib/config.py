@@ -242,8 +242,8 @@ class PairwiseConfig:
     least_match: float = 0.1  # and the least weight of a match
     # refinement on rays
     points: int = 4000  # joints it looks at
-    rounds: int = 3  # of matching and refining
-    refine_steps: int = 12  # of Gauss-Newton,
+    rounds: int = 2  # of matching and refining
+    refine_steps: int = 8  # of Gauss-Newton,
     refine_widest: float = 4.0  # the first under a loss of this times `inlier`,
     refine_narrowing: float = 0.75  # and each next one under so much of it, down to `inlier`
     refine_largest_step: float = 0.3  # radians

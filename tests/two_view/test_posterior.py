@@ -132,6 +132,18 @@ def rough_rays(count: int) -> MatchedRays:
     return MatchedRays(a, b, rng.random(count), rng.uniform(5, 15, count))
 
 
+def test_slope_of_the_energy_of_rays():
+    """With outliers, which the loss weighs less."""
+    rays = rough_rays(100)
+
+    def energy(rotation, translation):
+        return ray_energy(rays, rotation, translation, noise=0.05, config=CONFIG)
+
+    slope = energy(*START).gradient
+    expected = [difference(lambda r, t: energy(r, t).value, k) for k in range(6)]
+    np.testing.assert_allclose(slope, expected, atol=1e-6 * np.abs(slope).max())
+
+
 @pytest.mark.parametrize("count", [10, 64, 333])
 def test_kernels_refine_as_numpy_does(count, monkeypatch):
     """With a block of rays that is full, and one that is not: measured 3e-15."""
