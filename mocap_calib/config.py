@@ -467,9 +467,11 @@ class MatchingConfig:
     strangers: float = 10.0
 
 
-# the scale of a rig follows from so many frames of each pair of views, and from the matches there
-# that fit the epipolar geometry so well (0..1)
+# the scale of a rig follows from so many frames of each pair of views, of all pairs together and of
+# a pair at least, and from the matches there that fit the epipolar geometry so well (0..1)
 SCALE_FRAMES = 40
+SCALE_FRAMES_OF_ALL = 1200
+SCALE_LEAST_FRAMES = 4
 SCALE_LEAST_FIT = 0.7
 
 # factorization: views and points that it needs
@@ -788,7 +790,8 @@ class DiagnosisConfig:
     suspicious_errors: float = 2.5  # times those of the others
     suspicious_exchanged: float = 0.15  # share of its detections
     suspicious_outside: float = 0.02  # share of its keypoints outside its images
-    suspicious_frames: int = 80  # that are looked at for it,
+    suspicious_frames: int = 80  # that are looked at for it (fewer in large rigs, and at least
+    suspicious_least_frames: int = 20  # so many),
     suspicious_keypoints: int = 1500  # and keypoints of a camera
     # expected error of the rig of the others: with more it accuses nobody. Measured: 3.6 and 11 of
     # a sound recording that hardly determines them

@@ -13,7 +13,9 @@ from mocap_calib import mapped
 from mocap_calib.compute.parallel import map_in_threads, single_threaded_libraries
 from mocap_calib.config import (
     SCALE_FRAMES,
+    SCALE_FRAMES_OF_ALL,
     SCALE_LEAST_FIT,
+    SCALE_LEAST_FRAMES,
     Config,
     MatchingConfig,
     PairwiseConfig,
@@ -165,10 +167,12 @@ def _scales_of_pairs(
     sample: Sample, lifted: LiftedPoses, rig: CameraRig, config: Config
 ) -> Iterator[Floats]:
     """Yield `[joint]` body sizes per unit of the rig, by the matches of pairs of views."""
-    for a, b in some_pairs(len(rig.cameras), config.view_graph):
+    pairs = some_pairs(len(rig.cameras), config.view_graph)
+    of_each = min(SCALE_FRAMES, max(SCALE_LEAST_FRAMES, SCALE_FRAMES_OF_ALL // len(pairs)))
+    for a, b in pairs:
         shared = shared_frames(sample, a, b, config.pairwise)
         if len(shared):
-            frames = evenly_spaced(shared, SCALE_FRAMES)
+            frames = evenly_spaced(shared, of_each)
             first, second = (gather_detections(sample, lifted, view, frames) for view in (a, b))
             affinity, _ = epipolar_affinity(
                 sample.select(views=[a, b]).select(frames=frames),
