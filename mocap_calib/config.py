@@ -467,11 +467,10 @@ class MatchingConfig:
     strangers: float = 10.0
 
 
-# the scale of a rig follows from so many frames of each pair of views, of all pairs together and of
-# a pair at least, and from the matches there that fit the epipolar geometry so well (0..1)
+# the scale of a rig follows from so many pairs of views, from so many frames of each, and from the
+# matches there that fit the epipolar geometry so well (0..1)
+SCALE_PAIRS = 80
 SCALE_FRAMES = 40
-SCALE_FRAMES_OF_ALL = 1200
-SCALE_LEAST_FRAMES = 4
 SCALE_LEAST_FIT = 0.7
 
 # factorization: views and points that it needs
