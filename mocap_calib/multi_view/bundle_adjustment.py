@@ -8,9 +8,10 @@ from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import AdjustConfig, Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
 from mocap_calib.geometry.lens import image_slopes
+from mocap_calib.multi_view.doubt import doubtful_errors_repeat, names_of_groups, without_doubtful
 from mocap_calib.multi_view.freedom import Freedom, free_poses
 from mocap_calib.multi_view.labels import per_frame_labels
-from mocap_calib.multi_view.noise import view_residual
+from mocap_calib.multi_view.noise import measure_sample, residual_noise
 from mocap_calib.multi_view.observations import gather_observations, labelled_frames
 from mocap_calib.multi_view.ray_residuals import RayObservations
 from mocap_calib.multi_view.residuals import Observations, State
@@ -92,6 +93,15 @@ def adjust(
     Raises UnderconstrainedCameraError for the camera that has the fewest points, where they are
     too few to constrain it, and DegenerateError where there is no match at all.
     """
+    if not already_close:  # how large errors are is to be known of a rig that is close
+        rig = _adjust_once(sample, rig, matches, config, already_close=False)
+    return _adjust_once(sample, rig, matches, config, already_close=True)
+
+
+def _adjust_once(
+    sample: Sample, rig: CameraRig, matches: Matches, config: Config, *, already_close: bool
+) -> CameraRig:
+    """Return the rig of least cost, by the errors that it has before."""
     points = choose_points(sample, rig, matches, config)
     start = State(rig.rotation, rig.translation, points.points, np.zeros((len(rig.cameras), 0)))
     seen = observe_rays(rig, points)
@@ -112,9 +122,9 @@ def choose_points(
             "expected bodies that two views agree on, found none; "
             "check that the files belong to these cameras and to the same time"
         )
-    matches = per_frame_labels(matches)  # who it is in other frames does not matter here
-    frames = _choose_frames(sample, matches, config.adjust.points)
-    points = agreed_points(sample, rig, matches, frames=frames, config=config)
+    in_frame = per_frame_labels(matches)  # who it is in other frames does not matter here
+    frames = _choose_frames(sample, in_frame, config.adjust.points)
+    points = agreed_points(sample, rig, in_frame, named=matches, frames=frames, config=config)
     _check_every_camera(rig, points, config.adjust.least_keypoints)
     return points
 
@@ -159,12 +169,25 @@ def with_size_of(reference: CameraRig, rig: CameraRig) -> CameraRig:
 
 
 def agreed_points(
-    recording: Recording, rig: CameraRig, matches: Matches, *, frames: Ints, config: Config
+    recording: Recording,
+    rig: CameraRig,
+    matches: Matches,
+    *,
+    named: Matches,
+    frames: Ints,
+    config: Config,
 ) -> AdjustablePoints:
-    """Return the points of frames (`[frame]` indices) that at least two views agree on."""
-    noise = view_residual(recording, rig, matches, config.triangulate)
+    """Return the points of frames (`[frame]` indices) that at least two views agree on.
+
+    named: the same groups, by the names that they have in other frames.
+    """
+    measured = measure_sample(recording, rig, matches, config.triangulate)
+    noise = residual_noise(rig, measured, config.triangulate)
     seen = gather_observations(recording, matches, frames)
-    weight = _drop_doubtful(seen.confidence, config.adjust)
+    weight = seen.confidence
+    names = names_of_groups(named, matches)[measured.frames]
+    if doubtful_errors_repeat(rig, measured, names, config.adjust):
+        weight = without_doubtful(weight, config.adjust)
     outlier = config.adjust.outlier_tolerance * config.triangulate.outlier
     tolerant = replace(config.triangulate, outlier=outlier)
     points, used = triangulate_rays(rig, seen.rays, weight=weight, noise=noise, config=tolerant)
@@ -193,22 +216,6 @@ def _choose_frames(sample: Sample, matches: Matches, budget: int) -> Ints:
     points = detected.sum((0, 2, 3)) / max(2.0, views)  # [frame]
     share = min(1.0, budget / max(float(points.sum()), 1.0))
     return evenly_spaced(frames, max(1, round(share * len(frames))))
-
-
-def _drop_doubtful(confidence: Floats, config: AdjustConfig) -> Floats:
-    """Return the confidence `[view, N]` with 0 for the least confident share of each view.
-
-    Detectors are wrong there by more than chance. Where detections are few, a doubtful one is
-    better than none.
-    """
-    kept = confidence.copy()
-    for in_view in kept:
-        seen = in_view[in_view > 0]
-        if len(seen):
-            spare = max(0.0, 1.0 - config.enough_detections / len(seen))
-            share = min(config.doubtful_share, spare)
-            in_view[in_view < np.quantile(seen, share)] = 0.0
-    return kept
 
 
 def _check_every_camera(rig: CameraRig, points: AdjustablePoints, least: int) -> None:
