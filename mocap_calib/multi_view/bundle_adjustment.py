@@ -75,7 +75,6 @@ class AdjustablePoints:
         return np.asarray(rank * blocks // len(frames), dtype=np.int64)
 
 
-@single_threaded_libraries()
 def adjust(
     sample: Sample,
     rig: CameraRig,
@@ -88,20 +87,27 @@ def adjust(
 
     Intrinsics stay as they are, and so do the first camera and the size of the rig. The loss is
     tightened in steps; `already_close` says that the rig has been adjusted before, so that only
-    the last step is needed.
+    the last step is needed. Else it is adjusted twice: the loss is in standard deviations of the
+    errors, and how large these are is known only of a rig that is close.
 
     Raises UnderconstrainedCameraError for the camera that has the fewest points, where they are
     too few to constrain it, and DegenerateError where there is no match at all.
     """
-    if not already_close:  # how large errors are is to be known of a rig that is close
-        rig = _adjust_once(sample, rig, matches, config, already_close=False)
-    return _adjust_once(sample, rig, matches, config, already_close=True)
+    if not already_close:
+        rig = adjust_once(sample, rig, matches, config)
+    return adjust_once(sample, rig, matches, config, already_close=True)
 
 
-def _adjust_once(
-    sample: Sample, rig: CameraRig, matches: Matches, config: Config, *, already_close: bool
+@single_threaded_libraries()
+def adjust_once(
+    sample: Sample,
+    rig: CameraRig,
+    matches: Matches,
+    config: Config,
+    *,
+    already_close: bool = False,
 ) -> CameraRig:
-    """Return the rig of least cost, by the errors that it has before."""
+    """Do what `adjust` does, by the errors that the rig has to begin with."""
     points = choose_points(sample, rig, matches, config)
     start = State(rig.rotation, rig.translation, points.points, np.zeros((len(rig.cameras), 0)))
     seen = observe_rays(rig, points)
