@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mocap_calib.compute.parallel import single_threaded_libraries
+from mocap_calib.compute.parallel import map_in_threads, single_threaded_libraries
 from mocap_calib.config import AdjustConfig, Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
 from mocap_calib.geometry.lens import image_slopes
@@ -248,15 +248,17 @@ def observe_rays(rig: CameraRig, points: AdjustablePoints) -> RayObservations:
     """
     axis = np.array([0.0, 0.0, 1.0])[:, None]
     used = points.used
-    rays = np.where(used[:, None], points.rays, axis)
+    rays = np.ascontiguousarray(np.where(used[:, None], points.rays, axis))
     metric = np.empty((len(rays), 2, *rays.shape[1:]))
-    for into, camera, ray, sigma in zip(metric, rig.cameras, rays, points.noise, strict=True):
-        into[:] = _pixels_per_ray(camera, ray) / (sigma * camera.focal)
-    return RayObservations(
-        rays=np.ascontiguousarray(rays),
-        metric=np.where(used[:, None, None], np.nan_to_num(metric), 0.0),
-        weight=points.weight,
-    )
+
+    def measure(view: int) -> None:
+        """Set the metric of a view."""
+        camera = rig.cameras[view]
+        slopes = _pixels_per_ray(camera, rays[view]) / (points.noise[view] * camera.focal)
+        metric[view] = np.where(used[view], np.nan_to_num(slopes), 0.0)
+
+    list(map_in_threads(measure, range(len(rays))))
+    return RayObservations(rays=rays, metric=metric, weight=points.weight)
 
 
 def _pixels_per_ray(camera: Camera, rays: Floats) -> Floats:

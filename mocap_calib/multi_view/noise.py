@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import TriangulateConfig
 from mocap_calib.geometry.intersection import intersect
 from mocap_calib.geometry.point_covariance import median_angles
@@ -17,6 +18,7 @@ from mocap_calib.multi_view.observations import (
     Observations,
     gather_observations,
     labelled_frames,
+    point_blocks,
 )
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Matches, Recording
@@ -108,9 +110,16 @@ def _measure_angles(
     rig: CameraRig, seen: Observations, config: TriangulateConfig
 ) -> tuple[Floats, Floats, Bools]:
     """Return points `[3, N]`, their angles to the rays `[view, N]`, and which of these count."""
-    precision = seen.confidence / config.unknown_noise**2
-    points = intersect(rig, rays_in_world(rig, seen.rays), precision)
-    angle, _ = ray_angles(rig, points, seen.rays)
+
+    def measure(some: slice) -> tuple[Floats, Floats]:
+        """Return points and angles of a block."""
+        rays = seen.rays[..., some]
+        precision = seen.confidence[:, some] / config.unknown_noise**2
+        points = intersect(rig, rays_in_world(rig, rays), precision)
+        return points, ray_angles(rig, points, rays)[0]
+
+    measured = map_in_threads(measure, point_blocks(seen.confidence.shape[1]))
+    points, angle = (np.concatenate(parts, axis=1) for parts in zip(*measured, strict=True))
     present = seen.confidence > 0
     enough = present.sum(0) >= min(3, len(rig.cameras))
     return points, angle, present & np.isfinite(points[0]) & enough
