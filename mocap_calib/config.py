@@ -502,7 +502,12 @@ class AdjustConfig:
     confidence_power: float = 0.0
     # This share of each view's detections, the least confident, is left out of the adjustment ...
     doubtful_share: float = 0.3
-    enough_detections: int = 500  # ... as long as so many are left.
+    enough_detections: int = 500  # ... as long as so many are left,
+    # and where their errors repeat: correlate by more than this from frame to frame of a sample.
+    # Measured: below 0.04 where chance makes them, 0.2 to 0.95 of detectors. Of fewer pairs than
+    # `least_following` nothing is known.
+    repeated_errors: float = 0.1
+    least_following: int = 100
     least_keypoints: int = 12  # a camera is constrained by: twice what would do without any noise
     rounds: int = 6  # of adjusting and matching; it stops when no label changes
     still_deg: float = 0.05  # and no camera turns by more than this
