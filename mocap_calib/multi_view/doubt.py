@@ -42,11 +42,12 @@ def doubtful_errors_repeat(
     """Return whether errors of the least confident detections are alike from frame to frame.
 
     names: `[frame, group]` who the groups of detections are in the frames that were measured, -1 =
-    nobody. Where too few detections follow each other to tell, their errors are taken to be alike.
+    nobody. Where too few detections follow each other to tell, their errors are taken to be alike;
+    so are those of two cameras, half of which show in no residual.
     """
     seen, points = measured.seen, measured.points
     doubtful = _find_doubtful(seen.confidence, config.doubtful_share, 0)
-    if not doubtful.any():
+    if len(rig.cameras) == 2 or not doubtful.any():
         return True
     view, point = np.nonzero(doubtful & measured.counted)
     keypoints = points.shape[1] // names.size
