@@ -89,7 +89,7 @@ def sizes(options: argparse.Namespace) -> Sizes:
     given = QUICK if options.quick else WHOLE
     if options.pairs is None:
         return given
-    names = ("pairs", "solver_pairs", "token_pairs", "scenes")
+    names = ("pairs", "slow_pairs", "token_pairs", "scenes")
     return replace(given, **{name: min(options.pairs, getattr(given, name)) for name in names})
 
 
