@@ -22,6 +22,7 @@ from paper_cells import (
 from protocol_methods import METHODS
 from protocol_recordings import RECORDINGS
 
+from mocap_calib.multi_view.evaluation import area_under_curve
 from mocap_calib.types import Floats
 
 NOUNS = {
@@ -181,11 +182,8 @@ def _figures(line: Line) -> list[str]:
 
 
 def auc(rotation: Floats, translation: Floats, most: int) -> float:
-    """Return the mean of the smaller of RRA and RTA over the thresholds 1..most degrees.
-
-    rotation, translation: `[pair]` errors in degrees.
-    """
-    return float(_areas(rotation, translation, most, np.ones((1, len(rotation)))).item())
+    """Return AUC@most of errors `[pair]` in degrees."""
+    return area_under_curve(np.radians(rotation), np.radians(translation), most)
 
 
 def auc_interval(rotation: Floats, translation: Floats, most: int) -> tuple[float, float]:
