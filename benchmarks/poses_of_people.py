@@ -74,7 +74,7 @@ def main() -> None:
         made = collect(options.subjects, options.every)
     except FormatError as error:
         sys.exit(str(error))
-    np.savez_compressed(options.out, allow_pickle=False, **made)
+    np.savez_compressed(options.out, **made)
 
 
 def collect(folder: Path, every: int) -> dict[str, Floats]:
@@ -90,7 +90,10 @@ def collect(folder: Path, every: int) -> dict[str, Floats]:
     poses, subject, sequence = [], [], []
     for number, path in enumerate(track(motions, "motions")):
         lengths, bones = read_skeleton(path.parent / f"{path.parent.name}.asf")
-        found = joints_of(bones, *place(bones, read_motion(path, every), lengths))
+        try:
+            found = joints_of(bones, *place(bones, read_motion(path, every), lengths))
+        except KeyError as error:
+            raise FormatError(f"{path}: expected the bones of a person, found no {error}") from None
         poses.append(np.stack([found[name] for name in joints], 1).astype(np.float16))
         subject += [names.index(path.parent.name)] * len(poses[-1])
         sequence += [number] * len(poses[-1])
@@ -112,9 +115,10 @@ def read_skeleton(path: Path) -> tuple[float, Bones]:
         bones = {"root": Bone(np.zeros(3), np.eye(3), "xyz", "")}
         described = _described(sections["bonedata"])
         for parent, *children in sections["hierarchy"]:
+            _ = bones[parent]  # a parent comes first
             for name in children:
                 bones[name] = _bone(described[name], parent, metres)
-    except (OSError, UnicodeDecodeError, KeyError, ValueError, IndexError) as error:
+    except (OSError, KeyError, ValueError, IndexError) as error:
         raise FormatError(f"{path}: expected a skeleton in Acclaim's format: {error}") from None
     return metres, bones
 
@@ -123,7 +127,7 @@ def _sections(path: Path) -> dict[str, list[list[str]]]:
     """Return the words of the lines of each section `:name`."""
     sections: dict[str, list[list[str]]] = {}
     lines: list[list[str]] = []
-    for line in path.read_text("ascii").splitlines():
+    for line in path.read_text("latin-1").splitlines():
         words = line.split("#")[0].split()
         if words and words[0].startswith(":"):
             lines = sections.setdefault(words[0][1:], [])
@@ -157,7 +161,7 @@ def read_motion(path: Path, every: int) -> dict[str, Floats]:
     """Read an .amc file: the numbers `[frame, value]` of each bone. Raises FormatError."""
     frames: list[dict[str, list[float]]] = []
     try:
-        for line in path.read_text("ascii").splitlines():
+        for line in path.read_text("latin-1").splitlines():
             words = line.split()
             if not words or words[0][0] in "#:":
                 continue
@@ -166,7 +170,7 @@ def read_motion(path: Path, every: int) -> dict[str, Floats]:
             else:
                 frames[-1][words[0]] = [float(word) for word in words[1:]]
         return {name: np.array([f[name] for f in frames[::every]]) for name in frames[0]}
-    except (OSError, UnicodeDecodeError, KeyError, ValueError, IndexError) as error:
+    except (OSError, KeyError, ValueError, IndexError) as error:
         raise FormatError(f"{path}: expected a motion in Acclaim's format: {error}") from None
 
 
