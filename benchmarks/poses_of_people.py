@@ -15,6 +15,7 @@ import argparse
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.progress import track
@@ -77,7 +78,7 @@ def main() -> None:
     np.savez_compressed(options.out, **made)
 
 
-def collect(folder: Path, every: int) -> dict[str, Floats]:
+def collect(folder: Path, every: int) -> dict[str, Any]:
     """Return the arrays of the file: poses `[S, 29, 3]`, joints, subject, sequence, split.
 
     Raises FormatError for a folder without motions, and for a file that is cut.

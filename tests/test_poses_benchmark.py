@@ -110,13 +110,13 @@ def test_arrays_of_any_order_become_a_set(monkeypatch, tmp_path):
     monkeypatch.syspath_prepend(str(BENCHMARKS))
     arrays = import_module("poses_of_arrays")
     poses = np.random.default_rng(0).normal(size=(7, 4, 3))
-    savemat(tmp_path / "a.mat", {"pred": poses.transpose(0, 2, 1)})
+    rows = [{"data": poses.reshape(7, 12)}]
+    savemat(tmp_path / "a.mat", {"pred": poses.transpose(0, 2, 1), "label": {"own": rows}})
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["tracks"] = poses[:, None]
     np.savez(tmp_path / "a.npz", poses=poses.transpose(2, 1, 0))
-    for name, array in (("a.mat", "pred"), ("a.h5", "tracks"), ("a.npz", "poses")):
-        read = arrays.as_poses(arrays.read_array(tmp_path / name, array), 4, tmp_path)
-        np.testing.assert_array_equal(read, poses)
+    for source in ("a.mat:pred", "a.h5:tracks", "a.npz:poses", "a.mat:label.own.data"):
+        np.testing.assert_array_equal(arrays.read_clip(f"{tmp_path}/{source}", 4), poses)
     with pytest.raises(FormatError, match="expected poses of 5 points, found shape"):
         arrays.as_poses(poses, 5, tmp_path)
     with pytest.raises(FormatError, match="expected an array pred"):
