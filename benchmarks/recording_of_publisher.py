@@ -72,7 +72,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--cameras", type=Path, required=True, help="where they stand, and lenses")
     parser.add_argument("--views", help="these cameras alone: names with commas")
     source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument("--detections", nargs="+", type=Path)
+    source.add_argument("--detections", nargs="+", help="files, folders, or name=path")
     source.add_argument("--bodies", nargs="+", metavar="FILE:ARRAY")
     source.add_argument("--panoptic", type=Path, help="folder of body3DScene_*.json")
     parser.add_argument("--joints", default="", help="of --bodies: as poses_of_arrays.py has it")
