@@ -3,12 +3,12 @@
     .venv/bin/python benchmarks/paper.py --poses POSES --recordings RECORDINGS [PART ...]
 
 All cells take an hour or two of a core, and it goes on where it stopped; `--quick` takes few pairs
-and minutes, and leaves the page as it is; `--tables` measures nothing. PART is a cell's name, or a part of it:
-`--list` prints them, and what each will take. What is measured of a cell is a line of JSON in a
-file (`--results`), and a cell that is there is measured again only with `--again`. The tables
-follow from that file alone: they go to stdout and, but for --quick, between the markers of the page
-(`--page`). Figures go to a folder (`--out`). Poses are of subjects that were held out; references
-are read by the judge, never by the methods.
+and minutes, and leaves the page as it is; `--tables` measures nothing. PART is a cell's name, or a
+part of it: `--list` prints them, and what each will take. What is measured of a cell is a line of
+JSON in a file (`--results`), and a cell that is there is measured again only with `--again`. The
+tables follow from that file alone: they go to stdout and, but for --quick, between the markers of
+the page (`--page`). Figures go to a folder (`--out`). Poses are of subjects that were held out;
+references are read by the judge, never by the methods.
 """
 
 import argparse
