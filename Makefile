@@ -9,7 +9,7 @@ WORKERS := -n 2 --dist loadfile --no-loadscope-reorder  # the scenes of a file a
 export PYTHONDONTWRITEBYTECODE :=
 INSTALL := $(BIN)/pip install --disable-pip-version-check --no-compile -c constraints.txt
 
-.PHONY: demo test test-quick fuzz lint benchmark docs cli-docs web clean
+.PHONY: demo test test-quick coverage fuzz lint benchmark docs cli-docs web clean
 
 demo: .venv/installed
 	@echo "== three people, four cameras, nobody knows who is who =="
@@ -24,6 +24,13 @@ test: .venv/tested
 
 test-quick: .venv/tested
 	$(BIN)/python -m pytest $(WORKERS) -m "not slow"
+
+# lines and branches that the tests reach; kernels do not count (pyproject.toml)
+coverage: .venv/tested
+	$(BIN)/python -m coverage erase
+	$(BIN)/python -m coverage run -m pytest $(WORKERS)
+	$(BIN)/python -m coverage combine -q
+	$(BIN)/python -m coverage report
 
 # damaged files of each of the formats
 FUZZ_FILES ?= 50000

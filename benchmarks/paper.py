@@ -2,13 +2,13 @@
 
     .venv/bin/python benchmarks/paper.py --poses POSES --recordings RECORDINGS [PART ...]
 
-All cells take a night, and it goes on where it stopped; `--quick` takes few pairs and minutes, and
-leaves the page as it is; `--tables` measures nothing. PART is a cell's name, or a part of it:
-`--list` prints them. What is measured of a cell is a line of JSON in a file (`--results`), and a
-cell that is there is not measured again; to measure it again, delete its line. The tables follow
-from that file alone: they go to stdout and, but for --quick, between the markers of the page
-(`--page`). Figures go to a folder (`--out`). Poses are of subjects that were held out; references
-are read by the judge, never by the methods.
+All cells take an hour or two of a core, and it goes on where it stopped; `--quick` takes few pairs
+and minutes, and leaves the page as it is; `--tables` measures nothing. PART is a cell's name, or a
+part of it: `--list` prints them, and what each will take. What is measured of a cell is a line of
+JSON in a file (`--results`), and a cell that is there is measured again only with `--again`. The
+tables follow from that file alone: they go to stdout and, but for --quick, between the markers of
+the page (`--page`). Figures go to a folder (`--out`). Poses are of subjects that were held out;
+references are read by the judge, never by the methods.
 """
 
 import argparse
@@ -41,7 +41,7 @@ def main() -> None:
     data = Data(options.poses, options.recordings)
     cells = [cell for cell in plan(sizes(options), quick=options.quick) if chosen(cell, options)]
     if options.list:
-        print("\n".join(f"{cell.name} {cell.size}" for cell in cells))
+        print_costs(cells, read_results(options.results))
         return
     if not cells:
         sys.exit(f"expected parts of names that --list prints, found {' '.join(options.parts)}")
@@ -70,7 +70,8 @@ def parse() -> argparse.Namespace:
     add_recordings(parser)
     parser.add_argument("--quick", action="store_true", help="few pairs; the page is not written")
     parser.add_argument("--tables", action="store_true", help="from the results that are there")
-    parser.add_argument("--list", action="store_true", help="print the cells, and their sizes")
+    parser.add_argument("--again", action="store_true", help="also cells that are there")
+    parser.add_argument("--list", action="store_true", help="print the cells, sizes and costs")
     parser.add_argument("--pairs", type=int, help="at most so many pairs, or scenes, in a cell")
     parser.add_argument("--workers", type=int, default=os.cpu_count(), help="processes")
     parser.add_argument("--out", type=Path, default=Path("out/paper"), help="folder of the figures")
@@ -89,13 +90,30 @@ def sizes(options: argparse.Namespace) -> Sizes:
     given = QUICK if options.quick else WHOLE
     if options.pairs is None:
         return given
-    names = ("pairs", "solver_pairs", "token_pairs", "scenes")
+    names = ("pairs", "slow_pairs", "token_pairs", "scenes")
     return replace(given, **{name: min(options.pairs, getattr(given, name)) for name in names})
 
 
 def chosen(cell: Cell, options: argparse.Namespace) -> bool:
     """Return whether a cell was asked for."""
     return not options.parts or any(part in cell.name for part in options.parts)
+
+
+def print_costs(cells: Sequence[Cell], lines: Sequence[Line]) -> None:
+    """Print a line for each cell: its name, its size, and the seconds that it will take.
+
+    The seconds are the processor's, from the largest measurement that there is; - where none is.
+    """
+    largest = {tuple(x[k] for k in KEY[:-1]): x for x in sorted(lines, key=lambda x: x["size"])}
+    known = []
+    for cell in cells:
+        line = largest.get(tuple(getattr(cell, part) for part in KEY[:-1]))
+        if line is None:
+            print(cell.name, cell.size, "-")
+        else:
+            known.append(line["processor_s"] * cell.size / line["size"])
+            print(cell.name, cell.size, f"{known[-1]:.0f}")
+    tell(f"{sum(known):.0f} s of the processor for {len(known)} of {len(cells)} cells")
 
 
 def with_data(cells: Sequence[Cell], data: Data) -> list[Cell]:
@@ -118,6 +136,8 @@ def tell(message: str) -> None:
 def measure_all(cells: Sequence[Cell], data: Data, options: argparse.Namespace) -> bool:
     """Measure the cells that the results lack, each a line; return whether all are there then."""
     known = {tuple(line[part] for part in KEY) for line in read_results(options.results)}
+    if options.again:
+        known = set()
     missing = [cell for cell in cells if tuple(getattr(cell, part) for part in KEY) not in known]
     options.results.parent.mkdir(parents=True, exist_ok=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())

@@ -16,12 +16,13 @@ from paper_cells import (
     WRONG,
     Line,
     is_informed,
-    is_paper,
+    is_slow,
     is_variant,
 )
 from protocol_methods import METHODS
 from protocol_recordings import RECORDINGS
 
+from mocap_calib.multi_view.evaluation import area_under_curve
 from mocap_calib.types import Floats
 
 NOUNS = {
@@ -135,14 +136,13 @@ def _rows(
 ) -> list[Sequence[str]]:
     """Return a row a method: the best AUC@20 is bold, and the best of points alone the baseline.
 
-    The paper's solver, measured on fewer pairs, does not compete, nor do methods that are told
-    who is who.
+    Slow methods, measured on fewer pairs, do not compete, nor do those that are told who is who.
 
     plain: without such marks.
     """
-    competing = (x for x in lines if not (is_paper(x["method"]) or is_informed(x["method"])))
+    competing = [x for x in lines if not (is_slow(x["method"]) or is_informed(x["method"]))]
     best = "" if plain else _best(competing)
-    baseline = "" if plain else _best(x for x in lines if x["method"].startswith(OF_POINTS))
+    baseline = "" if plain else _best(x for x in competing if x["method"].startswith(OF_POINTS))
     rows = []
     for line in lines:
         name, cells = line["method"], _figures(line)
@@ -182,11 +182,8 @@ def _figures(line: Line) -> list[str]:
 
 
 def auc(rotation: Floats, translation: Floats, most: int) -> float:
-    """Return the mean of the smaller of RRA and RTA over the thresholds 1..most degrees.
-
-    rotation, translation: `[pair]` errors in degrees.
-    """
-    return float(_areas(rotation, translation, most, np.ones((1, len(rotation)))).item())
+    """Return AUC@most of errors `[pair]` in degrees."""
+    return area_under_curve(np.radians(rotation), np.radians(translation), most)
 
 
 def auc_interval(rotation: Floats, translation: Floats, most: int) -> tuple[float, float]:

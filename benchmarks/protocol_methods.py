@@ -37,7 +37,7 @@ from mocap_calib.two_view.five_point import (
 from mocap_calib.two_view.solve import calibrate_pair, pair_problem
 from mocap_calib.types import Bools, Floats, Sample, Skeleton, silent
 
-TIMED = 3  # pairs that the paper's solver does alone, to know its seconds
+TIMED = 1  # pairs that the paper's solver does alone, to know its seconds
 BATCH = 50  # of the others
 
 

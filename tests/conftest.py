@@ -14,6 +14,7 @@ from scenes import scene
 from threadpoolctl import threadpool_limits
 
 from mocap_calib.io.results.scene import write_scene
+from mocap_calib.io.sandbox import _worker
 
 # as the commands do: further threads of the libraries only spin when the machine has other work
 torch.set_num_threads(1)
@@ -27,6 +28,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put the files with the most slow tests first: workers end together if little is left last."""
     slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
     items.sort(key=lambda item: -slow[item.path])
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _kept_coverage() -> Iterator[None]:
+    """End the process that reads HDF5 with each file: what damage ends does not say what it ran."""
+    yield
+    if "COVERAGE_RUN" in os.environ:
+        _worker(os.getpid()).end()
 
 
 @pytest.fixture(scope="session")

@@ -60,6 +60,15 @@ def test_a_row_has_the_largest_measurement_and_says_how_many_pairs_and_where(ben
     assert rat[:3] == ["rats", "ours", "5"]
 
 
+def test_the_costs_follow_from_the_largest_measurement(benchmark, capsys):
+    cells, paper = benchmark("paper_cells"), benchmark("paper")
+    asked = [cells.Cell("pairs", "dog", "4x1", name, 30) for name in ("ours", "magsac")]
+    paper.print_costs(asked, [line(10, 1.0, processor_s=4.0), line(2, 1.0, processor_s=9.0)])
+    said = capsys.readouterr()
+    assert said.out == "pairs/dog/4x1/ours 30 12\npairs/dog/4x1/magsac 30 -\n"
+    assert said.err == "12 s of the processor for 1 of 2 cells\n"
+
+
 @pytest.mark.slow
 @needs_data
 def test_two_pairs_of_every_table(benchmark, monkeypatch):

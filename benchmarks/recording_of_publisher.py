@@ -1,0 +1,183 @@
+"""Make a recording that the benchmarks read, of a publisher's files.
+
+    .venv/bin/python benchmarks/recording_of_publisher.py OUT --cameras reference.toml
+        --detections KEYPOINTS ...           # what a detector found of one subject
+        --bodies FILE:ARRAY ... --joints ... # or 3D truth, an array for each subject: projected
+        --panoptic hdPose3d_stage1_coco19    # or that of CMU Panoptic: projected
+
+Cameras and detections are in any format that the program reads (docs/formats.md); of 3D truth,
+the cameras see points in their image with 3 px of noise, and order subjects at random.
+benchmarks/README.md has the command of each recording, and says what OUT holds. OUT is new.
+"""
+
+import argparse
+import json
+import shlex
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from poses_of_arrays import names_of, read_clip
+
+from mocap_calib.errors import MismatchError, MocapCalibError
+from mocap_calib.geometry.projection import pixels_from_points
+from mocap_calib.io.cameras.read import read_rig
+from mocap_calib.io.keypoints.read import read_keypoints
+from mocap_calib.io.results.scene import write_scene
+from mocap_calib.types import CameraRig, Floats, Ints, Keypoints2D
+
+# of CMU Panoptic's 19 joints, in their order
+PANOPTIC: tuple[str, ...] = (
+    *("neck", "nose", "mid_hip", "left_shoulder", "left_elbow", "left_wrist", "left_hip"),
+    *("left_knee", "left_ankle", "right_shoulder", "right_elbow", "right_wrist", "right_hip"),
+    *("right_knee", "right_ankle", "left_eye", "left_ear", "right_eye", "right_ear"),
+)
+
+
+@dataclass(frozen=True)
+class Made:
+    """A recording as it is written; `mocap_calib.io.results.scene` says what the fields are."""
+
+    rig: CameraRig
+    files: tuple[Keypoints2D, ...]
+    identity: Ints
+    joints: tuple[str, ...]
+    kinds: tuple[str, ...]
+    poses: Floats
+
+
+def main() -> None:
+    """Read what there is, and write a folder."""
+    options = parse()
+    try:
+        rig = read_rig(options.cameras)
+        if options.views:
+            rig = rig.select(tuple(options.views.split(",")))
+        command = shlex.join([Path(__file__).name, *sys.argv[1:]])
+        write_scene(options.out, make(rig, options), command)
+    except (MocapCalibError, OSError) as error:
+        sys.exit(str(error))
+    except KeyError as error:
+        sys.exit(f"{options.cameras}: {error.args[0]}")
+
+
+def parse() -> argparse.Namespace:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--cameras", type=Path, required=True, help="where they stand, and lenses")
+    parser.add_argument("--views", help="these cameras alone: names with commas")
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument("--detections", nargs="+", help="files, folders, or name=path")
+    source.add_argument("--bodies", nargs="+", metavar="FILE:ARRAY")
+    source.add_argument("--panoptic", type=Path, help="folder of body3DScene_*.json")
+    parser.add_argument("--joints", default="", help="of --bodies: as poses_of_arrays.py has it")
+    parser.add_argument("--key", default="", help="of --joints, likewise")
+    parser.add_argument("--kind", default="people", help="people, quadruped, rodent or bird")
+    parser.add_argument("--every", type=int, default=1, help="n-th frame of 3D truth")
+    parser.add_argument("--frames", type=int, help="at most so many, of 3D truth")
+    parser.add_argument("--noise", type=float, default=3.0, help="pixels, of 3D truth")
+    parser.add_argument("--seed", type=int, default=0)
+    return parser.parse_args()
+
+
+def make(rig: CameraRig, options: argparse.Namespace) -> Made:
+    """Return the recording. Raises FormatError and MismatchError."""
+    if options.detections:
+        return of_detections(rig, read_keypoints(options.detections), options.kind)
+    if options.panoptic:
+        poses, joints = read_panoptic(options.panoptic), PANOPTIC
+    else:
+        joints = tuple(names_of(options.joints, options.key))
+        clips = [read_clip(source, len(joints)) for source in options.bodies]
+        shortest = min(len(clip) for clip in clips)
+        poses = np.stack([clip[:shortest] for clip in clips], 1)
+    poses = poses[:: options.every][: options.frames]
+    rng = np.random.default_rng(options.seed)
+    return project(rig, poses, joints, options.kind, noise=options.noise, rng=rng)
+
+
+def of_detections(rig: CameraRig, files: Sequence[Keypoints2D], kind: str) -> Made:
+    """Return a recording of one subject, with what a detector found.
+
+    Raises MismatchError where a frame has two detections: nobody says who they are.
+    """
+    by_camera = {file.camera: file for file in files}
+    missing = set(rig.names) - set(by_camera)
+    if missing:
+        raise MismatchError(
+            f"expected detections of camera {min(missing)}, found those of {', '.join(by_camera)}"
+        )
+    ordered = tuple(by_camera[name] for name in rig.names)
+    last = 1 + max(int(file.frames[-1]) for file in ordered)
+    most = max(file.positions.shape[1] for file in ordered)
+    ids = np.full((len(ordered), last, most), -1)
+    for view, file in enumerate(ordered):
+        seen = np.isfinite(file.positions).all(-1).any(-1)
+        if (seen.sum(1) > 1).any():
+            raise MismatchError(f"{file.source}: expected one detection in a frame, found several")
+        ids[view, file.frames, : seen.shape[1]] = np.where(seen, 0, -1)
+    joints = ordered[0].keypoints
+    return Made(rig, ordered, ids, joints, (kind,), np.full((last, 1, len(joints), 3), np.nan))
+
+
+def read_panoptic(folder: Path) -> Floats:
+    """Return `[frame, individual, 19, 3]` of CMU Panoptic's files; NaN where one is not there.
+
+    Each has `bodies`, with an `id` and `joints19`: x, y, z and a confidence, -1 of what is unknown.
+
+    Raises MismatchError for a folder without such files.
+    """
+    frames = [json.loads(path.read_text()) for path in sorted(folder.glob("body3DScene_*.json"))]
+    numbers = sorted({body["id"] for frame in frames for body in frame["bodies"]})
+    if not numbers:
+        raise MismatchError(f"{folder}: expected bodies in body3DScene_*.json, found none")
+    poses = np.full((len(frames), len(numbers), len(PANOPTIC), 3), np.nan)
+    for places, frame in zip(poses, frames, strict=True):
+        for body in frame["bodies"]:
+            joints = np.reshape(body["joints19"], (-1, 4))
+            known = joints[:, 3:] >= 0
+            places[numbers.index(body["id"])] = np.where(known, joints[:, :3], np.nan)
+    return poses
+
+
+def project(
+    rig: CameraRig,
+    poses: Floats,
+    joints: tuple[str, ...],
+    kind: str,
+    *,
+    noise: float,
+    rng: np.random.Generator,
+) -> Made:
+    """Return a recording of 3D truth `[frame, individual, joint, 3]`, in the unit of the rig."""
+    frames, people = poses.shape[:2]
+    ids, files = np.zeros((len(rig.cameras), frames, people), dtype=np.int64), []
+    for view, camera in enumerate(rig.cameras):
+        order = rng.permuted(np.broadcast_to(np.arange(people), (frames, people)), axis=1)
+        mixed = np.take_along_axis(poses, order[..., None, None], axis=1)
+        pixels = pixels_from_points(camera, mixed @ rig.rotation[view].T + rig.translation[view])
+        pixels = pixels + rng.normal(0, noise, pixels.shape)
+        inside = np.all((pixels >= 0) & (pixels < camera.size), axis=-1)
+        ids[view] = np.where(inside.any(-1), order, -1)
+        files.append(
+            Keypoints2D(
+                camera=camera.name,
+                keypoints=joints,
+                frames=np.arange(frames),
+                positions=np.where(inside[..., None], pixels, np.nan),
+                confidence=inside.astype(float),
+                tracked=False,
+                image_size=camera.size,
+                source=camera.name,
+            )
+        )
+    return Made(rig, tuple(files), ids, joints, (kind,) * people, poses)
+
+
+if __name__ == "__main__":
+    main()
