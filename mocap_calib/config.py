@@ -606,11 +606,14 @@ class PosesConfig:
     prior_loss: of accelerations and of bones: most are small, some large. Measured on ten
         recordings: with 3 errors change by +5 % of HumanEva, +2.5 % of two dogs, at most 1 % of the
         others.
+    shared_acceleration: variance of the acceleration that a body's joints share, to that of theirs
+        around it. Measured: 0.1 to 0.5 differ by at most 0.5 % (HumanEva 2 %).
     accelerations, bones: standard deviations among which, and none, held-out detections choose,
         the largest first. Chosen: 0.2 to 0.008 of motions at 10 to 60 frames a second.
     least_hidden: detections; with fewer, accelerations are allowed as large as those of the
-        points, if these are below `largest_acceleration` (measured: 0.02 to 0.1 of motions, 0.3
-        and more where frames do not follow each other), and lengths may err by `usual_bones`.
+        points, and lengths may err by `usual_bones`.
+    largest_acceleration: of the points; where it is larger, frames do not follow each other.
+        Measured: 0.01 to 0.1 of motions, 0.7 and more where they do not.
     held_out_frames: of bodies, in stretches of `held_out_stretch`, on which they choose.
     fit_steps, choice_steps: of Gauss-Newton; inner_steps: of conjugate gradients in each.
     ridge: inverse variance of a point before anything is known of it, which damps the steps.
@@ -626,6 +629,7 @@ class PosesConfig:
     losses: tuple[float, ...] = (2.5, 4.0, 1.5)
     first_loss: float = 4.0
     prior_loss: float = 2.0
+    shared_acceleration: float = 0.25
     accelerations: tuple[float, ...] = tuple(0.4 / 2**k for k in range(11))
     bones: tuple[float, ...] = (0.1, 0.05, 0.025, 0.012)
     usual_bones: float = 0.05

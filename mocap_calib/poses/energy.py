@@ -1,11 +1,12 @@
 """Poses that fit what was seen, move smoothly and have bones of constant lengths.
 
 The energy of the points X `[keypoint, frame, 3]` of a track: the squared angles between points and
-rays in standard deviations, the squared accelerations, and the squared errors of the lengths of
-bones, all robust (Cauchy 1847; weights 1 / (1 + r^2 / c^2)). Gauss-Newton: joints are coupled over
-time by bands, solved by `scipy.linalg.cholesky_banded` for all joints in one call, and by bones,
-for which the bands precondition conjugate gradients: the cost grows with the number of joints, not
-with its cube.
+rays in standard deviations, the squared accelerations beyond what the body's joints share, and the
+squared errors of the lengths of bones, all robust (Cauchy 1847; weights 1 / (1 + r^2 / c^2)).
+Gauss-Newton: joints are coupled over time by bands, solved by `scipy.linalg.cholesky_banded` for
+all joints in one call, and by bones, for which the bands precondition conjugate gradients: the cost
+grows with the number of joints, not with its cube. What joints share is that of the points before
+each step.
 """
 
 from dataclasses import dataclass
@@ -24,7 +25,7 @@ class Strengths:
     """How much counts for how much.
 
     acceleration: standard deviation in body sizes in the square of the usual step from frame to
-        frame; inf = off.
+        frame, beyond what the joints share; inf = off.
     bones: standard deviation of their lengths in body sizes, beyond what they vary by; inf = off.
     loss: error of a ray, in standard deviations, that counts by half.
     """
@@ -123,6 +124,7 @@ def _motion_terms(
 ) -> tuple[Floats, Floats]:
     """Return the weights `[keypoint, frame]` of accelerations, by first frame, and the gradient."""
     acceleration = accelerations(points, body)
+    acceleration = acceleration - shared_accelerations(acceleration, config)
     ends = acceleration.shape[1]
     steps = body.steps[:, :ends, None]
     precision = 1 / (strengths.acceleration * body.size[:ends]) ** 2
@@ -145,6 +147,19 @@ def accelerations(points: Floats, body: Body) -> Floats:
     steps = body.steps[:, :ends, None]
     parts = (step * points[:, k : k + ends] for k, step in enumerate(steps))
     return np.asarray(sum(parts))
+
+
+def shared_accelerations(acceleration: Floats, config: PosesConfig) -> Floats:
+    """Return what joints share `[frame, 3]` of their accelerations `[keypoint, frame, 3]`.
+
+    Bodies speed up and slow down as a whole. Of N joints, accelerations of variance s^2 around a
+    common one of variance v are expected to be N v / (s^2 + N v) of their mean; here of the median.
+    """
+    joints = len(acceleration)
+    ordered = np.sort(np.ascontiguousarray(acceleration.transpose(1, 2, 0)), axis=-1)
+    middle = (ordered[..., (joints - 1) // 2] + ordered[..., joints // 2]) / 2
+    told = joints * config.shared_acceleration
+    return np.asarray(middle * (told / (1 + told)))
 
 
 def _bone_terms(

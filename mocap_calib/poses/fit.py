@@ -6,7 +6,13 @@ from types import ModuleType
 import numpy as np
 
 from mocap_calib.config import PosesConfig
-from mocap_calib.poses.energy import Strengths, linearise, solve
+from mocap_calib.poses.energy import (
+    Strengths,
+    accelerations,
+    linearise,
+    shared_accelerations,
+    solve,
+)
 from mocap_calib.poses.lanes import AROUND, band_kernels, from_lanes, in_lanes, in_tiles
 from mocap_calib.poses.track import Body, Detections
 from mocap_calib.types import Floats, Ints
@@ -67,7 +73,9 @@ def _fit_compiled(
     packed = _pack_rays(seen, lanes)
     found = in_lanes(points, lanes)
     stiffness = 1 / (strengths.acceleration * body.size) ** 2 * (body.steps[0] != 0)
-    by_frame = in_tiles(np.stack([stiffness, config.ridge / body.size**2]), lanes)
+    expected = np.zeros((5, frames))
+    expected[0], expected[1] = stiffness, config.ridge / body.size**2
+    expected = np.ascontiguousarray(in_tiles(expected, lanes).T)
     motion = np.ascontiguousarray(in_tiles(body.steps, lanes).T)
     edges, bones = _bones(body, strengths, lanes)
     along = np.empty((tiles, len(edges), 4 * lanes))
@@ -75,12 +83,16 @@ def _fit_compiled(
     centres = np.ascontiguousarray(seen.centres)
     gradient, work = np.zeros_like(found), np.zeros((5, *found.shape))
     for loss in losses:
+        if stiffness.any():
+            at = accelerations(from_lanes(found, lanes, joints, frames), body)
+            inner = slice(AROUND, AROUND + at.shape[1])
+            expected[inner, 2:] = shared_accelerations(at, config)
         equations.factor_bands(
             packed,
             centres,
             found,
             motion,
-            by_frame,
+            expected,
             edges,
             bones,
             loss,

@@ -41,13 +41,14 @@ def choose_strengths(
     """Return the strengths that predict hidden detections best.
 
     The accelerations' first, then the bones', then the loss, then the accelerations' again, more
-    finely. The first counts of those that are as good as the best within a standard error. Where
+    finely. The first counts of those that are as good as the best within a standard error. Frames
+    that do not follow each other are not tried: postures come again, and would predict. Where
     too few points have three views to hide one, they are what the points themselves show.
 
     points: `[keypoint, frame, 3]` to start from. moves: whether accelerations may be smoothed.
     """
     usual = usual_strengths(points, seen, body, config, moves=moves)
-    moves = moves and bool(body.steps.any())
+    moves = moves and bool(body.steps.any()) and np.isfinite(usual.acceleration)
     hidden = _hide(seen)
     if hidden.sum() < config.least_hidden:
         return Choice(usual)
