@@ -6,13 +6,7 @@ from types import ModuleType
 import numpy as np
 
 from mocap_calib.config import PosesConfig
-from mocap_calib.poses.energy import (
-    Strengths,
-    accelerations,
-    linearise,
-    shared_accelerations,
-    solve,
-)
+from mocap_calib.poses.energy import Strengths, linearise, shared_accelerations, solve
 from mocap_calib.poses.lanes import AROUND, band_kernels, from_lanes, in_lanes, in_tiles
 from mocap_calib.poses.track import Body, Detections
 from mocap_calib.types import Floats, Ints
@@ -84,9 +78,7 @@ def _fit_compiled(
     gradient, work = np.zeros_like(found), np.zeros((5, *found.shape))
     for loss in losses:
         if stiffness.any():
-            at = accelerations(from_lanes(found, lanes, joints, frames), body)
-            inner = slice(AROUND, AROUND + at.shape[1])
-            expected[inner, 2:] = shared_accelerations(at, config)
+            expected[:-2, 2:] = shared_accelerations(_accelerations(found, motion, joints), config)
         equations.factor_bands(
             packed,
             centres,
@@ -103,6 +95,16 @@ def _fit_compiled(
         )
         step.take_step(along, factor, edges, joints, config.inner_steps, work, gradient, found)
     return from_lanes(found, lanes, joints, frames)
+
+
+def _accelerations(found: Floats, motion: Floats, joints: int) -> Floats:
+    """Return accelerations `[frame, 3, keypoint]` by the first of their frames, in lanes."""
+    total = motion[:-2, 0, None] * found[:, :-2]
+    total += motion[:-2, 1, None] * found[:, 1:-1]
+    total += motion[:-2, 2, None] * found[:, 2:]
+    groups, rows, _ = total.shape
+    by_group = total.reshape(groups, rows, 3, -1).transpose(1, 2, 0, 3)
+    return by_group.reshape(rows, 3, -1)[..., :joints]
 
 
 def _pack_rays(seen: Detections, lanes: int) -> Floats:

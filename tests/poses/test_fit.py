@@ -72,7 +72,9 @@ def test_the_gradient_is_that_of_the_energy(strengths):
     """By finite differences along random directions."""
     points, seen, body = track(4, 12)
     rng = np.random.default_rng(1)
-    shared = shared_accelerations(accelerations(points, body), CONFIG)  # stays as it was
+    shared = shared_accelerations(
+        accelerations(points, body).transpose(1, 2, 0), CONFIG
+    )  # stays as it was
 
     def energy(at: np.ndarray) -> float:
         offset = at.transpose(2, 0, 1)[:, None] - seen.centres.T[:, :, None, None]
