@@ -637,7 +637,7 @@ class PosesConfig:
     least_hidden: int = 100
     held_out_frames: int = 200
     held_out_stretch: int = 50
-    fit_steps: int = 10
+    fit_steps: int = 8
     choice_steps: int = 4
     inner_steps: int = 3
     ridge: float = 1e-2
