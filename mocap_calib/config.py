@@ -604,17 +604,22 @@ class PosesConfig:
         without. In motions interpolated points are better: with 10 % of wrong detections, errors
         at refused points are 0.01 m, and 0.15 m from such a start.
     losses: of angles between rays and points, in standard deviations, among which held-out
-        detections choose, for normal errors first. Chosen: the second for most detectors; it would
-        cost projected recordings 2 to 3 %. first_loss: how much wider it is at the first step;
-        half of that at each that follows.
+        detections choose, the usual one first: only what is better by more than a standard error
+        replaces it. Chosen: the narrow one for most detectors, where it would cost projected
+        recordings 2 to 3 %; the wide one for normal errors (HumanEva -2.7 %, mice -1.3 %). Listed
+        first it would be taken where errors are few, and cost MVOR 1.5 %. first_loss: how much
+        wider it is at the first step; half of that at each that follows.
     prior_loss: of accelerations and of bones: most are small, some large. Measured on ten
         recordings: with 3 errors change by +5 % of HumanEva, +2.5 % of two dogs, at most 1 % of the
         others.
+    shared_acceleration: variance of the acceleration that a body's joints share, to that of theirs
+        around it. Measured: 0.1 to 0.5 differ by at most 0.5 % (HumanEva 2 %).
     accelerations, bones: standard deviations among which, and none, held-out detections choose,
         the largest first. Chosen: 0.2 to 0.008 of motions at 10 to 60 frames a second.
     least_hidden: detections; with fewer, accelerations are allowed as large as those of the
-        points, if these are below `largest_acceleration` (measured: 0.02 to 0.1 of motions, 0.3
-        and more where frames do not follow each other), and lengths may err by `usual_bones`.
+        points, and lengths may err by `usual_bones`.
+    largest_acceleration: of the points; where it is larger, frames do not follow each other.
+        Measured: 0.01 to 0.1 of motions, 0.7 and more where they do not.
     held_out_frames: of bodies, in stretches of `held_out_stretch`, on which they choose.
     fit_steps, choice_steps: of Gauss-Newton; inner_steps: of conjugate gradients in each.
     ridge: inverse variance of a point before anything is known of it, which damps the steps.
@@ -627,9 +632,10 @@ class PosesConfig:
 
     smooth: SmoothMode = "auto"
     alone_outlier: float = 8.0
-    losses: tuple[float, ...] = (2.5, 1.5)
+    losses: tuple[float, ...] = (2.5, 4.0, 1.5)
     first_loss: float = 4.0
     prior_loss: float = 2.0
+    shared_acceleration: float = 0.25
     accelerations: tuple[float, ...] = tuple(0.4 / 2**k for k in range(11))
     bones: tuple[float, ...] = (0.1, 0.05, 0.025, 0.012)
     usual_bones: float = 0.05
@@ -637,7 +643,7 @@ class PosesConfig:
     least_hidden: int = 100
     held_out_frames: int = 200
     held_out_stretch: int = 50
-    fit_steps: int = 10
+    fit_steps: int = 8
     choice_steps: int = 4
     inner_steps: int = 3
     ridge: float = 1e-2

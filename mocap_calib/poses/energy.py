@@ -1,11 +1,12 @@
 """Poses that fit what was seen, move smoothly and have bones of constant lengths.
 
 The energy of the points X `[keypoint, frame, 3]` of a track: the squared angles between points and
-rays in standard deviations, the squared accelerations, and the squared errors of the lengths of
-bones, all robust (Cauchy 1847; weights 1 / (1 + r^2 / c^2)). Gauss-Newton: joints are coupled over
-time by bands, solved by `scipy.linalg.cholesky_banded` for all joints in one call, and by bones,
-for which the bands precondition conjugate gradients: the cost grows with the number of joints, not
-with its cube.
+rays in standard deviations, the squared accelerations beyond what the body's joints share, and the
+squared errors of the lengths of bones, all robust (Cauchy 1847; weights 1 / (1 + r^2 / c^2)).
+Gauss-Newton: joints are coupled over time by bands, solved by `scipy.linalg.cholesky_banded` for
+all joints in one call, and by bones, for which the bands precondition conjugate gradients: the cost
+grows with the number of joints, not with its cube. What joints share is that of the points before
+each step.
 """
 
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ import numpy as np
 
 from mocap_calib.config import PosesConfig
 from mocap_calib.poses.track import Body, Detections
-from mocap_calib.types import Floats
+from mocap_calib.types import Floats, Ints
 
 _ROUNDING = 1e-12  # of what a point is held by
 
@@ -24,7 +25,7 @@ class Strengths:
     """How much counts for how much.
 
     acceleration: standard deviation in body sizes in the square of the usual step from frame to
-        frame; inf = off.
+        frame, beyond what the joints share; inf = off.
     bones: standard deviation of their lengths in body sizes, beyond what they vary by; inf = off.
     loss: error of a ray, in standard deviations, that counts by half.
     """
@@ -54,19 +55,31 @@ class System:
 
 def squared_errors(points: Floats, seen: Detections) -> Floats:
     """Return squared angles `[view, keypoint, frame]` between rays and points in variances."""
-    off, _ = _off_rays(points, seen)
+    off, _ = _off_rays(_offsets(points, seen), seen.rays)
     return _sum_of_squares(off) * seen.precision
 
 
-def _off_rays(points: Floats, seen: Detections) -> tuple[Floats, Floats]:
-    """Return the tangents of angles, and the depth `[view, keypoint, frame]`.
+def squared_errors_at(points: Floats, seen: Detections, at: Ints) -> Floats:
+    """Return `squared_errors` `[N]` at views, keypoints and frames `[3, N]` alone."""
+    view, keypoint, frame = at
+    offset = points[keypoint, frame].T - seen.centres[view].T
+    off, _ = _off_rays(offset, seen.rays[:, view, keypoint, frame])
+    return _sum_of_squares(off) * seen.precision[view, keypoint, frame]
 
-    The tangents are vectors `[3, view, keypoint, frame]` at right angles to the ray.
+
+def _offsets(points: Floats, seen: Detections) -> Floats:
+    """Return the vectors `[3, view, keypoint, frame]` from cameras to points."""
+    return np.asarray(points.transpose(2, 0, 1)[:, None] - seen.centres.T[:, :, None, None])
+
+
+def _off_rays(offset: Floats, rays: Floats) -> tuple[Floats, Floats]:
+    """Return the tangents of angles, and the depth `[...]`, of vectors from cameras `[3, ...]`.
+
+    The tangents are vectors `[3, ...]` at right angles to the ray.
     """
-    offset = points.transpose(2, 0, 1)[:, None] - seen.centres.T[:, :, None, None]
-    along = (seen.rays * offset).sum(0)
+    along = (rays * offset).sum(0)
     depth = np.where(along > 0, along, 1e-3 * np.sqrt(_sum_of_squares(offset)))
-    return (offset - along * seen.rays) / depth, depth
+    return (offset - along * rays) / depth, depth
 
 
 def _sum_of_squares(vectors: Floats) -> Floats:
@@ -81,7 +94,7 @@ def _data_terms(points: Floats, seen: Detections, loss: float) -> tuple[Floats, 
     Of a ray r and the tangent u at a depth d they are w (I - r r' - r u' - u r' + u'u r r') / d^2
     and w (u - u'u r) / d: what two directions across the ray give, whichever they are.
     """
-    off, depth = _off_rays(points, seen)
+    off, depth = _off_rays(_offsets(points, seen), seen.rays)
     size = _sum_of_squares(off)
     square = size * seen.precision
     weight = seen.precision / (1 + square / loss**2) / depth
@@ -123,6 +136,7 @@ def _motion_terms(
 ) -> tuple[Floats, Floats]:
     """Return the weights `[keypoint, frame]` of accelerations, by first frame, and the gradient."""
     acceleration = accelerations(points, body)
+    acceleration = acceleration - shared_accelerations(acceleration.transpose(1, 2, 0), config)
     ends = acceleration.shape[1]
     steps = body.steps[:, :ends, None]
     precision = 1 / (strengths.acceleration * body.size[:ends]) ** 2
@@ -145,6 +159,19 @@ def accelerations(points: Floats, body: Body) -> Floats:
     steps = body.steps[:, :ends, None]
     parts = (step * points[:, k : k + ends] for k, step in enumerate(steps))
     return np.asarray(sum(parts))
+
+
+def shared_accelerations(acceleration: Floats, config: PosesConfig) -> Floats:
+    """Return what joints share `[frame, 3]` of their accelerations `[frame, 3, keypoint]`.
+
+    Bodies speed up and slow down as a whole. Of N joints, accelerations of variance s^2 around a
+    common one of variance v are expected to be N v / (s^2 + N v) of their mean; here of the median.
+    """
+    joints = acceleration.shape[2]
+    ordered = np.sort(acceleration, axis=-1)
+    middle = (ordered[..., (joints - 1) // 2] + ordered[..., joints // 2]) / 2
+    told = joints * config.shared_acceleration
+    return np.asarray(middle * (told / (1 + told)))
 
 
 def _bone_terms(

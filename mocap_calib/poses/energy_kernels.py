@@ -146,16 +146,18 @@ def _sum_tile(
 
 @inlined
 def _weigh_motion(
-    points: Floats, steps: Floats, stiffness: float, narrow: float, motion: Floats
+    points: Floats, steps: Floats, expected: Floats, narrow: float, motion: Floats
 ) -> None:
     """Set the weights of accelerations and these times them, from points of three frames."""
-    first, second, third = steps[0], steps[1], steps[2]
+    first, second, third, stiffness = steps[0], steps[1], steps[2], expected[0]
+    shared_x, shared_y, shared_z = expected[2], expected[3], expected[4]
     for n in range(LANES):
         x = first * points[n] + second * points[_POINT + n] + third * points[2 * _POINT + n]
         m = n + LANES
         y = first * points[m] + second * points[_POINT + m] + third * points[2 * _POINT + m]
         m = n + 2 * LANES
         z = first * points[m] + second * points[_POINT + m] + third * points[2 * _POINT + m]
+        x, y, z = x - shared_x, y - shared_y, z - shared_z
         pull = stiffness / (1 + (x * x + y * y + z * z) * stiffness * narrow)
         motion[n], motion[LANES + n] = pull, pull * x
         motion[2 * LANES + n], motion[3 * LANES + n] = pull * y, pull * z
@@ -271,7 +273,7 @@ def factor_bands(
     centres: Floats,
     points: Floats,
     steps: Floats,
-    by_frame: Floats,
+    expected: Floats,
     edges: Ints,
     bones: Floats,
     loss: float,
@@ -285,8 +287,9 @@ def factor_bands(
     Frames fill whole tiles. rays: `[tile, view, keypoint, 4 * LANES]`, precisions last. bones:
     `[tile, edge, 3 * LANES]` lengths, inverse standard deviations and the shortest length. along:
     `[tile, edge, 4 * LANES]`. The others have two frames of zeros before and after: points and
-    gradient `[group, frame, 3 * LANES]`, steps `[frame, 3]`, by_frame `[2, frame]` inverse
-    variances of accelerations, and the ridge; factor `[group, frame, 16 * LANES]`.
+    gradient `[group, frame, 3 * LANES]`, steps `[frame, 3]`, expected `[frame, 5]` inverse
+    variances of accelerations, the ridge, and what accelerations share; factor `[group, frame, 16 *
+    LANES]`.
     """
     groups = len(points)
     own, link = np.empty((rays.shape[2], 12 * LANES)), np.empty(2 * LANES)
@@ -304,8 +307,8 @@ def factor_bands(
             for f in range(LANES):
                 t, own_frame = first + f, turned[f, g]
                 three, recent = points[g, t : t + 3].reshape(-1), motion[g, f : f + 3].reshape(-1)
-                _weigh_motion(three, steps[t], by_frame[0, t], prior_narrow, motion[g, f + 2])
-                _factor_next(t, recent, steps, by_frame[1, t], own_frame, link, factor[g])
+                _weigh_motion(three, steps[t], expected[t], prior_narrow, motion[g, f + 2])
+                _factor_next(t, recent, steps, expected[t, 1], own_frame, link, factor[g])
                 gradient[g, t] = own_frame[6 * LANES :]
 
 

@@ -6,7 +6,7 @@ from types import ModuleType
 import numpy as np
 
 from mocap_calib.config import PosesConfig
-from mocap_calib.poses.energy import Strengths, linearise, solve
+from mocap_calib.poses.energy import Strengths, linearise, shared_accelerations, solve
 from mocap_calib.poses.lanes import AROUND, band_kernels, from_lanes, in_lanes, in_tiles
 from mocap_calib.poses.track import Body, Detections
 from mocap_calib.types import Floats, Ints
@@ -67,7 +67,9 @@ def _fit_compiled(
     packed = _pack_rays(seen, lanes)
     found = in_lanes(points, lanes)
     stiffness = 1 / (strengths.acceleration * body.size) ** 2 * (body.steps[0] != 0)
-    by_frame = in_tiles(np.stack([stiffness, config.ridge / body.size**2]), lanes)
+    expected = np.zeros((5, frames))
+    expected[0], expected[1] = stiffness, config.ridge / body.size**2
+    expected = np.ascontiguousarray(in_tiles(expected, lanes).T)
     motion = np.ascontiguousarray(in_tiles(body.steps, lanes).T)
     edges, bones = _bones(body, strengths, lanes)
     along = np.empty((tiles, len(edges), 4 * lanes))
@@ -75,12 +77,14 @@ def _fit_compiled(
     centres = np.ascontiguousarray(seen.centres)
     gradient, work = np.zeros_like(found), np.zeros((5, *found.shape))
     for loss in losses:
+        if stiffness.any():
+            expected[:-2, 2:] = shared_accelerations(_accelerations(found, motion, joints), config)
         equations.factor_bands(
             packed,
             centres,
             found,
             motion,
-            by_frame,
+            expected,
             edges,
             bones,
             loss,
@@ -91,6 +95,16 @@ def _fit_compiled(
         )
         step.take_step(along, factor, edges, joints, config.inner_steps, work, gradient, found)
     return from_lanes(found, lanes, joints, frames)
+
+
+def _accelerations(found: Floats, motion: Floats, joints: int) -> Floats:
+    """Return accelerations `[frame, 3, keypoint]` by the first of their frames, in lanes."""
+    total = motion[:-2, 0, None] * found[:, :-2]
+    total += motion[:-2, 1, None] * found[:, 1:-1]
+    total += motion[:-2, 2, None] * found[:, 2:]
+    groups, rows, _ = total.shape
+    by_group = total.reshape(groups, rows, 3, -1).transpose(1, 2, 0, 3)
+    return by_group.reshape(rows, 3, -1)[..., :joints]
 
 
 def _pack_rays(seen: Detections, lanes: int) -> Floats:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mocap_calib.config import PosesConfig
-from mocap_calib.poses.energy import Strengths, accelerations, squared_errors
+from mocap_calib.poses.energy import Strengths, accelerations, squared_errors_at
 from mocap_calib.poses.fit import fit
 from mocap_calib.poses.track import Body, Detections
 from mocap_calib.poses.trust import Trust, measure_trust
@@ -41,17 +41,19 @@ def choose_strengths(
     """Return the strengths that predict hidden detections best.
 
     The accelerations' first, then the bones', then the loss, then the accelerations' again, more
-    finely. The first counts of those that are as good as the best within a standard error. Where
+    finely. The first counts of those that are as good as the best within a standard error. Frames
+    that do not follow each other are not tried: postures come again, and would predict. Where
     too few points have three views to hide one, they are what the points themselves show.
 
     points: `[keypoint, frame, 3]` to start from. moves: whether accelerations may be smoothed.
     """
     usual = usual_strengths(points, seen, body, config, moves=moves)
-    moves = moves and bool(body.steps.any())
+    moves = moves and bool(body.steps.any()) and np.isfinite(usual.acceleration)
     hidden = _hide(seen)
     if hidden.sum() < config.least_hidden:
         return Choice(usual)
-    _, joint, frame = np.nonzero(hidden)
+    hidden_at = np.array(np.nonzero(hidden))
+    _, joint, frame = hidden_at
     run = joint * hidden.shape[2] + frame // _RUN
     shown = replace(seen, precision=np.where(hidden, 0.0, seen.precision))
     losses: dict[Strengths, Floats] = {}
@@ -60,7 +62,7 @@ def choose_strengths(
         """Return what each hidden detection counts for."""
         if strengths not in losses:
             found = fit(points, shown, body, strengths, config, steps=config.choice_steps)
-            square = np.minimum(squared_errors(found, seen)[hidden], _LARGEST)
+            square = np.minimum(squared_errors_at(found, seen, hidden_at), _LARGEST)
             losses[strengths] = np.log1p(square / 4)
         return losses[strengths]
 
@@ -106,7 +108,7 @@ def choose_trust(
     shown = replace(seen, precision=np.where(hidden, 0.0, seen.precision))
     strengths = usual_strengths(points, seen, body, config, moves=moves)
     found = fit(points, shown, body, strengths, config, steps=config.choice_steps)
-    square = squared_errors(found, seen)[hidden] / confidence[hidden]
+    square = squared_errors_at(found, seen, np.array(np.nonzero(hidden))) / confidence[hidden]
     return measure_trust(square, confidence[hidden], usual)
 
 

@@ -6,7 +6,7 @@ import pytest
 from mocap_calib.compute.kernels import compiled
 from mocap_calib.config import PosesConfig
 from mocap_calib.poses import certainty, fit
-from mocap_calib.poses.energy import Strengths, accelerations, linearise
+from mocap_calib.poses.energy import Strengths, accelerations, linearise, shared_accelerations
 from mocap_calib.poses.lanes import band_kernels, from_lanes, in_lanes
 from mocap_calib.poses.track import Body, Detections, acceleration_steps
 
@@ -72,6 +72,9 @@ def test_the_gradient_is_that_of_the_energy(strengths):
     """By finite differences along random directions."""
     points, seen, body = track(4, 12)
     rng = np.random.default_rng(1)
+    shared = shared_accelerations(
+        accelerations(points, body).transpose(1, 2, 0), CONFIG
+    )  # stays as it was
 
     def energy(at: np.ndarray) -> float:
         offset = at.transpose(2, 0, 1)[:, None] - seen.centres.T[:, :, None, None]
@@ -81,7 +84,8 @@ def test_the_gradient_is_that_of_the_energy(strengths):
         losses = [(off * seen.precision[there], strengths.loss)]
         if np.isfinite(strengths.acceleration):
             size = strengths.acceleration * body.size[:-2]
-            losses.append(((accelerations(at, body) ** 2).sum(-1) / size**2, CONFIG.prior_loss))
+            square = ((accelerations(at, body) - shared) ** 2).sum(-1) / size**2
+            losses.append((square, CONFIG.prior_loss))
         if np.isfinite(strengths.bones):
             length = np.linalg.norm(at[body.edges[:, 0]] - at[body.edges[:, 1]], axis=-1)
             sigma = np.hypot(strengths.bones * body.size, body.varies)

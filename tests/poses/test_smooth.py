@@ -166,14 +166,15 @@ def test_modes_of_smoothing():
 
 
 def test_heavy_tails_of_a_detector_choose_the_narrow_loss():
-    """Normal errors choose the wide one."""
+    """Normal errors do not."""
     seen, rng = recording(**EASY), np.random.default_rng(0)
     positions = seen.positions.copy()
     wrong = rng.random(positions.shape[:-1]) < 0.25
     positions[wrong] += rng.standard_t(2, size=(wrong.sum(), 2)) * 15
     _, smoothing = smooth(replace(seen, positions=positions), **EASY)
-    wide, narrow = PosesConfig().losses
-    assert smoothing.loss == narrow < wide == smoothed(**EASY)[1].loss
+    usual, wide, narrow = PosesConfig().losses
+    assert smoothing.loss == narrow < usual < wide
+    assert smoothed(**EASY)[1].loss in (usual, wide)
 
 
 @pytest.mark.parametrize(("power", "expected"), [(0, 0), (0.5, 0.5), (1, 1), (3, 1)])
