@@ -138,6 +138,15 @@ def test_groups_are_linked_by_where_they_stand():
     assert set(linked[0, 0]) == {0, 1}
 
 
+def test_groups_are_linked_in_a_slice_of_a_recording():
+    """Of whose frame numbers every second one is looked at, in place."""
+    numbers = recording().select(frames=slice(0, None, 2)).frames
+    labels = np.zeros((VIEWS, len(numbers), 1), dtype=np.int64)
+    places = np.zeros((len(numbers), 1, 3))
+    linked = link_through_time(labels, places, numbers, MatchingConfig())
+    np.testing.assert_array_equal(linked, labels)
+
+
 def test_the_kernel_links_as_numpy_does(monkeypatch):
     """Bodies that come, go, meet and jump, more of them than there is room for at first."""
     rng, frames, groups = np.random.default_rng(0), 400, 5
