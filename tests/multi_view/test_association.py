@@ -72,6 +72,14 @@ def test_the_kernel_groups_as_numpy_does_of_any_number_of_views():
         np.testing.assert_array_equal(found, merge_clusters(affinity, comparable, **asked))
 
 
+def test_what_is_not_alike_at_all_stays_alone_whatever_is_asked_for():
+    affinity, comparable = random_affinities(2)
+    affinity[1] = 0.0
+    groups = cluster_detections(affinity, comparable, views=VIEWS, least_affinity=0.0)
+    assert (groups[0] >= 0).sum() > INSTANCES
+    assert (groups[1] == -1).all()
+
+
 def test_a_group_never_holds_two_detections_of_a_view():
     affinity, comparable = random_affinities(50)
     groups = cluster(affinity, comparable).reshape(-1, VIEWS, INSTANCES)
