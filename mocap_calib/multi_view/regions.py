@@ -25,7 +25,8 @@ def _f_quantile(degrees: float) -> float:
     """
     half = degrees / 2
     log_scale = math.lgamma(half + 1.5) - math.lgamma(1.5) - math.lgamma(half)
-    low, high = 0.0, 1.0
+    # of many degrees all lies next to 0, between two nodes of a wide region
+    low, high = 0.0, min(1.0, math.sqrt(30 / degrees))
     while (middle := (low + high) / 2) not in (low, high):
         s = middle / 2 * (1 + _NODES)
         density = 2 * s**2 * np.exp(log_scale + (half - 1) * np.log1p(-(s**2)))
