@@ -35,7 +35,6 @@ def test_kernels_come_without_the_blas_that_products_of_others_find():
     """It takes 0.2 s to import."""
     pytest.importorskip("numba")
     code = """
-import subprocess
 import sys
 import numpy as np
 import mocap_calib.multi_view.schur_kernels
