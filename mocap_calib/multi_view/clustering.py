@@ -11,6 +11,8 @@ import numpy as np
 from mocap_calib.compute.kernels import compiled, contiguous
 from mocap_calib.types import Bools, Floats, Ints
 
+_LEAST_AFFINITY = 1e-12  # 0 stands for clusters that must not be merged
+
 
 @dataclass(frozen=True)
 class _Clusters:
@@ -41,9 +43,11 @@ def cluster_detections(
     Groups are numbered from 0 in each frame, by their first detection.
 
     affinity, comparable: `[frame, N, N]` of the N = views x instances detections: how alike two
-        of them are, 0..1, and 1 where they can be compared.
-    least_affinity: the mean affinity down to which groups are merged.
+        of them are, 0..1, and 1 where they can be compared; symmetric.
+    least_affinity: the mean affinity down to which groups are merged; what is not alike at all
+        never is.
     """
+    least_affinity = max(least_affinity, _LEAST_AFFINITY)
     kernels = compiled("mocap_calib.multi_view.clustering_kernels")
     if kernels is None:
         return merge_clusters(affinity, comparable, views=views, least_affinity=least_affinity)
@@ -57,7 +61,7 @@ def cluster_detections(
 def merge_clusters(
     affinity: Floats, comparable: Floats, *, views: int, least_affinity: float
 ) -> Ints:
-    """Return what `cluster_detections` does, in numpy."""
+    """Return what `cluster_detections` does, in numpy. least_affinity: above 0."""
     clusters = _single_detections(affinity, comparable, views)
     frames = np.arange(len(affinity))
     while len(frames):

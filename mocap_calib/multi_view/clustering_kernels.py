@@ -115,7 +115,8 @@ def cluster_frames(
 ) -> None:
     """Set the group `[frame, N]` of each detection, -1 for one that stays alone.
 
-    affinity, comparable: `[frame, N, N]`, 0 or more. view: `[N]` of each detection. least: the mean
+    affinity, comparable: `[frame, N, N]`, 0 or more, symmetric to the last digit: only then is what
+    is closest to a cluster known without looking. view: `[N]` of each detection. least: the mean
     affinity down to which clusters are merged, above 0.
     """
     frames, count = affinity.shape[0], len(view)

@@ -66,7 +66,7 @@ class _Linking:
         """Return the beginning, with nobody."""
         return cls(
             places=np.ascontiguousarray(places),
-            frames=frames,
+            frames=np.ascontiguousarray(frames, dtype=np.int64),  # a slice of a recording's is not
             names=np.full(places.shape[:2], -1, dtype=np.int64),
             last_place=np.zeros((_ROOM, 3)),
             last_frame=np.zeros(_ROOM, dtype=np.int64),

@@ -141,9 +141,10 @@ def _best_fit(sample: Sample, adjusted: list[Adjusted], config: Config) -> Adjus
     if len(adjusted) == 1:
         return adjusted[0]
     fits = [measure_fit(sample, each.rig, each.matches, config) for each in adjusted]
-    ranked = sorted(range(len(adjusted)), key=lambda k: fits[k].misfit)
-    most = config.uncertainty.tied_misfit * fits[ranked[0]].misfit
-    best = min(k for k in ranked if fits[k].misfit <= most)
+    # a rig under which nothing is matched has no misfit: it is taken where no other is
+    misfit = np.nan_to_num([fit.misfit for fit in fits], nan=np.inf)
+    ranked = np.argsort(misfit, kind="stable").tolist()
+    best = int(np.argmax(misfit <= config.uncertainty.tied_misfit * misfit.min()))
     for k in ranked:
         turn_deg = _largest_turn_deg(adjusted[k].rig, adjusted[best].rig)
         another_rig = turn_deg > config.uncertainty.same_rig_deg

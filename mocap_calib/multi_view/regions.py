@@ -12,8 +12,7 @@ def widening(degrees: float) -> float:
     """Return by how much an estimated covariance must grow for its 95 % regions to hold 95 %.
 
     Regions of three numbers, as of a normal distribution. degrees: of freedom of the covariance,
-    3.5 to a million (the integral is no good beyond). Its own error makes the squared distances
-    those of Hotelling's T^2.
+    3.5 and more. Its own error makes the squared distances those of Hotelling's T^2.
     """
     left = degrees - 2
     return 3 * degrees / left * _f_quantile(left) / _CHI_SQUARE
@@ -26,7 +25,8 @@ def _f_quantile(degrees: float) -> float:
     """
     half = degrees / 2
     log_scale = math.lgamma(half + 1.5) - math.lgamma(1.5) - math.lgamma(half)
-    low, high = 0.0, 1.0
+    # of many degrees all lies next to 0, between two nodes of a wide region
+    low, high = 0.0, min(1.0, math.sqrt(30 / degrees))
     while (middle := (low + high) / 2) not in (low, high):
         s = middle / 2 * (1 + _NODES)
         density = 2 * s**2 * np.exp(log_scale + (half - 1) * np.log1p(-(s**2)))

@@ -72,6 +72,14 @@ def test_the_kernel_groups_as_numpy_does_of_any_number_of_views():
         np.testing.assert_array_equal(found, merge_clusters(affinity, comparable, **asked))
 
 
+def test_what_is_not_alike_at_all_stays_alone_whatever_is_asked_for():
+    affinity, comparable = random_affinities(2)
+    affinity[1] = 0.0
+    groups = cluster_detections(affinity, comparable, views=VIEWS, least_affinity=0.0)
+    assert (groups[0] >= 0).sum() > INSTANCES
+    assert (groups[1] == -1).all()
+
+
 def test_a_group_never_holds_two_detections_of_a_view():
     affinity, comparable = random_affinities(50)
     groups = cluster(affinity, comparable).reshape(-1, VIEWS, INSTANCES)
@@ -136,6 +144,15 @@ def test_groups_are_linked_by_where_they_stand():
     linked = link_through_time(labels, shuffled, np.arange(frames), MatchingConfig())
     assert (linked == linked[:, :1]).all()
     assert set(linked[0, 0]) == {0, 1}
+
+
+def test_groups_are_linked_in_a_slice_of_a_recording():
+    """Of whose frame numbers every second one is looked at, in place."""
+    numbers = recording().select(frames=slice(0, None, 2)).frames
+    labels = np.zeros((VIEWS, len(numbers), 1), dtype=np.int64)
+    places = np.zeros((len(numbers), 1, 3))
+    linked = link_through_time(labels, places, numbers, MatchingConfig())
+    np.testing.assert_array_equal(linked, labels)
 
 
 def test_the_kernel_links_as_numpy_does(monkeypatch):

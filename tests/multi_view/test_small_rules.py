@@ -4,11 +4,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scenes import scene
 from scipy.linalg import null_space
 
-from mocap_calib.config import MendConfig, MovedConfig, SyncConfig
+from mocap_calib.config import Config, MendConfig, MovedConfig, SyncConfig
 from mocap_calib.geometry.rotation import nearest_rotation
-from mocap_calib.multi_view import clock_search
+from mocap_calib.multi_view import clock_search, refinement
 from mocap_calib.multi_view.changes import _choose_number
 from mocap_calib.multi_view.clock_evidence import along_map, standard_errors
 from mocap_calib.multi_view.covariance import _inverse_at_size
@@ -125,3 +126,20 @@ def test_stretches_are_whole_and_spread_over_the_recording():
     assert len(starts) == 4
     assert (starts[0], starts[-1]) == (0, 95)
     assert not ((starts >= 40) & (starts < 60)).any()
+
+
+@pytest.mark.parametrize(
+    ("misfits", "taken"),
+    [
+        ((1.0005, 1.0), 0),  # the first of those that tie
+        ((1.01, 1.0), 1),
+        ((np.nan, 1.0), 1),  # nothing is matched under the first
+        ((np.nan, np.nan), 0),
+    ],
+)
+def test_the_first_of_the_rigs_that_fit_best_is_taken(monkeypatch, misfits, taken):
+    rigs = [SimpleNamespace(rig=scene().rig, matches=misfit) for misfit in misfits]
+    monkeypatch.setattr(
+        refinement, "measure_fit", lambda _, __, misfit, ___: SimpleNamespace(misfit=misfit)
+    )
+    assert refinement._best_fit(None, rigs, Config()) is rigs[taken]
