@@ -13,8 +13,8 @@ import hashlib
 import os
 import pickle
 import sys
-import tempfile
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
@@ -173,11 +173,11 @@ def _read(path: Path) -> bytes:
 
 def _write(path: Path, content: bytes) -> None:
     """Put content into place in one step, where that can be."""
+    work = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         path.parent.mkdir(exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-        os.replace(name, path)
+        work.write_bytes(content)
+        work.replace(path)
     except OSError:
-        return
+        with suppress(OSError):
+            work.unlink()

@@ -111,10 +111,10 @@ def test_arrays_of_other_types_are_refused(source, table):
 
 
 def test_nothing_is_kept_where_nothing_can_be_written(source, monkeypatch):
-    def refuse(**_):
+    def refuse(*_):
         raise PermissionError
 
-    monkeypatch.setattr(machine_code.tempfile, "mkstemp", refuse)
+    monkeypatch.setattr(Path, "write_bytes", refuse)
     assert hasattr(load(source), "overloads")
     assert not list((source.parent / "__pycache__").glob("*.machine"))
     assert jit.numba_fits()
