@@ -24,7 +24,16 @@ from pathlib import Path
 
 import numpy as np
 import pycolmap
-from adjustment import as_problem, call_peer, figures, make_scene, moved, ours, peer
+from adjustment import (
+    adjust_by_ceres_twice,
+    as_problem,
+    call_peer,
+    figures,
+    make_scene,
+    moved,
+    ours,
+    peer,
+)
 from machines import describe_machine
 from recording_folders import add_recordings
 
@@ -32,7 +41,6 @@ from mocap_calib.config import AdjustConfig
 from mocap_calib.geometry.projection import rays_from_pixels
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.multi_view.bundle_adjustment import adjust
-from mocap_calib.multi_view.ceres import adjust_by_ceres
 from mocap_calib.types import CameraRig, Floats, Matches, Sample
 
 TOOL = ["-m", "mocap_calib_cli"]
@@ -181,7 +189,7 @@ def adjust_elsewhere(
     scratch: Path, recording: Sample, start: CameraRig, matches: Matches
 ) -> dict[str, tuple[CameraRig, float]]:
     """Return rig and seconds of what others do: alone, or with the five points before."""
-    colmap = ours(adjust_by_ceres, AdjustConfig(), recording, start, matches)
+    colmap = ours(adjust_by_ceres_twice, AdjustConfig(), recording, start, matches)
     anipose = peer("anipose", scratch, recording, start, matches)
     lab = call_peer(PEERS, "lab", scratch, as_problem(recording, start, matches))
     rotation, translation = matrix_from_vector(lab["rotation"]), lab["translation"]

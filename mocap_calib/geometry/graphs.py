@@ -59,9 +59,11 @@ def assign(cost: Floats) -> tuple[Ints, Ints]:
     Shortest augmenting paths: Crouse (2016), "On implementing 2D rectangular assignment
     algorithms". For a few rows at a time: each costs a search over all columns.
 
-    cost: `[row, column]`, finite. As many pairs as there are of the fewer of the two, by their
-    rows.
+    cost: `[row, column]`. As many pairs as there are of the fewer of the two, by their rows. Raises
+    ValueError where a cost is not finite: no path would end.
     """
+    if not np.isfinite(cost).all():
+        raise ValueError("assign: expected costs that are finite, got NaN or infinite ones")
     if cost.shape[0] > cost.shape[1]:
         columns, rows = assign(cost.T)
         order = np.argsort(rows)

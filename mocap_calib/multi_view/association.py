@@ -14,6 +14,7 @@ from mocap_calib.compute.parallel import map_in_threads, single_threaded_librari
 from mocap_calib.config import (
     SCALE_FRAMES,
     SCALE_LEAST_FIT,
+    SCALE_PAIRS,
     Config,
     MatchingConfig,
     PairwiseConfig,
@@ -22,10 +23,10 @@ from mocap_calib.multi_view.body_affinity import temper_by_bodies
 from mocap_calib.multi_view.clustering import cluster_detections
 from mocap_calib.multi_view.labels import per_frame_labels
 from mocap_calib.multi_view.linking import link_through_time
-from mocap_calib.multi_view.pair_choice import some_pairs
 from mocap_calib.multi_view.tracking import locate_groups
 from mocap_calib.recording.sampling import evenly_spaced, take_sample
 from mocap_calib.two_view.affinity import epipolar_affinity
+from mocap_calib.two_view.solve import all_pairs
 from mocap_calib.two_view.view_pair import (
     distance_ratios,
     distances,
@@ -165,7 +166,8 @@ def _scales_of_pairs(
     sample: Sample, lifted: LiftedPoses, rig: CameraRig, config: Config
 ) -> Iterator[Floats]:
     """Yield `[joint]` body sizes per unit of the rig, by the matches of pairs of views."""
-    for a, b in some_pairs(len(rig.cameras), config.view_graph):
+    pairs = np.array(all_pairs(len(rig.cameras)))
+    for a, b in evenly_spaced(pairs, SCALE_PAIRS):
         shared = shared_frames(sample, a, b, config.pairwise)
         if len(shared):
             frames = evenly_spaced(shared, SCALE_FRAMES)

@@ -4,13 +4,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mocap_calib.compute.parallel import single_threaded_libraries
+from mocap_calib.compute.parallel import map_in_threads, single_threaded_libraries
 from mocap_calib.config import AdjustConfig, Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
 from mocap_calib.geometry.lens import image_slopes
+from mocap_calib.multi_view.doubt import doubtful_errors_repeat, names_of_groups, without_doubtful
 from mocap_calib.multi_view.freedom import Freedom, free_poses
 from mocap_calib.multi_view.labels import per_frame_labels
-from mocap_calib.multi_view.noise import view_residual
+from mocap_calib.multi_view.noise import measure_sample, residual_noise
 from mocap_calib.multi_view.observations import gather_observations, labelled_frames
 from mocap_calib.multi_view.ray_residuals import RayObservations
 from mocap_calib.multi_view.residuals import Observations, State
@@ -74,7 +75,6 @@ class AdjustablePoints:
         return np.asarray(rank * blocks // len(frames), dtype=np.int64)
 
 
-@single_threaded_libraries()
 def adjust(
     sample: Sample,
     rig: CameraRig,
@@ -87,11 +87,27 @@ def adjust(
 
     Intrinsics stay as they are, and so do the first camera and the size of the rig. The loss is
     tightened in steps; `already_close` says that the rig has been adjusted before, so that only
-    the last step is needed.
+    the last step is needed. Else it is adjusted twice: the loss is in standard deviations of the
+    errors, and how large these are is known only of a rig that is close.
 
     Raises UnderconstrainedCameraError for the camera that has the fewest points, where they are
     too few to constrain it, and DegenerateError where there is no match at all.
     """
+    if not already_close:
+        rig = adjust_once(sample, rig, matches, config)
+    return adjust_once(sample, rig, matches, config, already_close=True)
+
+
+@single_threaded_libraries()
+def adjust_once(
+    sample: Sample,
+    rig: CameraRig,
+    matches: Matches,
+    config: Config,
+    *,
+    already_close: bool = False,
+) -> CameraRig:
+    """Do what `adjust` does, by the errors that the rig has to begin with."""
     points = choose_points(sample, rig, matches, config)
     start = State(rig.rotation, rig.translation, points.points, np.zeros((len(rig.cameras), 0)))
     seen = observe_rays(rig, points)
@@ -112,9 +128,9 @@ def choose_points(
             "expected bodies that two views agree on, found none; "
             "check that the files belong to these cameras and to the same time"
         )
-    matches = per_frame_labels(matches)  # who it is in other frames does not matter here
-    frames = _choose_frames(sample, matches, config.adjust.points)
-    points = agreed_points(sample, rig, matches, frames=frames, config=config)
+    in_frame = per_frame_labels(matches)  # who it is in other frames does not matter here
+    frames = _choose_frames(sample, in_frame, config.adjust.points)
+    points = agreed_points(sample, rig, in_frame, named=matches, frames=frames, config=config)
     _check_every_camera(rig, points, config.adjust.least_keypoints)
     return points
 
@@ -159,12 +175,25 @@ def with_size_of(reference: CameraRig, rig: CameraRig) -> CameraRig:
 
 
 def agreed_points(
-    recording: Recording, rig: CameraRig, matches: Matches, *, frames: Ints, config: Config
+    recording: Recording,
+    rig: CameraRig,
+    matches: Matches,
+    *,
+    named: Matches,
+    frames: Ints,
+    config: Config,
 ) -> AdjustablePoints:
-    """Return the points of frames (`[frame]` indices) that at least two views agree on."""
-    noise = view_residual(recording, rig, matches, config.triangulate)
+    """Return the points of frames (`[frame]` indices) that at least two views agree on.
+
+    named: the same groups, by the names that they have in other frames.
+    """
+    measured = measure_sample(recording, rig, matches, config.triangulate)
+    noise = residual_noise(rig, measured, config.triangulate)
     seen = gather_observations(recording, matches, frames)
-    weight = _drop_doubtful(seen.confidence, config.adjust)
+    weight = seen.confidence
+    names = names_of_groups(named, matches)[measured.frames]
+    if doubtful_errors_repeat(rig, measured, names, config.adjust):
+        weight = without_doubtful(weight, config.adjust)
     outlier = config.adjust.outlier_tolerance * config.triangulate.outlier
     tolerant = replace(config.triangulate, outlier=outlier)
     points, used = triangulate_rays(rig, seen.rays, weight=weight, noise=noise, config=tolerant)
@@ -195,22 +224,6 @@ def _choose_frames(sample: Sample, matches: Matches, budget: int) -> Ints:
     return evenly_spaced(frames, max(1, round(share * len(frames))))
 
 
-def _drop_doubtful(confidence: Floats, config: AdjustConfig) -> Floats:
-    """Return the confidence `[view, N]` with 0 for the least confident share of each view.
-
-    Detectors are wrong there by more than chance. Where detections are few, a doubtful one is
-    better than none.
-    """
-    kept = confidence.copy()
-    for in_view in kept:
-        seen = in_view[in_view > 0]
-        if len(seen):
-            spare = max(0.0, 1.0 - config.enough_detections / len(seen))
-            share = min(config.doubtful_share, spare)
-            in_view[in_view < np.quantile(seen, share)] = 0.0
-    return kept
-
-
 def _check_every_camera(rig: CameraRig, points: AdjustablePoints, least: int) -> None:
     """Raise UnderconstrainedCameraError where fewer than `least` keypoints constrain a camera."""
     count = points.used.sum(1)
@@ -235,15 +248,17 @@ def observe_rays(rig: CameraRig, points: AdjustablePoints) -> RayObservations:
     """
     axis = np.array([0.0, 0.0, 1.0])[:, None]
     used = points.used
-    rays = np.where(used[:, None], points.rays, axis)
+    rays = np.ascontiguousarray(np.where(used[:, None], points.rays, axis))
     metric = np.empty((len(rays), 2, *rays.shape[1:]))
-    for into, camera, ray, sigma in zip(metric, rig.cameras, rays, points.noise, strict=True):
-        into[:] = _pixels_per_ray(camera, ray) / (sigma * camera.focal)
-    return RayObservations(
-        rays=np.ascontiguousarray(rays),
-        metric=np.where(used[:, None, None], np.nan_to_num(metric), 0.0),
-        weight=points.weight,
-    )
+
+    def measure(view: int) -> None:
+        """Set the metric of a view."""
+        camera = rig.cameras[view]
+        slopes = _pixels_per_ray(camera, rays[view]) / (points.noise[view] * camera.focal)
+        metric[view] = np.where(used[view], np.nan_to_num(slopes), 0.0)
+
+    list(map_in_threads(measure, range(len(rays))))
+    return RayObservations(rays=rays, metric=metric, weight=points.weight)
 
 
 def _pixels_per_ray(camera: Camera, rays: Floats) -> Floats:

@@ -30,7 +30,8 @@ def adjust_by_ceres(
 ) -> CameraRig:
     """Return the rig that minimises the robust reprojection error of the matched detections.
 
-    Takes, keeps and raises what `bundle_adjustment.adjust` does; all detections count the same.
+    Takes, keeps and raises what `bundle_adjustment.adjust_once` does. All detections count the
+    same.
     """
     model = _build_model(rig, choose_points(sample, rig, matches, config))
     *wide_scales, last_scale = config.adjust.loss_scales

@@ -8,7 +8,7 @@ as they are, nothing is mended.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from mocap_calib.config import Config
+from mocap_calib.config import Config, MendConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.multi_view.exchanged import find_exchanged_cameras
 from mocap_calib.multi_view.explained import explained_share, usual_distance
@@ -42,6 +42,8 @@ _HARMFUL: tuple[FaultWord, ...] = (
     "cropped",
     "exchanged",
 )
+# with these no rig fits a camera
+_GROSS: tuple[FaultWord, ...] = ("mirrored", "resized")
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,7 @@ def mend_faults(
     faults: tuple[Fault, ...] = ()
     for _ in range(config.rounds):
         best = _best_explanation(recording, calibrated, faults, calibrate)
-        if best is None or best.gain <= -config.refuting_loss:
+        if best is None or best.gain <= _refuting_gain(best.faults, config):
             break
         if best.gain <= 0 and faults:  # nothing is left over that another fault would explain
             break
@@ -96,6 +98,16 @@ def mend_faults(
     faults = (*faults, *unrelated)
     groups = tuple(_judge_faulty(group, faults, result.config) for group in result.groups)
     return replace(result, groups=groups, faults=faults)
+
+
+def _refuting_gain(faults: Sequence[Fault], config: MendConfig) -> float:
+    """Return the gain at which faults are none: mended, images that are not as they say fit well.
+
+    Of what else is wrong a calibration may hardly suffer.
+    """
+    if any(fault.word in _GROSS for fault in faults):
+        return config.least_gross_gain
+    return -config.refuting_loss
 
 
 def _is_in_vain(result: CalibrationResult) -> bool:

@@ -5,10 +5,11 @@ covariances of points need the errors themselves, `view_noise`; what limits and 
 against are residuals, whose spread is `view_residual`.
 """
 
-from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
+from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import TriangulateConfig
 from mocap_calib.geometry.intersection import intersect
 from mocap_calib.geometry.point_covariance import median_angles
@@ -17,13 +18,39 @@ from mocap_calib.multi_view.observations import (
     Observations,
     gather_observations,
     labelled_frames,
+    point_blocks,
 )
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.types import Bools, CameraRig, Floats, Matches, Recording
+from mocap_calib.types import Bools, CameraRig, Floats, Ints, Matches, Recording
 
 # The median distance of a normal error in the plane from its centre, sqrt(2 log 2), in standard
 # deviations of one coordinate
 MEDIAN_DISTANCE = 1.18
+
+
+@dataclass(frozen=True)
+class MeasuredSample:
+    """Angles between the rays of an even sample of the frames that have labels, and their points.
+
+    frames: `[frame]` indices. seen: the detections of N points; points: `[3, N]`.
+    angle: `[view, N]` in radians. counted: `[view, N]` those of points that three views see (two
+        where there are no more).
+    """
+
+    frames: Ints
+    seen: Observations
+    points: Floats
+    angle: Floats
+    counted: Bools
+
+
+def measure_sample(
+    recording: Recording, rig: CameraRig, matches: Matches, config: TriangulateConfig
+) -> MeasuredSample:
+    """Return the angles between rays and the points where they meet, of a sample of frames."""
+    frames = evenly_spaced(labelled_frames(matches), config.noise_frames)
+    seen = gather_observations(recording, matches, frames)
+    return MeasuredSample(frames, seen, *_measure_angles(rig, seen, config))
 
 
 def view_noise(
@@ -34,7 +61,9 @@ def view_noise(
     Of one coordinate. Measured in an even sample of the frames that have labels, on the points
     that three views see (two where there are no more).
     """
-    return _medians_of_views(recording, rig, matches, config, measure_errors)
+    measured = measure_sample(recording, rig, matches, config)
+    usual = median_angles(rig, measured.points, measured.seen.confidence)
+    return _medians_of_views(rig, measured.angle / usual, measured.counted, config)
 
 
 def view_residual(
@@ -44,19 +73,18 @@ def view_residual(
 
     The robust standard deviation of residuals, measured on the same points.
     """
-    return _medians_of_views(recording, rig, matches, config, measure_residuals)
+    return residual_noise(rig, measure_sample(recording, rig, matches, config), config)
+
+
+def residual_noise(rig: CameraRig, measured: MeasuredSample, config: TriangulateConfig) -> Floats:
+    """Return what `view_residual` does, of a sample that was measured."""
+    return _medians_of_views(rig, measured.angle / MEDIAN_DISTANCE, measured.counted, config)
 
 
 def _medians_of_views(
-    recording: Recording,
-    rig: CameraRig,
-    matches: Matches,
-    config: TriangulateConfig,
-    measure: Callable[[CameraRig, Observations, TriangulateConfig], tuple[Floats, Bools]],
+    rig: CameraRig, measured: Floats, counted: Bools, config: TriangulateConfig
 ) -> Floats:
-    """Return the medians `[view]` of what is measured of the detections of some frames."""
-    frames = evenly_spaced(labelled_frames(matches), config.noise_frames)
-    measured, counted = measure(rig, gather_observations(recording, matches, frames), config)
+    """Return the medians `[view]` of what is measured `[view, N]`, of those that count."""
     medians = np.full(len(rig.cameras), config.unknown_noise)
     for view in np.flatnonzero(counted.any(1)):
         medians[view] = np.median(measured[view, counted[view]])
@@ -78,21 +106,20 @@ def measure_errors(
     return angle / median_angles(rig, points, seen.confidence), counted
 
 
-def measure_residuals(
-    rig: CameraRig, seen: Observations, config: TriangulateConfig
-) -> tuple[Floats, Bools]:
-    """Return the same angles `[view, N]` as if the points took up nothing of the errors."""
-    _, angle, counted = _measure_angles(rig, seen, config)
-    return angle / MEDIAN_DISTANCE, counted
-
-
 def _measure_angles(
     rig: CameraRig, seen: Observations, config: TriangulateConfig
 ) -> tuple[Floats, Floats, Bools]:
     """Return points `[3, N]`, their angles to the rays `[view, N]`, and which of these count."""
-    precision = seen.confidence / config.unknown_noise**2
-    points = intersect(rig, rays_in_world(rig, seen.rays), precision)
-    angle, _ = ray_angles(rig, points, seen.rays)
+
+    def measure(some: slice) -> tuple[Floats, Floats]:
+        """Return points and angles of a block."""
+        rays = seen.rays[..., some]
+        precision = seen.confidence[:, some] / config.unknown_noise**2
+        points = intersect(rig, rays_in_world(rig, rays), precision)
+        return points, ray_angles(rig, points, rays)[0]
+
+    measured = map_in_threads(measure, point_blocks(seen.confidence.shape[1]))
+    points, angle = (np.concatenate(parts, axis=1) for parts in zip(*measured, strict=True))
     present = seen.confidence > 0
     enough = present.sum(0) >= min(3, len(rig.cameras))
     return points, angle, present & np.isfinite(points[0]) & enough

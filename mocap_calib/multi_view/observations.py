@@ -5,8 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.geometry import lens
 from mocap_calib.types import Camera, Floats, Ints, Matches, Recording
+
+# Points at a time: enough that calls cost little beside, few enough for the cache
+POINT_BLOCK = 8192
 
 
 @dataclass(frozen=True)
@@ -57,10 +61,18 @@ def observe(cameras: Sequence[Camera], pixels: Floats, confidence: Floats) -> Ob
     pixels: `[view, N, 2]`, NaN = missing; confidence: `[view, N]`, 0 = missing.
     """
     by_component = np.ascontiguousarray(np.moveaxis(pixels, -1, 1))
-    rays = [
-        lens.unproject(camera, seen) for camera, seen in zip(cameras, by_component, strict=True)
-    ]
-    return Observations(pixels=by_component, rays=np.stack(rays), confidence=confidence)
+    rays = map_in_threads(_unproject, zip(cameras, by_component, strict=True))
+    return Observations(pixels=by_component, rays=np.stack(list(rays)), confidence=confidence)
+
+
+def _unproject(seen: tuple[Camera, Floats]) -> Floats:
+    """Return the rays `[3, N]` of what a camera saw, pixels `[2, N]`."""
+    return lens.unproject(*seen)
+
+
+def point_blocks(count: int) -> list[slice]:
+    """Return the blocks of so many points that are worked on at a time, one at least."""
+    return [slice(start, start + POINT_BLOCK) for start in range(0, max(count, 1), POINT_BLOCK)]
 
 
 def labelled_frames(matches: Matches) -> Ints:

@@ -78,18 +78,6 @@ def takes_all_pairs(views: int, config: ViewGraphConfig) -> bool:
     return config.pairs == "all" or views <= config.small_rig
 
 
-def some_pairs(views: int, config: ViewGraphConfig) -> list[tuple[int, int]]:
-    """Return all pairs (a, b), a < b, of a small rig, and an even choice of those of a large one.
-
-    For what a few pairs tell as well as all.
-    """
-    every = all_pairs(views)
-    if takes_all_pairs(views, config):
-        return every
-    chosen = evenly_spaced(np.arange(len(every)), config.pairs_of_camera * views)
-    return [every[k] for k in chosen]
-
-
 def first_pairs(covisible: Floats, config: ViewGraphConfig) -> list[tuple[int, int]]:
     """Return the pairs (a, b), a < b, that are calibrated first, in order.
 

@@ -95,13 +95,24 @@ class TimedRayObservations:
 
     def residuals(self, block: slice, state: State) -> Residuals:
         """Return a block of points as the cameras see them, each at its own time."""
-        moved = self.motion.select(block).displacement(state.intrinsics[:, 0])
-        in_camera = points_in_cameras(block, state) + np.matmul(state.rotation, moved)
+        in_camera = points_in_cameras(block, state) + self.shifts(block, state)
         return self.rays.residuals_of(block, in_camera)
 
     def slopes(self, block: slice, state: State, found: Residuals, weight: Floats, /) -> Slopes:
-        """Return the weighed derivatives; those by the offset follow from the velocity then."""
+        """Return the weighed derivatives."""
         by_point = self.rays.slopes(block, state, found, weight).in_camera
+        return Slopes(in_camera=by_point, intrinsics=self.by_offset(block, state, by_point))
+
+    def shifts(self, block: slice, state: State) -> Floats:
+        """Return how far points move until cameras see them, in their frames: `[view, 3, n]`."""
+        moved = self.motion.select(block).displacement(state.intrinsics[:, 0])
+        return np.asarray(np.matmul(state.rotation, moved))
+
+    def by_offset(self, block: slice, state: State, by_point: Floats) -> Floats:
+        """Return derivatives by the offset of each clock, `[view, 2, 1, n]`: by the velocity then.
+
+        by_point: `[view, 2, 3, n]` those by the points in each camera's frame.
+        """
         velocity = self.motion.select(block).velocity_after(state.intrinsics[:, 0])
-        by_offset = np.einsum("vkin,vin->vkn", by_point, np.matmul(state.rotation, velocity))
-        return Slopes(in_camera=by_point, intrinsics=by_offset[:, :, None])
+        in_camera = np.matmul(state.rotation, velocity)
+        return np.asarray(np.einsum("vkin,vin->vkn", by_point, in_camera)[:, :, None])

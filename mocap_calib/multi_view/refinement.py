@@ -10,7 +10,7 @@ from mocap_calib.config import Config, MatchingConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.multi_view.association import associate, have_same_groups, label_single_subject
-from mocap_calib.multi_view.bundle_adjustment import adjust
+from mocap_calib.multi_view.bundle_adjustment import adjust_once
 from mocap_calib.multi_view.factorization import factorise
 from mocap_calib.multi_view.fit import fit_equally_well, measure_fit
 from mocap_calib.types import (
@@ -25,7 +25,7 @@ from mocap_calib.types import (
 
 
 class Adjuster(Protocol):
-    """What adjusts a rig to matched detections; `bundle_adjustment.adjust` is one."""
+    """What adjusts a rig to matched detections; `bundle_adjustment.adjust_once` is one."""
 
     def __call__(
         self,
@@ -45,7 +45,7 @@ def choose_adjuster(name: str) -> Adjuster:
     "schur" is the solver of this program; "colmap" is Ceres through pycolmap.
     """
     if name == "schur":
-        return adjust
+        return adjust_once
     from mocap_calib.multi_view.ceres import adjust_by_ceres  # noqa: PLC0415 - takes 0.3 s
 
     return adjust_by_ceres
@@ -91,7 +91,7 @@ def adjust_until_stable(
     *,
     lifted: LiftedPoses,
     progress: Progress,
-    adjuster: Adjuster = adjust,
+    adjuster: Adjuster = adjust_once,
 ) -> Adjusted:
     """Adjust, match by the adjusted rig, and adjust again until nothing changes.
 

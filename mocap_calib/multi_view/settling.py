@@ -18,7 +18,7 @@ import numpy as np
 from mocap_calib.compute.kernels import compiled, contiguous
 from mocap_calib.config import LM_LEAST_CURVATURE, LM_POINT_GAIN, LM_POINT_STEPS
 from mocap_calib.multi_view.pixel_residuals import PixelObservations
-from mocap_calib.multi_view.ray_residuals import RayObservations
+from mocap_calib.multi_view.ray_residuals import RayObservations, TimedRayObservations
 from mocap_calib.multi_view.residuals import (
     BEHIND,
     Observations,
@@ -54,11 +54,18 @@ def settle(block: slice, state: State, seen: Observations, loss_scale: float) ->
     They end as soon as a step hardly lowers the cost, or would raise it.
     """
     kernels = compiled(KERNELS)
+    origin = state.translation[:, :, None]
     if kernels is not None and isinstance(seen, RayObservations):
-        given = contiguous(seen.rays, seen.metric, seen.weight)
+        given = origin, seen.rays, seen.metric, seen.weight
         return _settle_by_kernel(kernels.settle_rays, given, block, state, loss_scale)
+    if kernels is not None and isinstance(seen, TimedRayObservations):
+        rays = seen.rays
+        given = origin + seen.shifts(block, state), rays.rays, rays.metric, rays.weight
+        found = _settle_by_kernel(kernels.settle_rays, given, block, state, loss_scale)
+        by_point = found.slopes.in_camera
+        return replace(found, slopes=Slopes(by_point, seen.by_offset(block, state, by_point)))
     if kernels is not None and isinstance(seen, PixelObservations):
-        given = contiguous(seen.lens_rows(state), seen.pixels, seen.weight)
+        given = origin, seen.lens_rows(state), seen.pixels, seen.weight
         return _settle_by_kernel(kernels.settle_pixels, given, block, state, loss_scale)
     seen = seen.select(np.arange(state.points.shape[1])[block])
     state = replace(state, points=state.points[:, block])
@@ -78,7 +85,7 @@ def _settle_by_kernel(
     in_camera, residual = np.empty((views, 3, count)), np.empty((views, 2, count))
     slope, own = np.empty((views, 2, 3, count)), np.empty((views, 2, intrinsics, count))
     options = np.array([loss_scale**2, BEHIND, LM_POINT_GAIN, LM_LEAST_CURVATURE])
-    given = (*contiguous(state.rotation, state.translation), *given, options)
+    given = (*contiguous(state.rotation, *given), options)
     changed = (points, in_camera, slope, own, residual)
     cost = kernel(block.start, *given, LM_POINT_STEPS, *changed)
     return Weighed(points, in_camera, Slopes(slope, own), residual, cost)

@@ -1,7 +1,8 @@
 """Points that settle under cameras that stay, compiled. `settling` defines what is computed.
 
-What a view saw of a point is `[3, 3]` numbers: its ray and the two rows of its metric, where lenses
-are known; its pixel, else. A lens is a row as of `PixelObservations.lens_rows`.
+What a view saw of a point is `[4, 3]` numbers: its ray and the two rows of its metric, where lenses
+are known; its pixel, else; and where the origin lay in its frame when it saw the point. A lens is a
+row as of `PixelObservations.lens_rows`.
 """
 
 from typing import Any
@@ -69,13 +70,13 @@ def _lens(lens: Floats, v: int, x: float, y: float) -> _Six:
 
 @inlined
 def _look(
-    turn: Floats, shift: Floats, v: int, x: float, y: float, z: float
+    turn: Floats, saw: Floats, v: int, x: float, y: float, z: float
 ) -> tuple[float, float, float]:
     """Return a point in a camera's frame."""
     return (
-        turn[v, 0, 0] * x + turn[v, 0, 1] * y + turn[v, 0, 2] * z + shift[v, 0],
-        turn[v, 1, 0] * x + turn[v, 1, 1] * y + turn[v, 1, 2] * z + shift[v, 1],
-        turn[v, 2, 0] * x + turn[v, 2, 1] * y + turn[v, 2, 2] * z + shift[v, 2],
+        turn[v, 0, 0] * x + turn[v, 0, 1] * y + turn[v, 0, 2] * z + saw[v, 3, 0],
+        turn[v, 1, 0] * x + turn[v, 1, 1] * y + turn[v, 1, 2] * z + saw[v, 3, 1],
+        turn[v, 2, 0] * x + turn[v, 2, 1] * y + turn[v, 2, 2] * z + saw[v, 3, 2],
     )
 
 
@@ -128,12 +129,12 @@ def _pull(given: Any, saw: Floats, weight: Floats, point: Floats, into: Any) -> 
 
     into: the two, and `[9]` xx, xy, xz, yy, yz and zz of B'B, and B'r.
     """
-    _, turn, shift, lens, _, _, _, options = given
+    _, turn, _, lens, _, _, _, options = given
     square, robust, sums = into
     xx = xy = xz = yy = yz = zz = by_x = by_y = by_z = 0.0
     for v in range(len(weight)):
         if weight[v] > 0:
-            x, y, z = _look(turn, shift, v, point[0], point[1], point[2])
+            x, y, z = _look(turn, saw, v, point[0], point[1], point[2])
             r, s, in_front, a, b, c, d, e, f = _residual(lens, saw, v, options[1], x, y, z)
             square[v] = r * r + s * s
             w = weight[v] / (1 + square[v] / options[0]) if in_front else 0.0
@@ -172,9 +173,13 @@ def _solve(sums: Floats) -> tuple[float, float, float]:
 
 
 @inlined
-def _gather(seen: Floats, metric: Floats, m: int, saw: Floats) -> None:
-    """Set what the views saw of a point, `[view, 3, 3]`."""
+def _gather(given: Any, n: int, saw: Floats) -> None:
+    """Set what the views saw of a point of a block, `[view, 4, 3]`."""
+    first, _, origin, _, seen, metric, _, _ = given
+    m, own = first + n, min(n, origin.shape[2] - 1)
     for v in range(len(seen)):
+        for i in range(3):
+            saw[v, 3, i] = origin[v, i, own]
         for i in range(seen.shape[1]):
             saw[v, 0, i] = seen[v, i, m]
         if metric.shape[3] > 0:
@@ -186,14 +191,14 @@ def _gather(seen: Floats, metric: Floats, m: int, saw: Floats) -> None:
 @inlined
 def _settle(given: Any, steps: int, points: Floats) -> None:
     """Move points `[3, n]` of a block to where they cost least; given: as kernels are given."""
-    first, _, _, _, seen, metric, weight, options = given
+    first, _, _, _, seen, _, weight, options = given
     views = len(seen)
-    saw, of_view = np.empty((views, 3, 3)), np.empty(views)
+    saw, of_view = np.empty((views, 4, 3)), np.empty(views)
     point, tried = np.empty(3), np.empty(3)
     square, robust, sums = np.zeros(views), np.zeros(views), np.empty(9)
     next_square, next_robust, next_sums = np.zeros(views), np.zeros(views), np.empty(9)
     for n in range(points.shape[1]):
-        _gather(seen, metric, first + n, saw)
+        _gather(given, n, saw)
         of_view[:] = weight[:, first + n]
         point[:] = points[:, n]
         _pull(given, saw, of_view, point, (square, robust, sums))
@@ -233,16 +238,16 @@ def _set_own(lens: Floats | None, v: int, x: float, y: float, by: Any, own: Floa
 def _weigh(given: Any, points: Floats, into: Any) -> float:
     """Set what `settling.Weighed` has of points of a block, as kernels do; return their cost."""
     in_camera, slope, own, residual = into
-    first, turn, shift, lens, seen, metric, weight, options = given
+    first, turn, _, lens, seen, _, weight, options = given
     views, count = len(seen), points.shape[1]
     square_scale, least, least_curvature = options[0], options[1], options[3]
-    saw = np.zeros((views, 3, 3))
+    saw = np.zeros((views, 4, 3))
     cost = 0.0
     for n in range(count):
-        _gather(seen, metric, first + n, saw)
+        _gather(given, n, saw)
         for v in range(views):
             w = weight[v, first + n]
-            x, y, z = _look(turn, shift, v, points[0, n], points[1, n], points[2, n])
+            x, y, z = _look(turn, saw, v, points[0, n], points[1, n], points[2, n])
             r, s, in_front, a, b, c, d, e, f = _residual(lens, saw, v, least, x, y, z)
             in_camera[v, 0, n], in_camera[v, 1, n], in_camera[v, 2, n] = x, y, z
             square = r * r + s * s
@@ -263,7 +268,7 @@ def _weigh(given: Any, points: Floats, into: Any) -> float:
     return cost
 
 
-_POSES, _WEIGHTS = (INT, floats(3), floats(2)), (floats(2), floats(1), INT)
+_POSES, _WEIGHTS = (INT, floats(3), floats(3)), (floats(2), floats(1), INT)
 _SET = (changed_floats(2), *map(changed_floats, (3, 4, 4, 3)))
 
 
@@ -271,7 +276,7 @@ _SET = (changed_floats(2), *map(changed_floats, (3, 4, 4, 3)))
 def settle_rays(
     first: int,
     rotation: Floats,
-    translation: Floats,
+    origin: Floats,
     seen: Floats,
     metric: Floats,
     weight: Floats,
@@ -288,11 +293,12 @@ def settle_rays(
     Also set what `settling.Weighed` has of them: in_camera `[view, 3, n]`, slope `[view, 2, 3, n]`,
     own `[view, 2, intrinsic, n]` by the intrinsics, and residual `[view, 2, n]`.
 
-    seen: `[view, 3, N]` rays with their metric `[view, 2, 3, N]`. options: the square of the loss
-    scale, the least depth of a point as a share of its size, the gain that ends it, and the least
-    curvature of the loss. steps: of a point, at most.
+    origin: that of the world in each camera's frame when it saw a point, `[view, 3, n]`, or
+    `[view, 3, 1]`. seen: `[view, 3, N]` rays with their metric `[view, 2, 3, N]`. options: the
+    square of the loss scale, the least depth of a point as a share of its size, the gain that ends
+    it, and the least curvature of the loss. steps: of a point, at most.
     """
-    given = (first, rotation, translation, None, seen, metric, weight, options)
+    given = (first, rotation, origin, None, seen, metric, weight, options)
     _settle(given, steps, points)
     return _weigh(given, points, (in_camera, slope, own, residual))
 
@@ -301,7 +307,7 @@ def settle_rays(
 def settle_pixels(
     first: int,
     rotation: Floats,
-    translation: Floats,
+    origin: Floats,
     lens: Floats,
     seen: Floats,
     weight: Floats,
@@ -318,6 +324,6 @@ def settle_pixels(
     lens: `[view, lens row]` as of `PixelObservations.lens_rows`.
     """
     none = np.empty((len(seen), 2, 3, 0))
-    given = (first, rotation, translation, lens, seen, none, weight, options)
+    given = (first, rotation, origin, lens, seen, none, weight, options)
     _settle(given, steps, points)
     return _weigh(given, points, (in_camera, slope, own, residual))

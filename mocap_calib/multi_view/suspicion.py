@@ -159,8 +159,10 @@ def _hold_against_others(
     Each camera is held against the points that the others know by the rig as it is.
     """
     diagnosis = config.diagnosis
-    large = max(1.0, len(rig) / config.view_graph.small_rig)  # the work grows as the cameras
-    frames = evenly_spaced(labelled_frames(matches), round(diagnosis.suspicious_frames / large))
+    # of many cameras a frame tells more, and costs more: each is held against all others
+    large = max(1.0, len(rig) / config.view_graph.small_rig) ** 2
+    count = max(round(diagnosis.suspicious_frames / large), diagnosis.suspicious_least_frames)
+    frames = evenly_spaced(labelled_frames(matches), count)
     noise = view_noise(sample, rig, matches, config.triangulate)
     seen = gather_observations(sample, matches, frames)
     views = len(rig)

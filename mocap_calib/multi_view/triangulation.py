@@ -15,7 +15,12 @@ from mocap_calib.geometry.intersection import intersect
 from mocap_calib.geometry.point_covariance import point_covariance
 from mocap_calib.geometry.rays import are_apart, ray_angles, rays_in_world
 from mocap_calib.multi_view.noise import view_noise
-from mocap_calib.multi_view.observations import Observations, gather_observations
+from mocap_calib.multi_view.observations import (
+    POINT_BLOCK,
+    Observations,
+    gather_observations,
+    point_blocks,
+)
 from mocap_calib.types import (
     Bools,
     CameraRig,
@@ -28,8 +33,6 @@ from mocap_calib.types import (
     Recording,
     silent,
 )
-
-_BLOCK = 8192  # points at a time: enough that calls cost little beside, few enough for the cache
 
 
 @single_threaded_libraries()
@@ -102,7 +105,7 @@ def frame_blocks(frames: int, points: int) -> list[Ints]:
 
     points: in each frame.
     """
-    size = max(1, _BLOCK // max(1, points))
+    size = max(1, POINT_BLOCK // max(1, points))
     return [np.arange(start, min(start + size, frames)) for start in range(0, frames, size)]
 
 
@@ -190,6 +193,19 @@ def triangulate_rays(
     A point is NaN where fewer than two views agree on it and have it in front of them, or where
     they see it from almost the same side.
     """
+    work = partial(_triangulate_some, rig=rig, noise=noise, config=config)
+    blocks = point_blocks(weight.shape[1])
+    points, used = zip(
+        *map_in_threads(work, ((rays[..., some], weight[:, some]) for some in blocks)), strict=True
+    )
+    return np.concatenate(points, axis=1), np.concatenate(used, axis=1)
+
+
+def _triangulate_some(
+    seen: tuple[Floats, Floats], *, rig: CameraRig, noise: Floats, config: TriangulateConfig
+) -> tuple[Floats, Bools]:
+    """Return what `triangulate_rays` does; seen: rays and weight."""
+    rays, weight = seen
     known = np.where(np.isfinite(rays[:, 0]), weight, 0.0)
     world = rays_in_world(rig, rays)
     points = intersect(rig, world, known / noise[:, None] ** 2)

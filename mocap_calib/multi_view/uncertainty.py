@@ -17,7 +17,7 @@ import numpy as np
 from mocap_calib.config import Config, UncertaintyConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.lens import change_intrinsics
-from mocap_calib.multi_view.bundle_adjustment import adjust
+from mocap_calib.multi_view.bundle_adjustment import adjust_once
 from mocap_calib.multi_view.fit import find_outlier_cameras, find_weak_perspective, measure_fit
 from mocap_calib.multi_view.intrinsics import FreeFocal, free_focal_lengths, shared_intrinsics
 from mocap_calib.multi_view.observations import labelled_frames
@@ -219,7 +219,7 @@ def _change_with_focal(
     )
     changed = replace(rig, cameras=cameras)
     try:
-        found = adjust(with_cameras(sample, cameras), changed, matches, config)
+        found = adjust_once(with_cameras(sample, cameras), changed, matches, config)
     except DegenerateError:
         nothing = RigCovariance.unknown(len(cameras), rig_size(rig)).matrix
         return np.sqrt(np.einsum("vivi->vi", nothing))

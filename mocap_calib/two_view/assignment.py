@@ -12,7 +12,7 @@ def sinkhorn(affinity: Floats, *, dummy: float) -> Floats:
     Sinkhorn's algorithm (Cuturi 2013, algorithm 1; the paper, section 3.2). The dummy row and
     column have no capacity: they are never normalised.
 
-    affinity: `[..., I, J]` in 0..1, 0 = impossible.
+    affinity: `[..., I, J]` in 0..1, 0 or NaN = impossible.
     dummy: the affinity at which staying unmatched is as good.
     Returns `[..., I, J]`: rows and columns sum to at most 1.
     """
@@ -22,7 +22,7 @@ def sinkhorn(affinity: Floats, *, dummy: float) -> Floats:
     weight = np.empty((rows + 1, columns + 1, *batch))
     possible = weight[:rows, :columns]
     np.exp(SINKHORN_SHARPNESS * affinity, out=possible)
-    possible[affinity <= 0] = 0.0
+    possible[~(affinity > 0)] = 0.0
     weight[rows] = weight[:, columns] = np.exp(SINKHORN_SHARPNESS * dummy)
     for _ in range(SINKHORN_SWEEPS):
         weight[:rows] /= weight[:rows].sum(1, keepdims=True)

@@ -245,23 +245,26 @@ def centre_energy(
 
     E = k^2 / 2 sum q / (1 + q), q = g' S^-1 g / k^2: Geman-McClure at k standard deviations.
     The covariance S is large along the two lines of sight, and a part of a body across.
-    lifted: `[frame, I, J]`. That S turns with the rotation is left out of the slopes.
+    lifted: `[frame, I, J]`.
     """
     frame, i, j = np.nonzero(lifted)
     turned = pair.a.centre[frame, i] @ rotation.T
     centre_b = pair.b.centre[frame, j]
     gap = turned + translation - centre_b
     information = _centre_information(turned, centre_b, config)
-    squared = np.einsum("ni,nij,nj->n", gap, information, gap)
+    pull = np.einsum("nij,nj->ni", information, gap)
     outlier = config.centre_outlier**2
-    share = squared / outlier
-    information /= ((1 + share) ** 2)[:, None, None]
+    share = (gap * pull).sum(-1) / outlier
+    robust = 1 / (1 + share) ** 2
     jacobian = _gap_jacobian(turned)
-    weighted = np.einsum("nik,nij->nkj", jacobian, information)
+    weighted = np.einsum("nik,nij,n->nkj", jacobian, information, robust)
+    gradient = np.einsum("nik,ni,n->nk", jacobian, pull, robust)
+    # the line of sight of a turns with R c_a, and S with it
+    gradient[:, :3] *= 1 - config.centre_spread**2 * (pull * turned).sum(-1, keepdims=True)
     return Energy(
         value=outlier / 2 * float((share / (1 + share)).sum()),
         hessian=np.einsum("nkj,njl->kl", weighted, jacobian),
-        gradient=np.einsum("nkj,nj->k", weighted, gap),
+        gradient=gradient.sum(0),
     )
 
 

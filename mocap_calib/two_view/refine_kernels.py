@@ -76,15 +76,19 @@ def _write_terms(
         nx, ny, nz = y * bz - z * by, z * bx - x * bz, x * by - y * bx
         cx, cy, cz = by * tz - bz * ty, bz * tx - bx * tz, bx * ty - by * tx
         value = tx * nx + ty * ny + tz * nz
-        along = tx * x + ty * y + tz * z
-        across_squared = cx * cx + cy * cy + cz * cz
-        gradient = max(1 - along * along + across_squared - 2 * value * value, 1e-12)
+        along_a, along_b = tx * x + ty * y + tz * z, tx * bx + ty * by + tz * bz
+        gradient = 2 - along_a * along_a - along_b * along_b - 2 * value * value
+        gradient = max(gradient, 1e-12)
+        ratio = value / gradient
+        growth, pull_a, pull_b = 1 + 2 * value * ratio, ratio * along_a, ratio * along_b
         square = (size * value) ** 2 * narrow
         inverse = 1 / (gradient + square)
-        terms[n] = y * cz - z * cy
-        terms[LANES + n] = z * cx - x * cz
-        terms[2 * LANES + n] = x * cy - y * cx
-        terms[3 * LANES + n], terms[4 * LANES + n], terms[5 * LANES + n] = nx, ny, nz
+        terms[n] = growth * (y * cz - z * cy) + pull_a * (y * tz - z * ty)
+        terms[LANES + n] = growth * (z * cx - x * cz) + pull_a * (z * tx - x * tz)
+        terms[2 * LANES + n] = growth * (x * cy - y * cx) + pull_a * (x * ty - y * tx)
+        terms[3 * LANES + n] = growth * nx + pull_a * x + pull_b * bx
+        terms[4 * LANES + n] = growth * ny + pull_a * y + pull_b * by
+        terms[5 * LANES + n] = growth * nz + pull_a * z + pull_b * bz
         terms[6 * LANES + n] = value
         terms[7 * LANES + n] = weight * size * size * gradient * inverse * inverse
         terms[8 * LANES + n] = weight * square * inverse
@@ -260,16 +264,18 @@ def _add_centres(
                 outer = turned[i] * turned[j] + centres[n, 3 + i] * centres[n, 3 + j]
                 covariance[i, j] = along * outer + (across if i == j else 0.0)
         _invert(covariance, information)
-        squared = 0.0
+        squared, lean = 0.0, 0.0
         for i in range(3):
             pull[i] = 0.0
             for j in range(3):
                 pull[i] += information[i, j] * gap[j]
             squared += gap[i] * pull[i] / outlier
+            lean += turned[i] * pull[i]
         value += squared / (1 + squared)
         slope[0, 1], slope[1, 2], slope[2, 0] = turned[2], turned[0], turned[1]
         slope[1, 0], slope[2, 1], slope[0, 2] = -turned[2], -turned[0], -turned[1]
-        _add_match(slope, information, pull, share / (1 + squared) ** 2, system)
+        weight = share / (1 + squared) ** 2
+        _add_match(slope, information, pull, weight, 1 - along * lean, system)
     return share * outlier / 2 * value
 
 
@@ -289,17 +295,21 @@ def _invert(m: Floats, inverse: Floats) -> None:
 
 @inlined
 def _add_match(
-    slope: Floats, information: Floats, pull: Floats, weight: float, system: Floats
+    slope: Floats, information: Floats, pull: Floats, weight: float, of_turn: float, system: Floats
 ) -> None:
-    """Add slope' information slope and slope' pull, weighted. slope: `[3, 6]`; pull: `[3]`."""
+    """Add slope' information slope and slope' pull, weighted. slope: `[3, 6]`; pull: `[3]`.
+
+    of_turn: what the pull on the turn is multiplied by.
+    """
     for i in range(6):
+        weight_of_pull = weight * of_turn if i < 3 else weight
         for k in range(3):
             row = 0.0
             for m in range(3):
                 row += slope[m, i] * information[m, k]
             for j in range(6):
                 system[i, j] += weight * row * slope[k, j]
-            system[i, 6] += weight * slope[k, i] * pull[k]
+            system[i, 6] += weight_of_pull * slope[k, i] * pull[k]
 
 
 @kernel(

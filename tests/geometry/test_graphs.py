@@ -57,3 +57,10 @@ def test_assignments_cost_as_little_as_those_of_scipy(seed):
             assert tried[rows, columns].sum() == pytest.approx(
                 tried[linear_sum_assignment(tried)].sum()
             )
+
+
+@pytest.mark.parametrize("cost", [np.nan, np.inf, -np.inf])
+def test_costs_that_are_no_numbers_are_refused(cost):
+    """They took for ever."""
+    with pytest.raises(ValueError, match="expected costs that are finite"):
+        assign(np.array([[cost, cost], [cost, cost], [0.0, cost]]))

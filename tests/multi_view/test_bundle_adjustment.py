@@ -11,16 +11,24 @@ from mocap_calib.config import (
 )
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.multi_view.bundle_adjustment import adjust
+from mocap_calib.multi_view.bundle_adjustment import adjust, adjust_once
 from mocap_calib.multi_view.ceres import adjust_by_ceres
 from mocap_calib.types import CameraRig, Matches
 
 
 def test_adjustment_comes_home_from_three_degrees():
-    """With true matches: from 3 degrees off to below a tenth (measured 0.03)."""
+    """With true matches: from 3 degrees off to 0.12 from the truth (0.04 to 0.12 in 12 scenes).
+
+    And to within 0.005 of where it ends from the truth itself; adjusted by the errors of the start
+    alone, which are ten times too large, it would end 0.12 from there.
+    """
     made = scene()
-    found = adjust(recording(), turn_cameras(made.rig, 3.0), truth(), Config())
-    assert rotation_errors_deg(found, made.rig).max() < 0.1
+    found, home = (
+        adjust(recording(), start, truth(), Config())
+        for start in (turn_cameras(made.rig, 3.0), made.rig)
+    )
+    assert rotation_errors_deg(found, made.rig).max() < 0.2
+    assert rotation_errors_deg(found, home).max() < 0.02
 
 
 def test_adjustment_does_not_depend_on_the_gauge():
@@ -72,7 +80,7 @@ def test_ceres_is_of_our_opinion(changes):
     """
     found, matches = recording(**changes), truth(**changes)
     start = turn_cameras(scene(**changes).rig, 1.0)
-    ours = adjust(found, start, matches, Config())
+    ours = adjust_once(found, start, matches, Config())
     theirs = adjust_by_ceres(found, start, matches, Config())
     assert rotation_errors_deg(ours, theirs).max() < 0.005
     reach = np.linalg.norm(ours.centres - ours.centres[0], axis=1).max()

@@ -8,6 +8,7 @@ import pytest
 from scenes import PEOPLE, calibrate_group, rotation_errors_deg, scene
 
 from mocap_calib.config import Config, SimulateConfig
+from mocap_calib.multi_view import settling
 from mocap_calib.multi_view.bundle_adjustment import adjust
 from mocap_calib.multi_view.in_step import bring_in_step, held_out_error
 from mocap_calib.multi_view.motion import Motion, motion_between, smoothness
@@ -224,6 +225,22 @@ def test_slopes_by_the_offset_are_differences():
     slopes = seen.slopes(slice(0, 50), state, found, np.ones((2, 50)))
     expected = difference / (2 * nudge)
     np.testing.assert_allclose(slopes.intrinsics[:, :, 0], expected, rtol=1e-5, atol=1e-7)
+
+
+def test_the_kernel_settles_points_as_its_definition(monkeypatch):
+    """Points that move, a block that begins amid them, and one that nobody sees."""
+    state, seen = timed_problem()
+    weight = np.where(np.arange(50) == 30, 0.0, seen.weight)
+    seen = replace(seen, rays=replace(seen.rays, weight=weight))
+
+    def found() -> list[Floats]:
+        settled = settling.settle(slice(20, 50), state, seen, 3.0)
+        return [settled.points, settled.in_camera, settled.residual, *vars(settled.slopes).values()]
+
+    by_kernel = found()
+    monkeypatch.setattr(settling, "compiled", lambda _: None)
+    for ours, expected in zip(by_kernel, found(), strict=True):
+        assert np.abs(ours - expected).max() < 1e-9 * np.abs(expected).max()
 
 
 def test_motion_goes_through_the_neighbours():

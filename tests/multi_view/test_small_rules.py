@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy.linalg import null_space
 
-from mocap_calib.config import MovedConfig, SyncConfig
+from mocap_calib.config import MendConfig, MovedConfig, SyncConfig
 from mocap_calib.geometry.rotation import nearest_rotation
 from mocap_calib.multi_view import clock_search
 from mocap_calib.multi_view.changes import _choose_number
 from mocap_calib.multi_view.clock_evidence import along_map, standard_errors
 from mocap_calib.multi_view.covariance import _inverse_at_size
 from mocap_calib.multi_view.evidence import _pieces_between
-from mocap_calib.multi_view.faults import _has_moved
+from mocap_calib.multi_view.faults import _has_moved, _refuting_gain
 from mocap_calib.multi_view.labels import matched_share
 from mocap_calib.multi_view.time_offsets import _choose_stretches
 from mocap_calib.types import Matches
@@ -49,6 +49,14 @@ def test_a_camera_has_moved_if_one_of_its_faults_says_so():
     assert _has_moved([turned, moved])
     assert not _has_moved([turned, turned])
     assert not _has_moved([])
+
+
+def test_images_that_are_not_as_they_say_explain_much_once_they_are_mended():
+    config = MendConfig()
+    for word in ("mirrored", "resized"):
+        faults = [SimpleNamespace(word="sides"), SimpleNamespace(word=word)]
+        assert _refuting_gain(faults, config) == config.least_gross_gain > 0
+    assert _refuting_gain([SimpleNamespace(word="rotated")], config) == -config.refuting_loss < 0
 
 
 def test_the_share_of_the_matched_counts_whoever_is_named():

@@ -19,16 +19,16 @@ def put_together(first, second, views: int, others: int):
 
 
 @pytest.mark.slow
-def test_a_camera_of_another_recording_is_named_or_stays_outside():
-    """It never ends in a rig that is well determined."""
+def test_a_camera_of_another_recording_makes_no_rig_to_measure_with():
+    """Nobody else is accused of it."""
     together = put_together(scene(people=2), scene(people=2, seed=1), 3, 1)
     result = calibrate_all(together)
     (stranger,) = (name for name in together.names if name.startswith("B"))
-    inside = any(stranger in group.rig.names for group in result.groups)
-    named = {fault.camera for fault in result.faults}
-    assert named == ({stranger} if inside else set())
+    assert {fault.camera for fault in result.faults} <= {stranger}
     assert all(
-        group.verdict != "well determined" for group in result.groups if stranger in group.rig.names
+        group.verdict in ("weak", "not determined")
+        for group in result.groups
+        if stranger in group.rig.names
     )
 
 

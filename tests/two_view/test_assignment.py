@@ -27,3 +27,10 @@ def test_the_unlike_stay_alone():
         [True, False],
         [False, False],
     ]
+
+
+def test_what_is_not_known_matches_nobody():
+    """And leaves the others of its frame as they are."""
+    affinity = np.array([[np.nan, 0.9], [0.8, 0.2]])
+    expected = sinkhorn(np.nan_to_num(affinity), dummy=0.2)
+    np.testing.assert_array_equal(sinkhorn(affinity, dummy=0.2), expected)
