@@ -4,7 +4,8 @@ A kernel is a function of loops over numbers, in a module `..._kernels.py` besid
 serves. It is compiled when its module is imported for the first time, and kept on disk, by numba
 and as machine code alone (`compute.machine_code`), with which numba need not be imported. Either
 looks at that file alone to tell whether what is kept is still right: a kernel calls no kernel of
-another file. There is always a definition in numpy too, which a test holds it to, and which runs
+another file. It returns nothing or a number, and sets arrays in place: numba would be imported to
+return one. There is always a definition in numpy too, which a test holds it to, and which runs
 where numba is missing (`compute.kernels`).
 """
 
