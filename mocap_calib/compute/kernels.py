@@ -2,6 +2,7 @@
 
 from functools import cache
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -9,17 +10,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_calib.compute import machine_code
+from mocap_calib.compute.jit import numba_fits
+
 PACKAGE = Path(__file__).parents[1]
 
 
 @cache
 def kernels_at_hand() -> bool:
     """Return whether kernels can be compiled: numba is installed and fits this numpy."""
-    try:
-        import_module("mocap_calib.compute.jit")
-    except ImportError:
-        return False
-    return True
+    return find_spec("numba") is not None and (machine_code.is_kept_here() or numba_fits())
 
 
 @cache

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from mocap_calib.compute.jit import FLOAT, INT, floats, kernel
+from mocap_calib.compute.jit import FLOAT, INT, changed_ints, floats, kernel
 from mocap_calib.types import Floats, Ints
 
 
-@kernel(floats(2), FLOAT, INT)
-def follow(table: Floats, price: float, largest_step: int) -> Ints:
-    """Return the path `[frame]` through a table `[frame, offset]`: see `clock_paths._follow`.
+@kernel(floats(2), FLOAT, INT, changed_ints(1))
+def follow(table: Floats, price: float, largest_step: int, path: Ints) -> None:
+    """Set the path `[frame]` through a table `[frame, offset]`: see `clock_paths._follow`.
 
     largest_step: by which a camera is ahead at once.
     """
@@ -27,8 +27,6 @@ def follow(table: Floats, price: float, largest_step: int) -> Ints:
                     best, value = source, reached
             origin[frame, k] = best
             total[k] = value + table[frame, k]
-    path = np.empty(frames, dtype=np.int64)
     path[-1] = np.argmax(total)
     for frame in range(frames - 1, 0, -1):
         path[frame - 1] = origin[frame, path[frame]]
-    return path

@@ -191,8 +191,10 @@ def follow_ridge(table: Floats, price: float) -> Ints:
     """
     kernels = compiled("mocap_calib.multi_view.clock_kernels")
     if kernels:
-        parts = contiguous(*table)
-        return np.stack([kernels.follow(part, price, LARGEST_STEP) for part in parts])
+        paths = np.empty(table.shape[:2], dtype=np.int64)
+        for part, path in zip(contiguous(*table), paths, strict=True):
+            kernels.follow(part, price, LARGEST_STEP, path)
+        return paths
     return np.stack([_follow(part, price) for part in table])
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mocap_calib.compute.kernels import compiled, contiguous
+from mocap_calib.compute.kernels import compiled
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.two_view.refine import epipolar_system
@@ -76,15 +76,18 @@ def most_probable(
     kernels = compiled("mocap_calib.two_view.refine_kernels")
     if kernels:
         frame, i, j = np.nonzero(lifted)
-        return kernels.minimise(
+        rotation, translation = rotation.copy(), translation.copy()
+        kernels.minimise(
             rays.in_blocks(),
             pair.overlap.cross[lifted].sum(0),
             float(pair.overlap.norm[lifted].sum()),
             np.hstack([pair.a.centre[frame, i], pair.b.centre[frame, j]]),
-            *contiguous(rotation, translation),
+            rotation,
+            translation,
             *_rule(noise, share, config),
             config.posterior_steps,
         )
+        return rotation, translation
 
     def energy_at(rotation: Floats, translation: Floats) -> Energy:
         """Return the negative log posterior of R `[3, 3]` and t `[3]`."""

@@ -70,9 +70,9 @@ def refine_two_view(
     widths = config.inlier * np.maximum(narrowing, 1.0)
     kernels = compiled("mocap_calib.two_view.refine_kernels")
     if kernels:
-        rotation, direction = kernels.refine(
-            *contiguous(rotation, direction, rays.in_blocks(), widths), config.refine_largest_step
-        )
+        rotation, direction = rotation.copy(), direction.copy()
+        given = contiguous(rays.in_blocks(), widths)
+        kernels.refine(rotation, direction, *given, config.refine_largest_step)
         return rotation, direction * length
     rays_a = np.ascontiguousarray(np.swapaxes(rays.a, 1, 2))  # by component, [M, 3, N]
     rays_b = np.ascontiguousarray(np.swapaxes(rays.b, 1, 2))

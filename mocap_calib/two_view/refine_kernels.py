@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from mocap_calib.compute.jit import FLOAT, INT, floats, inlined, kernel
+from mocap_calib.compute.jit import FLOAT, INT, changed_floats, floats, inlined, kernel
 from mocap_calib.two_view.view_pair import RAYS_OF_A_BLOCK
 from mocap_calib.types import Floats
 
@@ -166,16 +166,15 @@ def _turn(vector: Floats, rotation: Floats) -> Floats:
     return turned
 
 
-@kernel(floats(3), floats(2), floats(4), floats(1), FLOAT)
+@kernel(changed_floats(3), changed_floats(2), floats(4), floats(1), FLOAT)
 def refine(
-    rotation: Floats, direction: Floats, rays: Floats, widths: Floats, largest: float
-) -> tuple[Floats, Floats]:
-    """Return rotations `[M, 3, 3]` and unit directions `[M, 3]` after the steps of Gauss-Newton.
+    rotations: Floats, directions: Floats, rays: Floats, widths: Floats, largest: float
+) -> None:
+    """Take the steps of Gauss-Newton from rotations `[M, 3, 3]` and unit directions `[M, 3]`.
 
     rays: `[M, block, 8, LANES]` as `MatchedRays.in_blocks`; widths: `[step]`; largest: of a step.
     """
-    rotations, directions = rotation.copy(), direction.copy()
-    for m in range(len(rotation)):
+    for m in range(len(rotations)):
         for step in range(len(widths)):
             shifts = _across(directions[m])
             system, _ = _sum_over_rays(rays[m], rotations[m], directions[m], shifts, widths[step])
@@ -187,7 +186,6 @@ def refine(
             rotations[m] = _turn(delta[:3], rotations[m])
             directions[m] += delta[3:]
             directions[m] /= _norm(directions[m])
-    return rotations, directions
 
 
 @inlined
@@ -314,7 +312,11 @@ def _add_match(
             system[i, 6] += weight_of_pull * slope[k, i] * pull[k]
 
 
-@kernel(*(floats(3), floats(2), FLOAT, floats(2)), *(floats(2), floats(1)), *(floats(1),) * 2, INT)
+@kernel(
+    *(floats(3), floats(2), FLOAT, floats(2)),
+    *(changed_floats(2), changed_floats(1)),
+    *(floats(1), floats(1), INT),
+)
 def minimise(
     rays: Floats,
     cross: Floats,
@@ -325,8 +327,8 @@ def minimise(
     rule: Floats,
     damping_rule: Floats,
     steps: int,
-) -> tuple[Floats, Floats]:
-    """Return the most probable rotation `[3, 3]` and translation `[3]`.
+) -> None:
+    """Set the most probable rotation `[3, 3]` and translation `[3]`, from a first one.
 
     rays: `[block, 8, LANES]`; cross: `[3, 3]` and norm: sums over the lifted matches; centres:
     `[match, 6]`. rule: noise, width of the loss, share of the lifted bodies, spread of
@@ -359,4 +361,5 @@ def minimise(
             damping *= factor
         if settled:
             break
-    return best_rotation, best_translation
+    rotation[:] = best_rotation
+    translation[:] = best_translation

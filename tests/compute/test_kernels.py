@@ -31,14 +31,19 @@ def test_without_numba_nothing_is_compiled(monkeypatch):
     assert kernels.compile_ahead() == []
 
 
-def test_kernels_come_without_the_blas_that_products_of_others_find():
+def test_kernels_are_compiled_without_the_blas_that_products_of_others_find(tmp_path):
     """It takes 0.2 s to import."""
     pytest.importorskip("numba")
-    code = """
+    kernel = "from mocap_calib.compute.jit import FLOAT, kernel\n\n"
+    kernel += "@kernel(FLOAT)\ndef twice(x):\n    return 2 * x\n"
+    (tmp_path / "new_kernels.py").write_text(kernel, "utf-8")
+    code = f"""
 import sys
 import numpy as np
-import mocap_calib.multi_view.schur_kernels
-assert not {"scipy.linalg", "scipy.special", "scipy.optimize"} & set(sys.modules)
+sys.path.insert(0, {str(tmp_path)!r})
+import new_kernels
+assert "numba" in sys.modules
+assert not {{"scipy.linalg", "scipy.special", "scipy.optimize"}} & set(sys.modules)
 import numba
 print(numba.njit(lambda a: np.dot(a, a))(2 * np.eye(2))[1, 1])
 """
