@@ -12,7 +12,7 @@ def widening(degrees: float) -> float:
     """Return by how much an estimated covariance must grow for its 95 % regions to hold 95 %.
 
     Regions of three numbers, as of a normal distribution. degrees: of freedom of the covariance,
-    3.5 and more. Its own error makes the squared distances those of Hotelling's T^2.
+    3.5 to 1e8. Its own error makes the squared distances those of Hotelling's T^2.
     """
     left = degrees - 2
     return 3 * degrees / left * _f_quantile(left) / _CHI_SQUARE
