@@ -607,7 +607,7 @@ class PosesConfig:
         detections choose, the usual one first: only what is better by more than a standard error
         replaces it. Chosen: the narrow one for most detectors, where it would cost projected
         recordings 2 to 3 %; the wide one for normal errors (HumanEva -2.7 %, mice -1.3 %). Listed
-        first it would be taken where errors are few, and cost MVOR 1.5 %. first_loss: how much
+        first it was taken where errors are few, and MVOR's rose by 2 %. first_loss: how much
         wider it is at the first step; half of that at each that follows.
     prior_loss: of accelerations and of bones: most are small, some large. Measured on ten
         recordings: with 3 errors change by +5 % of HumanEva, +2.5 % of two dogs, at most 1 % of the
