@@ -17,7 +17,8 @@ from mocap_calib.multi_view.evidence import _pieces_between
 from mocap_calib.multi_view.faults import _has_moved, _refuting_gain
 from mocap_calib.multi_view.labels import matched_share
 from mocap_calib.multi_view.time_offsets import _choose_stretches
-from mocap_calib.types import Matches
+from mocap_calib.multi_view.verdict import _has_unchecked_intrinsics
+from mocap_calib.types import Camera, EstimatedCamera, Matches
 
 
 def test_pieces_between_others_are_those_that_begin_and_end_there():
@@ -58,6 +59,14 @@ def test_images_that_are_not_as_they_say_explain_much_once_they_are_mended():
         faults = [SimpleNamespace(word="sides"), SimpleNamespace(word=word)]
         assert _refuting_gain(faults, config) == config.least_gross_gain > 0
     assert _refuting_gain([SimpleNamespace(word="rotated")], config) == -config.refuting_loss < 0
+
+
+@pytest.mark.parametrize(("estimated", "given", "unchecked"), [(2, 0, 1), (1, 1, 0), (3, 0, 0)])
+def test_no_third_camera_checks_the_intrinsics_of_two(estimated, given, unchecked):
+    known = Camera("a", (640, 480), np.diag([500.0, 500.0, 1.0]), np.zeros(5), False)
+    found = EstimatedCamera.of(known, focal_sigma=1.0, k1_sigma=0.0)
+    rig = SimpleNamespace(cameras=(found,) * estimated + (known,) * given)
+    assert _has_unchecked_intrinsics(SimpleNamespace(rig=rig)) == bool(unchecked)
 
 
 def test_the_share_of_the_matched_counts_whoever_is_named():
