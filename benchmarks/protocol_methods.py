@@ -215,6 +215,22 @@ def _two_views(problem: Problem, joints: int) -> TwoViews:
     return TwoViews(rays_a, rays_b, focal)
 
 
+def _as_many_instances(views: Sequence[TwoViews]) -> list[TwoViews]:
+    """Return problems with equal numbers of instances: those that are added show nothing."""
+    most_a = max((each.rays_a.shape[1] for each in views), default=0)
+    most_b = max((each.rays_b.shape[1] for each in views), default=0)
+
+    def filled(rays: Floats, most: int) -> Floats:
+        """Return rays `[frame, instance, joint, 3]` of so many instances."""
+        nobody = (0, most - rays.shape[1])
+        return np.pad(rays, ((0, 0), nobody, (0, 0), (0, 0)), constant_values=np.nan)
+
+    return [
+        replace(each, rays_a=filled(each.rays_a, most_a), rays_b=filled(each.rays_b, most_b))
+        for each in views
+    ]
+
+
 def paper(architecture: str, config: PaperConfig) -> Method:
     """Solve by the paper's solver; its seconds are those of pairs solved alone."""
 
@@ -226,10 +242,11 @@ def paper(architecture: str, config: PaperConfig) -> Method:
             solve_pair(views[k], model, config, torch.Generator().manual_seed(k))
         seconds = (time.perf_counter() - start) / max(min(TIMED, len(views)), 1)
         generator = torch.Generator().manual_seed(0)
+        alike = _as_many_instances(views)
         found = [
             s
             for k in range(0, len(views), BATCH)
-            for s in solve_pairs(views[k : k + BATCH], model, config, generator)
+            for s in solve_pairs(alike[k : k + BATCH], model, config, generator)
         ]
         return [Found(s.rotation, s.translation, s.matches) for s in found], seconds
 
