@@ -135,9 +135,8 @@ def tell(message: str) -> None:
 
 def measure_all(cells: Sequence[Cell], data: Data, options: argparse.Namespace) -> bool:
     """Measure the cells that the results lack, each a line; return whether all are there then."""
-    known = {tuple(line[part] for part in KEY) for line in read_results(options.results)}
-    if options.again:
-        known = set()
+    there = [] if options.again else read_results(options.results)
+    known = {tuple(line[part] for part in KEY) for line in there}
     missing = [cell for cell in cells if tuple(getattr(cell, part) for part in KEY) not in known]
     options.results.parent.mkdir(parents=True, exist_ok=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())

@@ -13,7 +13,7 @@ import numpy as np
 from mocap_calib.geometry.projection import pixels_from_points, rays_from_pixels
 from mocap_calib.geometry.rotation import looking_along, matrix_from_vector
 from mocap_calib.recording.joints import load_skeleton, match_names
-from mocap_calib.types import Camera, CameraRig, Floats, Ints, Sample
+from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Sample
 
 SIZE = (1920, 1080)
 ROOM = 4.0  # metres, side of the square where subjects are
@@ -180,12 +180,8 @@ def scene(
     columns = np.array([subjects.joints.index(name) for name in joints])
     positions = np.full((views, frames, count, len(columns), 2), np.nan)
     ids = np.zeros((views, frames, count), dtype=np.int64)
-    for view, camera in enumerate(rig.cameras):
-        order = rng.permuted(np.broadcast_to(np.arange(count), (frames, count)), axis=1)
-        mixed = np.take_along_axis(bodies[:, :, columns], order[..., None, None], axis=1)
-        pixels = pixels_from_points(camera, mixed @ rig.rotation[view].T + rig.translation[view])
-        pixels += rng.normal(0, noise_px, pixels.shape)
-        inside = ((pixels >= 0) & (pixels < SIZE)).all(-1)
+    for view in range(views):
+        pixels, inside, order = shuffled_view(rng, rig, view, bodies[:, :, columns], noise_px)
         inside &= inside.sum(-1, keepdims=True) >= 4
         positions[view] = np.where(inside[..., None], pixels, np.nan)
         ids[view] = np.where(inside.any(-1), order, -1)
@@ -210,6 +206,22 @@ def scene(
         model=subjects.skeleton.name,
     )
     return sample, Truth(rig, ids)
+
+
+def shuffled_view(
+    rng: np.random.Generator, rig: CameraRig, view: int, bodies: Floats, noise_px: float
+) -> tuple[Floats, Bools, Ints]:
+    """Return what a camera sees of bodies `[frame, subject, joint, 3]`, in random order.
+
+    Pixels `[frame, instance, joint, 2]` with noise, which of them are inside of the image, and the
+    subject `[frame, instance]` that each is.
+    """
+    camera, (frames, count) = rig.cameras[view], bodies.shape[:2]
+    order = rng.permuted(np.broadcast_to(np.arange(count), (frames, count)), axis=1)
+    mixed = np.take_along_axis(bodies, order[..., None, None], axis=1)
+    pixels = pixels_from_points(camera, mixed @ rig.rotation[view].T + rig.translation[view])
+    pixels = pixels + rng.normal(0, noise_px, pixels.shape)
+    return pixels, ((pixels >= 0) & (pixels < camera.size)).all(-1), order
 
 
 def misplace(sample: Sample, share: float) -> Sample:

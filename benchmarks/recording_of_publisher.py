@@ -20,9 +20,9 @@ from pathlib import Path
 
 import numpy as np
 from poses_of_arrays import names_of, read_clip
+from protocol_scenes import shuffled_view
 
 from mocap_calib.errors import MismatchError, MocapCalibError
-from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.io.cameras.read import read_rig
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.io.results.scene import write_scene
@@ -158,11 +158,7 @@ def project(
     frames, people = poses.shape[:2]
     ids, files = np.zeros((len(rig.cameras), frames, people), dtype=np.int64), []
     for view, camera in enumerate(rig.cameras):
-        order = rng.permuted(np.broadcast_to(np.arange(people), (frames, people)), axis=1)
-        mixed = np.take_along_axis(poses, order[..., None, None], axis=1)
-        pixels = pixels_from_points(camera, mixed @ rig.rotation[view].T + rig.translation[view])
-        pixels = pixels + rng.normal(0, noise, pixels.shape)
-        inside = np.all((pixels >= 0) & (pixels < camera.size), axis=-1)
+        pixels, inside, order = shuffled_view(rng, rig, view, poses, noise)
         ids[view] = np.where(inside.any(-1), order, -1)
         files.append(
             Keypoints2D(

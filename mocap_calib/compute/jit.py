@@ -96,17 +96,17 @@ def octets(dimensions: int) -> Argument:
 
 def changed_floats(dimensions: int) -> Argument:
     """Return the type of an array of 64-bit floats in C order, which is changed in place."""
-    return Argument("float64", dimensions, changed=True)
+    return FLOAT._replace(dimensions=dimensions, changed=True)
 
 
 def changed_singles(dimensions: int) -> Argument:
     """Return the type of an array of 32-bit floats in C order, which is changed in place."""
-    return Argument("float32", dimensions, changed=True)
+    return SINGLE._replace(dimensions=dimensions, changed=True)
 
 
 def changed_ints(dimensions: int) -> Argument:
     """Return the type of an array of 64-bit integers in C order, which is changed in place."""
-    return Argument("int64", dimensions, changed=True)
+    return INT._replace(dimensions=dimensions, changed=True)
 
 
 def _check_arguments(

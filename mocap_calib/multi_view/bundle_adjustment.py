@@ -75,27 +75,18 @@ class AdjustablePoints:
         return np.asarray(rank * blocks // len(frames), dtype=np.int64)
 
 
-def adjust(
-    sample: Sample,
-    rig: CameraRig,
-    matches: Matches,
-    config: Config,
-    *,
-    already_close: bool = False,
-) -> CameraRig:
+def adjust(sample: Sample, rig: CameraRig, matches: Matches, config: Config) -> CameraRig:
     """Return the rig that minimises the robust reprojection error of the matched detections.
 
-    Intrinsics stay as they are, and so do the first camera and the size of the rig. The loss is
-    tightened in steps; `already_close` says that the rig has been adjusted before, so that only
-    the last step is needed. Else it is adjusted twice: the loss is in standard deviations of the
-    errors, and how large these are is known only of a rig that is close.
+    Intrinsics stay as they are, and so do the first camera and the size of the rig. It is adjusted
+    twice: the loss is in standard deviations of the errors, and how large these are is known only
+    of a rig that is close.
 
     Raises UnderconstrainedCameraError for the camera that has the fewest points, where they are
     too few to constrain it, and DegenerateError where there is no match at all.
     """
-    if not already_close:
-        rig = adjust_once(sample, rig, matches, config)
-    return adjust_once(sample, rig, matches, config, already_close=True)
+    close = adjust_once(sample, rig, matches, config)
+    return adjust_once(sample, close, matches, config, already_close=True)
 
 
 @single_threaded_libraries()
@@ -107,7 +98,11 @@ def adjust_once(
     *,
     already_close: bool = False,
 ) -> CameraRig:
-    """Do what `adjust` does, by the errors that the rig has to begin with."""
+    """Return what `adjust` does, by the errors that the rig has to begin with.
+
+    The loss is tightened in steps. already_close: the rig has been adjusted before, so that only
+    the last step is needed.
+    """
     points = choose_points(sample, rig, matches, config)
     start = State(rig.rotation, rig.translation, points.points, np.zeros((len(rig.cameras), 0)))
     seen = observe_rays(rig, points)

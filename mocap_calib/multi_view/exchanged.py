@@ -11,7 +11,7 @@ import numpy as np
 
 from mocap_calib.config import Config, ExchangedConfig
 from mocap_calib.errors import DegenerateError
-from mocap_calib.multi_view.bundle_adjustment import adjust
+from mocap_calib.multi_view.bundle_adjustment import adjust_once
 from mocap_calib.multi_view.fit import measure_distances
 from mocap_calib.multi_view.noise import view_residual
 from mocap_calib.multi_view.observed import Observed
@@ -131,7 +131,7 @@ def _errors_with(
     )
     changed = with_cameras(sample, cameras)
     start = replace(rig, cameras=cameras)
-    adjusted = adjust(changed, start, matches, config, already_close=True)
+    adjusted = adjust_once(changed, start, matches, config, already_close=True)
     return _errors(changed, adjusted, matches, config)
 
 

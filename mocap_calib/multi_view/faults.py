@@ -101,9 +101,10 @@ def mend_faults(
 
 
 def _refuting_gain(faults: Sequence[Fault], config: MendConfig) -> float:
-    """Return the gain at which faults are none: mended, images that are not as they say fit well.
+    """Return the gain that is too small for faults to be real.
 
-    Of what else is wrong a calibration may hardly suffer.
+    Images that are mirrored or resized fit no rig, and fit well once they are mended. Other faults
+    may hardly harm a calibration.
     """
     if any(fault.word in _GROSS for fault in faults):
         return config.least_gross_gain

@@ -48,9 +48,16 @@ def measure_sample(
     recording: Recording, rig: CameraRig, matches: Matches, config: TriangulateConfig
 ) -> MeasuredSample:
     """Return the angles between rays and the points where they meet, of a sample of frames."""
-    frames = evenly_spaced(labelled_frames(matches), config.noise_frames)
-    seen = gather_observations(recording, matches, frames)
+    frames, seen = _choose_sample(recording, matches, config)
     return MeasuredSample(frames, seen, *_measure_angles(rig, seen, config))
+
+
+def _choose_sample(
+    recording: Recording, matches: Matches, config: TriangulateConfig
+) -> tuple[Ints, Observations]:
+    """Return some of the frames that have labels, evenly spaced, and what is seen in them."""
+    frames = evenly_spaced(labelled_frames(matches), config.noise_frames)
+    return frames, gather_observations(recording, matches, frames)
 
 
 def view_noise(
@@ -61,9 +68,8 @@ def view_noise(
     Of one coordinate. Measured in an even sample of the frames that have labels, on the points
     that three views see (two where there are no more).
     """
-    measured = measure_sample(recording, rig, matches, config)
-    usual = median_angles(rig, measured.points, measured.seen.confidence)
-    return _medians_of_views(rig, measured.angle / usual, measured.counted, config)
+    _, seen = _choose_sample(recording, matches, config)
+    return _medians_of_views(rig, *measure_errors(rig, seen, config), config)
 
 
 def view_residual(

@@ -5,12 +5,11 @@ import numpy as np
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import TriangulateConfig
 from mocap_calib.multi_view.noise import least_noise, measure_errors
-from mocap_calib.multi_view.observations import Observations, observe
+from mocap_calib.multi_view.observations import POINT_BLOCK, Observations, observe, point_blocks
 from mocap_calib.multi_view.triangulation import reprojection_error, triangulate_rays
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import CameraRig, Floats
 
-_BLOCK = 8192  # points at a time
 _LEAST_POINTS = 30  # of a view: fewer do not tell the noise of its own
 
 
@@ -33,7 +32,7 @@ def triangulate_pixels(
     flat = pixels.reshape(len(rig), -1, 2)
     weight = np.where(np.isfinite(flat).all(-1), np.nan_to_num(confidence.reshape(len(rig), -1)), 0)
     count = flat.shape[1]
-    sample = evenly_spaced(np.arange(count), _BLOCK)
+    sample = evenly_spaced(np.arange(count), POINT_BLOCK)
     noise = _noise_of_few(rig, observe(rig.cameras, flat[:, sample], weight[:, sample]), config)
 
     def triangulate_block(block: slice) -> tuple[Floats, Floats]:
@@ -44,8 +43,7 @@ def triangulate_pixels(
         )
         return points, reprojection_error(rig, points, pixels=seen.pixels, used=used)
 
-    blocks = [slice(start, start + _BLOCK) for start in range(0, max(count, 1), _BLOCK)]
-    found = list(map_in_threads(triangulate_block, blocks))
+    found = list(map_in_threads(triangulate_block, point_blocks(count)))
     points = np.concatenate([block for block, _ in found], axis=1)
     error = np.concatenate([block for _, block in found])
     return points.T.reshape(*shape, 3), error.reshape(shape)

@@ -159,7 +159,7 @@ def _hold_against_others(
     Each camera is held against the points that the others know by the rig as it is.
     """
     diagnosis = config.diagnosis
-    # of many cameras a frame tells more, and costs more: each is held against all others
+    # a frame of a large rig tells more and takes longer: each camera is held against all others
     large = max(1.0, len(rig) / config.view_graph.small_rig) ** 2
     count = max(round(diagnosis.suspicious_frames / large), diagnosis.suspicious_least_frames)
     frames = evenly_spaced(labelled_frames(matches), count)

@@ -124,20 +124,20 @@ def epipolar_system(
     """
     turned = rotation @ rays_a
     normal = _cross(turned, rays_b)
-    line_of_sight = np.broadcast_to(direction[..., None], rays_b.shape)
-    across = _cross(rays_b, line_of_sight)  # u_b x t
+    baseline = np.broadcast_to(direction[..., None], rays_b.shape)
+    across = _cross(rays_b, baseline)  # u_b x t
     value = (direction[:, None] @ normal)[:, 0]
     along_a = (direction[:, None] @ turned)[:, 0]
     along_b = (direction[:, None] @ rays_b)[:, 0]
     # with unit t and rays |t x R u_a|^2 = 1 - (t . R u_a)^2, and likewise |t x u_b|^2
     gradient_squared = np.maximum(2 - along_a**2 - along_b**2 - 2 * value**2, 1e-12)
     scale = 1 / np.sqrt(gradient_squared)
-    # the gradients are longer or shorter after a step: without this the steps end elsewhere
+    # a step changes the lengths of the gradients, too: without that the steps end elsewhere
     ratio = value / gradient_squared
     growth = (1 + 2 * value * ratio)[:, None]
     pull_a, pull_b = (ratio * along_a)[:, None], (ratio * along_b)[:, None]
     jacobian = np.empty((len(rotation), 3 + tangent.shape[1], rays_a.shape[2]))
-    jacobian[:, :3] = growth * _cross(turned, across) + pull_a * _cross(turned, line_of_sight)
+    jacobian[:, :3] = growth * _cross(turned, across) + pull_a * _cross(turned, baseline)
     jacobian[:, 3:] = tangent @ (growth * normal + pull_a * turned + pull_b * rays_b)
     jacobian *= scale[:, None]
     return value * scale, jacobian

@@ -1,8 +1,8 @@
 """Compiled: relative poses by robust least squares on rays, with lifted bodies or without.
 
 `refine.refine_two_view` and the energies of `posterior` say the same in numpy. The sums over rays
-take one division a ray: where the error is s v / sqrt(g), its slopes s j / sqrt(g), and
-q = (s v / width)^2, Geman and McClure weigh it by (g / (g + q))^2.
+take two divisions a ray and no root: where the error is s v / sqrt(g), its slopes s j / sqrt(g),
+and q = (s v / width)^2, Geman and McClure weigh it by (g / (g + q))^2.
 """
 
 import math
@@ -59,8 +59,9 @@ def _write_terms(
 ) -> None:
     """Write the terms of a block of rays, rows of `LANES`; see `_sum_over_rays`.
 
-    The slopes in a turn (3), the normals R u_a x u_b (3), the value v, the weight
-    s^2 w g / (g + q)^2, and the loss w q / (g + q).
+    The slopes in a turn (3) and in a shift of t (3), the value v, the weight
+    s^2 w g / (g + q)^2, and the loss w q / (g + q). A slope is that of the error, times
+    sqrt(g) / s; a step changes v and g.
     """
     tx, ty, tz = direction[0], direction[1], direction[2]
     r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
