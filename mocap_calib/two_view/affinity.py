@@ -7,6 +7,8 @@ distance of the body), so that one tolerance serves scenes of any size.
 M relative poses are looked at in one go; a frame holds I instances in view a and J in view b.
 """
 
+from dataclasses import replace
+from functools import reduce
 from itertools import combinations
 
 import numpy as np
@@ -22,12 +24,41 @@ def steering_error(pair: ViewPair, rotation: Floats) -> Floats:
     """Return the mean squared joint distance |R X_a - X_b|^2 of the lifted bodies.
 
     One matrix product for all rotations: the error is linear in R once the cross-covariance of
-    the bodies is known. rotation: `[M, 3, 3]`. Returns `[M, frame, I, J]` squared body sizes.
+    the bodies is known. Of several readings the nearest counts. rotation: `[M, 3, 3]`. Returns
+    `[M, frame, I, J]` squared body sizes.
     """
-    norm = pair.overlap.norm
+    nearest = reduce(np.maximum, np.moveaxis(_traces(pair, rotation), 1, 0))
+    return np.maximum(pair.overlap.norm - 2 * nearest, 0.0)
+
+
+def _traces(pair: ViewPair, rotation: Floats) -> Floats:
+    """Return tr(R sum w X_a X_b'), `[M, reading, frame, I, J]`."""
     cross = np.swapaxes(pair.overlap.cross, -1, -2)
-    traces = rotation.reshape(-1, 9) @ cross.reshape(-1, 9).T  # tr(R sum w X_a X_b')
-    return np.maximum(norm - 2 * traces.reshape(-1, *norm.shape), 0.0)
+    traces = rotation.reshape(-1, 9) @ cross.reshape(-1, 9).T
+    return traces.reshape(-1, *cross.shape[:-2])
+
+
+def weigh_readings(pair: ViewPair, rotation: Floats, weight: Floats) -> Floats:
+    """Return weights `[M, frame, I, J]` as those of the nearest reading, `[M, reading, ...]`.
+
+    rotation: `[M, 3, 3]`.
+    """
+    if len(pair.overlap.cross) == 1:
+        return weight[:, None]
+    nearest = _traces(pair, rotation).argmax(1)
+    each = np.arange(len(pair.overlap.cross))[:, None, None, None]
+    return np.asarray(weight[:, None] * (nearest[:, None] == each))
+
+
+def in_one_reading(pair: ViewPair, rotation: Floats) -> ViewPair:
+    """Return the pair with the reading alone of each match that is nearest at R `[3, 3]`."""
+    cross = pair.overlap.cross
+    if len(cross) == 1:
+        return pair
+    nearest = _traces(pair, rotation[None])[0].argmax(0)[None, ..., None, None]
+    return replace(
+        pair, overlap=replace(pair.overlap, cross=np.take_along_axis(cross, nearest, axis=0))
+    )
 
 
 def steering_variance(pair: ViewPair, config: PairwiseConfig) -> Floats:
@@ -50,7 +81,11 @@ def body_agreement(
     rotation: `[M, 3, 3]`; translation: `[M, 3]` in body sizes. Returns `[M, frame, I, J]`.
     """
     cells = np.flatnonzero(pair.overlap.lifted)
-    agreement = _terms_of_rotation(rotation) @ _pose_terms(pair, cells, config)
+    turns = _terms_of_rotation(rotation)
+    of_readings = (
+        turns @ _pose_terms(pair, cells, config, cross=cross) for cross in pair.overlap.cross
+    )
+    agreement = reduce(np.minimum, of_readings)
     agreement *= -0.5
     np.exp(np.minimum(agreement, 0.0, out=agreement), out=agreement)
     distance = _terms_of_relative_pose(rotation, translation) @ _centre_terms(pair, cells)
@@ -61,14 +96,14 @@ def body_agreement(
     return found.reshape(-1, *pair.overlap.lifted.shape)
 
 
-def _pose_terms(pair: ViewPair, cells: Ints, config: PairwiseConfig) -> Floats:
+def _pose_terms(pair: ViewPair, cells: Ints, config: PairwiseConfig, *, cross: Floats) -> Floats:
     """Return `[10, N]`, of which `_terms_of_rotation` make p of `body_agreement`.
 
-    cells: `[N]` places in `[frame, I, J]`.
+    cells: `[N]` places in `[frame, I, J]`; cross: `[frame, I, J, 3, 3]` of a reading.
     """
     terms = np.empty((10, len(cells)))
-    cross = pair.overlap.cross.reshape(-1, 9).take(cells, axis=0).T
-    terms[:9] = cross.reshape(3, 3, -1).swapaxes(0, 1).reshape(9, -1)
+    of_cells = cross.reshape(-1, 9).take(cells, axis=0).T
+    terms[:9] = of_cells.reshape(3, 3, -1).swapaxes(0, 1).reshape(9, -1)
     terms[9] = pair.overlap.norm.take(cells)
     terms /= steering_variance(pair, config).take(cells)
     return terms

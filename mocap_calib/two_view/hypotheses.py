@@ -12,7 +12,7 @@ import numpy as np
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.epipolar import five_point
 from mocap_calib.geometry.rotation import nearest_rotation
-from mocap_calib.two_view.affinity import body_agreement
+from mocap_calib.two_view.affinity import body_agreement, weigh_readings
 from mocap_calib.two_view.assignment import mutual_best, sinkhorn
 from mocap_calib.two_view.view_pair import ViewPair, body_sizes_per_radian
 from mocap_calib.types import Floats, Ints
@@ -105,10 +105,12 @@ def _search_bodies(pair: ViewPair, config: PairwiseConfig, rng: np.random.Genera
 def _candidates(pair: ViewPair, config: PairwiseConfig, rng: np.random.Generator) -> Hypotheses:
     """Return the relative poses of possible matches: two bodies give one in closed form (Kabsch).
 
-    Half of them are the matches whose bodies agree best, half are drawn at random.
+    Each reading of the bodies gives its own. Half of them are those whose bodies agree best, half
+    are drawn at random.
     """
     frame, i, j = np.nonzero(pair.overlap.lifted)
-    cross = pair.overlap.cross[frame, i, j]
+    cross = pair.overlap.cross[:, frame, i, j].reshape(-1, 3, 3)
+    frame, i, j = np.tile([frame, i, j], len(pair.overlap.cross))
     rotation = nearest_rotation(np.swapaxes(cross, -1, -2))
     error = pair.overlap.norm[frame, i, j] - 2 * np.einsum("nij,nji->n", rotation, cross)
     ranked = np.argsort(error, kind="stable")
@@ -148,7 +150,8 @@ def _align_bodies(pair: ViewPair, hypotheses: Hypotheses, config: PairwiseConfig
     agreement = body_agreement(pair, hypotheses.rotation, hypotheses.translation, config)
     matched = mutual_best(sinkhorn(agreement, dummy=config.search_dummy), least=config.search_match)
     weight = agreement * matched
-    cross = weight.reshape(len(weight), -1) @ pair.overlap.cross.reshape(-1, 9)
+    of_readings = weigh_readings(pair, hypotheses.rotation, weight)
+    cross = of_readings.reshape(len(weight), -1) @ pair.overlap.cross.reshape(-1, 9)
     cross = cross.reshape(-1, 3, 3).swapaxes(1, 2)
     rotation = nearest_rotation(cross + 1e-9 * hypotheses.rotation)
     mean, total = _mean_gap(pair, rotation, weight)

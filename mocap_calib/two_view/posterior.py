@@ -15,6 +15,7 @@ import numpy as np
 from mocap_calib.compute.kernels import compiled
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.rotation import matrix_from_vector
+from mocap_calib.two_view.affinity import in_one_reading
 from mocap_calib.two_view.refine import epipolar_system
 from mocap_calib.two_view.view_pair import MatchedRays, ViewPair
 from mocap_calib.types import Bools, Floats
@@ -70,6 +71,7 @@ def most_probable(
     lifted = matched & (pair.overlap.lifted > 0)
     if not lifted.any() or not len(rays):
         return rotation, translation
+    pair = in_one_reading(pair, rotation)
     noise = _noise(ray_errors(rays, rotation, translation)[0], config)
     # the errors of lifted bodies are alike: many know little more than one
     share = 1 / (1 + lifted.sum() / config.lift_independent)
@@ -79,7 +81,7 @@ def most_probable(
         rotation, translation = rotation.copy(), translation.copy()
         kernels.minimise(
             rays.in_blocks(),
-            pair.overlap.cross[lifted].sum(0),
+            pair.overlap.cross[0, lifted].sum(0),
             float(pair.overlap.norm[lifted].sum()),
             np.hstack([pair.a.centre[frame, i], pair.b.centre[frame, j]]),
             rotation,
@@ -203,7 +205,7 @@ def body_energy(pair: ViewPair, lifted: Bools, rotation: Floats, config: Pairwis
     E = sum |R X_a - X_b|^2 / 2 sigma^2 = sum (norm - 2 tr(R cross)) / 2 sigma^2, where sigma is
     that of one coordinate, and all joints of a body count as one: they are wrong together.
     """
-    turned = rotation @ pair.overlap.cross[lifted].sum(0)  # sum w (R X_a) X_b'
+    turned = rotation @ pair.overlap.cross[0, lifted].sum(0)  # sum w (R X_a) X_b'
     precision = 3 / config.lift_spread**2
     hessian, gradient = np.zeros((6, 6)), np.zeros(6)
     curvature = precision * (np.trace(turned) * np.eye(3) - (turned + turned.T) / 2)

@@ -3,12 +3,13 @@
 Lengths are in body sizes (RMS distance of the joints from their centroid).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mocap_calib.config import LEAST_LIFT_SPREAD, PairwiseConfig
 from mocap_calib.geometry.epipolar import depths
+from mocap_calib.two_view.reversal import may_be_reversed, readings
 from mocap_calib.types import Bools, Floats, Ints, LiftedPoses, Sample
 
 RAYS_OF_A_BLOCK = 64  # loops of a fixed length over arrays in the cache are quick
@@ -47,7 +48,8 @@ class Overlap:
     w are the weights of the joints that both have, their sum is 1; s are their standard
     deviations as the network gives them.
 
-    cross: `[frame, I, J, 3, 3]` sum w X_a X_b'.
+    cross: `[reading, frame, I, J, 3, 3]` sum w X_a X_b'. One reading, as the bodies were lifted;
+        or four, where they may as well be reversed (see `reversal`).
     norm: `[frame, I, J]` sum w (|X_a|^2 + |X_b|^2).
     doubt: `[frame, I, J]` sum w (s_a^2 + s_b^2), the squared distance to be expected between two
         lifts of one body.
@@ -134,13 +136,11 @@ def gather_view_pair(
     sample: Sample, lifted: LiftedPoses, views: tuple[int, int], frames: Ints
 ) -> ViewPair:
     """Gather what the views a and b show in some frames (`[frame]` indices into the sample)."""
-    a, b = views
-    return ViewPair(
-        frames=frames,
-        a=gather_detections(sample, lifted, a, frames),
-        b=gather_detections(sample, lifted, b, frames),
-        overlap=_overlap(_bodies(lifted, a, frames), _bodies(lifted, b, frames)),
-    )
+    a, b = (gather_detections(sample, lifted, view, frames) for view in views)
+    overlap = _overlap(*(_bodies(lifted, view, frames) for view in views))
+    if may_be_reversed(sample, lifted, views, frames):
+        overlap = replace(overlap, cross=readings(overlap.cross[0], a.centre, b.centre))
+    return ViewPair(frames=frames, a=a, b=b, overlap=overlap)
 
 
 def gather_detections(sample: Sample, lifted: LiftedPoses, view: int, frames: Ints) -> Detections:
@@ -210,7 +210,7 @@ def _overlap(a: _Bodies, b: _Bodies) -> Overlap:
     doubt_a = _sum_over_joints(a.variance * a.precision, b.precision)
     doubt_b = _sum_over_joints(a.precision, b.variance * b.precision)
     return Overlap(
-        cross=cross / divisor[..., None, None],
+        cross=(cross / divisor[..., None, None])[None],
         norm=norm / divisor,
         doubt=(doubt_a + doubt_b) / divisor,
         lifted=(total > 0).astype(np.float64),

@@ -42,7 +42,7 @@ def exact_pair(bodies: int) -> ViewPair:
         for k, c in enumerate(centres)
     )
     all_pairs = (1, bodies, bodies)
-    overlap = Overlap(cross, norm, doubt=np.zeros(all_pairs), lifted=np.ones(all_pairs))
+    overlap = Overlap(cross[None], norm, doubt=np.zeros(all_pairs), lifted=np.ones(all_pairs))
     return ViewPair(np.array([0]), a, b, overlap)
 
 
