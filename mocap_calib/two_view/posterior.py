@@ -8,7 +8,7 @@ bodies, and of their centres.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -72,6 +72,7 @@ def most_probable(
     if not lifted.any() or not len(rays):
         return rotation, translation
     pair = in_one_reading(pair, rotation)
+    config = replace(config, lift_spread=lift_spread(pair, lifted, config))
     noise = _noise(ray_errors(rays, rotation, translation)[0], config)
     # the errors of lifted bodies are alike: many know little more than one
     share = 1 / (1 + lifted.sum() / config.lift_independent)
@@ -99,6 +100,16 @@ def most_probable(
         return of_rays + of_bodies.scale(share) + of_centres.scale(share)
 
     return _minimise(energy_at, rotation, translation, config)
+
+
+def lift_spread(pair: ViewPair, lifted: Bools, config: PairwiseConfig) -> float:
+    """Return by how much two lifts of a body differ in what turns the answer, in body sizes.
+
+    A difference in shape turns nothing. No less than that of right lifts. lifted:
+    `[frame, I, J]` matches.
+    """
+    expected = float(np.sqrt(pair.overlap.doubt[lifted].mean()))
+    return max(config.lift_spread, config.lift_turned * expected)
 
 
 def _rule(noise: float, share: float, config: PairwiseConfig) -> tuple[Floats, Floats]:
