@@ -26,6 +26,7 @@ from mocap_calib.multi_view.linking import link_through_time
 from mocap_calib.multi_view.tracking import locate_groups
 from mocap_calib.recording.sampling import evenly_spaced, take_sample
 from mocap_calib.two_view.affinity import epipolar_affinity
+from mocap_calib.two_view.reversal import may_be_reversed
 from mocap_calib.two_view.solve import all_pairs
 from mocap_calib.two_view.view_pair import (
     distance_ratios,
@@ -63,7 +64,9 @@ def associate(
     views, frames, instances = sample.positions.shape[:3]
     labels = np.full((views, frames, instances), -1, dtype=np.int64)
     scale = _body_scale(sample, lifted, rig, config)
-    geometry_alone = has_single_subject(sample, config.matching.geometry_alone_share)
+    geometry_alone = has_single_subject(
+        sample, config.matching.geometry_alone_share
+    ) or may_be_reversed(sample, lifted, range(views), np.arange(frames))
     step = max(1, _LIFTED_PAIRS // (views * instances) ** 2)
     blocks = _cut_into_blocks(np.arange(frames), step)
 
@@ -196,8 +199,8 @@ def _affinities(
     """Return how alike all detections of a frame are, by geometry and by their lifted bodies.
 
     frames: `[frame]` indices into the sample. scale: body sizes per unit of the rig.
-    geometry_alone: there is one subject. Bodies tell subjects apart; a badly lifted one must not
-        speak against the only candidate.
+    geometry_alone: there is one subject, or lifted bodies may be reversed. Bodies tell subjects
+        apart; a badly lifted one must not speak against the only candidate, or the right one.
     Returns `[frame, N, N]` affinities of the N = views x instances detections, and 1 where two
     detections can be compared.
     """

@@ -6,6 +6,8 @@ nearly flat body both are of one shape: nobody can tell from one view which it w
 reversal). Then the lifted body is one of two readings, and two views compare both.
 """
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from mocap_calib.config import LEAST_LIFT_SPREAD
@@ -16,18 +18,17 @@ _FRAMES = 20  # looked at to tell whether bodies are flat
 
 
 def may_be_reversed(
-    sample: Sample, lifted: LiftedPoses, views: tuple[int, int], frames: Ints
+    sample: Sample, lifted: LiftedPoses, views: Iterable[int], frames: Ints
 ) -> bool:
-    """Return whether the bodies that two views show are too flat to tell front from back.
+    """Return whether the bodies that some views show are too flat to tell front from back.
 
     So they are where reversing one moves its seen joints by less than what two lifts of one body
     are expected to differ by, as the network states its spread. frames: `[frame]` indices into the
-    sample.
+    sample. Not where a view has nothing lifted.
     """
     few = evenly_spaced(frames, _FRAMES)
-    found = [_flatness(sample, lifted, view, few) for view in views]
-    moved, doubt = np.sum(found, axis=0)
-    return bool(moved / len(views) < doubt)
+    moved, variance = np.mean([_flatness(sample, lifted, view, few) for view in views], axis=0)
+    return bool(moved < 2 * variance)
 
 
 def _flatness(sample: Sample, lifted: LiftedPoses, view: int, frames: Ints) -> tuple[float, float]:
@@ -40,7 +41,7 @@ def _flatness(sample: Sample, lifted: LiftedPoses, view: int, frames: Ints) -> t
     joints = sample.vocabulary[known]
     body = lifted.body[view, frames][..., joints, :]
     spread = lifted.spread[view, frames][..., joints]
-    seen = (sample.confidence[view, frames][..., known] > 0) & np.isfinite(spread)
+    seen = (sample.confidence[view, frames][..., known] > 0) & np.isfinite(body).all(-1)
     enough = seen.any(-1)
     if not enough.any():
         return np.inf, 0.0
