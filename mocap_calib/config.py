@@ -251,7 +251,7 @@ class PairwiseConfig:
     least_noise: float = 0.01  # of a joint, at the body; no detector is better
     loss_noises: float = 3.0  # a ray of so many times the noise is an outlier, if above `inlier`
     lift_spread: float = 0.12  # RMS joint distance of two right lifts of one body, or where more
-    lift_turned: float = 0.6  # this share of what the network expects: the rest turns nothing
+    lift_turned: float = 0.5  # this share of what the network expects: the rest turns nothing
     centre_spread: float = 0.06  # of the distance: how well two views agree how far one body is
     centre_outlier: float = 3.0  # standard deviations
     lift_independent: float = 2.0  # lifts err alike: many know no more than so many
