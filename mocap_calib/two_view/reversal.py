@@ -22,13 +22,12 @@ def may_be_reversed(
 ) -> bool:
     """Return whether the bodies that some views show are too flat to tell front from back.
 
-    So they are where reversing one moves its seen joints by less than what two lifts of one body
-    are expected to differ by, as the network states its spread. frames: `[frame]` indices into the
-    sample. Not where a view has nothing lifted.
+    So they are where reversing one moves its seen joints by less than the spread that the network
+    states of them. frames: `[frame]` indices into the sample. Not where a view has nothing lifted.
     """
     few = evenly_spaced(frames, _FRAMES)
     moved, variance = np.mean([_flatness(sample, lifted, view, few) for view in views], axis=0)
-    return bool(moved < 2 * variance)
+    return bool(moved < variance)
 
 
 def _flatness(sample: Sample, lifted: LiftedPoses, view: int, frames: Ints) -> tuple[float, float]:

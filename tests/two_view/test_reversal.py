@@ -61,7 +61,7 @@ def flat_scene(thickness: float) -> tuple[Sample, LiftedPoses]:
 
 
 def test_only_flat_bodies_may_be_reversed():
-    """People are 0.3 body sizes thick, by twice the least axis; lifts differ by 0.1 to 0.2."""
+    """A reversal moves people by 0.3 body sizes; the network is sure of them to 0.1."""
     assert not may_be_reversed(recording(), lifted(), VIEWS, np.arange(60))
     assert not may_be_reversed(*flat_scene(1.0), VIEWS, FRAMES)
     assert may_be_reversed(*flat_scene(0.1), VIEWS, FRAMES)
