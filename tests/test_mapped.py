@@ -10,7 +10,9 @@ import pytest
 from scenes import calibrate_group, recording
 
 from mocap_calib import mapped
+from mocap_calib.geometry.bodies import body_size
 from mocap_calib.io.results.poses_h5 import parse_poses_h5, write_poses_h5
+from mocap_calib.poses.start import bone_lengths
 from mocap_calib.types import GroupResult, Poses3D
 
 ON_DISK = hasattr(os, "posix_fallocate")
@@ -23,6 +25,15 @@ def all_on_disk(monkeypatch):
     monkeypatch.setattr(mapped, "_BLOCK", 7)
     monkeypatch.setattr(mapped, "_FAR", 3)
     monkeypatch.setattr(mapped.frame_slices, "__defaults__", (7,))
+
+
+class InBlocks(np.ndarray):
+    """An array of which no more than a block of frames may be read at a time."""
+
+    def __getitem__(self, index):
+        part = super().__getitem__(index)
+        assert np.ndim(part) == 0 or len(part) <= 7
+        return part
 
 
 def is_mapped(array: np.ndarray) -> bool:
@@ -58,6 +69,18 @@ def test_what_a_mapped_array_holds_stays_when_its_memory_is_given_back():
     gc.collect()
     mapped.let_go()
     np.testing.assert_array_equal(half, np.arange(1500, 3000).reshape(500, 3))
+
+
+@pytest.mark.usefixtures("all_on_disk")
+def test_bodies_are_measured_a_block_of_frames_at_a_time():
+    """All points of a million frames were in memory at once: the most of a smoothed recording."""
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(40, 4, 3))
+    sigma, edges = rng.uniform(0.01, 0.1, size=(40, 4)), np.array([[0, 1], [1, 2], [0, 3]])
+    whole = *bone_lengths(points, sigma, edges), body_size(points)
+    points, sigma = points.view(InBlocks), sigma.view(InBlocks)
+    blocks = *bone_lengths(points, sigma, edges), body_size(points)
+    np.testing.assert_array_equal(np.hstack(blocks), np.hstack(whole))
 
 
 @pytest.mark.usefixtures("all_on_disk")
