@@ -23,6 +23,7 @@ def all_on_disk(monkeypatch):
     """Put every array on disk, and cut everything into blocks of 7 frames."""
     monkeypatch.setattr(mapped, "_LARGE", 1)
     monkeypatch.setattr(mapped, "_BLOCK", 7)
+    monkeypatch.setattr(mapped, "_AROUND", 1)
     monkeypatch.setattr(mapped, "_FAR", 3)
     monkeypatch.setattr(mapped.frame_slices, "__defaults__", (7,))
 
