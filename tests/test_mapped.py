@@ -29,11 +29,11 @@ def all_on_disk(monkeypatch):
 
 
 class InBlocks(np.ndarray):
-    """An array of which no more than a block of frames may be read at a time."""
+    """An array of 12 numbers a frame of which no more than a block may be read at a time."""
 
     def __getitem__(self, index):
         part = super().__getitem__(index)
-        assert np.ndim(part) == 0 or len(part) <= 7
+        assert np.size(part) <= 7 * 12
         return part
 
 
@@ -82,6 +82,33 @@ def test_bodies_are_measured_a_block_of_frames_at_a_time():
     points, sigma = points.view(InBlocks), sigma.view(InBlocks)
     blocks = *bone_lengths(points, sigma, edges), body_size(points)
     np.testing.assert_array_equal(np.hstack(blocks), np.hstack(whole))
+
+
+class OfFewPlaces(np.ndarray):
+    """An array of pairs of numbers of which no more than 8 places may be read at a time."""
+
+    def __getitem__(self, index):
+        part = super().__getitem__(index)
+        assert part.size <= 2 * 8
+        return part
+
+
+@pytest.mark.usefixtures("all_on_disk")
+def test_far_frames_are_read_by_the_places_that_they_lie_in(monkeypatch):
+    """Each view's lie in a place of their own, around which the system brings in much."""
+    monkeypatch.setattr(mapped, "_FAR", 8)
+    rng = np.random.default_rng(0)
+    array, frames = rng.normal(size=(4, 50, 2)), rng.permutation(50)
+    taken = mapped.take(array.view(OfFewPlaces), frames, axis=1)
+    np.testing.assert_array_equal(taken, array[:, frames])
+
+
+@pytest.mark.usefixtures("all_on_disk")
+def test_finite_values_are_gathered_a_block_of_frames_at_a_time():
+    values = np.random.default_rng(0).normal(size=(50, 12))
+    values[::3, 1], values[5] = np.nan, np.inf
+    found = mapped.finite_values(values.view(InBlocks))
+    np.testing.assert_array_equal(found, values[np.isfinite(values)])
 
 
 @pytest.mark.usefixtures("all_on_disk")
