@@ -20,7 +20,8 @@ from numpy.typing import DTypeLike, NDArray
 
 _LARGE = 1 << 24  # bytes; smaller arrays stay in memory
 _BLOCK = 4096  # frames at a time,
-_FAR = 128  # and of those that lie far from each other
+_AROUND = 1 << 21  # bytes: the system brings in as much around what is read,
+_FAR = 32  # so that from so many places far from each other is read at a time
 
 _maps: WeakSet[mmap.mmap] = WeakSet()
 _maps_lock = Lock()  # threads make arrays while others let go of them
@@ -74,7 +75,8 @@ def in_blocks(function: Callable[[slice], Any], frames: int, *, axis: int = 0) -
 def take(array: NDArray[Any], frames: Any, *, axis: int = 0) -> NDArray[Any]:
     """Return an array with some of its frames (indices, a mask or a slice) along an axis alone.
 
-    The system brings in much around each frame, so that far frames are taken a few at a time.
+    The system brings in much around each frame, so that far frames are taken a few at a time: each
+    lies in as many places as there are entries of axes that vary more slowly.
     """
     before: tuple[Any, ...] = (slice(None),) * axis
     index = np.asarray(frames) if not isinstance(frames, slice) else None
@@ -82,8 +84,29 @@ def take(array: NDArray[Any], frames: Any, *, axis: int = 0) -> NDArray[Any]:
         return array[(*before, frames)]
     shape = (*array.shape[:axis], len(index), *array.shape[axis + 1 :])
     found = empty(shape, array.dtype)
-    for block in frame_slices(len(index), _FAR):
-        found[(*before, block)] = array[(*before, index[block])]
+    step = abs(array.strides[axis])
+    places = prod(
+        size for size, own in zip(array.shape, array.strides, strict=True) if abs(own) > step
+    )
+    # blocks end where one of these goes up
+    far = np.cumsum(np.diff(index * step // _AROUND, prepend=0) != 0) * places // _FAR
+    far += np.arange(len(index)) // _BLOCK
+    ends = [*(np.flatnonzero(np.diff(far)) + 1).tolist(), len(index)]
+    for start, end in zip([0, *ends], ends, strict=False):
+        found[(*before, slice(start, end))] = array[(*before, index[start:end])]
+        let_go()
+    return found
+
+
+def finite_values(array: NDArray[Any]) -> NDArray[Any]:
+    """Return the finite values `[N]` of an array `[frame, ...]`, a copy in memory."""
+    count = sum(np.count_nonzero(np.isfinite(array[block])) for block in frame_slices(len(array)))
+    found, start = np.empty(count, array.dtype), 0
+    for block in frame_slices(len(array)):
+        part = array[block]
+        part = part[np.isfinite(part)]
+        found[start : start + len(part)] = part
+        start += len(part)
     return found
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib import __version__
+from mocap_calib import __version__, mapped
 from mocap_calib.config import Config, IntrinsicsConfig
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.io.world_fields import world_fields
@@ -301,7 +301,7 @@ def _median_of_means(error: Floats) -> float | None:
 
 def _median_and_p95(values: Floats) -> dict[str, float | None]:
     """Return the median and the 95th percentile of the values that are finite."""
-    values = values[np.isfinite(values)]
+    values = mapped.finite_values(values)
     if not len(values):
         return {"median": None, "p95": None}
     # in place, as these are a copy already

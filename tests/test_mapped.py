@@ -10,7 +10,9 @@ import pytest
 from scenes import calibrate_group, recording
 
 from mocap_calib import mapped
+from mocap_calib.geometry.bodies import body_size
 from mocap_calib.io.results.poses_h5 import parse_poses_h5, write_poses_h5
+from mocap_calib.poses.start import bone_lengths
 from mocap_calib.types import GroupResult, Poses3D
 
 ON_DISK = hasattr(os, "posix_fallocate")
@@ -21,8 +23,18 @@ def all_on_disk(monkeypatch):
     """Put every array on disk, and cut everything into blocks of 7 frames."""
     monkeypatch.setattr(mapped, "_LARGE", 1)
     monkeypatch.setattr(mapped, "_BLOCK", 7)
+    monkeypatch.setattr(mapped, "_AROUND", 1)
     monkeypatch.setattr(mapped, "_FAR", 3)
     monkeypatch.setattr(mapped.frame_slices, "__defaults__", (7,))
+
+
+class InBlocks(np.ndarray):
+    """An array of 12 numbers a frame of which no more than a block may be read at a time."""
+
+    def __getitem__(self, index):
+        part = super().__getitem__(index)
+        assert np.size(part) <= 7 * 12
+        return part
 
 
 def is_mapped(array: np.ndarray) -> bool:
@@ -58,6 +70,45 @@ def test_what_a_mapped_array_holds_stays_when_its_memory_is_given_back():
     gc.collect()
     mapped.let_go()
     np.testing.assert_array_equal(half, np.arange(1500, 3000).reshape(500, 3))
+
+
+@pytest.mark.usefixtures("all_on_disk")
+def test_bodies_are_measured_a_block_of_frames_at_a_time():
+    """All points of a million frames were in memory at once: the most of a smoothed recording."""
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(40, 4, 3))
+    sigma, edges = rng.uniform(0.01, 0.1, size=(40, 4)), np.array([[0, 1], [1, 2], [0, 3]])
+    whole = *bone_lengths(points, sigma, edges), body_size(points)
+    points, sigma = points.view(InBlocks), sigma.view(InBlocks)
+    blocks = *bone_lengths(points, sigma, edges), body_size(points)
+    np.testing.assert_array_equal(np.hstack(blocks), np.hstack(whole))
+
+
+class OfFewPlaces(np.ndarray):
+    """An array of pairs of numbers of which no more than 8 places may be read at a time."""
+
+    def __getitem__(self, index):
+        part = super().__getitem__(index)
+        assert part.size <= 2 * 8
+        return part
+
+
+@pytest.mark.usefixtures("all_on_disk")
+def test_far_frames_are_read_by_the_places_that_they_lie_in(monkeypatch):
+    """Each view's lie in a place of their own, around which the system brings in much."""
+    monkeypatch.setattr(mapped, "_FAR", 8)
+    rng = np.random.default_rng(0)
+    array, frames = rng.normal(size=(4, 50, 2)), rng.permutation(50)
+    taken = mapped.take(array.view(OfFewPlaces), frames, axis=1)
+    np.testing.assert_array_equal(taken, array[:, frames])
+
+
+@pytest.mark.usefixtures("all_on_disk")
+def test_finite_values_are_gathered_a_block_of_frames_at_a_time():
+    values = np.random.default_rng(0).normal(size=(50, 12))
+    values[::3, 1], values[5] = np.nan, np.inf
+    found = mapped.finite_values(values.view(InBlocks))
+    np.testing.assert_array_equal(found, values[np.isfinite(values)])
 
 
 @pytest.mark.usefixtures("all_on_disk")

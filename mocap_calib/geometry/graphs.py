@@ -50,7 +50,8 @@ def connected_parts(first: Ints, second: Ints, nodes: int) -> Ints:
         np.minimum.at(lowest, np.maximum(a, b), np.minimum(a, b))
         while not np.array_equal(jumped := lowest[lowest], lowest):
             lowest = jumped
-    return np.unique(lowest, return_inverse=True)[1]
+    del a, b  # of long recordings they are large
+    return (np.cumsum(lowest == np.arange(nodes)) - 1)[lowest]
 
 
 def assign(cost: Floats) -> tuple[Ints, Ints]:

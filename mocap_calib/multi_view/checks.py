@@ -58,16 +58,11 @@ def _held_out(group: GroupResult, used_frames: Ints) -> float:
     """Return the error in frames that were never used, in errors of those that were."""
     error = group.poses.error
     never = np.setdiff1d(np.arange(len(error)), used_frames)
-    parts = [_known(mapped.take(error, frames)) for frames in (never, used_frames)]
+    parts = [mapped.finite_values(mapped.take(error, frames)) for frames in (never, used_frames)]
     if not all(len(part) for part in parts):
         return np.nan
     first, second = (np.median(part, overwrite_input=True) for part in parts)
     return float(first / second)
-
-
-def _known(values: Floats) -> Floats:
-    """Return the values that are finite."""
-    return values[np.isfinite(values)]
 
 
 def _bones(positions: Floats) -> float:

@@ -56,9 +56,9 @@ def tracklets(recording: Recording, view: int, config: MatchingConfig) -> Ints:
     frames, instances = positions.shape[:2]
     linked = _links(positions, config)
     linked &= (np.diff(recording.frames) == 1)[:, None, None]
-    frame, i, j = np.nonzero(linked)
-    earlier = frame * instances + i
-    later = (frame + 1) * instances + j
+    earlier, later = np.divmod(np.flatnonzero(linked), instances)
+    later += (earlier // instances + 1) * instances
+    del linked
 
     number = connected_parts(earlier, later, frames * instances)
     detected = mapped.in_blocks(lambda block: np.isfinite(positions[block, ..., 0]).any(-1), frames)

@@ -49,20 +49,30 @@ def bone_lengths(points: Floats, sigma: Floats, edges: Ints) -> tuple[Floats, Fl
     """
     found = np.full((2, len(edges)), np.nan)
     size = max(1, _LENGTHS // max(len(points), 1))
+    every = mapped.in_blocks(
+        lambda rows: _measure_bones(points[rows], sigma[rows], edges), len(points), axis=2
+    )
     for start in range(0, len(edges), size):
-        a, b = edges[start : start + size].T
-        along = (points[:, a, axis] - points[:, b, axis] for axis in range(3))
-        length = np.sqrt(np.asarray(sum(part * part for part in along)))
-        noise = (sigma[:, a] ** 2 + sigma[:, b] ** 2) / 3
-        known = np.isfinite(length) & np.isfinite(noise) & (length > 0)
-        seen = np.flatnonzero(known.any(0))
-        length, noise = (np.where(known, each, np.nan)[:, seen].T for each in (length, noise))
-        length = length - np.minimum(noise / length, length / 2)
-        found[:, start + seen] = _middle_and_spread(
-            np.ascontiguousarray(length), np.ascontiguousarray(noise)
-        )
+        length, noise = every[:, start : start + size]
+        seen = np.flatnonzero(np.isfinite(length).any(1))
+        length, noise = length[seen], noise[seen]
+        length -= np.minimum(noise / length, length / 2)
+        found[:, start + seen] = _middle_and_spread(length, noise)
         mapped.let_go()
     return found[0], found[1]
+
+
+def _measure_bones(points: Floats, sigma: Floats, edges: Ints) -> Floats:
+    """Return lengths and the variances of their noise `[2, edge, frame]`, both NaN or neither.
+
+    points, sigma: as of `bone_lengths`, of some frames.
+    """
+    a, b = edges.T
+    along = (points[:, a, axis] - points[:, b, axis] for axis in range(3))
+    length = np.sqrt(np.asarray(sum(part * part for part in along)))
+    noise = (sigma[:, a] ** 2 + sigma[:, b] ** 2) / 3
+    known = np.isfinite(length) & np.isfinite(noise) & (length > 0)
+    return np.stack([np.where(known, each, np.nan).T for each in (length, noise)])
 
 
 def reach_of_bones(lengths: Floats, varies: Floats, bones: Ints, keypoints: int) -> Floats:

@@ -132,9 +132,8 @@ def _stand_on_floor(on: Measurable, floor: Floor, config: WorldConfig) -> Simila
 
 
 def _median_of_known(values: Floats) -> float:
-    """Return the median of the values `[N]` that are finite; in place, as they may be very many."""
-    own = mapped.in_blocks(lambda block: values[block], len(values))
-    return float(np.median(own[np.isfinite(own)], overwrite_input=True))
+    """Return the median of the values `[N]` that are finite."""
+    return float(np.median(mapped.finite_values(values), overwrite_input=True))
 
 
 def _heading(on: Measurable, up: Floats, config: WorldConfig) -> Floats:
