@@ -4,7 +4,6 @@ In each frame detections are joined to groups by their affinity. One label per d
 cycle-consistent by construction. Groups are then carried through time by where they stand.
 """
 
-from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
@@ -19,7 +18,7 @@ from mocap_calib.config import (
     MatchingConfig,
     PairwiseConfig,
 )
-from mocap_calib.multi_view.body_affinity import temper_by_bodies
+from mocap_calib.multi_view.body_affinity import ever_compared, temper_by_bodies
 from mocap_calib.multi_view.clustering import cluster_detections
 from mocap_calib.multi_view.labels import per_frame_labels
 from mocap_calib.multi_view.linking import link_through_time
@@ -47,9 +46,10 @@ from mocap_calib.types import (
     Sample,
 )
 
-# pairs of detections grouped at a time: so many frames, or fewer in a crowd
-_LIFTED_PAIRS = 500_000  # of a sample, compared by rays and lifted bodies
-_PLAIN_PAIRS = 200_000  # of a recording, compared by rays alone: they stay in the cache
+# pairs of detections grouped at a time: so many frames, or fewer in a crowd. They stay in the
+# cache, and make blocks enough for several threads
+_LIFTED_PAIRS = 50_000  # of a sample, compared by rays and lifted bodies
+_PLAIN_PAIRS = 200_000  # of a recording, compared by rays alone
 
 
 @single_threaded_libraries()
@@ -69,6 +69,7 @@ def associate(
     ) or may_be_reversed(sample, lifted, range(views), np.arange(frames))
     step = max(1, _LIFTED_PAIRS // (views * instances) ** 2)
     blocks = _cut_into_blocks(np.arange(frames), step)
+    compared = ever_compared(lifted)
 
     def group(block: Ints) -> Ints:
         affinity, comparable = _affinities(
@@ -78,6 +79,7 @@ def associate(
             block,
             scale=scale,
             geometry_alone=geometry_alone,
+            compared=compared,
             config=config.pairwise,
         )
         return _group_detections(affinity, comparable, views, config.matching)
@@ -160,30 +162,31 @@ def _body_scale(sample: Sample, lifted: LiftedPoses, rig: CameraRig, config: Con
     It is the median, over joints, of how far away they were lifted over how far away the rig
     triangulates them; of a large rig, over those of some pairs of views.
     """
-    found = [np.zeros(0), *_scales_of_pairs(sample, lifted, rig, config)]
-    ratios = np.concatenate(found)
+    pairs = evenly_spaced(np.array(all_pairs(len(rig.cameras))), SCALE_PAIRS)
+    scales = partial(_scales_of_pair, sample=sample, lifted=lifted, rig=rig, config=config.pairwise)
+    ratios = np.concatenate([np.zeros(0), *map_in_threads(scales, pairs)])
     return float(np.median(ratios)) if len(ratios) else 1.0
 
 
-def _scales_of_pairs(
-    sample: Sample, lifted: LiftedPoses, rig: CameraRig, config: Config
-) -> Iterator[Floats]:
-    """Yield `[joint]` body sizes per unit of the rig, by the matches of pairs of views."""
-    pairs = np.array(all_pairs(len(rig.cameras)))
-    for a, b in evenly_spaced(pairs, SCALE_PAIRS):
-        shared = shared_frames(sample, a, b, config.pairwise)
-        if len(shared):
-            frames = evenly_spaced(shared, SCALE_FRAMES)
-            first, second = (gather_detections(sample, lifted, view, frames) for view in (a, b))
-            affinity, _ = epipolar_affinity(
-                sample.select(views=[a, b]).select(frames=frames),
-                rig.select([a, b]),
-                np.stack([first.distance, second.distance]),
-                config.pairwise,
-            )
-            instances = first.distance.shape[1]
-            matched = affinity[:, :instances, instances:] > SCALE_LEAST_FIT
-            yield distance_ratios(first, second, *rig.relative(a, b), matched)
+def _scales_of_pair(
+    pair: Ints, *, sample: Sample, lifted: LiftedPoses, rig: CameraRig, config: PairwiseConfig
+) -> Floats:
+    """Return `[joint]` body sizes per unit of the rig, by the matches of a pair of views."""
+    a, b = pair.tolist()
+    shared = shared_frames(sample, a, b, config)
+    if not len(shared):
+        return np.zeros(0)
+    frames = evenly_spaced(shared, SCALE_FRAMES)
+    first, second = (gather_detections(sample, lifted, view, frames) for view in (a, b))
+    affinity, _ = epipolar_affinity(
+        sample.select(views=[a, b]).select(frames=frames),
+        rig.select([a, b]),
+        np.stack([first.distance, second.distance]),
+        config,
+    )
+    instances = first.distance.shape[1]
+    matched = affinity[:, :instances, instances:] > SCALE_LEAST_FIT
+    return distance_ratios(first, second, *rig.relative(a, b), matched)
 
 
 def _affinities(
@@ -194,6 +197,7 @@ def _affinities(
     *,
     scale: float,
     geometry_alone: bool,
+    compared: Bools,
     config: PairwiseConfig,
 ) -> tuple[Floats, Floats]:
     """Return how alike all detections of a frame are, by geometry and by their lifted bodies.
@@ -201,6 +205,7 @@ def _affinities(
     frames: `[frame]` indices into the sample. scale: body sizes per unit of the rig.
     geometry_alone: there is one subject, or lifted bodies may be reversed. Bodies tell subjects
         apart; a badly lifted one must not speak against the only candidate, or the right one.
+    compared: `[view, view]` of `ever_compared`.
     Returns `[frame, N, N]` affinities of the N = views x instances detections, and 1 where two
     detections can be compared.
     """
@@ -210,7 +215,14 @@ def _affinities(
     if geometry_alone:
         return affinity, comparable
     tempered = temper_by_bodies(
-        affinity, lifted, rig, frames, distance=distance, scale=scale, config=config
+        affinity,
+        lifted,
+        rig,
+        frames,
+        distance=distance,
+        scale=scale,
+        compared=compared,
+        config=config,
     )
     return tempered, comparable
 

@@ -36,6 +36,7 @@ def temper_by_bodies(
     *,
     distance: Floats,
     scale: float,
+    compared: Bools,
     config: PairwiseConfig,
 ) -> Floats:
     """Return affinities by geometry, `[frame, N, N]`, tempered by how well lifted bodies agree.
@@ -45,14 +46,15 @@ def temper_by_bodies(
 
     affinity: `[frame, N, N]` of `two_view.affinity.epipolar_affinity`, N = views x instances.
     frames: `[frame]` indices into what was lifted. distance: `[view, frame, instance]` of the
-    bodies in body sizes. scale: body sizes per unit of the rig.
+    bodies in body sizes. scale: body sizes per unit of the rig. compared: `[view, view]` of
+    `ever_compared`.
     """
     instances = distance.shape[2]
     bodies = _turn_into_world(lifted, rig, frames, scale=scale)
-    agreement, compared = _agreement(bodies, _by_frame(distance), config)
-    of_views = np.where(_ever_compared(lifted), config.unlifted_affinity, 1.0)
+    agreement, comparable = _agreement(bodies, _by_frame(distance), config)
+    of_views = np.where(compared, config.unlifted_affinity, 1.0)
     unlifted = of_views.repeat(instances, axis=0).repeat(instances, axis=1)
-    return np.asarray(affinity * np.where(compared, np.sqrt(agreement), unlifted))
+    return np.asarray(affinity * np.where(comparable, np.sqrt(agreement), unlifted))
 
 
 def _turn_into_world(
@@ -71,7 +73,7 @@ def _turn_into_world(
     )
 
 
-def _ever_compared(lifted: LiftedPoses) -> Bools:
+def ever_compared(lifted: LiftedPoses) -> Bools:
     """Return `[view, view]` whether lifted bodies of both have a joint in common in some frame."""
     known: Bools = np.asarray(np.isfinite(lifted.spread).any(2))
     by_view = known.reshape(len(known), -1).astype(np.float32)

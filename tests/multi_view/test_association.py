@@ -7,9 +7,9 @@ import numpy as np
 from scenes import lifted, precision, recording, scene
 
 from mocap_calib.config import Config, MatchingConfig, PairwiseConfig
-from mocap_calib.multi_view import linking
+from mocap_calib.multi_view import association, linking
 from mocap_calib.multi_view.association import associate
-from mocap_calib.multi_view.body_affinity import temper_by_bodies
+from mocap_calib.multi_view.body_affinity import ever_compared, temper_by_bodies
 from mocap_calib.multi_view.clustering import cluster_detections, merge_clusters
 from mocap_calib.multi_view.labels import per_frame_labels, replace_labels
 from mocap_calib.multi_view.linking import link_through_time
@@ -99,7 +99,14 @@ def test_bodies_of_all_views_temper_as_those_of_each_pair_of_views():
     rng = np.random.default_rng(0)
     affinity = rng.uniform(size=(len(frames), views * instances, views * instances))
     found = temper_by_bodies(
-        affinity, bodies, rig, frames, distance=distance, scale=scale, config=config
+        affinity,
+        bodies,
+        rig,
+        frames,
+        distance=distance,
+        scale=scale,
+        compared=ever_compared(bodies),
+        config=config,
     )
     by_view = [each.reshape(-1, views, instances, views, instances) for each in (affinity, found)]
     for a, b in combinations(range(views), 2):
@@ -120,6 +127,17 @@ def test_frames_are_grouped_independently():
     for frame in range(10):
         alone = cluster(affinity[[frame]], comparable[[frame]])
         np.testing.assert_array_equal(alone[0], together[frame])
+
+
+def test_blocks_of_frames_make_the_labels_of_all_at_once(monkeypatch):
+    sample, rig, config = recording(), scene().rig, Config()
+    found = []
+    for pairs in (10**9, 1000, 1):  # all frames at once, some of them, each alone
+        monkeypatch.setattr(association, "_LIFTED_PAIRS", pairs)
+        found.append(associate(sample, lifted(), rig, config, progress=silent).labels)
+    assert (found[0] >= 0).any()
+    np.testing.assert_array_equal(found[1], found[0])
+    np.testing.assert_array_equal(found[2], found[0])
 
 
 def test_labels_within_frames_forget_the_names():
