@@ -73,7 +73,7 @@ def test_without_points_it_is_narrow():
 
 
 def test_rigs_of_normal_errors_are_better():
-    """Nearer to the truth than by the narrow loss alone, which it may choose otherwise."""
+    """Than by the narrow loss alone: mean squared errors are 0.87 times as large."""
     rig, normal = scene(**FIVE).rig, with_errors(np.ones(recording(**FIVE).confidence.shape))
     narrow = replace(CONFIG, adjust=AdjustConfig(loss_scales=(NARROW,)))
     errors = []
