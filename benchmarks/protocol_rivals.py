@@ -52,8 +52,9 @@ class LiftedPair:
 
     @property
     def common(self) -> Bools:
-        """`[frame, I, J, joint]` which joints both detections of a match show."""
-        seen_a, seen_b = (np.isfinite(rays[..., 0]) for rays in (self.rays_a, self.rays_b))
+        """`[frame, I, J, joint]` which joints both detections of a match show, both lifted."""
+        seen_a = np.isfinite(self.rays_a[..., 0]) & np.isfinite(self.placed_a[..., 0])
+        seen_b = np.isfinite(self.rays_b[..., 0]) & np.isfinite(self.placed_b[..., 0])
         return seen_a[:, :, None] & seen_b[:, None]
 
     @property

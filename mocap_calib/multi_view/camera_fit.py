@@ -7,7 +7,7 @@ Errors of one joint go together, and those of one stretch of time: what the unkn
 by is measured on these (sandwich covariance, Cameron, Gelbach and Miller 2011), not assumed.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -70,6 +70,13 @@ class CameraFit:
             return 0.0
         return float(self.unknowns @ np.linalg.pinv(self.covariance) @ self.unknowns)
 
+    def with_covariance(self, more: Floats) -> "CameraFit":
+        """Return the fit whose unknowns are uncertain for another reason besides.
+
+        more: `[unknown, unknown]`.
+        """
+        return replace(self, covariance=self.covariance + more)
+
 
 @dataclass(frozen=True)
 class _Linearised:
@@ -104,6 +111,24 @@ def fit_camera(
         covariance=_covariance(found, seen, config.loss_scales[-1] * noise)[6:, 6:],
         error=np.minimum(np.sqrt((found.residual**2).sum(0)), _FAR),
     )
+
+
+def shift_of_unknowns(
+    camera: Camera,
+    seen: Seen,
+    fit: CameraFit,
+    config: CameraFitConfig,
+    *,
+    noise: float,
+    free: tuple[Unknown, ...],
+) -> Floats:
+    """Return by how much `[unknown]` those of a fit change where its points lie elsewhere.
+
+    Of first order: one step of Gauss and Newton. seen: with points near those of the fit.
+    noise, free: as for the fit.
+    """
+    moved = _linearise(camera, seen, fit.pose, fit.unknowns, free)
+    return _step(moved, config.loss_scales[-1] * noise, damping=0.0)[6:]
 
 
 def _minimise(

@@ -1,10 +1,11 @@
 """The rig of all cameras but one, and the points that these know."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mocap_calib.config import Config
+from mocap_calib.config import Config, DiagnosisConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.multi_view.association import associate
 from mocap_calib.multi_view.averaging import average
@@ -13,28 +14,32 @@ from mocap_calib.multi_view.observed import Observed, leave_out_underconstrained
 from mocap_calib.multi_view.pair_choice import takes_all_pairs
 from mocap_calib.multi_view.placed import PlacedCameras, place_bodies
 from mocap_calib.multi_view.refinement import adjust_until_stable
-from mocap_calib.multi_view.rig_covariance import rig_covariance
+from mocap_calib.multi_view.rig_covariance import changed_rig, rig_covariance
 from mocap_calib.multi_view.view_graph import camera_groups
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.types import CameraRig, Floats, Ints, Matches, Sample, silent
+from mocap_calib.types import CameraRig, Floats, Ints, RigCovariance, Sample, silent
 
 
 @dataclass(frozen=True)
 class CoreRig:
     """Cameras that agree, and what they know.
 
-    sample, matches: of these cameras. frames: `[frame]` indices into the sample of some frames.
+    sample, placed: of these cameras. frames: `[frame]` indices into the sample of some frames.
     points: `[frame, individual, keypoint, 3]` in the rig's world, NaN = not known. Individuals are
         those of a frame, in any order.
     pair_score: mean over the pairs of the rig.
     """
 
     sample: Sample
-    rig: CameraRig
-    matches: Matches
+    placed: PlacedCameras
     frames: Ints
     points: Floats
     pair_score: float
+
+    @property
+    def rig(self) -> CameraRig:
+        """Of these cameras."""
+        return self.placed.rig
 
 
 def find_core_rig(observed: Observed, view: int, config: Config) -> CoreRig | None:
@@ -82,15 +87,36 @@ def _build_core(observed: Observed, config: Config) -> CoreRig:
     frames = evenly_spaced(labelled_frames(placed.matches), config.diagnosis.frames)
     return CoreRig(
         sample=sample,
-        rig=placed.rig,
-        matches=placed.matches,
+        placed=placed,
         frames=frames,
         points=place_bodies(sample, placed, frames, config),
         pair_score=float(np.mean([pair.score for pair in observed.pairs])),
     )
 
 
-def is_determined(core: CoreRig, config: Config, *, seed: int) -> bool:
+def core_covariance(core: CoreRig, config: Config, *, seed: int) -> RigCovariance:
+    """Return how sure the places of these cameras are."""
+    return rig_covariance(core.sample, core.rig, core.placed.matches, config, seed=seed)
+
+
+def is_determined(covariance: RigCovariance, config: DiagnosisConfig) -> bool:
     """Return whether what was seen determines the rig, by the yardstick of the verdict."""
-    found = rig_covariance(core.sample, core.rig, core.matches, config, seed=seed)
-    return bool(np.rad2deg(found.rotation_sigma.max()) < config.diagnosis.core_deg)
+    return bool(np.rad2deg(covariance.rotation_sigma.max()) < config.core_deg)
+
+
+def bent_points(
+    core: CoreRig, covariance: RigCovariance, config: Config
+) -> Iterator[tuple[float, Floats]]:
+    """Yield where the points of a core rig lie if it is off by a little, and how often that counts.
+
+    Along each axis of its covariance in turn, the longest first: points as those of the rig, and
+    one standard deviation as a multiple of what they were moved by.
+    """
+    views = len(core.rig)
+    variances, axes = np.linalg.eigh(covariance.matrix.reshape(6 * views, 6 * views))
+    longest = np.argsort(-variances)[: config.diagnosis.axes]
+    little = config.diagnosis.axis_step
+    for variance, axis in zip(variances[longest], axes.T[longest], strict=True):
+        placed = replace(core.placed, rig=changed_rig(core.rig, little * axis.reshape(views, 6)))
+        times = np.sqrt(max(float(variance), 0.0)) / little
+        yield times, place_bodies(core.sample, placed, core.frames, config)

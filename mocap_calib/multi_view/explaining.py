@@ -6,8 +6,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mocap_calib.config import Config, DiagnosisConfig
-from mocap_calib.multi_view.camera_fit import CameraFit, CameraPose, Seen, fit_camera
-from mocap_calib.multi_view.core_rig import CoreRig, find_core_rig
+from mocap_calib.multi_view.camera_fit import (
+    CameraFit,
+    CameraPose,
+    Seen,
+    fit_camera,
+    shift_of_unknowns,
+)
+from mocap_calib.multi_view.core_rig import (
+    CoreRig,
+    bent_points,
+    core_covariance,
+    find_core_rig,
+)
 from mocap_calib.multi_view.explanations import Explanation, explanations
 from mocap_calib.multi_view.noise import MEDIAN_DISTANCE
 from mocap_calib.multi_view.observed import Observed
@@ -31,7 +42,8 @@ _ALWAYS = ("given", "sides")
 class Finding:
     """How one explanation fits a camera.
 
-    core: the rig of the others.
+    core: the rig of the others. seen: what the explanation was fitted to; source: `[N]` indices of
+        its points among all of the rig of the others. noise: of the fit, in pixels.
     gain: what it lowers the robust cost of a keypoint by, against the intrinsics and the labels as
         they are given. keypoints: how many tell.
     exchanged: share of the detections that fit with exchanged sides alone.
@@ -39,6 +51,9 @@ class Finding:
 
     core: CoreRig
     explanation: Explanation
+    seen: Seen
+    source: Ints
+    noise: float
     fit: CameraFit
     gain: float
     keypoints: int
@@ -68,14 +83,14 @@ def explain(observed: Observed, view: int, config: Config, *, seed: int) -> tupl
     frame, instance = np.nonzero(best.individual >= 0)
     if len(frame) < config.diagnosis.least_matched * _count_comparable(sightings[False]):
         return ()
-    points = core.points[frame, best.individual[frame, instance]]
+    bodies = frame, best.individual[frame, instance]
     tried = explanations(sample, view)
     turned = _turn_of(core.rig, resections, sample.cameras[view], config.diagnosis)
     tried = tuple(e for e in tried if not e.name.startswith("rotated") or e.name == turned)
-    seen = _seen_by(tried, points, frame, instance, config.diagnosis)
-    if not seen or len(seen["given"].points) < config.diagnosis.least_keypoints:
+    seen, source = _seen_by(tried, core, bodies, instance, config.diagnosis)
+    if len(source) < config.diagnosis.least_keypoints:
         return ()
-    findings = _fit_all(tried, seen, resections, core, config.diagnosis)
+    findings = _fit_all(tried, seen, resections, core, config.diagnosis, source=source)
     share = exchanged_share(sightings[False], sightings[True], best)
     return tuple(replace(each, exchanged=share) for each in findings)
 
@@ -124,15 +139,18 @@ def _turn_of(
 
 def _seen_by(
     tried: Sequence[Explanation],
-    points: Floats,
-    frame: Ints,
+    core: CoreRig,
+    bodies: tuple[Ints, Ints],
     instance: Ints,
     config: DiagnosisConfig,
-) -> dict[str, Seen]:
-    """Return what was seen, by explanation: the same keypoints in all.
+) -> tuple[dict[str, Seen], Ints]:
+    """Return what was seen, by explanation: the same keypoints in all, and whose points these are.
 
-    points: `[match, keypoint, 3]`; frame, instance: `[match]` the detections of them.
+    bodies: frames and individuals `[match]` of the points of the core; instance: `[match]` the
+        detections of them. The second: `[N]` indices into the points of the core, made flat.
     """
+    frame, individual = bodies
+    points = core.points[bodies]  # [match, keypoint, 3]
     pixels = {each.name: each.pixels[frame, instance] for each in tried}
     both = np.isfinite(points[..., 0])
     for each in pixels.values():
@@ -140,14 +158,13 @@ def _seen_by(
     match, keypoint = np.nonzero(both)
     chosen = evenly_spaced(np.arange(len(match)), config.keypoints)
     match, keypoint = match[chosen], keypoint[chosen]
-    if not len(match):
-        return {}
-    span = int(frame.max()) + 1
-    block = frame[match] * config.time_blocks // span
-    return {
+    source = (frame[match], individual[match], keypoint)
+    block = frame[match] * config.time_blocks // (int(frame.max(initial=0)) + 1)
+    seen = {
         name: Seen(points[match, keypoint], each[match, keypoint], block, keypoint)
         for name, each in pixels.items()
     }
+    return seen, np.ravel_multi_index(source, core.points.shape[:3])
 
 
 def _fit_all(
@@ -156,10 +173,12 @@ def _fit_all(
     resections: dict[bool, Resection],
     core: CoreRig,
     config: DiagnosisConfig,
+    *,
+    source: Ints,
 ) -> tuple[Finding, ...]:
     """Return the findings of the explanations that a part of the keypoints does not rule out."""
     best = min(resections.values(), key=lambda each: each.cost)
-    few = evenly_spaced(np.arange(len(seen["given"].points)), config.rough_keypoints)
+    few = evenly_spaced(np.arange(len(source)), config.rough_keypoints)
     noise = config.focal_noise * tried[0].camera.focal
     quick = replace(config.fit, steps=config.rough_steps)
     rough: dict[str, tuple[float, CameraPose]] = {}
@@ -195,6 +214,9 @@ def _fit_all(
         Finding(
             core=core,
             explanation=each,
+            seen=seen[each.name],
+            source=source,
+            noise=noise,
             fit=fits[each.name],
             gain=given - _cost(fits[each.name], sharpest),
             keypoints=len(fits[each.name].error),
@@ -202,6 +224,36 @@ def _fit_all(
         )
         for each in tried
         if each.name in fits
+    )
+
+
+def with_uncertain_core(finding: Finding, config: Config, *, seed: int) -> Finding:
+    """Return a finding whose unknowns are as uncertain as the rig of the others makes them.
+
+    A rig that may bend takes its points with it, and with them goes what a camera must be to see
+    them where it does: of distant cameras, or flat subjects, any corner of the image will do.
+    """
+    core, given = finding.core, finding.seen.points
+    covariance = core_covariance(core, config, seed=seed)
+    rest = _shift(finding, given, config.diagnosis)  # of a fit that is not quite at its minimum
+    shifts = []
+    for times, points in bent_points(core, covariance, config):
+        bent = points.reshape(-1, 3)[finding.source]
+        bent = np.where(np.isfinite(bent), bent, given)
+        shifts.append(times * (_shift(finding, bent, config.diagnosis) - rest))
+    by_core = np.array(shifts)
+    return replace(finding, fit=finding.fit.with_covariance(by_core.T @ by_core))
+
+
+def _shift(finding: Finding, points: Floats, config: DiagnosisConfig) -> Floats:
+    """Return by how much `[unknown]` those of a finding change with other points `[N, 3]`."""
+    return shift_of_unknowns(
+        finding.explanation.camera,
+        replace(finding.seen, points=points),
+        finding.fit,
+        config.fit,
+        noise=finding.noise,
+        free=finding.explanation.free,
     )
 
 

@@ -10,8 +10,8 @@ and to mend one of them may make it worse: those that need no estimate are also 
 import numpy as np
 
 from mocap_calib.config import Config, DiagnosisConfig
-from mocap_calib.multi_view.core_rig import is_determined
-from mocap_calib.multi_view.explaining import Finding, explain
+from mocap_calib.multi_view.core_rig import core_covariance, is_determined
+from mocap_calib.multi_view.explaining import Finding, explain, with_uncertain_core
 from mocap_calib.multi_view.explanations import describe, is_acceptable, mend_of
 from mocap_calib.multi_view.observed import Observed
 from mocap_calib.multi_view.suspicion import Signs, find_signs
@@ -41,7 +41,8 @@ def find_odd_cameras(
     if _is_ambiguous(certain, config.diagnosis):
         return ()
     for finding in certain:
-        if is_determined(finding.core, config, seed=result.seed):
+        covariance = core_covariance(finding.core, config, seed=result.seed)
+        if is_determined(covariance, config.diagnosis):
             exact = [each for each in certain if each.explanation.mend is not None]
             rivals = [[finding], exact] if len(exact) > 1 else [[finding]]
             return tuple(
@@ -86,7 +87,12 @@ def diagnose(observed: Observed, view: int, config: Config, *, seed: int) -> Fin
     """Return what explains what the camera of a view saw best; None where nothing need be."""
     findings = explain(observed, view, config, seed=seed)
     acceptable = [each for each in findings if _is_acceptable(each, config.diagnosis)]
-    return max(acceptable, key=lambda each: _preference(each, config.diagnosis), default=None)
+    sure = [each for each in acceptable if not each.explanation.free]
+    for each in acceptable:
+        if each.explanation.free:
+            doubted = with_uncertain_core(each, config, seed=seed)
+            sure += [doubted] * (doubted.fit.significance > config.diagnosis.core_significance)
+    return max(sure, key=lambda each: _preference(each, config.diagnosis), default=None)
 
 
 def _is_acceptable(finding: Finding, config: DiagnosisConfig) -> bool:

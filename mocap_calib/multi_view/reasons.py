@@ -72,7 +72,7 @@ def explain(group: GroupResult, config: Config) -> Iterator[str]:
     if group.uncertainty.outlier_cameras.any():
         names = _names(group, group.uncertainty.outlier_cameras)
         yield (
-            f"{names}: errors several times those of the others; look whether it is out of step "
+            f"{names}: errors several times those of the others; look whether one is out of step "
             "(--frame-offset), was moved, or has other intrinsics"
         )
     if group.uncertainty.wrong_focal.any():

@@ -19,7 +19,7 @@ import numpy as np
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError
-from mocap_calib.geometry.rotation import skew, vector_from_matrix
+from mocap_calib.geometry.rotation import matrix_from_vector, skew, vector_from_matrix
 from mocap_calib.multi_view.bundle_adjustment import (
     AdjustablePoints,
     choose_points,
@@ -104,6 +104,14 @@ def rig_change(before: CameraRig, after: CameraRig) -> Floats:
     offsets = [rig.centres - rig.centres.mean(0) for rig in (before, after)]
     shift = (scale * offsets[1] - offsets[0]) / rig_size(before)
     return project_out_similarity(np.concatenate([turn, shift], axis=1), before)
+
+
+def changed_rig(rig: CameraRig, change: Floats) -> CameraRig:
+    """Return a rig whose cameras were turned and shifted by changes `[view, 6]` of `rig_change`."""
+    rotation = rig.rotation @ matrix_from_vector(change[:, :3])
+    centres = rig.centres + rig_size(rig) * change[:, 3:]
+    translation = -np.einsum("vij,vj->vi", rotation, centres)
+    return replace(rig, rotation=rotation, translation=translation)
 
 
 def project_out_similarity(change: Floats, rig: CameraRig) -> Floats:

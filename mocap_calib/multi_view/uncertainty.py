@@ -165,13 +165,15 @@ def _middle_changes(rig: CameraRig, view: int, sigma: float) -> Floats:
 def given_focal_change(rig: CameraRig, free: FreeFocal, config: UncertaintyConfig) -> Floats:
     """Return by how much `[view, 6]` cameras may be off because of focal lengths held fixed.
 
-    What the rig changes by when they are free, less what is likely to be chance: of the mean square
-    of the changes of focal length, in standard deviations, chance is 1. Efron and Morris 1973:
-    "Stein's Estimation Rule and Its Competitors", the positive-part rule.
+    What the rig changes by when they are free, less what right ones change by: chance, and what is
+    wrong with detections beside it. Of the mean square of the changes of focal length, in standard
+    deviations of both, that is 1. Efron and Morris 1973: "Stein's Estimation Rule and Its
+    Competitors", the positive-part rule.
     """
-    significance = float(np.mean((free.change / free.sigma) ** 2))
-    beyond_chance = max(0.0, 1 - 1 / max(significance, 1e-12))
-    return config.focal_reach * np.sqrt(beyond_chance) * rig_change(rig, free.rig)
+    usual = np.hypot(free.sigma, config.focal_systematic)
+    significance = float(np.mean((free.change / usual) ** 2))
+    beyond_usual = max(0.0, 1 - 1 / max(significance, 1e-12))
+    return config.focal_reach * np.sqrt(beyond_usual) * rig_change(rig, free.rig)
 
 
 def estimated_focal_changes(

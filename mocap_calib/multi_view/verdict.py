@@ -47,7 +47,7 @@ def judge_group(group: GroupResult, config: Config, *, used_frames: Ints) -> Gro
     judged = replace(judged, reasons=tuple(explain(judged, config)))
     if _has_unchecked_intrinsics(group):
         judged = no_better_than(judged, "weak", _UNCHECKED)
-    return _without_accusations(judged) if judged.verdict == "not determined" else judged
+    return _without_accusations(judged)
 
 
 def _has_unchecked_intrinsics(group: GroupResult) -> bool:
@@ -60,13 +60,18 @@ def _has_unchecked_intrinsics(group: GroupResult) -> bool:
 
 
 def _without_accusations(group: GroupResult) -> GroupResult:
-    """Return a group that names no camera: a rig that is not determined accuses nobody.
+    """Return a group that names only cameras that can be told to be the odd ones.
 
-    That cameras contradict each other stands in its reasons.
+    A rig that is not determined accuses nobody, and of two halves either may be the odd one. That
+    cameras contradict each other stands in its reasons.
     """
     nobody = np.zeros(len(group.rig), dtype=bool)
-    uncertainty = replace(group.uncertainty, outlier_cameras=nobody, wrong_focal=nobody)
-    return replace(group, uncertainty=uncertainty)
+    known = group.uncertainty
+    if group.verdict == "not determined":
+        known = replace(known, outlier_cameras=nobody, wrong_focal=nobody)
+    elif 2 * known.outlier_cameras.sum() >= len(nobody):
+        known = replace(known, outlier_cameras=nobody)
+    return replace(group, uncertainty=known)
 
 
 def judge_rig(

@@ -98,12 +98,19 @@ def test_a_sound_recording_passes_all_checks_and_none_is_without_words():
     judged = judge_group(group, Config(), used_frames=np.arange(len(group.recording.frames)))
     assert judged.verdict == "well determined"
     assert judged.reasons == ()
-    # a rig that is not determined accuses nobody, but says that cameras contradict each other
-    lost = replace(group, uncertainty=uncertainty(20.0, views=4, outliers=(1,)))
-    judged = judge_group(lost, Config(), used_frames=np.arange(len(group.recording.frames)))
-    assert judged.verdict == "not determined"
-    assert not judged.uncertainty.outlier_cameras.any()
-    assert any(group.rig.names[1] in reason for reason in judged.reasons)
+    # a rig that is not determined accuses nobody, nor do two halves accuse each other; but that
+    # cameras contradict each other is said
+    for degrees, odd, verdict, accused in (
+        (20.0, (1,), "not determined", []),
+        (0.5, (1, 3), "weak", []),
+        (0.5, (1,), "weak", [1]),
+    ):
+        known = uncertainty(degrees, views=4, outliers=odd)
+        judged = replace(group, uncertainty=known)
+        judged = judge_group(judged, Config(), used_frames=np.arange(len(group.recording.frames)))
+        assert judged.verdict == verdict
+        assert np.flatnonzero(judged.uncertainty.outlier_cameras).tolist() == accused
+        assert any(group.rig.names[1] in reason for reason in judged.reasons)
 
 
 @pytest.mark.slow
