@@ -493,7 +493,13 @@ class AdjustConfig:
     # Rays this many times farther off than an outlier of triangulation may still constrain a point:
     # the rig is not yet right, and the robust loss deals with outliers.
     outlier_tolerance: float = 5.0
-    loss_scales: tuple[float, ...] = (6.0, 3.0, 1.5)  # one after the other, to tighten the loss
+    # One after the other, to tighten the loss; with the last, normal errors are used with 97 % of
+    # the efficiency that there can be ...
+    loss_scales: tuple[float, ...] = (6.0, 3.0)
+    # ... and this one 86 %, but it is safe from more wrong ones. The recording's own errors say
+    # which: measured, the variance with the wide one is 0.91 to 0.99 of that with the narrow one
+    # where errors are normal, 1.04 to 1.31 on ten recordings by detectors, 0.98 on one.
+    narrow_loss_scale: float = 1.5
     # Share of the cost: a step of the cameras that promises to lower it by less is the last one at
     # the last loss scale ...
     tolerance: float = 1e-6

@@ -9,6 +9,7 @@ from mocap_calib.config import AdjustConfig, Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
 from mocap_calib.geometry.lens import image_slopes
 from mocap_calib.multi_view.doubt import doubtful_errors_repeat, names_of_groups, without_doubtful
+from mocap_calib.multi_view.efficiency import choose_loss_scale
 from mocap_calib.multi_view.freedom import Freedom, free_poses
 from mocap_calib.multi_view.labels import per_frame_labels
 from mocap_calib.multi_view.noise import measure_sample, residual_noise
@@ -40,6 +41,7 @@ class AdjustablePoints:
     rays: `[view, 3, N]` unit vectors in each camera's frame, NaN = missing.
     weight: `[view, N]`, what a detection counts for; 0 where it does not agree on the point.
     noise: `[view]` standard deviation of a coordinate, in radians.
+    loss_scale: how wide the loss of their residuals is in the end, in these.
     """
 
     points: Floats
@@ -50,6 +52,7 @@ class AdjustablePoints:
     rays: Floats
     weight: Floats
     noise: Floats
+    loss_scale: float
 
     @property
     def used(self) -> Bools:
@@ -67,6 +70,7 @@ class AdjustablePoints:
             rays=self.rays[..., points],
             weight=self.weight[:, points],
             noise=self.noise,
+            loss_scale=self.loss_scale,
         )
 
     def time_blocks(self, blocks: int) -> Ints:
@@ -107,7 +111,14 @@ def adjust_once(
     start = State(rig.rotation, rig.translation, points.points, np.zeros((len(rig.cameras), 0)))
     seen = observe_rays(rig, points)
     freedom = free_poses(len(rig.cameras))
-    found = minimise_in_steps(start, seen, freedom, config.adjust, already_close=already_close)
+    found = minimise_in_steps(
+        start,
+        seen,
+        freedom,
+        config.adjust,
+        loss_scale=points.loss_scale,
+        already_close=already_close,
+    )
     return placed_as(rig, found)
 
 
@@ -136,19 +147,24 @@ def minimise_in_steps(
     freedom: Freedom,
     config: AdjustConfig,
     *,
+    loss_scale: float,
     already_close: bool = False,
 ) -> State:
     """Return the state of least robust cost, under a loss that is tightened in steps.
 
     Its points have yet to settle after the last of them (`schur.settle_points`).
-    already_close: only the last step is needed.
+    loss_scale: of the last step. already_close: only that one is needed.
     """
-    *wide_scales, last_scale = config.loss_scales
     if not already_close:
         rough = config.rough_tolerance
-        for loss_scale in wide_scales:
-            state = minimise(state, seen, freedom, loss_scale=loss_scale, tolerance=rough)
-    return minimise(state, seen, freedom, loss_scale=last_scale, tolerance=config.tolerance)
+        for wider in wider_scales(config, loss_scale):
+            state = minimise(state, seen, freedom, loss_scale=wider, tolerance=rough)
+    return minimise(state, seen, freedom, loss_scale=loss_scale, tolerance=config.tolerance)
+
+
+def wider_scales(config: AdjustConfig, loss_scale: float) -> tuple[float, ...]:
+    """Return the scales of the loss that come before one, in their order."""
+    return tuple(scale for scale in config.loss_scales if scale > loss_scale)
 
 
 def placed_as(rig: CameraRig, state: State) -> CameraRig:
@@ -205,6 +221,7 @@ def agreed_points(
         rays=seen.rays[..., known],
         weight=np.where(used[:, known], confidence, 0.0),
         noise=noise,
+        loss_scale=choose_loss_scale(rig, measured, config),
     )
 
 

@@ -13,7 +13,12 @@ from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config
 from mocap_calib.geometry.colmap import build_model, silent_colmap
 from mocap_calib.geometry.projection import CORNER_OFFSET
-from mocap_calib.multi_view.bundle_adjustment import AdjustablePoints, choose_points, with_size_of
+from mocap_calib.multi_view.bundle_adjustment import (
+    AdjustablePoints,
+    choose_points,
+    wider_scales,
+    with_size_of,
+)
 from mocap_calib.types import Camera, CameraRig, Floats, Matches, ObservedPoints, Sample
 
 _STEPS = 100  # at most
@@ -33,12 +38,12 @@ def adjust_by_ceres(
     Takes, keeps and raises what `bundle_adjustment.adjust_once` does. All detections count the
     same.
     """
-    model = _build_model(rig, choose_points(sample, rig, matches, config))
-    *wide_scales, last_scale = config.adjust.loss_scales
+    points = choose_points(sample, rig, matches, config)
+    model = _build_model(rig, points)
     if not already_close:
-        for loss_scale in wide_scales:
-            _solve(model, loss_scale=loss_scale, tolerance=config.adjust.rough_tolerance)
-    _solve(model, loss_scale=last_scale, tolerance=config.adjust.tolerance)
+        for wider in wider_scales(config.adjust, points.loss_scale):
+            _solve(model, loss_scale=wider, tolerance=config.adjust.rough_tolerance)
+    _solve(model, loss_scale=points.loss_scale, tolerance=config.adjust.tolerance)
     poses = [model.image(view + 1).cam_from_world() for view in range(len(rig.cameras))]
     adjusted = replace(
         rig,

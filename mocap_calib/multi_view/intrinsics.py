@@ -235,8 +235,10 @@ def _adjust(
     )
     freedom = _freedom(found, given, config.intrinsics)
     start = State(found.rig.rotation, found.rig.translation, points.points, found.change)
-    state = minimise_in_steps(start, seen, freedom, config.adjust, already_close=already_close)
-    last = config.adjust.loss_scales[-1]
+    last = points.loss_scale
+    state = minimise_in_steps(
+        start, seen, freedom, config.adjust, loss_scale=last, already_close=already_close
+    )
     state = settle_points(state, seen, loss_scale=last)
     clusters = points.time_blocks(config.uncertainty.time_blocks), points.keypoint
     covariance = find_covariance(state, seen, freedom, clusters=clusters, loss_scale=last)

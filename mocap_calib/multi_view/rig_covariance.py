@@ -155,8 +155,8 @@ def fit_again(sample: Sample, rig: CameraRig, matches: Matches, config: Config) 
     points = choose_points(sample, rig, matches, fewer)
     seen = observe_rays(rig, points)
     start = State(rig.rotation, rig.translation, points.points, np.zeros((len(rig.cameras), 0)))
-    state = _minimise(start, seen, config)
-    state = settle_points(state, seen, loss_scale=config.adjust.loss_scales[-1])
+    state = _minimise(start, seen, points.loss_scale, config)
+    state = settle_points(state, seen, loss_scale=points.loss_scale)
     adjusted = replace(rig, rotation=state.rotation, translation=state.translation)
     kept = np.flatnonzero(~_at_a_camera(adjusted, state.points, points.used, config))
     return FittedRig(
@@ -179,10 +179,12 @@ def _at_a_camera(rig: CameraRig, points: Floats, used: Bools, config: Config) ->
     return np.asarray((distance < config.uncertainty.least_distance * usual).any(0))
 
 
-def _minimise(state: State, seen: RayObservations, config: Config) -> State:
+def _minimise(state: State, seen: RayObservations, loss_scale: float, config: Config) -> State:
     """Return the state at the minimum that it is close to, whose points have yet to settle."""
     freedom = free_poses(len(state.rotation))
-    return minimise_in_steps(state, seen, freedom, config.adjust, already_close=True)
+    return minimise_in_steps(
+        state, seen, freedom, config.adjust, loss_scale=loss_scale, already_close=True
+    )
 
 
 def first_order(fitted: FittedRig, config: Config) -> FirstOrder:
@@ -195,7 +197,7 @@ def first_order(fitted: FittedRig, config: Config) -> FirstOrder:
         fitted.seen,
         freedom,
         clusters=clusters,
-        loss_scale=config.adjust.loss_scales[-1],
+        loss_scale=points.loss_scale,
         least_curvature=config.uncertainty.least_curvature,
     )
     time, joints = (_of_poses(part, freedom, fitted.rig) for part in found.parts)
@@ -221,7 +223,7 @@ def cautious_covariances(fitted: FittedRig, config: Config) -> tuple[RigCovarian
         fitted.seen,
         freedom,
         clusters=(points.time_blocks(config.uncertainty.time_blocks), points.keypoint),
-        loss_scale=config.adjust.loss_scales[-1],
+        loss_scale=points.loss_scale,
     )
     real, independent = found.sandwich, found.bread
     return _of_poses(real, freedom, fitted.rig), _of_poses(independent, freedom, fitted.rig)
@@ -304,6 +306,6 @@ def _turns(kept: Ints, *, fitted: FittedRig, config: Config) -> Floats:
     some = replace(state, points=state.points[:, kept])
     tolerance = config.uncertainty.bend_tolerance
     rougher = replace(config, adjust=replace(config.adjust, tolerance=tolerance))
-    found = _minimise(some, fitted.seen.select(kept), rougher)
+    found = _minimise(some, fitted.seen.select(kept), fitted.points.loss_scale, rougher)
     bent = replace(fitted.rig, rotation=found.rotation, translation=found.translation)
     return rig_change(fitted.rig, bent)[:, :3]

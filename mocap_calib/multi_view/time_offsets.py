@@ -235,7 +235,7 @@ def _estimate(
     Each round starts from the motion that the one before ended with. A first look is one round, to
     no great precision.
     """
-    options, last_scale = config.subframe, config.adjust.loss_scales[-1]
+    options, last_scale = config.subframe, tracks.points.loss_scale
     freedom = free_clocks(free, options.uncertainty)
     positions, adjusted, tau = tracks.points.points, rig, np.zeros(len(free))
     for _ in range(1 if first_look else options.rounds):

@@ -75,14 +75,15 @@ def test_adjustment_and_opencv_mean_the_same_camera(distortion, solver):
 
 @pytest.mark.parametrize("changes", [{}, {"cameras": 2}, {"people": 1}])
 def test_ceres_is_of_our_opinion(changes):
-    """From 1 degree off the two are 0.0003 to 0.0009 degrees apart, where the best rig of the data
-    is 0.06 to 0.27 from the truth; size and first camera are the start's.
+    """From 1 degree off the two are 0.0004 to 0.0052 degrees apart, where the best rig of the data
+    is 0.06 to 0.27 from the truth: gross errors are of other sizes in the image than on the sphere.
+    Size and first camera are the start's.
     """
     found, matches = recording(**changes), truth(**changes)
     start = turn_cameras(scene(**changes).rig, 1.0)
     ours = adjust_once(found, start, matches, Config())
     theirs = adjust_by_ceres(found, start, matches, Config())
-    assert rotation_errors_deg(ours, theirs).max() < 0.005
+    assert rotation_errors_deg(ours, theirs).max() < 0.01
     reach = np.linalg.norm(ours.centres - ours.centres[0], axis=1).max()
     assert np.abs(ours.centres - theirs.centres).max() < 5e-4 * reach
     np.testing.assert_allclose(theirs.rotation[0], start.rotation[0], atol=1e-12)
