@@ -165,7 +165,7 @@ def _best_explanation(
     tried: list[tuple[tuple[Fault, ...], Calibrated]] = []
     for found in find_explanations(observed, result, result.config):
         new = _new_faults(found, known)
-        if new:
+        if new and not _mirrors_most((*known, *new), len(recording.cameras)):
             tried.append(_calibrate_mended(recording, calibrated, known, new, calibrate))
     if not tried:
         return None
@@ -175,6 +175,15 @@ def _best_explanation(
     ranks = [gain - margin * _has_moved(new) for gain, (new, _) in zip(gains, tried, strict=True)]
     best = ranks.index(max(ranks))
     return _Explanation(tried[best][0], gains[best], tried[best][1])
+
+
+def _mirrors_most(faults: Sequence[Fault], cameras: int) -> bool:
+    """Return whether half of the cameras or more would be mirrored.
+
+    A world in the mirror fits as well: what most cameras show is the right way round.
+    """
+    mirrored = {fault.camera for fault in faults if fault.word == "mirrored"}
+    return 2 * len(mirrored) >= cameras
 
 
 def _has_moved(faults: Sequence[Fault]) -> bool:

@@ -231,7 +231,7 @@ def test_no_scheduler_is_one_line(address, said, small, tool, tmp_path):
 def test_work_that_kills_its_workers_is_one_line():
     """As too little memory does; what else there is to do is done."""
     code = """
-import os
+from posix import _exit
 from distributed import LocalCluster
 from mocap_calib.compute.cluster import cluster
 from mocap_calib.errors import ClusterError
@@ -243,7 +243,7 @@ def outcome(result):
 if __name__ == "__main__":
     here = LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=40)
     with here, cluster(here.scheduler_address) as workers:
-        print(sorted((item, outcome(result)) for item, result in workers.completed(os._exit, [1])))
+        print(sorted((item, outcome(result)) for item, result in workers.completed(_exit, [1])))
         print(sorted((item, outcome(result)) for item, result in workers.completed(abs, [-2, -3])))
 """
     said = subprocess.run(
