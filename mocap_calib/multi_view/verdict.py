@@ -47,7 +47,7 @@ def judge_group(group: GroupResult, config: Config, *, used_frames: Ints) -> Gro
     judged = replace(judged, reasons=tuple(explain(judged, config)))
     if _has_unchecked_intrinsics(group):
         judged = no_better_than(judged, "weak", _UNCHECKED)
-    return _without_accusations(judged)
+    return _without_accusations(judged, config)
 
 
 def _has_unchecked_intrinsics(group: GroupResult) -> bool:
@@ -59,17 +59,20 @@ def _has_unchecked_intrinsics(group: GroupResult) -> bool:
     return len(cameras) == 2 and all(isinstance(each, EstimatedCamera) for each in cameras)
 
 
-def _without_accusations(group: GroupResult) -> GroupResult:
+def _without_accusations(group: GroupResult, config: Config) -> GroupResult:
     """Return a group that names only cameras that can be told to be the odd ones.
 
-    A rig that is not determined accuses nobody, and of two halves either may be the odd one. That
-    cameras contradict each other stands in its reasons.
+    A rig that is not determined accuses nobody, one whose other cameras hardly know where they
+    stand contradicts nobody, and of two halves either may be the odd one. That cameras contradict
+    each other stands in its reasons.
     """
     nobody = np.zeros(len(group.rig), dtype=bool)
     known = group.uncertainty
+    usual = np.rad2deg(np.median(known.covariance.rotation_sigma))
+    halves = 2 * known.outlier_cameras.sum() >= len(nobody)
     if group.verdict == "not determined":
         known = replace(known, outlier_cameras=nobody, wrong_focal=nobody)
-    elif 2 * known.outlier_cameras.sum() >= len(nobody):
+    elif halves or usual > config.diagnosis.core_deg:
         known = replace(known, outlier_cameras=nobody)
     return replace(group, uncertainty=known)
 

@@ -98,10 +98,11 @@ def test_a_sound_recording_passes_all_checks_and_none_is_without_words():
     judged = judge_group(group, Config(), used_frames=np.arange(len(group.recording.frames)))
     assert judged.verdict == "well determined"
     assert judged.reasons == ()
-    # a rig that is not determined accuses nobody, nor do two halves accuse each other; but that
+    # a rig that is hardly determined accuses nobody, nor do two halves accuse each other; but that
     # cameras contradict each other is said
     for degrees, odd, verdict, accused in (
         (20.0, (1,), "not determined", []),
+        (5.0, (1,), "weak", []),
         (0.5, (1, 3), "weak", []),
         (0.5, (1,), "weak", [1]),
     ):
