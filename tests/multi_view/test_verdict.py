@@ -100,13 +100,16 @@ def test_a_sound_recording_passes_all_checks_and_none_is_without_words():
     assert judged.reasons == ()
     # a rig that is hardly determined accuses nobody, nor do two halves accuse each other; but that
     # cameras contradict each other is said
-    for degrees, odd, verdict, accused in (
-        (20.0, (1,), "not determined", []),
-        (5.0, (1,), "weak", []),
-        (0.5, (1, 3), "weak", []),
-        (0.5, (1,), "weak", [1]),
+    for degrees, of_all, odd, verdict, accused in (
+        (20.0, 0.0, (1,), "not determined", []),
+        (0.5, 5.0, (1,), "weak", []),
+        (0.5, 0.0, (1, 3), "weak", []),
+        (5.0, 0.0, (1,), "weak", [1]),
     ):
         known = uncertainty(degrees, views=4, outliers=odd)
+        turns = np.zeros((1, 4, 6))
+        turns[..., 0] = np.deg2rad(of_all)
+        known = replace(known, covariance=known.covariance.with_changes(turns))
         judged = replace(group, uncertainty=known)
         judged = judge_group(judged, Config(), used_frames=np.arange(len(group.recording.frames)))
         assert judged.verdict == verdict
