@@ -87,9 +87,10 @@ def covariance_of(fitted: FittedRig, config: Config, *, seed: int) -> RigCovaria
     # a single moment does not show what all joints of a moment share: it counts twice
     moments = 1 + 1 / len(np.unique(fitted.points.frame))
     found = replace(first.whole, matrix=first.whole.matrix * inflation**2 * moments)
-    if not found.rotation_sigma.max() < np.pi:  # no angle is larger
-        return RigCovariance.unknown(len(rig.cameras), rig_size(rig))
-    return found
+    # no angle is larger; where nothing is determined a variance may be below 0 by rounding errors
+    with np.errstate(invalid="ignore"):
+        known = found.rotation_sigma.max() < np.pi
+    return found if known else RigCovariance.unknown(len(rig.cameras), rig_size(rig))
 
 
 def rig_change(before: CameraRig, after: CameraRig) -> Floats:
