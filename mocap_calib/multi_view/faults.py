@@ -165,7 +165,7 @@ def _best_explanation(
     tried: list[tuple[tuple[Fault, ...], Calibrated]] = []
     for found in find_explanations(observed, result, result.config):
         new = _new_faults(found, known)
-        if new and not _mirrors_most((*known, *new), len(recording.cameras)):
+        if new and not _may_be_in_the_mirror((*known, *new), calibrated[1]):
             tried.append(_calibrate_mended(recording, calibrated, known, new, calibrate))
     if not tried:
         return None
@@ -177,13 +177,16 @@ def _best_explanation(
     return _Explanation(tried[best][0], gains[best], tried[best][1])
 
 
-def _mirrors_most(faults: Sequence[Fault], cameras: int) -> bool:
-    """Return whether half of the cameras or more would be mirrored.
+def _may_be_in_the_mirror(faults: Sequence[Fault], result: CalibrationResult) -> bool:
+    """Return whether cameras that are said to be mirrored may as well not be.
 
-    A world in the mirror fits as well: what most cameras show is the right way round.
+    A world in the mirror fits as well, so what most cameras show is the right way round; and of
+    cameras far away one that looks from the opposite side sees what a mirrored one does.
     """
     mirrored = {fault.camera for fault in faults if fault.word == "mirrored"}
-    return 2 * len(mirrored) >= cameras
+    cameras = sum(len(group.rig) for group in result.groups) + len(result.left_out)
+    from_afar = result.groups[0].uncertainty.weak_perspective.all()
+    return bool(mirrored) and bool(2 * len(mirrored) >= cameras or from_afar)
 
 
 def _has_moved(faults: Sequence[Fault]) -> bool:
