@@ -107,10 +107,10 @@ def is_determined(covariance: RigCovariance, config: DiagnosisConfig) -> bool:
 def bent_points(
     core: CoreRig, covariance: RigCovariance, config: Config
 ) -> Iterator[tuple[float, Floats]]:
-    """Yield where the points of a core rig lie if it is off by a little, and how often that counts.
+    """Yield a factor, and where the points of a core rig lie if the rig is off by a little.
 
-    Along each axis of its covariance in turn, the longest first: points as those of the rig, and
-    one standard deviation as a multiple of what they were moved by.
+    That is along each axis of its covariance in turn, the longest first. The factor is one standard
+    deviation along the axis, as a multiple of how far the rig was moved. Points: as of the rig.
     """
     views = len(core.rig)
     variances, axes = np.linalg.eigh(covariance.matrix.reshape(6 * views, 6 * views))

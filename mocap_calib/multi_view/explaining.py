@@ -16,7 +16,6 @@ from mocap_calib.multi_view.camera_fit import (
 from mocap_calib.multi_view.core_rig import (
     CoreRig,
     bent_points,
-    core_covariance,
     find_core_rig,
 )
 from mocap_calib.multi_view.explanations import Explanation, explanations
@@ -32,7 +31,7 @@ from mocap_calib.multi_view.projection_search import (
 from mocap_calib.multi_view.suspicion import is_turned, rolls
 from mocap_calib.recording.mending import exchanged_sides
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.types import Camera, CameraRig, Floats, Ints
+from mocap_calib.types import Camera, CameraRig, Floats, Ints, RigCovariance
 
 # explanations that are fitted to all keypoints even where others explain more
 _ALWAYS = ("given", "sides")
@@ -227,14 +226,14 @@ def _fit_all(
     )
 
 
-def with_uncertain_core(finding: Finding, config: Config, *, seed: int) -> Finding:
+def with_uncertain_core(finding: Finding, covariance: RigCovariance, config: Config) -> Finding:
     """Return a finding whose unknowns are as uncertain as the rig of the others makes them.
 
-    A rig that may bend takes its points with it, and with them goes what a camera must be to see
-    them where it does: of distant cameras, or flat subjects, any corner of the image will do.
+    A rig that may bend takes its points with it, and so changes which intrinsics explain what a
+    camera saw. Where cameras are far away, or subjects are flat, any corner of the image explains
+    it. covariance: of the rig of the others (`core_rig.core_covariance`).
     """
     core, given = finding.core, finding.seen.points
-    covariance = core_covariance(core, config, seed=seed)
     rest = _shift(finding, given, config.diagnosis)  # of a fit that is not quite at its minimum
     shifts = []
     for times, points in bent_points(core, covariance, config):

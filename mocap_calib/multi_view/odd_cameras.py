@@ -88,10 +88,12 @@ def diagnose(observed: Observed, view: int, config: Config, *, seed: int) -> Fin
     findings = explain(observed, view, config, seed=seed)
     acceptable = [each for each in findings if _is_acceptable(each, config.diagnosis)]
     sure = [each for each in acceptable if not each.explanation.free]
-    for each in acceptable:
-        if each.explanation.free:
-            doubted = with_uncertain_core(each, config, seed=seed)
-            sure += [doubted] * (doubted.fit.significance > config.diagnosis.core_significance)
+    estimated = [each for each in acceptable if each.explanation.free]
+    if estimated:  # all of them rest on the same rig
+        covariance = core_covariance(estimated[0].core, config, seed=seed)
+        doubted = (with_uncertain_core(each, covariance, config) for each in estimated)
+        least = config.diagnosis.core_significance
+        sure += [each for each in doubted if each.fit.significance > least]
     return max(sure, key=lambda each: _preference(each, config.diagnosis), default=None)
 
 

@@ -62,9 +62,9 @@ def _has_unchecked_intrinsics(group: GroupResult) -> bool:
 def _without_accusations(group: GroupResult, config: Config) -> GroupResult:
     """Return a group that names only cameras that can be told to be the odd ones.
 
-    A rig that is not determined accuses nobody, one whose other cameras hardly know where they
-    stand contradicts nobody, and of two halves either may be the odd one. That cameras contradict
-    each other stands in its reasons.
+    A rig that is not determined accuses nobody. Where most places of cameras are uncertain, or half
+    of the cameras contradict the other half, none is the odd one. The reasons say all the same that
+    cameras contradict each other.
     """
     nobody = np.zeros(len(group.rig), dtype=bool)
     known = group.uncertainty

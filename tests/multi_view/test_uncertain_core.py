@@ -7,9 +7,10 @@ import pytest
 from multi_view.test_odd_cameras import damage, plain
 from scenes import calibrate_all, scene
 
-from mocap_calib.config import CameraFitConfig
-from mocap_calib.multi_view import explaining
+from mocap_calib.config import CameraFitConfig, Config
+from mocap_calib.multi_view import odd_cameras
 from mocap_calib.multi_view.camera_fit import CameraPose, Seen, fit_camera, shift_of_unknowns
+from mocap_calib.multi_view.explaining import Finding, with_uncertain_core
 from mocap_calib.multi_view.rig_covariance import changed_rig, project_out_similarity, rig_change
 from mocap_calib.types import RigCovariance
 
@@ -48,8 +49,9 @@ def test_a_rig_is_changed_by_what_was_found_between_two():
 def test_who_hardly_knows_where_he_stands_accuses_nobody_of_an_estimate(monkeypatch):
     """A crop that is found beside sure cameras, and is not where theirs might be anywhere."""
 
-    def anywhere(core, *_, **__) -> RigCovariance:
-        return RigCovariance.unknown(len(core.rig), size=1.0)
+    def anywhere(finding: Finding, _, config: Config) -> Finding:
+        covariance = RigCovariance.unknown(len(finding.core.rig), size=1.0)
+        return with_uncertain_core(finding, covariance, config)
 
-    monkeypatch.setattr(explaining, "core_covariance", anywhere)
+    monkeypatch.setattr(odd_cameras, "with_uncertain_core", anywhere)
     assert calibrate_all(damage(plain(), "cropped")).faults == ()
