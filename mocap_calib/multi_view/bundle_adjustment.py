@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mocap_calib.compute.kernels import contiguous
 from mocap_calib.compute.parallel import map_in_threads, single_threaded_libraries
 from mocap_calib.config import AdjustConfig, Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
@@ -260,7 +261,7 @@ def observe_rays(rig: CameraRig, points: AdjustablePoints) -> RayObservations:
     """
     axis = np.array([0.0, 0.0, 1.0])[:, None]
     used = points.used
-    rays = np.ascontiguousarray(np.where(used[:, None], points.rays, axis))
+    rays = np.where(used[:, None], points.rays, axis)
     metric = np.empty((len(rays), 2, *rays.shape[1:]))
 
     def measure(view: int) -> None:
@@ -270,7 +271,7 @@ def observe_rays(rig: CameraRig, points: AdjustablePoints) -> RayObservations:
         metric[view] = np.where(used[view], np.nan_to_num(slopes), 0.0)
 
     list(map_in_threads(measure, range(len(rays))))
-    return RayObservations(rays=rays, metric=metric, weight=points.weight)
+    return RayObservations(*contiguous(rays, metric, points.weight))
 
 
 def _pixels_per_ray(camera: Camera, rays: Floats) -> Floats:

@@ -12,14 +12,15 @@ itself is less curved, since a robust loss bends: a rig goes 1.4 times as far as
 cost.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
+from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.multi_view.freedom import Freedom
-from mocap_calib.multi_view.residuals import Observations, State, blocks_of, jacobian
-from mocap_calib.multi_view.schur import NormalEquations, eliminate_points, linearise
+from mocap_calib.multi_view.residuals import Observations, Slopes, State, blocks_of, slopes_of
+from mocap_calib.multi_view.schur import eliminate_points, equations_of, prior_of
 from mocap_calib.types import Floats, Ints
 
 
@@ -71,15 +72,10 @@ def find_covariance(
     are blind to that part, so nothing is missing without it: what it adds, 1.2 to 2 times, is a
     margin for what shall not be accused by mistake.
     """
-    equations = linearise(state, seen, freedom, loss_scale)
-    inverse, schur, _ = eliminate_points(equations)
-    centred = np.einsum("ijn,jn->in", inverse, equations.point_gradient)
-    gradients, _ = _gradients(state, seen, loss_scale)
-    gradients -= np.einsum("vcin,in->vcn", equations.mixed, centred)
-    scores = freedom.basis.T @ gradients.reshape(-1, gradients.shape[2])
-    scores *= _inflation(seen.weight)
+    told = _all_that_is_told(state, seen, freedom, loss_scale, curved=False)
+    scores = told.scores * _inflation(seen.weight)
     return Covariance(
-        bread=_inverse_at_size(freedom.basis.T @ schur @ freedom.basis, state),
+        bread=_inverse_at_size(told.system, state),
         scatter=np.sum([scatter_of(scores, cluster) for cluster in clusters], axis=0),
     )
 
@@ -103,21 +99,11 @@ def find_curved_covariance(
     everywhere here, what is missing in the reduced system is the sum of 2 / (w s^2) q q' over all
     detections, q being what each adds to the gradient of the cameras.
     """
-    equations = linearise(state, seen, freedom, loss_scale)
-    inverse, schur, _ = eliminate_points(equations)
-    by_view = _scores_by_view(state, seen, equations, inverse, loss_scale)
-    rows = freedom.basis.shape[1]
-    scores, bent = np.zeros((rows, seen.weight.shape[1])), np.zeros((rows, rows))
-    for of_view, weight in zip(by_view, seen.weight, strict=True):
-        score = freedom.basis.T @ of_view
-        share = np.where(weight > 0, 2 / (np.where(weight > 0, weight, 1.0) * loss_scale**2), 0.0)
-        bent += (score * share) @ score.T
-        scores += score
-    system = freedom.basis.T @ schur @ freedom.basis
-    bread = _inverse_at_size(_less_curved(system, bent, least_curvature), state)
-    scatters = np.stack([scatter_of(scores, cluster) for cluster in clusters])
+    told = _all_that_is_told(state, seen, freedom, loss_scale, curved=True)
+    bread = _inverse_at_size(_less_curved(told.system, told.bent, least_curvature), state)
+    scatters = np.stack([scatter_of(told.scores, cluster) for cluster in clusters])
     first, second = clusters
-    both = scatter_of(scores, first * (second.max() + 1) + second)
+    both = scatter_of(told.scores, first * (second.max() + 1) + second)
     # in standard deviations of independent errors, so that all directions count alike
     twice = float(np.trace(bread @ both) / max(np.einsum("ij,cji->", bread, scatters), 1e-300))
     # the whole is not less than what is in both parts
@@ -139,37 +125,99 @@ def _less_curved(system: Floats, bent: Floats, least: float) -> Floats:
     return np.asarray((half * np.maximum(shares, least)) @ half.T)
 
 
-def _scores_by_view(
+@dataclass(frozen=True)
+class _Told:
+    """What detections of points tell of the free unknowns, with the points eliminated.
+
+    system: `[free, free]` the reduced camera system.
+    scores: `[free, N]` what the detections of each point add to the gradient.
+    bent: `[free, free]` what the curvature of the cost is less than the system by; 0 where it was
+        not asked for.
+    """
+
+    system: Floats
+    scores: Floats
+    bent: Floats
+
+
+def _all_that_is_told(
+    state: State, seen: Observations, freedom: Freedom, loss_scale: float, *, curved: bool
+) -> _Told:
+    """Return what all points tell, and what is known of the intrinsics beforehand."""
+    work = partial(
+        _told_by, state=state, seen=seen, basis=freedom.basis, loss_scale=loss_scale, curved=curved
+    )
+    parts = list(map_in_threads(work, blocks_of(state.points)))
+    known = prior_of(freedom, state)[0].reshape(-1, 1) * freedom.basis
+    return _Told(
+        system=np.sum([part.system for part in parts], axis=0) + freedom.basis.T @ known,
+        scores=np.concatenate([part.scores for part in parts], axis=1),
+        bent=np.sum([part.bent for part in parts], axis=0),
+    )
+
+
+def _told_by(
+    block: slice,
+    *,
     state: State,
     seen: Observations,
-    equations: NormalEquations,
-    inverse: Floats,
+    basis: Floats,
     loss_scale: float,
-) -> Iterator[Floats]:
-    """Yield what the detections of each view add to the gradient of all cameras, `[C view, N]`.
+    curved: bool,
+) -> _Told:
+    """Return what a block of points tells."""
+    found, robust, slopes = slopes_of(block, state, seen, loss_scale)
+    residual = found.residual * robust[:, None]
+    equations = equations_of(state.rotation, found.in_camera, slopes, residual)
+    inverse, system, _ = eliminate_points(equations)
+    own, pull = _gradients(state.rotation, found.in_camera, slopes, residual)
+    # how far each detection moves its point: the points go where the others want them
+    moved = np.einsum("ijn,vjn->vin", inverse, pull)
+    scores = own - np.einsum("vcin,in->vcn", equations.mixed, moved.sum(0))
+    bent = np.zeros_like(system)
+    if curved:
+        weight = seen.weight[:, block]
+        share = np.where(weight > 0, 2 / (np.where(weight > 0, weight, 1.0) * loss_scale**2), 0.0)
+        bent = _bent(equations.mixed, own, moved, share)
+    return _Told(
+        system=basis.T @ system @ basis,
+        scores=basis.T @ scores.reshape(len(basis), -1),
+        bent=basis.T @ bent @ basis,
+    )
 
-    With the points eliminated: they go where the others want them.
-    inverse: `[3, 3, N]` of the blocks of the points.
+
+def _gradients(
+    rotation: Floats, in_camera: Floats, slopes: Slopes, residual: Floats
+) -> tuple[Floats, Floats]:
+    """Return what each detection adds to the gradients of its camera and its point.
+
+    `[view, C, n]` and `[view, 3, n]`; in_camera: `[view, 3, n]`, residual: `[view, 2, n]`.
     """
-    by_camera, by_point = _gradients(state, seen, loss_scale)
-    for view, (own, pull) in enumerate(zip(by_camera, by_point, strict=True)):
-        moved = np.einsum("ijn,jn->in", inverse, pull)
-        score = -np.einsum("vcin,in->vcn", equations.mixed, moved)
-        score[view] += own
-        yield score.reshape(-1, score.shape[2])
+    force = np.einsum("vkin,vkn->vin", slopes.in_camera, residual)  # in the frame of the camera
+    turning = np.cross(in_camera, force, axis=1)
+    intrinsics = np.einsum("vkin,vkn->vin", slopes.intrinsics, residual)
+    own = np.concatenate([turning, force, intrinsics], axis=1)
+    return own, np.matmul(np.swapaxes(rotation, 1, 2), force)
 
 
-def _gradients(state: State, seen: Observations, loss_scale: float) -> tuple[Floats, Floats]:
-    """Return the gradients by the camera `[view, C, N]` and by the point `[view, 3, N]`.
+def _bent(mixed: Floats, own: Floats, moved: Floats, share: Floats) -> Floats:
+    """Return the sum of s q q' over all detections, `[C view, C view]`, s being their share.
 
-    Of each detection.
+    q is what a detection adds to the gradient of all cameras: its `own` `[view, C, n]` to that of
+    its camera, and -W m by the way m that it moves its point (`moved`, `[view, 3, n]`).
+    mixed: `[view, C, 3, n]` W; share: `[view, n]`.
     """
-    cameras, points = [], []
-    for block in blocks_of(state.points):
-        found = jacobian(block, state, seen, loss_scale)
-        cameras.append(np.einsum("vkcn,vkn->vcn", found.camera, found.residual))
-        points.append(np.einsum("vkcn,vkn->vcn", found.point, found.residual))
-    return np.concatenate(cameras, axis=2), np.concatenate(points, axis=2)
+    rows = mixed.shape[0] * mixed.shape[1]
+    spread = np.einsum("vn,vin,vjn->ijn", share, moved, moved)
+    # half of what is symmetric: (W M / 2 - D) W' and its transpose, D being that of the own parts
+    half = np.einsum("vcin,ijn->vcjn", mixed, 0.5 * spread)
+    half -= (share[:, None] * own)[:, :, None] * moved[:, None]
+    found = half.reshape(rows, -1) @ mixed.reshape(rows, -1).T
+    found += found.T.copy()
+    of_views = found.reshape(*mixed.shape[:2], *mixed.shape[:2])
+    view = np.arange(len(mixed))
+    of_views[view, :, view] += np.matmul(share[:, None] * own, np.swapaxes(own, 1, 2))
+    return found
 
 
 def _inflation(weight: Floats) -> Floats:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mocap_calib.compute.kernels import contiguous
 from mocap_calib.config import SAME_IMAGE_SIZE, Config, IntrinsicsConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.multi_view.association import associate, have_same_groups
@@ -227,11 +228,9 @@ def _adjust(
     """Adjust poses and intrinsics together to the detections that are matched."""
     points = choose_points(found.sample, found.rig, found.matches, config)
     focal = np.array([camera.focal for camera in found.rig.cameras])
+    pixels, weight = contiguous(np.nan_to_num(points.pixels), points.weight)
     seen = PixelObservations(
-        cameras=given,
-        pixels=np.nan_to_num(points.pixels),
-        sigma=points.noise * focal,
-        weight=points.weight,
+        cameras=given, pixels=pixels, sigma=points.noise * focal, weight=weight
     )
     freedom = _freedom(found, given, config.intrinsics)
     start = State(found.rig.rotation, found.rig.translation, points.points, found.change)

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from mocap_calib.compute.kernels import contiguous
 from mocap_calib.geometry import lens
 from mocap_calib.multi_view.residuals import (
     Residuals,
@@ -36,7 +37,8 @@ class PixelObservations:
 
     def select(self, points: Ints) -> "PixelObservations":
         """Return what was seen of some of the points, given their indices."""
-        return replace(self, pixels=self.pixels[..., points], weight=self.weight[:, points])
+        pixels, weight = contiguous(self.pixels[..., points], self.weight[:, points])
+        return replace(self, pixels=pixels, weight=weight)
 
     def residuals(self, block: slice, state: State) -> Residuals:
         """Return a block of points as the cameras see them."""

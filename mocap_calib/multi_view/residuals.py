@@ -85,21 +85,6 @@ class Observations(Protocol):
         """Return what was seen of some of the points, given their indices."""
 
 
-@dataclass(frozen=True)
-class Jacobian:
-    """Derivatives of the residuals, and the residuals, both weighed by the robust loss.
-
-    camera: `[view, 2, 6 + intrinsic, n]` by a rotation of the camera's frame (3), a translation
-        (3), and the intrinsics.
-    point: `[view, 2, 3, n]` by the point in world coordinates.
-    residual: `[view, 2, n]`.
-    """
-
-    camera: Floats
-    point: Floats
-    residual: Floats
-
-
 def blocks_of(points: Floats) -> list[slice]:
     """Return the blocks of points `[3, N]` that are worked on at a time."""
     count = points.shape[1]
@@ -126,17 +111,6 @@ def is_behind(in_camera: Floats, depth: Floats) -> Bools:
     return np.asarray(depth <= 2 * BEHIND * np.abs(in_camera).max(1))
 
 
-def jacobian(block: slice, state: State, seen: Observations, loss_scale: float) -> Jacobian:
-    """Return the derivatives of the residuals of a block of points.
-
-    A rotation w about the camera's centre and a translation t move a point x in the camera's
-    frame by w x x + t; the point p in the world moves it by R p.
-    """
-    found, robust, slopes = slopes_of(block, state, seen, loss_scale)
-    camera, point = derivatives(state.rotation, found.in_camera, slopes)
-    return Jacobian(camera, point, residual=found.residual * robust[:, None])
-
-
 def slopes_of(
     block: slice, state: State, seen: Observations, loss_scale: float
 ) -> tuple[Residuals, Floats, Slopes]:
@@ -157,9 +131,11 @@ def _robust_weight(residuals: Residuals, weight: Floats, loss_scale: float) -> F
 
 
 def derivatives(rotation: Floats, in_camera: Floats, slopes: Slopes) -> tuple[Floats, Floats]:
-    """Return the derivatives of `Jacobian` by the cameras and by the points.
+    """Return the derivatives of residuals by the cameras and by the points.
 
-    in_camera: `[view, 3, n]` the points.
+    in_camera: `[view, 3, n]` the points. The first, `[view, 2, 6 + intrinsic, n]`: by a rotation w
+    of the camera's frame and a translation t, which move a point x in it by w x x + t, and by the
+    intrinsics. The second, `[view, 2, 3, n]`: by the point p in the world, which moves x by R p.
     """
     slope = slopes.in_camera
     views, rows, _, count = slope.shape

@@ -26,7 +26,6 @@ from mocap_calib.multi_view.residuals import (
     State,
     blocks_of,
     derivatives,
-    slopes_of,
 )
 from mocap_calib.multi_view.settling import Weighed, settle
 from mocap_calib.types import Floats
@@ -90,46 +89,13 @@ def settle_points(state: State, seen: Observations, *, loss_scale: float) -> Sta
 # The normal equations
 
 
-def linearise(
-    state: State, seen: Observations, freedom: Freedom, loss_scale: float
-) -> NormalEquations:
-    """Return the normal equations about a state."""
-    work = partial(_linearise_block, state=state, seen=seen, loss_scale=loss_scale)
-    blocks = list(map_in_threads(work, blocks_of(state.points)))
-    camera = np.sum([block.camera for block in blocks], axis=0)
-    gradient = np.sum([block.camera_gradient for block in blocks], axis=0)
-    _add_prior(camera, gradient, state, freedom)
-    return NormalEquations(
-        camera=camera,
-        camera_gradient=gradient,
-        point=np.concatenate([block.point for block in blocks], axis=-1),
-        point_gradient=np.concatenate([block.point_gradient for block in blocks], axis=-1),
-        mixed=np.concatenate([block.mixed for block in blocks], axis=-1),
-    )
-
-
-def _add_prior(camera: Floats, gradient: Floats, state: State, freedom: Freedom) -> None:
-    """Add what is known of the intrinsics beforehand to the cameras' blocks and gradients."""
-    own = np.arange(6, camera.shape[1])
-    camera[:, own, own] += freedom.precision
-    gradient[:, own] += freedom.precision * state.intrinsics
-
-
-def _linearise_block(
-    block: slice, *, state: State, seen: Observations, loss_scale: float
-) -> NormalEquations:
-    """Return the equations of a block of points."""
-    found, robust, slopes = slopes_of(block, state, seen, loss_scale)
-    residual = found.residual * robust[:, None]
-    return _equations_of(state.rotation, found.in_camera, slopes, residual)
-
-
-def _equations_of(
+def equations_of(
     rotation: Floats, in_camera: Floats, slopes: Slopes, residual: Floats
 ) -> NormalEquations:
     """Return the equations of some points, given their weighed derivatives.
 
-    in_camera: `[view, 3, n]` the points; residual: `[view, 2, n]`, weighed.
+    in_camera: `[view, 3, n]` the points; residual: `[view, 2, n]`, weighed. What is known of the
+    intrinsics beforehand is not in them (`prior_of`).
     """
     kernels = compiled(KERNELS)
     if kernels is None:
@@ -222,22 +188,28 @@ class _Reduced:
     stiffness: Floats
 
 
+def prior_of(freedom: Freedom, state: State) -> tuple[Floats, Floats]:
+    """Return what is known of the intrinsics beforehand: stiffness and gradient `[view, C]`."""
+    stiffness = np.zeros((len(state.rotation), 6 + state.intrinsics.shape[1]))
+    stiffness[:, 6:] = freedom.precision
+    gradient = np.zeros_like(stiffness)
+    gradient[:, 6:] = freedom.precision * state.intrinsics
+    return stiffness, gradient
+
+
 def _reduce(state: State, seen: Observations, freedom: Freedom, loss_scale: float) -> _Reduced:
     """Let the points of a state settle, and return the system of the cameras about it."""
     work = partial(_reduce_block, state=state, seen=seen, loss_scale=loss_scale)
     blocks = list(map_in_threads(work, blocks_of(state.points)))
     points, costs, matrices, gradients, stiffness = zip(*blocks, strict=True)
-    views, unknowns = len(state.rotation), 6 + state.intrinsics.shape[1]
-    known = np.zeros((views, unknowns, unknowns)), np.zeros((views, unknowns))
-    _add_prior(*known, state, freedom)
-    added = np.einsum("vii->vi", known[0]).ravel()
+    known, pull = (part.ravel() for part in prior_of(freedom, state))
     unlikely = float((freedom.precision * state.intrinsics**2).sum())
     return _Reduced(
         state=replace(state, points=np.concatenate(points, axis=1)),
         cost=sum(costs) * loss_scale**2 + unlikely,
-        matrix=sum(matrices) + np.diag(added),
-        gradient=sum(gradients) + known[1].ravel(),
-        stiffness=sum(stiffness) + added,
+        matrix=sum(matrices) + np.diag(known),
+        gradient=sum(gradients) + pull,
+        stiffness=sum(stiffness) + known,
     )
 
 
@@ -255,7 +227,7 @@ def _reduced_system(rotation: Floats, found: Weighed) -> tuple[Floats, Floats, F
     kernels = compiled(KERNELS)
     if kernels is None:
         found_slopes = found.in_camera, found.slopes, found.residual
-        equations = _equations_of(rotation, *found_slopes)
+        equations = equations_of(rotation, *found_slopes)
         _, matrix, gradient = eliminate_points(equations)
         return equations.camera, matrix, gradient
     (views, _, count), unknowns = found.in_camera.shape, 6 + found.slopes.intrinsics.shape[2]

@@ -8,13 +8,19 @@ from scenes import scene, turn_cameras
 
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.rotation import vector_from_matrix
-from mocap_calib.multi_view import schur, settling
+from mocap_calib.multi_view import covariance, schur, settling
 from mocap_calib.multi_view.covariance import find_curved_covariance
 from mocap_calib.multi_view.freedom import Freedom, free_intrinsics, free_poses
 from mocap_calib.multi_view.pixel_residuals import PixelObservations
 from mocap_calib.multi_view.ray_residuals import RayObservations
-from mocap_calib.multi_view.residuals import Observations, State
-from mocap_calib.multi_view.schur import NormalEquations, eliminate_points, linearise, minimise
+from mocap_calib.multi_view.residuals import Observations, State, slopes_of
+from mocap_calib.multi_view.schur import (
+    NormalEquations,
+    eliminate_points,
+    equations_of,
+    minimise,
+    prior_of,
+)
 
 SCALE = 3.0  # of the loss
 FREE = free_poses(3)
@@ -63,6 +69,12 @@ def problem_with_intrinsics(
     return state, seen, free_intrinsics(np.arange(3), np.full((3, 2), 0.2))
 
 
+def linearise(state: State, seen: Observations) -> NormalEquations:
+    """Return the normal equations of all points."""
+    found, robust, slopes = slopes_of(slice(None), state, seen, SCALE)
+    return equations_of(state.rotation, found.in_camera, slopes, found.residual * robust[:, None])
+
+
 def robust_cost(state: State, seen: Observations) -> float:
     """Return the sum of w s^2 log(1 + r'r / s^2)."""
     residual = seen.residuals(slice(0, state.points.shape[1]), state).residual
@@ -83,7 +95,7 @@ def slope(seen: RayObservations, ahead: State, behind: State, distance: float) -
 def test_the_gradient_is_the_slope_of_the_cost(axis):
     """By central differences, of one camera and of one point; measured 1e-7 of the largest."""
     state, seen = problem()
-    equations = linearise(state, seen, FREE, SCALE)
+    equations = linearise(state, seen)
     nudge = 1e-6
 
     shift = np.zeros_like(state.translation)
@@ -106,7 +118,7 @@ def test_the_gradient_is_the_slope_of_the_cost(axis):
 def test_the_gradient_by_intrinsics_is_the_slope_of_the_cost(distortion, intrinsic):
     """Log focal length and k1 of one camera, with what is known beforehand: measured 1e-8."""
     state, seen, freedom = problem_with_intrinsics(distortion)
-    equations = linearise(state, seen, freedom, SCALE)
+    equations = linearise(state, seen)
     nudge = np.zeros_like(state.intrinsics)
     nudge[1, intrinsic] = 1e-6
     costs = [
@@ -114,7 +126,8 @@ def test_the_gradient_by_intrinsics_is_the_slope_of_the_cost(distortion, intrins
         for step in (nudge, -nudge)
     ]
     slope = (costs[0] - costs[1]) / 2e-6
-    assert 2 * equations.camera_gradient[1, 6 + intrinsic] == pytest.approx(slope, rel=1e-5)
+    gradient = equations.camera_gradient + prior_of(freedom, state)[1]
+    assert 2 * gradient[1, 6 + intrinsic] == pytest.approx(slope, rel=1e-5)
 
 
 def test_cameras_that_share_intrinsics_keep_them_alike_and_others_have_their_own():
@@ -164,7 +177,7 @@ def whole_system(equations: NormalEquations) -> tuple[np.ndarray, np.ndarray]:
 def test_the_reduced_system_gives_the_step_of_the_whole_system():
     """All unknowns but those of the first camera, solved at once: measured 3e-11 of the largest."""
     state, seen = problem()
-    equations = linearise(state, seen, FREE, SCALE)
+    equations = linearise(state, seen)
     # nothing of the whole system holds the size of the rig
     whole = replace(equations, camera=equations.camera * 1.01)
     matrix, gradient = whole_system(whole)
@@ -178,8 +191,8 @@ def test_minimising_ends_where_the_gradient_vanishes():
     state, seen = problem()
     found = minimise(state, seen, FREE, loss_scale=SCALE, tolerance=1e-12)
     found = schur.settle_points(found, seen, loss_scale=SCALE)
-    before = linearise(state, seen, FREE, SCALE).camera_gradient[1:]
-    after = linearise(found, seen, FREE, SCALE).camera_gradient[1:]
+    before = linearise(state, seen).camera_gradient[1:]
+    after = linearise(found, seen).camera_gradient[1:]
     assert np.abs(after).max() < 1e-4 * np.abs(before).max()
     assert robust_cost(found, seen) < 0.5 * robust_cost(state, seen)
     np.testing.assert_array_equal(found.rotation[0], state.rotation[0])
@@ -206,7 +219,7 @@ def test_a_covariance_is_how_far_many_draws_of_noise_scatter_the_cameras():
         fitted = minimise(start, drawn, FREE, loss_scale=loss_scale, tolerance=1e-9)
         turns = vector_from_matrix(fitted.rotation @ np.swapaxes(true.rotation, 1, 2))
         found.append((turns[1:] ** 2).sum())
-        covariance = find_curved_covariance(
+        parts = find_curved_covariance(
             fitted,
             drawn,
             FREE,
@@ -214,21 +227,44 @@ def test_a_covariance_is_how_far_many_draws_of_noise_scatter_the_cameras():
             loss_scale=loss_scale,
             least_curvature=0.2,
         )
-        whole = covariance.once * covariance.parts.sum(0)
+        whole = parts.once * parts.parts.sum(0)
         stated.append(np.diag(whole).reshape(2, 6)[:, :3].sum())
     # 1.2 here; 1.6 without the bend
     assert 0.8 < np.sqrt(np.mean(found) / np.mean(stated)) < 1.35
 
 
+def test_what_a_covariance_is_made_of_is_the_sum_of_what_each_detection_adds():
+    """Each alone, its point eliminated under all views that see it: measured 1e-14."""
+    state, seen, freedom = problem_with_intrinsics("brown")
+    several = (seen.weight > 0).sum(0) >= 2
+    seen = replace(seen, weight=np.where(several, seen.weight, 0.0))
+    told = covariance._all_that_is_told(state, seen, freedom, SCALE, curved=True)
+    whole = linearise(state, seen)
+    inverse, _, _ = eliminate_points(whole)
+    bent, scores = np.zeros_like(told.bent), np.zeros_like(told.scores)
+    for view in range(3):
+        one = np.arange(3)[:, None] == view
+        alone = linearise(state, replace(seen, weight=np.where(one, seen.weight, 0.0)))
+        moved = np.einsum("ijn,jn->in", inverse, alone.point_gradient)
+        for n in np.flatnonzero(seen.weight[view]):
+            single = replace(seen, weight=np.where(one & (np.arange(100) == n), seen.weight, 0.0))
+            own = linearise(state, single).camera_gradient
+            added = freedom.basis.T @ (own - whole.mixed[..., n] @ moved[:, n]).ravel()
+            bent += 2 / (seen.weight[view, n] * SCALE**2) * np.outer(added, added)
+            scores[:, n] += added
+    for ours, expected in ((told.bent, bent), (told.scores, scores)):
+        np.testing.assert_allclose(ours, expected, atol=1e-10 * np.abs(expected).max())
+
+
 @pytest.mark.parametrize("lens", ["known", "brown", "fisheye"])
 def test_the_kernels_give_the_equations_of_their_definition(lens, monkeypatch):
     """Of rays and of pixels, with a point that nobody sees, and none that a single view sees."""
-    state, seen, freedom = (*problem(), FREE) if lens == "known" else problem_with_intrinsics(lens)
+    state, seen = problem() if lens == "known" else problem_with_intrinsics(lens)[:2]
     several = ((seen.weight > 0).sum(0) >= 2) & (np.arange(100) != 7)
     seen = replace(seen, weight=np.where(several, seen.weight, 0.0))
 
     def found() -> list[np.ndarray]:
-        equations = linearise(state, seen, freedom, SCALE)
+        equations = linearise(state, seen)
         settled = settling.settle(slice(0, 100), state, seen, SCALE)
         parts = [settled.points, settled.in_camera, settled.residual, np.array(settled.cost)]
         parts += [settled.slopes.in_camera, settled.slopes.intrinsics]
@@ -250,10 +286,10 @@ def test_points_settle_where_they_pull_no_more(known):
 
     Measured: 2e-6 of three in four; the slowest, of gross errors, end early.
     """
-    state, seen, freedom = (*problem(), FREE) if known else problem_with_intrinsics("brown")
+    state, seen = problem() if known else problem_with_intrinsics("brown")[:2]
     settled = settling.settle(slice(0, 100), state, seen, SCALE)
     there = replace(state, points=settled.points)
-    equations = linearise(there, seen, freedom, SCALE)
+    equations = linearise(there, seen)
     inverse, _, _ = eliminate_points(equations)
     pull = equations.point_gradient
     gain = np.einsum("in,ijn,jn->n", pull, inverse, pull)
