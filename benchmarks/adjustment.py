@@ -104,7 +104,7 @@ def moved(rig: CameraRig) -> CameraRig:
     )
     rotation = matrix_from_vector(np.radians(3.0) * turn) @ rig.rotation
     centres = rig.centres + 0.03 * np.linalg.norm(rig.centres, axis=1, keepdims=True) * shift
-    return replace(rig, rotation=rotation, translation=-np.einsum("vij,vj->vi", rotation, centres))
+    return rig.stand(rotation, centres)
 
 
 def ours(

@@ -120,7 +120,7 @@ def near_affine(rng: np.random.Generator, number: int) -> Files:
     factor = TIMES_AS_FAR[number % len(TIMES_AS_FAR)]
     middle = np.nanmean(scene.poses, axis=(0, 1, 2))
     away = factor * (scene.rig.centres - middle)
-    rig = stand(scene.rig, looking_along(-away, np.array([0.0, 0.0, -1.0])), middle + away)
+    rig = scene.rig.stand(looking_along(-away, np.array([0.0, 0.0, -1.0])), middle + away)
     longer = (change_intrinsics(each, log_focal=np.log(factor), k1=0.0) for each in rig.cameras)
     rig = replace(rig, cameras=tuple(longer))
     return Files(film(rng, rig, scene, scene.poses, config.noise_px), (rig,))
@@ -145,9 +145,8 @@ def facing_pair(rng: np.random.Generator, number: int) -> Files:
     degrees = 180 + TURNED_DEG[number % len(TURNED_DEG)]
     turn = matrix_from_vector(np.deg2rad(degrees) * np.array([0.0, 0.0, 1.0]))
     rotation, centre = scene.rig.rotation[0], scene.rig.centres[0]
-    rig = stand(
-        scene.rig, np.stack([rotation, rotation @ turn.T]), np.stack([centre, turn @ centre])
-    )
+    rotations, centres = np.stack([rotation, rotation @ turn.T]), np.stack([centre, turn @ centre])
+    rig = scene.rig.stand(rotations, centres)
     return Files(film(rng, rig, scene, scene.poses, config.noise_px), (rig,))
 
 
@@ -274,11 +273,6 @@ def film(
         false_detections=usual.false_detections,
     )
     return keypoint_files(rig, detections)
-
-
-def stand(rig: CameraRig, rotation: Floats, centres: Floats) -> CameraRig:
-    """Return the rig with its cameras at other places."""
-    return replace(rig, rotation=rotation, translation=-np.einsum("vij,vj->vi", rotation, centres))
 
 
 def rename(rig: CameraRig, names: Sequence[str]) -> CameraRig:

@@ -136,7 +136,7 @@ def another_world(rig: CameraRig, rng: np.random.Generator) -> CameraRig:
     turn = matrix_from_vector(2.0 * direction(rng))
     centres = 1000 * (rig.centres @ turn.T + 10 * rng.normal(size=3))
     rotation = rig.rotation @ turn.T
-    return replace(rig, rotation=rotation, translation=-np.einsum("vij,vj->vi", rotation, centres))
+    return rig.stand(rotation, centres)
 
 
 if __name__ == "__main__":

@@ -456,6 +456,14 @@ class CameraRig(Record):
             ),
         )
 
+    def stand(self, rotation: Floats, centres: Floats) -> "CameraRig":
+        """Return the rig with its cameras elsewhere, in its own unit.
+
+        rotation: `[view, 3, 3]` of cam_from_world; centres: `[view, 3]` in world coordinates.
+        """
+        translation = -np.einsum("vij,vj->vi", rotation, centres)
+        return replace(self, rotation=rotation, translation=translation)
+
     def scale(self, factor: float, unit: str) -> "CameraRig":
         """Return the rig with all lengths multiplied by a factor, which are in `unit` then.
 

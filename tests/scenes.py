@@ -117,6 +117,4 @@ def turn_cameras(rig: CameraRig, degrees: float, seed: int = 0) -> CameraRig:
     axis *= np.radians(degrees) / np.linalg.norm(axis, axis=1, keepdims=True)
     axis[0] = 0
     rotation = matrix_from_vector(axis) @ rig.rotation
-    return replace(
-        rig, rotation=rotation, translation=-np.einsum("vij,vj->vi", rotation, rig.centres)
-    )
+    return rig.stand(rotation, rig.centres)

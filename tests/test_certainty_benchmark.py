@@ -24,7 +24,7 @@ def moved(rig, *, turn, shift, scale):
     """The same rig in other coordinates of the world: x' = scale turn x + shift."""
     rotation = rig.rotation @ turn.T
     centres = scale * rig.centres @ turn.T + shift
-    return replace(rig, rotation=rotation, translation=-np.einsum("vij,vj->vi", rotation, centres))
+    return rig.stand(rotation, centres)
 
 
 def test_errors_know_no_similarity_and_are_turns_and_shifts(benchmark):

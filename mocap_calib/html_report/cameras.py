@@ -1,6 +1,7 @@
 """The rig of a report, and another one that is laid over it."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import PurePath
 from typing import Any
 
@@ -82,14 +83,8 @@ def _lay_over(other: CameraRig, rig: CameraRig, names: Sequence[str]) -> CameraR
     """Return another rig in the world of a rig, by the cameras of these names."""
     points, targets = (with_axes(each.select(names)) for each in (other, rig))
     scale, turn, shift = align_by_similarity(points, targets)
-    rotation = other.rotation @ turn.T
     centres = scale * other.centres @ turn.T + shift
-    return CameraRig(
-        cameras=other.cameras,
-        rotation=rotation,
-        translation=-np.einsum("vij,vj->vi", rotation, centres),
-        unit=rig.unit,
-    )
+    return replace(other, unit=rig.unit).stand(other.rotation @ turn.T, centres)
 
 
 def _describe_camera(camera: PosedCamera) -> dict[str, Any]:

@@ -180,7 +180,7 @@ def with_size_of(reference: CameraRig, rig: CameraRig) -> CameraRig:
     size = np.sqrt(((rig.centres - first) ** 2).sum())
     reference_size = np.sqrt(((reference.centres - first) ** 2).sum())
     centres = first + (rig.centres - first) * (reference_size / size)
-    return replace(rig, translation=-np.einsum("vij,vj->vi", rig.rotation, centres))
+    return rig.stand(rig.rotation, centres)
 
 
 # Which detections the rig is built on

@@ -265,6 +265,4 @@ def _in_coordinates_of(reference: CameraRig, rig: CameraRig, views: Ints) -> Cam
         with_axes(rig.select(views)), with_axes(reference.select(views))
     )
     centres = scale * rig.centres @ rotation.T + shift
-    turned = rig.rotation @ rotation.T
-    translation = -np.einsum("vij,vj->vi", turned, centres)
-    return replace(rig, rotation=turned, translation=translation, unit=reference.unit)
+    return replace(rig, unit=reference.unit).stand(rig.rotation @ rotation.T, centres)

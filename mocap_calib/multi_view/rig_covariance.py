@@ -111,8 +111,7 @@ def changed_rig(rig: CameraRig, change: Floats) -> CameraRig:
     """Return a rig whose cameras were turned and shifted by changes `[view, 6]` of `rig_change`."""
     rotation = rig.rotation @ matrix_from_vector(change[:, :3])
     centres = rig.centres + rig_size(rig) * change[:, 3:]
-    translation = -np.einsum("vij,vj->vi", rotation, centres)
-    return replace(rig, rotation=rotation, translation=translation)
+    return rig.stand(rotation, centres)
 
 
 def project_out_similarity(change: Floats, rig: CameraRig) -> Floats:

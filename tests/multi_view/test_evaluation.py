@@ -55,7 +55,7 @@ def test_cameras_on_a_line_are_turned_by_their_axes():
     """The centres alone leave the turn about the line open; measured below 1e-8 degrees."""
     rig = scene(cameras=4).rig
     centres = np.outer(np.arange(4), [1.0, 0.2, 0.1]) + [0, 0, 2]
-    line = replace(rig, translation=-np.einsum("vij,vj->vi", rig.rotation, centres))
+    line = rig.stand(rig.rotation, centres)
     found = evaluate(elsewhere(line), line)
     assert np.degrees(found.camera_rotation).max() < 1e-6
     assert found.centre_error.max() < 1e-6
@@ -65,8 +65,7 @@ def test_a_known_turn_is_the_error_of_its_pairs():
     rig = scene(cameras=4).rig
     rotation = rig.rotation.copy()
     rotation[2] = matrix_from_vector(np.radians([0, 7.0, 0])) @ rotation[2]
-    translation = -np.einsum("vij,vj->vi", rotation, rig.centres)
-    found = replace(rig, rotation=rotation, translation=translation)
+    found = rig.stand(rotation, rig.centres)
     figures = evaluation_to_dict(evaluate(found, rig))
     for pair in figures["pairs"]:
         expected = 7.0 if "cam3" in (pair["a"], pair["b"]) else 0.0
@@ -81,7 +80,7 @@ def test_a_known_shift_is_the_error_of_the_centre():
     rig = scene(cameras=6).rig
     centres = rig.centres.copy()
     centres[0] += [0.3, 0.0, 0.0]
-    found = replace(rig, translation=-np.einsum("vij,vj->vi", rig.rotation, centres))
+    found = rig.stand(rig.rotation, centres)
     assert evaluate(found, rig).centre_error.max() == pytest.approx(0.25, abs=0.06)
 
 

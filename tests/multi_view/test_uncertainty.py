@@ -47,8 +47,7 @@ def moved(rig, *, degrees=0.0, shift=0.0, view=1):
     rotation, centres = rig.rotation.copy(), rig.centres.copy()
     rotation[view] = matrix_from_vector(np.deg2rad([[0.0, degrees, 0.0]]))[0] @ rotation[view]
     centres[view] += [shift * rig_size(rig), 0.0, 0.0]
-    translation = -np.einsum("vij,vj->vi", rotation, centres)
-    return replace(rig, rotation=rotation, translation=translation)
+    return rig.stand(rotation, centres)
 
 
 def test_a_similarity_is_no_change_and_a_turned_camera_is():

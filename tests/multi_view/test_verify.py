@@ -43,8 +43,7 @@ def elsewhere(rig: CameraRig) -> CameraRig:
     turn = matrix_from_vector(2.0 * AXIS)
     centres = 1000 * (rig.centres @ turn.T + [3.0, -40.0, 7.0])
     rotation = rig.rotation @ turn.T
-    translation = -np.einsum("vij,vj->vi", rotation, centres)
-    return replace(rig, rotation=rotation, translation=translation, unit="mm")
+    return replace(rig, unit="mm").stand(rotation, centres)
 
 
 def test_the_truth_passes_in_any_world_and_unit():
