@@ -9,7 +9,7 @@ Where intrinsics are to be estimated, they are from a first rig of each group: a
 intrinsics. Then everything is done with them from the beginning, as if they had been given.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -125,19 +125,25 @@ def calibrate(
         with clock("synchronise"):
             clocks = synchronise(recording, lift_sample, config, seed=seed)
         recording = retime(recording, clocks)
-        result = mend_faults(recording, calibrate_once(recording), calibrate_once)
-        result = _smooth(result, progress)
+        calibrated = calibrate_once(recording)
+        last = Clock()
+        with last("faults"):
+            result = mend_faults(recording, calibrated, calibrate_once)
+        with last("smooth"):
+            result = _smooth(result, progress)
+        result = _spent_too(result, last.seconds)
     return judge_rigs(place_result(add_clocks(result, clocks)))
 
 
 def _smooth(result: CalibrationResult, progress: Progress) -> CalibrationResult:
     """Return the result with the best estimates of the poses of all groups."""
-    groups = []
-    for group in result.groups:
-        clock = Clock()
-        with clock("smooth"):
-            smoothed = smooth_group(group, result.config, progress=progress)
-        groups.append(replace(smoothed, seconds={**group.seconds, **clock.seconds}))
+    groups = (smooth_group(group, result.config, progress=progress) for group in result.groups)
+    return replace(result, groups=tuple(groups))
+
+
+def _spent_too(result: CalibrationResult, seconds: Mapping[str, float]) -> CalibrationResult:
+    """Return the result with what was spent on all groups together, by stage."""
+    groups = (replace(group, seconds={**group.seconds, **seconds}) for group in result.groups)
     return replace(result, groups=tuple(groups))
 
 

@@ -123,7 +123,10 @@ def _refit_in_step(
 
 
 def _votes(agreements: Agreements, view: int, maps: Ints, rate: float) -> float:
-    """Return the share of the other cameras that agree best near the map of a camera."""
+    """Return the share of the other cameras that agree best near the map of a camera.
+
+    0 where no other camera can be compared with it.
+    """
     own, time = maps[view], np.arange(maps.shape[2])
     place = np.median((own - np.round(rate * time))[own >= 0]) + agreements.window
     votes = []
@@ -131,7 +134,7 @@ def _votes(agreements: Agreements, view: int, maps: Ints, rate: float) -> float:
         table = agreement_table(agreements, view, maps, rate, partners=[other])
         curve = table.sum((0, 1))
         votes.append(abs(curve.argmax() - place) <= VOTE_TOLERANCE)
-    return float(np.mean(votes))
+    return float(np.mean(votes)) if votes else 0.0
 
 
 def _margin(table: Floats, agreement: Floats, shown: Bools, config: SyncConfig) -> float:

@@ -14,6 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config, UncertaintyConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.lens import change_intrinsics
@@ -44,6 +45,7 @@ from mocap_calib.types import (
 _SAME_POINT = 1.0  # pixels: readers differ by half of one in where the middle of an image is
 
 
+@single_threaded_libraries()
 def assess_uncertainty(
     sample: Sample, rig: CameraRig, matches: Matches, config: Config, *, seed: int
 ) -> Uncertainty:

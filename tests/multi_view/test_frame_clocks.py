@@ -8,9 +8,10 @@ import pytest
 from scenes import lifted, recording
 
 from mocap_calib.config import LARGEST_STEP, SyncConfig
+from mocap_calib.multi_view.clock_evidence import weigh_clock
 from mocap_calib.multi_view.clock_faults import Retimed, clock_faults
 from mocap_calib.multi_view.clock_kinds import StretchNumbers, describe_clock
-from mocap_calib.multi_view.clock_paths import _follow, follow_ridge
+from mocap_calib.multi_view.clock_paths import Agreements, Ridge, _follow, follow_ridge
 from mocap_calib.multi_view.frame_clocks import choose_pairs, doubt_lost_frames, find_clocks
 from mocap_calib.recording.retiming import clocks_from, retime
 from mocap_calib.two_view.timing import ViewInTime, compare_in_time
@@ -253,3 +254,16 @@ def test_compiled_paths_are_those_of_numpy(price):
             expected = _follow(table, price)
             kernels.follow(table, price, LARGEST_STEP, found := np.empty(60, dtype=np.int64))
             assert (found == expected).all()
+
+
+def test_a_camera_that_nobody_can_be_compared_with_has_no_evidence():
+    """Its share of agreeing cameras is 0, not the mean of nothing (which warns, and is NaN)."""
+    agreements = Agreements(
+        views=3, found={}, values={(0, 1): np.ones((1, 9, 9), np.float32)}, window=2
+    )
+    maps = np.tile(np.arange(9), (3, 1, 1))
+    ridge = Ridge(
+        maps[2], steps=0, agreement=np.zeros((1, 9)), total=0.0, cost=0.0, held_out=np.zeros((1, 9))
+    )
+    evidence = weigh_clock(agreements, [], 2, ridge, rate=1.0, maps=maps, config=CONFIG)
+    assert evidence["votes"] == evidence["score"] == evidence["gain"] == 0.0
