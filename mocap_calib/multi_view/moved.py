@@ -6,9 +6,11 @@ others make without it. Its errors over time tell the rest (`changes`).
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
+from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import Config, MovedConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.rotation import angle_between
@@ -69,11 +71,9 @@ def find_moved_cameras(observed: Observed, group: GroupResult, config: Config) -
     if len(group.rig) <= 2:
         return ()
     observed, all_views = PlacedCameras.of_group(observed, group, config)
-    found = [
-        judged
-        for view in range(len(group.rig))
-        if (judged := _judge_by_all(observed, all_views, view, config)) is not None
-    ]
+    judge = partial(_judge_by_all, observed, all_views, config=config)
+    judged_views = map_in_threads(judge, range(len(group.rig)))
+    found = [judged for judged in judged_views if judged is not None]
     found.sort(key=lambda judged: -judged.gain)
     again = [
         judged
@@ -87,7 +87,7 @@ def find_moved_cameras(observed: Observed, group: GroupResult, config: Config) -
 
 
 def _judge_by_all(
-    observed: Observed, placed: PlacedCameras, view: int, config: Config
+    observed: Observed, placed: PlacedCameras, view: int, *, config: Config
 ) -> _Judged | None:
     """Return a view by the bodies of the present rig, None where nothing speaks for a change."""
     others = np.delete(np.arange(len(placed.rig)), view)

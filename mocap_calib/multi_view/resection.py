@@ -4,15 +4,18 @@ The camera's detections need not be matched to the bodies: a detection counts by
 frame that fits it best under a pose, and no error counts for more than that of a stranger.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
+from mocap_calib.compute.kernels import compiled, contiguous
 from mocap_calib.config import MovedConfig
 from mocap_calib.geometry.rotation import matrix_from_vector, nearest_rotation, skew
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Bools, Floats, Ints
 
+KERNELS = "mocap_calib.multi_view.resection_kernels"
 _ENTRIES = 2_000_000  # of arrays of poses, detections, bodies and joints at a time
 _UNIT = 0.1  # radians: a tolerance that tells the nearest body from the others
 _RIDGE = 1e-9  # of the diagonal of normal equations
@@ -185,7 +188,9 @@ def typical_error(poses: CameraPoses, seen: Sightings, counted: Bools, least_joi
 def _compare(
     poses: CameraPoses, seen: Sightings, tolerance: Floats, least_joints: int
 ) -> _Compared:
-    """Return how poses fit the detections, in blocks of detections."""
+    """Return how poses fit the detections, in blocks of detections where there are no kernels."""
+    if kernels := compiled(KERNELS):
+        return _compare_by_kernel(kernels.compare, poses, seen, tolerance, least_joints)
     detections, joints = seen.rays.shape[:2]
     size = max(1, _ENTRIES // max(1, len(poses) * seen.bodies.shape[1] * joints))
     parts = []
@@ -195,6 +200,25 @@ def _compare(
     empty = np.zeros((len(poses), 0))
     cost = np.concatenate([empty, *(part.cost for part in parts)], axis=1)
     body = np.concatenate([empty.astype(np.int64), *(part.body for part in parts)], axis=1)
+    return _Compared(cost, body)
+
+
+def _compare_by_kernel(
+    kernel: Callable[..., None],
+    poses: CameraPoses,
+    seen: Sightings,
+    tolerance: Floats,
+    least_joints: int,
+) -> _Compared:
+    """Return what `_compare` returns."""
+    shape = len(poses), len(seen.frame)
+    cost, body = np.empty(shape), np.empty(shape, dtype=np.int64)
+    rays, bodies = (np.swapaxes(each, -1, -2) for each in (seen.rays, seen.bodies))
+    shown, known = (np.isfinite(each[..., 0, :]).astype(np.float64) for each in (rays, bodies))
+    detections = contiguous(np.nan_to_num(rays), shown)
+    there = contiguous(np.nan_to_num(bodies), known, tolerance)
+    where = contiguous(poses.rotation, poses.translation, seen.frame)
+    kernel(*where, *detections, *there, least_joints, cost, body)
     return _Compared(cost, body)
 
 

@@ -3,7 +3,8 @@
 import numpy as np
 
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.multi_view.resection import CameraPoses, _linearise
+from mocap_calib.multi_view import resection
+from mocap_calib.multi_view.resection import CameraPoses, Sightings, _linearise, costs_of
 
 
 def test_detections_count_by_how_far_they_are_off_in_tolerances():
@@ -44,3 +45,29 @@ def test_the_slope_is_the_change_of_the_gap():
         )
         slope = (near.square - start.square) / (2 * step)
         np.testing.assert_allclose(slope, start.target[..., k], rtol=1e-4, atol=1e-5)
+
+
+def test_the_kernel_compares_as_its_definition_does(monkeypatch):
+    """Joints missing on either side, bodies that are not there, and too few joints in common."""
+    rng = np.random.default_rng(2)
+    poses = CameraPoses(
+        matrix_from_vector(rng.normal(0, 0.3, (6, 3))), rng.normal(0, 0.3, (6, 3)) + [0, 0, 4]
+    )
+    bodies = rng.normal(0, 0.6, (5, 4, 11, 3))
+    bodies[rng.random((5, 4, 11)) < 0.3] = np.nan
+    bodies[2, 1:] = np.nan
+    bodies[3] = np.nan
+    frame = np.sort(rng.integers(0, 5, 40))
+    rays = rng.normal(0, 0.2, (40, 11, 3)) + [0, 0, 1]
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    rays[rng.random((40, 11)) < 0.3] = np.nan
+    seen = Sightings(frame, rays, bodies)
+    tolerance = rng.uniform(0.02, 0.3, 40)
+    found = resection._compare(poses, seen, tolerance, 4)
+    assert np.isnan(found.cost).any()
+    assert len(np.unique(found.body)) == 4
+    monkeypatch.setattr(resection, "compiled", lambda _: None)
+    expected = resection._compare(poses, seen, tolerance, 4)
+    np.testing.assert_allclose(found.cost, expected.cost, rtol=1e-11)
+    np.testing.assert_array_equal(found.body, expected.body)
+    np.testing.assert_array_equal(costs_of(poses, seen, tolerance, 4), expected.cost)
