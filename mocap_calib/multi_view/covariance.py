@@ -19,7 +19,14 @@ import numpy as np
 
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.multi_view.freedom import Freedom
-from mocap_calib.multi_view.residuals import Observations, Slopes, State, blocks_of, slopes_of
+from mocap_calib.multi_view.residuals import (
+    Observations,
+    Slopes,
+    State,
+    blocks_of,
+    part_of,
+    slopes_of,
+)
 from mocap_calib.multi_view.schur import eliminate_points, equations_of, prior_of
 from mocap_calib.types import Floats, Ints
 
@@ -166,6 +173,10 @@ def _told_by(
     curved: bool,
 ) -> _Told:
     """Return what a block of points tells."""
+    part = part_of(block, state, seen)
+    block, state, seen = part.block, part.state, part.seen
+    rows = 6 + state.intrinsics.shape[1]
+    basis = basis.reshape(-1, rows, basis.shape[1])[part.views].reshape(-1, basis.shape[1])
     found, robust, slopes = slopes_of(block, state, seen, loss_scale)
     residual = found.residual * robust[:, None]
     equations = equations_of(state.rotation, found.in_camera, slopes, residual)

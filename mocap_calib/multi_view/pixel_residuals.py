@@ -40,6 +40,12 @@ class PixelObservations:
         pixels, weight = contiguous(self.pixels[..., points], self.weight[:, points])
         return replace(self, pixels=pixels, weight=weight)
 
+    def part(self, views: Ints, block: slice) -> "PixelObservations":
+        """Return what some views saw of a block of points."""
+        pixels, weight = contiguous(self.pixels[views, :, block], self.weight[views, block])
+        cameras = tuple(self.cameras[view] for view in views)
+        return PixelObservations(cameras, pixels, self.sigma[views], weight)
+
     def residuals(self, block: slice, state: State) -> Residuals:
         """Return a block of points as the cameras see them."""
         in_camera = points_in_cameras(block, state)

@@ -42,6 +42,11 @@ class RayObservations:
             *contiguous(self.rays[..., points], self.metric[..., points], self.weight[:, points])
         )
 
+    def part(self, views: Ints, block: slice) -> "RayObservations":
+        """Return what some views saw of a block of points."""
+        rays, metric = self.rays[views, :, block], self.metric[views, :, :, block]
+        return RayObservations(*contiguous(rays, metric, self.weight[views, block]))
+
     def residuals(self, block: slice, state: State) -> Residuals:
         """Return a block of points as the cameras see them: r = M x / (u'x).
 
@@ -92,6 +97,10 @@ class TimedRayObservations:
     def select(self, points: Ints) -> "TimedRayObservations":
         """Return what was seen of some of the points, given their indices."""
         return TimedRayObservations(self.rays.select(points), self.motion.select(points))
+
+    def part(self, views: Ints, block: slice) -> "TimedRayObservations":
+        """Return what some views saw of a block of points."""
+        return TimedRayObservations(self.rays.part(views, block), self.motion.select(block))
 
     def residuals(self, block: slice, state: State) -> Residuals:
         """Return a block of points as the cameras see them, each at its own time."""

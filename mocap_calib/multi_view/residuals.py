@@ -84,11 +84,38 @@ class Observations(Protocol):
     def select(self, points: Ints, /) -> Self:
         """Return what was seen of some of the points, given their indices."""
 
+    def part(self, views: Ints, block: slice, /) -> Self:
+        """Return what some views saw of a block of points."""
+
 
 def blocks_of(points: Floats) -> list[slice]:
     """Return the blocks of points `[3, N]` that are worked on at a time."""
     count = points.shape[1]
     return [slice(start, min(start + _BLOCK, count)) for start in range(0, count, _BLOCK)]
+
+
+@dataclass(frozen=True)
+class Part:
+    """A block of points, and of the cameras those that see it.
+
+    views: their indices. block: where the points are in `state` and `seen`.
+    """
+
+    views: Ints
+    block: slice
+    state: State
+    seen: Observations
+
+
+def part_of(block: slice, state: State, seen: Observations) -> Part:
+    """Return a block of points and the cameras that see it: in a large hall, a few of all."""
+    views = np.flatnonzero((seen.weight[:, block] > 0).any(1))
+    if len(views) in (0, len(seen.weight)):
+        return Part(np.arange(len(seen.weight)), block, state, seen)
+    points = state.points[:, block]
+    rotation, translation = state.rotation[views], state.translation[views]
+    own = State(rotation, translation, points, state.intrinsics[views])
+    return Part(views, slice(0, points.shape[1]), own, seen.part(views, block))
 
 
 def points_in_cameras(block: slice, state: State) -> Floats:

@@ -26,6 +26,7 @@ from mocap_calib.multi_view.residuals import (
     State,
     blocks_of,
     derivatives,
+    part_of,
 )
 from mocap_calib.multi_view.settling import Weighed, settle
 from mocap_calib.types import Floats
@@ -81,9 +82,13 @@ def minimise(
 
 def settle_points(state: State, seen: Observations, *, loss_scale: float) -> State:
     """Return the state with its points where they cost least while the cameras stay."""
-    work = partial(settle, state=state, seen=seen, loss_scale=loss_scale)
-    blocks = map_in_threads(work, blocks_of(state.points))
-    return replace(state, points=np.concatenate([found.points for found in blocks], axis=1))
+
+    def work(block: slice) -> Floats:
+        part = part_of(block, state, seen)
+        return settle(part.block, part.state, part.seen, loss_scale).points
+
+    points = map_in_threads(work, blocks_of(state.points))
+    return replace(state, points=np.concatenate(list(points), axis=1))
 
 
 # The normal equations
@@ -217,9 +222,19 @@ def _reduce_block(
     block: slice, *, state: State, seen: Observations, loss_scale: float
 ) -> tuple[Floats, float, Floats, Floats, Floats]:
     """Return a block of points where they settle, their cost / s^2, and their part of the rest."""
-    found = settle(block, state, seen, loss_scale)
-    camera, matrix, gradient = _reduced_system(state.rotation, found)
-    return found.points, found.cost, matrix, gradient, np.einsum("vii->vi", camera).ravel()
+    part = part_of(block, state, seen)
+    found = settle(part.block, part.state, part.seen, loss_scale)
+    camera, matrix, gradient = _reduced_system(part.state.rotation, found)
+    stiffness = np.einsum("vii->vi", camera)
+    if len(part.views) == len(state.rotation):
+        return found.points, found.cost, matrix, gradient, stiffness.ravel()
+    unknowns = stiffness.shape[1]
+    index = (unknowns * part.views[:, None] + np.arange(unknowns)).ravel()
+    whole = np.zeros((unknowns * len(state.rotation),) * 2)
+    whole[np.ix_(index, index)] = matrix
+    vectors = np.zeros((2, len(whole)))
+    vectors[:, index] = gradient, stiffness.ravel()
+    return found.points, found.cost, whole, *vectors
 
 
 def _reduced_system(rotation: Floats, found: Weighed) -> tuple[Floats, Floats, Floats]:

@@ -8,7 +8,7 @@ from scenes import scene, turn_cameras
 
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.rotation import vector_from_matrix
-from mocap_calib.multi_view import covariance, schur, settling
+from mocap_calib.multi_view import covariance, residuals, schur, settling
 from mocap_calib.multi_view.covariance import find_curved_covariance
 from mocap_calib.multi_view.freedom import Freedom, free_intrinsics, free_poses
 from mocap_calib.multi_view.pixel_residuals import PixelObservations
@@ -278,6 +278,32 @@ def test_the_kernels_give_the_equations_of_their_definition(lens, monkeypatch):
         assert ours.size == expected.size == 0 or (
             np.abs(ours - expected).max() < 1e-9 * np.abs(expected).max()
         )
+
+
+@pytest.mark.parametrize("lens", ["known", "brown"])
+@pytest.mark.parametrize("blind", [[0], [2], [0, 1, 2]])
+def test_cameras_that_see_nothing_of_a_block_of_points_are_left_out_of_it(lens, blind, monkeypatch):
+    """The same step and the same covariance as with all cameras in all blocks: measured 1e-15."""
+    state, seen, freedom = (*problem(), FREE) if lens == "known" else problem_with_intrinsics(lens)
+    monkeypatch.setattr(residuals, "_BLOCK", 16)
+    hidden = np.isin(np.arange(3)[:, None], blind) & (np.arange(100) < 40)
+    seen = replace(seen, weight=np.where(hidden, 0.0, seen.weight))
+
+    def found() -> list[np.ndarray]:
+        reduced = schur._reduce(state, seen, freedom, SCALE)
+        told = covariance._all_that_is_told(state, seen, freedom, SCALE, curved=True)
+        settled = schur.settle_points(state, seen, loss_scale=SCALE).points
+        return [reduced.matrix, reduced.gradient, reduced.stiffness, settled, *vars(told).values()]
+
+    of_some = found()
+    for module in (schur, covariance):
+        monkeypatch.setattr(
+            module,
+            "part_of",
+            lambda block, state, seen: residuals.Part(np.arange(3), block, state, seen),
+        )
+    for ours, expected in zip(of_some, found(), strict=True):
+        np.testing.assert_allclose(ours, expected, atol=1e-12 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("known", [True, False])
