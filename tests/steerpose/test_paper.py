@@ -36,7 +36,7 @@ from mocap_calib.steerpose.paper.losses import (
     translation_matrix,
     with_dummies,
 )
-from mocap_calib.steerpose.paper.solver import random_rotations, solve_pair
+from mocap_calib.steerpose.paper.solver import PaperSolution, random_rotations, solve_pair
 from mocap_calib.steerpose.steer import matrix_from_vector, shortest, steer
 from mocap_calib.steerpose.token import TokenConfig, TokenSteerer
 from mocap_calib.steerpose.training.pairs import PairSynthesiser
@@ -179,6 +179,15 @@ def test_rotation_vectors():
     )
 
 
+def test_small_turns_of_any_shape_are_those_of_numpy():
+    """On both sides of the length (1e-6) below which the formula is a series."""
+    length = torch.tensor([1e-8, 0.9e-6, 1.1e-6, 1e-3], dtype=torch.float64)
+    vector = random(2, 4, 3)
+    vector *= (length / vector.norm(dim=-1))[..., None]
+    expected = matrix_numpy(vector.numpy())
+    np.testing.assert_allclose(matrix_from_vector(vector).numpy(), expected, rtol=0, atol=1e-14)
+
+
 def test_training_and_checkpoint_of_the_token_model(poses, tmp_path):
     config = TrainConfig(steps=3, batch=8, width=8, layers=1)
     first, second = (
@@ -211,6 +220,12 @@ def test_keypoint_distance_forgets_place_size_and_hidden_joints():
     found = keypoint_distance(5 * pose - 2, hidden, seen)
     torch.testing.assert_close(found.diagonal(), torch.zeros(3).double(), atol=1e-5, rtol=0)
     assert (found + torch.eye(3) > 0.3).all()
+
+
+def test_poses_of_a_single_joint_in_common_are_alike():
+    """There is nothing to tell them apart by."""
+    found = keypoint_distance(random(3, 9, 2), random(3, 9, 2, seed=1), torch.eye(9)[:3] > 0)
+    torch.testing.assert_close(found, torch.zeros(3, 3).double(), atol=1e-4, rtol=0)
 
 
 @pytest.mark.parametrize(("rows", "columns"), [(4, 4), (2, 5), (5, 3)])
@@ -425,6 +440,22 @@ def test_solver_tries_again_and_is_deterministic():
     )
     assert first.tries == 2
     np.testing.assert_array_equal(first.rotation, second.rotation)
+
+
+def test_solver_ends_with_its_first_success(monkeypatch):
+    views, _, _ = steered_scene()
+    errors = iter([9.0, 0.5, 0.1])
+    monkeypatch.setattr(
+        solver,
+        "_descend",
+        lambda *_: [
+            PaperSolution(np.eye(3), np.ones(3), np.zeros((0, 3), np.int64), next(errors), 1)
+        ],
+    )
+    model, config = TokenSteerer(TokenConfig(29, 8, 1)), PaperConfig(tries=3, success_px=1.0)
+    found = solve_pair(views, model, config, torch.Generator().manual_seed(0))
+    assert (found.error, found.tries) == (0.5, 2)
+    assert next(errors) == 0.1
 
 
 def test_random_rotations_are_uniform():

@@ -191,6 +191,21 @@ def test_joints_are_hidden_the_more_the_more_is_said(poses):
     assert seen[1] + 0.1 < seen[0] < 0.99
 
 
+@pytest.mark.parametrize(("steps", "first"), [(100, 1 / 25), (20, 1.0)])
+def test_a_training_of_more_than_twenty_steps_begins_with_small_ones(steps, first):
+    """Adam's first step is the learning rate, whatever the gradient."""
+    model = torch.nn.Linear(1, 1, bias=False)
+    seen: list[float] = []
+
+    def next_loss() -> torch.Tensor:
+        seen.append(model.weight.item())
+        return model.weight.sum()
+
+    optimise(model, next_loss, TrainConfig(steps=steps, learning_rate=0.01), progress=silent)
+    assert seen[0] - seen[1] == pytest.approx(0.01 * first, rel=0.01)
+    assert seen[-2] - seen[-1] < 1e-4
+
+
 def test_same_seed_same_weights(poses):
     first, second, other = (
         train_lifter(poses, PEOPLE, replace(SMALL, seed=s), progress=silent) for s in (0, 0, 1)
