@@ -121,6 +121,15 @@ def test_pairs_are_one_body_seen_twice(poses):
     assert hidden.min() >= 0.1 - 1 / 29
 
 
+def test_a_tenth_to_three_tenths_of_the_joints_of_a_pair_are_hidden(poses):
+    """Evenly between the two, where no layout hides more: 3 to 9 of 29."""
+    config = PairsConfig(layouts=0.0)
+    source = PairSynthesiser(poses, PEOPLE, config, split="train", seed=1)
+    hidden = (~source._hide_joints(5000, 29)).sum(1)
+    assert (hidden.min(), hidden.max()) == (3, 9)
+    assert hidden.double().mean() == pytest.approx(0.2 * 29, abs=0.1)
+
+
 def test_the_second_of_a_pair_of_views_is_one_of_them_too(poses):
     """The rotation between them goes from the first to the second."""
     config = PairsConfig()
@@ -143,6 +152,7 @@ def test_token_model_has_the_paper_s_shape_and_is_deterministic():
     torch.manual_seed(0)
     model = TokenSteerer(TokenConfig(29)).eval()
     assert model.embedding.shape == (30, 32)
+    assert model.embedding.std().item() == pytest.approx(0.5, rel=0.1)
     assert len(model.encoder.layers) == 5
     pose, seen = torch.randn(3, 29, 2), torch.ones(3, 29, dtype=torch.bool)
     seen[:, 7] = False
