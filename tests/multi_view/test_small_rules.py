@@ -7,7 +7,7 @@ import pytest
 from scenes import scene
 from scipy.linalg import null_space
 
-from mocap_calib.config import Config, MendConfig, MovedConfig, SyncConfig
+from mocap_calib.config import Config, MendConfig, MovedConfig, SubframeConfig, SyncConfig
 from mocap_calib.geometry.rotation import nearest_rotation
 from mocap_calib.multi_view import clock_search, refinement, suspicion
 from mocap_calib.multi_view.changes import _choose_number
@@ -18,7 +18,7 @@ from mocap_calib.multi_view.covariance import _inverse_at_size
 from mocap_calib.multi_view.evidence import _pieces_between
 from mocap_calib.multi_view.faults import _has_moved, _refuting_gain
 from mocap_calib.multi_view.labels import matched_share
-from mocap_calib.multi_view.time_offsets import _choose_stretches
+from mocap_calib.multi_view.time_offsets import _are_usable, _choose_stretches
 from mocap_calib.multi_view.verdict import _has_unchecked_intrinsics
 from mocap_calib.types import Camera, EstimatedCamera, Matches
 
@@ -165,6 +165,17 @@ def test_a_clock_that_was_not_put_right_counts_where_it_is_certainly_off():
     )
     found = _clocks(SimpleNamespace(time_offsets=offsets), Config())
     np.testing.assert_array_equal(found, [0.0, 0.5, 0.0, np.nan])
+
+
+def test_offsets_of_clocks_are_used_that_are_certain_large_and_all_in_reach():
+    """The first camera's is 0; the third's is small, and the last one's not certain."""
+    tau, sigma = np.array([0.0, 0.5, 0.08, -0.3]), np.array([0.0, 0.02, 0.001, 0.2])
+    config = SubframeConfig()
+    found = SimpleNamespace(tau=tau, sigma=sigma)
+    assert _are_usable(found, 5.0, config).tolist() == [False, True, False, False]
+    assert _are_usable(found, 5.0, config, share=0.5).tolist() == [False, True, True, False]
+    far = SimpleNamespace(tau=np.append(tau, -1.3), sigma=np.append(sigma, 0.02))
+    assert not _are_usable(far, 5.0, config).any()
 
 
 FAR = {"partners": 3, "votes": 0.8, "gain": 0.2, "score": 0.5, "sigma": 2.0}
