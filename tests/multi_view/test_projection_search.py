@@ -90,6 +90,18 @@ def test_a_third_of_wrong_detections_and_noise_do_not_matter():
     np.testing.assert_allclose(np.diag(found.matrix)[:2], [900, 910], rtol=0.05)
 
 
+def test_frames_count_that_do_not_show_everybody():
+    """One of three subjects is seen in each frame, and in half of the frames something else."""
+    points, rng = bodies(frames=80, individuals=3), np.random.default_rng(3)
+    shown = rng.integers(3, size=80)
+    image = np.full((80, 2, 12, 2), np.nan)
+    image[:, 0] = project(points)[np.arange(80), shown]
+    image[::2, 0] = rng.uniform((0, 0), (1280, 720), size=(40, 12, 2))
+    found = resect(Sighting(points, image), ResectionConfig(), seed=0)
+    np.testing.assert_allclose(decompose(found.projection).matrix, MATRIX, rtol=1e-3, atol=1.0)
+    np.testing.assert_array_equal(found.individual[1::2, 0], shown[1::2])
+
+
 def test_without_enough_frames_there_is_no_projection():
     points = bodies(frames=2)
     assert resect(Sighting(points, project(points)), ResectionConfig(), seed=0) is None
