@@ -39,6 +39,7 @@ from mocap_calib.steerpose.paper.losses import (
 from mocap_calib.steerpose.paper.solver import PaperSolution, random_rotations, solve_pair
 from mocap_calib.steerpose.steer import matrix_from_vector, shortest, steer
 from mocap_calib.steerpose.token import TokenConfig, TokenSteerer
+from mocap_calib.steerpose.training.evaluation import measure_steering_error
 from mocap_calib.steerpose.training.pairs import PairSynthesiser
 from mocap_calib.steerpose.training.poses import PoseSet
 from mocap_calib.steerpose.training.train import train_steerer
@@ -161,6 +162,15 @@ def test_token_model_has_the_paper_s_shape_and_is_deterministic():
     assert first.shape == (3, 29, 2)
     pose[:, 7] = torch.nan
     torch.testing.assert_close(steer(model, pose, seen, vector), first, rtol=0, atol=0)
+
+
+def test_who_does_not_turn_poses_errs_where_they_are_turned(poses):
+    """Measured 1.2 of the radius, as two poses of the same size in no relation."""
+    found = measure_steering_error(
+        lambda pose, *_: pose, poses, PEOPLE, PairsConfig(noise=0.0), examples=200
+    )
+    assert found["identity_2d"] < 1e-3
+    assert 0.5 < found["steered_2d"] < 2.0
 
 
 def test_factorised_steering_is_lift_rotate_project():
