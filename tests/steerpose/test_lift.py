@@ -33,7 +33,7 @@ def test_the_centre_puts_a_body_where_its_joints_are_seen():
     np.testing.assert_allclose(_centre(body, image, seen), centre, atol=1e-9)
 
 
-def test_the_activation_is_that_of_its_definition():
+def test_the_kernel_of_the_activation_is_that_of_its_definition():
     """To what the approximation of erf is good for, 2e-7, and single precision.
 
     The same numbers compiled or not: rigs found without numba were 1e-8 off.
