@@ -450,6 +450,23 @@ def test_solver_finds_rotation_and_matches_from_a_close_start():
     assert found.error < 0.15
 
 
+def test_errors_of_the_solver_are_in_pixels():
+    """The same rays in images twice as large: twice the error, as nothing else is in pixels."""
+    views, vector, _ = steered_scene()
+    config = PaperConfig(iterations=3, tries=1)
+    small, large = (
+        solve_pair(
+            replace(views, focal=focal),
+            load_steerer()[0],
+            config,
+            torch.Generator().manual_seed(0),
+            start=vector + 0.1,
+        ).error
+        for focal in (100.0, 200.0)
+    )
+    assert large == pytest.approx(2 * small)
+
+
 def test_solver_tries_again_and_is_deterministic():
     views, _, _ = steered_scene()
     torch.manual_seed(0)
