@@ -64,6 +64,7 @@ BROKEN = 70  # status of a process that could not run the tests
 FIRST = 20  # tests, which notice most
 SLOWER = 4  # than in the run that was timed: longer, and a mutation is taken to never end
 WAITING = 4  # times as long by the clock
+MEMORY = 5_000_000_000  # bytes of a process; COLMAP fills all there is where nothing stops it
 
 
 def main() -> None:
@@ -86,10 +87,10 @@ def main() -> None:
     chosen = choose(PACKAGES, options.number, random.Random(options.seed))
     chosen = [mutation for mutation in chosen if mutation.package in (options.package or PACKAGES)]
     options.log.parent.mkdir(parents=True, exist_ok=True)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # and clear away what is begun
     os.environ["OMP_NUM_THREADS"] = "1"  # threads of libraries do not survive a fork
     for name in PRELOADED:
         __import__(name)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # pycolmap has set its own
     with tempfile.TemporaryDirectory() as work:
         try_all(chosen, Path(work), options)
     print(report(chosen, read_log(options.log)))
@@ -301,6 +302,7 @@ def run_tests(
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     os.chdir(copy)
     resource.setrlimit(resource.RLIMIT_CPU, (int(seconds), int(seconds) + 5))
+    resource.setrlimit(resource.RLIMIT_DATA, (MEMORY, MEMORY))
     silence = os.open(os.devnull, os.O_RDWR)
     for stream in (0, 1):  # of the three; what goes wrong here is said
         os.dup2(silence, stream)

@@ -259,6 +259,34 @@ def test_movement_s_dimensions_are_as_long_as_their_coordinates(tmp_path):
         load_poses(tmp_path / "p.nc")
 
 
+def test_movement_s_own_times_are_frames_of_its_rate(tmp_path):
+    """The variable `frame` is ours; times half a frame off are no frames."""
+    write_poses(tmp_path / "p.nc", example(2), "movement-3d")
+    with h5py.File(tmp_path / "p.nc", "a") as file:
+        del file["frame"]
+    np.testing.assert_array_equal(load_poses(tmp_path / "p.nc").poses.frames, [3, 4, 5, 7, 8])
+    with h5py.File(tmp_path / "p.nc", "a") as file:
+        file["time"][0] += 0.5 / 60.0
+    said = r"p\.nc: expected a 3D data set of movement, found .* fps.*; save it again"
+    with pytest.raises(FormatError, match=said):
+        load_poses(tmp_path / "p.nc")
+
+
+def test_a_unit_is_given_to_poses_that_have_none_but_not_to_our_own(tmp_path):
+    """Ours say that their lengths were never scaled, which no unit mends."""
+    bare = replace(example(1), poses=replace(example(1).poses, unit="arbitrary"))
+    for name, own in (("bare", bare), ("metres", example(1))):
+        for kind in ("movement-3d", "poses-h5"):
+            write_poses(tmp_path / f"{name}.{kind}", own, kind)
+    assert load_poses(tmp_path / "bare.movement-3d", unit="mm").poses.unit == "mm"
+    with pytest.raises(MismatchError, match="set the scale by a known length"):
+        load_poses(tmp_path / "bare.poses-h5", unit="mm")
+    for kind in ("movement-3d", "poses-h5"):
+        assert load_poses(tmp_path / f"metres.{kind}", unit="m").poses.unit == "m"
+        with pytest.raises(MismatchError, match="expected lengths in m"):
+            load_poses(tmp_path / f"metres.{kind}", unit="mm")
+
+
 def test_a_file_where_a_folder_is_is_refused_by_its_name(tmp_path):
     (tmp_path / "there").mkdir()
     with pytest.raises(IsADirectoryError) as caught:

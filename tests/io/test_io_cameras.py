@@ -469,6 +469,11 @@ def test_a_bad_file_is_refused_in_one_line(name):
     assert "found" in message
 
 
+def test_focal_lengths_that_are_not_positive_are_said():
+    with pytest.raises(FormatError, match=r"positive focal lengths, found \[-500.0, 501.0\]"):
+        parse_rig(BROKEN["negative focal length"], "somewhere/rig")
+
+
 def test_missing_empty_and_binary_files_are_refused(tmp_path):
     (tmp_path / "binary").write_bytes(bytes(range(256)))
     (tmp_path / "folder").mkdir()

@@ -10,11 +10,12 @@ from scenes import PEOPLE, scene
 
 from mocap_calib.config import Config, MatchingConfig
 from mocap_calib.multi_view import identities
+from mocap_calib.multi_view.evidence import motion_evidence
 from mocap_calib.multi_view.identities import finalise_identities
 from mocap_calib.multi_view.joining import join_pieces
 from mocap_calib.multi_view.name_swaps import exchanged_pieces
 from mocap_calib.multi_view.pieces import cut_into_pieces
-from mocap_calib.multi_view.proportions import Proportions
+from mocap_calib.multi_view.proportions import Proportions, measure_proportions
 from mocap_calib.multi_view.triangulation import project
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.types import Matches
@@ -182,6 +183,42 @@ def test_pieces_that_one_view_follows_are_joined(monkeypatch):
         )
         assert found[0] == found[one] != found[1]
         assert found[1] == found[other]
+
+
+def two_walkers_with_a_gap() -> np.ndarray:
+    """Return points `[frame, group, joint, 3]` of two bodies 3 m apart, one larger by 1.3.
+
+    Nobody is seen in frames 40 to 42, but for one joint of the first in frame 40.
+    """
+    rng, frames = np.random.default_rng(0), 80
+    places = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0]]) + np.zeros((frames, 2, 3))
+    places[..., 1] += 0.02 * np.arange(frames)[:, None]
+    points = places[:, :, None] + np.stack([a_body(), 1.3 * a_body()])
+    points += 0.01 * rng.normal(size=points.shape)
+    points[41:43] = points[40, 1] = points[40, 0, 1:] = np.nan
+    return points
+
+
+def test_bodies_are_measured_in_their_pieces():
+    """The lengths of all pieces are those of their bodies: measured 3 %."""
+    points = two_walkers_with_a_gap()
+    pieces = cut_into_pieces(points, np.arange(80), MatchingConfig())
+    found = measure_proportions(points, pieces, MatchingConfig())
+    (small, large), again = pieces.number[10], pieces.number[60]
+    assert found.mean.shape[1] == JOINTS - 1
+    np.testing.assert_allclose(found.mean[large] - found.mean[small], np.log(1.3), atol=0.06)
+    np.testing.assert_allclose(found.mean[again], found.mean[[small, large]], atol=0.06)
+
+
+def test_who_shows_too_few_joints_is_whom_the_middles_of_bodies_say():
+    """A joint beside the end of one piece, and three metres from that of the other."""
+    points = two_walkers_with_a_gap()
+    pieces = cut_into_pieces(points, np.arange(80), MatchingConfig())
+    (near, far), joint = pieces.number[39], pieces.number[40, 0]
+    among = np.array([near, far, joint])
+    found = motion_evidence(points, np.arange(80), pieces, among, MatchingConfig())
+    assert found[0, 2] > found[1, 2] + 1.0
+    assert found[0, 1] == 0.0  # at the same time
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -4,6 +4,7 @@ import json
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from mocap_calib.io.cameras.own import format_intrinsics_toml
 from mocap_calib.io.cameras.read import read_rig
 from mocap_calib.io.keypoints.write import write_keypoints
 from mocap_calib.io.poses.read import read_poses
+from mocap_calib.multi_view import moved
 from mocap_calib.multi_view.changes import find_epochs, last_moments, split_gains, stands_out
 from mocap_calib.multi_view.placed import choose_frames
 from mocap_calib.multi_view.resection import CameraPoses, Sightings, costs_of, sightings_of
@@ -154,6 +156,26 @@ def test_a_detection_costs_what_the_nearest_body_says():
 
 
 # --- whole recordings
+
+
+@pytest.mark.parametrize(("part", "believed"), [(0.9, True), (1.1, False)])
+def test_epochs_that_fit_badly_are_not_believed(monkeypatch, part, believed):
+    """Their error is told in the size of a usual detection; one of five is much larger."""
+    config, rig, size = Config(), scene().rig, 0.02
+    seen = SimpleNamespace(angular_size=size * np.array([1, 1, 1, 1, 100]), frame=np.arange(5))
+    error = part * config.moved.most_noise * size
+    epochs = SimpleNamespace(tolerance=config.moved.tolerance_noises * error)
+    monkeypatch.setattr(moved, "find_epochs", lambda *_, **__: (epochs, 1.0))
+    sample = SimpleNamespace(cameras=rig.cameras)
+    found = moved._judge(
+        SimpleNamespace(sample=sample, sample_frames=np.arange(5)),
+        0,
+        others=(np.arange(1, len(rig)), SimpleNamespace(rig=rig, noise=np.full(len(rig), 0.01))),
+        start=None,
+        looked_at=(np.arange(5), seen),
+        config=config,
+    )
+    assert (found is not None) == believed
 
 
 def bumped(recording, view: int, start: int, degrees: float):

@@ -8,7 +8,8 @@ import pytest
 from scenes import calibrate_all, recording, rotation_errors_deg, scene
 
 from mocap_calib.config import Config, DiagnosisConfig, MendConfig
-from mocap_calib.multi_view import faults
+from mocap_calib.geometry.projection import pixels_from_points
+from mocap_calib.multi_view import faults, suspicion
 from mocap_calib.multi_view.camera_fit import CameraFit, CameraPose
 from mocap_calib.multi_view.exchanged import likely_pairs
 from mocap_calib.multi_view.explanations import (
@@ -158,6 +159,21 @@ def test_a_camera_on_its_side_is_seen_beside_upright_ones():
     assert found[ODD] == pytest.approx(90, abs=10)
     assert is_turned(found, DiagnosisConfig()).tolist() == [False, True, False, False]
     assert not is_turned(rolls(rig, DiagnosisConfig()), DiagnosisConfig()).any()
+
+
+def test_sides_are_exchanged_where_that_fits_far_better():
+    """5 of 20 whole detections; ten that show one pair of joints alone are not asked."""
+    rig, rng = scene(**CHANGES).rig, np.random.default_rng(0)
+    keypoints = ("nose", "left_eye", "right_eye", "left_hip", "right_hip")
+    points = rng.uniform((-1, -1, 0), (1, 1, 2), size=(30, 5, 3))
+    seen = points @ rig.rotation[ODD].T + rig.translation[ODD]
+    pixels = pixels_from_points(rig.cameras[ODD], seen.reshape(-1, 3)).reshape(30, 5, 2)
+    turned = [*range(5), *range(20, 30)]
+    pixels[turned] = pixels[turned][:, [0, 2, 1, 4, 3]]
+    pixels[20:, 3:] = np.nan
+    flat = points.reshape(-1, 3).T, pixels.reshape(-1, 2).T
+    assert suspicion._exchanged_share(rig, ODD, *flat, keypoints) == pytest.approx(5 / 20)
+    assert suspicion._exchanged_share(rig, ODD, *flat, ("a", "b", "c", "d", "e")) == 0.0
 
 
 def test_factors_near_a_plain_one_are_plain():

@@ -6,6 +6,7 @@ import pytest
 from mocap_calib.config import CameraFitConfig, ResectionConfig
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.geometry.rotation import angle_between, matrix_from_vector
+from mocap_calib.multi_view import camera_fit
 from mocap_calib.multi_view.camera_fit import CameraPose, Seen, fit_camera
 from mocap_calib.multi_view.projection_search import (
     Sighting,
@@ -90,6 +91,18 @@ def test_a_third_of_wrong_detections_and_noise_do_not_matter():
     np.testing.assert_allclose(np.diag(found.matrix)[:2], [900, 910], rtol=0.05)
 
 
+def test_frames_count_that_do_not_show_everybody():
+    """One of three subjects is seen in each frame, and in half of the frames something else."""
+    points, rng = bodies(frames=80, individuals=3), np.random.default_rng(3)
+    shown = rng.integers(3, size=80)
+    image = np.full((80, 2, 12, 2), np.nan)
+    image[:, 0] = project(points)[np.arange(80), shown]
+    image[::2, 0] = rng.uniform((0, 0), (1280, 720), size=(40, 12, 2))
+    found = resect(Sighting(points, image), ResectionConfig(), seed=0)
+    np.testing.assert_allclose(decompose(found.projection).matrix, MATRIX, rtol=1e-3, atol=1.0)
+    np.testing.assert_array_equal(found.individual[1::2, 0], shown[1::2])
+
+
 def test_without_enough_frames_there_is_no_projection():
     points = bodies(frames=2)
     assert resect(Sighting(points, project(points)), ResectionConfig(), seed=0) is None
@@ -155,3 +168,32 @@ def test_the_uncertainty_of_a_crop_covers_its_error():
         )
         statistics.append(found.significance)
     assert 0.8 < np.mean(statistics) < 4.0
+
+
+def test_slopes_of_what_a_camera_sees_are_those_of_differences():
+    """Of a turn, a shift, and all that its images may hide; pixels by radians, metres and so on."""
+    points = bodies(frames=3).reshape(-1, 3)
+    seen, free = seen_of(points, np.zeros((len(points), 2))), ("log_scale", "x", "y", "log_focal")
+    at, step = np.array([0.1, 20.0, -30.0, 0.05]), 1e-5
+
+    def residual(change):
+        turn = matrix_from_vector(change[:3])
+        pose = CameraPose(turn @ POSE.rotation, POSE.translation + change[3:6])
+        return camera_fit._linearise(CAMERA, seen, pose, at + change[6:], free).residual
+
+    found = camera_fit._linearise(CAMERA, seen, POSE, at, free).jacobian
+    for slope, change in zip(found, step * np.eye(10), strict=True):
+        expected = (residual(change) - residual(-change)) / (2 * step)
+        np.testing.assert_allclose(slope, expected, rtol=1e-6, atol=1e-3)
+
+
+def test_an_error_of_a_fit_weighs_as_its_cost_grows():
+    """Of both, the slopes by the squared error in units of the scale."""
+    squares, scale, step = np.array([0.0, 0.25, 1.0, 9.0]), 3.0, 1e-6
+
+    def errors(square):
+        return camera_fit._Linearised(scale * np.sqrt([square, 0 * square]), np.zeros((0, 2, 4)))
+
+    grown = [camera_fit._cost(errors(squares + step * e), scale) for e in np.eye(4)]
+    expected = (np.array(grown) - camera_fit._cost(errors(squares), scale)) / step
+    np.testing.assert_allclose(camera_fit._weights(errors(squares), scale), expected, atol=1e-5)

@@ -7,16 +7,18 @@ import pytest
 from scenes import scene
 from scipy.linalg import null_space
 
-from mocap_calib.config import Config, MendConfig, MovedConfig, SyncConfig
+from mocap_calib.config import Config, MendConfig, MovedConfig, SubframeConfig, SyncConfig
 from mocap_calib.geometry.rotation import nearest_rotation
-from mocap_calib.multi_view import clock_search, refinement
+from mocap_calib.multi_view import clock_search, refinement, suspicion
 from mocap_calib.multi_view.changes import _choose_number
+from mocap_calib.multi_view.checks import _clocks
 from mocap_calib.multi_view.clock_evidence import along_map, standard_errors
+from mocap_calib.multi_view.clock_kinds import _is_unanimous
 from mocap_calib.multi_view.covariance import _inverse_at_size
 from mocap_calib.multi_view.evidence import _pieces_between
 from mocap_calib.multi_view.faults import _has_moved, _refuting_gain
 from mocap_calib.multi_view.labels import matched_share
-from mocap_calib.multi_view.time_offsets import _choose_stretches
+from mocap_calib.multi_view.time_offsets import _are_usable, _choose_stretches
 from mocap_calib.multi_view.verdict import _has_unchecked_intrinsics
 from mocap_calib.types import Camera, EstimatedCamera, Matches
 
@@ -152,3 +154,69 @@ def test_the_first_of_the_rigs_that_fit_best_is_taken(monkeypatch, misfits, take
         refinement, "measure_fit", lambda _, __, misfit, ___: SimpleNamespace(misfit=misfit)
     )
     assert refinement._best_fit(None, rigs, Config()) is rigs[taken]
+
+
+def test_a_clock_that_was_not_put_right_counts_where_it_is_certainly_off():
+    """By 50 sigma and put right, by 50 and not, by half of one, and not known."""
+    offsets = SimpleNamespace(
+        tau=np.array([0.5, -0.5, 0.5, np.nan]),
+        sigma=np.array([0.01, 0.01, 1.0, np.nan]),
+        used=np.array([True, False, False, False]),
+    )
+    found = _clocks(SimpleNamespace(time_offsets=offsets), Config())
+    np.testing.assert_array_equal(found, [0.0, 0.5, 0.0, np.nan])
+
+
+def test_offsets_of_clocks_are_used_that_are_certain_large_and_all_in_reach():
+    """The first camera's is 0; the third's is small, and the last one's not certain."""
+    tau, sigma = np.array([0.0, 0.5, 0.08, -0.3]), np.array([0.0, 0.02, 0.001, 0.2])
+    config = SubframeConfig()
+    found = SimpleNamespace(tau=tau, sigma=sigma)
+    assert _are_usable(found, 5.0, config).tolist() == [False, True, False, False]
+    assert _are_usable(found, 5.0, config, share=0.5).tolist() == [False, True, True, False]
+    far = SimpleNamespace(tau=np.append(tau, -1.3), sigma=np.append(sigma, 0.02))
+    assert not _are_usable(far, 5.0, config).any()
+
+
+FAR = {"partners": 3, "votes": 0.8, "gain": 0.2, "score": 0.5, "sigma": 2.0}
+GOOD = {"partners": 3, "votes": 1.0, "gain": 0.0, "score": 1.3, "sigma": 1.1}
+
+
+@pytest.mark.parametrize(
+    ("size", "evidence", "expected"),
+    [
+        (4, FAR, True),
+        (3, FAR, False),
+        (4, FAR | {"votes": 0.7}, False),
+        (4, FAR | {"gain": 0.05}, False),
+        (4, FAR | {"sigma": 1.1}, False),
+        (4, FAR | {"partners": 1}, False),
+        (2, GOOD, True),
+        (1, GOOD, False),
+        (2, GOOD | {"votes": 0.9}, False),
+        (2, GOOD | {"score": 1.1}, False),
+        (2, GOOD | {"sigma": 0.9}, False),
+    ],
+)
+def test_cameras_are_unanimous_of_what_is_far_or_where_all_agree_well(size, evidence, expected):
+    assert _is_unanimous(size, evidence, SyncConfig()) is expected
+
+
+class Rig(list):
+    """Of which only the number of cameras is asked."""
+
+    cameras = ()
+
+
+@pytest.mark.parametrize("times", [0.5, 1.0, 1.5])
+def test_a_large_rig_is_held_against_itself_in_fewer_frames(monkeypatch, times):
+    """The cost of a frame grows with the square of the cameras."""
+    config, frames = Config(), []
+    small = config.view_graph.small_rig
+    rig = Rig(range(round(times * small)))
+    monkeypatch.setattr(suspicion, "labelled_frames", lambda _: np.arange(1000))
+    monkeypatch.setattr(suspicion, "view_noise", lambda *_: None)
+    monkeypatch.setattr(suspicion, "gather_observations", lambda *given: frames.append(given[2]))
+    suspicion._hold_against_others(SimpleNamespace(keypoints=()), rig, None, config)
+    expected = config.diagnosis.suspicious_frames * min(1.0, small / len(rig)) ** 2
+    assert len(frames[0]) == pytest.approx(expected, abs=0.5)

@@ -1,6 +1,7 @@
 """What a camera is accused of is no surer than the rig of the others."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,11 +9,11 @@ from multi_view.test_odd_cameras import damage, plain
 from scenes import calibrate_all, scene
 
 from mocap_calib.config import CameraFitConfig, Config
-from mocap_calib.multi_view import odd_cameras
+from mocap_calib.multi_view import core_rig, odd_cameras
 from mocap_calib.multi_view.camera_fit import CameraPose, Seen, fit_camera, shift_of_unknowns
 from mocap_calib.multi_view.explaining import Finding, with_uncertain_core
 from mocap_calib.multi_view.rig_covariance import changed_rig, project_out_similarity, rig_change
-from mocap_calib.types import RigCovariance
+from mocap_calib.types import CameraRig, RigCovariance
 
 FREE = ("log_focal", "x", "y")
 NOISE = 5.0
@@ -43,6 +44,30 @@ def test_a_rig_is_changed_by_what_was_found_between_two():
     change = np.random.default_rng(1).normal(0, 1e-4, size=(len(rig.cameras), 6))
     change = project_out_similarity(change, rig)
     np.testing.assert_allclose(rig_change(rig, changed_rig(rig, change)), change, atol=1e-7)
+
+
+@dataclass(frozen=True)
+class Placed:
+    """Of which only the rig is asked."""
+
+    rig: CameraRig
+
+
+def test_a_rig_is_bent_along_its_least_certain_axes_first(monkeypatch):
+    """Each change is small, and its factor makes it one standard deviation."""
+    rig, config, seen = scene().rig, Config(), []
+    views = len(rig.cameras)
+    sigma = np.full(6 * views, 1e-4)
+    sigma[6 * 2 + 3], sigma[6 * 1 + 1] = 0.05, 0.02  # camera 2 along x, camera 1 about y
+    matrix = np.diag(sigma**2).reshape(views, 6, views, 6)
+    core = SimpleNamespace(rig=rig, placed=Placed(rig), sample=None, frames=None)
+    monkeypatch.setattr(core_rig, "place_bodies", lambda _, placed, *__: seen.append(placed.rig))
+    times = [each for each, _ in core_rig.bent_points(core, SimpleNamespace(matrix=matrix), config)]
+    assert len(times) == min(6 * views, config.diagnosis.axes)
+    for order, index in enumerate((6 * 2 + 3, 6 * 1 + 1)):
+        change = times[order] * rig_change(rig, seen[order]).ravel()
+        expected = project_out_similarity(sigma[index] * np.eye(6 * views)[index], rig).ravel()
+        np.testing.assert_allclose(np.sign(change @ expected) * change, expected, atol=1e-4)
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 """Parts of lifting, held to their definitions."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,10 +13,11 @@ from mocap_calib.config import COMPLETION_CONFIDENCE, COMPLETION_SPREAD
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.steerpose.completion import _confidence_of_lifted
-from mocap_calib.steerpose.lift import _DOWN, _centre, _lift_rays, _Lifting, lift
+from mocap_calib.steerpose.lift import _DOWN, _centre, _confident_rays, _lift_rays, _Lifting, lift
 from mocap_calib.steerpose.lifter import _LARGEST_SCORE, _attend, _gelu
 from mocap_calib.steerpose.lifter_kernels import activate
 from mocap_calib.steerpose.loading import choose_model, load_lifter
+from mocap_calib.steerpose.training import evaluation
 from mocap_calib.steerpose.training.evaluation import _project_turned
 from mocap_calib.types import silent
 
@@ -31,7 +33,7 @@ def test_the_centre_puts_a_body_where_its_joints_are_seen():
     np.testing.assert_allclose(_centre(body, image, seen), centre, atol=1e-9)
 
 
-def test_the_activation_is_that_of_its_definition():
+def test_the_kernel_of_the_activation_is_that_of_its_definition():
     """To what the approximation of erf is good for, 2e-7, and single precision.
 
     The same numbers compiled or not: rigs found without numba were 1e-8 off.
@@ -119,6 +121,29 @@ def test_errors_seen_from_aside_keep_their_height():
     seen = _project_turned(error)
     assert torch.equal(seen[..., 1], error[..., 1])
     assert (seen[..., 0].abs() <= error[..., ::2].norm(dim=-1) + 1e-6).all()
+
+
+def test_a_network_is_as_wrong_as_its_mean_joint(monkeypatch):
+    """A lifter whose joints are all too low by 1, of which some are hidden."""
+    pose, seen = torch.zeros(3, 5, 2), torch.ones(3, 5, dtype=torch.bool)
+    seen[0, 1] = seen[2, 3:] = False
+    target = torch.rand(3, 5, 3, generator=torch.Generator().manual_seed(0))
+    batch = SimpleNamespace(pose=pose, seen=seen, target=target)
+    made = SimpleNamespace(batch=lambda _: batch)
+    monkeypatch.setattr(evaluation, "Synthesiser", lambda *_, **__: made)
+    found = evaluation.held_out_error(
+        lambda *_: (target + torch.tensor([0.0, 1.0, 0.0]), None), None, None, None
+    )
+    assert found == pytest.approx({"joint_3d": 1.0, "steered_2d": 1.0, "completed_2d": 1.0})
+
+
+def test_joints_are_lifted_by_the_confidence_that_their_view_reaches_at_its_best():
+    """So a detector whose confidences are a tenth of another's has the same ones lifted."""
+    sample = recording()
+    small = replace(sample, confidence=0.1 * sample.confidence)
+    rays = _confident_rays(sample)
+    np.testing.assert_array_equal(_confident_rays(small), rays)
+    assert np.isfinite(rays).sum() > 0.9 * np.isfinite(sample.rays).sum()
 
 
 def test_a_direction_is_given_up_only_when_it_is_no_better():

@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 from scenes import calibrate_group, calibrated, recording, rotation_errors_deg, scene
 
-from mocap_calib.config import PairwiseConfig, PaperConfig
+from mocap_calib.config import OWN_SPECIES_TRAINING, PairwiseConfig, PaperConfig
 from mocap_calib.errors import DegenerateError
+from mocap_calib.io.poses.common import PoseFile
+from mocap_calib.io.poses.write import write_poses
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.steerpose.loading import load_lifter
 from mocap_calib.steerpose.model import module_of
 from mocap_calib.steerpose.training.own_species import own_poses, own_skeleton, up_of_rig
+from mocap_calib.steerpose.training.sources import TrainingSource, load_vocabulary
 from mocap_calib.two_view.paper_pairs import PaperPairs
 from mocap_calib.types import CameraRig, Poses3D
 
@@ -106,6 +109,17 @@ def test_what_was_never_seen_is_not_learnt():
     assert len(skeleton.edges) == len(skeleton.keypoints) - 1
     learnt = own_poses(poses, skeleton, np.array([0.0, 0, 1]), "train").poses
     assert learnt.shape == (42 * 2, len(skeleton.keypoints), 3)  # two people, 7 tenths of 60 frames
+
+
+def test_the_vocabulary_is_that_of_the_poses_of_a_run_unless_another_is_asked_for(tmp_path):
+    path = tmp_path / "own.h5"
+    write_poses(path, PoseFile(replace(made_poses(), unit="arbitrary"), 60.0), "poses-h5")
+    own, settings = load_vocabulary(TrainingSource(calibrated=path))
+    assert (own.name, settings) == ("own", OWN_SPECIES_TRAINING)
+    asked, _ = load_vocabulary(TrainingSource(calibrated=path, skeleton="rodent"))
+    assert asked.keypoints == load_skeleton("rodent").keypoints
+    usual, _ = load_vocabulary(TrainingSource(poses=(path,)))
+    assert usual.keypoints == load_skeleton("people").keypoints
 
 
 def test_poses_without_points_are_refused_in_one_line():

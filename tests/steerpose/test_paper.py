@@ -36,9 +36,10 @@ from mocap_calib.steerpose.paper.losses import (
     translation_matrix,
     with_dummies,
 )
-from mocap_calib.steerpose.paper.solver import random_rotations, solve_pair
+from mocap_calib.steerpose.paper.solver import PaperSolution, random_rotations, solve_pair
 from mocap_calib.steerpose.steer import matrix_from_vector, shortest, steer
 from mocap_calib.steerpose.token import TokenConfig, TokenSteerer
+from mocap_calib.steerpose.training.evaluation import measure_steering_error
 from mocap_calib.steerpose.training.pairs import PairSynthesiser
 from mocap_calib.steerpose.training.poses import PoseSet
 from mocap_calib.steerpose.training.train import train_steerer
@@ -121,6 +122,15 @@ def test_pairs_are_one_body_seen_twice(poses):
     assert hidden.min() >= 0.1 - 1 / 29
 
 
+def test_a_tenth_to_three_tenths_of_the_joints_of_a_pair_are_hidden(poses):
+    """Evenly between the two, where no layout hides more: 3 to 9 of 29."""
+    config = PairsConfig(layouts=0.0)
+    source = PairSynthesiser(poses, PEOPLE, config, split="train", seed=1)
+    hidden = (~source._hide_joints(5000, 29)).sum(1)
+    assert (hidden.min(), hidden.max()) == (3, 9)
+    assert hidden.double().mean() == pytest.approx(0.2 * 29, abs=0.1)
+
+
 def test_the_second_of_a_pair_of_views_is_one_of_them_too(poses):
     """The rotation between them goes from the first to the second."""
     config = PairsConfig()
@@ -143,6 +153,7 @@ def test_token_model_has_the_paper_s_shape_and_is_deterministic():
     torch.manual_seed(0)
     model = TokenSteerer(TokenConfig(29)).eval()
     assert model.embedding.shape == (30, 32)
+    assert model.embedding.std().item() == pytest.approx(0.5, rel=0.1)
     assert len(model.encoder.layers) == 5
     pose, seen = torch.randn(3, 29, 2), torch.ones(3, 29, dtype=torch.bool)
     seen[:, 7] = False
@@ -151,6 +162,15 @@ def test_token_model_has_the_paper_s_shape_and_is_deterministic():
     assert first.shape == (3, 29, 2)
     pose[:, 7] = torch.nan
     torch.testing.assert_close(steer(model, pose, seen, vector), first, rtol=0, atol=0)
+
+
+def test_who_does_not_turn_poses_errs_where_they_are_turned(poses):
+    """Measured 1.2 of the radius, as two poses of the same size in no relation."""
+    found = measure_steering_error(
+        lambda pose, *_: pose, poses, PEOPLE, PairsConfig(noise=0.0), examples=200
+    )
+    assert found["identity_2d"] < 1e-3
+    assert 0.5 < found["steered_2d"] < 2.0
 
 
 def test_factorised_steering_is_lift_rotate_project():
@@ -177,6 +197,15 @@ def test_rotation_vectors():
     assert torch.autograd.gradcheck(
         matrix_from_vector, (torch.zeros(2, 3, dtype=torch.float64, requires_grad=True),)
     )
+
+
+def test_small_turns_of_any_shape_are_those_of_numpy():
+    """On both sides of the length (1e-6) below which the formula is a series."""
+    length = torch.tensor([1e-8, 0.9e-6, 1.1e-6, 1e-3], dtype=torch.float64)
+    vector = random(2, 4, 3)
+    vector *= (length / vector.norm(dim=-1))[..., None]
+    expected = matrix_numpy(vector.numpy())
+    np.testing.assert_allclose(matrix_from_vector(vector).numpy(), expected, rtol=0, atol=1e-14)
 
 
 def test_training_and_checkpoint_of_the_token_model(poses, tmp_path):
@@ -211,6 +240,12 @@ def test_keypoint_distance_forgets_place_size_and_hidden_joints():
     found = keypoint_distance(5 * pose - 2, hidden, seen)
     torch.testing.assert_close(found.diagonal(), torch.zeros(3).double(), atol=1e-5, rtol=0)
     assert (found + torch.eye(3) > 0.3).all()
+
+
+def test_poses_of_a_single_joint_in_common_are_alike():
+    """There is nothing to tell them apart by."""
+    found = keypoint_distance(random(3, 9, 2), random(3, 9, 2, seed=1), torch.eye(9)[:3] > 0)
+    torch.testing.assert_close(found, torch.zeros(3, 3).double(), atol=1e-4, rtol=0)
 
 
 @pytest.mark.parametrize(("rows", "columns"), [(4, 4), (2, 5), (5, 3)])
@@ -415,6 +450,23 @@ def test_solver_finds_rotation_and_matches_from_a_close_start():
     assert found.error < 0.15
 
 
+def test_errors_of_the_solver_are_in_pixels():
+    """The same rays in images twice as large: twice the error, as nothing else is in pixels."""
+    views, vector, _ = steered_scene()
+    config = PaperConfig(iterations=3, tries=1)
+    small, large = (
+        solve_pair(
+            replace(views, focal=focal),
+            load_steerer()[0],
+            config,
+            torch.Generator().manual_seed(0),
+            start=vector + 0.1,
+        ).error
+        for focal in (100.0, 200.0)
+    )
+    assert large == pytest.approx(2 * small)
+
+
 def test_solver_tries_again_and_is_deterministic():
     views, _, _ = steered_scene()
     torch.manual_seed(0)
@@ -425,6 +477,22 @@ def test_solver_tries_again_and_is_deterministic():
     )
     assert first.tries == 2
     np.testing.assert_array_equal(first.rotation, second.rotation)
+
+
+def test_solver_ends_with_its_first_success(monkeypatch):
+    views, _, _ = steered_scene()
+    errors = iter([9.0, 0.5, 0.1])
+    monkeypatch.setattr(
+        solver,
+        "_descend",
+        lambda *_: [
+            PaperSolution(np.eye(3), np.ones(3), np.zeros((0, 3), np.int64), next(errors), 1)
+        ],
+    )
+    model, config = TokenSteerer(TokenConfig(29, 8, 1)), PaperConfig(tries=3, success_px=1.0)
+    found = solve_pair(views, model, config, torch.Generator().manual_seed(0))
+    assert (found.error, found.tries) == (0.5, 2)
+    assert next(errors) == 0.1
 
 
 def test_random_rotations_are_uniform():

@@ -18,7 +18,7 @@ from mocap_calib.steerpose.lifter import ModelConfig
 from mocap_calib.steerpose.loading import load_lifter
 from mocap_calib.steerpose.model import LifterModule, lifter_of, module_of, normalise
 from mocap_calib.steerpose.rays import rays_by_joint
-from mocap_calib.steerpose.training.dataset import Batch, Synthesiser
+from mocap_calib.steerpose.training.dataset import Batch, Synthesiser, _target
 from mocap_calib.steerpose.training.losses import lifting_loss
 from mocap_calib.steerpose.training.poses import PoseSet, load_poses
 from mocap_calib.steerpose.training.train import optimise, train_lifter
@@ -189,6 +189,30 @@ def test_joints_are_hidden_the_more_the_more_is_said(poses):
         hidden = Synthesiser(poses, PEOPLE, config, seed=3)._hide_joints(known)
         seen.append(float(hidden.double().mean()))
     assert seen[1] + 0.1 < seen[0] < 0.99
+
+
+def test_depths_are_told_from_the_mean_of_the_joints_that_are_seen():
+    """In the units of the pose: a joint 0.3 behind that, 6 away, is 0.05 / scale behind it."""
+    points, depth = torch.zeros(1, 3, 3), torch.tensor([[5.7, 6.3, 6.6]])
+    seen = torch.tensor([[True, True, False]])
+    found = _target(points, depth, seen, centre=torch.zeros(1, 2), scale=torch.tensor([0.1]))
+    expected = torch.tensor([[-0.5, 0.5, 1.0]])
+    torch.testing.assert_close(found[..., 2], expected, rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize(("steps", "first"), [(100, 1 / 25), (20, 1.0)])
+def test_a_training_of_more_than_twenty_steps_begins_with_small_ones(steps, first):
+    """Adam's first step is the learning rate, whatever the gradient."""
+    model = torch.nn.Linear(1, 1, bias=False)
+    seen: list[float] = []
+
+    def next_loss() -> torch.Tensor:
+        seen.append(model.weight.item())
+        return model.weight.sum()
+
+    optimise(model, next_loss, TrainConfig(steps=steps, learning_rate=0.01), progress=silent)
+    assert seen[0] - seen[1] == pytest.approx(0.01 * first, rel=0.01)
+    assert seen[-2] - seen[-1] < 1e-4
 
 
 def test_same_seed_same_weights(poses):

@@ -202,6 +202,17 @@ def test_a_pose_is_scored_by_the_matches_in_front_of_both_views():
     assert scored.in_front.tolist() == [1.0, 0.0]
 
 
+def test_the_residual_of_a_pose_is_that_of_the_joint_in_the_middle():
+    """Exact but for one joint of 36, which is seen 0.1 rad off."""
+    pair = exact_pair(3)
+    off = pair.b.rays.copy()
+    off[0, 0, 0] = matrix_from_vector(np.array([0.1, 0.0, 0.0])) @ off[0, 0, 0]
+    truth = Hypotheses(ROTATION[None], TRANSLATION[None], ("",))
+    scored = score_hypotheses(replace(pair, b=replace(pair.b, rays=off)), truth, CONFIG)
+    assert scored.matched[0, 0, 0, 0]
+    assert scored.residual[0] < 1e-6
+
+
 def test_the_energy_of_bodies_is_that_of_their_distance():
     """None where exact bodies lie on each other, and more the farther they are turned away."""
     pair, lifted = exact_pair(2), np.eye(2, dtype=bool)[None]

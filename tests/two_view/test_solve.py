@@ -3,6 +3,7 @@
 import pickle
 from dataclasses import replace
 from itertools import combinations
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,10 +12,12 @@ from scenes import lifted, recording, scene
 from mocap_calib.config import (
     FivePointConfig,
     PairwiseConfig,
+    PaperConfig,
 )
 from mocap_calib.geometry.rotation import angle_between, direction_angle, matrix_from_vector
 from mocap_calib.io.results.pairs_json import pairs_to_json
 from mocap_calib.two_view.five_point_pairs import FivePointPairs
+from mocap_calib.two_view.paper_pairs import PaperPairs
 from mocap_calib.two_view.refine import refine_two_view
 from mocap_calib.two_view.solve import calibrate_pair, calibrate_pairs, pair_problem
 from mocap_calib.two_view.view_pair import MatchedRays
@@ -163,3 +166,19 @@ def test_the_five_point_baseline_is_judged_as_any_other_pair():
     assert found.score == pytest.approx(searched.score, abs=0.05)
     baselines = [np.linalg.norm(pair.translation) for pair in (found, searched)]
     assert baselines[0] == pytest.approx(baselines[1], rel=0.05)
+
+
+def test_the_papers_solver_is_given_the_rays_of_each_view_in_the_joints_of_its_network():
+    """Which has them in another order, and one that nobody detects."""
+    sample, rng = recording(), np.random.default_rng(0)
+    problem = pair_problem(sample, lifted(), 1, 3, config=PairwiseConfig(frames=10), rng=rng)
+    focal = np.array([camera.focal for camera in sample.cameras])
+    keypoints = len(sample.keypoints)
+    network = SimpleNamespace(config=SimpleNamespace(joints=keypoints + 1))
+    reverse = np.arange(keypoints)[::-1]
+    solve = PaperPairs(network, reverse, focal, PairwiseConfig(), PaperConfig())
+    given = solve._two_views(problem, np.array([2, 5]))
+    for rays, seen in ((given.rays_a, problem.pair.a), (given.rays_b, problem.pair.b)):
+        np.testing.assert_array_equal(rays[..., :-1, :], seen.rays_or_nan[[2, 5]][..., ::-1, :])
+        assert np.isnan(rays[..., -1, :]).all()
+    assert given.focal == pytest.approx((focal[1] + focal[3]) / 2)
