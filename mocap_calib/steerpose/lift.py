@@ -47,19 +47,15 @@ class _Bodies:
     centre: Floats
     spread: Floats
 
-    @property
-    def doubt(self) -> float:
-        """The median of the spread."""
-        return float(np.median(self.spread))
+    def doubt(self, index: Ints | None = None) -> float:
+        """Return the median of the spread, of the detections of an index `[N]` or of all."""
+        return float(np.median(self.spread if index is None else self.spread[index]))
 
     def put(self, index: Ints, found: "_Bodies") -> None:
         """Set the detections of an index `[N]`."""
         self.body[index] = found.body
         self.centre[index] = found.centre
         self.spread[index] = found.spread
-
-    def __getitem__(self, index: Ints) -> "_Bodies":
-        return _Bodies(self.body[index], self.centre[index], self.spread[index])
 
 
 def lift(sample: Sample, lifter: Lifter, *, device: str = CPU, progress: Progress) -> LiftedPoses:
@@ -139,11 +135,11 @@ class _Lifting:
         ]
         sampled = np.isin(np.arange(len(view)), np.concatenate([*samples, np.empty(0, int)]))
         self._lift_into(bodies, np.flatnonzero(sampled), down)
-        others = [(index, other, bodies[index].doubt) for index in samples for other in _DOWN[1:]]
+        others = [(index, other, bodies.doubt(index)) for index in samples for other in _DOWN[1:]]
         for (index, other, _), found in zip(
             others, map_in_threads(self._race, others), strict=True
         ):
-            if found is not None and found.doubt < bodies[index].doubt:
+            if found is not None and found.doubt() < bodies.doubt(index):
                 bodies.put(index, found)
                 down[view == view[index[0]]] = other
         self._lift_into(bodies, np.flatnonzero(~sampled), down)

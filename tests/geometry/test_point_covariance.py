@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from mocap_calib.config import INTERSECT_LOSS_SCALE
 from mocap_calib.geometry.intersection import intersect
 from mocap_calib.geometry.point_covariance import median_angles, point_covariance
 from mocap_calib.geometry.rays import ray_angles, rays_in_world
@@ -135,3 +136,19 @@ def test_the_median_angle_of_a_view_that_hardly_counts_is_that_of_plain_noise():
     weight = np.array([[1e-9], [1.0], [1.0]])
     median = median_angles(rig, points, weight)[0, 0]
     assert median == pytest.approx(np.sqrt(2 * np.log(2)), rel=0.01)
+
+
+def test_a_ray_that_is_off_by_the_scale_of_the_loss_counts_a_quarter():
+    """Of Geman and McClure's loss: the same covariance as of a quarter of its weight."""
+    rig, point = rig_at(PLACES["one side"]), np.array([[0.1], [0.2], [-0.1]])
+    world = point - rig.centres[:, :, None]
+    world /= np.linalg.norm(world, axis=1, keepdims=True)
+    variance = np.full((4, 1), NOISE**2)
+    off, less = world.copy(), 1 / variance
+    across = np.cross(world[3, :, 0], [0.0, 0.0, 1.0])
+    angle = np.arcsin(INTERSECT_LOSS_SCALE * NOISE)
+    off[3, :, 0] = matrix_from_vector(angle * across / np.linalg.norm(across)) @ world[3, :, 0]
+    less[3] /= 4
+    found = point_covariance(rig, point, off, precision=1 / variance, variance=variance)
+    expected = point_covariance(rig, point, world, precision=less, variance=variance)
+    np.testing.assert_allclose(np.ravel(found), np.ravel(expected), rtol=1e-6)

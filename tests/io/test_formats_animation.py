@@ -349,11 +349,28 @@ def test_bodies_of_a_blender_scene_differ_in_colour_and_keep_time(monkeypatch):
     made = run_path(str(script))
     colours: list[tuple[float, ...]] = []
     made["build"].__globals__["build_body"] = lambda _scene, _said, _body, one: colours.append(one)
-    nothing = {"title": "", "frames": [0, 1], "fps": 29.97, "cameras": [], "floor": None}
+    nothing = {"title": "", "frames": [10, 11, 13], "fps": 29.97, "cameras": [], "floor": None}
     scene = made["build"]({**nothing, "bodies": list(range(7))})
     assert scene.render.fps / scene.render.fps_base == pytest.approx(29.97)
+    assert (scene.frame_start, scene.frame_end) == (10, 13)
     assert len(set(colours)) == 5
     assert colours[5:] == colours[:2]
+
+
+def test_points_of_a_blender_scene_are_hidden_where_they_are_missing(monkeypatch):
+    """Keys where that changes, at the frames of the file; places where there are any."""
+    for name in ("bmesh", "bpy", "mathutils"):
+        monkeypatch.setitem(sys.modules, name, MagicMock())
+    made = run_path(str(resources.files("mocap_calib.io.poses") / "blender_scene.py"))
+    keys: list[tuple[list[tuple[int, float]], str]] = []
+    made["animate"].__globals__["add_keys"] = lambda _, key, kind: keys.append((key, kind))
+    track = [[1.0, 2.0, 3.0], None, None, [4.0, 5.0, 6.0], [4.0, 5.0, 7.0]]
+    made["animate"](MagicMock(), [10, 11, 13, 14, 15], track)
+    places = [
+        ([(10, a), (14, b), (15, c)], "LINEAR")
+        for a, b, c in zip(track[0], *track[3:], strict=True)
+    ]
+    assert keys == places + 2 * [([(10, 0.0), (11, 1.0), (14, 0.0)], "CONSTANT")]
 
 
 @pytest.mark.skipif(shutil.which("blender") is None, reason="Blender is not installed")

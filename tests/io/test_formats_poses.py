@@ -287,6 +287,14 @@ def test_a_unit_is_given_to_poses_that_have_none_but_not_to_our_own(tmp_path):
             load_poses(tmp_path / f"metres.{kind}", unit="mm")
 
 
+def test_a_damaged_file_of_our_own_is_named(tmp_path):
+    write_poses(tmp_path / "p.h5", example(2), "poses-h5")
+    with h5py.File(tmp_path / "p.h5", "a") as file:
+        file["edges"] = np.arange(3)
+    with pytest.raises(FormatError, match=r"^\S*p\.h5: expected "):
+        load_poses(tmp_path / "p.h5", "poses-h5")
+
+
 def test_a_file_where_a_folder_is_is_refused_by_its_name(tmp_path):
     (tmp_path / "there").mkdir()
     with pytest.raises(IsADirectoryError) as caught:

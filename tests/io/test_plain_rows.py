@@ -11,7 +11,7 @@ from mocap_calib.io.keypoints.plain_rows import read_plain_rows
 from mocap_calib.io.keypoints.read import read_keypoints
 
 
-def test_numbers_are_those_of_float():
+def test_the_kernel_reads_numbers_as_float_does():
     """To the last bit; 5,000 texts of 1 to 19 digits."""
     rng = random.Random(0)
     texts = [repr(rng.uniform(-2000, 2000)) for _ in range(2000)]

@@ -20,6 +20,7 @@ from mocap_calib.multi_view.faults import _has_moved, _refuting_gain
 from mocap_calib.multi_view.labels import matched_share
 from mocap_calib.multi_view.time_offsets import _are_usable, _choose_stretches
 from mocap_calib.multi_view.verdict import _has_unchecked_intrinsics
+from mocap_calib.multi_view.view_graph import best_scores
 from mocap_calib.types import Camera, EstimatedCamera, Matches
 
 
@@ -176,6 +177,11 @@ def test_offsets_of_clocks_are_used_that_are_certain_large_and_all_in_reach():
     assert _are_usable(found, 5.0, config, share=0.5).tolist() == [False, True, True, False]
     far = SimpleNamespace(tau=np.append(tau, -1.3), sigma=np.append(sigma, 0.02))
     assert not _are_usable(far, 5.0, config).any()
+
+
+def test_the_score_of_a_camera_is_that_of_its_best_pair():
+    pairs = [SimpleNamespace(a=a, b=b, score=s) for a, b, s in ((0, 1, 0.5), (2, 1, 0.8))]
+    np.testing.assert_array_equal(best_scores(tuple(pairs), 4), [0.5, 0.8, 0.8, np.nan])
 
 
 FAR = {"partners": 3, "votes": 0.8, "gain": 0.2, "score": 0.5, "sigma": 2.0}

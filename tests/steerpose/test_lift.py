@@ -153,11 +153,11 @@ def test_a_direction_is_given_up_only_when_it_is_no_better():
     rays = rng.normal(0, 0.4, (50, lifter.config.joints, 3)) + [0, 0, 6.0]
     rays[rng.random(rays.shape[:2]) < 0.4] = np.nan
     lifting, index = _Lifting(rays, lifter, silent), np.arange(50)[::2]
-    doubt = _lift_rays(rays[index], _DOWN[1], lifter).doubt
+    doubt = _lift_rays(rays[index], _DOWN[1], lifter).doubt()
     for least in doubt * np.array([0.5, 0.8, 0.95, 0.9999]):
         assert lifting._race((index, _DOWN[1], least)) is None
     for least in doubt * np.array([1.0001, 1.2, 2.0]):
-        assert lifting._race((index, _DOWN[1], least)).doubt == pytest.approx(doubt, abs=1e-6)
+        assert lifting._race((index, _DOWN[1], least)).doubt() == pytest.approx(doubt, abs=1e-6)
 
 
 def test_views_that_see_nobody_are_not_lifted():
