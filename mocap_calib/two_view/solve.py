@@ -24,7 +24,6 @@ from mocap_calib.two_view.view_pair import (
     ViewPair,
     distance_ratios,
     gather_view_pair,
-    in_all_readings,
     matched_rays,
     shared_frames,
 )
@@ -186,25 +185,8 @@ def pair_problem(
 def calibrate_pair(problem: PairProblem, config: PairwiseConfig) -> PairwiseCalibration | None:
     """Return the relative pose of the two views with the best score, and its alternatives.
 
-    A weak one is sought again among all readings of the lifted bodies, which may be the wrong way
-    round in depth. That answer must be far better: the nearest of four readings is always nearer.
     None where the views share nothing to go by.
     """
-    found = _calibrate(problem, config)
-    if found is None or found.score >= config.reversal_below or not _in_one_reading(problem.pair):
-        return found
-    again = _calibrate(replace(problem, pair=in_all_readings(problem.pair)), config)
-    better = again is not None and again.score >= config.reversal_gain * found.score
-    return again if better else found
-
-
-def _in_one_reading(pair: ViewPair) -> bool:
-    """Return whether bodies were lifted, and are compared as they were lifted alone."""
-    return len(pair.overlap.cross) == 1 and bool(pair.overlap.lifted.any())
-
-
-def _calibrate(problem: PairProblem, config: PairwiseConfig) -> PairwiseCalibration | None:
-    """Return the best relative pose by the readings of the bodies that the pair has."""
     if problem.shared_frames == 0:
         return None
     pair, rng = problem.pair, problem.rng

@@ -138,14 +138,9 @@ def gather_view_pair(
     """Gather what the views a and b show in some frames (`[frame]` indices into the sample)."""
     a, b = (gather_detections(sample, lifted, view, frames) for view in views)
     overlap = _overlap(*(_bodies(lifted, view, frames) for view in views))
-    pair = ViewPair(frames=frames, a=a, b=b, overlap=overlap)
-    return in_all_readings(pair) if may_be_reversed(sample, lifted, views, frames) else pair
-
-
-def in_all_readings(pair: ViewPair) -> ViewPair:
-    """Return a pair of one reading with all four: see `reversal.readings`."""
-    cross = readings(pair.overlap.cross[0], pair.a.centre, pair.b.centre)
-    return replace(pair, overlap=replace(pair.overlap, cross=cross))
+    if may_be_reversed(sample, lifted, views, frames):
+        overlap = replace(overlap, cross=readings(overlap.cross[0], a.centre, b.centre))
+    return ViewPair(frames=frames, a=a, b=b, overlap=overlap)
 
 
 def gather_detections(sample: Sample, lifted: LiftedPoses, view: int, frames: Ints) -> Detections:
