@@ -1,17 +1,14 @@
 """The rig of a report, and another one that is laid over it."""
 
-from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import PurePath
 from typing import Any
 
 import numpy as np
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.geometry.alignment import align_by_similarity
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.html_report.source import Reference, ReportSource
-from mocap_calib.multi_view.evaluation import with_axes
+from mocap_calib.multi_view.evaluation import lay_over
 from mocap_calib.multi_view.rig_covariance import rig_size
 from mocap_calib.recording.epochs import list_epochs, views_by_camera
 from mocap_calib.types import CameraRig, Floats, PosedCamera
@@ -59,7 +56,7 @@ def describe_reference(reference: Reference, rig: CameraRig) -> dict[str, Any]:
             f"{reference.title}: expected at least two cameras of {', '.join(rig.names)}, found "
             f"{', '.join(reference.rig.names)}; match their names"
         )
-    other = _lay_over(reference.rig, rig, names)
+    other = lay_over(reference.rig, rig, names)
     ours, theirs = rig.select(names), other.select(names)
     turned = np.degrees(angle_between(ours.rotation, theirs.rotation))
     shifted = np.linalg.norm(ours.centres - theirs.centres, axis=1)
@@ -77,14 +74,6 @@ def describe_reference(reference: Reference, rig: CameraRig) -> dict[str, Any]:
             for name, angle, distance in zip(names, turned, shifted, strict=True)
         ],
     }
-
-
-def _lay_over(other: CameraRig, rig: CameraRig, names: Sequence[str]) -> CameraRig:
-    """Return another rig in the world of a rig, by the cameras of these names."""
-    points, targets = (with_axes(each.select(names)) for each in (other, rig))
-    scale, turn, shift = align_by_similarity(points, targets)
-    centres = scale * other.centres @ turn.T + shift
-    return replace(other, unit=rig.unit).stand(other.rotation @ turn.T, centres)
 
 
 def _describe_camera(camera: PosedCamera) -> dict[str, Any]:

@@ -210,7 +210,7 @@ def agreed_points(
     tolerant = replace(config.triangulate, outlier=outlier)
     points, used = triangulate_rays(rig, seen.rays, weight=weight, noise=noise, config=tolerant)
     known = np.flatnonzero(np.isfinite(points[0]))
-    # points that the same views see are worked on together, and other views left alone
+    # points that the same views see follow each other: a block of them can leave out other views
     known = known[np.lexsort(used[:, known])]
     shape = (len(frames), matches.individuals, len(recording.keypoints))
     frame, individual, keypoint = np.unravel_index(known, shape)

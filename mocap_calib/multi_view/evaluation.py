@@ -1,6 +1,6 @@
 """Compare a rig with a reference."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
@@ -11,7 +11,7 @@ from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.alignment import align_by_similarity
 from mocap_calib.geometry.rotation import angle_between, direction_angle
 from mocap_calib.records import Record
-from mocap_calib.types import CameraRig, Floats
+from mocap_calib.types import CameraRig, Floats, Views
 
 # Points on the cameras' axes take part in the alignment, so near to the centres (in spreads of the
 # centres) that they decide only what the centres leave open.
@@ -66,19 +66,28 @@ def evaluate(rig: CameraRig, reference: CameraRig) -> Evaluation:
         )
     pairs = tuple(combinations(sorted(reference.names), 2))
     errors = np.array([_pair_error(rig, reference, a, b) for a, b in pairs])
-    found, true = rig.select(names), reference.select(names)
-    scale, rotation, translation = align_by_similarity(with_axes(found), with_axes(true))
-    centres = scale * found.centres @ rotation.T + translation
+    found, true = lay_over(rig.select(names), reference, names), reference.select(names)
     return Evaluation(
         names=names,
         missing=tuple(sorted(set(reference.names) - set(names))),
         pairs=pairs,
         rotation_error=errors[:, 0],
         translation_error=errors[:, 1],
-        camera_rotation=angle_between(found.rotation @ rotation.T, true.rotation),
-        centre_error=np.linalg.norm(centres - true.centres, axis=1),
+        camera_rotation=angle_between(found.rotation, true.rotation),
+        centre_error=np.linalg.norm(found.centres - true.centres, axis=1),
         unit=reference.unit,
     )
+
+
+def lay_over(rig: CameraRig, reference: CameraRig, views: Views) -> CameraRig:
+    """Return a rig in the world of a reference, as some views have it in both.
+
+    By the best similarity; views: indices or names, of both alike.
+    """
+    points, targets = (with_axes(each.select(views)) for each in (rig, reference))
+    scale, turn, shift = align_by_similarity(points, targets)
+    centres = scale * rig.centres @ turn.T + shift
+    return replace(rig, unit=reference.unit).stand(rig.rotation @ turn.T, centres)
 
 
 def with_axes(rig: CameraRig) -> Floats:

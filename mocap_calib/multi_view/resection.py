@@ -6,6 +6,7 @@ frame that fits it best under a pose, and no error counts for more than that of 
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -39,6 +40,19 @@ class Sightings:
         """`[detection]` RMS angle in radians of the joints from their centroid."""
         middle = np.nanmean(self.rays, axis=1, keepdims=True)
         return np.sqrt(np.nanmean(((self.rays - middle) ** 2).sum(-1), axis=1))
+
+    @cached_property
+    def packed(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """Rays and bodies as the kernel takes them, each with 1 where a joint is there, else 0.
+
+        `[detection, 3, joint]`, `[detection, joint]`, `[frame, body, 3, joint]` and
+        `[frame, body, joint]`.
+        """
+        rays, bodies = (np.swapaxes(each, -1, -2) for each in (self.rays, self.bodies))
+        seen, known = (np.isfinite(each[..., 0, :]).astype(np.float64) for each in (rays, bodies))
+        rays, seen = contiguous(np.nan_to_num(rays), seen)
+        bodies, known = contiguous(np.nan_to_num(bodies), known)
+        return rays, seen, bodies, known
 
 
 @dataclass(frozen=True)
@@ -213,12 +227,8 @@ def _compare_by_kernel(
     """Return what `_compare` returns."""
     shape = len(poses), len(seen.frame)
     cost, body = np.empty(shape), np.empty(shape, dtype=np.int64)
-    rays, bodies = (np.swapaxes(each, -1, -2) for each in (seen.rays, seen.bodies))
-    shown, known = (np.isfinite(each[..., 0, :]).astype(np.float64) for each in (rays, bodies))
-    detections = contiguous(np.nan_to_num(rays), shown)
-    there = contiguous(np.nan_to_num(bodies), known, tolerance)
-    where = contiguous(poses.rotation, poses.translation, seen.frame)
-    kernel(*where, *detections, *there, least_joints, cost, body)
+    given = contiguous(poses.rotation, poses.translation, seen.frame)
+    kernel(*given, *seen.packed, *contiguous(tolerance), least_joints, cost, body)
     return _Compared(cost, body)
 
 

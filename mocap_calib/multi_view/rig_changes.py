@@ -9,15 +9,14 @@ the rest still disagree by).
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import chdtrc, fdtrc
 
 from mocap_calib.config import Config
-from mocap_calib.geometry.alignment import align_by_similarity
 from mocap_calib.geometry.rotation import angle_between
-from mocap_calib.multi_view.evaluation import with_axes
+from mocap_calib.multi_view.evaluation import lay_over
 from mocap_calib.multi_view.rig_covariance import gauge_of, rig_change
 from mocap_calib.records import Record
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, RigCovariance
@@ -68,10 +67,10 @@ def find_changes(
     if problem.views == 2:
         return _compare_two(problem, covariance, config)
     moved = _significant(problem, _explaining(problem), config)
-    refitted = _in_coordinates_of(given, adjusted, problem.others(moved))
+    refitted = lay_over(adjusted, given, problem.others(moved))
     left = np.delete(_angles(given, refitted), moved)
     if np.rad2deg(left.max()) > config.verdict.weak_deg:  # another rig: no camera of it is to blame
-        moved, refitted = [], _in_coordinates_of(given, adjusted, problem.others([]))
+        moved, refitted = [], lay_over(adjusted, given, problem.others([]))
     alone = _aligned_turns(given, refitted, covariance)
     for view in range(problem.views):
         free = {*moved, view}
@@ -102,7 +101,7 @@ def _aligned_turns(given: CameraRig, refitted: CameraRig, covariance: RigCovaria
 def _compare_two(problem: "_Problem", covariance: RigCovariance, config: Config) -> RigChange:
     """Return whether two cameras stand otherwise to each other than was given."""
     given, both = problem.given, np.arange(2)
-    refitted = _in_coordinates_of(given, problem.adjusted, both)
+    refitted = lay_over(problem.adjusted, given, both)
     before, after = given.relative(0, 1)[0], problem.adjusted.relative(0, 1)[0]
     turn = float(angle_between(before, after))
     disagreement = problem.cost([]) / problem.freedom([])
@@ -200,7 +199,7 @@ class _Problem:
         """Return the least cost, and the poses of the free views with their covariance."""
         free = sorted(free)
         rest = self.others(free)
-        aligned = _in_coordinates_of(self.adjusted, self.given, rest)
+        aligned = lay_over(self.given, self.adjusted, rest)
         left = self.basis.T @ rig_change(self.adjusted, aligned).ravel()
         columns = np.eye(_POSE * self.views).reshape(-1, self.views, _POSE)[:, free]
         slope = self.basis.T @ columns.reshape(_POSE * self.views, -1)
@@ -257,12 +256,3 @@ def _is_small(problem: _Problem, view: int, free: list[int], config: Config) -> 
 def _angles(given: CameraRig, other: CameraRig) -> Floats:
     """Return the angles `[view]` in radians between the rotations of two rigs."""
     return np.asarray(angle_between(given.rotation, other.rotation))
-
-
-def _in_coordinates_of(reference: CameraRig, rig: CameraRig, views: Ints) -> CameraRig:
-    """Return a rig in the world of a reference, as some views (indices) have it in both."""
-    scale, rotation, shift = align_by_similarity(
-        with_axes(rig.select(views)), with_axes(reference.select(views))
-    )
-    centres = scale * rig.centres @ rotation.T + shift
-    return replace(rig, unit=reference.unit).stand(rig.rotation @ rotation.T, centres)

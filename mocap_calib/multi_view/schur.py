@@ -225,16 +225,12 @@ def _reduce_block(
     part = part_of(block, state, seen)
     found = settle(part.block, part.state, part.seen, loss_scale)
     camera, matrix, gradient = _reduced_system(part.state.rotation, found)
-    stiffness = np.einsum("vii->vi", camera)
-    if len(part.views) == len(state.rotation):
-        return found.points, found.cost, matrix, gradient, stiffness.ravel()
-    unknowns = stiffness.shape[1]
-    index = (unknowns * part.views[:, None] + np.arange(unknowns)).ravel()
-    whole = np.zeros((unknowns * len(state.rotation),) * 2)
-    whole[np.ix_(index, index)] = matrix
-    vectors = np.zeros((2, len(whole)))
-    vectors[:, index] = gradient, stiffness.ravel()
-    return found.points, found.cost, whole, *vectors
+    views, unknowns = len(state.rotation), camera.shape[1]
+    own = (unknowns * part.views[:, None] + np.arange(unknowns)).ravel()
+    of_all, vectors = np.zeros((views * unknowns,) * 2), np.zeros((2, views * unknowns))
+    of_all[np.ix_(own, own)] = matrix
+    vectors[:, own] = gradient, np.einsum("vii->vi", camera).ravel()
+    return found.points, found.cost, of_all, *vectors
 
 
 def _reduced_system(rotation: Floats, found: Weighed) -> tuple[Floats, Floats, Floats]:
