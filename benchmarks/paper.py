@@ -72,7 +72,9 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--tables", action="store_true", help="from the results that are there")
     parser.add_argument("--again", action="store_true", help="also cells that are there")
     parser.add_argument("--list", action="store_true", help="print the cells, sizes and costs")
-    parser.add_argument("--pairs", type=int, help="at most so many pairs, or scenes, in a cell")
+    parser.add_argument(
+        "--pairs", type=int, help="in a cell; no more than usual of slow methods and scenes"
+    )
     parser.add_argument("--workers", type=int, default=os.cpu_count(), help="processes")
     parser.add_argument("--out", type=Path, default=Path("out/paper"), help="folder of the figures")
     parser.add_argument(
@@ -90,8 +92,9 @@ def sizes(options: argparse.Namespace) -> Sizes:
     given = QUICK if options.quick else WHOLE
     if options.pairs is None:
         return given
-    names = ("pairs", "slow_pairs", "token_pairs", "scenes")
-    return replace(given, **{name: min(options.pairs, getattr(given, name)) for name in names})
+    names = ("slow_pairs", "token_pairs", "scenes")
+    fewer = {name: min(options.pairs, getattr(given, name)) for name in names}
+    return replace(given, pairs=options.pairs, **fewer)
 
 
 def chosen(cell: Cell, options: argparse.Namespace) -> bool:

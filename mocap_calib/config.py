@@ -231,6 +231,9 @@ class PairwiseConfig:
     five_point_draws: int = 3  # subsets of the matches of one individual,
     five_point_matches: int = 40  # so many matches each
     five_point_inlier: float = 0.05
+    # bodies that were lifted the wrong way round in depth, though the network was sure of them:
+    nearly_flat: float = 2.0  # spreads of the network; thinner ones are taken either way round,
+    reversal_gain: float = 1.5  # if that is so many times better; right pairs gain up to 1.4
     # affinity
     pose_tolerance: float = 0.35  # RMS joint distance of two lifts of one body ...
     pose_doubt: float = 2.5  # ... or this many times what the network expects, where that is more

@@ -25,7 +25,7 @@ from mocap_calib.multi_view.linking import link_through_time
 from mocap_calib.multi_view.tracking import locate_groups
 from mocap_calib.recording.sampling import evenly_spaced, take_sample
 from mocap_calib.two_view.affinity import epipolar_affinity
-from mocap_calib.two_view.reversal import may_be_reversed
+from mocap_calib.two_view.reversal import reversal_in_spreads
 from mocap_calib.two_view.solve import all_pairs
 from mocap_calib.two_view.view_pair import (
     distance_ratios,
@@ -64,9 +64,10 @@ def associate(
     views, frames, instances = sample.positions.shape[:3]
     labels = np.full((views, frames, instances), -1, dtype=np.int64)
     scale = _body_scale(sample, lifted, rig, config)
-    geometry_alone = has_single_subject(
-        sample, config.matching.geometry_alone_share
-    ) or may_be_reversed(sample, lifted, range(views), np.arange(frames))
+    geometry_alone = (
+        has_single_subject(sample, config.matching.geometry_alone_share)
+        or reversal_in_spreads(sample, lifted, range(views), np.arange(frames)) < 1
+    )
     step = max(1, _LIFTED_PAIRS // (views * instances) ** 2)
     blocks = _cut_into_blocks(np.arange(frames), step)
     compared = ever_compared(lifted)

@@ -17,17 +17,17 @@ from mocap_calib.types import Floats, Ints, LiftedPoses, Sample
 _FRAMES = 20  # looked at to tell whether bodies are flat
 
 
-def may_be_reversed(
+def reversal_in_spreads(
     sample: Sample, lifted: LiftedPoses, views: Iterable[int], frames: Ints
-) -> bool:
-    """Return whether the bodies that some views show are too flat to tell front from back.
+) -> float:
+    """Return how far a reversal moves the seen joints of bodies, in spreads of the network.
 
-    So they are where reversing one moves its seen joints by less than the spread that the network
-    states of them. frames: `[frame]` indices into the sample. Not where a view has nothing lifted.
+    Below 1 the bodies that the views show are too flat to tell front from back. frames: `[frame]`
+    indices into the sample. Infinite where a view has nothing lifted.
     """
     few = evenly_spaced(frames, _FRAMES)
     moved, variance = np.mean([_flatness(sample, lifted, view, few) for view in views], axis=0)
-    return bool(moved < variance)
+    return float(np.sqrt(moved / variance)) if variance > 0 else np.inf
 
 
 def _flatness(sample: Sample, lifted: LiftedPoses, view: int, frames: Ints) -> tuple[float, float]:

@@ -24,6 +24,7 @@ from mocap_calib.two_view.view_pair import (
     ViewPair,
     distance_ratios,
     gather_view_pair,
+    in_all_readings,
     matched_rays,
     shared_frames,
 )
@@ -185,8 +186,20 @@ def pair_problem(
 def calibrate_pair(problem: PairProblem, config: PairwiseConfig) -> PairwiseCalibration | None:
     """Return the relative pose of the two views with the best score, and its alternatives.
 
-    None where the views share nothing to go by.
+    Of nearly flat bodies it is sought again among all readings, as they may have been lifted the
+    wrong way round in depth. That answer must be far better: the nearest of four readings is
+    always nearer. None where the views share nothing to go by.
     """
+    found = _calibrate(problem, config)
+    if found is None or not 1 <= problem.pair.reversal < config.nearly_flat:
+        return found
+    again = _calibrate(replace(problem, pair=in_all_readings(problem.pair)), config)
+    better = again is not None and again.score >= config.reversal_gain * found.score
+    return again if better else found
+
+
+def _calibrate(problem: PairProblem, config: PairwiseConfig) -> PairwiseCalibration | None:
+    """Return the best relative pose by the readings of the bodies that the pair has."""
     if problem.shared_frames == 0:
         return None
     pair, rng = problem.pair, problem.rng

@@ -9,7 +9,7 @@ import numpy as np
 
 from mocap_calib.config import LEAST_LIFT_SPREAD, PairwiseConfig
 from mocap_calib.geometry.epipolar import depths
-from mocap_calib.two_view.reversal import may_be_reversed, readings
+from mocap_calib.two_view.reversal import readings, reversal_in_spreads
 from mocap_calib.types import Bools, Floats, Ints, LiftedPoses, Sample
 
 RAYS_OF_A_BLOCK = 64  # loops of a fixed length over arrays in the cache are quick
@@ -67,12 +67,15 @@ class ViewPair:
     """The detections of the views a and b (I and J instances) in some frames.
 
     frames: `[frame]` index into the sample that they were taken from.
+    reversal: how far bodies the other way round in depth differ from those that were lifted, in
+        spreads that the network states. Below 1 the overlap is of all readings.
     """
 
     frames: Ints
     a: Detections
     b: Detections
     overlap: Overlap
+    reversal: float
 
 
 @dataclass(frozen=True)
@@ -138,9 +141,15 @@ def gather_view_pair(
     """Gather what the views a and b show in some frames (`[frame]` indices into the sample)."""
     a, b = (gather_detections(sample, lifted, view, frames) for view in views)
     overlap = _overlap(*(_bodies(lifted, view, frames) for view in views))
-    if may_be_reversed(sample, lifted, views, frames):
-        overlap = replace(overlap, cross=readings(overlap.cross[0], a.centre, b.centre))
-    return ViewPair(frames=frames, a=a, b=b, overlap=overlap)
+    reversal = reversal_in_spreads(sample, lifted, views, frames)
+    pair = ViewPair(frames=frames, a=a, b=b, overlap=overlap, reversal=reversal)
+    return in_all_readings(pair) if reversal < 1 else pair
+
+
+def in_all_readings(pair: ViewPair) -> ViewPair:
+    """Return a pair of one reading with all four: see `reversal.readings`."""
+    cross = readings(pair.overlap.cross[0], pair.a.centre, pair.b.centre)
+    return replace(pair, overlap=replace(pair.overlap, cross=cross))
 
 
 def gather_detections(sample: Sample, lifted: LiftedPoses, view: int, frames: Ints) -> Detections:

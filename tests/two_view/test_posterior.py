@@ -44,7 +44,7 @@ def exact_pair(bodies: int) -> ViewPair:
     )
     all_pairs = (1, bodies, bodies)
     overlap = Overlap(cross[None], norm, doubt=np.zeros(all_pairs), lifted=np.ones(all_pairs))
-    return ViewPair(np.array([0]), a, b, overlap)
+    return ViewPair(np.array([0]), a, b, overlap, reversal=np.inf)
 
 
 def rays_of(pair: ViewPair) -> MatchedRays:

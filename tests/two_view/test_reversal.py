@@ -3,16 +3,17 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from scenes import lifted, precision, recording, scene
 
 from mocap_calib.config import Config, PairwiseConfig
 from mocap_calib.geometry.rotation import angle_between, direction_angle, matrix_from_vector
 from mocap_calib.multi_view.association import associate
 from mocap_calib.two_view.affinity import body_agreement, in_one_reading, steering_error
-from mocap_calib.two_view.reversal import may_be_reversed
+from mocap_calib.two_view.reversal import reversal_in_spreads
 from mocap_calib.two_view.solve import calibrate_pair, pair_problem
 from mocap_calib.two_view.view_pair import gather_view_pair
-from mocap_calib.types import LiftedPoses, Sample, silent
+from mocap_calib.types import LiftedPoses, PairwiseCalibration, Sample, silent
 
 VIEWS, FRAMES = (0, 1), np.arange(2)
 
@@ -62,14 +63,15 @@ def flat_scene(thickness: float) -> tuple[Sample, LiftedPoses]:
 
 def test_only_flat_bodies_may_be_reversed():
     """A reversal moves people by 0.3 body sizes; the network is sure of them to 0.1."""
-    assert not may_be_reversed(recording(), lifted(), VIEWS, np.arange(60))
-    assert not may_be_reversed(*flat_scene(1.0), VIEWS, FRAMES)
-    assert may_be_reversed(*flat_scene(0.1), VIEWS, FRAMES)
+    assert reversal_in_spreads(recording(), lifted(), VIEWS, np.arange(60)) > 2
+    assert reversal_in_spreads(*flat_scene(1.0), VIEWS, FRAMES) > 2
     sample, bodies = flat_scene(0.1)
+    found = reversal_in_spreads(sample, bodies, VIEWS, FRAMES)
+    assert found < 1
     sure = replace(bodies, spread=bodies.spread / 20)
-    assert not may_be_reversed(sample, sure, VIEWS, FRAMES)
+    assert reversal_in_spreads(sample, sure, VIEWS, FRAMES) == pytest.approx(20 * found, rel=0.2)
     nobody = LiftedPoses(*(np.full_like(x, np.nan) for x in vars(bodies).values()))
-    assert not may_be_reversed(sample, nobody, VIEWS, FRAMES)
+    assert reversal_in_spreads(sample, nobody, VIEWS, FRAMES) == np.inf
 
 
 def test_the_nearest_reading_counts():
@@ -101,31 +103,61 @@ def test_the_nearest_reading_counts():
     np.testing.assert_allclose(steering_error(chosen, rotation[:1])[0], np.min(errors, 0)[0])
 
 
-def test_flat_bodies_lifted_the_wrong_way_round_give_the_right_pose():
-    """Half of them are reversed, at random: without both readings 43 degrees off, score 0.30."""
-    sample, bodies = flat_scene(0.1)
+def half_reversed(bodies: LiftedPoses) -> LiftedPoses:
+    """Return the bodies with half of them reversed, at random."""
     wrong = np.random.default_rng(3).random(bodies.centre.shape[:3]) < 0.5
-    problem = pair_problem(
-        sample,
-        reversed_in_depth(bodies, wrong),
-        *VIEWS,
-        config=PairwiseConfig(),
-        rng=np.random.default_rng(0),
-    )
-    found = calibrate_pair(problem, PairwiseConfig())
+    return reversed_in_depth(bodies, wrong)
+
+
+def solve(
+    sample: Sample, bodies: LiftedPoses, config: PairwiseConfig
+) -> tuple[PairwiseCalibration, float, float]:
+    """Return the answer for the two views, and its E_R and E_t in degrees."""
+    rng = np.random.default_rng(0)
+    found = calibrate_pair(pair_problem(sample, bodies, *VIEWS, config=config, rng=rng), config)
     assert found is not None
     rotation, translation = scene().rig.relative(*VIEWS)
-    assert np.degrees(angle_between(found.rotation, rotation)) < 0.01
-    assert np.degrees(direction_angle(found.translation, translation)) < 0.01
+    turned = np.degrees(angle_between(found.rotation, rotation))
+    return found, float(turned), float(np.degrees(direction_angle(found.translation, translation)))
+
+
+def test_flat_bodies_lifted_the_wrong_way_round_give_the_right_pose():
+    """Without both readings 43 degrees off, score 0.30."""
+    sample, bodies = flat_scene(0.1)
+    found, turned, shifted = solve(sample, half_reversed(bodies), PairwiseConfig())
+    assert max(turned, shifted) < 0.01
     assert found.score > 0.99
+
+
+def surely_wrong() -> tuple[Sample, LiftedPoses]:
+    """Return flat bodies, half of them reversed: by 1.5 of the spreads that the network states."""
+    sample, bodies = flat_scene(0.1)
+    share = reversal_in_spreads(sample, bodies, VIEWS, FRAMES) / 1.5
+    sure = replace(bodies, spread=bodies.spread * share)
+    assert 1.2 < reversal_in_spreads(sample, sure, VIEWS, FRAMES) < 1.8
+    return sample, half_reversed(sure)
+
+
+def test_nearly_flat_bodies_are_taken_either_way_round():
+    """The first answer has a score of 0.30."""
+    sample, bodies = surely_wrong()
+    found, turned, shifted = solve(sample, bodies, PairwiseConfig())
+    assert max(turned, shifted) < 0.01
+    assert found.score > 0.99
+
+
+@pytest.mark.parametrize("config", [{"nearly_flat": 1.1}, {"reversal_gain": 9.0}])
+def test_the_first_answer_stays_of_thick_bodies_or_where_the_other_is_not_far_better(config):
+    sample, bodies = surely_wrong()
+    found, turned, _ = solve(sample, bodies, replace(PairwiseConfig(), **config))
+    assert found.score < 0.4
+    assert turned > 30
 
 
 def test_flat_bodies_do_not_speak_against_who_is_who():
     """All are matched; by the reversed bodies as they are, 4 of 24 detections are left out."""
     sample, bodies = flat_scene(0.1)
-    wrong = np.random.default_rng(3).random(bodies.centre.shape[:3]) < 0.5
-    turned = reversed_in_depth(bodies, wrong)
-    labels = associate(sample, turned, scene().rig, Config(), progress=silent).labels
+    labels = associate(sample, half_reversed(bodies), scene().rig, Config(), progress=silent).labels
     who = scene().identity[:, FRAMES]
     assert precision(labels, who) == 1
     assert ((labels >= 0) == (who >= 0)).all()
