@@ -13,7 +13,8 @@ import numpy as np
 from mocap_calib.config import AveragingConfig, Config, ViewGraphConfig
 from mocap_calib.geometry.graphs import connected_parts
 from mocap_calib.multi_view.covisibility import measure_covisibility
-from mocap_calib.multi_view.view_graph import pairs_in_closed_triangles, select_hypotheses
+from mocap_calib.multi_view.loops import pairs_in_closed_triangles
+from mocap_calib.multi_view.view_graph import select_hypotheses
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.two_view.solve import PairSolver, all_pairs, calibrate_pairs
 from mocap_calib.types import (

@@ -10,28 +10,21 @@ the same way; here the alternatives are known.
 Groups of cameras that no such loop and no certain pair connects are not joined by guess.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from mocap_calib.config import AveragingConfig
 from mocap_calib.errors import DegenerateError
-from mocap_calib.geometry.rotation import angle_between
-from mocap_calib.types import Bools, Camera, Floats, Ints, PairwiseCalibration
-
-
-@dataclass(frozen=True)
-class _Hypotheses:
-    """The hypotheses of all pairs as arrays; those that a pair lacks have prior 0.
-
-    rotation: `[pair, hypothesis, 3, 3]` and translation: `[pair, hypothesis, 3]` from the earlier
-        view to the later.
-    prior: `[pair, hypothesis]` belief before loops are looked at; the sum over a pair is 1.
-    """
-
-    rotation: Floats
-    translation: Floats
-    prior: Floats
+from mocap_calib.multi_view.loops import (
+    closure_of,
+    count_triangles,
+    find_lost_cameras,
+    list_triangles,
+    pairs_in_closed_triangles,
+    stack_hypotheses,
+)
+from mocap_calib.types import Camera, Floats, Ints, PairwiseCalibration
 
 
 def select_hypotheses(
@@ -42,11 +35,11 @@ def select_hypotheses(
     The other hypotheses become its alternatives. One whose score is below `config.least_score` is
     not taken in place of one above.
     """
-    triangles = _triangles(pairs)
+    triangles = list_triangles(pairs)
     if len(triangles) == 0 or not any(pair.alternatives for pair in pairs):
         return pairs
-    hypotheses = _stack_hypotheses(pairs, config.least_score)
-    closure = _closure(hypotheses, triangles, config)
+    hypotheses = stack_hypotheses(pairs, config.least_score)
+    closure = closure_of(hypotheses, triangles, config)
     belief = hypotheses.prior
     for _ in range(config.iterations):
         agreement = _agreement_of_triangles(belief, closure, triangles)
@@ -99,7 +92,7 @@ def camera_groups(
     The largest group comes first; single cameras are in none. Raises DegenerateError where nothing
     is connected.
     """
-    group_of = _join_cameras(len(cameras), pairs, config)
+    group_of = _join_cameras(len(cameras), _trusted_pairs(len(cameras), pairs, config), config)
     members = (np.flatnonzero(group_of == group) for group in np.unique(group_of))
     groups = [views for views in members if len(views) > 1]
     if not groups:
@@ -130,6 +123,30 @@ def pairs_among(
     )
 
 
+def _trusted_pairs(
+    cameras: int, pairs: tuple[PairwiseCalibration, ...], config: AveragingConfig
+) -> tuple[PairwiseCalibration, ...]:
+    """Return the pairs that may join cameras: not those of a lost camera with the others.
+
+    Lost cameras may see a place of their own. They are joined to each other by strong pairs that
+    rest on as many matches as those that loops confirm, at the median.
+    """
+    lost = find_lost_cameras(cameras, pairs, config)
+    if not lost.any():
+        return pairs
+    trusted = tuple(pair for pair in pairs if not lost[[pair.a, pair.b]].any())
+    closes = pairs_in_closed_triangles(trusted, config)
+    matches = [len(pair.matches) for pair, closed in zip(trusted, closes, strict=True) if closed]
+    usual = np.median(matches) if matches else np.inf
+    return trusted + tuple(
+        pair
+        for pair in pairs
+        if lost[[pair.a, pair.b]].all()
+        and pair.score >= config.weak_score
+        and len(pair.matches) >= usual
+    )
+
+
 def _join_cameras(
     cameras: int, pairs: tuple[PairwiseCalibration, ...], config: AveragingConfig
 ) -> Ints:
@@ -143,7 +160,7 @@ def _join_cameras(
     group = np.arange(cameras)
     certain = np.zeros(cameras, dtype=bool)  # by number of the group
     views = np.array([(pair.a, pair.b) for pair in pairs], dtype=np.int64).reshape(-1, 2)
-    closed, looked_at = _count_triangles(pairs, config)
+    closed, looked_at = count_triangles(pairs, config)
     many = looked_at >= config.contradicting_triangles
     contradicted = many & (closed < config.contradicted_share * looked_at)
     usable = [k for k, pair in enumerate(pairs) if pair.score >= config.least_score]
@@ -163,117 +180,12 @@ def _join_cameras(
     return group
 
 
-def pairs_in_closed_triangles(
-    pairs: tuple[PairwiseCalibration, ...], config: AveragingConfig
-) -> Bools:
-    """Return `[pair]` whether it closes a triangle with two other pairs of sufficient score."""
-    return np.asarray(_count_triangles(pairs, config)[0] > 0)
-
-
-def _count_triangles(
-    pairs: tuple[PairwiseCalibration, ...], config: AveragingConfig
-) -> tuple[Ints, Ints]:
-    """Return `[pair]` how many triangles it closes, and of how many it is a side.
-
-    Of triangles whose three pairs have a sufficient score.
-    """
-    triangles = _triangles(pairs)
-    if len(triangles) == 0:
-        return np.zeros(len(pairs), dtype=np.int64), np.zeros(len(pairs), dtype=np.int64)
-    usable = np.array([pair.score >= config.least_score for pair in pairs], dtype=bool)
-    triangles = triangles[usable[triangles].all(1)]
-    answers = _stack_hypotheses(tuple(replace(pair, alternatives=()) for pair in pairs), 0.0)
-    closure = _closure(answers, triangles, config)[:, 0, 0, 0]
-    closed = triangles[closure >= config.closed_triangle]
-    return (
-        np.bincount(closed.ravel(), minlength=len(pairs)),
-        np.bincount(triangles.ravel(), minlength=len(pairs)),
-    )
-
-
 def _take_hypothesis(pair: PairwiseCalibration, answer: int) -> PairwiseCalibration:
     """Return the pair with one hypothesis (index) as its answer, the others as alternatives."""
     hypotheses = pair.hypotheses
     others = [replace(h, alternatives=()) for k, h in enumerate(hypotheses) if k != answer]
     others.sort(key=lambda hypothesis: -hypothesis.score)
     return replace(hypotheses[answer], alternatives=tuple(others))
-
-
-def _triangles(pairs: tuple[PairwiseCalibration, ...]) -> Ints:
-    """Return `[triangle, 3]` indices of the pairs (a, b), (b, c), (a, c).
-
-    They are those of all views a < b < c that three pairs connect.
-    """
-    edges = [(min(pair.a, pair.b), max(pair.a, pair.b)) for pair in pairs]
-    index = {edge: k for k, edge in enumerate(edges)}
-    later: dict[int, set[int]] = {}  # of each view: those after it that a pair joins it to
-    for a, b in edges:
-        later.setdefault(a, set()).add(b)
-    found = [
-        (index[a, b], index[b, c], index[a, c])
-        for a, b in sorted(index)
-        for c in sorted(later[a] & later.get(b, set()))
-    ]
-    return np.array(found, dtype=np.int64).reshape(-1, 3)
-
-
-def _stack_hypotheses(pairs: tuple[PairwiseCalibration, ...], least_score: float) -> _Hypotheses:
-    """Return the hypotheses as arrays; their prior goes with the square of the score.
-
-    The prior of one below `least_score` is 0, unless none of its pair is better.
-    """
-    count = max(len(pair.hypotheses) for pair in pairs)
-    rotation = np.tile(np.eye(3), (len(pairs), count, 1, 1))
-    translation = np.zeros((len(pairs), count, 3))
-    score = np.zeros((len(pairs), count))
-    exists = np.zeros((len(pairs), count), dtype=bool)
-    for k, pair in enumerate(pairs):
-        best = max(hypothesis.score for hypothesis in pair.hypotheses)
-        for m, hypothesis in enumerate(pair.hypotheses):
-            rotation[k, m], translation[k, m] = _later_from_earlier(hypothesis)
-            exists[k, m] = True
-            if hypothesis.score >= min(best, least_score):
-                score[k, m] = hypothesis.score
-    is_best = exists & (score == score.max(1, keepdims=True))
-    prior = score**2 + 1e-9 * is_best  # a pair without any score keeps its best hypothesis
-    return _Hypotheses(rotation, translation, prior / prior.sum(1, keepdims=True))
-
-
-def _later_from_earlier(pair: PairwiseCalibration) -> tuple[Floats, Floats]:
-    """Return R `[3, 3]` and t `[3]` from the view with the lower index to the other."""
-    if pair.a < pair.b:
-        return pair.rotation, pair.translation
-    return pair.rotation.T, -pair.rotation.T @ pair.translation
-
-
-def _closure(hypotheses: _Hypotheses, triangles: Ints, config: AveragingConfig) -> Floats:
-    """Return how well going from a to b and on to c agrees with going from a to c.
-
-    Returns `[triangle, hypothesis of ab, hypothesis of bc, hypothesis of ac]` in 0..1: a product
-    of two Cauchy weights, of the angle between both rotations and of the distance between both
-    translations relative to the RMS length of the three baselines. 1 is a loop that closes.
-    """
-    ab, bc, ac = triangles.T
-    rotation, translation = hypotheses.rotation, hypotheses.translation
-    chained_rotation = np.einsum("tjxy,tiyz->tijxz", rotation[bc], rotation[ab])
-    carried = np.einsum("tjxy,tiy->tijx", rotation[bc], translation[ab])
-    chained_translation = carried + translation[bc][:, None]
-
-    angle = angle_between(chained_rotation[:, :, :, None], rotation[ac][:, None, None])
-    gap = chained_translation[:, :, :, None] - translation[ac][:, None, None]
-    length2 = (translation**2).sum(-1)
-    mean_length2 = _outer_sum(length2[ab], length2[bc], length2[ac]) / 3
-    gap2 = (gap**2).sum(-1) / np.maximum(mean_length2, 1e-12)
-
-    # three pairs add their errors, hence the thirds
-    rotation_misfit = (angle / np.deg2rad(config.rotation_scale_deg)) ** 2 / 3
-    translation_misfit = gap2 / config.translation_scale**2 / 3
-    return 1 / (1 + rotation_misfit) / (1 + translation_misfit)
-
-
-def _outer_sum(first: Floats, second: Floats, third: Floats) -> Floats:
-    """Return `[triangle, i, j, k]` sums of `[triangle, i]`, `[triangle, j]`, `[triangle, k]`."""
-    return first[:, :, None, None] + second[:, None, :, None] + third[:, None, None]
 
 
 def _agreement_of_triangles(belief: Floats, closure: Floats, triangles: Ints) -> Floats:
