@@ -73,7 +73,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--again", action="store_true", help="also cells that are there")
     parser.add_argument("--list", action="store_true", help="print the cells, sizes and costs")
     parser.add_argument(
-        "--pairs", type=int, help="in a cell; no more than usual of slow methods and scenes"
+        "--pairs", type=int, help="in a cell; of slow methods and of scenes never more than usual"
     )
     parser.add_argument("--workers", type=int, default=os.cpu_count(), help="processes")
     parser.add_argument("--out", type=Path, default=Path("out/paper"), help="folder of the figures")

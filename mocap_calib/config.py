@@ -377,9 +377,11 @@ class AveragingConfig:
         that closes less of its triangles, of at least `contradicting_triangles`; and by no other
         where all pairs between them together close less. Measured in a hall of 64 cameras: right
         pairs between two groups close 0.5 and more, wrong ones up to 0.2.
-    lost_share: of more than `few_cameras`, one is lost of whose triangles (`lost_triangles` at
-        least) a smaller share closes, against the median of those that are left. In four halls 25
-        cameras are lost by it, 17 of them with less than 0.2; the others have 0.51 and more.
+    lost_share: a camera is lost where the share of its triangles that close is less than this part
+        of the median share of all cameras. It needs `lost_triangles` triangles at least. In four
+        halls 25 cameras are lost, 17 of them with less than 0.2; the others have 0.51 and more.
+    few_cameras: of no more than so many none is lost: there a camera that contradicts the others
+        stays, so that its fault can be found and named.
     iterations: of reweighting, and of passing messages between the pairs of triangles.
     """
 

@@ -49,10 +49,11 @@ def find_lost_cameras(
 ) -> Bools:
     """Return the cameras `[view]` whose pairs the loops contradict.
 
-    A camera that shows a body once or twice finds its place beside every other, with a good score,
-    and would join what does not belong together. The camera is taken away of whose triangles the
-    smallest share closes, then the next among those that are left, until none closes less than
-    `config.lost_share` of what is usual among them. Of few cameras none is lost.
+    A camera that shows a body once or twice fits beside every other camera with a good score, and
+    would join groups that do not belong together. The closing share of a camera is the share of
+    its triangles that close. The camera with the smallest share is lost, then the shares are
+    counted again without it, and so on, until all cameras that are left have at least
+    `config.lost_share` of their median share. Of few cameras none is lost.
     """
     lost = np.zeros(cameras, dtype=bool)
     triangles, closes = _judge_triangles(pairs, config)

@@ -126,10 +126,10 @@ def pairs_among(
 def _trusted_pairs(
     cameras: int, pairs: tuple[PairwiseCalibration, ...], config: AveragingConfig
 ) -> tuple[PairwiseCalibration, ...]:
-    """Return the pairs that may join cameras: not those of a lost camera with the others.
+    """Return the pairs that may join cameras: none between a lost camera and one that is not.
 
-    Lost cameras may see a place of their own. They are joined to each other by strong pairs that
-    rest on as many matches as those that loops confirm, at the median.
+    Lost cameras may see a place of their own. A strong pair may join two of them if it has at least
+    the median number of matches of the pairs that loops confirm.
     """
     lost = find_lost_cameras(cameras, pairs, config)
     if not lost.any():
