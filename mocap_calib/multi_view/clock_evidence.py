@@ -33,9 +33,14 @@ def weigh_clock(
     margin: by how many standard errors it is more than at any one offset that is no neighbour.
     votes: the share of the other cameras that agree best at this offset, each by itself.
 
+    Cameras that differ alike say nothing: they would agree as well if all of them were in step.
+
     maps: `[view, stretch, frame]` own frames of all cameras, -1 = none.
     """
-    partners = max(len(agreements.partners(view)), 1)
+    agreements = _with_witnesses(agreements, view, maps)
+    if not agreements.partners(view):
+        return {"score": 0.0, "gain": 0.0, "sigma": 0.0, "margin": 0.0, "votes": 0.0, "partners": 0}
+    partners = len(agreements.partners(view))
     reach = agreements.shape[1]
     table = agreement_table(agreements, view, maps, rate, window=reach)
     own = ridge.frames
@@ -58,6 +63,27 @@ def weigh_clock(
     evidence["votes"] = _votes(agreements, view, maps, rate)
     evidence["margin"] = _margin(table, agreement, shown, config)
     return evidence
+
+
+def _with_witnesses(agreements: Agreements, view: int, maps: Ints) -> Agreements:
+    """Return the agreements without those of a camera with others that differ alike.
+
+    That is by at most `VOTE_TOLERANCE` frames from its map, and more from a camera in step.
+    """
+    time = np.arange(maps.shape[2])
+    alike = set()
+    for other in agreements.partners(view):
+        known = (maps[view] >= 0) & (maps[other] >= 0)
+        apart = np.abs(maps[other] - maps[view])[known]
+        late = np.abs(maps[other] - time)[known]
+        if known.any() and apart.mean() <= VOTE_TOLERANCE and apart.mean() < late.mean():
+            alike.add(other)
+    kept = {
+        (a, b): values
+        for (a, b), values in agreements.values.items()
+        if not (view in (a, b) and alike & {a, b})
+    }
+    return replace(agreements, values=kept)
 
 
 def standard_errors(difference: Floats, config: SyncConfig, shown: Bools | None = None) -> float:

@@ -47,6 +47,8 @@ def describe_clock(
     known = own >= 0
     offset = own - np.round(rate * time).astype(np.int64)
     sure = evidence["margin"] >= config.ambiguity
+    if not known.any():  # so late that the recording has no such frame
+        return CameraClock(camera, "not known", evidence=evidence)
     if rate == 1.0 and not offset[known].any():
         return CameraClock(camera, "in step" if sure else "not known", evidence=evidence)
     steps = _count_steps(offset, known)

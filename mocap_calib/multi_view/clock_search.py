@@ -44,6 +44,16 @@ class Timing:
         ridges[view], rates[view] = ridge, rate
         return Timing(tuple(ridges), tuple(rates))
 
+    def in_step_but(self, kept: Sequence[bool]) -> "Timing":
+        """Return the timing in which all cameras are in step but those `[view]` that are kept."""
+        timing, time = self, np.arange(self.maps.shape[2])
+        for view in np.flatnonzero(~np.array(kept)).tolist():
+            ridge = self.ridges[view]
+            nothing = np.zeros(ridge.frames.shape)
+            own = np.broadcast_to(time, ridge.frames.shape)
+            timing = timing.with_ridge(view, Ridge(own, 0, nothing, 0.0, 0.0, nothing), 1.0)
+        return timing
+
 
 def find_timing(agreements: Agreements, rates: tuple[float, ...], config: SyncConfig) -> Timing:
     """Return the maps of all cameras that agree best with each other."""

@@ -7,7 +7,9 @@ do in step, under the best rotation of each pair in either case, by several stan
 blocks of time; and no other offset that is no neighbour does nearly as well.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -16,7 +18,7 @@ from mocap_calib.config import CROWDED_QUANTILE, SyncConfig
 from mocap_calib.multi_view.clock_evidence import weigh_clock
 from mocap_calib.multi_view.clock_kinds import StretchNumbers, describe_clock
 from mocap_calib.multi_view.clock_paths import Agreements, Pair, standardise
-from mocap_calib.multi_view.clock_search import find_timing, on_common_clock
+from mocap_calib.multi_view.clock_search import Timing, find_timing, on_common_clock
 from mocap_calib.recording.retiming import clocks_from
 from mocap_calib.two_view.timing import FrameAgreement, ViewInTime, compare_in_time
 from mocap_calib.types import Bools, CameraClock, Clocks, Ints, LiftedPoses, Recording
@@ -40,18 +42,41 @@ def find_clocks(
     agreements = Agreements(len(views), found, values, window)
     timing = find_timing(agreements, _choose_rates(found, len(views)), config)
     timing = on_common_clock(agreements, timing)
-    evidence = [
-        weigh_clock(agreements, views, view, ridge, rate=rate, maps=timing.maps, config=config)
-        for view, (ridge, rate) in enumerate(zip(timing.ridges, timing.rates, strict=True))
-    ]
     numbers = StretchNumbers.of(recording, stretches)
-    cameras = tuple(
-        describe_clock(name, ridge.frames, rate, numbers=numbers, evidence=each, config=config)
-        for name, ridge, rate, each in zip(
-            recording.names, timing.ridges, timing.rates, evidence, strict=True
-        )
-    )
+    describe = partial(_describe, recording.names, numbers, views, agreements, config=config)
+    cameras = describe(timing)
+    differ = [clock.differs for clock in cameras]
+    while any(differ):
+        # what is not told stays as it is: what differs must do so beside these, too
+        timing = timing.in_step_but(differ)
+        cameras = describe(timing)
+        before, differ = differ, [clock.differs for clock in cameras]
+        if differ == before:
+            break
     return clocks_from(recording, doubt_lost_frames(cameras, config))
+
+
+def _describe(
+    names: Sequence[str],
+    numbers: StretchNumbers,
+    views: list[ViewInTime],
+    agreements: Agreements,
+    timing: Timing,
+    *,
+    config: SyncConfig,
+) -> tuple[CameraClock, ...]:
+    """Return what kind of clock each camera has, by the evidence for its map beside the others'."""
+    found = []
+    for view, name in enumerate(names):
+        ridge, rate = timing.ridges[view], timing.rates[view]
+        evidence = weigh_clock(
+            agreements, views, view, ridge, rate=rate, maps=timing.maps, config=config
+        )
+        clock = describe_clock(
+            name, ridge.frames, rate, numbers=numbers, evidence=evidence, config=config
+        )
+        found.append(clock)
+    return tuple(found)
 
 
 def doubt_lost_frames(

@@ -267,3 +267,48 @@ def test_a_camera_that_nobody_can_be_compared_with_has_no_evidence():
     )
     evidence = weigh_clock(agreements, [], 2, ridge, rate=1.0, maps=maps, config=CONFIG)
     assert evidence["votes"] == evidence["score"] == evidence["gain"] == 0.0
+
+
+@lru_cache
+def two_rooms(seed):
+    """Return a recording in step, and the bodies of cameras that see two people, four see each."""
+    options = {"people": 2, "frames": 60, "fps": 10.0}
+    rooms = [lifted(cameras=4, seed=seed + room, **options) for room in range(2)]
+    order = np.random.default_rng(seed).permutation(8)
+    body, centre, spread = (
+        np.concatenate([getattr(room, name) for room in rooms])[order]
+        for name in ("body", "centre", "spread")
+    )
+    return recording(cameras=8, **options), LiftedPoses(body, centre, spread)
+
+
+@pytest.mark.parametrize("seed", [0, 2, 4, 6])
+def test_people_of_another_room_accuse_no_clock(seed):
+    """Those of two rooms look alike at some offset, and cameras of a room differ together then."""
+    clocks = clocks_of(*two_rooms(seed))
+    assert not [clock for clock in clocks.cameras if clock.differs]
+
+
+def test_cameras_that_differ_alike_do_not_vouch_for_each_other():
+    """Two cameras agree, two others too, and neither of the ones was compared with the others."""
+    time = np.arange(40)
+    agree = np.eye(40, dtype=np.float32)[None]
+    agreements = Agreements(views=4, found={}, values={(0, 1): agree, (2, 3): agree}, window=5)
+    late = np.where(time + 3 < 40, time + 3, -1)
+    maps = np.stack([time, time, late, late])[:, None]
+    nothing = np.zeros((1, 40))
+    ridge = Ridge(maps[2], 0, nothing, 0.0, 0.0, nothing)
+    evidence = weigh_clock(agreements, [], 2, ridge, rate=1.0, maps=maps, config=CONFIG)
+    assert evidence["partners"] == evidence["score"] == evidence["votes"] == 0
+
+
+def test_a_clock_that_shows_no_frame_of_the_others_is_not_known():
+    clock = describe_clock(
+        "cam1",
+        np.full((1, 30), -1),
+        0.5,
+        numbers=StretchNumbers(np.zeros(1, dtype=np.int64), 1),
+        evidence=SURE,
+        config=CONFIG,
+    )
+    assert clock.kind == "not known"
