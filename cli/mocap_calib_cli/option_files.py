@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 from click.core import ParameterSource
 
+from mocap_calib.wording import one_line
 from mocap_calib_cli import values
 from mocap_calib_cli.options import STDIO
 
@@ -169,7 +170,7 @@ def _explain(kind: click.ParamType[Any], text: str, error: click.BadParameter) -
         return f"expected one of {', '.join(map(str, kind.choices))}, found {text}"
     if isinstance(kind, type(click.BOOL)):
         return f"expected true or false, found {text}"
-    return error.message
+    return one_line(error.message, width=300)
 
 
 # --- paths

@@ -14,6 +14,7 @@ from mocap_calib.io.keypoints.layouts import parse_layout
 from mocap_calib.recording.mended_intrinsics import Exchanged, Resized, Rotated
 from mocap_calib.recording.mending import Mirrored, Moved, Sides
 from mocap_calib.types import Mend
+from mocap_calib.wording import one_line
 from mocap_calib_cli.options import SharedOptions
 
 # how the values of options are written
@@ -201,4 +202,5 @@ def _parse_numbers(text: str, count: int, option: str) -> list[float]:
 
 def _wrong_form(text: str, option: str) -> click.BadParameter:
     """Return the complaint about a value that is not written as the option wants it."""
-    return click.BadParameter(f"expected {_FORMS[option]}, found {text}", param_hint=option)
+    found = one_line(text, width=200)
+    return click.BadParameter(f"expected {_FORMS[option]}, found {found}", param_hint=option)

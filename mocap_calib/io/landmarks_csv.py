@@ -33,7 +33,10 @@ def read_landmarks(path: Path) -> tuple[Landmark, ...]:
             f"none called {', '.join(lacking)}",
             "write this header",
         )
-    found = tuple(_parse_row(row, f"{path}: line {rows.line_num}") for row in rows)
+    try:
+        found = tuple(_parse_row(row, f"{path}: line {rows.line_num}") for row in rows)
+    except csv.Error as error:
+        raise malformed(str(path), "a table of landmarks", str(error), "write it anew") from None
     if not found:
         raise malformed(str(path), "landmarks", "a header alone", "add a line per observation")
     _check_each_once(found, str(path))

@@ -17,6 +17,7 @@ import yaml
 from mocap_calib.errors import FormatError
 from mocap_calib.recording.skeleton_fields import parse_skeleton, strings
 from mocap_calib.types import Ints, Skeleton
+from mocap_calib.wording import one_line
 
 # the first of those that know a recording equally well is chosen
 SHIPPED = ("people", "quadruped", "rodent", "bird")
@@ -219,7 +220,7 @@ def load_aliases(path: Path, skeleton: Skeleton) -> dict[str, str]:
         known = ", ".join(skeleton.keypoints)
         raise FormatError(
             f"{path}: expected aliases of joints that the model {skeleton.name} has ({known}), "
-            f"found {', '.join(strangers)}; choose among those"
+            f"found {one_line(', '.join(strangers), width=200)}; choose among those"
         )
     return aliases
 

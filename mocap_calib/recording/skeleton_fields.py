@@ -34,8 +34,9 @@ def _parse_skeleton(fields: Mapping[str, Any], source: str) -> Skeleton:
     named |= {joint for renaming in (aliases, *layouts) for joint in renaming.values()}
     strangers = sorted(named - set(keypoints))
     if strangers:
+        found = one_line(", ".join(strangers), width=200)
         raise FormatError(
-            f"skeleton {source}: edges, aliases or layouts name {', '.join(strangers)}, "
+            f"skeleton {source}: edges, aliases or layouts name {found}, "
             "expected only its own keypoints"
         )
     index = {name: k for k, name in enumerate(keypoints)}

@@ -22,6 +22,7 @@ from mocap_calib.recording.joints import match_names
 from mocap_calib.synthetic.body_plan import parse_body
 from mocap_calib.synthetic.procedural import sample_bodies
 from mocap_calib.types import Bools, Floats, Skeleton
+from mocap_calib.wording import one_line
 
 Split = Literal["train", "val", "test"]
 
@@ -103,7 +104,7 @@ def _read(path: Path) -> dict[str, NDArray[Any]]:
     except _DAMAGED as error:
         raise FormatError(
             f"{path}: expected an npz file of 3D poses, "
-            f"or a folder with poses3d.npz and joints.json: {error}"
+            f"or a folder with poses3d.npz and joints.json: {one_line(error, width=200)}"
         ) from None
     for other, name in _OTHER_NAMES.items():
         if other in fields:
