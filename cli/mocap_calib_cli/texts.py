@@ -14,8 +14,8 @@ from mocap_calib.io.keypoints.layouts import parse_layout
 from mocap_calib.recording.mended_intrinsics import Exchanged, Resized, Rotated
 from mocap_calib.recording.mending import Mirrored, Moved, Sides
 from mocap_calib.types import Mend
-from mocap_calib.wording import one_line
 from mocap_calib_cli.options import SharedOptions
+from mocap_calib_cli.values import wrong_form
 
 # how the values of options are written
 _FORMS = {
@@ -69,7 +69,7 @@ def parse_rates(texts: Sequence[str]) -> tuple[float | None, dict[str, float]]:
         camera, _, rate = text.rpartition(":")
         (rates[camera],) = _parse_numbers(rate, 1, option)
         if rates[camera] <= 0:
-            raise _wrong_form(text, option)
+            raise wrong_form(_FORMS[option], text, option)
     of_all = rates.pop("", None)
     if rates and of_all is None:
         raise click.BadParameter(
@@ -84,7 +84,7 @@ def _parse_exchanged(texts: Sequence[str]) -> list[Mend]:
     pairs = [text.split(",") for text in texts]
     for text, pair in zip(texts, pairs, strict=True):
         if len(pair) != 2 or not all(pair) or pair[0] == pair[1]:
-            raise _wrong_form(text, "--exchanged")
+            raise wrong_form(_FORMS["--exchanged"], text, "--exchanged")
     return [Exchanged(first, second) for first, second in pairs]
 
 
@@ -95,7 +95,7 @@ def _parse_rotated(texts: Sequence[str]) -> list[Mend]:
     for camera, text in _split_by_camera(texts, option).items():
         (degrees,) = _parse_whole_numbers(text, 1, option)
         if degrees not in (90, 180, 270):
-            raise _wrong_form(text, option)
+            raise wrong_form(_FORMS[option], text, option)
         mends.append(Rotated(camera, degrees))
     return mends
 
@@ -107,7 +107,7 @@ def _parse_resized(texts: Sequence[str]) -> list[Mend]:
     for camera, text in _split_by_camera(texts, option).items():
         (factor,) = _parse_numbers(text, 1, option)
         if factor <= 0:
-            raise _wrong_form(text, option)
+            raise wrong_form(_FORMS[option], text, option)
         mends.append(Resized(camera, factor))
     return mends
 
@@ -140,7 +140,7 @@ def _parse_image_size(text: str) -> tuple[int, int]:
     """Return (width, height) of `WxH`. Raises click's BadParameter."""
     width, height = _parse_whole_numbers(text.lower().replace("x", ","), 2, "--image-size")
     if min(width, height) <= 0:
-        raise _wrong_form(text, "--image-size")
+        raise wrong_form(_FORMS["--image-size"], text, "--image-size")
     return width, height
 
 
@@ -177,7 +177,7 @@ def _split_by_camera(texts: Sequence[str], option: str) -> Mapping[str, str]:
     """Return camera -> value of each `camera:value`; the last one counts of a camera."""
     pairs = [text.rpartition(":") for text in texts]
     if not all(camera for camera, _, _ in pairs):
-        raise _wrong_form(", ".join(texts), option)
+        raise wrong_form(_FORMS[option], ", ".join(texts), option)
     return {camera: value for camera, _, value in pairs}
 
 
@@ -185,7 +185,7 @@ def _parse_whole_numbers(text: str, count: int, option: str) -> list[int]:
     """Return `count` whole numbers with commas between them."""
     values = _parse_numbers(text, count, option)
     if any(value % 1 for value in values):
-        raise _wrong_form(text, option)
+        raise wrong_form(_FORMS[option], text, option)
     return [int(value) for value in values]
 
 
@@ -194,13 +194,7 @@ def _parse_numbers(text: str, count: int, option: str) -> list[float]:
     try:
         values = [float(part) for part in text.split(",")]
     except ValueError:
-        raise _wrong_form(text, option) from None
+        raise wrong_form(_FORMS[option], text, option) from None
     if len(values) != count or not all(abs(value) < LARGEST_EXACT_FLOAT for value in values):
-        raise _wrong_form(text, option)
+        raise wrong_form(_FORMS[option], text, option)
     return values
-
-
-def _wrong_form(text: str, option: str) -> click.BadParameter:
-    """Return the complaint about a value that is not written as the option wants it."""
-    found = one_line(text, width=200)
-    return click.BadParameter(f"expected {_FORMS[option]}, found {found}", param_hint=option)

@@ -5,6 +5,7 @@ return what it may become, with a word on each that zsh and fish show. The table
 imported when they are asked for, so that --help is quick; torch never is.
 """
 
+import os
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -55,7 +56,16 @@ class NameOrFile(click.types.StringParamType):
 
     def is_file(self, path: Path) -> bool:
         """Return whether it is a file rather than a word or the name of a camera."""
-        return path.suffix.lower() in self.endings or path.is_file()
+        # pathlib complains of names that are too long for a file
+        return path.suffix.lower() in self.endings or os.path.isfile(path)
+
+
+def wrong_form(form: str, text: str, option: str) -> click.BadParameter:
+    """Return the complaint about a value that is not written as the option wants it."""
+    from mocap_calib.wording import one_line
+
+    found = one_line(text, width=200)
+    return click.BadParameter(f"expected {form}, found {found}", param_hint=option)
 
 
 KEYPOINTS = PathOf(

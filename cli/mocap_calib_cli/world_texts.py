@@ -12,9 +12,8 @@ from mocap_calib.config import CueKind, KnownCamera, Landmark, ScaleCue, WorldCo
 from mocap_calib.io.cameras.read import read_rig
 from mocap_calib.io.landmarks_csv import read_landmarks
 from mocap_calib.types import ARBITRARY
-from mocap_calib.wording import one_line
 from mocap_calib_cli.options import SharedOptions
-from mocap_calib_cli.values import NAME_OR_FILE
+from mocap_calib_cli.values import NAME_OR_FILE, wrong_form
 
 _FORMS = {
     "--height": "metres above 0, or individual=metres, as 0=1.75+-0.01",
@@ -79,6 +78,5 @@ def _parse_cues(texts: Sequence[str], option: str, kind: CueKind) -> list[ScaleC
                 continue
         except ValueError:
             pass
-        found = one_line(text, width=200)
-        raise click.BadParameter(f"expected {_FORMS[option]}, found {found}", param_hint=option)
+        raise wrong_form(_FORMS[option], text, option)
     return cues

@@ -38,8 +38,6 @@ def weigh_clock(
     maps: `[view, stretch, frame]` own frames of all cameras, -1 = none.
     """
     agreements = _with_witnesses(agreements, view, maps)
-    if not agreements.partners(view):
-        return {"score": 0.0, "gain": 0.0, "sigma": 0.0, "margin": 0.0, "votes": 0.0, "partners": 0}
     partners = len(agreements.partners(view))
     reach = agreements.shape[1]
     table = agreement_table(agreements, view, maps, rate, window=reach)
@@ -47,8 +45,8 @@ def weigh_clock(
     agreement, shown = along_map(table, own, rate)
     if ridge.steps:
         agreement = ridge.held_out
-    if not shown.any():
-        return {"score": 0.0, "gain": 0.0, "sigma": 0.0, "margin": 0.0, "votes": 0.0}
+    if not partners or not shown.any():
+        return dict.fromkeys(("score", "gain", "sigma", "margin", "votes", "partners"), 0.0)
     evidence = {"score": float(agreement[shown].mean()) / partners, "gain": 0.0, "sigma": 0.0}
     time = np.arange(own.shape[1])
     if (own != time)[own >= 0].any():
@@ -66,9 +64,10 @@ def weigh_clock(
 
 
 def _with_witnesses(agreements: Agreements, view: int, maps: Ints) -> Agreements:
-    """Return the agreements without those of a camera with others that differ alike.
+    """Return the agreements without the pairs of this camera and cameras that differ alike.
 
-    That is by at most `VOTE_TOLERANCE` frames from its map, and more from a camera in step.
+    The map of a camera that differs alike is at most `VOTE_TOLERANCE` frames from the map of this
+    camera, and nearer to it than to the map of a camera in step.
     """
     time = np.arange(maps.shape[2])
     alike = set()

@@ -4,7 +4,9 @@ compare pairs in time -> constant offsets -> rates and lost frames -> hold again
 
 A clock is called different only where the evidence is decisive: the cameras agree better than they
 do in step, under the best rotation of each pair in either case, by several standard errors over
-blocks of time; and no other offset that is no neighbour does nearly as well.
+blocks of time; and no other offset that is no neighbour does nearly as well. Cameras of which
+nothing decisive is found stay as they are. Then the others are judged again: each must also differ
+from the cameras that stay.
 """
 
 from collections.abc import Sequence
@@ -47,7 +49,8 @@ def find_clocks(
     cameras = describe(timing)
     differ = [clock.differs for clock in cameras]
     while any(differ):
-        # what is not told stays as it is: what differs must do so beside these, too
+        # the others stay as they are: beside them, a camera of their room that moves alone agrees
+        # less
         timing = timing.in_step_but(differ)
         cameras = describe(timing)
         before, differ = differ, [clock.differs for clock in cameras]

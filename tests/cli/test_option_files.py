@@ -11,6 +11,8 @@ from mocap_calib.errors import MismatchError, MocapCalibError
 from mocap_calib.io.option_file import format_option, read_option_file
 from mocap_calib_cli import option_files
 from mocap_calib_cli.commands.run import command as run
+from mocap_calib_cli.inputs import calibration_request
+from mocap_calib_cli.options import SharedOptions
 from mocap_calib_cli.recordings import OF_RECORDINGS
 
 ROOT = Path(__file__).parents[2]
@@ -207,3 +209,27 @@ def test_the_page_says_what_holds(tmp_path):
     assert found["keypoints"] == (str(tmp_path / "keypoints"),)
     assert found["frame_offset"] == ("cam1:-3", "cam2:5")
     assert found["strict"] is True
+
+
+def request_of(folder: Path) -> None:
+    """Make of the options in a folder what `run` makes of them before it reads a recording."""
+    params = parse(folder, "-o", folder / "out", "--config", folder / "a.yaml").params
+    known = SharedOptions.__dataclass_fields__
+    shared = SharedOptions(**{name: params[name] for name in params if name in known})
+    calibration_request(shared, folder / "out")
+
+
+@pytest.mark.parametrize("value", ["9" * 5000, "[" * 5000, "1\n2"])
+@pytest.mark.parametrize(
+    "key",
+    ["image-size", "layout", "frame-offset", "resized", "sync-window", "height", "length"]
+    + ["camera-distance"],
+)
+def test_a_long_or_broken_value_is_refused_in_one_short_line(tmp_path, key, value):
+    (tmp_path / "a.yaml").write_text(json.dumps({key: value}), "utf-8")
+    with pytest.raises((MocapCalibError, click.ClickException)) as caught:
+        request_of(tmp_path)
+    error = caught.value
+    said = error.format_message() if isinstance(error, click.ClickException) else str(error)
+    assert "\n" not in said
+    assert len(said) < 1500

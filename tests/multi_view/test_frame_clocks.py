@@ -271,7 +271,10 @@ def test_a_camera_that_nobody_can_be_compared_with_has_no_evidence():
 
 @lru_cache
 def two_rooms(seed):
-    """Return a recording in step, and the bodies of cameras that see two people, four see each."""
+    """Return a recording in step, and the bodies that eight cameras of two rooms see.
+
+    Four cameras are in each room, with two people of its own.
+    """
     options = {"people": 2, "frames": 60, "fps": 10.0}
     rooms = [lifted(cameras=4, seed=seed + room, **options) for room in range(2)]
     order = np.random.default_rng(seed).permutation(8)
@@ -284,13 +287,13 @@ def two_rooms(seed):
 
 @pytest.mark.parametrize("seed", [0, 2, 4, 6])
 def test_people_of_another_room_accuse_no_clock(seed):
-    """Those of two rooms look alike at some offset, and cameras of a room differ together then."""
+    """The people of two rooms look alike at some offset; a whole room would seem to be late."""
     clocks = clocks_of(*two_rooms(seed))
     assert not [clock for clock in clocks.cameras if clock.differs]
 
 
 def test_cameras_that_differ_alike_do_not_vouch_for_each_other():
-    """Two cameras agree, two others too, and neither of the ones was compared with the others."""
+    """Two cameras agree, and so do two others, but nothing compares the two pairs."""
     time = np.arange(40)
     agree = np.eye(40, dtype=np.float32)[None]
     agreements = Agreements(views=4, found={}, values={(0, 1): agree, (2, 3): agree}, window=5)

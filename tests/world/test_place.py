@@ -199,6 +199,12 @@ def test_a_file_of_landmarks_without_any_is_refused(tmp_path):
         read_landmarks(tmp_path / "a.csv")
 
 
+def test_landmarks_with_a_torn_line_are_refused(tmp_path):
+    (tmp_path / "a.csv").write_bytes(b"name,x,y,z,camera,u,v\ncor\rner,0,0,0,cam1,1,2\n")
+    with pytest.raises(FormatError, match="expected a table of landmarks, found"):
+        read_landmarks(tmp_path / "a.csv")
+
+
 def test_a_file_of_cameras_that_nobody_recorded_is_refused_before_anything_is_computed():
     strangers = tuple(
         KnownCamera(f"other{k}", (1, 0, 0, 0, 1, 0, 0, 0, 1), (k, 0, 0)) for k in (0, 1)

@@ -2,6 +2,7 @@
 
 from mocap_calib.errors import MismatchError, suggest
 from mocap_calib.io.file import malformed
+from mocap_calib.wording import one_line
 
 _COCO = (
     "nose left_eye right_eye left_ear right_ear left_shoulder right_shoulder left_elbow "
@@ -78,7 +79,7 @@ def parse_layout(text: str) -> tuple[str, ...]:
     if len(names) < 2 or not all(names):
         raise MismatchError(
             f"expected a layout ({', '.join(LAYOUTS)}) or names of keypoints separated by commas, "
-            f"found {text}; {suggest(text, LAYOUTS)}"
+            f"found {one_line(text, 200)}; {suggest(text, LAYOUTS)}"
         )
     return names
 
