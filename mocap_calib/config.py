@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+SMALL_RIG = 17  # cameras: of up to so many nearly all see the same bodies
+
 LIFT_CONFIDENCE = 0.4  # of a view's best confidence: joints below it are hidden from the network
 LIFT_BEST_PERCENTILE = 90.0  # of a view's confidences: the view's best
 LIFT_UPRIGHT_SAMPLE = 128  # detections of a view that tell which way is down in its images
@@ -320,8 +322,7 @@ class ViewGraphConfig:
     """Which pairs of cameras are calibrated.
 
     pairs: one of `PAIR_CHOICES`.
-    pairs_of_camera: where all pairs are no more than so many for each camera, all are; of up to
-        17 cameras.
+    small_rig: of up to so many cameras all pairs are calibrated.
 
     What two views see in common, by the shapes of lifted bodies:
     frames: that are compared, and in how many shifts out of step.
@@ -340,7 +341,7 @@ class ViewGraphConfig:
     """
 
     pairs: PairChoice = "chosen"
-    pairs_of_camera: int = 8
+    small_rig: int = SMALL_RIG
     frames: int = 60
     shifts: int = 4
     axes: int = 12
@@ -353,11 +354,6 @@ class ViewGraphConfig:
     least_bridges: int = 6
     grown: int = 4
     rounds: int = 3
-
-    @property
-    def small_rig(self) -> int:
-        """Cameras up to which a rig is small: all its pairs are so many for each."""
-        return 2 * self.pairs_of_camera + 1
 
 
 @dataclass(frozen=True)
@@ -396,7 +392,7 @@ class AveragingConfig:
     contradicting_triangles: int = 5
     lost_share: float = 0.5
     lost_triangles: int = 3
-    few_cameras: int = 17
+    few_cameras: int = SMALL_RIG
     iterations: int = 30
 
 

@@ -54,6 +54,18 @@ def connected_parts(first: Ints, second: Ints, nodes: int) -> Ints:
     return (np.cumsum(lowest == np.arange(nodes)) - 1)[lowest]
 
 
+def fiedler_vector(weight: Floats) -> Floats:
+    """Return a number `[node]` for each node, near to those of the nodes that it is joined to.
+
+    The eigenvector of the second smallest eigenvalue of the graph's Laplacian (Fiedler 1973): its
+    signs cut the graph where it is weakest. Its own sign is arbitrary.
+
+    weight: `[node, node]` of the edges, symmetric; the diagonal does not count.
+    """
+    laplacian = np.diag(weight.sum(1)) - weight
+    return np.asarray(np.linalg.eigh(laplacian)[1][:, 1], dtype=np.float64)
+
+
 def assign(cost: Floats) -> tuple[Ints, Ints]:
     """Return the rows and the columns of the assignment of least total cost, as scipy's does.
 

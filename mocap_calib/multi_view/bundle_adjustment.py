@@ -9,6 +9,7 @@ from mocap_calib.compute.parallel import map_in_threads, single_threaded_librari
 from mocap_calib.config import AdjustConfig, Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
 from mocap_calib.geometry.lens import image_slopes
+from mocap_calib.geometry.view_blocks import order_by_views
 from mocap_calib.multi_view.doubt import doubtful_errors_repeat, names_of_groups, without_doubtful
 from mocap_calib.multi_view.efficiency import choose_loss_scale
 from mocap_calib.multi_view.freedom import Freedom, free_poses
@@ -210,8 +211,8 @@ def agreed_points(
     tolerant = replace(config.triangulate, outlier=outlier)
     points, used = triangulate_rays(rig, seen.rays, weight=weight, noise=noise, config=tolerant)
     known = np.flatnonzero(np.isfinite(points[0]))
-    # points that the same views see follow each other: a block of them can leave out other views
-    known = known[np.lexsort(used[:, known])]
+    # a block of points that the same views see can leave out the others
+    known = known[order_by_views(used[:, known])]
     shape = (len(frames), matches.individuals, len(recording.keypoints))
     frame, individual, keypoint = np.unravel_index(known, shape)
     confidence = weight[:, known] ** config.adjust.confidence_power

@@ -93,8 +93,10 @@ def constant_offsets(agreements: Agreements, least_frames: int) -> Ints:
         total = np.where(np.isfinite(table), table, 0.0).sum((0, 1))
         curves[pair] = np.where(known >= least_frames, total, 0.0)
     best, found = -np.inf, np.zeros(agreements.views, dtype=np.int64)
+    with_partners = [_curves_of(curves, view, agreements) for view in range(agreements.views)]
     for root in range(agreements.views):
-        offsets = _ascend(curves, _offsets_from(curves, root, agreements), agreements.window)
+        start = _offsets_from(curves, root, agreements)
+        offsets = _ascend(with_partners, start, agreements.window)
         total = sum(_at(curves[a, b], offsets[b] - offsets[a]) for a, b in sorted(curves))
         if total > best + 1e-9:
             best, found = total, offsets
@@ -112,18 +114,34 @@ def _offsets_from(curves: Mapping[Pair, Floats], root: int, agreements: Agreemen
     return offsets
 
 
-def _ascend(curves: Mapping[Pair, Floats], offsets: Ints, window: int) -> Ints:
-    """Return offsets `[view]` of which none can be changed alone for the better."""
+def _curves_of(
+    curves: Mapping[Pair, Floats], view: int, agreements: Agreements
+) -> tuple[Ints, Floats]:
+    """Return the partners of a view, and how well it agrees with each, `[partner, offset]`.
+
+    Offsets are those of the view's frames from the partner's, over all that `_ascend` asks for.
+    """
+    partners = [k for k in range(agreements.views) if (k, view) in curves or (view, k) in curves]
+    reach = 4 * agreements.window
+    table = np.zeros((len(partners), 2 * reach + 1))
+    inside = slice(reach - agreements.window, reach + agreements.window + 1)
+    for row, other in zip(table, partners, strict=True):
+        known = (other, view) in curves
+        row[inside] = curves[other, view] if known else curves[view, other][::-1]
+    return np.array(partners, dtype=np.int64), table
+
+
+def _ascend(with_partners: Sequence[tuple[Ints, Floats]], offsets: Ints, window: int) -> Ints:
+    """Return offsets `[view]` of which none can be changed alone for the better.
+
+    with_partners: of each view, see `_curves_of`.
+    """
     candidates = np.arange(-2 * window, 2 * window + 1)
     for _ in range(10):
         before = offsets.copy()
-        for view in range(len(offsets)):
-            total = np.zeros(len(candidates))
-            for a, b in sorted(curves):
-                if view == b:
-                    total += _at(curves[a, b], candidates - offsets[a])
-                elif view == a:
-                    total += _at(curves[a, b], offsets[b] - candidates)
+        for view, (partners, table) in enumerate(with_partners):
+            apart = candidates - offsets[partners, None]
+            total = np.take_along_axis(table, apart + table.shape[1] // 2, axis=1).sum(0)
             offsets[view] = candidates[total.argmax()]
         if np.array_equal(before, offsets):
             break

@@ -6,7 +6,6 @@ others make without it. Its errors over time tell the rest (`changes`).
 """
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -22,7 +21,7 @@ from mocap_calib.multi_view.changes import (
 )
 from mocap_calib.multi_view.labels import per_frame_labels
 from mocap_calib.multi_view.observed import Observed
-from mocap_calib.multi_view.placed import PlacedCameras, choose_frames, place_bodies
+from mocap_calib.multi_view.placed import Look, PlacedCameras, choose_frames, place_bodies
 from mocap_calib.multi_view.refinement import adjust_until_stable
 from mocap_calib.multi_view.resection import CameraPoses, Sightings, sightings_of
 from mocap_calib.multi_view.rig_covariance import rig_size
@@ -71,9 +70,7 @@ def find_moved_cameras(observed: Observed, group: GroupResult, config: Config) -
     if len(group.rig) <= 2:
         return ()
     observed, all_views = PlacedCameras.of_group(observed, group, config)
-    judge = partial(_judge_by_all, observed, all_views, config=config)
-    judged_views = map_in_threads(judge, range(len(group.rig)))
-    found = [judged for judged in judged_views if judged is not None]
+    found = _judge_by_all(observed, all_views, config)
     found.sort(key=lambda judged: -judged.gain)
     again = [
         judged
@@ -86,27 +83,47 @@ def find_moved_cameras(observed: Observed, group: GroupResult, config: Config) -
     return _describe_changes(observed, group, moved, config)
 
 
-def _judge_by_all(
-    observed: Observed, placed: PlacedCameras, view: int, *, config: Config
-) -> _Judged | None:
-    """Return a view by the bodies of the present rig, None where nothing speaks for a change."""
-    others = np.delete(np.arange(len(placed.rig)), view)
-    start = CameraPoses(placed.rig.rotation[[view]], placed.rig.translation[[view]])
+def _judge_by_all(observed: Observed, placed: PlacedCameras, config: Config) -> list[_Judged]:
+    """Return the views that changes explain, by the bodies of the present rig.
 
-    def look_at(detections: int) -> tuple[Ints, Sightings]:
-        """Return some frames, and what the view saw there."""
+    All that stand out at a glance are looked at.
+    """
+
+    def look_at(detections: int) -> Look:
+        """Return a look at frames with about so many detections a view."""
         frames = choose_frames(observed.sample, detections, config)
-        bodies = place_bodies(observed.sample, placed, frames, config, without=view)
-        rays = observed.sample.rays[view][frames]
-        return frames, sightings_of(rays, bodies, config.moved.least_joints)
+        return Look.at(observed.sample, placed, frames)
 
-    _, glance = look_at(config.moved.glanced_detections)
-    if not stands_out(start, glance, config.moved):
-        return None
-    looked_at = look_at(config.moved.detections)
-    return _judge(
-        observed, view, others=(others, placed), start=start, looked_at=looked_at, config=config
-    )
+    def see(view: int, look: Look) -> Sightings:
+        """Return what a view saw of the bodies that the others place."""
+        bodies = look.place(placed, config, without=view)
+        rays = observed.sample.rays[view][look.frames]
+        return sightings_of(rays, bodies, config.moved.least_joints)
+
+    def pose_of(view: int) -> CameraPoses:
+        """Return where the rig has a view."""
+        return CameraPoses(placed.rig.rotation[[view]], placed.rig.translation[[view]])
+
+    def glance_at(view: int) -> bool:
+        """Return whether a view stands out."""
+        return stands_out(pose_of(view), see(view, glance), config.moved)
+
+    def judge(view: int) -> _Judged | None:
+        """Return a view with what explains its changes, None where nothing speaks for any."""
+        others = np.delete(np.arange(len(placed.rig)), view)
+        return _judge(
+            observed,
+            view,
+            others=(others, placed),
+            start=pose_of(view),
+            looked_at=(look.frames, see(view, look)),
+            config=config,
+        )
+
+    glance, views = look_at(config.moved.glanced_detections), range(len(placed.rig))
+    suspects = np.flatnonzero(list(map_in_threads(glance_at, views))).tolist()
+    look = look_at(config.moved.detections) if suspects else glance
+    return [judged for judged in map_in_threads(judge, suspects) if judged is not None]
 
 
 def _judge_by_others(

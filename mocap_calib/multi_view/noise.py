@@ -14,11 +14,11 @@ from mocap_calib.config import TriangulateConfig
 from mocap_calib.geometry.intersection import intersect
 from mocap_calib.geometry.point_covariance import median_angles
 from mocap_calib.geometry.rays import ray_angles, rays_in_world
+from mocap_calib.geometry.view_blocks import ViewBlock, view_blocks
 from mocap_calib.multi_view.observations import (
     Observations,
     gather_observations,
     labelled_frames,
-    point_blocks,
 )
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Matches, Recording
@@ -115,18 +115,24 @@ def measure_errors(
 def _measure_angles(
     rig: CameraRig, seen: Observations, config: TriangulateConfig
 ) -> tuple[Floats, Floats, Bools]:
-    """Return points `[3, N]`, their angles to the rays `[view, N]`, and which of these count."""
+    """Return points `[3, N]`, their angles to the rays `[view, N]`, and which of these count.
 
-    def measure(some: slice) -> tuple[Floats, Floats]:
-        """Return points and angles of a block."""
-        rays = seen.rays[..., some]
-        precision = seen.confidence[:, some] / config.unknown_noise**2
-        points = intersect(rig, rays_in_world(rig, rays), precision)
-        return points, ray_angles(rig, points, rays)[0]
-
-    measured = map_in_threads(measure, point_blocks(seen.confidence.shape[1]))
-    points, angle = (np.concatenate(parts, axis=1) for parts in zip(*measured, strict=True))
+    An angle is pi where nothing is seen.
+    """
     present = seen.confidence > 0
+    points, angle = np.full((3, present.shape[1]), np.nan), np.full(present.shape, np.pi)
+
+    def measure(block: ViewBlock) -> tuple[Floats, Floats]:
+        """Return points and angles of a block."""
+        own, rays = rig.select(block.views), block.take(seen.rays)
+        precision = block.take(seen.confidence) / config.unknown_noise**2
+        points = intersect(own, rays_in_world(own, rays), precision)
+        return points, ray_angles(own, points, rays)[0]
+
+    blocks = view_blocks(present)
+    for block, (found, measured) in zip(blocks, map_in_threads(measure, blocks), strict=True):
+        points[:, block.points] = found
+        block.put(measured, angle)
     enough = present.sum(0) >= min(3, len(rig.cameras))
     return points, angle, present & np.isfinite(points[0]) & enough
 

@@ -9,9 +9,6 @@ from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.geometry import lens
 from mocap_calib.types import Camera, Floats, Ints, Matches, Recording
 
-# Points at a time: enough that calls cost little beside, few enough for the cache
-POINT_BLOCK = 8192
-
 
 @dataclass(frozen=True)
 class Observations:
@@ -68,11 +65,6 @@ def observe(cameras: Sequence[Camera], pixels: Floats, confidence: Floats) -> Ob
 def _unproject(seen: tuple[Camera, Floats]) -> Floats:
     """Return the rays `[3, N]` of what a camera saw, pixels `[2, N]`."""
     return lens.unproject(*seen)
-
-
-def point_blocks(count: int) -> list[slice]:
-    """Return the blocks of so many points that are worked on at a time, one at least."""
-    return [slice(start, start + POINT_BLOCK) for start in range(0, max(count, 1), POINT_BLOCK)]
 
 
 def labelled_frames(matches: Matches) -> Ints:

@@ -11,7 +11,7 @@ from copy import deepcopy
 import numpy as np
 
 from mocap_calib.config import AveragingConfig, Config, ViewGraphConfig
-from mocap_calib.geometry.graphs import connected_parts
+from mocap_calib.geometry.graphs import connected_parts, fiedler_vector
 from mocap_calib.multi_view.covisibility import measure_covisibility
 from mocap_calib.multi_view.loops import pairs_in_closed_triangles
 from mocap_calib.multi_view.view_graph import select_hypotheses
@@ -144,7 +144,7 @@ def _weak_parts(confirmed: Bools, config: ViewGraphConfig) -> list[Bools]:
     """Return the parts of a graph, `[view]` each, that too few edges join to the rest.
 
     The parts that nothing joins. Where all is connected, the half on one side of the weakest cut,
-    as its Fiedler vector tells (Fiedler 1973).
+    as its Fiedler vector tells.
     """
     first, second = np.nonzero(confirmed)
     part = connected_parts(first, second, len(confirmed))
@@ -152,8 +152,7 @@ def _weak_parts(confirmed: Bools, config: ViewGraphConfig) -> list[Bools]:
     if len(sizes) > 1:
         several = np.flatnonzero(sizes > 1)
         return [part == number for number in several if sizes[number] < len(part)]
-    laplacian = np.diag(confirmed.sum(1)) - confirmed.astype(np.float64)
-    inside: Bools = np.asarray(np.linalg.eigh(laplacian)[1][:, 1] > 0)
+    inside: Bools = np.asarray(fiedler_vector(confirmed.astype(np.float64)) > 0)
     bridges = confirmed[inside][:, ~inside].sum()
     return [inside] if bridges < config.least_bridges else []
 

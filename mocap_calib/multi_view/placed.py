@@ -7,7 +7,7 @@ import numpy as np
 from mocap_calib.config import Config
 from mocap_calib.multi_view.labels import per_frame_labels
 from mocap_calib.multi_view.noise import view_noise
-from mocap_calib.multi_view.observations import gather_observations
+from mocap_calib.multi_view.observations import Observations, gather_observations
 from mocap_calib.multi_view.observed import Observed
 from mocap_calib.multi_view.triangulation import triangulate_rays
 from mocap_calib.recording.sampling import evenly_spaced
@@ -69,6 +69,38 @@ def choose_frames(sample: Sample, wanted: int, config: Config) -> Ints:
     return evenly_spaced(np.arange(len(sample.frames)), count)
 
 
+@dataclass(frozen=True)
+class Look:
+    """What all views saw of the bodies of some frames.
+
+    frames: `[frame]` indices. keypoints: of a body. seen: the detections.
+    """
+
+    frames: Ints
+    keypoints: int
+    seen: Observations
+
+    @classmethod
+    def at(cls, recording: Recording, placed: PlacedCameras, frames: Ints) -> "Look":
+        """Return a look at some frames (indices)."""
+        seen = gather_observations(recording, placed.matches, frames)
+        return cls(frames, len(recording.keypoints), seen)
+
+    def place(self, placed: PlacedCameras, config: Config, without: int | None = None) -> Floats:
+        """Return the bodies `[frame, body, joint, 3]`, NaN = missing.
+
+        without: a view whose rays do not count.
+        """
+        weight = self.seen.confidence.copy()
+        if without is not None:
+            weight[without] = 0.0
+        points, _ = triangulate_rays(
+            placed.rig, self.seen.rays, weight=weight, noise=placed.noise, config=config.triangulate
+        )
+        shape = len(self.frames), placed.matches.individuals, self.keypoints
+        return points.T.reshape(*shape, 3)
+
+
 def place_bodies(
     recording: Recording,
     placed: PlacedCameras,
@@ -80,11 +112,4 @@ def place_bodies(
 
     without: a view whose rays do not count.
     """
-    seen = gather_observations(recording, placed.matches, frames)
-    weight = seen.confidence.copy()
-    if without is not None:
-        weight[without] = 0.0
-    points, _ = triangulate_rays(
-        placed.rig, seen.rays, weight=weight, noise=placed.noise, config=config.triangulate
-    )
-    return points.T.reshape(len(frames), placed.matches.individuals, len(recording.keypoints), 3)
+    return Look.at(recording, placed, frames).place(placed, config, without)

@@ -8,7 +8,11 @@ from mocap_calib.config import Config, DiagnosisConfig
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.multi_view.camera_fit import CameraPose, Seen, Unknown, fit_camera
 from mocap_calib.multi_view.noise import view_noise
-from mocap_calib.multi_view.observations import gather_observations, labelled_frames
+from mocap_calib.multi_view.observations import (
+    Observations,
+    gather_observations,
+    labelled_frames,
+)
 from mocap_calib.multi_view.observed import Observed
 from mocap_calib.multi_view.triangulation import triangulate_rays
 from mocap_calib.recording.mending import exchanged_sides
@@ -170,7 +174,7 @@ def _hold_against_others(
     exchanged = np.zeros(views)
     keypoints = len(sample.keypoints)
     for view, camera in enumerate(rig.cameras):
-        others = seen.confidence.copy()
+        others = np.where(_detections_of(seen, view, keypoints), seen.confidence, 0.0)
         others[view] = 0.0
         points, _ = triangulate_rays(
             rig, seen.rays, weight=others, noise=noise, config=config.triangulate
@@ -196,6 +200,12 @@ def _hold_against_others(
         significance[view] = fit.significance if much else 0.0
     others_angle = np.array([_median_of_known(np.delete(angles, v)) for v in range(views)])
     return np.nan_to_num(angles / others_angle, nan=np.inf), exchanged, significance
+
+
+def _detections_of(seen: Observations, view: int, keypoints: int) -> Bools:
+    """Return `[N]` whether a view sees anything of the body that each point is of."""
+    bodies = np.isfinite(seen.pixels[view, 0]).reshape(-1, keypoints).any(1)
+    return np.repeat(bodies, keypoints)
 
 
 def _exchanged_share(

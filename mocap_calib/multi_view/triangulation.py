@@ -14,13 +14,9 @@ from mocap_calib.geometry import lens
 from mocap_calib.geometry.intersection import intersect
 from mocap_calib.geometry.point_covariance import point_covariance
 from mocap_calib.geometry.rays import are_apart, ray_angles, rays_in_world
+from mocap_calib.geometry.view_blocks import POINT_BLOCK, ViewBlock, view_blocks
 from mocap_calib.multi_view.noise import view_noise
-from mocap_calib.multi_view.observations import (
-    POINT_BLOCK,
-    Observations,
-    gather_observations,
-    point_blocks,
-)
+from mocap_calib.multi_view.observations import Observations, gather_observations
 from mocap_calib.types import (
     Bools,
     CameraRig,
@@ -193,19 +189,30 @@ def triangulate_rays(
     A point is NaN where fewer than two views agree on it and have it in front of them, or where
     they see it from almost the same side.
     """
-    work = partial(_triangulate_some, rig=rig, noise=noise, config=config)
-    blocks = point_blocks(weight.shape[1])
-    points, used = zip(
-        *map_in_threads(work, ((rays[..., some], weight[:, some]) for some in blocks)), strict=True
-    )
-    return np.concatenate(points, axis=1), np.concatenate(used, axis=1)
+    points = np.full((3, weight.shape[1]), np.nan)
+    used = np.zeros(weight.shape, dtype=bool)
+
+    def work(block: ViewBlock) -> tuple[Floats, Bools]:
+        """Return the points of a block, and the views that agree on them."""
+        return _triangulate_some(
+            rig.select(block.views),
+            block.take(rays),
+            weight=block.take(weight),
+            noise=noise[block.views],
+            config=config,
+        )
+
+    blocks = view_blocks(weight > 0)
+    for block, (found, agree) in zip(blocks, map_in_threads(work, blocks), strict=True):
+        points[:, block.points] = found
+        block.put(agree, used)
+    return points, used
 
 
 def _triangulate_some(
-    seen: tuple[Floats, Floats], *, rig: CameraRig, noise: Floats, config: TriangulateConfig
+    rig: CameraRig, rays: Floats, *, weight: Floats, noise: Floats, config: TriangulateConfig
 ) -> tuple[Floats, Bools]:
-    """Return what `triangulate_rays` does; seen: rays and weight."""
-    rays, weight = seen
+    """Return what `triangulate_rays` does, all points at once."""
     known = np.where(np.isfinite(rays[:, 0]), weight, 0.0)
     world = rays_in_world(rig, rays)
     points = intersect(rig, world, known / noise[:, None] ** 2)

@@ -70,6 +70,26 @@ def test_any_two_or_three_views_of_a_large_rig_will_do(views):
     np.testing.assert_allclose(found.T, np.broadcast_to(point, (len(subsets), 3)), atol=1e-4)
 
 
+def test_a_large_rig_triangulates_as_its_parts_do():
+    """Its blocks leave out views that see nothing of them; measured 2e-10 m apart."""
+    rig, rng = ring(40), np.random.default_rng(3)
+    points = rng.uniform(-1, 1, (1500, 3)) + [0, 0, 1]
+    first = rng.integers(0, 40, 1500)  # each point is seen by eight views that follow each other
+    rays, weight = rays_to(rig, points), np.zeros((40, 1500))
+    for k in range(8):
+        weight[(first + k) % 40, np.arange(1500)] = 1.0
+    rays += rng.normal(0, 1e-3, rays.shape)
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    found, used = meet(rig, rays, weight=weight)
+    assert not used[weight == 0].any()
+    assert used.sum() > 0.95 * weight.sum()
+    for start in range(40):
+        own, views = first == start, (start + np.arange(8)) % 40
+        alone, agree = meet(rig.select(views), rays[views][..., own])
+        np.testing.assert_allclose(found[:, own], alone, atol=1e-9)
+        np.testing.assert_array_equal(used[np.ix_(views, own)], agree)
+
+
 def test_one_outlying_view_is_found_and_left_out():
     rig, points = ring(4), np.random.default_rng(1).uniform(-1, 1, (300, 3)) + [0, 0, 1]
     rays = rays_to(rig, points)
