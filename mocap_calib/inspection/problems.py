@@ -19,6 +19,7 @@ from mocap_calib.recording.meanings import (
     unshared_keypoints,
 )
 from mocap_calib.recording.pairing import check_pixels
+from mocap_calib.recording.repeated import find_repeated
 from mocap_calib.recording.sampling import choose_sample_frames
 from mocap_calib.recording.synchronise import (
     check_joints,
@@ -146,6 +147,15 @@ def _find_weaknesses(view: Keypoints2D, config: InspectConfig) -> list[Finding]:
     if not len(scores):
         return []
     found = []
+    twice = int(find_repeated(view.positions).sum())
+    if twice:
+        found.append(
+            warning(
+                f"{view.camera}: {twice} of {seen_points(view).any(-1).sum()} detections repeat "
+                "another one of their frame, so they will be left out; "
+                "check whether the detector, or a conversion, wrote bodies twice"
+            )
+        )
     if np.median(scores) < config.low_confidence:
         found.append(
             warning(

@@ -16,6 +16,7 @@ from mocap_calib.recording.copies import check_copies
 from mocap_calib.recording.joints import normalise_name
 from mocap_calib.recording.meanings import keypoint_meanings, shared_keypoints
 from mocap_calib.recording.pairing import match_cameras, pair_with_cameras
+from mocap_calib.recording.repeated import find_repeated
 from mocap_calib.types import (
     Bools,
     Camera,
@@ -74,9 +75,10 @@ def make_recording(
     """Join keypoint files and cameras to a recording.
 
     Views come in the order of `cameras`; cameras without a keypoint file or without any detection
-    are left out. Frames are those that two views have. Keypoints are those that two views name: a
-    name counts as the joint of the `skeleton` that it means, after `aliases` (own name -> joint)
-    were applied. Each view's confidence is scaled to 0..1 by itself.
+    are left out, and so is what a file has twice (`find_repeated`). Frames are those that two views
+    have. Keypoints are those that two views name: a name counts as the joint of the `skeleton` that
+    it means, after `aliases` (own name -> joint) were applied. Each view's confidence is scaled to
+    0..1 by itself.
 
     Raises MismatchError where the files do not belong together.
     """
@@ -250,7 +252,7 @@ def _fill_view(
         target = np.ix_(np.searchsorted(frames, view.frames[rows]), instances, columns[used])
         seen = view.positions[rows][:, :, used].astype(np.float32)
         scaled = (view.confidence[rows][:, :, used] / largest).clip(0.0, 1.0)
-        missing: Bools = np.asarray(~np.isfinite(seen).all(axis=-1))
+        missing: Bools = ~np.isfinite(seen).all(axis=-1) | find_repeated(seen)[..., None]
         positions[target] = np.where(missing[..., None], np.nan, seen)
         confidence[target] = np.where(missing, 0.0, scaled)
 

@@ -33,8 +33,15 @@ def sinkhorn(affinity: Floats, *, dummy: float) -> Floats:
 def mutual_best(weight: Floats, *, least: float) -> Bools:
     """Return where a weight is the largest of its row and of its column, and above `least`.
 
+    Nobody is matched twice: of equal weights, as of a detection that a file has twice, the first
+    counts.
+
     weight: `[..., I, J]`. Returns `[..., I, J]`.
     """
     best_of_row = weight == weight.max(-1, keepdims=True)
     best_of_column = weight == weight.max(-2, keepdims=True)
-    return (weight > least) & best_of_row & best_of_column
+    matched: Bools = (weight > least) & best_of_row & best_of_column
+    for axis in (-1, -2):
+        if (matched.sum(axis) > 1).any():
+            matched &= matched.cumsum(axis) == 1
+    return matched

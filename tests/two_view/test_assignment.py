@@ -34,3 +34,12 @@ def test_what_is_not_known_matches_nobody():
     affinity = np.array([[np.nan, 0.9], [0.8, 0.2]])
     expected = sinkhorn(np.nan_to_num(affinity), dummy=0.2)
     np.testing.assert_array_equal(sinkhorn(affinity, dummy=0.2), expected)
+
+
+def test_nobody_is_matched_twice_where_weights_tie():
+    """As of a detection that a file has twice: its second row or column matches nobody."""
+    affinity = np.array([[0.9, 0.9, 0.1], [0.1, 0.1, 0.8], [0.1, 0.1, 0.8]])
+    matched = mutual_best(sinkhorn(affinity, dummy=0.2), least=0.05)
+    assert matched.tolist() == [[True, False, False], [False, False, True], [False] * 3]
+    both = mutual_best(np.full((4, 2, 2), 0.5), least=0.2)
+    np.testing.assert_array_equal(both, np.tile([[True, False], [False, False]], (4, 1, 1)))
