@@ -35,6 +35,8 @@ PERMUTED = (
     "joints of one camera",
 )
 PERMUTED_FPS = 5.0  # bodies are elsewhere in most of the other frames then
+THICKNESS = (0.0, 0.02)  # of what lies in a plane, as a share of what it was
+SIMULATED = 9  # of the seeds of sound scenes
 PARTS = ((2, 2), (3, 1), (3, 2), (3, 3))  # cameras of recordings that have nothing in common
 
 
@@ -73,7 +75,7 @@ class Files:
 def simulated_cases(count: int) -> Iterator[Case]:
     """Yield sound recordings of all sorts: cameras, subjects, kinds, noise, length."""
     for number in range(count):
-        rng = np.random.default_rng([number, len(KINDS)])
+        rng = np.random.default_rng([number, SIMULATED])
         yield Case(f"simulated-{number}", "simulated", partial(any_scene, rng))
 
 
@@ -136,6 +138,18 @@ def static(rng: np.random.Generator, number: int) -> Files:
         first = np.zeros(FRAMES, int)
         return files.change(lambda view: blur(rng, show(view, first), STILL_NOISE_PX))
     return files
+
+
+def flat(rng: np.random.Generator, number: int) -> Files:
+    """Return a recording in which all that is seen lies in a plane, or nearly."""
+    config = choose_scene(rng, subjects=(1, 2))
+    scene = simulate(config)
+    normal = rng.normal(size=3)
+    normal /= np.linalg.norm(normal)
+    off = scene.poses - np.nanmean(scene.poses, axis=(0, 1, 2))
+    share = 1 - THICKNESS[number % len(THICKNESS)]
+    poses = scene.poses - share * (off @ normal)[..., None] * normal
+    return Files(film(rng, scene.rig, scene, poses, config.noise_px), (scene.rig,))
 
 
 def facing_pair(rng: np.random.Generator, number: int) -> Files:
@@ -225,6 +239,7 @@ KINDS: dict[str, Callable[[np.random.Generator, int], Files]] = {
     "noise only": noise_only,
     "permuted": permuted,
     "unrelated": unrelated,
+    "flat": flat,
 }
 
 

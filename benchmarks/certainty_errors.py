@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.config import EPOCH_MARK
+from mocap_calib.geometry.gauge import rig_change
 from mocap_calib.geometry.rotation import angle_between, nearest_rotation
-from mocap_calib.multi_view.rig_covariance import rig_change
 from mocap_calib.types import CameraRig, Floats, GroupResult
 
 

@@ -21,9 +21,9 @@ from recordings import NAMES
 import mocap_calib as mc
 from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError
+from mocap_calib.geometry.gauge import rig_size
 from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.multi_view.rig_covariance import rig_size
 from mocap_calib.multi_view.verify import verify_rig
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
 from mocap_calib.recording.synchronise import hide_blind_spots

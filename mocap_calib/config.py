@@ -745,7 +745,8 @@ class VerdictConfig:
     fails_of_none: int = 5
     # limits of the checks
     least_moments: int = 10
-    held_out: float = 1.3  # times the errors in the frames that the rig was made of
+    held_out: float = 1.15  # times the errors that frames have in a rig that was made with them
+    flat: float = 20.0  # times as wide as thick is all that was seen
     bones: float = 0.3  # share by which the steadiest distances on a body vary
     broken_loops: float = 0.75  # share of the pairs of cameras
     bridge: float = 1.4  # times by which the worst pair that connects cameras is below the others

@@ -114,7 +114,7 @@ def test_what_is_wrong_with_a_camera_is_in_its_faults():
         weak_perspective=np.array([False, False, True, True]),
     )
     found = replace(found, uncertainty=uncertainty)
-    found = judge_group(found, Config(), used_frames=np.arange(len(found.recording.frames)))
+    found = judge_group(found, Config())
     result = CalibrationResult(
         groups=(found,), left_out=(), unused_pairs=(), clocks=Clocks.of_one(found.recording)
     )
@@ -157,19 +157,18 @@ def test_every_finding_of_a_report_is_said_in_one_place():
         assert rows_of(report)[0]["faults"] == word
         assert len(describe_group(report, Path("out"))) == len(sound) + lines, worst
         entry.update(before)
-    frames = np.arange(len(found.recording.frames))
     for change, reason in (
         ({"converged": False}, "did not come to an end"),
         ({"depth_reversed_rig": found.rig}, "a rig reversed in depth fits as well"),
     ):
         changed = replace(found, adjusted=replace(found.adjusted, **change))
-        reasons = judge_group(changed, Config(), used_frames=frames).reasons
+        reasons = judge_group(changed, Config()).reasons
         assert len([each for each in reasons if reason in each]) == 1
     wrong = np.array([False, True, False, False])
     uncertainty = replace(
         found.uncertainty, wrong_focal=wrong, focal_change=0.04 * wrong, focal_sigma=0.01 * wrong
     )
-    judged = judge_group(replace(found, uncertainty=uncertainty), Config(), used_frames=frames)
+    judged = judge_group(replace(found, uncertainty=uncertainty), Config())
     assert judged.reasons[0].startswith("cam2 +4.0% (+- 1.0%): fits better with the focal length")
 
 

@@ -1,9 +1,8 @@
 """The same seed gives the same cameras elsewhere: with other sums of the linear algebra library,
 without compiled kernels, and on the other versions of Python.
 
-Deviations measured on six real recordings, in units of the rig: 6e-8 at most between kernels of
-OpenBLAS (Prescott, Nehalem, Haswell, SkylakeX); none between versions of Python. A seventh,
-mvor_openpose, whose pairs nearly tie, differs by 0.06 between kernels.
+Deviations measured on seven real recordings, in units of the rig: 8e-8 at most between kernels of
+OpenBLAS (Prescott, Nehalem, Haswell, SkylakeX); none between versions of Python.
 """
 
 import os

@@ -9,6 +9,7 @@ import numpy as np
 
 from mocap_calib.config import EPOCH_MARK
 from mocap_calib.errors import FormatError, MismatchError
+from mocap_calib.geometry.gauge import rig_size
 from mocap_calib.html_report.page import report_page
 from mocap_calib.html_report.source import Reference, ReportSource, Seen
 from mocap_calib.io.atomic import write_bytes
@@ -23,7 +24,6 @@ from mocap_calib.io.results.run_json import read_run_json
 from mocap_calib.job.load import load_recording
 from mocap_calib.job.request import KeypointSource
 from mocap_calib.job.results import name_results
-from mocap_calib.multi_view.rig_covariance import rig_size
 from mocap_calib.recording.epochs import own_names, views_by_camera
 from mocap_calib.recording.mending import Mirrored, Moved, Sides, apply_mends
 from mocap_calib.recording.retiming import clocks_of_rig, retime

@@ -14,6 +14,7 @@ import numpy as np
 
 from mocap_calib.config import ScaleCue, WorldConfig
 from mocap_calib.errors import MismatchError
+from mocap_calib.geometry.gauge import rig_size
 from mocap_calib.io.atomic import numbered_file, replace_folder, replace_text
 from mocap_calib.io.cameras.own import SUBFRAME
 from mocap_calib.io.cameras.read import read_rig
@@ -26,7 +27,6 @@ from mocap_calib.io.results.poses_csv import poses_csv
 from mocap_calib.io.results.poses_h5 import write_poses_h5
 from mocap_calib.io.results.stored import provenance_of_cameras, provenance_of_poses
 from mocap_calib.io.world_fields import world_fields
-from mocap_calib.multi_view.rig_covariance import rig_size
 from mocap_calib.types import ARBITRARY, CameraRig, World
 from mocap_calib.wording import count
 from mocap_calib.world.body import find_joints, keep_triangulated

@@ -15,14 +15,11 @@ from mocap_calib.multi_view.labels import matched_share
 from mocap_calib.multi_view.observations import labelled_frames
 from mocap_calib.multi_view.view_graph import best_scores
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.types import Check, Floats, GroupResult, Ints
+from mocap_calib.types import Check, Floats, GroupResult
 
 
-def check_rig(group: GroupResult, config: Config, *, used_frames: Ints) -> tuple[Check, ...]:
-    """Return all checks of the rig of a group.
-
-    used_frames: `[frame]` indices of the frames that the rig was made of.
-    """
+def check_rig(group: GroupResult, config: Config) -> tuple[Check, ...]:
+    """Return all checks of the rig of a group."""
     limits, left = config.verdict, Leftover.of(group)
     of_cameras = {
         "pair score": (_lack_of_score(group, config), 0.0),
@@ -35,7 +32,8 @@ def check_rig(group: GroupResult, config: Config, *, used_frames: Ints) -> tuple
     return (
         Check("convergence", 0.0 if group.adjusted.converged else 1.0, 0.0),
         Check("moments", limits.least_moments / max(len(labelled_frames(group.matches)), 1), 1.0),
-        Check("held-out frames", _held_out(group, used_frames), limits.held_out),
+        Check("held-out frames", group.uncertainty.held_out, limits.held_out),
+        Check("flat", _flatness(group.poses.positions), limits.flat),
         Check("bones", _bones(group.poses.positions), limits.bones),
         Check("loops", _broken_loops(group, config), limits.broken_loops),
         Check("bridge", _weakest_bridge(group), limits.bridge),
@@ -54,15 +52,22 @@ def _of_worst(name: str, values: Floats, limit: float, *, group: GroupResult) ->
 # Of the whole rig
 
 
-def _held_out(group: GroupResult, used_frames: Ints) -> float:
-    """Return the error in frames that were never used, in errors of those that were."""
-    error = group.poses.error
-    never = np.setdiff1d(np.arange(len(error)), used_frames)
-    parts = [mapped.finite_values(mapped.take(error, frames)) for frames in (never, used_frames)]
-    if not all(len(part) for part in parts):
+def _flatness(positions: Floats) -> float:
+    """Return how many times as wide as thick all is that was seen, together.
+
+    positions: `[frame, individual, keypoint, 3]`. The width is across the longest direction, as
+    bodies may walk along a line; both are RMS. A tenth of the points, those farthest out, does not
+    count: some are wrong. NaN where there are fewer than four.
+    """
+    frames = evenly_spaced(np.arange(len(positions)), 300)
+    points = mapped.take(positions, frames).reshape(-1, 3)
+    points = points[np.isfinite(points[:, 0])]
+    if len(points) < 4:
         return np.nan
-    first, second = (np.median(part, overwrite_input=True) for part in parts)
-    return float(first / second)
+    distance = np.linalg.norm(points - np.median(points, axis=0), axis=1)
+    near = points[distance <= np.quantile(distance, 0.9)]
+    _, width, thickness = np.linalg.svd(near - near.mean(0), compute_uv=False)
+    return float(width / max(thickness, 1e-12 * width)) if width > 0 else np.nan
 
 
 def _bones(positions: Floats) -> float:

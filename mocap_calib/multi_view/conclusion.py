@@ -64,7 +64,7 @@ def conclude(
         time_offsets=offsets,
     )
     with clock("verdict"):
-        group = judge_group(group, config, used_frames=observed.sample_frames)
+        group = judge_group(group, config)
     return replace(group, seconds=clock.seconds)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from mocap_calib.config import Config, DiagnosisConfig
 from mocap_calib.errors import DegenerateError
+from mocap_calib.geometry.gauge import changed_rig
 from mocap_calib.multi_view.association import associate
 from mocap_calib.multi_view.averaging import average
 from mocap_calib.multi_view.observations import labelled_frames
@@ -14,7 +15,7 @@ from mocap_calib.multi_view.observed import Observed, leave_out_underconstrained
 from mocap_calib.multi_view.pair_choice import takes_all_pairs
 from mocap_calib.multi_view.placed import PlacedCameras, place_bodies
 from mocap_calib.multi_view.refinement import adjust_until_stable
-from mocap_calib.multi_view.rig_covariance import changed_rig, rig_covariance
+from mocap_calib.multi_view.rig_covariance import rig_covariance
 from mocap_calib.multi_view.view_graph import camera_groups
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import CameraRig, Floats, Ints, RigCovariance, Sample, silent

@@ -12,6 +12,7 @@ import numpy as np
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import Config, MovedConfig
 from mocap_calib.errors import DegenerateError
+from mocap_calib.geometry.gauge import rig_size
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.multi_view.changes import (
     Epochs,
@@ -24,7 +25,6 @@ from mocap_calib.multi_view.observed import Observed
 from mocap_calib.multi_view.placed import Look, PlacedCameras, choose_frames, place_bodies
 from mocap_calib.multi_view.refinement import adjust_until_stable
 from mocap_calib.multi_view.resection import CameraPoses, Sightings, sightings_of
-from mocap_calib.multi_view.rig_covariance import rig_size
 from mocap_calib.recording.epochs import own_name
 from mocap_calib.recording.mending import Moved
 from mocap_calib.recording.sampling import evenly_spaced, take_sample

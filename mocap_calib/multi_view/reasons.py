@@ -20,8 +20,14 @@ MEANING = {
         "record longer",
     ),
     "held-out frames": (
-        "errors are {value:.2f} times as large in frames that were not used",
-        "check that the cameras stayed where they are",
+        "errors are {value:.2f} times as large in a fifth of the recording that the rig was made "
+        "without",
+        "check that the cameras stayed where they are, and record longer",
+    ),
+    "flat": (
+        "all that was seen lies nearly in one plane, {value:.0f} times as wide as thick: another "
+        "rig may fit as well",
+        "let the subject rise, jump or tilt, or measure the distance of two cameras to check it",
     ),
     "bones": (
         "distances on bodies vary by {value:.0%} at least",

@@ -15,9 +15,9 @@ import numpy as np
 from scipy.special import chdtrc, fdtrc
 
 from mocap_calib.config import Config
+from mocap_calib.geometry.gauge import gauge_of, rig_change
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.multi_view.evaluation import lay_over
-from mocap_calib.multi_view.rig_covariance import gauge_of, rig_change
 from mocap_calib.records import Record
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, RigCovariance
 

@@ -17,17 +17,13 @@ import numpy as np
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config, UncertaintyConfig
 from mocap_calib.errors import DegenerateError
+from mocap_calib.geometry.gauge import project_out_similarity, rig_change, rig_size
 from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.multi_view.bundle_adjustment import adjust_once
 from mocap_calib.multi_view.fit import find_outlier_cameras, find_weak_perspective, measure_fit
 from mocap_calib.multi_view.intrinsics import FreeFocal, free_focal_lengths, shared_intrinsics
 from mocap_calib.multi_view.observations import labelled_frames
-from mocap_calib.multi_view.rig_covariance import (
-    project_out_similarity,
-    rig_change,
-    rig_covariance,
-    rig_size,
-)
+from mocap_calib.multi_view.rig_covariance import covariance_and_held_out
 from mocap_calib.multi_view.wrong_focal import find_wrong_focal
 from mocap_calib.recording.sampling import with_cameras
 from mocap_calib.types import (
@@ -54,7 +50,7 @@ def assess_uncertainty(
     A few moments accuse no camera.
     """
     fit = measure_fit(sample, rig, matches, config)
-    covariance = rig_covariance(sample, rig, matches, config, seed=seed)
+    covariance, held_out = covariance_and_held_out(sample, rig, matches, config, seed=seed)
     free = _free_focal(sample, rig, matches, config)
     off = _intrinsics_changes(sample, rig, matches, config, free=free)
     unknown = np.full(len(rig.cameras), np.nan)
@@ -63,6 +59,7 @@ def assess_uncertainty(
     tells = len(labelled_frames(matches)) >= config.uncertainty.accusing_moments
     return Uncertainty(
         covariance=covariance.with_changes(off),
+        held_out=held_out,
         intrinsics_turn=_turn_of(off),
         outlier_cameras=find_outlier_cameras(fit, config.uncertainty) & tells,
         weak_perspective=find_weak_perspective(fit),

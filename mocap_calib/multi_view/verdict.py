@@ -12,7 +12,6 @@ from mocap_calib.types import (
     Check,
     EstimatedCamera,
     GroupResult,
-    Ints,
     Uncertainty,
     Verdict,
 )
@@ -35,12 +34,9 @@ _UNCHECKED = (
 )
 
 
-def judge_group(group: GroupResult, config: Config, *, used_frames: Ints) -> GroupResult:
-    """Return the group with the verdict on its rig, the checks it rests on, and the reasons.
-
-    used_frames: `[frame]` indices of the frames that the rig was made of.
-    """
-    checks = check_rig(group, config, used_frames=used_frames)
+def judge_group(group: GroupResult, config: Config) -> GroupResult:
+    """Return the group with the verdict on its rig, the checks it rests on, and the reasons."""
+    checks = check_rig(group, config)
     reversible = group.adjusted.depth_reversed_rig is not None
     verdict = judge_rig(group.uncertainty, checks, config.verdict, reversible=reversible)
     judged = replace(group, verdict=verdict, checks=checks)
@@ -84,8 +80,8 @@ def judge_rig(
 
     The expected error of the worst camera decides. It cannot be better than *usable* where a check
     fails or a focal length is wrong; than *weak* where cameras contradict the others, a reversed
-    rig fits as well or checks together put the model in doubt; and than *not determined* where most
-    cameras contradict each other or hardly any check is passed.
+    rig fits as well, all that was seen is flat, or checks together put the model in doubt; and than
+    *not determined* where most cameras contradict each other or hardly any check is passed.
 
     reversible: the rig reversed in depth fits as well.
     """
@@ -101,7 +97,7 @@ def judge_rig(
     in_vain = in_vain or set(failed) >= STRANGERS
     at_best = [
         (1, uncertainty.wrong_focal.any() or bool(failed)),
-        (2, outliers.any() or reversible or in_doubt),
+        (2, outliers.any() or reversible or in_doubt or "flat" in failed),
         (3, 2 * outliers.sum() > len(outliers) or in_vain),
     ]
     return VERDICTS[max([by_error, *(place for place, holds in at_best if holds)])]

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.config import Config
+from mocap_calib.geometry.gauge import rig_size
 from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.io.provenance import judgement
@@ -14,7 +15,6 @@ from mocap_calib.multi_view.camera_fit import CameraFit, CameraPose
 from mocap_calib.multi_view.placed import PlacedCameras
 from mocap_calib.multi_view.relocation import place_points, refit_camera, typical_error
 from mocap_calib.multi_view.rig_changes import RigChange
-from mocap_calib.multi_view.rig_covariance import rig_size
 from mocap_calib.multi_view.verify_words import (
     describe_refits,
     explain_cameras,

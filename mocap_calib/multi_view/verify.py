@@ -14,16 +14,13 @@ from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
 from mocap_calib.multi_view.association import associate
 from mocap_calib.multi_view.common_clock import synchronise
+from mocap_calib.multi_view.fitted_rig import fit_again
 from mocap_calib.multi_view.labels import matched_share
 from mocap_calib.multi_view.placed import PlacedCameras
 from mocap_calib.multi_view.refinement import adjust_until_stable
 from mocap_calib.multi_view.relocation import find_lost_camera
 from mocap_calib.multi_view.rig_changes import find_changes
-from mocap_calib.multi_view.rig_covariance import (
-    cautious_covariances,
-    covariance_of,
-    fit_again,
-)
+from mocap_calib.multi_view.rig_covariance import cautious_covariances, covariance_of
 from mocap_calib.multi_view.triangulation import check_same_cameras
 from mocap_calib.multi_view.verified import SecondLook, describe_rig, has_detections
 from mocap_calib.recording.retiming import retime

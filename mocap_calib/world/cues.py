@@ -12,7 +12,7 @@ import numpy as np
 from mocap_calib.config import CueConfig, FloorConfig, ScaleCue
 from mocap_calib.errors import MismatchError, suggest
 from mocap_calib.geometry.bodies import body_size
-from mocap_calib.multi_view.rig_covariance import rig_size
+from mocap_calib.geometry.gauge import rig_size
 from mocap_calib.recording.epochs import own_name
 from mocap_calib.types import Bools, CameraRig, Floats, MeasuredCue, Poses3D, RigCovariance
 from mocap_calib.world.asked import (

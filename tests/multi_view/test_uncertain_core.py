@@ -9,10 +9,10 @@ from multi_view.test_odd_cameras import damage, plain
 from scenes import calibrate_all, scene
 
 from mocap_calib.config import CameraFitConfig, Config
+from mocap_calib.geometry.gauge import changed_rig, project_out_similarity, rig_change
 from mocap_calib.multi_view import core_rig, odd_cameras
 from mocap_calib.multi_view.camera_fit import CameraPose, Seen, fit_camera, shift_of_unknowns
 from mocap_calib.multi_view.explaining import Finding, with_uncertain_core
-from mocap_calib.multi_view.rig_covariance import changed_rig, project_out_similarity, rig_change
 from mocap_calib.types import CameraRig, RigCovariance
 
 FREE = ("log_focal", "x", "y")
