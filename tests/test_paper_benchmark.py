@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from datetime import UTC, date, datetime
 from importlib import import_module
 from pathlib import Path
 
@@ -67,6 +68,45 @@ def test_the_costs_follow_from_the_largest_measurement(benchmark, capsys):
     said = capsys.readouterr()
     assert said.out == "pairs/dog/4x1/ours 30 12\npairs/dog/4x1/magsac 30 -\n"
     assert said.err == "12 s of the processor for 1 of 2 cells\n"
+
+
+def test_cells_and_tables_need_no_data(benchmark, monkeypatch, capsys, tmp_path):
+    """All else does, and says so before anything is measured."""
+    paper = benchmark("paper")
+    monkeypatch.delenv("MOCAP_CALIB_RECORDINGS", raising=False)
+    results, page = tmp_path / "results.jsonl", tmp_path / "page.md"
+    results.write_text(json.dumps(line(9, 1.5)) + "\n")
+    page.write_text("<!-- table: four -->\nstale\n<!-- end of table -->\n")
+    given = ["paper.py", "dog/4x1/ours", "--results", str(results), "--page", str(page)]
+    monkeypatch.setattr(sys, "argv", [*given, "--list"])
+    paper.main()
+    assert capsys.readouterr().out.startswith("pairs/dog/4x1/ours 100 11\n")
+    for options, status in ((["--tables"], 0), ([], 2)):
+        monkeypatch.setattr(sys, "argv", [*given, *options])
+        with pytest.raises(SystemExit) as ended:
+            paper.main()
+        assert ended.value.code == status
+    assert "expected --poses and --recordings" in capsys.readouterr().err
+    assert "| dogs | ours | 9 |" in page.read_text()
+
+
+def test_ours_is_measured_wherever_the_others_are(benchmark):
+    """Also where it is behind: among misplaced points."""
+    cells = benchmark("paper_cells")
+    measured = cells.plan(cells.WHOLE, quick=False)
+    scenarios = {(each.what, each.scenario) for each in measured if each.method}
+    ours = {(each.what, each.scenario) for each in measured if each.method == "ours"}
+    assert ours == scenarios
+    assert ("people", cells.WRONG) in ours
+
+
+def test_a_line_says_when_and_of_which_commit(benchmark, monkeypatch, tmp_path):
+    """When alone, where there is no git."""
+    moment = benchmark("machines").describe_moment.__wrapped__
+    assert set(moment()) <= {"commit", "date"}
+    assert date.fromisoformat(moment()["date"]) <= datetime.now(UTC).date()
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert set(moment()) == {"date"}
 
 
 @pytest.mark.slow
