@@ -3,12 +3,12 @@
     .venv/bin/python benchmarks/paper.py --poses POSES --recordings RECORDINGS [PART ...]
 
 All cells take an hour or two of a core, and it goes on where it stopped; `--quick` takes few pairs
-and minutes, and leaves the page as it is; `--tables` measures nothing. PART is a cell's name, or a
-part of it: `--list` prints them, and what each will take. These two options need no data. What is
-measured of a cell is a line of JSON in a file (`--results`), and a cell that is there is measured
-again only with `--again`. The tables follow from that file alone: they go to stdout and, but for
---quick, between the markers of the page (`--page`). Figures go to a folder (`--out`). Poses are of
-subjects that were held out; references are read by the judge, never by the methods.
+and minutes, and leaves the pages as they are; `--tables` measures nothing. PART is a cell's name,
+or a part of it: `--list` prints them, and what each will take. These two options need no data. What
+is measured of a cell is a line of JSON in a file (`--results`), and a cell that is there is
+measured again only with `--again`. The tables follow from that file alone: they go to stdout and,
+but for --quick, between the markers of the pages (`--page`). Figures go to a folder (`--out`).
+Poses are of subjects that were held out; references are read by the judge, never by the methods.
 """
 
 import argparse
@@ -31,7 +31,7 @@ from rich.progress import TimeRemainingColumn as Remaining
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "benchmarks" / "paper_results.jsonl"
-PAGE = ROOT / "docs" / "benchmarks.md"
+PAGES = [ROOT / "docs" / f"{name}.md" for name in ("benchmarks", "comparison")]
 STOPPED = 130  # status after an interrupt
 
 
@@ -48,9 +48,10 @@ def main() -> None:
     lines = read_results(options.results)
     print(all_tables(lines))
     if not options.quick:
-        page = insert_tables(options.page.read_text("utf-8"), lines)
-        options.page.write_text(page, "utf-8", newline="\n")
-        tell(f"the tables of {options.page} are written")
+        for page in options.pages or PAGES:
+            text = insert_tables(page.read_text("utf-8"), lines)
+            page.write_text(text, "utf-8", newline="\n")
+            tell(f"the tables of {page} are written")
     if not options.tables:
         draw(data_of(options), options)
     sys.exit(0 if done else 1)
@@ -64,7 +65,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("parts", nargs="*", metavar="PART", help="these cells alone")
     parser.add_argument("--poses", type=Path, help="folder of sets of 3D poses")
     add_recordings(parser, needed=False)
-    parser.add_argument("--quick", action="store_true", help="few pairs; the page is not written")
+    parser.add_argument("--quick", action="store_true", help="few pairs; no page is written")
     parser.add_argument("--tables", action="store_true", help="from the results that are there")
     parser.add_argument("--again", action="store_true", help="also cells that are there")
     parser.add_argument("--list", action="store_true", help="print the cells, sizes and costs")
@@ -76,7 +77,9 @@ def parse() -> argparse.Namespace:
     parser.add_argument(
         "--results", type=Path, help=f"default: {RESULTS.name}; with --quick, in the folder --out"
     )
-    parser.add_argument("--page", type=Path, default=PAGE)
+    parser.add_argument(
+        "--page", type=Path, action="append", dest="pages", help="default: those of docs/"
+    )
     options = parser.parse_args()
     measures = not (options.list or options.tables)
     if measures and None in (options.poses, options.recordings):
