@@ -1,9 +1,13 @@
-"""On what machine a figure was measured."""
+"""On what machine a figure was measured, when, and of which commit."""
 
 import os
 import platform
+import subprocess
+from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
 
 
 @cache
@@ -15,3 +19,15 @@ def describe_machine() -> str:
         found = [line.split(":")[1].strip() for line in lines if line.startswith("model name")]
         names = found or names
     return f"{names[0]}, {os.cpu_count()} cores, {platform.system()}"
+
+
+@cache
+def describe_moment() -> dict[str, str]:
+    """Return the date, UTC, and the commit of the program; no commit where git knows none."""
+    moment = {"date": datetime.now(UTC).date().isoformat()}
+    command = ["git", "rev-parse", "--short", "HEAD"]
+    try:
+        said = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return moment
+    return {"commit": said.stdout.strip()} | moment

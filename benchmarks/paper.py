@@ -3,12 +3,12 @@
     .venv/bin/python benchmarks/paper.py --poses POSES --recordings RECORDINGS [PART ...]
 
 All cells take an hour or two of a core, and it goes on where it stopped; `--quick` takes few pairs
-and minutes, and leaves the page as it is; `--tables` measures nothing. PART is a cell's name, or a
-part of it: `--list` prints them, and what each will take. What is measured of a cell is a line of
-JSON in a file (`--results`), and a cell that is there is measured again only with `--again`. The
-tables follow from that file alone: they go to stdout and, but for --quick, between the markers of
-the page (`--page`). Figures go to a folder (`--out`). Poses are of subjects that were held out;
-references are read by the judge, never by the methods.
+and minutes, and leaves the pages as they are; `--tables` measures nothing. PART is a cell's name,
+or a part of it: `--list` prints them, and what each will take. These two options need no data. What
+is measured of a cell is a line of JSON in a file (`--results`), and a cell that is there is
+measured again only with `--again`. The tables follow from that file alone: they go to stdout and,
+but for --quick, between the markers of the pages (`--page`). Figures go to a folder (`--out`).
+Poses are of subjects that were held out; references are read by the judge, never by the methods.
 """
 
 import argparse
@@ -31,32 +31,29 @@ from rich.progress import TimeRemainingColumn as Remaining
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "benchmarks" / "paper_results.jsonl"
-PAGE = ROOT / "docs" / "benchmarks.md"
+PAGES = [ROOT / "docs" / f"{name}.md" for name in ("benchmarks", "comparison")]
 STOPPED = 130  # status after an interrupt
 
 
 def main() -> None:
     """Measure what is not there yet, and write tables and figures."""
     options = parse()
-    data = Data(options.poses, options.recordings)
     cells = [cell for cell in plan(sizes(options), quick=options.quick) if chosen(cell, options)]
     if options.list:
         print_costs(cells, read_results(options.results))
         return
     if not cells:
         sys.exit(f"expected parts of names that --list prints, found {' '.join(options.parts)}")
-    done = True
-    if not options.tables:
-        ready = with_data(cells, data)
-        done = len(ready) == len(cells) and measure_all(ready, data, options)
+    done = options.tables or measure_with_data(cells, options)
     lines = read_results(options.results)
     print(all_tables(lines))
     if not options.quick:
-        page = insert_tables(options.page.read_text("utf-8"), lines)
-        options.page.write_text(page, "utf-8", newline="\n")
-        tell(f"the tables of {options.page} are written")
+        for page in options.pages or PAGES:
+            text = insert_tables(page.read_text("utf-8"), lines)
+            page.write_text(text, "utf-8", newline="\n")
+            tell(f"the tables of {page} are written")
     if not options.tables:
-        draw(data, options)
+        draw(data_of(options), options)
     sys.exit(0 if done else 1)
 
 
@@ -66,9 +63,9 @@ def parse() -> argparse.Namespace:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("parts", nargs="*", metavar="PART", help="these cells alone")
-    parser.add_argument("--poses", type=Path, required=True, help="folder of sets of 3D poses")
-    add_recordings(parser)
-    parser.add_argument("--quick", action="store_true", help="few pairs; the page is not written")
+    parser.add_argument("--poses", type=Path, help="folder of sets of 3D poses")
+    add_recordings(parser, needed=False)
+    parser.add_argument("--quick", action="store_true", help="few pairs; no page is written")
     parser.add_argument("--tables", action="store_true", help="from the results that are there")
     parser.add_argument("--again", action="store_true", help="also cells that are there")
     parser.add_argument("--list", action="store_true", help="print the cells, sizes and costs")
@@ -80,8 +77,13 @@ def parse() -> argparse.Namespace:
     parser.add_argument(
         "--results", type=Path, help=f"default: {RESULTS.name}; with --quick, in the folder --out"
     )
-    parser.add_argument("--page", type=Path, default=PAGE)
+    parser.add_argument(
+        "--page", type=Path, action="append", dest="pages", help="default: those of docs/"
+    )
     options = parser.parse_args()
+    measures = not (options.list or options.tables)
+    if measures and None in (options.poses, options.recordings):
+        parser.error("expected --poses and --recordings: only --list and --tables need no data")
     if options.results is None:
         options.results = options.out / "quick.jsonl" if options.quick else RESULTS
     return options
@@ -117,6 +119,17 @@ def print_costs(cells: Sequence[Cell], lines: Sequence[Line]) -> None:
             known.append(line["processor_s"] * cell.size / line["size"])
             print(cell.name, cell.size, f"{known[-1]:.0f}")
     tell(f"{sum(known):.0f} s of the processor for {len(known)} of {len(cells)} cells")
+
+
+def data_of(options: argparse.Namespace) -> Data:
+    """Return where the data are."""
+    return Data(options.poses, options.recordings)
+
+
+def measure_with_data(cells: Sequence[Cell], options: argparse.Namespace) -> bool:
+    """Measure the cells whose data are there; return whether nothing is left to be measured."""
+    ready = with_data(cells, data_of(options))
+    return len(ready) == len(cells) and measure_all(ready, data_of(options), options)
 
 
 def with_data(cells: Sequence[Cell], data: Data) -> list[Cell]:

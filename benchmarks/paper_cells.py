@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 from generalisation import displacements
-from machines import describe_machine
+from machines import describe_machine, describe_moment
 from protocol_judge import FAILED, Judged, judge, rig_errors
 from protocol_methods import METHODS, Problem, load_models
 from protocol_recordings import RECORDINGS, real_pairs
@@ -138,8 +138,9 @@ def _pairs(sizes: Sizes) -> list[Cell]:
         and (scenario in EVERYWHERE or not (is_paper(method) or is_informed(method)))
     ]
     cells = [cell for cell in cells if not is_variant(cell.method) or _ablated(cell)]
-    robust = [name for name in METHODS if not is_solver(name) and not is_informed(name)]
-    return cells + [Cell("pairs", "people", WRONG, method, sizes.pairs) for method in robust]
+    others = [name for name in METHODS if not (is_paper(name) or is_informed(name))]
+    tried = [name for name in others if not is_variant(name)]
+    return cells + [Cell("pairs", "people", WRONG, method, sizes.pairs) for method in tried]
 
 
 def _detections(sizes: Sizes) -> list[Cell]:
@@ -185,7 +186,7 @@ def has_networks(method: str, model: str) -> bool:
 
 
 def measure(cell: Cell, data: Data) -> Line:
-    """Measure a cell: its fields, what was found, the processor's seconds and the machine."""
+    """Measure a cell: its fields, what was found, the processor's seconds, where and when."""
     start = time.process_time()
     work: dict[Group, Callable[[Cell, Data], Line]] = {
         "pairs": _measure_pairs,
@@ -195,7 +196,8 @@ def measure(cell: Cell, data: Data) -> Line:
     }
     found = work[cell.group](cell, data)
     seconds = round(time.process_time() - start, 1)
-    return asdict(cell) | found | {"processor_s": seconds, "machine": describe_machine()}
+    cost = {"processor_s": seconds, "machine": describe_machine()}
+    return asdict(cell) | found | cost | describe_moment()
 
 
 def problems_of(cell: Cell, data: Data) -> tuple[list[Problem], list[Truth]]:

@@ -42,6 +42,30 @@ PAIR_HEADER = (
     *("method", "pairs", "RRA@20", "RTA@20", "AUC@20", "RRA@30", "RTA@30", "AUC@30"),
     *("median E_R", "median E_t", "P", "s / pair", "on"),
 )
+RIVALS = {  # of the page that compares tools: its rows, and what methods are called there
+    "five-point": "five-point over matches, LO-RANSAC",
+    "five-point-magsac": "the same, OpenCV's MAGSAC++",
+    "magsac": "MAGSAC++ of all pairs of detections",
+    "procrustes": "Procrustes of lifted bodies",
+    "procrustes-adjusted": "the same, adjusted",
+    "sphere": "registration on the sphere",
+    "sphere-adjusted": "the same, adjusted",
+    "procrustes-informed": "Procrustes, told who is who",
+    "procrustes-adjusted-informed": "the same, adjusted",
+    "sphere-informed": "on the sphere, told who is who",
+    "sphere-adjusted-informed": "the same, adjusted",
+    "ours-norays": "ours, without refinement on rays",
+    "ours": "**ours**",
+}
+COMPARED = {  # and its columns
+    "1 person": ("pairs", "people", "1x1"),
+    "4 people": ("pairs", "people", "4x1"),
+    "1 dog": ("pairs", "dog", "1x1"),
+    "4 dogs": ("pairs", "dog", "4x1"),
+    "1 cheetah": ("pairs", "cheetah", "1x1"),
+    "4 cheetahs": ("pairs", "cheetah", "4x1"),
+    "Shelf": ("detections", "shelf", ""),
+}
 MARKED = re.compile(r"(<!-- table: ([\w-]+) -->\n).*?(<!-- end of table -->)", re.DOTALL)
 
 
@@ -171,14 +195,20 @@ def _figures(line: Line) -> list[str]:
     rotation, translation = _errors(line)
     cells = [str(len(rotation))]
     for most in (20, 30):
-        score = f"{auc(rotation, translation, most):.3f}"
-        if len(rotation) >= LEAST_PAIRS:
-            low, high = auc_interval(rotation, translation, most)
-            score += f" [{low:.2f}, {high:.2f}]"
         cells += [f"{(each < most).mean():.2f}" for each in (rotation, translation)]
-        cells.append(score)
+        cells.append(_score(line, most))
     cells += [f"{np.median(each):.3g}" for each in (rotation, translation)]
     return [*cells, f"{line['right'] / line['matched']:.3f}" if line["matched"] else "-"]
+
+
+def _score(line: Line, most: int) -> str:
+    """Return AUC@most with its interval, of enough pairs."""
+    rotation, translation = _errors(line)
+    score = f"{auc(rotation, translation, most):.3f}"
+    if len(rotation) < LEAST_PAIRS:
+        return score
+    low, high = auc_interval(rotation, translation, most)
+    return f"{score} [{low:.2f}, {high:.2f}]"
 
 
 def auc(rotation: Floats, translation: Floats, most: int) -> float:
@@ -205,6 +235,20 @@ def _resamples(pairs: int) -> Floats:
     """Return `[resample, pair]` how often each pair is drawn, always the same."""
     rng = np.random.default_rng(0)
     return rng.multinomial(pairs, np.full(pairs, 1 / pairs), RESAMPLES).astype(float)
+
+
+def _rivals(results: Results) -> str:
+    """Return AUC@20 of each method in each scenario, the best of a column in bold."""
+    columns = [{x["method"]: x for x in results.of(*where)} for where in COMPARED.values()]
+    best = [
+        _best(line for line in column.values() if line["method"] in RIVALS) for column in columns
+    ]
+    rows = []
+    for method, label in RIVALS.items():
+        scores = [_score(x[method], 20) if method in x else "-" for x in columns]
+        marked = zip(scores, best, strict=True)
+        rows.append([label, *(f"**{s}**" if method == b else s for s, b in marked)])
+    return _table(("method", *COMPARED), rows)
 
 
 # --- of networks and rigs
@@ -254,4 +298,5 @@ TABLES: dict[str, Callable[[Results], str]] = {
     "generalisation": _generalisation,
     "rigs": _rigs,
     "machines": _machines,
+    "rivals": _rivals,
 }

@@ -160,9 +160,11 @@ def _poses(name: str, _: Path) -> Kind:
     return Kind(files, calls)
 
 
-def _options(_: Path) -> Kind:
-    """What `run --config` reads, which names landmarks, clocks and lengths."""
-    return Kind({"recording.yaml": OPTIONS, "landmarks.csv": LANDMARKS}, _read_options)
+def _options(content: bytes, _: Path) -> Kind:
+    """What `run --config` reads, which names landmarks, cameras, clocks and lengths."""
+    cameras = format_rig(studio("anipose"), "anipose", {"seed": 1}).files
+    files = {"recording.yaml": content, "landmarks.csv": LANDMARKS, **cameras}
+    return Kind(files, _read_options)
 
 
 def _read_options(folder: Path, _: str, __: random.Random) -> list[Call]:
@@ -279,6 +281,8 @@ corner,0,0,0,cam2,300,220
 door,2.5,0,1.9,cam1,500,80
 """
 OPTIONS = b"""# what is known of a recording
+cameras: calibration.toml
+views: left,right
 image-size: 1920x1080
 layout: coco_17
 camera-regex: cam(?P<camera>[0-9]+)
@@ -295,8 +299,15 @@ rotated: cam1:90
 resized: cam2:0.5
 exchanged: cam1,cam2
 moved: cam1:120
+mirrored: cam1
+sides:
+  - cam1
+  - cam2
+mend: none
 refine: focal
 focal-uncertainty: 5%
+focal-per-camera: true
+pairs: all
 individuals: 3
 seed: 1
 world: floor
@@ -309,13 +320,25 @@ forward: left_hip-nose
 smooth: bones
 strict: true
 """
+ALIGNED = b"""# a scene whose landmarks are known
+cameras: calibration.toml
+views: left,right
+align: landmarks.csv
+mirrored: [cam1, cam2]
+sides: cam2
+mend: auto
+pairs: chosen
+refine: focal
+focal-per-camera: true
+"""
 
 # name: what makes it, of the folder of results of a run with the file of `pairwise` in it
 KINDS: dict[str, Callable[[Path], Kind]] = {
     **{f"keypoints {name}": partial(_keypoints, name) for name in SAMPLES},
     **{f"cameras {name}": partial(_cameras, name) for name in (*WRITTEN, "kalibr", "ros")},
     **{f"poses {name}": partial(_poses, name) for name in HERE},
-    "options": _options,
+    "options": partial(_options, OPTIONS),
+    "options of a scene": partial(_options, ALIGNED),
     "landmarks": _landmarks,
     "skeleton": _skeleton,
     "names of joints": _aliases,

@@ -1,12 +1,14 @@
 """Scenes with truth, made once per test session."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
+from itertools import combinations
 
 import numpy as np
 
 from mocap_calib.config import Config, SimulateConfig
-from mocap_calib.geometry.rotation import matrix_from_vector
+from mocap_calib.geometry.rotation import angle_between, matrix_from_vector
 from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.recording.sampling import take_sample
@@ -16,6 +18,7 @@ from mocap_calib.steerpose.loading import load_lifter
 from mocap_calib.synthetic import Scene, simulate
 from mocap_calib.types import (
     CalibrationResult,
+    Camera,
     CameraRig,
     GroupResult,
     LiftedPoses,
@@ -26,6 +29,7 @@ from mocap_calib.types import (
 )
 
 PEOPLE = load_skeleton("people")
+MIRROR = np.array([-1.0, 1.0, 1.0])
 
 
 @lru_cache
@@ -54,6 +58,36 @@ def permuted(found: Sample, *, views=None, frames=None, instances=None) -> Sampl
         rays=found.rays[pick],
         tracked=found.tracked[views],
     )
+
+
+def backwards(found: Sample) -> Sample:
+    """The same recording as if time ran the other way."""
+    first, last = found.frames[[0, -1]]
+    turned = found.select(frames=np.arange(len(found.frames))[::-1])
+    return replace(turned, frames=first + last - found.frames[::-1])
+
+
+def mirrored(found: Sample) -> Sample:
+    """The same recording of the scene's mirror image: left and right keep their names."""
+    cameras = tuple(map(_mirrored_camera, found.cameras))
+    positions = found.positions.copy()
+    widths = np.array([camera.size[0] for camera in cameras])
+    positions[..., 0] = widths[:, None, None, None] - 1 - positions[..., 0]
+    return replace(found, cameras=cameras, positions=positions, rays=found.rays * MIRROR)
+
+
+def mirrored_rig(rig: CameraRig) -> CameraRig:
+    """The cameras of the mirror image, which is at -x of the world."""
+    cameras = tuple(map(_mirrored_camera, rig.cameras))
+    rotation = MIRROR[:, None] * rig.rotation * MIRROR
+    return replace(rig, cameras=cameras, rotation=rotation, translation=rig.translation * MIRROR)
+
+
+def _mirrored_camera(camera: Camera) -> Camera:
+    """The camera of the mirror image, of a lens without tangential distortion."""
+    matrix = camera.matrix.copy()
+    matrix[0, 2] = camera.size[0] - 1 - matrix[0, 2]
+    return replace(camera, matrix=matrix)
 
 
 @lru_cache
@@ -118,3 +152,55 @@ def turn_cameras(rig: CameraRig, degrees: float, seed: int = 0) -> CameraRig:
     axis[0] = 0
     rotation = matrix_from_vector(axis) @ rig.rotation
     return rig.stand(rotation, rig.centres)
+
+
+def moved(rig: CameraRig, rng: np.random.Generator) -> tuple[CameraRig, np.ndarray, float]:
+    """The rig in another world and unit: with the turn `[3, 3]` and the factor of lengths."""
+    turn, factor = matrix_from_vector(rng.normal(size=3)), rng.uniform(0.1, 10)
+    rotation = rig.rotation @ turn.T
+    translation = factor * rig.translation - rotation @ rng.normal(size=3)
+    return replace(rig, rotation=rotation, translation=translation), turn, factor
+
+
+def rigs_differ(first: CameraRig, second: CameraRig) -> float:
+    """Return how far two rigs are from similar: in radians, or of the largest distance."""
+    pairs = list(combinations(range(len(first)), 2))
+    turns = [angle_between(first.relative(*p)[0], second.relative(*p)[0]) for p in pairs]
+    a, b = np.array(pairs).T
+    apart = [np.linalg.norm(rig.centres[a] - rig.centres[b], axis=1) for rig in (first, second)]
+    apart = [each / each.max() for each in apart]
+    return float(max(*turns, np.abs(apart[0] - apart[1]).max()))
+
+
+def told(
+    how: str, rng: np.random.Generator, **size
+) -> tuple[Sample, Callable[[CameraRig], CameraRig], Matches, np.ndarray]:
+    """Return a scene in another order, time, mirror or world.
+
+    The recording; what makes its rig of that of the scene; the true labels; and the views `[view]`
+    of the scene in its order.
+    """
+    found, labels = recording(**size), truth(**size).labels
+    views, _, instances = (np.arange(count) for count in labels.shape)
+    if how == "views":
+        views = rng.permutation(views)
+        found, labels = permuted(found, views=views), labels[views]
+        return found, lambda rig: rig.select(views), Matches(labels), views
+    if how == "instances":
+        instances = rng.permutation(instances)
+        found, labels = permuted(found, instances=instances), labels[:, :, instances]
+    if how == "names":
+        labels = np.append(rng.permutation(labels.max() + 1), -1)[labels]
+    if how == "time":
+        found, labels = backwards(found), labels[:, ::-1]
+    if how == "mirror":
+        return mirrored(found), mirrored_rig, Matches(labels), views
+    if how == "world":
+        state = rng.bit_generator.state
+
+        def move(rig: CameraRig) -> CameraRig:
+            rng.bit_generator.state = state
+            return moved(rig, rng)[0]
+
+        return found, move, Matches(labels), views
+    return found, lambda rig: rig, Matches(labels), views

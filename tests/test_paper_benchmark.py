@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from datetime import UTC, date, datetime
 from importlib import import_module
 from pathlib import Path
 
@@ -26,11 +27,33 @@ def committed():
     return [json.loads(line) for line in text.splitlines()]
 
 
-def test_the_page_has_the_tables_of_the_committed_results(benchmark):
-    tables = benchmark("paper_tables")
-    page = (ROOT / "docs" / "benchmarks.md").read_text("utf-8")
-    assert tables.insert_tables(page, committed()) == page
-    assert {found[2] for found in tables.MARKED.finditer(page)} == set(tables.TABLES)
+def test_the_pages_have_the_tables_of_the_committed_results(benchmark):
+    tables, pages = benchmark("paper_tables"), benchmark("paper").PAGES
+    texts = [page.read_text("utf-8") for page in pages]
+    for text in texts:
+        assert tables.insert_tables(text, committed()) == text
+    marked = [found[2] for text in texts for found in tables.MARKED.finditer(text)]
+    assert sorted(marked) == sorted(tables.TABLES)
+
+
+def test_the_page_of_other_tools_repeats_what_was_measured():
+    """The seconds and median errors of adjustments, and of poses the errors."""
+    pages = {p.stem: " ".join(p.read_text("utf-8").split()) for p in (ROOT / "docs").glob("*.md")}
+    rows = [
+        row.split(" | ")
+        for start in ("| ours (20,000 points", "| `--solver colmap`", "| aniposelib 0.8.0")
+        for row in [pages["benchmarks"].split(start)[1]]
+    ]
+    ours, ceres, anipose = ((row[1], row[3].split(" / ")[0]) for row in rows)
+    said = (
+        f"ours {ours[0]} s, Ceres by pycolmap {ceres[0]} s, aniposelib {anipose[0]} s, with median "
+    )
+    said += f"errors of {ours[1]}, {ceres[1]} and {anipose[1]} deg"
+    assert said in pages["comparison"]
+    walker = pages["poses"].split("| Human3.6M, S1 walks | ")[2].split(" | ")
+    seconds = float(walker[5].split()[0])
+    said = f"{walker[1]} mm in {seconds:.0f} s, ours {walker[0]} mm in less than 0.5 s"
+    assert said in pages["comparison"]
 
 
 def test_the_auc_and_its_interval(benchmark):
@@ -67,6 +90,45 @@ def test_the_costs_follow_from_the_largest_measurement(benchmark, capsys):
     said = capsys.readouterr()
     assert said.out == "pairs/dog/4x1/ours 30 12\npairs/dog/4x1/magsac 30 -\n"
     assert said.err == "12 s of the processor for 1 of 2 cells\n"
+
+
+def test_cells_and_tables_need_no_data(benchmark, monkeypatch, capsys, tmp_path):
+    """All else does, and says so before anything is measured."""
+    paper = benchmark("paper")
+    monkeypatch.delenv("MOCAP_CALIB_RECORDINGS", raising=False)
+    results, page = tmp_path / "results.jsonl", tmp_path / "page.md"
+    results.write_text(json.dumps(line(9, 1.5)) + "\n")
+    page.write_text("<!-- table: four -->\nstale\n<!-- end of table -->\n")
+    given = ["paper.py", "dog/4x1/ours", "--results", str(results), "--page", str(page)]
+    monkeypatch.setattr(sys, "argv", [*given, "--list"])
+    paper.main()
+    assert capsys.readouterr().out.startswith("pairs/dog/4x1/ours 100 11\n")
+    for options, status in ((["--tables"], 0), ([], 2)):
+        monkeypatch.setattr(sys, "argv", [*given, *options])
+        with pytest.raises(SystemExit) as ended:
+            paper.main()
+        assert ended.value.code == status
+    assert "expected --poses and --recordings" in capsys.readouterr().err
+    assert "| dogs | ours | 9 |" in page.read_text()
+
+
+def test_ours_is_measured_wherever_the_others_are(benchmark):
+    """Also where it is behind: among misplaced points."""
+    cells = benchmark("paper_cells")
+    measured = cells.plan(cells.WHOLE, quick=False)
+    scenarios = {(each.what, each.scenario) for each in measured if each.method}
+    ours = {(each.what, each.scenario) for each in measured if each.method == "ours"}
+    assert ours == scenarios
+    assert ("people", cells.WRONG) in ours
+
+
+def test_a_line_says_when_and_of_which_commit(benchmark, monkeypatch, tmp_path):
+    """When alone, where there is no git."""
+    moment = benchmark("machines").describe_moment.__wrapped__
+    assert set(moment()) <= {"commit", "date"}
+    assert date.fromisoformat(moment()["date"]) <= datetime.now(UTC).date()
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert set(moment()) == {"date"}
 
 
 @pytest.mark.slow

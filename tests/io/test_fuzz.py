@@ -8,8 +8,11 @@ import random
 import shutil
 from pathlib import Path
 
+import click
 import pytest
 from damaged_kinds import KINDS, try_damaged
+
+from mocap_calib.errors import MocapCalibError
 
 FILES = 25  # of each kind
 
@@ -28,3 +31,20 @@ def test_damage_is_read_or_refused(results, name, tmp_path):
     kind = KINDS[name](results)
     for seed in range(FILES):
         try_damaged(kind, tmp_path, random.Random(seed))
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_what_is_not_damaged_is_read(results, name, tmp_path):
+    """By one of its readers at least: else damage would meet the same complaint each time."""
+    kind = KINDS[name](results)
+    for path, content in kind.files.items():
+        (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / path).write_bytes(content)
+    complaints = []
+    calls = kind.calls(tmp_path, min(kind.files), random.Random(0))
+    for call in calls:
+        try:
+            call()
+        except (MocapCalibError, click.ClickException) as error:
+            complaints.append(error)
+    assert len(complaints) < len(calls), complaints

@@ -9,7 +9,7 @@ import pytest
 from scenes import PEOPLE, scene
 
 from mocap_calib.config import Config, MatchingConfig
-from mocap_calib.multi_view import identities
+from mocap_calib.multi_view import identities, joining
 from mocap_calib.multi_view.evidence import motion_evidence
 from mocap_calib.multi_view.identities import finalise_identities
 from mocap_calib.multi_view.joining import join_pieces
@@ -164,6 +164,39 @@ def test_pieces_are_joined_by_all_evidence_together(seed):
     first = 10 * np.arange(pieces)
     found = join_pieces(first, first + 8, pairs, nothing, MatchingConfig())
     np.testing.assert_array_equal(found[:, None] == found, same)
+
+
+def evidence_of(pairs: np.ndarray, first: np.ndarray, last: np.ndarray) -> joining._Evidence:
+    """Return evidence of pairs of pieces alone, `[piece, piece]`, whose bodies say nothing."""
+    nothing = np.zeros((len(first), 0))
+    together = joining._frames_together(first, last)
+    bodies = Proportions(nothing, nothing.copy(), np.zeros(0))
+    return joining._Evidence(pairs, bodies, together, last - first + 1)
+
+
+def test_pieces_are_joined_before_any_is_exchanged():
+    """The likeliest first: forty pieces of two bodies, every pair of which tells the truth."""
+    truth = np.random.default_rng(0).integers(2, size=40)
+    same = truth[:, None] == truth
+    first = 10 * np.arange(40)
+    evidence = evidence_of(np.where(same, 1.0, -1.0), first, first + 8)
+    found = joining._agglomerate(evidence, MatchingConfig())
+    np.testing.assert_array_equal(found[:, None] == found, same)
+
+
+def test_a_piece_that_was_joined_too_early_goes_where_all_evidence_says():
+    """Two in the same frames, three times, and one more, likeliest of the first piece of the first.
+
+    All its evidence together is 2.2 for the second individual: too little for the exchange of a
+    whole stretch, which asks for 4.
+    """
+    first = np.array([0, 0, 10, 10, 20, 20, 30])
+    pairs = np.where(np.arange(7)[:, None] % 2 == np.arange(7) % 2, 4.0, -10.0)
+    pairs[6, :6] = pairs[:6, 6] = [5.0, 0.4, -3.0, 0.4, -3.0, 0.4]
+    np.fill_diagonal(pairs, 0.0)
+    nothing = Proportions(np.zeros((7, 0)), np.zeros((7, 0)), np.zeros(0))
+    found = join_pieces(first, first + 8, pairs, nothing, MatchingConfig())
+    assert found.tolist() == [0, 1, 0, 1, 0, 1, 1]
 
 
 def test_pieces_that_one_view_follows_are_joined(monkeypatch):

@@ -9,7 +9,7 @@ from scenes import calibrate_all, recording, rotation_errors_deg, scene
 
 from mocap_calib.config import Config, DiagnosisConfig, MendConfig
 from mocap_calib.geometry.projection import pixels_from_points
-from mocap_calib.multi_view import faults, suspicion
+from mocap_calib.multi_view import faults, odd_cameras, suspicion
 from mocap_calib.multi_view.camera_fit import CameraFit, CameraPose
 from mocap_calib.multi_view.exchanged import likely_pairs
 from mocap_calib.multi_view.explanations import (
@@ -174,6 +174,16 @@ def test_sides_are_exchanged_where_that_fits_far_better():
     flat = points.reshape(-1, 3).T, pixels.reshape(-1, 2).T
     assert suspicion._exchanged_share(rig, ODD, *flat, keypoints) == pytest.approx(5 / 20)
     assert suspicion._exchanged_share(rig, ODD, *flat, ("a", "b", "c", "d", "e")) == 0.0
+
+
+def test_bodies_that_are_lifted_alike_count_by_the_square_of_their_score():
+    """60 nats by a core whose score is 0.7 are more than 75 of 0.6: 29.4, 27; not 42, 45."""
+    alike, odd = (
+        SimpleNamespace(evidence=evidence, core=SimpleNamespace(pair_score=score))
+        for evidence, score in ((60.0, 0.7), (75.0, 0.6))
+    )
+    assert odd_cameras._certainty(alike) == pytest.approx(29.4)
+    assert odd_cameras._certainty(odd) == pytest.approx(27.0)
 
 
 def test_factors_near_a_plain_one_are_plain():

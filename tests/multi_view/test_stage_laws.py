@@ -6,7 +6,16 @@ from itertools import combinations
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scenes import permuted, recording, scene, truth
+from scenes import (
+    MIRROR,
+    mirrored_rig,
+    moved,
+    permuted,
+    recording,
+    rigs_differ,
+    scene,
+    truth,
+)
 
 from mocap_calib.config import AveragingConfig, Config, TriangulateConfig
 from mocap_calib.geometry.rotation import angle_between, matrix_from_vector
@@ -23,14 +32,6 @@ law = settings(max_examples=4, deadline=None, derandomize=True)
 SEEDS = st.integers(0, 2**32 - 1)
 SMALL = {"frames": 12}
 FULL = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])  # of xx, xy, xz, yy, yz, zz
-
-
-def moved(rig: CameraRig, rng: np.random.Generator) -> tuple[CameraRig, np.ndarray, float]:
-    """The rig in another world and unit: with the turn `[3, 3]` and the factor of lengths."""
-    turn, factor = matrix_from_vector(rng.normal(size=3)), rng.uniform(0.1, 10)
-    rotation = rig.rotation @ turn.T
-    translation = factor * rig.translation - rotation @ rng.normal(size=3)
-    return replace(rig, rotation=rotation, translation=translation), turn, factor
 
 
 def triangulated(order: dict | None = None, rig: CameraRig | None = None) -> Poses3D:
@@ -123,6 +124,56 @@ def test_averaging_depends_neither_on_the_order_nor_on_the_unit(seed):
     lengths = [np.linalg.norm(each.rig.centres, axis=1) for each in (first, second)]
     np.testing.assert_allclose(lengths[1], factor * lengths[0], rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(second.weight, first.weight[order], rtol=1e-5)
+
+
+@law
+@given(SEEDS)
+def test_averaging_knows_no_order_of_cameras_and_no_mirror(seed):
+    """Measured 9e-11, of 60 examples; in the mirror 3e-15, which is rounding."""
+    rng = np.random.default_rng(seed)
+    rig = scene(cameras=5, frames=2).rig
+    pairs = pairs_with_noise(rig, rng)
+    first = average(rig.cameras, tuple(pairs), AveragingConfig())
+    order = rng.permutation(5)
+    place = np.argsort(order)
+    renumbered = tuple(replace(p, a=int(place[p.a]), b=int(place[p.b])) for p in pairs)
+    second = average(rig.select(order).cameras, renumbered, AveragingConfig())
+    assert rigs_differ(first.rig.select(order), second.rig) < 1.4e-10
+    np.testing.assert_allclose(second.weight, first.weight, rtol=8e-9)
+    image = tuple(_in_a_mirror(pair) for pair in pairs)
+    third = average(mirrored_rig(rig).cameras, image, AveragingConfig())
+    assert rigs_differ(first.rig, mirrored_rig(third.rig)) < 3e-14
+
+
+@law
+@given(SEEDS)
+def test_which_camera_of_a_pair_is_the_first_moves_centres_but_turns_none(seed):
+    """No exact law: a baseline is laid out by the averaged rotation of the second camera.
+
+    Measured 0.015 of the largest distance at worst, 0.004 at the median of 60 examples, whose
+    pairs are 0.01 rad and 1 % off, and whose rigs 0.016 from the truth. Rotations: 3e-15 rad.
+    """
+    rng = np.random.default_rng(seed)
+    rig = scene(cameras=5, frames=2).rig
+    pairs = pairs_with_noise(rig, rng)
+    first = average(rig.cameras, tuple(pairs), AveragingConfig()).rig
+    second = average(rig.cameras, tuple(map(_reversed, pairs)), AveragingConfig()).rig
+    assert rigs_differ(first, second) < 0.022
+    turned = [
+        angle_between(first.relative(*p)[0], second.relative(*p)[0])
+        for p in combinations(range(5), 2)
+    ]
+    assert max(turned) < 3e-14
+
+
+def _reversed(pair: PairwiseCalibration) -> PairwiseCalibration:
+    back = pair.rotation.T
+    return replace(pair, a=pair.b, b=pair.a, rotation=back, translation=-back @ pair.translation)
+
+
+def _in_a_mirror(pair: PairwiseCalibration) -> PairwiseCalibration:
+    rotation = MIRROR[:, None] * pair.rotation * MIRROR
+    return replace(pair, rotation=rotation, translation=MIRROR * pair.translation)
 
 
 @law

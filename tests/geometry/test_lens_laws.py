@@ -1,0 +1,71 @@
+"""Laws of lenses of any strength that does not fold. The same lenses are drawn in each run."""
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mocap_calib.geometry import lens
+from mocap_calib.types import Camera
+
+SEEDS = st.integers(0, 2**32 - 1)
+law = settings(max_examples=40, deadline=None, derandomize=True)
+NUDGE = 1e-5
+MISS = {False: 3e-12, True: 1.3e-15}  # of unit rays; by fisheye
+OFF = {False: 7e-10, True: 2.9e-10}
+
+
+def lens_of(seed: int, *, fisheye: bool) -> tuple[Camera, np.ndarray]:
+    """Return a camera and points of the plane z = 1 that it sees, up to 37 or 72 degrees off.
+
+    The lens moves them by up to 31 % of the largest radius, a fisheye by 11 % of the largest angle.
+    """
+    rng = np.random.default_rng(seed)
+    radius, angle = np.linspace(0, 3.0 if fisheye else 0.75, 60), rng.uniform(0, 2 * np.pi, 60)
+    image = radius * np.stack([np.cos(angle), np.sin(angle)])
+    if fisheye:
+        distortion = rng.uniform(-0.03, 0.03, 4) / [1, 2, 4, 8]
+    else:
+        radial, tangential = rng.uniform(-0.2, 0.2, 6), rng.uniform(-0.005, 0.005, 2)
+        distortion = np.array([*radial[:2], *tangential, *radial[2:]])
+    matrix = np.array([[rng.uniform(300, 2000), 0, 640], [0, rng.uniform(300, 2000), 360]])
+    whole = np.concatenate([matrix, [[0, 0, 1]]])
+    return Camera("a", (1280, 720), whole, distortion, fisheye), image
+
+
+def pixels(camera: Camera, image: np.ndarray) -> np.ndarray:
+    return lens.project(camera, np.concatenate([image, np.ones((1, image.shape[1]))]))
+
+
+@law
+@given(SEEDS, st.booleans())
+def test_a_ray_has_a_pixel_and_the_pixel_has_that_ray(seed, fisheye):
+    """Measured 2.0e-12 of 600 lenses, where Newton's method is content, and 9e-16 of fisheyes."""
+    camera, image = lens_of(seed, fisheye=fisheye)
+    points = np.concatenate([image, np.ones((1, image.shape[1]))])
+    rays = lens.unproject(camera, lens.project(camera, 7 * points))
+    np.testing.assert_allclose(
+        rays, points / np.linalg.norm(points, axis=0), rtol=0, atol=MISS[fisheye]
+    )
+
+
+@law
+@given(SEEDS, st.booleans())
+def test_slopes_of_any_lens_are_those_of_central_differences(seed, fisheye):
+    """Measured 5.0e-10 of the largest slope, and 1.9e-10 of fisheyes: rounding of differences."""
+    camera, image = lens_of(seed, fisheye=fisheye)
+    found = lens.image_slopes(camera, image)
+    for axis in range(2):
+        step = NUDGE * np.eye(2)[:, axis, None]
+        slope = (pixels(camera, image + step) - pixels(camera, image - step)) / (2 * NUDGE)
+        np.testing.assert_allclose(
+            found.image[:, axis], slope, atol=OFF[fisheye] * np.abs(slope).max()
+        )
+    for key in ("log_focal", "k1"):
+        ahead, behind = (
+            lens.change_intrinsics(camera, **{"log_focal": 0.0, "k1": 0.0, key: step})
+            for step in (NUDGE, -NUDGE)
+        )
+        slope = (pixels(ahead, image) - pixels(behind, image)) / (2 * NUDGE)
+        np.testing.assert_allclose(
+            getattr(found, key), slope, atol=OFF[fisheye] * np.abs(slope).max()
+        )

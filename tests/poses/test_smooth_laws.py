@@ -1,0 +1,139 @@
+"""Best estimates of poses of one scene that is told in another order, time, mirror or world.
+
+Points are compared in metres. How strongly to smooth is chosen by detections that are hidden by
+lot, which is another choice for another order: what is exact is so at the same strengths. Measured
+of 25 examples each; the poses are 4.3 mm from the truth.
+"""
+
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scenes import MIRROR, recording, scene, told, truth
+
+from mocap_calib.geometry.rotation import matrix_from_vector
+from mocap_calib.multi_view.triangulation import triangulate
+from mocap_calib.poses import stage
+from mocap_calib.types import CameraRig, Matches, Poses3D, Recording, Smoothing
+
+law = settings(max_examples=4, deadline=None, derandomize=True)
+SEEDS = st.integers(0, 2**32 - 1)
+SMALL = {"frames": 24}
+HOW = ("views", "instances", "names", "time", "mirror")
+HELD = dict.fromkeys(HOW, 3e-14) | {"views": 1e-12}  # rounding
+CHOSEN = {"views": 0.0142, "instances": 1e-14, "names": 0.008, "time": 0.0068, "mirror": 1e-14}
+
+
+def smooth(found: Recording, rig: CameraRig, matches: Matches) -> tuple[Poses3D, Smoothing]:
+    return stage.smooth_poses(found, rig, matches, triangulate(found, rig, matches))
+
+
+@lru_cache
+def first_told() -> tuple[Poses3D, Smoothing, tuple]:
+    """The poses, how they were smoothed, and what was chosen."""
+    chosen, choose = [], stage._choose
+
+    def remember(known: stage._Scene) -> tuple:
+        chosen.append(choose(known))
+        return chosen[0]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(stage, "_choose", remember)
+        found = smooth(recording(**SMALL), scene(**SMALL).rig, truth(**SMALL))
+    return *found, chosen[0]
+
+
+def differ(found: np.ndarray, expected: np.ndarray) -> np.ndarray:
+    """Return how far points are from those expected; as many must be missing."""
+    np.testing.assert_array_equal(np.isnan(found), np.isnan(expected))
+    distance = np.linalg.norm(found - expected, axis=-1)
+    return distance[np.isfinite(distance)]
+
+
+def as_first_told(how: str, rng: np.random.Generator, points: np.ndarray) -> np.ndarray:
+    """Return points `[frame, individual, keypoint, 3]` of a scene told so, as they are of it."""
+    if how == "names":
+        return points[:, rng.permutation(points.shape[1])]
+    if how == "time":
+        return points[::-1]
+    return points * MIRROR if how == "mirror" else points
+
+
+@pytest.mark.parametrize("how", HOW)
+@law
+@given(seed=SEEDS)
+def test_at_the_same_strengths_poses_know_no_order_time_or_mirror(how, seed):
+    """Measured 2e-13 of another order of cameras, 4e-15 of the others."""
+    poses, smoothing, chosen = first_told()
+    rng = np.random.default_rng(seed)
+    found, place, matches, _ = told(how, rng, **SMALL)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(stage, "_choose", lambda _: chosen)
+        again, counted = smooth(found, place(scene(**SMALL).rig), matches)
+    points = as_first_told(how, np.random.default_rng(seed), again.positions)
+    assert differ(points, poses.positions).max() < HELD[how]
+    assert (counted.outliers, counted.exchanged) == (smoothing.outliers, smoothing.exchanged)
+
+
+@pytest.mark.parametrize("how", HOW)
+@law
+@given(seed=SEEDS)
+def test_another_choice_of_strengths_moves_poses_little(how, seed):
+    """No exact law but of the order of detections, and of the mirror.
+
+    Measured 9.5 mm at worst for another order of cameras, 5.3 of names, 4.5 of time; the median of
+    a scene 1.1 mm at most. Accelerations are chosen up to 2 times as large or as small.
+    """
+    poses, smoothing, _ = first_told()
+    rng = np.random.default_rng(seed)
+    found, place, matches, _ = told(how, rng, **SMALL)
+    again, chosen = smooth(found, place(scene(**SMALL).rig), matches)
+    points = as_first_told(how, np.random.default_rng(seed), again.positions)
+    moved = differ(points, poses.positions)
+    assert moved.max() < CHOSEN[how]
+    assert np.median(moved) < 0.0017
+    assert abs(np.log2(chosen.acceleration / smoothing.acceleration)) < 1.01
+
+
+def in_other_axes(turn: np.ndarray, factor: float, shift: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the points of the scene in other axes, as they are of it, and its acceleration."""
+    rig = scene(**SMALL).rig
+    rotation = rig.rotation @ turn.T
+    translation = factor * rig.translation - rotation @ shift
+    there = CameraRig(rig.cameras, rotation, translation, rig.unit)
+    poses, smoothing = smooth(recording(**SMALL), there, truth(**SMALL))
+    return (poses.positions - shift) / factor @ turn, smoothing.acceleration
+
+
+@law
+@given(SEEDS)
+def test_poses_go_with_the_place_the_unit_and_quarter_turns_of_the_world(seed):
+    """Measured 1.2e-10 m."""
+    poses, smoothing, _ = first_told()
+    rng = np.random.default_rng(seed)
+    turn = np.eye(3)[rng.permutation(3)] * rng.choice([-1, 1], 3)[:, None]
+    turn[0] *= np.linalg.det(turn)
+    points, acceleration = in_other_axes(turn, rng.uniform(0.1, 10), rng.normal(size=3))
+    assert differ(points, poses.positions).max() < 1.8e-10
+    assert acceleration == pytest.approx(smoothing.acceleration, rel=1e-10)
+
+
+@law
+@given(SEEDS)
+def test_turned_axes_move_poses_little(seed):
+    """No exact law: what joints share of their accelerations is the median of each coordinate.
+
+    Measured 4.5 mm at worst and 0.33 at the median of a scene, at the same strengths; of 60 frames
+    16 mm at worst. With the mean in place of the median it is 7e-11.
+    """
+    poses, _, chosen = first_told()
+    rng = np.random.default_rng(seed)
+    turn = matrix_from_vector(rng.normal(size=3))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(stage, "_choose", lambda _: chosen)
+        points, _ = in_other_axes(turn, 1.0, np.zeros(3))
+    moved = differ(points, poses.positions)
+    assert moved.max() < 0.0068
+    assert np.median(moved) < 0.0005
