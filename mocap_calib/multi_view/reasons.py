@@ -6,8 +6,11 @@ import numpy as np
 
 from mocap_calib.config import Config
 from mocap_calib.multi_view.observations import labelled_frames
+from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Check, EstimatedCamera, GroupResult
 from mocap_calib.wording import count
+
+_FRAMES_OF_MOTION = 300  # that tell whether a subject moves
 
 # by the name of a check: what it means where it fails, and the remedy
 MEANING = {
@@ -117,7 +120,7 @@ def _explain_error(group: GroupResult, config: Config) -> Iterator[str]:
     """Yield how far the worst camera may be off, and what most likely stands behind it."""
     sigma = group.uncertainty.covariance.rotation_sigma
     worst = int(sigma.argmax())
-    said = f"{group.rig.names[worst]} may be turned by {np.rad2deg(sigma[worst]):.1f} deg"
+    said = f"camera {group.rig.names[worst]} may be turned by {np.rad2deg(sigma[worst]):.1f} deg"
     if 2 * group.uncertainty.intrinsics_turn[worst] ** 2 > sigma[worst] ** 2:
         if any(isinstance(camera, EstimatedCamera) for camera in group.rig.cameras):
             yield f"{said}, most of it as intrinsics are estimated; give them (--cameras)"
@@ -153,13 +156,21 @@ def _faces(group: GroupResult, view: int, least_deg: float) -> int | None:
 
 
 def _stands_still(group: GroupResult) -> bool:
-    """Return whether bodies move by less than their own size."""
-    ways, sizes = [], []
-    for bodies in np.moveaxis(group.poses.positions, 1, 0):  # [frame, keypoint, 3]
-        seen = bodies[np.isfinite(bodies[..., 0]).any(1)]
-        if not len(seen):
-            continue
-        middle = np.nanmedian(seen, axis=1)
-        sizes.append(np.nanmedian(np.linalg.norm(seen - middle[:, None], axis=-1)))
-        ways.append(np.median(np.linalg.norm(middle - np.median(middle, axis=0), axis=-1)))
-    return bool(ways) and bool(np.median(ways) < np.median(sizes))
+    """Return whether bodies move by less than their own size in all images.
+
+    A rig that is wrong places bodies anywhere; the images do not depend on it.
+    """
+    positions, labels = group.recording.positions, group.matches.labels
+    frames = evenly_spaced(np.arange(labels.shape[1]), _FRAMES_OF_MOTION)
+    ways: list[float] = []
+    for seen, label in zip(positions, labels, strict=True):
+        for individual in range(group.matches.individuals):
+            frame, instance = np.nonzero(label[frames] == individual)
+            bodies = np.asarray(seen[frames[frame], instance], dtype=np.float64)
+            if len(bodies) < 2:
+                continue
+            middle = np.nanmedian(bodies, axis=1)
+            size = np.nanmedian(np.linalg.norm(bodies - middle[:, None], axis=-1))
+            way = np.median(np.linalg.norm(middle - np.median(middle, axis=0), axis=-1))
+            ways.append(float(way / size))
+    return bool(ways) and max(ways) < 1

@@ -212,9 +212,11 @@ def _describe_cameras(
             pose = CameraPose(mended.rotation[view], mended.translation[view])
             turn, shift = _change_of(pose, given, view)
         moved: PlaceWord = "focal" if focal[view] else "moved"
+        told = np.rad2deg(change.turn_sigma[view]) < config.verdict.weak_deg
+        stays: PlaceWord = "in place" if told else "not checked"
         yield VerifiedCamera(
             name=name,
-            word=moved if change.moved[view] else "in place",
+            word=moved if change.moved[view] else stays,
             turn=turn,
             turn_sigma=float(change.turn_sigma[view]),
             shift=shift,

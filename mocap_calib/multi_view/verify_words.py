@@ -7,6 +7,7 @@ from mocap_calib.multi_view.rig_changes import RigChange
 from mocap_calib.types import Floats, Verdict, VerifiedCamera
 
 _CALIBRATE = "calibrate anew: `mocap-calib run`"
+_RECORD = "verify again with another recording"
 _TELLING = 2.0  # standard deviations from which on a turn or a shift is worth a word
 
 
@@ -38,9 +39,11 @@ def judge_calibration(
             f"{uncertain.max():.1f} deg: record longer, with subjects that move through the room"
         )
     if unsaid:
+        # keypoints that determine nothing give no better calibration
+        remedy = _CALIBRATE if uncertain.max() <= config.verdict.usable_deg else _RECORD
         reasons.append(
             f"the cameras stand up to {apart.max():.1f} deg ({names[int(apart.argmax())]}) from "
-            f"where these keypoints have them, and no single one explains it: {_CALIBRATE}"
+            f"where these keypoints have them, and no single one explains it: {remedy}"
         )
     elif expected[worst] > config.verdict.usable_deg:
         reasons.append(

@@ -11,9 +11,9 @@ from scenes import calibrated
 
 from mocap_calib.config import Config, VerdictConfig
 from mocap_calib.multi_view.checks import check_rig
-from mocap_calib.multi_view.reasons import MEANING, explain
+from mocap_calib.multi_view.reasons import MEANING, _stands_still, explain
 from mocap_calib.multi_view.verdict import judge_group, judge_rig, no_better_than
-from mocap_calib.types import Check, GroupResult
+from mocap_calib.types import Check, GroupResult, Matches
 
 LIMITS = VerdictConfig()
 SOUND = (Check("bones", 0.1, 0.3),)
@@ -119,6 +119,20 @@ def test_a_sound_recording_passes_all_checks_and_none_is_without_words():
 
 
 @pytest.mark.slow
+def test_images_tell_who_stands_still():
+    """Whatever the rig says: one that is wrong places bodies anywhere."""
+    group = calibrated()
+    assert not _stands_still(group)
+    seen, labels = group.recording.positions, group.matches.labels
+    still = replace(
+        group,
+        recording=replace(group.recording, positions=np.repeat(seen[:, :1], seen.shape[1], axis=1)),
+        matches=Matches(np.repeat(labels[:, :1], labels.shape[1], axis=1)),
+    )
+    assert _stands_still(still)
+
+
+@pytest.mark.slow
 def test_checks_see_what_is_wrong():
     """Half of the poses stretched, a camera blind to who is who, errors in one stretch."""
     group = calibrated()
@@ -150,7 +164,7 @@ def test_checks_see_what_is_wrong():
 def test_reasons_name_the_camera_the_size_and_the_remedy():
     group = replace(calibrated(), uncertainty=uncertainty(4.2, views=4), checks=FAILED)
     first, second = explain(group, Config())
-    assert first.startswith(f"{group.rig.names[3]} may be turned by 4.2 deg")
+    assert first.startswith(f"camera {group.rig.names[3]} may be turned by 4.2 deg")
     assert "vary by 40%" in second
     focal = replace(group.uncertainty, intrinsics_turn=np.deg2rad([0, 0, 0, 4.0]))
     first, _ = explain(replace(group, uncertainty=focal), Config())
