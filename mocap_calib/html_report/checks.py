@@ -25,9 +25,9 @@ CHECK_MEANINGS = {
         (1.0, 1.07),
     ),
     "flat": CheckMeaning(
-        "how many times as wide as thick all is that was seen, together: points of one plane may "
-        "fit several rigs",
-        (1.0, 3.7),
+        "median error of points in those that they would have if all lay in one plane, as several "
+        "rigs fit these",
+        (0.01, 0.15),
     ),
     "bones": CheckMeaning(
         "share by which the steadiest quarter of all distances on a body vary over time",
@@ -49,7 +49,7 @@ CHECK_MEANINGS = {
     "lens": CheckMeaning(
         "slope of errors along the cube of the radius, in standard deviations", (0.3, 2.1)
     ),
-    "over time": CheckMeaning("largest error of a stretch of time, in median ones", (1.1, 1.8)),
+    "over time": CheckMeaning("largest error of a stretch of time, in median ones", (1.1, 2.3)),
     "unmatched": CheckMeaning("share of the detections of a camera that match nobody", (0, 0.13)),
     "errors": CheckMeaning(
         "median error of a keypoint in sizes of the body in the image", (0.02, 0.06)

@@ -5,17 +5,24 @@ right (one clock, these lenses, cameras that stay where they are, rigid bodies, 
 seen in what the model leaves over. docs/how-good.md has the values of sound recordings.
 """
 
+from itertools import combinations
+
 import numpy as np
 
 from mocap_calib import mapped
 from mocap_calib.config import Config
+from mocap_calib.geometry import lens
 from mocap_calib.geometry.graphs import spanning_tree
+from mocap_calib.geometry.homography import plane_errors
 from mocap_calib.multi_view.explained import Leftover
 from mocap_calib.multi_view.labels import matched_share
 from mocap_calib.multi_view.observations import labelled_frames
 from mocap_calib.multi_view.view_graph import best_scores
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Check, Floats, GroupResult
+
+_PAIRS = 30  # of views, that tell whether all lies in a plane,
+_MATCHES_OF_A_PAIR = 1000
 
 
 def check_rig(group: GroupResult, config: Config) -> tuple[Check, ...]:
@@ -33,7 +40,7 @@ def check_rig(group: GroupResult, config: Config) -> tuple[Check, ...]:
         Check("convergence", 0.0 if group.adjusted.converged else 1.0, 0.0),
         Check("moments", limits.least_moments / max(len(labelled_frames(group.matches)), 1), 1.0),
         Check("held-out frames", group.uncertainty.held_out, limits.held_out),
-        Check("flat", _flatness(group.poses.positions), limits.flat),
+        Check("flat", _flatness(group, left), limits.flat),
         Check("bones", _bones(group.poses.positions), limits.bones),
         Check("loops", _broken_loops(group, config), limits.broken_loops),
         Check("bridge", _weakest_bridge(group), limits.bridge),
@@ -52,22 +59,30 @@ def _of_worst(name: str, values: Floats, limit: float, *, group: GroupResult) ->
 # Of the whole rig
 
 
-def _flatness(positions: Floats) -> float:
-    """Return how many times as wide as thick all is that was seen, together.
+def _flatness(group: GroupResult, left: Leftover) -> float:
+    """Return the errors of points, in those that they would have if all lay in one plane.
 
-    positions: `[frame, individual, keypoint, 3]`. The width is across the longest direction, as
-    bodies may walk along a line; both are RMS. A tenth of the points, those farthest out, does not
-    count: some are wrong. NaN where there are fewer than four.
+    Of pairs of views the median: a homography maps the images of a plane to each other, wherever
+    a rig has the cameras. NaN where no two views have enough in common.
     """
-    frames = evenly_spaced(np.arange(len(positions)), 300)
-    points = mapped.take(positions, frames).reshape(-1, 3)
-    points = points[np.isfinite(points[:, 0])]
-    if len(points) < 4:
-        return np.nan
-    distance = np.linalg.norm(points - np.median(points, axis=0), axis=1)
-    near = points[distance <= np.quantile(distance, 0.9)]
-    _, width, thickness = np.linalg.svd(near - near.mean(0), compute_uv=False)
-    return float(width / max(thickness, 1e-12 * width)) if width > 0 else np.nan
+    views = len(group.rig.cameras)
+    rays = np.stack(
+        [
+            lens.unproject(camera, pixels.reshape(2, -1))
+            for camera, pixels in zip(group.rig.cameras, left.pixels, strict=True)
+        ]
+    )  # [view, 3, N]
+    focal = np.array([camera.focal for camera in group.rig.cameras])
+    error = left.distance.reshape(views, -1) / focal[:, None]
+    found = []
+    for a, b in evenly_spaced(np.array(list(combinations(range(views), 2))), _PAIRS).tolist():
+        both = np.flatnonzero(np.isfinite(error[[a, b]]).all(0))
+        both = evenly_spaced(both, _MATCHES_OF_A_PAIR)
+        in_plane = plane_errors(*(rays[view][:, both].T for view in (a, b)))
+        if len(in_plane):
+            usual = np.hypot(*np.median(error[[a, b]][:, both], axis=1))
+            found.append(float(usual / max(np.median(in_plane), 1e-12)))
+    return float(np.median(found)) if found else np.nan
 
 
 def _bones(positions: Floats) -> float:

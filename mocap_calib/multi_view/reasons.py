@@ -28,9 +28,8 @@ MEANING = {
         "check that the cameras stayed where they are, and record longer",
     ),
     "flat": (
-        "all that was seen lies nearly in one plane, {value:.0f} times as wide as thick: another "
-        "rig may fit as well",
-        "let the subject rise, jump or tilt, or measure the distance of two cameras to check it",
+        "all that was seen may as well lie in one plane: other rigs would fit, too",
+        "let the subject come closer, rise, jump or tilt",
     ),
     "bones": (
         "distances on bodies vary by {value:.0%} at least",

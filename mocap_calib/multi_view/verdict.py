@@ -81,7 +81,8 @@ def judge_rig(
     The expected error of the worst camera decides. It cannot be better than *usable* where a check
     fails or a focal length is wrong; than *weak* where cameras contradict the others, a reversed
     rig fits as well, all that was seen is flat, or checks together put the model in doubt; and than
-    *not determined* where most cameras contradict each other or hardly any check is passed.
+    *not determined* where most cameras contradict each other, hardly any check is passed, or what
+    was seen is flat and the expected error is not below the least limit.
 
     reversible: the rig reversed in depth fits as well.
     """
@@ -98,7 +99,7 @@ def judge_rig(
     at_best = [
         (1, uncertainty.wrong_focal.any() or bool(failed)),
         (2, outliers.any() or reversible or in_doubt or "flat" in failed),
-        (3, 2 * outliers.sum() > len(outliers) or in_vain),
+        (3, 2 * outliers.sum() > len(outliers) or in_vain or ("flat" in failed and by_error > 0)),
     ]
     return VERDICTS[max([by_error, *(place for place, holds in at_best if holds)])]
 
