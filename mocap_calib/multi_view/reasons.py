@@ -134,15 +134,15 @@ def _remedy(group: GroupResult, config: Config, worst: int) -> str:
     """Return what would determine a camera (index) better."""
     frames = len(labelled_frames(group.matches))
     if frames < config.verdict.few_frames:
-        return f"bodies are matched in {count(frames, 'frame')} only: record longer"
+        return f"record longer: bodies are matched in {count(frames, 'frame')} only"
     if group.uncertainty.weak_perspective[worst]:
-        return "it is far away for the size of what it sees: let the subject come closer"
+        return "let the subject come closer: the camera is far away for the size of what it sees"
     facing = _faces(group, worst, config.verdict.facing_deg)
     if facing is not None and len(group.rig.cameras) == 2:
         names = f"{group.rig.names[worst]} and {group.rig.names[facing]}"
-        return f"{names} face each other: add a camera between them"
+        return f"add a camera between {names}, which face each other"
     if _stands_still(group):
-        return "the subject hardly moves: let it walk about and turn"
+        return "let the subject walk about and turn: it hardly moves"
     return "let the subject walk about, nearer to it and in view of other cameras, for longer"
 
 

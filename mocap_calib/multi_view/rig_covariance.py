@@ -87,7 +87,7 @@ def _covariance_of(
     found = replace(first.whole, matrix=first.whole.matrix * inflation**2 * moments)
     # no angle is larger; where nothing is determined a variance may be below 0 by rounding errors
     with np.errstate(invalid="ignore"):
-        known = found.rotation_sigma.max() < np.pi
+        known = found.rotation_sigma.max() < np.pi and np.isfinite(found.centre_sigma).all()
     return found if known else RigCovariance.unknown(len(rig.cameras), rig_size(rig))
 
 
