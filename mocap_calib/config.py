@@ -1,6 +1,7 @@
 """Every default, once. Imports nothing heavy, so that the command line can show them."""
 
 from dataclasses import dataclass
+from math import radians
 from typing import Literal, get_args
 
 SMALL_RIG = 17  # cameras: of up to so many nearly all see the same bodies
@@ -1292,6 +1293,9 @@ class CueConfig:
         people -16 to +12 %, statures -3 to +3 %).
     blocks: of time, that errors are independent in.
     most_residual: in standard deviations, above which cues contradict each other.
+    statures: of people in metres, least and most: others are in another unit. usual_stature: which
+        that unit is told by. tall_quantile: of the distances of head and ankle over frames, that is
+        about a stature of who stands at times; less than least_tall metres is doubted.
     """
 
     head_height: tuple[tuple[str, float], ...] = (
@@ -1308,6 +1312,10 @@ class CueConfig:
     length_sigma: float = 0.06
     blocks: int = 20
     most_residual: float = 3.0
+    statures: tuple[float, float] = (0.3, 3.0)
+    usual_stature: float = 1.6
+    tall_quantile: float = 0.9
+    least_tall: float = 0.2
 
 
 @dataclass(frozen=True)
@@ -1322,6 +1330,14 @@ class WorldConfig:
         their lengths. landmarks: points of a world that is known, which results are aligned to.
     least_landmarks: that at least two cameras see. least_extent: of landmarks beside a line, as a
         share of their extent along it.
+    landmark_sigma: of landmarks as they are measured by hand, as a share of their RMS distance from
+        their middle: 2 cm in a room of 4 m. landmark_pixels: of a landmark in an image.
+    camera_sigma: of cameras in a file, as a share of the rig's size, and camera_turn_sigma: in
+        radians, 1 deg: what calibrations with a board leave.
+    most_misfit: in standard deviations, of these and of the rig, above which a world is refused:
+        reference calibrations have 0.1 to 0.9 (1.5 with 1 deg of noise), landmarks measured to 1 %
+        of their extent up to 1.5, a landmark of five that is wrong by it 7 to 30, exchanged axes
+        and cameras that were made up 10 to 170. Rigs that are not determined had 4 to 5.
     """
 
     axes: str = "auto"
@@ -1334,6 +1350,11 @@ class WorldConfig:
     measure: CueConfig = CueConfig()
     least_landmarks: int = 3
     least_extent: float = 0.03
+    landmark_sigma: float = 0.01
+    landmark_pixels: float = 2.0
+    camera_sigma: float = 0.02
+    camera_turn_sigma: float = radians(1.0)
+    most_misfit: float = 5.0
 
     @property
     def stated_unit(self) -> str:

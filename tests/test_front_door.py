@@ -293,7 +293,7 @@ def test_what_cannot_be_written_is_said_in_a_line(files, tmp_path):
         mocap_calib.write(view, tmp_path / "view.csv")
     with pytest.raises(mocap_calib.MismatchError, match=r"found none; say it with fps=$"):
         mocap_calib.write(_poses(), tmp_path / "poses.trc")
-    with pytest.raises(mocap_calib.MismatchError, match="in Python with scale"):
+    with pytest.raises(mocap_calib.MismatchError, match=r"in Python scale\(1, 'm'\)"):
         mocap_calib.write(replace(rig, unit="arbitrary"), tmp_path / "a.toml", format="pose2sim")
     matches = mocap_calib.Matches([[[0]]])
     recording = mocap_calib.Recording.from_keypoints(scene().files, scene().rig)

@@ -9,6 +9,11 @@ _NOT_SCALED = (
     "lengths are arbitrary: one that is known sets the scale (--height, --length, "
     "--camera-distance; afterwards `mocap-calib scale`)"
 )
+_UNIT_OF_FILE = (
+    "lengths are arbitrary, as the file of the world does not say its unit: `mocap-calib convert "
+    "FILE NEW --input-unit m` writes it down; a known length (--height, --length, "
+    "--camera-distance) says another"
+)
 _UNMET = ("axes_unmet", "scale_unmet")
 
 
@@ -32,7 +37,7 @@ def describe_world(world: Mapping[str, Any]) -> list[str]:
 def _describe_unit(world: Mapping[str, Any]) -> str:
     """Return what lengths are in, and how sure that is."""
     if world["unit"] == ARBITRARY:
-        return _NOT_SCALED
+        return _UNIT_OF_FILE if world["kind"] == "file" else _NOT_SCALED
     sigma = world["scale_sigma_percent"]
     sure = "" if sigma is None else f", uncertain by {sigma:.1f} %, a standard deviation"
     return f"lengths are in {world['unit']}{sure}"

@@ -70,12 +70,13 @@ def write_poses(path: Path, poses: "Poses3D", recording: "Recording", stage: str
     from mocap_calib.io.results.poses_h5 import write_poses_h5
     from mocap_calib.recording.joints import edges_of_keypoints
     from mocap_calib.steerpose.weights import load_vocabulary
+    from mocap_calib.world.body import stated_joints
 
     if path.suffix == ".csv":
         write_poses_csv(path, poses)
         return
     edges = edges_of_keypoints(load_vocabulary(recording.model), recording.vocabulary)
-    write_poses_h5(path, poses, provenance(stage), edges=edges)
+    write_poses_h5(path, poses, provenance(stage), edges=edges, joints=stated_joints(recording))
 
 
 def check_folder(path: Path) -> None:

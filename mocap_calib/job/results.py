@@ -41,6 +41,7 @@ from mocap_calib.recording.joints import edges_of_keypoints
 from mocap_calib.report import run_report
 from mocap_calib.steerpose.weights import load_vocabulary
 from mocap_calib.types import CalibrationResult, GroupResult, ObservedPoints
+from mocap_calib.world.body import stated_joints
 
 # in the folder of results: the pairs of a run that is under way or was killed
 UNFINISHED = ".unfinished"
@@ -156,7 +157,7 @@ def _describe_poses(group: GroupResult, fps: float | None) -> PoseFile:
     """Return the poses of a group with what is known beside them."""
     skeleton = load_vocabulary(group.recording.model)
     edges = edges_of_keypoints(skeleton, group.recording.vocabulary)
-    return describe_poses(group.poses, fps, edges=edges)
+    return describe_poses(group.poses, fps, edges=edges, joints=stated_joints(group.recording))
 
 
 def _report_groups(

@@ -30,8 +30,8 @@ from mocap_calib.io.world_fields import world_fields
 from mocap_calib.types import ARBITRARY, CameraRig, World
 from mocap_calib.wording import count
 from mocap_calib.world.body import find_joints, keep_triangulated
-from mocap_calib.world.cues import Measurable, Scale, find_scale
-from mocap_calib.world.floor import find_floor
+from mocap_calib.world.cues import Measurable, Scale, find_scale, scaled_world
+from mocap_calib.world.place import look_for_floor
 
 _CAMERAS = "cameras.yaml"
 _POSES = "poses3d.h5"
@@ -58,6 +58,11 @@ def scale_results(folder: Path, cues: Sequence[ScaleCue], config: WorldConfig) -
     Raises FormatError and MismatchError where it is no such folder, a length cannot be measured,
     or lengths contradict each other.
     """
+    if folder.is_file():
+        raise MismatchError(
+            f"{folder}: expected the folder of a run, found a file; give the folder that "
+            "`run -o` wrote"
+        )
     for name in (_CAMERAS, _POSES):
         if not (folder / name).is_file():
             raise MismatchError(
@@ -67,8 +72,9 @@ def scale_results(folder: Path, cues: Sequence[ScaleCue], config: WorldConfig) -
     rig, file = read_rig(folder / _CAMERAS), load_poses(folder / _POSES)
     _refuse_known_unit(folder, rig, file.poses.unit)
     poses = keep_triangulated(file.poses)
-    joints = find_joints(poses.keypoints)
-    floor = find_floor(poses, joints, rig, config.floor)
+    joints = find_joints(file.spelt)
+    verdict = str(rig.judgement.get("verdict", ""))
+    floor = look_for_floor(file.poses, joints, rig, verdict, config.floor)
     on = Measurable(poses, joints, rig, floor, individuals=file.individuals)
     scale = find_scale(cues, on, config.measure, config.floor)
     if scale is None:
@@ -81,20 +87,21 @@ def scale_results(folder: Path, cues: Sequence[ScaleCue], config: WorldConfig) -
             (work / place).mkdir(parents=True, exist_ok=True)
             _scale_cameras(folder / place, work / place, scale)
         scaled = file.poses.scale(scale.factor, "m")
-        scaled = replace(scaled, world=_scaled_world(scaled.world, scale))
+        scaled = replace(scaled, world=scaled_world(scaled.world, scale))
         write_poses_h5(
             work / _POSES,
             scaled,
             provenance_of_poses(folder / _POSES),
             edges=file.edges,
             fps=file.rate,
+            joints=file.joints,
         )
         for individual in range(scaled.positions.shape[1]):
             own = numbered_file(Path("poses3d.csv"), individual)
             if (folder / own).is_file():
                 replace_text(work / own, poses_csv(scaled, individual))
         left = _scale_report(folder, work, rig, scale)
-    world = _scaled_world(rig.world.scale(scale.factor), scale)
+    world = scaled_world(rig.world.scale(scale.factor), scale)
     return Scaled(world, left)
 
 
@@ -129,7 +136,7 @@ def _scale_cameras(source: Path, target: Path, scale: Scale) -> None:
     """
     rig = read_rig(source / _CAMERAS)
     rig = rig.scale(scale.factor, "m")
-    rig = replace(rig, world=_scaled_world(rig.world, scale))
+    rig = replace(rig, world=scaled_world(rig.world, scale))
     provenance = provenance_of_cameras(source / _CAMERAS)
     for name, format in _FORMATS.items():
         if (source / name).is_file():
@@ -137,11 +144,6 @@ def _scale_cameras(source: Path, target: Path, scale: Scale) -> None:
             own = provenance if name == _CAMERAS else own
             (content,) = format_rig(rig, format, own).files.values()
             (target / name).write_bytes(content)
-
-
-def _scaled_world(world: World, scale: Scale) -> World:
-    """Return a world, whose lengths are scaled already, that says by what."""
-    return replace(world, scale_sigma=scale.sigma, cues=scale.cues, scale_unmet="")
 
 
 def _scale_report(folder: Path, work: Path, rig: CameraRig, scale: Scale) -> tuple[str, ...]:
@@ -153,7 +155,7 @@ def _scale_report(folder: Path, work: Path, rig: CameraRig, scale: Scale) -> tup
     written = hash_files(work)
     left = [name for name in outputs if name not in written and Path(name).name not in _OWN]
     if report:
-        world = _scaled_world(rig.world.scale(scale.factor), scale)
+        world = scaled_world(rig.world.scale(scale.factor), scale)
         report |= {"unit": "m", "world": world_fields(world, "m")}
         _scale_camera_figures(report["cameras"], rig, scale)
         if "fingerprint" in report:

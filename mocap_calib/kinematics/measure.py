@@ -134,8 +134,13 @@ def _contacts(
         return {}, "the poses do not say where the floor is"
     if fps is None:
         return {}, "nobody says how many frames a second has; say it with --fps"
-    if not definitions.feet or not definitions.legs:
-        return {}, "the keypoints have no feet, or no legs"
+    if not definitions.feet:
+        return {}, "the keypoints have no feet"
+    if not definitions.legs:
+        return (
+            {},
+            "the keypoints have no whole leg (hip, knee, foot), which heights are measured by",
+        )
     leg = leg_lengths(poses.positions, definitions.legs)
     reach = round(config.window * fps)
     found = {}

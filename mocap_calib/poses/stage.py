@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from mocap_calib.config import Config, PosesConfig, TriangulateConfig
 from mocap_calib.geometry.bodies import body_size
 from mocap_calib.multi_view.noise import view_noise
 from mocap_calib.multi_view.observations import gather_observations
+from mocap_calib.poses.axes import back_from_first_camera, in_first_camera
 from mocap_calib.poses.certainty import covariances
 from mocap_calib.poses.cleaning import are_beyond_reach, drop_outliers, exchange_sides
 from mocap_calib.poses.energy import Strengths, linearise
@@ -21,6 +21,7 @@ from mocap_calib.poses.held_out import Choice, choose_strengths, choose_trust
 from mocap_calib.poses.spans import blocks, point_sources, with_gaps
 from mocap_calib.poses.start import (
     add_refused,
+    arrays_to_fill,
     bone_lengths,
     fill_gaps,
     reach_of_bones,
@@ -203,30 +204,30 @@ def smooth_poses(
     """
     if config.smooth == "off":
         return poses, Smoothing()
-    noise = view_noise(recording, rig, matches, triangulate)
-    scene = _Scene(recording, rig, matches, poses, noise, poses.raw, config)
+    own_rig, own_poses = in_first_camera(rig, poses)
+    noise = view_noise(recording, own_rig, matches, triangulate)
+    scene = _Scene(recording, own_rig, matches, own_poses, noise, own_poses.raw, config)
     if not scene.individuals:
         return poses, Smoothing()
+    fitted, smoothing = _fit_all(scene, triangulate, progress)
+    return back_from_first_camera(fitted, rig, poses), smoothing
+
+
+def _fit_all(
+    scene: _Scene, triangulate: TriangulateConfig, progress: Progress
+) -> tuple[Poses3D, Smoothing]:
+    """Return the best estimates of all individuals of a scene, and how they were made."""
+    poses, config = scene.poses, scene.config
     trust, choice = _choose(scene)
     if not np.isfinite(choice.strengths.acceleration):
         wider = replace(triangulate, outlier=max(config.alone_outlier, triangulate.outlier))
-        start = add_refused(recording, rig, matches, poses.raw, noise=noise, config=wider)
+        where = (scene.recording, scene.rig, scene.matches, poses.raw)
+        start = add_refused(*where, noise=scene.noise, config=wider)
         scene = replace(scene, start=start)
-    arrays: dict[str, Any] = {
-        "positions": mapped.empty(poses.raw.shape, poses.raw.dtype),
-        "covariance": mapped.empty(poses.covariance.shape, poses.covariance.dtype),
-        "source": mapped.empty(poses.source.shape, np.int8),
-    }
-    for block in mapped.frame_slices(len(poses.frames)):
-        for name, array in arrays.items():
-            array[block] = 0 if name == "source" else np.nan
+    arrays = arrays_to_fill(poses, [who.index for who in scene.individuals])
     outliers = exchanged = done = 0
     total = sum(len(who.frames) for who in scene.individuals)
-    pieces = [
-        (who, inner, frames)
-        for who in scene.individuals
-        for inner, frames in blocks(who.frames, config)
-    ]
+    pieces = [(who, *block) for who in scene.individuals for block in blocks(who.frames, config)]
     estimates = map_in_threads(
         lambda piece: _estimate(scene, piece[0], piece[2], trust, choice.strengths), pieces
     )

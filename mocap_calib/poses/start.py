@@ -1,11 +1,13 @@
 """Where the fit starts: bones' lengths, and triangulated points with their gaps filled in."""
 
+from typing import Any
+
 import numpy as np
 
 from mocap_calib import mapped
 from mocap_calib.config import TriangulateConfig
 from mocap_calib.multi_view.triangulation import frame_blocks, triangulate_frames
-from mocap_calib.types import CameraRig, Floats, Ints, Matches, Recording
+from mocap_calib.types import CameraRig, Floats, Ints, Matches, Poses3D, Recording
 
 _MEDIAN_SQUARE = 0.455  # of normal errors of variance 1
 _ROUNDS = 10  # of the middle of bones' lengths and its weights
@@ -179,3 +181,21 @@ def _outwards(count: Ints, edges: Ints) -> list[tuple[int, int]]:
                     left.discard(other)
                     queue.append((other, joint))
     return order
+
+
+def arrays_to_fill(poses: Poses3D, fitted: list[int]) -> dict[str, Any]:
+    """Return positions, covariance and source: of those who are fitted, nothing yet.
+
+    Of the others they are as they were triangulated. fitted: indices of individuals.
+    """
+    arrays: dict[str, Any] = {
+        "positions": mapped.empty(poses.raw.shape, poses.raw.dtype),
+        "covariance": mapped.empty(poses.covariance.shape, poses.covariance.dtype),
+        "source": mapped.empty(poses.source.shape, np.int8),
+    }
+    known = {"positions": poses.raw, "covariance": poses.covariance, "source": poses.source}
+    for block in mapped.frame_slices(len(poses.frames)):
+        for name, array in arrays.items():
+            array[block] = known[name][block]
+            array[block, fitted] = 0 if name == "source" else np.nan
+    return arrays

@@ -2,34 +2,123 @@
 
 from collections import Counter, defaultdict
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mocap_calib.config import KnownCamera, Landmark, WorldConfig
 from mocap_calib.errors import MismatchError, suggest
-from mocap_calib.geometry.alignment import align_by_similarity
-from mocap_calib.multi_view.evaluation import with_axes
+from mocap_calib.geometry.gauge import rig_size
 from mocap_calib.recording.epochs import views_by_camera
-from mocap_calib.types import Camera, CameraRig, Floats, MeasuredLandmark
-from mocap_calib.wording import count
+from mocap_calib.types import (
+    METRES,
+    Bools,
+    Camera,
+    CameraRig,
+    Floats,
+    MeasuredLandmark,
+    RigCovariance,
+)
+from mocap_calib.wording import count, one_line
+from mocap_calib.world.agreement import (
+    Fit,
+    exact,
+    fit_cameras,
+    fit_points,
+    is_mirrored,
+    leave_one_out,
+    point_sigmas,
+    rms,
+)
 from mocap_calib.world.moving import Similarity
 
 
-def align_to_cameras(rig: CameraRig, known: Sequence[KnownCamera]) -> tuple[Similarity, float]:
-    """Return the similarity to the world of known cameras, and its relative error of scale.
+def align_to_cameras(
+    rig: CameraRig, config: WorldConfig, covariance: RigCovariance | None = None
+) -> tuple[Similarity, float, str]:
+    """Return the similarity to the world of known cameras, its relative error of scale, and words.
 
-    Raises MismatchError where fewer than two cameras are in both.
+    The words say how well the cameras are where they should be. covariance: of the rig; None: it
+    is exact.
+
+    Raises MismatchError where fewer than two cameras are in both, and where they stand elsewhere
+    than noise can explain.
     """
     views = {name: own[0] for name, own in views_by_camera(rig.names).items()}
-    shared = shared_cameras(known, list(views))
+    shared = shared_cameras(config.cameras, list(views))
     target = CameraRig(
         cameras=tuple(_bare(camera.name) for camera in shared),
         rotation=np.array([np.reshape(camera.rotation, (3, 3)) for camera in shared]),
         translation=np.array([camera.translation for camera in shared]),
     )
-    source = rig.select(np.array([views[camera.name] for camera in shared]))
-    by = Similarity(*align_by_similarity(with_axes(source), with_axes(target)))
-    return by, _scale_sigma(by.apply(source.centres), target.centres)
+    order = np.array([views[camera.name] for camera in shared])
+    spread = covariance or exact(rig)
+    cameras = _SharedCameras(
+        rig.select(order), target, replace(spread, matrix=spread.matrix[order][:, :, order])
+    )
+    fit = cameras.fit(np.ones(len(shared), dtype=bool), config)
+    if fit.misfit > config.most_misfit:
+        raise _contradicting_cameras(cameras, fit, config)
+    away = _describe_distance(fit.distance, target, config.unit)
+    remark = (
+        f"aligned to {count(len(shared), 'camera')} whose places were given, RMS distance {away}, "
+        f"RMS angle {np.degrees(rms(fit.turn)):.1f} deg"
+    )
+    return fit.by, _scale_sigma(fit.by.apply(cameras.rig.centres), target.centres), remark
+
+
+@dataclass(frozen=True, eq=False)
+class _SharedCameras:
+    """Cameras of a rig, its covariance, and the same ones as a file places them."""
+
+    rig: CameraRig
+    target: CameraRig
+    covariance: RigCovariance
+
+    def fit(self, some: Bools, config: WorldConfig) -> Fit:
+        """Return the fit of the cameras that a mask leaves."""
+        left = np.flatnonzero(some)
+        matrix = self.covariance.matrix[left][:, :, left]
+        spread = replace(self.covariance, matrix=matrix)
+        return fit_cameras(self.rig.select(left), self.target.select(left), spread, config)
+
+    def are_mirrored(self, config: WorldConfig) -> bool:
+        """Return whether the places of the file are those of a mirror image."""
+        sigma = self.covariance.size * self.covariance.centre_sigma
+        measured = replace(config, landmark_sigma=config.camera_sigma)
+        return is_mirrored(self.rig.centres, self.target.centres, sigma, measured)
+
+
+def _contradicting_cameras(cameras: _SharedCameras, fit: Fit, config: WorldConfig) -> MismatchError:
+    """Return the refusal of a file that places cameras elsewhere than they are seen to be."""
+    names, target = cameras.target.names, cameras.target
+    if cameras.are_mirrored(config):
+        return MismatchError(
+            "--world: expected cameras in right-handed axes, found that the mirror image of their "
+            "places fits the recording; exchange two axes of the file, or turn one round"
+        )
+    odd = (
+        leave_one_out(lambda some: cameras.fit(some, config), len(names))
+        if len(names) > 2
+        else None
+    )
+    worst = int(np.argmax(fit.off))
+    said = "correct the file"
+    if odd is not None and odd[1].misfit <= config.most_misfit:
+        worst, said = odd[0], f"correct or leave out {names[odd[0]]}, without which the others fit"
+    away = _describe_distance(fit.distance, target, config.unit)
+    return MismatchError(
+        "--world: expected cameras where the recording shows them, found them "
+        f"{away} and {np.degrees(rms(fit.turn)):.0f} deg from there (RMS), most of all "
+        f"{names[worst]}; {said}"
+    )
+
+
+def _describe_distance(distance: Floats, target: CameraRig, unit: str) -> str:
+    """Return the RMS of distances in words: in millimetres, or in percent of a rig's size."""
+    if unit in METRES:
+        return f"{1e3 * METRES[unit] * rms(distance):.0f} mm"
+    return f"{100 * rms(distance) / rig_size(target):.1f} % of the rig's size"
 
 
 def shared_cameras(known: Sequence[KnownCamera], names: Sequence[str]) -> list[KnownCamera]:
@@ -78,13 +167,19 @@ def check_landmarks(
 
 
 def align_to_landmarks(
-    rig: CameraRig, landmarks: Sequence[Landmark], config: WorldConfig
+    rig: CameraRig,
+    landmarks: Sequence[Landmark],
+    config: WorldConfig,
+    covariance: RigCovariance | None = None,
 ) -> tuple[Similarity, float, tuple[MeasuredLandmark, ...]]:
     """Return the similarity to the world of landmarks, and its relative error of scale.
 
     The landmarks are triangulated. Returned is also how far each is from where it should be.
 
-    Raises MismatchError for unknown cameras, and landmarks that are too few or on a line.
+    covariance: of the rig; None: it is exact.
+
+    Raises MismatchError for unknown cameras, landmarks that are too few or on a line, and those
+    that are elsewhere than noise can explain.
     """
     names, known, pixels = _collect(rig, landmarks)
     found, _ = rig.triangulate(pixels)
@@ -92,20 +187,53 @@ def align_to_landmarks(
     _check_number(int(seen.sum()), len(names), config)
     for points, where in ((known[seen], "stated"), (found[seen], "seen")):
         _check_extent(points, where, config)
-    by = Similarity(*align_by_similarity(found[seen], known[seen]))
-    away = np.linalg.norm(by.apply(found) - known, axis=1)
+    sigma = point_sigmas(
+        rig, found[seen], np.isfinite(pixels[:, seen, 0]), covariance or exact(rig), config
+    )
+    fit = fit_points(found[seen], known[seen], sigma, config)
+    if fit.misfit > config.most_misfit:
+        used = [one_line(name) for name, there in zip(names, seen, strict=True) if there]
+        raise _contradicting_landmarks(used, (found[seen], known[seen], sigma), fit, config)
+    away = np.linalg.norm(fit.by.apply(found) - known, axis=1)
     measured = (
         MeasuredLandmark(name, float(distance)) for name, distance in zip(names, away, strict=True)
     )
-    return by, _scale_sigma(by.apply(found[seen]), known[seen]), tuple(measured)
+    return fit.by, _scale_sigma(fit.by.apply(found[seen]), known[seen]), tuple(measured)
+
+
+def _contradicting_landmarks(
+    names: Sequence[str], places: tuple[Floats, Floats, Floats], fit: Fit, config: WorldConfig
+) -> MismatchError:
+    """Return the refusal of landmarks that are elsewhere than they are seen to be.
+
+    places: found and stated `[N, 3]`, and standard deviations `[N]` of the former.
+    """
+    found, known, sigma = places
+    if is_mirrored(found, known, sigma, config):
+        return MismatchError(
+            "--align: expected landmarks in right-handed axes, found that their mirror image fits "
+            "what cameras see; exchange two axes of the file, or turn one round"
+        )
+
+    def fit_some(some: Bools) -> Fit:
+        return fit_points(found[some], known[some], sigma[some], config)
+
+    enough = len(names) > config.least_landmarks
+    odd = leave_one_out(fit_some, len(names)) if enough else None
+    worst, said = int(np.argmax(fit.distance)), "correct their places or pixels"
+    if odd is not None and odd[1].misfit <= config.most_misfit:
+        worst, said = odd[0], f"correct or leave out {names[odd[0]]}, without which the others fit"
+    return MismatchError(
+        "--align: expected landmarks that are where cameras see them, found them "
+        f"{1e3 * rms(fit.distance):.0f} mm from there (RMS), most of all {names[worst]}; {said}"
+    )
 
 
 def describe_alignment(landmarks: Sequence[MeasuredLandmark]) -> str:
     """Return how well landmarks are where they should be, in words."""
     away = np.array([each.distance for each in landmarks])
     away = away[np.isfinite(away)]
-    rms = float(np.sqrt((away**2).mean()))
-    return f"aligned to {count(len(away), 'landmark')}, RMS distance {1e3 * rms:.0f} mm"
+    return f"aligned to {count(len(away), 'landmark')}, RMS distance {1e3 * rms(away):.0f} mm"
 
 
 def _collect(

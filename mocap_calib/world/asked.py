@@ -66,7 +66,8 @@ def _check_axes(config: WorldConfig, cameras: Sequence[str], joints: Joints) -> 
 
 def _check_number(text: str, individuals: int | None) -> None:
     """Raise MismatchError for what is no number that a run gives to an individual."""
-    if re.fullmatch("0|[1-9][0-9]{0,8}", text) and (individuals is None or int(text) < individuals):
+    index = individual_index(text)
+    if index is not None and (individuals is None or index < individuals):
         return
     known = "0, 1, ..." if individuals is None else f"0 to {individuals - 1}"
     raise MismatchError(
@@ -75,24 +76,41 @@ def _check_number(text: str, individuals: int | None) -> None:
     )
 
 
+def individual_index(text: str, individuals: Sequence[str] = ()) -> int | None:
+    """Return the index of an individual by its number or name, None for other texts.
+
+    individuals: names, where they have others than results give them: individual_0, ...
+    """
+    if text in individuals:
+        return individuals.index(text)
+    found = re.fullmatch("(?:individual_)?(0|[1-9][0-9]{0,8})", text)
+    return int(found[1]) if found else None
+
+
 def check_cues(
     cues: Sequence[ScaleCue],
     keypoints: tuple[str, ...],
     joints: Joints,
     views: Sequence[str],
     config: CueConfig,
+    *,
+    individuals: Sequence[str] = (),
 ) -> None:
     """Hold lengths to what keypoints and cameras have names for.
 
-    views: names of the cameras' views.
+    views: names of the cameras' views. individuals: names, as `individual_index` takes them.
 
-    Raises MismatchError for unknown names, and where the same length is said twice.
+    Raises MismatchError for unknown names, statures that nobody has, and where the same length is
+    said twice.
     """
     seen: set[tuple[str, frozenset[object]]] = set()
     for cue in cues:
         what: frozenset[object] = frozenset([cue.of])
         if cue.kind == "height":
             head_columns(joints, config)
+            _check_stature(cue.metres, config)
+            index = individual_index(cue.of, individuals)
+            what = frozenset([cue.of if index is None else index])
         elif cue.kind == "length":
             what = frozenset(joint_pair(cue.of, keypoints, joints, "--length"))
         else:
@@ -104,6 +122,20 @@ def check_cues(
                 f"say it once{whose}"
             )
         seen.add((cue.kind, what))
+
+
+def _check_stature(metres: float, config: CueConfig) -> None:
+    """Raise MismatchError for a stature that nobody has."""
+    least, most = config.statures
+    if least <= metres <= most:
+        return
+    divisor = next((each for each in (100, 1000) if least <= metres / each <= most), None)
+    asks = {100: "were centimetres meant", 1000: "were millimetres meant"}
+    advice = f"{asks[divisor]}? say {metres / divisor:g}" if divisor else "correct it"
+    raise MismatchError(
+        f"--height: expected the stature of a person in metres, {least:g} to {most:g}, "
+        f"found {metres:g}; {advice}"
+    )
 
 
 def describe_cue(cue: ScaleCue) -> str:
@@ -168,6 +200,10 @@ def split_pair(
     for first, second in halves:
         if _is_known(first, names) and _is_known(second, names) and first != second:
             return first, second
+    if _is_known(text, names):
+        raise MismatchError(
+            f"{option} {text}: expected two {what}, as A-B, found one; add the second"
+        )
     same = next((a for a, b in halves if a == b and _is_known(a, names)), "")
     if same:
         raise MismatchError(

@@ -50,6 +50,20 @@ def joints_of_recording(recording: Recording) -> Joints:
     return Joints(choose_skeleton(columns).name, columns)
 
 
+def stated_joints(recording: Recording) -> tuple[str, ...]:
+    """Return the joint `[keypoint]` of each keypoint, "" = none, where their names do not say so.
+
+    That is where a user's file of names or another model did; empty otherwise.
+    """
+    skeleton = load_vocabulary(recording.model)
+    joints = tuple(
+        skeleton.keypoints[joint] if joint >= 0 else "" for joint in recording.vocabulary
+    )
+    spelt = tuple(a or b for a, b in zip(joints, recording.keypoints, strict=True))
+    same = find_joints(spelt).columns == find_joints(recording.keypoints).columns
+    return () if same else joints
+
+
 def keep_triangulated(poses: Poses3D) -> Poses3D:
     """Return poses without the points that no two views saw: these rest on other bodies."""
     seen = poses.source == POINT_SOURCES.index("triangulated")

@@ -5,7 +5,7 @@ averaged, weighted by their variances (a product of errors is a sum of logarithm
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,12 +14,13 @@ from mocap_calib.errors import MismatchError, suggest
 from mocap_calib.geometry.bodies import body_size
 from mocap_calib.geometry.gauge import rig_size
 from mocap_calib.recording.epochs import own_name
-from mocap_calib.types import Bools, CameraRig, Floats, MeasuredCue, Poses3D, RigCovariance
+from mocap_calib.types import Bools, CameraRig, Floats, MeasuredCue, Poses3D, RigCovariance, World
 from mocap_calib.world.asked import (
     camera_pair,
     check_cues,
     describe_cue,
     head_columns,
+    individual_index,
     joint_pair,
 )
 from mocap_calib.world.body import (
@@ -31,6 +32,8 @@ from mocap_calib.world.body import (
     stand_straight,
 )
 from mocap_calib.world.floor import FEET, Floor
+
+_RESCALED = "axes and origin are those of the file, lengths are not: known ones set them"
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +61,14 @@ class Scale:
     cues: tuple[MeasuredCue, ...]
 
 
+def scaled_world(world: World, scale: Scale) -> World:
+    """Return a world, whose lengths are scaled already, that says by what."""
+    remarks = world.remarks
+    if world.kind == "file" and _RESCALED not in remarks:
+        remarks = (*remarks, _RESCALED)
+    return replace(world, scale_sigma=scale.sigma, cues=scale.cues, remarks=remarks, scale_unmet="")
+
+
 def find_scale(
     cues: Sequence[ScaleCue], on: Measurable, config: CueConfig, floor: FloorConfig
 ) -> Scale | None:
@@ -67,37 +78,56 @@ def find_scale(
     """
     if not cues:
         return None
-    check_cues(cues, on.poses.keypoints, on.joints, on.rig.names, config)
+    names = (on.poses.keypoints, on.joints, on.rig.names)
+    check_cues(cues, *names, config, individuals=on.individuals)
     lengths, sigmas = np.array([_measure(cue, on, config, floor) for cue in cues]).T
     known = np.array([cue.metres for cue in cues])
     sigma = np.hypot(sigmas, [cue.sigma / cue.metres for cue in cues])
-    weight = 1 / sigma**2
     logs = np.log(known / lengths)
-    mean = float(weight @ logs / weight.sum())
-    left = np.maximum(sigma**2 - 1 / weight.sum(), 0.0)  # the mean follows each of them in part
-    residual = (mean - logs) / np.sqrt(left) if len(cues) > 1 else [np.nan]
+    mean, residual = _combine(logs, sigma)
     factor = float(np.exp(mean))
     measured = tuple(
         MeasuredCue(describe_cue(cue), cue.metres, float(factor * length), float(own), float(off))
         for cue, length, own, off in zip(cues, lengths, sigma, residual, strict=True)
     )
-    _check_agreement(measured, config)
-    return Scale(factor, float(np.sqrt(1 / weight.sum())), measured)
+    if (np.abs(residual) > config.most_residual).any():
+        raise _contradiction(measured, logs, sigma, config)
+    return Scale(factor, float(np.sqrt(1 / (1 / sigma**2).sum())), measured)
 
 
-def _check_agreement(cues: Sequence[MeasuredCue], config: CueConfig) -> None:
-    """Raise MismatchError where cues are further apart than chance allows."""
-    if not any(abs(cue.residual) > config.most_residual for cue in cues):
-        return
+def _combine(logs: Floats, sigma: Floats) -> tuple[float, Floats]:
+    """Return the mean of `[cue]` logarithms, and how many sigma each is from it, NaN if alone."""
+    weight = 1 / sigma**2
+    mean = float(weight @ logs / weight.sum())
+    left = np.maximum(sigma**2 - 1 / weight.sum(), 0.0)  # the mean follows each of them in part
+    return mean, (mean - logs) / np.sqrt(left) if len(logs) > 1 else np.array([np.nan])
+
+
+def _contradiction(
+    cues: Sequence[MeasuredCue], logs: Floats, sigma: Floats, config: CueConfig
+) -> MismatchError:
+    """Return the refusal of cues that are further apart than chance allows.
+
+    It names the one without which the others agree, if there is exactly one.
+    """
     said = ", ".join(
         f"{cue.text}={cue.metres:g} m ({cue.measured:.3g} m by all of them, "
         f"{abs(cue.residual):.1f} sigma off)"
         for cue in cues
     )
-    raise MismatchError(
-        f"scale: expected lengths that agree with each other, found {said}; "
-        "correct or leave out one of them"
+    odd = [k for k in range(len(cues)) if _agree_without(k, logs, sigma, config)]
+    advice = "correct or leave out one of them"
+    if len(cues) > 2 and len(odd) == 1:
+        advice = f"correct or leave out {cues[odd[0]].text}, without which the others agree"
+    return MismatchError(
+        f"scale: expected lengths that agree with each other, found {said}; {advice}"
     )
+
+
+def _agree_without(cue: int, logs: Floats, sigma: Floats, config: CueConfig) -> bool:
+    """Return whether all cues but that of an index agree with each other."""
+    _, residual = _combine(np.delete(logs, cue), np.delete(sigma, cue))
+    return not (np.abs(residual) > config.most_residual).any()
 
 
 def _measure(
@@ -172,14 +202,14 @@ def _measure_height(
 def _find_individual(text: str, on: Measurable) -> int:
     """Return the index of an individual. Raises MismatchError."""
     count = on.poses.positions.shape[1]
-    known = {str(index): index for index in range(count)}
-    known |= {name: index for index, name in enumerate(on.individuals)}
-    if text not in known:
+    index = individual_index(text, on.individuals)
+    if index is None or index >= count:
+        known = [*map(str, range(count)), *on.individuals]
         raise MismatchError(
             f"--height {text}=...: expected an individual, one of {', '.join(known)}, "
             f"found {text!r}; {suggest(text, known)}"
         )
-    return known[text]
+    return index
 
 
 # --- lengths between joints, distances of cameras

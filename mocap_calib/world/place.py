@@ -6,15 +6,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mocap_calib import mapped
-from mocap_calib.config import WORLDS, ScaleCue, WorldConfig
+from mocap_calib.config import WORLDS, FloorConfig, ScaleCue, WorldConfig
 from mocap_calib.errors import DegenerateError, MismatchError
 from mocap_calib.geometry.rotation import nearest_rotation
 from mocap_calib.recording.epochs import views_by_camera
 from mocap_calib.types import (
     METRES,
     CalibrationResult,
+    CameraRig,
     Floats,
     GroupResult,
+    Poses3D,
     World,
 )
 from mocap_calib.world.alignment import (
@@ -23,10 +25,11 @@ from mocap_calib.world.alignment import (
     describe_alignment,
 )
 from mocap_calib.world.asked import camera_pair, joint_pair
-from mocap_calib.world.body import joints_of_recording, keep_triangulated
-from mocap_calib.world.cues import Measurable, Scale, find_scale
+from mocap_calib.world.body import Joints, joints_of_recording, keep_triangulated
+from mocap_calib.world.cues import Measurable, Scale, find_scale, scaled_world
 from mocap_calib.world.floor import Floor, find_floor
 from mocap_calib.world.moving import Similarity, move_group
+from mocap_calib.world.people import check_people
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,13 +58,8 @@ def place_result(result: CalibrationResult) -> CalibrationResult:
 def place_in_world(group: GroupResult, config: WorldConfig) -> GroupResult:
     """Return a group of cameras and all that is known of it in the coordinates asked for."""
     joints = joints_of_recording(group.recording)
-    trusted = group.verdict != "not determined"
     poses = keep_triangulated(group.poses)
-    floor: Floor | str = "the rig is not determined"
-    if trusted:
-        # as they were seen: best estimates lift or lower feet a little, for the sake of bones
-        seen = replace(poses, positions=group.poses.raw)
-        floor = find_floor(seen, joints, group.rig, config.floor)
+    floor = look_for_floor(group.poses, joints, group.rig, group.verdict, config.floor)
     covariance = group.uncertainty.covariance
     if isinstance(floor, Floor):
         turn = float(np.median(covariance.rotation_sigma))
@@ -69,6 +67,20 @@ def place_in_world(group: GroupResult, config: WorldConfig) -> GroupResult:
     on = Measurable(poses, joints, group.rig, floor, covariance)
     placement = find_placement(on, config)
     return move_group(group, placement.by, placement.unit, placement.world)
+
+
+def look_for_floor(
+    poses: Poses3D, joints: Joints, rig: CameraRig, verdict: str, config: FloorConfig
+) -> Floor | str:
+    """Return the floor below poses, or why there is none.
+
+    verdict: on the rig, "" where nobody judged it.
+    """
+    if verdict == "not determined":
+        return "the rig is not determined"
+    # as they were seen: best estimates lift or lower feet a little, for the sake of bones
+    seen = replace(keep_triangulated(poses), positions=poses.raw)
+    return find_floor(seen, joints, rig, config)
 
 
 def find_placement(on: Measurable, config: WorldConfig) -> Placement:
@@ -98,16 +110,14 @@ def _find_axes(on: Measurable, config: WorldConfig) -> Placement:
     Raises MismatchError and DegenerateError where they cannot be had.
     """
     if config.landmarks:
-        by, sigma, seen = align_to_landmarks(on.rig, config.landmarks, config)
-        remarks = (describe_alignment(seen),)
+        by, sigma, seen = align_to_landmarks(on.rig, config.landmarks, config, on.covariance)
+        doubts = check_people(on, by, "m", "--align", config.measure)
+        remarks = (describe_alignment(seen), *doubts)
         world = World(kind="landmarks", scale_sigma=sigma, remarks=remarks, landmarks=seen)
         return Placement(by, "m", world)
     if config.cameras:
-        by, sigma = align_to_cameras(on.rig, config.cameras)
-        remark = "aligned to cameras whose places were given"
-        known = config.unit in METRES
-        world = World(kind="file", scale_sigma=sigma if known else np.nan, remarks=(remark,))
-        return Placement(by, config.unit, world)
+        by, sigma, remark = align_to_cameras(on.rig, config, on.covariance)
+        return Placement(by, config.unit, _world_of_file(on, by, sigma, remark, config))
     if isinstance(on.floor, Floor) and config.axes in ("auto", "floor"):
         return Placement(_stand_on_floor(on, on.floor, config), on.poses.unit, World(kind="floor"))
     if config.axes == "floor" or config.forward:
@@ -117,6 +127,19 @@ def _find_axes(on: Measurable, config: WorldConfig) -> Placement:
             "leave it out, or name a camera with --world"
         )
     return _look_through_camera(on, config)
+
+
+def _world_of_file(
+    on: Measurable, by: Similarity, sigma: float, remark: str, config: WorldConfig
+) -> World:
+    """Return what is known of the world of a file of cameras.
+
+    by: the way to it. sigma: of the scale. remark: on the alignment. Raises MismatchError.
+    """
+    if config.unit not in METRES:
+        return World(kind="file", remarks=(remark,))
+    doubts = check_people(on, by, config.unit, "--world", config.measure)
+    return World(kind="file", scale_sigma=sigma, remarks=(remark, *doubts))
 
 
 def _stand_on_floor(on: Measurable, floor: Floor, config: WorldConfig) -> Similarity:
@@ -184,8 +207,7 @@ def _with_scale(placement: Placement, scale: Scale | None) -> Placement:
         return placement
     by = placement.by  # to a world whose lengths may differ from those that were measured
     moved = Similarity(scale.factor, by.rotation, scale.factor / by.scale * by.shift)
-    world = replace(placement.world, scale_sigma=scale.sigma, cues=scale.cues)
-    return Placement(moved, "m", world)
+    return Placement(moved, "m", scaled_world(placement.world, scale))
 
 
 def _with_floor(placement: Placement, on: Measurable) -> Placement:

@@ -22,6 +22,8 @@ def test_the_world_is_said_in_a_line_and_its_evidence_below():
     assert "landmark b: not used" in said[2]
     (line,) = said_of("arbitrary", kind="floor")
     assert line.startswith("world: z is up, the origin is on the floor; lengths are arbitrary: ")
+    (line,) = said_of("arbitrary", kind="file")
+    assert "`mocap-calib convert FILE NEW --input-unit m`" in line
 
 
 def test_a_known_length_is_compared_where_there_are_others():

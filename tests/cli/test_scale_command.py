@@ -79,6 +79,18 @@ def test_scaled_results_are_scaled_again_and_known_units_are_left_alone(done, to
     assert {name for name in before if after[name] != before[name]} == {"cameras.yaml"}  # ours
 
 
+@pytest.mark.slow
+def test_nobody_stands_where_the_rig_is_not_determined(done, tool, tmp_path):
+    out = shutil.copytree(done[0], tmp_path / "out")
+    rig = read_rig(out / "cameras.yaml")
+    doubted = {**rig.judgement, "verdict": "not determined"}
+    (content,) = format_rig(rig, "mocap-calib", doubted).files.values()
+    (out / "cameras.yaml").write_bytes(content)
+    said = tool("scale", out, "--height", "1.75")
+    assert said.returncode == 1
+    assert "found that the rig is not determined" in said.stderr
+
+
 @pytest.mark.parametrize(
     ("arguments", "status", "says"),
     [
@@ -92,6 +104,13 @@ def test_what_was_typed_wrong_is_said_in_a_line(arguments, status, says, tool, t
     said = tool("scale", tmp_path, *arguments)
     assert said.returncode == status
     assert says in said.stderr
+
+
+def test_a_file_of_a_run_is_no_folder_of_one(tool, tmp_path):
+    (tmp_path / "poses3d.h5").write_bytes(b"")
+    said = tool("scale", tmp_path / "poses3d.h5", "--height", "1.75")
+    assert (said.returncode, said.stderr.count("\n")) == (1, 1)
+    assert "poses3d.h5: expected the folder of a run, found a file; give the folder" in said.stderr
 
 
 @pytest.mark.slow

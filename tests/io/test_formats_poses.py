@@ -571,3 +571,13 @@ def test_covariances_go_with_the_unit_the_axes_and_the_individual(tmp_path):
         write_poses(tmp_path / f"{k}.npz", PoseFile(one, 60.0), "npz")
     back = join_individuals([load_poses(tmp_path / f"{k}.npz") for k in range(2)], "there")
     np.testing.assert_array_equal(back.poses.covariance, entries)
+
+
+def test_formats_without_a_unit_say_which_is_lost():
+    poses = bare_poses(("left_hip", "left_knee"), np.arange(3), np.ones((3, 1, 2, 3)), unit="m")
+    for file, lost in (
+        (PoseFile(poses, 30.0), ("the unit (m)",)),
+        (PoseFile(replace(poses, unit="arbitrary"), 30.0), ()),
+    ):
+        for name in ("bvh", "anipose-csv"):
+            assert format_poses(file, name, Path("x")).lost == lost

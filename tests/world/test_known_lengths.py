@@ -86,12 +86,38 @@ def test_heights_are_of_each_who_stands_and_of_nobody_who_sits():
     ("cues", "says"),
     [
         ([ScaleCue("length", 0.4, of="left_hip-left_kne")], "did you mean left_knee"),
-        ([ScaleCue("length", 0.4, of="left_hip")], "expected two joints, as A-B"),
+        ([ScaleCue("length", 0.4, of="left_hip")], "as A-B, found one; add the second"),
         ([ScaleCue("camera distance", 3.0, of="cam1-cam9")], "'cam9'"),
+        (
+            [ScaleCue("height", 175)],
+            "metres, 0.3 to 3, found 175; were centimetres meant. say 1.75",
+        ),
+        ([ScaleCue("height", 1750, of="0")], "were millimetres meant. say 1.75"),
+        ([ScaleCue("height", 0.1)], "found 0.1; correct it"),
         ([ScaleCue("height", 1.7, of="5")], "expected an individual, one of 0, 1"),
         (
             [ScaleCue("height", 1.75), ScaleCue("camera distance", 40.0, of="cam1-cam2")],
-            "height=1.75 m .* camera distance cam1-cam2=40 m .* correct or leave out",
+            "height=1.75 m .* camera distance cam1-cam2=40 m .* correct or leave out one of them",
+        ),
+        (
+            [
+                ScaleCue("height", 1.75),
+                ScaleCue("length", 0.42, of="left_hip-left_knee"),
+                ScaleCue("camera distance", 40.0, of="cam1-cam2"),
+            ],
+            "leave out camera distance cam1-cam2, without which the others agree",
+        ),
+        (
+            [
+                ScaleCue("height", 1.75),
+                ScaleCue("length", 1.7, of="left_hip-left_knee"),
+                ScaleCue("camera distance", 40.0, of="cam1-cam2"),
+            ],
+            "correct or leave out one of them",
+        ),
+        (
+            [ScaleCue("height", 1.8, of="0"), ScaleCue("height", 1.6, of="individual_0")],
+            "found height of individual_0 twice",
         ),
     ],
 )

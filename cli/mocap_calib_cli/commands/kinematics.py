@@ -53,7 +53,7 @@ def command(
     check_sources(poses)
     outputs.check_folder(output)
     file = load_pose_sources([Path(each) for each in poses], source, fps)
-    names = file.poses.keypoints
+    names = file.poses.keypoints if shared.skeleton else file.spelt
     definitions = define(names, *fit_vocabulary(names, shared.skeleton))
     rate = file.rate if file.rate > 0 else None
     found = measure(file.poses, rate, definitions)

@@ -38,7 +38,8 @@ def command(shared: options.SharedOptions, output: Path) -> None:
         raise click.UsageError(
             "expected a known length, found none; say --height, --length or --camera-distance"
         )
-    outputs.check_folder(output)
+    if output.is_dir():
+        outputs.check_folder(output)
     done = scale_results(output, cues, WorldConfig())
     said = describe_world(world_fields(done.world, "m"))
     reporter = Reporter(quiet=shared.quiet)

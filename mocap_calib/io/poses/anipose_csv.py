@@ -17,6 +17,7 @@ from mocap_calib.io.poses.common import (
     WrittenPoses,
     lost_covariance,
     lost_names,
+    lost_unit,
     mark_missing,
 )
 from mocap_calib.io.results.poses_csv import poses_csv
@@ -114,6 +115,5 @@ def _parse_frames(numbers: Floats, source: str) -> Ints:
 
 def write(file: PoseFile, title: str) -> WrittenPoses:
     """Write the one individual."""
-    lost_unit = () if file.poses.unit == ARBITRARY else (f"the unit ({file.poses.unit})",)
     content = "".join(poses_csv(file.poses, 0)).encode()
-    return WrittenPoses(content, (*lost_unit, *lost_covariance(file), *lost_names(file)))
+    return WrittenPoses(content, (*lost_unit(file), *lost_covariance(file), *lost_names(file)))

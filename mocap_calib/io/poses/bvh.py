@@ -18,6 +18,7 @@ from mocap_calib.io.poses.common import (
     fill_gaps,
     lost_names,
     lost_quality,
+    lost_unit,
     need_keypoints,
     need_rate,
 )
@@ -43,7 +44,7 @@ def write(file: PoseFile, title: str) -> WrittenPoses:
     left_out = len(file.poses.keypoints) - len({k for own in tree.keypoints for k in own})
     lost = ("keypoints that no bone joins",) if left_out else ()
     content = ("\n".join(lines) + "\n").encode()
-    return WrittenPoses(content, (*lost, "the unit", *lost_quality(file), *lost_names(file)))
+    return WrittenPoses(content, (*lost, *lost_unit(file), *lost_quality(file), *lost_names(file)))
 
 
 def _describe_joint(

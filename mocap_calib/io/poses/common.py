@@ -20,7 +20,7 @@ from mocap_calib.io.sandbox import HDF5
 from mocap_calib.io.units import unit_factor
 from mocap_calib.recording.joints import choose_skeleton, edges_of_keypoints, match_names
 from mocap_calib.records import check_names
-from mocap_calib.types import CameraRig, Floats, Ints, Poses3D
+from mocap_calib.types import ARBITRARY, CameraRig, Floats, Ints, Poses3D
 from mocap_calib.wording import one_line
 
 # what h5py, numpy, zipfile and c3d raise on files that are cut or damaged
@@ -48,6 +48,7 @@ class PoseFile:
     individuals: `[individual]` names; those of a file without names are called individual_0, ...
     notes: what a user should know of what was left out.
     edges: pairs of keypoints (indices) that a skeleton joins, where the file says so.
+    joints: `[keypoint]` joint that each is, "" = none, where the keypoints' names do not say so.
     rig: the cameras, in the same coordinates, where they are known: for formats that show them.
     """
 
@@ -57,6 +58,14 @@ class PoseFile:
     notes: tuple[str, ...] = field(default=())
     edges: tuple[tuple[int, int], ...] = ()
     rig: CameraRig | None = None
+    joints: tuple[str, ...] = ()
+
+    @property
+    def spelt(self) -> tuple[str, ...]:
+        """`[keypoint]` names that say which joints they are, where that is known."""
+        names = self.poses.keypoints
+        joints = self.joints or names
+        return tuple(joint or name for joint, name in zip(joints, names, strict=True))
 
     def __post_init__(self) -> None:
         count = self.poses.positions.shape[1]
@@ -70,12 +79,15 @@ def describe_poses(
     poses: Poses3D,
     fps: float | None,
     individuals: Sequence[str] = (),
+    *,
     edges: tuple[tuple[int, int], ...] = (),
     rig: CameraRig | None = None,
+    joints: tuple[str, ...] = (),
 ) -> PoseFile:
     """Return poses with what is known beside.
 
-    fps: frames per second; None: not known. individuals, edges, rig: see `PoseFile`.
+    fps: frames per second; None: not known. individuals, edges, rig, joints:
+        see `PoseFile`.
 
     Raises ValueError for another number of names, names that occur twice, and a rate that is not
     above 0.
@@ -86,7 +98,7 @@ def describe_poses(
         raise ValueError(f"individuals: expected {count} names, got {len(individuals)}")
     check_rate(fps)
     rate = float("nan") if fps is None else fps
-    return PoseFile(poses, rate, tuple(individuals), edges=edges, rig=rig)
+    return PoseFile(poses, rate, tuple(individuals), edges=edges, rig=rig, joints=joints)
 
 
 def check_rate(fps: float | None) -> None:
@@ -222,7 +234,7 @@ def known_edges(file: PoseFile) -> tuple[tuple[int, int], ...]:
     if file.edges:
         return file.edges
     skeleton = choose_skeleton(file.poses.keypoints)
-    return edges_of_keypoints(skeleton, match_names(file.poses.keypoints, skeleton))
+    return edges_of_keypoints(skeleton, match_names(file.spelt, skeleton))
 
 
 def fill_gaps(poses: Poses3D, owner: str) -> tuple[Ints, Floats]:
@@ -262,6 +274,11 @@ def need_keypoints(file: PoseFile, pattern: str, words: str, owner: str) -> None
     for name in (*file.poses.keypoints, *file.individuals):
         if not re.fullmatch(pattern, name):
             raise MismatchError(f"{owner}: expected names of {words}, found {name!r}; rename it")
+
+
+def lost_unit(file: PoseFile) -> tuple[str, ...]:
+    """Return the unit, for formats without a place for it; nothing where lengths have none."""
+    return () if file.poses.unit == ARBITRARY else (f"the unit ({file.poses.unit})",)
 
 
 def lost_quality(file: PoseFile) -> tuple[str, ...]:

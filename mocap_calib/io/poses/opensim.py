@@ -31,10 +31,10 @@ def marker_names(file: PoseFile) -> tuple[str, ...]:
     do not have, and those of animals, keep their names.
     """
     names = file.poses.keypoints
-    skeleton = choose_skeleton(names)
+    skeleton = choose_skeleton(file.spelt)
     if skeleton.name != _PEOPLE:
         return names
-    joints = match_names(names, skeleton)
+    joints = match_names(file.spelt, skeleton)
     markers = tuple(
         _name_marker(skeleton.keypoints[joint], name) if joint >= 0 else name
         for name, joint in zip(names, joints, strict=True)

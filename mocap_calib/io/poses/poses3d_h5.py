@@ -1,6 +1,6 @@
 """Our own poses3d.h5, which carries all; `io.results.poses_h5` has how its datasets are written.
 
-The names of individuals, the rate (`fps`) and the edges of the skeleton may be missing.
+The names of individuals, the rate (`fps`), the edges of the skeleton and the joints may be missing.
 """
 
 import io
@@ -34,14 +34,23 @@ def _is_ours(file: h5py.File) -> bool:
 
 
 def parse(content: bytes, source: str) -> PoseFile:
-    """Read the poses, the names of the individuals, the rate and the edges. Raises FormatError."""
+    """Read the poses, the names of the individuals, the rate, the edges and the joints.
+
+    Raises FormatError.
+    """
     poses = parse_poses_h5(content, source)
     with refuse_damage(source, _FORMAT), h5py.File(io.BytesIO(content), "r") as file:
         individuals: tuple[str, ...] = ()
         if "individual_names" in file:
             individuals = names(file, "individual_names", source)
         rate = float(file.attrs.get("fps", np.nan))
-        return PoseFile(poses, rate, individuals, edges=_read_edges(file, poses, source))
+        return PoseFile(
+            poses,
+            rate,
+            individuals,
+            edges=_read_edges(file, poses, source),
+            joints=_read_joints(file, poses, source),
+        )
 
 
 def _read_edges(file: h5py.File, poses: Poses3D, source: str) -> tuple[tuple[int, int], ...]:
@@ -57,6 +66,17 @@ def _read_edges(file: h5py.File, poses: Poses3D, source: str) -> tuple[tuple[int
     return tuple((int(a), int(b)) for a, b in edges)
 
 
+def _read_joints(file: h5py.File, poses: Poses3D, source: str) -> tuple[str, ...]:
+    """Return the joint of each keypoint, none where the file has none. Raises FormatError."""
+    if "keypoint_joints" not in file:
+        return ()
+    joints = names(file, "keypoint_joints", source)
+    if len(joints) != len(poses.keypoints):
+        expected = f"a joint for each of the {len(poses.keypoints)} keypoints"
+        raise malformed(source, expected, f"{len(joints)}", "write the file again")
+    return joints
+
+
 def write(file: PoseFile, title: str) -> WrittenPoses:
     """Write the file, which carries all; a title becomes its provenance."""
     content = poses_to_h5(
@@ -65,5 +85,6 @@ def write(file: PoseFile, title: str) -> WrittenPoses:
         edges=file.edges,
         fps=file.rate,
         individuals=file.individuals,
+        joints=file.joints,
     )
     return WrittenPoses(content)

@@ -82,7 +82,7 @@ def join_individuals(files: Sequence[PoseFile], source: str) -> PoseFile:
         )
     notes = tuple(note for file in files for note in file.notes)
     poses = _join_poses([file.poses for file in files])
-    return PoseFile(poses, first.rate, _join_names(files), notes, first.edges)
+    return PoseFile(poses, first.rate, _join_names(files), notes, first.edges, joints=first.joints)
 
 
 def _sniff(content: bytes) -> str:

@@ -17,6 +17,7 @@ from mocap_calib.io.poses.common import (
     WrittenPoses,
     known_edges,
     lost_quality,
+    lost_unit,
 )
 
 _UP = {  # axis that points up -> rerun's name for a right-handed frame of reference
@@ -44,7 +45,7 @@ def write(file: PoseFile, title: str) -> WrittenPoses:
         content = path.read_bytes()
     lens = file.rig is not None and any(camera.distortion.any() for camera in file.rig)
     lost = ("the distortion of lenses",) if lens else ()
-    return WrittenPoses(content, (*lost, "the unit", *lost_quality(file)))
+    return WrittenPoses(content, (*lost, *lost_unit(file), *lost_quality(file)))
 
 
 def _log_scene(rerun: Any, stream: Any, file: PoseFile) -> None:

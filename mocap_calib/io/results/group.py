@@ -66,7 +66,12 @@ def write_group(
             _write_cameras(place / REVERSED_RIG, reversed_epoch, "anipose", remarked)
     replace_text(folder / "matches.csv", matches_csv(group.recording, group.matches, clocks))
     write_poses_h5(
-        folder / "poses3d.h5", poses.poses, provenance, edges=poses.edges, fps=poses.rate
+        folder / "poses3d.h5",
+        poses.poses,
+        provenance,
+        edges=poses.edges,
+        fps=poses.rate,
+        joints=poses.joints,
     )
     for individual in range(group.matches.individuals):
         path = numbered_file(folder / _POSES, individual)

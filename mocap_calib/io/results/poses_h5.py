@@ -3,8 +3,8 @@
 Datasets: position `[frame, individual, keypoint, 3]`, error, views, confidence, source `[frame,
 individual, keypoint]`, frames `[frame]`, keypoint_names `[keypoint]`; covariance `[frame,
 individual, keypoint, 6]`, position_raw where that is not the position, individual_names
-`[individual]` and edges `[edge, 2]` where they are known. Each says its axes, its unit and its
-meaning in attributes.
+`[individual]`, keypoint_joints `[keypoint]` and edges `[edge, 2]` where they are known. Each says
+its axes, its unit and its meaning in attributes.
 """
 
 import io
@@ -82,6 +82,9 @@ _DATASETS = {
         "frame", "frame number", "number of each frame, as the keypoint files have it"
     ),
     "keypoint_names": _Dataset("keypoint", "name", "name of each keypoint"),
+    "keypoint_joints": _Dataset(
+        "keypoint", "name", "joint that each keypoint was said to be; empty = none"
+    ),
     "individual_names": _Dataset("individual", "name", "name of each individual"),
     "edges": _Dataset(
         "edge, end",
@@ -98,10 +101,11 @@ def write_poses_h5(
     *,
     edges: Edges = (),
     fps: float = np.nan,
+    joints: Sequence[str] = (),
 ) -> None:
     """Write what `poses_to_h5` gives, whole or not at all, and without a copy of it in memory."""
     with replace_file(path) as work, h5py.File(work, "w") as file:
-        _fill(file, poses, provenance, edges=edges, fps=fps)
+        _fill(file, poses, provenance, edges=edges, fps=fps, joints=joints)
 
 
 def poses_to_h5(
@@ -111,15 +115,25 @@ def poses_to_h5(
     edges: Edges = (),
     fps: float = np.nan,
     individuals: Sequence[str] = (),
+    joints: Sequence[str] = (),
 ) -> bytes:
     """Return the poses as HDF5; the same arguments give the same bytes.
 
     edges: pairs of keypoints (indices) that a skeleton joins.
     fps: frames per second, NaN where it is not known.
-    individuals: `[individual]` names.
+    individuals: `[individual]` names. joints: `[keypoint]` of each keypoint, where its name does
+        not say so.
     """
     with h5py.File("poses", "w", driver="core", backing_store=False) as file:
-        _fill(file, poses, provenance, edges=edges, fps=fps, individuals=individuals)
+        _fill(
+            file,
+            poses,
+            provenance,
+            edges=edges,
+            fps=fps,
+            individuals=individuals,
+            joints=joints,
+        )
         file.flush()
         content: bytes = file.id.get_file_image()
     return content
@@ -153,6 +167,7 @@ def _fill(
     edges: Edges,
     fps: float,
     individuals: Sequence[str] = (),
+    joints: Sequence[str] = (),
 ) -> None:
     """Fill an HDF5 file. No times are written: they would change its bytes."""
     arrays = {
@@ -172,6 +187,8 @@ def _fill(
     for name, array in arrays.items():
         _write_array(file, name, array)
     _write_names(file, "keypoint_names", poses.keypoints)
+    if joints:
+        _write_names(file, "keypoint_joints", joints)
     if individuals:
         _write_names(file, "individual_names", individuals)
     for name, dataset in file.items():
