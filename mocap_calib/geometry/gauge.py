@@ -1,6 +1,7 @@
-"""What changes of a rig mean, and what none of them does: where it stands, its turn and its size.
+"""Changes of a rig, apart from what a similarity of the world changes: its place, turn and size.
 
-How far cameras are from where they should be counts after the best similarity between two rigs.
+These three mean nothing. How far cameras are from where they should be is what is left after the
+best similarity between two rigs.
 """
 
 import numpy as np

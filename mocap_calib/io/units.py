@@ -28,7 +28,7 @@ def unit_factor(source: str, target: str, owner: str) -> float:
             raise MismatchError(
                 f"{owner}: expected lengths in {' or '.join(METRES)}, found {found}; "
                 "a known length sets the scale of a run (`mocap-calib scale OUT --height 1.75`), "
-                "for other files say their unit: `convert --input-unit m`, in Python scale(1, 'm')"
+                "of other files `convert --input-unit m` says the unit, in Python scale(1, 'm')"
             )
     # the quotient of the powers of ten is exact this way round
     if METRES[source] >= METRES[target]:

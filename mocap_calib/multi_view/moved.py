@@ -122,7 +122,9 @@ def _judge_by_all(observed: Observed, placed: PlacedCameras, config: Config) -> 
 
     glance, views = look_at(config.moved.glanced_detections), range(len(placed.rig))
     suspects = np.flatnonzero(list(map_in_threads(glance_at, views))).tolist()
-    look = look_at(config.moved.detections) if suspects else glance
+    if not suspects:
+        return []
+    look = look_at(config.moved.detections)
     return [judged for judged in map_in_threads(judge, suspects) if judged is not None]
 
 

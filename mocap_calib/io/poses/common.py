@@ -86,8 +86,7 @@ def describe_poses(
 ) -> PoseFile:
     """Return poses with what is known beside.
 
-    fps: frames per second; None: not known. individuals, edges, rig, joints:
-        see `PoseFile`.
+    fps: frames per second; None: not known. The others: see `PoseFile`.
 
     Raises ValueError for another number of names, names that occur twice, and a rate that is not
     above 0.
@@ -233,7 +232,7 @@ def known_edges(file: PoseFile) -> tuple[tuple[int, int], ...]:
     """
     if file.edges:
         return file.edges
-    skeleton = choose_skeleton(file.poses.keypoints)
+    skeleton = choose_skeleton(file.spelt)
     return edges_of_keypoints(skeleton, match_names(file.spelt, skeleton))
 
 
