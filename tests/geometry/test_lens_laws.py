@@ -3,13 +3,13 @@
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from test_lens_slopes import assert_slopes
 
 from mocap_calib.geometry import lens
 from mocap_calib.types import Camera
 
 SEEDS = st.integers(0, 2**32 - 1)
 law = settings(max_examples=40, deadline=None, derandomize=True)
-NUDGE = 1e-5
 MISS = {False: 3e-12, True: 1.3e-15}  # of unit rays; by fisheye
 OFF = {False: 7e-10, True: 2.9e-10}
 
@@ -32,10 +32,6 @@ def lens_of(seed: int, *, fisheye: bool) -> tuple[Camera, np.ndarray]:
     return Camera("a", (1280, 720), whole, distortion, fisheye), image
 
 
-def pixels(camera: Camera, image: np.ndarray) -> np.ndarray:
-    return lens.project(camera, np.concatenate([image, np.ones((1, image.shape[1]))]))
-
-
 @law
 @given(SEEDS, st.booleans())
 def test_a_ray_has_a_pixel_and_the_pixel_has_that_ray(seed, fisheye):
@@ -53,19 +49,4 @@ def test_a_ray_has_a_pixel_and_the_pixel_has_that_ray(seed, fisheye):
 def test_slopes_of_any_lens_are_those_of_central_differences(seed, fisheye):
     """Measured 5.0e-10 of the largest slope, and 1.9e-10 of fisheyes: rounding of differences."""
     camera, image = lens_of(seed, fisheye=fisheye)
-    found = lens.image_slopes(camera, image)
-    for axis in range(2):
-        step = NUDGE * np.eye(2)[:, axis, None]
-        slope = (pixels(camera, image + step) - pixels(camera, image - step)) / (2 * NUDGE)
-        np.testing.assert_allclose(
-            found.image[:, axis], slope, atol=OFF[fisheye] * np.abs(slope).max()
-        )
-    for key in ("log_focal", "k1"):
-        ahead, behind = (
-            lens.change_intrinsics(camera, **{"log_focal": 0.0, "k1": 0.0, key: step})
-            for step in (NUDGE, -NUDGE)
-        )
-        slope = (pixels(ahead, image) - pixels(behind, image)) / (2 * NUDGE)
-        np.testing.assert_allclose(
-            getattr(found, key), slope, atol=OFF[fisheye] * np.abs(slope).max()
-        )
+    assert_slopes(camera, image, nudge=1e-5, off=OFF[fisheye])
