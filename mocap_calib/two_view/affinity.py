@@ -143,6 +143,44 @@ def _terms_of_relative_pose(rotation: Floats, translation: Floats) -> Floats:
     return terms
 
 
+def fit_matches(
+    pair: ViewPair, rotation: Floats, translation: Floats, config: PairwiseConfig
+) -> tuple[Floats, Floats]:
+    """Return Sampson's errors of the joints of all possible matches, and how well these fit.
+
+    Arguments as of `epipolar_error`. Returns its errors, those of two detections with too few
+    joints in common are of no meaning, and the `[M, frame, I, J]` of `epipolar_fit`.
+    """
+    kernels = compiled("mocap_calib.two_view.affinity_kernels")
+    if kernels is None:
+        error, weight = epipolar_error(pair, rotation, translation)
+        return error, epipolar_fit(error, weight, config)
+    fit = np.zeros((len(rotation), *pair.overlap.lifted.shape))
+    error = np.zeros((*fit.shape, pair.a.weight.shape[-1]))
+    kernels.fit_hypotheses(
+        *contiguous(
+            _unit_essential_matrix(rotation, translation),
+            np.swapaxes(pair.a.rays, 2, 3),
+            np.swapaxes(pair.b.rays, 2, 3),
+            pair.a.weight,
+            pair.b.weight,
+            body_sizes_per_radian(pair),
+        ),
+        config.inlier,
+        config.least_common_joints,
+        error,
+        fit,
+    )
+    return error, fit
+
+
+def _unit_essential_matrix(rotation: Floats, translation: Floats) -> Floats:
+    """Return the essential matrices of relative poses `[M, ...]`, the baseline being 1."""
+    return essential_matrix(
+        rotation, translation / np.linalg.norm(translation, axis=-1, keepdims=True)
+    )
+
+
 def epipolar_error(pair: ViewPair, rotation: Floats, translation: Floats) -> tuple[Floats, Floats]:
     """Return Sampson's errors of all joints of all possible matches, and the weight of each.
 
@@ -151,8 +189,7 @@ def epipolar_error(pair: ViewPair, rotation: Floats, translation: Floats) -> tup
     Returns errors `[M, frame, I, J, keypoint]` in body sizes (unsigned) and weights
     `[frame, I, J, keypoint]`.
     """
-    direction = translation / np.linalg.norm(translation, axis=-1, keepdims=True)
-    matrix = essential_matrix(rotation, direction)
+    matrix = _unit_essential_matrix(rotation, translation)
     from_a = np.einsum("mxy,faky->mfakx", matrix, pair.a.rays, optimize=True)
     from_b = np.einsum("myx,fbky->mfbkx", matrix, pair.b.rays, optimize=True)
     value = np.einsum("mfakx,fbkx->mfabk", from_a, pair.b.rays, optimize=True)
@@ -160,11 +197,11 @@ def epipolar_error(pair: ViewPair, rotation: Floats, translation: Floats) -> tup
     square_b = (from_b**2).sum(-1)[:, :, None]
     slope = square_a + square_b - 2 * value**2
     angle = np.abs(value) / np.sqrt(np.maximum(slope, 1e-18))
-    weight = _weight_of_matches(pair.a.weight, pair.b.weight)
+    weight = weight_of_matches(pair.a.weight, pair.b.weight)
     return angle * body_sizes_per_radian(pair)[None, ..., None], weight
 
 
-def _weight_of_matches(weight_a: Floats, weight_b: Floats) -> Floats:
+def weight_of_matches(weight_a: Floats, weight_b: Floats) -> Floats:
     """Return `[frame, I, J, keypoint]` the weights of the joints of all possible matches."""
     return weight_a[:, :, None] * weight_b[:, None]
 
@@ -263,7 +300,7 @@ def fit_each_pair_of_views(
         rotation, translation = rig.relative(a, b)
         matrix = essential_matrix(rotation, translation / np.linalg.norm(translation))
         body_sizes_squared = 2 / (closeness[a][:, :, None] + closeness[b][:, None])
-        weight = _weight_of_matches(sample.confidence[a], sample.confidence[b])
+        weight = weight_of_matches(sample.confidence[a], sample.confidence[b])
         common = _comparable(weight, config)
         found = _fit_by_component(
             matrix,

@@ -4,14 +4,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mocap_calib.compute.kernels import compiled, contiguous
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.epipolar import depths
 from mocap_calib.two_view.affinity import (
-    epipolar_error,
-    epipolar_fit,
+    fit_matches,
     match_affinity,
     steering_error,
     steering_variance,
+    weight_of_matches,
 )
 from mocap_calib.two_view.assignment import mutual_best, sinkhorn
 from mocap_calib.two_view.hypotheses import Hypotheses
@@ -53,19 +54,18 @@ def score_hypotheses(pair: ViewPair, hypotheses: Hypotheses, config: PairwiseCon
     x the mean agreement of the lifted bodies.
     """
     rotation, translation = hypotheses.rotation, hypotheses.translation
-    error, weight = epipolar_error(pair, rotation, translation)
-    fit = epipolar_fit(error, weight, config)
+    error, fit = fit_matches(pair, rotation, translation, config)
     affinity = match_affinity(pair, rotation, translation, config, epipolar=fit)
     matched = mutual_best(sinkhorn(affinity, dummy=config.dummy), least=config.least_match)
     explained = (matched * fit).sum((1, 2, 3)) / max(_possible_matches(pair), 1)
-    in_front = _share_in_front(pair, hypotheses, matched)
+    in_front = share_in_front(pair, hypotheses, matched)
     agreement = _mean_agreement(pair, rotation, matched, config)
     return Scored(
         hypotheses=hypotheses,
         matched=matched,
         score=explained * in_front * agreement,
         in_front=in_front,
-        residual=_residual(pair, error, matched, weight),
+        residual=_residual(pair, error, matched),
     )
 
 
@@ -98,8 +98,23 @@ def _possible_matches(pair: ViewPair) -> int:
     return int(np.minimum(detections_a, detections_b).sum())
 
 
-def _share_in_front(pair: ViewPair, hypotheses: Hypotheses, matched: Bools) -> Floats:
-    """Return `[M]` the share of the matched joints that lie in front of both cameras."""
+def share_in_front(pair: ViewPair, hypotheses: Hypotheses, matched: Bools) -> Floats:
+    """Return `[M]` the share of the matched joints that lie in front of both cameras.
+
+    matched: `[M, frame, I, J]`.
+    """
+    kernels = compiled("mocap_calib.two_view.affinity_kernels")
+    if kernels is None:
+        return share_of_depths(pair, hypotheses, matched)
+    share = np.zeros(len(matched))
+    of_views = (pair.a.rays, pair.b.rays, pair.a.weight, pair.b.weight)
+    poses = (hypotheses.rotation, hypotheses.translation)
+    kernels.share_in_front(*contiguous(*poses, *of_views, matched), share)
+    return share
+
+
+def share_of_depths(pair: ViewPair, hypotheses: Hypotheses, matched: Bools) -> Floats:
+    """Return what `share_in_front` does in numpy."""
     share = np.zeros(len(matched))
     for m, of_one in enumerate(matched):
         rays = matched_rays(pair, of_one)
@@ -122,14 +137,17 @@ def _mean_agreement(
     return total / count
 
 
-def _residual(pair: ViewPair, error: Floats, matched: Bools, weight: Floats) -> Floats:
+def _residual(pair: ViewPair, error: Floats, matched: Bools) -> Floats:
     """Return `[M]` the median epipolar error of the matched joints in radians.
 
-    error: `[M, frame, I, J, keypoint]` in body sizes; weight: `[frame, I, J, keypoint]`.
+    error: `[M, frame, I, J, keypoint]` in body sizes.
     """
-    angle = error / body_sizes_per_radian(pair)[None, ..., None]
-    used = matched[..., None] & (weight > 0)[None]
+    seen = weight_of_matches(pair.a.weight, pair.b.weight) > 0
+    body_sizes = body_sizes_per_radian(pair)
     residual = np.full(len(matched), np.inf)
-    for m in np.flatnonzero(used.any((1, 2, 3, 4))):
-        residual[m] = np.median(angle[m][used[m]])
+    for m, of_one in enumerate(matched):
+        angle = error[m][of_one] / body_sizes[of_one][:, None]
+        used = seen[of_one]
+        if used.any():
+            residual[m] = np.median(angle[used])
     return residual

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mocap_calib.compute.kernels import compiled, contiguous
 from mocap_calib.config import CLOCK_RATES, SyncConfig
 from mocap_calib.geometry.rotation import nearest_rotation
 from mocap_calib.recording.sampling import evenly_spaced
@@ -119,16 +120,13 @@ def _agreement(a: ViewInTime, b: ViewInTime, rotation: Floats, rows: Ints) -> Si
     turned = _mark(_turn(a.body[:, rows], rotation), seen_a.swapaxes(1, 2), first=True)
     other = _mark(_flatten(b.body).swapaxes(1, 2), b.seen.swapaxes(1, 2), first=False)
     other = np.ascontiguousarray(other.swapaxes(2, 3))  # [stretch, instance, 3 axis, frame]
-    shape = (*turned.shape[:2], len(rows), other.shape[3])
-    best_of_b = np.full((other.shape[1], *shape), _NOBODY)
-    best_of_a, cosine, total = np.empty_like(best_of_b[0]), *np.zeros((2, *shape), np.float32)
-    for i in range(turned.shape[2]):
-        best_of_a[:] = _NOBODY
-        for j in range(other.shape[1]):
-            np.matmul(turned[:, :, i], other[:, j], out=cosine)
-            np.maximum(best_of_a, cosine, out=best_of_a)
-            np.maximum(best_of_b[j], cosine, out=best_of_b[j])
-        total += _alike(best_of_a)
+    other = np.moveaxis(other, 1, 0)[:, None]
+    best_of_b: Singles = turned[:, :, 0] @ other  # [instance of b, hypothesis, stretch, row, frame]
+    total = _alike(best_of_b.max(0))
+    for i in range(1, turned.shape[2]):
+        cosine = turned[:, :, i] @ other
+        total += _alike(cosine.max(0))
+        np.maximum(best_of_b, cosine, out=best_of_b)
     if len(best_of_b) == turned.shape[2] == 1:
         total *= np.float32(2.0)
     else:
@@ -223,10 +221,8 @@ def _best_in_blocks(
     """
     blocks = count_blocks(values.shape[-1], config)
     each = len(rows) // blocks
-    table = diagonals(values, config.window, rate, rows)[:, :, : blocks * each]
-    table = table.reshape(*table.shape[:2], blocks, each, -1)
-    known = np.isfinite(table).sum(3)
-    mean = np.where(np.isfinite(table), table, 0.0).sum(3) / np.maximum(known, 1)
+    total, known = _sum_on_diagonals(values, rate, rows, blocks, config.window)
+    mean = total / np.maximum(known, 1)
     mean = np.where(known >= config.block_share * each, mean, -1.0)
     best = mean.max(-1)
     used = best >= 0
@@ -234,6 +230,29 @@ def _best_in_blocks(
     # one block that agrees by chance is no evidence
     score = score * np.minimum(1.0, used.sum((1, 2)) / max(0.5 * blocks, 1.0))
     return score, np.where(used, mean.argmax(-1), -1)
+
+
+def _sum_on_diagonals(
+    values: Singles, rate: float, rows: Ints, blocks: int, window: int
+) -> tuple[Singles, Ints]:
+    """Return the sums of what is known on the diagonals, and how many they are, of each block.
+
+    Both `[hypothesis, stretch, block, offset]`, the offsets as of `diagonals`.
+
+    values: `[hypothesis, stretch, row, frame]`, rows: `[row]` frames of a, of which those beyond
+        the blocks are left out.
+    """
+    each = len(rows) // blocks
+    shape = (*values.shape[:2], blocks, 2 * window + 1)
+    if kernels := compiled("mocap_calib.two_view.timing_kernels"):
+        total, known = np.zeros(shape, np.float32), np.zeros(shape, np.int64)
+        first = np.round(rows * rate).astype(np.int64) - window
+        kernels.sum_on_diagonals(*contiguous(values, first), each, total, known)
+        return total, known
+    table = diagonals(values, window, rate, rows)[:, :, : blocks * each]
+    table = table.reshape(*shape[:3], each, shape[3])
+    seen = np.isfinite(table)
+    return np.where(seen, table, np.float32(0.0)).sum(3), seen.sum(3)
 
 
 def count_blocks(frames: int, config: SyncConfig) -> int:

@@ -1,6 +1,7 @@
 """What detections say about a relative pose, held to its definitions."""
 
 import numpy as np
+import pytest
 from scenes import lifted, recording, scene
 
 from mocap_calib.config import (
@@ -14,8 +15,11 @@ from mocap_calib.two_view.affinity import (
     epipolar_error,
     epipolar_fit,
     fit_each_pair_of_views,
+    fit_matches,
     steering_error,
 )
+from mocap_calib.two_view.hypotheses import Hypotheses
+from mocap_calib.two_view.scoring import share_in_front, share_of_depths
 from mocap_calib.two_view.view_pair import (
     body_sizes_per_radian,
     distance_ratios,
@@ -73,6 +77,36 @@ def test_epipolar_error_is_sampsons_at_the_body():
     known = weight[3, 1, 2] > 0
     assert known.any()
     np.testing.assert_allclose(error[0, 3, 1, 2][known], slow[known], atol=1e-12)
+
+
+def poses_of_some_hypotheses():
+    rng = np.random.default_rng(4)
+    rotation = matrix_from_vector(rng.normal(size=(5, 3)))
+    return Hypotheses(rotation, rng.normal(size=(5, 3)), ("drawn",) * 5)
+
+
+def test_the_compiled_fit_of_matches_is_that_of_the_definition():
+    """Where there are too few joints in common both say 0; their errors are of no meaning."""
+    pytest.importorskip("numba")
+    pair, config, poses = ten_frames_of_two_views(), PairwiseConfig(), poses_of_some_hypotheses()
+    error, fit = fit_matches(pair, poses.rotation, poses.translation, config)
+    defined, weight = epipolar_error(pair, poses.rotation, poses.translation)
+    np.testing.assert_allclose(fit, epipolar_fit(defined, weight, config), rtol=1e-9)
+    judged = np.broadcast_to((fit > 0)[..., None] & (weight > 0), error.shape)
+    assert 0 < judged.mean() < 1
+    np.testing.assert_allclose(error[judged], defined[judged], rtol=1e-9, atol=1e-12)
+
+
+def test_the_compiled_share_in_front_is_that_of_the_depths():
+    pytest.importorskip("numba")
+    pair, poses = ten_frames_of_two_views(), poses_of_some_hypotheses()
+    rng = np.random.default_rng(6)
+    matched = rng.random((5, *pair.overlap.lifted.shape)) < 0.3
+    matched[3] = False
+    found = share_in_front(pair, poses, matched)
+    np.testing.assert_allclose(found, share_of_depths(pair, poses, matched), rtol=1e-12)
+    assert found[3] == 0
+    assert np.unique(found).size > 2
 
 
 def test_the_affinity_by_a_rig_is_the_epipolar_fit_of_its_pairs():

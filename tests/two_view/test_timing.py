@@ -5,6 +5,7 @@ import pytest
 
 from mocap_calib.config import CLOCK_RATES, SyncConfig
 from mocap_calib.geometry.rotation import angle_between, matrix_from_vector
+from mocap_calib.two_view import timing
 from mocap_calib.two_view.timing import (
     ViewInTime,
     _align,
@@ -64,6 +65,23 @@ def test_blocks_of_time_that_show_nothing_count_where_they_are_the_most():
         score, offsets = _best_in_blocks(values, 1.0, np.arange(FRAMES), CONFIG)
         np.testing.assert_allclose(score, expected, rtol=1e-6)
         assert (offsets >= 0).sum() == used
+
+
+@pytest.mark.parametrize("rate", CLOCK_RATES)
+def test_compiled_sums_on_diagonals_are_those_of_their_definition(monkeypatch, rate):
+    """To the last bit; a third is not seen, and rows that no block needs are left over."""
+    pytest.importorskip("numba")
+    rng = np.random.default_rng(5)
+    values = rng.random((2, 3, 10, 40)).astype(np.float32)
+    values[rng.random(values.shape) < 1 / 3] = np.nan
+    rows = np.sort(rng.permutation(40)[:10])
+    compiled = timing._sum_on_diagonals(values, rate, rows, 3, 7)
+    monkeypatch.setattr(timing, "compiled", lambda _: None)
+    defined = timing._sum_on_diagonals(values, rate, rows, 3, 7)
+    for found, expected in zip(compiled, defined, strict=True):
+        assert found.shape == (2, 3, 3, 15)
+        np.testing.assert_array_equal(found, expected)
+    assert 0 < defined[1].min(initial=9, where=defined[1] > 0) < defined[1].max() == 3
 
 
 @pytest.mark.parametrize(("in_a", "in_b"), [(1, 1), (2, 2), (2, 1), (1, 3)])
