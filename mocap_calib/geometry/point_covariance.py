@@ -10,11 +10,14 @@ from mocap_calib.config import INTERSECT_LOSS_SCALE
 from mocap_calib.geometry import symmetric
 from mocap_calib.geometry.intersection import normal_matrix
 from mocap_calib.geometry.symmetric import Entries
+from mocap_calib.geometry.view_blocks import view_blocks
 from mocap_calib.types import CameraRig, Floats
 
 # Where a point follows one ray almost wholly, what is left of that ray's error tells nothing
 # certain of the error: this share of its variance at least is taken to be left.
 _LEAST_SHARE = 0.05
+# the median of an angle, of which no point takes anything: of two coordinates, as below
+_UNTOUCHED = (2 * (1 - 1 / 9) ** 3) ** 0.5
 
 
 def point_covariance(
@@ -51,6 +54,15 @@ def median_angles(rig: CameraRig, points: Floats, weight: Floats) -> Floats:
     k = m^2 / tr(I - H)^2 degrees of freedom it has the median m (1 - 2 / (9 k))^3 (Satterthwaite
     1946; Wilson and Hilferty 1931).
     """
+    medians = np.full(weight.shape, _UNTOUCHED)
+    for block in view_blocks(np.asarray(weight > 0)):
+        own, seen_by = rig.select(block.views), block.take(weight)
+        block.put(_median_angles(own, points[:, block.points], seen_by), medians)
+    return medians
+
+
+def _median_angles(rig: CameraRig, points: Floats, weight: Floats) -> Floats:
+    """Return what `median_angles` does of a block, where most views see most of the points."""
     direction, inverse_square = _from_centres(rig, points)
     weight = weight * inverse_square
     covariance = symmetric.invert(normal_matrix(direction, weight))

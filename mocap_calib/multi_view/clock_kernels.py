@@ -1,8 +1,18 @@
 """The best path of a clock through its offsets, compiled: `clock_paths` says the same in numpy."""
 
 import numpy as np
+from numpy.typing import NDArray
 
-from mocap_calib.compute.jit import FLOAT, INT, changed_ints, floats, kernel
+from mocap_calib.compute.jit import (
+    FLOAT,
+    INT,
+    changed_floats,
+    changed_ints,
+    floats,
+    ints,
+    kernel,
+    singles,
+)
 from mocap_calib.types import Floats, Ints
 
 
@@ -30,3 +40,19 @@ def follow(table: Floats, price: float, largest_step: int, path: Ints) -> None:
     path[-1] = np.argmax(total)
     for frame in range(frames - 1, 0, -1):
         path[frame - 1] = origin[frame, path[frame]]
+
+
+@kernel(singles(3), ints(2), ints(1), changed_floats(3))
+def add_windows(values: NDArray[np.float32], row: Ints, first: Ints, table: Floats) -> None:
+    """Add windows of rows of agreement to a table: see `clock_paths._add_windows`."""
+    stretches, frames, offsets = table.shape
+    own_frames = values.shape[2]
+    for stretch in range(stretches):
+        for frame in range(frames):
+            if row[stretch, frame] < 0:
+                continue
+            start = max(0, -first[frame])
+            end = min(offsets, own_frames - first[frame])
+            for offset in range(start, end):
+                agreement = values[stretch, row[stretch, frame], first[frame] + offset]
+                table[stretch, frame, offset] += agreement

@@ -172,25 +172,35 @@ def agreement_table(
     maps: `[view, stretch, frame]` own frames of all cameras, -1 = none; that of the camera itself
         is not looked at. partners: the other cameras, None: all that it is compared with.
     """
-    stretches, frames = agreements.shape
     time = np.arange(maps.shape[2])
     exact = np.isclose(rate * time % 1, 0)
     reach = agreements.window if window is None else window
-    # own frames `start` to `start + 2 reach` of an array with nothing in front and behind
-    start = np.round(rate * time).astype(np.int64)
-    behind = reach + max(int(start[-1]) - frames + 1, 0)
-    table = np.zeros((stretches, len(time), 2 * reach + 1))
+    first = np.round(rate * time).astype(np.int64) - reach
+    table = np.zeros((agreements.shape[0], len(time), 2 * reach + 1))
     for other in agreements.partners(view) if partners is None else partners:
         values = agreements.between(view, other)
-        if values is None:
-            continue
-        # the last row has nothing: it stands for no frame
-        framed = np.pad(values, ((0, 0), (0, 1), (reach, behind)))
-        windows = np.lib.stride_tricks.sliding_window_view(framed, 2 * reach + 1, axis=2)
-        row = np.where(exact & (maps[other] >= 0), maps[other], values.shape[1])
-        for stretch in range(stretches):
-            table[stretch] += windows[stretch][row[stretch], start]
+        if values is not None:
+            _add_windows(values, np.where(exact, maps[other], -1), first, table)
     return table
+
+
+def _add_windows(values: Singles, row: Ints, first: Ints, table: Floats) -> None:
+    """Add windows of rows of agreement to a table `[stretch, time, offset]`.
+
+    values: `[stretch, row, frame]`. row: `[stretch, time]` which one, -1 = none. first: `[time]`
+    the frame at the first offset; frames that are not there add nothing.
+    """
+    if kernels := compiled("mocap_calib.multi_view.clock_kernels"):
+        kernels.add_windows(*contiguous(values, row, first), table)
+        return
+    size = table.shape[2]
+    before = max(0, -int(first.min()))
+    behind = max(0, int(first.max()) + size - values.shape[2])
+    # the last row has nothing: it stands for none
+    framed = np.pad(values, ((0, 0), (0, 1), (before, behind)))
+    windows = np.lib.stride_tricks.sliding_window_view(framed, size, axis=2)
+    for stretch in range(len(table)):
+        table[stretch] += windows[stretch][row[stretch], first + before]
 
 
 def best_constant(table: Floats) -> int:

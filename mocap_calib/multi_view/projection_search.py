@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mocap_calib.compute.kernels import compiled, contiguous
 from mocap_calib.config import ResectionConfig
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Bools, Floats, Ints
@@ -254,6 +255,11 @@ def _solve(system: Floats, points: Floats) -> Floats:
 
 def _detection_costs(scene: Sighting, projection: Floats, tolerance: float) -> Floats:
     """Return `[frame, instance, individual]` mean costs in 0..1, 1 where nothing compares."""
+    if kernels := compiled("mocap_calib.multi_view.projection_kernels"):
+        cost = np.empty((*scene.image.shape[:2], scene.points.shape[1]))
+        arrays = contiguous(scene.points, scene.image, projection)
+        kernels.cost_detections(*arrays, tolerance**2, _LEAST_COMPARED, cost)
+        return cost
     joint_cost = _joint_costs(scene, projection, tolerance)
     known = np.isfinite(scene.points[..., 0])[:, None]
     both = np.isfinite(scene.image[..., 0])[:, :, None] & known

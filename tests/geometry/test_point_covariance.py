@@ -138,6 +138,24 @@ def test_the_median_angle_of_a_view_that_hardly_counts_is_that_of_plain_noise():
     assert median == pytest.approx(np.sqrt(2 * np.log(2)), rel=0.01)
 
 
+def test_a_view_that_sees_nothing_of_a_point_changes_nothing_for_the_others():
+    """Of 24 cameras each point is seen by three neighbours: blocks leave out the others."""
+    angle = np.arange(24) * np.pi / 12
+    rig = rig_at(np.column_stack([4 * np.cos(angle), 4 * np.sin(angle), 1 + 0.05 * angle]))
+    rng = np.random.default_rng(3)
+    points = 0.3 * rng.normal(size=(3, 50))
+    weight = np.zeros((24, 50))
+    views = (rng.integers(0, 24, 50) + np.arange(3)[:, None]) % 24
+    weight[views, np.arange(50)] = rng.uniform(0.2, 1.0, (3, 50))
+    found = median_angles(rig, points, weight)
+    for point, of_point in enumerate(views.T):
+        alone = median_angles(
+            rig.select(of_point), points[:, [point]], weight[of_point][:, [point]]
+        )
+        np.testing.assert_allclose(found[of_point, point], alone[:, 0], rtol=1e-9)
+    np.testing.assert_allclose(found[weight == 0], np.sqrt(2 * np.log(2)), rtol=0.01)
+
+
 def test_a_ray_that_is_off_by_the_scale_of_the_loss_counts_a_quarter():
     """Of Geman and McClure's loss: the same covariance as of a quarter of its weight."""
     rig, point = rig_at(PLACES["one side"]), np.array([[0.1], [0.2], [-0.1]])

@@ -8,6 +8,7 @@ import pytest
 from scenes import lifted, recording
 
 from mocap_calib.config import LARGEST_STEP, SyncConfig
+from mocap_calib.multi_view import clock_paths
 from mocap_calib.multi_view.clock_evidence import weigh_clock
 from mocap_calib.multi_view.clock_faults import Retimed, clock_faults
 from mocap_calib.multi_view.clock_kinds import StretchNumbers, describe_clock
@@ -315,3 +316,19 @@ def test_a_clock_that_shows_no_frame_of_the_others_is_not_known():
         config=CONFIG,
     )
     assert clock.kind == "not known"
+
+
+def test_compiled_windows_of_agreement_are_those_of_numpy(monkeypatch):
+    """Windows that reach beyond both ends, and rows that are not there."""
+    pytest.importorskip("numba")
+    rng = np.random.default_rng(2)
+    values = rng.normal(size=(2, 9, 14)).astype(np.float32)
+    row, first = rng.integers(-1, 9, (2, 12)), 2 * np.arange(12) - 7
+    compiled, defined = np.ones((2, 2, 12, 9))
+    clock_paths._add_windows(values, row, first, compiled)
+    monkeypatch.setattr(clock_paths, "compiled", lambda _: None)
+    clock_paths._add_windows(values, row, first, defined)
+    np.testing.assert_array_equal(compiled, defined)
+    assert (row < 0).any()
+    assert (compiled[:, 6] != 1)[row[:, 6] >= 0].all()
+    assert (compiled[row < 0] == 1).all()

@@ -6,7 +6,7 @@ import pytest
 from mocap_calib.config import CameraFitConfig, ResectionConfig
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.geometry.rotation import angle_between, matrix_from_vector
-from mocap_calib.multi_view import camera_fit
+from mocap_calib.multi_view import camera_fit, projection_search
 from mocap_calib.multi_view.camera_fit import CameraPose, Seen, fit_camera
 from mocap_calib.multi_view.projection_search import (
     Sighting,
@@ -197,3 +197,23 @@ def test_an_error_of_a_fit_weighs_as_its_cost_grows():
     grown = [camera_fit._cost(errors(squares + step * e), scale) for e in np.eye(4)]
     expected = (np.array(grown) - camera_fit._cost(errors(squares), scale)) / step
     np.testing.assert_allclose(camera_fit._weights(errors(squares), scale), expected, atol=1e-5)
+
+
+def test_compiled_costs_are_those_of_numpy(monkeypatch):
+    """Some joints are missing on either side, some behind the camera, and some bodies show few."""
+    pytest.importorskip("numba")
+    rng = np.random.default_rng(7)
+    points = bodies(individuals=3, keypoints=6)
+    points[..., 2] -= 4.0  # some of them behind the camera
+    projection = MATRIX @ np.column_stack([POSE.rotation, POSE.translation]) / 900
+    seen = points @ projection[:, :3].T + projection[:, 3]
+    image = seen[..., :2] / seen[..., 2:] + 0.05 * rng.normal(size=(*points.shape[:3], 2))
+    for array in (points, image):
+        array[rng.random(array.shape[:3]) < 0.3] = np.nan
+    scene = Sighting(points, image[:, ::-1])
+    compiled = projection_search._detection_costs(scene, projection, 0.05)
+    monkeypatch.setattr(projection_search, "compiled", lambda _: None)
+    defined = projection_search._detection_costs(scene, projection, 0.05)
+    np.testing.assert_allclose(compiled, defined, rtol=1e-9)
+    assert 0 < (seen[..., 2] < 0).mean() < 1
+    assert 0.05 < (compiled < 0.9).mean() < 0.95
