@@ -13,6 +13,7 @@ import hashlib
 import os
 import pickle
 import sys
+from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -26,6 +27,8 @@ from typing import Any
 
 import numpy as np
 
+_ENGINES: list[Any] = []
+_LINKED: Counter[str] = Counter()  # how many of the engines hold code of a name
 _FITS = Path(__file__).parent / "__pycache__" / f"numba.{sys.implementation.cache_tag}.fits"
 
 
@@ -140,14 +143,27 @@ def _make_ready() -> ModuleType:
     return _extension("_dynfunc")
 
 
+def _engine_without(name: str) -> Any:
+    """Return an engine of LLVM that holds no code of this name yet, and shall hold it from now on.
+
+    One engine for each kernel would take a millisecond more. There are two where the file of a
+    kernel was changed while the program runs.
+    """
+    if _LINKED[name] == len(_ENGINES):
+        binding = import_module("llvmlite.binding")
+        machine = binding.Target.from_default_triple().create_target_machine(
+            codemodel="jitdefault", jit=True
+        )
+        _ENGINES.append(binding.create_mcjit_compiler(binding.parse_assembly(""), machine))
+    _LINKED[name] += 1
+    return _ENGINES[_LINKED[name] - 1]
+
+
 def _link(name: str, code: MachineCode) -> Callable[..., Any]:
     """Make machine code a function of Python."""
     binding = import_module("llvmlite.binding")
     dynfunc = _make_ready()
-    machine = binding.Target.from_default_triple().create_target_machine(
-        codemodel="jitdefault", jit=True
-    )
-    engine = binding.create_mcjit_compiler(binding.parse_assembly(""), machine)
+    engine = _engine_without(code.entry)
     engine.add_object_file(binding.ObjectFileRef.from_data(code.content))
     engine.finalize_object()
     entry = engine.get_function_address(code.entry)

@@ -73,6 +73,18 @@ def test_machine_code_gives_what_numba_gives_without_numba(source):
     assert run_elsewhere(source) == "9.0 1.0 3.0 5.0 False"
 
 
+def test_changed_code_is_linked_beside_code_of_the_same_name(source):
+    """Whoever holds the function as it was keeps it."""
+    row, table = np.arange(3.0), np.zeros((2, 3))
+    load(source)
+    before = load(source)
+    source.write_text(SOURCE.replace("FACTOR = 2.0", "FACTOR = 5.0"), "utf-8")
+    load(source)
+    after = load(source)
+    assert not hasattr(after, "overloads")
+    assert [kernel(row, 1.0, table) for kernel in (before, after, before)] == [9.0, 18.0, 9.0]
+
+
 @pytest.mark.parametrize("damage", ["changed source", "cut off", "garbage", "other machine"])
 def test_what_is_not_right_is_compiled_again(source, damage, monkeypatch):
     load(source)
