@@ -143,38 +143,7 @@ def _terms_of_relative_pose(rotation: Floats, translation: Floats) -> Floats:
     return terms
 
 
-def fit_matches(
-    pair: ViewPair, rotation: Floats, translation: Floats, config: PairwiseConfig
-) -> tuple[Floats, Floats]:
-    """Return Sampson's errors of the joints of all possible matches, and how well these fit.
-
-    Arguments as of `epipolar_error`. Returns its errors, those of two detections with too few
-    joints in common are of no meaning, and the `[M, frame, I, J]` of `epipolar_fit`.
-    """
-    kernels = compiled("mocap_calib.two_view.affinity_kernels")
-    if kernels is None:
-        error, weight = epipolar_error(pair, rotation, translation)
-        return error, epipolar_fit(error, weight, config)
-    fit = np.zeros((len(rotation), *pair.overlap.lifted.shape))
-    error = np.zeros((*fit.shape, pair.a.weight.shape[-1]))
-    kernels.fit_hypotheses(
-        *contiguous(
-            _unit_essential_matrix(rotation, translation),
-            np.swapaxes(pair.a.rays, 2, 3),
-            np.swapaxes(pair.b.rays, 2, 3),
-            pair.a.weight,
-            pair.b.weight,
-            body_sizes_per_radian(pair),
-        ),
-        config.inlier,
-        config.least_common_joints,
-        error,
-        fit,
-    )
-    return error, fit
-
-
-def _unit_essential_matrix(rotation: Floats, translation: Floats) -> Floats:
+def unit_essential_matrix(rotation: Floats, translation: Floats) -> Floats:
     """Return the essential matrices of relative poses `[M, ...]`, the baseline being 1."""
     return essential_matrix(
         rotation, translation / np.linalg.norm(translation, axis=-1, keepdims=True)
@@ -189,7 +158,7 @@ def epipolar_error(pair: ViewPair, rotation: Floats, translation: Floats) -> tup
     Returns errors `[M, frame, I, J, keypoint]` in body sizes (unsigned) and weights
     `[frame, I, J, keypoint]`.
     """
-    matrix = _unit_essential_matrix(rotation, translation)
+    matrix = unit_essential_matrix(rotation, translation)
     from_a = np.einsum("mxy,faky->mfakx", matrix, pair.a.rays, optimize=True)
     from_b = np.einsum("myx,fbky->mfbkx", matrix, pair.b.rays, optimize=True)
     value = np.einsum("mfakx,fbkx->mfabk", from_a, pair.b.rays, optimize=True)

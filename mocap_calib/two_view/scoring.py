@@ -8,10 +8,12 @@ from mocap_calib.compute.kernels import compiled, contiguous
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.epipolar import depths
 from mocap_calib.two_view.affinity import (
-    fit_matches,
+    epipolar_error,
+    epipolar_fit,
     match_affinity,
     steering_error,
     steering_variance,
+    unit_essential_matrix,
     weight_of_matches,
 )
 from mocap_calib.two_view.assignment import mutual_best, sinkhorn
@@ -67,6 +69,37 @@ def score_hypotheses(pair: ViewPair, hypotheses: Hypotheses, config: PairwiseCon
         in_front=in_front,
         residual=_residual(pair, error, matched),
     )
+
+
+def fit_matches(
+    pair: ViewPair, rotation: Floats, translation: Floats, config: PairwiseConfig
+) -> tuple[Floats, Floats]:
+    """Return Sampson's errors of the joints of all possible matches, and how well these fit.
+
+    Arguments as of `epipolar_error`. Returns its errors, those of two detections with too few
+    joints in common are of no meaning, and the `[M, frame, I, J]` of `epipolar_fit`.
+    """
+    kernels = compiled("mocap_calib.two_view.affinity_kernels")
+    if kernels is None:
+        error, weight = epipolar_error(pair, rotation, translation)
+        return error, epipolar_fit(error, weight, config)
+    fit = np.zeros((len(rotation), *pair.overlap.lifted.shape))
+    error = np.zeros((*fit.shape, pair.a.weight.shape[-1]))
+    kernels.fit_hypotheses(
+        *contiguous(
+            unit_essential_matrix(rotation, translation),
+            np.swapaxes(pair.a.rays, 2, 3),
+            np.swapaxes(pair.b.rays, 2, 3),
+            pair.a.weight,
+            pair.b.weight,
+            body_sizes_per_radian(pair),
+        ),
+        config.inlier,
+        config.least_common_joints,
+        error,
+        fit,
+    )
+    return error, fit
 
 
 def keep_better(before: Scored, after: Scored) -> Scored:

@@ -15,11 +15,10 @@ from mocap_calib.two_view.affinity import (
     epipolar_error,
     epipolar_fit,
     fit_each_pair_of_views,
-    fit_matches,
     steering_error,
 )
 from mocap_calib.two_view.hypotheses import Hypotheses
-from mocap_calib.two_view.scoring import share_in_front, share_of_depths
+from mocap_calib.two_view.scoring import fit_matches, share_in_front, share_of_depths
 from mocap_calib.two_view.view_pair import (
     body_sizes_per_radian,
     distance_ratios,
