@@ -16,7 +16,8 @@ from mocap_calib.types import CameraRig, Floats
 # Where a point follows one ray almost wholly, what is left of that ray's error tells nothing
 # certain of the error: this share of its variance at least is taken to be left.
 _LEAST_SHARE = 0.05
-# the median of an angle, of which no point takes anything: of two coordinates, as below
+# the median angle of a view that does not see the point, which then takes up nothing of its error:
+# of two degrees of freedom, by the formula of `median_angles`
 _UNTOUCHED = (2 * (1 - 1 / 9) ** 3) ** 0.5
 
 

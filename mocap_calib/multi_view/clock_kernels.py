@@ -1,4 +1,7 @@
-"""The best path of a clock through its offsets, compiled: `clock_paths` says the same in numpy."""
+"""Agreement at the offsets of a clock, and the best path through these, compiled.
+
+`clock_paths` says the same in numpy.
+"""
 
 import numpy as np
 from numpy.typing import NDArray

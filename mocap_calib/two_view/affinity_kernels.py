@@ -175,7 +175,7 @@ def fit_hypotheses(
 ) -> None:
     """Set error `[M, frame, I, J, keypoint]` and fit `[M, frame, I, J]`, which are 0.
 
-    The errors of joints of no weight are 0 or of no meaning. matrices: `[M, 3, 3]` essential.
+    The errors of joints without weight have no meaning. matrices: `[M, 3, 3]` essential.
     rays_a, rays_b: `[frame, instance, 3, keypoint]`, 0 = missing. weight_a, weight_b: `[frame,
     instance, keypoint]`. body_sizes_per_radian: `[frame, I, J]`.
     """

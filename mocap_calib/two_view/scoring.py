@@ -76,8 +76,8 @@ def fit_matches(
 ) -> tuple[Floats, Floats]:
     """Return Sampson's errors of the joints of all possible matches, and how well these fit.
 
-    Arguments as of `epipolar_error`. Returns its errors, those of two detections with too few
-    joints in common are of no meaning, and the `[M, frame, I, J]` of `epipolar_fit`.
+    The arguments are those of `epipolar_error`. Returns its errors and the `[M, frame, I, J]` of
+    `epipolar_fit`. Errors of two detections with too few joints in common have no meaning.
     """
     kernels = compiled("mocap_calib.two_view.affinity_kernels")
     if kernels is None:

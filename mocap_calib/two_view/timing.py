@@ -112,14 +112,14 @@ def _agreement(a: ViewInTime, b: ViewInTime, rotation: Floats, rows: Ints) -> Si
     """Return how well the bodies of two frames match, `[hypothesis, stretch, row, frame]`.
 
     Each body counts with the other view's most alike; NaN where a view sees nobody. The instances
-    of a frame are few: a product of matrices for each two of them keeps the arrays small.
+    of a frame are few: those of a are taken one by one, which keeps the arrays small.
 
     rotation: `[hypothesis, 3, 3]` b_from_a. rows: `[row]` frames of a.
     """
     seen_a = a.seen[:, rows]
     turned = _mark(_turn(a.body[:, rows], rotation), seen_a.swapaxes(1, 2), first=True)
     other = _mark(_flatten(b.body).swapaxes(1, 2), b.seen.swapaxes(1, 2), first=False)
-    other = np.ascontiguousarray(other.swapaxes(2, 3))  # [stretch, instance, 3 axis, frame]
+    other = np.ascontiguousarray(other.swapaxes(2, 3))  # [stretch, instance, number, frame]
     other = np.moveaxis(other, 1, 0)[:, None]
     best_of_b: Singles = turned[:, :, 0] @ other  # [instance of b, hypothesis, stretch, row, frame]
     total = _alike(best_of_b.max(0))
