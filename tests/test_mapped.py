@@ -147,6 +147,6 @@ def test_poses_written_a_few_rows_at_a_time_are_read_as_they_were(tmp_path, monk
         confidence=number,
         unit="m",
     )
-    monkeypatch.setattr("mocap_calib.io.results.poses_h5._ROWS", 1)
+    monkeypatch.setattr("mocap_calib.io.hdf5_packed._CHUNK", 1 << 12)
     write_poses_h5(tmp_path / "poses.h5", poses, {})
     assert parse_poses_h5((tmp_path / "poses.h5").read_bytes(), "poses.h5") == poses

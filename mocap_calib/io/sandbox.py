@@ -2,8 +2,8 @@
 
 One damaged file in some hundreds ends libhdf5 2.0.0, or never lets it come back; a damaged count
 in a binary model makes COLMAP fill all memory. The process starts with the first such file (0.3 s)
-and serves until this one ends, or a large file's memory is to be given back. What it does not
-survive becomes a FormatError. Measured in docs/formats-checks.md.
+and serves until this one ends; a large file has one of its own, whose memory is given back. What it
+does not survive becomes a FormatError. Measured in docs/formats-checks.md.
 """
 
 import os
@@ -69,7 +69,8 @@ def call_elsewhere(
 
     Raises what it raises, and FormatError where the input ends the process or exceeds a limit.
     """
-    worker = _worker(os.getpid())
+    # a process that ends after the file can serve it beside others
+    worker = Worker() if size > _LARGE else _worker(os.getpid())
     try:
         return worker.call(parse, *args, cpu_seconds=cpu_seconds, memory_bytes=memory_bytes)
     except MemoryError:

@@ -129,10 +129,14 @@ def _middle_and_spread(values: Floats, noise: Floats) -> tuple[Floats, Floats]:
 
 def _medians(values: Floats) -> Floats:
     """Return the medians `[edge]` of rows `[edge, N]` without NaN, of which none is all."""
-    ordered = np.sort(values, axis=1)  # NaN last
-    count = np.isfinite(values).sum(1)
-    rows = np.arange(len(values))
-    return np.asarray((ordered[rows, (count - 1) // 2] + ordered[rows, count // 2]) / 2)
+    return np.array([_median(row[np.isfinite(row)]) for row in values])
+
+
+def _median(values: Floats) -> float:
+    """Return the median of numbers, which are put in another order."""
+    lower, upper = (len(values) - 1) // 2, len(values) // 2
+    values.partition((lower, upper))
+    return float((values[lower] + values[upper]) / 2)
 
 
 def fill_gaps(points: Floats, times: Floats, edges: Ints) -> Floats:

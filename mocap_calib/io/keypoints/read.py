@@ -1,13 +1,13 @@
 """Read keypoint files of any format of `io.keypoints.formats`."""
 
-from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from mocap_calib import mapped
+from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.errors import MismatchError, MocapCalibError
 from mocap_calib.io.file import check_cameras, malformed
 from mocap_calib.io.keypoints.adjust import apply_offsets, convert_to_pixels, split_views
@@ -55,16 +55,15 @@ def read_what_can(
     options = options or ReadOptions()
     if format is not None:
         find_format(KEYPOINT_FORMATS, format)
-    waiting = deque(keypoint_items(paths, options, format))
-    _check_cameras_once([(item.camera, str(item.path)) for item in waiting if item.camera])
+    items = keypoint_items(paths, options, format)
+    _check_cameras_once([(item.camera, str(item.path)) for item in items if item.camera])
     views: list[Keypoints2D] = []
     errors: list[MocapCalibError] = []
-    while waiting:
-        item = waiting.popleft()  # which holds its file: one at a time
-        try:
-            views += map(_keep, _read_contained(item, format, options))
-        except MocapCalibError as error:
-            errors.append(error)
+    for found in _read_all(items, format, options):
+        if isinstance(found, MocapCalibError):
+            errors.append(found)
+        else:
+            views += found
     _check_cameras_once([(view.camera, view.source) for view in views])
     if errors:
         return tuple(views), errors
@@ -91,6 +90,34 @@ def _check_cameras_once(found: list[tuple[str, str]]) -> None:
         f"expected one keypoint file per camera, found {files} for camera {twice}; "
         "leave one out, or say name=path"
     )
+
+
+def _read_all(
+    items: list[Item], format: str | None, options: ReadOptions
+) -> Iterator[tuple[Keypoints2D, ...] | MocapCalibError]:
+    """Yield the cameras in each item, or what is wrong with it; the list is empty after.
+
+    HDF5, which other processes read, is read side by side. Any other file is held in memory while
+    it is read: one at a time.
+    """
+
+    def read(item: Item) -> tuple[Keypoints2D, ...] | MocapCalibError:
+        try:
+            return tuple(map(_keep, _read_contained(item, format, options)))
+        except MocapCalibError as error:
+            return error
+
+    apart = bool(items) and _is_hdf5(items[0])
+    waiting = (items.pop(0) for _ in range(len(items)))  # an item holds its file
+    yield from map_in_threads(read, waiting) if apart else map(read, waiting)
+
+
+def _is_hdf5(item: Item) -> bool:
+    """Return whether an item is HDF5, as far as it can be read."""
+    try:
+        return item.document.is_hdf5
+    except MocapCalibError:
+        return False
 
 
 def _read_contained(

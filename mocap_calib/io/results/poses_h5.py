@@ -22,6 +22,7 @@ from mocap_calib import mapped
 from mocap_calib.io import hdf5
 from mocap_calib.io.atomic import replace_file
 from mocap_calib.io.file import malformed
+from mocap_calib.io.hdf5_packed import write_packed
 from mocap_calib.io.world_fields import read_world, world_fields
 from mocap_calib.records import check_shape
 from mocap_calib.types import POINT_SOURCES, Poses3D, World
@@ -31,7 +32,6 @@ Edges = Sequence[tuple[int, int]]
 _FORMAT = "mocap-calib poses"
 _POINTS = "frame, individual, keypoint"
 _SQUARE = "^2"
-_ROWS = 1 << 16  # written at a time
 
 
 @dataclass(frozen=True)
@@ -185,7 +185,7 @@ def _fill(
     if edges:
         arrays["edges"] = np.array(edges, dtype=np.int64)
     for name, array in arrays.items():
-        _write_array(file, name, array)
+        write_packed(file, name, array)
     _write_names(file, "keypoint_names", poses.keypoints)
     if joints:
         _write_names(file, "keypoint_joints", joints)
@@ -210,15 +210,6 @@ def _fill(
 def _any_known(array: NDArray[Any]) -> bool:
     """Return whether any number of an array `[frame, ...]` is finite."""
     return any(np.isfinite(array[block]).any() for block in mapped.frame_slices(len(array)))
-
-
-def _write_array(file: h5py.File, name: str, array: NDArray[Any]) -> None:
-    """Write an array as a dataset, rows of whole chunks at a time."""
-    packed = {"compression": "gzip", "shuffle": True} if array.size else {}
-    dataset = file.create_dataset(name, array.shape, array.dtype, track_times=False, **packed)
-    chunk = dataset.chunks[0] if dataset.chunks else 1
-    for block in mapped.frame_slices(len(array), max(1, _ROWS // chunk) * chunk):
-        dataset[block] = array[block]
 
 
 def _write_names(file: h5py.File, dataset: str, names: Sequence[str]) -> None:
