@@ -12,6 +12,7 @@ from itertools import combinations
 import numpy as np
 
 from mocap_calib import mapped
+from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import CopyConfig
 from mocap_calib.errors import MismatchError
 from mocap_calib.recording.sampling import evenly_spaced
@@ -83,7 +84,8 @@ def find_copies(
     columns = _shared_columns(views, meanings)
     if not views or not columns[0].size:
         return []
-    found = [_list_detections(view, own) for view, own in zip(views, columns, strict=True)]
+    pairs = zip(views, columns, strict=True)
+    found = list(map_in_threads(lambda pair: _list_detections(*pair), pairs))
     copies = []
     for a, b in combinations(range(len(views)), 2):
         fewer, more = sorted((a, b), key=lambda view: len(found[view].key))

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mocap_calib import mapped
+from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import CROWDED_SHARE, LEAST_JOINTS, TYPICAL_PERCENTILE
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.projection import rays_from_pixels
@@ -215,15 +216,19 @@ def _fill_arrays(
     positions = mapped.empty((*shape, 2), np.float32)
     confidence = mapped.empty(shape, np.float32)
     column_of = {meaning: column for column, meaning in enumerate(shared)}
-    for v, view in enumerate(views):
-        columns = [column_of.get(meanings[name], -1) for name in view.keypoints]
+
+    def fill(v: int) -> None:
+        columns = [column_of.get(meanings[name], -1) for name in views[v].keypoints]
         _fill_view(
-            view,
+            views[v],
             frames=frames,
             columns=np.array(columns, dtype=np.int64),
             positions=positions[v],
             confidence=confidence[v],
         )
+
+    for _ in map_in_threads(fill, range(len(views))):
+        pass
     return positions, confidence
 
 
