@@ -6,6 +6,7 @@ import os
 import sys
 from typing import NoReturn
 
+from mocap_calib.compute.memory import keep_freed_memory
 from mocap_calib_cli.main import main
 
 # objects made before they are searched for cycles, of which there are next to none: Python's own
@@ -16,6 +17,7 @@ _OBJECTS_OF_A_SEARCH = 100_000
 def run() -> None:
     """Run the command in a process that ends with it."""
     gc.set_threshold(_OBJECTS_OF_A_SEARCH)
+    keep_freed_memory()
     try:
         main()
     except SystemExit as end:

@@ -19,6 +19,7 @@ from queue import SimpleQueue
 from typing import Any, BinaryIO, TypeVar, TypeVarTuple, cast
 
 from mocap_calib.compute import BLAS_THREADS
+from mocap_calib.compute.memory import keep_freed_memory
 from mocap_calib.errors import MocapCalibError
 
 Arguments = TypeVarTuple("Arguments")
@@ -212,6 +213,7 @@ def _limits(cpu_seconds: float, memory_bytes: int) -> Iterator[None]:
 
 
 if __name__ == "__main__":
+    keep_freed_memory()
     output = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints is no answer
     _serve(sys.stdin.buffer, output)

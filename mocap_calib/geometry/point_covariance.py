@@ -6,11 +6,13 @@ the distance d along the unit vector u has J' J = (I - u u') / d^2.
 
 import numpy as np
 
+from mocap_calib.compute.kernels import compiled, contiguous
+from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import INTERSECT_LOSS_SCALE
 from mocap_calib.geometry import symmetric
 from mocap_calib.geometry.intersection import normal_matrix
 from mocap_calib.geometry.symmetric import Entries
-from mocap_calib.geometry.view_blocks import view_blocks
+from mocap_calib.geometry.view_blocks import ViewBlock, view_blocks
 from mocap_calib.types import CameraRig, Floats
 
 # Where a point follows one ray almost wholly, what is left of that ray's error tells nothing
@@ -56,14 +58,30 @@ def median_angles(rig: CameraRig, points: Floats, weight: Floats) -> Floats:
     1946; Wilson and Hilferty 1931).
     """
     medians = np.full(weight.shape, _UNTOUCHED)
-    for block in view_blocks(np.asarray(weight > 0)):
+
+    def measure(block: ViewBlock) -> Floats:
         own, seen_by = rig.select(block.views), block.take(weight)
-        block.put(_median_angles(own, points[:, block.points], seen_by), medians)
+        return _median_angles_in_block(own, points[:, block.points], seen_by)
+
+    blocks = view_blocks(np.asarray(weight > 0))
+    for block, found in zip(blocks, map_in_threads(measure, blocks), strict=True):
+        block.put(found, medians)
+    return medians
+
+
+def _median_angles_in_block(rig: CameraRig, points: Floats, weight: Floats) -> Floats:
+    """Return what `median_angles` does of a block, where most views see most of the points."""
+    kernels = compiled("mocap_calib.geometry.ray_kernels")
+    if not kernels:
+        return _median_angles(rig, points, weight)
+    medians = np.empty(weight.shape)
+    given = contiguous(rig.centres, points, weight)
+    kernels.median_angles(*given, _LEAST_SHARE, _UNTOUCHED, medians)
     return medians
 
 
 def _median_angles(rig: CameraRig, points: Floats, weight: Floats) -> Floats:
-    """Return what `median_angles` does of a block, where most views see most of the points."""
+    """Return what `_median_angles_in_block` does."""
     direction, inverse_square = _from_centres(rig, points)
     weight = weight * inverse_square
     covariance = symmetric.invert(normal_matrix(direction, weight))

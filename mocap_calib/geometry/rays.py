@@ -2,7 +2,10 @@
 
 import numpy as np
 
+from mocap_calib.compute.kernels import compiled, contiguous
 from mocap_calib.types import Bools, CameraRig, Floats
+
+_KERNELS = "mocap_calib.geometry.ray_kernels"
 
 
 def points_in_cameras(rig: CameraRig, points: Floats) -> Floats:
@@ -25,6 +28,15 @@ def are_apart(rays: Floats, used: Bools, least_angle: float) -> Bools:
 
 def rays_in_world(rig: CameraRig, rays: Floats) -> Floats:
     """Return rays `[view, 3, N]` of the cameras' frames in world coordinates, zero = missing."""
+    if kernels := compiled(_KERNELS):
+        world = np.empty(rays.shape)
+        kernels.rays_in_world(*contiguous(rig.rotation, rays), world)
+        return world
+    return _rays_in_world(rig, rays)
+
+
+def _rays_in_world(rig: CameraRig, rays: Floats) -> Floats:
+    """Return what `rays_in_world` does."""
     return np.matmul(np.swapaxes(rig.rotation, 1, 2), np.nan_to_num(rays))
 
 
@@ -34,6 +46,16 @@ def ray_angles(rig: CameraRig, points: Floats, rays: Floats) -> tuple[Floats, Bo
     points: `[3, N]`; rays: `[view, 3, N]`. Angles `[view, N]` in radians, pi where something is
     missing; in front `[view, N]`.
     """
+    if kernels := compiled(_KERNELS):
+        angle, along = np.empty((2, len(rays), points.shape[1]))
+        given = contiguous(rig.rotation, rig.translation, points, rays)
+        kernels.ray_angles(*given, angle, along)
+        return angle, along > 0
+    return _ray_angles(rig, points, rays)
+
+
+def _ray_angles(rig: CameraRig, points: Floats, rays: Floats) -> tuple[Floats, Bools]:
+    """Return what `ray_angles` does."""
     in_camera = points_in_cameras(rig, points)
     along = np.einsum("vin,vin->vn", in_camera, rays)
     z, x, y = (_cross(in_camera, rays, i) for i in range(3))

@@ -8,8 +8,8 @@ import pytest
 
 from mocap_calib.config import INTERSECT_LOSS_SCALE
 from mocap_calib.geometry.intersection import intersect
-from mocap_calib.geometry.point_covariance import median_angles, point_covariance
-from mocap_calib.geometry.rays import ray_angles, rays_in_world
+from mocap_calib.geometry.point_covariance import _median_angles, median_angles, point_covariance
+from mocap_calib.geometry.rays import _ray_angles, _rays_in_world, ray_angles, rays_in_world
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.types import Camera, CameraRig
 
@@ -170,3 +170,32 @@ def test_a_ray_that_is_off_by_the_scale_of_the_loss_counts_a_quarter():
     found = point_covariance(rig, point, off, precision=1 / variance, variance=variance)
     expected = point_covariance(rig, point, world, precision=less, variance=variance)
     np.testing.assert_allclose(np.ravel(found), np.ravel(expected), rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", PLACES)
+def test_angles_are_compiled_as_they_are_defined(name):
+    """Of rays that are missing, too, and of points that are not known."""
+    pytest.importorskip("numba")
+    rig, rng = rig_at(PLACES[name]), np.random.default_rng(4)
+    points = 0.5 * rng.normal(size=(3, 300))
+    rays = noisy_rays(rig, points, np.full(len(rig), 0.3))
+    points[:, :20], rays[0, :, 30:40], rays[1, :, 50] = np.nan, np.nan, -rays[1, :, 50]
+    weight = np.where(rng.random((len(rig), 300)) < 0.3, 0.0, rng.uniform(0, 2, (len(rig), 300)))
+
+    world = rays_in_world(rig, rays)
+    np.testing.assert_allclose(world, _rays_in_world(rig, rays), atol=1e-15)
+    assert not world[0, :, 30:40].any()
+    angle, in_front = ray_angles(rig, points, rays)
+    expected, expected_in_front = _ray_angles(rig, points, rays)
+    np.testing.assert_allclose(angle, expected, atol=1e-12)
+    np.testing.assert_array_equal(in_front, expected_in_front)
+    assert (angle[:, :20] == np.pi).all()
+    assert (angle[0, 30:40] == np.pi).all()
+    assert in_front[1].any()
+    assert not in_front[1, 50]
+
+    known = (weight > 0).sum(0) >= 2  # along a single ray the covariance is a matter of rounding
+    known &= np.isfinite(points[0])
+    found = median_angles(rig, points, weight)[:, known]
+    defined = _median_angles(rig, points[:, known], weight[:, known])
+    np.testing.assert_allclose(found, defined, rtol=1e-7)
