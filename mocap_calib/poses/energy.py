@@ -25,7 +25,7 @@ class Strengths:
     """How much counts for how much.
 
     acceleration: standard deviation in body sizes in the square of the usual step from frame to
-        frame, beyond what the joints share; inf = off.
+        frame, beyond what the joints share, of a joint of usual agility; inf = off.
     bones: standard deviation of their lengths in body sizes, beyond what they vary by; inf = off.
     loss: error of a ray, in standard deviations, that counts by half.
     """
@@ -139,7 +139,8 @@ def _motion_terms(
     acceleration = acceleration - shared_accelerations(acceleration.transpose(1, 2, 0), config)
     ends = acceleration.shape[1]
     steps = body.steps[:, :ends, None]
-    precision = 1 / (strengths.acceleration * body.size[:ends]) ** 2
+    allowed = strengths.acceleration * body.agility[:, None] * body.size[:ends]
+    precision = 1 / allowed**2
     square = (acceleration**2).sum(-1) * precision
     pull = np.zeros(points.shape[:2])
     pull[:, :ends] = precision / (1 + square / config.prior_loss**2) * (steps[0, :, 0] != 0)

@@ -19,6 +19,7 @@ _MOTION = 4 * LANES  # weights of accelerations, and these times them,
 _FACTOR = 16 * LANES  # P, F and c
 _OWN = 9 * LANES  # blocks of the diagonal, and the gradient
 _TABLE, _ROWS, _SET = floats(2), floats(3), changed_floats(3)
+_GIVEN = (floats(4), _TABLE, _ROWS, _TABLE, _TABLE, _TABLE, ints(2), _ROWS, FLOAT, FLOAT)
 _ROUNDING = 1e-12  # of what a point is held by, as in `energy`
 
 
@@ -65,20 +66,14 @@ def _hold(own: Floats) -> None:
 
 
 @inlined
-def _set_along(first: Floats, second: Floats, along: Floats) -> None:
-    """Set the vectors between the points of two joints."""
-    for n in range(_POINT):
-        along[n] = first[9 * LANES + n] - second[9 * LANES + n]
+def _weigh_bone(first: Floats, second: Floats, bone: Floats, narrow: float, along: Floats) -> None:
+    """Set the directions of a bone times the root of their weights, and errors last.
 
-
-@inlined
-def _weigh_bone(bone: Floats, narrow: float, along: Floats) -> None:
-    """Turn vectors along a bone into directions times the root of their weights, and errors.
-
-    bone: lengths, inverse standard deviations and shortest lengths. along: the errors last.
+    first, second: its joints. bone: lengths, inverse standard deviations and shortest lengths.
     """
     for n in range(LANES):
-        x, y, z = along[n], along[LANES + n], along[2 * LANES + n]
+        x, y = first[_OWN + n] - second[_OWN + n], first[10 * LANES + n] - second[10 * LANES + n]
+        z = first[11 * LANES + n] - second[11 * LANES + n]
         known, shortest = bone[LANES + n], bone[2 * LANES + n]
         length = math.sqrt(x * x + y * y + z * z)
         error = (length - bone[n]) * known
@@ -133,8 +128,7 @@ def _sum_tile(
         _hold(row)
     for e in range(len(edges)):
         a, b = edges[e, 0], edges[e, 1]
-        _set_along(own[a], own[b], along[e])
-        _weigh_bone(bones[e], bones_narrow, along[e])
+        _weigh_bone(own[a], own[b], bones[e], bones_narrow, along[e])
         _add_bone(along[e], 1.0, own[a])
         _add_bone(along[e], -1.0, own[b])
     for j in range(len(own)):
@@ -146,10 +140,13 @@ def _sum_tile(
 
 @inlined
 def _weigh_motion(
-    points: Floats, steps: Floats, expected: Floats, narrow: float, motion: Floats
+    points: Floats, steps: Floats, expected: Floats, stiff: Floats, narrow: float, motion: Floats
 ) -> None:
-    """Set the weights of accelerations and these times them, from points of three frames."""
-    first, second, third, stiffness = steps[0], steps[1], steps[2], expected[0]
+    """Set the weights of accelerations and these times them, from points of three frames.
+
+    stiff: `[LANES]` of joints, which the inverse variance in the frame is times.
+    """
+    first, second, third, usual = steps[0], steps[1], steps[2], expected[0]
     shared_x, shared_y, shared_z = expected[2], expected[3], expected[4]
     for n in range(LANES):
         x = first * points[n] + second * points[_POINT + n] + third * points[2 * _POINT + n]
@@ -158,7 +155,8 @@ def _weigh_motion(
         m = n + 2 * LANES
         z = first * points[m] + second * points[_POINT + m] + third * points[2 * _POINT + m]
         x, y, z = x - shared_x, y - shared_y, z - shared_z
-        pull = stiffness / (1 + (x * x + y * y + z * z) * stiffness * narrow)
+        own = usual * stiff[n]
+        pull = own / (1 + (x * x + y * y + z * z) * own * narrow)
         motion[n], motion[LANES + n] = pull, pull * x
         motion[2 * LANES + n], motion[3 * LANES + n] = pull * y, pull * z
 
@@ -267,13 +265,14 @@ def _factor_next(
     _factor_frame(own, last)
 
 
-@kernel(floats(4), _TABLE, _ROWS, _TABLE, _TABLE, ints(2), _ROWS, FLOAT, FLOAT, _SET, _SET, _SET)
+@kernel(*_GIVEN, _SET, _SET, _SET)
 def factor_bands(
     rays: Floats,
     centres: Floats,
     points: Floats,
     steps: Floats,
     expected: Floats,
+    stiffness: Floats,
     edges: Ints,
     bones: Floats,
     loss: float,
@@ -289,7 +288,7 @@ def factor_bands(
     `[tile, edge, 4 * LANES]`. The others have two frames of zeros before and after: points and
     gradient `[group, frame, 3 * LANES]`, steps `[frame, 3]`, expected `[frame, 5]` inverse
     variances of accelerations, the ridge, and what accelerations share; factor `[group, frame, 16 *
-    LANES]`.
+    LANES]`. stiffness: `[group, LANES]` of joints, which the inverse variances are times.
     """
     groups = len(points)
     own, link = np.empty((rays.shape[2], 12 * LANES)), np.empty(2 * LANES)
@@ -307,7 +306,9 @@ def factor_bands(
             for f in range(LANES):
                 t, own_frame = first + f, turned[f, g]
                 three, recent = points[g, t : t + 3].reshape(-1), motion[g, f : f + 3].reshape(-1)
-                _weigh_motion(three, steps[t], expected[t], prior_narrow, motion[g, f + 2])
+                _weigh_motion(
+                    three, steps[t], expected[t], stiffness[g], prior_narrow, motion[g, f + 2]
+                )
                 _factor_next(t, recent, steps, expected[t, 1], own_frame, link, factor[g])
                 gradient[g, t] = own_frame[6 * LANES :]
 

@@ -66,9 +66,11 @@ def _fit_compiled(
     tiles = -(-frames // lanes)
     packed = _pack_rays(seen, lanes)
     found = in_lanes(points, lanes)
-    stiffness = 1 / (strengths.acceleration * body.size) ** 2 * (body.steps[0] != 0)
+    usual = 1 / (strengths.acceleration * body.size) ** 2 * (body.steps[0] != 0)
+    stiffness = np.ones((len(found), lanes))
+    stiffness.reshape(-1)[:joints] = body.agility**-2
     expected = np.zeros((5, frames))
-    expected[0], expected[1] = stiffness, config.ridge / body.size**2
+    expected[0], expected[1] = usual, config.ridge / body.size**2
     expected = np.ascontiguousarray(in_tiles(expected, lanes).T)
     motion = np.ascontiguousarray(in_tiles(body.steps, lanes).T)
     edges, bones = _bones(body, strengths, lanes)
@@ -77,7 +79,7 @@ def _fit_compiled(
     centres = np.ascontiguousarray(seen.centres)
     gradient, work = np.zeros_like(found), np.zeros((5, *found.shape))
     for loss in losses:
-        if stiffness.any():
+        if usual.any():
             expected[:-2, 2:] = shared_accelerations(_accelerations(found, motion, joints), config)
         equations.factor_bands(
             packed,
@@ -85,6 +87,7 @@ def _fit_compiled(
             found,
             motion,
             expected,
+            stiffness,
             edges,
             bones,
             loss,

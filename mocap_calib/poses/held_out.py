@@ -1,12 +1,18 @@
 """How strongly to smooth: what predicts best the detections that the fit was not shown."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
 from mocap_calib.config import PosesConfig
-from mocap_calib.poses.energy import Strengths, accelerations, squared_errors_at
+from mocap_calib.poses.energy import (
+    Strengths,
+    accelerations,
+    shared_accelerations,
+    squared_errors_at,
+)
 from mocap_calib.poses.fit import fit
 from mocap_calib.poses.track import Body, Detections
 from mocap_calib.poses.trust import Trust, measure_trust
@@ -19,6 +25,8 @@ _RUN = 25
 _VIEWS = 3  # of a point of which one is hidden: two must be left
 _ALIKE = 1e-6  # logarithms of confidences that differ by less tell nothing
 _LARGEST = 900.0  # squared error that counts in full
+_FRAMES_OF_A_JOINT = 30  # in which two views see it, for its agility to be measured
+_LARGEST_AGILITY = 3.0
 _MEDIAN_LENGTH = 1.538  # of normal vectors in space, in standard deviations of a coordinate
 
 
@@ -26,11 +34,13 @@ _MEDIAN_LENGTH = 1.538  # of normal vectors in space, in standard deviations of 
 class Choice:
     """What was chosen, and how well it predicts.
 
+    agility: `[keypoint]` as of `Body`.
     held_out: mean of log(1 + r^2 / 4), r the error in standard deviations of the detections that
         were hidden; without: the same where nothing is smoothed. NaN where nothing was hidden.
     """
 
     strengths: Strengths
+    agility: Floats
     held_out: float = np.nan
     without: float = np.nan
 
@@ -40,10 +50,11 @@ def choose_strengths(
 ) -> Choice:
     """Return the strengths that predict hidden detections best.
 
-    The accelerations' first, then the bones', then the loss, then the accelerations' again, more
-    finely. The first counts of those that are as good as the best within a standard error. Frames
-    that do not follow each other are not tried: postures come again, and would predict. Where
-    too few points have three views to hide one, they are what the points themselves show.
+    The accelerations' first, then the bones', then whether joints differ in agility, then the loss,
+    then the accelerations' again, more finely. The first counts of those that are as good as the
+    best within a standard error. Frames that do not follow each other are not tried: postures come
+    again, and would predict. Where too few points have three views to hide one, they are what the
+    points themselves show.
 
     points: `[keypoint, frame, 3]` to start from. moves: whether accelerations may be smoothed.
     """
@@ -51,38 +62,102 @@ def choose_strengths(
     moves = moves and bool(body.steps.any()) and np.isfinite(usual.acceleration)
     hidden = _hide(seen)
     if hidden.sum() < config.least_hidden:
-        return Choice(usual)
-    hidden_at = np.array(np.nonzero(hidden))
-    _, joint, frame = hidden_at
-    run = joint * hidden.shape[2] + frame // _RUN
-    shown = replace(seen, precision=np.where(hidden, 0.0, seen.precision))
-    losses: dict[Strengths, Floats] = {}
-
-    def loss(strengths: Strengths) -> Floats:
-        """Return what each hidden detection counts for."""
-        if strengths not in losses:
-            found = fit(points, shown, body, strengths, config, steps=config.choice_steps)
-            square = np.minimum(squared_errors_at(found, seen, hidden_at), _LARGEST)
-            losses[strengths] = np.log1p(square / 4)
-        return losses[strengths]
-
-    def weakest(candidates: list[Strengths]) -> Strengths:
-        """Return the first of those that predict about as well as the best."""
-        candidates = list(_until_worse(candidates, lambda each: float(loss(each).mean())))
-        best = loss(min(candidates, key=lambda each: float(loss(each).mean())))
-        more = ((each, loss(each) - best) for each in candidates)
-        return next(each for each, lost in more if lost.mean() <= error_of_mean(lost, run))
-
+        return Choice(usual, body.agility)
+    search = _Search(points, seen, body, hidden, config)
     accelerations = (np.inf, *config.accelerations) if moves else (np.inf,)
-    chosen = weakest([replace(usual, acceleration=sigma) for sigma in accelerations])
+    chosen = search.weakest([replace(usual, acceleration=sigma) for sigma in accelerations])
     if len(body.edges):
-        chosen = weakest([replace(chosen, bones=sigma) for sigma in (np.inf, *config.bones)])
-    chosen = weakest([replace(chosen, loss=scale) for scale in config.losses])
+        chosen = search.weakest([replace(chosen, bones=sigma) for sigma in (np.inf, *config.bones)])
+    if np.isfinite(chosen.acceleration):
+        search = search.of_agile_joints(chosen)
+    chosen = search.weakest([replace(chosen, loss=scale) for scale in config.losses])
     factors = (2, np.sqrt(2), 1, np.sqrt(0.5)) if np.isfinite(chosen.acceleration) else (1,)
     finely = [float(chosen.acceleration * factor) for factor in factors]
-    chosen = weakest([replace(chosen, acceleration=sigma) for sigma in finely])
-    raw = loss(replace(chosen, acceleration=np.inf, bones=np.inf))
-    return Choice(chosen, float(loss(chosen).mean()), float(raw.mean()))
+    chosen = search.weakest([replace(chosen, acceleration=sigma) for sigma in finely])
+    raw = search.loss(replace(chosen, acceleration=np.inf, bones=np.inf))
+    return Choice(chosen, search.body.agility, float(search.loss(chosen).mean()), float(raw.mean()))
+
+
+@dataclass(frozen=True)
+class _Search:
+    """What strengths are tried on: see `choose_strengths`.
+
+    hidden: `[view, keypoint, frame]` detections that a fit is not shown. losses: what each hidden
+        detection counts for with strengths that were tried.
+    """
+
+    points: Floats
+    seen: Detections
+    body: Body
+    hidden: Bools
+    config: PosesConfig
+    losses: dict[Strengths, Floats] = field(default_factory=dict)
+
+    @cached_property
+    def _hidden_at(self) -> Ints:
+        """`[3, N]` views, keypoints and frames of the hidden detections."""
+        return np.array(np.nonzero(self.hidden))
+
+    @cached_property
+    def _run(self) -> Ints:
+        """`[N]` the number of the run that each of them belongs to."""
+        _, joint, frame = self._hidden_at
+        return np.asarray(joint * self.hidden.shape[2] + frame // _RUN)
+
+    @cached_property
+    def _shown(self) -> Detections:
+        return replace(self.seen, precision=np.where(self.hidden, 0.0, self.seen.precision))
+
+    def _fit(self, strengths: Strengths) -> Floats:
+        """Return the points `[keypoint, frame, 3]` that what is shown makes."""
+        steps = self.config.choice_steps
+        return fit(self.points, self._shown, self.body, strengths, self.config, steps=steps)
+
+    def loss(self, strengths: Strengths) -> Floats:
+        """Return what each hidden detection counts for."""
+        if strengths not in self.losses:
+            square = squared_errors_at(self._fit(strengths), self.seen, self._hidden_at)
+            self.losses[strengths] = np.log1p(np.minimum(square, _LARGEST) / 4)
+        return self.losses[strengths]
+
+    def weakest(self, candidates: list[Strengths]) -> Strengths:
+        """Return the first of those that predict about as well as the best."""
+
+        def mean(each: Strengths) -> float:
+            return float(self.loss(each).mean())
+
+        candidates = list(_until_worse(candidates, mean))
+        best = self.loss(min(candidates, key=mean))
+        more = ((each, self.loss(each) - best) for each in candidates)
+        return next(each for each, lost in more if lost.mean() <= error_of_mean(lost, self._run))
+
+    def of_agile_joints(self, strengths: Strengths) -> "_Search":
+        """Return the search with the agility of each joint, where that predicts better."""
+        agility = _measure_agility(self._fit(strengths), self._shown, self.body, self.config)
+        other = replace(self, body=replace(self.body, agility=agility), losses={})
+        better = other.loss(strengths).mean() < self.loss(strengths).mean()
+        return other if better else self
+
+
+def _measure_agility(points: Floats, seen: Detections, body: Body, config: PosesConfig) -> Floats:
+    """Return the agility `[keypoint]` of joints; 1 of those that are seldom seen by two views.
+
+    Hands and feet speed up more than the trunk. Of the median accelerations beyond what all joints
+    share, in their geometric mean, it is the square root: they are of the detectors' noise, too.
+
+    points: `[keypoint, frame, 3]` of a fit.
+    """
+    acceleration = accelerations(points, body)
+    ends = acceleration.shape[1]
+    shared = shared_accelerations(acceleration.transpose(1, 2, 0), config)
+    size = np.sqrt(((acceleration - shared) ** 2).sum(-1)) / body.size[:ends]
+    counted = ((seen.precision > 0).sum(0) >= 2)[:, :ends] & (body.steps[0, :ends] != 0)
+    enough = counted.sum(1) >= _FRAMES_OF_A_JOINT
+    known = [np.median(each[own]) for each, own in zip(size[enough], counted[enough], strict=True)]
+    told = np.log(np.maximum(known, np.finfo(float).tiny))
+    agility = np.ones(len(points))
+    agility[enough] = np.exp((told - told.mean()) / 2) if len(told) else 1.0
+    return agility.clip(1 / _LARGEST_AGILITY, _LARGEST_AGILITY)
 
 
 def choose_trust(

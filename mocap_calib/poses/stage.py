@@ -15,7 +15,7 @@ from mocap_calib.multi_view.observations import gather_observations
 from mocap_calib.poses.axes import back_from_first_camera, in_first_camera
 from mocap_calib.poses.certainty import covariances
 from mocap_calib.poses.cleaning import are_beyond_reach, drop_outliers, exchange_sides
-from mocap_calib.poses.energy import Strengths, linearise
+from mocap_calib.poses.energy import linearise
 from mocap_calib.poses.fit import fit
 from mocap_calib.poses.held_out import Choice, choose_strengths, choose_trust
 from mocap_calib.poses.spans import blocks, point_sources, with_gaps
@@ -158,6 +158,7 @@ class _Scene:
             varies=np.repeat(who.varies[:, None], len(frames), axis=1),
             size=np.full(len(frames), who.size),
             steps=acceleration_steps(times, self.config.longest_gap + 1),
+            agility=np.ones(len(self.recording.keypoints)),
         )
         start = self.start[frames, who.index]
         impossible = are_beyond_reach(start, who.reach)
@@ -229,7 +230,7 @@ def _fit_all(
     total = sum(len(who.frames) for who in scene.individuals)
     pieces = [(who, *block) for who in scene.individuals for block in blocks(who.frames, config)]
     estimates = map_in_threads(
-        lambda piece: _estimate(scene, piece[0], piece[2], trust, choice.strengths), pieces
+        lambda piece: _estimate(scene, piece[0], piece[2], trust, choice), pieces
     )
     for (who, inner, frames), found in zip(pieces, estimates, strict=True):
         for name, array in arrays.items():
@@ -295,11 +296,12 @@ def _stretches(
 
 
 def _estimate(
-    scene: _Scene, who: _Individual, frames: Ints, trust: Trust, strengths: Strengths
+    scene: _Scene, who: _Individual, frames: Ints, trust: Trust, choice: Choice
 ) -> _Estimate:
     """Return the best estimates of one individual in frames that follow each other."""
-    config = scene.config
+    config, strengths = scene.config, choice.strengths
     points, seen, body = scene.track(who, frames)
+    body = replace(body, agility=choice.agility)
     seen = trust.weigh(seen, scene.noise)
     points = fit(points, seen, body, strengths, config, steps=config.fit_steps)
     seen, exchanged = exchange_sides(points, seen, scene.mirror, config)

@@ -48,6 +48,7 @@ class Body:
     steps: `[3, frame]` what the positions in a frame, the next one and the one after that are
         multiplied by for the acceleration there, zero where these frames do not follow each other.
         Times are in the usual step from one frame to the next.
+    agility: `[keypoint]` how much each joint speeds up and slows down, in what is usual.
     """
 
     edges: Ints
@@ -55,6 +56,7 @@ class Body:
     varies: Floats
     size: Floats
     steps: Floats
+    agility: Floats
 
     def join(self, others: Sequence["Body"]) -> "Body":
         """Return this body and then, later in time, the others."""

@@ -40,6 +40,7 @@ def track(joints: int, frames: int) -> tuple[np.ndarray, Detections, Body]:
         varies=np.full(lengths.shape, 0.01),
         size=np.linspace(1, 1.2, frames),
         steps=acceleration_steps(times, 10.0),
+        agility=np.linspace(0.5, 2, joints),
     )
     detections = Detections(rays, np.where(seen, 1e5, 0.0), centres)
     return true + rng.normal(size=true.shape) * 0.03, detections, body
@@ -83,7 +84,7 @@ def test_the_gradient_is_that_of_the_energy(strengths):
         off = ((offset - along * seen.rays) ** 2).sum(0)[there] / along[there] ** 2
         losses = [(off * seen.precision[there], strengths.loss)]
         if np.isfinite(strengths.acceleration):
-            size = strengths.acceleration * body.size[:-2]
+            size = strengths.acceleration * body.agility[:, None] * body.size[:-2]
             square = ((accelerations(at, body) - shared) ** 2).sum(-1) / size**2
             losses.append((square, CONFIG.prior_loss))
         if np.isfinite(strengths.bones):
