@@ -4,9 +4,10 @@ import ctypes
 import sys
 
 # of malloc.h of glibc: the options, and bytes. What is larger than the first goes back to the
-# system at once; of what is smaller, so much is kept.
+# system at once; of what is smaller, so much is kept, in one place for all threads.
 _MMAP_THRESHOLD, _LARGE = -3, 1 << 25
 _TRIM_THRESHOLD, _KEPT = -1, 1 << 28
+_ARENA_MAX = -8
 
 
 def keep_freed_memory() -> None:
@@ -20,5 +21,6 @@ def keep_freed_memory() -> None:
         return
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:
+        mallopt(_ARENA_MAX, 1)
         mallopt(_MMAP_THRESHOLD, _LARGE)
         mallopt(_TRIM_THRESHOLD, _KEPT)
