@@ -14,7 +14,7 @@ from scenes import scene
 from threadpoolctl import threadpool_limits
 
 from mocap_calib.io.results.scene import write_scene
-from mocap_calib.io.sandbox import _worker
+from mocap_calib.io.sandbox import _calls
 
 # as the commands do: further threads of the libraries only spin when the machine has other work
 torch.set_num_threads(1)
@@ -34,8 +34,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def _kept_coverage() -> Iterator[None]:
     """End the process that reads HDF5 with each file: what damage ends does not say what it ran."""
     yield
-    if "COVERAGE_RUN" in os.environ:
-        _worker(os.getpid()).end()
+    if "COVERAGE_RUN" in os.environ and (worker := _calls.for_small):
+        worker.end()
 
 
 @pytest.fixture(scope="session")

@@ -19,12 +19,12 @@ _MEMORY = 8  # of zlib, as is usual
 
 
 def write_packed(file: h5py.File, name: str, array: NDArray[Any]) -> None:
-    """Write an array `[frame, ...]` as a dataset; chunks are of one entry of the second axis each.
+    """Write an array `[frame, ...]` as a dataset; chunks are of a few entries of the second axis.
 
     It is read as any that HDF5 packs by deflate after shuffling. HDF5 would do so on one thread,
     and look far back for repetitions, which measured numbers do not have: what is looked for here
-    are runs of the same byte, as missing numbers make them. The file is 5 % larger, and written
-    six times as fast on two threads.
+    are runs of the same byte, as missing numbers make them. Measured on poses: 3 % larger, and in a
+    quarter of the time on two threads.
     """
     if not array.size:
         file.create_dataset(name, array.shape, array.dtype, track_times=False)
@@ -51,10 +51,13 @@ def write_packed(file: h5py.File, name: str, array: NDArray[Any]) -> None:
 
 
 def _shape_of_chunk(array: NDArray[Any]) -> tuple[int, ...]:
-    """Return how much of each axis lies in a chunk."""
-    others = (1, *array.shape[2:])[: array.ndim - 1]
-    row = int(np.prod(others)) * array.itemsize
-    return (max(1, min(len(array), _CHUNK // row)), *others)
+    """Return how much of each axis lies in a chunk: frames first, then what is left of room."""
+    if array.ndim == 1:
+        return (min(len(array), _CHUNK // array.itemsize),)
+    row = array[:1, :1].nbytes
+    frames = max(1, min(len(array), _CHUNK // row))
+    entries = max(1, min(array.shape[1], _CHUNK // (row * frames)))
+    return (frames, entries, *array.shape[2:])
 
 
 def _pack(values: NDArray[Any], chunk: Iterable[int]) -> bytes:

@@ -7,8 +7,9 @@ does not survive becomes a FormatError. Measured in docs/formats-checks.md.
 """
 
 import os
-from collections.abc import Callable
-from functools import cache
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
+from threading import BoundedSemaphore, Lock
 from typing import TypeVar, TypeVarTuple
 
 from mocap_calib.compute.worker import Worker, WorkerEndedError
@@ -23,6 +24,7 @@ _MEMORY = 1_000_000_000  # bytes that any file may take,
 _MEMORY_A_BYTE = 100  # and so many for each byte of it,
 _COPIES = 5  # and so many copies of what deflate may have packed into it,
 _MOST_UNPACKED = 1_000_000_000  # up to this
+_LARGE_AT_A_TIME = 4  # each takes the memory of a process
 Ts = TypeVarTuple("Ts")
 T = TypeVar("T")
 
@@ -69,10 +71,11 @@ def call_elsewhere(
 
     Raises what it raises, and FormatError where the input ends the process or exceeds a limit.
     """
-    # a process that ends after the file can serve it beside others
-    worker = Worker() if size > _LARGE else _worker(os.getpid())
+    large = size > _LARGE
+    before = _calls.endings
     try:
-        return worker.call(parse, *args, cpu_seconds=cpu_seconds, memory_bytes=memory_bytes)
+        with _calls.at_a_time if large else nullcontext(), _calls.worker(large, before) as worker:
+            return worker.call(parse, *args, cpu_seconds=cpu_seconds, memory_bytes=memory_bytes)
     except MemoryError:
         expected = f"{what} of a size that memory holds"
         found = f"{size} bytes that unpack to more"
@@ -80,11 +83,60 @@ def call_elsewhere(
     except WorkerEndedError as end:
         found = f"damage that its reader does not survive ({end})"
         raise malformed(source, f"{what} that is whole", found, "copy or export it again") from None
-    finally:
-        if size > _LARGE:
-            worker.end()
 
 
-@cache
-def _worker(pid: int) -> Worker:  # a forked process has one of its own
-    return Worker()
+def end_calls() -> None:
+    """End the calls of all threads, which raise FormatError; later ones are served as ever."""
+    _calls.end()
+
+
+class _Calls:
+    """The calls under way.
+
+    endings: how often they were ended. at_a_time: so many large files. for_small: the process for
+        small ones, None where there was none yet.
+    """
+
+    def __init__(self) -> None:
+        self.endings = 0
+        self.at_a_time = BoundedSemaphore(_LARGE_AT_A_TIME)
+        self._lock = Lock()
+        self._workers: set[Worker] = set()
+        self.for_small: Worker | None = None
+
+    @contextmanager
+    def worker(self, large: bool, before: int) -> Iterator[Worker]:
+        """Give the process for a call; that of a large file is its own, and ends with it.
+
+        before: the endings when the call began; it waited if there were more since.
+        """
+        with self._lock:
+            if self.endings != before:
+                raise WorkerEndedError("the program that called it")
+            worker = Worker() if large or self.for_small is None else self.for_small
+            self.for_small = self.for_small if large else worker
+            self._workers.add(worker)
+        try:
+            yield worker
+        finally:
+            if large:
+                worker.end()
+                self._workers.discard(worker)
+
+    def end(self) -> None:
+        """Kill the processes; others take their places when they are called for."""
+        with self._lock:
+            self.endings += 1
+            for worker in self._workers:
+                worker.kill()
+            self._workers.clear()
+            self.for_small = None
+
+    def forget(self) -> None:
+        """Forget the processes, in a child of this one: they answer to this one."""
+        self.__init__()  # type: ignore[misc]
+
+
+_calls = _Calls()
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_calls.forget)

@@ -128,7 +128,7 @@ def _middle_and_spread(values: Floats, noise: Floats) -> tuple[Floats, Floats]:
 
 
 def _medians(values: Floats) -> Floats:
-    """Return the medians `[edge]` of rows `[edge, N]` without NaN, of which none is all."""
+    """Return the medians `[edge]` of rows `[edge, N]` without their NaN; no row is all NaN."""
     return np.array([_median(row[np.isfinite(row)]) for row in values])
 
 

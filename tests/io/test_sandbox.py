@@ -5,13 +5,14 @@ is mistaken for another answer.
 import os
 import signal
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 from platforms import linux, posix
 
 from mocap_calib.errors import FormatError
-from mocap_calib.io.sandbox import HDF5, call_contained
+from mocap_calib.io.sandbox import HDF5, call_contained, end_calls
 
 
 def process(_=None):
@@ -91,9 +92,29 @@ def test_memory_is_held_to_the_file():
     assert inside(much, 200_000_000, content=HDF5 + bytes(1_000_000)) == 2e8
 
 
+@posix
 def test_a_large_files_memory_goes_with_the_process():
     first = inside(process, content=HDF5 + bytes(11_000_000))
     assert inside(process) != first
+    with pytest.raises(ProcessLookupError):
+        os.kill(first, 0)
+
+
+@pytest.mark.parametrize("size", [100, 11_000_000], ids=["small", "large"])
+def test_calls_of_other_threads_are_ended(size):
+    """Ctrl-C reaches the main thread alone. Of six large files two wait for their turn."""
+    with ThreadPoolExecutor(6) as threads:
+        calls = [
+            threads.submit(inside, time.sleep, 60, content=HDF5 + bytes(size)) for _ in "abcdef"
+        ]
+        time.sleep(1)
+        start = time.monotonic()
+        end_calls()
+        for call in calls:
+            with pytest.raises(FormatError, match="does not survive"):
+                call.result(timeout=10)
+    assert time.monotonic() - start < 5
+    assert inside(process) != os.getpid()
 
 
 def test_errors_and_values_come_back():

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from mocap_calib.io.keypoints.items import keypoint_items
 from mocap_calib.io.keypoints.sniffing import require_format, sniff_item
 from mocap_calib.io.names import camera_name
 from mocap_calib.io.registry import find_format
-from mocap_calib.io.sandbox import call_contained
+from mocap_calib.io.sandbox import call_contained, end_calls
 from mocap_calib.types import Keypoints2D, Reals
 
 
@@ -59,11 +60,15 @@ def read_what_can(
     _check_cameras_once([(item.camera, str(item.path)) for item in items if item.camera])
     views: list[Keypoints2D] = []
     errors: list[MocapCalibError] = []
-    for found in _read_all(items, format, options):
-        if isinstance(found, MocapCalibError):
-            errors.append(found)
-        else:
-            views += found
+    try:
+        for found in _read_all(items, format, options):
+            if isinstance(found, MocapCalibError):
+                errors.append(found)
+            else:
+                views += found
+    except BaseException:
+        end_calls()  # of threads, which Ctrl-C does not reach
+        raise
     _check_cameras_once([(view.camera, view.source) for view in views])
     if errors:
         return tuple(views), errors
@@ -107,9 +112,10 @@ def _read_all(
         except MocapCalibError as error:
             return error
 
-    apart = bool(items) and _is_hdf5(items[0])
     waiting = (items.pop(0) for _ in range(len(items)))  # an item holds its file
-    yield from map_in_threads(read, waiting) if apart else map(read, waiting)
+    for apart, some in groupby(waiting, _is_hdf5):
+        spread = map_in_threads if apart else map
+        yield from spread(read, some)
 
 
 def _is_hdf5(item: Item) -> bool:
