@@ -121,16 +121,16 @@ class _Calls:
         finally:
             if large:
                 worker.end()
-                self._workers.discard(worker)
+                with self._lock:
+                    self._workers.discard(worker)
 
     def end(self) -> None:
         """Kill the processes; others take their places when they are called for."""
         with self._lock:
             self.endings += 1
-            for worker in self._workers:
+            workers, self._workers, self.for_small = self._workers, set(), None
+            for worker in workers:
                 worker.kill()
-            self._workers.clear()
-            self.for_small = None
 
     def forget(self) -> None:
         """Forget the processes, in a child of this one: they answer to this one."""
