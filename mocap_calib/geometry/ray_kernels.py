@@ -55,6 +55,7 @@ def ray_angles(
             across_x, across_y, across_z = y * rz - z * ry, z * rx - x * rz, x * ry - y * rx
             square = across_x * across_x + across_y * across_y + across_z * across_z
             along[view, n] = length
+            # NaN, of a ray or a point that is missing, is not 0 or more
             angle[view, n] = math.atan2(math.sqrt(square), length) if square >= 0 else math.pi
 
 
@@ -98,7 +99,7 @@ def _set_covariance(direction: Floats, share: Floats, covariance: Floats) -> Non
         return
     xx, yy, zz = xx / size + _RIDGE, yy / size + _RIDGE, zz / size + _RIDGE
     xy, xz, yz = -xy / size, -xz / size, -yz / size
-    covariance[0], covariance[1], covariance[2] = yy * zz - yz * yz, xz * yz - xy * zz, 0.0
+    covariance[0], covariance[1] = yy * zz - yz * yz, xz * yz - xy * zz
     covariance[2], covariance[3] = xy * yz - xz * yy, xx * zz - xz * xz
     covariance[4], covariance[5] = xy * xz - xx * yz, xx * yy - xy * xy
     determinant = xx * covariance[0] + xy * covariance[1] + xz * covariance[2]
@@ -136,7 +137,7 @@ def median_angles(
             if part == 0:
                 continue
             x, y, z = direction[view, 0], direction[view, 1], direction[view, 2]
-            ax, ay, az = xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, 0.0
+            ax, ay = xx * x + xy * y + xz * z, xy * x + yy * y + yz * z
             az = xz * x + yz * y + zz * z
             straight = x * ax + y * ay + z * az
             taken = part * (xx + yy + zz - straight)

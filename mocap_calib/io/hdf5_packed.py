@@ -14,12 +14,10 @@ from mocap_calib.compute.parallel import map_in_threads
 
 _CHUNK = 1 << 19  # bytes before they are packed
 _EFFORT = 4  # of zlib, as h5py has it
-_WINDOW = 15  # bits, as HDF5 expects it
-_MEMORY = 8  # of zlib, as is usual
 
 
 def write_packed(file: h5py.File, name: str, array: NDArray[Any]) -> None:
-    """Write an array `[frame, ...]` as a dataset; chunks are of a few entries of the second axis.
+    """Write an array `[frame, ...]` as a dataset; a chunk has few entries of the second axis.
 
     It is read as any that HDF5 packs by deflate after shuffling. HDF5 would do so on one thread,
     and look far back for repetitions, which measured numbers do not have: what is looked for here
@@ -65,5 +63,5 @@ def _pack(values: NDArray[Any], chunk: Iterable[int]) -> bytes:
     whole = np.zeros(tuple(chunk), values.dtype)  # beyond the array, chunks go on
     whole[tuple(map(slice, values.shape))] = values
     shuffled = whole.reshape(-1, 1).view(np.uint8).T.tobytes()
-    packer = zlib.compressobj(_EFFORT, zlib.DEFLATED, _WINDOW, _MEMORY, zlib.Z_RLE)
+    packer = zlib.compressobj(level=_EFFORT, strategy=zlib.Z_RLE)
     return packer.compress(shuffled) + packer.flush()

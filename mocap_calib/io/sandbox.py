@@ -93,11 +93,15 @@ def end_calls() -> None:
 class _Calls:
     """The calls under way.
 
-    endings: how often they were ended. at_a_time: so many large files. for_small: the process for
-        small ones, None where there was none yet.
+    endings: how often they were ended. at_a_time: held during the call of a large file, of which
+        there are a few at a time. for_small: the process for small files, None before the first.
     """
 
     def __init__(self) -> None:
+        self.forget()
+
+    def forget(self) -> None:
+        """Start without processes: in a child of this process, too, which they do not serve."""
         self.endings = 0
         self.at_a_time = BoundedSemaphore(_LARGE_AT_A_TIME)
         self._lock = Lock()
@@ -108,7 +112,8 @@ class _Calls:
     def worker(self, large: bool, before: int) -> Iterator[Worker]:
         """Give the process for a call; that of a large file is its own, and ends with it.
 
-        before: the endings when the call began; it waited if there were more since.
+        before: `endings` when the call began. It is not made where calls were ended while it waited
+            for its turn.
         """
         with self._lock:
             if self.endings != before:
@@ -131,10 +136,6 @@ class _Calls:
             workers, self._workers, self.for_small = self._workers, set(), None
             for worker in workers:
                 worker.kill()
-
-    def forget(self) -> None:
-        """Forget the processes, in a child of this one: they answer to this one."""
-        self.__init__()  # type: ignore[misc]
 
 
 _calls = _Calls()

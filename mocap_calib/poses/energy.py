@@ -135,8 +135,7 @@ def _motion_terms(
     points: Floats, body: Body, strengths: Strengths, config: PosesConfig
 ) -> tuple[Floats, Floats]:
     """Return the weights `[keypoint, frame]` of accelerations, by first frame, and the gradient."""
-    acceleration = accelerations(points, body)
-    acceleration = acceleration - shared_accelerations(acceleration.transpose(1, 2, 0), config)
+    acceleration = own_accelerations(points, body, config)
     ends = acceleration.shape[1]
     steps = body.steps[:, :ends, None]
     allowed = strengths.acceleration * body.agility[:, None] * body.size[:ends]
@@ -160,6 +159,12 @@ def accelerations(points: Floats, body: Body) -> Floats:
     steps = body.steps[:, :ends, None]
     parts = (step * points[:, k : k + ends] for k, step in enumerate(steps))
     return np.asarray(sum(parts))
+
+
+def own_accelerations(points: Floats, body: Body, config: PosesConfig) -> Floats:
+    """Return `accelerations` beyond those that the joints share."""
+    acceleration = accelerations(points, body)
+    return acceleration - shared_accelerations(acceleration.transpose(1, 2, 0), config)
 
 
 def shared_accelerations(acceleration: Floats, config: PosesConfig) -> Floats:

@@ -144,7 +144,7 @@ def _weigh_motion(
 ) -> None:
     """Set the weights of accelerations and these times them, from points of three frames.
 
-    stiff: `[LANES]` of joints, which the inverse variance in the frame is times.
+    stiff: `[LANES]` factors of the frame's inverse variance, one for each joint.
     """
     first, second, third, usual = steps[0], steps[1], steps[2], expected[0]
     shared_x, shared_y, shared_z = expected[2], expected[3], expected[4]
@@ -288,7 +288,7 @@ def factor_bands(
     `[tile, edge, 4 * LANES]`. The others have two frames of zeros before and after: points and
     gradient `[group, frame, 3 * LANES]`, steps `[frame, 3]`, expected `[frame, 5]` inverse
     variances of accelerations, the ridge, and what accelerations share; factor `[group, frame, 16 *
-    LANES]`. stiffness: `[group, LANES]` of joints, which the inverse variances are times.
+    LANES]`. stiffness: `[group, LANES]` factors of the inverse variances, by joint.
     """
     groups = len(points)
     own, link = np.empty((rays.shape[2], 12 * LANES)), np.empty(2 * LANES)

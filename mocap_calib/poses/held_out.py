@@ -10,7 +10,7 @@ from mocap_calib.config import PosesConfig
 from mocap_calib.poses.energy import (
     Strengths,
     accelerations,
-    shared_accelerations,
+    own_accelerations,
     squared_errors_at,
 )
 from mocap_calib.poses.fit import fit
@@ -142,21 +142,23 @@ class _Search:
 def _measure_agility(points: Floats, seen: Detections, body: Body, config: PosesConfig) -> Floats:
     """Return the agility `[keypoint]` of joints; 1 of those that are seldom seen by two views.
 
-    Hands and feet speed up more than the trunk. Of the median accelerations beyond what all joints
-    share, in their geometric mean, it is the square root: they are of the detectors' noise, too.
+    Hands and feet accelerate more than the trunk. It is the square root of a joint's median
+    acceleration, beyond what all joints share, over the geometric mean of these medians: the root,
+    because noise of the detectors is in them, too.
 
     points: `[keypoint, frame, 3]` of a fit.
     """
-    acceleration = accelerations(points, body)
+    acceleration = own_accelerations(points, body, config)
     ends = acceleration.shape[1]
-    shared = shared_accelerations(acceleration.transpose(1, 2, 0), config)
-    size = np.sqrt(((acceleration - shared) ** 2).sum(-1)) / body.size[:ends]
+    size = np.sqrt((acceleration**2).sum(-1)) / body.size[:ends]
     counted = ((seen.precision > 0).sum(0) >= 2)[:, :ends] & (body.steps[0, :ends] != 0)
     enough = counted.sum(1) >= _FRAMES_OF_A_JOINT
+    agility = np.ones(len(points))
+    if not enough.any():
+        return agility
     known = [np.median(each[own]) for each, own in zip(size[enough], counted[enough], strict=True)]
     told = np.log(np.maximum(known, np.finfo(float).tiny))
-    agility = np.ones(len(points))
-    agility[enough] = np.exp((told - told.mean()) / 2) if len(told) else 1.0
+    agility[enough] = np.exp((told - told.mean()) / 2)
     return agility.clip(1 / _LARGEST_AGILITY, _LARGEST_AGILITY)
 
 

@@ -133,7 +133,11 @@ def _medians(values: Floats) -> Floats:
 
 
 def _median(values: Floats) -> float:
-    """Return the median of numbers, which are put in another order."""
+    """Return the median of numbers, which are put in another order.
+
+    For rows of a hundred numbers, of which there are thousands, `np.median` takes eight times as
+    long.
+    """
     lower, upper = (len(values) - 1) // 2, len(values) // 2
     values.partition((lower, upper))
     return float((values[lower] + values[upper]) / 2)

@@ -48,7 +48,7 @@ class Body:
     steps: `[3, frame]` what the positions in a frame, the next one and the one after that are
         multiplied by for the acceleration there, zero where these frames do not follow each other.
         Times are in the usual step from one frame to the next.
-    agility: `[keypoint]` how much each joint speeds up and slows down, in what is usual.
+    agility: `[keypoint]` how strongly each joint accelerates; 1 is usual.
     """
 
     edges: Ints

@@ -227,8 +227,7 @@ def _fill_arrays(
             confidence=confidence[v],
         )
 
-    for _ in map_in_threads(fill, range(len(views))):
-        pass
+    list(map_in_threads(fill, range(len(views))))
     return positions, confidence
 
 

@@ -318,7 +318,7 @@ def test_a_point_next_to_a_camera_is_solved_for():
 def agile_joints(apart: float, noise: float = 0.01) -> tuple[np.ndarray, Detections, Body]:
     """Return eight joints without bones that four cameras see; half accelerate more than others.
 
-    apart: by what factor. Accelerations are 0.001 of the body's size; noise is in it, too.
+    apart: by what factor. noise: in body sizes, in which usual accelerations are 0.001.
     """
     rng = np.random.default_rng(2)
     joints, frames = 8, 400
