@@ -23,6 +23,8 @@ from mocap_calib.errors import ClusterError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+First = TypeVar("First")
+Second = TypeVar("Second")
 
 
 def thread_count() -> int:
@@ -102,6 +104,19 @@ def map_in_threads(function: Callable[[Item], Result], items: Iterable[Item]) ->
     finally:
         for call in waiting:
             call.cancel()
+
+
+def do_both(first: Callable[[], First], second: Callable[[], Second]) -> tuple[First, Second]:
+    """Return what two calls return that need nothing of each other, made at the same time.
+
+    Both spread what they can over the same threads, and while one does what cannot be spread, these
+    work for the other. Raises what the first raises, or else the second, when both have ended.
+    """
+    if thread_count() == 1 or getattr(_THREAD, "of_the_pool", False):
+        return first(), second()
+    with ThreadPoolExecutor(1) as beside:
+        call = beside.submit(second)
+        return first(), call.result()
 
 
 _THREAD = threading.local()

@@ -5,7 +5,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mocap_calib.compute.kernels import contiguous
-from mocap_calib.compute.parallel import map_in_threads, single_threaded_libraries
+from mocap_calib.compute.parallel import (
+    do_both,
+    map_in_threads,
+    single_threaded_libraries,
+)
 from mocap_calib.config import AdjustConfig, Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
 from mocap_calib.geometry.lens import image_slopes
@@ -200,13 +204,17 @@ def agreed_points(
 
     named: the same groups, by the names that they have in other frames.
     """
-    measured = measure_sample(recording, rig, matches, config.triangulate)
+    measured, seen = do_both(
+        lambda: measure_sample(recording, rig, matches, config.triangulate),
+        lambda: gather_observations(recording, matches, frames),
+    )
     noise = residual_noise(rig, measured, config.triangulate)
-    seen = gather_observations(recording, matches, frames)
-    weight = seen.confidence
     names = names_of_groups(named, matches)[measured.frames]
-    if doubtful_errors_repeat(rig, measured, names, config.adjust):
-        weight = without_doubtful(weight, config.adjust)
+    repeat, loss_scale = do_both(
+        lambda: doubtful_errors_repeat(rig, measured, names, config.adjust),
+        lambda: choose_loss_scale(rig, measured, config),
+    )
+    weight = without_doubtful(seen.confidence, config.adjust) if repeat else seen.confidence
     outlier = config.adjust.outlier_tolerance * config.triangulate.outlier
     tolerant = replace(config.triangulate, outlier=outlier)
     points, used = triangulate_rays(rig, seen.rays, weight=weight, noise=noise, config=tolerant)
@@ -225,7 +233,7 @@ def agreed_points(
         rays=seen.rays[..., known],
         weight=np.where(used[:, known], confidence, 0.0),
         noise=noise,
-        loss_scale=choose_loss_scale(rig, measured, config),
+        loss_scale=loss_scale,
     )
 
 

@@ -10,6 +10,7 @@ from itertools import combinations
 import numpy as np
 
 from mocap_calib import mapped
+from mocap_calib.compute.medians import known_medians
 from mocap_calib.config import Config
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.graphs import spanning_tree
@@ -94,13 +95,13 @@ def _bones(positions: Floats) -> float:
     first, second = np.triu_indices(positions.shape[2], 1)
     bodies = mapped.take(positions, frames)
     length = np.linalg.norm(bodies[:, :, first] - bodies[:, :, second], axis=-1)
-    length = length.reshape(len(frames), -1)  # each distance of each individual: sizes differ
-    known = np.isfinite(length).sum(0)
-    length = length[:, known >= max(2, min(20, int(known.max(initial=0))))]
+    length = length.reshape(len(frames), -1).T  # each distance of each individual: sizes differ
+    known = np.isfinite(length).sum(1)
+    length = length[known >= max(2, min(20, int(known.max(initial=0))))]
     if not length.size:
         return np.nan
-    middle = np.nanmedian(length, axis=0)
-    spread = 1.48 * np.nanmedian(np.abs(length - middle), axis=0)
+    middle = known_medians(length)
+    spread = 1.48 * known_medians(np.abs(length - middle[:, None]))
     apart = middle > 0
     return float(np.quantile(spread[apart] / middle[apart], 0.25)) if apart.any() else np.nan
 

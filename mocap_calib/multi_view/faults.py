@@ -8,6 +8,7 @@ as they are, nothing is mended.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+from mocap_calib.compute.parallel import do_both
 from mocap_calib.config import Config, MendConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.multi_view.exchanged import find_exchanged_cameras
@@ -136,17 +137,20 @@ def find_explanations(
     observed: what was known before the rigs were built. result: what was found with the files as
         they are.
     """
-    moved = (
-        fault for group in result.groups for fault in find_moved_cameras(observed, group, config)
+
+    def find_in_files() -> tuple[tuple[Fault, ...], ...]:
+        exchanged = tuple(
+            fault
+            for group in result.groups
+            for fault in find_exchanged_cameras(observed, group, config)
+        )
+        return (exchanged,) if exchanged else find_odd_cameras(observed, result, config)
+
+    moved, odd = do_both(
+        lambda: [find_moved_cameras(observed, group, config) for group in result.groups],
+        find_in_files,
     )
-    exchanged = (
-        fault
-        for group in result.groups
-        for fault in find_exchanged_cameras(observed, group, config)
-    )
-    files = tuple(exchanged)
-    odd = (files,) if files else find_odd_cameras(observed, result, config)
-    return tuple(moved), *odd
+    return tuple(fault for faults in moved for fault in faults), *odd
 
 
 def mends_of(faults: Sequence[Fault]) -> tuple[Mend, ...]:

@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mocap_calib.compute.parallel import single_threaded_libraries
+from mocap_calib.compute.parallel import do_both, single_threaded_libraries
 from mocap_calib.config import Config, UncertaintyConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.gauge import project_out_similarity, rig_change, rig_size
@@ -49,9 +49,13 @@ def assess_uncertainty(
 
     A few moments accuse no camera.
     """
-    fit = measure_fit(sample, rig, matches, config)
-    covariance, held_out = covariance_and_held_out(sample, rig, matches, config, seed=seed)
-    free = _free_focal(sample, rig, matches, config)
+    (fit, (covariance, held_out)), free = do_both(
+        lambda: (
+            measure_fit(sample, rig, matches, config),
+            covariance_and_held_out(sample, rig, matches, config, seed=seed),
+        ),
+        lambda: _free_focal(sample, rig, matches, config),
+    )
     off = _intrinsics_changes(sample, rig, matches, config, free=free)
     unknown = np.full(len(rig.cameras), np.nan)
     given = None if _any_estimated(rig) else free  # nobody is accused of what was estimated

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from mocap_calib import mapped
+from mocap_calib.compute.medians import known_medians
 from mocap_calib.config import TriangulateConfig
 from mocap_calib.multi_view.triangulation import frame_blocks, triangulate_frames
 from mocap_calib.types import CameraRig, Floats, Ints, Matches, Poses3D, Recording
@@ -115,32 +116,16 @@ def _middle_and_spread(values: Floats, noise: Floats) -> tuple[Floats, Floats]:
     Half of the values are within the median of a normal error; each counts by its whole variance,
     robustly.
     """
-    usual = _medians(noise)[:, None]
-    middle, varies = _medians(np.where(noise <= usual, values, np.nan)), np.zeros(len(values))
+    usual = known_medians(noise)[:, None]
+    middle, varies = known_medians(np.where(noise <= usual, values, np.nan)), np.zeros(len(values))
     known = np.isfinite(values)
     there = np.where(known, values, 0.0)
     for _ in range(_ROUNDS):
         square = (values - middle[:, None]) ** 2
-        varies = np.maximum(_medians(square / _MEDIAN_SQUARE - noise), 0.0)
+        varies = np.maximum(known_medians(square / _MEDIAN_SQUARE - noise), 0.0)
         weight = np.where(known, 1 / (noise + varies[:, None] + square / 4), 0.0)
         middle = (weight * there).sum(1) / weight.sum(1)
     return middle, np.sqrt(varies)
-
-
-def _medians(values: Floats) -> Floats:
-    """Return the medians `[edge]` of rows `[edge, N]` without their NaN; no row is all NaN."""
-    return np.array([_median(row[np.isfinite(row)]) for row in values])
-
-
-def _median(values: Floats) -> float:
-    """Return the median of numbers, which are put in another order.
-
-    For rows of a hundred numbers, of which there are thousands, `np.median` takes eight times as
-    long.
-    """
-    lower, upper = (len(values) - 1) // 2, len(values) // 2
-    values.partition((lower, upper))
-    return float((values[lower] + values[upper]) / 2)
 
 
 def fill_gaps(points: Floats, times: Floats, edges: Ints) -> Floats:

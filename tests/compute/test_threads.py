@@ -1,0 +1,53 @@
+"""Two calls at the same time: each may spread its work, and errors come back in order."""
+
+import threading
+
+import pytest
+
+from mocap_calib.compute import parallel
+from mocap_calib.compute.parallel import do_both, map_in_threads
+
+
+@pytest.fixture
+def two_threads(monkeypatch):
+    """As on a machine of two processors; the tests themselves run on one."""
+    monkeypatch.setattr(parallel, "thread_count", lambda: 2)
+
+
+def fail(message):
+    raise ValueError(message)
+
+
+@pytest.mark.usefixtures("two_threads")
+def test_both_calls_are_under_way_at_the_same_time_and_spread_their_work():
+    met = threading.Barrier(2, timeout=20)  # broken where one call waits for the other to end
+
+    def meet_and_spread(numbers):
+        met.wait()
+        return list(map_in_threads(lambda number: number * number, numbers))
+
+    found = do_both(lambda: meet_and_spread([1, 2, 3]), lambda: meet_and_spread([4, 5]))
+    assert found == ([1, 4, 9], [16, 25])
+
+
+@pytest.mark.usefixtures("two_threads")
+def test_what_the_first_raises_comes_before_what_the_second_raises():
+    for second in (lambda: 1, lambda: fail("second")):
+        with pytest.raises(ValueError, match="first"):
+            do_both(lambda: fail("first"), second)
+    with pytest.raises(ValueError, match="second"):
+        do_both(lambda: 1, lambda: fail("second"))
+
+
+@pytest.mark.usefixtures("two_threads")
+def test_a_thread_that_was_given_work_makes_both_calls_itself():
+    def of_one(_):
+        return do_both(threading.get_ident, threading.get_ident)
+
+    assert all(first == second for first, second in map_in_threads(of_one, range(4)))
+
+
+def test_one_processor_makes_one_call_after_the_other(monkeypatch):
+    monkeypatch.setattr(parallel, "thread_count", lambda: 1)
+    here = threading.get_ident()
+    assert do_both(threading.get_ident, threading.get_ident) == (here, here)
