@@ -7,13 +7,18 @@ anything reaches. Along bones to first order: a bone tells of a joint what is kn
 end without it.
 """
 
-from types import ModuleType
-
 import numpy as np
 
 from mocap_calib.geometry import symmetric
 from mocap_calib.poses.energy import System, couplings, outer_products, spread
-from mocap_calib.poses.lanes import AROUND, band_kernels, from_lanes, in_lanes, in_tiles
+from mocap_calib.poses.lanes import (
+    AROUND,
+    BandKernels,
+    band_kernels,
+    from_lanes,
+    in_lanes,
+    in_tiles,
+)
 from mocap_calib.types import Floats, Ints
 
 _PAIRS = 32  # of frames in a stretch
@@ -55,19 +60,18 @@ def _invert_compiled(
     pull: Floats,
     steps: Floats,
     ridge: Floats,
-    kernels: tuple[ModuleType, ModuleType],
+    kernels: BandKernels,
 ) -> Floats:
     """Return what `_invert` returns, without its stretches."""
-    equations, solution = kernels
-    lanes = equations.LANES
+    lanes = kernels.energy.LANES
     blocks = in_lanes(np.pad(known, ((0, 0), (0, 0), (0, 3))), lanes)
     motion = in_lanes(np.pad(pull[..., None], ((0, 0), (0, 0), (0, 3))), lanes)
     motion[:, :AROUND] = 0
     factor = np.zeros((*blocks.shape[:2], 16 * lanes))
     by_time = np.ascontiguousarray(in_tiles(steps, lanes).T)
-    equations.factor_blocks(motion, by_time, in_tiles(ridge, lanes), blocks, factor)
+    kernels.energy.factor_blocks(motion, by_time, in_tiles(ridge, lanes), blocks, factor)
     found = np.zeros((*blocks.shape[:2], 6 * lanes))
-    solution.invert_bands(factor, found)
+    kernels.step.invert_bands(factor, found)
     return from_lanes(found, lanes, *known.shape[:2])
 
 

@@ -17,6 +17,9 @@ from mocap_calib.config import PosesConfig
 from mocap_calib.poses.track import Body, Detections
 from mocap_calib.types import Floats, Ints
 
+SHARED_ROUNDS = 5  # after which the middle of accelerations hardly moves
+SHARED_LEAST = 0.1  # of the mean distance from it: a joint next to it must not hold it
+TINY = 1e-300  # of an acceleration
 _ROUNDING = 1e-12  # of what a point is held by
 
 
@@ -170,14 +173,26 @@ def own_accelerations(points: Floats, body: Body, config: PosesConfig) -> Floats
 def shared_accelerations(acceleration: Floats, config: PosesConfig) -> Floats:
     """Return what joints share `[frame, 3]` of their accelerations `[frame, 3, keypoint]`.
 
-    Bodies speed up and slow down as a whole. Of N joints, accelerations of variance s^2 around a
-    common one of variance v are expected to be N v / (s^2 + N v) of their mean; here of the median.
+    Bodies speed up and slow down as a whole. It is a share of the point of which the distances are
+    least, or nearly: some steps from the mean towards it (Weiszfeld 1937). A few joints that are
+    wrong hardly move it, and it is the same in all axes.
     """
-    joints = acceleration.shape[2]
-    ordered = np.sort(acceleration, axis=-1)
-    middle = (ordered[..., (joints - 1) // 2] + ordered[..., joints // 2]) / 2
+    middle = acceleration.mean(-1)
+    for _ in range(SHARED_ROUNDS):
+        off = np.sqrt(((acceleration - middle[..., None]) ** 2).sum(1))
+        weight = 1 / (off + SHARED_LEAST * off.mean(1, keepdims=True) + TINY)
+        middle = (acceleration * weight[:, None]).sum(-1) / weight.sum(-1)[:, None]
+    return np.asarray(middle * shared_part(acceleration.shape[2], config))
+
+
+def shared_part(joints: int, config: PosesConfig) -> float:
+    """Return which part of the middle of their accelerations some joints are expected to have.
+
+    Accelerations of variance s^2 around a common one of variance v are expected to be N v / (s^2 +
+    N v) of the mean of N joints.
+    """
     told = joints * config.shared_acceleration
-    return np.asarray(middle * (told / (1 + told)))
+    return told / (1 + told)
 
 
 def _bone_terms(

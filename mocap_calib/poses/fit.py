@@ -1,13 +1,27 @@
 """Fit poses: Gauss-Newton steps on the energy of `poses.energy`, compiled where numba is."""
 
 from dataclasses import replace
-from types import ModuleType
 
 import numpy as np
 
 from mocap_calib.config import PosesConfig
-from mocap_calib.poses.energy import Strengths, linearise, shared_accelerations, solve
-from mocap_calib.poses.lanes import AROUND, band_kernels, from_lanes, in_lanes, in_tiles
+from mocap_calib.poses.energy import (
+    SHARED_LEAST,
+    SHARED_ROUNDS,
+    TINY,
+    Strengths,
+    linearise,
+    shared_part,
+    solve,
+)
+from mocap_calib.poses.lanes import (
+    AROUND,
+    BandKernels,
+    band_kernels,
+    from_lanes,
+    in_lanes,
+    in_tiles,
+)
 from mocap_calib.poses.track import Body, Detections
 from mocap_calib.types import Floats, Ints
 
@@ -57,18 +71,18 @@ def _fit_compiled(
     config: PosesConfig,
     *,
     losses: list[float],
-    kernels: tuple[ModuleType, ModuleType],
+    kernels: BandKernels,
 ) -> Floats:
     """Return what `_fit` returns."""
-    equations, step = kernels
     joints, frames = points.shape[:2]
-    lanes = equations.LANES
+    lanes = kernels.energy.LANES
     tiles = -(-frames // lanes)
     packed = _pack_rays(seen, lanes)
     found = in_lanes(points, lanes)
     usual = 1 / (strengths.acceleration * body.size) ** 2 * (body.steps[0] != 0)
-    stiffness = np.ones((len(found), lanes))
-    stiffness.reshape(-1)[:joints] = body.agility**-2
+    there, stiffness = np.zeros((len(found), lanes)), np.ones((len(found), lanes))
+    there.reshape(-1)[:joints], stiffness.reshape(-1)[:joints] = 1.0, body.agility**-2
+    shares = np.array([SHARED_LEAST, shared_part(joints, config), TINY])
     expected = np.zeros((5, frames))
     expected[0], expected[1] = usual, config.ridge / body.size**2
     expected = np.ascontiguousarray(in_tiles(expected, lanes).T)
@@ -80,8 +94,10 @@ def _fit_compiled(
     gradient, work = np.zeros_like(found), np.zeros((5, *found.shape))
     for loss in losses:
         if usual.any():
-            expected[:-2, 2:] = shared_accelerations(_accelerations(found, motion, joints), config)
-        equations.factor_bands(
+            kernels.motion.share_accelerations(
+                found, motion, there, SHARED_ROUNDS, shares, expected
+            )
+        kernels.energy.factor_bands(
             packed,
             centres,
             found,
@@ -96,18 +112,10 @@ def _fit_compiled(
             factor,
             gradient,
         )
-        step.take_step(along, factor, edges, joints, config.inner_steps, work, gradient, found)
+        kernels.step.take_step(
+            along, factor, edges, joints, config.inner_steps, work, gradient, found
+        )
     return from_lanes(found, lanes, joints, frames)
-
-
-def _accelerations(found: Floats, motion: Floats, joints: int) -> Floats:
-    """Return accelerations `[frame, 3, keypoint]` by the first of their frames, in lanes."""
-    total = motion[:-2, 0, None] * found[:, :-2]
-    total += motion[:-2, 1, None] * found[:, 1:-1]
-    total += motion[:-2, 2, None] * found[:, 2:]
-    groups, rows, _ = total.shape
-    by_group = total.reshape(groups, rows, 3, -1).transpose(1, 2, 0, 3)
-    return by_group.reshape(rows, 3, -1)[..., :joints]
 
 
 def _pack_rays(seen: Detections, lanes: int) -> Floats:

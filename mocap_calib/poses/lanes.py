@@ -1,6 +1,7 @@
 """The layout of the kernels of `poses`: tiles of frames, and groups of joints side by side."""
 
 from types import ModuleType
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,11 +11,19 @@ from mocap_calib.types import Floats
 AROUND = 2  # frames before and after all: as far as accelerations reach
 
 
-def band_kernels() -> tuple[ModuleType, ModuleType] | None:
-    """Return the kernels of the equations and of their solution; None where numpy is to run."""
-    equations = compiled("mocap_calib.poses.energy_kernels")
-    solution = compiled("mocap_calib.poses.step_kernels")
-    return (equations, solution) if equations and solution else None
+class BandKernels(NamedTuple):
+    """The kernels of what joints share, of the equations, and of their solution."""
+
+    motion: ModuleType
+    energy: ModuleType
+    step: ModuleType
+
+
+def band_kernels() -> BandKernels | None:
+    """Return the kernels; None where numpy is to run."""
+    found = [compiled(f"mocap_calib.poses.{name}_kernels") for name in BandKernels._fields]
+    there = [kernels for kernels in found if kernels is not None]
+    return BandKernels(*there) if len(there) == len(found) else None
 
 
 def in_lanes(values: Floats, lanes: int) -> Floats:

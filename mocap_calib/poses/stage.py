@@ -12,7 +12,6 @@ from mocap_calib.config import Config, PosesConfig, TriangulateConfig
 from mocap_calib.geometry.bodies import body_size
 from mocap_calib.multi_view.noise import view_noise
 from mocap_calib.multi_view.observations import gather_observations
-from mocap_calib.poses.axes import back_from_first_camera, in_first_camera
 from mocap_calib.poses.certainty import covariances
 from mocap_calib.poses.cleaning import are_beyond_reach, drop_outliers, exchange_sides
 from mocap_calib.poses.energy import linearise
@@ -205,13 +204,11 @@ def smooth_poses(
     """
     if config.smooth == "off":
         return poses, Smoothing()
-    own_rig, own_poses = in_first_camera(rig, poses)
-    noise = view_noise(recording, own_rig, matches, triangulate)
-    scene = _Scene(recording, own_rig, matches, own_poses, noise, own_poses.raw, config)
+    noise = view_noise(recording, rig, matches, triangulate)
+    scene = _Scene(recording, rig, matches, poses, noise, poses.raw, config)
     if not scene.individuals:
         return poses, Smoothing()
-    fitted, smoothing = _fit_all(scene, triangulate, progress)
-    return back_from_first_camera(fitted, rig, poses), smoothing
+    return _fit_all(scene, triangulate, progress)
 
 
 def _fit_all(

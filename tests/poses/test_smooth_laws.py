@@ -22,8 +22,8 @@ law = settings(max_examples=4, deadline=None, derandomize=True)
 SEEDS = st.integers(0, 2**32 - 1)
 SMALL = {"frames": 24}
 HOW = ("views", "instances", "names", "time", "mirror")
-HELD = dict.fromkeys(HOW, 3e-14) | {"views": 0.0033}  # rounding, but of the order of cameras
-CHOSEN = {"views": 0.0142, "instances": 1e-14, "names": 0.008, "time": 0.0068, "mirror": 1e-14}
+HELD = dict.fromkeys(HOW, 3e-14) | {"views": 3e-13}  # rounding
+CHOSEN = {"views": 0.0118, "instances": 1e-14, "names": 0.0109, "time": 0.008, "mirror": 1e-14}
 
 
 def smooth(found: Recording, rig: CameraRig, matches: Matches) -> tuple[Poses3D, Smoothing]:
@@ -65,11 +65,7 @@ def as_first_told(how: str, rng: np.random.Generator, points: np.ndarray) -> np.
 @law
 @given(seed=SEEDS)
 def test_at_the_same_strengths_poses_know_no_order_time_or_mirror(how, seed):
-    """Measured 4e-15, and 2.2 mm at worst of another order of cameras.
-
-    Bodies are fitted in the axes of the first camera, and what joints share of their accelerations
-    is the median of each coordinate.
-    """
+    """Measured 9e-16, and 1.5e-13 of another order of cameras."""
     poses, smoothing, chosen = first_told()
     rng = np.random.default_rng(seed)
     found, place, matches, _ = told(how, rng, **SMALL)
@@ -87,8 +83,8 @@ def test_at_the_same_strengths_poses_know_no_order_time_or_mirror(how, seed):
 def test_another_choice_of_strengths_moves_poses_little(how, seed):
     """No exact law but of the order of detections, and of the mirror.
 
-    Measured 9.5 mm at worst for another order of cameras, 5.3 of names, 4.5 of time; the median of
-    a scene 1.1 mm at most. Accelerations are chosen up to 2 times as large or as small.
+    Measured 7.9 mm at worst for another order of cameras, 7.3 of names, 5.3 of time; the median of
+    a scene 1.0 mm at most. Accelerations are chosen up to 1.4 times as large or as small.
     """
     poses, smoothing, _ = first_told()
     rng = np.random.default_rng(seed)
@@ -97,8 +93,8 @@ def test_another_choice_of_strengths_moves_poses_little(how, seed):
     points = as_first_told(how, np.random.default_rng(seed), again.positions)
     moved = differ(points, poses.positions)
     assert moved.max() < CHOSEN[how]
-    assert np.median(moved) < 0.0017
-    assert abs(np.log2(chosen.acceleration / smoothing.acceleration)) < 1.01
+    assert np.median(moved) < 0.0015
+    assert abs(np.log2(chosen.acceleration / smoothing.acceleration)) < 0.51
 
 
 def in_other_axes(turn: np.ndarray, factor: float, shift: np.ndarray) -> tuple[np.ndarray, float]:
@@ -113,25 +109,11 @@ def in_other_axes(turn: np.ndarray, factor: float, shift: np.ndarray) -> tuple[n
 
 @law
 @given(SEEDS)
-def test_poses_go_with_the_place_the_unit_and_quarter_turns_of_the_world(seed):
-    """Measured 2.2e-10 m."""
+def test_poses_go_with_the_place_the_unit_and_the_axes_of_the_world(seed):
+    """Measured 4.4e-11 m."""
     poses, smoothing, _ = first_told()
     rng = np.random.default_rng(seed)
-    turn = np.eye(3)[rng.permutation(3)] * rng.choice([-1, 1], 3)[:, None]
-    turn[0] *= np.linalg.det(turn)
-    points, acceleration = in_other_axes(turn, rng.uniform(0.1, 10), rng.normal(size=3))
-    assert differ(points, poses.positions).max() < 3.3e-10
-    assert acceleration == pytest.approx(smoothing.acceleration, rel=1e-10)
-
-
-@law
-@given(SEEDS)
-def test_poses_go_with_turns_of_the_world(seed):
-    """Measured 1.6e-10 m, at the same strengths."""
-    poses, _, chosen = first_told()
-    rng = np.random.default_rng(seed)
     turn = matrix_from_vector(rng.normal(size=3))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(stage, "_choose", lambda _: chosen)
-        points, _ = in_other_axes(turn, 1.0, np.zeros(3))
-    assert differ(points, poses.positions).max() < 2.4e-10
+    points, acceleration = in_other_axes(turn, rng.uniform(0.1, 10), rng.normal(size=3))
+    assert differ(points, poses.positions).max() < 7e-11
+    assert acceleration == pytest.approx(smoothing.acceleration, rel=1e-10)
