@@ -11,26 +11,43 @@ from mocap_calib.compute.jit import INT, changed_floats, floats, inlined, kernel
 from mocap_calib.types import Floats
 
 LANES = 16
+_POINT = 3 * LANES
 
 
 @inlined
-def _accelerate(points: Floats, steps: Floats, own: Floats) -> None:
-    """Set the accelerations `[3 * LANES]` of a group of joints, from points of three frames."""
+def _total(row: Floats) -> float:
+    """Return the sum of a row `[LANES]`, which is overwritten; by halves, several at a time."""
+    for n in range(8):
+        row[n] += row[8 + n]
+    for n in range(4):
+        row[n] += row[4 + n]
+    return (row[0] + row[2]) + (row[1] + row[3])
+
+
+@inlined
+def _add_accelerations(
+    points: Floats, steps: Floats, there: Floats, own: Floats, sums: Floats
+) -> None:
+    """Set the accelerations `[3 * LANES]` of a group of joints, and add those of joints to sums.
+
+    points: of three frames.
+    """
     first, second, third = steps[0], steps[1], steps[2]
-    for n in range(3 * LANES):
-        own[n] = first * points[n] + second * points[3 * LANES + n] + third * points[6 * LANES + n]
+    for n in range(_POINT):
+        own[n] = first * points[n] + second * points[_POINT + n] + third * points[2 * _POINT + n]
+    for k in range(3):
+        for n in range(LANES):
+            sums[k * LANES + n] += there[n] * own[k * LANES + n]
 
 
 @inlined
-def _measure_distances(own: Floats, there: Floats, middle: Floats, off: Floats) -> float:
-    """Set the distances `[LANES]` of a group's accelerations from a middle; return their sum."""
+def _add_distances(own: Floats, there: Floats, middle: Floats, off: Floats, sum_: Floats) -> None:
+    """Set the distances `[LANES]` of a group's accelerations from a middle; add those of joints."""
+    middle_x, middle_y, middle_z = middle[0], middle[1], middle[2]
     for n in range(LANES):
-        x, y, z = own[n] - middle[0], own[LANES + n] - middle[1], own[2 * LANES + n] - middle[2]
+        x, y, z = own[n] - middle_x, own[LANES + n] - middle_y, own[2 * LANES + n] - middle_z
         off[n] = math.sqrt(x * x + y * y + z * z)
-    total = 0.0
-    for n in range(LANES):
-        total += there[n] * off[n]
-    return total
+        sum_[n] += there[n] * off[n]
 
 
 @inlined
@@ -41,7 +58,7 @@ def _add_weighed(own: Floats, there: Floats, off: Floats, least: float, sums: Fl
         sums[n] += weight * own[n]
         sums[LANES + n] += weight * own[LANES + n]
         sums[2 * LANES + n] += weight * own[2 * LANES + n]
-        sums[3 * LANES + n] += weight
+        sums[_POINT + n] += weight
 
 
 @kernel(floats(3), floats(2), floats(2), INT, floats(1), changed_floats(2))
@@ -56,25 +73,25 @@ def share_accelerations(
     they are.
     """
     groups, joints = len(points), there.sum()
-    own, off = np.empty((groups, 3 * LANES)), np.empty((groups, LANES))
+    own, off = np.empty((groups, _POINT)), np.empty((groups, LANES))
     sums, middle = np.empty((4, LANES)), np.empty(3)
     for t in range(len(expected) - 2):
-        middle[:] = 0.0
+        sums[:] = 0.0
         for g in range(groups):
-            _accelerate(points[g, t : t + 3].reshape(-1), steps[t], own[g])
-            for k in range(3):
-                for n in range(LANES):
-                    middle[k] += there[g, n] * own[g, k * LANES + n] / joints
+            three = points[g, t : t + 3].reshape(-1)
+            _add_accelerations(three, steps[t], there[g], own[g], sums.reshape(-1))
+        for k in range(3):
+            middle[k] = _total(sums[k]) / joints
         for _ in range(rounds):
-            total = 0.0
+            sums[:] = 0.0
             for g in range(groups):
-                total += _measure_distances(own[g], there[g], middle, off[g])
-            least = shares[0] * total / joints + shares[2]
+                _add_distances(own[g], there[g], middle, off[g], sums[3])
+            least = shares[0] * _total(sums[3]) / joints + shares[2]
             sums[:] = 0.0
             for g in range(groups):
                 _add_weighed(own[g], there[g], off[g], least, sums.reshape(-1))
-            weight = sums[3].sum()
+            weight = _total(sums[3])
             for k in range(3):
-                middle[k] = sums[k].sum() / weight
+                middle[k] = _total(sums[k]) / weight
         for k in range(3):
             expected[t, 2 + k] = shares[1] * middle[k]
