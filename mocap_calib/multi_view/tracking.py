@@ -82,18 +82,16 @@ def real_individuals(matches: Matches, views: int, config: MatchingConfig) -> Bo
     views: how many cameras there are.
     """
     seen = _appearances(matches.labels)
-    lasting = lasting_individuals(matches, config)
+    frames = np.bincount(seen.individual, minlength=matches.individuals)
+    lasting = frames > fleeting_frames(matches.labels.shape[1], config)
     enough = seen.views >= min(config.sure_views, views)
     lasting[seen.individual[enough]] = True
-    return lasting
+    return np.asarray(lasting)
 
 
-def lasting_individuals(matches: Matches, config: MatchingConfig) -> Bools:
-    """Return `[individual]` which are seen for long."""
-    seen = _appearances(matches.labels)
-    frames = np.bincount(seen.individual, minlength=matches.individuals)
-    share = int(config.fleeting_share * matches.labels.shape[1])
-    return np.asarray(frames > min(config.fleeting_frames, share))
+def fleeting_frames(frames: int, config: MatchingConfig) -> int:
+    """Return in how many of some frames false detections may meet by chance."""
+    return min(config.fleeting_frames, int(config.fleeting_share * frames))
 
 
 @dataclass(frozen=True)
