@@ -414,9 +414,9 @@ class MatchingConfig:
     memory: frames after which the distance that a body may have gone does not grow any more.
 
     In the end:
-    fleeting_frames, fleeting_share: an individual that is seen in no more frames than this, and in
-        no larger share of them, is nobody; unless `sure_views` views of one frame agree on it,
-        where bodies cannot be followed.
+    fleeting_frames, fleeting_share: an individual that is followed through no more frames than
+        this, and no larger share of them, is nobody. Where bodies cannot be followed: that is seen
+        in no more, unless `sure_views` views of one frame agree on it.
 
     Tracklets of one view:
     tracklet_step: how far a pose may move from a frame to the next and still be followed, as a

@@ -133,6 +133,21 @@ def test_who_is_seen_for_a_moment_is_nobody(frames, named):
     assert set(names[:, 0]) | set(names[:, 1]) == {0, 1}
 
 
+@pytest.mark.parametrize("jumps", [False, True])
+def test_who_is_never_followed_is_nobody(jumps):
+    """Twenty frames: of who is there for two at a time, or of detections that meet by chance."""
+    rng = np.random.default_rng(2)
+    places = np.concatenate([on_lines(), np.zeros((FRAMES, 1, 3))], axis=1)
+    seen = np.ones((FRAMES, 3), dtype=bool)
+    seen[:, 2] = np.arange(FRAMES) % 8 == 0 if jumps else np.arange(FRAMES) % 16 < 2
+    places[:, 2] = [0, 1.5, 0]
+    if jumps:
+        places[:, 2] += rng.uniform(-1, 1, (FRAMES, 3)) * [1, 1, 0]
+    names = name_walkers(places, [a_body(), 1.1 * a_body(1), 0.9 * a_body(2)], seen)
+    assert set(names[seen[:, 2], 2]) == ({-1} if jumps else {2})
+    assert set(names[:, 0]) | set(names[:, 1]) == {0, 1}
+
+
 def test_where_bodies_cannot_be_followed_names_go_by_place():
     """Frames that do not follow each other: as many names as bodies, none twice in a frame."""
     places = np.random.default_rng(1).uniform(-1.5, 1.5, (FRAMES, 2, 3)) * [1, 1, 0]
