@@ -62,7 +62,7 @@ STAGES = [  # a call, and a step of it, in its module
     (match, association, "_body_scale"),
     (adjust, bundle_adjustment, "choose_points"),
     (triangulate, triangulation, "view_noise"),
-    (smooth, stage, "in_first_camera"),
+    (smooth, stage, "view_noise"),
 ]
 
 

@@ -148,6 +148,15 @@ def test_who_is_never_followed_is_nobody(jumps):
     assert set(names[:, 0]) | set(names[:, 1]) == {0, 1}
 
 
+def test_where_frames_hardly_follow_each_other_who_is_seen_for_long_is_somebody():
+    """Pieces of one frame each, of two individuals; then the first has one of 41 frames, too."""
+    for more, real in (([], [True, True]), ([41], [True, False])):
+        individual = np.array([0, 1] * 20 + [0] * len(more))
+        pieces = SimpleNamespace(lengths=np.array([1] * 40 + more), number=range(100))
+        found = identities._followed_individuals(individual, pieces, MatchingConfig())
+        assert found.tolist() == real
+
+
 def test_where_bodies_cannot_be_followed_names_go_by_place():
     """Frames that do not follow each other: as many names as bodies, none twice in a frame."""
     places = np.random.default_rng(1).uniform(-1.5, 1.5, (FRAMES, 2, 3)) * [1, 1, 0]
