@@ -40,8 +40,8 @@ from mocap_calib.types import (
     Sample,
 )
 
-# Possible matches of joints that are worth a thread in one pair, and processes in all pairs: two
-# seconds of work, where starting a process costs a third of one.
+# Possible matches of joints that keep a thread busy in one pair, and that in all pairs are worth
+# processes: two seconds of work, where starting a process costs a third of one.
 _WORTH_A_THREAD = 50_000
 _WORTH_PROCESSES = 800_000
 
@@ -107,16 +107,15 @@ def all_pairs(views: int) -> list[tuple[int, int]]:
 def pair_mapper(recording: Recording, config: PairwiseConfig, count: int | None = None) -> Mapper:
     """Choose where so many pairs are calibrated, by default all.
 
-    In threads where a pair keeps one busy. On small arrays threads wait for the interpreter:
-    in processes where there are many pairs, in a plain loop where there are few.
+    In processes where there are many pairs of little work each: on small arrays threads wait for
+    the interpreter.
     """
     views, frames, instances, keypoints = recording.positions.shape[:4]
     every = len(all_pairs(views))
     work = min(frames, _frames_of_each(every, config)) * instances**2 * keypoints
-    if work >= _WORTH_A_THREAD:
-        return map_in_threads
     count = every if count is None else count
-    return map_in_processes if count * work >= _WORTH_PROCESSES else map
+    little = work < _WORTH_A_THREAD and count * work >= _WORTH_PROCESSES
+    return map_in_processes if little else map_in_threads
 
 
 def in_recording(

@@ -73,8 +73,12 @@ def test_candidates_are_of_detections_that_are_there():
 
 
 def test_pairs_are_spread_by_the_work_that_they_are():
-    """Little: a loop; many pairs of little each: processes; much of each: threads."""
-    expected = {(4, 50, 1): map, (60, 50, 2): map_in_processes, (4, 200, 12): map_in_threads}
+    """Many pairs of little work each: processes; threads, else."""
+    expected = {
+        (4, 50, 1): map_in_threads,
+        (60, 50, 2): map_in_processes,
+        (4, 200, 12): map_in_threads,
+    }
     for (views, frames, instances), mapper in expected.items():
         recording = SimpleNamespace(positions=np.empty((views, frames, instances, 17, 2), np.int8))
         assert pair_mapper(recording, PairwiseConfig()) is mapper
