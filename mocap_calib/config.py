@@ -415,8 +415,9 @@ class MatchingConfig:
 
     In the end:
     fleeting_frames, fleeting_share: an individual that is followed through no more frames than
-        this, and no larger share of them, is nobody. Where bodies cannot be followed: that is seen
-        in no more, unless `sure_views` views of one frame agree on it.
+        this, or no larger share of them, and is not seen in more by `sure_views` views, is nobody.
+        Where bodies cannot be followed, one that is seen in no more, unless `sure_views` views of
+        one frame agree on it.
 
     Tracklets of one view:
     tracklet_step: how far a pose may move from a frame to the next and still be followed, as a

@@ -83,13 +83,21 @@ def real_individuals(matches: Matches, views: int, config: MatchingConfig) -> Bo
     """
     seen = _appearances(matches.labels)
     frames = np.bincount(seen.individual, minlength=matches.individuals)
-    lasting = frames > fleeting_frames(matches.labels.shape[1], config)
+    lasting = frames > frames_by_chance(matches.labels.shape[1], config)
+    return np.asarray(lasting | (frames_of_sure_views(matches, views, config) > 0))
+
+
+def frames_of_sure_views(matches: Matches, views: int, config: MatchingConfig) -> Ints:
+    """Return in how many frames `[individual]` so many views agree that chance hardly does it.
+
+    views: how many cameras there are.
+    """
+    seen = _appearances(matches.labels)
     enough = seen.views >= min(config.sure_views, views)
-    lasting[seen.individual[enough]] = True
-    return np.asarray(lasting)
+    return np.bincount(seen.individual[enough], minlength=matches.individuals)
 
 
-def fleeting_frames(frames: int, config: MatchingConfig) -> int:
+def frames_by_chance(frames: int, config: MatchingConfig) -> int:
     """Return in how many of some frames false detections may meet by chance."""
     return min(config.fleeting_frames, int(config.fleeting_share * frames))
 

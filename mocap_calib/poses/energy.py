@@ -17,9 +17,9 @@ from mocap_calib.config import PosesConfig
 from mocap_calib.poses.track import Body, Detections
 from mocap_calib.types import Floats, Ints
 
-SHARED_ROUNDS = 5  # after which the middle of accelerations hardly moves
+SHARED_ROUNDS = 5  # after which the middle hardly moves, where most joints agree
 SHARED_LEAST = 0.1  # of the mean distance from it: a joint next to it must not hold it
-TINY = 1e-300  # of an acceleration
+TINY = 1e-100  # of an acceleration
 _ROUNDING = 1e-12  # of what a point is held by
 
 
@@ -173,16 +173,21 @@ def own_accelerations(points: Floats, body: Body, config: PosesConfig) -> Floats
 def shared_accelerations(acceleration: Floats, config: PosesConfig) -> Floats:
     """Return what joints share `[frame, 3]` of their accelerations `[frame, 3, keypoint]`.
 
-    Bodies speed up and slow down as a whole. It is a share of the point of which the distances are
-    least, or nearly: some steps from the mean towards it (Weiszfeld 1937). A few joints that are
-    wrong hardly move it, and it is the same in all axes.
+    Bodies speed up and slow down as a whole. It is a part of the geometric median, or nearly: of
+    the point from which the sum of the distances to all accelerations is smallest, some steps from
+    the mean towards it (Weiszfeld 1937). A few joints that are wrong hardly move it, and it is the
+    same in all axes.
     """
-    middle = acceleration.mean(-1)
+    joints = acceleration.shape[2]
+    middle, usual = acceleration.mean(-1), None
     for _ in range(SHARED_ROUNDS):
         off = np.sqrt(((acceleration - middle[..., None]) ** 2).sum(1))
-        weight = 1 / (off + SHARED_LEAST * off.mean(1, keepdims=True) + TINY)
-        middle = (acceleration * weight[:, None]).sum(-1) / weight.sum(-1)[:, None]
-    return np.asarray(middle * shared_part(acceleration.shape[2], config))
+        usual = off.mean(1) if usual is None else usual
+        weight = 1 / (off + (SHARED_LEAST * usual + TINY)[:, None])
+        total = weight.sum(-1)
+        middle = (acceleration * weight[:, None]).sum(-1) / total[:, None]
+        usual = joints / total  # the harmonic mean, which large distances hardly raise
+    return np.asarray(middle * shared_part(joints, config))
 
 
 def shared_part(joints: int, config: PosesConfig) -> float:

@@ -68,9 +68,9 @@ def share_accelerations(
     """Set what joints share of the accelerations of frames, in the last three columns.
 
     points: `[group, frame, 3 * LANES]`. there: `[group, LANES]` 1 for a joint, 0 for none. rounds:
-    towards the middle, from the mean. shares: which of the mean distance is added to each, and of
-    the middle is expected; and a tiny distance. expected: `[frame, 5]`; its last two frames stay as
-    they are.
+    towards the middle, from the mean. shares: `[3]` part of the mean distance that is added to each
+    distance, part of the middle that is expected, and a tiny distance. expected: `[frame, 5]`; its
+    last two frames stay as they are.
     """
     groups, joints = len(points), there.sum()
     own, off = np.empty((groups, _POINT)), np.empty((groups, LANES))
@@ -82,16 +82,20 @@ def share_accelerations(
             _add_accelerations(three, steps[t], there[g], own[g], sums.reshape(-1))
         for k in range(3):
             middle[k] = _total(sums[k]) / joints
+        usual = -1.0
         for _ in range(rounds):
             sums[:] = 0.0
             for g in range(groups):
                 _add_distances(own[g], there[g], middle, off[g], sums[3])
-            least = shares[0] * _total(sums[3]) / joints + shares[2]
+            if usual < 0:
+                usual = _total(sums[3]) / joints
+            least = shares[0] * usual + shares[2]
             sums[:] = 0.0
             for g in range(groups):
                 _add_weighed(own[g], there[g], off[g], least, sums.reshape(-1))
             weight = _total(sums[3])
             for k in range(3):
                 middle[k] = _total(sums[k]) / weight
+            usual = joints / weight
         for k in range(3):
             expected[t, 2 + k] = shares[1] * middle[k]

@@ -108,7 +108,8 @@ def pair_mapper(recording: Recording, config: PairwiseConfig, count: int | None 
     """Choose where so many pairs are calibrated, by default all.
 
     In processes where there are many pairs of little work each: on small arrays threads wait for
-    the interpreter.
+    the interpreter. In threads otherwise: much of the work of a pair of tracks is OpenCV's five
+    points, which leave the interpreter free; else there is little to do.
     """
     views, frames, instances, keypoints = recording.positions.shape[:4]
     every = len(all_pairs(views))

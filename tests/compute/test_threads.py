@@ -51,3 +51,31 @@ def test_one_processor_makes_one_call_after_the_other(monkeypatch):
     monkeypatch.setattr(parallel, "thread_count", lambda: 1)
     here = threading.get_ident()
     assert do_both(threading.get_ident, threading.get_ident) == (here, here)
+
+
+@pytest.mark.usefixtures("two_threads")
+def test_two_calls_within_two_calls_are_made_one_after_the_other():
+    """No more threads than two wait for others, however deep; afterwards there are two again."""
+
+    def within():
+        here = threading.get_ident()
+        return do_both(threading.get_ident, threading.get_ident) == (here, here)
+
+    for _ in range(2):
+        assert do_both(within, within) == (True, True)
+
+
+@pytest.mark.usefixtures("two_threads")
+def test_an_interruption_does_not_wait_for_the_other_call():
+    ended = threading.Event()
+
+    def interrupt():
+        raise KeyboardInterrupt
+
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            do_both(interrupt, lambda: ended.wait(20))
+        assert not ended.is_set()
+        assert do_both(lambda: 1, lambda: 2) == (1, 2)
+    finally:
+        ended.set()
