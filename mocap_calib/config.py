@@ -414,10 +414,10 @@ class MatchingConfig:
     memory: frames after which the distance that a body may have gone does not grow any more.
 
     In the end:
-    fleeting_frames, fleeting_share: an individual that is followed through no more frames than
-        this, or no larger share of them, and is not seen in more by `sure_views` views, is nobody.
-        Where bodies cannot be followed, one that is seen in no more, unless `sure_views` views of
-        one frame agree on it.
+    fleeting_frames, fleeting_share: an individual is nobody if it is followed through no more
+        frames than this, and through no larger share of them, and `sure_views` views do not see it
+        in more frames either. Where bodies cannot be followed, it is nobody if it is seen in no
+        more frames, unless `sure_views` views of one frame agree on it.
 
     Tracklets of one view:
     tracklet_step: how far a pose may move from a frame to the next and still be followed, as a

@@ -5,11 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mocap_calib.compute.kernels import contiguous
-from mocap_calib.compute.parallel import (
-    do_both,
-    map_in_threads,
-    single_threaded_libraries,
-)
+from mocap_calib.compute.parallel import do_both, map_in_threads, single_threaded_libraries
 from mocap_calib.config import AdjustConfig, Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
 from mocap_calib.geometry.lens import image_slopes

@@ -138,6 +138,13 @@ def find_explanations(
         they are.
     """
 
+    def find_moved() -> tuple[Fault, ...]:
+        return tuple(
+            fault
+            for group in result.groups
+            for fault in find_moved_cameras(observed, group, config)
+        )
+
     def find_in_files() -> tuple[tuple[Fault, ...], ...]:
         exchanged = tuple(
             fault
@@ -146,11 +153,8 @@ def find_explanations(
         )
         return (exchanged,) if exchanged else find_odd_cameras(observed, result, config)
 
-    moved, odd = do_both(
-        lambda: [find_moved_cameras(observed, group, config) for group in result.groups],
-        find_in_files,
-    )
-    return tuple(fault for faults in moved for fault in faults), *odd
+    moved, odd = do_both(find_moved, find_in_files)
+    return moved, *odd
 
 
 def mends_of(faults: Sequence[Fault]) -> tuple[Mend, ...]:

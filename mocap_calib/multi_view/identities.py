@@ -67,9 +67,9 @@ def finalise_identities(
             recording.frames, points, pieces, matching, groups=groups.labels, tracks=tracks
         )
         names = _names_of_groups(individual, pieces, points)
-        labels = name_groups(groups.labels, names)
-        real = _lasting_individuals(individual, pieces, Matches(labels), len(rig.cameras), matching)
-        labels = _select_individuals(Matches(labels), real)
+        named = Matches(name_groups(groups.labels, names))
+        real = _lasting_individuals(individual, pieces, named, len(rig.cameras), matching)
+        labels = _select_individuals(named, real)
     labels = sort_by_presence(labels)
     if matching.individuals is not None:
         labels = np.where(labels < matching.individuals, labels, -1)

@@ -19,7 +19,7 @@ from mocap_calib.types import Floats, Ints
 
 SHARED_ROUNDS = 5  # after which the middle hardly moves, where most joints agree
 SHARED_LEAST = 0.1  # of the mean distance from it: a joint next to it must not hold it
-TINY = 1e-100  # of an acceleration
+_TINY = 1e-100  # of an acceleration
 _ROUNDING = 1e-12  # of what a point is held by
 
 
@@ -183,7 +183,7 @@ def shared_accelerations(acceleration: Floats, config: PosesConfig) -> Floats:
     for _ in range(SHARED_ROUNDS):
         off = np.sqrt(((acceleration - middle[..., None]) ** 2).sum(1))
         usual = off.mean(1) if usual is None else usual
-        weight = 1 / (off + (SHARED_LEAST * usual + TINY)[:, None])
+        weight = 1 / (off + (SHARED_LEAST * usual + _TINY)[:, None])
         total = weight.sum(-1)
         middle = (acceleration * weight[:, None]).sum(-1) / total[:, None]
         usual = joints / total  # the harmonic mean, which large distances hardly raise

@@ -8,7 +8,6 @@ from mocap_calib.config import PosesConfig
 from mocap_calib.poses.energy import (
     SHARED_LEAST,
     SHARED_ROUNDS,
-    TINY,
     Strengths,
     linearise,
     shared_part,
@@ -82,7 +81,7 @@ def _fit_compiled(
     usual = 1 / (strengths.acceleration * body.size) ** 2 * (body.steps[0] != 0)
     there, stiffness = np.zeros((len(found), lanes)), np.ones((len(found), lanes))
     there.reshape(-1)[:joints], stiffness.reshape(-1)[:joints] = 1.0, body.agility**-2
-    shares = np.array([SHARED_LEAST, shared_part(joints, config), TINY])
+    part = shared_part(joints, config)
     expected = np.zeros((5, frames))
     expected[0], expected[1] = usual, config.ridge / body.size**2
     expected = np.ascontiguousarray(in_tiles(expected, lanes).T)
@@ -95,7 +94,7 @@ def _fit_compiled(
     for loss in losses:
         if usual.any():
             kernels.motion.share_accelerations(
-                found, motion, there, SHARED_ROUNDS, shares, expected
+                found, motion, there, SHARED_ROUNDS, SHARED_LEAST, part, expected
             )
         kernels.energy.factor_bands(
             packed,

@@ -7,11 +7,12 @@ import math
 
 import numpy as np
 
-from mocap_calib.compute.jit import INT, changed_floats, floats, inlined, kernel
+from mocap_calib.compute.jit import FLOAT, INT, changed_floats, floats, inlined, kernel
 from mocap_calib.types import Floats
 
 LANES = 16
 _POINT = 3 * LANES
+_TINY = 1e-100  # of an acceleration, as in `energy`
 
 
 @inlined
@@ -41,36 +42,42 @@ def _add_accelerations(
 
 
 @inlined
-def _add_distances(own: Floats, there: Floats, middle: Floats, off: Floats, sum_: Floats) -> None:
+def _add_distances(own: Floats, there: Floats, middle: Floats, off: Floats, total: Floats) -> None:
     """Set the distances `[LANES]` of a group's accelerations from a middle; add those of joints."""
     middle_x, middle_y, middle_z = middle[0], middle[1], middle[2]
     for n in range(LANES):
         x, y, z = own[n] - middle_x, own[LANES + n] - middle_y, own[2 * LANES + n] - middle_z
         off[n] = math.sqrt(x * x + y * y + z * z)
-        sum_[n] += there[n] * off[n]
+        total[n] += there[n] * off[n]
 
 
 @inlined
-def _add_weighed(own: Floats, there: Floats, off: Floats, least: float, sums: Floats) -> None:
-    """Add accelerations of a group, by their inverse distances, and these weights."""
+def _add_weighed(own: Floats, there: Floats, off: Floats, added: float, sums: Floats) -> None:
+    """Add accelerations of a group times weights, and the weights: inverse distances."""
     for n in range(LANES):
-        weight = there[n] / (off[n] + least)
+        weight = there[n] / (off[n] + added)
         sums[n] += weight * own[n]
         sums[LANES + n] += weight * own[LANES + n]
         sums[2 * LANES + n] += weight * own[2 * LANES + n]
         sums[_POINT + n] += weight
 
 
-@kernel(floats(3), floats(2), floats(2), INT, floats(1), changed_floats(2))
+@kernel(floats(3), floats(2), floats(2), INT, FLOAT, FLOAT, changed_floats(2))
 def share_accelerations(
-    points: Floats, steps: Floats, there: Floats, rounds: int, shares: Floats, expected: Floats
+    points: Floats,
+    steps: Floats,
+    there: Floats,
+    rounds: int,
+    least: float,
+    part: float,
+    expected: Floats,
 ) -> None:
     """Set what joints share of the accelerations of frames, in the last three columns.
 
     points: `[group, frame, 3 * LANES]`. there: `[group, LANES]` 1 for a joint, 0 for none. rounds:
-    towards the middle, from the mean. shares: `[3]` part of the mean distance that is added to each
-    distance, part of the middle that is expected, and a tiny distance. expected: `[frame, 5]`; its
-    last two frames stay as they are.
+    towards the middle, from the mean. least: what is added to each distance, in mean distances.
+    part: of the middle, that is expected. expected: `[frame, 5]`; its last two frames stay as they
+    are.
     """
     groups, joints = len(points), there.sum()
     own, off = np.empty((groups, _POINT)), np.empty((groups, LANES))
@@ -89,13 +96,13 @@ def share_accelerations(
                 _add_distances(own[g], there[g], middle, off[g], sums[3])
             if usual < 0:
                 usual = _total(sums[3]) / joints
-            least = shares[0] * usual + shares[2]
+            added = least * usual + _TINY
             sums[:] = 0.0
             for g in range(groups):
-                _add_weighed(own[g], there[g], off[g], least, sums.reshape(-1))
+                _add_weighed(own[g], there[g], off[g], added, sums.reshape(-1))
             weight = _total(sums[3])
             for k in range(3):
                 middle[k] = _total(sums[k]) / weight
             usual = joints / weight
         for k in range(3):
-            expected[t, 2 + k] = shares[1] * middle[k]
+            expected[t, 2 + k] = part * middle[k]

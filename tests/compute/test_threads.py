@@ -8,17 +8,11 @@ from mocap_calib.compute import parallel
 from mocap_calib.compute.parallel import do_both, map_in_threads
 
 
-@pytest.fixture
-def two_threads(monkeypatch):
-    """As on a machine of two processors; the tests themselves run on one."""
-    monkeypatch.setattr(parallel, "thread_count", lambda: 2)
-
-
 def fail(message):
     raise ValueError(message)
 
 
-@pytest.mark.usefixtures("two_threads")
+@pytest.mark.usefixtures("two_processors")
 def test_both_calls_are_under_way_at_the_same_time_and_spread_their_work():
     met = threading.Barrier(2, timeout=20)  # broken where one call waits for the other to end
 
@@ -30,7 +24,7 @@ def test_both_calls_are_under_way_at_the_same_time_and_spread_their_work():
     assert found == ([1, 4, 9], [16, 25])
 
 
-@pytest.mark.usefixtures("two_threads")
+@pytest.mark.usefixtures("two_processors")
 def test_what_the_first_raises_comes_before_what_the_second_raises():
     for second in (lambda: 1, lambda: fail("second")):
         with pytest.raises(ValueError, match="first"):
@@ -39,7 +33,7 @@ def test_what_the_first_raises_comes_before_what_the_second_raises():
         do_both(lambda: 1, lambda: fail("second"))
 
 
-@pytest.mark.usefixtures("two_threads")
+@pytest.mark.usefixtures("two_processors")
 def test_a_thread_that_was_given_work_makes_both_calls_itself():
     def of_one(_):
         return do_both(threading.get_ident, threading.get_ident)
@@ -53,7 +47,7 @@ def test_one_processor_makes_one_call_after_the_other(monkeypatch):
     assert do_both(threading.get_ident, threading.get_ident) == (here, here)
 
 
-@pytest.mark.usefixtures("two_threads")
+@pytest.mark.usefixtures("two_processors")
 def test_two_calls_within_two_calls_are_made_one_after_the_other():
     """No more threads than two wait for others, however deep; afterwards there are two again."""
 
@@ -65,7 +59,7 @@ def test_two_calls_within_two_calls_are_made_one_after_the_other():
         assert do_both(within, within) == (True, True)
 
 
-@pytest.mark.usefixtures("two_threads")
+@pytest.mark.usefixtures("two_processors")
 def test_an_interruption_does_not_wait_for_the_other_call():
     ended = threading.Event()
 

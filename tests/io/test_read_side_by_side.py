@@ -11,6 +11,8 @@ from mocap_calib.io import sandbox
 from mocap_calib.io.keypoints import coco_writer, deeplabcut_writer, read
 from mocap_calib.types import Keypoints2D
 
+pytestmark = pytest.mark.usefixtures("two_processors")
+
 
 def view(camera: str) -> Keypoints2D:
     rng = np.random.default_rng(len(camera) + ord(camera[-1]))
@@ -33,11 +35,6 @@ def write(folder: Path, *names: str) -> list[Path]:
         (content,) = writer((replace(view(Path(name).stem), source=""),)).values()
         (folder / name).write_bytes(content)
     return [folder / name for name in names]
-
-
-@pytest.fixture(autouse=True)
-def _two_threads(monkeypatch):
-    monkeypatch.setattr("mocap_calib.compute.parallel.thread_count", lambda: 2)
 
 
 def test_order_stays_and_errors_are_collected(tmp_path, monkeypatch):

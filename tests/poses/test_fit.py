@@ -8,7 +8,6 @@ from mocap_calib.poses import certainty, fit
 from mocap_calib.poses.energy import (
     SHARED_LEAST,
     SHARED_ROUNDS,
-    TINY,
     Strengths,
     accelerations,
     linearise,
@@ -135,8 +134,8 @@ def test_kernels_find_what_joints_share_as_numpy_does(joints):
     lanes += np.where(there == 0, rng.normal(size=there.shape), 0.0)[:, None, None]
     motion = np.ascontiguousarray(in_tiles(steps, 16).T)
     found = np.zeros((len(motion), 5))
-    shares = np.array([SHARED_LEAST, shared_part(joints, CONFIG), TINY])
-    kernels.motion.share_accelerations(packed, motion, there, SHARED_ROUNDS, shares, found)
+    how = SHARED_ROUNDS, SHARED_LEAST, shared_part(joints, CONFIG)
+    kernels.motion.share_accelerations(packed, motion, there, *how, found)
     acceleration = sum(steps[k, :38, None] * points[:, k : k + 38] for k in range(3))
     expected = shared_accelerations(acceleration.transpose(1, 2, 0), CONFIG)
     assert np.allclose(found[2:40, 2:], expected, rtol=0, atol=1e-14)

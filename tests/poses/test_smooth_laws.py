@@ -83,7 +83,7 @@ def test_at_the_same_strengths_poses_know_no_order_time_or_mirror(how, seed):
 def test_another_choice_of_strengths_moves_poses_little(how, seed):
     """No exact law but of the order of detections, and of the mirror.
 
-    Measured 7.9 mm at worst for another order of cameras, 7.3 of names, 5.3 of time; the median of
+    Measured 8.0 mm at worst for another order of cameras, 7.4 of names, 5.3 of time; the median of
     a scene 1.0 mm at most. Accelerations are chosen up to 1.4 times as large or as small.
     """
     poses, smoothing, _ = first_told()
