@@ -18,6 +18,8 @@ from weakref import WeakSet
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from mocap_calib.compute.parallel import map_in_threads
+
 _LARGE = 1 << 24  # bytes; smaller arrays stay in memory
 _BLOCK = 4096  # frames at a time,
 _AROUND = 1 << 21  # bytes: the system brings in as much around what is read,
@@ -55,21 +57,23 @@ def keep(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def in_blocks(function: Callable[[slice], Any], frames: int, *, axis: int = 0) -> NDArray[Any]:
-    """Return what a function makes of blocks of frames, one after the other, as `empty` does.
+    """Return what a function makes of blocks of frames, on threads, as `empty` does.
 
     function: of a slice of frames; what it returns has these along an axis.
     """
+    blocks = list(frame_slices(frames))
+    if len(blocks) <= 1:
+        return np.asarray(function(slice(0, frames)))
     found: NDArray[Any] | None = None
-    for block in frame_slices(frames):
-        part = function(block)
+    for block, part in zip(blocks, map_in_threads(function, blocks), strict=True):
         if found is None:
-            if part.shape[axis] == frames:
-                return part
             shape = list(part.shape)
             shape[axis] = frames
             found = empty(shape, part.dtype)
         found[(slice(None),) * axis + (block,)] = part
-    return function(slice(0, 0)) if found is None else found
+        let_go()
+    assert found is not None  # there are several blocks
+    return found
 
 
 def take(array: NDArray[Any], frames: Any, *, axis: int = 0) -> NDArray[Any]:

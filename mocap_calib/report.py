@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from mocap_calib import __version__, mapped
+from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import Config, IntrinsicsConfig
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.io.world_fields import world_fields
@@ -91,14 +92,15 @@ def _describe_cameras(
 
     error: `[view, frame, individual, keypoint]` reprojection errors in pixels. faults: of all.
     """
-    views = views_by_camera(group.rig.names)
-    described = []
-    for name, own in views.items():
+
+    def describe(item: tuple[str, list[int]]) -> dict[str, Any]:
+        name, own = item
         its_faults = [fault for fault in faults if fault.camera == name]
-        described.append(
-            _describe_camera(group, name, own, error=error[own], config=config, faults=its_faults)
+        return _describe_camera(
+            group, name, own, error=error[own], config=config, faults=its_faults
         )
-    return described
+
+    return list(map_in_threads(describe, views_by_camera(group.rig.names).items()))
 
 
 def _describe_camera(

@@ -354,9 +354,12 @@ class World(Record):
         """Return it with all lengths multiplied by a factor."""
         return replace(self, floor=factor * self.floor, floor_sigma=factor * self.floor_sigma)
 
-    def turn(self, rotation: Floats) -> "World":
-        """Return it in other axes, to which a rotation `[3, 3]` turns these."""
-        return replace(self, up=rotation @ self.up, floor=rotation @ self.floor)
+    def turn(self, rotation: Floats, shift: Floats | float = 0.0) -> "World":
+        """Return it in other axes, to which a rotation `[3, 3]` turns these.
+
+        shift: `[3]` of all points, in the new axes.
+        """
+        return replace(self, up=rotation @ self.up, floor=rotation @ self.floor + shift)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -1240,6 +1243,8 @@ class Poses3D(Record):
         Raises ValueError for a factor that is not above 0, and for what is no unit.
         """
         _check_factor("poses", factor)
+        if factor == 1:
+            return replace(self, unit=unit)
         positions, raw = self._move(lambda points: factor * points)
         return replace(
             self,
@@ -1252,21 +1257,24 @@ class Poses3D(Record):
             world=self.world.scale(factor),
         )
 
-    def turn(self, rotation: Floats) -> "Poses3D":
-        """Return the poses in other axes, to which a rotation `[3, 3]` turns those of the world."""
+    def turn(self, rotation: Floats, shift: Floats | float = 0.0) -> "Poses3D":
+        """Return the poses in other axes, to which a rotation `[3, 3]` turns those of the world.
+
+        shift: `[3]` in the unit, of all points, in the new axes.
+        """
         rows = ((0, 1, 2), (1, 3, 4), (2, 4, 5))
 
         def turn(block: slice) -> Reals:
             matrix = rotation @ self.covariance[block][..., rows] @ rotation.T
             return matrix[..., (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)].astype(np.float32)
 
-        positions, raw = self._move(lambda points: points @ rotation.T)
+        positions, raw = self._move(lambda points: points @ rotation.T + shift)
         return replace(
             self,
             positions=positions,
             raw=raw,
             covariance=self._in_blocks(turn),
-            world=self.world.turn(rotation),
+            world=self.world.turn(rotation, shift),
         )
 
     def select(self, individuals: Sequence[int] | slice) -> "Poses3D":
@@ -1274,11 +1282,6 @@ class Poses3D(Record):
         names = ("positions", "error", "views", "confidence", "covariance", "raw", "source")
         parts: dict[str, Any] = {name: getattr(self, name)[:, individuals] for name in names}
         return replace(self, **parts)
-
-    def shift(self, by: Floats) -> "Poses3D":
-        """Return the poses with all points shifted by `[3]` in the unit."""
-        positions, raw = self._move(lambda points: points + by)
-        return replace(self, positions=positions, raw=raw)
 
     def _move(self, move: Callable[[Floats], Floats]) -> tuple[Floats, Floats]:
         """Return the positions and the triangulated points after a move."""

@@ -14,7 +14,7 @@ import mocap_calib as mc
 from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.poses.formats import POSE_FORMATS
 from mocap_calib.io.registry import find_format
-from mocap_calib.types import Adjusted, LiftedPoses, PairwiseCalibration
+from mocap_calib.types import Adjusted, LiftedPoses, PairwiseCalibration, World
 
 MATRIX = [[1000, 0, 640], [0, 1010, 360], [0, 0, 1]]
 UNIT = np.eye(3).tolist()
@@ -58,6 +58,14 @@ def test_covariances_of_points_scale_with_the_square_and_may_be_unknown():
     np.testing.assert_allclose(turned.covariance[0, 0, 0], [9, 0, 0, 3, 0, 4], atol=1e-6)
     with pytest.raises(ValueError, match="poses: covariance: expected shape"):
         poses(covariance=np.zeros((2, 1, 2, 3)))
+
+
+def test_the_floor_of_the_poses_turns_and_shifts_with_the_points():
+    spot = np.array([0.5, 1.0, 2.0])
+    there = poses(positions=np.tile(spot, (2, 1, 2, 1)), world=World(floor=spot))
+    turned = there.turn(np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]]), np.array([10.0, 20, 30]))
+    np.testing.assert_allclose(turned.world.floor, [11, 22, 30.5])
+    np.testing.assert_allclose(turned.positions, np.tile([11, 22, 30.5], (2, 1, 2, 1)))
 
 
 def test_arrays_are_kept_as_they_are():

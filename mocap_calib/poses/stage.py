@@ -113,7 +113,9 @@ class _Scene:
     def individuals(self) -> list[_Individual]:
         """The individuals that were triangulated in enough frames."""
         sigma = self.poses.sigma
-        found = (self._find(index, sigma[:, index]) for index in range(sigma.shape[1]))
+        found = map_in_threads(
+            lambda index: self._find(index, sigma[:, index]), range(sigma.shape[1])
+        )
         return [who for who in found if who is not None]
 
     def _find(self, index: int, sigma: Floats) -> _Individual | None:

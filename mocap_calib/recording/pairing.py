@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from mocap_calib import mapped
+from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import OTHER_RESOLUTION, TYPICAL_PERCENTILE, ReadConfig
 from mocap_calib.errors import MismatchError
 from mocap_calib.types import Camera, Keypoints2D
@@ -38,7 +39,7 @@ def pair_with_cameras(
             "expected detections of two cameras or more, "
             f"found those of {len(pairs)} ({found}); add the other keypoint files"
         )
-    sized = tuple(_take_image_size(camera, view) for view, camera in pairs)
+    sized = tuple(map_in_threads(lambda pair: _take_image_size(*pair), pairs))
     return tuple(view for view, _ in pairs), sized
 
 
@@ -135,7 +136,7 @@ def _has_detections(view: Keypoints2D) -> bool:
     return any(np.isfinite(view.positions[block]).any() for block in blocks)
 
 
-def _take_image_size(camera: Camera, view: Keypoints2D) -> Camera:
+def _take_image_size(view: Keypoints2D, camera: Camera) -> Camera:
     """Return the camera, with the image size of its keypoint file where it has none.
 
     Raises MismatchError where the sizes differ, or where the positions are not in pixels.

@@ -42,7 +42,7 @@ def move_poses(poses: Poses3D, by: Similarity, unit: str, world: World) -> Poses
     """Return poses in other coordinates, whose unit and world are said."""
     if by.still:
         return replace(poses, unit=unit, world=world)
-    return replace(poses.scale(by.scale, unit).turn(by.rotation).shift(by.shift), world=world)
+    return replace(poses.scale(by.scale, unit).turn(by.rotation, by.shift), world=world)
 
 
 def move_covariance(covariance: RigCovariance, by: Similarity) -> RigCovariance:
