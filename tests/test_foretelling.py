@@ -1,4 +1,4 @@
-"""What `inspect` foretells of subjects that stand still, and of cameras that share too little."""
+"""What `inspect` foretells: subjects that stand still or are flat, cameras that see too little."""
 
 from dataclasses import replace
 
@@ -9,8 +9,15 @@ from scenes import PEOPLE, scene
 from mocap_calib.config import InspectConfig
 from mocap_calib.inspection import find_problems, inspect_views
 from mocap_calib.inspection.motion import measure_motion
+from mocap_calib.inspection.two_views import compare_views
+from mocap_calib.types import Keypoints2D
 
 CONFIG = InspectConfig()
+NAMES = tuple(PEOPLE.keypoints[:17])
+MEANINGS = {name: name for name in NAMES}
+WALK_FRAMES = 60
+IMAGE = (1280, 720)
+UP = np.array([0.0, 0, 1])
 
 
 def messages(views) -> list[str]:
@@ -102,3 +109,112 @@ def test_groups_that_share_no_frame_are_foretold():
     assert "(cam1, cam3 | cam2, cam4)" in said
     joined = [*apart[:3], views[3]]
     assert not any("groups of cameras" in each for each in messages(joined))
+
+
+# --- two views of one subject
+
+
+def walk(rng, bodies=1, thickness=1.0):
+    """Return `[frame, body, joint, 3]` metres of bodies that go about and turn, about the origin.
+
+    thickness: of all that is seen along the first axis, 0 = in a plane.
+    """
+    body = rng.normal(size=(len(NAMES), 3)) * [0.2, 0.2, 0.5]
+    time = np.linspace(0, 6, WALK_FRAMES)[:, None] + rng.uniform(0, 6, bodies)
+    heading = np.stack([np.cos(2 * time), -np.sin(2 * time)], -1)
+    turned = np.stack([heading, heading[..., ::-1] * [-1, 1]], -1)  # [frame, body, 2, 2]
+    level = np.einsum("fbij,kj->fbki", turned, body[:, :2])
+    place = np.stack([np.sin(time), np.cos(1.7 * time)], -1)
+    upright = np.broadcast_to(body[:, 2], level.shape[:-1])[..., None]
+    points = np.concatenate([level + place[..., None, :], upright], axis=-1)
+    return points * [thickness, 1, 1]
+
+
+def film(name, azimuth, points, rng, noise_px=2.0):
+    """Return the file of a level camera 4 m from the origin, of bodies as `walk` returns them."""
+    turn = np.radians(azimuth)
+    ahead = -np.array([np.cos(turn), np.sin(turn), 0.0])
+    axes = np.stack([np.cross(ahead, UP), -UP, ahead])
+    seen = (points + 4 * ahead) @ axes.T
+    pixels = 600 * seen[..., :2] / seen[..., 2:] + np.array(IMAGE) / 2
+    pixels += noise_px * rng.normal(size=pixels.shape)
+    return Keypoints2D(
+        name,
+        NAMES,
+        np.arange(WALK_FRAMES),
+        pixels,
+        np.full(pixels.shape[:3], 0.9),
+        False,
+        IMAGE,
+        f"{name}.json",
+    )
+
+
+def views_at(*azimuths, seed=0, noise_px=2.0, **changes):
+    rng = np.random.default_rng(seed)
+    points = walk(rng, **changes)
+    return [
+        film(f"cam{k}", azimuth, points, rng, noise_px) for k, azimuth in enumerate(azimuths, 1)
+    ]
+
+
+def test_the_cameras_of_these_tests_look_at_the_origin():
+    (view,) = views_at(30.0, noise_px=0.0)
+    assert np.abs(np.median(view.positions, axis=(0, 1, 2)) - np.array(IMAGE) / 2).max() < 150
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("apart", "facing"), [(60, False), (110, False), (172, True), (180, True)])
+def test_two_cameras_that_look_at_each_other_are_named(apart, facing, seed):
+    found = [each for each in messages(views_at(0, apart, seed=seed)) if "each other" in each]
+    assert len(found) == facing
+    if facing:
+        assert found[0].startswith("cam1 and cam2 look at each other, and no third camera")
+
+
+def test_a_third_camera_makes_good_for_two_that_look_at_each_other():
+    assert not messages(views_at(0, 180, 90))
+
+
+def test_cameras_behind_each_other_do_not_look_at_each_other():
+    first, second = views_at(0, 0)
+    second.positions[...] = 1.3 * (second.positions - 500) + 500
+    assert not any("each other" in each for each in messages([first, second]))
+
+
+@pytest.mark.parametrize(
+    ("thickness", "noise_px", "flat"),
+    [(0, 0.5, True), (0, 4, True), (0.02, 4, True), (0.5, 4, False), (1, 0.5, False)],
+)
+def test_what_lies_in_one_plane_is_named(thickness, noise_px, flat):
+    found = messages(views_at(20, 60, 110, thickness=thickness, noise_px=noise_px))
+    assert any("may as well lie in one plane" in each for each in found) == flat
+
+
+def test_where_there_are_several_subjects_nothing_is_said():
+    views = views_at(0, 180, bodies=2)
+    assert compare_views(*views, MEANINGS, CONFIG) is None
+    assert not any("each other" in each for each in messages(views))
+
+
+def test_where_frames_are_of_different_moments_nothing_is_said():
+    first, second = views_at(0, 180)
+    second.positions[...] = np.random.default_rng(1).permutation(second.positions)
+    assert not any("each other" in each for each in messages([first, second]))
+
+
+def test_joints_are_compared_by_what_they_mean_and_frames_by_their_numbers():
+    first, second = views_at(0, 100)
+    plain = compare_views(first, second, MEANINGS, CONFIG)
+    backwards = Keypoints2D(
+        "other",
+        NAMES[::-1],
+        second.frames[5:],
+        second.positions[5:, :, ::-1],
+        second.confidence[5:],
+        False,
+        IMAGE,
+        "other.json",
+    )
+    again = compare_views(first, backwards, MEANINGS, CONFIG)
+    assert max(plain.error, again.error) < 0.05

@@ -37,6 +37,20 @@ def sampson_angle(matrix: Floats, rays_a: Floats, rays_b: Floats) -> Floats:
     return value / np.sqrt(np.maximum(slope, 1e-18))
 
 
+def sampson_distance(matrix: Floats, points_a: Floats, points_b: Floats) -> Floats:
+    """Return the signed epipolar errors `[N]` of matches in pixels, to first order.
+
+    Sampson's error (Hartley and Zisserman 2004, eq. 11.9).
+
+    matrix: `[3, 3]` fundamental matrix. points_a, points_b: `[N, 2]` pixels.
+    """
+    ones = np.ones((len(points_a), 1))
+    points_a, points_b = np.hstack([points_a, ones]), np.hstack([points_b, ones])
+    line_b, line_a = points_a @ matrix.T, points_b @ matrix
+    slope = (line_b[:, :2] ** 2).sum(1) + (line_a[:, :2] ** 2).sum(1)
+    return np.asarray((line_b * points_b).sum(1) / np.sqrt(np.maximum(slope, 1e-18)))
+
+
 def depths(
     rotation: Floats, translation: Floats, rays_a: Floats, rays_b: Floats
 ) -> tuple[Floats, Floats]:
@@ -87,6 +101,19 @@ def five_point(rays_a: Floats, rays_b: Floats, threshold: float) -> list[tuple[F
     if model is None or model.shape != (3, 3):
         return []
     return [pose_from_essential(np.asarray(model, dtype=np.float64), rays_a, rays_b)]
+
+
+def fundamental_matrix(points_a: Floats, points_b: Floats) -> Floats | None:
+    """Return the fundamental matrix `[3, 3]` of b_from_a: x_b' F x_a = 0; None where there is none.
+
+    The one with the least median of squared errors (Rousseeuw 1984), as in OpenCV.
+
+    points_a, points_b: `[N, 2]` pixels of matches.
+    """
+    import cv2  # noqa: PLC0415 - as above
+
+    matrix, _ = cv2.findFundamentalMat(points_a, points_b, cv2.FM_LMEDS)
+    return None if matrix is None else np.asarray(matrix[:3], dtype=np.float64)
 
 
 def pose_from_essential(matrix: Floats, rays_a: Floats, rays_b: Floats) -> tuple[Floats, Floats]:

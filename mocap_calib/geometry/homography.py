@@ -28,7 +28,15 @@ def plane_errors(rays_a: Floats, rays_b: Floats) -> Floats:
     both = seen_a & seen_b
     if both.sum() < _LEAST_MATCHES:
         return np.zeros(0)
-    (points, _), (images, scale) = _normalise(flat_a[both]), _normalise(flat_b[both])
+    return homography_errors(flat_a[both], flat_b[both])
+
+
+def homography_errors(points: Floats, images: Floats) -> Floats:
+    """Return the errors `[N]` of the homography that maps most points to their images.
+
+    As `plane_errors` does. points, images: `[N, 2]`; the errors are in the unit of the images.
+    """
+    (points, _), (images, scale) = _normalise(points), _normalise(images)
     points = np.column_stack([points, np.ones(len(points))])
     weight, depth = np.ones(len(points)), np.ones(len(points))
     for _ in range(_STEPS):

@@ -11,6 +11,7 @@ from mocap_calib.inspection.clocks import find_clock_problems
 from mocap_calib.inspection.contents import seen_points
 from mocap_calib.inspection.finding import Finding, critical, warning
 from mocap_calib.inspection.motion import find_still_subjects
+from mocap_calib.inspection.two_views import find_poor_views
 from mocap_calib.recording.copies import find_copies
 from mocap_calib.recording.joints import SHIPPED
 from mocap_calib.recording.meanings import (
@@ -57,6 +58,7 @@ def find_problems(
         *_find_other_scales(usable, config),
         *find_clock_problems(usable, report["pairs"], config),
         *find_still_subjects(usable, report["cameras"], config),
+        *find_poor_views(usable, report["pairs"], meanings, config),
         *_find_name_problems(usable, meanings, known_joints=report["model"]["knows"]),
         *_find_copies(usable, meanings, config),
         *(finding for view in views for finding in _find_weaknesses(view, config)),

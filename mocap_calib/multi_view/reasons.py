@@ -7,10 +7,10 @@ import numpy as np
 from mocap_calib.config import Config
 from mocap_calib.multi_view.observations import labelled_frames
 from mocap_calib.recording.sampling import evenly_spaced
-from mocap_calib.types import Check, EstimatedCamera, GroupResult
+from mocap_calib.types import Bools, Check, EstimatedCamera, GroupResult
 from mocap_calib.wording import count
 
-_FRAMES_OF_MOTION = 300  # that tell whether a subject moves
+_FRAMES = 300  # that tell whether a subject moves, and which cameras see it together
 
 # by the name of a check: what it means where it fails, and the remedy
 MEANING = {
@@ -110,7 +110,7 @@ def _describe(check: Check) -> str:
     return f"{meaning.format(value=check.value, camera=check.camera)}; {remedy}"
 
 
-def _names(group: GroupResult, which: np.ndarray) -> str:
+def _names(group: GroupResult, which: Bools) -> str:
     """Return the names of some cameras (`[view]` bools)."""
     return ", ".join(group.rig.names[view] for view in np.flatnonzero(which))
 
@@ -137,21 +137,32 @@ def _remedy(group: GroupResult, config: Config, worst: int) -> str:
         return f"record longer: bodies are matched in {count(frames, 'frame')} only"
     if group.uncertainty.weak_perspective[worst]:
         return "let the subject come closer: the camera is far away for the size of what it sees"
-    facing = _faces(group, worst, config.verdict.facing_deg)
-    if facing is not None and len(group.rig.cameras) == 2:
-        names = f"{group.rig.names[worst]} and {group.rig.names[facing]}"
-        return f"add a camera between {names}, which face each other"
+    partners = _partners(group, worst)
+    if partners.any() and _faces(group, worst, config.verdict.facing_deg)[partners].all():
+        return (
+            f"{group.rig.names[worst]} and {_names(group, partners)} face each other, and no third "
+            "camera sees what both do: add one between, or let the subject cross their line"
+        )
     if _stands_still(group):
         return "let the subject walk about and turn: it hardly moves"
     return "let the subject walk about, nearer to it and in view of other cameras, for longer"
 
 
-def _faces(group: GroupResult, view: int, least_deg: float) -> int | None:
-    """Return a camera (index) that looks the other way, None where there is none."""
+def _partners(group: GroupResult, view: int) -> Bools:
+    """Return `[view]` which others see an individual in the same frame as a view does."""
+    labels = group.matches.labels
+    labels = labels[:, evenly_spaced(np.arange(labels.shape[1]), _FRAMES)]
+    individuals = range(group.matches.individuals)
+    sees = np.stack([(labels == each).any(-1) for each in individuals])  # [individual, view, frame]
+    together = np.asarray((sees & sees[:, view : view + 1]).any((0, 2)))
+    together[view] = False
+    return together
+
+
+def _faces(group: GroupResult, view: int, least_deg: float) -> Bools:
+    """Return `[view]` which cameras look the other way."""
     axes = group.rig.rotation[:, 2]
-    cosine = axes @ axes[view]
-    opposite = int(cosine.argmin())
-    return opposite if cosine[opposite] < np.cos(np.deg2rad(least_deg)) else None
+    return np.asarray(axes @ axes[view] < np.cos(np.deg2rad(least_deg)))
 
 
 def _stands_still(group: GroupResult) -> bool:
@@ -160,7 +171,7 @@ def _stands_still(group: GroupResult) -> bool:
     A rig that is wrong places bodies anywhere; the images do not depend on it.
     """
     positions, labels = group.recording.positions, group.matches.labels
-    frames = evenly_spaced(np.arange(labels.shape[1]), _FRAMES_OF_MOTION)
+    frames = evenly_spaced(np.arange(labels.shape[1]), _FRAMES)
     ways: list[float] = []
     for seen, label in zip(positions, labels, strict=True):
         for individual in range(group.matches.individuals):

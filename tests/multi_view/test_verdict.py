@@ -167,6 +167,24 @@ def test_reasons_name_the_camera_the_size_and_the_remedy():
 
 
 @pytest.mark.slow
+def test_two_cameras_that_face_each_other_want_a_third():
+    """Only where no third sees what both do: the last camera loses all that others see as well."""
+    group = replace(calibrated(), uncertainty=uncertainty(4.2, views=4), checks=SOUND)
+    opposite = group.rig.rotation.copy()
+    opposite[3] = np.diag([-1.0, 1, -1]) @ opposite[0]
+    adjusted = replace(group.adjusted, rig=replace(group.rig, rotation=opposite))
+    labels = group.matches.labels.copy()
+    labels[1:3, ::2] = -1
+    labels[3, 1::2] = -1
+    facing = replace(group, adjusted=adjusted, matches=Matches(labels))
+    (said,) = explain(facing, Config())
+    assert "cam4 and cam1 face each other, and no third camera sees what both do" in said
+    for other in (replace(facing, matches=group.matches), replace(facing, adjusted=group.adjusted)):
+        (said,) = explain(other, Config())
+        assert "face each other" not in said
+
+
+@pytest.mark.slow
 def test_a_verdict_is_only_ever_lowered():
     group = calibrated()
     lowered = no_better_than(group, "weak", "an estimate")

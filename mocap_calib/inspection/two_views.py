@@ -1,0 +1,146 @@
+"""What the images of one subject show of where cameras stand, before anything is calibrated.
+
+Matches are known where each camera sees one body. From them follow, without intrinsics, the
+fundamental matrix and the epipoles: where each camera has the other one in its image (Hartley and
+Zisserman 2004, sections 9.2 and 11.1). If a homography explains the matches as well, all of them
+lie in one plane.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from mocap_calib.config import LEAST_JOINTS, InspectConfig
+from mocap_calib.geometry.epipolar import fundamental_matrix, sampson_distance
+from mocap_calib.geometry.homography import homography_errors
+from mocap_calib.inspection.finding import Finding, warning
+from mocap_calib.recording.sampling import evenly_spaced
+from mocap_calib.types import Floats, Keypoints2D
+
+_TINY = 1e-9  # of an error, of a size in pixels
+
+
+@dataclass(frozen=True)
+class TwoViews:
+    """How the images of one subject in two views go together.
+
+    error: of the fundamental matrix that fits best, the median in sizes of the body. plane_error:
+        the same of the homography that fits best; about twice as large where all matches lie in one
+        plane. epipole: how far the other camera is from the middle of what is seen, in half of its
+        extent; of both views the larger. mirrored: bodies are seen from opposite sides.
+    """
+
+    error: float
+    plane_error: float
+    epipole: float
+    mirrored: bool
+
+
+def find_poor_views(
+    usable: Sequence[Keypoints2D],
+    pairs: Sequence[Mapping[str, Any]],
+    meanings: Mapping[str, str],
+    config: InspectConfig,
+) -> list[Finding]:
+    """Say where a subject shows too little of where cameras stand, or two see too little of it.
+
+    pairs: of the report. meanings: of the names of keypoints.
+    """
+    chosen = evenly_spaced(np.array(list(combinations(range(len(usable)), 2))), config.most_pairs)
+    compared = {
+        (usable[a].camera, usable[b].camera): found
+        for a, b in chosen.tolist()
+        if (found := compare_views(usable[a], usable[b], meanings, config)) is not None
+        and found.error < config.most_error
+    }
+    if not compared:
+        return []
+    depth = np.median([found.plane_error / found.error for found in compared.values()])
+    if depth < config.least_depth:
+        return [
+            warning(
+                "all that was seen may as well lie in one plane, so that other rigs would fit, "
+                "too; let the subject come closer, rise, jump or tilt"
+            )
+        ]
+    return [
+        warning(
+            f"{a} and {b} look at each other, and no third camera sees the same: points between "
+            "them will be uncertain along that line; add a camera that looks from the side, or let "
+            "the subject keep off the line"
+        )
+        for (a, b), found in compared.items()
+        if found.mirrored and found.epipole < 1 and _are_alone({a, b}, pairs, config)
+    ]
+
+
+def _are_alone(
+    cameras: set[str], pairs: Sequence[Mapping[str, Any]], config: InspectConfig
+) -> bool:
+    """Return whether two cameras see hardly anything together with any third one."""
+    enough = [{pair["a"], pair["b"]} for pair in pairs if pair["covisible"] >= config.enough_frames]
+    return not any(len(names & cameras) == 1 for names in enough)
+
+
+def compare_views(
+    a: Keypoints2D, b: Keypoints2D, meanings: Mapping[str, str], config: InspectConfig
+) -> TwoViews | None:
+    """Return how two views go together; None where they do not see the same single subject."""
+    bodies = _same_bodies(a, b, meanings, config)  # [view, frame, joint, 2]
+    both = np.asarray(np.isfinite(bodies).all((0, -1)))
+    if both.sum() < config.least_matches:
+        return None
+    middle = np.nanmean(bodies, axis=2, keepdims=True, where=both[None, ..., None])
+    centred = (bodies - middle)[:, both]
+    chosen = evenly_spaced(np.arange(both.sum()), config.most_matches)
+    first, second = np.ascontiguousarray(bodies[:, both][:, chosen])
+    matrix = fundamental_matrix(first, second)
+    if matrix is None:
+        return None
+    size = np.sqrt((centred[1] ** 2).sum(-1).mean()) + _TINY
+    map_of_bodies = np.linalg.lstsq(centred[0], centred[1], rcond=None)[0]
+    left, _, right = np.linalg.svd(matrix)
+    return TwoViews(
+        error=float(np.median(np.abs(sampson_distance(matrix, first, second))) / size) + _TINY,
+        plane_error=float(np.median(homography_errors(first, second)) / size),
+        epipole=max(_distance(right[2], first), _distance(left[:, 2], second)),
+        mirrored=bool(np.linalg.det(map_of_bodies) < 0),
+    )
+
+
+def _same_bodies(
+    a: Keypoints2D, b: Keypoints2D, meanings: Mapping[str, str], config: InspectConfig
+) -> Floats:
+    """Return `[view, frame, joint, 2]` the joints of the only body of frames, NaN = missing.
+
+    Nothing where there is more than one body in too many of the frames in which both see any.
+    """
+    column = {meanings[name]: k for k, name in enumerate(b.keypoints)}
+    shared = [(k, column[meanings[n]]) for k, n in enumerate(a.keypoints) if meanings[n] in column]
+    _, *rows = np.intersect1d(a.frames, b.frames, return_indices=True)
+    positions = [
+        view.positions[own][:, :, [pair[side] for pair in shared]].astype(np.float64)
+        for side, (view, own) in enumerate(zip((a, b), rows, strict=True))
+    ]
+    whole = [np.isfinite(each[..., 0]).sum(-1) >= LEAST_JOINTS for each in positions]
+    counts = np.stack([each.sum(-1) for each in whole])  # [view, frame]
+    seen, single = (counts > 0).all(0), (counts == 1).all(0)
+    alone = single.sum() >= config.single_share * seen.sum()
+    frames = np.flatnonzero(single & alone)
+    return np.stack(
+        [
+            each[frames, instance[frames].argmax(-1)]
+            for each, instance in zip(positions, whole, strict=True)
+        ]
+    )
+
+
+def _distance(epipole: Floats, points: Floats) -> float:
+    """Return how far an epipole `[3]` is from the middle of points, in half of their extent."""
+    low, high = np.percentile(points, [2, 98], axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        off = np.abs(epipole[:2] / epipole[2] - (low + high) / 2) / np.maximum(high - low, _TINY)
+    return float(np.nan_to_num(2 * off.max(), nan=np.inf))
