@@ -4,7 +4,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from mocap_calib.io.provenance import judgement
+from mocap_calib.io.provenance import CAMERA_SIGMAS, judgement
+from mocap_calib.recording.epochs import own_name
 from mocap_calib.report import rig_report
 from mocap_calib.types import CalibrationResult
 
@@ -46,9 +47,26 @@ def judge_cameras(report: Mapping[str, Any]) -> dict[str, Any]:
         remarks.append(f"reprojection error {error:.2f} px, which alone proves nothing")
     sigmas = {
         key: {camera["name"]: float(f"{camera[key]:.3g}") for camera in report["cameras"]}
-        for key in ("rotation_sigma_deg", "centre_sigma_percent")
+        for key in CAMERA_SIGMAS
     }
-    return judgement(verdict["rig"], remarks, error, **sigmas)
+    of_pairs = {f"pair_{key}": _of_pairs(report, key) for key in CAMERA_SIGMAS}
+    return judgement(verdict["rig"], remarks, error, **sigmas, **of_pairs)
+
+
+def _of_pairs(report: Mapping[str, Any], key: str) -> dict[str, dict[str, float]]:
+    """Return a figure of the pairs by the names of their cameras.
+
+    Where a camera was moved, it has several, and the largest counts.
+    """
+    pairs = report["pairs"]
+    views = [pair[side] for pair in pairs for side in ("a", "b")]
+    found: dict[str, dict[str, float]] = {}
+    for pair in pairs:
+        a, b = (own_name(pair[side], views) for side in ("a", "b"))
+        if a != b:
+            row = found.setdefault(a, {})
+            row[b] = max(row.get(b, 0.0), float(f"{pair[key]:.3g}"))
+    return found
 
 
 def _describe_faults(report: Mapping[str, Any]) -> list[str]:

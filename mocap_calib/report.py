@@ -16,7 +16,12 @@ from mocap_calib.multi_view.explained import distances_from_points
 from mocap_calib.multi_view.view_graph import alternative_taken, best_scores
 from mocap_calib.recording.epochs import describe_epochs, views_by_camera
 from mocap_calib.recording.mending import describe_faults
-from mocap_calib.report_verdict import describe_sigma, describe_verdict, finite_or_none
+from mocap_calib.report_verdict import (
+    describe_pair_sigmas,
+    describe_sigma,
+    describe_verdict,
+    finite_or_none,
+)
 from mocap_calib.types import (
     POINT_SOURCES,
     CalibrationResult,
@@ -42,7 +47,7 @@ def run_report(
 
     inputs: path -> SHA-256. What is not known is None.
     """
-    error = distances_from_points(group)
+    error, sigmas = distances_from_points(group), describe_pair_sigmas(group)
     return {
         "schema": SCHEMA,
         "verdict": describe_verdict(group),
@@ -60,7 +65,9 @@ def run_report(
         "unused_pairs": [asdict(pair) for pair in result.unused_pairs],
         "epochs": describe_epochs(group.rig.names, group.recording.frames),
         "cameras": _describe_cameras(group, error, config, result.faults),
-        "pairs": [_describe_pair(group, k, error, config) for k in range(len(group.pairs))],
+        "pairs": [
+            sigmas[k] | _describe_pair(group, k, error, config) for k in range(len(group.pairs))
+        ],
         "adjust": {"rounds": group.adjusted.rounds, "converged": group.adjusted.converged},
         "individuals": _describe_individuals(group),
         "poses": _describe_poses(group),
@@ -72,9 +79,11 @@ def rig_report(group: GroupResult, result: CalibrationResult) -> dict[str, Any]:
     """Return the part of `run_report` that says how far the cameras of a group can be trusted."""
     config, error = result.config, distances_from_points(group)
     return {
+        "unit": group.rig.unit,
         "verdict": describe_verdict(group),
         "left_out": list(result.left_out),
         "cameras": _describe_cameras(group, error, config, result.faults),
+        "pairs": describe_pair_sigmas(group),
         "points": _describe_points(group, error),
     }
 
@@ -194,14 +203,9 @@ def _describe_pair(group: GroupResult, index: int, error: Floats, config: Config
     focal = (first.focal + second.focal) / 2
     in_both = np.isfinite(error).all(0)
     return {
-        "a": first.name,
-        "b": second.name,
         "frames": pair.frames,
         "matches": _count_matches(group, pair),
         "reprojection_error_px": _median_and_p95(error[:, in_both].ravel()),
-        "rotation_sigma_deg": float(
-            np.degrees(group.uncertainty.covariance.pair_sigma(pair.a, pair.b))
-        ),
         "sampled_matches": len(pair.matches),
         "score": pair.score,
         "source": pair.source,

@@ -1,5 +1,6 @@
 """What run.json says of how far a rig and its cameras can be trusted."""
 
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -34,9 +35,35 @@ def describe_sigma(group: GroupResult, views: list[int]) -> dict[str, float | No
     return {
         "rotation_sigma_deg": float(np.degrees(covariance.rotation_sigma[views].max())),
         "centre_sigma_percent": 100 * centre,
-        "centre_sigma": None if group.rig.unit == ARBITRARY else centre * covariance.size,
+        "centre_sigma": _length(group, centre),
         "intrinsics_turn_deg": float(np.degrees(group.uncertainty.intrinsics_turn[views].max())),
     }
+
+
+def describe_pair_sigmas(group: GroupResult) -> list[dict[str, Any]]:
+    """Return how far two cameras may be off beside each other: their turn, and their way apart.
+
+    Of the pairs that were calibrated; of all where cameras were adjusted without.
+    """
+    covariance, names = group.uncertainty.covariance, group.rig.names
+    turn, way = np.degrees(covariance.pair_rotation_sigma), covariance.pair_centre_sigma
+    pairs = [(pair.a, pair.b) for pair in group.pairs] or combinations(range(len(names)), 2)
+    return [
+        {
+            "a": names[a],
+            "b": names[b],
+            "rotation_sigma_deg": float(turn[a, b]),
+            "centre_sigma_percent": 100 * float(way[a, b]),
+            "centre_sigma": _length(group, float(way[a, b])),
+        }
+        for a, b in pairs
+    ]
+
+
+def _length(group: GroupResult, sizes: float) -> float | None:
+    """Return a length in sizes of the rig in the unit of the rig, None where that is arbitrary."""
+    known = group.rig.unit != ARBITRARY
+    return sizes * group.uncertainty.covariance.size if known else None
 
 
 def _describe_check(check: Check) -> dict[str, Any]:

@@ -1107,14 +1107,25 @@ class RigCovariance(Record):
         """`[view]` RMS distance of a centre from the true one, in sizes of the rig."""
         return np.sqrt(np.einsum("vivi->v", self.matrix[:, 3:, :, 3:]))
 
-    def pair_sigma(self, a: int, b: int) -> float:
-        """Return the RMS angle in radians between the relative rotation of two views and its truth.
+    @property
+    def pair_rotation_sigma(self) -> Floats:
+        """`[view, view]` RMS angle in radians between relative rotations and the true ones."""
+        return self._pair_sigma(slice(0, 3))
 
-        a, b: indices of the views.
+    @property
+    def pair_centre_sigma(self) -> Floats:
+        """`[view, view]` RMS distance of the way between two centres from the true one.
+
+        In sizes of the rig.
         """
-        parts = self.matrix[[a, b], :3][:, :, [a, b], :3]
-        signs = np.array([-1.0, 1.0])
-        return float(np.sqrt(np.einsum("a,b,aibi->", signs, signs, parts)))
+        return self._pair_sigma(slice(3, 6))
+
+    def _pair_sigma(self, entries: slice) -> Floats:
+        """Return the standard deviations `[view, view]` of what two views differ by."""
+        together = np.einsum("viwi->vw", self.matrix[:, entries, :, entries])
+        own = np.diagonal(together)
+        variance = own[:, None] + own - together - together.T
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
     def with_changes(self, changes: Floats) -> "RigCovariance":
         """Return that of a rig whose cameras may besides be off by each of some changes.

@@ -28,8 +28,12 @@ def camera_table(report: dict[str, Any]) -> Table:
         "matched": [str(camera["matched"]) for camera in cameras],
         "error px": [format_number(error) for error in errors],
         "sigma deg": [format_number(camera["rotation_sigma_deg"]) for camera in cameras],
-        "clock": [_frames_late(camera["clock"]) for camera in cameras],
+        "sigma %": [format_number(camera["centre_sigma_percent"]) for camera in cameras],
     }
+    if report["unit"] != "arbitrary":
+        lengths = [f"{camera['centre_sigma']:.2g}" for camera in cameras]
+        columns[f"sigma {report['unit']}"] = lengths
+    columns["clock"] = [_frames_late(camera["clock"]) for camera in cameras]
     if any(camera["intrinsics"]["source"] != "given" for camera in cameras):
         columns["focal px"] = [_focal(camera["intrinsics"]) for camera in cameras]
     columns["faults"] = [", ".join(_faults(camera)) or "-" for camera in cameras]
@@ -86,6 +90,12 @@ def describe_rig(report: dict[str, Any]) -> list[str]:
         f"places by {shift['median']:.1f} % of the rig ({shift['max']:.1f}), a standard deviation "
         "each"
     ]
+    if len(report["cameras"]) > 2:
+        worst = max(report["pairs"], key=lambda pair: pair["rotation_sigma_deg"])
+        lines.append(
+            f"least sure pair: {worst['a']} and {worst['b']}, beside each other by "
+            f"{worst['rotation_sigma_deg']:.2f} deg and {worst['centre_sigma_percent']:.1f} %"
+        )
     if any(camera["intrinsics"]["source"] == "not determined" for camera in report["cameras"]):
         lines.append(
             "focal lengths with a ? are not determined, and as given or assumed: give --cameras, "

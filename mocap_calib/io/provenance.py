@@ -15,15 +15,16 @@ from mocap_calib.types import VERDICTS
 # what a provenance says of the cameras beside it, and a conversion hands on: whether they were
 # adjusted, the verdict and what explains it, the error of the points in pixels, the first and last
 # frame that they hold for (where a camera was moved), and by the names of cameras how far these may
-# be off
-_SIGMAS = ("rotation_sigma_deg", "centre_sigma_percent")
+# be off, each by itself and two beside each other
+CAMERA_SIGMAS = ("rotation_sigma_deg", "centre_sigma_percent")
+_PAIR_SIGMAS = tuple(f"pair_{name}" for name in CAMERA_SIGMAS)
 _JUDGEMENT = {
     "adjusted": bool,
     "verdict": str,
     "remarks": list,
     "reprojection_error_px": float,
     "frames": list,
-    **dict.fromkeys(_SIGMAS, dict),
+    **dict.fromkeys((*CAMERA_SIGMAS, *_PAIR_SIGMAS), dict),
 }
 _ADVICE = {
     "usable": ": read the reasons; it may be too little for angles of joints",
@@ -50,7 +51,7 @@ def judgement(
     verdict: str,
     remarks: Iterable[str],
     reprojection_error_px: float | None,
-    **sigmas: Mapping[str, float],
+    **sigmas: Mapping[str, Any],
 ) -> dict[str, Any]:
     """Return the fields of a provenance that say how far adjusted cameras can be trusted.
 
@@ -58,7 +59,8 @@ def judgement(
     remarks: what explains the verdict, a line each.
     reprojection_error_px: of the points, None where it is not known.
     sigmas: rotation_sigma_deg and centre_sigma_percent by the names of cameras: how far each may be
-        off, a standard deviation; centres in percent of the size of the rig.
+        off, a standard deviation; centres in percent of the size of the rig. Likewise of pairs
+        pair_rotation_sigma_deg and pair_centre_sigma_percent, by the names of both.
     """
     fields = {"adjusted": True, "verdict": verdict, "remarks": list(remarks), **sigmas}
     if reprojection_error_px is not None:
@@ -75,9 +77,12 @@ def hold_for(fields: Mapping[str, Any], frames: Sequence[int], *more: str) -> di
     return {**fields, "frames": list(frames), "remarks": remarks + fields.get("remarks", [])}
 
 
-def _is_sigma(camera: Any, value: Any) -> bool:
-    """Return whether this is the name of a camera and a standard deviation."""
-    return isinstance(camera, str) and type(value) is float and 0 <= value < math.inf
+def _are_sigmas(values: Any) -> bool:
+    """Return whether these are standard deviations by the names of cameras."""
+    return isinstance(values, dict) and all(
+        isinstance(camera, str) and type(value) is float and 0 <= value < math.inf
+        for camera, value in values.items()
+    )
 
 
 def _is_span(frames: list[Any]) -> bool:
@@ -109,8 +114,11 @@ def read_judgement(stored: Any) -> dict[str, Any]:
         found["remarks"] = [each for each in found["remarks"] if _is_remark(each)]
     if "frames" in found and not _is_span(found["frames"]):
         del found["frames"]
-    for name in _SIGMAS:
-        if name in found and not all(_is_sigma(*each) for each in found[name].items()):
+    for name in CAMERA_SIGMAS:
+        if name in found and not _are_sigmas(found[name]):
+            del found[name]
+    for name in _PAIR_SIGMAS:
+        if name in found and not all(_are_sigmas(row) for row in found[name].values()):
             del found[name]
     return found
 

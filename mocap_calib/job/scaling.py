@@ -157,7 +157,7 @@ def _scale_report(folder: Path, work: Path, rig: CameraRig, scale: Scale) -> tup
     if report:
         world = scaled_world(rig.world.scale(scale.factor), scale)
         report |= {"unit": "m", "world": world_fields(world, "m")}
-        _scale_camera_figures(report["cameras"], rig, scale)
+        _scale_figures([*report["cameras"], *report["pairs"]], rig, scale)
         if "fingerprint" in report:
             report |= {"fingerprint": None, "outputs": outputs | written}
         write_run_json(work, report)
@@ -180,6 +180,9 @@ def _read_report(path: Path) -> dict[str, Any]:
         figures = [
             (each["centre_sigma"], each["centre_sigma_percent"]) for each in report["cameras"]
         ]
+        figures += [
+            (each.get("centre_sigma"), each.get("centre_sigma_percent")) for each in report["pairs"]
+        ]
         np.array(figures, dtype=np.float64)  # None is NaN
     except (ValueError, LookupError, TypeError, RecursionError):
         raise malformed(
@@ -188,15 +191,16 @@ def _read_report(path: Path) -> dict[str, Any]:
     return report
 
 
-def _scale_camera_figures(cameras: list[dict[str, Any]], rig: CameraRig, scale: Scale) -> None:
+def _scale_figures(described: list[dict[str, Any]], rig: CameraRig, scale: Scale) -> None:
     """Scale in place what run.json says in lengths: how sure the centres of its cameras are.
+
+    described: cameras and pairs of cameras.
 
     Lengths that were arbitrary had no figure: it follows from the percentage of the rig's size.
     """
     size = rig_size(rig)
-    for camera in cameras:
-        known = camera.get("centre_sigma")
-        percent = camera.get("centre_sigma_percent")
+    for each in described:
+        known, percent = each.get("centre_sigma"), each.get("centre_sigma_percent")
         if known is None and percent is not None:
             known = percent / 100 * size
-        camera["centre_sigma"] = None if known is None else float(scale.factor * known)
+        each["centre_sigma"] = None if known is None else float(scale.factor * known)

@@ -114,7 +114,7 @@ def _compare_two(problem: "_Problem", covariance: RigCovariance, config: Config)
         moved=np.full(2, moved),
         turn=np.full(2, turn),
         shift=np.full(2, np.nan),
-        turn_sigma=np.full(2, covariance.pair_sigma(0, 1)),
+        turn_sigma=np.full(2, covariance.pair_rotation_sigma[0, 1]),
         shift_sigma=np.full(2, np.nan),
         difference=np.full(2, turn),
         disagreement=disagreement,

@@ -75,7 +75,12 @@ def describe_rig(
     verdict, doubts = judge_calibration(cameras, change, sigma, given.names, config)
     errors = [camera.refitted_px for camera in checked.values() if camera.refitted_px < np.inf]
     remarks = [*describe_refits(cameras), *doubts]
-    said = judgement(verdict, remarks, float(np.mean(errors)) if errors else None)
+    sigmas = {
+        "rotation_sigma_deg": _by_name(given, np.rad2deg(sigma)),
+        "centre_sigma_percent": _by_name(given, 100 * covariance.centre_sigma),
+    }
+    error = float(np.mean(errors)) if errors else None
+    said = judgement(verdict, remarks, error, **sigmas)
     whole = _put_back(rig, look.views, mended)
     return Verification(
         cameras=cameras,
@@ -84,6 +89,11 @@ def describe_rig(
         rig=replace(whole, judgement=said),
         clocks=Clocks.of_one(sample),
     )
+
+
+def _by_name(rig: CameraRig, values: Floats) -> dict[str, float]:
+    """Return values `[view]` by the names of the cameras, to three digits."""
+    return {name: float(f"{value:.3g}") for name, value in zip(rig.names, values, strict=True)}
 
 
 def verification_to_dict(found: Verification) -> dict[str, Any]:

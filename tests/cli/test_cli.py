@@ -211,7 +211,9 @@ def test_outputs_explain_themselves(done):
         edges = {frozenset((names[a], names[b])) for a, b in file["edges"]}
         assert all({"axes", "unit", "meaning"} <= set(item.attrs) for item in file.values())
     assert frozenset(("left_knee", "left_ankle")) in edges
-    assert "camera  detections  matched  error px  sigma deg  clock  faults\n" in said.stderr
+    assert (
+        "camera  detections  matched  error px  sigma deg  sigma %  clock  faults\n" in said.stderr
+    )
 
 
 @pytest.mark.slow

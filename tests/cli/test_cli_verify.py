@@ -40,6 +40,9 @@ def test_a_bumped_camera_is_named_and_put_where_it_is(tool, small, bumped, tmp_p
     found = mc.read_rig(mended)
     assert found.unit == "mm"
     assert found.judgement["verdict"] == "well determined"
+    for figure, least, most in (("rotation_sigma_deg", 0.01, 1), ("centre_sigma_percent", 0.01, 5)):
+        assert list(found.judgement[figure]) == list(found.names)
+        assert all(least < value < most for value in found.judgement[figure].values())
     assert found.select([0, 2]) == given.select([0, 2])
     assert np.linalg.norm(found.centres[1] - 1000 * true.centres[1]) < 30
     again = tool("verify", mended, small / "keypoints", "--quiet")

@@ -38,9 +38,9 @@ def test_scale_rewrites_cameras_poses_and_the_report_together(done, tool, tmp_pa
     report = json.loads((out / "run.json").read_text("utf-8"))
     assert (report["unit"], report["world"]["unit"], report["fingerprint"]) == ("m", "m", None)
     size = np.sqrt(((rig.centres - rig.centres.mean(0)) ** 2).sum(1).mean())
-    for camera in report["cameras"]:
-        expected = camera["centre_sigma_percent"] / 100 * size
-        assert camera["centre_sigma"] == pytest.approx(expected, rel=1e-6)
+    for each in (*report["cameras"], *report["pairs"]):
+        expected = each["centre_sigma_percent"] / 100 * size
+        assert each["centre_sigma"] == pytest.approx(expected, rel=1e-6)
     (cue,) = report["world"]["cues"]
     assert cue["metres"] == pytest.approx(3.1)
     assert all(hash_file(out / name) == kept for name, kept in report["outputs"].items())

@@ -239,7 +239,8 @@ def test_adjust_tells_errors_and_verdict_as_run_does(start, found, tmp_path):
     assert done.exit_code == 0
     table = done.stderr[done.stderr.index("camera  detections  matched  error px") :].splitlines()
     assert [line.split()[0] for line in table[1:4]] == list(found.groups[0].rig.names)
-    assert table[5].startswith(f"{tmp_path / 'a.yaml'}: rig ")
+    assert table[5].startswith("least sure pair: cam")
+    assert table[6].startswith(f"{tmp_path / 'a.yaml'}: rig ")
     judgement = read_rig(tmp_path / "a.yaml").judgement
     assert judgement["verdict"] in done.stderr
     error = found.groups[0].rig.judgement["reprojection_error_px"]

@@ -216,6 +216,20 @@ def test_a_sigma_that_cannot_be_is_refused(sigma):
         parse_cameras(text, "text")
 
 
+def test_places_are_as_sure_as_percents_of_the_rig_in_its_unit():
+    """Two cameras: the size of the rig is half of their distance. An arbitrary unit has none."""
+    rig = make_rig()
+    first = rig.names[0]
+    provenance = judgement("usable", [], None, centre_sigma_percent={first: 2.0})
+    size = np.linalg.norm(rig.centres[1] - rig.centres[0]) / 2
+    for known, sure in ((rig, 0.02 * size), (rig.scale(1000.0, "mm"), 20 * size)):
+        described = yaml.safe_load(format_cameras_yaml(known, provenance))["cameras"]
+        assert described[0]["centre_sigma"] == pytest.approx(sure, rel=0.005)
+        assert "centre_sigma" not in described[1]
+    unknown = format_cameras_yaml(replace(rig, unit="arbitrary"), provenance)
+    assert "centre_sigma:" not in unknown
+
+
 def test_anipose_toml_of_an_adjusted_rig_says_so_and_its_error():
     """As anipose does for cameras that were adjusted to the animal, which it keeps as they are."""
     provenance = {"command": "mocap-calib run", **judgement("weak", [], 1.5)}

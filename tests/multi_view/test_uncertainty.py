@@ -96,12 +96,16 @@ def test_the_sigma_of_a_pair_follows_from_that_of_its_cameras():
     matrix = np.zeros((2, 6, 2, 6))
     matrix[0, 0, 0, 0] = matrix[1, 0, 1, 0] = 4.0
     found = RigCovariance(matrix=matrix, size=1.0)
-    assert found.pair_sigma(0, 1) == pytest.approx(np.sqrt(8))
+    np.testing.assert_allclose(found.pair_rotation_sigma, np.sqrt([[0, 8], [8, 0]]))
+    np.testing.assert_allclose(found.pair_centre_sigma, 0)
     matrix[0, 0, 1, 0] = matrix[1, 0, 0, 0] = 4.0  # both turn alike: their relative rotation stays
-    assert RigCovariance(matrix=matrix, size=1.0).pair_sigma(0, 1) == pytest.approx(0)
+    np.testing.assert_allclose(RigCovariance(matrix, size=1.0).pair_rotation_sigma, 0)
     wider = found.with_changes(np.full((1, 2, 6), 1.0))
     np.testing.assert_allclose(wider.rotation_sigma, np.sqrt(4 + 3))
     np.testing.assert_allclose(wider.centre_sigma, np.sqrt(3))
+    matrix[0, 4, 0, 4] = 9.0
+    away = RigCovariance(matrix, size=1.0).pair_centre_sigma
+    np.testing.assert_allclose(away, [[0, 3], [3, 0]])
 
 
 def test_what_does_not_constrain_the_rig_leaves_all_open(monkeypatch):

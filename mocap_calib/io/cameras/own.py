@@ -11,13 +11,14 @@ from typing import Any
 import yaml
 
 from mocap_calib import __version__
+from mocap_calib.geometry.gauge import rig_size
 from mocap_calib.geometry.rotation import vector_from_matrix
 from mocap_calib.io.cameras.intrinsics import camera_fields, estimated_fields
 from mocap_calib.io.cameras.toml_text import dump_toml
 from mocap_calib.io.provenance import plain_fields
 from mocap_calib.io.world_fields import stated_world
 from mocap_calib.io.zeros import unsigned_zeros
-from mocap_calib.types import Camera, CameraClock, CameraRig, ClockKind, EstimatedCamera
+from mocap_calib.types import ARBITRARY, Camera, CameraClock, CameraRig, ClockKind, EstimatedCamera
 
 VERSION = 1
 SUBFRAME = "clock_subframe_offset"  # of a camera: the part of a frame that comes to its offset
@@ -29,9 +30,11 @@ def format_cameras_yaml(rig: CameraRig, provenance: Mapping[str, Any]) -> str:
     """Return our own file: plain YAML, lengths in the rig's unit.
 
     provenance: whatever says how the rig came about. What its field clock_subframe_offset says by
-        the names of cameras is written beside each.
+        the names of cameras is written beside each, and what its field centre_sigma_percent says
+        as a length, where the unit is known.
     """
     offsets = provenance.get(SUBFRAME, {})
+    percent = provenance.get("centre_sigma_percent", {}) if rig.unit != ARBITRARY else {}
     provenance = {key: provenance[key] for key in provenance if key != SUBFRAME}
     header = {
         "format": "mocap-calib cameras",
@@ -41,13 +44,15 @@ def format_cameras_yaml(rig: CameraRig, provenance: Mapping[str, Any]) -> str:
         "convention": CONVENTION,
         "provenance": plain_fields(provenance),
     }
-    cameras = []
+    cameras, size = [], rig_size(rig)
     for view, camera in enumerate(rig.cameras):
-        extrinsics = {
+        extrinsics: dict[str, Any] = {
             "R": rig.rotation[view].tolist(),
             "t": rig.translation[view].tolist(),
             "centre": rig.centres[view].tolist(),
         }
+        if camera.name in percent:
+            extrinsics["centre_sigma"] = float(f"{percent[camera.name] / 100 * size:.3g}")
         part = {SUBFRAME: offsets[camera.name]} if camera.name in offsets else {}
         cameras.append(camera_fields(camera) | extrinsics | clock_fields(rig, camera.name) | part)
     # flow style (None) puts the rows of a matrix on a line each
