@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.config import LEAST_JOINTS, InspectConfig
+from mocap_calib.geometry.bodies import mean_of_known
 from mocap_calib.inspection.finding import Finding, warning
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Floats, Keypoints2D
@@ -60,8 +61,8 @@ def _nearest(detections: Floats, others: Floats) -> Floats:
     detections: `[instance, keypoint, 2]` of one frame. others: `[frame, instance, keypoint, 2]`.
     It is NaN where nothing can be compared.
     """
-    spread = detections - _nan_mean(detections, 1)[:, None]
-    size = np.sqrt(_nan_mean((spread**2).sum(-1), 1))  # [instance]
+    spread = detections - mean_of_known(detections, 1)[:, None]
+    size = np.sqrt(mean_of_known((spread**2).sum(-1), 1))  # [instance]
     gap = np.linalg.norm(detections[None, :, None] - others[:, None], axis=-1)
     comparable = np.isfinite(gap).sum(-1) >= LEAST_JOINTS  # [frame, instance, other instance]
     gap = np.where(comparable[..., None], gap, np.inf)
@@ -71,11 +72,3 @@ def _nearest(detections: Floats, others: Floats) -> Floats:
     median = np.take_along_axis(order, middle, axis=-1)[..., 0]
     nearest = median.min(-1, initial=np.inf) / np.maximum(size, 1e-9)
     return np.where(np.isfinite(nearest), nearest, np.nan)
-
-
-def _nan_mean(values: Floats, axis: int) -> Floats:
-    """Return the mean along an axis of what is not NaN, NaN where there is nothing."""
-    known = np.isfinite(values)
-    count = known.sum(axis)
-    total = np.where(known, values, 0.0).sum(axis)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)

@@ -17,6 +17,7 @@ from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.gauge import project_out_similarity, rig_size
 from mocap_calib.multi_view.covariance import find_covariance, find_curved_covariance
+from mocap_calib.multi_view.distinct_moments import count_moments
 from mocap_calib.multi_view.fitted_rig import FittedRig, fit_again
 from mocap_calib.multi_view.freedom import Freedom, free_poses
 from mocap_calib.multi_view.regions import widening
@@ -83,7 +84,7 @@ def _covariance_of(
     # what parts of the errors do more than in proportion, all of them together do once more
     inflation = max(1.0, bend) ** 2
     # a single moment does not show what all joints of a moment share: it counts twice
-    moments = 1 + 1 / len(np.unique(fitted.points.frame))
+    moments = 1 + 1 / count_moments(fitted.points, config.uncertainty)
     found = replace(first.whole, matrix=first.whole.matrix * inflation**2 * moments)
     # no angle is larger; where nothing is determined a variance may be below 0 by rounding errors
     with np.errstate(invalid="ignore"):
