@@ -1490,7 +1490,8 @@ class InspectConfig:
         noise, 0.16 to 0.22 where somebody walks on the spot, 0.3 and more where people go about
         for 10 frames, 0.8 and more for 60.
     single_share: of the frames in which two views see somebody, that show each of them one body.
-    least_matches, most_matches: joints that `inspection.two_views` compares. most_pairs: of views.
+    compared_frames, most_pairs: of two views, that `inspection.two_views` compares, and of views.
+    least_matches, most_matches: joints of these.
     most_error: of two views whose images of one subject go together. Measured: 0.04 in shared
         recordings, 0.2 and more where keypoints are noise.
     least_depth: median over pairs of views of the error of a homography over that of a fundamental
@@ -1508,9 +1509,10 @@ class InspectConfig:
     motion_percentile: float = 90.0
     least_motion: float = 0.1
     single_share: float = 0.9
+    compared_frames: int = 1000
+    most_pairs: int = 30
     least_matches: int = 100
     most_matches: int = 2000
-    most_pairs: int = 30
     most_error: float = 0.1
     least_depth: float = 3.0
 

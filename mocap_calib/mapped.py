@@ -3,7 +3,8 @@
 Arrays with an element per frame are the only ones that grow with a recording. The large ones lie
 in temporary files (without a name, in the folder that TMPDIR says) that are mapped into memory:
 they are numpy's arrays, for all to use as any other. What goes through them in blocks of frames
-and lets go of the pages after each needs no more memory than a block, however long the recording.
+and lets go of the pages after each needs no more memory than a block for each thread, however long
+the recording.
 """
 
 import mmap
@@ -64,15 +65,18 @@ def in_blocks(function: Callable[[slice], Any], frames: int, *, axis: int = 0) -
     blocks = list(frame_slices(frames))
     if len(blocks) <= 1:
         return np.asarray(function(slice(0, frames)))
-    found: NDArray[Any] | None = None
-    for block, part in zip(blocks, map_in_threads(function, blocks), strict=True):
-        if found is None:
-            shape = list(part.shape)
-            shape[axis] = frames
-            found = empty(shape, part.dtype)
-        found[(slice(None),) * axis + (block,)] = part
+    before: tuple[Any, ...] = (slice(None),) * axis
+    first = np.asarray(function(blocks[0]))
+    shape = list(first.shape)
+    shape[axis] = frames
+    found = empty(shape, first.dtype)
+    found[(*before, blocks[0])] = first
+
+    def fill(block: slice) -> None:
+        found[(*before, block)] = function(block)
+
+    for _ in map_in_threads(fill, blocks[1:]):
         let_go()
-    assert found is not None  # there are several blocks
     return found
 
 

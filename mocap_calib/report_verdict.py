@@ -1,11 +1,13 @@
 """What run.json says of how far a rig and its cameras can be trusted."""
 
+from collections.abc import Sequence
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 
 from mocap_calib.multi_view.evaluation import median_and_max
+from mocap_calib.recording.epochs import own_name
 from mocap_calib.types import ARBITRARY, Check, GroupResult
 
 
@@ -19,6 +21,7 @@ def describe_verdict(group: GroupResult) -> dict[str, Any]:
         "rotation_sigma_deg": median_and_max(np.degrees(uncertainty.covariance.rotation_sigma)),
         "centre_sigma_percent": median_and_max(100 * uncertainty.covariance.centre_sigma),
         "intrinsics_turn_deg": median_and_max(np.degrees(uncertainty.intrinsics_turn)),
+        "least_sure_pair": _least_sure_pair(group),
         "checks": [_describe_check(check) for check in group.checks],
         "reversal": "not observable" if reversal else "none found",
         "translation": "not observable" if uncertainty.weak_perspective.any() else "observed",
@@ -45,9 +48,27 @@ def describe_pair_sigmas(group: GroupResult) -> list[dict[str, Any]]:
 
     Of the pairs that were calibrated; of all where cameras were adjusted without.
     """
+    pairs = [(pair.a, pair.b) for pair in group.pairs] or _all_pairs(group)
+    return _pair_sigmas(group, pairs)
+
+
+def _least_sure_pair(group: GroupResult) -> dict[str, Any]:
+    """Return that of the pair of cameras whose turn is least sure, of all of them; no length."""
+    pairs = _pair_sigmas(group, _all_pairs(group))
+    worst = max(pairs, key=lambda pair: pair["rotation_sigma_deg"])
+    return {key: value for key, value in worst.items() if key != "centre_sigma"}
+
+
+def _all_pairs(group: GroupResult) -> list[tuple[int, int]]:
+    """Return all pairs of views (indices) of two cameras."""
+    own = [own_name(name, group.rig.names) for name in group.rig.names]
+    return [(a, b) for a, b in combinations(range(len(own)), 2) if own[a] != own[b]]
+
+
+def _pair_sigmas(group: GroupResult, pairs: Sequence[tuple[int, int]]) -> list[dict[str, Any]]:
+    """Return what `describe_pair_sigmas` does of pairs of views (indices)."""
     covariance, names = group.uncertainty.covariance, group.rig.names
     turn, way = np.degrees(covariance.pair_rotation_sigma), covariance.pair_centre_sigma
-    pairs = [(pair.a, pair.b) for pair in group.pairs] or combinations(range(len(names)), 2)
     return [
         {
             "a": names[a],

@@ -1110,7 +1110,7 @@ class RigCovariance(Record):
     @property
     def pair_rotation_sigma(self) -> Floats:
         """`[view, view]` RMS angle in radians between relative rotations and the true ones."""
-        return self._pair_sigma(slice(0, 3))
+        return np.minimum(self._pair_sigma(slice(0, 3)), np.pi)
 
     @property
     def pair_centre_sigma(self) -> Floats:

@@ -9,7 +9,7 @@ from scenes import PEOPLE, scene
 from mocap_calib.config import InspectConfig
 from mocap_calib.inspection import find_problems, inspect_views
 from mocap_calib.inspection.motion import measure_motion
-from mocap_calib.inspection.two_views import compare_views
+from mocap_calib.inspection.two_views import compare_views, find_poor_views
 from mocap_calib.types import Keypoints2D
 
 CONFIG = InspectConfig()
@@ -114,13 +114,13 @@ def test_groups_that_share_no_frame_are_foretold():
 # --- two views of one subject
 
 
-def walk(rng, bodies=1, thickness=1.0):
+def walk(rng, bodies=1, thickness=1.0, frames=WALK_FRAMES):
     """Return `[frame, body, joint, 3]` metres of bodies that go about and turn, about the origin.
 
     thickness: of all that is seen along the first axis, 0 = in a plane.
     """
     body = rng.normal(size=(len(NAMES), 3)) * [0.2, 0.2, 0.5]
-    time = np.linspace(0, 6, WALK_FRAMES)[:, None] + rng.uniform(0, 6, bodies)
+    time = np.linspace(0, 6, frames)[:, None] + rng.uniform(0, 6, bodies)
     heading = np.stack([np.cos(2 * time), -np.sin(2 * time)], -1)
     turned = np.stack([heading, heading[..., ::-1] * [-1, 1]], -1)  # [frame, body, 2, 2]
     level = np.einsum("fbij,kj->fbki", turned, body[:, :2])
@@ -141,7 +141,7 @@ def film(name, azimuth, points, rng, noise_px=2.0):
     return Keypoints2D(
         name,
         NAMES,
-        np.arange(WALK_FRAMES),
+        np.arange(len(points)),
         pixels,
         np.full(pixels.shape[:3], 0.9),
         False,
@@ -189,6 +189,38 @@ def test_cameras_behind_each_other_do_not_look_at_each_other():
 def test_what_lies_in_one_plane_is_named(thickness, noise_px, flat):
     found = messages(views_at(20, 60, 110, thickness=thickness, noise_px=noise_px))
     assert any("may as well lie in one plane" in each for each in found) == flat
+
+
+@pytest.mark.parametrize("apart", [0.5, 1.0])
+def test_cameras_side_by_side_are_named_with_what_lies_in_a_plane(apart):
+    """3.5 and 7 cm between cameras at 4 m: the same sight twice."""
+    (said,) = messages(views_at(0, apart, noise_px=4.0))
+    assert "or the cameras stand side by side" in said
+
+
+def test_a_facing_pair_is_found_among_many_cameras():
+    """Five pairs, each of which sees the subject at a time of its own; one faces each other."""
+    views = []
+    for number in range(5):
+        own = range(12 * number, 12 * number + 12)
+        found = views_at(0, 180 if number == 3 else 70, seed=number, frames=12)
+        views += [
+            replace(view, camera=f"cam{number}{side}", frames=np.array(own))
+            for side, view in zip("ab", found, strict=True)
+        ]
+    config = replace(CONFIG, most_pairs=1, enough_frames=10)
+    report = inspect_views(views, PEOPLE, {}, config)
+    (found,) = find_poor_views(views, report["pairs"], MEANINGS, config)
+    assert found.message.startswith("cam3a and cam3b look at each other")
+
+
+def test_views_that_share_no_joint_in_any_frame_tell_nothing(recwarn):
+    first, second = views_at(0, 90)
+    first.positions[:, :, ::2], second.positions[:, :, 1::2] = np.nan, np.nan
+    assert compare_views(first, second, MEANINGS, CONFIG) is None
+    second.positions[:50] = views_at(0, 90)[1].positions[:50]
+    assert compare_views(first, second, MEANINGS, CONFIG).error < 0.05
+    assert not recwarn.list
 
 
 def test_where_there_are_several_subjects_nothing_is_said():

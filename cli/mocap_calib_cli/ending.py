@@ -91,7 +91,7 @@ def describe_rig(report: dict[str, Any]) -> list[str]:
         "each"
     ]
     if len(report["cameras"]) > 2:
-        worst = max(report["pairs"], key=lambda pair: pair["rotation_sigma_deg"])
+        worst = report["verdict"]["least_sure_pair"]
         lines.append(
             f"least sure pair: {worst['a']} and {worst['b']}, beside each other by "
             f"{worst['rotation_sigma_deg']:.2f} deg and {worst['centre_sigma_percent']:.1f} %"

@@ -6,14 +6,15 @@ Zisserman 2004, sections 9.2 and 11.1). If a homography explains the matches as 
 lie in one plane.
 """
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 from typing import Any
 
 import numpy as np
 
 from mocap_calib.config import LEAST_JOINTS, InspectConfig
+from mocap_calib.geometry.bodies import mean_of_known
 from mocap_calib.geometry.epipolar import fundamental_matrix, sampson_distance
 from mocap_calib.geometry.homography import homography_errors
 from mocap_calib.inspection.finding import Finding, warning
@@ -49,11 +50,18 @@ def find_poor_views(
 
     pairs: of the report. meanings: of the names of keypoints.
     """
-    chosen = evenly_spaced(np.array(list(combinations(range(len(usable)), 2))), config.most_pairs)
+    view_of = {view.camera: view for view in usable}
+    together = [
+        (pair["a"], pair["b"])
+        for pair in pairs
+        if pair["covisible"] >= config.enough_frames and {pair["a"], pair["b"]} <= set(view_of)
+    ]
+    alone = _find_alone(together)
+    some = evenly_spaced(np.arange(len(together)), config.most_pairs).tolist()
     compared = {
-        (usable[a].camera, usable[b].camera): found
-        for a, b in chosen.tolist()
-        if (found := compare_views(usable[a], usable[b], meanings, config)) is not None
+        (a, b): found
+        for a, b in dict.fromkeys([*alone, *(together[k] for k in some)])
+        if (found := compare_views(view_of[a], view_of[b], meanings, config)) is not None
         and found.error < config.most_error
     }
     if not compared:
@@ -62,8 +70,9 @@ def find_poor_views(
     if depth < config.least_depth:
         return [
             warning(
-                "all that was seen may as well lie in one plane, so that other rigs would fit, "
-                "too; let the subject come closer, rise, jump or tilt"
+                "all that was seen may as well lie in one plane, or the cameras stand side by "
+                "side, so that other rigs would fit, too; let the subject come closer, rise, jump "
+                "or tilt, or move the cameras apart"
             )
         ]
     return [
@@ -73,16 +82,17 @@ def find_poor_views(
             "the subject keep off the line"
         )
         for (a, b), found in compared.items()
-        if found.mirrored and found.epipole < 1 and _are_alone({a, b}, pairs, config)
+        if found.mirrored and found.epipole < 1 and (a, b) in alone
     ]
 
 
-def _are_alone(
-    cameras: set[str], pairs: Sequence[Mapping[str, Any]], config: InspectConfig
-) -> bool:
-    """Return whether two cameras see hardly anything together with any third one."""
-    enough = [{pair["a"], pair["b"]} for pair in pairs if pair["covisible"] >= config.enough_frames]
-    return not any(len(names & cameras) == 1 for names in enough)
+def _find_alone(together: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
+    """Return the pairs of cameras of which neither sees enough together with a third one.
+
+    together: the pairs that do.
+    """
+    number = Counter(name for pair in together for name in pair)
+    return [(a, b) for a, b in together if number[a] == number[b] == 1]
 
 
 def compare_views(
@@ -93,8 +103,8 @@ def compare_views(
     both = np.asarray(np.isfinite(bodies).all((0, -1)))
     if both.sum() < config.least_matches:
         return None
-    middle = np.nanmean(bodies, axis=2, keepdims=True, where=both[None, ..., None])
-    centred = (bodies - middle)[:, both]
+    middle = mean_of_known(np.where(both[..., None], bodies, np.nan), 2)
+    centred = (bodies - middle[:, :, None])[:, both]
     chosen = evenly_spaced(np.arange(both.sum()), config.most_matches)
     first, second = np.ascontiguousarray(bodies[:, both][:, chosen])
     matrix = fundamental_matrix(first, second)
@@ -120,7 +130,8 @@ def _same_bodies(
     """
     column = {meanings[name]: k for k, name in enumerate(b.keypoints)}
     shared = [(k, column[meanings[n]]) for k, n in enumerate(a.keypoints) if meanings[n] in column]
-    _, *rows = np.intersect1d(a.frames, b.frames, return_indices=True)
+    frames = evenly_spaced(np.intersect1d(a.frames, b.frames), config.compared_frames)
+    rows = [np.searchsorted(view.frames, frames) for view in (a, b)]
     positions = [
         view.positions[own][:, :, [pair[side] for pair in shared]].astype(np.float64)
         for side, (view, own) in enumerate(zip((a, b), rows, strict=True))
@@ -129,10 +140,10 @@ def _same_bodies(
     counts = np.stack([each.sum(-1) for each in whole])  # [view, frame]
     seen, single = (counts > 0).all(0), (counts == 1).all(0)
     alone = single.sum() >= config.single_share * seen.sum()
-    frames = np.flatnonzero(single & alone)
+    chosen = np.flatnonzero(single & alone)
     return np.stack(
         [
-            each[frames, instance[frames].argmax(-1)]
+            each[chosen, instance[chosen].argmax(-1)]
             for each, instance in zip(positions, whole, strict=True)
         ]
     )

@@ -20,9 +20,9 @@ def count_moments(points: AdjustablePoints, config: UncertaintyConfig) -> float:
     """
     frames = np.unique(points.frame)
     chosen = evenly_spaced(frames, config.compared_moments)
-    if len(chosen) < 2:
-        return 1.0
     views = np.flatnonzero(points.used.any(1)).tolist()
+    if len(chosen) < 2 or not views:
+        return 1.0
     apart = mean_of_known(np.stack([_motion(points, view, chosen) for view in views]), 0)
     pairs = ~np.eye(len(chosen), dtype=bool)
     same = float((apart[pairs] < config.same_moment).mean())
@@ -30,10 +30,10 @@ def count_moments(points: AdjustablePoints, config: UncertaintyConfig) -> float:
 
 
 def _motion(points: AdjustablePoints, view: int, frames: Ints) -> Floats:
-    """Return how far bodies are in a view between frames `[frame, frame]`, NaN = nothing to tell.
+    """Return how far the body that moves most is in a view between frames `[frame, frame]`.
 
-    In sizes of the bodies, each of which is the spread of its joints: the mean over all joints, of
-    which none counts for more than a size.
+    In sizes of bodies, each of which is the spread of its joints: the mean over these, of which
+    none counts for more than a size. NaN where nobody is in both frames.
     """
     own = np.flatnonzero(points.used[view] & np.isin(points.frame, frames))
     individual, keypoint = points.individual[own], points.keypoint[own]
@@ -45,4 +45,5 @@ def _motion(points: AdjustablePoints, view: int, frames: Ints) -> Floats:
     size = np.sqrt(mean_of_known((spread**2).sum(-1), 2))  # [frame, individual]
     size = mean_of_known(size, 0)[:, None]
     apart = np.linalg.norm(pixels[:, None] - pixels[None], axis=-1) / np.where(size > 0, size, 1.0)
-    return mean_of_known(np.minimum(apart, 1.0).reshape(*apart.shape[:2], -1), 2)
+    of_bodies = mean_of_known(np.minimum(apart, 1.0), 3)  # [frame, frame, individual]
+    return np.asarray(np.fmax.reduce(of_bodies, axis=2))

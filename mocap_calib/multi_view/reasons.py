@@ -138,10 +138,10 @@ def _remedy(group: GroupResult, config: Config, worst: int) -> str:
     if group.uncertainty.weak_perspective[worst]:
         return "let the subject come closer: the camera is far away for the size of what it sees"
     partners = _partners(group, worst)
-    if partners.any() and _faces(group, worst, config.verdict.facing_deg)[partners].all():
+    if partners.sum() == 1 and _faces(group, worst, config.verdict.facing_deg)[partners].all():
         return (
             f"{group.rig.names[worst]} and {_names(group, partners)} face each other, and no third "
-            "camera sees what both do: add one between, or let the subject cross their line"
+            "camera sees what both do: add one between"
         )
     if _stands_still(group):
         return "let the subject walk about and turn: it hardly moves"

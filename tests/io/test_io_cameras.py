@@ -21,7 +21,7 @@ from mocap_calib.io.cameras.own import (
 )
 from mocap_calib.io.cameras.read import read_cameras, read_rig
 from mocap_calib.io.cameras.write import write_cameras
-from mocap_calib.io.provenance import judgement
+from mocap_calib.io.provenance import hold_for, judgement
 from mocap_calib.recording.pairing import compose_name
 from mocap_calib.types import Camera, CameraRig, EstimatedCamera
 
@@ -220,14 +220,28 @@ def test_places_are_as_sure_as_percents_of_the_rig_in_its_unit():
     """Two cameras: the size of the rig is half of their distance. An arbitrary unit has none."""
     rig = make_rig()
     first = rig.names[0]
-    provenance = judgement("usable", [], None, centre_sigma_percent={first: 2.0})
+    percent = {first: 2.0, rig.names[1]: 4.0}
+    provenance = judgement("usable", [], None, centre_sigma_percent=percent)
     size = np.linalg.norm(rig.centres[1] - rig.centres[0]) / 2
     for known, sure in ((rig, 0.02 * size), (rig.scale(1000.0, "mm"), 20 * size)):
         described = yaml.safe_load(format_cameras_yaml(known, provenance))["cameras"]
         assert described[0]["centre_sigma"] == pytest.approx(sure, rel=0.005)
-        assert "centre_sigma" not in described[1]
-    unknown = format_cameras_yaml(replace(rig, unit="arbitrary"), provenance)
-    assert "centre_sigma:" not in unknown
+        assert described[1]["centre_sigma"] == pytest.approx(2 * sure, rel=0.005)
+
+
+def test_percents_of_another_rig_or_edited_ones_say_no_lengths():
+    """Of a part of the rig, of cameras that stood elsewhere for some time, of an arbitrary unit."""
+    rig = make_rig()
+    percent = dict.fromkeys(rig.names, 2.0)
+    provenance = judgement("usable", [], None, centre_sigma_percent=percent)
+    edited = provenance | {"centre_sigma_percent": {**percent, rig.names[0]: "small"}}
+    for part, said in (
+        (rig.select([0]), provenance),
+        (rig, hold_for(provenance, (0, 9))),
+        (rig, edited),
+        (replace(rig, unit="arbitrary"), provenance),
+    ):
+        assert "centre_sigma:" not in format_cameras_yaml(part, said)
 
 
 def test_anipose_toml_of_an_adjusted_rig_says_so_and_its_error():

@@ -60,8 +60,7 @@ def test_places_that_are_taken_in_turns_are_as_many_moments(places):
 
 
 def test_one_who_goes_about_among_those_who_stay_makes_moments():
-    still = np.zeros((100, 3, 2))
-    still[:, 1], still[:, 2] = [5, 0], [9, 0]
+    still = np.zeros((100, 20, 2)) + 5 * np.arange(20)[:, None]
     assert count_moments(points_of(still), CONFIG) == pytest.approx(1, abs=0.05)
     still[:, 0] = straight(100, 1.0)[:, 0]
     assert count_moments(points_of(still), CONFIG) == pytest.approx(100)
@@ -73,3 +72,4 @@ def test_what_is_not_seen_is_not_counted():
     weight = points.weight.copy()
     weight[0, ::2], weight[2] = 0, 0
     assert count_moments(replace(points, weight=weight), CONFIG) == pytest.approx(60)
+    assert count_moments(replace(points, weight=np.zeros_like(weight)), CONFIG) == 1

@@ -103,6 +103,7 @@ def test_the_sigma_of_a_pair_follows_from_that_of_its_cameras():
     wider = found.with_changes(np.full((1, 2, 6), 1.0))
     np.testing.assert_allclose(wider.rotation_sigma, np.sqrt(4 + 3))
     np.testing.assert_allclose(wider.centre_sigma, np.sqrt(3))
+    assert RigCovariance.unknown(3, 1.0).pair_rotation_sigma.max() == pytest.approx(np.pi)
     matrix[0, 4, 0, 4] = 9.0
     away = RigCovariance(matrix, size=1.0).pair_centre_sigma
     np.testing.assert_allclose(away, [[0, 3], [3, 0]])

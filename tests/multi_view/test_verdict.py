@@ -179,7 +179,15 @@ def test_two_cameras_that_face_each_other_want_a_third():
     facing = replace(group, adjusted=adjusted, matches=Matches(labels))
     (said,) = explain(facing, Config())
     assert "cam4 and cam1 face each other, and no third camera sees what both do" in said
-    for other in (replace(facing, matches=group.matches), replace(facing, adjusted=group.adjusted)):
+    opposite[1] = opposite[0]
+    two = replace(group.adjusted, rig=replace(group.rig, rotation=opposite))
+    labels = labels.copy()
+    labels[1] = group.matches.labels[1]
+    for other in (
+        replace(facing, matches=group.matches),
+        replace(facing, adjusted=group.adjusted),
+        replace(facing, adjusted=two, matches=Matches(labels)),
+    ):
         (said,) = explain(other, Config())
         assert "face each other" not in said
 

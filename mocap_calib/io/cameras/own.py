@@ -15,7 +15,7 @@ from mocap_calib.geometry.gauge import rig_size
 from mocap_calib.geometry.rotation import vector_from_matrix
 from mocap_calib.io.cameras.intrinsics import camera_fields, estimated_fields
 from mocap_calib.io.cameras.toml_text import dump_toml
-from mocap_calib.io.provenance import plain_fields
+from mocap_calib.io.provenance import plain_fields, read_judgement
 from mocap_calib.io.world_fields import stated_world
 from mocap_calib.io.zeros import unsigned_zeros
 from mocap_calib.types import ARBITRARY, Camera, CameraClock, CameraRig, ClockKind, EstimatedCamera
@@ -31,10 +31,10 @@ def format_cameras_yaml(rig: CameraRig, provenance: Mapping[str, Any]) -> str:
 
     provenance: whatever says how the rig came about. What its field clock_subframe_offset says by
         the names of cameras is written beside each, and what its field centre_sigma_percent says
-        as a length, where the unit is known.
+        as a length.
     """
     offsets = provenance.get(SUBFRAME, {})
-    percent = provenance.get("centre_sigma_percent", {}) if rig.unit != ARBITRARY else {}
+    lengths = _centre_sigmas(rig, provenance)
     provenance = {key: provenance[key] for key in provenance if key != SUBFRAME}
     header = {
         "format": "mocap-calib cameras",
@@ -44,19 +44,33 @@ def format_cameras_yaml(rig: CameraRig, provenance: Mapping[str, Any]) -> str:
         "convention": CONVENTION,
         "provenance": plain_fields(provenance),
     }
-    cameras, size = [], rig_size(rig)
+    cameras = []
     for view, camera in enumerate(rig.cameras):
         extrinsics: dict[str, Any] = {
             "R": rig.rotation[view].tolist(),
             "t": rig.translation[view].tolist(),
             "centre": rig.centres[view].tolist(),
         }
-        if camera.name in percent:
-            extrinsics["centre_sigma"] = float(f"{percent[camera.name] / 100 * size:.3g}")
+        if camera.name in lengths:
+            extrinsics["centre_sigma"] = lengths[camera.name]
         part = {SUBFRAME: offsets[camera.name]} if camera.name in offsets else {}
         cameras.append(camera_fields(camera) | extrinsics | clock_fields(rig, camera.name) | part)
     # flow style (None) puts the rows of a matrix on a line each
     return _dump_yaml(header, flow=False) + _dump_yaml({"cameras": cameras}, flow=None)
+
+
+def _centre_sigmas(rig: CameraRig, provenance: Mapping[str, Any]) -> dict[str, float]:
+    """Return how sure centres are as lengths, by the names of cameras; nothing where nobody knows.
+
+    Percents are those of the size of a whole rig: they say nothing of a part of it, nor of cameras
+    that stood elsewhere for some time.
+    """
+    judged = read_judgement(provenance)
+    percent = judged.get("centre_sigma_percent", {})
+    if rig.unit == ARBITRARY or set(percent) != set(rig.names) or "frames" in judged:
+        return {}
+    size = rig_size(rig)
+    return {name: float(f"{value / 100 * size:.3g}") for name, value in percent.items()}
 
 
 def clock_fields(rig: CameraRig, camera: str) -> dict[str, Any]:
