@@ -690,6 +690,7 @@ class UncertaintyConfig:
     # a mouse sits.
     same_moment: float = 0.1
     compared_moments: int = 24  # frames
+    compared_views: int = 6
     parts: int = 5  # of the recording, that a rig is adjusted without,
     moments_of_a_part: int = 4  # at least
     splits: int = 3  # of the joints into halves, that the rig is adjusted to

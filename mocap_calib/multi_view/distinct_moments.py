@@ -15,15 +15,15 @@ from mocap_calib.types import Floats, Ints
 def count_moments(points: AdjustablePoints, config: UncertaintyConfig) -> float:
     """Return how many moments the frames of points show, from 1 to the number of frames.
 
-    Of N moments that are shown equally often, two frames show the same with the probability 1 / N
-    (the inverse of it, for frames that are measured, is Simpson's index of diversity, 1949).
+    If N moments are shown equally often, two frames that are taken at random show the same one with
+    the probability 1 / N. That is measured, and its inverse returned (Simpson 1949).
     """
     frames = np.unique(points.frame)
     chosen = evenly_spaced(frames, config.compared_moments)
-    views = np.flatnonzero(points.used.any(1)).tolist()
-    if len(chosen) < 2 or not views:
+    views = evenly_spaced(np.flatnonzero(points.used.any(1)), config.compared_views)
+    if len(chosen) < 2 or not len(views):
         return 1.0
-    apart = mean_of_known(np.stack([_motion(points, view, chosen) for view in views]), 0)
+    apart = mean_of_known(np.stack([_motion(points, view, chosen) for view in views.tolist()]), 0)
     pairs = ~np.eye(len(chosen), dtype=bool)
     same = float((apart[pairs] < config.same_moment).mean())
     return 1 / (1 / len(frames) + (1 - 1 / len(frames)) * same)
