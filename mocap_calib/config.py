@@ -689,7 +689,7 @@ class UncertaintyConfig:
     # where some of them stay, 20 to 45 % where hardly anybody moves or a fly is tethered, all where
     # a mouse sits.
     same_moment: float = 0.1
-    compared_moments: int = 24  # frames
+    compared_moments: int = 16  # frames
     compared_views: int = 6
     parts: int = 5  # of the recording, that a rig is adjusted without,
     moments_of_a_part: int = 4  # at least
@@ -829,9 +829,10 @@ class DiagnosisConfig:
     suspicious_frames: int = 80  # that are looked at for it (fewer in large rigs, and at least
     suspicious_least_frames: int = 20  # so many),
     suspicious_keypoints: int = 1500  # and keypoints of a camera
-    # expected error of the rig of the others: with more it accuses nobody. Measured: 3.6 and 11 of
-    # a sound recording that hardly determines them
-    core_deg: float = 3.5
+    # expected error of the rig of the others: with more it accuses nobody. Measured: 3.6 (where
+    # each frame counted as a moment; it is more now) and 11 of a sound recording that hardly
+    # determines them; 3.5 where two of five cameras exchange sides, which is found
+    core_deg: float = 3.6
     axes: int = 24  # of the covariance of that rig, along which it is bent
     axis_step: float = 1e-4  # radians and sizes of the rig: for slopes
     # what the rig of the others must leave of the significance of unknowns. Measured: 46 and more

@@ -11,6 +11,8 @@ from mocap_calib.multi_view.bundle_adjustment import AdjustablePoints
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Floats, Ints
 
+_TINY = 1e-9  # pixels, of the size of a body
+
 
 def count_moments(points: AdjustablePoints, config: UncertaintyConfig) -> float:
     """Return how many moments the frames of points show, from 1 to the number of frames.
@@ -25,25 +27,26 @@ def count_moments(points: AdjustablePoints, config: UncertaintyConfig) -> float:
         return 1.0
     apart = mean_of_known(np.stack([_motion(points, view, chosen) for view in views.tolist()]), 0)
     pairs = ~np.eye(len(chosen), dtype=bool)
-    same = float((apart[pairs] < config.same_moment).mean())
+    same = float(np.nan_to_num(1 / (1 + (apart[pairs] / config.same_moment) ** 8)).mean())
     return 1 / (1 / len(frames) + (1 - 1 / len(frames)) * same)
 
 
 def _motion(points: AdjustablePoints, view: int, frames: Ints) -> Floats:
     """Return how far the body that moves most is in a view between frames `[frame, frame]`.
 
-    In sizes of bodies, each of which is the spread of its joints: the mean over these, of which
-    none counts for more than a size. NaN where nobody is in both frames.
+    From each body to the nearest of the other frame: a name is one within a frame alone. In sizes
+    of bodies, which are the spread of their joints: the mean over these, of which none counts for
+    more than a size. NaN where nothing can be compared.
     """
     own = np.flatnonzero(points.used[view] & np.isin(points.frame, frames))
-    individual, keypoint = points.individual[own], points.keypoint[own]
-    shape = (len(frames), individual.max(initial=0) + 1, keypoint.max(initial=0) + 1)
+    body, keypoint = points.individual[own], points.keypoint[own]
+    shape = (len(frames), body.max(initial=0) + 1, keypoint.max(initial=0) + 1)
     pixels = np.full((*shape, 2), np.nan)
-    row = np.searchsorted(frames, points.frame[own])
-    pixels[row, individual, keypoint] = points.pixels[view][:, own].T
+    pixels[np.searchsorted(frames, points.frame[own]), body, keypoint] = points.pixels[view][
+        :, own
+    ].T
     spread = pixels - mean_of_known(pixels, 2)[:, :, None]
-    size = np.sqrt(mean_of_known((spread**2).sum(-1), 2))  # [frame, individual]
-    size = mean_of_known(size, 0)[:, None]
-    apart = np.linalg.norm(pixels[:, None] - pixels[None], axis=-1) / np.where(size > 0, size, 1.0)
-    of_bodies = mean_of_known(np.minimum(apart, 1.0), 3)  # [frame, frame, individual]
-    return np.asarray(np.fmax.reduce(of_bodies, axis=2))
+    size = np.sqrt(np.nanmean((spread**2).sum(-1))) if len(own) else 0.0
+    apart = np.linalg.norm(pixels[:, None, :, None] - pixels[None, :, None], axis=-1)
+    apart = mean_of_known(np.minimum(apart / (size + _TINY), 1.0), 4)  # [frame, frame, body, body]
+    return np.asarray(np.fmax.reduce(np.fmin.reduce(apart, axis=3), axis=2))
