@@ -184,7 +184,7 @@ def _read_report(path: Path) -> dict[str, Any]:
             (each.get("centre_sigma"), each.get("centre_sigma_percent")) for each in report["pairs"]
         ]
         np.array(figures, dtype=np.float64)  # None is NaN
-    except (ValueError, LookupError, TypeError, RecursionError):
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
         raise malformed(
             str(path), "what a run writes", "other text", "remove it to scale all else"
         ) from None

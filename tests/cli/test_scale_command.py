@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mocap_calib.errors import FormatError
 from mocap_calib.io.cameras.read import read_rig
 from mocap_calib.io.cameras.write import format_rig
 from mocap_calib.io.hashing import hash_file
 from mocap_calib.io.poses.read import load_poses
+from mocap_calib.job.scaling import _read_report
 
 
 @pytest.mark.slow
@@ -89,6 +91,14 @@ def test_nobody_stands_where_the_rig_is_not_determined(done, tool, tmp_path):
     said = tool("scale", out, "--height", "1.75")
     assert said.returncode == 1
     assert "found that the rig is not determined" in said.stderr
+
+
+@pytest.mark.parametrize("edited", [{"pairs": ["a pair"]}, {"pairs": [{"centre_sigma": "small"}]}])
+def test_an_edited_report_is_refused_in_a_line(edited, tmp_path):
+    path = tmp_path / "run.json"
+    path.write_text(json.dumps({"cameras": [], **edited}), "utf-8")
+    with pytest.raises(FormatError, match="expected what a run writes"):
+        _read_report(path)
 
 
 @pytest.mark.parametrize(
