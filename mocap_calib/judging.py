@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from mocap_calib.io.provenance import CAMERA_SIGMAS, judgement
+from mocap_calib.io.provenance import CAMERA_SIGMAS, judgement, round_sigma
 from mocap_calib.recording.epochs import own_name
 from mocap_calib.report import rig_report
 from mocap_calib.types import CalibrationResult
@@ -46,7 +46,7 @@ def judge_cameras(report: Mapping[str, Any]) -> dict[str, Any]:
     if error is not None:
         remarks.append(f"reprojection error {error:.2f} px, which alone proves nothing")
     sigmas = {
-        key: {camera["name"]: float(f"{camera[key]:.3g}") for camera in report["cameras"]}
+        key: {camera["name"]: round_sigma(camera[key]) for camera in report["cameras"]}
         for key in CAMERA_SIGMAS
     }
     of_pairs = {f"pair_{key}": _of_pairs(report, key) for key in CAMERA_SIGMAS}
@@ -65,7 +65,7 @@ def _of_pairs(report: Mapping[str, Any], key: str) -> dict[str, dict[str, float]
         a, b = (own_name(pair[side], views) for side in ("a", "b"))
         if a != b:
             row = found.setdefault(a, {})
-            row[b] = max(row.get(b, 0.0), float(f"{pair[key]:.3g}"))
+            row[b] = max(row.get(b, 0.0), round_sigma(pair[key]))
     return found
 
 

@@ -1,13 +1,13 @@
 """What run.json says of how far a rig and its cameras can be trusted."""
 
 from collections.abc import Sequence
-from itertools import combinations
 from typing import Any
 
 import numpy as np
 
 from mocap_calib.multi_view.evaluation import median_and_max
 from mocap_calib.recording.epochs import own_name
+from mocap_calib.two_view.solve import all_pairs
 from mocap_calib.types import ARBITRARY, Check, GroupResult
 
 
@@ -44,25 +44,26 @@ def describe_sigma(group: GroupResult, views: list[int]) -> dict[str, float | No
 
 
 def describe_pair_sigmas(group: GroupResult) -> list[dict[str, Any]]:
-    """Return how far two cameras may be off beside each other: their turn, and their way apart.
+    """Return how sure two cameras are to each other: the rotation and the way between them.
 
-    Of the pairs that were calibrated; of all where cameras were adjusted without.
+    Of the pairs that were calibrated; of all pairs where none was, as cameras were only adjusted.
     """
     pairs = [(pair.a, pair.b) for pair in group.pairs] or _all_pairs(group)
     return _pair_sigmas(group, pairs)
 
 
 def _least_sure_pair(group: GroupResult) -> dict[str, Any]:
-    """Return that of the pair of cameras whose turn is least sure, of all of them; no length."""
-    pairs = _pair_sigmas(group, _all_pairs(group))
-    worst = max(pairs, key=lambda pair: pair["rotation_sigma_deg"])
-    return {key: value for key, value in worst.items() if key != "centre_sigma"}
+    """Return that of the pair, of all of them, whose rotation is least sure; no length."""
+    turn = group.uncertainty.covariance.pair_rotation_sigma
+    worst = max(_all_pairs(group), key=lambda pair: float(turn[pair]))
+    (found,) = _pair_sigmas(group, [worst])
+    return {key: value for key, value in found.items() if key != "centre_sigma"}
 
 
 def _all_pairs(group: GroupResult) -> list[tuple[int, int]]:
     """Return all pairs of views (indices) of two cameras."""
     own = [own_name(name, group.rig.names) for name in group.rig.names]
-    return [(a, b) for a, b in combinations(range(len(own)), 2) if own[a] != own[b]]
+    return [(a, b) for a, b in all_pairs(len(own)) if own[a] != own[b]]
 
 
 def _pair_sigmas(group: GroupResult, pairs: Sequence[tuple[int, int]]) -> list[dict[str, Any]]:

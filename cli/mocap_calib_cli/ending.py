@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from mocap_calib.io.results.group import REVERSED_RIG
+from mocap_calib.types import ARBITRARY
 from mocap_calib.wording import count
 from mocap_calib_cli.describe_world import describe_world
 from mocap_calib_cli.screen import Table, format_number
@@ -30,7 +31,7 @@ def camera_table(report: dict[str, Any]) -> Table:
         "sigma deg": [format_number(camera["rotation_sigma_deg"]) for camera in cameras],
         "sigma %": [format_number(camera["centre_sigma_percent"]) for camera in cameras],
     }
-    if report["unit"] != "arbitrary":
+    if report["unit"] != ARBITRARY:
         lengths = [f"{camera['centre_sigma']:.2g}" for camera in cameras]
         columns[f"sigma {report['unit']}"] = lengths
     columns["clock"] = [_frames_late(camera["clock"]) for camera in cameras]
@@ -93,8 +94,9 @@ def describe_rig(report: dict[str, Any]) -> list[str]:
     if len(report["cameras"]) > 2:
         worst = report["verdict"]["least_sure_pair"]
         lines.append(
-            f"least sure pair: {worst['a']} and {worst['b']}, beside each other by "
-            f"{worst['rotation_sigma_deg']:.2f} deg and {worst['centre_sigma_percent']:.1f} %"
+            f"least sure pair: {worst['a']} and {worst['b']}; the rotation between them is "
+            f"uncertain by {worst['rotation_sigma_deg']:.2f} deg, the way between them by "
+            f"{worst['centre_sigma_percent']:.1f} % of the rig"
         )
     if any(camera["intrinsics"]["source"] == "not determined" for camera in report["cameras"]):
         lines.append(

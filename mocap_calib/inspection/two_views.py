@@ -30,8 +30,8 @@ class TwoViews:
 
     error: of the fundamental matrix that fits best, the median in sizes of the body. plane_error:
         the same of the homography that fits best; about twice as large where all matches lie in one
-        plane. epipole: how far the other camera is from the middle of what is seen, in half of its
-        extent; of both views the larger. mirrored: bodies are seen from opposite sides.
+        plane. epipole: how far the image of the other camera is from the middle of what is seen, in
+        halves of its extent; of both views the larger. mirrored: they see opposite sides of bodies.
     """
 
     error: float
@@ -46,7 +46,9 @@ def find_poor_views(
     meanings: Mapping[str, str],
     config: InspectConfig,
 ) -> list[Finding]:
-    """Say where a subject shows too little of where cameras stand, or two see too little of it.
+    """Warn of a single subject that lies in one plane, and of two cameras that look at each other.
+
+    Of these only where no third camera sees the same.
 
     pairs: of the report. meanings: of the names of keypoints.
     """
@@ -124,9 +126,9 @@ def compare_views(
 def _same_bodies(
     a: Keypoints2D, b: Keypoints2D, meanings: Mapping[str, str], config: InspectConfig
 ) -> Floats:
-    """Return `[view, frame, joint, 2]` the joints of the only body of frames, NaN = missing.
+    """Return `[view, frame, joint, 2]` the joints of the only body in each frame, NaN = missing.
 
-    Nothing where there is more than one body in too many of the frames in which both see any.
+    No frames where too many of those in which both views see somebody show more than one body.
     """
     column = {meanings[name]: k for k, name in enumerate(b.keypoints)}
     shared = [(k, column[meanings[n]]) for k, n in enumerate(a.keypoints) if meanings[n] in column]

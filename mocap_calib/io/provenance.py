@@ -15,7 +15,7 @@ from mocap_calib.types import VERDICTS
 # what a provenance says of the cameras beside it, and a conversion hands on: whether they were
 # adjusted, the verdict and what explains it, the error of the points in pixels, the first and last
 # frame that they hold for (where a camera was moved), and by the names of cameras how far these may
-# be off, each by itself and two beside each other
+# be off, each by itself, and two relative to each other
 CAMERA_SIGMAS = ("rotation_sigma_deg", "centre_sigma_percent")
 _PAIR_SIGMAS = tuple(f"pair_{name}" for name in CAMERA_SIGMAS)
 _JUDGEMENT = {
@@ -66,6 +66,11 @@ def judgement(
     if reprojection_error_px is not None:
         fields["reprojection_error_px"] = reprojection_error_px
     return fields
+
+
+def round_sigma(value: float) -> float:
+    """Return a standard deviation as files say it, to three digits."""
+    return float(f"{value:.3g}")
 
 
 def hold_for(fields: Mapping[str, Any], frames: Sequence[int], *more: str) -> dict[str, Any]:

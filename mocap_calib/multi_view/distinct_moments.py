@@ -34,17 +34,16 @@ def count_moments(points: AdjustablePoints, config: UncertaintyConfig) -> float:
 def _motion(points: AdjustablePoints, view: int, frames: Ints) -> Floats:
     """Return how far the body that moves most is in a view between frames `[frame, frame]`.
 
-    From each body to the nearest of the other frame: a name is one within a frame alone. In sizes
-    of bodies, which are the spread of their joints: the mean over these, of which none counts for
-    more than a size. NaN where nothing can be compared.
+    Names hold within a frame alone, so each body is compared with the nearest one of the other
+    frame: by the mean distance of their joints, of which none counts for more than 1. In sizes of
+    bodies: the RMS distance of joints from the middle of a body. NaN = nothing can be compared.
     """
     own = np.flatnonzero(points.used[view] & np.isin(points.frame, frames))
     body, keypoint = points.individual[own], points.keypoint[own]
     shape = (len(frames), body.max(initial=0) + 1, keypoint.max(initial=0) + 1)
     pixels = np.full((*shape, 2), np.nan)
-    pixels[np.searchsorted(frames, points.frame[own]), body, keypoint] = points.pixels[view][
-        :, own
-    ].T
+    row = np.searchsorted(frames, points.frame[own])
+    pixels[row, body, keypoint] = points.pixels[view][:, own].T
     spread = pixels - mean_of_known(pixels, 2)[:, :, None]
     size = np.sqrt(np.nanmean((spread**2).sum(-1))) if len(own) else 0.0
     apart = np.linalg.norm(pixels[:, None, :, None] - pixels[None, :, None], axis=-1)

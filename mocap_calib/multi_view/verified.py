@@ -10,7 +10,7 @@ from mocap_calib.config import Config
 from mocap_calib.geometry.gauge import rig_size
 from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.geometry.rotation import angle_between
-from mocap_calib.io.provenance import judgement
+from mocap_calib.io.provenance import judgement, round_sigma
 from mocap_calib.multi_view.camera_fit import CameraFit, CameraPose
 from mocap_calib.multi_view.placed import PlacedCameras
 from mocap_calib.multi_view.relocation import place_points, refit_camera, typical_error
@@ -92,8 +92,8 @@ def describe_rig(
 
 
 def _by_name(rig: CameraRig, values: Floats) -> dict[str, float]:
-    """Return values `[view]` by the names of the cameras, to three digits."""
-    return {name: float(f"{value:.3g}") for name, value in zip(rig.names, values, strict=True)}
+    """Return standard deviations `[view]` by the names of the cameras, as files say them."""
+    return {name: round_sigma(value) for name, value in zip(rig.names, values, strict=True)}
 
 
 def verification_to_dict(found: Verification) -> dict[str, Any]:

@@ -197,8 +197,7 @@ def test_a_conversion_reads_the_verdict_wherever_there_is_room_for_it(name, tmp_
     if name in WITHOUT_ROOM:
         assert said == {}
         return
-    assert {"adjusted", "verdict", "remarks"} <= set(said)
-    assert said == {key: JUDGED[key] for key in said}
+    assert said in (JUDGED, {key: JUDGED[key] for key in ("adjusted", "verdict", "remarks")})
     convert_cameras(tmp_path / "out", tmp_path / "again.toml", "anipose")
     assert read_rig(tmp_path / "again.toml").judgement == load_cameras(tmp_path / "out").judgement
 

@@ -53,7 +53,7 @@ def test_who_stays_shows_one_moment_and_who_goes_about_as_many_as_frames():
 
 @pytest.mark.parametrize("places", [2, 4])
 def test_places_that_are_taken_in_turns_are_as_many_moments(places):
-    """Twenty-four of 240 frames are looked at: within a fifth."""
+    """Sixteen of 240 frames are looked at: within a fifth."""
     order = np.random.default_rng(1).integers(places, size=240)
     found = count_moments(points_of(straight(places, 1.0)[order]), CONFIG)
     assert found == pytest.approx(places, rel=0.2)

@@ -15,7 +15,7 @@ from mocap_calib.geometry.gauge import rig_size
 from mocap_calib.geometry.rotation import vector_from_matrix
 from mocap_calib.io.cameras.intrinsics import camera_fields, estimated_fields
 from mocap_calib.io.cameras.toml_text import dump_toml
-from mocap_calib.io.provenance import plain_fields, read_judgement
+from mocap_calib.io.provenance import plain_fields, read_judgement, round_sigma
 from mocap_calib.io.world_fields import stated_world
 from mocap_calib.io.zeros import unsigned_zeros
 from mocap_calib.types import ARBITRARY, Camera, CameraClock, CameraRig, ClockKind, EstimatedCamera
@@ -70,7 +70,7 @@ def _centre_sigmas(rig: CameraRig, provenance: Mapping[str, Any]) -> dict[str, f
     if rig.unit == ARBITRARY or set(percent) != set(rig.names) or "frames" in judged:
         return {}
     size = rig_size(rig)
-    return {name: float(f"{value / 100 * size:.3g}") for name, value in percent.items()}
+    return {name: round_sigma(value / 100 * size) for name, value in percent.items()}
 
 
 def clock_fields(rig: CameraRig, camera: str) -> dict[str, Any]:
