@@ -9,16 +9,19 @@ end without it.
 
 import numpy as np
 
+from mocap_calib.config import PosesConfig
 from mocap_calib.geometry import symmetric
-from mocap_calib.poses.energy import System, couplings, outer_products, spread
-from mocap_calib.poses.lanes import (
-    AROUND,
-    BandKernels,
-    band_kernels,
-    from_lanes,
-    in_lanes,
-    in_tiles,
+from mocap_calib.poses.energy import (
+    Strengths,
+    System,
+    couplings,
+    linearise,
+    outer_products,
+    spread,
 )
+from mocap_calib.poses.lanes import band_kernels, from_lanes
+from mocap_calib.poses.packing import Packed, pack
+from mocap_calib.poses.track import Body, Detections
 from mocap_calib.types import Floats, Ints
 
 _PAIRS = 32  # of frames in a stretch
@@ -26,21 +29,28 @@ _MARGIN = 12  # pairs before it and after
 _ROWS = ((0, 1, 2), (1, 3, 4), (2, 4, 5))
 
 
-def covariances(system: System, steps: Floats, edges: Ints, ridge: Floats) -> Floats:
+def covariances(
+    points: Floats, seen: Detections, body: Body, strengths: Strengths, config: PosesConfig
+) -> Floats:
     """Return the covariance `[keypoint, frame, 6]` of each point, xx xy xz yy yz zz.
 
-    steps: as in `Body`. ridge: `[frame]` what is taken to be known of a point that nothing tells
-    of, an inverse variance.
+    points: `[keypoint, frame, 3]` of a fit. What nothing tells of has the variance 1 / ridge.
     """
-    known = system.data + _from_bones(system, edges, ridge)
     kernels = band_kernels()
     if kernels:
-        return _invert_compiled(known, system.pull, steps, ridge, kernels)
-    return _invert(known, system.pull, steps, ridge)
+        packed = pack(points, seen, body, strengths, config, kernels=kernels)
+        return _invert_compiled(packed, strengths.loss, points.shape[1])
+    system = linearise(points, seen, body, strengths, config)
+    ridge = config.ridge / body.size**2
+    known = system.data + _from_bones(system, body.edges, ridge)
+    return invert_bands(known, system.pull, body.steps, ridge)
 
 
-def _invert(known: Floats, pull: Floats, steps: Floats, ridge: Floats) -> Floats:
-    """Return the blocks `[keypoint, frame, 6]` of the inverse, from those of the diagonal."""
+def invert_bands(known: Floats, pull: Floats, steps: Floats, ridge: Floats) -> Floats:
+    """Return the blocks `[keypoint, frame, 6]` of the inverse, from those of the diagonal.
+
+    pull: `[keypoint, frame]` as in `System`. steps: as in `Body`. ridge: `[frame]`.
+    """
     same, next_one, one_after = couplings(pull, steps)
     blocks = known[..., _ROWS] + (same + ridge)[..., None, None] * np.eye(3)
     joints, frames = same.shape
@@ -55,24 +65,25 @@ def _invert(known: Floats, pull: Floats, steps: Floats, ridge: Floats) -> Floats
     return found[..., (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)]
 
 
-def _invert_compiled(
-    known: Floats,
-    pull: Floats,
-    steps: Floats,
-    ridge: Floats,
-    kernels: BandKernels,
-) -> Floats:
-    """Return what `_invert` returns, without its stretches."""
-    lanes = kernels.energy.LANES
-    blocks = in_lanes(np.pad(known, ((0, 0), (0, 0), (0, 3))), lanes)
-    motion = in_lanes(np.pad(pull[..., None], ((0, 0), (0, 0), (0, 3))), lanes)
-    motion[:, :AROUND] = 0
-    factor = np.zeros((*blocks.shape[:2], 16 * lanes))
-    by_time = np.ascontiguousarray(in_tiles(steps, lanes).T)
-    kernels.energy.factor_blocks(motion, by_time, in_tiles(ridge, lanes), blocks, factor)
-    found = np.zeros((*blocks.shape[:2], 6 * lanes))
-    kernels.step.invert_bands(factor, found)
-    return from_lanes(found, lanes, *known.shape[:2])
+def _invert_compiled(packed: Packed, loss: float, frames: int) -> Floats:
+    """Return what `covariances` returns, without stretches. loss: of rays."""
+    kernels, lanes = packed.kernels, packed.kernels.energy.LANES
+    packed.share_accelerations()
+    kernels.energy.sum_known(
+        packed.rays,
+        packed.centres,
+        packed.points,
+        packed.edges,
+        packed.bones,
+        packed.expected,
+        loss,
+        packed.config.prior_loss,
+        packed.factor,
+    )
+    packed.factor_bands(np.zeros_like(packed.points))
+    found = np.zeros((*packed.factor.shape[:2], 6 * lanes))
+    kernels.step.invert_bands(packed.factor, found)
+    return from_lanes(found, lanes, packed.joints, frames)
 
 
 def _from_bones(system: System, edges: Ints, ridge: Floats) -> Floats:

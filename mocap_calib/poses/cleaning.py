@@ -26,12 +26,18 @@ def exchange_sides(
     paired = mirror != np.arange(len(mirror))
     as_seen = squared_errors(points, seen)
     other = squared_errors(points[mirror], seen)
+    there = seen.precision > 0
+    fits = paired[:, None] & there & (other < config.outlier**2)
+    # logarithms are never more than what they are of, and few detections are so far off
+    far = as_seen + as_seen[:, mirror] > 2 * config.exchange_gain
+    exchanged = fits & fits[:, mirror] & far
+    view, joint, frame = np.nonzero(exchanged)
     scale = config.losses[0] ** 2
-    gain = np.log1p(as_seen / scale) - np.log1p(other / scale)
-    both = (seen.precision > 0) & (seen.precision[:, mirror] > 0) & paired[:, None]
-    gain = np.where(both, (gain + gain[:, mirror]) * scale / 2, 0.0)
-    fits = np.maximum(other, other[:, mirror]) < config.outlier**2
-    exchanged = both & fits & (gain > config.exchange_gain)
+    gain = sum(
+        np.log1p(as_seen[view, each, frame] / scale) - np.log1p(other[view, each, frame] / scale)
+        for each in (joint, mirror[joint])
+    )
+    exchanged[view, joint, frame] = gain * scale / 2 > config.exchange_gain
     return (
         replace(
             seen,

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mocap_calib.compute.kernels import compiled, contiguous
 from mocap_calib.config import PosesConfig
 from mocap_calib.poses.track import Body, Detections
 from mocap_calib.types import Floats, Ints
@@ -58,6 +59,17 @@ class System:
 
 def squared_errors(points: Floats, seen: Detections) -> Floats:
     """Return squared angles `[view, keypoint, frame]` between rays and points in variances."""
+    kernels = compiled("mocap_calib.poses.angle_kernels")
+    if kernels is None:
+        return _squared_errors(points, seen)
+    found = np.empty(seen.precision.shape)
+    given = points.swapaxes(1, 2), seen.rays, seen.precision, seen.centres
+    kernels.square_angles(*contiguous(*given), found)
+    return found
+
+
+def _squared_errors(points: Floats, seen: Detections) -> Floats:
+    """Return what `squared_errors` returns."""
     off, _ = _off_rays(_offsets(points, seen), seen.rays)
     return _sum_of_squares(off) * seen.precision
 
@@ -78,10 +90,11 @@ def _offsets(points: Floats, seen: Detections) -> Floats:
 def _off_rays(offset: Floats, rays: Floats) -> tuple[Floats, Floats]:
     """Return the tangents of angles, and the depth `[...]`, of vectors from cameras `[3, ...]`.
 
-    The tangents are vectors `[3, ...]` at right angles to the ray.
+    The tangents are vectors `[3, ...]` at right angles to the ray. What is beside or behind a
+    camera is taken to be just before it.
     """
     along = (rays * offset).sum(0)
-    depth = np.where(along > 0, along, 1e-3 * np.sqrt(_sum_of_squares(offset)))
+    depth = np.maximum(along, 1e-3 * np.abs(offset).sum(0))
     return (offset - along * rays) / depth, depth
 
 
@@ -258,7 +271,10 @@ def _bands(system: System, body: Body, ridge: Floats) -> Floats:
 
 
 def solve(system: System, body: Body, ridge: Floats, config: PosesConfig) -> Floats:
-    """Return the step `[keypoint, frame, 3]` by preconditioned conjugate gradients."""
+    """Return the step `[keypoint, frame, 3]` by preconditioned conjugate gradients.
+
+    They end when the residual is small beside the gradient, both by what the bands make of them.
+    """
     # slow to import, which the kernels need not pay for
     from scipy.linalg import cho_solve_banded, cholesky_banded  # noqa: PLC0415
 
@@ -285,8 +301,9 @@ def solve(system: System, body: Body, ridge: Floats, config: PosesConfig) -> Flo
     towards = precondition(residual)
     direction, by_bands = towards, residual
     product = float((residual * towards).sum())
+    enough = config.inner_tolerance**2 * float((system.gradient * step).sum())
     for _ in range(config.inner_steps):
-        if product <= 0:
+        if product <= enough:
             break
         image = by_bands - coupled(direction)
         length = product / float((direction * image).sum())

@@ -1,9 +1,8 @@
-"""The normal equations of a fit, compiled: `energy.linearise` says the same in numpy.
+"""What rays and bones tell of the points of a fit, compiled.
 
-What rays and bones tell is summed in tiles of `LANES` frames, rows of which are computed at once.
-Over time, `LANES` joints lie side by side in a group; what the last has no joints for stays zero.
-The bands of the joints are factored in blocks of a frame: S[t] = A[t] - c[t]^2 P[t-2] - F[t] P[t-1]
-F[t]', where P = S^-1, c couples t with t-2, and F[t] = b[t] - c[t] P[t-2] F[t-1]' with t-1.
+`energy.linearise` and `certainty` say the same in numpy. It is summed in tiles of `LANES` frames,
+rows of which are computed at once. Over time, `LANES` joints lie side by side in a group; what the
+last has no joints for stays zero. The blocks are set where `bands_kernels` makes factors of them.
 """
 
 import math
@@ -13,13 +12,12 @@ import numpy as np
 from mocap_calib.compute.jit import FLOAT, changed_floats, floats, inlined, ints, kernel
 from mocap_calib.types import Floats, Ints
 
-LANES = 16  # with fewer the loops of fixed length are not made into vector instructions
-_POINT = 3 * LANES  # numbers of a group in a frame: coordinates,
-_MOTION = 4 * LANES  # weights of accelerations, and these times them,
-_FACTOR = 16 * LANES  # P, F and c
+# a person's 17 keypoints in one group; loops of a fixed length below 16 do not become vector
+# instructions
+LANES = 20
 _OWN = 9 * LANES  # blocks of the diagonal, and the gradient
+_BLOCK = 6 * LANES
 _TABLE, _ROWS, _SET = floats(2), floats(3), changed_floats(3)
-_GIVEN = (floats(4), _TABLE, _ROWS, _TABLE, _TABLE, _TABLE, ints(2), _ROWS, FLOAT, FLOAT)
 _ROUNDING = 1e-12  # of what a point is held by, as in `energy`
 
 
@@ -37,16 +35,19 @@ def _add_view(rays: Floats, centre: Floats, narrow: float, own: Floats) -> None:
         x, y = own[9 * LANES + n] - from_x, own[10 * LANES + n] - from_y
         z = own[11 * LANES + n] - from_z
         along = rx * x + ry * y + rz * z
-        behind = 1e-3 * math.sqrt(x * x + y * y + z * z)
-        inverse = 1 / (along if along > 0 else behind)
-        x, y, z = (x - along * rx) * inverse, (y - along * ry) * inverse, (z - along * rz) * inverse
-        square = x * x + y * y + z * z
-        weight = precision / (1 + square * precision * narrow) * inverse
-        size = 1 - square
+        least = 1e-3 * (abs(x) + abs(y) + abs(z))
+        depth = along if along > least else least
+        x, y, z = x - along * rx, y - along * ry, z - along * rz
+        off = x * x + y * y + z * z
+        held = depth * depth + off * precision * narrow
+        both = 1 / (held * depth)  # one division instead of two
+        inverse, weight = both * held, precision * both * depth
+        square = off * inverse
         own[6 * LANES + n] += weight * (x - square * rx)
         own[7 * LANES + n] += weight * (y - square * ry)
         own[8 * LANES + n] += weight * (z - square * rz)
-        weight = weight * inverse
+        size = 1 - square * inverse
+        x, y, z = x * inverse, y * inverse, z * inverse
         own[n] += weight * (1 - (size * rx + 2 * x) * rx)
         own[LANES + n] -= weight * (size * rx * ry + x * ry + y * rx)
         own[2 * LANES + n] -= weight * (size * rx * rz + x * rz + z * rx)
@@ -66,6 +67,24 @@ def _hold(own: Floats) -> None:
 
 
 @inlined
+def _add_rays(
+    points: Floats, rays: Floats, centres: Floats, narrow: float, own: Floats, joint: int
+) -> None:
+    """Set the blocks and the gradient of a joint in a tile to what rays tell, and its points.
+
+    points: `[group, frame, 3 * LANES]` of the tile. own: `[12 * LANES]`, the points last.
+    """
+    g, n = joint // LANES, joint % LANES
+    own[:_OWN] = 0.0
+    for k in range(3):
+        for f in range(LANES):
+            own[_OWN + k * LANES + f] = points[g, f, k * LANES + n]
+    for v in range(len(centres)):
+        _add_view(rays[v, joint], centres[v], narrow, own)
+    _hold(own)
+
+
+@inlined
 def _weigh_bone(first: Floats, second: Floats, bone: Floats, narrow: float, along: Floats) -> None:
     """Set the directions of a bone times the root of their weights, and errors last.
 
@@ -77,202 +96,56 @@ def _weigh_bone(first: Floats, second: Floats, bone: Floats, narrow: float, alon
         known, shortest = bone[LANES + n], bone[2 * LANES + n]
         length = math.sqrt(x * x + y * y + z * z)
         error = (length - bone[n]) * known
-        weight = math.sqrt(1 / (1 + error * error * narrow))
-        scale = weight * known / (length if length > shortest else shortest)
+        held = length if length > shortest else shortest
+        both = 1 / (math.sqrt(1 + error * error * narrow) * held)  # one division instead of two
+        scale = known * both
         along[n], along[LANES + n], along[2 * LANES + n] = x * scale, y * scale, z * scale
-        along[3 * LANES + n] = weight * error
+        along[3 * LANES + n] = both * held * error
 
 
 @inlined
-def _add_bone(along: Floats, sign: float, own: Floats) -> None:
-    """Add a bone to the blocks and the gradient of a joint at its end. sign: 1, -1 at the other."""
+def _add_bone(along: Floats, first: Floats, second: Floats) -> None:
+    """Add a bone to the blocks and the gradients of the joints at its ends, in a tile."""
     for n in range(LANES):
         x, y, z = along[n], along[LANES + n], along[2 * LANES + n]
-        error = sign * along[3 * LANES + n]
-        own[n] += x * x
-        own[LANES + n] += x * y
-        own[2 * LANES + n] += x * z
-        own[3 * LANES + n] += y * y
-        own[4 * LANES + n] += y * z
-        own[5 * LANES + n] += z * z
-        own[6 * LANES + n] += x * error
-        own[7 * LANES + n] += y * error
-        own[8 * LANES + n] += z * error
+        error = along[3 * LANES + n]
+        xx, xy, xz, yy, yz, zz = x * x, x * y, x * z, y * y, y * z, z * z
+        x, y, z = x * error, y * error, z * error
+        first[n] += xx
+        first[LANES + n] += xy
+        first[2 * LANES + n] += xz
+        first[3 * LANES + n] += yy
+        first[4 * LANES + n] += yz
+        first[5 * LANES + n] += zz
+        first[6 * LANES + n] += x
+        first[7 * LANES + n] += y
+        first[8 * LANES + n] += z
+        second[n] += xx
+        second[LANES + n] += xy
+        second[2 * LANES + n] += xz
+        second[3 * LANES + n] += yy
+        second[4 * LANES + n] += yz
+        second[5 * LANES + n] += zz
+        second[6 * LANES + n] -= x
+        second[7 * LANES + n] -= y
+        second[8 * LANES + n] -= z
 
 
 @inlined
-def _sum_tile(
-    points: Floats,
-    rays: Floats,
-    centres: Floats,
-    narrow: float,
-    edges: Ints,
-    bones: Floats,
-    bones_narrow: float,
-    along: Floats,
-    own: Floats,
-    turned: Floats,
-) -> None:
-    """Set the blocks and gradients of a tile, turned `[frame, group, 9 * LANES]`.
-
-    points: `[group, frame, 3 * LANES]` of the tile. own: `[joint, 12 * LANES]`, is overwritten.
-    """
-    for j in range(len(own)):
-        row, g, n = own[j], j // LANES, j % LANES
-        row[:_OWN] = 0.0
-        for k in range(3):
-            for f in range(LANES):
-                row[_OWN + k * LANES + f] = points[g, f, k * LANES + n]
-        for v in range(len(centres)):
-            _add_view(rays[v, j], centres[v], narrow, row)
-        _hold(row)
-    for e in range(len(edges)):
-        a, b = edges[e, 0], edges[e, 1]
-        _weigh_bone(own[a], own[b], bones[e], bones_narrow, along[e])
-        _add_bone(along[e], 1.0, own[a])
-        _add_bone(along[e], -1.0, own[b])
+def _turn(own: Floats, numbers: int, turned: Floats) -> None:
+    """Set `[frame, group, numbers * LANES]` from the first numbers of joints in a tile."""
     for j in range(len(own)):
         row, g, n = own[j], j // LANES, j % LANES
         for f in range(LANES):
-            for k in range(9):
+            for k in range(numbers):
                 turned[f, g, k * LANES + n] = row[k * LANES + f]
 
 
-@inlined
-def _weigh_motion(
-    points: Floats, steps: Floats, expected: Floats, stiff: Floats, narrow: float, motion: Floats
-) -> None:
-    """Set the weights of accelerations and these times them, from points of three frames.
-
-    stiff: `[LANES]` factors of the frame's inverse variance, one for each joint.
-    """
-    first, second, third, usual = steps[0], steps[1], steps[2], expected[0]
-    shared_x, shared_y, shared_z = expected[2], expected[3], expected[4]
-    for n in range(LANES):
-        x = first * points[n] + second * points[_POINT + n] + third * points[2 * _POINT + n]
-        m = n + LANES
-        y = first * points[m] + second * points[_POINT + m] + third * points[2 * _POINT + m]
-        m = n + 2 * LANES
-        z = first * points[m] + second * points[_POINT + m] + third * points[2 * _POINT + m]
-        x, y, z = x - shared_x, y - shared_y, z - shared_z
-        own = usual * stiff[n]
-        pull = own / (1 + (x * x + y * y + z * z) * own * narrow)
-        motion[n], motion[LANES + n] = pull, pull * x
-        motion[2 * LANES + n], motion[3 * LANES + n] = pull * y, pull * z
-
-
-@inlined
-def _add_motion(motion: Floats, steps: Floats, ridge: float, own: Floats, link: Floats) -> None:
-    """Add the accelerations of three frames to the last; set its links to the ones before.
-
-    motion: of the three frames. steps: `[3, 3]` by frame. link: b and c.
-    """
-    in_last, in_middle, in_first = steps[0, 2], steps[1, 1], steps[2, 0]
-    at_middle, at_end = steps[0, 1], steps[1, 0]
-    at_start = steps[0, 0]
-    for n in range(LANES):
-        last, middle, first = motion[n], motion[_MOTION + n], motion[2 * _MOTION + n]
-        same = last * in_last * in_last + middle * in_middle * in_middle
-        same = same + first * in_first * in_first + ridge
-        own[n] += same
-        own[3 * LANES + n] += same
-        own[5 * LANES + n] += same
-        link[n] = last * at_middle * in_last + middle * at_end * in_middle
-        link[LANES + n] = last * at_start * in_last
-    for n in range(_POINT):
-        m = LANES + n
-        push = in_last * motion[m] + in_middle * motion[_MOTION + m]
-        own[6 * LANES + n] += push + in_first * motion[2 * _MOTION + m]
-
-
-@inlined
-def _link_frames(link: Floats, factor: Floats) -> None:
-    """Set F and c of the last of three frames."""
-    now = 2 * _FACTOR
-    for n in range(LANES):
-        b, c = link[n], link[LANES + n]
-        xx, xy, xz = factor[n], factor[LANES + n], factor[2 * LANES + n]
-        yy, yz, zz = factor[3 * LANES + n], factor[4 * LANES + n], factor[5 * LANES + n]
-        xx, xy, xz, yy, yz, zz = -c * xx, -c * xy, -c * xz, -c * yy, -c * yz, -c * zz
-        factor[now + 15 * LANES + n] = c
-        for k in range(3):
-            x = factor[_FACTOR + (6 + 3 * k) * LANES + n]
-            y = factor[_FACTOR + (7 + 3 * k) * LANES + n]
-            z = factor[_FACTOR + (8 + 3 * k) * LANES + n]
-            factor[now + (6 + k) * LANES + n] = xx * x + xy * y + xz * z + (b if k == 0 else 0.0)
-            factor[now + (9 + k) * LANES + n] = xy * x + yy * y + yz * z + (b if k == 1 else 0.0)
-            factor[now + (12 + k) * LANES + n] = xz * x + yz * y + zz * z + (b if k == 2 else 0.0)
-
-
-@inlined
-def _factor_frame(own: Floats, factor: Floats) -> None:
-    """Set P of the last of three frames, whose F and c are set."""
-    now = 2 * _FACTOR + 6 * LANES
-    for n in range(LANES):
-        xx, xy, xz = own[n], own[LANES + n], own[2 * LANES + n]
-        yy, yz, zz = own[3 * LANES + n], own[4 * LANES + n], own[5 * LANES + n]
-        c = factor[2 * _FACTOR + 15 * LANES + n]
-        c = c * c
-        xx, xy = xx - c * factor[n], xy - c * factor[LANES + n]
-        xz, yy = xz - c * factor[2 * LANES + n], yy - c * factor[3 * LANES + n]
-        yz, zz = yz - c * factor[4 * LANES + n], zz - c * factor[5 * LANES + n]
-        m = _FACTOR + n
-        pxx, pxy, pxz = factor[m], factor[m + LANES], factor[m + 2 * LANES]
-        pyy, pyz, pzz = factor[m + 3 * LANES], factor[m + 4 * LANES], factor[m + 5 * LANES]
-        m = now + n
-        ax, ay, az = factor[m], factor[m + LANES], factor[m + 2 * LANES]
-        bx, by, bz = factor[m + 3 * LANES], factor[m + 4 * LANES], factor[m + 5 * LANES]
-        cx, cy, cz = factor[m + 6 * LANES], factor[m + 7 * LANES], factor[m + 8 * LANES]
-        x, y, z = pxx * ax + pxy * ay + pxz * az, pxy * ax + pyy * ay + pyz * az, 0.0
-        z = pxz * ax + pyz * ay + pzz * az
-        xx, xy, xz = (
-            xx - (ax * x + ay * y + az * z),
-            xy - (bx * x + by * y + bz * z),
-            xz - (cx * x + cy * y + cz * z),
-        )
-        x, y = pxx * bx + pxy * by + pxz * bz, pxy * bx + pyy * by + pyz * bz
-        z = pxz * bx + pyz * by + pzz * bz
-        yy, yz = yy - (bx * x + by * y + bz * z), yz - (cx * x + cy * y + cz * z)
-        x, y = pxx * cx + pxy * cy + pxz * cz, pxy * cx + pyy * cy + pyz * cz
-        z = pxz * cx + pyz * cy + pzz * cz
-        zz = zz - (cx * x + cy * y + cz * z)
-        # the inverse by a Cholesky factor without roots
-        first = 1 / xx
-        x, y = -xy * first, -xz * first
-        second = 1 / (yy + x * xy)
-        yz = yz + x * xz
-        z = -yz * second
-        third = 1 / (zz + y * xz + z * yz)
-        y = y + z * x
-        m = 2 * _FACTOR + n
-        factor[m] = first + x * x * second + y * y * third
-        factor[m + LANES], factor[m + 2 * LANES] = x * second + y * z * third, y * third
-        factor[m + 3 * LANES] = second + z * z * third
-        factor[m + 4 * LANES], factor[m + 5 * LANES] = z * third, third
-
-
-@inlined
-def _factor_next(
-    t: int, recent: Floats, steps: Floats, ridge: float, own: Floats, link: Floats, factor: Floats
-) -> None:
-    """Add the accelerations to a frame's blocks, and factor these after those of the frames before.
-
-    recent: accelerations of three frames. factor: of a group.
-    """
-    _add_motion(recent, steps[t - 2 : t + 1], ridge, own, link)
-    last = factor[t - 2 : t + 1].reshape(-1)
-    _link_frames(link, last)
-    _factor_frame(own, last)
-
-
-@kernel(*_GIVEN, _SET, _SET, _SET)
-def factor_bands(
+@kernel(floats(4), _TABLE, _ROWS, ints(2), _ROWS, FLOAT, FLOAT, _SET, _SET, _SET)
+def sum_terms(
     rays: Floats,
     centres: Floats,
     points: Floats,
-    steps: Floats,
-    expected: Floats,
-    stiffness: Floats,
     edges: Ints,
     bones: Floats,
     loss: float,
@@ -281,49 +154,106 @@ def factor_bands(
     factor: Floats,
     gradient: Floats,
 ) -> None:
-    """Set the normal equations at these points, their bands factored.
+    """Set what rays and bones tell at these points: blocks of the diagonal, and the gradient.
 
     Frames fill whole tiles. rays: `[tile, view, keypoint, 4 * LANES]`, precisions last. bones:
     `[tile, edge, 3 * LANES]` lengths, inverse standard deviations and the shortest length. along:
     `[tile, edge, 4 * LANES]`. The others have two frames of zeros before and after: points and
-    gradient `[group, frame, 3 * LANES]`, steps `[frame, 3]`, expected `[frame, 5]` inverse
-    variances of accelerations, the ridge, and what accelerations share; factor `[group, frame, 16 *
-    LANES]`. stiffness: `[group, LANES]` factors of the inverse variances, by joint.
+    gradient `[group, frame, 3 * LANES]`, factor `[group, frame, 16 * LANES]`, the blocks first.
     """
-    groups = len(points)
-    own, link = np.empty((rays.shape[2], 12 * LANES)), np.empty(2 * LANES)
-    turned = np.zeros((LANES, groups, _OWN))
-    motion = np.zeros((groups, LANES + 2, _MOTION))  # of the tile and two frames before
+    own = np.empty((rays.shape[2], 12 * LANES))
+    turned = np.zeros((LANES, len(points), _OWN))
     narrow, prior_narrow = 1 / loss**2, 1 / prior_loss**2
     for k in range(len(rays)):
         first = 2 + k * LANES
         tile = points[:, first : first + LANES]
-        _sum_tile(
-            tile, rays[k], centres, narrow, edges, bones[k], prior_narrow, along[k], own, turned
+        for j in range(len(own)):
+            _add_rays(tile, rays[k], centres, narrow, own[j], j)
+        for e in range(len(edges)):
+            a, b = edges[e, 0], edges[e, 1]
+            _weigh_bone(own[a], own[b], bones[k, e], prior_narrow, along[k, e])
+            _add_bone(along[k, e], own[a], own[b])
+        _turn(own, 9, turned)
+        for f in range(LANES):
+            for g in range(len(points)):
+                factor[g, first + f, :_BLOCK] = turned[f, g, :_BLOCK]
+                gradient[g, first + f] = turned[f, g, _BLOCK:]
+
+
+@inlined
+def _invert(own: Floats, ridge: Floats, variance: Floats) -> None:
+    """Set the inverse `[6 * LANES]` of what rays tell of a joint in a tile. ridge: `[LANES]`."""
+    for n in range(LANES):
+        held = ridge[n]
+        xx, xy, xz = own[n] + held, own[LANES + n], own[2 * LANES + n]
+        yy, yz, zz = own[3 * LANES + n] + held, own[4 * LANES + n], own[5 * LANES + n] + held
+        of_xx, of_xy, of_xz = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+        scale = 1 / (xx * of_xx + xy * of_xy + xz * of_xz)
+        variance[n], variance[LANES + n] = of_xx * scale, of_xy * scale
+        variance[2 * LANES + n], variance[3 * LANES + n] = (
+            of_xz * scale,
+            (xx * zz - xz * xz) * scale,
         )
-        for g in range(groups):
-            motion[g, :2] = motion[g, LANES:]
-            for f in range(LANES):
-                t, own_frame = first + f, turned[f, g]
-                three, recent = points[g, t : t + 3].reshape(-1), motion[g, f : f + 3].reshape(-1)
-                _weigh_motion(
-                    three, steps[t], expected[t], stiffness[g], prior_narrow, motion[g, f + 2]
-                )
-                _factor_next(t, recent, steps, expected[t, 1], own_frame, link, factor[g])
-                gradient[g, t] = own_frame[6 * LANES :]
+        variance[4 * LANES + n] = (xy * xz - xx * yz) * scale
+        variance[5 * LANES + n] = (xx * yy - xy * xy) * scale
 
 
-@kernel(_ROWS, _TABLE, floats(1), _SET, _SET)
-def factor_blocks(
-    motion: Floats, steps: Floats, ridge: Floats, blocks: Floats, factor: Floats
-) -> None:
-    """Factor bands of given blocks and weights of accelerations; arrays are as of `factor_bands`.
+@inlined
+def _tell(along: Floats, variance: Floats, own: Floats) -> None:
+    """Add to the blocks of a joint in a tile what a bone tells of it.
 
-    motion: `[group, frame, 4 * LANES]` the weights first. ridge: `[frame]`. blocks: `[group,
-    frame, 9 * LANES]`, which are overwritten.
+    variance: `[6 * LANES]` of the bone's other end.
     """
-    link = np.empty(2 * LANES)
-    for g in range(len(blocks)):
-        for t in range(2, blocks.shape[1] - 2):
-            recent = motion[g, t - 2 : t + 1].reshape(-1)
-            _factor_next(t, recent, steps, ridge[t], blocks[g, t], link, factor[g])
+    for n in range(LANES):
+        x, y, z = along[n], along[LANES + n], along[2 * LANES + n]
+        by_x = variance[n] * x + variance[LANES + n] * y + variance[2 * LANES + n] * z
+        by_y = variance[LANES + n] * x + variance[3 * LANES + n] * y + variance[4 * LANES + n] * z
+        by_z = (
+            variance[2 * LANES + n] * x + variance[4 * LANES + n] * y + variance[5 * LANES + n] * z
+        )
+        weight = 1 / (1 + x * by_x + y * by_y + z * by_z)
+        own[n] += weight * x * x
+        own[LANES + n] += weight * x * y
+        own[2 * LANES + n] += weight * x * z
+        own[3 * LANES + n] += weight * y * y
+        own[4 * LANES + n] += weight * y * z
+        own[5 * LANES + n] += weight * z * z
+
+
+@kernel(floats(4), _TABLE, _ROWS, ints(2), _ROWS, _TABLE, FLOAT, FLOAT, _SET)
+def sum_known(
+    rays: Floats,
+    centres: Floats,
+    points: Floats,
+    edges: Ints,
+    bones: Floats,
+    expected: Floats,
+    loss: float,
+    prior_loss: float,
+    factor: Floats,
+) -> None:
+    """Set blocks of the diagonal to what is known of each joint without accelerations.
+
+    By its rays, and by its bones as far as their other ends are known without them. Arrays are as
+    of `sum_terms` and, expected, of `bands_kernels.factor_bands`.
+    """
+    own, along = np.empty((rays.shape[2], 12 * LANES)), np.empty(4 * LANES)
+    variance, ridge = np.empty((len(own), _BLOCK)), np.empty(LANES)
+    turned = np.zeros((LANES, len(points), _BLOCK))
+    narrow, prior_narrow = 1 / loss**2, 1 / prior_loss**2
+    for k in range(len(rays)):
+        first = 2 + k * LANES
+        tile = points[:, first : first + LANES]
+        ridge[:] = expected[first : first + LANES, 1]
+        for j in range(len(own)):
+            _add_rays(tile, rays[k], centres, narrow, own[j], j)
+            _invert(own[j], ridge, variance[j])
+        for e in range(len(edges)):
+            a, b = edges[e, 0], edges[e, 1]
+            _weigh_bone(own[a], own[b], bones[k, e], prior_narrow, along)
+            _tell(along, variance[b], own[a])
+            _tell(along, variance[a], own[b])
+        _turn(own, 6, turned)
+        for f in range(LANES):
+            for g in range(len(points)):
+                factor[g, first + f, :_BLOCK] = turned[f, g]

@@ -12,10 +12,11 @@ AROUND = 2  # frames before and after all: as far as accelerations reach
 
 
 class BandKernels(NamedTuple):
-    """The kernels of what joints share, of the equations, and of their solution."""
+    """The kernels of what joints share, of the equations, their factors, and their solution."""
 
     motion: ModuleType
     energy: ModuleType
+    bands: ModuleType
     step: ModuleType
 
 
@@ -53,3 +54,13 @@ def in_tiles(values: Floats, lanes: int) -> Floats:
     short = -values.shape[-1] % lanes
     widths = [(0, 0)] * (values.ndim - 1) + [(AROUND, AROUND + short)]
     return np.pad(values, widths, mode="edge")
+
+
+def fill_tiles(values: Floats, found: Floats) -> None:
+    """Set tiles `[tile, ..., lanes]` from values `[..., frame]`; what frames do not fill stays."""
+    lanes = found.shape[-1]
+    whole, rest = divmod(values.shape[-1], lanes)
+    rows = values[..., : whole * lanes].reshape(*values.shape[:-1], whole, lanes)
+    found[:whole] = np.moveaxis(rows, -2, 0)
+    if rest:
+        found[whole, ..., :rest] = values[..., whole * lanes :]

@@ -10,18 +10,17 @@ import numpy as np
 from mocap_calib.compute.jit import FLOAT, INT, changed_floats, floats, inlined, kernel
 from mocap_calib.types import Floats
 
-LANES = 16
+LANES = 20
 _POINT = 3 * LANES
 _TINY = 1e-100  # of an acceleration, as in `energy`
 
 
 @inlined
 def _total(row: Floats) -> float:
-    """Return the sum of a row `[LANES]`, which is overwritten; by halves, several at a time."""
-    for n in range(8):
-        row[n] += row[8 + n]
-    for n in range(4):
-        row[n] += row[4 + n]
+    """Return the sum of a row `[LANES]`, which is overwritten; four numbers at a time."""
+    for k in range(4, LANES, 4):
+        for n in range(4):
+            row[n] += row[k + n]
     return (row[0] + row[2]) + (row[1] + row[3])
 
 

@@ -14,7 +14,6 @@ from mocap_calib.multi_view.noise import view_noise
 from mocap_calib.multi_view.observations import gather_observations
 from mocap_calib.poses.certainty import covariances
 from mocap_calib.poses.cleaning import are_beyond_reach, drop_outliers, exchange_sides
-from mocap_calib.poses.energy import linearise
 from mocap_calib.poses.fit import fit
 from mocap_calib.poses.held_out import Choice, choose_strengths, choose_trust
 from mocap_calib.poses.spans import blocks, point_sources, with_gaps
@@ -305,13 +304,11 @@ def _estimate(
     points = fit(points, seen, body, strengths, config, steps=config.fit_steps)
     seen, exchanged = exchange_sides(points, seen, scene.mirror, config)
     seen, outliers = drop_outliers(points, seen, config)
-    points = fit(points, seen, body, strengths, config, steps=config.fit_steps // 2)
+    points = fit(points, seen, body, strengths, config, steps=config.refit_steps)
     # the detectors' noise does not depend on their confidence, which is a weight
     even = np.where(seen.precision > 0, scene.noise[:, None, None] ** -2.0, 0.0)
     wide = replace(strengths, loss=config.losses[0])  # a narrow loss weighs all errors as outliers
-    system = linearise(points, replace(seen, precision=even), body, wide, config)
-    ridge = config.ridge / body.size**2
-    covariance = covariances(system, body.steps, body.edges, ridge)
+    covariance = covariances(points, replace(seen, precision=even), body, wide, config)
     met = np.isfinite(scene.start[frames, who.index, :, 0]).T
     moves = np.isfinite(strengths.acceleration)
     source = point_sources(seen, met, scene.times[frames], config.longest_gap if moves else -1)

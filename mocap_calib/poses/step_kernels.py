@@ -5,17 +5,21 @@
 
 import numpy as np
 
-from mocap_calib.compute.jit import INT, changed_floats, floats, inlined, ints, kernel
+from mocap_calib.compute.jit import FLOAT, INT, changed_floats, floats, inlined, ints, kernel
 from mocap_calib.types import Floats, Ints
 
-LANES = 16
+LANES = 20
 _POINT = 3 * LANES
 _FACTOR = 16 * LANES
 
 
 @inlined
-def _substitute(factor: Floats, vectors: Floats) -> None:
-    """Solve forwards: the last of three frames' vectors, from its side."""
+def _substitute(factor: Floats, vectors: Floats, total: Floats) -> None:
+    """Solve forwards: the last of three frames' vectors, from its side.
+
+    total: `[LANES]`, to which what the frame adds to the product of the side and the solution of
+    all frames is added.
+    """
     for n in range(LANES):
         c = factor[15 * LANES + n]
         m = _POINT + n
@@ -32,9 +36,10 @@ def _substitute(factor: Floats, vectors: Floats) -> None:
         z = vectors[m + 2 * LANES] - (to_z + c * vectors[n + 2 * LANES])
         xx, xy, xz = factor[n], factor[n + LANES], factor[n + 2 * LANES]
         yy, yz, zz = factor[n + 3 * LANES], factor[n + 4 * LANES], factor[n + 5 * LANES]
-        vectors[m] = xx * x + xy * y + xz * z
-        vectors[m + LANES] = xy * x + yy * y + yz * z
-        vectors[m + 2 * LANES] = xz * x + yz * y + zz * z
+        by_x, by_y = xx * x + xy * y + xz * z, xy * x + yy * y + yz * z
+        by_z = xz * x + yz * y + zz * z
+        total[n] += x * by_x + y * by_y + z * by_z
+        vectors[m], vectors[m + LANES], vectors[m + 2 * LANES] = by_x, by_y, by_z
 
 
 @inlined
@@ -119,11 +124,11 @@ def _renew(rows: Floats, share: float, direction: Floats) -> None:
 
 
 @inlined
-def _forwards(first: int, factor: Floats, vectors: Floats) -> None:
+def _forwards(first: int, factor: Floats, vectors: Floats, total: Floats) -> None:
     """Solve a tile forwards, after those before it."""
     for t in range(first, first + LANES):
         for g in range(len(vectors)):
-            _substitute(factor[g, t], vectors[g, t - 2 : t + 1].reshape(-1))
+            _substitute(factor[g, t], vectors[g, t - 2 : t + 1].reshape(-1), total)
 
 
 @inlined
@@ -135,19 +140,57 @@ def _backwards(first: int, factor: Floats, vectors: Floats) -> None:
 
 
 @inlined
-def _finish(factor: Floats, residual: Floats, towards: Floats) -> float:
-    """Solve all frames backwards; return the product of the residual and the solution."""
+def _move_step(length: float, work: Floats, factor: Floats, step: Floats) -> float:
+    """Move a step along the direction, and solve the bands forwards for the residual left.
+
+    Returns the product of the residual and its solution. work: as of `take_step`.
+    """
+    residual, towards, image, direction = work[0], work[1], work[2], work[3]
+    total = np.zeros(LANES)
+    for first in range(2, step.shape[1] - 2, LANES):
+        tile = slice(first, first + LANES)
+        for g in range(len(step)):
+            _add_times(length, direction[g, tile].reshape(-1), step[g, tile].reshape(-1))
+            _add_times(-length, image[g, tile].reshape(-1), residual[g, tile].reshape(-1))
+            towards[g, tile] = residual[g, tile]
+        _forwards(first, factor, towards, total)
+    return float(total.sum())
+
+
+@inlined
+def _turn_direction(
+    share: float, work: Floats, factor: Floats, along: Floats, edges: Ints, joints: Floats
+) -> float:
+    """Solve the bands backwards, set the next direction and its image, return their product.
+
+    share: of the direction before. work: as of `take_step`. joints: as of `_couple`.
+    """
+    residual, towards, image, direction, by_bands = work[0], work[1], work[2], work[3], work[4]
     total = np.zeros(_POINT)
     for first in range(towards.shape[1] - 2 - LANES, 1, -LANES):
-        last = first + LANES
+        tile = slice(first, first + LANES)
         _backwards(first, factor, towards)
         for g in range(len(towards)):
-            _add_products(residual[g, first:last], towards[g, first:last], total)
+            _renew(towards[g, tile].reshape(-1), share, direction[g, tile].reshape(-1))
+            _renew(residual[g, tile].reshape(-1), share, by_bands[g, tile].reshape(-1))
+        _couple(along[first // LANES], edges, joints, direction[:, tile], image[:, tile])
+        for g in range(len(towards)):
+            _renew(by_bands[g, tile].reshape(-1), -1.0, image[g, tile].reshape(-1))
+            _add_products(direction[g, tile], image[g, tile], total)
     return float(total.sum())
 
 
 @kernel(
-    floats(3), floats(3), ints(2), INT, INT, changed_floats(4), changed_floats(3), changed_floats(3)
+    floats(3),
+    floats(3),
+    ints(2),
+    INT,
+    INT,
+    FLOAT,
+    FLOAT,
+    changed_floats(4),
+    changed_floats(3),
+    changed_floats(3),
 )
 def take_step(
     along: Floats,
@@ -155,54 +198,42 @@ def take_step(
     edges: Ints,
     keypoints: int,
     rounds: int,
+    tolerance: float,
+    overshoot: float,
     work: Floats,
     step: Floats,
     points: Floats,
 ) -> None:
     """Move points by the step of normal equations. step: their gradient, which is overwritten.
 
-    rounds: of conjugate gradients. work: five arrays like the step, at first of zeros. The
-    rest: as of `energy_kernels.factor_bands`.
+    rounds: of conjugate gradients, at most; tolerance: of the residual, beside the gradient, with
+    which they end. overshoot: how many times the step is taken. work: residual, what the bands make
+    of it, image, direction, and what the bands' matrix makes of that: like the step, at first of
+    zeros. The rest: as of `energy_kernels.sum_terms` and `bands_kernels.factor_bands`.
     """
     groups, padded, _ = step.shape
-    residual, towards, image, direction, by_bands = work[0], work[1], work[2], work[3], work[4]
-    joints, total = np.empty((keypoints, 2 * _POINT)), np.empty(_POINT)
+    joints, total = np.empty((keypoints, 2 * _POINT)), np.zeros(LANES)
     for first in range(2, padded - 2, LANES):
-        _forwards(first, factor, step)
+        _forwards(first, factor, step, total)
     for first in range(padded - 2 - LANES, 1, -LANES):
         _backwards(first, factor, step)
+        tile = slice(first, first + LANES)
+        _couple(along[first // LANES], edges, joints, step[:, tile], work[0][:, tile])
+    enough = tolerance**2 * total.sum()
     before, length = np.inf, 0.0
-    for k in range(rounds if len(edges) else 0):
-        for first in range(2, padded - 2, LANES):
-            tile = slice(first, first + LANES)
-            if k == 0:
-                _couple(along[first // LANES], edges, joints, step[:, tile], residual[:, tile])
-            for g in range(groups):
-                _add_times(length, direction[g, tile].reshape(-1), step[g, tile].reshape(-1))
-                _add_times(-length, image[g, tile].reshape(-1), residual[g, tile].reshape(-1))
-                towards[g, tile] = residual[g, tile]
-            _forwards(first, factor, towards)
-        product = _finish(factor, residual, towards)
-        if product <= 0:
+    for _ in range(rounds):
+        product = _move_step(length, work, factor, step)
+        if product <= enough:
             length = 0.0
             break
-        share, before = product / before, product
-        total[:] = 0.0
-        for first in range(2, padded - 2, LANES):
-            tile = slice(first, first + LANES)
-            for g in range(groups):
-                _renew(towards[g, tile].reshape(-1), share, direction[g, tile].reshape(-1))
-                _renew(residual[g, tile].reshape(-1), share, by_bands[g, tile].reshape(-1))
-            _couple(along[first // LANES], edges, joints, direction[:, tile], image[:, tile])
-            for g in range(groups):
-                _renew(by_bands[g, tile].reshape(-1), -1.0, image[g, tile].reshape(-1))
-                _add_products(direction[g, tile], image[g, tile], total)
-        length = product / total.sum()
+        length = product / _turn_direction(product / before, work, factor, along, edges, joints)
+        before = product
+    direction = work[3]
     for g in range(groups):
         for first in range(2, padded - 2, LANES):
             tile = slice(first, first + LANES)
             _add_times(length, direction[g, tile].reshape(-1), step[g, tile].reshape(-1))
-            _add_times(-1.0, step[g, tile].reshape(-1), points[g, tile].reshape(-1))
+            _add_times(-overshoot, step[g, tile].reshape(-1), points[g, tile].reshape(-1))
 
 
 @inlined
@@ -233,7 +264,7 @@ def _eliminate(factor: Floats, sides: Floats, found: Floats) -> None:
 def invert_bands(factor: Floats, found: Floats) -> None:
     """Set the blocks of the diagonal of the inverse `[group, frame, 6 * LANES]` (Takahashi 1973).
 
-    factor: as of `energy_kernels.factor_bands`. Blocks of a frame and of the next ones follow from
+    factor: as of `bands_kernels.factor_bands`. Blocks of a frame and of the next ones follow from
     those of the next ones alone.
     """
     sides, column = np.empty((6, LANES)), np.empty((3, LANES))
