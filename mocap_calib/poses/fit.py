@@ -24,9 +24,9 @@ def plan_steps(loss: float, config: PosesConfig, steps: int) -> list[Step]:
     """Return the steps of a fit that ends with this loss of rays.
 
     The loss starts wide and narrows: what to start from may rest on a wrong detection. A robust
-    energy is never above the quadratic that a step minimises, and curves less than that: a step
-    falls short. Up to twice as long it still does not raise the energy. The last step of all is as
-    it is solved for, so that nothing swings.
+    energy is never above the quadratic that a step minimises, and it curves less: steps are too
+    short. A step of up to twice the length does not raise the energy either. The last one is taken
+    once, so that points do not swing around the minimum.
     """
     wide = [config.first_loss / 2**step for step in range(steps)]
     return [

@@ -17,8 +17,7 @@ _FACTOR = 16 * LANES
 def _substitute(factor: Floats, vectors: Floats, total: Floats) -> None:
     """Solve forwards: the last of three frames' vectors, from its side.
 
-    total: `[LANES]`, to which what the frame adds to the product of the side and the solution of
-    all frames is added.
+    total: `[LANES]` the products of sides and solutions, to which those of the frame are added.
     """
     for n in range(LANES):
         c = factor[15 * LANES + n]
@@ -143,7 +142,7 @@ def _backwards(first: int, factor: Floats, vectors: Floats) -> None:
 def _move_step(length: float, work: Floats, factor: Floats, step: Floats) -> float:
     """Move a step along the direction, and solve the bands forwards for the residual left.
 
-    Returns the product of the residual and its solution. work: as of `take_step`.
+    Returns the product of the residual and what the bands make of it. work: as of `take_step`.
     """
     residual, towards, image, direction = work[0], work[1], work[2], work[3]
     total = np.zeros(LANES)
@@ -206,10 +205,11 @@ def take_step(
 ) -> None:
     """Move points by the step of normal equations. step: their gradient, which is overwritten.
 
-    rounds: of conjugate gradients, at most; tolerance: of the residual, beside the gradient, with
-    which they end. overshoot: how many times the step is taken. work: residual, what the bands make
-    of it, image, direction, and what the bands' matrix makes of that: like the step, at first of
-    zeros. The rest: as of `energy_kernels.sum_terms` and `bands_kernels.factor_bands`.
+    rounds: of conjugate gradients, at most. tolerance: they end when the residual is smaller than
+    this part of the gradient. overshoot: how many times the step is taken. work: five arrays like
+    the step, at first of zeros: the residual; what the bands make of it; the image of the
+    direction; the direction; and the product of the bands' matrix with it. The rest: as of
+    `energy_kernels.sum_terms` and `bands_kernels.factor_bands`.
     """
     groups, padded, _ = step.shape
     joints, total = np.empty((keypoints, 2 * _POINT)), np.zeros(LANES)
@@ -217,8 +217,9 @@ def take_step(
         _forwards(first, factor, step, total)
     for first in range(padded - 2 - LANES, 1, -LANES):
         _backwards(first, factor, step)
-        tile = slice(first, first + LANES)
-        _couple(along[first // LANES], edges, joints, step[:, tile], work[0][:, tile])
+        if rounds:
+            tile = slice(first, first + LANES)
+            _couple(along[first // LANES], edges, joints, step[:, tile], work[0][:, tile])
     enough = tolerance**2 * total.sum()
     before, length = np.inf, 0.0
     for _ in range(rounds):
