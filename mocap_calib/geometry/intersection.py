@@ -28,6 +28,8 @@ from mocap_calib.geometry import symmetric
 from mocap_calib.geometry.symmetric import Entries
 from mocap_calib.types import Bools, CameraRig, Floats, Ints
 
+_PACKAGE = "mocap_calib.geometry"
+
 
 @dataclass(frozen=True)
 class _Rays:
@@ -64,32 +66,35 @@ def intersect(rig: CameraRig, world: Floats, precision: Floats) -> Floats:
     """
     middle = rig.centres.mean(0)
     rays = _Rays(rig.centres - middle, world, precision)
-    kernels = compiled("mocap_calib.geometry.intersection_kernels")
-    points = _intersect_rays(rays) if kernels is None else _by_kernel(kernels, rays)
+    all_rays = compiled(f"{_PACKAGE}.intersection_kernels")
+    outlying_rays = compiled(f"{_PACKAGE}.outlying_ray_kernels")
+    if all_rays is None or outlying_rays is None:
+        points = _intersect_rays(rays)
+    else:
+        points = _by_kernels(all_rays, outlying_rays, rays)
     return points + middle[:, None]
 
 
-def _by_kernel(kernels: ModuleType, rays: _Rays) -> Floats:
-    """Return what `_intersect_rays` returns, all steps of a point at once."""
-    first, others = _candidate_pairs(len(rays.centres))
+def _by_kernels(all_rays: ModuleType, outlying_rays: ModuleType, rays: _Rays) -> Floats:
+    """Return what `_intersect_rays` returns."""
     points = np.empty(rays.direction.shape[1:])
-    kernels.intersect_rays(
-        *contiguous(rays.centres, rays.direction, rays.precision),
-        np.array(first + others, dtype=np.int64).reshape(-1, 2),
-        len(first),
-        np.full(INTERSECT_STEPS, INTERSECT_LOSS_SCALE),
-        np.array(INTERSECT_TIGHTENING_SCALES),
-        np.full(INTERSECT_POLISH_STEPS, INTERSECT_LOSS_SCALE),
-        np.array(
-            [
-                INTERSECT_DOUBTFUL,
-                INTERSECT_OUTLIER,
-                INTERSECT_AGREEING_RAYS,
-                INTERSECT_AGREEING_SHARE,
-            ]
-        ),
-        points,
-    )
+    doubts = np.empty(points.shape[1], dtype=np.int64)
+    given = contiguous(rays.centres, rays.direction, rays.precision)
+    steps = np.full(INTERSECT_STEPS, INTERSECT_LOSS_SCALE)
+    all_rays.intersect_rays(*given, steps, INTERSECT_DOUBTFUL, points, doubts)
+    doubtful = np.flatnonzero(doubts)
+    if len(doubtful):
+        first, others = _candidate_pairs(len(rays.centres))
+        outlying_rays.refine_among_outliers(
+            *given,
+            doubtful,
+            np.array(first + others, dtype=np.int64).reshape(-1, 2),
+            len(first),
+            np.array(INTERSECT_TIGHTENING_SCALES),
+            np.full(INTERSECT_POLISH_STEPS, INTERSECT_LOSS_SCALE),
+            np.array([INTERSECT_OUTLIER, INTERSECT_AGREEING_RAYS, INTERSECT_AGREEING_SHARE]),
+            points,
+        )
     return points
 
 

@@ -35,6 +35,18 @@ def point_covariance(
     With the robust weights w and N = sum w J'J they are N^-1 (sum w^2 s^2 J'J) N^-1: N^-1 itself
     where the weights are the inverse variances. Huge where the rays used are all in one line.
     """
+    if kernels := compiled("mocap_calib.geometry.covariance_kernels"):
+        found = np.empty((6, points.shape[1]))
+        given = contiguous(rig.centres, points, np.nan_to_num(world), precision, variance)
+        kernels.covariances(*given, INTERSECT_LOSS_SCALE, found)
+        return tuple(found)
+    return _point_covariance(rig, points, world, precision=precision, variance=variance)
+
+
+def _point_covariance(
+    rig: CameraRig, points: Floats, world: Floats, *, precision: Floats, variance: Floats
+) -> Entries:
+    """Return what `point_covariance` does."""
     direction, inverse_square = _from_centres(rig, points)
     along = np.einsum("vin,vin->vn", direction, np.nan_to_num(world))
     error = np.maximum(1 - along * along, 0.0) * precision

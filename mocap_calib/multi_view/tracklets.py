@@ -8,6 +8,7 @@ followed.
 import numpy as np
 
 from mocap_calib import mapped
+from mocap_calib.compute.kernels import compiled, contiguous
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import MatchingConfig
 from mocap_calib.geometry.graphs import connected_parts
@@ -81,36 +82,44 @@ def _links(positions: Reals, config: MatchingConfig) -> Bools:
 
 def _links_in_block(positions: Reals, config: MatchingConfig) -> Bools:
     """Return the links of `_links` in one block of frames."""
-    gap2, extent2 = _squared_gaps(positions[:-1], positions[1:], config)
-    followed = gap2 < config.tracklet_step**2 * extent2
-    gap2 = np.where(followed, gap2, np.inf)
+    gap2 = _squared_gaps(positions.astype(np.float64), config)
     nearest_later = gap2 == gap2.min(-1, keepdims=True)
     nearest_earlier = gap2 == gap2.min(-2, keepdims=True)
     return nearest_later & nearest_earlier & np.isfinite(gap2)
 
 
-def _squared_gaps(before: Reals, after: Reals, config: MatchingConfig) -> tuple[Floats, Floats]:
-    """Return how far apart the detections of two frames are, and the extent of the earlier.
+def _squared_gaps(positions: Floats, config: MatchingConfig) -> Floats:
+    """Return how far the detections of each frame are from those of the next.
 
-    before: `[frame, I, keypoint, 2]` and after: `[frame, J, keypoint, 2]` pixels. Returns
-    `[frame, I, J]` mean squared distance of the joints that both have (infinite where these are
-    too few), and mean squared distance of the earlier's joints from their centroid.
+    positions: `[frame, instance, keypoint, 2]` pixels. Returns `[frame - 1, I, J]` the mean squared
+    distance of the joints that both have; infinite where these are too few, and where it is more
+    than `config.tracklet_step` allows for the mean squared distance of the earlier's joints from
+    their middle.
     """
-    seen_a = np.isfinite(before[..., 0]).astype(np.float64)
-    seen_b = np.isfinite(after[..., 0]).astype(np.float64)
-    a = np.nan_to_num(before.astype(np.float64))
-    b = np.nan_to_num(after.astype(np.float64))
+    kernels = compiled("mocap_calib.multi_view.tracklet_kernels")
+    if kernels is None:
+        return _gaps_of_all(positions, config)
+    frames, instances = positions.shape[:2]
+    gaps = np.empty((frames - 1, instances, instances))
+    kernels.squared_gaps(*contiguous(positions), config.tracklet_joints, config.tracklet_step, gaps)
+    return gaps
+
+
+def _gaps_of_all(positions: Floats, config: MatchingConfig) -> Floats:
+    """Return what `_squared_gaps` returns."""
+    seen = np.isfinite(positions[..., 0]).astype(np.float64)
+    known = np.nan_to_num(positions)
+    a, b, seen_a, seen_b = known[:-1], known[1:], seen[:-1], seen[1:]
 
     # |a - b|^2 = |a|^2 + |b|^2 - 2 a.b, each term summed over the common joints
     common = np.einsum("fik,fjk->fij", seen_a, seen_b)
     square_a = np.einsum("fik,fjk->fij", (a**2).sum(-1), seen_b)
     square_b = np.einsum("fik,fjk->fij", seen_a, (b**2).sum(-1))
     product = np.einsum("fikx,fjkx->fij", a, b, optimize=True)
-    gap2 = (square_a + square_b - 2 * product) / np.maximum(common, 1)
-    comparable = common >= config.tracklet_joints
-    gap2 = np.where(comparable, np.maximum(gap2, 0.0), np.inf)
-    extent2 = _squared_extent(a, seen_a)
-    return gap2, np.broadcast_to(extent2[:, :, None], gap2.shape)
+    gap2 = np.maximum(square_a + square_b - 2 * product, 0.0) / np.maximum(common, 1)
+    allowed = config.tracklet_step**2 * _squared_extent(a, seen_a)[..., None]
+    near = (common >= max(config.tracklet_joints, 1)) & (gap2 < allowed)
+    return np.where(near, gap2, np.inf)
 
 
 def _squared_extent(positions: Floats, seen: Floats) -> Floats:

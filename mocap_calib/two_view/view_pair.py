@@ -182,11 +182,11 @@ def distances_by_size(rays: Floats) -> Floats:
     since two of three dimensions are seen. rays: `[..., keypoint, 3]` unit vectors, NaN = missing.
     Returns `[...]` body sizes.
     """
-    seen = np.isfinite(rays[..., :1])
-    known = np.where(seen, rays, 0.0)
-    middle = known.sum(-2, keepdims=True) / np.maximum(seen.sum(-2, keepdims=True), 1)
-    total = np.where(seen, (known - middle) ** 2, 0.0).sum((-1, -2))
-    angular_size_squared = total / np.maximum(seen.sum((-1, -2)), 1)
+    seen = np.isfinite(rays[..., 0])
+    count = np.maximum(seen.sum(-1), 1)
+    # the mean squared distance of unit vectors from their middle follows from how long that is
+    middle = np.where(seen[..., None], rays, 0.0).sum(-2) / count[..., None]
+    angular_size_squared = np.where(seen.any(-1), 1 - (middle**2).sum(-1), 0.0)
     return np.sqrt(2 / 3) / np.sqrt(np.maximum(angular_size_squared, 1e-8))
 
 

@@ -8,7 +8,12 @@ import pytest
 
 from mocap_calib.config import INTERSECT_LOSS_SCALE
 from mocap_calib.geometry.intersection import intersect
-from mocap_calib.geometry.point_covariance import _median_angles, median_angles, point_covariance
+from mocap_calib.geometry.point_covariance import (
+    _median_angles,
+    _point_covariance,
+    median_angles,
+    point_covariance,
+)
 from mocap_calib.geometry.rays import _ray_angles, _rays_in_world, ray_angles, rays_in_world
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.types import Camera, CameraRig
@@ -71,6 +76,26 @@ def test_covariances_are_what_points_scatter_by(name):
     ratio = np.linalg.eigvals(np.linalg.solve(stated, true)).real
     assert np.sqrt(ratio.max()) < 1.15
     assert np.sqrt(ratio.min()) > 0.85
+
+
+@pytest.mark.parametrize("name", PLACES)
+def test_the_kernel_gives_the_covariances_of_its_definition(name):
+    """Of 200 points, some of which one view alone sees, or none."""
+    rig, rng = rig_at(PLACES[name]), np.random.default_rng(len(name))
+    points = rng.normal(size=(3, 200))
+    world = rays_in_world(rig, noisy_rays(rig, points, np.full(len(rig), 10 * NOISE)))
+    variance = rng.uniform(1, 4, (len(rig), 200)) * NOISE**2
+    precision = (rng.random(variance.shape) < 0.8) / variance
+    world[np.broadcast_to(precision[:, None] == 0, world.shape)] = np.nan
+    given = {"precision": precision, "variance": variance}
+    found = np.stack(point_covariance(rig, points, world, **given))
+    expected = np.stack(_point_covariance(rig, points, world, **given))
+    sure = (precision > 0).sum(0) > 1
+    assert sure.sum() > 50
+    relative = (found - expected)[:, sure] / np.abs(expected[:, sure]).max(0)
+    # 4e-7 where the two views that see a point are nearly in line with it
+    assert np.abs(relative).max() < 1e-5
+    assert np.array_equal(found[:, precision.sum(0) == 0], expected[:, precision.sum(0) == 0])
 
 
 def test_covariances_grow_with_the_square_of_noise_and_size():

@@ -8,7 +8,13 @@ from scenes import PEOPLE, calibrate_group, precision, recording, rotation_error
 
 from mocap_calib.config import MatchingConfig
 from mocap_calib.multi_view.tracking import reuse_names
-from mocap_calib.multi_view.tracklets import all_tracklets, name_by_tracklets, tracklets
+from mocap_calib.multi_view.tracklets import (
+    _gaps_of_all,
+    _squared_gaps,
+    all_tracklets,
+    name_by_tracklets,
+    tracklets,
+)
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.types import GroupResult, Keypoints2D
 
@@ -131,6 +137,20 @@ def test_nobody_is_followed_over_frames_that_are_not_there():
         track = tracklets(replace(found, frames=numbers), view, MatchingConfig())
         assert len(np.intersect1d(followed[29], followed[30])) > 1
         assert not set(track[:30][track[:30] >= 0]) & set(track[30:][track[30:] >= 0])
+
+
+@pytest.mark.parametrize("least_joints", [0, 5])
+def test_the_kernel_gives_the_gaps_of_its_definition(least_joints):
+    """People who walk a little or a lot between frames, some joints or all of them missing."""
+    rng = np.random.default_rng(least_joints)
+    start = rng.normal(size=(1, 4, 12, 2)) * 100 + rng.uniform(0, 100, (1, 4, 1, 2))
+    positions = start + rng.normal(size=(60, 4, 1, 2)).cumsum(0) * 5
+    positions[rng.random(positions.shape[:3]) < 0.3] = np.nan
+    positions[rng.random(positions.shape[:2]) < 0.2] = np.nan
+    config = replace(MatchingConfig(), tracklet_joints=least_joints)
+    expected = _gaps_of_all(positions, config)
+    assert 0.1 < np.isfinite(expected).mean() < 0.9
+    np.testing.assert_allclose(_squared_gaps(positions, config), expected, rtol=1e-9)
 
 
 def test_names_are_reused_for_those_who_come_back_nearest():
