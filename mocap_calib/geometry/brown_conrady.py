@@ -7,7 +7,7 @@ import numpy as np
 
 from mocap_calib.types import Camera, Floats
 
-_NEWTON_STEPS = 5
+NEWTON_STEPS = 5
 _SETTLED = 1e-7  # of a step: the next would be its square
 _CAREFUL_STEPS = 60
 _CAREFUL_STEP = 0.1  # longest step of those
@@ -24,6 +24,18 @@ class Coefficients(NamedTuple):
     k4: float
     k5: float
     k6: float
+
+
+class Limits(NamedTuple):
+    """Within which Newton's method has found the point that the lens distorts.
+
+    settled: length of a step after which no other is needed. error: by which the lens may miss.
+    squared_fold_radius: past the first fold lie further solutions, which mean nothing.
+    """
+
+    settled: float
+    error: float
+    squared_fold_radius: float
 
 
 def coefficients(camera: Camera) -> Coefficients:
@@ -64,20 +76,24 @@ def undistort(k: Coefficients, distorted: Floats, *, miss: float) -> Floats:
 
     By Newton's method. NaN where there is no such point within `miss` (in focal lengths).
     """
+    limits = limits_of_newton(k, miss=miss)
     image = distorted
-    for _ in range(_NEWTON_STEPS):
+    for _ in range(NEWTON_STEPS):
         step = _newton_step(k, image, distorted)
         image = image + step
-        if not (np.abs(step) > _SETTLED).any():
+        if not (np.abs(step) > limits.settled).any():
             break
     error = np.abs(distorted - distort(k, image)).max(0)
-    # past the first fold lie further solutions, which mean nothing
-    before_fold = (image**2).sum(0) < _squared_fold_radius(k)
-    settled = (error <= 1e-12 + 1e-9 * miss) & before_fold
-    doubtful = ~settled & np.isfinite(distorted).all(0)
+    before_fold = (image**2).sum(0) < limits.squared_fold_radius
+    doubtful = ~((error <= limits.error) & before_fold) & np.isfinite(distorted).all(0)
     if doubtful.any():
         image[:, doubtful] = _undistort_carefully(k, distorted[:, doubtful], miss=miss)
     return image
+
+
+def limits_of_newton(k: Coefficients, *, miss: float) -> Limits:
+    """Return when Newton's method has found a point for this lens; miss: as of `undistort`."""
+    return Limits(_SETTLED, 1e-12 + 1e-9 * miss, _squared_fold_radius(k))
 
 
 def _undistort_carefully(k: Coefficients, distorted: Floats, *, miss: float) -> Floats:

