@@ -24,6 +24,7 @@ from mocap_calib.report_verdict import (
 )
 from mocap_calib.types import (
     POINT_SOURCES,
+    Bools,
     CalibrationResult,
     EstimatedCamera,
     Fault,
@@ -101,12 +102,19 @@ def _describe_cameras(
 
     error: `[view, frame, individual, keypoint]` reprojection errors in pixels. faults: of all.
     """
+    all_detected = group.recording.detected
 
     def describe(item: tuple[str, list[int]]) -> dict[str, Any]:
         name, own = item
         its_faults = [fault for fault in faults if fault.camera == name]
         return _describe_camera(
-            group, name, own, error=error[own], config=config, faults=its_faults
+            group,
+            name,
+            own,
+            detected=all_detected[own],
+            error=error[own],
+            config=config,
+            faults=its_faults,
         )
 
     return list(map_in_threads(describe, views_by_camera(group.rig.names).items()))
@@ -117,16 +125,17 @@ def _describe_camera(
     name: str,
     views: list[int],
     *,
+    detected: Bools,
     error: Floats,
     config: Config,
     faults: Sequence[Fault],
 ) -> dict[str, Any]:
     """Return what is known of one camera.
 
-    views: its indices, of which one holds at a time. error: `[view, frame, individual, keypoint]`
-    reprojection errors in pixels. faults: of this camera.
+    views: its indices, of which one holds at a time. faults: of this camera. Of its views:
+    detected: `[view, frame, instance]` where there is a detection.
+    error: `[view, frame, individual, keypoint]` reprojection errors in pixels.
     """
-    detected = group.recording.seen[views].any(-1)
     matched = detected & (group.matches.labels[views] >= 0)
     score = float(best_scores(group.pairs, len(group.rig))[views].min())
     return {

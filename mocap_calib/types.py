@@ -719,8 +719,17 @@ class Recording(Record):
         return tuple(camera.name for camera in self.cameras)
 
     @property
+    def detected(self) -> Bools:
+        """`[view, frame, instance]` where there is a detection, of any keypoint."""
+        return mapped.in_blocks(
+            lambda block: np.isfinite(self.positions[:, block, ..., 0]).any(-1),
+            len(self.frames),
+            axis=1,
+        )
+
+    @property
     def seen(self) -> Bools:
-        """`[view, frame, instance, keypoint]` where there is a detection."""
+        """`[view, frame, instance, keypoint]` where a keypoint is detected."""
         return mapped.in_blocks(
             lambda block: np.isfinite(self.positions[:, block, ..., 0]), len(self.frames), axis=1
         )
@@ -1273,18 +1282,18 @@ class Poses3D(Record):
 
         shift: `[3]` in the unit, of all points, in the new axes.
         """
-        rows = ((0, 1, 2), (1, 3, 4), (2, 4, 5))
-
-        def turn(block: slice) -> Reals:
-            matrix = rotation @ self.covariance[block][..., rows] @ rotation.T
-            return matrix[..., (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)].astype(np.float32)
+        # what becomes of a covariance of which one entry is 1, for each of the six
+        entries = np.eye(6)[:, ((0, 1, 2), (1, 3, 4), (2, 4, 5))]
+        turned = (rotation @ entries @ rotation.T)[:, (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)]
 
         positions, raw = self._move(lambda points: points @ rotation.T + shift)
         return replace(
             self,
             positions=positions,
             raw=raw,
-            covariance=self._in_blocks(turn),
+            covariance=self._in_blocks(
+                lambda block: (self.covariance[block] @ turned).astype(np.float32)
+            ),
             world=self.world.turn(rotation, shift),
         )
 

@@ -20,7 +20,7 @@ def describe_detections(seen: Seen, shown: Ints, room: int) -> dict[str, Any] | 
     shown: `[frame]` indices of the frames whose poses the page has.
     """
     recording = seen.recording
-    of_all = max(1, int(recording.select(frames=shown).seen.any(-1).sum()))
+    of_all = max(1, int(recording.select(frames=shown).detected.sum()))
     each = of_all * (4 * len(recording.keypoints) + 6) / max(1, len(shown))
 
     def pack_frames(places: Ints) -> dict[str, Any]:

@@ -195,9 +195,10 @@ def _read_seen(
     later = [view.rpartition(EPOCH_MARK) for view in rig.names if view not in names]
     moves = tuple(Moved(name, int(start)) for name, _, start in later)
     split = apply_mends(recording, moves)
-    labels = np.full(split.positions.shape[:3], -1)
+    detected = split.detected
+    labels = np.full(detected.shape, -1)
     for camera, views in enumerate(views_by_camera(rig.names).values()):
-        labels[views] = np.where(split.seen[views].any(-1), matches.labels[camera], -1)
+        labels[views] = np.where(detected[views], matches.labels[camera], -1)
     return Seen(replace(split, cameras=rig.cameras), Matches(labels))
 
 

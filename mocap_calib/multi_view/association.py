@@ -142,13 +142,13 @@ def label_single_subject(sample: Sample, share: float) -> Matches | None:
     """
     if not has_single_subject(sample, share):
         return None
-    labelled = sample.seen.any(-1) & _shows_at_most_one(sample)[:, None]
+    labelled = sample.detected & _shows_at_most_one(sample)[:, None]
     return Matches(np.where(labelled, 0, -1))
 
 
 def _shows_at_most_one(sample: Sample) -> Bools:
     """Return the frames that show each view at most one detection, `[frame]`."""
-    detections = sample.seen.any(-1).sum(-1)
+    detections = sample.detected.sum(-1)
     return np.asarray((detections <= 1).all(0))
 
 

@@ -32,7 +32,7 @@ def _number_groups(labels: Ints) -> Ints:
 
 def matched_share(recording: Recording, matches: Matches) -> Floats:
     """Return the share `[view]` of the detections that are matched with somebody."""
-    detected = recording.seen.any(-1)
+    detected = recording.detected
     matched = detected & (matches.labels >= 0)
     return np.asarray(matched.sum((1, 2)) / np.maximum(detected.sum((1, 2)), 1))
 

@@ -62,7 +62,7 @@ def choose_frames(sample: Sample, wanted: int, config: Config) -> Ints:
 
     So many of all views together as eight views have: large rigs say the same many times.
     """
-    detections = sample.seen.any(-1).sum(2)  # [view, frame]
+    detections = sample.detected.sum(2)  # [view, frame]
     usual = max(1.0, float(detections.mean()))
     views = max(1.0, len(detections) / 8)
     count = max(config.moved.least_frames, round(wanted / usual / views))

@@ -257,6 +257,6 @@ def _describe_unchecked(name: str, has_detections: bool) -> VerifiedCamera:
 
 def has_detections(sample: Sample, view: int, config: Config) -> bool:
     """Return whether a view sees enough, while others see somebody, for it to be placed."""
-    detected = np.asarray(sample.seen.any(-1))
+    detected = sample.detected
     others = np.delete(detected, view, axis=0).any(2).sum(0) >= 2
     return bool(detected[view, others].sum() >= config.moved.least_detections)

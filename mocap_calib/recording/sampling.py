@@ -87,7 +87,7 @@ def choose_sample_frames(recording: Recording, config: SampleConfig) -> Ints:
 
 def _uncrowded_frames(recording: Recording, config: SampleConfig) -> Ints:
     """Return the frames (indices) in which no view has several times the usual detections."""
-    detections = _detected(recording).sum(-1).max(0)  # [frame] the most of any view
+    detections = recording.detected.sum(-1).max(0)  # [frame] the most of any view
     usual = np.quantile(detections, config.usual_share)
     return np.flatnonzero(detections <= config.crowd * usual + config.crowd)
 
@@ -95,7 +95,7 @@ def _uncrowded_frames(recording: Recording, config: SampleConfig) -> Ints:
 def _frame_budget(recording: Recording, config: SampleConfig) -> int:
     """Return how many frames have as many detections in all views as calibration looks at."""
     frames = len(recording.frames)
-    detections = _detected(recording).sum() / frames  # in a frame
+    detections = recording.detected.sum() / frames  # in a frame
     wanted = config.detections / max(detections, 1.0)
     return int(np.clip(wanted, config.least_frames, config.frames))
 
@@ -118,18 +118,13 @@ def _choose_varied(shown: Floats, count: int) -> Bools:
 # --- what frames show
 
 
-def _detected(recording: Recording) -> Bools:
-    """Return `[view, frame, instance]` where there is a detection."""
-    return np.asarray(recording.seen.any(-1))
-
-
 def _shown_features(recording: Recording, config: SampleConfig) -> Floats:
     """Return `[frame, feature]` 1 where a frame shows a feature, else 0.
 
     Features are the classes of the detections of each view, and the pairs of views that see
     somebody together.
     """
-    detected = _detected(recording)
+    detected = recording.detected
     features: list[Bools] = []
     for view, camera in enumerate(recording.cameras):
         frame, instance = np.nonzero(detected[view])

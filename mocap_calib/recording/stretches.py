@@ -40,5 +40,5 @@ def _frame_budget(recording: Recording, config: SyncConfig) -> int:
     """Return how many frames have as many detections in all views as are looked at."""
     total = len(recording.frames)
     some = recording.select(frames=np.arange(0, total, max(1, total // 200)))
-    detections = some.seen.any(-1).sum() / max(len(some.frames), 1)
+    detections = some.detected.sum() / max(len(some.frames), 1)
     return int(min(config.frames, config.detections / max(detections, 1.0)))

@@ -155,7 +155,7 @@ def check_joints(recording: Recording) -> None:
     """
     check_shared_keypoints(recording.keypoints)
     known = int((recording.vocabulary >= 0).sum())
-    crowded = (recording.seen.any(-1).sum(-1) > 1).mean() > CROWDED_SHARE
+    crowded = (recording.detected.sum(-1) > 1).mean() > CROWDED_SHARE
     if known < LEAST_JOINTS and crowded and not recording.tracked.all():
         names = ", ".join(recording.keypoints)
         raise MismatchError(

@@ -73,10 +73,10 @@ def test_no_third_camera_checks_the_intrinsics_of_two(estimated, given, unchecke
 
 
 def test_the_share_of_the_matched_counts_whoever_is_named():
-    seen = np.ones((2, 3, 2, 1), bool)
-    seen[1, 0, 1] = False
+    detected = np.ones((2, 3, 2), bool)
+    detected[1, 0, 1] = False
     labels = np.array([[[0, 1], [0, -1], [-1, -1]], [[0, -1], [0, 1], [1, 0]]])
-    share = matched_share(SimpleNamespace(seen=seen), SimpleNamespace(labels=labels))
+    share = matched_share(SimpleNamespace(detected=detected), SimpleNamespace(labels=labels))
     np.testing.assert_allclose(share, [3 / 6, 5 / 5])
 
 
