@@ -106,6 +106,16 @@ def take(array: NDArray[Any], frames: Any, *, axis: int = 0) -> NDArray[Any]:
     return found
 
 
+def as_slice(frames: Any) -> Any:
+    """Return indices that follow each other as a slice, which copies nothing; others as given."""
+    index = np.asarray(frames) if not isinstance(frames, slice) else np.zeros(0, dtype=bool)
+    if index.dtype == np.bool_ or index.ndim != 1 or not len(index):
+        return frames
+    if index[0] < 0 or (np.diff(index) != 1).any():
+        return frames
+    return slice(int(index[0]), int(index[-1]) + 1)
+
+
 def finite_values(array: NDArray[Any]) -> NDArray[Any]:
     """Return the finite values `[N]` of an array `[frame, ...]`, a copy in memory."""
     count = sum(np.count_nonzero(np.isfinite(array[block])) for block in frame_slices(len(array)))

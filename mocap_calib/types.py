@@ -740,14 +740,15 @@ class Recording(Record):
         """Return the recording with these views and these frames alone, in this order.
 
         views: `[view]` indices or mask, or names. frames: `[frame]` indices (not numbers) or mask,
-        or a slice. What is not given stays whole and is not copied.
+        or a slice. What is not given stays whole; that and frames that follow each other are not
+        copied.
 
         Raises KeyError for a name that no camera has, and ValueError for a mask of another length.
         """
         found = self
         if frames is not None:
             parts: dict[str, Any] = {
-                name: mapped.take(getattr(found, name), frames, axis=1)
+                name: mapped.take(getattr(found, name), mapped.as_slice(frames), axis=1)
                 for name in self._by_view_and_frame
             }
             found = replace(found, frames=found.frames[frames], **parts)

@@ -111,6 +111,17 @@ def test_finite_values_are_gathered_a_block_of_frames_at_a_time():
     np.testing.assert_array_equal(found, values[np.isfinite(values)])
 
 
+def test_frames_that_follow_each_other_are_a_slice():
+    values = np.arange(10)
+    for frames in ([3, 4, 5], [7], np.arange(10)):
+        found = mapped.as_slice(frames)
+        assert isinstance(found, slice)
+        np.testing.assert_array_equal(values[found], values[frames])
+    mask = values % 2 == 0
+    for frames in ([], [0, 0], [-1, 0], [5, 4], [1, 3], mask, slice(2, 9, 3), [[1, 2], [3, 4]]):
+        assert mapped.as_slice(frames) is frames
+
+
 @pytest.mark.usefixtures("all_on_disk")
 def test_blocks_and_far_frames_are_those_of_the_whole():
     rng = np.random.default_rng(0)

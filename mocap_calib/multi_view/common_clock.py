@@ -10,7 +10,6 @@ from mocap_calib.multi_view.frame_clocks import find_clocks
 from mocap_calib.recording.retiming import clocks_of_rates, retime
 from mocap_calib.recording.sampling import take_sample
 from mocap_calib.recording.stretches import choose_stretches
-from mocap_calib.recording.synchronise import hide_blind_spots
 from mocap_calib.steerpose.device import check_device
 from mocap_calib.steerpose.lifter import Lifter
 from mocap_calib.steerpose.loading import AUTO, choose_model
@@ -53,7 +52,7 @@ def synchronise(
     if config.sync.mode == "off":
         return said
     stretches = choose_stretches(recording, config.sync)
-    sample = take_sample(hide_blind_spots(recording), stretches[stretches >= 0])
+    sample = take_sample(recording, stretches[stretches >= 0])
     try:
         lifted = lift_sample(sample)
     except MismatchError:  # the model knows too few of the joints: said where they are needed

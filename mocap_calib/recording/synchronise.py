@@ -116,8 +116,10 @@ def recording_of_views(joined: JoinedViews) -> Recording:
 def hide_blind_spots(recording: Recording) -> Recording:
     """Return the recording without the detections that the cameras' lens models cannot undo.
 
-    With right intrinsics there are hardly any.
+    With right intrinsics there are hardly any, and without distortion none.
     """
+    if not any(camera.fisheye or camera.distortion.any() for camera in recording.cameras):
+        return recording
     frames = len(recording.frames)
 
     def find_blind(block: slice) -> Bools:

@@ -79,7 +79,7 @@ def look_for_floor(
     if verdict == "not determined":
         return "the rig is not determined"
     # as they were seen: best estimates lift or lower feet a little, for the sake of bones
-    seen = replace(keep_triangulated(poses), positions=poses.raw)
+    seen = replace(poses, positions=poses.raw)
     return find_floor(seen, joints, rig, config)
 
 
