@@ -110,10 +110,11 @@ def _list_detections(view: Keypoints2D, columns: Ints) -> _Detections:
     """Return the detections of a view by their keys."""
     parts = [(np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.int64))]
     for rows in mapped.frame_slices(len(view.frames)):
-        block = view.positions[rows][:, :, columns]
+        block = view.positions[rows][:, :, mapped.as_slice(columns)]
+        block = block.reshape(*block.shape[:2], -1)
         seen = np.isfinite(block)
-        number = seen.sum((2, 3))
-        total = np.where(seen, block, 0).sum((2, 3), dtype=np.float64)
+        number = np.count_nonzero(seen, axis=-1)
+        total = np.where(seen, block, 0.0) @ np.ones(block.shape[-1])
         frame, instance = np.nonzero(number)
         parts.append(
             (total[frame, instance] / number[frame, instance], frame + rows.start, instance)

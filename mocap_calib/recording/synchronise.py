@@ -247,20 +247,26 @@ def _fill_view(
     columns: `[keypoint]` index in the recording of each keypoint of the view, -1 = not shared.
     positions: `[frame, instance, keypoint, 2]`. confidence: `[frame, instance, keypoint]`.
     """
-    for block in mapped.frame_slices(len(frames)):
-        positions[block], confidence[block] = np.nan, 0.0
+    absent = np.flatnonzero(~np.isin(frames, view.frames))
+    for block in mapped.frame_slices(len(absent)):
+        positions[absent[block]], confidence[absent[block]] = np.nan, 0.0
     used = np.flatnonzero(columns >= 0)
-    instances = np.arange(view.positions.shape[1])
+    of_view, of_recording = mapped.as_slice(used), mapped.as_slice(columns[used])
+    instances = slice(view.positions.shape[1])
     largest = largest_confidence(view.confidence)
     shared_rows = np.flatnonzero(np.isin(view.frames, frames))
     for block in mapped.frame_slices(len(shared_rows)):
-        rows = shared_rows[block]
-        target = np.ix_(np.searchsorted(frames, view.frames[rows]), instances, columns[used])
-        seen = view.positions[rows][:, :, used].astype(np.float32)
-        scaled = (view.confidence[rows][:, :, used] / largest).clip(0.0, 1.0)
-        missing: Bools = ~np.isfinite(seen).all(axis=-1) | find_repeated(seen)[..., None]
-        positions[target] = np.where(missing[..., None], np.nan, seen)
-        confidence[target] = np.where(missing, 0.0, scaled)
+        rows = mapped.as_slice(shared_rows[block])
+        at = mapped.as_slice(np.searchsorted(frames, view.frames[rows]))
+        seen = view.positions[rows][:, :, of_view].astype(np.float32)
+        scaled = (view.confidence[rows][:, :, of_view] / largest).clip(0.0, 1.0)
+        known = np.isfinite(seen[..., 0]) & np.isfinite(seen[..., 1])
+        missing = ~known | find_repeated(seen)[..., None]
+        own_positions = np.full((len(seen), *positions.shape[1:]), np.nan, np.float32)
+        own_confidence = np.zeros(own_positions.shape[:-1], np.float32)
+        own_positions[:, instances, of_recording] = np.where(missing[..., None], np.nan, seen)
+        own_confidence[:, instances, of_recording] = np.where(missing, 0.0, scaled)
+        positions[at], confidence[at] = own_positions, own_confidence
 
 
 def largest_confidence(confidence: Reals) -> float:
