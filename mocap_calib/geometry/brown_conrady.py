@@ -27,10 +27,11 @@ class Coefficients(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """Within which Newton's method has found the point that the lens distorts.
+    """When Newton's method has found the point that a lens distorts.
 
-    settled: length of a step after which no other is needed. error: by which the lens may miss.
-    squared_fold_radius: past the first fold lie further solutions, which mean nothing.
+    settled: a step shorter than that needs no other after it. error: by how much the lens may miss
+    the distorted point, at most. squared_fold_radius: past the first fold of the lens lie further
+    solutions, which mean nothing.
     """
 
     settled: float

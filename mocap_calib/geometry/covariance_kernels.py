@@ -76,15 +76,9 @@ def _sandwich(outer: Floats, inner: Floats, found: Floats) -> None:
     for n in range(LANES):
         xx, xy, xz = outer[0, n], outer[1, n], outer[2, n]
         yy, yz, zz = outer[3, n], outer[4, n], outer[5, n]
-        a, b, c, d, e, f = (
-            inner[0, n],
-            inner[1, n],
-            inner[2, n],
-            inner[3, n],
-            inner[4, n],
-            inner[5, n],
-        )
-        first, second, third = a * xx + b * xy + c * xz, b * xx + d * xy + e * xz, 0.0
+        a, b, c = inner[0, n], inner[1, n], inner[2, n]
+        d, e, f = inner[3, n], inner[4, n], inner[5, n]
+        first, second = a * xx + b * xy + c * xz, b * xx + d * xy + e * xz
         third = c * xx + e * xy + f * xz
         found[0, n] = xx * first + xy * second + xz * third
         found[1, n] = xy * first + yy * second + yz * third
