@@ -108,10 +108,11 @@ def take(array: NDArray[Any], frames: Any, *, axis: int = 0) -> NDArray[Any]:
 
 def as_slice(frames: Any) -> Any:
     """Return indices that follow each other as a slice, which copies nothing; others as given."""
-    index = np.asarray(frames) if not isinstance(frames, slice) else np.zeros(0, dtype=bool)
-    if index.dtype == np.bool_ or index.ndim != 1 or not len(index):
+    if isinstance(frames, slice):
         return frames
-    if index[0] < 0 or (np.diff(index) != 1).any():
+    index = np.asarray(frames)
+    are_indices = index.dtype != np.bool_ and index.ndim == 1 and len(index) > 0
+    if not are_indices or index[0] < 0 or (np.diff(index) != 1).any():
         return frames
     return slice(int(index[0]), int(index[-1]) + 1)
 

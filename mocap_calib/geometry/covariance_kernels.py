@@ -15,6 +15,17 @@ _RIDGE = 1e-10  # as of `symmetric`
 
 
 @inlined
+def _add_across(share: float, x: float, y: float, z: float, n: int, sums: Floats) -> None:
+    """Add a share of I - u u' of a unit vector u to the sums `[6, LANES]` of a lane."""
+    sums[0, n] += share * (1 - x * x)
+    sums[1, n] -= share * x * y
+    sums[2, n] -= share * x * z
+    sums[3, n] += share * (1 - y * y)
+    sums[4, n] -= share * y * z
+    sums[5, n] += share * (1 - z * z)
+
+
+@inlined
 def _add_view(
     centre: Floats,
     points: Floats,
@@ -35,21 +46,9 @@ def _add_view(
         along = x * world[0, n] + y * world[1, n] + z * world[2, n]
         loss = 1 + max(1 - along * along, 0.0) * precision[n] * narrow
         weight = precision[n] / (loss * loss)
-        part = weight * inverse
-        other = weight * variance[n] * part
-        xx, yy, zz = 1 - x * x, 1 - y * y, 1 - z * z
-        by_weight[0, n] += part * xx
-        by_weight[1, n] -= part * x * y
-        by_weight[2, n] -= part * x * z
-        by_weight[3, n] += part * yy
-        by_weight[4, n] -= part * y * z
-        by_weight[5, n] += part * zz
-        by_error[0, n] += other * xx
-        by_error[1, n] -= other * x * y
-        by_error[2, n] -= other * x * z
-        by_error[3, n] += other * yy
-        by_error[4, n] -= other * y * z
-        by_error[5, n] += other * zz
+        share = weight * inverse
+        _add_across(share, x, y, z, n, by_weight)
+        _add_across(weight * variance[n] * share, x, y, z, n, by_error)
 
 
 @inlined

@@ -78,7 +78,7 @@ def intersect(rig: CameraRig, world: Floats, precision: Floats) -> Floats:
 def _by_kernels(all_rays: ModuleType, outlying_rays: ModuleType, rays: _Rays) -> Floats:
     """Return what `_intersect_rays` returns."""
     points = np.empty(rays.direction.shape[1:])
-    doubts = np.empty(rays.direction.shape[-1], dtype=np.int64)
+    doubts = np.empty(rays.direction.shape[-1], dtype=bool)
     given = contiguous(rays.centres, rays.direction, rays.precision)
     steps = np.full(INTERSECT_STEPS, INTERSECT_LOSS_SCALE)
     all_rays.intersect_rays(*given, steps, INTERSECT_DOUBTFUL, points, doubts)

@@ -5,14 +5,7 @@ All steps of `LANES` points are done before those of the next ones, of all views
 
 import numpy as np
 
-from mocap_calib.compute.jit import (
-    FLOAT,
-    changed_floats,
-    changed_ints,
-    floats,
-    inlined,
-    kernel,
-)
+from mocap_calib.compute.jit import FLOAT, changed_bools, changed_floats, floats, inlined, kernel
 from mocap_calib.types import Bools, Floats, Ints
 
 LANES = 64  # points at once
@@ -170,7 +163,7 @@ def _find_doubtful(
         doubt[n] = doubt[n] and count[n] > 2
 
 
-@kernel(floats(2), floats(3), floats(2), floats(1), FLOAT, changed_floats(2), changed_ints(1))
+@kernel(floats(2), floats(3), floats(2), floats(1), FLOAT, changed_floats(2), changed_bools(1))
 def intersect_rays(
     centres: Floats,
     world: Floats,
@@ -178,9 +171,9 @@ def intersect_rays(
     steps: Floats,
     doubtful: float,
     points: Floats,
-    doubts: Ints,
+    doubts: Bools,
 ) -> None:
-    """Set points `[3, N]` nearest to rays, and 1 where their rays do not all meet there.
+    """Set points `[3, N]` nearest to rays, and which have rays that do not all meet there.
 
     centres `[view, 3]`, world `[view, 3, N]` and seen `[view, N]`: as of `intersection._Rays`.
     steps: scales of the loss at each step. doubtful: INTERSECT_DOUBTFUL. doubts: `[N]`.

@@ -15,14 +15,29 @@ _FLATTEST = 1e-9  # as of `brown_conrady._newton_step`
 
 
 @inlined
+def _polynomial(square: float, first: float, second: float, third: float) -> float:
+    """Return 1 + a r^2 + b r^4 + c r^6 of a squared radius."""
+    return 1 + square * (first + square * (second + square * third))
+
+
+@inlined
+def _distort(k: Floats, x: float, y: float, square: float, radial: float) -> tuple[float, float]:
+    """Return where the lens puts a point of the plane z = 1, with its squared radius."""
+    twist = 2 * x * y
+    return (
+        x * radial + k[2] * twist + k[3] * (square + 2 * x * x),
+        y * radial + k[3] * twist + k[2] * (square + 2 * y * y),
+    )
+
+
+@inlined
 def _step(k: Floats, x: Floats, y: Floats, to_x: Floats, to_y: Floats, step: Floats) -> None:
     """Take Newton's step `[2, LANES]` towards the points that the lens puts at (to_x, to_y)."""
     for n in range(LANES):
         of_x, of_y = x[n], y[n]
         square = of_x * of_x + of_y * of_y
-        above = 1 + square * (k[0] + square * (k[1] + square * k[4]))
-        below = 1 + square * (k[5] + square * (k[6] + square * k[7]))
-        radial = above / below
+        below = _polynomial(square, k[5], k[6], k[7])
+        radial = _polynomial(square, k[0], k[1], k[4]) / below
         above_slope = k[0] + square * (2 * k[1] + 3 * square * k[4])
         below_slope = k[5] + square * (2 * k[6] + 3 * square * k[7])
         slope = (above_slope - radial * below_slope) / below
@@ -31,9 +46,7 @@ def _step(k: Floats, x: Floats, y: Floats, to_x: Floats, to_y: Floats, step: Flo
         xy = 2 * of_x * of_y * slope + 2 * k[2] * of_x + 2 * k[3] * of_y
         determinant = xx * yy - xy * xy
         inverse = 1 / (determinant if abs(determinant) > _FLATTEST else _FLATTEST)
-        twist = 2 * of_x * of_y
-        lens_x = of_x * radial + k[2] * twist + k[3] * (square + 2 * of_x * of_x)
-        lens_y = of_y * radial + k[3] * twist + k[2] * (square + 2 * of_y * of_y)
+        lens_x, lens_y = _distort(k, of_x, of_y, square, radial)
         off_x, off_y = to_x[n] - lens_x, to_y[n] - lens_y
         step[0, n] = (yy * off_x - xy * off_y) * inverse
         step[1, n] = (xx * off_y - xy * off_x) * inverse
@@ -56,12 +69,9 @@ def _miss(k: Floats, x: Floats, y: Floats, to_x: Floats, to_y: Floats, step: Flo
     for n in range(LANES):
         of_x, of_y = x[n], y[n]
         square = of_x * of_x + of_y * of_y
-        radial = (1 + square * (k[0] + square * (k[1] + square * k[4]))) / (
-            1 + square * (k[5] + square * (k[6] + square * k[7]))
-        )
-        twist = 2 * of_x * of_y
-        lens_x = of_x * radial + k[2] * twist + k[3] * (square + 2 * of_x * of_x)
-        lens_y = of_y * radial + k[3] * twist + k[2] * (square + 2 * of_y * of_y)
+        below = _polynomial(square, k[5], k[6], k[7])
+        radial = _polynomial(square, k[0], k[1], k[4]) / below
+        lens_x, lens_y = _distort(k, of_x, of_y, square, radial)
         step[0, n] = max(abs(to_x[n] - lens_x), abs(to_y[n] - lens_y))
         step[1, n] = square
 

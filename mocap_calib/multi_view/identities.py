@@ -100,7 +100,7 @@ def _triangulate_groups(
     by_component = mapped.empty((3, len(recording.frames), groups.individuals, joints))
     points = np.moveaxis(by_component, 0, -1)
     for block, part in zip(blocks, map_in_threads(locate, blocks), strict=True):
-        points[block[0] : block[-1] + 1] = part
+        points[mapped.as_slice(block)] = part
         mapped.let_go()
     return points
 

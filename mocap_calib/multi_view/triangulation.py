@@ -70,7 +70,7 @@ def triangulate(
     blocks = frame_blocks(frames, matches.individuals * keypoints)
     for block, part in zip(blocks, map_in_threads(work, blocks), strict=True):
         for name, array in found.items():
-            array[block[0] : block[-1] + 1] = getattr(part, name)
+            array[mapped.as_slice(block)] = getattr(part, name)
         mapped.let_go()
         progress("triangulate", int(block[-1]) + 1, frames)
     return Poses3D(

@@ -109,8 +109,9 @@ def _shared_columns(views: Sequence[Keypoints2D], meanings: Mapping[str, str]) -
 def _list_detections(view: Keypoints2D, columns: Ints) -> _Detections:
     """Return the detections of a view by their keys."""
     parts = [(np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.int64))]
+    own = mapped.as_slice(columns)
     for rows in mapped.frame_slices(len(view.frames)):
-        block = view.positions[rows][:, :, mapped.as_slice(columns)]
+        block = view.positions[rows][:, :, own]
         block = block.reshape(*block.shape[:2], -1)
         seen = np.isfinite(block)
         number = np.count_nonzero(seen, axis=-1)
