@@ -109,6 +109,11 @@ def changed_ints(dimensions: int) -> Argument:
     return INT._replace(dimensions=dimensions, changed=True)
 
 
+def changed_octets(dimensions: int) -> Argument:
+    """Return the type of an array of bytes in C order, which is changed in place."""
+    return OCTET._replace(dimensions=dimensions, changed=True)
+
+
 def changed_bools(dimensions: int) -> Argument:
     """Return the type of an array of booleans in C order that is changed in place."""
     return BOOL._replace(dimensions=dimensions, changed=True)

@@ -21,7 +21,8 @@ from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.poses.formats import POSE_FORMATS
 from mocap_calib.io.poses.poses3d_h5 import parse
 from mocap_calib.io.registry import find_format
-from mocap_calib.io.results.csv_text import format_rows
+from mocap_calib.io.results import csv_text
+from mocap_calib.io.results.csv_text import format_lines, format_rows
 from mocap_calib.io.results.further_formats import check_recording, write_formats
 from mocap_calib.io.results.group import read_outputs, remove_earlier_outputs
 from mocap_calib.io.results.matches_csv import matches_csv, read_matches_csv
@@ -528,3 +529,27 @@ def test_rows_of_csv_have_the_digits_of_repr():
     for row, text in zip(table, format_rows(table), strict=True):
         assert text == ",".join("" if np.isnan(x) else repr(float(x)) for x in row)
     assert format_rows(table[:0]) == []
+
+
+@pytest.mark.parametrize("by_kernel", [True, False])
+def test_lines_of_csv_have_the_digits_of_repr(by_kernel, monkeypatch):
+    """Floats of any bits, whole numbers of any size, and texts beside them; compiled or not."""
+    if not by_kernel:
+        monkeypatch.setattr(csv_text, "compiled", lambda _: None)
+    rng = np.random.default_rng(0)
+    bits = rng.integers(-(2**63), 2**63, (2000, 3)).view(np.float64)
+    usual = np.exp(rng.normal(0, 8, (20_000, 3))) * rng.choice([-1, 1], (20_000, 1))
+    short = rng.integers(-(10**6), 10**6, (2000, 3)) / 10.0 ** rng.integers(-12, 25, (2000, 1))
+    halves = np.ldexp(1.0, np.arange(-1073, 1024)).reshape(-1, 3)
+    odd = np.array([[np.nan, np.inf, 5e-324], [0.0, -0.0, -np.inf], [1e-4, 9.9e-5, 1e16]])
+    cells = np.concatenate([bits, usual, short, halves, odd, odd[:, ::-1]])
+    numbers = np.stack([np.arange(len(cells)), -1 - np.arange(len(cells))], axis=-1)
+    numbers[:2] = [[2**63 - 1, -(2**63) + 1], [0, 1234567890123456789]]
+    expected = "".join(
+        f"café,{','.join('' if np.isnan(x) else repr(x) for x in row)};{whole},{other}\n"
+        for row, (whole, other) in zip(cells.tolist(), numbers.tolist(), strict=True)
+    )
+    assert format_lines("café,", cells, ";", numbers) == expected
+    whole = f"a,b,{2**63 - 1}\na,b,0\n"
+    assert format_lines("a", cells[:2, :0], ",b,", numbers[:2, :1]) == whole
+    assert format_lines("a", cells[:0], "b", numbers[:0]) == ""

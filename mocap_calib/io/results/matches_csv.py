@@ -3,16 +3,18 @@
 import csv
 import io
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
+from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.file import decode, malformed, read_bytes
-from mocap_calib.io.results.csv_text import format_csv_line, slice_frames
+from mocap_calib.io.results.csv_text import format_csv_line, format_lines, slice_frames
 from mocap_calib.recording.epochs import own_name
 from mocap_calib.recording.pairing import compose_name
-from mocap_calib.types import NO_FRAME, Bools, Clocks, Ints, Matches, Recording
+from mocap_calib.types import NO_FRAME, Bools, Clocks, Ints, Matches, Reals, Recording
 
 _COLUMNS = ["camera", "frame", "instance", "individual"]
 _REMEDY = "give the file that `match` or `run` wrote"
@@ -33,17 +35,20 @@ def matches_csv(
     for view, name in enumerate(recording.names):
         camera = format_csv_line([own_name(name, recording.names)]).rstrip("\n")
         numbers = recording.frames if clocks is None else clocks.numbers(name)
-        for piece in slice_frames(len(recording.frames)):
-            seen = np.isfinite(recording.positions[view, piece, :, :, 0]).any(axis=-1)
-            frame, instance = np.nonzero(seen)
-            individual = matches.labels[view, piece][frame, instance]
-            rows = zip(
-                numbers[piece][frame].tolist(),
-                instance.tolist(),
-                individual.tolist(),
-                strict=True,
-            )
-            yield "".join(f"{camera},{f},{i},{who}\n" for f, i, who in rows)
+        positions, labels = recording.positions[view], matches.labels[view]
+        lines = partial(_detections, f"{camera},", positions, labels, numbers)
+        yield from map_in_threads(lines, slice_frames(len(recording.frames)))
+
+
+def _detections(first: str, positions: Reals, labels: Ints, numbers: Ints, piece: slice) -> str:
+    """Return the lines of a view's detections in a piece of its frames.
+
+    first: what each begins with. positions: `[frame, instance, keypoint, 2]`. labels: `[frame,
+    instance]`. numbers: `[frame]` of the frames.
+    """
+    frame, instance = np.nonzero(np.isfinite(positions[piece, ..., 0]).any(axis=-1))
+    whole = [numbers[piece][frame], instance, labels[piece][frame, instance]]
+    return format_lines(first, np.empty((len(frame), 0)), "", np.stack(whole, axis=-1))
 
 
 def read_matches_csv(

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.errors import MismatchError
 from mocap_calib.io.atomic import (
     check_no_further_individual,
@@ -12,7 +13,7 @@ from mocap_calib.io.atomic import (
     replace_folder,
     replace_text,
 )
-from mocap_calib.io.results.csv_text import format_csv_line, format_rows, slice_frames
+from mocap_calib.io.results.csv_text import format_csv_line, format_lines, slice_frames
 from mocap_calib.types import Floats, Poses3D
 
 _FIELDS = ("x", "y", "z", "error", "ncams", "score")  # of each keypoint
@@ -48,11 +49,13 @@ def poses_csv(poses: Poses3D, individual: int) -> Iterator[str]:
     header += [f"center_{axis}" for axis in range(3)]
     yield format_csv_line([*header, "fnum"])
     no_change = [*np.eye(3).ravel().tolist(), 0.0, 0.0, 0.0]
-    axes = ",".join(map(str, no_change))
-    for piece in slice_frames(len(poses.frames)):
-        rows = format_rows(_stack_columns(poses, individual, piece))
-        frames = poses.frames[piece].tolist()
-        yield "".join(f"{row},{axes},{frame}\n" for row, frame in zip(rows, frames, strict=True))
+    axes = ",".join(["", *map(str, no_change), ""])
+
+    def lines(piece: slice) -> str:
+        table = _stack_columns(poses, individual, piece)
+        return format_lines("", table, axes, poses.frames[piece, None])
+
+    yield from map_in_threads(lines, slice_frames(len(poses.frames)))
 
 
 def _stack_columns(poses: Poses3D, individual: int, piece: slice) -> Floats:
