@@ -4,6 +4,8 @@ import hashlib
 from collections.abc import Iterable
 from pathlib import Path
 
+from mocap_calib.compute.parallel import map_in_threads
+
 
 def hash_file(path: Path) -> str:
     """Return the SHA-256 of a file, as hexadecimal digits."""
@@ -13,11 +15,9 @@ def hash_file(path: Path) -> str:
 
 def hash_files(folder: Path) -> dict[str, str]:
     """Return the SHA-256 of every file below a folder, by its path relative to the folder."""
-    return {
-        file.relative_to(folder).as_posix(): hash_file(file)
-        for file in sorted(folder.rglob("*"))
-        if file.is_file()
-    }
+    files = [file for file in sorted(folder.rglob("*")) if file.is_file()]
+    names = (file.relative_to(folder).as_posix() for file in files)
+    return dict(zip(names, map_in_threads(hash_file, files), strict=True))
 
 
 def hash_inputs(paths: Iterable[str | Path]) -> dict[str, str]:
@@ -27,20 +27,20 @@ def hash_inputs(paths: Iterable[str | Path]) -> dict[str, str]:
     and their names. What is neither file nor folder (a pipe has been read already) is left out.
     Bytes of a path that are not UTF-8 are escaped, as files say these paths.
     """
-    found = [entry for path in map(Path, paths) for entry in _entries(path)]
-    hashes = {}
-    for path in found:
-        name = str(path).encode(errors="backslashreplace").decode()
-        if path.is_file():
-            hashes[name] = hash_file(path)
-        elif path.is_dir():
-            hashes[name] = _hash_folder(path)
-    return hashes
+    entries = (entry for path in map(Path, paths) for entry in _entries(path))
+    found = [entry for entry in entries if entry.is_file() or entry.is_dir()]
+    names = (str(entry).encode(errors="backslashreplace").decode() for entry in found)
+    return dict(zip(names, map_in_threads(_hash_entry, found), strict=True))
 
 
 def _entries(path: Path) -> list[Path]:
     """Return the entries of a folder, or the path itself where it is none."""
     return sorted(path.iterdir()) if path.is_dir() else [path]
+
+
+def _hash_entry(path: Path) -> str:
+    """Return the SHA-256 of a file, or of a folder."""
+    return hash_file(path) if path.is_file() else _hash_folder(path)
 
 
 def _hash_folder(folder: Path) -> str:

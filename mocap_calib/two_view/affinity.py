@@ -226,12 +226,7 @@ def epipolar_affinity(
         affinity = np.zeros((frames, views, instances, views, instances))
         comparable = np.zeros_like(affinity)
         kernels.fit_all_views(
-            *contiguous(
-                np.moveaxis(np.nan_to_num(sample.rays), (1, 4), (0, 3)),
-                np.swapaxes(sample.confidence, 0, 1),
-                np.swapaxes(1 / distance**2, 0, 1),
-                _essential_matrices(rig),
-            ),
+            *contiguous(sample.rays, sample.confidence, distance, _essential_matrices(rig)),
             config.inlier,
             config.least_common_joints,
             affinity,
