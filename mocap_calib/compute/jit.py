@@ -170,15 +170,11 @@ def _type_of(argument: Argument) -> Any:
 
 
 def _compile_inlined(names: dict[str, Any]) -> None:
-    """Let a file's inlined functions be compiled with the kernel that calls them.
-
-    As parts of it: to call one, with all that describes its arrays, takes as long as what it does
-    with a row of 20 numbers.
-    """
+    """Let a file's inlined functions be compiled with the kernel that calls them."""
     numba = import_module("numba")
     for name, value in names.items():
         if isinstance(value, FunctionType) and value in _INLINED:
-            names[name] = numba.njit(nogil=True, error_model="numpy", forceinline=True)(value)
+            names[name] = numba.njit(nogil=True, error_model="numpy")(value)
 
 
 def _machine_code(found: Any) -> machine_code.MachineCode | None:
