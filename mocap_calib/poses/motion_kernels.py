@@ -10,62 +10,52 @@ import numpy as np
 from mocap_calib.compute.jit import FLOAT, INT, changed_floats, floats, inlined, kernel
 from mocap_calib.types import Floats
 
-LANES = 20
+LANES = 20  # joints of a group, and frames that are looked at side by side
 _POINT = 3 * LANES
 _TINY = 1e-100  # of an acceleration, as in `energy`
 
 
 @inlined
-def _total(row: Floats) -> float:
-    """Return the sum of a row `[LANES]`, which is overwritten; four numbers at a time."""
-    for k in range(4, LANES, 4):
-        for n in range(4):
-            row[n] += row[k + n]
-    return (row[0] + row[2]) + (row[1] + row[3])
+def _accelerate(points: Floats, steps: Floats, found: Floats, frame: int, first: int) -> None:
+    """Set the accelerations of a group's joints in one of the frames side by side.
 
-
-@inlined
-def _add_accelerations(
-    points: Floats, steps: Floats, there: Floats, own: Floats, sums: Floats
-) -> None:
-    """Set the accelerations `[3 * LANES]` of a group of joints, and add those of joints to sums.
-
-    points: of three frames.
+    points: of three frames. found: `[joint, 3 * LANES]`. first: the first joint of the group.
     """
-    first, second, third = steps[0], steps[1], steps[2]
-    for n in range(_POINT):
-        own[n] = first * points[n] + second * points[_POINT + n] + third * points[2 * _POINT + n]
-    for k in range(3):
-        for n in range(LANES):
-            sums[k * LANES + n] += there[n] * own[k * LANES + n]
+    before, now, after = steps[0], steps[1], steps[2]
+    for n in range(min(LANES, len(found) - first)):
+        for k in range(3):
+            m = k * LANES + n
+            value = before * points[m] + now * points[_POINT + m] + after * points[2 * _POINT + m]
+            found[first + n, k * LANES + frame] = value
 
 
 @inlined
-def _add_distances(own: Floats, there: Floats, middle: Floats, off: Floats, total: Floats) -> None:
-    """Set the distances `[LANES]` of a group's accelerations from a middle; add those of joints."""
-    middle_x, middle_y, middle_z = middle[0], middle[1], middle[2]
+def _add_distances(own: Floats, middle: Floats, total: Floats) -> None:
+    """Add the distances `[LANES]` of a joint's accelerations from their middles."""
     for n in range(LANES):
-        x, y, z = own[n] - middle_x, own[LANES + n] - middle_y, own[2 * LANES + n] - middle_z
-        off[n] = math.sqrt(x * x + y * y + z * z)
-        total[n] += there[n] * off[n]
+        x, y = own[n] - middle[n], own[LANES + n] - middle[LANES + n]
+        z = own[2 * LANES + n] - middle[2 * LANES + n]
+        total[n] += math.sqrt(x * x + y * y + z * z)
 
 
 @inlined
-def _add_weighed(own: Floats, there: Floats, off: Floats, added: float, sums: Floats) -> None:
-    """Add accelerations of a group times weights, and the weights: inverse distances."""
+def _add_weighed(own: Floats, middle: Floats, added: Floats, sums: Floats) -> None:
+    """Add a joint's accelerations times weights, and the weights: inverse distances."""
     for n in range(LANES):
-        weight = there[n] / (off[n] + added)
-        sums[n] += weight * own[n]
-        sums[LANES + n] += weight * own[LANES + n]
-        sums[2 * LANES + n] += weight * own[2 * LANES + n]
+        a, b, c = own[n], own[LANES + n], own[2 * LANES + n]
+        x, y, z = a - middle[n], b - middle[LANES + n], c - middle[2 * LANES + n]
+        weight = 1 / (math.sqrt(x * x + y * y + z * z) + added[n])
+        sums[n] += weight * a
+        sums[LANES + n] += weight * b
+        sums[2 * LANES + n] += weight * c
         sums[_POINT + n] += weight
 
 
-@kernel(floats(3), floats(2), floats(2), INT, FLOAT, FLOAT, changed_floats(2))
+@kernel(floats(3), floats(2), INT, INT, FLOAT, FLOAT, changed_floats(2))
 def share_accelerations(
     points: Floats,
     steps: Floats,
-    there: Floats,
+    joints: int,
     rounds: int,
     least: float,
     part: float,
@@ -73,35 +63,37 @@ def share_accelerations(
 ) -> None:
     """Set what joints share of the accelerations of frames, in the last three columns.
 
-    points: `[group, frame, 3 * LANES]`. there: `[group, LANES]` 1 for a joint, 0 for none. rounds:
-    towards the middle, from the mean. least: what is added to each distance, in mean distances.
-    part: of the middle, that is expected. expected: `[frame, 5]`; its last two frames stay as they
-    are.
+    points: `[group, frame, 3 * LANES]`. rounds: towards the middle, from the mean. least: what is
+    added to each distance, in mean distances. part: of the middle, that is expected. expected:
+    `[frame, 5]`; its last two frames stay as they are.
     """
-    groups, joints = len(points), there.sum()
-    own, off = np.empty((groups, _POINT)), np.empty((groups, LANES))
-    sums, middle = np.empty((4, LANES)), np.empty(3)
-    for t in range(len(expected) - 2):
-        sums[:] = 0.0
-        for g in range(groups):
-            three = points[g, t : t + 3].reshape(-1)
-            _add_accelerations(three, steps[t], there[g], own[g], sums.reshape(-1))
-        for k in range(3):
-            middle[k] = _total(sums[k]) / joints
-        usual = -1.0
+    own, middle = np.zeros((joints, _POINT)), np.empty(_POINT)
+    sums, usual, added = np.empty(4 * LANES), np.empty(LANES), np.empty(LANES)
+    ends = len(expected) - 2
+    for first in range(0, ends, LANES):
+        frames = min(LANES, ends - first)
+        for f in range(frames):
+            t = first + f
+            for g in range(len(points)):
+                _accelerate(points[g, t : t + 3].reshape(-1), steps[t], own, f, g * LANES)
+        middle[:], usual[:] = 0.0, 0.0
+        for j in range(joints):
+            middle += own[j]
+        middle /= joints
+        for j in range(joints):
+            _add_distances(own[j], middle, usual)
+        usual /= joints
         for _ in range(rounds):
             sums[:] = 0.0
-            for g in range(groups):
-                _add_distances(own[g], there[g], middle, off[g], sums[3])
-            if usual < 0:
-                usual = _total(sums[3]) / joints
-            added = least * usual + _TINY
-            sums[:] = 0.0
-            for g in range(groups):
-                _add_weighed(own[g], there[g], off[g], added, sums.reshape(-1))
-            weight = _total(sums[3])
+            for n in range(LANES):
+                added[n] = least * usual[n] + _TINY
+            for j in range(joints):
+                _add_weighed(own[j], middle, added, sums)
+            for n in range(LANES):
+                weight = sums[_POINT + n]
+                usual[n] = joints / weight
+                for k in range(3):
+                    middle[k * LANES + n] = sums[k * LANES + n] / weight
+        for f in range(frames):
             for k in range(3):
-                middle[k] = _total(sums[k]) / weight
-            usual = joints / weight
-        for k in range(3):
-            expected[t, 2 + k] = part * middle[k]
+                expected[first + f, 2 + k] = part * middle[k * LANES + f]

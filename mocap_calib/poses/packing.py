@@ -15,8 +15,7 @@ from mocap_calib.types import Floats, Ints
 class Packed:
     """Arrays of `energy_kernels.sum_terms` and of `bands_kernels.factor_bands`.
 
-    there: `[group, LANES]` 1 for a joint, 0 for none. Points, what accelerations share, along and
-    factor are overwritten.
+    Points, what accelerations share, along and factor are overwritten.
     """
 
     kernels: BandKernels
@@ -28,7 +27,6 @@ class Packed:
     steps: Floats
     expected: Floats
     stiffness: Floats
-    there: Floats
     edges: Ints
     bones: Floats
     along: Floats
@@ -40,7 +38,7 @@ class Packed:
             self.kernels.motion.share_accelerations(
                 self.points,
                 self.steps,
-                self.there,
+                self.joints,
                 SHARED_ROUNDS,
                 SHARED_LEAST,
                 shared_part(self.joints, self.config),
@@ -74,8 +72,8 @@ def pack(
     lanes = kernels.energy.LANES
     found = in_lanes(points, lanes)
     usual = 1 / (strengths.acceleration * body.size) ** 2 * (body.steps[0] != 0)
-    there, stiffness = np.zeros((2, len(found), lanes))
-    there.reshape(-1)[:joints], stiffness.reshape(-1)[:joints] = 1.0, body.agility**-2
+    stiffness = np.zeros((len(found), lanes))
+    stiffness.reshape(-1)[:joints] = body.agility**-2
     expected = np.zeros((5, frames))
     expected[0], expected[1] = usual, config.ridge / body.size**2
     edges, bones = _pack_bones(body, strengths, lanes)
@@ -89,7 +87,6 @@ def pack(
         steps=np.ascontiguousarray(in_tiles(body.steps, lanes).T),
         expected=np.ascontiguousarray(in_tiles(expected, lanes).T),
         stiffness=stiffness,
-        there=there,
         edges=edges,
         bones=bones,
         along=np.empty((len(bones), len(edges), 4 * lanes)),

@@ -155,14 +155,12 @@ def test_kernels_find_what_joints_share_as_numpy_does(joints):
     kernels = band_kernels()
     width = kernels.motion.LANES
     packed = in_lanes(points, width)
-    there = np.zeros((len(packed), width))
-    there.reshape(-1)[:joints] = 1.0
-    lanes = packed.reshape(len(packed), -1, 3, width)
-    lanes += np.where(there == 0, rng.normal(size=there.shape), 0.0)[:, None, None]
+    none = (np.arange(len(packed) * width) >= joints).reshape(-1, 1, 1, width)
+    packed += (none * rng.normal(size=(len(packed), 1, 3, width))).reshape(len(packed), 1, -1)
     motion = np.ascontiguousarray(in_tiles(steps, width).T)
     found = np.zeros((len(motion), 5))
     how = SHARED_ROUNDS, SHARED_LEAST, shared_part(joints, CONFIG)
-    kernels.motion.share_accelerations(packed, motion, there, *how, found)
+    kernels.motion.share_accelerations(packed, motion, joints, *how, found)
     acceleration = sum(steps[k, :38, None] * points[:, k : k + 38] for k in range(3))
     expected = shared_accelerations(acceleration.transpose(1, 2, 0), CONFIG)
     assert np.allclose(found[2:40, 2:], expected, rtol=0, atol=1e-14)
