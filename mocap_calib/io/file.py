@@ -217,7 +217,7 @@ def make_view(
     missing: Counter[str] = Counter()
     step = max(1, _POINTS_AT_A_TIME // max(1, values[0].size // 3 if len(values) else 1))
     for start in range(0, len(order), step):  # so that nothing of this size is made in between
-        part = values[order[start : start + step]]
+        part = values[mapped.as_slice(order[start : start + step])]
         marked = mark_missing(part[..., :2], part[..., 2])
         positions[start : start + step], confidence[start : start + step] = marked[:2]
         missing.update(marked[2])

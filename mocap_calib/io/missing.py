@@ -40,11 +40,13 @@ def _count_customs(customs: Mapping[str, Bools], present: Bools) -> dict[str, in
     """
     counts = {}
     counted = np.zeros_like(present)
-    has_points = present.any(-1, keepdims=True)
     for name, marked in customs.items():
+        if not marked.any():
+            continue
         added = marked & ~counted
-        number = int((added & has_points if name == "empty or NaN" else added).sum())
-        if number:
+        if name == "empty or NaN":
+            added &= present.any(-1, keepdims=True)
+        if number := int(added.sum()):
             counts[name] = number
         counted |= marked
     return counts
