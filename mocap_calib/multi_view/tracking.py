@@ -12,7 +12,7 @@ import numpy as np
 from mocap_calib import mapped
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import MatchingConfig
-from mocap_calib.geometry.projection import rays_from_pixels
+from mocap_calib.geometry import lens
 from mocap_calib.multi_view.labels import replace_labels
 from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Matches, Recording
 
@@ -46,34 +46,36 @@ def _locate_in_block(
     """
     labels = labels[:, block]
     view, frame, instance = np.nonzero(labels >= 0)
-    group = labels[view, frame, instance]
+    group = frame * groups + labels[view, frame, instance]
     pixels = recording.positions[:, block][view, frame, instance].astype(np.float64)
     rays = _central_rays(recording.cameras, view, pixels)
-    rays = np.einsum("nji,nj->ni", rig.rotation[view], rays)
-    across = np.eye(3) - rays[:, :, None] * rays[:, None]
-    offset = np.einsum("nij,nj->ni", across, rig.centres[view])
+    rays = np.einsum("nji,jn->in", rig.rotation[view], rays)
+    across = np.eye(3)[..., None] - rays[:, None] * rays
+    offset = np.einsum("ijn,nj->in", across, rig.centres[view])
 
-    matrix = np.zeros((labels.shape[1], groups, 3, 3))
-    vector = np.zeros((labels.shape[1], groups, 3, 1))
-    np.add.at(matrix, (frame, group), across)
-    np.add.at(vector, (frame, group), offset[..., None])
-
+    sums = [
+        np.bincount(group, row, minlength=labels.shape[1] * groups)
+        for row in (*across.reshape(9, -1), *offset)
+    ]
+    matrix = np.stack(sums[:9], axis=-1).reshape(-1, groups, 3, 3)
+    vector = np.stack(sums[9:], axis=-1).reshape(-1, groups, 3, 1)
     present = np.abs(matrix).sum((-1, -2)) > 0
     points = np.linalg.solve(matrix + 1e-9 * np.eye(3), vector)
     return np.where(present[..., None], points[..., 0], np.nan)
 
 
 def _central_rays(cameras: tuple[Camera, ...], view: Ints, pixels: Floats) -> Floats:
-    """Return `[detection, 3]` unit rays, in each camera's axes, through the middles of detections.
+    """Return `[3, detection]` unit rays, in each camera's axes, through the middles of detections.
 
     view: `[detection]` indices; pixels: `[detection, keypoint, 2]`, NaN = missing.
     """
-    rays = np.zeros((len(view), 3))
+    rays = np.zeros((3, len(view)))
     for index, camera in enumerate(cameras):
         of_view = view == index
-        rays[of_view] = np.nansum(rays_from_pixels(camera, pixels[of_view]), axis=1)
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    return rays
+        own = np.moveaxis(pixels[of_view], -1, 0)
+        found = lens.unproject(camera, np.ascontiguousarray(own).reshape(2, -1))
+        rays[:, of_view] = np.nansum(found.reshape(3, *own.shape[1:]), axis=-1)
+    return rays / np.linalg.norm(rays, axis=0)
 
 
 def real_individuals(matches: Matches, views: int, config: MatchingConfig) -> Bools:

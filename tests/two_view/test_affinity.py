@@ -1,5 +1,7 @@
 """What detections say about a relative pose, held to its definitions."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scenes import lifted, recording, scene
@@ -125,6 +127,25 @@ def test_the_affinity_by_a_rig_is_the_epipolar_fit_of_its_pairs():
     slow = fit_each_pair_of_views(sample, rig, distance, config)
     np.testing.assert_allclose(affinity, slow[0].reshape(affinity.shape), rtol=1e-12, atol=1e-14)
     np.testing.assert_array_equal(comparable, slow[1].reshape(comparable.shape))
+
+
+@pytest.mark.parametrize("frames", [1, 19, 20, 21])
+def test_the_affinity_of_a_frame_does_not_depend_on_those_beside_it(frames):
+    """Kernels look at several side by side; a frame without detections has none."""
+    rig, config = scene().rig, PairwiseConfig()
+    sample = recording().select(frames=np.arange(frames))
+    confidence = sample.confidence.copy()
+    confidence[:, frames // 2] = 0.0
+    sample = replace(sample, confidence=confidence)
+    distance = distances(lifted().centre[:, :frames], sample.rays)
+    together = epipolar_affinity(sample, rig, distance, config)
+    for frame in range(frames):
+        alone = sample.select(frames=np.array([frame]))
+        found = epipolar_affinity(alone, rig, distance[:, [frame]], config)
+        for one, all in zip(found, together, strict=True):
+            np.testing.assert_array_equal(one[0], all[frame])
+    assert not together[1][frames // 2].any()
+    assert frames == 1 or together[1].any()
 
 
 def test_distances_are_compared_where_joints_are_in_front_of_both_views():
