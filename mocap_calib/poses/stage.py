@@ -28,6 +28,7 @@ from mocap_calib.poses.start import (
 from mocap_calib.poses.track import Body, Detections, acceleration_steps, detections_of
 from mocap_calib.poses.trust import Trust
 from mocap_calib.recording.joints import edges_of_keypoints
+from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.steerpose.weights import load_vocabulary
 from mocap_calib.types import (
     Bools,
@@ -111,26 +112,22 @@ class _Scene:
     @cached_property
     def individuals(self) -> list[_Individual]:
         """The individuals that were triangulated in enough frames."""
-        sigma = self.poses.sigma
-        found = map_in_threads(
-            lambda index: self._find(index, sigma[:, index]), range(sigma.shape[1])
-        )
-        return [who for who in found if who is not None]
+        individuals = range(self.poses.raw.shape[1])
+        return [who for who in map_in_threads(self._find, individuals) if who is not None]
 
-    def _find(self, index: int, sigma: Floats) -> _Individual | None:
-        """Return what is known of the individual of an index, None where it is too little.
-
-        sigma: `[frame, keypoint]` of its triangulated points.
-        """
+    def _find(self, index: int) -> _Individual | None:
+        """Return what is known of the individual of an index, None where it is too little."""
         raw = self.poses.raw[:, index]
         seen = mapped.in_blocks(lambda rows: np.isfinite(raw[rows, :, 0]).any(1), len(raw))
         there = np.flatnonzero(seen)
-        points = mapped.in_blocks(lambda rows: raw[there[rows]], len(there))
+        measured = evenly_spaced(there, self.config.body_frames)
+        points = raw[measured]
         size = body_size(points)
         if len(there) < _LEAST_FRAMES or not size > 0:
             return None
-        own = mapped.in_blocks(lambda rows: sigma[there[rows]], len(there))
-        lengths, varies = bone_lengths(points, own, self.edges)
+        variances = self.poses.covariance[measured, index][..., (0, 3, 5)]
+        sigma = np.sqrt(variances.sum(-1, dtype=np.float64))
+        lengths, varies = bone_lengths(points, sigma, self.edges)
         bones = slice(len(self.bones))
         reach = reach_of_bones(lengths[bones], varies[bones], self.bones, raw.shape[1])
         frames = with_gaps(there, self.times, self.config.longest_gap)

@@ -12,7 +12,6 @@ from mocap_calib.types import CameraRig, Floats, Ints, Matches, Poses3D, Recordi
 
 _MEDIAN_SQUARE = 0.455  # of normal errors of variance 1
 _ROUNDS = 10  # of the middle of bones' lengths and its weights
-_LENGTHS = 1 << 17  # of bones, looked at at once
 
 
 def add_refused(
@@ -51,24 +50,18 @@ def bone_lengths(points: Floats, sigma: Floats, edges: Ints) -> tuple[Floats, Fl
     together. Noise across a bone makes it longer: that is taken off.
     """
     found = np.full((2, len(edges)), np.nan)
-    size = max(1, _LENGTHS // max(len(points), 1))
-    every = mapped.in_blocks(
-        lambda rows: _measure_bones(points[rows], sigma[rows], edges), len(points), axis=2
-    )
-    for start in range(0, len(edges), size):
-        length, noise = every[:, start : start + size]
-        seen = np.flatnonzero(np.isfinite(length).any(1))
-        length, noise = length[seen], noise[seen]
-        length -= np.minimum(noise / length, length / 2)
-        found[:, start + seen] = _middle_and_spread(length, noise)
-        mapped.let_go()
+    length, noise = _measure_bones(points, sigma, edges)
+    seen = np.flatnonzero(np.isfinite(length).any(1))
+    length, noise = length[seen], noise[seen]
+    length -= np.minimum(noise / length, length / 2)
+    found[:, seen] = _middle_and_spread(length, noise)
     return found[0], found[1]
 
 
 def _measure_bones(points: Floats, sigma: Floats, edges: Ints) -> Floats:
     """Return lengths and the variances of their noise `[2, edge, frame]`, both NaN or neither.
 
-    points, sigma: as of `bone_lengths`, of some frames.
+    points, sigma: as of `bone_lengths`.
     """
     a, b = edges.T
     along = (points[:, a, axis] - points[:, b, axis] for axis in range(3))
