@@ -636,7 +636,6 @@ class PosesConfig:
         points, and lengths may err by `usual_bones`.
     largest_acceleration: of the points; where it is larger, frames do not follow each other.
         Measured: 0.01 to 0.1 of motions, 0.7 and more where they do not.
-    body_frames: of an individual, evenly spread, in which its size and its bones are measured.
     held_out_frames: of bodies, in stretches of `held_out_stretch`, on which they choose.
     fit_steps, refit_steps, choice_steps: of Gauss-Newton: to fit points; to fit them again, without
         the detections that the first fit exposes; and to choose strengths. overshoot: how many
@@ -664,7 +663,6 @@ class PosesConfig:
     usual_bones: float = 0.05
     largest_acceleration: float = 0.25
     least_hidden: int = 100
-    body_frames: int = 10_000
     held_out_frames: int = 200
     held_out_stretch: int = 50
     fit_steps: int = 6

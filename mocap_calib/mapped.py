@@ -22,6 +22,7 @@ from numpy.typing import DTypeLike, NDArray
 from mocap_calib.compute.parallel import map_in_threads
 
 _LARGE = 1 << 24  # bytes; smaller arrays stay in memory
+_ENOUGH = 10_000  # frames that tell what is usual
 _BLOCK = 4096  # frames at a time,
 _AROUND = 1 << 21  # bytes: the system brings in as much around what is read,
 _FAR = 32  # so that from so many places far from each other is read at a time
@@ -115,6 +116,11 @@ def as_slice(frames: Any) -> Any:
     if not are_indices or index[0] < 0 or (np.diff(index) != 1).any():
         return frames
     return slice(int(index[0]), int(index[-1]) + 1)
+
+
+def some_frames(array: NDArray[Any]) -> NDArray[Any]:
+    """Return an array with at most 10,000 of its frames, evenly spread: medians need no more."""
+    return array[:: max(1, -(-len(array) // _ENOUGH))]
 
 
 def finite_values(array: NDArray[Any]) -> NDArray[Any]:

@@ -10,7 +10,6 @@ import pytest
 from scenes import calibrate_group, recording
 
 from mocap_calib import mapped
-from mocap_calib.geometry.bodies import body_size
 from mocap_calib.io.results.poses_h5 import parse_poses_h5, write_poses_h5
 from mocap_calib.types import GroupResult, Poses3D
 
@@ -71,11 +70,11 @@ def test_what_a_mapped_array_holds_stays_when_its_memory_is_given_back():
     np.testing.assert_array_equal(half, np.arange(1500, 3000).reshape(500, 3))
 
 
-@pytest.mark.usefixtures("all_on_disk")
-def test_bodies_are_measured_a_block_of_frames_at_a_time():
-    """All points of a million frames were in memory at once: the most of a smoothed recording."""
-    points = np.random.default_rng(0).normal(size=(40, 4, 3))
-    assert body_size(points.view(InBlocks)) == body_size(points)
+def test_what_is_usual_is_told_by_some_frames(monkeypatch):
+    """Evenly spread, from the first on; all of a short recording."""
+    monkeypatch.setattr(mapped, "_ENOUGH", 4)
+    for frames, expected in ((0, []), (4, [0, 1, 2, 3]), (5, [0, 2, 4]), (12, [0, 3, 6, 9])):
+        assert mapped.some_frames(np.arange(frames)).tolist() == expected
 
 
 class OfFewPlaces(np.ndarray):

@@ -18,10 +18,11 @@ def body_size(points: Floats) -> float:
     """Return the RMS distance of joints `[..., keypoint, 3]` from their middle, the median body's.
 
     Of the bodies that have half of their joints, and three; where there is none, of those that
-    have three, or all where joints are fewer. NaN without bodies.
+    have three, or all where joints are fewer. NaN without bodies. A long recording, the first axis,
+    is looked at in some of its frames.
     """
     keypoints = points.shape[-2]
-    points = points.reshape(-1, keypoints, 3)
+    points = mapped.some_frames(points).reshape(-1, keypoints, 3)
     count, size = np.zeros(len(points), dtype=np.int64), np.zeros(len(points))
     for block in mapped.frame_slices(len(points)):
         bodies = points[block]

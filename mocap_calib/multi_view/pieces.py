@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mocap_calib import mapped
+from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import MatchingConfig
 from mocap_calib.geometry.bodies import mean_of_known
 from mocap_calib.geometry.graphs import connected_parts
@@ -89,10 +90,14 @@ def step_distances(points: Floats, moved: Floats, config: MatchingConfig) -> Flo
     """
     frames, groups = points.shape[:2]
     distance = np.empty((max(frames - 1, 0), groups, groups))
-    for block in mapped.frame_slices(frames - 1, _FRAMES):
+
+    def measure(block: slice) -> None:
         later = points[block.start + 1 : block.stop + 1]
         expected = points[block] + moved[block, :, None]
         distance[block] = rms_distance(expected[:, :, None], later[:, None], config.tracklet_joints)
+
+    for _ in map_in_threads(measure, mapped.frame_slices(frames - 1, _FRAMES)):
+        pass
     return distance
 
 

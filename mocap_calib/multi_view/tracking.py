@@ -53,12 +53,11 @@ def _locate_in_block(
     across = np.eye(3)[..., None] - rays[:, None] * rays
     offset = np.einsum("ijn,nj->in", across, rig.centres[view])
 
-    sums = [
-        np.bincount(group, row, minlength=labels.shape[1] * groups)
-        for row in (*across.reshape(9, -1), *offset)
-    ]
-    matrix = np.stack(sums[:9], axis=-1).reshape(-1, groups, 3, 3)
-    vector = np.stack(sums[9:], axis=-1).reshape(-1, groups, 3, 1)
+    frames = labels.shape[1]
+    rows = (*across.reshape(9, -1), *offset)
+    sums = [np.bincount(group, row, minlength=frames * groups) for row in rows]
+    matrix = np.stack(sums[:9], axis=-1).reshape(frames, groups, 3, 3)
+    vector = np.stack(sums[9:], axis=-1).reshape(frames, groups, 3, 1)
     present = np.abs(matrix).sum((-1, -2)) > 0
     points = np.linalg.solve(matrix + 1e-9 * np.eye(3), vector)
     return np.where(present[..., None], points[..., 0], np.nan)

@@ -28,7 +28,6 @@ from mocap_calib.poses.start import (
 from mocap_calib.poses.track import Body, Detections, acceleration_steps, detections_of
 from mocap_calib.poses.trust import Trust
 from mocap_calib.recording.joints import edges_of_keypoints
-from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.steerpose.weights import load_vocabulary
 from mocap_calib.types import (
     Bools,
@@ -120,7 +119,7 @@ class _Scene:
         raw = self.poses.raw[:, index]
         seen = mapped.in_blocks(lambda rows: np.isfinite(raw[rows, :, 0]).any(1), len(raw))
         there = np.flatnonzero(seen)
-        measured = evenly_spaced(there, self.config.body_frames)
+        measured = mapped.some_frames(there)
         points = raw[measured]
         size = body_size(points)
         if len(there) < _LEAST_FRAMES or not size > 0:

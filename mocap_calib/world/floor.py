@@ -163,21 +163,21 @@ def _lowest_feet(poses: Poses3D, joints: Joints, config: FloorConfig) -> _Lowest
     if not np.isfinite(size) or seen.sum() < max(config.least_feet, config.least_seen * bodies):
         return f"feet were seen of {seen.sum()} bodies of {bodies} alone"
     axis, sigma = _body_axis(poses, joints, above - middle, config)
-    each = mapped.in_blocks(lambda block: positions[block][:, :, feet], len(positions))
-    height = np.where(np.isfinite(each[..., 0]), each @ axis, np.inf)
-    which = height.argmin(-1)[..., None]
-    lowest = np.take_along_axis(each, which[..., None], axis=2)[:, :, 0]
-    noise = np.take_along_axis(poses.sigma[:, :, feet], which, axis=2)[..., 0]
-    mapped.let_go()
     frame, individual = np.nonzero(seen)
     chosen = np.linspace(0, len(frame) - 1, min(len(frame), config.most_points)).astype(np.int64)
     frame, individual = frame[chosen], individual[chosen]
+    each = positions[frame, individual][:, feet]
+    height = np.where(np.isfinite(each[..., 0]), each @ axis, np.inf)
+    which = height.argmin(-1)
+    variances = poses.covariance[frame, individual, np.array(feet)[which]][:, (0, 3, 5)]
+    noise = np.sqrt(variances.sum(-1, dtype=np.float64))
+    mapped.let_go()
     height_sigma = size * config.height_sigma
     height_sigma *= 1.0 if sigma == config.stand_sigma else 2.0
     return _Lowest(
-        points=lowest[frame, individual],
+        points=each[np.arange(len(each)), which],
         individual=individual,
-        trust=1 / (1 + (np.nan_to_num(noise[frame, individual]) / height_sigma) ** 2),
+        trust=1 / (1 + (np.nan_to_num(noise) / height_sigma) ** 2),
         size=size,
         axis=axis,
         axis_sigma=sigma,

@@ -148,7 +148,7 @@ def _stand_on_floor(on: Measurable, floor: Floor, config: WorldConfig) -> Simila
     ahead = ahead - (ahead @ floor.up) * floor.up
     ahead = ahead / np.linalg.norm(ahead)
     rotation = nearest_rotation(np.stack([np.cross(ahead, floor.up), ahead, floor.up]))
-    points = on.poses.positions.reshape(-1, 3)
+    points = mapped.some_frames(on.poses.positions).reshape(-1, 3)
     middle = np.array([_median_of_known(points[:, axis]) for axis in range(3)])
     origin = middle - ((middle - floor.point) @ floor.up) * floor.up
     return Similarity(1.0, rotation, -rotation @ origin)

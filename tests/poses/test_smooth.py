@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scenes import recording, scene, truth
 
+from mocap_calib import mapped
 from mocap_calib.config import Config, PosesConfig
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.multi_view.triangulation import project, triangulate
@@ -285,10 +286,11 @@ def test_blocks_of_time_join_without_a_seam():
     assert (parts.source == whole.source).mean() > 0.999
 
 
-def test_bodies_measured_in_some_of_their_frames_are_smoothed_alike():
+def test_bodies_measured_in_some_of_their_frames_are_smoothed_alike(monkeypatch):
     """Of 60 frames, 20: measured 1.6 mm apart on average."""
     whole, _ = smoothed(**HARD)
-    some, _ = smooth(recording(**HARD), PosesConfig(body_frames=20), **HARD)
+    monkeypatch.setattr(mapped, "_ENOUGH", 20)
+    some, _ = smooth(recording(**HARD), **HARD)
     apart = np.linalg.norm(some.positions - whole.positions, axis=-1)
     assert 0 < np.nanmean(apart) < 0.003
 
