@@ -40,7 +40,7 @@ def _entries(path: Path) -> list[Path]:
 
 def _hash_entry(path: Path) -> str:
     """Return the SHA-256 of a file, or of a folder."""
-    return hash_file(path) if path.is_file() else _hash_folder(path)
+    return _hash_folder(path) if path.is_dir() else hash_file(path)
 
 
 def _hash_folder(folder: Path) -> str:

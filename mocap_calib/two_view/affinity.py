@@ -219,7 +219,7 @@ def epipolar_affinity(
     something, else 0.
     """
     views, frames, instances, _ = sample.confidence.shape
-    kernels = compiled("mocap_calib.two_view.affinity_kernels")
+    kernels = compiled("mocap_calib.two_view.all_views_kernels")
     if kernels is None:
         affinity, comparable = fit_each_pair_of_views(sample, rig, distance, config)
     else:

@@ -1,4 +1,4 @@
-"""How well all detections of a frame fit the epipolar geometry, compiled.
+"""How well detections of two views fit hypotheses of the epipolar geometry, compiled.
 
 `affinity` and `scoring` define what is computed. Joints lie in rows, so that loops over them are
 vectorised.
@@ -11,12 +11,10 @@ import numpy as np
 from mocap_calib.compute.jit import FLOAT, INT, bools, changed_floats, floats, inlined, kernel
 from mocap_calib.types import Bools, Floats
 
-FRAMES = 20  # side by side; loops of a fixed length below 16 do not become vector instructions
-
 
 @inlined
 def _turn(matrix: Floats, rays: Floats, turned: Floats) -> None:
-    """Set `[4, N]` the products of a matrix with rays `[3 or more, N]`, and sums of squares."""
+    """Set `[4, keypoint]` the products of a matrix with rays `[3, keypoint]`, and their squares."""
     x, y, z = rays[0], rays[1], rays[2]
     for row in range(3):
         first, second, third = matrix[row, 0], matrix[row, 1], matrix[row, 2]
@@ -34,143 +32,6 @@ def _weigh(weight_a: Floats, weight_b: Floats, weight: Floats) -> int:
         weight[k] = weight_a[k] * weight_b[k]
         common += weight[k] > 0
     return common
-
-
-@inlined
-def _lay_out(rays: Floats, weight: Floats, first: int, found: Floats) -> bool:
-    """Set `[keypoint, 4 * FRAMES]` the rays and weights of a detection in frames in a row.
-
-    rays: `[frame, keypoint, 3]`, NaN = missing; weight: `[frame, keypoint]`. What is missing, or
-    after the last frame, is 0. Returns whether any is there.
-    """
-    there = False
-    found[:] = 0.0
-    for f in range(min(FRAMES, len(rays) - first)):
-        for k in range(len(found)):
-            x, y, z = rays[first + f, k, 0], rays[first + f, k, 1], rays[first + f, k, 2]
-            if weight[first + f, k] > 0 and not math.isnan(x):
-                found[k, f], found[k, FRAMES + f], found[k, 2 * FRAMES + f] = x, y, z
-                found[k, 3 * FRAMES + f] = weight[first + f, k]
-                there = True
-    return there
-
-
-@inlined
-def _turn_frames(matrix: Floats, rays: Floats, turned: Floats) -> None:
-    """Set `[keypoint, 4 * FRAMES]` what `_turn` sets, of rays as `_lay_out` has them."""
-    xx, xy, xz = matrix[0, 0], matrix[0, 1], matrix[0, 2]
-    yx, yy, yz = matrix[1, 0], matrix[1, 1], matrix[1, 2]
-    zx, zy, zz = matrix[2, 0], matrix[2, 1], matrix[2, 2]
-    for k in range(len(rays)):
-        for f in range(FRAMES):
-            x, y, z = rays[k, f], rays[k, FRAMES + f], rays[k, 2 * FRAMES + f]
-            by_x = xx * x + xy * y + xz * z
-            by_y = yx * x + yy * y + yz * z
-            by_z = zx * x + zy * y + zz * z
-            turned[k, f], turned[k, FRAMES + f], turned[k, 2 * FRAMES + f] = by_x, by_y, by_z
-            turned[k, 3 * FRAMES + f] = by_x * by_x + by_y * by_y + by_z * by_z
-
-
-@inlined
-def _add_fits(
-    from_a: Floats, from_b: Floats, a: Floats, b: Floats, inverse: Floats, sums: Floats
-) -> None:
-    """Set `[3 * FRAMES]` sums over the joints of two detections: of weights, fits, and joints.
-
-    from_a, from_b: `[keypoint]` of `_turn_frames`. a, b: of `_lay_out`. inverse: `[FRAMES]` of
-    the squared width.
-    """
-    sums[:] = 0.0
-    for k in range(len(a)):
-        for f in range(FRAMES):
-            value = from_a[k, f] * b[k, f] + from_a[k, FRAMES + f] * b[k, FRAMES + f]
-            value = value + from_a[k, 2 * FRAMES + f] * b[k, 2 * FRAMES + f]
-            squared = value * value
-            slope = from_a[k, 3 * FRAMES + f] + from_b[k, 3 * FRAMES + f] - 2 * squared
-            denominator = squared * inverse[f] + slope
-            denominator = denominator if denominator > 1e-18 else 1e-18
-            weight = a[k, 3 * FRAMES + f] * b[k, 3 * FRAMES + f]
-            sums[f] += weight
-            sums[FRAMES + f] += weight * slope / denominator
-            sums[2 * FRAMES + f] += 1.0 if weight > 0 else 0.0
-
-
-@inlined
-def _set_frame(fits: Floats, f: int, affinity: Floats, comparable: Floats) -> None:
-    """Set `[view, instance, view, instance]` of one of the frames side by side.
-
-    fits: `[view, instance, view, instance, FRAMES]` of views a < b, -1 = not comparable.
-    """
-    views, instances = affinity.shape[:2]
-    for a in range(views):
-        for i in range(instances):
-            for b in range(a + 1, views):
-                for j in range(instances):
-                    fit = fits[a, i, b, j, f]
-                    if fit >= 0:
-                        affinity[a, i, b, j] = affinity[b, j, a, i] = fit
-                        comparable[a, i, b, j] = comparable[b, j, a, i] = 1.0
-
-
-@kernel(
-    floats(5),
-    floats(4),
-    floats(3),
-    floats(4),
-    FLOAT,
-    INT,
-    changed_floats(5),
-    changed_floats(5),
-)
-def fit_all_views(
-    rays: Floats,
-    weight: Floats,
-    distance: Floats,
-    matrices: Floats,
-    inlier: float,
-    least_common: int,
-    affinity: Floats,
-    comparable: Floats,
-) -> None:
-    """Set affinity and comparable `[frame, view, instance, view, instance]`, which are 0.
-
-    rays: `[view, frame, instance, keypoint, 3]`, NaN = missing. weight: `[view, frame, instance,
-    keypoint]`. distance: `[view, frame, instance]`. matrices: `[view, view, 3, 3]` the essential
-    matrix of each pair a < b, and its transpose at (b, a). Frames are looked at side by side.
-    """
-    views, frames, instances, joints, _ = rays.shape
-    shape = (instances, joints, 4 * FRAMES)
-    seen, there = np.empty((views, *shape)), np.empty((views, instances), dtype=np.bool_)
-    closeness = np.ones((views, instances, FRAMES))
-    from_a, from_b = np.empty(shape), np.empty(shape)
-    fits = np.empty((views, instances, views, instances, FRAMES))
-    sums, inverse = np.empty(3 * FRAMES), np.empty(FRAMES)
-    for first in range(0, frames, FRAMES):
-        for a in range(views):
-            for i in range(instances):
-                there[a, i] = _lay_out(rays[a, :, i], weight[a, :, i], first, seen[a, i])
-                for f in range(min(FRAMES, frames - first)):
-                    closeness[a, i, f] = 1 / distance[a, first + f, i] ** 2
-        for a in range(views):
-            for b in range(a + 1, views):
-                for i in range(instances):
-                    _turn_frames(matrices[a, b], seen[a, i], from_a[i])
-                    _turn_frames(matrices[b, a], seen[b, i], from_b[i])
-                for i in range(instances):
-                    for j in range(instances):
-                        if not (there[a, i] and there[b, j]):
-                            fits[a, i, b, j] = -1.0
-                            continue
-                        for f in range(FRAMES):
-                            both = closeness[a, i, f] + closeness[b, j, f]
-                            inverse[f] = 2 / both / inlier**2
-                        _add_fits(from_a[i], from_b[j], seen[a, i], seen[b, j], inverse, sums)
-                        for f in range(FRAMES):
-                            fit = sums[FRAMES + f] / max(sums[f], 1e-9)
-                            enough = sums[2 * FRAMES + f] >= least_common
-                            fits[a, i, b, j, f] = fit if enough else -1.0
-        for f in range(min(FRAMES, frames - first)):
-            _set_frame(fits, f, affinity[first + f], comparable[first + f])
 
 
 @inlined

@@ -34,9 +34,20 @@ def test_packed_is_what_it_was(array, tmp_path):
     np.testing.assert_array_equal(found, array)
 
 
-def test_missing_numbers_take_hardly_any_room(tmp_path):
-    array = np.full((20_000, 2, 17, 3), np.nan)
-    array[:, 0] = RNG.normal(size=(20_000, 17, 3))
+@pytest.mark.parametrize("keypoints", [16, 17])
+def test_missing_numbers_take_hardly_any_room(keypoints, tmp_path):
+    array = np.full((20_000, 2, keypoints, 3), np.nan)
+    array[:, 0] = RNG.normal(size=(20_000, keypoints, 3))
     with h5py.File(tmp_path / "a.h5", "w") as file:
         write_packed(file, "array", array)
     assert (tmp_path / "a.h5").stat().st_size < 0.5 * array.nbytes
+
+
+@pytest.mark.parametrize("keypoints", [15, 16, 17])
+def test_a_keypoint_that_alone_is_seen_takes_its_own_room(keypoints, tmp_path):
+    """Of the bytes of one plane after the other, its own lie at regular distances."""
+    array = np.full((60_000, 1, keypoints), np.nan)
+    array[..., 0] = RNG.normal(size=(60_000, 1))
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        write_packed(file, "array", array)
+    assert (tmp_path / "a.h5").stat().st_size < 0.16 * array.nbytes

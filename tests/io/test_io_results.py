@@ -22,7 +22,7 @@ from mocap_calib.io.poses.formats import POSE_FORMATS
 from mocap_calib.io.poses.poses3d_h5 import parse
 from mocap_calib.io.registry import find_format
 from mocap_calib.io.results import csv_text
-from mocap_calib.io.results.csv_text import format_lines, format_rows
+from mocap_calib.io.results.csv_text import format_lines
 from mocap_calib.io.results.further_formats import check_recording, write_formats
 from mocap_calib.io.results.group import read_outputs, remove_earlier_outputs
 from mocap_calib.io.results.matches_csv import matches_csv, read_matches_csv
@@ -519,22 +519,12 @@ def test_what_a_format_cannot_hold_of_the_cameras_is_said_before_a_run(format, c
     assert said in str(caught.value)
 
 
-def test_rows_of_csv_have_the_digits_of_repr():
-    """Whatever is small, large, whole, missing or negative."""
-    rng = np.random.default_rng(0)
-    table = rng.normal(size=(200, 30)) * 10.0 ** rng.integers(-20, 25, (200, 1))
-    table[rng.uniform(size=table.shape) < 0.1] = np.nan
-    odd = [1e-4, 9.9e-5, 5e-324, 1e15, 1e16, 9999999999999998.0, 0.0, -0.0, 3.0, np.inf]
-    table = np.concatenate([table, np.resize(odd, (3, 30)), np.full((1, 30), np.nan)])
-    for row, text in zip(table, format_rows(table), strict=True):
-        assert text == ",".join("" if np.isnan(x) else repr(float(x)) for x in row)
-    assert format_rows(table[:0]) == []
-
-
 @pytest.mark.parametrize("by_kernel", [True, False])
 def test_lines_of_csv_have_the_digits_of_repr(by_kernel, monkeypatch):
     """Floats of any bits, whole numbers of any size, and texts beside them; compiled or not."""
-    if not by_kernel:
+    if by_kernel:
+        pytest.importorskip("numba")
+    else:
         monkeypatch.setattr(csv_text, "compiled", lambda _: None)
     rng = np.random.default_rng(0)
     bits = rng.integers(-(2**63), 2**63, (2000, 3)).view(np.float64)
@@ -553,3 +543,29 @@ def test_lines_of_csv_have_the_digits_of_repr(by_kernel, monkeypatch):
     whole = f"a,b,{2**63 - 1}\na,b,0\n"
     assert format_lines("a", cells[:2, :0], ",b,", numbers[:2, :1]) == whole
     assert format_lines("a", cells[:0], "b", numbers[:0]) == ""
+    single = np.asfortranarray(usual[:9], np.float32)
+    expected = "".join(
+        ",".join("" if np.isnan(x) else repr(x) for x in row) + ",7\n" for row in single.tolist()
+    )
+    assert format_lines("", single, ",", np.full((9, 1), 7, np.int32)) == expected
+
+
+def test_tables_of_many_pieces_are_those_of_one(monkeypatch):
+    """In order, whichever thread is first."""
+    poses = Poses3D(
+        keypoints=("a", "b"),
+        frames=np.arange(5, 905),
+        positions=np.random.default_rng(0).normal(size=(900, 1, 2, 3)),
+        error=np.ones((900, 1, 2)),
+        views=np.full((900, 1, 2), 3),
+        confidence=np.ones((900, 1, 2)),
+        unit="m",
+    )
+    whole = "".join(poses_csv(poses, 0))
+    monkeypatch.setattr(csv_text, "_PIECE", 100)
+    pieces = list(poses_csv(poses, 0))
+    assert len(pieces) > 100
+    assert "".join(pieces) == whole
+    assert [line.rsplit(",", 1)[1] for line in whole.splitlines()[1:]] == [
+        str(frame) for frame in poses.frames
+    ]

@@ -1,45 +1,34 @@
 """Write rows of numbers as comma-separated text, compiled: each as `repr` writes it.
 
-Infinities, and numbers that are hardly above zero, end the writing at their row.
 The shortest digits that mean a number, and no other, are found by Schubfach (Giulietti, The
 Schubfach way to render doubles, 2020).
 """
 
 import numpy as np
 
-from mocap_calib.compute.jit import (
-    changed_ints,
-    changed_octets,
-    inlined,
-    ints,
-    kernel,
-    octets,
-)
+from mocap_calib.compute.jit import changed_octets, inlined, ints, kernel, octets
 from mocap_calib.types import Ints, Octets
 
 NUMBER = 25  # characters of a number and a comma, at most
-_COMMA, _LINE_FEED, _POINT, _PLUS, _MINUS, _ZERO, _SMALL_E = map(ord, ",\n.+-0e")
-_LARGEST = 60  # power of ten
+_COMMA, _LINE_FEED, _POINT, _PLUS, _MINUS, _ZERO = map(ord, ",\n.+-0")
+_SMALL_E, _SMALL_I, _SMALL_N, _SMALL_F = map(ord, "einf")
+_LEAST, _LARGEST = -292, 324  # powers of ten
 _FRACTION = 52  # bits of a number's fraction
-_NO_NUMBER = 0x7FF  # the exponent of NaN and infinity
 _BIAS = 1075  # of its exponent, as a whole number times a power of two
-_FIRST, _LAST = (
-    900,
-    1200,
-)  # exponents of numbers that these powers of ten are enough for: 1e-37 to 1e53
+_NO_NUMBER = 0x7FF  # the exponent of NaN and infinity
 _LOW = np.uint64(0xFFFFFFFF)
 _HALF = np.uint64(32)
 _NONE, _ONE, _TWO, _FOUR, _TEN, _HUNDRED = map(np.uint64, (0, 1, 2, 4, 10, 100))
 _LEAST_OF_17, _LEAST_OF_20 = np.uint64(10**16), np.uint64(10**19)
 
 
-def powers_of_ten() -> Ints:
-    """Return `[power, 2]` the upper 128 bits of the powers of ten from -60 to 60, rounded up.
+def _powers_of_ten() -> Ints:
+    """Return `[power, 2]` the upper 128 bits of the powers of ten from -292 to 324, rounded up.
 
     As two halves of 64 bits each, the upper one first; they are unsigned.
     """
     halves = []
-    for power in range(-_LARGEST, _LARGEST + 1):
+    for power in range(_LEAST, _LARGEST + 1):
         shift = 127 - _floor_log2(power)
         above, below = 10 ** max(power, 0) << max(shift, 0), 10 ** max(-power, 0)
         below <<= max(-shift, 0)
@@ -51,6 +40,9 @@ def powers_of_ten() -> Ints:
 def _floor_log2(power: int) -> int:
     """Return the whole part of the logarithm of ten to a power to the base of two."""
     return power * 1741647 >> 19
+
+
+POWERS = _powers_of_ten()
 
 
 @inlined
@@ -80,17 +72,17 @@ def _round_to_odd(high: np.uint64, low: np.uint64, factor: np.uint64) -> np.uint
 @inlined
 def _shortest(fraction: np.uint64, exponent: int, powers: Ints) -> tuple[np.uint64, int]:
     """Return the digits, as a whole number, and the power of ten that they are times."""
-    mantissa = fraction | (_ONE << np.uint64(_FRACTION))
-    two = exponent - _BIAS
+    mantissa = fraction | (_ONE << np.uint64(_FRACTION)) if exponent else fraction
+    two = max(exponent, 1) - _BIAS
     if -_FRACTION <= two <= 0:
         dropped = np.uint64(-two)
         if mantissa & ((_ONE << dropped) - _ONE) == _NONE:
             return mantissa >> dropped, 0
-    closer = fraction == _NONE  # the next smaller number is nearer
+    closer = fraction == _NONE and exponent > 1  # the next smaller number is nearer
     ten = (two * 1262611 - (524031 if closer else 0)) >> 22
     shift = np.uint64(two + (-ten * 1741647 >> 19) + 1)
-    high = np.uint64(powers[_LARGEST - ten, 0])
-    low = np.uint64(powers[_LARGEST - ten, 1])
+    high = np.uint64(powers[-ten - _LEAST, 0])
+    low = np.uint64(powers[-ten - _LEAST, 1])
     four = _FOUR * mantissa
     lower = _round_to_odd(high, low, (four - (_ONE if closer else _TWO)) << shift)
     value = _round_to_odd(high, low, four << shift)
@@ -189,75 +181,64 @@ def _write_with_exponent(digits: np.uint64, count: int, before: int, text: Octet
     at += count + 1 if count > 1 else 1
     text[at] = _SMALL_E
     text[at + 1] = _MINUS if before < 1 else _PLUS
-    power = np.uint64(abs(before - 1))
-    _write_whole(power, 2, text, at + 2)
-    return at + 4
+    power = abs(before - 1)
+    count = 2 if power < 100 else 3
+    _write_whole(np.uint64(power), count, text, at + 2)
+    return at + 2 + count
 
 
 @inlined
-def _write_cells(cells: Ints, powers: Ints, text: Octets, at: int) -> int:
-    """Write a row of numbers, nothing for NaN; return where it ends, -1 where one is left."""
-    for column in range(len(cells)):
-        if column:
-            text[at] = _COMMA
-            at += 1
-        bits = np.uint64(cells[column])
-        exponent = int(cells[column] >> _FRACTION & _NO_NUMBER)
-        fraction = bits & ((_ONE << np.uint64(_FRACTION)) - _ONE)
-        if exponent == _NO_NUMBER:
-            if fraction == _NONE:
-                return -1
-            continue
-        if cells[column] < 0:
-            text[at] = _MINUS
-            at += 1
-        if exponent == 0 and fraction == _NONE:
-            at = _write_number(_NONE, 1, 1, text, at)
-            continue
-        if exponent < _FIRST or exponent > _LAST:
-            return -1
-        digits, ten = _shortest(fraction, exponent, powers)
-        while digits % _TEN == _NONE:
-            digits //= _TEN
-            ten += 1
-        count = _count_digits(digits, 17, _LEAST_OF_17)
-        before = count + ten
-        if -4 < before <= 16:
-            at = _write_number(digits, count, before, text, at)
-        else:
-            at = _write_with_exponent(digits, count, before, text, at)
-    return at
+def _write_float(cell: int, powers: Ints, text: Octets, at: int) -> int:
+    """Write a float of these 64 bits, nothing for NaN; return where it ends."""
+    exponent = int(cell >> _FRACTION & _NO_NUMBER)
+    fraction = np.uint64(cell) & ((_ONE << np.uint64(_FRACTION)) - _ONE)
+    if exponent == _NO_NUMBER and fraction != _NONE:
+        return at
+    if cell < 0:
+        text[at] = _MINUS
+        at += 1
+    if exponent == _NO_NUMBER:
+        text[at], text[at + 1], text[at + 2] = _SMALL_I, _SMALL_N, _SMALL_F
+        return at + 3
+    if exponent == 0 and fraction == _NONE:
+        return _write_number(_NONE, 1, 1, text, at)
+    digits, ten = _shortest(fraction, exponent, powers)
+    while digits % _TEN == _NONE:
+        digits //= _TEN
+        ten += 1
+    count = _count_digits(digits, 17, _LEAST_OF_17)
+    if -4 < count + ten <= 16:
+        return _write_number(digits, count, count + ten, text, at)
+    return _write_with_exponent(digits, count, count + ten, text, at)
 
 
-@kernel(octets(1), ints(2), ints(2), octets(1), ints(2), changed_octets(1), changed_ints(1))
+@inlined
+def _write_text(octets: Octets, text: Octets, at: int) -> int:
+    """Write a text; return where it ends."""
+    for n in range(len(octets)):
+        text[at + n] = octets[n]
+    return at + len(octets)
+
+
+@kernel(octets(1), ints(2), ints(2), octets(1), ints(2), changed_octets(1))
 def write_rows(
-    first: Octets,
-    cells: Ints,
-    powers: Ints,
-    last: Octets,
-    numbers: Ints,
-    text: Octets,
-    ends: Ints,
+    first: Octets, cells: Ints, powers: Ints, last: Octets, numbers: Ints, text: Octets
 ) -> int:
     """Write lines: a text, floats, another text, whole numbers; with commas between the numbers.
 
-    cells: `[row, column]` the floats' 64 bits each. powers: `powers_of_ten`. numbers: `[row,
-    column]`. text: room for `NUMBER` characters of each number, the texts and a line feed.
-
-    Sets the end `[row]` of each line, and returns how many were written: not that which has a
-    number that is not written, and those after it.
+    cells: `[row, column]` the floats' 64 bits each. powers: `POWERS`. numbers: `[row, column]`.
+    text: room for `NUMBER` characters of each number, the texts and a line feed. Returns where the
+    last line ends.
     """
     at = 0
-    for row in range(len(ends)):
-        for octet in first:
-            text[at] = octet
-            at += 1
-        at = _write_cells(cells[row], powers, text, at)
-        if at < 0:
-            return row
-        for octet in last:
-            text[at] = octet
-            at += 1
+    for row in range(len(cells)):
+        at = _write_text(first, text, at)
+        for column in range(cells.shape[1]):
+            if column:
+                text[at] = _COMMA
+                at += 1
+            at = _write_float(cells[row, column], powers, text, at)
+        at = _write_text(last, text, at)
         for column in range(numbers.shape[1]):
             if column:
                 text[at] = _COMMA
@@ -265,5 +246,4 @@ def write_rows(
             at = _write_int(numbers[row, column], text, at)
         text[at] = _LINE_FEED
         at += 1
-        ends[row] = at
-    return len(ends)
+    return at

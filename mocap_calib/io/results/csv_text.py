@@ -8,10 +8,10 @@ import msgspec
 import numpy as np
 
 from mocap_calib import mapped
-from mocap_calib.compute.kernels import compiled, contiguous
+from mocap_calib.compute.kernels import compiled
 from mocap_calib.types import Bools, Floats, Ints
 
-_PIECE = 4096  # frames: Python's numbers take four times the room of numpy's
+_PIECE = 1 << 17  # numbers: some are under way on each thread, of 25 characters each
 
 
 def format_csv_line(cells: Sequence[str]) -> str:
@@ -21,55 +21,40 @@ def format_csv_line(cells: Sequence[str]) -> str:
     return line.getvalue()
 
 
-def slice_frames(frames: int) -> Iterator[slice]:
-    """Yield slices of so many frames that are written in one go."""
-    return mapped.frame_slices(frames, _PIECE)
+def slice_frames(frames: int, columns: int) -> Iterator[slice]:
+    """Yield slices of so many frames that are written in one go.
+
+    columns: numbers of a frame.
+    """
+    return mapped.frame_slices(frames, max(1, _PIECE // columns))
 
 
 def format_lines(first: str, cells: Floats, last: str, numbers: Ints) -> str:
     """Return lines: a text, floats, another text, whole numbers.
 
-    cells: `[row, column]`, "" for NaN. numbers: `[row, column]`. Commas between those of a row.
-    Floats are exact, as `repr` writes them.
+    cells: `[row, column]`, "" for NaN. numbers: `[row, column]`. Commas are between those of a row
+    alone. Floats are exact, as `repr` writes them.
     """
     kernels = compiled("mocap_calib.io.results.csv_kernels")
     if kernels is None:
         return _format_lines(first, cells, last, numbers)
-    powers = kernels.powers_of_ten()
-    cells, numbers = contiguous(cells, numbers)
-    texts = [np.frombuffer(text.encode(), np.uint8) for text in (first, last)]
-    width = len(texts[0]) + len(texts[1]) + kernels.NUMBER * (cells.shape[1] + numbers.shape[1])
-    text, ends = np.empty(len(cells) * (width + 1), np.uint8), np.zeros(len(cells), np.int64)
-    lines, row = [], 0
-    while row < len(cells):
-        rest = slice(row, None)
-        done = kernels.write_rows(
-            texts[0],
-            cells[rest].view(np.int64),
-            powers,
-            texts[1],
-            numbers[rest],
-            text,
-            ends[rest],
-        )
-        if done:
-            lines.append(str(text[: ends[row + done - 1]].data, "utf-8"))
-        row += done
-        if row < len(cells):  # it has a number that kernels do not write
-            one = slice(row, row + 1)
-            lines.append(_format_lines(first, cells[one], last, numbers[one]))
-            row += 1
-    return "".join(lines)
+    cells = np.ascontiguousarray(cells, np.float64)
+    numbers = np.ascontiguousarray(numbers, np.int64)
+    before, after = (np.frombuffer(text.encode(), np.uint8) for text in (first, last))
+    width = len(before) + len(after) + kernels.NUMBER * (cells.shape[1] + numbers.shape[1])
+    text = np.empty(len(cells) * (width + 1), np.uint8)
+    given = before, cells.view(np.int64), kernels.POWERS, after, numbers
+    return str(text[: kernels.write_rows(*given, text)].data, "utf-8")
 
 
 def _format_lines(first: str, cells: Floats, last: str, numbers: Ints) -> str:
-    """Return what `format_lines` returns."""
+    """Return what `format_lines` returns, without its kernel."""
     whole = (",".join(map(str, row)) for row in numbers.tolist())
-    rows = zip(format_rows(cells), whole, strict=True)
+    rows = zip(_format_rows(cells), whole, strict=True)
     return "".join(f"{first}{row}{last}{own}\n" for row, own in rows)
 
 
-def format_rows(table: Floats) -> list[str]:
+def _format_rows(table: Floats) -> list[str]:
     """Return the numbers of each row of `[row, column]`, with commas between them, "" for NaN.
 
     They are exact, as `repr` writes them. JSON has the same digits, eight times as fast; exponents

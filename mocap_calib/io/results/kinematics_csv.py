@@ -44,7 +44,7 @@ def kinematics_csv(found: Kinematics, individuals: Sequence[str]) -> Iterator[st
         return
     for number, individual in enumerate(individuals):
         name = format_csv_line([individual]).rstrip("\n")
-        for piece in slice_frames(len(found.frames)):
+        for piece in slice_frames(len(found.frames), len(columns)):
             table = np.stack([column[piece, number] for column in columns.values()], axis=-1)
             for frame, row in zip(found.frames[piece].tolist(), table, strict=True):
                 if np.isfinite(row).any():

@@ -32,12 +32,13 @@ def matches_csv(
     clocks: by which the recording was put on one clock, None where it is as the files have it.
     """
     yield format_csv_line(_COLUMNS)
+    columns = len(_COLUMNS) * recording.positions.shape[2]
     for view, name in enumerate(recording.names):
         camera = format_csv_line([own_name(name, recording.names)]).rstrip("\n")
         numbers = recording.frames if clocks is None else clocks.numbers(name)
         positions, labels = recording.positions[view], matches.labels[view]
         lines = partial(_detections, f"{camera},", positions, labels, numbers)
-        yield from map_in_threads(lines, slice_frames(len(recording.frames)))
+        yield from map_in_threads(lines, slice_frames(len(recording.frames), columns))
 
 
 def _detections(first: str, positions: Reals, labels: Ints, numbers: Ints, piece: slice) -> str:

@@ -49,13 +49,13 @@ def poses_csv(poses: Poses3D, individual: int) -> Iterator[str]:
     header += [f"center_{axis}" for axis in range(3)]
     yield format_csv_line([*header, "fnum"])
     no_change = [*np.eye(3).ravel().tolist(), 0.0, 0.0, 0.0]
-    axes = ",".join(["", *map(str, no_change), ""])
+    axes = "".join(f",{number}" for number in no_change) + ","
 
     def lines(piece: slice) -> str:
         table = _stack_columns(poses, individual, piece)
         return format_lines("", table, axes, poses.frames[piece, None])
 
-    yield from map_in_threads(lines, slice_frames(len(poses.frames)))
+    yield from map_in_threads(lines, slice_frames(len(poses.frames), len(header)))
 
 
 def _stack_columns(poses: Poses3D, individual: int, piece: slice) -> Floats:
