@@ -72,6 +72,23 @@ class Shown:
         return folder / name
 
 
+# as much work as a processor does in 0.13 s that is quick and has nothing else to do
+_WORK = """() => {
+    const numbers = new Float64Array(1 << 20).fill(0.5);
+    for (let round = 0; round < 12; round++)
+        for (let at = 0; at < numbers.length; at++) numbers[at] = Math.sin(numbers[at] + round);
+    return numbers[numbers.length - 1];
+}"""
+_QUICK = 0.13
+
+
+def slowness(page: Any) -> float:
+    """Return how many times the time of a quick processor the page's takes now; 1 at least."""
+    before = cpu_seconds()["renderer"]
+    page.evaluate(_WORK)
+    return max(1.0, (cpu_seconds()["renderer"] - before) / _QUICK)
+
+
 def cpu_seconds() -> dict[str, float]:
     """Return the time that processors spent on the processes of Chromium, by kind of process."""
     ticks = os.sysconf("SC_CLK_TCK")

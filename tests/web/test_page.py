@@ -5,7 +5,7 @@ import math
 from dataclasses import replace
 
 import pytest
-from pages import READY, Shown, cpu_seconds, open_browser
+from pages import READY, Shown, cpu_seconds, open_browser, slowness
 from report_pages import page_data, report_source, unpack_text
 from report_sizes import large_source
 
@@ -307,7 +307,8 @@ def test_without_webgl_it_says_so_and_shows_the_rest(browser, file):
 def test_a_crowd_in_a_hall_moves_at_thirty_frames_a_second(browser, source, tmp_path):
     """31 cameras and 20 people. Where a machine has other work, frames come later, not dearer.
 
-    A frame takes 21 ms of the page's process and 18 of the one that draws, beside it.
+    A frame takes 21 ms of the page's process and 18 of the one that draws, beside it. They are
+    seconds of a quick processor: on one that takes twice as long for a sum, a frame may too.
     """
     path = tmp_path / "report.html"
     path.write_text(report_page(large_source(source, cameras=31, people=20, frames=600)))
@@ -316,11 +317,12 @@ def test_a_crowd_in_a_hall_moves_at_thirty_frames_a_second(browser, source, tmp_
     shown.page.locator("button.play").click()
     shown.page.wait_for_timeout(1000)
     for _ in range(3):  # until its program is compiled, and nothing else disturbs it
+        slow = slowness(shown.page)
         drawn, spent = _drawn(shown), cpu_seconds()
         shown.page.wait_for_timeout(1500)
         frames = max(1, _drawn(shown) - drawn)
         each = {kind: (now - spent.get(kind, 0)) / frames for kind, now in cpu_seconds().items()}
-        dearest = max(each["renderer"], each["gpu-process"])
+        dearest = max(each["renderer"], each["gpu-process"]) / slow
         if dearest < 1 / 30:
             break
     assert dearest < 1 / 30
