@@ -66,9 +66,12 @@ def run_report(
         "unused_pairs": [asdict(pair) for pair in result.unused_pairs],
         "epochs": describe_epochs(group.rig.names, group.recording.frames),
         "cameras": _describe_cameras(group, error, config, result.faults),
-        "pairs": [
-            sigmas[k] | _describe_pair(group, k, error, config) for k in range(len(group.pairs))
-        ],
+        "pairs": list(
+            map_in_threads(
+                lambda k: sigmas[k] | _describe_pair(group, k, error, config),
+                range(len(group.pairs)),
+            )
+        ),
         "adjust": {"rounds": group.adjusted.rounds, "converged": group.adjusted.converged},
         "individuals": _describe_individuals(group),
         "poses": _describe_poses(group),

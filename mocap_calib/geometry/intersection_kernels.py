@@ -34,14 +34,17 @@ def _take_lanes(
 
 @inlined
 def _add_offsets(
-    centre: Floats, ray: Floats, weight: Floats, total: Floats, point: Floats, sums: Floats
+    centre: Floats, ray: Floats, weight: Floats, by_total: Floats, point: Floats, sums: Floats
 ) -> None:
-    """Add w (I - u u') of a view to sums `[9, LANES]`, and w (o - u'o u) of offsets from it."""
+    """Add w (I - u u') of a view to sums `[9, LANES]`, and w (o - u'o u) of offsets from it.
+
+    w: the weight by what is 1 over the total of the views.
+    """
     from_x, from_y, from_z = centre[0], centre[1], centre[2]
     for n in range(LANES):
         x, y, z = ray[0, n], ray[1, n], ray[2, n]
         to_x, to_y, to_z = point[0, n] - from_x, point[1, n] - from_y, point[2, n] - from_z
-        share = weight[n] / max(total[n], 1e-300)
+        share = weight[n] * by_total[n]
         wx, wy, wz = share * x, share * y, share * z
         along = to_x * x + to_y * y + to_z * z
         sums[0, n] += share - wx * x
@@ -103,10 +106,17 @@ def _weigh_lanes(
         x, y, z = point[0, n] - from_x, point[1, n] - from_y, point[2, n] - from_z
         along = x * ray[0, n] + y * ray[1, n] + z * ray[2, n]
         square = max(x * x + y * y + z * z, 1e-18)
-        error = max(1 - along * along / square, 0.0) * precision[n]
-        loss = 1 + error * narrow
-        weight[n] = precision[n] / (square * loss * loss)
+        # the squared distance times what the loss divides the weight by
+        loss = square + max(square - along * along, 0.0) * precision[n] * narrow
+        weight[n] = precision[n] * square / (loss * loss)
         total[n] += weight[n]
+
+
+@inlined
+def _invert_total(total: Floats) -> None:
+    """Set 1 over each of the totals `[LANES]`."""
+    for n in range(LANES):
+        total[n] = 1 / max(total[n], 1e-300)
 
 
 @inlined
@@ -125,6 +135,7 @@ def _intersect_lanes(
     for view in range(len(centres)):
         for n in range(LANES):
             total[n] += precision[view, n]
+    _invert_total(total)
     for view in range(len(centres)):  # from anywhere a step on lines leads to the same point
         _add_offsets(centres[view], ray[view], precision[view], total, point, sums)
     _step_back(sums, point)
@@ -134,6 +145,7 @@ def _intersect_lanes(
             _weigh_lanes(
                 centres[view], ray[view], precision[view], point, scale, weight[view], total
             )
+        _invert_total(total)
         for view in range(len(centres)):
             _add_offsets(centres[view], ray[view], weight[view], total, point, sums)
         _step_back(sums, point)

@@ -82,12 +82,14 @@ def _refine(
     """Take a Gauss-Newton step of a point at each scale of the loss of Geman and McClure."""
     offset, step = np.empty(3), np.empty(3)
     for scale in scales:
-        total = 0.0
+        narrow, total = 1 / scale**2, 0.0
         for i in range(count):
             square, along = _lengths(centre[i], ray[i], point)
-            error = max(1 - along * along / square, 0.0) * precision[i]
-            weight[i] = precision[i] / (square * (1 + error / scale**2) ** 2)
+            # the squared distance times what the loss divides the weight by
+            loss = square + max(square - along * along, 0.0) * precision[i] * narrow
+            weight[i] = precision[i] * square / (loss * loss)
             total += weight[i]
+        by_total = 1 / max(total, 1e-300)
         matrix[:] = 0.0
         side[:] = 0.0
         for i in range(count):
@@ -95,7 +97,7 @@ def _refine(
             for k in range(3):
                 offset[k] = point[k] - centre[i, k]
                 along += offset[k] * ray[i, k]
-            _add(matrix, side, weight[i] / max(total, 1e-300), ray[i], offset, along)
+            _add(matrix, side, weight[i] * by_total, ray[i], offset, along)
         _solve(matrix, side, step)
         for k in range(3):
             point[k] -= step[k]

@@ -7,9 +7,10 @@ import math
 
 import numpy as np
 
-from mocap_calib.compute.jit import FLOAT, changed_floats, floats, inlined, kernel
-from mocap_calib.types import Floats
+from mocap_calib.compute.jit import FLOAT, changed_bools, changed_floats, floats, inlined, kernel
+from mocap_calib.types import Bools, Floats, Ints
 
+LANES = 64  # points at once, of all views in turn
 _RIDGE = 1e-10  # as of `symmetric`
 
 
@@ -57,6 +58,93 @@ def ray_angles(
             along[view, n] = length
             # NaN, of a ray or a point that is missing, is not 0 or more
             angle[view, n] = math.atan2(math.sqrt(square), length) if square >= 0 else math.pi
+
+
+@inlined
+def _count_views(weight: Floats, count: Ints) -> None:
+    """Set by how many views points are seen, `[LANES]`; weight: `[view, LANES]`."""
+    count[:] = 0
+    for view in range(len(weight)):
+        for n in range(LANES):
+            count[n] += weight[view, n] > 0
+
+
+@inlined
+def _find_meeting(
+    centre: Floats, ray: Floats, limit: Floats, point: Floats, meets: Floats, sums: Floats
+) -> None:
+    """Set to 1 or 0 which rays of a view, `[LANES]`, meet the points, and add them to sums.
+
+    ray, point: `[3, LANES]`. limit: `[LANES]` tangents of angles. meets: weights, 0 = not seen.
+    sums: `[4, LANES]` of rays and of their number.
+    """
+    from_x, from_y, from_z = centre[0], centre[1], centre[2]
+    for n in range(LANES):
+        x, y, z = point[0, n] - from_x, point[1, n] - from_y, point[2, n] - from_z
+        rx, ry, rz = ray[0, n], ray[1, n], ray[2, n]
+        along = x * rx + y * ry + z * rz
+        across_x, across_y, across_z = y * rz - z * ry, z * rx - x * rz, x * ry - y * rx
+        square = across_x * across_x + across_y * across_y + across_z * across_z
+        # of what is missing (NaN) nothing is less
+        near = (along > 0) & (meets[n] > 0) & (math.sqrt(square) < limit[n] * along)
+        meets[n] = 1.0 if near else 0.0
+        sums[0, n] += meets[n] * rx
+        sums[1, n] += meets[n] * ry
+        sums[2, n] += meets[n] * rz
+        sums[3, n] += meets[n]
+
+
+@inlined
+def _widen(ray: Floats, meets: Floats, sums: Floats, cosine: Floats) -> None:
+    """Lower the least cosines `[LANES]` between the mean of rays that meet and each of them."""
+    for n in range(LANES):
+        x, y, z = sums[0, n], sums[1, n], sums[2, n]
+        length = max(math.sqrt(x * x + y * y + z * z), 1e-12)
+        own = (ray[0, n] * x + ray[1, n] * y + ray[2, n] * z) / length
+        cosine[n] = min(cosine[n], own if meets[n] > 0 else 1.0)
+
+
+@kernel(floats(2), floats(2), floats(3), floats(2), floats(2), FLOAT, changed_bools(2))
+def agreeing_views(
+    centres: Floats,
+    points: Floats,
+    world: Floats,
+    weight: Floats,
+    tangents: Floats,
+    narrowest: float,
+    agree: Bools,
+) -> None:
+    """Set which views agree on points `[view, N]`.
+
+    tangents: `[view, count]` of the limits. narrowest: the cosine of the angle from the mean of the
+    rays that one of them must exceed.
+    """
+    views = len(centres)
+    rays, meets = np.zeros((views, 3, LANES)), np.zeros((views, LANES))
+    place, sums, own = np.zeros((3, LANES)), np.empty((4, LANES)), np.empty((2, LANES))
+    limit, cosine, count = own[0], own[1], np.empty(LANES, dtype=np.int64)
+    for start in range(0, points.shape[1], LANES):
+        end = min(start + LANES, points.shape[1])
+        here = end - start
+        place[:, :here] = points[:, start:end]
+        meets[:, :here] = weight[:, start:end]
+        _count_views(meets, count)
+        sums[:] = 0.0
+        for view in range(views):
+            for k in range(3):
+                rays[view, k, :here] = world[view, k, start:end]
+            for n in range(LANES):
+                limit[n] = tangents[view, count[n]]
+            _find_meeting(centres[view], rays[view], limit, place, meets[view], sums)
+        cosine[:] = 1.0
+        for view in range(views):
+            _widen(rays[view], meets[view], sums, cosine)
+        for n in range(LANES):
+            if sums[3, n] < 2 or not cosine[n] < narrowest:
+                meets[:, n] = 0.0
+        for view in range(views):
+            for n in range(here):
+                agree[view, start + n] = meets[view, n] > 0
 
 
 @inlined

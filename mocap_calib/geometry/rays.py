@@ -13,6 +13,52 @@ def points_in_cameras(rig: CameraRig, points: Floats) -> Floats:
     return np.matmul(rig.rotation, points) + rig.translation[:, :, None]
 
 
+def agreeing_views(
+    rig: CameraRig,
+    points: Floats,
+    world: Floats,
+    weight: Floats,
+    *,
+    limits: Floats,
+    least_angle: float,
+) -> Bools:
+    """Return the views that agree on points, `[view, N]`; none where they are too few or too near.
+
+    A view agrees where the point is in front of it, and its ray passes within a limit. Two views
+    at least must, and their rays be far enough apart.
+
+    points: `[3, N]`, NaN = unknown. world: `[view, 3, N]` unit rays in the world's axes, zero where
+    missing. weight: `[view, N]`, 0 = not seen. limits: `[view, count]` angles in radians, of points
+    that so many views see. least_angle: in radians.
+    """
+    kernels = compiled(_KERNELS)
+    if kernels is None:
+        return _agreeing_views(rig, points, world, weight, limits=limits, least_angle=least_angle)
+    agree = np.empty(weight.shape, dtype=bool)
+    tangents = np.tan(np.minimum(limits, np.pi / 2))
+    given = contiguous(rig.centres, points, world, weight, tangents)
+    kernels.agreeing_views(*given, np.cos(least_angle / 2), agree)
+    return agree
+
+
+def _agreeing_views(
+    rig: CameraRig,
+    points: Floats,
+    world: Floats,
+    weight: Floats,
+    *,
+    limits: Floats,
+    least_angle: float,
+) -> Bools:
+    """Return what `agreeing_views` does."""
+    seen = weight > 0
+    limit = np.take_along_axis(limits, np.broadcast_to(seen.sum(0), weight.shape), axis=1)
+    angle, in_front = _angles(points - rig.centres[:, :, None], world)
+    agree = seen & in_front & (angle < limit)
+    enough = agree.sum(0) >= 2
+    return np.asarray(agree & enough & are_apart(world, agree, least_angle))
+
+
 def are_apart(rays: Floats, used: Bools, least_angle: float) -> Bools:
     """Return whether the used rays of each point are far enough apart, `[N]`.
 
@@ -56,9 +102,16 @@ def ray_angles(rig: CameraRig, points: Floats, rays: Floats) -> tuple[Floats, Bo
 
 def _ray_angles(rig: CameraRig, points: Floats, rays: Floats) -> tuple[Floats, Bools]:
     """Return what `ray_angles` does."""
-    in_camera = points_in_cameras(rig, points)
-    along = np.einsum("vin,vin->vn", in_camera, rays)
-    z, x, y = (_cross(in_camera, rays, i) for i in range(3))
+    return _angles(points_in_cameras(rig, points), rays)
+
+
+def _angles(offset: Floats, rays: Floats) -> tuple[Floats, Bools]:
+    """Return the angles between rays and offsets of points from the views, and which are in front.
+
+    Both `[view, 3, N]`. Angles `[view, N]` in radians, pi where something is missing.
+    """
+    along = np.einsum("vin,vin->vn", offset, rays)
+    z, x, y = (_cross(offset, rays, i) for i in range(3))
     across = np.sqrt(z * z + x * x + y * y)
     angle = np.arctan2(across, along)
     return np.where(np.isnan(angle), np.pi, angle), along > 0

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from mocap_calib import mapped
+from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import ReportConfig
 from mocap_calib.html_report.encode import pack, quantise, small_ints
 from mocap_calib.html_report.frames import fill_room
@@ -24,10 +25,10 @@ def describe_detections(seen: Seen, shown: Ints, room: int) -> dict[str, Any] | 
     each = of_all * (4 * len(recording.keypoints) + 6) / max(1, len(shown))
 
     def pack_frames(places: Ints) -> dict[str, Any]:
-        cameras = [
-            _pack_camera(seen, view, shown[places]) for view in range(len(recording.cameras))
-        ]
-        return {"frames": pack(small_ints(places), delta=0), "cameras": cameras}
+        cameras = map_in_threads(
+            lambda view: _pack_camera(seen, view, shown[places]), range(len(recording.cameras))
+        )
+        return {"frames": pack(small_ints(places), delta=0), "cameras": list(cameras)}
 
     packed, index = fill_room(pack_frames, len(shown), int(2 * room / each), room)
     return packed if len(index) else None

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from mocap_calib import mapped
+from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import REPORT_FRAMES, ReportConfig
 from mocap_calib.html_report.encode import pack, pack_floats, quantise, small_ints
 from mocap_calib.html_report.frames import quantiles, split_evenly
@@ -29,19 +30,21 @@ def describe_fits(seen: Seen, rig: CameraRig, poses: Poses3D) -> dict[str, Any]:
     frames = evenly_spaced(np.arange(len(recording.frames)), count)
     leftover = Leftover.of_points(recording, matches, rig, poses.raw, frames)
     columns, rows = _CONFIG.cells if len(rig) <= _CONFIG.many_views else _CONFIG.few_cells
-    cells = [
-        _grid_errors(camera, view, leftover, (columns, rows))
-        for view, camera in enumerate(recording.cameras)
-    ]
-    unmatched = [_grid_unmatched(seen, view, frames, (columns, rows)) for view in range(len(cells))]
+    views = range(len(rig))
+
+    def grid(view: int) -> tuple[Ints, Floats, Ints]:
+        counts, mean = _grid_errors(recording.cameras[view], view, leftover, (columns, rows))
+        return counts, mean, _grid_unmatched(seen, view, frames, (columns, rows))
+
+    counts, mean, unmatched = map(np.stack, zip(*map_in_threads(grid, views), strict=True))
     scale = _CONFIG.residual_step
     return {
         "columns": columns,
         "rows": rows,
-        "counts": pack(small_ints(np.stack([counts for counts, _ in cells]))),
-        "unmatched": pack(small_ints(np.stack(unmatched))),
+        "counts": pack(small_ints(counts)),
+        "unmatched": pack(small_ints(unmatched)),
         "residual_scale": scale,
-        "residuals": pack(quantise(np.stack([mean for _, mean in cells]), scale)),
+        "residuals": pack(quantise(mean, scale)),
         "by_joint": pack_floats(_errors_by_joint(leftover)),
         **_errors_over_time(recording, leftover, frames),
         "looked_at": len(frames),

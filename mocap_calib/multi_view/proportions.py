@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocap_calib import mapped
+from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import MatchingConfig
 from mocap_calib.geometry.graphs import spanning_tree
 from mocap_calib.multi_view.pieces import Pieces
@@ -111,9 +112,9 @@ def measure_proportions(points: Floats, pieces: Pieces, config: MatchingConfig) 
     piece = pieces.number[frame, group]
     order = np.argsort(piece, kind="stable")
     cuts = np.flatnonzero(np.diff(piece[order])) + 1
-    mean = np.stack([_medians(part) for part in np.split(lengths[order], cuts)])
-    seen = np.zeros(mean.shape)
-    np.add.at(seen, piece, np.isfinite(lengths))
+    parts = np.split(lengths[order], cuts)
+    mean = np.stack(list(map_in_threads(_medians, parts)))
+    seen = np.stack([np.isfinite(part).sum(0) for part in parts])
     # neighbouring frames err together, and each pose in its own way
     independent = np.where(seen > 0, 1 + (seen - 1) / config.bone_memory, np.inf)
     variance = spread**2 * (1 / independent + config.bone_doubt**2)
@@ -129,8 +130,12 @@ def _bone_lengths(points: Floats, bones: Ints, frame: Ints, group: Ints) -> Floa
     """
     lengths = np.empty((len(frame), len(bones)))
     a, b = bones.T
-    for block in mapped.frame_slices(len(frame), _BODIES):
+
+    def measure(block: slice) -> None:
         lengths[block] = _log_lengths(points[frame[block], group[block]], (a, b))
+
+    for _ in map_in_threads(measure, mapped.frame_slices(len(frame), _BODIES)):
+        pass
     return lengths
 
 

@@ -36,15 +36,17 @@ def name_by_tracklets(tracks: Ints, labels: Ints, config: MatchingConfig) -> Int
     tracks: `[view, frame, instance]` of `all_tracklets`. labels: the same shape, -1 = nobody, which
     is returned.
     """
-    filled = labels.copy()
-    for view, given in enumerate(labels):
+
+    def fill(view: int) -> Ints:
+        given = labels[view]
         wanted = _majority(tracks[view], given, config)
         others = np.delete(labels, view, axis=0)
         in_other_views = np.moveaxis(others, 1, 0).reshape(len(given), -1)
         confirmed = _is_among(wanted, in_other_views)
         free = ~_is_among(wanted, given) & ~_occurs_twice(wanted)
-        filled[view] = np.where((given < 0) & confirmed & free, wanted, given)
-    return filled
+        return np.where((given < 0) & confirmed & free, wanted, given)
+
+    return np.stack(list(map_in_threads(fill, range(len(labels)))))
 
 
 def tracklets(recording: Recording, view: int, config: MatchingConfig) -> Ints:

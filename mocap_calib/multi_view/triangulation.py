@@ -13,7 +13,7 @@ from mocap_calib.errors import MismatchError
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.intersection import intersect
 from mocap_calib.geometry.point_covariance import point_covariance
-from mocap_calib.geometry.rays import are_apart, ray_angles, rays_in_world
+from mocap_calib.geometry.rays import agreeing_views, rays_in_world
 from mocap_calib.geometry.view_blocks import POINT_BLOCK, ViewBlock, view_blocks
 from mocap_calib.multi_view.noise import view_noise
 from mocap_calib.multi_view.observations import Observations, gather_observations
@@ -216,21 +216,23 @@ def _triangulate_some(
     known = np.where(np.isfinite(rays[:, 0]), weight, 0.0)
     world = rays_in_world(rig, rays)
     points = intersect(rig, world, known / noise[:, None] ** 2)
-    angle, in_front = ray_angles(rig, points, rays)
-    limit = config.outlier * noise[:, None] * _share_left(known > 0)
-    used = (weight > 0) & in_front & (angle < limit)
-    apart = are_apart(world, used, np.deg2rad(config.least_angle_deg))
-    good = (used.sum(0) >= 2) & apart
-    return np.where(good, points, np.nan), used & good
+    used = agreeing_views(
+        rig,
+        points,
+        world,
+        known,
+        limits=config.outlier * noise[:, None] * _share_left(len(noise)),
+        least_angle=np.deg2rad(config.least_angle_deg),
+    )
+    return np.where(used.any(0), points, np.nan), used
 
 
-def _share_left(seen: Bools) -> Floats:
-    """Return what points leave of the errors of their rays, `[N]`: sqrt(1 - 3 / (2 V)) of V rays.
+def _share_left(views: int) -> Floats:
+    """Return what points leave of the errors of their rays, sqrt(1 - 3 / (2 V)) of V rays.
 
-    seen: `[view, N]`. The point takes three of the 2 V numbers.
+    `[count]`, of no view up to all. The point takes three of the 2 V numbers.
     """
-    rays = np.maximum(seen.sum(0), 2)
-    return np.asarray(np.sqrt(1 - 3 / (2 * rays)))
+    return np.sqrt(1 - 3 / (2 * np.maximum(np.arange(views + 1), 2)))
 
 
 def reprojection_error(rig: CameraRig, points: Floats, *, pixels: Floats, used: Bools) -> Floats:

@@ -14,7 +14,14 @@ from mocap_calib.geometry.point_covariance import (
     median_angles,
     point_covariance,
 )
-from mocap_calib.geometry.rays import _ray_angles, _rays_in_world, ray_angles, rays_in_world
+from mocap_calib.geometry.rays import (
+    _agreeing_views,
+    _ray_angles,
+    _rays_in_world,
+    agreeing_views,
+    ray_angles,
+    rays_in_world,
+)
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.types import Camera, CameraRig
 
@@ -224,3 +231,29 @@ def test_angles_are_compiled_as_they_are_defined(name):
     found = median_angles(rig, points, weight)[:, known]
     defined = _median_angles(rig, points[:, known], weight[:, known])
     np.testing.assert_allclose(found, defined, rtol=1e-7)
+
+
+@pytest.mark.parametrize("name", PLACES)
+def test_agreement_is_compiled_as_it_is_defined(name):
+    """Of points that are unknown, rays that are missing, behind, or of another point, too."""
+    pytest.importorskip("numba")
+    rig, rng = rig_at(PLACES[name]), np.random.default_rng(5)
+    views, points = len(rig), 0.5 * rng.normal(size=(3, 500))
+    rays = noisy_rays(rig, points, np.full(views, NOISE))
+    rays *= np.where(rng.random((views, 1, 500)) < 0.05, -1, 1)
+    rays[0, :, 30:40] = np.nan
+    world, points[:, :20] = rays_in_world(rig, rays), np.nan
+    weight = np.where(rng.random((views, 500)) < 0.2, 0.0, rng.uniform(0, 2, (views, 500)))
+    limits = 2 * NOISE * np.linspace(1.0, 1.5, views + 1) * np.ones((views, 1))
+    limits[1] = 2.0  # wider than a right angle: whatever is in front
+    for least_angle in (0.1, 0.7):
+        given = {"limits": limits, "least_angle": least_angle}
+        found = agreeing_views(rig, points, world, weight, **given)
+        expected = _agreeing_views(rig, points, world, weight, **given)
+        np.testing.assert_array_equal(found, expected)
+        assert not found[:, :20].any()
+        assert not found[0, 30:40].any()
+        assert not found[weight == 0].any()
+        assert (found.sum(0) != 1).all()
+    narrow = agreeing_views(rig, points, world, weight, limits=limits, least_angle=0.1)
+    assert 0.2 < narrow.any(0).mean() < 1.0
