@@ -1298,11 +1298,18 @@ class Poses3D(Record):
             world=self.world.turn(rotation, shift),
         )
 
-    def select(self, individuals: Sequence[int] | slice) -> "Poses3D":
-        """Return the poses of these individuals (indices) alone, in this order."""
+    def select(
+        self,
+        individuals: Sequence[int] | slice = slice(None),
+        *,
+        frames: Ints | slice = slice(None),
+    ) -> "Poses3D":
+        """Return the poses of these individuals in these frames (indices) alone, in this order."""
         names = ("positions", "error", "views", "confidence", "covariance", "raw", "source")
-        parts: dict[str, Any] = {name: getattr(self, name)[:, individuals] for name in names}
-        return replace(self, **parts)
+        parts: dict[str, Any] = {
+            name: getattr(self, name)[frames][:, individuals] for name in names
+        }
+        return replace(self, frames=self.frames[frames], **parts)
 
     def _move(self, move: Callable[[Floats], Floats]) -> tuple[Floats, Floats]:
         """Return the positions and the triangulated points after a move."""

@@ -5,12 +5,13 @@ failures (its fixed-point iteration diverges at strong lenses; its fisheye inver
 tan(theta), which breaks near 90 degrees).
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from mocap_calib.compute.kernels import compiled, contiguous
+from mocap_calib.compute.kernels import compiled
 from mocap_calib.config import LENS_MISS_PX
 from mocap_calib.geometry import brown_conrady, kannala_brandt
 from mocap_calib.types import Camera, Floats
@@ -46,23 +47,68 @@ def unproject(camera: Camera, pixels: Floats) -> Floats:
 
     NaN where no ray has the pixel.
     """
-    kernels = compiled("mocap_calib.geometry.lens_kernels")
-    if kernels is None or camera.fisheye:
-        return _unproject(camera, pixels)
-    focal, middle = _focal_and_middle(camera)
-    k = brown_conrady.coefficients(camera)
-    limits = brown_conrady.limits_of_newton(k, miss=LENS_MISS_PX / focal.max())
-    steps = brown_conrady.NEWTON_STEPS if camera.distortion.any() else 0
-    rays, doubtful = np.empty((3, pixels.shape[1])), np.empty(pixels.shape[1], dtype=bool)
-    given = contiguous(pixels, np.stack([focal, middle]), np.array(k))
-    kernels.unproject(*given, steps, np.array(limits), rays, doubtful)
-    if doubtful.any():
-        rays[:, doubtful] = _unproject(camera, pixels[:, doubtful])
+    rays = np.empty((1, 3, pixels.shape[1]))
+    _set_rays((camera,), np.ascontiguousarray(pixels)[None], rays)
+    return rays[0]
+
+
+def unproject_views(cameras: Sequence[Camera], pixels: Floats, *, by_component: bool) -> Floats:
+    """Return the unit rays of pixels `[view, N, 2]` of each camera, as of `unproject`.
+
+    `[view, 3, N]` by component, or else `[view, N, 3]`.
+    """
+    views, count, _ = pixels.shape
+    rays = np.empty((views, 3, count) if by_component else (views, count, 3))
+    rows = np.ascontiguousarray(pixels)
+    _set_rays(cameras, rows.swapaxes(1, 2), rays if by_component else rays.swapaxes(1, 2))
     return rays
 
 
+def _set_rays(cameras: Sequence[Camera], pixels: Floats, rays: Floats) -> None:
+    """Set the rays `[view, 3, N]` of pixels `[view, 2, N]`.
+
+    Either is in C order, or was before its last two axes were swapped.
+    """
+    kernels = compiled("mocap_calib.geometry.lens_kernels")
+    doubtful = np.ones((len(cameras), pixels.shape[-1]), dtype=bool)
+    if kernels:
+        intrinsics = np.stack([_focal_and_middle(camera) for camera in cameras])
+        lenses = [brown_conrady.coefficients(camera) for camera in cameras]
+        misses = (LENS_MISS_PX / intrinsics[:, 0].max(-1)).tolist()
+        limits = [
+            brown_conrady.limits_of_newton(k, miss=miss)
+            for k, miss in zip(lenses, misses, strict=True)
+        ]
+        strides = [axis // 8 for array in (pixels, rays) for axis in array.strides[:0:-1]]
+        kernels.unproject(
+            _flat(pixels),
+            intrinsics,
+            np.array(lenses),
+            np.array([_newton_steps(camera) for camera in cameras]),
+            np.array(limits),
+            np.array(strides),
+            _flat(rays),
+            doubtful,
+        )
+    for view in np.flatnonzero(doubtful.any(1)).tolist():
+        lost = doubtful[view]
+        rays[view][:, lost] = _unproject(cameras[view], pixels[view][:, lost])
+
+
+def _flat(array: Floats) -> Floats:
+    """Return all numbers of an array in the order in which they lie in memory, without a copy."""
+    return (array if array.flags.c_contiguous else array.swapaxes(1, 2)).reshape(-1)
+
+
+def _newton_steps(camera: Camera) -> int:
+    """Return the steps that the kernel takes, -1 where it does not know the lens."""
+    if camera.fisheye:
+        return -1
+    return brown_conrady.NEWTON_STEPS if camera.distortion.any() else 0
+
+
 def _unproject(camera: Camera, pixels: Floats) -> Floats:
-    """Return what `unproject` does."""
+    """Return what `unproject` returns."""
     focal, middle = _focal_and_middle(camera)
     miss = LENS_MISS_PX / focal.max()
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):

@@ -7,8 +7,8 @@ import math
 
 import numpy as np
 
-from mocap_calib.compute.jit import INT, changed_bools, changed_floats, floats, inlined, kernel
-from mocap_calib.types import Bools, Floats
+from mocap_calib.compute.jit import changed_bools, changed_floats, floats, inlined, ints, kernel
+from mocap_calib.types import Bools, Floats, Ints
 
 LANES = 64
 _FLATTEST = 1e-9  # as of `brown_conrady._newton_step`
@@ -85,42 +85,74 @@ def _make_rays(x: Floats, y: Floats, length: Floats) -> None:
         y[n] *= length[n]
 
 
-@kernel(floats(2), floats(2), floats(1), INT, floats(1), changed_floats(2), changed_bools(1))
+@inlined
+def _find_points(k: Floats, steps: int, limits: Floats, work: Floats) -> None:
+    """Set the points of the plane z = 1 that the lens puts at others, by Newton's method.
+
+    work: `[7, LANES]`: points that are found; one row that is free; the others, in focal lengths;
+    and by how much the lens misses these and the squared radii, 0 where it has no distortion.
+    """
+    x, y, to_x, to_y, step = work[0], work[1], work[3], work[4], work[5:]
+    x[:], y[:] = to_x, to_y
+    step[:] = 0.0
+    for _ in range(steps):
+        _step(k, x, y, to_x, to_y, step)
+        if not _still_moving(step, limits[0]):
+            break
+    if steps:
+        _miss(k, x, y, to_x, to_y, step)
+
+
+@kernel(
+    floats(1),
+    floats(3),
+    floats(2),
+    ints(1),
+    floats(2),
+    ints(1),
+    changed_floats(1),
+    changed_bools(2),
+)
 def unproject(
     pixels: Floats,
     intrinsics: Floats,
     k: Floats,
-    steps: int,
+    steps: Ints,
     limits: Floats,
+    strides: Ints,
     rays: Floats,
     doubtful: Bools,
 ) -> None:
-    """Set the rays `[3, N]` of pixels `[2, N]`, and where none was found.
+    """Set the rays of N pixels of each view, and where none was found, `[view, N]`.
 
-    intrinsics: `[2, 2]` focal lengths, then the principal point. k: (8,) `Coefficients`.
-    steps: Newton's, 0 where the lens has no distortion. limits: (3,) `Limits`. doubtful: `[N]`.
+    pixels, rays: `[view * N * 2]` and `[view * N * 3]`. strides: (4,) between points and between
+    coordinates of these, and then of those. intrinsics: `[view, 2, 2]` focal lengths, then the
+    principal point. k: `[view, 8]` `Coefficients`. steps: `[view]` Newton's, 0 where the lens has
+    no distortion, below 0 = all are doubtful. limits: `[view, 3]` `Limits`.
     """
-    focal_x, focal_y = intrinsics[0]
-    middle_x, middle_y = intrinsics[1]
+    views, count = doubtful.shape
     work = np.zeros((7, LANES))
     x, y, length, to_x, to_y, step = work[0], work[1], work[2], work[3], work[4], work[5:]
-    for start in range(0, pixels.shape[1], LANES):
-        here = min(LANES, pixels.shape[1] - start)
-        to_x[:here], to_y[:here] = pixels[0, start : start + here], pixels[1, start : start + here]
-        to_x[here:], to_y[here:] = middle_x, middle_y
-        for n in range(LANES):
-            to_x[n] = (to_x[n] - middle_x) / focal_x
-            to_y[n] = (to_y[n] - middle_y) / focal_y
-        x[:], y[:] = to_x, to_y
-        for _ in range(steps):
-            _step(k, x, y, to_x, to_y, step)
-            if not _still_moving(step, limits[0]):
-                break
-        if steps:
-            _miss(k, x, y, to_x, to_y, step)
-        for n in range(here):
-            found = steps == 0 or (step[0, n] <= limits[1] and step[1, n] < limits[2])
-            doubtful[start + n] = not found and math.isfinite(to_x[n] + to_y[n])
-        _make_rays(x, y, length)
-        for row in range(3):
-            rays[row, start : start + here] = work[row, :here]
+    for view in range(views):
+        focal_x, focal_y = intrinsics[view, 0]
+        middle_x, middle_y = intrinsics[view, 1]
+        for start in range(0, count, LANES):
+            here = min(LANES, count - start)
+            at = 2 * view * count + start * strides[0]
+            to_x[here:], to_y[here:] = middle_x, middle_y
+            for n in range(here):
+                to_x[n] = pixels[at + n * strides[0]]
+                to_y[n] = pixels[at + n * strides[0] + strides[1]]
+            for n in range(LANES):
+                to_x[n] = (to_x[n] - middle_x) / focal_x
+                to_y[n] = (to_y[n] - middle_y) / focal_y
+            _find_points(k[view], steps[view], limits[view], work)
+            for n in range(here):
+                found = step[0, n] <= limits[view, 1] and step[1, n] < limits[view, 2]
+                found = found and steps[view] >= 0
+                doubtful[view, start + n] = not found and math.isfinite(to_x[n] + to_y[n])
+            _make_rays(x, y, length)
+            at = 3 * view * count + start * strides[2]
+            for n in range(here):
+                for row in range(3):
+                    rays[at + n * strides[2] + row * strides[3]] = work[row, n]

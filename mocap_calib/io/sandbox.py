@@ -2,7 +2,7 @@
 
 One damaged file in some hundreds ends libhdf5 2.0.0, or never lets it come back; a damaged count
 in a binary model makes COLMAP fill all memory. The process starts with the first such file (0.3 s)
-and serves until this one ends; a large file has one of its own, whose memory is given back. What it
+and serves until this one ends; large files have others, whose memory is given back. What a process
 does not survive becomes a FormatError. Measured in docs/formats-checks.md.
 """
 
@@ -17,7 +17,7 @@ from mocap_calib.io.file import malformed
 from mocap_calib.io.hdf5 import DEFLATE
 
 HDF5 = b"\x89HDF\r\n\x1a\n"
-_LARGE = 10_000_000  # bytes; the process ends after such a file
+_LARGE = 10_000_000  # bytes; a process ends after such a file, or after several: `keep_processes`
 _SECONDS = 2.0  # of computing that any file may take,
 _BYTES_A_SECOND = 1e5  # and a second more for each so many bytes
 _MEMORY = 1_000_000_000  # bytes that any file may take,
@@ -85,6 +85,16 @@ def call_elsewhere(
         raise malformed(source, f"{what} that is whole", found, "copy or export it again") from None
 
 
+@contextmanager
+def keep_processes() -> Iterator[None]:
+    """Keep the processes of large files for further ones meanwhile: to start one takes 0.2 s."""
+    _calls.keep(1)
+    try:
+        yield
+    finally:
+        _calls.keep(-1)
+
+
 def end_calls() -> None:
     """End the calls of all threads, which raise FormatError; later ones are served as ever."""
     _calls.end()
@@ -107,10 +117,12 @@ class _Calls:
         self._lock = Lock()
         self._workers: set[Worker] = set()
         self.for_small: Worker | None = None
+        self._keepers = 0  # who keep the processes of large files for further ones,
+        self._idle: list[Worker] = []  # and those of these that wait
 
     @contextmanager
     def worker(self, large: bool, before: int) -> Iterator[Worker]:
-        """Give the process for a call; that of a large file is its own, and ends with it.
+        """Give the process for a call; that of a large file ends with it, unless it is kept.
 
         before: `endings` when the call began. It is not made where calls were ended while it waited
             for its turn.
@@ -118,24 +130,48 @@ class _Calls:
         with self._lock:
             if self.endings != before:
                 raise WorkerEndedError("the program that called it")
-            worker = Worker() if large or self.for_small is None else self.for_small
-            self.for_small = self.for_small if large else worker
+            if large:
+                worker = self._idle.pop() if self._idle else Worker()
+            else:
+                worker = self.for_small = self.for_small or Worker()
             self._workers.add(worker)
         try:
             yield worker
         finally:
             if large:
-                worker.end()
-                with self._lock:
-                    self._workers.discard(worker)
+                self._put_back(worker)
+
+    def _put_back(self, worker: Worker) -> None:
+        """Keep the process of a large file for another, or end it; what was killed is ended."""
+        with self._lock:
+            kept = self._keepers > 0 and worker in self._workers
+            if kept:
+                self._idle.append(worker)
+            else:
+                self._workers.discard(worker)
+        if not kept:
+            worker.end()
+
+    def keep(self, more: int) -> None:
+        """Let more, or fewer, keep the processes of large files; those of none are ended."""
+        with self._lock:
+            self._keepers += more
+            idle = [] if self._keepers else self._idle
+            self._idle = [] if idle else self._idle
+            self._workers.difference_update(idle)
+        for worker in idle:
+            worker.end()
 
     def end(self) -> None:
         """Kill the processes; others take their places when they are called for."""
         with self._lock:
             self.endings += 1
             workers, self._workers, self.for_small = self._workers, set(), None
+            idle, self._idle = self._idle, []
             for worker in workers:
                 worker.kill()
+        for worker in idle:
+            worker.end()
 
 
 _calls = _Calls()

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.geometry import lens
 from mocap_calib.types import Camera, Floats, Ints, Matches, Recording
 
@@ -57,14 +56,11 @@ def observe(cameras: Sequence[Camera], pixels: Floats, confidence: Floats) -> Ob
 
     pixels: `[view, N, 2]`, NaN = missing; confidence: `[view, N]`, 0 = missing.
     """
-    by_component = np.ascontiguousarray(np.moveaxis(pixels, -1, 1))
-    rays = map_in_threads(_unproject, zip(cameras, by_component, strict=True))
-    return Observations(pixels=by_component, rays=np.stack(list(rays)), confidence=confidence)
-
-
-def _unproject(seen: tuple[Camera, Floats]) -> Floats:
-    """Return the rays `[3, N]` of what a camera saw, pixels `[2, N]`."""
-    return lens.unproject(*seen)
+    return Observations(
+        pixels=np.ascontiguousarray(np.moveaxis(pixels, -1, 1)),
+        rays=lens.unproject_views(cameras, pixels, by_component=True),
+        confidence=confidence,
+    )
 
 
 def labelled_frames(matches: Matches) -> Ints:

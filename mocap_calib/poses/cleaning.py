@@ -38,6 +38,8 @@ def exchange_sides(
         for each in (joint, mirror[joint])
     )
     exchanged[view, joint, frame] = gain * scale / 2 > config.exchange_gain
+    if not exchanged.any():
+        return seen, exchanged
     return (
         replace(
             seen,

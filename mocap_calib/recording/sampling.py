@@ -12,8 +12,8 @@ from itertools import combinations
 import numpy as np
 
 from mocap_calib.config import SampleConfig
-from mocap_calib.geometry.projection import rays_from_pixels
-from mocap_calib.types import Bools, Camera, Floats, Ints, Recording, Sample
+from mocap_calib.geometry import lens
+from mocap_calib.types import Bools, Camera, Floats, Ints, Reals, Recording, Sample
 
 
 def evenly_spaced(values: Ints, count: int) -> Ints:
@@ -31,8 +31,7 @@ def take_sample(recording: Recording, index: Ints | slice) -> Sample:
     index: `[frame]` indices of the frames (not numbers), or a slice.
     """
     part = recording.select(frames=index)
-    shown = np.flatnonzero(np.isfinite(part.positions).any((0, 1, 3, 4)))
-    instances = shown.max(initial=0) + 1
+    instances = _count_instances(part.positions)
     positions = part.positions[:, :, :instances].astype(np.float64)
     sample = Sample(
         cameras=part.cameras,
@@ -48,20 +47,28 @@ def take_sample(recording: Recording, index: Ints | slice) -> Sample:
     return with_cameras(sample, part.cameras)
 
 
+def _count_instances(positions: Reals) -> int:
+    """Return how many instances `[view, frame, instance, keypoint, 2]` have room for all shown."""
+    for last in range(positions.shape[2] - 1, 0, -1):
+        if np.isfinite(positions[:, :, last]).any():
+            return last + 1
+    return 1
+
+
 def with_cameras(sample: Sample, cameras: tuple[Camera, ...]) -> Sample:
     """Return the sample as seen by cameras of other intrinsics, with its rays.
 
     What the lens model cannot undo is no detection.
     """
-    rays = np.stack(list(map(rays_from_pixels, cameras, sample.positions)))
+    views, *rest, _ = sample.positions.shape
+    pixels = sample.positions.reshape(views, -1, 2)
+    rays = lens.unproject_views(cameras, pixels, by_component=False).reshape(views, *rest, 3)
     blind = np.isnan(rays[..., 0])
-    return replace(
-        sample,
-        cameras=cameras,
-        rays=rays,
-        positions=np.where(blind[..., None], np.nan, sample.positions),
-        confidence=np.where(blind, 0.0, sample.confidence),
-    )
+    positions, confidence = sample.positions, sample.confidence
+    if (blind & (np.isfinite(positions[..., 0]) | (confidence > 0))).any():
+        positions = np.where(blind[..., None], np.nan, positions)
+        confidence = np.where(blind, 0.0, confidence)
+    return replace(sample, cameras=cameras, rays=rays, positions=positions, confidence=confidence)
 
 
 def choose_sample_frames(recording: Recording, config: SampleConfig) -> Ints:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mocap_calib.compute.kernels import compiled
 from mocap_calib.config import LEAST_LIFT_SPREAD, PairwiseConfig
 from mocap_calib.geometry.epipolar import depths
 from mocap_calib.two_view.reversal import readings, reversal_in_spreads
@@ -182,6 +183,17 @@ def distances_by_size(rays: Floats) -> Floats:
     since two of three dimensions are seen. rays: `[..., keypoint, 3]` unit vectors, NaN = missing.
     Returns `[...]` body sizes.
     """
+    kernels = compiled("mocap_calib.two_view.size_kernels")
+    if kernels is None:
+        return _distances_by_size(rays)
+    distance = np.empty(rays.shape[:-2])
+    bodies = np.ascontiguousarray(rays).reshape(-1, *rays.shape[-2:])
+    kernels.distances_by_size(bodies, distance.reshape(-1))
+    return distance
+
+
+def _distances_by_size(rays: Floats) -> Floats:
+    """Return what `distances_by_size` returns."""
     seen = np.isfinite(rays[..., 0])
     count = np.maximum(seen.sum(-1), 1)
     # the mean squared distance of unit vectors from their middle follows from how long that is

@@ -80,7 +80,11 @@ def look_for_floor(
         return "the rig is not determined"
     # as they were seen: best estimates lift or lower feet a little, for the sake of bones
     seen = replace(poses, positions=poses.raw)
-    return find_floor(seen, joints, rig, config)
+    somebody = mapped.in_blocks(
+        lambda block: np.isfinite(poses.raw[block, ..., 0]).any((1, 2)), len(poses.frames)
+    )
+    frames = mapped.some_frames(np.flatnonzero(somebody))
+    return find_floor(seen.select(frames=frames), joints, rig, config)
 
 
 def find_placement(on: Measurable, config: WorldConfig) -> Placement:

@@ -12,7 +12,7 @@ import pytest
 from platforms import linux, posix
 
 from mocap_calib.errors import FormatError
-from mocap_calib.io.sandbox import HDF5, call_contained, end_calls
+from mocap_calib.io.sandbox import HDF5, call_contained, end_calls, keep_processes
 
 
 def process(_=None):
@@ -98,6 +98,25 @@ def test_a_large_files_memory_goes_with_the_process():
     assert inside(process) != first
     with pytest.raises(ProcessLookupError):
         os.kill(first, 0)
+
+
+@posix
+def test_processes_are_kept_for_further_large_files_as_long_as_somebody_asks():
+    large = HDF5 + bytes(11_000_000)
+    with keep_processes():
+        first = inside(process, content=large)
+        with keep_processes():
+            assert inside(process, content=large) == first
+        with pytest.raises(FormatError, match="SIGSEGV"):
+            inside(crash, content=large)
+        second = inside(process, content=large)
+        assert second != first
+        end_calls()
+        third = inside(process, content=large)
+        assert third != second
+    for ended in (first, second, third):
+        with pytest.raises(ProcessLookupError):
+            os.kill(ended, 0)
 
 
 @pytest.mark.parametrize("size", [100, 11_000_000], ids=["small", "large"])

@@ -18,7 +18,7 @@ from mocap_calib.io.keypoints.items import keypoint_items
 from mocap_calib.io.keypoints.sniffing import require_format, sniff_item
 from mocap_calib.io.names import camera_name
 from mocap_calib.io.registry import find_format
-from mocap_calib.io.sandbox import call_contained, end_calls
+from mocap_calib.io.sandbox import call_contained, end_calls, keep_processes
 from mocap_calib.types import Keypoints2D, Reals
 
 
@@ -61,11 +61,12 @@ def read_what_can(
     views: list[Keypoints2D] = []
     errors: list[MocapCalibError] = []
     try:
-        for found in _read_all(items, format, options):
-            if isinstance(found, MocapCalibError):
-                errors.append(found)
-            else:
-                views += found
+        with keep_processes():
+            for found in _read_all(items, format, options):
+                if isinstance(found, MocapCalibError):
+                    errors.append(found)
+                else:
+                    views += found
     except BaseException:
         end_calls()  # of threads, which Ctrl-C does not reach
         raise
