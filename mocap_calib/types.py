@@ -1307,7 +1307,7 @@ class Poses3D(Record):
         """Return the poses of these individuals in these frames (indices) alone, in this order."""
         names = ("positions", "error", "views", "confidence", "covariance", "raw", "source")
         parts: dict[str, Any] = {
-            name: getattr(self, name)[frames][:, individuals] for name in names
+            name: mapped.take(getattr(self, name), frames)[:, individuals] for name in names
         }
         return replace(self, frames=self.frames[frames], **parts)
 

@@ -13,12 +13,12 @@ import pytest
 from scenes import calibrated
 
 from mocap_calib.config import EPOCH_MARK, Config
+from mocap_calib.geometry.reprojection import project
 from mocap_calib.io.cameras.read import read_rig
 from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.results.group import REVERSED_RIG, write_group
 from mocap_calib.judging import _of_pairs, judge_cameras, judge_rigs
 from mocap_calib.multi_view.observations import gather_observations
-from mocap_calib.multi_view.triangulation import project
 from mocap_calib.multi_view.verdict import judge_group
 from mocap_calib.report import run_report
 from mocap_calib.types import FAULT_WORDS, CalibrationResult, Clocks, TimeOffsets

@@ -31,7 +31,7 @@ def _add_view(
     points: Floats,
     world: Floats,
     precision: Floats,
-    variance: Floats,
+    variance: float,
     narrow: float,
     by_weight: Floats,
     by_error: Floats,
@@ -48,7 +48,7 @@ def _add_view(
         weight = precision[n] / (loss * loss)
         share = weight * inverse
         _add_across(share, x, y, z, n, by_weight)
-        _add_across(weight * variance[n] * share, x, y, z, n, by_error)
+        _add_across(weight * variance * share, x, y, z, n, by_error)
 
 
 @inlined
@@ -91,7 +91,7 @@ def _sandwich(outer: Floats, inner: Floats, found: Floats) -> None:
         found[5, n] = xz * first + yz * second + zz * third
 
 
-@kernel(floats(2), floats(2), floats(3), floats(2), floats(2), FLOAT, changed_floats(2))
+@kernel(floats(2), floats(2), floats(3), floats(2), floats(1), FLOAT, changed_floats(2))
 def covariances(
     centres: Floats,
     points: Floats,
@@ -103,11 +103,11 @@ def covariances(
 ) -> None:
     """Set the entries `[6, N]` of the covariances of points `[3, N]`.
 
-    centres: `[view, 3]`. world: `[view, 3, N]`. precision, variance: `[view, N]`.
+    centres: `[view, 3]`. world: `[view, 3, N]`. precision: `[view, N]`. variance: `[view]`.
     """
     sums, entries = np.empty((2, 6, LANES)), np.empty((6, LANES))
     by_weight, by_error = sums[0], sums[1]
-    place, ray, own = np.zeros((3, LANES)), np.zeros((3, LANES)), np.zeros((2, LANES))
+    place, ray, own = np.zeros((3, LANES)), np.zeros((3, LANES)), np.zeros(LANES)
     narrow = 1 / loss_scale**2
     for start in range(0, points.shape[1], LANES):
         end = min(start + LANES, points.shape[1])
@@ -115,9 +115,10 @@ def covariances(
         place[:, :here] = points[:, start:end]
         sums[:] = 0.0
         for view in range(len(centres)):
-            ray[:, :here] = world[view, :, start:end]
-            own[0, :here], own[1, :here] = precision[view, start:end], variance[view, start:end]
-            _add_view(centres[view], place, ray, own[0], own[1], narrow, by_weight, by_error)
+            for k in range(3):
+                ray[k, :here] = world[view, k, start:end]
+            own[:here] = precision[view, start:end]
+            _add_view(centres[view], place, ray, own, variance[view], narrow, by_weight, by_error)
         _invert(by_weight)
         _sandwich(by_weight, by_error, entries)
         found[:, start:end] = entries[:, :here]

@@ -72,9 +72,8 @@ def _set_rays(cameras: Sequence[Camera], pixels: Floats, rays: Floats) -> None:
     kernels = compiled("mocap_calib.geometry.lens_kernels")
     doubtful = np.ones((len(cameras), pixels.shape[-1]), dtype=bool)
     if kernels:
-        intrinsics = np.stack([_focal_and_middle(camera) for camera in cameras])
-        lenses = [brown_conrady.coefficients(camera) for camera in cameras]
-        misses = (LENS_MISS_PX / intrinsics[:, 0].max(-1)).tolist()
+        intrinsics, lenses = parameters(cameras)
+        misses = (LENS_MISS_PX / intrinsics[:, :2].max(-1)).tolist()
         limits = [
             brown_conrady.limits_of_newton(k, miss=miss)
             for k, miss in zip(lenses, misses, strict=True)
@@ -93,6 +92,14 @@ def _set_rays(cameras: Sequence[Camera], pixels: Floats, rays: Floats) -> None:
     for view in np.flatnonzero(doubtful.any(1)).tolist():
         lost = doubtful[view]
         rays[view][:, lost] = _unproject(cameras[view], pixels[view][:, lost])
+
+
+def parameters(
+    cameras: Sequence[Camera],
+) -> tuple[Floats, list[brown_conrady.Coefficients]]:
+    """Return focal lengths and principal points `[view, 4]`, and the coefficients of lenses."""
+    intrinsics = np.stack([np.concatenate(_focal_and_middle(camera)) for camera in cameras])
+    return intrinsics, [brown_conrady.coefficients(camera) for camera in cameras]
 
 
 def _flat(array: Floats) -> Floats:

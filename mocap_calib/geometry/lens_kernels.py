@@ -1,13 +1,23 @@
-"""Rays of pixels, compiled: `lens` and `brown_conrady` define what is computed.
+"""Rays of pixels, and pixels of points, compiled.
 
-`LANES` pixels at once, with all of Newton's steps.
+`lens`, `brown_conrady` and `reprojection` define what is computed.
+
+`LANES` of them at once, with all of Newton's steps.
 """
 
 import math
 
 import numpy as np
 
-from mocap_calib.compute.jit import changed_bools, changed_floats, floats, inlined, ints, kernel
+from mocap_calib.compute.jit import (
+    bools,
+    changed_bools,
+    changed_floats,
+    floats,
+    inlined,
+    ints,
+    kernel,
+)
 from mocap_calib.types import Bools, Floats, Ints
 
 LANES = 64
@@ -105,7 +115,7 @@ def _find_points(k: Floats, steps: int, limits: Floats, work: Floats) -> None:
 
 @kernel(
     floats(1),
-    floats(3),
+    floats(2),
     floats(2),
     ints(1),
     floats(2),
@@ -126,7 +136,7 @@ def unproject(
     """Set the rays of N pixels of each view, and where none was found, `[view, N]`.
 
     pixels, rays: `[view * N * 2]` and `[view * N * 3]`. strides: (4,) between points and between
-    coordinates of these, and then of those. intrinsics: `[view, 2, 2]` focal lengths, then the
+    coordinates of these, and then of those. intrinsics: `[view, 4]` focal lengths, then the
     principal point. k: `[view, 8]` `Coefficients`. steps: `[view]` Newton's, 0 where the lens has
     no distortion, below 0 = all are doubtful. limits: `[view, 3]` `Limits`.
     """
@@ -134,8 +144,7 @@ def unproject(
     work = np.zeros((7, LANES))
     x, y, length, to_x, to_y, step = work[0], work[1], work[2], work[3], work[4], work[5:]
     for view in range(views):
-        focal_x, focal_y = intrinsics[view, 0]
-        middle_x, middle_y = intrinsics[view, 1]
+        focal_x, focal_y, middle_x, middle_y = intrinsics[view]
         for start in range(0, count, LANES):
             here = min(LANES, count - start)
             at = 2 * view * count + start * strides[0]
@@ -156,3 +165,69 @@ def unproject(
             for n in range(here):
                 for row in range(3):
                     rays[at + n * strides[2] + row * strides[3]] = work[row, n]
+
+
+@inlined
+def _add_misses(
+    pose: Floats,
+    intrinsics: Floats,
+    k: Floats,
+    point: Floats,
+    pixel: Floats,
+    used: Floats,
+    total: Floats,
+) -> None:
+    """Add the squared distances in pixels of points `[3, LANES]` from what a view saw of them.
+
+    pose: `[3, 4]` cam_from_world. pixel: `[2, LANES]`. used: `[LANES]`, 0 or 1. total: sums of
+    squares and of numbers, `[2, LANES]`. A point behind the camera adds no square.
+    """
+    focal_x, focal_y, middle_x, middle_y = intrinsics
+    for n in range(LANES):
+        x, y, z = point[0, n], point[1, n], point[2, n]
+        depth = pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z + pose[2, 3]
+        closeness = 1 / depth
+        of_x = (pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + pose[0, 3]) * closeness
+        of_y = (pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3]) * closeness
+        square = of_x * of_x + of_y * of_y
+        radial = _polynomial(square, k[0], k[1], k[4]) / _polynomial(square, k[5], k[6], k[7])
+        lens_x, lens_y = _distort(k, of_x, of_y, square, radial)
+        off_x = focal_x * lens_x + middle_x - pixel[0, n]
+        off_y = focal_y * lens_y + middle_y - pixel[1, n]
+        miss = off_x * off_x + off_y * off_y
+        known = (depth > 1e-9) & (used[n] > 0) & (miss < np.inf)
+        total[0, n] += miss if known else 0.0
+        total[1, n] += used[n]
+
+
+@kernel(floats(3), floats(2), floats(2), floats(2), floats(3), bools(2), changed_floats(1))
+def reprojection_errors(
+    pose: Floats,
+    intrinsics: Floats,
+    k: Floats,
+    points: Floats,
+    pixels: Floats,
+    used: Bools,
+    error: Floats,
+) -> None:
+    """Set the RMS distances `[N]` in pixels of points `[3, N]` from detections; NaN = none is used.
+
+    pose: `[view, 3, 4]` cam_from_world. intrinsics: `[view, 4]` focal lengths, then the principal
+    point. k: `[view, 8]`. pixels: `[view, 2, N]`. used: `[view, N]`.
+    """
+    point, pixel, own = np.zeros((3, LANES)), np.zeros((2, LANES)), np.zeros(LANES)
+    total = np.empty((2, LANES))
+    for start in range(0, points.shape[1], LANES):
+        here = min(LANES, points.shape[1] - start)
+        for row in range(3):
+            point[row, :here] = points[row, start : start + here]
+        total[:] = 0.0
+        for view in range(len(pose)):
+            for row in range(2):
+                pixel[row, :here] = pixels[view, row, start : start + here]
+            for n in range(here):
+                own[n] = 1.0 if used[view, start + n] else 0.0
+            _add_misses(pose[view], intrinsics[view], k[view], point, pixel, own, total)
+        for n in range(here):
+            count = total[1, n]
+            error[start + n] = math.sqrt(total[0, n] / count) if count > 0 else np.nan

@@ -28,16 +28,17 @@ def point_covariance(
 ) -> Entries:
     """Return the covariances of points that `intersect` found.
 
-    points: `[3, N]` in world coordinates. world: `[view, 3, N]` unit rays in the world's axes.
+    points: `[3, N]` in world coordinates. world: `[view, 3, N]` unit rays in the world's axes, zero
+        where missing.
     precision: `[view, N]` what they were weighed by, 0 = not used.
-    variance: `[view, N]` of one coordinate of the rays' angles, in radians squared.
+    variance: `[view]` of one coordinate of the rays' angles, in radians squared.
 
     With the robust weights w and N = sum w J'J they are N^-1 (sum w^2 s^2 J'J) N^-1: N^-1 itself
     where the weights are the inverse variances. Huge where the rays used are all in one line.
     """
     if kernels := compiled("mocap_calib.geometry.covariance_kernels"):
         found = np.empty((6, points.shape[1]))
-        given = contiguous(rig.centres, points, np.nan_to_num(world), precision, variance)
+        given = contiguous(rig.centres, points, world, precision, variance)
         kernels.covariances(*given, INTERSECT_LOSS_SCALE, found)
         return tuple(found)
     return _point_covariance(rig, points, world, precision=precision, variance=variance)
@@ -48,11 +49,11 @@ def _point_covariance(
 ) -> Entries:
     """Return what `point_covariance` does."""
     direction, inverse_square = _from_centres(rig, points)
-    along = np.einsum("vin,vin->vn", direction, np.nan_to_num(world))
+    along = np.einsum("vin,vin->vn", direction, world)
     error = np.maximum(1 - along * along, 0.0) * precision
     weight = precision / (1 + error / INTERSECT_LOSS_SCALE**2) ** 2
     by_weight = normal_matrix(direction, weight * inverse_square)
-    by_error = normal_matrix(direction, weight**2 * variance * inverse_square)
+    by_error = normal_matrix(direction, weight**2 * variance[:, None] * inverse_square)
     return symmetric.sandwich(symmetric.invert(by_weight), by_error)
 
 

@@ -7,8 +7,8 @@ import numpy as np
 
 from mocap_calib import mapped
 from mocap_calib.config import REPORT_FRAMES
+from mocap_calib.geometry.reprojection import project
 from mocap_calib.multi_view.observations import matched_pixels
-from mocap_calib.multi_view.triangulation import project
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import (
     CalibrationResult,

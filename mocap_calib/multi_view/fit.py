@@ -6,9 +6,10 @@ import numpy as np
 
 from mocap_calib.config import Config, UncertaintyConfig
 from mocap_calib.geometry.rays import points_in_cameras
+from mocap_calib.geometry.reprojection import project
 from mocap_calib.multi_view.noise import view_residual
 from mocap_calib.multi_view.observations import Observations, gather_observations, labelled_frames
-from mocap_calib.multi_view.triangulation import project, triangulate_rays
+from mocap_calib.multi_view.triangulation import triangulate_rays
 from mocap_calib.types import Bools, CameraRig, Floats, Matches, Sample
 
 

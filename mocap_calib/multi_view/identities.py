@@ -81,9 +81,13 @@ def _triangulate_groups(
 ) -> Floats:
     """Return the joints of all groups of all frames, `[frame, group, joint, 3]`, NaN = missing."""
     noise = view_noise(recording, rig, groups, config.triangulate)
+    joints = len(recording.keypoints)
+    # not a list of parts that is joined in the end: that would be twice the memory; components
+    # lie apart, as the parts have them
+    points = mapped.empty((3, len(recording.frames), groups.individuals, joints))
 
-    def locate(frames: Ints) -> Floats:
-        _, points, _ = triangulate_frames(
+    def locate(frames: Ints) -> None:
+        _, found, _ = triangulate_frames(
             frames,
             recording=recording,
             rig=rig,
@@ -91,18 +95,11 @@ def _triangulate_groups(
             noise=noise,
             config=config.triangulate,
         )
-        return points.T.reshape(len(frames), groups.individuals, len(recording.keypoints), 3)
+        points[:, mapped.as_slice(frames)] = found.reshape(3, len(frames), -1, joints)
 
-    joints = len(recording.keypoints)
-    blocks = frame_blocks(len(recording.frames), groups.individuals * joints)
-    # not a list of parts that is joined in the end: that would be twice the memory; components
-    # lie apart, as the parts have them
-    by_component = mapped.empty((3, len(recording.frames), groups.individuals, joints))
-    points = np.moveaxis(by_component, 0, -1)
-    for block, part in zip(blocks, map_in_threads(locate, blocks), strict=True):
-        points[mapped.as_slice(block)] = part
+    for _ in map_in_threads(locate, frame_blocks(len(recording.frames), points[0, 0].size)):
         mapped.let_go()
-    return points
+    return np.moveaxis(points, 0, -1)
 
 
 def _followable_pieces(points: Floats, frames: Ints, config: MatchingConfig) -> Pieces | None:

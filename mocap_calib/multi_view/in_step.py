@@ -12,8 +12,9 @@ import numpy as np
 
 from mocap_calib.config import Config, TriangulateConfig
 from mocap_calib.geometry import lens
+from mocap_calib.geometry.reprojection import project
 from mocap_calib.multi_view.observations import gather_observations
-from mocap_calib.multi_view.triangulation import project, triangulate
+from mocap_calib.multi_view.triangulation import triangulate
 from mocap_calib.recording.stretches import usual_step
 from mocap_calib.types import CameraRig, Floats, Ints, Matches, Poses3D, Recording
 

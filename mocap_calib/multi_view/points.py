@@ -4,10 +4,11 @@ import numpy as np
 
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import TriangulateConfig
+from mocap_calib.geometry.reprojection import reprojection_error
 from mocap_calib.geometry.view_blocks import POINT_BLOCK, point_blocks
 from mocap_calib.multi_view.noise import least_noise, measure_errors
 from mocap_calib.multi_view.observations import Observations, observe
-from mocap_calib.multi_view.triangulation import reprojection_error, triangulate_rays
+from mocap_calib.multi_view.triangulation import triangulate_rays
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import CameraRig, Floats
 

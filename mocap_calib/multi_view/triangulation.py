@@ -1,6 +1,5 @@
 """Triangulate points and poses from the rays of many views, in blocks of frames."""
 
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,10 +9,10 @@ from mocap_calib import mapped
 from mocap_calib.compute.parallel import map_in_threads, single_threaded_libraries
 from mocap_calib.config import TriangulateConfig
 from mocap_calib.errors import MismatchError
-from mocap_calib.geometry import lens
 from mocap_calib.geometry.intersection import intersect
 from mocap_calib.geometry.point_covariance import point_covariance
 from mocap_calib.geometry.rays import agreeing_views, rays_in_world
+from mocap_calib.geometry.reprojection import reprojection_error
 from mocap_calib.geometry.view_blocks import POINT_BLOCK, ViewBlock, view_blocks
 from mocap_calib.multi_view.noise import view_noise
 from mocap_calib.multi_view.observations import Observations, gather_observations
@@ -59,18 +58,17 @@ def triangulate(
         "confidence": mapped.empty(shape),
         "covariance": mapped.empty((*shape, 6), np.float32),
     }
-    work = partial(
-        _triangulate_block,
-        recording=recording,
-        rig=rig,
-        matches=matches,
-        noise=view_noise(recording, rig, matches, config),
-        config=config,
-    )
-    blocks = frame_blocks(frames, matches.individuals * keypoints)
-    for block, part in zip(blocks, map_in_threads(work, blocks), strict=True):
+    noise = view_noise(recording, rig, matches, config)
+
+    def work(block: Ints) -> None:
+        part = _triangulate_block(
+            block, recording=recording, rig=rig, matches=matches, noise=noise, config=config
+        )
         for name, array in found.items():
             array[mapped.as_slice(block)] = getattr(part, name)
+
+    blocks = frame_blocks(frames, matches.individuals * keypoints)
+    for block, _ in zip(blocks, map_in_threads(work, blocks), strict=True):
         mapped.let_go()
         progress("triangulate", int(block[-1]) + 1, frames)
     return Poses3D(
@@ -141,9 +139,8 @@ def _triangulate_block(
         frames, recording=recording, rig=rig, matches=matches, noise=noise, config=config
     )
     error = reprojection_error(rig, points, pixels=seen.pixels, used=used)
-    views = used.sum(0)
-    confidence = (seen.confidence * used).sum(0) / np.maximum(views, 1)
-    covariance = _covariance(rig, points, seen, used=used, noise=noise)
+    views, weight = used.sum(0), seen.confidence * used
+    covariance = _covariance(rig, points, seen.rays, weight=weight, noise=noise)
     shape = (len(frames), matches.individuals, len(recording.keypoints))
     return Poses3D(
         keypoints=recording.keypoints,
@@ -151,27 +148,27 @@ def _triangulate_block(
         positions=points.T.reshape(*shape, 3),
         error=error.reshape(shape),
         views=views.reshape(shape),
-        confidence=confidence.reshape(shape),
+        confidence=(weight.sum(0) / np.maximum(views, 1)).reshape(shape),
         unit=rig.unit,
         covariance=covariance.T.reshape(*shape, 6),
     )
 
 
 def _covariance(
-    rig: CameraRig, points: Floats, seen: Observations, *, used: Bools, noise: Floats
+    rig: CameraRig, points: Floats, rays: Floats, *, weight: Floats, noise: Floats
 ) -> Reals:
     """Return the entries `[6, N]` of the covariances of points, NaN where these are.
 
-    used: `[view, N]` the detections that they are made of; noise: `[view]` of these in radians,
-    which does not depend on their confidence.
+    rays: `[view, 3, N]` in the cameras' frames. weight: `[view, N]` of those that points are made
+    of, 0 for the others. noise: `[view]` of these in radians, which does not depend on their
+    confidence.
     """
-    variance = np.broadcast_to(noise[:, None] ** 2, used.shape)
     entries = point_covariance(
         rig,
         points,
-        rays_in_world(rig, seen.rays),
-        precision=np.where(used, seen.confidence / variance, 0.0),
-        variance=variance,
+        rays_in_world(rig, rays),
+        precision=weight / noise[:, None] ** 2,
+        variance=noise**2,
     )
     with np.errstate(over="ignore"):  # points that are nearly at infinity
         return np.where(np.isfinite(points[0]), np.stack(entries), np.nan).astype(np.float32)
@@ -233,27 +230,3 @@ def _share_left(views: int) -> Floats:
     `[count]`, of no view up to all. The point takes three of the 2 V numbers.
     """
     return np.sqrt(1 - 3 / (2 * np.maximum(np.arange(views + 1), 2)))
-
-
-def reprojection_error(rig: CameraRig, points: Floats, *, pixels: Floats, used: Bools) -> Floats:
-    """Return the RMS distance `[N]` in pixels of points from their detections in the used views.
-
-    points: `[3, N]`; pixels: `[view, 2, N]` the detections; used: `[view, N]`.
-    """
-    gap = project(rig, points) - pixels
-    square = gap[:, 0] ** 2 + gap[:, 1] ** 2
-    total = np.where(used & np.isfinite(square), square, 0.0).sum(0)
-    count = used.sum(0)
-    return np.where(count > 0, np.sqrt(total / np.maximum(count, 1)), np.nan)
-
-
-def project(rig: CameraRig, points: Floats) -> Floats:
-    """Return the pixels `[view, 2, N]` of points `[3, N]` in world coordinates; NaN = behind."""
-    return np.stack(
-        [
-            lens.project(camera, rotation @ points + translation[:, None])
-            for camera, rotation, translation in zip(
-                rig.cameras, rig.rotation, rig.translation, strict=True
-            )
-        ]
-    )

@@ -220,28 +220,32 @@ def _fit_all(
         start = add_refused(*where, noise=scene.noise, config=wider)
         scene = replace(scene, start=start)
     arrays = arrays_to_fill(poses, [who.index for who in scene.individuals])
-    outliers = exchanged = done = 0
     total = sum(len(who.frames) for who in scene.individuals)
     pieces = [(who, *block) for who in scene.individuals for block in blocks(who.frames, config)]
-    estimates = map_in_threads(
-        lambda piece: _estimate(scene, piece[0], piece[2], trust, choice), pieces
-    )
-    for (who, inner, frames), found in zip(pieces, estimates, strict=True):
+
+    def work(piece: tuple[_Individual, slice, Ints]) -> Ints:
+        """Fit frames; return how many, and the numbers of outliers and of exchanged pairs."""
+        who, inner, frames = piece
+        found = _estimate(scene, who, frames, trust, choice)
+        own = frames[inner]
         for name, array in arrays.items():
-            array[frames[inner], who.index] = getattr(found, name)[inner]
-        outliers += int(found.outliers[:, inner].sum())
-        exchanged += int(found.exchanged[:, inner].sum()) // 2
-        done += len(range(*inner.indices(len(frames))))
+            array[mapped.as_slice(own), who.index] = getattr(found, name)[inner]
+        outliers, exchanged = (each[:, inner].sum() for each in (found.outliers, found.exchanged))
+        return np.array([len(own), outliers, exchanged // 2])
+
+    counts = np.zeros(3, dtype=np.int64)
+    for done in map_in_threads(work, pieces):
+        counts += done
         mapped.let_go()
-        progress("smooth", done, total)
+        progress("smooth", int(counts[0]), total)
     smoothing = Smoothing(
         acceleration=choice.strengths.acceleration,
         bones=choice.strengths.bones,
         loss=choice.strengths.loss,
         held_out=choice.held_out,
         held_out_raw=choice.without,
-        outliers=outliers,
-        exchanged=exchanged,
+        outliers=int(counts[1]),
+        exchanged=int(counts[2]),
     )
     return replace(poses, **arrays), smoothing
 

@@ -136,7 +136,7 @@ def test_covariances_go_with_the_world_and_its_unit(seed, views):
     rig = rig_of(rng, views)
     rays, precision = seen_by(rng, rig), rng.uniform(2e5, 1e6, (views, 20))
     moved, turn, factor, shift = in_another_world(rng, rig)
-    variance = rng.uniform(1, 2, precision.shape) / precision
+    variance = rng.uniform(1, 2, views) / precision.mean(1)
     points = intersect(rig, rays, precision)
     given_with = {"precision": precision, "variance": variance}
     first = np.stack(point_covariance(rig, points, rays, **given_with))[FULL]

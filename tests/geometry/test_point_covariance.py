@@ -60,9 +60,9 @@ def noisy_rays(rig: CameraRig, points: np.ndarray, noise: np.ndarray) -> np.ndar
 
 def covariance_at(rig: CameraRig, point: np.ndarray, noise: np.ndarray) -> np.ndarray:
     """Return the covariance `[3, 3]` of a point that all cameras see; noise: `[view]`."""
-    variance = np.broadcast_to(noise[:, None] ** 2, (len(noise), 1))
+    precision = 1 / noise[:, None] ** 2
     exact = rays_in_world(rig, noisy_rays(rig, point[:, None], 0 * noise))
-    found = point_covariance(rig, point[:, None], exact, precision=1 / variance, variance=variance)
+    found = point_covariance(rig, point[:, None], exact, precision=precision, variance=noise**2)
     xx, xy, xz, yy, yz, zz = np.concatenate(found)
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
@@ -74,9 +74,9 @@ def test_covariances_are_what_points_scatter_by(name):
     noise = np.full(len(rig), NOISE) * np.linspace(1, 2, len(rig))
     many = np.repeat(point[:, None], 4000, axis=1)
     world = rays_in_world(rig, noisy_rays(rig, many, noise))
-    variance = np.broadcast_to(noise[:, None] ** 2, (len(rig), 4000))
-    points = intersect(rig, world, 1 / variance)
-    entries = point_covariance(rig, points, world, precision=1 / variance, variance=variance)
+    precision = np.broadcast_to(1 / noise[:, None] ** 2, (len(rig), 4000))
+    points = intersect(rig, world, precision)
+    entries = point_covariance(rig, points, world, precision=precision, variance=noise**2)
     xx, xy, xz, yy, yz, zz = (entry.mean() for entry in entries)
     stated = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     true = np.cov(points)
@@ -91,9 +91,9 @@ def test_the_kernel_gives_the_covariances_of_its_definition(name):
     rig, rng = rig_at(PLACES[name]), np.random.default_rng(len(name))
     points = rng.normal(size=(3, 200))
     world = rays_in_world(rig, noisy_rays(rig, points, np.full(len(rig), 10 * NOISE)))
-    variance = rng.uniform(1, 4, (len(rig), 200)) * NOISE**2
-    precision = (rng.random(variance.shape) < 0.8) / variance
-    world[np.broadcast_to(precision[:, None] == 0, world.shape)] = np.nan
+    variance = rng.uniform(1, 4, len(rig)) * NOISE**2
+    precision = (rng.random((len(rig), 200)) < 0.8) * rng.uniform(0.5, 1, 200) / variance[:, None]
+    world[np.broadcast_to(precision[:, None] == 0, world.shape)] = 0.0
     given = {"precision": precision, "variance": variance}
     found = np.stack(point_covariance(rig, points, world, **given))
     expected = np.stack(_point_covariance(rig, points, world, **given))
@@ -136,11 +136,11 @@ def test_more_views_make_a_point_surer_in_every_direction():
 def test_a_ray_that_is_not_used_does_not_count():
     rig, point = rig_at(PLACES["three"]), np.array([0.2, -0.3, 0.5])
     noise = np.full(3, NOISE)
-    variance = np.full((3, 1), NOISE**2)
+    variance = np.full(3, NOISE**2)
     world = rays_in_world(rig, noisy_rays(rig, point[:, None], 0 * noise))
     used = np.array([[1.0], [0.0], [1.0]])
     found = point_covariance(
-        rig, point[:, None], world, precision=used / variance, variance=variance
+        rig, point[:, None], world, precision=used / NOISE**2, variance=variance
     )
     two = covariance_at(rig.select(np.array([0, 2])), point, noise[:2])
     np.testing.assert_allclose(found[0], two[0, 0], rtol=1e-9)
@@ -193,13 +193,13 @@ def test_a_ray_that_is_off_by_the_scale_of_the_loss_counts_a_quarter():
     rig, point = rig_at(PLACES["one side"]), np.array([[0.1], [0.2], [-0.1]])
     world = point - rig.centres[:, :, None]
     world /= np.linalg.norm(world, axis=1, keepdims=True)
-    variance = np.full((4, 1), NOISE**2)
-    off, less = world.copy(), 1 / variance
+    variance, full = np.full(4, NOISE**2), np.full((4, 1), NOISE**-2.0)
+    off, less = world.copy(), full.copy()
     across = np.cross(world[3, :, 0], [0.0, 0.0, 1.0])
     angle = np.arcsin(INTERSECT_LOSS_SCALE * NOISE)
     off[3, :, 0] = matrix_from_vector(angle * across / np.linalg.norm(across)) @ world[3, :, 0]
     less[3] /= 4
-    found = point_covariance(rig, point, off, precision=1 / variance, variance=variance)
+    found = point_covariance(rig, point, off, precision=full, variance=variance)
     expected = point_covariance(rig, point, world, precision=less, variance=variance)
     np.testing.assert_allclose(np.ravel(found), np.ravel(expected), rtol=1e-6)
 

@@ -8,10 +8,10 @@ import pytest
 from scenes import recording, rotation_errors_deg, scene, truth
 
 from mocap_calib.config import AdjustConfig, Config
+from mocap_calib.geometry.reprojection import project
 from mocap_calib.multi_view.bundle_adjustment import adjust_once
 from mocap_calib.multi_view.efficiency import choose_loss_scale
 from mocap_calib.multi_view.noise import measure_sample
-from mocap_calib.multi_view.triangulation import project
 from mocap_calib.recording.sampling import take_sample
 from mocap_calib.types import Floats, Sample
 

@@ -9,6 +9,7 @@ import pytest
 from scenes import PEOPLE, scene
 
 from mocap_calib.config import Config, MatchingConfig
+from mocap_calib.geometry.reprojection import project
 from mocap_calib.multi_view import identities, joining
 from mocap_calib.multi_view.evidence import motion_evidence
 from mocap_calib.multi_view.identities import finalise_identities
@@ -16,7 +17,6 @@ from mocap_calib.multi_view.joining import join_pieces
 from mocap_calib.multi_view.name_swaps import exchanged_pieces
 from mocap_calib.multi_view.pieces import cut_into_pieces
 from mocap_calib.multi_view.proportions import Proportions, measure_proportions
-from mocap_calib.multi_view.triangulation import project
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.types import Matches
 

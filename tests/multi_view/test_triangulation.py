@@ -10,12 +10,11 @@ from scenes import recording, scene, truth
 from mocap_calib.config import (
     TriangulateConfig,
 )
+from mocap_calib.geometry.reprojection import project, reprojection_error
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.multi_view.observed_points import observe_points
 from mocap_calib.multi_view.triangulation import (
     frame_blocks,
-    project,
-    reprojection_error,
     triangulate,
     triangulate_rays,
 )

@@ -9,8 +9,9 @@ from scenes import recording, scene, truth
 
 from mocap_calib import mapped
 from mocap_calib.config import Config, PosesConfig
+from mocap_calib.geometry.reprojection import project
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.multi_view.triangulation import project, triangulate
+from mocap_calib.multi_view.triangulation import triangulate
 from mocap_calib.poses.certainty import invert_bands
 from mocap_calib.poses.energy import Strengths, couplings, linearise, solve
 from mocap_calib.poses.fit import fit

@@ -1,0 +1,45 @@
+"""What the cameras of a rig see of points: pixels, and how far off these are."""
+
+import numpy as np
+
+from mocap_calib.compute.kernels import compiled, contiguous
+from mocap_calib.geometry import lens
+from mocap_calib.types import Bools, CameraRig, Floats
+
+
+def project(rig: CameraRig, points: Floats) -> Floats:
+    """Return the pixels `[view, 2, N]` of points `[3, N]` in world coordinates; NaN = behind."""
+    return np.stack(
+        [
+            lens.project(camera, rotation @ points + translation[:, None])
+            for camera, rotation, translation in zip(
+                rig.cameras, rig.rotation, rig.translation, strict=True
+            )
+        ]
+    )
+
+
+def reprojection_error(rig: CameraRig, points: Floats, *, pixels: Floats, used: Bools) -> Floats:
+    """Return the RMS distance `[N]` in pixels of points from their detections in the used views.
+
+    points: `[3, N]` in world coordinates; pixels: `[view, 2, N]` the detections; used: `[view, N]`.
+    NaN where no view is used. A view that has a point behind it adds no distance.
+    """
+    kernels = compiled("mocap_calib.geometry.lens_kernels")
+    if kernels is None or any(camera.fisheye for camera in rig.cameras):
+        return _reprojection_error(rig, points, pixels=pixels, used=used)
+    error = np.empty(points.shape[1])
+    pose = np.concatenate([rig.rotation, rig.translation[:, :, None]], axis=2)
+    intrinsics, lenses = lens.parameters(rig.cameras)
+    given = contiguous(pose, intrinsics, np.array(lenses), points, pixels, used)
+    kernels.reprojection_errors(*given, error)
+    return error
+
+
+def _reprojection_error(rig: CameraRig, points: Floats, *, pixels: Floats, used: Bools) -> Floats:
+    """Return what `reprojection_error` returns."""
+    gap = project(rig, points) - pixels
+    square = gap[:, 0] ** 2 + gap[:, 1] ** 2
+    total = np.where(used & np.isfinite(square), square, 0.0).sum(0)
+    count = used.sum(0)
+    return np.where(count > 0, np.sqrt(total / np.maximum(count, 1)), np.nan)
