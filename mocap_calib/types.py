@@ -1307,8 +1307,11 @@ class Poses3D(Record):
         """Return the poses of these individuals in these frames (indices) alone, in this order."""
         names = ("positions", "error", "views", "confidence", "covariance", "raw", "source")
         parts: dict[str, Any] = {
-            name: mapped.take(getattr(self, name), frames)[:, individuals] for name in names
+            name: mapped.take(getattr(self, name), frames)[:, individuals]
+            for name in names
+            if name != "raw" or self.raw is not self.positions
         }
+        parts.setdefault("raw", parts["positions"])
         return replace(self, frames=self.frames[frames], **parts)
 
     def _move(self, move: Callable[[Floats], Floats]) -> tuple[Floats, Floats]:

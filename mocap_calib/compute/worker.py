@@ -27,7 +27,7 @@ Result = TypeVar("Result")
 
 UNLIMITED = float("inf")
 _CLOCK_PER_CPU_SECOND = 20  # other programs may hold the processors
-_PIPE = 1 << 20  # bytes of an answer that wait to be read; a pipe of Linux has 16 times fewer
+_PIPE = 1 << 18  # bytes of an answer that wait to be read; a pipe of Linux has 4 times fewer
 
 
 class WorkerEndedError(Exception):
@@ -131,7 +131,7 @@ def _start() -> "subprocess.Popen[bytes]":
 
 
 def _widen(pipe: BinaryIO) -> None:
-    """Let more bytes wait in a pipe, where the system does: large answers take half the time."""
+    """Let more bytes wait in a pipe, where the system does: large answers take less time."""
     if sys.platform == "linux":
         import fcntl  # noqa: PLC0415 - not on Windows
 

@@ -12,9 +12,12 @@ from typing import NamedTuple
 import numpy as np
 
 from mocap_calib.compute.kernels import compiled
+from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import LENS_MISS_PX
 from mocap_calib.geometry import brown_conrady, kannala_brandt
 from mocap_calib.types import Camera, Floats
+
+_PIXELS = 1 << 18  # at a time on a thread: calls wait for each other
 
 
 class Slopes(NamedTuple):
@@ -48,7 +51,7 @@ def unproject(camera: Camera, pixels: Floats) -> Floats:
     NaN where no ray has the pixel.
     """
     rays = np.empty((1, 3, pixels.shape[1]))
-    _set_rays((camera,), np.ascontiguousarray(pixels)[None], rays)
+    _set_rays((camera,), np.ascontiguousarray(pixels, np.float64)[None], rays)
     return rays[0]
 
 
@@ -59,16 +62,28 @@ def unproject_views(cameras: Sequence[Camera], pixels: Floats, *, by_component: 
     """
     views, count, _ = pixels.shape
     rays = np.empty((views, 3, count) if by_component else (views, count, 3))
-    rows = np.ascontiguousarray(pixels)
+    rows = np.ascontiguousarray(pixels, np.float64)
     _set_rays(cameras, rows.swapaxes(1, 2), rays if by_component else rays.swapaxes(1, 2))
     return rays
 
 
 def _set_rays(cameras: Sequence[Camera], pixels: Floats, rays: Floats) -> None:
-    """Set the rays `[view, 3, N]` of pixels `[view, 2, N]`.
+    """Set the rays `[view, 3, N]` of pixels `[view, 2, N]`, of few pixels in one call.
 
     Either is in C order, or was before its last two axes were swapped.
     """
+    each = max(1, _PIXELS // max(1, pixels.shape[-1]))
+
+    def work(first: int) -> None:
+        some = slice(first, first + each)
+        _set_rays_of_some(cameras[some], pixels[some], rays[some])
+
+    for _ in map_in_threads(work, range(0, len(cameras), each)):
+        pass
+
+
+def _set_rays_of_some(cameras: Sequence[Camera], pixels: Floats, rays: Floats) -> None:
+    """Do what `_set_rays` does."""
     kernels = compiled("mocap_calib.geometry.lens_kernels")
     doubtful = np.ones((len(cameras), pixels.shape[-1]), dtype=bool)
     if kernels:
@@ -90,7 +105,7 @@ def _set_rays(cameras: Sequence[Camera], pixels: Floats, rays: Floats) -> None:
             doubtful,
         )
     for view in np.flatnonzero(doubtful.any(1)).tolist():
-        lost = doubtful[view]
+        lost = slice(None) if doubtful[view].all() else doubtful[view]
         rays[view][:, lost] = _unproject(cameras[view], pixels[view][:, lost])
 
 

@@ -109,7 +109,7 @@ def _find_points(k: Floats, steps: int, limits: Floats, work: Floats) -> None:
         _step(k, x, y, to_x, to_y, step)
         if not _still_moving(step, limits[0]):
             break
-    if steps:
+    if steps > 0:
         _miss(k, x, y, to_x, to_y, step)
 
 
@@ -144,6 +144,9 @@ def unproject(
     work = np.zeros((7, LANES))
     x, y, length, to_x, to_y, step = work[0], work[1], work[2], work[3], work[4], work[5:]
     for view in range(views):
+        if steps[view] < 0:
+            doubtful[view] = True
+            continue
         focal_x, focal_y, middle_x, middle_y = intrinsics[view]
         for start in range(0, count, LANES):
             here = min(LANES, count - start)
@@ -158,7 +161,6 @@ def unproject(
             _find_points(k[view], steps[view], limits[view], work)
             for n in range(here):
                 found = step[0, n] <= limits[view, 1] and step[1, n] < limits[view, 2]
-                found = found and steps[view] >= 0
                 doubtful[view, start + n] = not found and math.isfinite(to_x[n] + to_y[n])
             _make_rays(x, y, length)
             at = 3 * view * count + start * strides[2]

@@ -114,10 +114,11 @@ def agreeing_views(
     narrowest: float,
     agree: Bools,
 ) -> None:
-    """Set which views agree on points `[view, N]`.
+    """Set which views agree on points, `[view, N]`.
 
-    tangents: `[view, count]` of the limits. narrowest: the cosine of the angle from the mean of the
-    rays that one of them must exceed.
+    centres: `[view, 3]`. points: `[3, N]`. world: `[view, 3, N]`. weight: `[view, N]`. tangents:
+    `[view, count]` of the limits. narrowest: the cosine of the angle from the mean of the rays
+    that one of them must exceed.
     """
     views = len(centres)
     rays, meets = np.zeros((views, 3, LANES)), np.zeros((views, LANES))

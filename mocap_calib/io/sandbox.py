@@ -155,7 +155,7 @@ class _Calls:
     def keep(self, more: int) -> None:
         """Let more, or fewer, keep the processes of large files; those of none are ended."""
         with self._lock:
-            self._keepers += more
+            self._keepers = max(0, self._keepers + more)  # a forked child has none
             idle = [] if self._keepers else self._idle
             self._idle = [] if idle else self._idle
             self._workers.difference_update(idle)

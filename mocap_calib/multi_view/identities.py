@@ -97,7 +97,9 @@ def _triangulate_groups(
         )
         points[:, mapped.as_slice(frames)] = found.reshape(3, len(frames), -1, joints)
 
-    for _ in map_in_threads(locate, frame_blocks(len(recording.frames), points[0, 0].size)):
+    for _ in map_in_threads(
+        locate, frame_blocks(len(recording.frames), groups.individuals * joints)
+    ):
         mapped.let_go()
     return np.moveaxis(points, 0, -1)
 

@@ -5,6 +5,7 @@ together differ: where these are alike, lengths say nothing of others.
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -113,7 +114,7 @@ def measure_proportions(points: Floats, pieces: Pieces, config: MatchingConfig) 
     order = np.argsort(piece, kind="stable")
     cuts = np.flatnonzero(np.diff(piece[order])) + 1
     parts = np.split(lengths[order], cuts)
-    mean = np.stack(list(map_in_threads(_medians, parts)))
+    mean = np.concatenate(list(map_in_threads(_medians_of_parts, _in_groups(parts))))
     seen = np.stack([np.isfinite(part).sum(0) for part in parts])
     # neighbouring frames err together, and each pose in its own way
     independent = np.where(seen > 0, 1 + (seen - 1) / config.bone_memory, np.inf)
@@ -121,6 +122,18 @@ def measure_proportions(points: Floats, pieces: Pieces, config: MatchingConfig) 
     precision = np.where(seen > 0, 1 / variance, 0.0)
     mean = np.nan_to_num(mean)
     return Proportions(mean, precision, apart=_variance_apart(mean, precision, pieces))
+
+
+def _in_groups(parts: list[Floats]) -> list[list[Floats]]:
+    """Return parts `[body, bone]` in groups, each of which is worth a thread's while."""
+    ends = np.cumsum([len(part) for part in parts])
+    starts = np.flatnonzero(np.diff(ends // _BODIES, prepend=-1)).tolist()
+    return [parts[start:end] for start, end in pairwise([*starts, len(parts)])]
+
+
+def _medians_of_parts(parts: list[Floats]) -> Floats:
+    """Return the medians `[part, bone]` of parts `[body, bone]`."""
+    return np.stack([_medians(part) for part in parts])
 
 
 def _bone_lengths(points: Floats, bones: Ints, frame: Ints, group: Ints) -> Floats:

@@ -5,6 +5,8 @@ needed for this and not believed: where they are exchanged the image jumps, and 
 followed.
 """
 
+from functools import partial
+
 import numpy as np
 
 from mocap_calib import mapped
@@ -36,17 +38,25 @@ def name_by_tracklets(tracks: Ints, labels: Ints, config: MatchingConfig) -> Int
     tracks: `[view, frame, instance]` of `all_tracklets`. labels: the same shape, -1 = nobody, which
     is returned.
     """
-
-    def fill(view: int) -> Ints:
-        given = labels[view]
+    filled = labels.copy()
+    for view, given in enumerate(labels):
         wanted = _majority(tracks[view], given, config)
-        others = np.delete(labels, view, axis=0)
-        in_other_views = np.moveaxis(others, 1, 0).reshape(len(given), -1)
-        confirmed = _is_among(wanted, in_other_views)
-        free = ~_is_among(wanted, given) & ~_occurs_twice(wanted)
-        return np.where((given < 0) & confirmed & free, wanted, given)
+        fill = partial(_fill_names, filled, labels, view, wanted)
+        for _ in map_in_threads(fill, mapped.frame_slices(len(given))):
+            pass
+    return filled
 
-    return np.stack(list(map_in_threads(fill, range(len(labels)))))
+
+def _fill_names(filled: Ints, labels: Ints, view: int, wanted: Ints, block: slice) -> None:
+    """Give detections of a view the names that they want, in one block of frames.
+
+    filled, labels: `[view, frame, instance]`. wanted: `[frame, instance]`.
+    """
+    own, given = wanted[block], labels[view, block]
+    others = np.delete(labels[:, block], view, axis=0)
+    confirmed = _is_among(own, np.moveaxis(others, 1, 0).reshape(len(own), -1))
+    free = ~_is_among(own, given) & ~_occurs_twice(own)
+    filled[view, block] = np.where((given < 0) & confirmed & free, own, given)
 
 
 def tracklets(recording: Recording, view: int, config: MatchingConfig) -> Ints:

@@ -22,9 +22,11 @@ from mocap_calib.two_view.affinity import (
 from mocap_calib.two_view.hypotheses import Hypotheses
 from mocap_calib.two_view.scoring import fit_matches, share_in_front, share_of_depths
 from mocap_calib.two_view.view_pair import (
+    _distances_by_size,
     body_sizes_per_radian,
     distance_ratios,
     distances,
+    distances_by_size,
     gather_view_pair,
 )
 
@@ -146,6 +148,19 @@ def test_the_affinity_of_a_frame_does_not_depend_on_those_beside_it(frames):
             np.testing.assert_array_equal(one[0], all[frame])
     assert not together[1][frames // 2].any()
     assert frames == 1 or together[1].any()
+
+
+@pytest.mark.parametrize("shape", [(0, 17), (1, 1), (4, 6, 17)])
+def test_the_compiled_distances_by_size_are_those_of_the_definition(shape):
+    """Of bodies with joints that are missing, and of one without any."""
+    rng = np.random.default_rng(0)
+    rays = 0.05 * rng.normal(size=(*shape, 3)) + [0, 0, 1]
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    rays[rng.random(shape) < 0.3] = np.nan
+    rays[:1, :1] = np.nan
+    found, expected = distances_by_size(rays), _distances_by_size(rays)
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+    assert found.shape == shape[:-1]
 
 
 def test_distances_are_compared_where_joints_are_in_front_of_both_views():

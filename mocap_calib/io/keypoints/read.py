@@ -61,12 +61,11 @@ def read_what_can(
     views: list[Keypoints2D] = []
     errors: list[MocapCalibError] = []
     try:
-        with keep_processes():
-            for found in _read_all(items, format, options):
-                if isinstance(found, MocapCalibError):
-                    errors.append(found)
-                else:
-                    views += found
+        for found in _read_all(items, format, options):
+            if isinstance(found, MocapCalibError):
+                errors.append(found)
+            else:
+                views += found
     except BaseException:
         end_calls()  # of threads, which Ctrl-C does not reach
         raise
@@ -115,8 +114,11 @@ def _read_all(
 
     waiting = (items.pop(0) for _ in range(len(items)))  # an item holds its file
     for apart, some in groupby(waiting, _is_hdf5):
-        spread = map_in_threads if apart else map
-        yield from spread(read, some)
+        if apart:
+            with keep_processes():
+                yield from map_in_threads(read, some)
+        else:
+            yield from map(read, some)
 
 
 def _is_hdf5(item: Item) -> bool:
