@@ -97,9 +97,8 @@ def _triangulate_groups(
         )
         points[:, mapped.as_slice(frames)] = found.reshape(3, len(frames), -1, joints)
 
-    for _ in map_in_threads(
-        locate, frame_blocks(len(recording.frames), groups.individuals * joints)
-    ):
+    blocks = frame_blocks(len(recording.frames), groups.individuals * joints)
+    for _ in map_in_threads(locate, blocks):
         mapped.let_go()
     return np.moveaxis(points, 0, -1)
 

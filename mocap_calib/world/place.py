@@ -74,8 +74,8 @@ def look_for_floor(
 ) -> Floor | str:
     """Return the floor below poses, or why there is none.
 
-    verdict: on the rig, "" where nobody judged it. Of long recordings 10,000 of the frames that show
-    somebody are looked at.
+    verdict: on the rig, "" where nobody judged it.Of long recordings at most
+    10,000 frames are looked at, of those that show somebody.
     """
     if verdict == "not determined":
         return "the rig is not determined"
