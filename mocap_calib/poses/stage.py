@@ -120,11 +120,11 @@ class _Scene:
         seen = mapped.in_blocks(lambda rows: np.isfinite(raw[rows, :, 0]).any(1), len(raw))
         there = np.flatnonzero(seen)
         measured = mapped.some_frames(there)
-        points = raw[measured]
+        points = mapped.take(raw, measured)
         size = body_size(points)
         if len(there) < _LEAST_FRAMES or not size > 0:
             return None
-        variances = self.poses.covariance[measured, index][..., (0, 3, 5)]
+        variances = mapped.take(self.poses.covariance[:, index], measured)[..., (0, 3, 5)]
         sigma = np.sqrt(variances.sum(-1, dtype=np.float64))
         lengths, varies = bone_lengths(points, sigma, self.edges)
         bones = slice(len(self.bones))
