@@ -50,6 +50,8 @@ from mocap_calib.types import (
 # cache, and make blocks enough for several threads
 _LIFTED_PAIRS = 50_000  # of a sample, compared by rays and lifted bodies
 _PLAIN_PAIRS = 200_000  # of a recording, compared by rays alone
+_SIDE_BY_SIDE = 4  # frames at least: the kernel compares several for little more than one,
+_MOST_PAIRS = 4_000_000  # as long as they do not have more pairs
 
 
 @single_threaded_libraries()
@@ -68,8 +70,7 @@ def associate(
         has_single_subject(sample, config.matching.geometry_alone_share)
         or reversal_in_spreads(sample, lifted, range(views), np.arange(frames)) < 1
     )
-    step = max(1, _LIFTED_PAIRS // (views * instances) ** 2)
-    blocks = _cut_into_blocks(np.arange(frames), step)
+    blocks = _cut_into_blocks(np.arange(frames), views * instances, _LIFTED_PAIRS)
     compared = ever_compared(lifted)
 
     def group(block: Ints) -> Ints:
@@ -117,8 +118,7 @@ def label_all_frames(
     labels[:, sample_frames, : matches.labels.shape[2]] = per_frame_labels(matches).labels
 
     others = np.setdiff1d(np.arange(frames), sample_frames)
-    step = max(1, _PLAIN_PAIRS // (views * instances) ** 2)
-    blocks = _cut_into_blocks(others, step)
+    blocks = _cut_into_blocks(others, views * instances, _PLAIN_PAIRS)
     label = partial(_label_by_rig, recording=recording, rig=rig, config=config)
     found = map_in_threads(label, blocks)
     for done, (block, groups) in enumerate(zip(blocks, found, strict=True), start=1):
@@ -255,6 +255,11 @@ def _link_groups(
     return Matches(link_through_time(labels, places, recording.frames, config))
 
 
-def _cut_into_blocks(frames: Ints, size: int) -> list[Ints]:
-    """Return the frames `[frame]` in blocks of at most `size`."""
+def _cut_into_blocks(frames: Ints, detections: int, pairs: int) -> list[Ints]:
+    """Return the frames `[frame]` in blocks that have about so many pairs of detections.
+
+    detections: in each frame, at most.
+    """
+    in_frame = detections**2
+    size = max(1, pairs // in_frame, min(_SIDE_BY_SIDE, _MOST_PAIRS // in_frame))
     return [frames[start : start + size] for start in range(0, len(frames), size)]
