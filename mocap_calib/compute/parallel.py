@@ -106,6 +106,12 @@ def map_in_threads(function: Callable[[Item], Result], items: Iterable[Item]) ->
             call.cancel()
 
 
+def do_in_threads(function: Callable[[Item], None], items: Iterable[Item]) -> None:
+    """Call `function` with every item, on the threads of `map_in_threads`."""
+    for _ in map_in_threads(function, items):
+        pass
+
+
 def do_both(first: Callable[[], First], second: Callable[[], Second]) -> tuple[First, Second]:
     """Return what two calls return that need nothing of each other, made at the same time.
 

@@ -38,7 +38,7 @@ def _add_offsets(
 ) -> None:
     """Add w (I - u u') of a view to sums `[9, LANES]`, and w (o - u'o u) of offsets from it.
 
-    w: the weight by what is 1 over the total of the views.
+    w: the weight times `by_total`, which is 1 over the sum of the weights of all views.
     """
     from_x, from_y, from_z = centre[0], centre[1], centre[2]
     for n in range(LANES):
@@ -106,7 +106,7 @@ def _weigh_lanes(
         x, y, z = point[0, n] - from_x, point[1, n] - from_y, point[2, n] - from_z
         along = x * ray[0, n] + y * ray[1, n] + z * ray[2, n]
         square = max(x * x + y * y + z * z, 1e-18)
-        # the squared distance times what the loss divides the weight by
+        # (1 + error / scale^2) times the squared distance: one division in all
         loss = square + max(square - along * along, 0.0) * precision[n] * narrow
         weight[n] = precision[n] * square / (loss * loss)
         total[n] += weight[n]

@@ -12,12 +12,14 @@ from typing import NamedTuple
 import numpy as np
 
 from mocap_calib.compute.kernels import compiled
-from mocap_calib.compute.parallel import map_in_threads
+from mocap_calib.compute.parallel import do_in_threads
 from mocap_calib.config import LENS_MISS_PX
 from mocap_calib.geometry import brown_conrady, kannala_brandt
 from mocap_calib.types import Camera, Floats
 
-_PIXELS = 1 << 18  # at a time on a thread: calls wait for each other
+_PIXELS = (
+    1 << 18
+)  # of one call, or of one view where it has more: each call waits for Python's lock
 
 
 class Slopes(NamedTuple):
@@ -68,7 +70,7 @@ def unproject_views(cameras: Sequence[Camera], pixels: Floats, *, by_component: 
 
 
 def _set_rays(cameras: Sequence[Camera], pixels: Floats, rays: Floats) -> None:
-    """Set the rays `[view, 3, N]` of pixels `[view, 2, N]`, of few pixels in one call.
+    """Set the rays `[view, 3, N]` of pixels `[view, 2, N]`; those of several views in one call.
 
     Either is in C order, or was before its last two axes were swapped.
     """
@@ -78,12 +80,11 @@ def _set_rays(cameras: Sequence[Camera], pixels: Floats, rays: Floats) -> None:
         some = slice(first, first + each)
         _set_rays_of_some(cameras[some], pixels[some], rays[some])
 
-    for _ in map_in_threads(work, range(0, len(cameras), each)):
-        pass
+    do_in_threads(work, range(0, len(cameras), each))
 
 
 def _set_rays_of_some(cameras: Sequence[Camera], pixels: Floats, rays: Floats) -> None:
-    """Do what `_set_rays` does."""
+    """Do what `_set_rays` does, on one thread."""
     kernels = compiled("mocap_calib.geometry.lens_kernels")
     doubtful = np.ones((len(cameras), pixels.shape[-1]), dtype=bool)
     if kernels:

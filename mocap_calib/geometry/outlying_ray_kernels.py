@@ -85,7 +85,7 @@ def _refine(
         narrow, total = 1 / scale**2, 0.0
         for i in range(count):
             square, along = _lengths(centre[i], ray[i], point)
-            # the squared distance times what the loss divides the weight by
+            # (1 + error / scale^2) times the squared distance: one division in all
             loss = square + max(square - along * along, 0.0) * precision[i] * narrow
             weight[i] = precision[i] * square / (loss * loss)
             total += weight[i]

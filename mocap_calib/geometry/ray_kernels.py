@@ -75,8 +75,8 @@ def _find_meeting(
 ) -> None:
     """Set to 1 or 0 which rays of a view, `[LANES]`, meet the points, and add them to sums.
 
-    ray, point: `[3, LANES]`. limit: `[LANES]` tangents of angles. meets: weights, 0 = not seen.
-    sums: `[4, LANES]` of rays and of their number.
+    ray, point: `[3, LANES]`. limit: `[LANES]` tangents of angles. meets: the weights, 0 = not
+    seen, which are overwritten. sums: `[4, LANES]` of rays and of their number.
     """
     from_x, from_y, from_z = centre[0], centre[1], centre[2]
     for n in range(LANES):

@@ -4,19 +4,13 @@ import numpy as np
 
 from mocap_calib.compute.kernels import compiled, contiguous
 from mocap_calib.geometry import lens
+from mocap_calib.geometry.rays import points_in_cameras
 from mocap_calib.types import Bools, CameraRig, Floats
 
 
 def project(rig: CameraRig, points: Floats) -> Floats:
     """Return the pixels `[view, 2, N]` of points `[3, N]` in world coordinates; NaN = behind."""
-    return np.stack(
-        [
-            lens.project(camera, rotation @ points + translation[:, None])
-            for camera, rotation, translation in zip(
-                rig.cameras, rig.rotation, rig.translation, strict=True
-            )
-        ]
-    )
+    return np.stack(list(map(lens.project, rig.cameras, points_in_cameras(rig, points))))
 
 
 def reprojection_error(rig: CameraRig, points: Floats, *, pixels: Floats, used: Bools) -> Floats:

@@ -153,11 +153,12 @@ class _Calls:
             worker.end()
 
     def keep(self, more: int) -> None:
-        """Let more, or fewer, keep the processes of large files; those of none are ended."""
+        """Add 1 to who keeps processes, or -1; when nobody does, those that wait are ended."""
         with self._lock:
             self._keepers = max(0, self._keepers + more)  # a forked child has none
-            idle = [] if self._keepers else self._idle
-            self._idle = [] if idle else self._idle
+            idle: list[Worker] = []
+            if not self._keepers:
+                idle, self._idle = self._idle, idle
             self._workers.difference_update(idle)
         for worker in idle:
             worker.end()

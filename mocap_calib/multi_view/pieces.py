@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mocap_calib import mapped
-from mocap_calib.compute.parallel import map_in_threads
+from mocap_calib.compute.parallel import do_in_threads
 from mocap_calib.config import MatchingConfig
 from mocap_calib.geometry.bodies import mean_of_known
 from mocap_calib.geometry.graphs import connected_parts
@@ -96,8 +96,7 @@ def step_distances(points: Floats, moved: Floats, config: MatchingConfig) -> Flo
         expected = points[block] + moved[block, :, None]
         distance[block] = rms_distance(expected[:, :, None], later[:, None], config.tracklet_joints)
 
-    for _ in map_in_threads(measure, mapped.frame_slices(frames - 1, _FRAMES)):
-        pass
+    do_in_threads(measure, mapped.frame_slices(frames - 1, _FRAMES))
     return distance
 
 

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from mocap_calib import mapped
-from mocap_calib.compute.parallel import map_in_threads
+from mocap_calib.compute.parallel import do_in_threads, map_in_threads
 from mocap_calib.config import MatchingConfig
 from mocap_calib.geometry.graphs import spanning_tree
 from mocap_calib.multi_view.pieces import Pieces
@@ -147,8 +147,7 @@ def _bone_lengths(points: Floats, bones: Ints, frame: Ints, group: Ints) -> Floa
     def measure(block: slice) -> None:
         lengths[block] = _log_lengths(points[frame[block], group[block]], (a, b))
 
-    for _ in map_in_threads(measure, mapped.frame_slices(len(frame), _BODIES)):
-        pass
+    do_in_threads(measure, mapped.frame_slices(len(frame), _BODIES))
     return lengths
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from mocap_calib import mapped
 from mocap_calib.compute.kernels import compiled, contiguous
-from mocap_calib.compute.parallel import map_in_threads
+from mocap_calib.compute.parallel import do_in_threads, map_in_threads
 from mocap_calib.config import MatchingConfig
 from mocap_calib.geometry.graphs import connected_parts
 from mocap_calib.types import Bools, Floats, Ints, Reals, Recording
@@ -42,8 +42,7 @@ def name_by_tracklets(tracks: Ints, labels: Ints, config: MatchingConfig) -> Int
     for view, given in enumerate(labels):
         wanted = _majority(tracks[view], given, config)
         fill = partial(_fill_names, filled, labels, view, wanted)
-        for _ in map_in_threads(fill, mapped.frame_slices(len(given))):
-            pass
+        do_in_threads(fill, mapped.frame_slices(len(given)))
     return filled
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from mocap_calib import mapped
 from mocap_calib.compute.medians import known_medians
-from mocap_calib.compute.parallel import map_in_threads
+from mocap_calib.compute.parallel import do_in_threads
 from mocap_calib.config import TriangulateConfig
 from mocap_calib.multi_view.triangulation import frame_blocks, triangulate_frames
 from mocap_calib.types import CameraRig, Floats, Ints, Matches, Poses3D, Recording
@@ -187,6 +187,5 @@ def arrays_to_fill(poses: Poses3D, fitted: list[int]) -> dict[str, Any]:
             array[block] = known[name][block]
             array[block, fitted] = 0 if name == "source" else np.nan
 
-    for _ in map_in_threads(fill, mapped.frame_slices(len(poses.frames))):
-        pass
+    do_in_threads(fill, mapped.frame_slices(len(poses.frames)))
     return arrays

@@ -74,8 +74,9 @@ def look_for_floor(
 ) -> Floor | str:
     """Return the floor below poses, or why there is none.
 
-    verdict: on the rig, "" where nobody judged it.Of long recordings at most
-    10,000 frames are looked at, of those that show somebody.
+    Of a long recording at most 10,000 frames are looked at, of those that show somebody.
+
+    verdict: on the rig, "" where nobody judged it.
     """
     if verdict == "not determined":
         return "the rig is not determined"

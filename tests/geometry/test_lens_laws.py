@@ -90,7 +90,10 @@ def test_views_have_the_rays_of_each_camera_by_itself(seed):
 @law
 @given(SEEDS)
 def test_the_kernel_gives_the_reprojection_errors_of_its_definition(seed):
-    """Of points behind a camera, not seen or not known, too. Measured 3e-11 of 400 rigs."""
+    """Of points behind a camera, not seen or not known, too.
+
+    Measured: 3e-11 of the error, in 400 rigs.
+    """
     rng = np.random.default_rng(seed)
     cameras = tuple(
         replace(lens_of(seed + view, fisheye=False)[0], name=str(view)) for view in range(4)

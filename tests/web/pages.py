@@ -72,7 +72,7 @@ class Shown:
         return folder / name
 
 
-# as much work as a processor does in 0.13 s that is quick and has nothing else to do
+# what a quick processor that has nothing else to do computes in 0.13 s
 _WORK = """() => {
     const numbers = new Float64Array(1 << 20).fill(0.5);
     for (let round = 0; round < 12; round++)
@@ -83,7 +83,7 @@ _QUICK = 0.13
 
 
 def slowness(page: Any) -> float:
-    """Return how many times the time of a quick processor the page's takes now; 1 at least."""
+    """Return how many times as long as a quick processor this one takes now; 1 at least."""
     before = cpu_seconds()["renderer"]
     page.evaluate(_WORK)
     return max(1.0, (cpu_seconds()["renderer"] - before) / _QUICK)
