@@ -1,8 +1,9 @@
 """Every default, once. Imports nothing heavy, so that the command line can show them."""
 
-from dataclasses import dataclass
 from math import radians
 from typing import Literal, get_args
+
+from mocap_calib.frozen import frozen
 
 SMALL_RIG = 17  # cameras: of up to so many nearly all see the same bodies
 
@@ -23,7 +24,7 @@ COMPLETION_SPREAD = 0.2  # body sizes: a joint known to this much has exp(-1) of
 COMPLETION_CONFIDENCE = 0.5  # at most, of the mean confidence of the joints that were seen
 
 
-@dataclass(frozen=True)
+@frozen
 class TrainConfig:
     """How a lifter is trained; saved in its model card.
 
@@ -72,7 +73,7 @@ OWN_SPECIES_LARGEST_ERROR = 3.0  # median reprojection errors: joints beyond it 
 OWN_SPECIES_TRAINING = {"elevation_deg": (-60, 88), "roll_deg": 20, "straighten": 0}
 
 
-@dataclass(frozen=True)
+@frozen
 class PairsConfig:
     """The paper's training pairs (appendix C) for the rotation-token network."""
 
@@ -89,7 +90,7 @@ class PairsConfig:
 LAYOUT_DROPOUT = 0.6  # up to this share of joints is lacking where a pose lacks further joints
 
 
-@dataclass(frozen=True)
+@frozen
 class SampleConfig:
     """The frames that calibration looks at.
 
@@ -119,7 +120,7 @@ LARGEST_STEP = 4  # frames that a camera may be ahead by at once, where the othe
 VOTE_TOLERANCE = 1  # frames: so near are the offsets at which cameras agree that say the same
 
 
-@dataclass(frozen=True)
+@frozen
 class SyncConfig:
     """How the clocks of the cameras are compared before there is a rig.
 
@@ -211,7 +212,7 @@ class SyncConfig:
     evidence_blocks: int = 25
 
 
-@dataclass(frozen=True)
+@frozen
 class PairwiseConfig:
     """Relative poses of pairs. Lengths in body sizes; image errors are measured at the body."""
 
@@ -272,7 +273,7 @@ SINKHORN_SWEEPS = 12  # of rows and columns
 SINKHORN_SHARPNESS = 8.0  # of the affinity in the exponent
 
 
-@dataclass(frozen=True)
+@frozen
 class FivePointConfig:
     """The baseline that calibrates a pair of views without lifted bodies."""
 
@@ -288,7 +289,7 @@ FIVE_POINT_LEAST_JOINTS = 5  # determine an essential matrix
 PAIR_SOLVERS = ("search", "paper", "five-point")
 
 
-@dataclass(frozen=True)
+@frozen
 class PaperConfig:
     """The paper's solver (section 3.2 and appendix C.3); what the paper leaves open is marked."""
 
@@ -318,7 +319,7 @@ PairChoice = Literal["chosen", "all"]
 PAIR_CHOICES: tuple[PairChoice, ...] = get_args(PairChoice)
 
 
-@dataclass(frozen=True)
+@frozen
 class ViewGraphConfig:
     """Which pairs of cameras are calibrated.
 
@@ -357,7 +358,7 @@ class ViewGraphConfig:
     rounds: int = 3
 
 
-@dataclass(frozen=True)
+@frozen
 class AveragingConfig:
     """From the pairs to groups of cameras, and to a rig.
 
@@ -397,7 +398,7 @@ class AveragingConfig:
     iterations: int = 30
 
 
-@dataclass(frozen=True)
+@frozen
 class MatchingConfig:
     """Who is who: in a frame, through time, and in the end.
 
@@ -494,7 +495,7 @@ FACTORIZATION_LEAST_PX = 1.0
 FACTORIZATION_SWEEPS = 50
 
 
-@dataclass(frozen=True)
+@frozen
 class AdjustConfig:
     """Bundle adjustment. Loss scales are in standard deviations of each view's own residuals."""
 
@@ -554,7 +555,7 @@ REFINEMENTS: tuple[Refinement, ...] = get_args(Refinement)
 ASSUMED_REFINEMENT: Refinement = "focal+k1"
 
 
-@dataclass(frozen=True)
+@frozen
 class IntrinsicsConfig:
     """Which intrinsics are estimated from the recording, and what is known of them beforehand.
 
@@ -596,7 +597,7 @@ DEFAULT_FOCAL = 1.2  # focal length of a camera of which nothing is known, in lo
 SAME_IMAGE_SIZE = 0.01  # videos of one kind of camera may lack some rows
 
 
-@dataclass(frozen=True)
+@frozen
 class TriangulateConfig:
     """3D poses. Errors in standard deviations of each view's own error."""
 
@@ -610,7 +611,7 @@ class TriangulateConfig:
     least_noise_px: float = 0.25
 
 
-@dataclass(frozen=True)
+@frozen
 class PosesConfig:
     """Best estimates of poses (`poses/`). Lengths in body sizes, times in steps between frames.
 
@@ -680,7 +681,7 @@ class PosesConfig:
     margin_frames: int = 40
 
 
-@dataclass(frozen=True)
+@frozen
 class UncertaintyConfig:
     """Whether a recording determines its rig, and whether all cameras agree on it."""
 
@@ -743,7 +744,7 @@ class UncertaintyConfig:
     same_rig_deg: float = 10.0  # two rigs whose cameras turn by no more than this are one answer
 
 
-@dataclass(frozen=True)
+@frozen
 class VerdictConfig:
     """What a rig is called; docs/how-good.md has the rule.
 
@@ -780,7 +781,7 @@ class VerdictConfig:
     errors: float = 0.1  # of a keypoint, in sizes of the body in the image
 
 
-@dataclass(frozen=True)
+@frozen
 class ResectionConfig:
     """The search for the projection of one camera from points that others know.
 
@@ -797,7 +798,7 @@ class ResectionConfig:
     rounds: int = 8
 
 
-@dataclass(frozen=True)
+@frozen
 class CameraFitConfig:
     """A camera fitted to known points. Loss scales are in standard deviations."""
 
@@ -809,7 +810,7 @@ class CameraFitConfig:
     most_damping: float = 1e6
 
 
-@dataclass(frozen=True)
+@frozen
 class DiagnosisConfig:
     """Which camera is odd, and what explains it.
 
@@ -891,7 +892,7 @@ class DiagnosisConfig:
 PLAIN_FACTORS = (1 / 4, 1 / 3, 1 / 2, 2 / 3, 3 / 4, 4 / 3, 3 / 2, 2.0, 3.0, 4.0)
 
 
-@dataclass(frozen=True)
+@frozen
 class ExchangedConfig:
     """Whether two cameras have the intrinsics of each other (multi_view/exchanged.py).
 
@@ -919,7 +920,7 @@ class ExchangedConfig:
     least_significance: float = 3.0
 
 
-@dataclass(frozen=True)
+@frozen
 class MovedConfig:
     """Whether a camera was bumped or moved during the recording (multi_view/moved.py).
 
@@ -997,7 +998,7 @@ class MovedConfig:
     near_detections: int = 5
 
 
-@dataclass(frozen=True)
+@frozen
 class UnrelatedConfig:
     """Whether a camera saw another scene than the others (multi_view/unrelated.py).
 
@@ -1017,7 +1018,7 @@ class UnrelatedConfig:
     least_usual: float = 0.4
 
 
-@dataclass(frozen=True)
+@frozen
 class SubframeConfig:
     """Offsets of clocks within about a frame; see `multi_view.time_offsets`.
 
@@ -1060,7 +1061,7 @@ class SubframeConfig:
     held_out: float = 0.15
 
 
-@dataclass(frozen=True)
+@frozen
 class VerifyConfig:
     """Whether a calibration goes with keypoints, and which camera moved since.
 
@@ -1092,7 +1093,7 @@ class VerifyConfig:
     pair_disagreement: float = 10.0
 
 
-@dataclass(frozen=True)
+@frozen
 class MendConfig:
     """What is done where files of a camera are wrong.
 
@@ -1124,7 +1125,7 @@ REPORT_FRAMES = 2000  # whose reprojection errors run.json tells
 RIG_ERROR_THRESHOLDS_DEG = (5, 10, 20, 30)  # at which `evaluate` tells the accuracy
 
 
-@dataclass(frozen=True)
+@frozen
 class ReportConfig:
     """How much a report.html shows. Bytes are those of the page.
 
@@ -1170,7 +1171,7 @@ class ReportConfig:
     most_hashes: int = 500
 
 
-@dataclass(frozen=True)
+@frozen
 class KinematicsConfig:
     """Contacts of feet with the floor; lengths in lengths of a leg (hip to ankle).
 
@@ -1187,7 +1188,7 @@ class KinematicsConfig:
     window: float = 0.05  # seconds before and behind, in which heights and speeds are averaged
 
 
-@dataclass(frozen=True)
+@frozen
 class FloorConfig:
     """How the floor is found that bodies stand on. Lengths in sizes of the body (see `world.body`).
 
@@ -1248,7 +1249,7 @@ CueKind = Literal["height", "length", "camera distance"]
 WORLDS = ("auto", "floor", "first-camera")  # that are asked for by a word; else a camera's name
 
 
-@dataclass(frozen=True)
+@frozen
 class ScaleCue:
     """A length that somebody knows.
 
@@ -1272,7 +1273,7 @@ class ScaleCue:
             )
 
 
-@dataclass(frozen=True)
+@frozen
 class KnownCamera:
     """Where a camera stands in a world that is known.
 
@@ -1284,7 +1285,7 @@ class KnownCamera:
     translation: tuple[float, ...]
 
 
-@dataclass(frozen=True)
+@frozen
 class Landmark:
     """A point whose place is known, as a camera sees it.
 
@@ -1297,7 +1298,7 @@ class Landmark:
     pixel: tuple[float, float]
 
 
-@dataclass(frozen=True)
+@frozen
 class CueConfig:
     """How lengths are measured that somebody knows.
 
@@ -1338,7 +1339,7 @@ class CueConfig:
     least_tall: float = 0.2
 
 
-@dataclass(frozen=True)
+@frozen
 class WorldConfig:
     """Which coordinates results are in.
 
@@ -1382,7 +1383,7 @@ class WorldConfig:
         return "m" if self.cues or self.landmarks else self.unit
 
 
-@dataclass(frozen=True)
+@frozen
 class Config:
     """All stages."""
 
@@ -1412,7 +1413,7 @@ FilterMethod = Literal["butterworth", "median", "savgol"]
 FILTER_METHODS: tuple[FilterMethod, ...] = get_args(FilterMethod)
 
 
-@dataclass(frozen=True)
+@frozen
 class FilterConfig:
     """A classic filter over time (`poses/filters.py`), which only the command `filter` uses.
 
@@ -1427,7 +1428,7 @@ class FilterConfig:
     polynomial: int = 3
 
 
-@dataclass(frozen=True)
+@frozen
 class ReadConfig:
     """What the numbers in keypoint files are taken for."""
 
@@ -1435,7 +1436,7 @@ class ReadConfig:
     least_share: float = -0.25  # a share below this is on another scale, such as -1 to 1
 
 
-@dataclass(frozen=True)
+@frozen
 class CopyConfig:
     """When two files have the same detections (recording/copies.py).
 
@@ -1482,7 +1483,7 @@ INTERSECT_AGREEING_SHARE = 0.6  # of a point's rays that must meet for the rest 
 INTERSECT_AGREEING_RAYS = 3  # and so many of them at least
 
 
-@dataclass(frozen=True)
+@frozen
 class InspectConfig:
     """What `inspect` warns of.
 
@@ -1528,7 +1529,7 @@ class InspectConfig:
     least_depth: float = 3.0
 
 
-@dataclass(frozen=True)
+@frozen
 class AnimalMotion:
     """How a kind of animal goes about in synthetic scenes.
 
@@ -1556,7 +1557,7 @@ ANIMAL_MOTION = {
 }
 
 
-@dataclass(frozen=True)
+@frozen
 class DoctorConfig:
     """The self-test: a simulated recording, and how far the result may be from the truth.
 
@@ -1570,7 +1571,7 @@ class DoctorConfig:
     least_disk_gb: float = 1.0
 
 
-@dataclass(frozen=True)
+@frozen
 class SimulateConfig:
     """A synthetic recording. Lengths in metres; all move in a square 0.9 radii wide.
 

@@ -8,7 +8,7 @@ docs/conventions.md has the rest.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import field, fields, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Literal, Protocol, Self, TypeVar, get_args
 
@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mocap_calib import mapped
 from mocap_calib.config import EPOCH_MARK, Config
+from mocap_calib.frozen import frozen
 from mocap_calib.records import Record, as_array, check_names, check_shape
 from mocap_calib.wording import count
 
@@ -121,7 +122,7 @@ class Mapper(Protocol):
         """
 
 
-@dataclass(frozen=True)
+@frozen
 class Skeleton:
     """The vocabulary of one kind of body.
 
@@ -144,7 +145,7 @@ class Skeleton:
 # --- cameras
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class Camera(Record):
     """The intrinsics of one camera.
 
@@ -189,7 +190,7 @@ class Camera(Record):
         return f"{width} x {height}, f {self.focal:.1f} px, {lens}"
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class EstimatedCamera(Camera):
     """A camera whose intrinsics follow from the recording itself.
 
@@ -209,12 +210,12 @@ class EstimatedCamera(Camera):
         return cls(**_intrinsic_fields(camera), focal_sigma=focal_sigma, k1_sigma=k1_sigma)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class AssumedCamera(Camera):
     """A camera of which nothing is known but the size of its images: its intrinsics are a guess."""
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class PosedCamera(Camera):
     """One camera of a rig: its intrinsics and where it stands, as OpenCV takes them.
 
@@ -261,7 +262,7 @@ class PosedCamera(Camera):
 ClockKind = Literal["in step", "clock", "rate", "dropped", "not known"]
 
 
-@dataclass(frozen=True)
+@frozen
 class CameraClock:
     """How the clock of one camera differs from the one that most cameras share.
 
@@ -287,7 +288,7 @@ class CameraClock:
         return self.kind in ("clock", "rate", "dropped")
 
 
-@dataclass(frozen=True)
+@frozen
 class MeasuredCue:
     """A length that somebody knows, and what was measured of it.
 
@@ -303,7 +304,7 @@ class MeasuredCue:
     residual: float
 
 
-@dataclass(frozen=True)
+@frozen
 class MeasuredLandmark:
     """A point whose place is known, and how far from it cameras see it.
 
@@ -314,7 +315,7 @@ class MeasuredLandmark:
     distance: float
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class World(Record):
     """What the axes, the origin and the unit of coordinates are.
 
@@ -362,7 +363,7 @@ class World(Record):
         return replace(self, up=rotation @ self.up, floor=rotation @ self.floor + shift)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class CameraRig(Record):
     """Cameras and where they stand.
 
@@ -572,7 +573,7 @@ def _find_name(names: tuple[str, ...], name: str) -> int:
 # --- detections
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class Keypoints2D(Record):
     """What one keypoint file holds: the detections of one camera.
 
@@ -616,7 +617,7 @@ class Keypoints2D(Record):
         return f"Keypoints2D({', '.join(parts)})"
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class Recording(Record):
     """All views on one clock.
 
@@ -788,7 +789,7 @@ class Recording(Record):
         return ("positions", "confidence")
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class Sample(Recording):
     """Some frames of a recording in double precision, with the rays of their detections.
 
@@ -811,7 +812,7 @@ class Sample(Recording):
         return ("positions", "confidence", "rays")
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class Clocks(Record):
     """Which frame each camera shows at each frame of a clock that is common to all.
 
@@ -907,7 +908,7 @@ class Mend(Protocol):
         """Return the recording with the detections or the intrinsics of the camera put right."""
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class Fault(Record):
     """What is wrong with the files of one camera.
 
@@ -927,7 +928,7 @@ class Fault(Record):
 # --- what the stages find
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class LiftedPoses(Record):
     """Every detection lifted by itself to a 3D body.
 
@@ -955,7 +956,7 @@ class LiftedPoses(Record):
         return LiftedPoses(self.body[views], self.centre[views], self.spread[views])
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class PairwiseCalibration(Record):
     """What is found of the views a and b.
 
@@ -989,7 +990,7 @@ class PairwiseCalibration(Record):
         return (self, *self.alternatives)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class Averaged(Record):
     """The rig, and how well each pair agrees with it.
 
@@ -1004,7 +1005,7 @@ class Averaged(Record):
     weight: Floats
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class Matches(Record):
     """Who is who: `labels[view, frame, instance]` is the individual, -1 = nobody.
 
@@ -1039,7 +1040,7 @@ class Matches(Record):
         return int(self.labels.max(initial=-1)) + 1
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class Adjusted(Record):
     """A rig after rounds of adjusting and matching, and the labels that it implies.
 
@@ -1057,7 +1058,7 @@ class Adjusted(Record):
     converged: bool
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class TimeOffsets(Record):
     """By what part of a frame the cameras' clocks differ.
 
@@ -1088,7 +1089,7 @@ class TimeOffsets(Record):
         return np.where(self.used, self.tau, 0.0)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class RigCovariance(Record):
     """How far the cameras of a rig may be from where they should be, after the best similarity.
 
@@ -1146,7 +1147,7 @@ class RigCovariance(Record):
         return replace(self, matrix=self.matrix + more)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class Uncertainty(Record):
     """How well a rig is determined by what was seen.
 
@@ -1174,7 +1175,7 @@ class Uncertainty(Record):
     wrong_focal: Bools
 
 
-@dataclass(frozen=True)
+@frozen
 class Check:
     """A look at a rig that is independent of its covariance; docs/how-good.md has them all.
 
@@ -1193,7 +1194,7 @@ class Check:
         return not self.value > self.limit
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class Poses3D(Record):
     """Bodies in space.
 
@@ -1352,7 +1353,7 @@ class Poses3D(Record):
         return to_dataset(describe_poses(self, fps, individuals))
 
 
-@dataclass(frozen=True)
+@frozen
 class Smoothing:
     """How best estimates of poses were made of what was seen.
 
@@ -1375,7 +1376,7 @@ class Smoothing:
     exchanged: int = 0
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class ObservedPoints(Record):
     """Points and where cameras saw them: what a bundle adjuster takes.
 
@@ -1402,7 +1403,7 @@ class ObservedPoints(Record):
         return cls(np.zeros((0, 3)), nothing, nothing, np.zeros((0, 2)))
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class GroupResult(Record):
     """All that is found of one group of cameras that see the same bodies.
 
@@ -1472,7 +1473,7 @@ class GroupResult(Record):
         return f"{', '.join(self.rig.names)}: rig {self.verdict}, {found}"
 
 
-@dataclass(frozen=True)
+@frozen
 class UnusedPair:
     """A pair of cameras (names) that are not in one group, and the score of the pair."""
 
@@ -1481,7 +1482,7 @@ class UnusedPair:
     score: float
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class CalibrationResult(Record):
     """All that a run finds: a result for each group of cameras, the largest group first.
 
@@ -1525,7 +1526,7 @@ PlaceWord = Literal["in place", "moved", "focal", "inconsistent", "not checked"]
 PLACE_WORDS: tuple[PlaceWord, ...] = get_args(PlaceWord)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class VerifiedCamera(Record):
     """What keypoints say of one camera of a calibration.
 
@@ -1557,7 +1558,7 @@ class VerifiedCamera(Record):
         return self.word in ("moved", "focal", "inconsistent")
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class Verification(Record):
     """How far a calibration that was given goes with keypoints, and which cameras moved since.
 

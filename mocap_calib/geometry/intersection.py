@@ -6,7 +6,6 @@ too few rays agree even then, every pair of rays gives a candidate. Arrays are k
 `[view, 3, N]`, in blocks that stay in the cache.
 """
 
-from dataclasses import dataclass
 from itertools import combinations
 from types import ModuleType
 
@@ -24,6 +23,7 @@ from mocap_calib.config import (
     INTERSECT_STEPS,
     INTERSECT_TIGHTENING_SCALES,
 )
+from mocap_calib.frozen import frozen
 from mocap_calib.geometry import symmetric
 from mocap_calib.geometry.symmetric import Entries
 from mocap_calib.types import Bools, CameraRig, Floats, Ints
@@ -31,7 +31,7 @@ from mocap_calib.types import Bools, CameraRig, Floats, Ints
 _PACKAGE = "mocap_calib.geometry"
 
 
-@dataclass(frozen=True)
+@frozen
 class _Rays:
     """The rays of N points.
 

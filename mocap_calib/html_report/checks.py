@@ -1,9 +1,11 @@
 """What the checks of a verdict look at, and what sound recordings show: for pages and documents."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
+
+from mocap_calib.frozen import frozen
 
 
-@dataclass(frozen=True)
+@frozen
 class CheckMeaning:
     """What a check is, and the smallest and largest value of sound recordings.
 

@@ -1,16 +1,17 @@
 """What a report is made of, whether it comes from a run or from a folder of its results."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from mocap_calib.frozen import frozen
 from mocap_calib.records import Record
 from mocap_calib.types import CameraRig, Floats, GroupResult, Matches, Poses3D, Recording
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class Seen(Record):
     """What the cameras saw, and who is who in it: in the frames of the poses."""
 
@@ -18,7 +19,7 @@ class Seen(Record):
     matches: Matches
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class Reference(Record):
     """Another rig, to be laid over that of the report. title: where it comes from."""
 
@@ -26,7 +27,7 @@ class Reference(Record):
     rig: CameraRig
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@frozen
 class ReportSource(Record):
     """What a report is made of.
 

@@ -1,9 +1,9 @@
 """The record of something that stands in the way of a run."""
 
-from dataclasses import dataclass
+from mocap_calib.frozen import frozen
 
 
-@dataclass(frozen=True)
+@frozen
 class Finding:
     """Something that stands in the way.
 

@@ -1,9 +1,10 @@
 """From keypoint files and a file of cameras to a recording, and what of them is not used."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
+from mocap_calib.frozen import frozen
 from mocap_calib.io.cameras.source import CameraFile
 from mocap_calib.io.keypoints.filled_table import describe_filled
 from mocap_calib.io.keypoints.items import find_superseded_files
@@ -19,7 +20,7 @@ from mocap_calib.steerpose.weights import load_vocabulary
 from mocap_calib.types import Clocks, Keypoints2D, Recording, Skeleton
 
 
-@dataclass(frozen=True)
+@frozen
 class LoadedRecording:
     """A recording, and what a person should know of it.
 

@@ -6,7 +6,7 @@ formats stay as they were, and are named.
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from mocap_calib.config import ScaleCue, WorldConfig
 from mocap_calib.errors import MismatchError
+from mocap_calib.frozen import frozen
 from mocap_calib.geometry.gauge import rig_size
 from mocap_calib.io.atomic import numbered_file, replace_folder, replace_text
 from mocap_calib.io.cameras.own import SUBFRAME
@@ -39,7 +40,7 @@ _FORMATS = {_CAMERAS: "mocap-calib", "calibration.toml": "anipose"}
 _OWN = ("matches.csv", REPORT, PAGE)  # hold no lengths, or are written last
 
 
-@dataclass(frozen=True)
+@frozen
 class Scaled:
     """What was done to a folder of results.
 

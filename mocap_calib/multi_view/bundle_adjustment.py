@@ -1,6 +1,6 @@
 """Bundle adjustment: choose the detections that the rig is built on, and fit the rig to them."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -8,6 +8,7 @@ from mocap_calib.compute.kernels import contiguous
 from mocap_calib.compute.parallel import do_both, map_in_threads, single_threaded_libraries
 from mocap_calib.config import AdjustConfig, Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
+from mocap_calib.frozen import frozen
 from mocap_calib.geometry.lens import image_slopes
 from mocap_calib.geometry.view_blocks import order_by_views
 from mocap_calib.multi_view.doubt import doubtful_errors_repeat, names_of_groups, without_doubtful
@@ -33,7 +34,7 @@ from mocap_calib.types import (
 )
 
 
-@dataclass(frozen=True)
+@frozen
 class AdjustablePoints:
     """The points that are adjusted, and what is seen of them.
 

@@ -6,12 +6,12 @@ bit by bit with each further epoch: a change is believed where it explains far m
 change would (binary segmentation, Scott and Knott 1974).
 """
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from mocap_calib.config import MovedConfig
+from mocap_calib.frozen import frozen
 from mocap_calib.multi_view.noise import MEDIAN_DISTANCE
 from mocap_calib.multi_view.resection import (
     CameraPoses,
@@ -25,7 +25,7 @@ from mocap_calib.multi_view.resection import (
 from mocap_calib.types import Bools, Floats, Ints
 
 
-@dataclass(frozen=True)
+@frozen
 class Epochs:
     """Poses that a camera had one after the other.
 
@@ -169,7 +169,7 @@ def _total_costs(found: list[Epochs], seen: Sightings, config: MovedConfig) -> t
     return np.asarray(costs[:, explained].sum(1)), int(explained.sum())
 
 
-@dataclass(frozen=True)
+@frozen
 class _Split:
     """An epoch that may be two.
 

@@ -1,9 +1,10 @@
 """Name the cameras whose clocks differ, for `CalibrationResult.faults`."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, cast
 
 from mocap_calib.config import EPOCH_MARK
+from mocap_calib.frozen import frozen
 from mocap_calib.multi_view.verdict import no_better_than
 from mocap_calib.multi_view.view_graph import best_scores
 from mocap_calib.recording.mending import find_view
@@ -20,7 +21,7 @@ from mocap_calib.types import (
 from mocap_calib.wording import count
 
 
-@dataclass(frozen=True)
+@frozen
 class Retimed:
     """The clock of a camera differs from that of the others."""
 

@@ -11,19 +11,19 @@ median: what is not known counts as nothing.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from mocap_calib.compute.kernels import compiled, contiguous
 from mocap_calib.config import LARGEST_STEP, SyncConfig
+from mocap_calib.frozen import frozen
 from mocap_calib.two_view.timing import FrameAgreement, Singles, diagonals
 from mocap_calib.types import Floats, Ints
 
 Pair = tuple[int, int]
 
 
-@dataclass(frozen=True)
+@frozen
 class Ridge:
     """The map of one camera, and how well it agrees with the others there.
 
@@ -42,7 +42,7 @@ class Ridge:
     held_out: Floats
 
 
-@dataclass(frozen=True)
+@frozen
 class Agreements:
     """The agreement of the pairs of so many views in all frames.
 

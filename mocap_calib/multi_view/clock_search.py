@@ -1,13 +1,14 @@
 """Search for the times at which all cameras agree: offsets, rates, and frames that were lost."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import CLOCK_RATES, RATE_LEAST_SHARE, SyncConfig
+from mocap_calib.frozen import frozen
 from mocap_calib.multi_view.clock_evidence import along_map, is_decisive, standard_errors
 from mocap_calib.multi_view.clock_paths import (
     Agreements,
@@ -23,7 +24,7 @@ from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Floats, Ints
 
 
-@dataclass(frozen=True)
+@frozen
 class Timing:
     """How the frames of all cameras go together, as found so far.
 

@@ -1,12 +1,13 @@
 """The rig of all cameras but one, and the points that these know."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from mocap_calib.config import Config, DiagnosisConfig
 from mocap_calib.errors import DegenerateError
+from mocap_calib.frozen import frozen
 from mocap_calib.geometry.gauge import changed_rig
 from mocap_calib.multi_view.association import associate
 from mocap_calib.multi_view.averaging import average
@@ -21,7 +22,7 @@ from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import CameraRig, Floats, Ints, RigCovariance, Sample, silent
 
 
-@dataclass(frozen=True)
+@frozen
 class CoreRig:
     """Cameras that agree, and what they know.
 

@@ -4,13 +4,14 @@ Each looks odd by itself, and spoils the rig that it would be held against: both
 Only focal lengths that differ give them away.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 
 from mocap_calib.config import Config, ExchangedConfig
 from mocap_calib.errors import DegenerateError
+from mocap_calib.frozen import frozen
 from mocap_calib.multi_view.bundle_adjustment import adjust_once
 from mocap_calib.multi_view.fit import measure_distances
 from mocap_calib.multi_view.noise import view_residual
@@ -22,7 +23,7 @@ from mocap_calib.types import CameraRig, Fault, Floats, GroupResult, Matches, Sa
 _LEAST_CAMERAS = 3  # of two nobody can say
 
 
-@dataclass(frozen=True)
+@frozen
 class _Finding:
     """What an exchange of the intrinsics of two views lowers the robust cost of a keypoint by.
 

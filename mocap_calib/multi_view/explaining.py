@@ -1,11 +1,12 @@
 """Hold one camera against the rig of the others: how well each explanation fits what it saw."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from mocap_calib.config import Config, DiagnosisConfig
+from mocap_calib.frozen import frozen
 from mocap_calib.multi_view.camera_fit import (
     CameraFit,
     CameraPose,
@@ -37,7 +38,7 @@ from mocap_calib.types import Camera, CameraRig, Floats, Ints, RigCovariance
 _ALWAYS = ("given", "sides")
 
 
-@dataclass(frozen=True)
+@frozen
 class Finding:
     """How one explanation fits a camera.
 

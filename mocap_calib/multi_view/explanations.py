@@ -4,11 +4,12 @@ Each says under which intrinsics and with which detections the camera would see 
 which few unknowns go with it.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from mocap_calib.config import PLAIN_FACTORS, DiagnosisConfig
+from mocap_calib.frozen import frozen
 from mocap_calib.multi_view.camera_fit import CameraFit, Unknown
 from mocap_calib.recording.mended_intrinsics import Cropped, Refocused, Resized, Rotated
 from mocap_calib.recording.mending import Mirrored, Sides
@@ -17,7 +18,7 @@ from mocap_calib.types import Camera, Floats, Mend, Recording
 QUARTERS = (90, 180, 270)
 
 
-@dataclass(frozen=True)
+@frozen
 class Explanation:
     """One hypothesis of a camera.
 

@@ -6,11 +6,12 @@ as they are, nothing is mended.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from mocap_calib.compute.parallel import do_both
 from mocap_calib.config import Config, MendConfig
 from mocap_calib.errors import DegenerateError
+from mocap_calib.frozen import frozen
 from mocap_calib.multi_view.exchanged import find_exchanged_cameras
 from mocap_calib.multi_view.explained import explained_share, usual_distance
 from mocap_calib.multi_view.moved import find_moved_cameras
@@ -47,7 +48,7 @@ _HARMFUL: tuple[FaultWord, ...] = (
 _GROSS: tuple[FaultWord, ...] = ("mirrored", "resized")
 
 
-@dataclass(frozen=True)
+@frozen
 class _Explanation:
     """Faults that may explain errors, and what follows from mending them.
 

@@ -1,10 +1,11 @@
 """Measure how well a rig fits what was seen, and which cameras stand out."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from mocap_calib.config import Config, UncertaintyConfig
+from mocap_calib.frozen import frozen
 from mocap_calib.geometry.rays import points_in_cameras
 from mocap_calib.geometry.reprojection import project
 from mocap_calib.multi_view.noise import view_residual
@@ -13,7 +14,7 @@ from mocap_calib.multi_view.triangulation import triangulate_rays
 from mocap_calib.types import Bools, CameraRig, Floats, Matches, Sample
 
 
-@dataclass(frozen=True)
+@frozen
 class Fit:
     """How well a rig fits what was seen.
 

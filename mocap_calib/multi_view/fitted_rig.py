@@ -1,10 +1,11 @@
 """A rig adjusted again to a sample, with the points that its covariance follows from."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from mocap_calib.config import Config
+from mocap_calib.frozen import frozen
 from mocap_calib.multi_view.bundle_adjustment import (
     AdjustablePoints,
     choose_points,
@@ -18,7 +19,7 @@ from mocap_calib.multi_view.schur import settle_points
 from mocap_calib.types import Bools, CameraRig, Floats, Matches, Sample
 
 
-@dataclass(frozen=True)
+@frozen
 class FittedRig:
     """A rig adjusted to points of a sample."""
 

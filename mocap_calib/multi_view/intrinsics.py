@@ -6,13 +6,14 @@ thousands of them weigh no more than some hundred (`covariance`): what is known 
 for as much more.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from mocap_calib.compute.kernels import contiguous
 from mocap_calib.config import SAME_IMAGE_SIZE, Config, IntrinsicsConfig
 from mocap_calib.errors import DegenerateError
+from mocap_calib.frozen import frozen
 from mocap_calib.multi_view.association import associate, have_same_groups
 from mocap_calib.multi_view.bundle_adjustment import (
     choose_points,
@@ -39,7 +40,7 @@ from mocap_calib.types import (
 )
 
 
-@dataclass(frozen=True)
+@frozen
 class _Estimate:
     """A rig with its intrinsics, and what was seen with them.
 
@@ -59,7 +60,7 @@ class _Estimate:
     overconfidence: Floats
 
 
-@dataclass(frozen=True)
+@frozen
 class _Adjusted:
     """What one adjustment of poses and intrinsics together ends at; see `_Estimate`."""
 
@@ -97,7 +98,7 @@ def estimate_intrinsics(
     return _estimated_cameras(found)
 
 
-@dataclass(frozen=True)
+@frozen
 class FreeFocal:
     """What becomes of a rig when its focal lengths are free.
 

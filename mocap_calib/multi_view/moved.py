@@ -5,13 +5,12 @@ first, cheaply, by the rig of all without its rays; then, where it stands out, b
 others make without it. Its errors over time tell the rest (`changes`).
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import Config, MovedConfig
 from mocap_calib.errors import DegenerateError
+from mocap_calib.frozen import frozen
 from mocap_calib.geometry.gauge import rig_size
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.multi_view.changes import (
@@ -41,7 +40,7 @@ from mocap_calib.types import (
 )
 
 
-@dataclass(frozen=True)
+@frozen
 class _Judged:
     """A view in the rig of the others.
 

@@ -1,10 +1,11 @@
 """Residuals of cameras and points against observed pixels, for lenses that are adjusted too."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
 from mocap_calib.compute.kernels import contiguous
+from mocap_calib.frozen import frozen
 from mocap_calib.geometry import lens
 from mocap_calib.multi_view.residuals import (
     Residuals,
@@ -18,7 +19,7 @@ from mocap_calib.types import Camera, Floats, Ints
 _LENS_ROW = 14  # numbers of a lens, as kernels take it
 
 
-@dataclass(frozen=True)
+@frozen
 class PixelObservations:
     """What the cameras saw of N points.
 

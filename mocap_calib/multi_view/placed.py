@@ -1,10 +1,9 @@
 """Bodies that cameras of a group place, by which one camera is judged that may be wrong."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from mocap_calib.config import Config
+from mocap_calib.frozen import frozen
 from mocap_calib.multi_view.labels import per_frame_labels
 from mocap_calib.multi_view.noise import view_noise
 from mocap_calib.multi_view.observations import Observations, gather_observations
@@ -22,7 +21,7 @@ from mocap_calib.types import (
 )
 
 
-@dataclass(frozen=True)
+@frozen
 class PlacedCameras:
     """Cameras that place bodies.
 
@@ -69,7 +68,7 @@ def choose_frames(sample: Sample, wanted: int, config: Config) -> Ints:
     return evenly_spaced(np.arange(len(sample.frames)), count)
 
 
-@dataclass(frozen=True)
+@frozen
 class Look:
     """What all views saw of the bodies of some frames.
 

@@ -6,11 +6,10 @@ Residuals are taken in the plane that touches the unit sphere at the observed ra
 pixels: any lens will do, without its derivatives.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from mocap_calib.compute.kernels import contiguous
+from mocap_calib.frozen import frozen
 from mocap_calib.multi_view.motion import Motion
 from mocap_calib.multi_view.residuals import (
     Residuals,
@@ -22,7 +21,7 @@ from mocap_calib.multi_view.residuals import (
 from mocap_calib.types import Floats, Ints
 
 
-@dataclass(frozen=True)
+@frozen
 class RayObservations:
     """What the cameras saw of N points.
 
@@ -76,7 +75,7 @@ class RayObservations:
         return Slopes(in_camera=slope, intrinsics=none)
 
 
-@dataclass(frozen=True)
+@frozen
 class TimedRayObservations:
     """What cameras whose clocks differ saw of N points that move.
 

@@ -1,10 +1,11 @@
 """Find where one camera of a calibration stands now, by what the others place."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from mocap_calib.config import Config
+from mocap_calib.frozen import frozen
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.multi_view.camera_fit import CameraFit, CameraPose, Seen, fit_camera
 from mocap_calib.multi_view.observations import gather_observations, labelled_frames
@@ -55,7 +56,7 @@ def find_lost_camera(
     return CameraPose(poses.rotation[best], poses.translation[best])
 
 
-@dataclass(frozen=True)
+@frozen
 class KnownPoints:
     """Points that some cameras place, and where all cameras saw them.
 

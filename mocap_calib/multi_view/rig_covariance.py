@@ -9,12 +9,13 @@ The covariance is of first order: it holds where a rig bends in proportion to wh
 Rigs that are hardly determined bend more. Rigs of parts of what was seen show that (`rig_parts`).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError
+from mocap_calib.frozen import frozen
 from mocap_calib.geometry.gauge import project_out_similarity, rig_size
 from mocap_calib.multi_view.covariance import find_covariance, find_curved_covariance
 from mocap_calib.multi_view.distinct_moments import count_moments
@@ -25,7 +26,7 @@ from mocap_calib.multi_view.rig_parts import LeftOut, halves_variance, leave_out
 from mocap_calib.types import CameraRig, Floats, Matches, RigCovariance, Sample
 
 
-@dataclass(frozen=True)
+@frozen
 class FirstOrder:
     """How far errors move a rig in proportion.
 

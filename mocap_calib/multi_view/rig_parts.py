@@ -4,13 +4,14 @@ Without a fifth of the moments, and of halves of the joints (the delete-a-group 
 Wu 1989: "A General Theory for Jackknife Variance Estimation").
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import Config
+from mocap_calib.frozen import frozen
 from mocap_calib.geometry.gauge import rig_change
 from mocap_calib.multi_view.fitted_rig import FittedRig, minimise_again
 from mocap_calib.multi_view.residuals import State
@@ -18,7 +19,7 @@ from mocap_calib.multi_view.schur import settle_points
 from mocap_calib.types import Floats, Ints
 
 
-@dataclass(frozen=True)
+@frozen
 class LeftOut:
     """What rigs of parts of what was seen tell.
 

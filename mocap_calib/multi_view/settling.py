@@ -11,12 +11,13 @@ section 4.3).
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from mocap_calib.compute.kernels import compiled, contiguous
 from mocap_calib.config import LM_LEAST_CURVATURE, LM_POINT_GAIN, LM_POINT_STEPS
+from mocap_calib.frozen import frozen
 from mocap_calib.multi_view.pixel_residuals import PixelObservations
 from mocap_calib.multi_view.ray_residuals import RayObservations, TimedRayObservations
 from mocap_calib.multi_view.residuals import (
@@ -31,7 +32,7 @@ from mocap_calib.types import Floats
 KERNELS = "mocap_calib.multi_view.settling_kernels"
 
 
-@dataclass(frozen=True)
+@frozen
 class Weighed:
     """A block of points that have settled, as the cameras see them.
 
@@ -110,7 +111,7 @@ def _settle(state: State, seen: Observations, loss_scale: float) -> Floats:
     return points
 
 
-@dataclass(frozen=True)
+@frozen
 class _Pull:
     """What moves points: B'B `[n, 3, 3]` and B'r `[n, 3]` of what was seen of them.
 

@@ -8,11 +8,12 @@ The motion follows from the neighbours of each point. It stays as it is while po
 offsets are adjusted, and follows anew from the adjusted points.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from mocap_calib.config import Config, SubframeConfig
+from mocap_calib.frozen import frozen
 from mocap_calib.multi_view.bundle_adjustment import (
     AdjustablePoints,
     agreed_points,
@@ -34,7 +35,7 @@ from mocap_calib.types import Bools, CameraRig, Floats, Ints, Matches, Recording
 _COUNTED_FRAMES = 200  # that tell how many points a frame has
 
 
-@dataclass(frozen=True)
+@frozen
 class _Tracks:
     """Points of frames that follow each other, and what was seen of some of them.
 
@@ -69,7 +70,7 @@ class _Tracks:
         return positions + moved[:, self.leader]
 
 
-@dataclass(frozen=True)
+@frozen
 class _Estimate:
     """Offsets of clocks, in frames, and the rig that goes with them.
 

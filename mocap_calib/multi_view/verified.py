@@ -1,12 +1,13 @@
 """Put into records and words what a second look at a calibration found."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from mocap_calib.config import Config
+from mocap_calib.frozen import frozen
 from mocap_calib.geometry.gauge import rig_size
 from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.geometry.rotation import angle_between
@@ -35,7 +36,7 @@ from mocap_calib.types import (
 )
 
 
-@dataclass(frozen=True)
+@frozen
 class SecondLook:
     """A rig that was adjusted from a given one.
 

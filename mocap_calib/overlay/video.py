@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +9,14 @@ import cv2
 import numpy as np
 
 from mocap_calib.errors import FormatError, MismatchError
+from mocap_calib.frozen import frozen
 from mocap_calib.types import Camera
 
 _SAME_ASPECT = 0.01  # relative difference of the ratios of width and height
 _STEADY = 0.5  # of the usual interval: by how much one may differ
 
 
-@dataclass(frozen=True)
+@frozen
 class Video:
     """A video that can be opened.
 

@@ -5,16 +5,17 @@ is linear in time works on all of them at once.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from mocap_calib.frozen import frozen
 from mocap_calib.geometry.rays import rays_in_world
 from mocap_calib.multi_view.observations import Observations
 from mocap_calib.types import CameraRig, Floats, Ints
 
 
-@dataclass(frozen=True)
+@frozen
 class Detections:
     """Rays of one track.
 
@@ -38,7 +39,7 @@ class Detections:
         )
 
 
-@dataclass(frozen=True)
+@frozen
 class Body:
     """What is expected of bodies in each frame of a track.
 

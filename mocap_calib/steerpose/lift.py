@@ -6,8 +6,6 @@ stand upright or are turned by a quarter: each view is lifted in the quarter tur
 which the network is surest.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from mocap_calib.compute.parallel import map_in_threads, single_threaded_libraries
@@ -19,6 +17,7 @@ from mocap_calib.config import (
     LIFT_LEAST_FORWARD,
     LIFT_UPRIGHT_SAMPLE,
 )
+from mocap_calib.frozen import frozen
 from mocap_calib.geometry.rotation import looking_along
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.recording.synchronise import check_joints
@@ -36,7 +35,7 @@ _RACE = np.arange(9, 17)
 _DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]])
 
 
-@dataclass(frozen=True)
+@frozen
 class _Bodies:
     """Lifted detections, as in `LiftedPoses`.
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from mocap_calib.compute.kernels import compiled
 from mocap_calib.config import ENCODER_HEADS
+from mocap_calib.frozen import frozen
 from mocap_calib.types import Bools
 
 Floats32 = NDArray[np.float32]
@@ -50,7 +51,7 @@ _ERF_Q = np.array(
 )
 
 
-@dataclass(frozen=True)
+@frozen
 class ModelConfig:
     """Size of the network; saved inside the checkpoint."""
 
@@ -60,7 +61,7 @@ class ModelConfig:
     heads: int = ENCODER_HEADS
 
 
-@dataclass(frozen=True)
+@frozen
 class _Linear:
     """x -> x @ matrix + bias. matrix: `[input, output]`; bias: `[output]`."""
 
@@ -74,7 +75,7 @@ class _Linear:
         return result
 
 
-@dataclass(frozen=True)
+@frozen
 class _Layer:
     """A layer of the encoder.
 
@@ -88,7 +89,7 @@ class _Layer:
     narrow: _Linear
 
 
-@dataclass(frozen=True)
+@frozen
 class _Encoder:
     """What a network computes.
 

@@ -3,11 +3,10 @@
 Its solver takes the place of our search; what it finds is scored as ours is.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from mocap_calib.config import PairwiseConfig, PaperConfig
+from mocap_calib.frozen import frozen
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.steerpose.paper.batch import TwoViews
 from mocap_calib.steerpose.paper.solver import seeded_generator, solve_pair
@@ -18,7 +17,7 @@ from mocap_calib.two_view.solve import PairProblem, judge_pair, mean_focal
 from mocap_calib.types import Floats, Ints, PairwiseCalibration
 
 
-@dataclass(frozen=True)
+@frozen
 class PaperPairs:
     """A `solve.PairSolver`: gradient descent through a network from random rotations.
 

@@ -8,12 +8,13 @@ bodies, and of their centres.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from mocap_calib.compute.kernels import compiled
 from mocap_calib.config import PairwiseConfig
+from mocap_calib.frozen import frozen
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.two_view.affinity import in_one_reading
 from mocap_calib.two_view.refine import epipolar_system
@@ -24,7 +25,7 @@ _SIGMA_OF_MEDIAN = 1.4826  # standard deviation over median absolute value, of a
 _PARAMETERS = 5  # of an essential matrix
 
 
-@dataclass(frozen=True)
+@frozen
 class Energy:
     """An energy and its slopes in a turn (rotation vector, from the left) and a shift of t.
 

@@ -1,11 +1,10 @@
 """One score for all relative poses of a pair of views, however they were found."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from mocap_calib.compute.kernels import compiled, contiguous
 from mocap_calib.config import PairwiseConfig
+from mocap_calib.frozen import frozen
 from mocap_calib.geometry.epipolar import depths
 from mocap_calib.two_view.affinity import (
     epipolar_error,
@@ -22,7 +21,7 @@ from mocap_calib.two_view.view_pair import ViewPair, body_sizes_per_radian, matc
 from mocap_calib.types import Bools, Floats, Ints
 
 
-@dataclass(frozen=True)
+@frozen
 class Scored:
     """Hypotheses, their matches, and how well they explain what was seen.
 

@@ -3,12 +3,13 @@
 Lengths are in body sizes (RMS distance of the joints from their centroid).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from mocap_calib.compute.kernels import compiled
 from mocap_calib.config import LEAST_LIFT_SPREAD, PairwiseConfig
+from mocap_calib.frozen import frozen
 from mocap_calib.geometry.epipolar import depths
 from mocap_calib.two_view.reversal import readings, reversal_in_spreads
 from mocap_calib.types import Bools, Floats, Ints, LiftedPoses, Sample
@@ -16,7 +17,7 @@ from mocap_calib.types import Bools, Floats, Ints, LiftedPoses, Sample
 RAYS_OF_A_BLOCK = 64  # loops of a fixed length over arrays in the cache are quick
 
 
-@dataclass(frozen=True)
+@frozen
 class Detections:
     """The detections of one view in some frames; what is missing is 0.
 
@@ -42,7 +43,7 @@ class Detections:
         return np.where(self.weight[..., None] > 0, self.rays, np.nan)
 
 
-@dataclass(frozen=True)
+@frozen
 class Overlap:
     """How the lifted bodies X_a of one view compare with the X_b of another, I x J in each frame.
 
@@ -63,7 +64,7 @@ class Overlap:
     lifted: Floats
 
 
-@dataclass(frozen=True)
+@frozen
 class ViewPair:
     """The detections of the views a and b (I and J instances) in some frames.
 
@@ -79,7 +80,7 @@ class ViewPair:
     reversal: float
 
 
-@dataclass(frozen=True)
+@frozen
 class MatchedRays:
     """The joints that both detections of a match show, of all matches: N correspondences.
 
@@ -117,7 +118,7 @@ class MatchedRays:
         )
 
 
-@dataclass(frozen=True)
+@frozen
 class _Bodies:
     """The lifted bodies of one view with zeros for nobody.
 

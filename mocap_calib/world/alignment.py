@@ -2,12 +2,13 @@
 
 from collections import Counter, defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from mocap_calib.config import KnownCamera, Landmark, WorldConfig
 from mocap_calib.errors import MismatchError, suggest
+from mocap_calib.frozen import frozen
 from mocap_calib.geometry.gauge import rig_size
 from mocap_calib.recording.epochs import views_by_camera
 from mocap_calib.types import (
@@ -67,7 +68,7 @@ def align_to_cameras(
     return fit.by, _scale_sigma(fit.by.apply(cameras.rig.centres), target.centres), remark
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class _SharedCameras:
     """Cameras of a rig, its covariance, and the same ones as a file places them."""
 

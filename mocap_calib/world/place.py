@@ -1,13 +1,14 @@
 """Give results the coordinates that were asked for: scale, up, floor, origin and heading."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from mocap_calib import mapped
 from mocap_calib.config import WORLDS, FloorConfig, ScaleCue, WorldConfig
 from mocap_calib.errors import DegenerateError, MismatchError
+from mocap_calib.frozen import frozen
 from mocap_calib.geometry.rotation import nearest_rotation
 from mocap_calib.recording.epochs import views_by_camera
 from mocap_calib.types import (
@@ -32,7 +33,7 @@ from mocap_calib.world.moving import Similarity, move_group
 from mocap_calib.world.people import check_people
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Placement:
     """Where to move results, and what is known of the coordinates then."""
 

@@ -2,12 +2,13 @@
 
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from mocap_calib.frozen import frozen
 from mocap_calib_cli import options, values
 from mocap_calib_cli.numbers import POSITIVE
 
@@ -24,7 +25,7 @@ _OPTIONS_OF = {
 }
 
 
-@dataclass(frozen=True)
+@frozen
 class _Task:
     """What to convert, to what.
 

@@ -7,7 +7,7 @@ once.
 import json
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
 from pathlib import PurePath
 from typing import Any
@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.errors import MismatchError
+from mocap_calib.frozen import frozen
 from mocap_calib.io.cameras.syntax import is_toml, parse_json, parse_toml, parse_yaml
 from mocap_calib.io.file import decode, find_repeated, malformed
 from mocap_calib.io.zeros import unsigned_zeros
@@ -30,7 +31,7 @@ FILE_NAME = (
 )
 
 
-@dataclass(frozen=True)
+@frozen
 class Source:
     """The files at `path` by their names (one file, unless it is a folder)."""
 
@@ -91,7 +92,7 @@ class Source:
         return self.tree.keys() >= set(keys)
 
 
-@dataclass(frozen=True)
+@frozen
 class CameraFile:
     """What a source says.
 

@@ -10,7 +10,7 @@ import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -18,6 +18,7 @@ from typing import Any, BinaryIO
 import h5py
 import msgspec
 
+from mocap_calib.frozen import frozen
 from mocap_calib.io.file import Origin, decode, is_utf16, malformed, opened, read_bytes
 from mocap_calib.io.hdf5 import HDF5_DAMAGE
 from mocap_calib.io.sandbox import HDF5
@@ -37,7 +38,7 @@ _HEAD = 65536  # bytes of a file that formats are told by
 _BLOCK = 250_000  # bytes that are read at a time
 
 
-@dataclass(frozen=True)
+@frozen
 class ReadOptions:
     """What a file does not say itself.
 
@@ -69,7 +70,7 @@ class ReadOptions:
         return sizes.get(compose_name(camera), self.image_size)
 
 
-@dataclass(frozen=True)
+@frozen
 class Document:
     """One file, read when it is first looked at. All its properties raise FormatError.
 
@@ -213,7 +214,7 @@ class Document:
             ) from None
 
 
-@dataclass(frozen=True)
+@frozen
 class Item:
     """What is read in one go: a file, or a folder with a file per frame.
 

@@ -1,7 +1,6 @@
 """Read rows of comma-separated cells in blocks, several at a time, where all of them are plain."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -9,12 +8,13 @@ import numpy as np
 
 from mocap_calib.compute.kernels import compiled
 from mocap_calib.compute.parallel import map_in_threads
+from mocap_calib.frozen import frozen
 from mocap_calib.types import Bools, Floats
 
 _ROOM = 1.2  # times the rows that the first block lets expect
 
 
-@dataclass(frozen=True)
+@frozen
 class PlainRows:
     """Rows of a table.
 

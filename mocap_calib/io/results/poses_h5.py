@@ -10,7 +10,6 @@ its axes, its unit and its meaning in attributes.
 import io
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_calib import mapped
+from mocap_calib.frozen import frozen
 from mocap_calib.io import hdf5
 from mocap_calib.io.atomic import replace_file
 from mocap_calib.io.file import malformed
@@ -34,7 +34,7 @@ _POINTS = "frame, individual, keypoint"
 _SQUARE = "^2"
 
 
-@dataclass(frozen=True)
+@frozen
 class _Dataset:
     """What the attributes of a dataset say.
 

@@ -9,13 +9,14 @@ one batch, each as if it were alone.
 
 import copy
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from mocap_calib.config import PAPER_FAR_PX, PAPER_LEAST_JOINTS, PaperConfig
+from mocap_calib.frozen import frozen
 from mocap_calib.steerpose.model import normalise
 from mocap_calib.steerpose.paper.batch import Batch, TwoViews, stack_problems
 from mocap_calib.steerpose.paper.losses import (
@@ -37,7 +38,7 @@ from mocap_calib.types import Floats, Ints
 SteerBoth = Callable[[Tensor], tuple[Tensor, Tensor]]
 
 
-@dataclass(frozen=True)
+@frozen
 class PaperSolution:
     """What the solver found of one pair of views.
 

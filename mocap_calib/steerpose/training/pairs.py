@@ -3,13 +3,12 @@
 Lee et al., BMVC 2025, appendix C.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 import torch
 from torch import Tensor
 
 from mocap_calib.config import LAYOUT_DROPOUT, TRAINING_JOINTS, PairsConfig
+from mocap_calib.frozen import frozen
 from mocap_calib.geometry.rotation import vector_from_matrix
 from mocap_calib.steerpose.model import normalise
 from mocap_calib.steerpose.training.draws import Draws
@@ -19,7 +18,7 @@ from mocap_calib.steerpose.training.views import hemisphere_views, rotation_abou
 from mocap_calib.types import Ints, Skeleton
 
 
-@dataclass(frozen=True)
+@frozen
 class SteerBatch:
     """What the network sees and should say.
 
