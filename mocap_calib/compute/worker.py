@@ -27,6 +27,12 @@ Result = TypeVar("Result")
 
 UNLIMITED = float("inf")
 _CLOCK_PER_CPU_SECOND = 20  # other programs may hold the processors
+# Modules come from where this process finds them, those of Python itself first: the folder of a
+# script may have others of their names.
+_PROGRAM = (
+    "import sys; sys.path += [path for path in sys.argv[1:] if path not in sys.path]; "
+    f"from {__name__} import serve; serve()"
+)
 _PIPE = 1 << 18  # bytes of an answer that wait to be read; a pipe of Linux has 4 times fewer
 
 
@@ -112,16 +118,11 @@ class Worker:
 
 
 def _start() -> "subprocess.Popen[bytes]":
-    """Start the process: this module as a program, with BLAS and OpenMP on one thread."""
-    environment = {
-        **os.environ,
-        "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
-        "OMP_NUM_THREADS": "1",
-        **dict.fromkeys(BLAS_THREADS, "1"),
-    }
+    """Start the process, with BLAS and OpenMP on one thread."""
+    one_thread = dict.fromkeys(("OMP_NUM_THREADS", *BLAS_THREADS), "1")
     process = subprocess.Popen(
-        [sys.executable, "-P", "-m", __name__],  # -P: no module of the working folder
-        env=environment,
+        [sys.executable, "-P", "-c", _PROGRAM, *filter(None, sys.path)],  # -P: no working folder
+        env=os.environ | one_thread,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
@@ -158,7 +159,15 @@ def _receive(process: "subprocess.Popen[bytes]") -> Any:
     return pickle.load(cast(BinaryIO, process.stdout))  # of our own process: nobody else's pickle
 
 
-def _serve(calls: BinaryIO, answers: BinaryIO) -> None:
+def serve() -> None:
+    """Answer the calls of the process that started this one, one after the other, until it ends."""
+    keep_freed_memory()
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what a library prints is no answer
+    _answer_all(sys.stdin.buffer, answers)
+
+
+def _answer_all(calls: BinaryIO, answers: BinaryIO) -> None:
     """Answer one call after the other, until the pipe is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that calls
     waiting: SimpleQueue[Any] = SimpleQueue()
@@ -222,10 +231,3 @@ def _limits(cpu_seconds: float, memory_bytes: int) -> Iterator[None]:
         for kind, limit in before.items():
             with contextlib.suppress(ValueError, OSError):
                 resource.setrlimit(kind, limit)
-
-
-if __name__ == "__main__":
-    keep_freed_memory()
-    output = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what a library prints is no answer
-    _serve(sys.stdin.buffer, output)

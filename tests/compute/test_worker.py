@@ -1,6 +1,8 @@
 """The process that computes for this one, on systems that hold it to less."""
 
 import os
+import random
+from importlib import import_module
 
 import pytest
 from platforms import posix
@@ -55,3 +57,14 @@ def test_a_process_that_was_killed_is_not_started_again():
     with pytest.raises(worker.WorkerEndedError):
         other.call(len, "four")
     assert other.end() == "it was not there"
+
+
+def test_modules_of_python_come_before_those_beside_a_script(tmp_path, monkeypatch):
+    """A file `random.py` beside a script ended the process: files that it read were "damaged"."""
+    (tmp_path / "random.py").write_text("raise SystemExit(1)\n")
+    (tmp_path / "beside.py").write_text("def answer():\n    return 42\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    other = worker.Worker()
+    assert other.call(random.choice, [3]) == 3
+    assert other.call(import_module("beside").answer) == 42
+    other.end()
