@@ -10,15 +10,20 @@ T = TypeVar("T")
 def frozen(cls: type[T]) -> type[T]:
     """Make a class a dataclass whose fields cannot be set again.
 
-    It is what `dataclass(frozen=True)` makes, but for the time that takes: `dataclasses` compiles
-    six methods of each class, of which only the first is not the same for all. The 240 classes of
-    a run take a fifth of the time, a tenth of a second less. A class keeps the methods that it has
-    or inherits.
+    As with `dataclass(frozen=True)`, records compare, hash and print by their fields. Six methods
+    are needed for that. `dataclasses` compiles all six anew for each class, though only `__init__`
+    differs from class to class; here the other five are shared. The 240 classes of a run are made
+    in a fifth of the time, which saves a tenth of a second.
+
+    A class keeps those of the five that it has or inherits. Its subclasses are made by this
+    decorator, too: `dataclasses` refuses to mix frozen classes with others.
     """
     for name, method in _SHARED.items():
         if getattr(cls, name) is getattr(object, name):
             setattr(cls, name, method)
-    return dataclass(eq=False, repr=False)(cls)
+    made = dataclass(eq=False, repr=False)(cls)
+    setattr(made, _NAMES, frozenset(each.name for each in fields(made)))  # type: ignore[arg-type]
+    return made
 
 
 def _equal(self: Any, other: object) -> bool:
@@ -41,7 +46,7 @@ def _show(self: Any) -> str:
 
 def _set_once(self: Any, name: str, value: object) -> None:
     """Set a field of a record that is being made; raises FrozenInstanceError afterwards."""
-    if name in self.__dict__ or name not in self.__dataclass_fields__:
+    if name in self.__dict__ or name not in getattr(self, _NAMES):
         raise FrozenInstanceError(f"cannot assign to field {name!r}")
     self.__dict__[name] = value
 
@@ -50,6 +55,7 @@ def _keep(self: Any, name: str) -> None:
     raise FrozenInstanceError(f"cannot delete field {name!r} of {type(self).__name__}")
 
 
+_NAMES = "__frozen_fields__"  # of a class: the names of its fields
 _SHARED = {
     "__eq__": _equal,
     "__hash__": _hash,

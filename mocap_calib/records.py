@@ -103,9 +103,12 @@ def _equal(first: object, second: object) -> bool:
 
 
 def _summarise(value: object) -> str:
-    """Return the value of a field in a few words: the shape of an array, the length of a tuple."""
+    """Return the value of a field in a few words: the shape of an array, the length of a tuple.
+
+    Vectors and points are told in full.
+    """
     if isinstance(value, np.ndarray):
-        return f"{value.dtype}{list(value.shape)}"
+        return str(value.tolist()) if value.shape == (3,) else f"{value.dtype}{list(value.shape)}"
     if isinstance(value, Record):
         return f"{type(value).__name__}(...)"
     if isinstance(value, tuple) and (len(value) > 4 or isinstance(next(iter(value), 0), Record)):

@@ -4,11 +4,14 @@ import copy
 import pickle
 from collections.abc import Callable
 from dataclasses import FrozenInstanceError, dataclass, field, fields, replace
-from typing import Any, ClassVar
+from functools import cached_property
+from typing import Any, ClassVar, Generic, TypeVar
 
 import pytest
 
 from mocap_calib.frozen import frozen
+
+T = TypeVar("T")
 
 
 def _make(decorator: Callable[[type], type]) -> Any:
@@ -65,7 +68,7 @@ def test_hashes_are_those_of_dataclasses() -> None:
 @pytest.mark.parametrize("limb", [OURS, THEIRS], ids=["ours", "theirs"])
 def test_records_cannot_be_changed(limb: Any) -> None:
     record = limb(0.4)
-    for name in ("length", "joints", "new"):
+    for name in ("length", "joints", "kind", "new"):
         with pytest.raises(FrozenInstanceError, match=f"cannot assign to field '{name}'"):
             setattr(record, name, 1)
     with pytest.raises(FrozenInstanceError, match="cannot delete field 'length'"):
@@ -74,6 +77,29 @@ def test_records_cannot_be_changed(limb: Any) -> None:
     assert replace(record, length=0.5) == limb(0.5)
     with pytest.raises(TypeError, match="size"):
         limb(0.4, size=1)
+
+
+@frozen
+class Leg(Generic[T]):
+    """A record of all else that records have."""
+
+    bones: list[T] = field(default_factory=list)
+    side: str = field(default="left", kw_only=True)
+
+    @cached_property
+    def number(self) -> int:
+        return len(self.bones)
+
+
+def test_defaults_keywords_and_what_is_kept_work_as_in_dataclasses() -> None:
+    first, second = Leg[int](), Leg[int]([1, 2], side="right")
+    assert (first.number, second.number) == (0, 2)
+    assert first.bones is not Leg[int]().bones
+    assert first == Leg([])
+    with pytest.raises(TypeError, match="positional"):
+        Leg([], "right")  # type: ignore[misc]
+    with pytest.raises(FrozenInstanceError):
+        second.number = 3  # type: ignore[misc]
 
 
 def test_records_are_copied_and_pickled() -> None:

@@ -27,10 +27,11 @@ Result = TypeVar("Result")
 
 UNLIMITED = float("inf")
 _CLOCK_PER_CPU_SECOND = 20  # other programs may hold the processors
-# Modules come from where this process finds them, those of Python itself first: the folder of a
-# script may have others of their names.
+# Modules come from where this process finds them, and in its order, but for those of Python itself,
+# which come first: the folder of a script may have others of their names. Site-packages are added
+# by `site` after that (-S), so that links of editable installs are followed.
 _PROGRAM = (
-    "import sys; sys.path += [path for path in sys.argv[1:] if path not in sys.path]; "
+    "import site, sys; sys.path += sys.argv[1:]; site.main(); "
     f"from {__name__} import serve; serve()"
 )
 _PIPE = 1 << 18  # bytes of an answer that wait to be read; a pipe of Linux has 4 times fewer
@@ -119,10 +120,12 @@ class Worker:
 
 def _start() -> "subprocess.Popen[bytes]":
     """Start the process, with BLAS and OpenMP on one thread."""
-    one_thread = dict.fromkeys(("OMP_NUM_THREADS", *BLAS_THREADS), "1")
+    environment = os.environ | dict.fromkeys(("OMP_NUM_THREADS", *BLAS_THREADS), "1")
+    environment.pop("PYTHONPATH", None)  # its folders are in `sys.path`, unless they are ignored
     process = subprocess.Popen(
-        [sys.executable, "-P", "-c", _PROGRAM, *filter(None, sys.path)],  # -P: no working folder
-        env=os.environ | one_thread,
+        # -P: not from the folder that one stands in
+        [sys.executable, "-P", "-S", "-c", _PROGRAM, *filter(None, sys.path)],
+        env=environment,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,

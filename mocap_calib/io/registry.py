@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Generic, Literal, TypeVar
 
 from mocap_calib.errors import MismatchError, suggest
+from mocap_calib.frozen import frozen
 from mocap_calib.io.keypoints.losses import Loss
 
 Kind = Literal["keypoints", "cameras", "poses"]
@@ -19,7 +20,7 @@ Read = TypeVar("Read", bound=Callable[..., Any])
 Write = TypeVar("Write", bound=Callable[..., Any])
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)  # `frozen` makes no class of keywords alone
 class Format(Generic[Sniff, Read, Write]):
     """A file format; what its three functions take and return is said by the table of its kind.
 
@@ -92,7 +93,7 @@ AnyFormat = Format[Any, Any, Any]
 OneFormat = TypeVar("OneFormat", bound=AnyFormat)
 
 
-@dataclass(frozen=True)
+@frozen
 class Written:
     """Files to write: relative path -> content, and what of the records they do not carry."""
 

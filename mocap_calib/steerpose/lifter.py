@@ -106,7 +106,7 @@ class _Encoder:
     head: _Linear  # from a token, whose last norm is a part of it, to a joint
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False)  # its weights are many: a lifter is equal to itself alone
 class Lifter:
     """Lifts 2D poses, seen by a virtual camera that looks at the body, to 3D with uncertainty.
 

@@ -2,6 +2,7 @@
 
 import os
 import random
+import sys
 from importlib import import_module
 
 import pytest
@@ -64,7 +65,18 @@ def test_modules_of_python_come_before_those_beside_a_script(tmp_path, monkeypat
     (tmp_path / "random.py").write_text("raise SystemExit(1)\n")
     (tmp_path / "beside.py").write_text("def answer():\n    return 42\n")
     monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     other = worker.Worker()
     assert other.call(random.choice, [3]) == 3
     assert other.call(import_module("beside").answer) == 42
+    other.end()
+
+
+def test_packages_come_from_where_this_process_has_them(tmp_path, monkeypatch):
+    """Those of a checkout come before those that are installed."""
+    (tmp_path / "yaml.py").write_text("def answer():\n    return 42\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "yaml")
+    other = worker.Worker()
+    assert other.call(import_module("yaml").answer) == 42
     other.end()
