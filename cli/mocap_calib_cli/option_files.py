@@ -219,7 +219,7 @@ def save_options(context: click.Context, path: Path) -> None:
     Raises MismatchError where there is a file already that says something else.
     """
     from mocap_calib.errors import MismatchError
-    from mocap_calib.io.atomic import replace_text
+    from mocap_calib.io.atomic import write_bytes
 
     text = format_options(context, path)
     if path.is_file() and path.read_bytes() != text.encode():
@@ -227,7 +227,7 @@ def save_options(context: click.Context, path: Path) -> None:
             f"{path}: expected a new file, found one that says something else; "
             "remove it or choose another name"
         )
-    replace_text(path, [text])
+    write_bytes(path, text.encode())
 
 
 def format_options(context: click.Context, path: Path) -> str:

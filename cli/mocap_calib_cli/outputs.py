@@ -11,20 +11,20 @@ from typing import TYPE_CHECKING
 import click
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.io.atomic import replace_text
+from mocap_calib.io.atomic import write_pieces
 from mocap_calib_cli.options import STDIO
 
 if TYPE_CHECKING:
     from mocap_calib.types import Poses3D, Recording
 
 
-def write_text(output: str, pieces: Iterable[str]) -> None:
-    """Write text that comes in pieces to stdout or to a file."""
+def write_text(output: str, pieces: Iterable[bytes]) -> None:
+    """Write text that comes in pieces of UTF-8 to stdout or to a file."""
     if output == STDIO:
         for piece in pieces:
             click.echo(piece, nl=False)
     else:
-        replace_text(Path(output), pieces)
+        write_pieces(Path(output), pieces)
 
 
 def check_text(output: str | None) -> None:

@@ -34,16 +34,15 @@ def replace_file(path: Path) -> Iterator[Path]:
         raise
 
 
-def replace_text(path: Path, pieces: Iterable[str]) -> None:
-    """Replace `path` by text that comes in pieces, in one step."""
-    with replace_file(path) as work, work.open("w", encoding="utf-8", newline="") as file:
+def write_pieces(path: Path, pieces: Iterable[bytes]) -> None:
+    """Replace `path` by what comes in pieces, in one step; the folder is made when missing."""
+    with replace_file(path) as work, work.open("wb") as file:
         file.writelines(pieces)
 
 
 def write_bytes(path: Path, content: bytes) -> None:
     """Replace `path` by `content` in one step; the folder is made when missing."""
-    with replace_file(path) as work:
-        work.write_bytes(content)
+    write_pieces(path, [content])
 
 
 @contextmanager

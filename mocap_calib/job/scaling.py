@@ -16,7 +16,7 @@ from mocap_calib.config import ScaleCue, WorldConfig
 from mocap_calib.errors import MismatchError
 from mocap_calib.frozen import frozen
 from mocap_calib.geometry.gauge import rig_size
-from mocap_calib.io.atomic import numbered_file, replace_folder, replace_text
+from mocap_calib.io.atomic import numbered_file, replace_folder, write_pieces
 from mocap_calib.io.cameras.own import SUBFRAME
 from mocap_calib.io.cameras.read import read_rig
 from mocap_calib.io.cameras.write import format_rig
@@ -100,7 +100,7 @@ def scale_results(folder: Path, cues: Sequence[ScaleCue], config: WorldConfig) -
         for individual in range(scaled.positions.shape[1]):
             own = numbered_file(Path("poses3d.csv"), individual)
             if (folder / own).is_file():
-                replace_text(work / own, poses_csv(scaled, individual))
+                write_pieces(work / own, poses_csv(scaled, individual))
         left = _scale_report(folder, work, rig, scale)
     world = scaled_world(rig.world.scale(scale.factor), scale)
     return Scaled(world, left)

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mocap_calib.errors import FormatError, MismatchError
-from mocap_calib.io.atomic import replace_text
+from mocap_calib.io.atomic import write_pieces
 from mocap_calib.io.cameras.formats import CAMERA_FORMATS
 from mocap_calib.io.hashing import hash_files
 from mocap_calib.io.poses.common import PoseFile
@@ -72,11 +72,11 @@ def matches(of, seed=0):
 
 
 def matches_text(of, labels):
-    return "".join(matches_csv(of, labels))
+    return b"".join(matches_csv(of, labels)).decode()
 
 
 def poses_text(given_, individual):
-    return "".join(poses_csv(given_, individual))
+    return b"".join(poses_csv(given_, individual)).decode()
 
 
 # --- matches
@@ -94,7 +94,7 @@ def test_matches_come_back(seed):
 
 def test_matches_have_a_row_per_detection(tmp_path):
     of = recording()
-    replace_text(tmp_path / "matches.csv", matches_csv(of, matches(of)))
+    write_pieces(tmp_path / "matches.csv", matches_csv(of, matches(of)))
     with open(tmp_path / "matches.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     assert list(rows[0]) == ["camera", "frame", "instance", "individual"]
@@ -539,15 +539,15 @@ def test_lines_of_csv_have_the_digits_of_repr(by_kernel, monkeypatch):
         f"café,{','.join('' if np.isnan(x) else repr(x) for x in row)};{whole},{other}\n"
         for row, (whole, other) in zip(cells.tolist(), numbers.tolist(), strict=True)
     )
-    assert format_lines("café,", cells, ";", numbers) == expected
+    assert format_lines("café,", cells, ";", numbers) == expected.encode()
     whole = f"a,b,{2**63 - 1}\na,b,0\n"
-    assert format_lines("a", cells[:2, :0], ",b,", numbers[:2, :1]) == whole
-    assert format_lines("a", cells[:0], "b", numbers[:0]) == ""
+    assert format_lines("a", cells[:2, :0], ",b,", numbers[:2, :1]) == whole.encode()
+    assert format_lines("a", cells[:0], "b", numbers[:0]) == b""
     single = np.asfortranarray(usual[:9], np.float32)
     expected = "".join(
         ",".join("" if np.isnan(x) else repr(x) for x in row) + ",7\n" for row in single.tolist()
     )
-    assert format_lines("", single, ",", np.full((9, 1), 7, np.int32)) == expected
+    assert format_lines("", single, ",", np.full((9, 1), 7, np.int32)) == expected.encode()
 
 
 def test_tables_of_many_pieces_are_those_of_one(monkeypatch):
@@ -561,11 +561,11 @@ def test_tables_of_many_pieces_are_those_of_one(monkeypatch):
         confidence=np.ones((900, 1, 2)),
         unit="m",
     )
-    whole = "".join(poses_csv(poses, 0))
+    whole = b"".join(poses_csv(poses, 0))
     monkeypatch.setattr(csv_text, "_PIECE", 100)
     pieces = list(poses_csv(poses, 0))
     assert len(pieces) > 100
-    assert "".join(pieces) == whole
-    assert [line.rsplit(",", 1)[1] for line in whole.splitlines()[1:]] == [
+    assert b"".join(pieces) == whole
+    assert [line.rsplit(",", 1)[1] for line in whole.decode().splitlines()[1:]] == [
         str(frame) for frame in poses.frames
     ]

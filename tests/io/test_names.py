@@ -68,7 +68,7 @@ def test_the_cameras_of_records_and_of_matches():
     assert match_cameras([view], [first]) == (NAME,)
     of = replace(of, cameras=(first, *of.cameras[1:]))
     labels = matches(of)
-    text = "".join(matches_csv(of, labels)).replace(NAME, APART)
+    text = b"".join(matches_csv(of, labels)).decode().replace(NAME, APART)
     np.testing.assert_array_equal(read_matches_csv(text, of).labels, labels.labels)
 
 

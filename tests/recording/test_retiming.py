@@ -78,7 +78,7 @@ def test_matches_name_the_frames_of_the_files():
     view = np.arange(len(names))[:, None]
     labels = np.where((clocks.source >= 0)[..., None], known.labels[view, clocks.source], -1)
     matches = replace(known, labels=labels)
-    text = "".join(matches_csv(moved, matches, clocks))
+    text = b"".join(matches_csv(moved, matches, clocks)).decode()
     rows = [line.split(",") for line in text.splitlines()[1:]]
     for name, view in ((names[0], 0), (names[1], 1)):
         for frame, instance, who in (map(int, row[1:]) for row in rows if row[0] == name):

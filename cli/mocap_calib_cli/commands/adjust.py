@@ -122,7 +122,7 @@ def _write_judged(
         judged = hold_for(judged, frames)
     source = provenance("adjust", solver=solver, **judged)
     (content,) = format_rig(group.rig, "mocap-calib", source).files.values()
-    outputs.write_text(output, [content.decode()])
+    outputs.write_text(output, [content])
     reporter.say("")
     reporter.show(ending.camera_table(report))
     reporter.say(*ending.describe_rig(report))

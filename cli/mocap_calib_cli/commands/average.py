@@ -40,4 +40,4 @@ def command(shared: options.SharedOptions, pairs: str, output: str) -> None:
     Reporter(quiet=shared.quiet).say(*describe_unused_cameras(left_out))
     kept = tuple(cameras[view] for view in views)
     rig = average(kept, pairs_among(found, views), config).rig
-    outputs.write_text(output, [format_cameras_yaml(rig, provenance("average"))])
+    outputs.write_text(output, [format_cameras_yaml(rig, provenance("average")).encode()])

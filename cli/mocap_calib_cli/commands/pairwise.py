@@ -50,4 +50,4 @@ def command(shared: options.SharedOptions, output: str) -> None:
             solve=solver,
         )
     pairs = in_recording(pairs, sample_frames)
-    outputs.write_text(output, [pairs_to_json(pairs, loaded.recording.cameras)])
+    outputs.write_text(output, [pairs_to_json(pairs, loaded.recording.cameras).encode()])

@@ -115,5 +115,5 @@ def _parse_frames(numbers: Floats, source: str) -> Ints:
 
 def write(file: PoseFile, title: str) -> WrittenPoses:
     """Write the one individual."""
-    content = "".join(poses_csv(file.poses, 0)).encode()
+    content = b"".join(poses_csv(file.poses, 0))
     return WrittenPoses(content, (*lost_unit(file), *lost_covariance(file), *lost_names(file)))

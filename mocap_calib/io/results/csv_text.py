@@ -29,26 +29,26 @@ def slice_frames(frames: int, columns: int) -> Iterator[slice]:
     return mapped.frame_slices(frames, max(1, _PIECE // columns))
 
 
-def format_lines(first: str, cells: Floats, last: str, numbers: Ints) -> str:
-    """Return lines: a text, floats, another text, whole numbers.
+def format_lines(first: str, cells: Floats, last: str, numbers: Ints) -> bytes:
+    """Return lines in UTF-8: a text, floats, another text, whole numbers.
 
     cells: `[row, column]`, "" for NaN. numbers: `[row, column]`. Commas are between those of a row
     alone. Floats are exact, as `repr` writes them.
     """
     kernels = compiled("mocap_calib.io.results.csv_kernels")
     if kernels is None:
-        return _format_lines(first, cells, last, numbers)
+        return _format_lines(first, cells, last, numbers).encode()
     cells = np.ascontiguousarray(cells, np.float64)
     numbers = np.ascontiguousarray(numbers, np.int64)
     before, after = (np.frombuffer(text.encode(), np.uint8) for text in (first, last))
     width = len(before) + len(after) + kernels.NUMBER * (cells.shape[1] + numbers.shape[1])
     text = np.empty(len(cells) * (width + 1), np.uint8)
     given = before, cells.view(np.int64), kernels.POWERS, after, numbers
-    return str(text[: kernels.write_rows(*given, text)].data, "utf-8")
+    return text[: kernels.write_rows(*given, text)].tobytes()
 
 
 def _format_lines(first: str, cells: Floats, last: str, numbers: Ints) -> str:
-    """Return what `format_lines` returns, without its kernel."""
+    """Return what `format_lines` returns, as text, without its kernel."""
     whole = (",".join(map(str, row)) for row in numbers.tolist())
     rows = zip(_format_rows(cells), whole, strict=True)
     return "".join(f"{first}{row}{last}{own}\n" for row, own in rows)

@@ -12,7 +12,7 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from mocap_calib.io.atomic import numbered_file, replace_text
+from mocap_calib.io.atomic import numbered_file, write_bytes, write_pieces
 from mocap_calib.io.cameras.own import SUBFRAME
 from mocap_calib.io.cameras.write import format_rig
 from mocap_calib.io.hashing import hash_file
@@ -64,7 +64,7 @@ def write_group(
             remarked = {**own, "remarks": [_REVERSED, *own.get("remarks", [])]}
             reversed_epoch = rig_of_epoch(reversed_rig, epoch)
             _write_cameras(place / REVERSED_RIG, reversed_epoch, "anipose", remarked)
-    replace_text(folder / "matches.csv", matches_csv(group.recording, group.matches, clocks))
+    write_pieces(folder / "matches.csv", matches_csv(group.recording, group.matches, clocks))
     write_poses_h5(
         folder / "poses3d.h5",
         poses.poses,
@@ -75,7 +75,7 @@ def write_group(
     )
     for individual in range(group.matches.individuals):
         path = numbered_file(folder / _POSES, individual)
-        replace_text(path, poses_csv(poses.poses, individual))
+        write_pieces(path, poses_csv(poses.poses, individual))
 
 
 def _clock_offsets(group: GroupResult, epoch: Epoch) -> dict[str, float]:
@@ -104,7 +104,8 @@ def epoch_provenance(
 
 def write_run_json(folder: Path, report: Mapping[str, Any]) -> None:
     """Write what run.json holds of a group into its folder."""
-    replace_text(folder / REPORT, [json.dumps(report, indent=1, allow_nan=False), "\n"])
+    text = json.dumps(report, indent=1, allow_nan=False)
+    write_bytes(folder / REPORT, f"{text}\n".encode())
 
 
 def read_outputs(folder: Path) -> dict[str, str]:

@@ -23,15 +23,15 @@ _WRONG_RECORDING = "give the matches of this recording"
 
 def matches_csv(
     recording: Recording, matches: Matches, clocks: Clocks | None = None
-) -> Iterator[str]:
-    """Yield CSV in pieces, with a row per detection.
+) -> Iterator[bytes]:
+    """Yield CSV in pieces of UTF-8, with a row per detection.
 
     Columns: the camera's own name, the frame number in its own file, the instance (order in the
     file), and the individual (-1 = nobody).
 
     clocks: by which the recording was put on one clock, None where it is as the files have it.
     """
-    yield format_csv_line(_COLUMNS)
+    yield format_csv_line(_COLUMNS).encode()
     columns = len(_COLUMNS) * recording.positions.shape[2]
     for view, name in enumerate(recording.names):
         camera = format_csv_line([own_name(name, recording.names)]).rstrip("\n")
@@ -41,7 +41,7 @@ def matches_csv(
         yield from map_in_threads(lines, slice_frames(len(recording.frames), columns))
 
 
-def _detections(first: str, positions: Reals, labels: Ints, numbers: Ints, piece: slice) -> str:
+def _detections(first: str, positions: Reals, labels: Ints, numbers: Ints, piece: slice) -> bytes:
     """Return the lines of a view's detections in a piece of its frames.
 
     first: what each begins with. positions: `[frame, instance, keypoint, 2]`. labels: `[frame,

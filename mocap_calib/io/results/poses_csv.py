@@ -11,7 +11,7 @@ from mocap_calib.io.atomic import (
     check_no_further_individual,
     individual_files,
     replace_folder,
-    replace_text,
+    write_pieces,
 )
 from mocap_calib.io.results.csv_text import format_csv_line, format_lines, slice_frames
 from mocap_calib.types import Floats, Poses3D
@@ -35,11 +35,11 @@ def write_poses_csv(path: Path, poses: Poses3D) -> None:
     """Write one individual to `path`, several to NAME_0.csv, NAME_1.csv, ..., all or none."""
     with replace_folder(path.absolute().parent) as work:
         for individual, own in enumerate(individual_files(path, poses.positions.shape[1])):
-            replace_text(work / own.name, poses_csv(poses, individual))
+            write_pieces(work / own.name, poses_csv(poses, individual))
 
 
-def poses_csv(poses: Poses3D, individual: int) -> Iterator[str]:
-    """Yield the poses of one individual as CSV in pieces, a row per frame.
+def poses_csv(poses: Poses3D, individual: int) -> Iterator[bytes]:
+    """Yield the poses of one individual as CSV in pieces of UTF-8, a row per frame.
 
     Cells are empty where something is missing. The columns M and center are anipose's later change
     of axes: none here.
@@ -47,11 +47,11 @@ def poses_csv(poses: Poses3D, individual: int) -> Iterator[str]:
     header = [f"{name}_{field}" for name in poses.keypoints for field in _FIELDS]
     header += [f"M_{row}{column}" for row in range(3) for column in range(3)]
     header += [f"center_{axis}" for axis in range(3)]
-    yield format_csv_line([*header, "fnum"])
+    yield format_csv_line([*header, "fnum"]).encode()
     no_change = [*np.eye(3).ravel().tolist(), 0.0, 0.0, 0.0]
     axes = "".join(f",{number}" for number in no_change) + ","
 
-    def lines(piece: slice) -> str:
+    def lines(piece: slice) -> bytes:
         table = _stack_columns(poses, individual, piece)
         return format_lines("", table, axes, poses.frames[piece, None])
 
