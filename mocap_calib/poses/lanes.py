@@ -51,9 +51,13 @@ def in_tiles(values: Floats, lanes: int) -> Floats:
 
     So many that they fill tiles, and two on each side.
     """
-    short = -values.shape[-1] % lanes
-    widths = [(0, 0)] * (values.ndim - 1) + [(AROUND, AROUND + short)]
-    return np.pad(values, widths, mode="edge")
+    frames = values.shape[-1]
+    short = -frames % lanes
+    found = np.empty((*values.shape[:-1], AROUND + frames + short + AROUND))
+    found[..., :AROUND] = values[..., :1]
+    found[..., AROUND : AROUND + frames] = values
+    found[..., AROUND + frames :] = values[..., -1:]
+    return found
 
 
 def fill_tiles(values: Floats, found: Floats) -> None:
