@@ -119,7 +119,7 @@ def as_slice(frames: Any) -> Any:
 
 
 def some_frames(array: NDArray[Any]) -> NDArray[Any]:
-    """Return an array with at most 10,000 of its frames, evenly spread: medians need no more."""
+    """Return an array with at most 10,000 of its frames, evenly: percentiles need no more."""
     return array[:: max(1, -(-len(array) // _ENOUGH))]
 
 

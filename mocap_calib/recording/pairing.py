@@ -146,9 +146,8 @@ def _take_image_size(view: Keypoints2D, camera: Camera) -> Camera:
         return replace(camera, size=view.image_size)
     found = ""
     if view.image_size == _UNKNOWN_SIZE:
-        x, y = (
-            np.nanpercentile(view.positions[..., axis], TYPICAL_PERCENTILE) for axis in range(2)
-        )
+        some = mapped.some_frames(view.positions)
+        x, y = (np.nanpercentile(some[..., axis], TYPICAL_PERCENTILE) for axis in range(2))
         width, height = camera.size
         if x > OTHER_RESOLUTION * width or y > OTHER_RESOLUTION * height:
             found = f"detections at ({x:.0f}, {y:.0f})"
