@@ -160,7 +160,7 @@ def _lowest_feet(poses: Poses3D, joints: Joints, config: FloorConfig) -> _Lowest
     if not bodies:
         return "nobody was found"
     if not np.isfinite(size) or seen.sum() < max(config.least_feet, config.least_seen * bodies):
-        return f"feet were seen of {seen.sum()} bodies of {bodies} alone"
+        return f"feet were seen of {seen.sum()} of the {bodies} bodies looked at"
     axis, sigma = _body_axis(poses, joints, above - middle, config)
     frame, individual = np.nonzero(seen)
     chosen = np.linspace(0, len(frame) - 1, min(len(frame), config.most_points)).astype(np.int64)
