@@ -5,6 +5,8 @@ from typing import Any, TypeVar, dataclass_transform
 
 T = TypeVar("T")
 
+_NAMES = "__frozen_fields__"  # of a class: the names of its fields
+
 
 @dataclass_transform(frozen_default=True, field_specifiers=(field,))
 def frozen(cls: type[T]) -> type[T]:
@@ -55,7 +57,6 @@ def _keep(self: Any, name: str) -> None:
     raise FrozenInstanceError(f"cannot delete field {name!r} of {type(self).__name__}")
 
 
-_NAMES = "__frozen_fields__"  # of a class: the names of its fields
 _SHARED = {
     "__eq__": _equal,
     "__hash__": _hash,

@@ -119,7 +119,10 @@ def as_slice(frames: Any) -> Any:
 
 
 def some_frames(array: NDArray[Any]) -> NDArray[Any]:
-    """Return an array with at most 10,000 of its frames, evenly: percentiles need no more."""
+    """Return an array with at most 10,000 of its frames, evenly spread.
+
+    Medians and other percentiles need no more.
+    """
     return array[:: max(1, -(-len(array) // _ENOUGH))]
 
 

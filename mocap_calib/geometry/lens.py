@@ -17,9 +17,8 @@ from mocap_calib.config import LENS_MISS_PX
 from mocap_calib.geometry import brown_conrady, kannala_brandt
 from mocap_calib.types import Camera, Floats
 
-_PIXELS = (
-    1 << 18
-)  # of one call, or of one view where it has more: each call waits for Python's lock
+# Of one call, or of one view where it has more: each call waits for Python's lock.
+_PIXELS = 1 << 18
 
 
 class Slopes(NamedTuple):

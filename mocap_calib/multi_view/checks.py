@@ -67,12 +67,8 @@ def _flatness(group: GroupResult, left: Leftover) -> float:
     a rig has the cameras. NaN where no two views have enough in common.
     """
     views = len(group.rig.cameras)
-    rays = np.stack(
-        [
-            lens.unproject(camera, pixels.reshape(2, -1))
-            for camera, pixels in zip(group.rig.cameras, left.pixels, strict=True)
-        ]
-    )  # [view, 3, N]
+    pixels = left.pixels.reshape(views, 2, -1).swapaxes(1, 2)
+    rays = lens.unproject_views(group.rig.cameras, pixels, by_component=True)
     focal = np.array([camera.focal for camera in group.rig.cameras])
     error = left.distance.reshape(views, -1) / focal[:, None]
     found = []
