@@ -24,6 +24,8 @@ from pathlib import Path
 
 import numpy as np
 
+from mocap_calib.adjust.bundle_adjustment import adjust
+from mocap_calib.adjust.ceres import adjust_by_ceres
 from mocap_calib.config import AdjustConfig, Config, SimulateConfig
 from mocap_calib.geometry.rotation import (
     angle_between,
@@ -31,12 +33,10 @@ from mocap_calib.geometry.rotation import (
     matrix_from_vector,
     vector_from_matrix,
 )
-from mocap_calib.multi_view.bundle_adjustment import adjust
-from mocap_calib.multi_view.ceres import adjust_by_ceres
-from mocap_calib.multi_view.observations import gather_observations
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.recording.sampling import take_sample
 from mocap_calib.recording.synchronise import make_recording
+from mocap_calib.rig.observations import gather_observations
 from mocap_calib.synthetic import simulate
 from mocap_calib.types import CameraRig, Floats, Matches, Sample
 

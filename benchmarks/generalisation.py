@@ -15,11 +15,11 @@ from protocol_scenes import Kind
 
 from mocap_calib.config import TrainConfig
 from mocap_calib.recording.joints import load_section, load_skeleton
-from mocap_calib.steerpose.checkpoint import load_steerer
-from mocap_calib.steerpose.steer import Model, complete, steer
-from mocap_calib.steerpose.training.dataset import Batch, Synthesiser
-from mocap_calib.steerpose.training.poses import load_poses
-from mocap_calib.steerpose.training.train import train_lifter, training_config
+from mocap_calib.training.checkpoint import load_steerer
+from mocap_calib.training.dataset import Batch, Synthesiser
+from mocap_calib.training.poses import load_poses
+from mocap_calib.training.steer import Model, complete, steer
+from mocap_calib.training.train import train_lifter, training_config
 from mocap_calib.types import silent
 
 EXAMPLES = 4096

@@ -44,7 +44,7 @@ class Tests:
         """
         runners = self.runners.get(path, {})
         direct = next((runners[k] for k in reversed(lines) if runners.get(k)), set())
-        if path.endswith("_kernels.py"):  # compiled, so that nothing is seen of their lines
+        if "/kernels/" in path:  # compiled, so that nothing is seen of their lines
             direct = {name for name in self.seconds if "kernel" in name}
         if not direct:  # of the module, or what runs in other processes
             direct = set().union(*runners.values())

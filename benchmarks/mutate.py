@@ -43,7 +43,18 @@ from mutation_report import place, read_log, read_reasons, report
 from mutations import Mutation, find_mutations
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("geometry", "two_view", "multi_view", "steerpose", "io")
+PACKAGES = (
+    "geometry",
+    "pairs",
+    "rig",
+    "adjust",
+    "identities",
+    "clocks",
+    "verdict",
+    "faults",
+    "lift",
+    "io",
+)
 COMMAND = ("cli/test_cli.py", "cli/test_cli_convert.py", "cli/test_cli_inputs.py")
 TESTS = (*PACKAGES, "recording", "synthetic", "poses", "world")
 TESTS += (
@@ -219,7 +230,7 @@ def try_one(mutation: Mutation, copy: Path, tests: Tests, *, seconds: float) -> 
     end = mutation.line + mutation.before.count("\n")
     lines = range(min(mutation.first, mutation.line), end + 1)
     os.environ.pop("NUMBA_CACHE_DIR", None)
-    is_kernel = mutation.path.endswith("_kernels.py")
+    is_kernel = "/kernels/" in mutation.path
     if is_kernel:  # what is compiled of it is not kept for the others
         os.environ["NUMBA_CACHE_DIR"] = str(copy / "kernels")
     names, left_out = tests.of_lines(mutation.path, lines, seconds=seconds)

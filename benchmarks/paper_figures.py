@@ -16,14 +16,14 @@ from protocol_methods import METHODS, Problem, load_models
 from protocol_scenes import KINDS
 
 from mocap_calib.geometry.alignment import align_by_similarity
-from mocap_calib.multi_view.evaluation import with_axes
 from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.joints import edges_of_keypoints, load_skeleton
-from mocap_calib.steerpose.checkpoint import load_steerer
-from mocap_calib.steerpose.steer import steer
-from mocap_calib.steerpose.training.dataset import Synthesiser
-from mocap_calib.steerpose.training.poses import load_poses
+from mocap_calib.training.checkpoint import load_steerer
+from mocap_calib.training.dataset import Synthesiser
+from mocap_calib.training.poses import load_poses
+from mocap_calib.training.steer import steer
 from mocap_calib.types import Floats
+from mocap_calib.verdict.evaluation import with_axes
 
 SHOWN = ("people", "dog", "mouse")
 TURNS_DEG = (0, 45, 90, 135, 180)

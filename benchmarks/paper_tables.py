@@ -22,8 +22,8 @@ from paper_cells import (
 from protocol_methods import METHODS
 from protocol_recordings import RECORDINGS
 
-from mocap_calib.multi_view.evaluation import area_under_curve
 from mocap_calib.types import Floats
+from mocap_calib.verdict.evaluation import area_under_curve
 
 NOUNS = {
     "people": ("person", "people"),

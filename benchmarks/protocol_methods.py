@@ -18,15 +18,11 @@ from mocap_calib.config import (
     PaperConfig,
 )
 from mocap_calib.geometry.epipolar import pose_from_essential
-from mocap_calib.recording.joints import SHIPPED, load_skeleton, match_names
-from mocap_calib.steerpose.checkpoint import load_steerer
-from mocap_calib.steerpose.lift import lift
-from mocap_calib.steerpose.model import LifterModule, lifter_of
-from mocap_calib.steerpose.paper.batch import TwoViews
-from mocap_calib.steerpose.paper.solver import solve_pair, solve_pairs
-from mocap_calib.steerpose.rays import rays_by_joint
-from mocap_calib.steerpose.steer import Model
-from mocap_calib.two_view.five_point import (
+from mocap_calib.lift.lift import lift
+from mocap_calib.lift.rays import rays_by_joint
+from mocap_calib.pairs.solve import calibrate_pair, pair_problem
+from mocap_calib.paper.batch import TwoViews
+from mocap_calib.paper.five_point import (
     Estimator,
     Found,
     RelativePose,
@@ -34,7 +30,11 @@ from mocap_calib.two_view.five_point import (
     five_point_over_matches,
     match_by_pose,
 )
-from mocap_calib.two_view.solve import calibrate_pair, pair_problem
+from mocap_calib.paper.solver import solve_pair, solve_pairs
+from mocap_calib.recording.joints import SHIPPED, load_skeleton, match_names
+from mocap_calib.training.checkpoint import load_steerer
+from mocap_calib.training.model import LifterModule, lifter_of
+from mocap_calib.training.steer import Model
 from mocap_calib.types import Bools, Floats, Sample, Skeleton, silent
 
 TIMED = 1  # pairs that the paper's solver does alone, to know its seconds

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mocap_calib.clocks.in_step import held_out_error
 from mocap_calib.config import Config
 from mocap_calib.front import read_recording
 from mocap_calib.geometry.lens import change_intrinsics
@@ -19,11 +20,10 @@ from mocap_calib.io.cameras.own import format_intrinsics_toml
 from mocap_calib.io.cameras.read import read_cameras, read_rig
 from mocap_calib.io.keypoints.read import read_keypoints
 from mocap_calib.io.keypoints.write import write_keypoints
-from mocap_calib.multi_view.evaluation import evaluate
-from mocap_calib.multi_view.in_step import held_out_error
 from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.assumed import assume_cameras
 from mocap_calib.types import Camera, GroupResult, Recording
+from mocap_calib.verdict.evaluation import evaluate
 
 PROGRAM = "from mocap_calib_cli.main import main; main()"
 STARTS = (0.6, 1.2, 2.4)  # image widths

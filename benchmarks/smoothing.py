@@ -28,12 +28,12 @@ import mocap_calib as mc
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.geometry.rotation import vector_from_matrix
 from mocap_calib.io.results.matches_csv import read_matches_csv
-from mocap_calib.multi_view.observations import gather_observations
-from mocap_calib.multi_view.triangulation import triangulate
+from mocap_calib.lift.loading import AUTO, choose_model
+from mocap_calib.lift.weights import load_vocabulary
 from mocap_calib.poses.stage import smooth_poses
 from mocap_calib.recording.joints import edges_of_keypoints
-from mocap_calib.steerpose.loading import AUTO, choose_model
-from mocap_calib.steerpose.weights import load_vocabulary
+from mocap_calib.rig.observations import gather_observations
+from mocap_calib.rig.triangulation import triangulate
 from mocap_calib.types import CameraRig, Floats, Matches, Recording
 
 NAMES = (

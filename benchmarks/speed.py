@@ -37,10 +37,10 @@ from adjustment import (
 from machines import describe_machine
 from recording_folders import add_recordings
 
+from mocap_calib.adjust.bundle_adjustment import adjust
 from mocap_calib.config import AdjustConfig
 from mocap_calib.geometry.projection import rays_from_pixels
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.multi_view.bundle_adjustment import adjust
 from mocap_calib.types import CameraRig, Floats, Matches, Sample
 
 TOOL = ["-m", "mocap_calib_cli"]
@@ -50,7 +50,7 @@ SIMULATED = {  # recording: cameras, people, frames
     "smallest: 4 cameras, 1 person, 100 frames": (4, 1, 100),
     "ring of 31, 3 people, 100 frames": (31, 3, 100),
 }
-START = "import mocap_calib_cli.main, mocap_calib.job.steps, mocap_calib.compute.jit"
+START = "import mocap_calib_cli.main, mocap_calib.job.steps, mocap_calib.kernels.jit"
 COLUMNS = ("what", "seconds", "processor (s)", "peak memory (MB)", "others, times as long")
 POINTS_OF_COLMAP = 2000  # one call for each: more would take minutes
 

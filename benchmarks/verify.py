@@ -24,12 +24,12 @@ from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.gauge import rig_size
 from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.multi_view.verify import verify_rig
+from mocap_calib.lift.lift import lift
+from mocap_calib.lift.loading import choose_model
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
 from mocap_calib.recording.synchronise import hide_blind_spots
-from mocap_calib.steerpose.lift import lift
-from mocap_calib.steerpose.loading import choose_model
 from mocap_calib.types import CameraRig, LiftedPoses, Sample, silent
+from mocap_calib.verdict.verify import verify_rig
 
 TURNS_DEG = (1.0, 2.0, 5.0)
 AXES = 2  # random ones, for each camera

@@ -22,9 +22,6 @@ if TYPE_CHECKING:
     from mocap_calib.io.keypoints.document import ReadOptions
     from mocap_calib.io.keypoints.read import read_keypoints
     from mocap_calib.io.poses.read import read_poses
-    from mocap_calib.multi_view.evaluation import Evaluation, evaluate
-    from mocap_calib.multi_view.triangulation import triangulate
-    from mocap_calib.multi_view.verify import verify
     from mocap_calib.pipeline import calibrate, match
     from mocap_calib.recording.mended_intrinsics import (
         Cropped,
@@ -34,6 +31,7 @@ if TYPE_CHECKING:
         Rotated,
     )
     from mocap_calib.recording.mending import Mirrored, Moved, Sides
+    from mocap_calib.rig.triangulation import triangulate
     from mocap_calib.synthetic import Scene, simulate
     from mocap_calib.types import (
         CalibrationResult,
@@ -49,6 +47,8 @@ if TYPE_CHECKING:
         Verification,
         VerifiedCamera,
     )
+    from mocap_calib.verdict.evaluation import Evaluation, evaluate
+    from mocap_calib.verdict.verify import verify
 
 __version__ = "0.1.0"
 
@@ -67,9 +67,9 @@ _NAMES = {
     "io.keypoints.document": ("ReadOptions",),
     "io.keypoints.read": ("read_keypoints",),
     "io.poses.read": ("read_poses",),
-    "multi_view.evaluation": ("Evaluation", "evaluate"),
-    "multi_view.triangulation": ("triangulate",),
-    "multi_view.verify": ("verify",),
+    "verdict.evaluation": ("Evaluation", "evaluate"),
+    "rig.triangulation": ("triangulate",),
+    "verdict.verify": ("verify",),
     "pipeline": ("calibrate", "match"),
     "recording.mended_intrinsics": ("Cropped", "Exchanged", "Refocused", "Resized", "Rotated"),
     "recording.mending": ("Mirrored", "Moved", "Sides"),

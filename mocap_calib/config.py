@@ -134,7 +134,7 @@ class SyncConfig:
     stretch_windows: length of a stretch, in windows.
     least_frames: that a view sees, and that two views have in common at an offset.
 
-    The search for the rotation of a pair (two_view/timing.py):
+    The search for the rotation of a pair (clocks/timing.py):
     axes: of the bodies' joints that are compared: bodies differ in few ways.
     pose_tolerance: RMS joint distance of two lifts of one body.
     shapes, shapes_compared, alike: bodies of one view, each with so many of those of the other
@@ -144,7 +144,7 @@ class SyncConfig:
     block_frames, block_share: frames of a block of time, which has an offset of its own, and the
         share of them in which both views must see somebody.
 
-    What decides (multi_view/clock_search.py and beside it). Agreement is counted in standard
+    What decides (clocks/search.py and beside it). Agreement is counted in standard
     deviations over all pairs of frames of two views. Measured in step: 1.5 to 4.5 where people and
     animals move (H36M, HumanEva, dogs, mice by DANNCE, Pose2Sim), 1.0 in a slow crowd (Shelf) and
     0.4 in 120 frames of it, 0.8 in sparse frames (MVOR), 0.7 for poor lifts (AcinoSet), below 0.3
@@ -426,7 +426,7 @@ class MatchingConfig:
     tracklet_joints: joints that two detections need in common to be compared.
     tracklet_frames: so many frames vote together on who a tracklet is.
 
-    Who is who through the recording; evidence is in nats, see `multi_view.evidence`:
+    Who is who through the recording; evidence is in nats, see `identities.evidence`:
     individuals: how many there are at most; None = nobody knows.
     sparse_step: bodies cannot be followed that go so far between frames, as a share of their
         distance from each other; `memory` is the longest gap that motion tells something of.
@@ -894,7 +894,7 @@ PLAIN_FACTORS = (1 / 4, 1 / 3, 1 / 2, 2 / 3, 3 / 4, 4 / 3, 3 / 2, 2.0, 3.0, 4.0)
 
 @frozen
 class ExchangedConfig:
-    """Whether two cameras have the intrinsics of each other (multi_view/exchanged.py).
+    """Whether two cameras have the intrinsics of each other (faults/exchanged.py).
 
     Only pairs whose focal lengths differ can be told; exchanging equal ones does no harm.
 
@@ -922,7 +922,7 @@ class ExchangedConfig:
 
 @frozen
 class MovedConfig:
-    """Whether a camera was bumped or moved during the recording (multi_view/moved.py).
+    """Whether a camera was bumped or moved during the recording (faults/moved.py).
 
     Shares are of the weighed squared errors of a camera, or of its robust cost.
 
@@ -1000,7 +1000,7 @@ class MovedConfig:
 
 @frozen
 class UnrelatedConfig:
-    """Whether a camera saw another scene than the others (multi_view/unrelated.py).
+    """Whether a camera saw another scene than the others (faults/unrelated.py).
 
     Only cameras without a pair of sufficient score are looked at. Shares are of the detections of
     a camera that lie where the others place a body, to within `tolerance` of their angular size.
@@ -1020,7 +1020,7 @@ class UnrelatedConfig:
 
 @frozen
 class SubframeConfig:
-    """Offsets of clocks within about a frame; see `multi_view.time_offsets`.
+    """Offsets of clocks within about a frame; see `clocks.time_offsets`.
 
     enabled: look for them at all.
     screen_points: triangulated points that a first look takes, and points: that an estimate takes.

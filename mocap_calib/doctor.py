@@ -21,19 +21,19 @@ import numpy as np
 from threadpoolctl import threadpool_info
 
 from mocap_calib.compute import BLAS_THREADS
-from mocap_calib.compute.kernels import compile_ahead
 from mocap_calib.compute.parallel import thread_count
 from mocap_calib.compute.program import identify_program
 from mocap_calib.config import Config, DoctorConfig, SimulateConfig
 from mocap_calib.errors import MocapCalibError
-from mocap_calib.multi_view.evaluation import evaluate
+from mocap_calib.kernels.loading import compile_ahead
+from mocap_calib.lift.device import describe_devices
+from mocap_calib.lift.loading import load_lifter
+from mocap_calib.lift.weights import digest
 from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.joints import SHIPPED
-from mocap_calib.steerpose.device import describe_devices
-from mocap_calib.steerpose.loading import load_lifter
-from mocap_calib.steerpose.weights import digest
 from mocap_calib.synthetic import simulate
 from mocap_calib.types import Recording
+from mocap_calib.verdict.evaluation import evaluate
 
 # name of a package -> of what is imported
 NEEDED = {

@@ -16,36 +16,35 @@ from pathlib import Path
 
 import numpy as np
 
+from mocap_calib.adjust.estimated_cameras import estimate_cameras
+from mocap_calib.adjust.refinement import adjust_from_best_start
+from mocap_calib.clocks.common_clock import synchronise
+from mocap_calib.clocks.subframe import settle_clocks
 from mocap_calib.compute.clock import Clock
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config, Refinement
 from mocap_calib.errors import DegenerateError
+from mocap_calib.faults.clock_faults import add_clocks
+from mocap_calib.faults.mend import mend_faults
+from mocap_calib.identities.finalise import finalise_identities
 from mocap_calib.judging import judge_rigs
-from mocap_calib.multi_view.association import associate, label_all_frames
-from mocap_calib.multi_view.averaging import average
-from mocap_calib.multi_view.clock_faults import add_clocks
-from mocap_calib.multi_view.clocks import settle_clocks
-from mocap_calib.multi_view.common_clock import synchronise
-from mocap_calib.multi_view.conclusion import conclude
-from mocap_calib.multi_view.estimated_cameras import estimate_cameras
-from mocap_calib.multi_view.faults import mend_faults
-from mocap_calib.multi_view.identities import finalise_identities
-from mocap_calib.multi_view.observed import Observed, leave_out_underconstrained
-from mocap_calib.multi_view.pair_choice import calibrate_view_graph
-from mocap_calib.multi_view.refinement import adjust_from_best_start
-from mocap_calib.multi_view.triangulation import check_same_cameras
-from mocap_calib.multi_view.view_graph import camera_groups, select_hypotheses
+from mocap_calib.lift.device import check_device
+from mocap_calib.lift.lift import lift
+from mocap_calib.lift.lifter import Lifter
+from mocap_calib.lift.loading import AUTO, choose_model
+from mocap_calib.lift.remembered import RememberedLift
+from mocap_calib.pairs.solve import PairSolver
 from mocap_calib.poses.stage import smooth_group
 from mocap_calib.recording.assumed import choose_refinement
 from mocap_calib.recording.retiming import retime
 from mocap_calib.recording.sampling import choose_sample_frames, take_sample
 from mocap_calib.recording.synchronise import hide_blind_spots
-from mocap_calib.steerpose.device import check_device
-from mocap_calib.steerpose.lift import lift
-from mocap_calib.steerpose.lifter import Lifter
-from mocap_calib.steerpose.loading import AUTO, choose_model
-from mocap_calib.steerpose.remembered import RememberedLift
-from mocap_calib.two_view.solve import PairSolver
+from mocap_calib.rig.association import associate, label_all_frames
+from mocap_calib.rig.averaging import average
+from mocap_calib.rig.observed import Observed, leave_out_underconstrained
+from mocap_calib.rig.pair_choice import calibrate_view_graph
+from mocap_calib.rig.triangulation import check_same_cameras
+from mocap_calib.rig.view_graph import camera_groups, select_hypotheses
 from mocap_calib.types import (
     CalibrationResult,
     CameraRig,
@@ -58,6 +57,7 @@ from mocap_calib.types import (
     UnusedPair,
     silent,
 )
+from mocap_calib.verdict.conclusion import conclude
 from mocap_calib.world.asked import check_world
 from mocap_calib.world.place import place_result
 
@@ -79,14 +79,14 @@ def calibrate(
     The rigs are found from a sample of the frames, whose size does not depend on the length of
     the recording. The result does not depend on the number of threads.
 
-    model: lifts the detections, as `steerpose.loading.choose_model` takes it: "auto", the name
+    model: lifts the detections, as `lift.loading.choose_model` takes it: "auto", the name
         of a shipped model, a file of weights, "none" for geometry alone, or a loaded lifter.
     refine: which intrinsics are estimated, "none", "focal" or "focal+k1"; None: what `config` says,
         or focal lengths and lenses where nothing is known of the cameras (`AssumedCamera`).
     device: where the network computes, "cpu" or "cuda".
     progress: is told of each step, see `types.Progress`.
     mapper: where the pairs are calibrated; by default threads or processes of this machine.
-    pair_solver: how a pair is calibrated; by default `two_view.solve.calibrate_pair`.
+    pair_solver: how a pair is calibrated; by default `pairs.solve.calibrate_pair`.
 
     Raises DegenerateError where the recording determines no rig. The cameras of a group that it
     does not determine are left out. Raises FormatError where there is no such model, and

@@ -9,11 +9,9 @@ import numpy as np
 from mocap_calib import __version__, mapped
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import Config, IntrinsicsConfig
+from mocap_calib.faults.clock_faults import describe_clock
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.io.world_fields import world_fields
-from mocap_calib.multi_view.clock_faults import describe_clock
-from mocap_calib.multi_view.explained import distances_from_points
-from mocap_calib.multi_view.view_graph import alternative_taken, best_scores
 from mocap_calib.recording.epochs import describe_epochs, views_by_camera
 from mocap_calib.recording.mending import describe_faults
 from mocap_calib.report_verdict import (
@@ -22,6 +20,7 @@ from mocap_calib.report_verdict import (
     describe_verdict,
     finite_or_none,
 )
+from mocap_calib.rig.view_graph import alternative_taken, best_scores
 from mocap_calib.types import (
     POINT_SOURCES,
     Bools,
@@ -32,6 +31,7 @@ from mocap_calib.types import (
     GroupResult,
     PairwiseCalibration,
 )
+from mocap_calib.verdict.explained import distances_from_points
 
 SCHEMA = 3  # goes up when a key of run.json goes or changes its meaning
 

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.multi_view.evaluation import median_and_max
+from mocap_calib.pairs.solve import all_pairs
 from mocap_calib.recording.epochs import own_name
-from mocap_calib.two_view.solve import all_pairs
 from mocap_calib.types import ARBITRARY, Check, GroupResult
+from mocap_calib.verdict.evaluation import median_and_max
 
 
 def describe_verdict(group: GroupResult) -> dict[str, Any]:

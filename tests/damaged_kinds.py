@@ -39,11 +39,11 @@ from mocap_calib.io.registry import find_format
 from mocap_calib.io.results.matches_csv import parse_matches
 from mocap_calib.io.results.pairs_json import pairs_from_json
 from mocap_calib.job.reports import open_results, read_source
+from mocap_calib.lift.loading import load_lifter
 from mocap_calib.overlay.results import read_results
 from mocap_calib.recording.joints import load_aliases, load_section, load_skeleton
-from mocap_calib.steerpose.loading import load_lifter
-from mocap_calib.steerpose.training.poses import load_poses
 from mocap_calib.synthetic.body_plan import parse_body
+from mocap_calib.training.poses import load_poses
 from mocap_calib_cli.commands.run import command as run
 from mocap_calib_cli.inputs import calibration_request
 from mocap_calib_cli.options import SharedOptions

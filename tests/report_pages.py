@@ -16,9 +16,9 @@ from scenes import calibrate_all, recording
 
 from mocap_calib.html_report.page import report_page
 from mocap_calib.html_report.source import ReportSource, source_of_group
+from mocap_calib.lift.weights import load_vocabulary
 from mocap_calib.recording.joints import edges_of_keypoints
 from mocap_calib.report import run_report
-from mocap_calib.steerpose.weights import load_vocabulary
 
 _DATA = re.compile(r'<script type="application/json" id="report-data">(.*?)</script>', re.S)
 

@@ -108,15 +108,15 @@ def test_the_readme_says_what_each_dependency_is_for():
 
 
 # all nouns, all constants, and kernels that share theirs: none calls a kernel of another file
-IN_ONE_PLACE = {"types.py", "config.py", "refine_kernels.py"}
+IN_ONE_PLACE = {"types.py", "config.py", "pair_refinement.py"}
 DOORS = {  # module: where alone it is imported
-    "torch": ("mocap_calib/steerpose/",),
+    "torch": ("mocap_calib/lift/", "mocap_calib/training/", "mocap_calib/paper/"),
     "cv2": ("mocap_calib/geometry/epipolar.py", "mocap_calib/overlay/"),
     "pycolmap": (
         "mocap_calib/geometry/colmap.py",
         "mocap_calib/io/cameras/colmap_model.py",
-        "mocap_calib/multi_view/ceres.py",
-        "mocap_calib/two_view/five_point.py",
+        "mocap_calib/adjust/ceres.py",
+        "mocap_calib/paper/five_point.py",
     ),
     "h5py": ("mocap_calib/io/",),
     "h5netcdf": ("mocap_calib/io/",),

@@ -19,8 +19,8 @@ import mocap_calib
 from mocap_calib import pipeline
 from mocap_calib.io.poses.read import load_poses
 from mocap_calib.io.provenance import judgement
+from mocap_calib.lift.loading import choose_model
 from mocap_calib.recording.joints import load_skeleton
-from mocap_calib.steerpose.loading import choose_model
 from mocap_calib.types import AssumedCamera, Clocks
 from mocap_calib_cli.options import READING
 

@@ -24,8 +24,8 @@ from mocap_calib.html_report.encode import MISSING, pack, pack_floats, pack_text
 from mocap_calib.html_report.frames import choose_frames, quantiles, starts_of_stretches
 from mocap_calib.html_report.page import report_page
 from mocap_calib.html_report.source import Reference
-from mocap_calib.multi_view.explained import Leftover
 from mocap_calib.types import CameraRig
+from mocap_calib.verdict.explained import Leftover
 
 ROOT = Path(__file__).parents[1]
 LIMIT = 3_000_000  # bytes

@@ -20,11 +20,11 @@ from scenes import (
     scene,
 )
 
+from mocap_calib.adjust.refinement import adjust_until_stable
 from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
-from mocap_calib.multi_view.association import associate
-from mocap_calib.multi_view.refinement import adjust_until_stable
 from mocap_calib.recording.synchronise import make_recording
+from mocap_calib.rig.association import associate
 from mocap_calib.types import silent
 
 SCENES = [

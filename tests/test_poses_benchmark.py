@@ -11,7 +11,7 @@ from scipy.io import savemat
 
 from mocap_calib.errors import FormatError
 from mocap_calib.recording.joints import load_skeleton
-from mocap_calib.steerpose.training.poses import load_poses
+from mocap_calib.training.poses import load_poses
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 # a person of straight bones, in a stance: name, parent, direction, length, turn of its axes

@@ -18,10 +18,10 @@ from mocap_calib.io.cameras.read import read_rig
 from mocap_calib.io.poses.common import PoseFile
 from mocap_calib.io.results.group import REVERSED_RIG, write_group
 from mocap_calib.judging import _of_pairs, judge_cameras, judge_rigs
-from mocap_calib.multi_view.observations import gather_observations
-from mocap_calib.multi_view.verdict import judge_group
 from mocap_calib.report import run_report
+from mocap_calib.rig.observations import gather_observations
 from mocap_calib.types import FAULT_WORDS, CalibrationResult, Clocks, TimeOffsets
+from mocap_calib.verdict.verdict import judge_group
 from mocap_calib_cli.ending import camera_table, describe_group
 
 DESCRIPTION = Path(__file__).parents[1] / "docs" / "run-json.md"

@@ -12,11 +12,11 @@ from scenes import calibrate_group, precision, recording, rotation_errors_deg, s
 
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import Config, SampleConfig, TriangulateConfig
-from mocap_calib.multi_view.observations import gather_observations
-from mocap_calib.multi_view.triangulation import triangulate_rays
+from mocap_calib.lift.lift import lift
+from mocap_calib.lift.loading import load_lifter
 from mocap_calib.recording.sampling import take_sample
-from mocap_calib.steerpose.lift import lift
-from mocap_calib.steerpose.loading import load_lifter
+from mocap_calib.rig.observations import gather_observations
+from mocap_calib.rig.triangulation import triangulate_rays
 from mocap_calib.types import silent
 
 LONG = {"frames": 400, "people": 2, "cameras": 4, "seed": 2}

@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from mocap_calib.compute.kernels import kernels_at_hand
 from mocap_calib.job.outcome import WrittenGroup
+from mocap_calib.kernels.loading import kernels_at_hand
 from mocap_calib.recording.meanings import describe_unshared
 from mocap_calib.recording.summary import RecordingSummary
 from mocap_calib.types import CalibrationResult

@@ -221,7 +221,7 @@ def lift_sample(
 ) -> tuple[Ints, Sample, LiftedPoses]:
     """Return the `[frame]` indices that calibration looks at, their detections, and those lifted.
 
-    pair_solver: what will calibrate the pairs, see `steerpose.loading.load_model`.
+    pair_solver: what will calibrate the pairs, see `lift.loading.load_model`.
 
     Raises MismatchError where there is no such device.
     """
@@ -236,9 +236,9 @@ def lift_with_model(
     sample: Sample, model: str, device: str, reporter: Reporter, *, pair_solver: str = "search"
 ) -> LiftedPoses:
     """Lift the detections of a sample. Raises MismatchError where there is no such device."""
-    from mocap_calib.steerpose.device import check_device
-    from mocap_calib.steerpose.lift import lift
-    from mocap_calib.steerpose.loading import load_model
+    from mocap_calib.lift.device import check_device
+    from mocap_calib.lift.lift import lift
+    from mocap_calib.lift.loading import load_model
 
     check_device(device)
     lifter = load_model(model, pair_solver=pair_solver)

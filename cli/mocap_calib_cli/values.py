@@ -147,8 +147,8 @@ def _list_layouts() -> dict[str, str]:
 
 def _list_models() -> dict[str, str]:
     """Return the shipped models, and how to do without one."""
+    from mocap_calib.lift.weights import shipped_tokens
     from mocap_calib.recording.joints import SHIPPED
-    from mocap_calib.steerpose.weights import shipped_tokens
 
     models = dict.fromkeys(SHIPPED, "shipped weights") | {"none": "geometry alone"}
     return models | dict.fromkeys(shipped_tokens(), "the paper's, for --solver paper")

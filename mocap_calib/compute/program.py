@@ -6,7 +6,7 @@ from pathlib import Path
 
 from mocap_calib import __version__
 
-_CODE = (".py", ".yaml")  # the weights are told apart by `steerpose.weights.identify_model`
+_CODE = (".py", ".yaml")  # the weights are told apart by `lift.weights.identify_model`
 
 
 @cache

@@ -11,7 +11,6 @@ from types import ModuleType
 
 import numpy as np
 
-from mocap_calib.compute.kernels import compiled, contiguous
 from mocap_calib.config import (
     INTERSECT_AGREEING_RAYS,
     INTERSECT_AGREEING_SHARE,
@@ -26,9 +25,10 @@ from mocap_calib.config import (
 from mocap_calib.frozen import frozen
 from mocap_calib.geometry import symmetric
 from mocap_calib.geometry.symmetric import Entries
+from mocap_calib.kernels.loading import compiled, contiguous
 from mocap_calib.types import Bools, CameraRig, Floats, Ints
 
-_PACKAGE = "mocap_calib.geometry"
+_PACKAGE = "mocap_calib.kernels"
 
 
 @frozen
@@ -66,8 +66,8 @@ def intersect(rig: CameraRig, world: Floats, precision: Floats) -> Floats:
     """
     middle = rig.centres.mean(0)
     rays = _Rays(rig.centres - middle, world, precision)
-    all_rays = compiled(f"{_PACKAGE}.intersection_kernels")
-    outlying_rays = compiled(f"{_PACKAGE}.outlying_ray_kernels")
+    all_rays = compiled(f"{_PACKAGE}.intersection")
+    outlying_rays = compiled(f"{_PACKAGE}.outlying_rays")
     if all_rays is None or outlying_rays is None:
         points = _intersect_rays(rays)
     else:

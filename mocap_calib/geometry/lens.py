@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mocap_calib.compute.kernels import compiled
 from mocap_calib.compute.parallel import do_in_threads
 from mocap_calib.config import LENS_MISS_PX
 from mocap_calib.geometry import brown_conrady, kannala_brandt
+from mocap_calib.kernels.loading import compiled
 from mocap_calib.types import Camera, Floats
 
 # Of one call, or of one view where it has more: each call waits for Python's lock.
@@ -84,7 +84,7 @@ def _set_rays(cameras: Sequence[Camera], pixels: Floats, rays: Floats) -> None:
 
 def _set_rays_of_some(cameras: Sequence[Camera], pixels: Floats, rays: Floats) -> None:
     """Do what `_set_rays` does, on one thread."""
-    kernels = compiled("mocap_calib.geometry.lens_kernels")
+    kernels = compiled("mocap_calib.kernels.lens")
     doubtful = np.ones((len(cameras), pixels.shape[-1]), dtype=bool)
     if kernels:
         intrinsics, lenses = parameters(cameras)

@@ -6,13 +6,13 @@ the distance d along the unit vector u has J' J = (I - u u') / d^2.
 
 import numpy as np
 
-from mocap_calib.compute.kernels import compiled, contiguous
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import INTERSECT_LOSS_SCALE
 from mocap_calib.geometry import symmetric
 from mocap_calib.geometry.intersection import normal_matrix
 from mocap_calib.geometry.symmetric import Entries
 from mocap_calib.geometry.view_blocks import ViewBlock, view_blocks
+from mocap_calib.kernels.loading import compiled, contiguous
 from mocap_calib.types import CameraRig, Floats
 
 # Where a point follows one ray almost wholly, what is left of that ray's error tells nothing
@@ -36,7 +36,7 @@ def point_covariance(
     With the robust weights w and N = sum w J'J they are N^-1 (sum w^2 s^2 J'J) N^-1: N^-1 itself
     where the weights are the inverse variances. Huge where the rays used are all in one line.
     """
-    if kernels := compiled("mocap_calib.geometry.covariance_kernels"):
+    if kernels := compiled("mocap_calib.kernels.point_covariance"):
         found = np.empty((6, points.shape[1]))
         given = contiguous(rig.centres, points, world, precision, variance)
         kernels.covariances(*given, INTERSECT_LOSS_SCALE, found)
@@ -84,7 +84,7 @@ def median_angles(rig: CameraRig, points: Floats, weight: Floats) -> Floats:
 
 def _median_angles_in_block(rig: CameraRig, points: Floats, weight: Floats) -> Floats:
     """Return what `median_angles` does of a block, where most views see most of the points."""
-    kernels = compiled("mocap_calib.geometry.ray_kernels")
+    kernels = compiled("mocap_calib.kernels.rays")
     if not kernels:
         return _median_angles(rig, points, weight)
     medians = np.empty(weight.shape)

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from mocap_calib.compute.kernels import compiled, contiguous
+from mocap_calib.kernels.loading import compiled, contiguous
 from mocap_calib.types import Bools, CameraRig, Floats
 
-_KERNELS = "mocap_calib.geometry.ray_kernels"
+_KERNELS = "mocap_calib.kernels.rays"
 
 
 def points_in_cameras(rig: CameraRig, points: Floats) -> Floats:

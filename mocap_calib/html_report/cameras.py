@@ -9,9 +9,9 @@ from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.gauge import rig_size
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.html_report.source import Reference, ReportSource
-from mocap_calib.multi_view.evaluation import lay_over
 from mocap_calib.recording.epochs import list_epochs, views_by_camera
 from mocap_calib.types import CameraRig, Floats, PosedCamera
+from mocap_calib.verdict.evaluation import lay_over
 
 
 def describe_rig(source: ReportSource) -> dict[str, Any]:

@@ -11,9 +11,9 @@ from mocap_calib.config import REPORT_FRAMES, ReportConfig
 from mocap_calib.html_report.encode import pack, pack_floats, quantise, small_ints
 from mocap_calib.html_report.frames import quantiles, split_evenly
 from mocap_calib.html_report.source import Seen
-from mocap_calib.multi_view.explained import Leftover
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Camera, CameraRig, Floats, Ints, Poses3D, Recording
+from mocap_calib.verdict.explained import Leftover
 
 _CONFIG = ReportConfig()
 _SHARES = (0.5, 0.95)

@@ -28,7 +28,7 @@ from mocap_calib.io.results.group import (
 from mocap_calib.io.zeros import unsigned_zeros
 from mocap_calib.job.outcome import WrittenGroup
 from mocap_calib.judging import judge_cameras
-from mocap_calib.multi_view.observed_points import observe_points
+from mocap_calib.lift.weights import load_vocabulary
 from mocap_calib.recording.epochs import (
     Epoch,
     epoch_folder,
@@ -39,7 +39,7 @@ from mocap_calib.recording.epochs import (
 )
 from mocap_calib.recording.joints import edges_of_keypoints
 from mocap_calib.report import run_report
-from mocap_calib.steerpose.weights import load_vocabulary
+from mocap_calib.rig.observed_points import observe_points
 from mocap_calib.types import CalibrationResult, GroupResult, ObservedPoints
 from mocap_calib.world.body import stated_joints
 

@@ -11,9 +11,9 @@ each step.
 
 import numpy as np
 
-from mocap_calib.compute.kernels import compiled, contiguous
 from mocap_calib.config import PosesConfig
 from mocap_calib.frozen import frozen
+from mocap_calib.kernels.loading import compiled, contiguous
 from mocap_calib.poses.track import Body, Detections
 from mocap_calib.types import Floats, Ints
 
@@ -58,7 +58,7 @@ class System:
 
 def squared_errors(points: Floats, seen: Detections) -> Floats:
     """Return squared angles `[view, keypoint, frame]` between rays and points in variances."""
-    kernels = compiled("mocap_calib.poses.angle_kernels")
+    kernels = compiled("mocap_calib.kernels.pose_angles")
     if kernels is None:
         return _squared_errors(points, seen)
     found = np.empty(seen.precision.shape)

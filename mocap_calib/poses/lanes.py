@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mocap_calib.compute.kernels import compiled
+from mocap_calib.kernels.loading import compiled
 from mocap_calib.types import Floats
 
 AROUND = 2  # frames before and after all: as far as accelerations reach
@@ -22,7 +22,7 @@ class BandKernels(NamedTuple):
 
 def band_kernels() -> BandKernels | None:
     """Return the kernels; None where numpy is to run."""
-    found = [compiled(f"mocap_calib.poses.{name}_kernels") for name in BandKernels._fields]
+    found = [compiled(f"mocap_calib.kernels.pose_{name}") for name in BandKernels._fields]
     there = [kernels for kernels in found if kernels is not None]
     return BandKernels(*there) if len(there) == len(found) else None
 

@@ -11,8 +11,7 @@ from mocap_calib.compute.parallel import map_in_threads, single_threaded_librari
 from mocap_calib.config import Config, PosesConfig, TriangulateConfig
 from mocap_calib.frozen import frozen
 from mocap_calib.geometry.bodies import body_size
-from mocap_calib.multi_view.noise import view_noise
-from mocap_calib.multi_view.observations import gather_observations
+from mocap_calib.lift.weights import load_vocabulary
 from mocap_calib.poses.certainty import covariances
 from mocap_calib.poses.cleaning import are_beyond_reach, drop_outliers, exchange_sides
 from mocap_calib.poses.fit import fit
@@ -29,7 +28,8 @@ from mocap_calib.poses.start import (
 from mocap_calib.poses.track import Body, Detections, acceleration_steps, detections_of
 from mocap_calib.poses.trust import Trust
 from mocap_calib.recording.joints import edges_of_keypoints
-from mocap_calib.steerpose.weights import load_vocabulary
+from mocap_calib.rig.noise import view_noise
+from mocap_calib.rig.observations import gather_observations
 from mocap_calib.types import (
     Bools,
     CameraRig,

@@ -11,7 +11,7 @@ import numpy as np
 
 from mocap_calib.frozen import frozen
 from mocap_calib.geometry.rays import rays_in_world
-from mocap_calib.multi_view.observations import Observations
+from mocap_calib.rig.observations import Observations
 from mocap_calib.types import CameraRig, Floats, Ints
 
 

@@ -14,8 +14,8 @@ from mocap_calib.frozen import frozen
 from mocap_calib.geometry.alignment import align_by_similarity
 from mocap_calib.geometry.gauge import rig_size
 from mocap_calib.geometry.rotation import angle_between
-from mocap_calib.multi_view.evaluation import with_axes
 from mocap_calib.types import Bools, CameraRig, Floats, RigCovariance
+from mocap_calib.verdict.evaluation import with_axes
 from mocap_calib.world.moving import Similarity
 
 _MIRROR = np.array([-1.0, 1.0, 1.0])

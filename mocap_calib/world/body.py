@@ -8,8 +8,8 @@ import numpy as np
 from mocap_calib import mapped
 from mocap_calib.frozen import frozen
 from mocap_calib.geometry.bodies import mean_of_known
+from mocap_calib.lift.weights import load_vocabulary
 from mocap_calib.recording.joints import choose_skeleton, match_names
-from mocap_calib.steerpose.weights import load_vocabulary
 from mocap_calib.types import POINT_SOURCES, Bools, Floats, Poses3D, Recording, Skeleton
 
 

@@ -29,7 +29,7 @@ from mocap_calib.io.results.scene import write_scene
 from mocap_calib.job import request
 from mocap_calib.job.request import CalibrationRequest, KeypointSource
 from mocap_calib.job.steps import find_finished
-from mocap_calib.two_view.solve import calibrate_pairs
+from mocap_calib.pairs.solve import calibrate_pairs
 from mocap_calib.types import silent
 from mocap_calib_cli.commands import batch as batch_module
 from mocap_calib_cli.commands import run as run_module

@@ -10,8 +10,8 @@ from scenes import rotation_errors_deg
 
 from mocap_calib.geometry.rotation import vector_from_matrix
 from mocap_calib.io.cameras.read import read_rig
-from mocap_calib.steerpose.token import TokenSteerer
-from mocap_calib.two_view import paper_pairs
+from mocap_calib.paper import paper_pairs
+from mocap_calib.training.token import TokenSteerer
 from mocap_calib_cli.commands import run, simulate
 
 SCENE = ["--people", "1", "--cameras", "2", "--frames", "8", "--quiet"]

@@ -11,8 +11,8 @@ from click.shell_completion import ShellComplete, get_completion_class
 from conftest import TOOL
 
 from mocap_calib.io.kinds import FORMATS
+from mocap_calib.lift.weights import shipped_tokens
 from mocap_calib.recording.joints import SHIPPED
-from mocap_calib.steerpose.weights import shipped_tokens
 from mocap_calib_cli.main import COMMANDS, group
 
 FILES = [("file", "")]

@@ -10,7 +10,7 @@ from scenes import scene
 from mocap_calib.io.cameras.read import read_rig
 from mocap_calib.io.poses.read import read_poses
 from mocap_calib.io.results.scene import write_scene
-from mocap_calib.multi_view.evaluation import evaluate
+from mocap_calib.verdict.evaluation import evaluate
 
 
 @pytest.fixture(scope="module")

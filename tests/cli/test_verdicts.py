@@ -12,8 +12,8 @@ from mocap_calib.errors import MocapCalibError
 from mocap_calib.io.cameras.read import read_rig
 from mocap_calib.job import steps
 from mocap_calib.job.request import CalibrationRequest, KeypointSource
-from mocap_calib.multi_view import conclusion
 from mocap_calib.types import VERDICTS, CalibrationResult
+from mocap_calib.verdict import conclusion
 from mocap_calib.world.moving import Similarity, move_group
 from mocap_calib_cli.commands import adjust, batch, run
 from mocap_calib_cli.main import group

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from mocap_calib.compute import kernels
+from mocap_calib.kernels import loading as kernels
 
 
 @pytest.fixture(autouse=True)
@@ -24,7 +24,7 @@ def no_memory():
 def test_without_numba_nothing_is_compiled(monkeypatch):
     assert kernels.kernels_at_hand()
     kernels.kernels_at_hand.cache_clear()
-    monkeypatch.delitem(sys.modules, "mocap_calib.compute.jit", raising=False)
+    monkeypatch.delitem(sys.modules, "mocap_calib.kernels.jit", raising=False)
     monkeypatch.setitem(sys.modules, "numba", None)
     assert not kernels.kernels_at_hand()
     assert kernels.compiled("mocap_calib.any_kernels") is None
@@ -34,7 +34,7 @@ def test_without_numba_nothing_is_compiled(monkeypatch):
 def test_kernels_are_compiled_without_the_blas_that_products_of_others_find(tmp_path):
     """It takes 0.2 s to import."""
     pytest.importorskip("numba")
-    kernel = "from mocap_calib.compute.jit import FLOAT, kernel\n\n"
+    kernel = "from mocap_calib.kernels.jit import FLOAT, kernel\n\n"
     kernel += "@kernel(FLOAT)\ndef twice(x):\n    return 2 * x\n"
     (tmp_path / "new_kernels.py").write_text(kernel, "utf-8")
     code = f"""

@@ -7,11 +7,12 @@ import pytest
 from scenes import lifted, recording, scene, truth
 from threadpoolctl import threadpool_info, threadpool_limits
 
+from mocap_calib.adjust import bundle_adjustment
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config, PairwiseConfig
-from mocap_calib.multi_view import association, bundle_adjustment, triangulation
+from mocap_calib.pairs import solve
 from mocap_calib.poses import stage
-from mocap_calib.two_view import solve
+from mocap_calib.rig import association, triangulation
 from mocap_calib.types import silent
 
 

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mocap_calib.compute import jit, machine_code
+from mocap_calib.kernels import jit, machine_code
 
 pytest.importorskip("numba")
 SOURCE = """
 import numpy as np
-from mocap_calib.compute.jit import FLOAT, changed_floats, floats, inlined, kernel
+from mocap_calib.kernels.jit import FLOAT, changed_floats, floats, inlined, kernel
 
 @inlined
 def twice(x):

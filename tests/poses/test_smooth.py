@@ -11,7 +11,6 @@ from mocap_calib import mapped
 from mocap_calib.config import Config, PosesConfig
 from mocap_calib.geometry.reprojection import project
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.multi_view.triangulation import triangulate
 from mocap_calib.poses.certainty import invert_bands
 from mocap_calib.poses.energy import Strengths, couplings, linearise, solve
 from mocap_calib.poses.fit import fit
@@ -20,6 +19,7 @@ from mocap_calib.poses.stage import smooth_poses
 from mocap_calib.poses.start import bone_lengths, reach_of_bones, with_second_neighbours
 from mocap_calib.poses.track import Body, Detections, acceleration_steps
 from mocap_calib.poses.trust import measure_trust
+from mocap_calib.rig.triangulation import triangulate
 from mocap_calib.types import POINT_SOURCES, Matches, Poses3D, Recording, Smoothing, World
 from mocap_calib.world.moving import Similarity, move_rig
 

@@ -49,12 +49,12 @@ def command(
       mocap-calib adjust keypoints/ --rig rig.yaml --matches matches.csv --matches-out new.csv
       mocap-calib adjust keypoints/ --rig rig.yaml --matches matches.csv --solver colmap -o b.yaml
     """
+    from mocap_calib.adjust.refinement import adjust_until_stable, choose_adjuster
     from mocap_calib.config import Config
+    from mocap_calib.identities.finalise import finalise_identities
     from mocap_calib.io.results.matches_csv import matches_csv
-    from mocap_calib.multi_view.association import label_all_frames
-    from mocap_calib.multi_view.conclusion import conclude_without_pairs
-    from mocap_calib.multi_view.identities import finalise_identities
-    from mocap_calib.multi_view.refinement import adjust_until_stable, choose_adjuster
+    from mocap_calib.rig.association import label_all_frames
+    from mocap_calib.verdict.conclusion import conclude_without_pairs
     from mocap_calib_cli import inputs, outputs, verdicts
     from mocap_calib_cli.progress import Reporter
 

@@ -32,7 +32,7 @@ def command(rig: str, reference: str, as_json: bool) -> None:
       mocap-calib evaluate out/cameras.yaml --reference reference.toml
       mocap-calib evaluate out/cameras.yaml --reference reference.toml --json
     """
-    from mocap_calib.multi_view.evaluation import evaluate, evaluation_to_dict
+    from mocap_calib.verdict.evaluation import evaluate, evaluation_to_dict
     from mocap_calib_cli import inputs
 
     found, found_file = inputs.read_rig(rig, "CAMERAS")

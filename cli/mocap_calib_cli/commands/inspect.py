@@ -106,9 +106,9 @@ def _is_critical(report: dict[str, Any]) -> bool:
 
 def _compare_clocks(report: dict[str, Any], shared: options.SharedOptions) -> None:
     """Add to the report how the clocks of the cameras differ, and a finding for each that does."""
+    from mocap_calib.clocks.common_clock import compare_clocks
+    from mocap_calib.faults.clock_faults import clock_faults, describe_clock
     from mocap_calib.job.load import load_recording
-    from mocap_calib.multi_view.clock_faults import clock_faults, describe_clock
-    from mocap_calib.multi_view.common_clock import compare_clocks
     from mocap_calib_cli import inputs
 
     file = inputs.load_camera_file(shared.cameras, "--cameras") if shared.cameras else None

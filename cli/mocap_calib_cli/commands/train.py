@@ -20,9 +20,9 @@ from mocap_calib_cli import options, values
 from mocap_calib_cli.numbers import COUNT, POSITIVE, SHARE, WholeNumber
 
 if TYPE_CHECKING:
-    from mocap_calib.steerpose.steer import Model
-    from mocap_calib.steerpose.training.poses import PoseSet
-    from mocap_calib.steerpose.training.sources import TrainingSource
+    from mocap_calib.training.poses import PoseSet
+    from mocap_calib.training.sources import TrainingSource
+    from mocap_calib.training.steer import Model
     from mocap_calib.types import Progress, Skeleton
 
 _DEFAULT = TrainConfig()
@@ -120,15 +120,15 @@ def command(
       mocap-calib train --skeleton quadruped -o quadruped.safetensors --steps 4000
       mocap-calib train --from out/poses3d.h5 -o beetle.safetensors --steps 2000
     """
-    from mocap_calib.steerpose.checkpoint import save_model
-    from mocap_calib.steerpose.device import check_device
-    from mocap_calib.steerpose.threads import torch_threads
-    from mocap_calib.steerpose.training.sources import (
+    from mocap_calib.lift.device import check_device
+    from mocap_calib.lift.threads import torch_threads
+    from mocap_calib.training.checkpoint import save_model
+    from mocap_calib.training.sources import (
         TrainingSource,
         load_pose_sets,
         load_vocabulary,
     )
-    from mocap_calib.steerpose.training.train import model_card, training_config
+    from mocap_calib.training.train import model_card, training_config
     from mocap_calib_cli import outputs
     from mocap_calib_cli.progress import Reporter
 
@@ -169,7 +169,7 @@ def command(
 def _check_source(source: "TrainingSource") -> None:
     """Raise click's UsageError where what was typed does not go together."""
     from mocap_calib.errors import MismatchError
-    from mocap_calib.steerpose.training.sources import check_source
+    from mocap_calib.training.sources import check_source
 
     try:
         check_source(source)
@@ -198,8 +198,8 @@ def _train_lifter(
     progress: "Progress",
 ) -> "tuple[Model, dict[str, float]]":
     """Return our network, trained, and its errors on the poses for testing."""
-    from mocap_calib.steerpose.training.evaluation import held_out_error
-    from mocap_calib.steerpose.training.train import train_lifter
+    from mocap_calib.training.evaluation import held_out_error
+    from mocap_calib.training.train import train_lifter
 
     lifter = train_lifter(training, vocabulary, config, device=device, progress=progress)
     return lifter, held_out_error(lifter.cpu(), testing, vocabulary, config)
@@ -215,8 +215,8 @@ def _train_steerer(
     progress: "Progress",
 ) -> "tuple[Model, dict[str, float]]":
     """Return the network of the paper, trained, and its errors on the poses for testing."""
-    from mocap_calib.steerpose.training.evaluation import measure_steering_error
-    from mocap_calib.steerpose.training.train import train_steerer
+    from mocap_calib.training.evaluation import measure_steering_error
+    from mocap_calib.training.train import train_steerer
 
     pairs = PairsConfig()
     steerer = train_steerer(training, vocabulary, config, pairs, device=device, progress=progress)

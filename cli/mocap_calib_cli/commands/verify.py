@@ -73,8 +73,8 @@ def command(
       mocap-calib verify board.toml keypoints/ --json --strict
     """
     from mocap_calib.config import Config
-    from mocap_calib.multi_view.verified import verification_to_dict
-    from mocap_calib.multi_view.verify import verify
+    from mocap_calib.verdict.verified import verification_to_dict
+    from mocap_calib.verdict.verify import verify
     from mocap_calib_cli import inputs, outputs, screen, verdicts
     from mocap_calib_cli.progress import Reporter
 
@@ -113,7 +113,7 @@ def _choose_format(output: str | None, target: str | None) -> str | None:
 
 def _describe(found: "Verification", absent: list[str]) -> "list[Shown]":
     """Return the cameras as a table, the verdict, and what to do."""
-    from mocap_calib.multi_view.clock_faults import clock_faults
+    from mocap_calib.faults.clock_faults import clock_faults
     from mocap_calib_cli.screen import Line
     from mocap_calib_cli.verdicts import STYLES, explain
 
@@ -129,7 +129,7 @@ def _describe(found: "Verification", absent: list[str]) -> "list[Shown]":
 
 def _camera_table(found: "Verification") -> "Table":
     """Return a table of the cameras: how far each is from where it is given, and its errors."""
-    from mocap_calib.multi_view.verified import verification_to_dict
+    from mocap_calib.verdict.verified import verification_to_dict
     from mocap_calib_cli.screen import Table, format_number
 
     unit = found.rig.unit

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.compute.kernels import compiled
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.frozen import frozen
+from mocap_calib.kernels.loading import compiled
 from mocap_calib.types import Bools, Floats
 
 _ROOM = 1.2  # times the rows that the first block lets expect
@@ -40,7 +40,7 @@ def read_plain_rows(
     cells, a number that JSON would not have), and where numba is missing: a reader that looks at
     each cell has to read the table, and says what is wrong with it.
     """
-    kernels = compiled("mocap_calib.io.keypoints.table_kernels")
+    kernels = compiled("mocap_calib.kernels.tables")
     if kernels is None:
         return None
     parse = partial(_parse, kernels, kernels.powers_of_ten(), np.array(is_number, dtype=bool))

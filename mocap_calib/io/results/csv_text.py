@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 
 from mocap_calib import mapped
-from mocap_calib.compute.kernels import compiled
+from mocap_calib.kernels.loading import compiled
 from mocap_calib.types import Bools, Floats, Ints
 
 _PIECE = 1 << 17  # numbers: some are under way on each thread, of 25 characters each
@@ -35,7 +35,7 @@ def format_lines(first: str, cells: Floats, last: str, numbers: Ints) -> bytes:
     cells: `[row, column]`, "" for NaN. numbers: `[row, column]`. Commas are between those of a row
     alone. Floats are exact, as `repr` writes them.
     """
-    kernels = compiled("mocap_calib.io.results.csv_kernels")
+    kernels = compiled("mocap_calib.kernels.csv")
     if kernels is None:
         return _format_lines(first, cells, last, numbers).encode()
     cells = np.ascontiguousarray(cells, np.float64)

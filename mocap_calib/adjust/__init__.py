@@ -1,0 +1,1 @@
+"""Bundle adjustment: observations, residuals, solver, covariance."""

@@ -1,0 +1,159 @@
+"""Adjust the rig and match by it in turns, from one start or from several."""
+
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+
+from mocap_calib.adjust.bundle_adjustment import adjust_once
+from mocap_calib.adjust.fit import fit_equally_well, measure_fit
+from mocap_calib.compute.parallel import single_threaded_libraries
+from mocap_calib.config import Config, MatchingConfig
+from mocap_calib.errors import DegenerateError
+from mocap_calib.geometry.rotation import angle_between
+from mocap_calib.rig.association import associate, have_same_groups, label_single_subject
+from mocap_calib.rig.factorization import factorise
+from mocap_calib.types import (
+    Adjusted,
+    CameraRig,
+    LiftedPoses,
+    Matches,
+    Progress,
+    Sample,
+    silent,
+)
+
+
+class Adjuster(Protocol):
+    """What adjusts a rig to matched detections; `bundle_adjustment.adjust_once` is one."""
+
+    def __call__(
+        self,
+        sample: Sample,
+        rig: CameraRig,
+        matches: Matches,
+        config: Config,
+        *,
+        already_close: bool = False,
+    ) -> CameraRig:
+        """Return the rig that fits the matched detections best."""
+
+
+def choose_adjuster(name: str) -> Adjuster:
+    """Return the adjuster of that name, one of `config.ADJUST_SOLVERS`.
+
+    "schur" is the solver of this program; "colmap" is Ceres through pycolmap.
+    """
+    if name == "schur":
+        return adjust_once
+    from mocap_calib.adjust.ceres import adjust_by_ceres  # noqa: PLC0415 - takes 0.3 s
+
+    return adjust_by_ceres
+
+
+@single_threaded_libraries()
+def adjust_from_best_start(
+    sample: Sample,
+    rig: CameraRig,
+    matches: Matches,
+    config: Config,
+    *,
+    lifted: LiftedPoses,
+    progress: Progress,
+) -> Adjusted:
+    """Adjust the averaged rig and, where nothing was lifted, the rigs found by factorization.
+
+    Returns the adjusted rig that fits best, and with it one that fits as well but is another rig:
+    the same reversed in depth. Raises DegenerateError where no start can be adjusted.
+    """
+    found: list[Adjusted] = []
+    refusals: list[DegenerateError] = []
+    for start, labels in [(rig, matches), *_starts_without_model(sample, lifted, config.matching)]:
+        try:
+            adjusted = adjust_until_stable(
+                sample, start, labels, config, lifted=lifted, progress=progress
+            )
+        except DegenerateError as error:
+            refusals.append(error)
+        else:
+            found.append(adjusted)
+    if not found:
+        raise refusals[0]
+    return _best_fit(sample, found, config)
+
+
+@single_threaded_libraries()
+def adjust_until_stable(
+    sample: Sample,
+    rig: CameraRig,
+    matches: Matches,
+    config: Config,
+    *,
+    lifted: LiftedPoses,
+    progress: Progress,
+    adjuster: Adjuster = adjust_once,
+) -> Adjusted:
+    """Adjust, match by the adjusted rig, and adjust again until nothing changes.
+
+    adjuster: what adjusts, see `choose_adjuster`.
+
+    It ends when no detection changes its group and no camera turns any more, or after
+    `config.adjust.rounds` rounds. Raises DegenerateError where what was matched does not
+    constrain the rig.
+    """
+    rounds = config.adjust.rounds
+    for done in range(1, rounds + 1):
+        adjusted = adjuster(sample, rig, matches, config, already_close=done > 1)
+        progress("adjust", done, rounds)
+        matches_again = associate(sample, lifted, adjusted, config, progress=silent)
+        still = _largest_turn_deg(rig, adjusted) < config.adjust.still_deg
+        converged = have_same_groups(matches_again, matches) and still
+        rig, matches = adjusted, matches_again
+        if converged:
+            break
+    return Adjusted(
+        rig=rig,
+        matches=matches,
+        depth_reversed_rig=None,
+        rounds=done,
+        converged=converged,
+    )
+
+
+def _starts_without_model(
+    sample: Sample, lifted: LiftedPoses, config: MatchingConfig
+) -> list[tuple[CameraRig, Matches]]:
+    """Return rigs found by factorization with their labels, where no body could be lifted."""
+    if np.isfinite(lifted.centre).any():
+        return []
+    labels = label_single_subject(sample, config.factorization_share)
+    if labels is None:
+        return []
+    return [(rig, labels) for rig in factorise(sample, labels)]
+
+
+def _best_fit(sample: Sample, adjusted: list[Adjusted], config: Config) -> Adjusted:
+    """Return the rig that fits best, with another that fits as well, if there is one.
+
+    The first of those that differ by no more than where an adjustment ends: the smallest change of
+    rounding would choose another.
+    """
+    if len(adjusted) == 1:
+        return adjusted[0]
+    fits = [measure_fit(sample, each.rig, each.matches, config) for each in adjusted]
+    # a rig under which nothing is matched has no misfit: it is taken where no other is
+    misfit = np.nan_to_num([fit.misfit for fit in fits], nan=np.inf)
+    ranked = np.argsort(misfit, kind="stable").tolist()
+    best = int(np.argmax(misfit <= config.uncertainty.tied_misfit * misfit.min()))
+    for k in ranked:
+        turn_deg = _largest_turn_deg(adjusted[k].rig, adjusted[best].rig)
+        another_rig = turn_deg > config.uncertainty.same_rig_deg
+        if another_rig and fit_equally_well(fits[k], fits[best], config.uncertainty):
+            return replace(adjusted[best], depth_reversed_rig=adjusted[k].rig)
+    return adjusted[best]
+
+
+def _largest_turn_deg(first: CameraRig, second: CameraRig) -> float:
+    """Return the largest angle between two rigs' rotations, taken relative to the first camera."""
+    from_first = [rig.rotation @ rig.rotation[0].T for rig in (first, second)]
+    return float(np.rad2deg(angle_between(*from_first).max()))

@@ -1,0 +1,1 @@
+"""Time offsets, rates and lost frames of cameras."""

@@ -1,0 +1,1 @@
+"""Fault hypotheses of single cameras."""

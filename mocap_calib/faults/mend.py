@@ -1,0 +1,280 @@
+"""What is wrong with the files of single cameras, as a calibration shows it, and mending it.
+
+Faults of several kinds may explain the same errors. Each explanation is tried, and the one with
+which a calibration explains most of what was seen counts; where none explains more than the files
+as they are, nothing is mended.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from mocap_calib.compute.parallel import do_both
+from mocap_calib.config import Config, MendConfig
+from mocap_calib.errors import DegenerateError
+from mocap_calib.faults.exchanged import find_exchanged_cameras
+from mocap_calib.faults.moved import find_moved_cameras
+from mocap_calib.faults.odd_cameras import find_odd_cameras
+from mocap_calib.faults.sides import exchanged_instead
+from mocap_calib.faults.unrelated import find_unrelated_cameras
+from mocap_calib.frozen import frozen
+from mocap_calib.recording.mended_intrinsics import Cropped
+from mocap_calib.recording.mending import apply_mends
+from mocap_calib.rig.observed import Observed
+from mocap_calib.types import (
+    CalibrationResult,
+    Fault,
+    FaultWord,
+    GroupResult,
+    Mend,
+    Recording,
+    Verdict,
+)
+from mocap_calib.verdict.explained import explained_share, usual_distance
+from mocap_calib.verdict.uncertainty import with_uncertain_corner
+from mocap_calib.verdict.verdict import no_better_than, verdict_of_error
+
+# what was known before the rigs of a recording were built, and all that was found
+Calibrated = tuple[Observed, CalibrationResult]
+Calibrate = Callable[[Recording], Calibrated]
+
+_HARMFUL: tuple[FaultWord, ...] = (
+    "mirrored",
+    "rotated",
+    "resized",
+    "cropped",
+    "exchanged",
+)
+# with these no rig fits a camera
+_GROSS: tuple[FaultWord, ...] = ("mirrored", "resized")
+
+
+@frozen
+class _Explanation:
+    """Faults that may explain errors, and what follows from mending them.
+
+    gain: -1 to 1, by how much more of what was seen is explained. calibrated: with the mends.
+    """
+
+    faults: tuple[Fault, ...]
+    gain: float
+    calibrated: Calibrated
+
+
+def mend_faults(
+    recording: Recording, calibrated: Calibrated, calibrate: Calibrate
+) -> CalibrationResult:
+    """Return what is found of a recording with the faults of its cameras named, and mended.
+
+    Where mending is forbidden the mends are tried all the same, since they tell which of several
+    explanations is right; the result stays that of the files as they are.
+
+    recording: as it was handed in. calibrated: what was found of it. calibrate: finds the same of
+        a recording that was mended.
+    """
+    config, as_given = calibrated[1].config.mend, calibrated
+    faults: tuple[Fault, ...] = ()
+    for _ in range(config.rounds):
+        best = _best_explanation(recording, calibrated, faults, calibrate)
+        if best is None or best.gain <= _refuting_gain(best.faults, config):
+            break
+        if best.gain <= 0 and faults:  # nothing is left over that another fault would explain
+            break
+        if best.gain <= 0 or not config.apply:
+            faults += _only_named(best.faults)
+            break
+        calibrated = best.calibrated
+        faults += best.faults
+    if faults and all(fault.word == "moved" for fault in faults) and _is_in_vain(calibrated[1]):
+        observed, result = as_given
+        doubted = tuple(map(_in_doubt, result.groups))
+        calibrated, faults = (observed, replace(result, groups=doubted)), ()
+    observed, result = calibrated
+    named = {fault.camera for fault in faults}
+    unrelated = (
+        fault
+        for group in result.groups
+        if group.verdict != "not determined"
+        for fault in find_unrelated_cameras(observed, group, result.config)
+        if fault.camera not in named
+    )
+    faults = (*faults, *unrelated)
+    groups = tuple(_judge_faulty(group, faults, result.config) for group in result.groups)
+    return replace(result, groups=groups, faults=faults)
+
+
+def _refuting_gain(faults: Sequence[Fault], config: MendConfig) -> float:
+    """Return the gain that is too small for faults to be real.
+
+    Images that are mirrored or resized fit no rig, and fit well once they are mended. Other faults
+    may hardly harm a calibration.
+    """
+    if any(fault.word in _GROSS for fault in faults):
+        return config.least_gross_gain
+    return -config.refuting_loss
+
+
+def _is_in_vain(result: CalibrationResult) -> bool:
+    """Return whether cameras that were moved leave a rig that is not determined all the same.
+
+    Then errors come and go for another reason.
+    """
+    return result.groups[0].verdict == "not determined"
+
+
+def _in_doubt(group: GroupResult) -> GroupResult:
+    """Return the group of files as they are, whose errors come and go without a reason."""
+    reason = (
+        "errors come and go as if cameras had been moved, and no rig explains that; "
+        "check the keypoints, and record again"
+    )
+    return no_better_than(group, "weak", reason)
+
+
+def find_explanations(
+    observed: Observed, result: CalibrationResult, config: Config
+) -> tuple[tuple[Fault, ...], ...]:
+    """Return faults of cameras that stand out, each of which may explain the same errors.
+
+    observed: what was known before the rigs were built. result: what was found with the files as
+        they are.
+    """
+
+    def find_moved() -> tuple[Fault, ...]:
+        return tuple(
+            fault
+            for group in result.groups
+            for fault in find_moved_cameras(observed, group, config)
+        )
+
+    def find_in_files() -> tuple[tuple[Fault, ...], ...]:
+        exchanged = tuple(
+            fault
+            for group in result.groups
+            for fault in find_exchanged_cameras(observed, group, config)
+        )
+        return (exchanged,) if exchanged else find_odd_cameras(observed, result, config)
+
+    moved, odd = do_both(find_moved, find_in_files)
+    return moved, *odd
+
+
+def mends_of(faults: Sequence[Fault]) -> tuple[Mend, ...]:
+    """Return the mends of faults; one of two cameras counts once."""
+    return tuple(dict.fromkeys(fault.mend for fault in faults if fault.mend is not None))
+
+
+def _best_explanation(
+    recording: Recording, calibrated: Calibrated, known: tuple[Fault, ...], calibrate: Calibrate
+) -> _Explanation | None:
+    """Return the new faults whose mends explain most, None where there are none.
+
+    known: faults that are mended already.
+    """
+    observed, result = calibrated
+    tried: list[tuple[tuple[Fault, ...], Calibrated]] = []
+    for found in find_explanations(observed, result, result.config):
+        new = _new_faults(found, known)
+        if new and not _may_be_in_the_mirror((*known, *new), calibrated[1]):
+            tried.append(_calibrate_mended(recording, calibrated, known, new, calibrate))
+    if not tried:
+        return None
+    shares = _explained_shares(recording, [calibrated, *(mended for _, mended in tried)])
+    gains = [share - shares[0] for share in shares[1:]]
+    margin = result.config.mend.moved_margin
+    ranks = [gain - margin * _has_moved(new) for gain, (new, _) in zip(gains, tried, strict=True)]
+    best = ranks.index(max(ranks))
+    return _Explanation(tried[best][0], gains[best], tried[best][1])
+
+
+def _may_be_in_the_mirror(faults: Sequence[Fault], result: CalibrationResult) -> bool:
+    """Return whether cameras that are said to be mirrored may as well not be.
+
+    A world in the mirror fits as well, so what most cameras show is the right way round; and of
+    cameras far away one that looks from the opposite side sees what a mirrored one does.
+    """
+    mirrored = {fault.camera for fault in faults if fault.word == "mirrored"}
+    cameras = sum(len(group.rig) for group in result.groups) + len(result.left_out)
+    from_afar = result.groups[0].uncertainty.weak_perspective.all()
+    return bool(mirrored) and bool(2 * len(mirrored) >= cameras or from_afar)
+
+
+def _has_moved(faults: Sequence[Fault]) -> bool:
+    """Return whether a camera was moved, says one of the faults."""
+    return any(fault.word == "moved" for fault in faults)
+
+
+def _calibrate_mended(
+    recording: Recording,
+    calibrated: Calibrated,
+    known: tuple[Fault, ...],
+    new: tuple[Fault, ...],
+    calibrate: Calibrate,
+) -> tuple[tuple[Fault, ...], Calibrated]:
+    """Return new faults, and what is found with them and the known ones mended.
+
+    Where nothing can be calibrated with the mends they are only named, and nothing has changed.
+    """
+    if not mends_of(new):
+        return new, calibrated
+    try:
+        mended = calibrate(apply_mends(recording, mends_of((*known, *new))))
+        others = exchanged_instead(new, calibrated[0], mended[0], calibrated[1].config)
+        if not others:
+            return new, mended
+        return others, calibrate(apply_mends(recording, mends_of((*known, *others))))
+    except DegenerateError:
+        return _only_named(new), calibrated
+
+
+def _new_faults(found: Sequence[Fault], known: Sequence[Fault]) -> tuple[Fault, ...]:
+    """Return the faults that are not known yet."""
+    names = {(fault.camera, fault.word, fault.mend) for fault in known}
+    return tuple(fault for fault in found if (fault.camera, fault.word, fault.mend) not in names)
+
+
+def _only_named(faults: Sequence[Fault]) -> tuple[Fault, ...]:
+    """Return the faults as they are where nothing is mended."""
+    return tuple(replace(fault, mend=None) for fault in faults)
+
+
+def _explained_shares(recording: Recording, rivals: Sequence[Calibrated]) -> list[float]:
+    """Return the share (0..1) of what was seen that each of some results explains.
+
+    By the yardstick of the one with the smallest errors: a loose one makes all look alike.
+
+    recording: as it was handed in, with what lenses cannot undo before they are mended.
+    """
+    yardsticks = [usual_distance(result, observed.recording) for observed, result in rivals]
+    smallest = min(yardstick.angle for yardstick in yardsticks)
+    strict = replace(yardsticks[0], angle=smallest)
+    return [explained_share(result, recording, strict) for _, result in rivals]
+
+
+def _judge_faulty(group: GroupResult, faults: Sequence[Fault], config: Config) -> GroupResult:
+    """Return the group, weak at best where a fault is left, less sure where its mend is estimated.
+
+    No rig is well determined with an estimate in the place of what its files should say.
+    """
+    for fault in faults:
+        if fault.camera not in group.rig.names:
+            continue
+        if isinstance(fault.mend, Cropped):
+            group = _less_sure(group, fault.mend, config)
+            remedy = f"undo it, or say {fault.mend.option} with what is known"
+            reason = f"{fault.camera}: {fault.says}, which is an estimate; {remedy}"
+            by_error = verdict_of_error(group.uncertainty, config.verdict)
+            at_best: Verdict = "usable" if by_error == "well determined" else by_error
+            group = no_better_than(group, at_best, reason)
+        elif fault.mend is None and fault.word in _HARMFUL:
+            reason = f"{fault.camera}: {fault.says}, which was not mended; mend its files"
+            group = no_better_than(group, "weak", reason)
+    return group
+
+
+def _less_sure(group: GroupResult, mend: Cropped, config: Config) -> GroupResult:
+    """Return the group with what the estimate of a mend leaves unknown."""
+    view = group.rig.names.index(mend.camera)
+    uncertainty = with_uncertain_corner(
+        group.uncertainty, group.rig, view, mend.sigma, config.uncertainty
+    )
+    return replace(group, uncertainty=uncertainty)

@@ -1,0 +1,1 @@
+"""Identities through time: tracklets and their joining."""

@@ -1,0 +1,189 @@
+"""Follow detections through each view by their motion in the image.
+
+Many frames tell who one is that a single frame does not. Tracks that the input names are not
+needed for this and not believed: where they are exchanged the image jumps, and what jumps is not
+followed.
+"""
+
+from functools import partial
+
+import numpy as np
+
+from mocap_calib import mapped
+from mocap_calib.compute.parallel import do_in_threads, map_in_threads
+from mocap_calib.config import MatchingConfig
+from mocap_calib.geometry.graphs import connected_parts
+from mocap_calib.kernels.loading import compiled, contiguous
+from mocap_calib.types import Bools, Floats, Ints, Reals, Recording
+
+_FRAMES = 512  # linked at a time
+
+
+def all_tracklets(recording: Recording, config: MatchingConfig) -> Ints:
+    """Return the `tracklets` of all views, `[view, frame, instance]`."""
+    found = mapped.empty(recording.positions.shape[:3], np.int64)
+    views = list(range(len(found)))
+    parts = map_in_threads(lambda view: tracklets(recording, view, config), views)
+    for view, part in zip(views, parts, strict=True):
+        found[view] = part
+    return found
+
+
+def name_by_tracklets(tracks: Ints, labels: Ints, config: MatchingConfig) -> Ints:
+    """Give detections without a name the name of their tracklet, and return the labels.
+
+    A detection takes the name that most of its tracklet has, if another view has that name in the
+    same frame. Names that are given stay, and none is given twice in a view and frame.
+
+    tracks: `[view, frame, instance]` of `all_tracklets`. labels: the same shape, -1 = nobody, which
+    is returned.
+    """
+    filled = labels.copy()
+    for view, given in enumerate(labels):
+        wanted = _majority(tracks[view], given, config)
+        fill = partial(_fill_names, filled, labels, view, wanted)
+        do_in_threads(fill, mapped.frame_slices(len(given)))
+    return filled
+
+
+def _fill_names(filled: Ints, labels: Ints, view: int, wanted: Ints, block: slice) -> None:
+    """Give detections of a view the names that they want, in one block of frames.
+
+    filled, labels: `[view, frame, instance]`. wanted: `[frame, instance]`.
+    """
+    own, given = wanted[block], labels[view, block]
+    others = np.delete(labels[:, block], view, axis=0)
+    confirmed = _is_among(own, np.moveaxis(others, 1, 0).reshape(len(own), -1))
+    free = ~_is_among(own, given) & ~_occurs_twice(own)
+    filled[view, block] = np.where((given < 0) & confirmed & free, own, given)
+
+
+def tracklets(recording: Recording, view: int, config: MatchingConfig) -> Ints:
+    """Return the number of the tracklet of each detection of a view.
+
+    Detections of neighbouring frames are linked that are each other's nearest and near for their
+    size. Returns `[frame, instance]`, -1 where there is no detection.
+    """
+    positions = recording.positions[view]
+    frames, instances = positions.shape[:2]
+    linked = _links(positions, config)
+    linked &= (np.diff(recording.frames) == 1)[:, None, None]
+    earlier, later = np.divmod(np.flatnonzero(linked), instances)
+    later += (earlier // instances + 1) * instances
+    del linked
+
+    number = connected_parts(earlier, later, frames * instances)
+    detected = mapped.in_blocks(lambda block: np.isfinite(positions[block, ..., 0]).any(-1), frames)
+    return np.where(detected, number.reshape(frames, instances), -1)
+
+
+def _links(positions: Reals, config: MatchingConfig) -> Bools:
+    """Return `[frame - 1, instance, instance]` which detection goes on as which of the next frame.
+
+    positions: `[frame, instance, keypoint, 2]` pixels.
+    """
+    frames, instances = positions.shape[:2]
+    blocks = [
+        _links_in_block(positions[block.start : block.stop + 1], config)
+        for block in mapped.frame_slices(frames - 1, _FRAMES)
+    ]
+    nothing = np.zeros((0, instances, instances), dtype=bool)
+    return np.concatenate([nothing, *blocks])
+
+
+def _links_in_block(positions: Reals, config: MatchingConfig) -> Bools:
+    """Return the links of `_links` in one block of frames."""
+    gap2 = _squared_gaps(positions.astype(np.float64), config)
+    nearest_later = gap2 == gap2.min(-1, keepdims=True)
+    nearest_earlier = gap2 == gap2.min(-2, keepdims=True)
+    return nearest_later & nearest_earlier & np.isfinite(gap2)
+
+
+def _squared_gaps(positions: Floats, config: MatchingConfig) -> Floats:
+    """Return how far the detections of each frame are from those of the next.
+
+    positions: `[frame, instance, keypoint, 2]` pixels. Returns `[frame - 1, I, J]` the mean squared
+    distance of the joints that both have; infinite where these are too few, and where it is more
+    than `config.tracklet_step` allows for the mean squared distance of the earlier's joints from
+    their middle.
+    """
+    kernels = compiled("mocap_calib.kernels.tracklets")
+    if kernels is None:
+        return _gaps_of_all(positions, config)
+    frames, instances = positions.shape[:2]
+    gaps = np.empty((frames - 1, instances, instances))
+    kernels.squared_gaps(*contiguous(positions), config.tracklet_joints, config.tracklet_step, gaps)
+    return gaps
+
+
+def _gaps_of_all(positions: Floats, config: MatchingConfig) -> Floats:
+    """Return what `_squared_gaps` returns."""
+    seen = np.isfinite(positions[..., 0]).astype(np.float64)
+    known = np.nan_to_num(positions)
+    a, b, seen_a, seen_b = known[:-1], known[1:], seen[:-1], seen[1:]
+
+    # |a - b|^2 = |a|^2 + |b|^2 - 2 a.b, each term summed over the common joints
+    common = np.einsum("fik,fjk->fij", seen_a, seen_b)
+    square_a = np.einsum("fik,fjk->fij", (a**2).sum(-1), seen_b)
+    square_b = np.einsum("fik,fjk->fij", seen_a, (b**2).sum(-1))
+    product = np.einsum("fikx,fjkx->fij", a, b, optimize=True)
+    gap2 = np.maximum(square_a + square_b - 2 * product, 0.0) / np.maximum(common, 1)
+    allowed = config.tracklet_step**2 * _squared_extent(a, seen_a)[..., None]
+    near = (common >= max(config.tracklet_joints, 1)) & (gap2 < allowed)
+    return np.where(near, gap2, np.inf)
+
+
+def _squared_extent(positions: Floats, seen: Floats) -> Floats:
+    """Return `[frame, I]` mean squared distance of joints from their centroid.
+
+    positions: `[frame, I, keypoint, 2]`, 0 = missing; seen: `[frame, I, keypoint]` 0 or 1.
+    """
+    joints = np.maximum(seen.sum(-1), 1)
+    centroid = positions.sum(-2) / joints[..., None]
+    mean_square = (positions**2).sum((-1, -2)) / joints
+    return mean_square - (centroid**2).sum(-1)
+
+
+def _majority(track: Ints, labels: Ints, config: MatchingConfig) -> Ints:
+    """Return the name that most detections of the tracklet have in its part.
+
+    More than half of them, of those without a name as well. A part is a stretch of frames.
+
+    track, labels: `[frame, instance]`. Returns `[frame, instance]`, -1 where there is no such name.
+    """
+    part_of = _cut_tracklets(track, config.tracklet_frames)
+    sizes = np.bincount(part_of.ravel())
+    names = int(labels.max(initial=0)) + 1
+    named = labels >= 0
+    vote, votes = np.unique((part_of * names + labels)[named], return_counts=True)
+    part, name = np.divmod(vote, names)
+    wins = 2 * votes > sizes[part]
+    winner = np.full(len(sizes), -1, dtype=np.int64)
+    winner[part[wins]] = name[wins]
+    return winner[part_of]
+
+
+def _cut_tracklets(track: Ints, length: int) -> Ints:
+    """Return the part of a tracklet that each detection is in, `[frame, instance]`, from 0 on.
+
+    Tracklets are cut at every `length` frames of the recording. What is in no tracklet is in one
+    part.
+    """
+    frames = len(track)
+    stretches = frames // length + 1
+    stretch = np.arange(frames)[:, None] // length
+    part = np.where(track >= 0, track * stretches + stretch, -1)
+    _, number = np.unique(part, return_inverse=True)
+    return number.reshape(part.shape)
+
+
+def _is_among(names: Ints, others: Ints) -> Bools:
+    """Return whether a name `[frame, I]` is one of the others `[frame, J]` of the frame."""
+    same = names[:, :, None] == others[:, None]
+    return np.asarray(same.any(-1))
+
+
+def _occurs_twice(names: Ints) -> Bools:
+    """Return `[frame, instance]` whether another detection of the frame has the same name."""
+    same = names[:, :, None] == names[:, None]
+    return np.asarray((names >= 0) & (same.sum(-1) > 1))

@@ -1,0 +1,1 @@
+"""Compiled loops: each is the only definition of its computation."""

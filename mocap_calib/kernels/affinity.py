@@ -1,0 +1,172 @@
+"""How well detections of two views fit hypotheses of the epipolar geometry, compiled.
+
+`affinity` and `scoring` define what is computed. Joints lie in rows, so that loops over them are
+vectorised.
+"""
+
+import math
+
+import numpy as np
+
+from mocap_calib.kernels.jit import FLOAT, INT, bools, changed_floats, floats, inlined, kernel
+from mocap_calib.types import Bools, Floats
+
+
+@inlined
+def _turn(matrix: Floats, rays: Floats, turned: Floats) -> None:
+    """Set `[4, keypoint]` the products of a matrix with rays `[3, keypoint]`, and their squares."""
+    x, y, z = rays[0], rays[1], rays[2]
+    for row in range(3):
+        first, second, third = matrix[row, 0], matrix[row, 1], matrix[row, 2]
+        for k in range(rays.shape[1]):
+            turned[row, k] = first * x[k] + second * y[k] + third * z[k]
+    for k in range(rays.shape[1]):
+        turned[3, k] = turned[0, k] ** 2 + turned[1, k] ** 2 + turned[2, k] ** 2
+
+
+@inlined
+def _weigh(weight_a: Floats, weight_b: Floats, weight: Floats) -> int:
+    """Set the weights `[keypoint]` of the joints of two detections; return how many both show."""
+    common = 0
+    for k in range(len(weight)):
+        weight[k] = weight_a[k] * weight_b[k]
+        common += weight[k] > 0
+    return common
+
+
+@inlined
+def _sampson(
+    from_a: Floats, from_b: Floats, rays_b: Floats, body_sizes_per_radian: float, error: Floats
+) -> None:
+    """Set Sampson's errors `[keypoint]` of the joints of two detections, in body sizes."""
+    for k in range(len(error)):
+        value = (
+            from_a[0, k] * rays_b[0, k] + from_a[1, k] * rays_b[1, k] + from_a[2, k] * rays_b[2, k]
+        )
+        slope = from_a[3, k] + from_b[3, k] - 2 * value**2
+        error[k] = abs(value) / math.sqrt(max(slope, 1e-18)) * body_sizes_per_radian
+
+
+@inlined
+def _mean_fit(error: Floats, weight: Floats, inlier: float, terms: Floats) -> float:
+    """Return the mean fit of joints of these errors, by weights `[keypoint]`."""
+    for k in range(len(weight)):
+        terms[k] = weight[k] / (1 + (error[k] / inlier) ** 2)
+    total = fit = 0.0
+    for k in range(len(weight)):
+        total += weight[k]
+        fit += terms[k]
+    return fit / max(total, 1e-9)
+
+
+@kernel(
+    floats(3),
+    floats(4),
+    floats(4),
+    floats(3),
+    floats(3),
+    floats(3),
+    FLOAT,
+    INT,
+    changed_floats(5),
+    changed_floats(4),
+)
+def fit_hypotheses(
+    matrices: Floats,
+    rays_a: Floats,
+    rays_b: Floats,
+    weight_a: Floats,
+    weight_b: Floats,
+    body_sizes_per_radian: Floats,
+    inlier: float,
+    least_common: int,
+    error: Floats,
+    fit: Floats,
+) -> None:
+    """Set error `[M, frame, I, J, keypoint]` and fit `[M, frame, I, J]`, which are 0.
+
+    The errors of joints without weight have no meaning. matrices: `[M, 3, 3]` essential.
+    rays_a, rays_b: `[frame, instance, 3, keypoint]`, 0 = missing. weight_a, weight_b: `[frame,
+    instance, keypoint]`. body_sizes_per_radian: `[frame, I, J]`.
+    """
+    frames, count_a, _, joints = rays_a.shape
+    count_b = rays_b.shape[1]
+    from_a, from_b = np.empty((count_a, 4, joints)), np.empty((count_b, 4, joints))
+    weight, terms = np.empty((count_a, count_b, joints)), np.empty(joints)
+    enough = np.empty((count_a, count_b), dtype=np.bool_)
+    for frame in range(frames):
+        for i in range(count_a):
+            for j in range(count_b):
+                common = _weigh(weight_a[frame, i], weight_b[frame, j], weight[i, j])
+                enough[i, j] = common >= least_common
+        for m in range(len(matrices)):
+            for i in range(count_a):
+                _turn(matrices[m], rays_a[frame, i], from_a[i])
+            for j in range(count_b):
+                _turn(matrices[m].T, rays_b[frame, j], from_b[j])
+            for i in range(count_a):
+                for j in range(count_b):
+                    if enough[i, j]:
+                        errors = error[m, frame, i, j]
+                        scale = body_sizes_per_radian[frame, i, j]
+                        _sampson(from_a[i], from_b[j], rays_b[frame, j], scale, errors)
+                        fit[m, frame, i, j] = _mean_fit(errors, weight[i, j], inlier, terms)
+
+
+@inlined
+def _is_in_front(rotation: Floats, translation: Floats, ray_a: Floats, ray_b: Floats) -> bool:
+    """Return whether two rays `[3]` meet in front of both cameras: signs of `epipolar.depths`."""
+    cosine = along_a = along_b = 0.0
+    for row in range(3):
+        turned = (
+            rotation[row, 0] * ray_a[0] + rotation[row, 1] * ray_a[1] + rotation[row, 2] * ray_a[2]
+        )
+        cosine += turned * ray_b[row]
+        along_a += turned * translation[row]
+        along_b += ray_b[row] * translation[row]
+    return cosine * along_b > along_a and along_b > cosine * along_a
+
+
+@kernel(
+    floats(3),
+    floats(2),
+    floats(4),
+    floats(4),
+    floats(3),
+    floats(3),
+    bools(4),
+    changed_floats(1),
+)
+def share_in_front(
+    rotation: Floats,
+    translation: Floats,
+    rays_a: Floats,
+    rays_b: Floats,
+    weight_a: Floats,
+    weight_b: Floats,
+    matched: Bools,
+    share: Floats,
+) -> None:
+    """Set the share `[M]` of the joints of the matches that are in front of both cameras.
+
+    rotation: `[M, 3, 3]` and translation: `[M, 3]` of b_from_a. rays_a, rays_b: `[frame, instance,
+    keypoint, 3]`. weight_a, weight_b: `[frame, instance, keypoint]`. matched: `[M, frame, I, J]`.
+    """
+    hypotheses, frames, count_a, count_b = matched.shape
+    for m in range(hypotheses):
+        joints = in_front = 0
+        for frame in range(frames):
+            for i in range(count_a):
+                for j in range(count_b):
+                    if not matched[m, frame, i, j]:
+                        continue
+                    for k in range(weight_a.shape[2]):
+                        if weight_a[frame, i, k] * weight_b[frame, j, k] > 0:
+                            joints += 1
+                            in_front += _is_in_front(
+                                rotation[m],
+                                translation[m],
+                                rays_a[frame, i, k],
+                                rays_b[frame, j, k],
+                            )
+        share[m] = in_front / max(joints, 1)

@@ -1,0 +1,225 @@
+"""Points some of whose rays are wrong, compiled: `intersection` defines what is computed.
+
+All steps of a point are done before the next one, on the rays of the views that see it.
+"""
+
+import numpy as np
+
+from mocap_calib.kernels.jit import INT, changed_floats, floats, inlined, ints, kernel
+from mocap_calib.types import Floats, Ints
+
+_RIDGE = 1e-10  # as of `symmetric`
+
+
+@inlined
+def _solve(matrix: Floats, side: Floats, solution: Floats) -> None:
+    """Solve a symmetric system (xx, xy, xz, yy, yz, zz) of a side, as `symmetric.solve` does."""
+    xy, xz, yz = matrix[1], matrix[2], matrix[4]
+    xx, yy, zz = matrix[0] + _RIDGE, matrix[3] + _RIDGE, matrix[5] + _RIDGE
+    a, b, c = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+    d, e, f = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
+    determinant = xx * a + xy * b + xz * c
+    if not abs(determinant) > 1e-300:
+        determinant = np.inf
+    x, y, z = side[0], side[1], side[2]
+    solution[0] = (a * x + b * y + c * z) / determinant
+    solution[1] = (b * x + d * y + e * z) / determinant
+    solution[2] = (c * x + e * y + f * z) / determinant
+
+
+@inlined
+def _add(
+    matrix: Floats, side: Floats, weight: float, ray: Floats, offset: Floats, along: float
+) -> None:
+    """Add w (I - u u') to a matrix, and w (o - u'o u) to a side."""
+    x, y, z = ray[0], ray[1], ray[2]
+    wx, wy, wz = weight * x, weight * y, weight * z
+    matrix[0] += weight - wx * x
+    matrix[1] -= wx * y
+    matrix[2] -= wx * z
+    matrix[3] += weight - wy * y
+    matrix[4] -= wy * z
+    matrix[5] += weight - wz * z
+    side[0] += weight * offset[0] - along * wx
+    side[1] += weight * offset[1] - along * wy
+    side[2] += weight * offset[2] - along * wz
+
+
+@inlined
+def _intersect_lines(
+    views: Ints,
+    centre: Floats,
+    ray: Floats,
+    precision: Floats,
+    matrix: Floats,
+    side: Floats,
+    point: Floats,
+) -> None:
+    """Set the point nearest to weighted lines, in closed form, of these views."""
+    total = 0.0
+    for i in views:
+        total += precision[i]
+    matrix[:] = 0.0
+    side[:] = 0.0
+    for i in views:
+        along = centre[i, 0] * ray[i, 0] + centre[i, 1] * ray[i, 1] + centre[i, 2] * ray[i, 2]
+        _add(matrix, side, precision[i] / max(total, 1e-300), ray[i], centre[i], along)
+    _solve(matrix, side, point)
+
+
+@inlined
+def _refine(
+    count: int,
+    centre: Floats,
+    ray: Floats,
+    precision: Floats,
+    scales: Floats,
+    weight: Floats,
+    matrix: Floats,
+    side: Floats,
+    point: Floats,
+) -> None:
+    """Take a Gauss-Newton step of a point at each scale of the loss of Geman and McClure."""
+    offset, step = np.empty(3), np.empty(3)
+    for scale in scales:
+        narrow, total = 1 / scale**2, 0.0
+        for i in range(count):
+            square, along = _lengths(centre[i], ray[i], point)
+            # (1 + error / scale^2) times the squared distance: one division in all
+            loss = square + max(square - along * along, 0.0) * precision[i] * narrow
+            weight[i] = precision[i] * square / (loss * loss)
+            total += weight[i]
+        by_total = 1 / max(total, 1e-300)
+        matrix[:] = 0.0
+        side[:] = 0.0
+        for i in range(count):
+            along = 0.0
+            for k in range(3):
+                offset[k] = point[k] - centre[i, k]
+                along += offset[k] * ray[i, k]
+            _add(matrix, side, weight[i] * by_total, ray[i], offset, along)
+        _solve(matrix, side, step)
+        for k in range(3):
+            point[k] -= step[k]
+
+
+@inlined
+def _lengths(centre: Floats, ray: Floats, point: Floats) -> tuple[float, float]:
+    """Return the squared length of the offset of a point, and its length along a ray."""
+    x, y, z = point[0] - centre[0], point[1] - centre[1], point[2] - centre[2]
+    return max(x * x + y * y + z * z, 1e-18), x * ray[0] + y * ray[1] + z * ray[2]
+
+
+@inlined
+def _squared_error(centre: Floats, ray: Floats, precision: float, point: Floats) -> float:
+    """Return the squared sine between a ray and a point, infinite behind the camera."""
+    square, along = _lengths(centre, ray, point)
+    if not along > 0:
+        return np.inf
+    error: float = max(1 - along * along / square, 0.0) * precision
+    return error
+
+
+@inlined
+def _search_pairs(
+    rows: Ints,
+    pairs: Ints,
+    first: int,
+    count: int,
+    centre: Floats,
+    ray: Floats,
+    precision: Floats,
+    outlier: float,
+    found: Floats,
+    point: Floats,
+) -> None:
+    """Set the best of the points that pairs of views give.
+
+    rows: `[view]` the row of each view among the rays of the point, -1 = not seen.
+    """
+    matrix, side, both = np.empty(6), np.empty(3), np.empty(2, dtype=np.int64)
+    best = np.inf
+    for pair in range(len(pairs)):
+        both[0], both[1] = rows[pairs[pair, 0]], rows[pairs[pair, 1]]
+        if both[0] < 0 or both[1] < 0 or (pair >= first and best < np.inf):
+            continue
+        _intersect_lines(both, centre, ray, precision, matrix, side, found)
+        cost = 0.0
+        for i in range(count):
+            cost += min(_squared_error(centre[i], ray[i], precision[i], found), outlier)
+        if cost < best:
+            best = cost
+            point[:] = found
+
+
+@inlined
+def _gather(
+    n: int,
+    centres: Floats,
+    world: Floats,
+    seen: Floats,
+    rows: Ints,
+    centre: Floats,
+    ray: Floats,
+    precision: Floats,
+) -> int:
+    """Gather the rays of the views that see a point; return their number."""
+    count = 0
+    for view in range(len(centres)):
+        rows[view] = -1
+        if seen[view, n] > 0:
+            rows[view] = count
+            precision[count] = seen[view, n]
+            for k in range(3):
+                centre[count, k] = centres[view, k]
+                ray[count, k] = world[view, k, n]
+            count += 1
+    return count
+
+
+@kernel(
+    floats(2),
+    floats(3),
+    floats(2),
+    ints(1),
+    ints(2),
+    INT,
+    floats(1),
+    floats(1),
+    floats(1),
+    changed_floats(2),
+)
+def refine_among_outliers(
+    centres: Floats,
+    world: Floats,
+    seen: Floats,
+    doubtful: Ints,
+    pairs: Ints,
+    first: int,
+    tightening: Floats,
+    polish: Floats,
+    limits: Floats,
+    points: Floats,
+) -> None:
+    """Refine points `[3, N]`, of which these are doubtful (indices).
+
+    centres `[view, 3]`, world `[view, 3, N]` and seen `[view, N]`: as of `intersection._Rays`.
+    pairs: `[pair, 2]` that give candidates, the first so many in any case.
+    tightening, polish: scales of the loss at each step, and after the best pair was found.
+    limits: (3,) INTERSECT_OUTLIER, _AGREEING_RAYS and _AGREEING_SHARE.
+    """
+    views, outlier, enough, most = len(centres), limits[0], limits[1], limits[2]
+    rows, centre, ray = np.empty(views, dtype=np.int64), np.empty((views, 3)), np.empty((views, 3))
+    precision, weight, matrix, side = np.empty(views), np.empty(views), np.empty(6), np.empty(3)
+    point, found = np.empty(3), np.empty(3)
+    for n in doubtful:
+        count, meeting = _gather(n, centres, world, seen, rows, centre, ray, precision), 0
+        point[:] = points[:, n]
+        _refine(count, centre, ray, precision, tightening, weight, matrix, side, point)
+        for i in range(count):
+            error = _squared_error(centre[i], ray[i], precision[i], point)
+            meeting += int(error <= outlier)
+        if not (meeting >= enough and meeting >= most * count):
+            _search_pairs(rows, pairs, first, count, centre, ray, precision, outlier, found, point)
+            _refine(count, centre, ray, precision, polish, weight, matrix, side, point)
+        points[:, n] = point

@@ -1,0 +1,297 @@
+"""What factored bands give: the step of a fit, and the blocks of the inverse, compiled.
+
+`energy.solve` and `certainty` say the same in numpy. Rows are as in `energy_kernels`.
+"""
+
+import numpy as np
+
+from mocap_calib.kernels.jit import FLOAT, INT, changed_floats, floats, inlined, ints, kernel
+from mocap_calib.types import Floats, Ints
+
+LANES = 20
+_POINT = 3 * LANES
+_FACTOR = 16 * LANES
+
+
+@inlined
+def _substitute(factor: Floats, vectors: Floats, total: Floats) -> None:
+    """Solve forwards: the last of three frames' vectors, from its side.
+
+    total: `[LANES]` the products of sides and solutions, to which those of the frame are added.
+    """
+    for n in range(LANES):
+        c = factor[15 * LANES + n]
+        m = _POINT + n
+        x, y, z = vectors[m], vectors[m + LANES], vectors[m + 2 * LANES]
+        i = 6 * LANES + n
+        to_x = factor[i] * x + factor[i + LANES] * y + factor[i + 2 * LANES] * z
+        i = 9 * LANES + n
+        to_y = factor[i] * x + factor[i + LANES] * y + factor[i + 2 * LANES] * z
+        i = 12 * LANES + n
+        to_z = factor[i] * x + factor[i + LANES] * y + factor[i + 2 * LANES] * z
+        m = 2 * _POINT + n
+        x = vectors[m] - (to_x + c * vectors[n])
+        y = vectors[m + LANES] - (to_y + c * vectors[n + LANES])
+        z = vectors[m + 2 * LANES] - (to_z + c * vectors[n + 2 * LANES])
+        xx, xy, xz = factor[n], factor[n + LANES], factor[n + 2 * LANES]
+        yy, yz, zz = factor[n + 3 * LANES], factor[n + 4 * LANES], factor[n + 5 * LANES]
+        by_x, by_y = xx * x + xy * y + xz * z, xy * x + yy * y + yz * z
+        by_z = xz * x + yz * y + zz * z
+        total[n] += x * by_x + y * by_y + z * by_z
+        vectors[m], vectors[m + LANES], vectors[m + 2 * LANES] = by_x, by_y, by_z
+
+
+@inlined
+def _substitute_back(factor: Floats, vectors: Floats) -> None:
+    """Solve backwards: the first of three frames' vectors. factor: of the three."""
+    for n in range(LANES):
+        c = factor[2 * _FACTOR + 15 * LANES + n]
+        m = _POINT + n
+        x, y, z = vectors[m], vectors[m + LANES], vectors[m + 2 * LANES]
+        i, j, k = _FACTOR + 6 * LANES + n, _FACTOR + 9 * LANES + n, _FACTOR + 12 * LANES + n
+        to_x = factor[i] * x + factor[j] * y + factor[k] * z
+        to_y = factor[i + LANES] * x + factor[j + LANES] * y + factor[k + LANES] * z
+        to_z = factor[i + 2 * LANES] * x + factor[j + 2 * LANES] * y + factor[k + 2 * LANES] * z
+        m = 2 * _POINT + n
+        x = to_x + c * vectors[m]
+        y = to_y + c * vectors[m + LANES]
+        z = to_z + c * vectors[m + 2 * LANES]
+        xx, xy, xz = factor[n], factor[n + LANES], factor[n + 2 * LANES]
+        yy, yz, zz = factor[n + 3 * LANES], factor[n + 4 * LANES], factor[n + 5 * LANES]
+        vectors[n] -= xx * x + xy * y + xz * z
+        vectors[n + LANES] -= xy * x + yy * y + yz * z
+        vectors[n + 2 * LANES] -= xz * x + yz * y + zz * z
+
+
+@inlined
+def _couple_ends(along: Floats, first: Floats, second: Floats) -> None:
+    """Add to each end of a bone, in a tile, what it couples to it. Rows: vectors, and sums."""
+    for n in range(LANES):
+        x, y, z = along[n], along[LANES + n], along[2 * LANES + n]
+        by_first = x * first[n] + y * first[LANES + n] + z * first[2 * LANES + n]
+        by_second = x * second[n] + y * second[LANES + n] + z * second[2 * LANES + n]
+        first[3 * LANES + n] += x * by_second
+        first[4 * LANES + n] += y * by_second
+        first[5 * LANES + n] += z * by_second
+        second[3 * LANES + n] += x * by_first
+        second[4 * LANES + n] += y * by_first
+        second[5 * LANES + n] += z * by_first
+
+
+@inlined
+def _couple(along: Floats, edges: Ints, joints: Floats, vectors: Floats, image: Floats) -> None:
+    """Set what the bones' coupling makes of vectors in a tile, `[group, frame, _POINT]`.
+
+    joints: `[joint, 2 * _POINT]`, is overwritten.
+    """
+    for j in range(len(joints)):
+        row, g, n = joints[j], j // LANES, j % LANES
+        for f in range(LANES):
+            for k in range(3):
+                row[k * LANES + f] = vectors[g, f, k * LANES + n]
+        row[_POINT:] = 0.0
+    for e in range(len(edges)):
+        _couple_ends(along[e], joints[edges[e, 0]], joints[edges[e, 1]])
+    for j in range(len(joints)):
+        row, g, n = joints[j], j // LANES, j % LANES
+        for f in range(LANES):
+            for k in range(3):
+                image[g, f, k * LANES + n] = row[_POINT + k * LANES + f]
+
+
+@inlined
+def _add_products(first: Floats, second: Floats, total: Floats) -> None:
+    """Add the products of tiles `[frame, _POINT]` to a row."""
+    for f in range(LANES):
+        one, other = first[f], second[f]
+        for n in range(len(total)):
+            total[n] += one[n] * other[n]
+
+
+@inlined
+def _add_times(factor: float, rows: Floats, total: Floats) -> None:
+    """Add a factor times rows to others."""
+    for n in range(len(rows)):
+        total[n] += factor * rows[n]
+
+
+@inlined
+def _renew(rows: Floats, share: float, direction: Floats) -> None:
+    """Set a direction to rows and its share of what it was."""
+    for n in range(len(rows)):
+        direction[n] = rows[n] + share * direction[n]
+
+
+@inlined
+def _forwards(first: int, factor: Floats, vectors: Floats, total: Floats) -> None:
+    """Solve a tile forwards, after those before it."""
+    for t in range(first, first + LANES):
+        for g in range(len(vectors)):
+            _substitute(factor[g, t], vectors[g, t - 2 : t + 1].reshape(-1), total)
+
+
+@inlined
+def _backwards(first: int, factor: Floats, vectors: Floats) -> None:
+    """Solve a tile backwards, after those that follow."""
+    for t in range(first + LANES - 1, first - 1, -1):
+        for g in range(len(vectors)):
+            _substitute_back(factor[g, t : t + 3].reshape(-1), vectors[g, t : t + 3].reshape(-1))
+
+
+@inlined
+def _move_step(length: float, work: Floats, factor: Floats, step: Floats) -> float:
+    """Move a step along the direction, and solve the bands forwards for the residual left.
+
+    Returns the product of the residual and what the bands make of it. work: as of `take_step`.
+    """
+    residual, towards, image, direction = work[0], work[1], work[2], work[3]
+    total = np.zeros(LANES)
+    for first in range(2, step.shape[1] - 2, LANES):
+        tile = slice(first, first + LANES)
+        for g in range(len(step)):
+            _add_times(length, direction[g, tile].reshape(-1), step[g, tile].reshape(-1))
+            _add_times(-length, image[g, tile].reshape(-1), residual[g, tile].reshape(-1))
+            towards[g, tile] = residual[g, tile]
+        _forwards(first, factor, towards, total)
+    return float(total.sum())
+
+
+@inlined
+def _turn_direction(
+    share: float, work: Floats, factor: Floats, along: Floats, edges: Ints, joints: Floats
+) -> float:
+    """Solve the bands backwards, set the next direction and its image, return their product.
+
+    share: of the direction before. work: as of `take_step`. joints: as of `_couple`.
+    """
+    residual, towards, image, direction, by_bands = work[0], work[1], work[2], work[3], work[4]
+    total = np.zeros(_POINT)
+    for first in range(towards.shape[1] - 2 - LANES, 1, -LANES):
+        tile = slice(first, first + LANES)
+        _backwards(first, factor, towards)
+        for g in range(len(towards)):
+            _renew(towards[g, tile].reshape(-1), share, direction[g, tile].reshape(-1))
+            _renew(residual[g, tile].reshape(-1), share, by_bands[g, tile].reshape(-1))
+        _couple(along[first // LANES], edges, joints, direction[:, tile], image[:, tile])
+        for g in range(len(towards)):
+            _renew(by_bands[g, tile].reshape(-1), -1.0, image[g, tile].reshape(-1))
+            _add_products(direction[g, tile], image[g, tile], total)
+    return float(total.sum())
+
+
+@kernel(
+    floats(3),
+    floats(3),
+    ints(2),
+    INT,
+    INT,
+    FLOAT,
+    FLOAT,
+    changed_floats(4),
+    changed_floats(3),
+    changed_floats(3),
+)
+def take_step(
+    along: Floats,
+    factor: Floats,
+    edges: Ints,
+    keypoints: int,
+    rounds: int,
+    tolerance: float,
+    overshoot: float,
+    work: Floats,
+    step: Floats,
+    points: Floats,
+) -> None:
+    """Move points by the step of normal equations. step: their gradient, which is overwritten.
+
+    rounds: of conjugate gradients, at most. tolerance: they end when the residual is smaller than
+    this part of the gradient. overshoot: how many times the step is taken. work: five arrays like
+    the step, at first of zeros: the residual; what the bands make of it; the image of the
+    direction; the direction; and the product of the bands' matrix with it. The rest: as of
+    `energy_kernels.sum_terms` and `bands_kernels.factor_bands`.
+    """
+    groups, padded, _ = step.shape
+    joints, total = np.empty((keypoints, 2 * _POINT)), np.zeros(LANES)
+    for first in range(2, padded - 2, LANES):
+        _forwards(first, factor, step, total)
+    for first in range(padded - 2 - LANES, 1, -LANES):
+        _backwards(first, factor, step)
+        if rounds:
+            tile = slice(first, first + LANES)
+            _couple(along[first // LANES], edges, joints, step[:, tile], work[0][:, tile])
+    enough = tolerance**2 * total.sum()
+    before, length = np.inf, 0.0
+    for _ in range(rounds):
+        product = _move_step(length, work, factor, step)
+        if product <= enough:
+            length = 0.0
+            break
+        length = product / _turn_direction(product / before, work, factor, along, edges, joints)
+        before = product
+    direction = work[3]
+    for g in range(groups):
+        for first in range(2, padded - 2, LANES):
+            tile = slice(first, first + LANES)
+            _add_times(length, direction[g, tile].reshape(-1), step[g, tile].reshape(-1))
+            _add_times(-overshoot, step[g, tile].reshape(-1), points[g, tile].reshape(-1))
+
+
+@inlined
+def _eliminate(factor: Floats, sides: Floats, found: Floats) -> None:
+    """Set -P (F' x + c y), with P of the first of three frames, F of the next, c of the last.
+
+    sides: `[6 * LANES]` x and y.
+    """
+    for n in range(LANES):
+        c = factor[2 * _FACTOR + 15 * LANES + n]
+        x, y, z = sides[n], sides[n + LANES], sides[n + 2 * LANES]
+        i, j, k = _FACTOR + 6 * LANES + n, _FACTOR + 9 * LANES + n, _FACTOR + 12 * LANES + n
+        to_x = factor[i] * x + factor[j] * y + factor[k] * z
+        to_y = factor[i + LANES] * x + factor[j + LANES] * y + factor[k + LANES] * z
+        to_z = factor[i + 2 * LANES] * x + factor[j + 2 * LANES] * y + factor[k + 2 * LANES] * z
+        m = 3 * LANES + n
+        x = to_x + c * sides[m]
+        y = to_y + c * sides[m + LANES]
+        z = to_z + c * sides[m + 2 * LANES]
+        xx, xy, xz = factor[n], factor[n + LANES], factor[n + 2 * LANES]
+        yy, yz, zz = factor[n + 3 * LANES], factor[n + 4 * LANES], factor[n + 5 * LANES]
+        found[n] = -(xx * x + xy * y + xz * z)
+        found[n + LANES] = -(xy * x + yy * y + yz * z)
+        found[n + 2 * LANES] = -(xz * x + yz * y + zz * z)
+
+
+@kernel(floats(3), changed_floats(3))
+def invert_bands(factor: Floats, found: Floats) -> None:
+    """Set the blocks of the diagonal of the inverse `[group, frame, 6 * LANES]` (Takahashi 1973).
+
+    factor: as of `bands_kernels.factor_bands`. Blocks of a frame and of the next ones follow from
+    those of the next ones alone.
+    """
+    sides, column = np.empty((6, LANES)), np.empty((3, LANES))
+    first, both = np.empty((3, 3, LANES)), np.empty((2, 3, 3, LANES))
+    for g in range(len(found)):
+        # of the next frame, of it and the one after, and of that
+        near, link, far = np.zeros_like(first), np.zeros_like(first), np.zeros_like(first)
+        for t in range(found.shape[1] - 3, 1, -1):
+            three = factor[g, t : t + 3].reshape(-1)
+            for k in range(3):
+                sides[:3], sides[3:] = near[:, k], link[k]
+                _eliminate(three, sides.reshape(-1), column.reshape(-1))
+                both[0, :, k] = column
+                sides[:3], sides[3:] = link[:, k], far[:, k]
+                _eliminate(three, sides.reshape(-1), column.reshape(-1))
+                both[1, :, k] = column
+            for k in range(3):
+                sides[:3], sides[3:] = both[0, k], both[1, k]
+                _eliminate(three, sides.reshape(-1), column.reshape(-1))
+                first[:, k] = column
+            row = 0
+            far[:], link[:] = near, both[0]
+            for i in range(3):
+                for j in range(i, 3):
+                    for n in range(LANES):
+                        value = first[i, j, n] + three[row * LANES + n]
+                        found[g, t, row * LANES + n] = value
+                        near[i, j, n], near[j, i, n] = value, value
+                    row += 1

@@ -1,0 +1,329 @@
+"""Points that settle under cameras that stay, compiled. `settling` defines what is computed.
+
+What a view saw of a point is `[4, 3]` numbers: its ray and the two rows of its metric, where lenses
+are known; its pixel, else; and where the origin lay in its frame when it saw the point. A lens is a
+row as of `PixelObservations.lens_rows`.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from mocap_calib.kernels.jit import INT, changed_floats, floats, inlined, kernel
+from mocap_calib.types import Floats
+
+_FISHEYE = 2.0
+_Six = tuple[float, float, float, float, float, float]
+
+
+@inlined
+def _kannala_brandt(lens: Floats, v: int, x: float, y: float) -> _Six:
+    """Return what `_lens` does, of a fisheye lens."""
+    k1, k2, k3, k4 = lens[v, 6], lens[v, 7], lens[v, 8], lens[v, 9]
+    radius = max(np.hypot(x, y), 1e-5)
+    theta = np.arctan(radius)
+    square = theta * theta
+    series = k1 + square * (k2 + square * (k3 + square * k4))
+    slopes = 3 * k1 + square * (5 * k2 + square * (7 * k3 + square * 9 * k4))
+    radial = theta * (1 + square * series) / radius
+    by_radius = ((1 + square * slopes) / (1 + radius * radius) - radial) / (radius * radius)
+    return (
+        x * radial,
+        y * radial,
+        radial + x * x * by_radius,
+        x * y * by_radius,
+        radial + y * y * by_radius,
+        square * theta / radius,
+    )
+
+
+@inlined
+def _lens(lens: Floats, v: int, x: float, y: float) -> _Six:
+    """Return where a lens puts a point, the slopes xx, xy, yy of that, and x by k1 over x."""
+    if lens[v, 0] == _FISHEYE:
+        return _kannala_brandt(lens, v, x, y)
+    k1, k2, p1, p2, k3, k4 = (
+        lens[v, 6],
+        lens[v, 7],
+        lens[v, 8],
+        lens[v, 9],
+        lens[v, 10],
+        lens[v, 11],
+    )
+    k5, k6 = lens[v, 12], lens[v, 13]
+    square = x * x + y * y
+    above = 1 + square * (k1 + square * (k2 + square * k3))
+    below = 1 / (1 + square * (k4 + square * (k5 + square * k6)))
+    radial = above * below
+    above_slope = k1 + square * (2 * k2 + 3 * square * k3)
+    below_slope = k4 + square * (2 * k5 + 3 * square * k6)
+    slope = (above_slope - radial * below_slope) * below
+    return (
+        x * radial + 2 * p1 * x * y + p2 * (square + 2 * x * x),
+        y * radial + 2 * p2 * x * y + p1 * (square + 2 * y * y),
+        radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x,
+        2 * x * y * slope + 2 * p1 * x + 2 * p2 * y,
+        radial + 2 * y * y * slope + 2 * p2 * x + 6 * p1 * y,
+        square * below,
+    )
+
+
+@inlined
+def _look(
+    turn: Floats, saw: Floats, v: int, x: float, y: float, z: float
+) -> tuple[float, float, float]:
+    """Return a point in a camera's frame."""
+    return (
+        turn[v, 0, 0] * x + turn[v, 0, 1] * y + turn[v, 0, 2] * z + saw[v, 3, 0],
+        turn[v, 1, 0] * x + turn[v, 1, 1] * y + turn[v, 1, 2] * z + saw[v, 3, 1],
+        turn[v, 2, 0] * x + turn[v, 2, 1] * y + turn[v, 2, 2] * z + saw[v, 3, 2],
+    )
+
+
+_Seen = tuple[float, float, bool, float, float, float, float, float, float]
+
+
+@inlined
+def _residual(
+    lens: Floats | None, saw: Floats, v: int, least: float, x: float, y: float, z: float
+) -> _Seen:
+    """Return the residual of a point in a camera's frame, and its slopes by the point.
+
+    Between the two: whether the point is in front of the camera.
+    """
+    nearest = least * max(abs(x), abs(y), abs(z))
+    if lens is None:  # one branch is left out where it is compiled
+        ray_x, ray_y, ray_z = saw[v, 0, 0], saw[v, 0, 1], saw[v, 0, 2]
+        a, b, c = saw[v, 1, 0], saw[v, 1, 1], saw[v, 1, 2]
+        d, e, f = saw[v, 2, 0], saw[v, 2, 1], saw[v, 2, 2]
+        along = max(ray_x * x + ray_y * y + ray_z * z, nearest)
+        by = 1 / along
+        r, s = (a * x + b * y + c * z) * by, (d * x + e * y + f * z) * by
+        a, b, c = (a - r * ray_x) * by, (b - r * ray_y) * by, (c - r * ray_z) * by
+        d, e, f = (d - s * ray_x) * by, (e - s * ray_y) * by, (f - s * ray_z) * by
+        return r, s, along > 2 * nearest, a, b, c, d, e, f
+    along = max(z, nearest)
+    by = 1 / along
+    x, y = x * by, y * by
+    there_x, there_y, xx, xy, yy, _ = _lens(lens, v, x, y)
+    per_x, per_y = lens[v, 2], lens[v, 3]
+    a, b, d, e = per_x * xx * by, per_x * xy * by, per_y * xy * by, per_y * yy * by
+    r = per_x * there_x + lens[v, 4] - saw[v, 0, 0] * lens[v, 1]
+    s = per_y * there_y + lens[v, 5] - saw[v, 0, 1] * lens[v, 1]
+    return r, s, along > 2 * nearest, a, b, -(a * x + b * y), d, e, -(d * x + e * y)
+
+
+@inlined
+def _to_world(turn: Floats, v: int, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Return slopes by a point in the world, given those by it in a camera's frame."""
+    return (
+        turn[v, 0, 0] * x + turn[v, 1, 0] * y + turn[v, 2, 0] * z,
+        turn[v, 0, 1] * x + turn[v, 1, 1] * y + turn[v, 2, 1] * z,
+        turn[v, 0, 2] * x + turn[v, 1, 2] * y + turn[v, 2, 2] * z,
+    )
+
+
+@inlined
+def _pull(given: Any, saw: Floats, weight: Floats, point: Floats, into: Any) -> None:
+    """Set what moves a point: squared residuals and robust weights `[view]`, B'B and B'r.
+
+    into: the two, and `[9]` xx, xy, xz, yy, yz and zz of B'B, and B'r.
+    """
+    _, turn, _, lens, _, _, _, options = given
+    square, robust, sums = into
+    xx = xy = xz = yy = yz = zz = by_x = by_y = by_z = 0.0
+    for v in range(len(weight)):
+        if weight[v] > 0:
+            x, y, z = _look(turn, saw, v, point[0], point[1], point[2])
+            r, s, in_front, a, b, c, d, e, f = _residual(lens, saw, v, options[1], x, y, z)
+            square[v] = r * r + s * s
+            w = weight[v] / (1 + square[v] / options[0]) if in_front else 0.0
+            robust[v] = w
+            a, b, c = _to_world(turn, v, a, b, c)
+            d, e, f = _to_world(turn, v, d, e, f)
+            xx += w * (a * a + d * d)
+            xy += w * (a * b + d * e)
+            xz += w * (a * c + d * f)
+            yy += w * (b * b + e * e)
+            yz += w * (b * c + e * f)
+            zz += w * (c * c + f * f)
+            by_x += w * (a * r + d * s)
+            by_y += w * (b * r + e * s)
+            by_z += w * (c * r + f * s)
+    sums[0], sums[1], sums[2], sums[3], sums[4], sums[5] = xx, xy, xz, yy, yz, zz
+    sums[6], sums[7], sums[8] = by_x, by_y, by_z
+
+
+@inlined
+def _solve(sums: Floats) -> tuple[float, float, float]:
+    """Return (B'B)^-1 B'r by Cholesky's factors."""
+    xx, xy, xz, yy, yz, zz = sums[0], sums[1], sums[2], sums[3], sums[4], sums[5]
+    largest = max(xx, yy, zz)
+    ridge = 1e-12 * largest if largest > 0 else 1.0
+    p = 1 / np.sqrt(xx + ridge)
+    yx, zx = xy * p, xz * p
+    q = 1 / np.sqrt(yy + ridge - yx * yx)
+    zy = (yz - zx * yx) * q
+    s = 1 / np.sqrt(zz + ridge - zx * zx - zy * zy)
+    first = sums[6] * p
+    second = (sums[7] - yx * first) * q
+    z = (sums[8] - zx * first - zy * second) * s * s
+    y = (second - zy * z) * q
+    return (first - yx * y - zx * z) * p, y, z
+
+
+@inlined
+def _gather(given: Any, n: int, saw: Floats) -> None:
+    """Set what the views saw of a point of a block, `[view, 4, 3]`."""
+    first, _, origin, _, seen, metric, _, _ = given
+    m, own = first + n, min(n, origin.shape[2] - 1)
+    for v in range(len(seen)):
+        for i in range(3):
+            saw[v, 3, i] = origin[v, i, own]
+        for i in range(seen.shape[1]):
+            saw[v, 0, i] = seen[v, i, m]
+        if metric.shape[3] > 0:
+            for k in range(2):
+                for i in range(3):
+                    saw[v, k + 1, i] = metric[v, k, i, m]
+
+
+@inlined
+def _settle(given: Any, steps: int, points: Floats) -> None:
+    """Move points `[3, n]` of a block to where they cost least; given: as kernels are given."""
+    first, _, _, _, seen, _, weight, options = given
+    views = len(seen)
+    saw, of_view = np.empty((views, 4, 3)), np.empty(views)
+    point, tried = np.empty(3), np.empty(3)
+    square, robust, sums = np.zeros(views), np.zeros(views), np.empty(9)
+    next_square, next_robust, next_sums = np.zeros(views), np.zeros(views), np.empty(9)
+    for n in range(points.shape[1]):
+        _gather(given, n, saw)
+        of_view[:] = weight[:, first + n]
+        point[:] = points[:, n]
+        _pull(given, saw, of_view, point, (square, robust, sums))
+        for _ in range(steps):
+            x, y, z = _solve(sums)
+            gain = sums[6] * x + sums[7] * y + sums[8] * z
+            tried[0], tried[1], tried[2] = point[0] - x, point[1] - y, point[2] - z
+            _pull(given, saw, of_view, tried, (next_square, next_robust, next_sums))
+            higher = 0.0
+            for v in range(views):
+                if of_view[v] > 0:
+                    higher += robust[v] * (next_square[v] - square[v])
+            if not higher <= 0:
+                break
+            point[:] = tried
+            if gain <= options[2]:
+                break
+            square[:], robust[:], sums[:] = next_square, next_robust, next_sums
+        points[:, n] = point
+
+
+@inlined
+def _set_own(lens: Floats | None, v: int, x: float, y: float, by: Any, own: Floats) -> None:
+    """Set the weighed slopes `[2, intrinsic]` by log focal length and k1, where they may change."""
+    r, s, less, root = by
+    if lens is not None:
+        there_x, there_y, _, _, _, by_k1 = _lens(lens, v, x, y)
+        per_x, per_y = lens[v, 2], lens[v, 3]
+        for i in range(own.shape[1]):
+            by_r = per_x * (x * by_k1 if i else there_x)
+            by_s = per_y * (y * by_k1 if i else there_y)
+            radial = less * (r * by_r + s * by_s)
+            own[0, i], own[1, i] = (by_r - r * radial) * root, (by_s - s * radial) * root
+
+
+@inlined
+def _weigh(given: Any, points: Floats, into: Any) -> float:
+    """Set what `settling.Weighed` has of points of a block, as kernels do; return their cost."""
+    in_camera, slope, own, residual = into
+    first, turn, _, lens, seen, _, weight, options = given
+    views, count = len(seen), points.shape[1]
+    square_scale, least, least_curvature = options[0], options[1], options[3]
+    saw = np.zeros((views, 4, 3))
+    cost = 0.0
+    for n in range(count):
+        _gather(given, n, saw)
+        for v in range(views):
+            w = weight[v, first + n]
+            x, y, z = _look(turn, saw, v, points[0, n], points[1, n], points[2, n])
+            r, s, in_front, a, b, c, d, e, f = _residual(lens, saw, v, least, x, y, z)
+            in_camera[v, 0, n], in_camera[v, 1, n], in_camera[v, 2, n] = x, y, z
+            square = r * r + s * s
+            share = square / square_scale
+            root = 0.0
+            if w > 0:
+                cost += w * np.log1p(share)
+                root = np.sqrt(w / (1 + share)) if in_front else 0.0
+            bend = np.sqrt(max(least_curvature, (1 - share) / (1 + share)))
+            less = (1 - bend) / max(square, 1e-300)
+            residual[v, 0, n], residual[v, 1, n] = root * r / bend, root * s / bend
+            for i, by_r, by_s in ((0, a, d), (1, b, e), (2, c, f)):
+                radial = less * (r * by_r + s * by_s)
+                slope[v, 0, i, n] = (by_r - r * radial) * root
+                slope[v, 1, i, n] = (by_s - s * radial) * root
+            along = max(z, least * max(abs(x), abs(y), abs(z)))
+            _set_own(lens, v, x / along, y / along, (r, s, less, root), own[v, :, :, n])
+    return cost
+
+
+_POSES, _WEIGHTS = (INT, floats(3), floats(3)), (floats(2), floats(1), INT)
+_SET = (changed_floats(2), *map(changed_floats, (3, 4, 4, 3)))
+
+
+@kernel(*_POSES, floats(3), floats(4), *_WEIGHTS, *_SET)
+def settle_rays(
+    first: int,
+    rotation: Floats,
+    origin: Floats,
+    seen: Floats,
+    metric: Floats,
+    weight: Floats,
+    options: Floats,
+    steps: int,
+    points: Floats,
+    in_camera: Floats,
+    slope: Floats,
+    own: Floats,
+    residual: Floats,
+) -> float:
+    """Move points `[3, n]` of a block to where they cost least; return their cost there.
+
+    Also set what `settling.Weighed` has of them: in_camera `[view, 3, n]`, slope `[view, 2, 3, n]`,
+    own `[view, 2, intrinsic, n]` by the intrinsics, and residual `[view, 2, n]`.
+
+    origin: that of the world in each camera's frame when it saw a point, `[view, 3, n]`, or
+    `[view, 3, 1]`. seen: `[view, 3, N]` rays with their metric `[view, 2, 3, N]`. options: the
+    square of the loss scale, the least depth of a point as a share of its size, the gain that ends
+    it, and the least curvature of the loss. steps: of a point, at most.
+    """
+    given = (first, rotation, origin, None, seen, metric, weight, options)
+    _settle(given, steps, points)
+    return _weigh(given, points, (in_camera, slope, own, residual))
+
+
+@kernel(*_POSES, floats(2), floats(3), *_WEIGHTS, *_SET)
+def settle_pixels(
+    first: int,
+    rotation: Floats,
+    origin: Floats,
+    lens: Floats,
+    seen: Floats,
+    weight: Floats,
+    options: Floats,
+    steps: int,
+    points: Floats,
+    in_camera: Floats,
+    slope: Floats,
+    own: Floats,
+    residual: Floats,
+) -> float:
+    """Do what `settle_rays` does, of pixels `[view, 2, N]`.
+
+    lens: `[view, lens row]` as of `PixelObservations.lens_rows`.
+    """
+    none = np.empty((len(seen), 2, 3, 0))
+    given = (first, rotation, origin, lens, seen, none, weight, options)
+    _settle(given, steps, points)
+    return _weigh(given, points, (in_camera, slope, own, residual))

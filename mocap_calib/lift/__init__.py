@@ -1,0 +1,1 @@
+"""Lifting: 3D predictions of bodies from one view, in numpy."""

@@ -1,0 +1,244 @@
+"""Lift every detection of a sample, each in a virtual camera that looks straight at it.
+
+How a body looks depends on the direction it is seen from, so the rays of each detection are turned
+into the axes of a virtual camera that looks at it, and the lifted body is turned back. Cameras
+stand upright or are turned by a quarter: each view is lifted in the quarter turn of the image under
+which the network is surest.
+"""
+
+import numpy as np
+
+from mocap_calib.compute.parallel import map_in_threads, single_threaded_libraries
+from mocap_calib.config import (
+    LEAST_JOINTS,
+    LIFT_BEST_PERCENTILE,
+    LIFT_CONFIDENCE,
+    LIFT_LEAST_DEPTH,
+    LIFT_LEAST_FORWARD,
+    LIFT_UPRIGHT_SAMPLE,
+)
+from mocap_calib.frozen import frozen
+from mocap_calib.geometry.rotation import looking_along
+from mocap_calib.lift.device import CPU, Network, network_on
+from mocap_calib.lift.lifter import Floats32, Lifter
+from mocap_calib.lift.rays import rays_by_joint
+from mocap_calib.recording.sampling import evenly_spaced
+from mocap_calib.recording.synchronise import check_joints
+from mocap_calib.types import Bools, Floats, Ints, LiftedPoses, Progress, Sample
+
+_BLOCK = 128  # detections at a time
+# Parts in which a sample is lifted to tell whether a direction is down, in sixteenths: little more
+# than half tells of most that they are not.
+_RACE = np.arange(9, 17)
+
+# The directions in a view's image that may be down: as the camera says, or turned by quarters.
+_DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]])
+
+
+@frozen
+class _Bodies:
+    """Lifted detections, as in `LiftedPoses`.
+
+    body: `[B, joint, 3]`; centre: `[B, 3]`; spread: `[B, joint]`.
+    """
+
+    body: Floats
+    centre: Floats
+    spread: Floats
+
+    def doubt(self, index: Ints | None = None) -> float:
+        """Return the median of the spread, of the detections of an index `[N]` or of all."""
+        return float(np.median(self.spread if index is None else self.spread[index]))
+
+    def put(self, index: Ints, found: "_Bodies") -> None:
+        """Set the detections of an index `[N]`."""
+        self.body[index] = found.body
+        self.centre[index] = found.centre
+        self.spread[index] = found.spread
+
+
+def lift(sample: Sample, lifter: Lifter, *, device: str = CPU, progress: Progress) -> LiftedPoses:
+    """Lift all detections that surely show at least four joints of the model's vocabulary.
+
+    The lifted body (E[X | p] of `model.py`) is freed of the virtual camera and scaled to unit size;
+    its centre is where perspective puts it, in body sizes.
+
+    Raises MismatchError where the model knows too few joints and several subjects make it needed;
+    a single subject can be calibrated by geometry alone.
+    """
+    check_joints(sample)
+    rays = rays_by_joint(_confident_rays(sample), sample.vocabulary, lifter.config.joints)
+    enough = np.isfinite(rays[..., 0]).sum(-1) >= LEAST_JOINTS  # [view, frame, instance]
+    lifting = _Lifting(rays[enough], network_on(device, lifter), progress)
+    with single_threaded_libraries():
+        bodies = lifting.lift_views(np.nonzero(enough)[0])
+    return LiftedPoses(
+        body=_spread_out(bodies.body, enough),
+        centre=_spread_out(bodies.centre, enough),
+        spread=_spread_out(bodies.spread, enough),
+    )
+
+
+def _spread_out(values: Floats, enough: Bools) -> Floats:
+    """Return values `[B, ...]` at the places where there is enough, NaN elsewhere."""
+    found = np.full((*enough.shape, *values.shape[1:]), np.nan)
+    found[enough] = values
+    return found
+
+
+def _confident_rays(sample: Sample) -> Floats:
+    """Return the rays `[view, frame, instance, keypoint, 3]` worth lifting, NaN elsewhere.
+
+    Detectors also report, with little confidence, joints that they do not see; the network has
+    learnt joints that are seen or not.
+    """
+    best = np.array([_best_confidence(confidence) for confidence in sample.confidence])
+    least = LIFT_CONFIDENCE * best[:, None, None, None]
+    confident = sample.seen & (sample.confidence >= least)
+    return np.where(confident[..., None], sample.rays, np.nan)
+
+
+def _best_confidence(confidence: Floats) -> float:
+    """Return the confidence that a view reaches at its best, 1 where it sees nothing."""
+    positive = confidence[confidence > 0]
+    return float(np.percentile(positive, LIFT_BEST_PERCENTILE)) if len(positive) else 1.0
+
+
+class _Lifting:
+    """Lifts detections of several views, rays `[B, joint, 3]`, in blocks that threads share."""
+
+    def __init__(self, rays: Floats, network: Network, progress: Progress) -> None:
+        self._rays = rays
+        self._network = network
+        self._progress = progress
+        self._done = 0
+
+    def lift_views(self, view: Ints) -> _Bodies:
+        """Return the lifted bodies, in each view with its own direction of down.
+
+        That is the direction under which the network is surest of a sample of its detections, of
+        which the median counts. Smaller samples chose wrongly in real recordings, however clear
+        their answer was.
+
+        view: `[B]` in which each detection is.
+        """
+        down = np.tile(_DOWN[0], (len(view), 1))
+        bodies = _Bodies(
+            body=np.empty(self._rays.shape),
+            centre=np.empty((len(view), 3)),
+            spread=np.empty(self._rays.shape[:2]),
+        )
+        samples = [
+            evenly_spaced(np.flatnonzero(view == each), LIFT_UPRIGHT_SAMPLE)
+            for each in np.unique(view)
+        ]
+        sampled = np.isin(np.arange(len(view)), np.concatenate([*samples, np.empty(0, int)]))
+        self._lift_into(bodies, np.flatnonzero(sampled), down)
+        others = [(index, other, bodies.doubt(index)) for index in samples for other in _DOWN[1:]]
+        for (index, other, _), found in zip(
+            others, map_in_threads(self._race, others), strict=True
+        ):
+            if found is not None and found.doubt() < bodies.doubt(index):
+                bodies.put(index, found)
+                down[view == view[index[0]]] = other
+        self._lift_into(bodies, np.flatnonzero(~sampled), down)
+        return bodies
+
+    def _lift_into(self, bodies: _Bodies, index: Ints, down: Floats) -> None:
+        """Lift the detections of an index, each with its direction `[B, 3]` of down."""
+
+        def lift_block(block: Ints) -> _Bodies:
+            """Lift the detections of an index."""
+            return _lift_rays(self._rays[block], down[block], self._network)
+
+        blocks = [index[start : start + _BLOCK] for start in range(0, len(index), _BLOCK)]
+        for block, found in zip(blocks, map_in_threads(lift_block, blocks), strict=True):
+            bodies.put(block, found)
+            self._done += len(block)
+            self._progress("lift", self._done, len(self._rays))
+
+    def _race(self, entry: tuple[Ints, Floats, float]) -> _Bodies | None:
+        """Lift a sample under a direction of down, unless its median is sure to be above another.
+
+        entry: the index of the sample, the direction, and the median that it has to be below.
+        It is lost when the network is less sure of more than half of the joints.
+        """
+        index, down, least = entry
+        parts: list[_Bodies] = []
+        less_sure = 0
+        for part in np.split(index, np.unique(_RACE * len(index) // _RACE[-1])[:-1]):
+            parts.append(_lift_rays(self._rays[part], down, self._network))
+            less_sure += int((parts[-1].spread >= least).sum())
+            if 2 * less_sure > len(index) * self._rays.shape[1]:
+                return None
+        return _Bodies(
+            body=np.concatenate([part.body for part in parts]),
+            centre=np.concatenate([part.centre for part in parts]),
+            spread=np.concatenate([part.spread for part in parts]),
+        )
+
+
+def _lift_rays(rays: Floats, down: Floats, network: Network) -> _Bodies:
+    """Lift rays `[B, J, 3]` in cameras' axes, directions `down` `[3]` or `[B, 3]` being down."""
+    seen = np.isfinite(rays[..., 0])
+    virtual_from_camera = looking_along(np.nansum(rays, axis=1), down)
+    image = _project(rays, seen, virtual_from_camera)
+    joints, deviation = _apply_network(image, seen, network)
+    body = joints - joints.mean(1, keepdims=True)
+    size = np.sqrt((body**2).sum(-1).mean(-1))[:, None]
+    body = body / size[..., None]
+    centre = _centre(body, image, seen)
+    return _Bodies(
+        body=body @ virtual_from_camera,  # in rows: turned by the transpose
+        centre=np.einsum("bji,bj->bi", virtual_from_camera, centre),
+        spread=np.hypot(deviation[..., 0], deviation[..., 1]) / size,
+    )
+
+
+def _project(rays: Floats, seen: Bools, virtual_from_camera: Floats) -> Floats:
+    """Return the normalised image points `[B, J, 2]` of rays `[B, J, 3]` in virtual cameras."""
+    known = np.where(seen[..., None], rays, [0.0, 0.0, 1.0])
+    turned = known @ np.swapaxes(virtual_from_camera, 1, 2)
+    return turned[..., :2] / np.maximum(turned[..., 2:], LIFT_LEAST_FORWARD)
+
+
+def _apply_network(image: Floats, seen: Bools, network: Network) -> tuple[Floats, Floats]:
+    """Return joints `[B, J, 3]` and their standard deviations `[B, J, 2]` across and along the ray.
+
+    image: `[B, J, 2]` normalised image points in the virtual cameras; seen: `[B, J]`.
+    """
+    joints, log_deviation = network(_normalise(image, seen), seen)
+    return joints.astype(np.float64), np.exp(log_deviation.astype(np.float64))
+
+
+def _normalise(image: Floats, seen: Bools) -> Floats32:
+    """Centre image points `[B, J, 2]` on those seen `[B, J]`, scaled to an RMS radius of 1.
+
+    What `model.normalise` does in training. What is not seen is 0.
+    """
+    weight = seen[..., None]
+    count = np.maximum(weight.sum(1), 1)  # [B, 1]
+    centre = np.where(weight, image, 0.0).sum(1) / count
+    offset = np.where(weight, image - centre[:, None], 0.0)
+    scale = np.sqrt((offset**2).sum((1, 2)) / count[:, 0])
+    return (offset / np.maximum(scale, 1e-9)[:, None, None]).astype(np.float32)
+
+
+def _centre(body: Floats, image: Floats, seen: Bools) -> Floats:
+    """Return the centres `[B, 3]` that put bodies `[B, J, 3]` where their joints are seen.
+
+    The least-squares solution c of (X + c)_xy = x (X + c)_z over the joints that are seen, X being
+    a joint of the body and x its normalised image point `[B, J, 2]`.
+    """
+    weight = seen.astype(np.float64)
+    count = weight.sum(1)
+    offset = image * body[..., 2:] - body[..., :2]  # c_xy - x c_z = x X_z - X_xy
+    mean_image = (weight[..., None] * image).sum(1) / count[:, None]
+    mean_offset = (weight[..., None] * offset).sum(1) / count[:, None]
+    image_deviation = (image - mean_image[:, None]) * weight[..., None]
+    offset_deviation = (offset - mean_offset[:, None]) * weight[..., None]
+    covariance = (image_deviation * offset_deviation).sum((1, 2))
+    variance = (image_deviation**2).sum((1, 2))
+    depth = np.maximum(-covariance / np.maximum(variance, 1e-18), LIFT_LEAST_DEPTH)
+    across = mean_offset + mean_image * depth[:, None]
+    return np.concatenate([across, depth[:, None]], axis=1)

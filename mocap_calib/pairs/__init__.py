@@ -1,0 +1,1 @@
+"""Relative pose and correspondences of two views."""

@@ -1,0 +1,225 @@
+"""Hypotheses of the relative pose of two views.
+
+They come from the lifted bodies, and from five-point RANSAC where identities are known.
+"""
+
+from functools import reduce
+from itertools import product
+
+import numpy as np
+
+from mocap_calib.config import PairwiseConfig
+from mocap_calib.frozen import frozen
+from mocap_calib.geometry.epipolar import five_point
+from mocap_calib.geometry.rotation import nearest_rotation
+from mocap_calib.pairs.affinity import body_agreement, weigh_readings
+from mocap_calib.pairs.assignment import mutual_best, sinkhorn
+from mocap_calib.pairs.view_pair import ViewPair, body_sizes_per_radian
+from mocap_calib.types import Floats, Ints
+
+_CELLS = 2_000_000  # candidates x possible matches scored at a time
+
+
+@frozen
+class Hypotheses:
+    """M hypotheses of the relative pose b_from_a of one pair of views.
+
+    rotation: `[M, 3, 3]`.
+    translation: `[M, 3]` in body sizes.
+    source: `[M]` what each was found by ("lifted", "five-point", ...).
+    """
+
+    rotation: Floats
+    translation: Floats
+    source: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.rotation)
+
+    def __getitem__(self, index: Ints) -> "Hypotheses":
+        source = tuple(self.source[k] for k in index)
+        return Hypotheses(self.rotation[index], self.translation[index], source)
+
+    def __add__(self, other: "Hypotheses") -> "Hypotheses":
+        return Hypotheses(
+            rotation=np.concatenate([self.rotation, other.rotation]),
+            translation=np.concatenate([self.translation, other.translation]),
+            source=self.source + other.source,
+        )
+
+
+def generate_hypotheses(
+    pair: ViewPair, tracked: bool, config: PairwiseConfig, rng: np.random.Generator
+) -> Hypotheses:
+    """Search the lifted bodies for relative poses, and add those of five points.
+
+    tracked: in both views the instance index names the same individual in all frames.
+    """
+    hypotheses = _search_bodies(pair, config, rng)
+    for matches in _known_identities(pair, tracked, config):
+        hypotheses += _from_five_points(pair, matches, config, rng)
+    return hypotheses
+
+
+def well_separated(rotation: Floats, score: Floats, *, count: int, separation_deg: float) -> Ints:
+    """Return the indices of the best rotations that are so far apart, best first.
+
+    rotation: `[M, 3, 3]`; score: `[M]`. Returns at most `count` indices.
+    """
+    ranked = np.argsort(-score, kind="stable")
+    flat = rotation[ranked].reshape(-1, 9)
+    # tr(R_1 R_2') = 1 + 2 cos(angle)
+    apart = flat @ flat.T <= 1 + 2 * np.cos(np.deg2rad(separation_deg))
+    kept: list[int] = []
+    for k in range(len(ranked)):
+        if len(kept) < count and apart[k, kept].all():
+            kept.append(k)
+    return ranked[kept]
+
+
+def _search_bodies(pair: ViewPair, config: PairwiseConfig, rng: np.random.Generator) -> Hypotheses:
+    """Score the relative poses of candidate matches on all frames; return the best, aligned."""
+    candidates = _candidates(pair, config, rng)
+    if len(candidates) == 0:
+        return candidates
+    agreement = _total_agreement_in_blocks(pair, candidates, config)
+    kept = candidates[
+        well_separated(
+            candidates.rotation,
+            agreement,
+            count=config.hypotheses_kept,
+            separation_deg=config.hypothesis_separation_deg,
+        )
+    ]
+    for _ in range(config.rounds):
+        kept = _align_bodies(pair, kept, config)
+    distinct = well_separated(
+        kept.rotation,
+        _total_agreement(pair, kept, config),
+        count=config.hypotheses_kept,
+        separation_deg=config.same_hypothesis_deg,
+    )
+    return kept[distinct]
+
+
+def _candidates(pair: ViewPair, config: PairwiseConfig, rng: np.random.Generator) -> Hypotheses:
+    """Return the relative poses of possible matches: two bodies give one in closed form (Kabsch).
+
+    Each reading of the bodies gives its own. Half of them are those whose bodies agree best, half
+    are drawn at random.
+    """
+    frame, i, j = np.nonzero(pair.overlap.lifted)
+    cross = pair.overlap.cross[:, frame, i, j].reshape(-1, 3, 3)
+    frame, i, j = np.tile([frame, i, j], len(pair.overlap.cross))
+    rotation = nearest_rotation(np.swapaxes(cross, -1, -2))
+    error = pair.overlap.norm[frame, i, j] - 2 * np.einsum("nij,nji->n", rotation, cross)
+    ranked = np.argsort(error, kind="stable")
+    half = config.candidates_searched // 2
+    picked = np.concatenate([ranked[:half], rng.permutation(ranked[half:])[:half]])
+    rotation = rotation[picked]
+    centre_a = pair.a.centre[frame, i][picked]
+    centre_b = pair.b.centre[frame, j][picked]
+    translation = centre_b - np.einsum("nij,nj->ni", rotation, centre_a)
+    return Hypotheses(rotation, translation, ("lifted",) * len(picked))
+
+
+def _total_agreement_in_blocks(
+    pair: ViewPair, hypotheses: Hypotheses, config: PairwiseConfig
+) -> Floats:
+    """Return `_total_agreement` of many hypotheses, some at a time.
+
+    A single crowded frame multiplies the possible matches that each is scored on.
+    """
+    count = len(hypotheses)
+    size = max(1, _CELLS // pair.overlap.lifted.size)
+    blocks = np.split(np.arange(count), range(size, count, size))
+    return np.concatenate([_total_agreement(pair, hypotheses[k], config) for k in blocks])
+
+
+def _total_agreement(pair: ViewPair, hypotheses: Hypotheses, config: PairwiseConfig) -> Floats:
+    """Return `[M]` the best agreement of each detection with one of the other view, summed."""
+    agreement = body_agreement(pair, hypotheses.rotation, hypotheses.translation, config)
+    # `max` over a few numbers that lie side by side takes several times as long
+    of_a = reduce(np.maximum, np.moveaxis(agreement, -1, 0))
+    of_b = reduce(np.maximum, np.moveaxis(agreement, -2, 0))
+    return np.asarray(of_a.sum((-1, -2)) + of_b.sum((-1, -2)))
+
+
+def _align_bodies(pair: ViewPair, hypotheses: Hypotheses, config: PairwiseConfig) -> Hypotheses:
+    """Match the bodies under each hypothesis, and align the matched ones (weighted Procrustes)."""
+    agreement = body_agreement(pair, hypotheses.rotation, hypotheses.translation, config)
+    matched = mutual_best(sinkhorn(agreement, dummy=config.search_dummy), least=config.search_match)
+    weight = agreement * matched
+    of_readings = weigh_readings(pair, hypotheses.rotation, weight)
+    cross = of_readings.reshape(len(weight), -1) @ pair.overlap.cross.reshape(-1, 9)
+    cross = cross.reshape(-1, 3, 3).swapaxes(1, 2)
+    rotation = nearest_rotation(cross + 1e-9 * hypotheses.rotation)
+    mean, total = _mean_gap(pair, rotation, weight)
+    translation = np.where(total > 0, mean, hypotheses.translation)
+    return Hypotheses(rotation, translation, hypotheses.source)
+
+
+def _mean_gap(pair: ViewPair, rotation: Floats, weight: Floats) -> tuple[Floats, Floats]:
+    """Return the mean of c_b - R c_a over the matches `[M, 3]`, and the sum of their weights.
+
+    rotation: `[M, 3, 3]`; weight: `[M, frame, I, J]`, which counts less for far bodies: their
+    centres are less certain. Returns the sum as `[M, 1]`.
+    """
+    scale = pair.a.distance[:, :, None] ** 2 + pair.b.distance[:, None] ** 2
+    precision = weight / scale
+    of_a, of_b = precision.sum(-1), precision.sum(-2)
+    total = of_a.sum((1, 2))[:, None]
+    sum_a = of_a.reshape(len(weight), -1) @ pair.a.centre.reshape(-1, 3)
+    sum_b = of_b.reshape(len(weight), -1) @ pair.b.centre.reshape(-1, 3)
+    gap = sum_b - (rotation @ sum_a[..., None])[..., 0]
+    return gap / np.maximum(total, 1e-12), total
+
+
+def _known_identities(pair: ViewPair, tracked: bool, config: PairwiseConfig) -> list[Ints]:
+    """Return sets of matches `[match, 3]` (frame, i, j) of one individual in each view.
+
+    Each pair of tracks may be one; otherwise there is one set, of the frames with a single
+    subject, where half of the frames or more are such.
+    """
+    if tracked:
+        return _pairs_of_tracks(pair)[: config.track_pairs]
+    alone = (pair.a.present.sum(1) == 1) & (pair.b.present.sum(1) == 1)
+    frames = np.flatnonzero(alone)
+    if 2 * len(frames) < len(pair.frames):
+        return []
+    i = pair.a.present[frames].argmax(1)
+    j = pair.b.present[frames].argmax(1)
+    return [np.column_stack([frames, i, j])]
+
+
+def _pairs_of_tracks(pair: ViewPair) -> list[Ints]:
+    """Return the matches `[match, 3]` of each track in a with each in b, where both are seen."""
+    matches = []
+    instances_a, instances_b = pair.a.present.shape[1], pair.b.present.shape[1]
+    for i, j in product(range(instances_a), range(instances_b)):
+        frames = np.flatnonzero(pair.a.present[:, i] & pair.b.present[:, j])
+        if len(frames):
+            track_i, track_j = np.full(len(frames), i), np.full(len(frames), j)
+            matches.append(np.column_stack([frames, track_i, track_j]))
+    return matches
+
+
+def _from_five_points(
+    pair: ViewPair, matches: Ints, config: PairwiseConfig, rng: np.random.Generator
+) -> Hypotheses:
+    """Run five-point RANSAC (Nister 2004) on subsets of matches `[match, 3]` of one individual."""
+    found: list[tuple[Floats, Floats]] = []
+    for _ in range(config.five_point_draws):
+        drawn = np.sort(rng.permutation(len(matches))[: config.five_point_matches])
+        frame, i, j = matches[drawn].T
+        both = (pair.a.weight[frame, i] > 0) & (pair.b.weight[frame, j] > 0)
+        threshold = config.five_point_inlier / float(
+            np.median(body_sizes_per_radian(pair)[frame, i, j])
+        )
+        rays_a, rays_b = pair.a.rays[frame, i][both], pair.b.rays[frame, j][both]
+        found += five_point(rays_a, rays_b, threshold)
+    return Hypotheses(
+        rotation=np.reshape([rotation for rotation, _ in found], (-1, 3, 3)),
+        translation=np.reshape([translation for _, translation in found], (-1, 3)),
+        source=("five-point",) * len(found),
+    )

@@ -1,0 +1,325 @@
+"""Two views -> their relative pose and who is who.
+
+Every possible match of two lifted bodies gives a rotation in closed form, and five-point RANSAC
+gives more where identities are known. All are scored on all frames at once; the best hypotheses
+are refined by turns of matching (Sinkhorn) and robust least squares on rays. The one with the
+best score is the answer, the others are its alternatives, which a third view may speak for.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from itertools import combinations
+
+import numpy as np
+
+from mocap_calib.compute.parallel import map_in_processes, map_in_threads, single_threaded_libraries
+from mocap_calib.config import PairwiseConfig
+from mocap_calib.frozen import frozen
+from mocap_calib.pairs.hypotheses import Hypotheses, generate_hypotheses, well_separated
+from mocap_calib.pairs.posterior import most_probable
+from mocap_calib.pairs.refine import refine_on_rays
+from mocap_calib.pairs.scoring import Scored, keep_better, score_hypotheses
+from mocap_calib.pairs.view_pair import (
+    ViewPair,
+    distance_ratios,
+    gather_view_pair,
+    in_all_readings,
+    matched_rays,
+    shared_frames,
+)
+from mocap_calib.recording.sampling import evenly_spaced
+from mocap_calib.types import (
+    Bools,
+    Floats,
+    Ints,
+    LiftedPoses,
+    Mapper,
+    PairwiseCalibration,
+    Progress,
+    Recording,
+    Sample,
+)
+
+# Possible matches of joints that keep a thread busy in one pair, and that in all pairs are worth
+# processes: two seconds of work, where starting a process costs a third of one.
+_WORTH_A_THREAD = 50_000
+_WORTH_PROCESSES = 800_000
+
+
+@frozen
+class PairProblem:
+    """All that is needed to calibrate the views a and b, and no more.
+
+    It may be pickled and travel to another machine.
+
+    pair: their detections in the frames looked at.
+    shared_frames: how many frames the two views share.
+    tracked: in both views the instance index names the same individual in all frames.
+    rng: of this pair alone, so that the order in which pairs are calibrated does not matter. It
+        is consumed.
+    """
+
+    a: int
+    b: int
+    pair: ViewPair
+    shared_frames: int
+    tracked: bool
+    rng: np.random.Generator
+
+
+PairSolver = Callable[[PairProblem], PairwiseCalibration | None]
+
+
+@single_threaded_libraries()
+def calibrate_pairs(
+    sample: Sample,
+    lifted: LiftedPoses,
+    config: PairwiseConfig,
+    *,
+    rng: np.random.Generator,
+    progress: Progress,
+    mapper: Mapper | None = None,
+    solve: PairSolver | None = None,
+    pairs: Sequence[tuple[int, int]] | None = None,
+) -> tuple[PairwiseCalibration, ...]:
+    """Calibrate the pairs of views that see something in the same frames; leave the others out.
+
+    pairs: (a, b), a < b, by default all. What is found of one does not depend on the others.
+    mapper: has it done elsewhere; by default see `pair_mapper`.
+    solve: calibrates one pair, by default `calibrate_pair`.
+    """
+    pairs = all_pairs(len(sample.cameras)) if pairs is None else pairs
+    mapper = mapper or pair_mapper(sample, config, count=len(pairs))
+    solve = solve or partial(calibrate_pair, config=config)
+    found: list[PairwiseCalibration] = []
+    for done, result in enumerate(mapper(solve, _problems(sample, lifted, pairs, config, rng))):
+        if result is not None:
+            found.append(result)
+        progress("pairwise", done + 1, len(pairs))
+    return tuple(sorted(found, key=lambda pair: (pair.a, pair.b)))
+
+
+def all_pairs(views: int) -> list[tuple[int, int]]:
+    """Return the pairs (a, b), a < b, of so many views, in order."""
+    return list(combinations(range(views), 2))
+
+
+def pair_mapper(recording: Recording, config: PairwiseConfig, count: int | None = None) -> Mapper:
+    """Choose where so many pairs are calibrated, by default all.
+
+    In processes where there are many pairs of little work each: on small arrays threads wait for
+    the interpreter. In threads otherwise: much of the work of a pair of tracks is OpenCV's five
+    points, which leave the interpreter free; else there is little to do.
+    """
+    views, frames, instances, keypoints = recording.positions.shape[:4]
+    every = len(all_pairs(views))
+    work = min(frames, _frames_of_each(every, config)) * instances**2 * keypoints
+    count = every if count is None else count
+    little = work < _WORTH_A_THREAD and count * work >= _WORTH_PROCESSES
+    return map_in_processes if little else map_in_threads
+
+
+def in_recording(
+    pairs: tuple[PairwiseCalibration, ...], sample_frames: Ints
+) -> tuple[PairwiseCalibration, ...]:
+    """Return the pairs with their matches by the frames of the recording, not of the sample.
+
+    sample_frames: `[frame]` indices into the recording of the frames of the sample.
+    """
+    renumbered = []
+    for pair in pairs:
+        frame, instances = pair.matches[:, 0], pair.matches[:, 1:]
+        matches = np.column_stack([sample_frames[frame], instances])
+        alternatives = in_recording(pair.alternatives, sample_frames)
+        renumbered.append(replace(pair, matches=matches, alternatives=alternatives))
+    return tuple(renumbered)
+
+
+def _problems(
+    sample: Sample,
+    lifted: LiftedPoses,
+    pairs: Sequence[tuple[int, int]],
+    config: PairwiseConfig,
+    rng: np.random.Generator,
+) -> Iterator[PairProblem]:
+    """Gather the problem of each pair, with random numbers of its own, when it is asked for.
+
+    Frames and random numbers of a pair are those that it has where all pairs are asked for.
+    """
+    every = all_pairs(len(sample.cameras))
+    config = replace(config, frames=_frames_of_each(len(every), config))
+    generators = dict(zip(every, rng.spawn(len(every)), strict=True))
+    for a, b in pairs:
+        yield pair_problem(sample, lifted, a, b, config=config, rng=generators[a, b])
+
+
+def _frames_of_each(pairs: int, config: PairwiseConfig) -> int:
+    """Return how many frames of a pair are looked at where there are so many pairs."""
+    share = config.all_frames // max(pairs, 1)
+    return min(config.frames, max(config.least_frames, share))
+
+
+def pair_problem(
+    sample: Sample,
+    lifted: LiftedPoses,
+    a: int,
+    b: int,
+    *,
+    config: PairwiseConfig,
+    rng: np.random.Generator,
+) -> PairProblem:
+    """Gather what the views a and b show in an even choice of the frames they share."""
+    shared = shared_frames(sample, a, b, config)
+    instances = sample.positions.shape[2]
+    affordable = max(config.least_frames, config.possible_matches // instances**2)
+    frames = evenly_spaced(shared, min(config.frames, affordable))
+    return PairProblem(
+        a=a,
+        b=b,
+        pair=gather_view_pair(sample, lifted, (a, b), frames),
+        shared_frames=len(shared),
+        tracked=bool(sample.tracked[a] and sample.tracked[b]),
+        rng=rng,
+    )
+
+
+def calibrate_pair(problem: PairProblem, config: PairwiseConfig) -> PairwiseCalibration | None:
+    """Return the relative pose of the two views with the best score, and its alternatives.
+
+    Of nearly flat bodies it is sought again among all readings, as they may have been lifted the
+    wrong way round in depth. That answer must be far better: the nearest of four readings is
+    always nearer. None where the views share nothing to go by.
+    """
+    found = _calibrate(problem, config)
+    if found is None or not 1 <= problem.pair.reversal < config.nearly_flat:
+        return found
+    again = _calibrate(replace(problem, pair=in_all_readings(problem.pair)), config)
+    better = again is not None and again.score >= config.reversal_gain * found.score
+    return again if better else found
+
+
+def _calibrate(problem: PairProblem, config: PairwiseConfig) -> PairwiseCalibration | None:
+    """Return the best relative pose by the readings of the bodies that the pair has."""
+    if problem.shared_frames == 0:
+        return None
+    pair, rng = problem.pair, problem.rng
+    hypotheses = generate_hypotheses(pair, problem.tracked, config, rng)
+    if len(hypotheses) == 0:
+        return None
+    refined = _refine(pair, hypotheses, config, rng)
+    final = _weigh_rays_and_bodies(pair, refined, config, rng)
+    apart = well_separated(
+        final.hypotheses.rotation,
+        final.score,
+        count=config.hypotheses_refined,
+        separation_deg=config.hypothesis_separation_deg,
+    )
+    best, *alternatives = (_answer(problem, final, int(k)) for k in apart)
+    return replace(best, alternatives=tuple(alternatives))
+
+
+def _refine(
+    pair: ViewPair, hypotheses: Hypotheses, config: PairwiseConfig, rng: np.random.Generator
+) -> Scored:
+    """Refine the hypotheses by turns of matching and robust least squares on rays.
+
+    A step that lowers the score of a hypothesis is not kept. After the first turn the best
+    distinct ones go on.
+    """
+    current = score_hypotheses(pair, hypotheses, config)
+    for turn in range(config.rounds):
+        refined = refine_on_rays(pair, current.hypotheses, config, matched=current.matched, rng=rng)
+        current = keep_better(current, score_hypotheses(pair, refined, config))
+        if turn == 0:
+            distinct = well_separated(
+                current.hypotheses.rotation,
+                current.score,
+                count=config.hypotheses_refined,
+                separation_deg=config.same_hypothesis_deg,
+            )
+            current = current[distinct]
+    return current
+
+
+def _weigh_rays_and_bodies(
+    pair: ViewPair, refined: Scored, config: PairwiseConfig, rng: np.random.Generator
+) -> Scored:
+    """Move each hypothesis to where rays and lifted bodies together put it, if that is better."""
+    rotation = refined.hypotheses.rotation.copy()
+    translation = refined.hypotheses.translation.copy()
+    for m, matched in enumerate(refined.matched):
+        rays = matched_rays(pair, matched)
+        if not len(rays):  # views that see nothing in common may match nothing
+            continue
+        drawn = rays[rng.permutation(len(rays))[: config.points]]
+        rotation[m], translation[m] = most_probable(
+            pair, matched, drawn, config, rotation=rotation[m], translation=translation[m]
+        )
+    moved = replace(refined.hypotheses, rotation=rotation, translation=translation)
+    return keep_better(refined, score_hypotheses(pair, moved, config))
+
+
+def mean_focal(problem: PairProblem, focal: Floats) -> float:
+    """Return the mean focal length of the two views in pixels; focal: `[view]` of all views."""
+    return float(focal[[problem.a, problem.b]].mean())
+
+
+def judge_pair(
+    problem: PairProblem,
+    *,
+    rotation: Floats,
+    translation: Floats,
+    matches: Ints,
+    source: str,
+    config: PairwiseConfig,
+) -> PairwiseCalibration | None:
+    """Score a relative pose and matches that were found in another way, as any other.
+
+    rotation: `[3, 3]` and translation: `[3]` of b_from_a, of any length: its baseline in body
+        sizes follows from the matches.
+    matches: `[match, 3]` rows (index into the frames of the pair, instance in a, instance in b).
+    source: what found it.
+
+    Returns None where nothing is matched.
+    """
+    if not len(matches):
+        return None
+    matched = np.zeros(problem.pair.overlap.lifted.shape, dtype=bool)
+    frame, i, j = matches.T
+    matched[frame, i, j] = True
+    translation = _with_baseline(problem.pair, rotation, translation, matched)
+    hypothesis = Hypotheses(rotation[None], translation[None], (source,))
+    scored = score_hypotheses(problem.pair, hypothesis, config)
+    return _calibration(problem, replace(scored, matched=matched[None]), 0)
+
+
+def _answer(problem: PairProblem, scored: Scored, k: int) -> PairwiseCalibration:
+    """Return one of the hypotheses with a baseline in body sizes."""
+    found = _calibration(problem, scored, k)
+    translation = _with_baseline(problem.pair, found.rotation, found.translation, scored.matched[k])
+    return replace(found, translation=translation)
+
+
+def _with_baseline(pair: ViewPair, rotation: Floats, translation: Floats, matched: Bools) -> Floats:
+    """Return the translation at the length that makes bodies as far away as they were lifted."""
+    direction = translation / np.linalg.norm(translation)
+    ratios = distance_ratios(pair.a, pair.b, rotation, direction, matched)
+    return direction * float(np.median(ratios)) if len(ratios) else direction
+
+
+def _calibration(problem: PairProblem, scored: Scored, k: int) -> PairwiseCalibration:
+    """Return the record of one of the hypotheses."""
+    frame, i, j = np.nonzero(scored.matched[k])
+    return PairwiseCalibration(
+        a=problem.a,
+        b=problem.b,
+        rotation=scored.hypotheses.rotation[k],
+        translation=scored.hypotheses.translation[k],
+        matches=np.stack([problem.pair.frames[frame], i, j], 1),
+        frames=problem.shared_frames,
+        score=float(scored.score[k]),
+        residual=float(scored.residual[k]),
+        in_front=float(scored.in_front[k]),
+        source=scored.hypotheses.source[k],
+    )

@@ -1,0 +1,1 @@
+"""The solver of the SteerPose paper and the five-point baseline, as measured references."""

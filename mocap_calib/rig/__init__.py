@@ -1,0 +1,1 @@
+"""Cameras from pairs: graph of pairs, averaging, association in a frame, triangulation."""

@@ -1,0 +1,232 @@
+"""Triangulate points and poses from the rays of many views, in blocks of frames."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mocap_calib import mapped
+from mocap_calib.compute.parallel import map_in_threads, single_threaded_libraries
+from mocap_calib.config import TriangulateConfig
+from mocap_calib.errors import MismatchError
+from mocap_calib.geometry.intersection import intersect
+from mocap_calib.geometry.point_covariance import point_covariance
+from mocap_calib.geometry.rays import agreeing_views, rays_in_world
+from mocap_calib.geometry.reprojection import reprojection_error
+from mocap_calib.geometry.view_blocks import POINT_BLOCK, ViewBlock, view_blocks
+from mocap_calib.rig.noise import view_noise
+from mocap_calib.rig.observations import Observations, gather_observations
+from mocap_calib.types import (
+    Bools,
+    CameraRig,
+    Floats,
+    Ints,
+    Matches,
+    Poses3D,
+    Progress,
+    Reals,
+    Recording,
+    silent,
+)
+
+
+@single_threaded_libraries()
+def triangulate(
+    recording: Recording,
+    rig: CameraRig,
+    matches: Matches,
+    config: TriangulateConfig = TriangulateConfig(),
+    *,
+    progress: Progress = silent,
+) -> Poses3D:
+    """Return the 3D poses of all individuals in all frames, in the rig's unit.
+
+    Detections are weighed by their confidence, and a view that contradicts the others is left
+    out. A point needs two views that agree, whose rays are at least `config.least_angle_deg`
+    apart, and lies in front of them. Its covariance is what the detectors' noise does to it: see
+    `Poses3D`.
+
+    Raises MismatchError where the cameras of the rig are not those of the recording.
+    """
+    check_same_cameras(recording, rig)
+    frames, keypoints = len(recording.frames), len(recording.keypoints)
+    shape = (frames, matches.individuals, keypoints)
+    found: dict[str, NDArray[Any]] = {
+        "positions": mapped.empty((*shape, 3)),
+        "error": mapped.empty(shape),
+        "views": mapped.empty(shape, np.int64),
+        "confidence": mapped.empty(shape),
+        "covariance": mapped.empty((*shape, 6), np.float32),
+    }
+    noise = view_noise(recording, rig, matches, config)
+
+    def work(block: Ints) -> None:
+        part = _triangulate_block(
+            block, recording=recording, rig=rig, matches=matches, noise=noise, config=config
+        )
+        for name, array in found.items():
+            array[mapped.as_slice(block)] = getattr(part, name)
+
+    blocks = frame_blocks(frames, matches.individuals * keypoints)
+    for block, _ in zip(blocks, map_in_threads(work, blocks), strict=True):
+        mapped.let_go()
+        progress("triangulate", int(block[-1]) + 1, frames)
+    return Poses3D(
+        keypoints=recording.keypoints,
+        frames=recording.frames,
+        positions=found["positions"],
+        error=found["error"],
+        views=found["views"],
+        confidence=found["confidence"],
+        unit=rig.unit,
+        covariance=found["covariance"],
+        world=rig.world,
+    )
+
+
+def check_same_cameras(recording: Recording, rig: CameraRig) -> None:
+    """Raise MismatchError where a rig has other cameras than a recording, or another order."""
+    if rig.names != recording.names:
+        raise MismatchError(
+            f"expected a rig of the recording's cameras in their order "
+            f"({', '.join(recording.names)}), found {', '.join(rig.names)}; "
+            "take rig.select(recording.names)"
+        )
+
+
+def frame_blocks(frames: int, points: int) -> list[Ints]:
+    """Return the indices of the frames, as many at a time as a block has room for.
+
+    points: in each frame.
+    """
+    size = max(1, POINT_BLOCK // max(1, points))
+    return [np.arange(start, min(start + size, frames)) for start in range(0, frames, size)]
+
+
+def triangulate_frames(
+    frames: Ints,
+    *,
+    recording: Recording,
+    rig: CameraRig,
+    matches: Matches,
+    noise: Floats,
+    config: TriangulateConfig,
+) -> tuple[Observations, Floats, Bools]:
+    """Return what is seen in the frames with these indices, and the points that it is of.
+
+    noise: `[view]` standard deviations in radians, see `view_noise`.
+    Returns the detections; `[3, N]` points in world coordinates, NaN = unknown; and `[view, N]`
+    the detections that each is made of.
+    """
+    seen = gather_observations(recording, matches, frames)
+    points, used = triangulate_rays(
+        rig, seen.rays, weight=seen.confidence, noise=noise, config=config
+    )
+    return seen, points, used
+
+
+def _triangulate_block(
+    frames: Ints,
+    *,
+    recording: Recording,
+    rig: CameraRig,
+    matches: Matches,
+    noise: Floats,
+    config: TriangulateConfig,
+) -> Poses3D:
+    """Return the poses in the frames with these indices."""
+    seen, points, used = triangulate_frames(
+        frames, recording=recording, rig=rig, matches=matches, noise=noise, config=config
+    )
+    error = reprojection_error(rig, points, pixels=seen.pixels, used=used)
+    views, weight = used.sum(0), seen.confidence * used
+    covariance = _covariance(rig, points, seen.rays, weight=weight, noise=noise)
+    shape = (len(frames), matches.individuals, len(recording.keypoints))
+    return Poses3D(
+        keypoints=recording.keypoints,
+        frames=recording.frames[frames],
+        positions=points.T.reshape(*shape, 3),
+        error=error.reshape(shape),
+        views=views.reshape(shape),
+        confidence=(weight.sum(0) / np.maximum(views, 1)).reshape(shape),
+        unit=rig.unit,
+        covariance=covariance.T.reshape(*shape, 6),
+    )
+
+
+def _covariance(
+    rig: CameraRig, points: Floats, rays: Floats, *, weight: Floats, noise: Floats
+) -> Reals:
+    """Return the entries `[6, N]` of the covariances of points, NaN where these are.
+
+    rays: `[view, 3, N]` in the cameras' frames. weight: `[view, N]` of those that points are made
+    of, 0 for the others. noise: `[view]` of these in radians, which does not depend on their
+    confidence.
+    """
+    entries = point_covariance(
+        rig,
+        points,
+        rays_in_world(rig, rays),
+        precision=weight / noise[:, None] ** 2,
+        variance=noise**2,
+    )
+    with np.errstate(over="ignore"):  # points that are nearly at infinity
+        return np.where(np.isfinite(points[0]), np.stack(entries), np.nan).astype(np.float32)
+
+
+def triangulate_rays(
+    rig: CameraRig, rays: Floats, *, weight: Floats, noise: Floats, config: TriangulateConfig
+) -> tuple[Floats, Bools]:
+    """Return the points `[3, N]` where rays meet, and which views agree on each `[view, N]`.
+
+    rays: `[view, 3, N]` unit vectors in each camera's frame, NaN = missing.
+    weight: `[view, N]`, 0 = not seen.
+    noise: `[view]` standard deviation of the rays' angles in radians.
+
+    A point is NaN where fewer than two views agree on it and have it in front of them, or where
+    they see it from almost the same side.
+    """
+    points = np.full((3, weight.shape[1]), np.nan)
+    used = np.zeros(weight.shape, dtype=bool)
+
+    def work(block: ViewBlock) -> tuple[Floats, Bools]:
+        """Return the points of a block, and the views that agree on them."""
+        return _triangulate_some(
+            rig.select(block.views),
+            block.take(rays),
+            weight=block.take(weight),
+            noise=noise[block.views],
+            config=config,
+        )
+
+    blocks = view_blocks(weight > 0)
+    for block, (found, agree) in zip(blocks, map_in_threads(work, blocks), strict=True):
+        points[:, block.points] = found
+        block.put(agree, used)
+    return points, used
+
+
+def _triangulate_some(
+    rig: CameraRig, rays: Floats, *, weight: Floats, noise: Floats, config: TriangulateConfig
+) -> tuple[Floats, Bools]:
+    """Return what `triangulate_rays` does, all points at once."""
+    known = np.where(np.isfinite(rays[:, 0]), weight, 0.0)
+    world = rays_in_world(rig, rays)
+    points = intersect(rig, world, known / noise[:, None] ** 2)
+    used = agreeing_views(
+        rig,
+        points,
+        world,
+        known,
+        limits=config.outlier * noise[:, None] * _share_left(len(noise)),
+        least_angle=np.deg2rad(config.least_angle_deg),
+    )
+    return np.where(used.any(0), points, np.nan), used
+
+
+def _share_left(views: int) -> Floats:
+    """Return what points leave of the errors of their rays, sqrt(1 - 3 / (2 V)) of V rays.
+
+    `[count]`, of no view up to all. The point takes three of the 2 V numbers.
+    """
+    return np.sqrt(1 - 3 / (2 * np.maximum(np.arange(views + 1), 2)))

@@ -1,1 +1,0 @@
-"""The SteerPose network: lifting detections, and training."""

@@ -1,1 +1,0 @@
-"""The solver and the losses of the paper."""

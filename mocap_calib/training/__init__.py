@@ -1,0 +1,1 @@
+"""Training of the lifting and steering networks."""

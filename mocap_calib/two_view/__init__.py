@@ -1,1 +1,0 @@
-"""The relative pose of two views, and who is who in them."""

@@ -1,0 +1,1 @@
+"""Uncertainty, checks and verdict of a rig."""

@@ -1,0 +1,231 @@
+"""Tell how far the cameras of a rig may be off, and whether all of them agree.
+
+Reprojection errors are small also where nothing is determined: where a subject is small in the
+image and stands still, all frames share the errors of its joints (of the detector, of the lens
+model), and the rig bends to fit them. The covariance of the rig knows of that. It does not know of
+intrinsics that are wrong: the rig bends to these too. By how much it would bend back if focal
+lengths were free tells what they may be to blame for.
+
+What all cameras but one share does not show there: one that is out of step, was moved, or has
+other intrinsics than given. Its reprojection errors are several times those of the others.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from mocap_calib.adjust.bundle_adjustment import adjust_once
+from mocap_calib.adjust.fit import find_outlier_cameras, find_weak_perspective, measure_fit
+from mocap_calib.adjust.intrinsics import FreeFocal, free_focal_lengths, shared_intrinsics
+from mocap_calib.adjust.rig_covariance import covariance_and_held_out
+from mocap_calib.adjust.wrong_focal import find_wrong_focal
+from mocap_calib.compute.parallel import do_both, single_threaded_libraries
+from mocap_calib.config import Config, UncertaintyConfig
+from mocap_calib.errors import DegenerateError
+from mocap_calib.geometry.gauge import project_out_similarity, rig_change, rig_size
+from mocap_calib.geometry.lens import change_intrinsics
+from mocap_calib.recording.sampling import with_cameras
+from mocap_calib.rig.observations import labelled_frames
+from mocap_calib.types import (
+    Camera,
+    CameraRig,
+    EstimatedCamera,
+    Floats,
+    Ints,
+    Matches,
+    RigCovariance,
+    Sample,
+    Uncertainty,
+)
+
+_SAME_POINT = 1.0  # pixels: readers differ by half of one in where the middle of an image is
+
+
+@single_threaded_libraries()
+def assess_uncertainty(
+    sample: Sample, rig: CameraRig, matches: Matches, config: Config, *, seed: int
+) -> Uncertainty:
+    """Return how well the sample determines the rig, and which cameras stand out.
+
+    A few moments accuse no camera.
+    """
+    (fit, (covariance, held_out)), free = do_both(
+        lambda: (
+            measure_fit(sample, rig, matches, config),
+            covariance_and_held_out(sample, rig, matches, config, seed=seed),
+        ),
+        lambda: _free_focal(sample, rig, matches, config),
+    )
+    off = _intrinsics_changes(sample, rig, matches, config, free=free)
+    unknown = np.full(len(rig.cameras), np.nan)
+    given = None if _any_estimated(rig) else free  # nobody is accused of what was estimated
+    change, sigma = (unknown, unknown) if given is None else (given.change, given.sigma)
+    tells = len(labelled_frames(matches)) >= config.uncertainty.accusing_moments
+    return Uncertainty(
+        covariance=covariance.with_changes(off),
+        held_out=held_out,
+        intrinsics_turn=_turn_of(off),
+        outlier_cameras=find_outlier_cameras(fit, config.uncertainty) & tells,
+        weak_perspective=find_weak_perspective(fit),
+        focal_change=change,
+        focal_sigma=sigma,
+        wrong_focal=find_wrong_focal(rig.cameras, change, sigma, config.uncertainty) & tells,
+    )
+
+
+def _free_focal(
+    sample: Sample, rig: CameraRig, matches: Matches, config: Config
+) -> FreeFocal | None:
+    """Return the rig with free focal lengths, None where nothing more can be said.
+
+    That is where each was estimated by itself, and where nothing goes with free ones.
+    """
+    groups = shared_intrinsics(rig.cameras, config.intrinsics)
+    if _any_estimated(rig) and len(np.unique(groups)) == len(rig.cameras):
+        return None
+    try:
+        return free_focal_lengths(sample, rig, matches, config)
+    except DegenerateError:
+        return None
+
+
+def _any_estimated(rig: CameraRig) -> bool:
+    """Return whether the intrinsics of a camera were estimated from the recording."""
+    return any(isinstance(camera, EstimatedCamera) for camera in rig.cameras)
+
+
+def _intrinsics_changes(
+    sample: Sample, rig: CameraRig, matches: Matches, config: Config, *, free: FreeFocal | None
+) -> Floats:
+    """Return by how much `[change, view, 6]` cameras may be off because of intrinsics.
+
+    Focal lengths that were given, or estimated as one for several cameras, may each be another.
+    Those that were estimated are known to a standard deviation, and so is a principal point that is
+    taken to be in the middle of the image.
+    """
+    off = [
+        estimated_focal_changes(sample, rig, matches, config),
+        assumed_middle_changes(rig, config.uncertainty),
+    ]
+    if free is not None:
+        off.append(given_focal_change(rig, free, config.uncertainty)[None])
+    return np.concatenate(off)
+
+
+def assumed_middle_changes(rig: CameraRig, config: UncertaintyConfig) -> Floats:
+    """Return by how much `[change, view, 6]` cameras may be off because of their principal points.
+
+    A camera whose principal point is beside the middle of the image is turned by that angle in a
+    rig that takes it to be there. Of cameras whose intrinsics were estimated, and which have it in
+    the middle: two changes each, about the two axes of the image.
+    """
+    changes = [
+        _middle_changes(rig, view, config.principal_point * max(camera.size))
+        for view, camera in enumerate(rig.cameras)
+        if isinstance(camera, EstimatedCamera) and _is_in_the_middle(camera)
+    ]
+    return np.concatenate([np.zeros((0, len(rig.cameras), 6)), *changes])
+
+
+def with_uncertain_corner(
+    uncertainty: Uncertainty, rig: CameraRig, view: int, sigma: float, config: UncertaintyConfig
+) -> Uncertainty:
+    """Return what is uncertain when a camera shows a part of its images, estimated where.
+
+    sigma: standard deviation in pixels of the corner of that part, by the errors of the
+        detections. What is wrong with their joints moves the corner as well: it is known no better
+        than where an image is taken to have its middle.
+    """
+    sigma = float(np.hypot(sigma, config.principal_point * max(rig.cameras[view].size)))
+    off = _middle_changes(rig, view, sigma)
+    turn = np.hypot(uncertainty.intrinsics_turn, _turn_of(off))
+    covariance = uncertainty.covariance.with_changes(off)
+    return replace(uncertainty, covariance=covariance, intrinsics_turn=turn)
+
+
+def _turn_of(changes: Floats) -> Floats:
+    """Return by how much `[view]` radians all changes `[change, view, 6]` together turn cameras."""
+    return np.asarray(np.sqrt((changes[..., :3] ** 2).sum((0, 2))))
+
+
+def _is_in_the_middle(camera: Camera) -> bool:
+    """Return whether the principal point is in the middle of the image."""
+    middle = (np.array(camera.size) - 1) / 2
+    return bool(np.abs(camera.matrix[:2, 2] - middle).max() <= _SAME_POINT)
+
+
+def _middle_changes(rig: CameraRig, view: int, sigma: float) -> Floats:
+    """Return by how much `[2, view, 6]` cameras are off when one principal point is off.
+
+    sigma: in pixels, along both axes of the image of that view.
+    """
+    changes = np.zeros((2, len(rig.cameras), 6))
+    # x and y of the camera, in the world
+    changes[:, view, :3] = sigma / rig.cameras[view].focal * rig.rotation[view, :2]
+    return np.stack([project_out_similarity(change, rig) for change in changes])
+
+
+def given_focal_change(rig: CameraRig, free: FreeFocal, config: UncertaintyConfig) -> Floats:
+    """Return by how much `[view, 6]` cameras may be off because of focal lengths held fixed.
+
+    What the rig changes by when they are free, less what right ones change by: chance, and what is
+    wrong with detections beside it. Of the mean square of the changes of focal length, in standard
+    deviations of both, that is 1. Efron and Morris 1973: "Stein's Estimation Rule and Its
+    Competitors", the positive-part rule.
+    """
+    usual = np.hypot(free.sigma, config.focal_systematic)
+    significance = float(np.mean((free.change / usual) ** 2))
+    beyond_usual = max(0.0, 1 - 1 / max(significance, 1e-12))
+    return config.focal_reach * np.sqrt(beyond_usual) * rig_change(rig, free.rig)
+
+
+def estimated_focal_changes(
+    sample: Sample, rig: CameraRig, matches: Matches, config: Config
+) -> Floats:
+    """Return by how much `[change, view, 6]` cameras may be off because of estimated focal lengths.
+
+    What the rig changes by when focal lengths that were estimated together become longer by a
+    standard deviation and the rig is adjusted again; none where focal lengths were given.
+    """
+    sigma = np.array([_log_focal_sigma(camera) for camera in rig.cameras])
+    group = _estimated_together(rig.cameras, sigma, config)
+    changes = [
+        _change_with_focal(sample, rig, matches, config, np.where(group == number, sigma, 0.0))
+        for number in np.unique(group[sigma > 0])
+    ]
+    return np.array(changes).reshape(-1, len(rig.cameras), 6)
+
+
+def _estimated_together(cameras: tuple[Camera, ...], sigma: Floats, config: Config) -> Ints:
+    """Return the number `[view]` of the group of cameras whose focal lengths are one estimate.
+
+    sigma: `[view]` of their logarithms, which is one too.
+    """
+    kind = shared_intrinsics(cameras, config.intrinsics)
+    _, number = np.unique(np.stack([kind, sigma.round(9)]), axis=1, return_inverse=True)
+    return np.asarray(number)
+
+
+def _log_focal_sigma(camera: Camera) -> float:
+    """Return the standard deviation of the logarithm of a focal length, 0 where it was given."""
+    return camera.focal_sigma / camera.focal if isinstance(camera, EstimatedCamera) else 0.0
+
+
+def _change_with_focal(
+    sample: Sample, rig: CameraRig, matches: Matches, config: Config, log_focal: Floats
+) -> Floats:
+    """Return how the rig changes `[view, 6]` with focal lengths changed by `[view]`.
+
+    As much as can be where nothing goes with these.
+    """
+    cameras = tuple(
+        change_intrinsics(camera, log_focal=change, k1=0.0)
+        for camera, change in zip(rig.cameras, log_focal, strict=True)
+    )
+    changed = replace(rig, cameras=cameras)
+    try:
+        found = adjust_once(with_cameras(sample, cameras), changed, matches, config)
+    except DegenerateError:
+        nothing = RigCovariance.unknown(len(cameras), rig_size(rig)).matrix
+        return np.sqrt(np.einsum("vivi->vi", nothing))
+    return rig_change(rig, found)

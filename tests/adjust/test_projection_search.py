@@ -1,0 +1,219 @@
+"""The projection of a camera from points that others know."""
+
+import numpy as np
+import pytest
+
+from mocap_calib.adjust import camera_fit, projection_search
+from mocap_calib.adjust.camera_fit import CameraPose, Seen, fit_camera
+from mocap_calib.adjust.projection_search import (
+    Sighting,
+    decompose,
+    exchanged_share,
+    match,
+    resect,
+)
+from mocap_calib.config import CameraFitConfig, ResectionConfig
+from mocap_calib.geometry.projection import pixels_from_points
+from mocap_calib.geometry.rotation import angle_between, matrix_from_vector
+from mocap_calib.types import Camera
+
+MATRIX = np.array([[900.0, 0.0, 630.0], [0.0, 910.0, 350.0], [0.0, 0.0, 1.0]])
+CAMERA = Camera("c", (1280, 720), MATRIX, np.array([-0.2, 0.1, 0.001, -0.002, 0.0]))
+POSE = CameraPose(matrix_from_vector(np.array([0.1, 0.7, -0.2])), np.array([0.3, -0.1, 5.0]))
+
+
+def bodies(frames=40, individuals=1, keypoints=12, seed=0):
+    rng = np.random.default_rng(seed)
+    body = 0.5 * rng.normal(size=(individuals, keypoints, 3))
+    place = rng.uniform(-1.2, 1.2, size=(frames, individuals, 1, 3))
+    return body + place + 0.1 * rng.normal(size=(frames, individuals, keypoints, 3))
+
+
+def project(points, matrix=MATRIX, pose=POSE):
+    seen = (points @ pose.rotation.T + pose.translation) @ matrix.T
+    return seen[..., :2] / seen[..., 2:]
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_decompose_returns_the_intrinsics_and_the_pose_of_a_projection(mirrored):
+    matrix = MATRIX * np.array([-1.0 if mirrored else 1.0, 1.0, 1.0])
+    projection = 3.7 * matrix @ np.column_stack([POSE.rotation, POSE.translation])
+    found = decompose(projection)
+    np.testing.assert_allclose(found.matrix, matrix, rtol=1e-9, atol=1e-7)
+    np.testing.assert_allclose(found.rotation, POSE.rotation, atol=1e-12)
+    np.testing.assert_allclose(found.translation, POSE.translation, atol=1e-10)
+
+
+@pytest.mark.parametrize("individuals", [1, 3])
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_exact_points_give_the_exact_projection_whoever_is_who(individuals, mirrored):
+    points = bodies(individuals=individuals)
+    matrix = MATRIX * np.array([-1.0 if mirrored else 1.0, 1.0, 1.0])
+    rng = np.random.default_rng(1)
+    order = np.array([rng.permutation(individuals) for _ in points])
+    image = np.take_along_axis(project(points, matrix), order[..., None, None], axis=1)
+    found = resect(Sighting(points, image), ResectionConfig(), seed=0)
+    parts = decompose(found.projection)
+    np.testing.assert_allclose(parts.matrix, matrix, rtol=1e-4, atol=0.1)
+    assert angle_between(parts.rotation, POSE.rotation) < 1e-4
+    np.testing.assert_array_equal(found.individual, order)
+    assert found.cost < 1e-3
+
+
+@pytest.mark.parametrize(("individuals", "enough"), [(1, False), (2, True)])
+def test_of_several_subjects_fewer_frames_are_drawn(individuals, enough):
+    """Three frames: four are drawn of a single subject, and two where any may be anybody."""
+    points = bodies(frames=3, individuals=individuals)
+    found = resect(Sighting(points, project(points)), ResectionConfig(), seed=0)
+    assert (found is not None) == enough
+
+
+def test_detections_show_whom_they_fit_or_nobody():
+    """Two of three are detected in each frame, and once somebody who is not known."""
+    points = bodies(frames=6, individuals=3)
+    shown = np.array([[2, 0]] * 5 + [[1, -1]])
+    image = np.take_along_axis(project(points), shown[..., None, None], axis=1)
+    image[5, 1] += 400.0
+    projection = MATRIX @ np.column_stack([POSE.rotation, POSE.translation])
+    found, cost = match(Sighting(points, image), projection, tolerance=5.0)
+    assert found.tolist() == shown.tolist()
+    assert cost == pytest.approx(1 / 12, abs=0.01)
+
+
+def test_a_third_of_wrong_detections_and_noise_do_not_matter():
+    points = bodies(frames=80)
+    rng = np.random.default_rng(2)
+    image = project(points) + 2 * rng.normal(size=(80, 1, 12, 2))
+    image[::3] = rng.uniform((0, 0), (1280, 720), size=image[::3].shape)
+    found = decompose(resect(Sighting(points, image), ResectionConfig(), seed=0).projection)
+    # measured: 0.4 deg and 1 %
+    assert np.degrees(angle_between(found.rotation, POSE.rotation)) < 2.0
+    np.testing.assert_allclose(np.diag(found.matrix)[:2], [900, 910], rtol=0.05)
+
+
+def test_frames_count_that_do_not_show_everybody():
+    """One of three subjects is seen in each frame, and in half of the frames something else."""
+    points, rng = bodies(frames=80, individuals=3), np.random.default_rng(3)
+    shown = rng.integers(3, size=80)
+    image = np.full((80, 2, 12, 2), np.nan)
+    image[:, 0] = project(points)[np.arange(80), shown]
+    image[::2, 0] = rng.uniform((0, 0), (1280, 720), size=(40, 12, 2))
+    found = resect(Sighting(points, image), ResectionConfig(), seed=0)
+    np.testing.assert_allclose(decompose(found.projection).matrix, MATRIX, rtol=1e-3, atol=1.0)
+    np.testing.assert_array_equal(found.individual[1::2, 0], shown[1::2])
+
+
+def test_without_enough_frames_there_is_no_projection():
+    points = bodies(frames=2)
+    assert resect(Sighting(points, project(points)), ResectionConfig(), seed=0) is None
+    nothing = np.full((2, 1, 12, 2), np.nan)
+    assert resect(Sighting(points, nothing), ResectionConfig(), seed=0) is None
+
+
+def test_the_share_of_exchanged_sides_is_counted():
+    points = bodies(frames=80)
+    order = np.array([1, 0, 3, 2, 5, 4, *range(6, 12)])
+    image = project(points)
+    image[::4] = image[::4][:, :, order]
+    given, exchanged = Sighting(points, image), Sighting(points, image[:, :, order])
+    found = resect(given, ResectionConfig(), seed=0)
+    assert exchanged_share(given, exchanged, found) == pytest.approx(0.25, abs=0.03)
+
+
+def seen_of(points, pixels):
+    number = np.arange(len(points))
+    return Seen(points, pixels, number * 10 // len(points), number % 12)
+
+
+@pytest.mark.parametrize(
+    ("free", "values", "tolerance"),
+    [
+        (("log_scale",), [np.log(0.5)], 1e-6),
+        (("x", "y"), [-150.0, -80.0], 1e-3),
+        (("log_focal",), [0.3], 1e-6),
+        ((), [], 0.0),
+    ],
+)
+def test_what_images_hide_is_found_from_exact_points(free, values, tolerance):
+    points = bodies().reshape(-1, 3)
+    value = dict(zip(free, values, strict=True))
+    matrix = MATRIX.copy()
+    matrix[[0, 1], [0, 1]] *= np.exp(value.get("log_focal", 0.0))
+    taken = Camera("c", CAMERA.size, matrix, CAMERA.distortion)
+    pixels = pixels_from_points(taken, points @ POSE.rotation.T + POSE.translation)
+    pixels = np.exp(value.get("log_scale", 0.0)) * pixels
+    pixels += (value.get("x", 0.0), value.get("y", 0.0))
+    start = CameraPose(
+        matrix_from_vector(np.array([0.0, 0.1, 0.05])) @ POSE.rotation,
+        POSE.translation + (0.1, 0.0, 0.3),
+    )
+    found = fit_camera(
+        CAMERA, seen_of(points, pixels), start, CameraFitConfig(), noise=20.0, free=free
+    )
+    np.testing.assert_allclose(found.unknowns, values, atol=max(tolerance, 1e-12))
+    assert angle_between(found.pose.rotation, POSE.rotation) < 1e-6
+    assert found.error.max() < 1e-3
+
+
+def test_the_uncertainty_of_a_crop_covers_its_error():
+    """Wald's statistic of the errors of two unknowns is 2 on average; 30 draws: 2 +- 0.4."""
+    points = bodies().reshape(-1, 3)
+    in_camera = points @ POSE.rotation.T + POSE.translation
+    statistics = []
+    for seed in range(30):
+        noise = 2 * np.random.default_rng(seed).normal(size=(len(points), 2))
+        pixels = pixels_from_points(CAMERA, in_camera) + noise
+        found = fit_camera(
+            CAMERA, seen_of(points, pixels), POSE, CameraFitConfig(), noise=2.0, free=("x", "y")
+        )
+        statistics.append(found.significance)
+    assert 0.8 < np.mean(statistics) < 4.0
+
+
+def test_slopes_of_what_a_camera_sees_are_those_of_differences():
+    """Of a turn, a shift, and all that its images may hide; pixels by radians, metres and so on."""
+    points = bodies(frames=3).reshape(-1, 3)
+    seen, free = seen_of(points, np.zeros((len(points), 2))), ("log_scale", "x", "y", "log_focal")
+    at, step = np.array([0.1, 20.0, -30.0, 0.05]), 1e-5
+
+    def residual(change):
+        turn = matrix_from_vector(change[:3])
+        pose = CameraPose(turn @ POSE.rotation, POSE.translation + change[3:6])
+        return camera_fit._linearise(CAMERA, seen, pose, at + change[6:], free).residual
+
+    found = camera_fit._linearise(CAMERA, seen, POSE, at, free).jacobian
+    for slope, change in zip(found, step * np.eye(10), strict=True):
+        expected = (residual(change) - residual(-change)) / (2 * step)
+        np.testing.assert_allclose(slope, expected, rtol=1e-6, atol=1e-3)
+
+
+def test_an_error_of_a_fit_weighs_as_its_cost_grows():
+    """Of both, the slopes by the squared error in units of the scale."""
+    squares, scale, step = np.array([0.0, 0.25, 1.0, 9.0]), 3.0, 1e-6
+
+    def errors(square):
+        return camera_fit._Linearised(scale * np.sqrt([square, 0 * square]), np.zeros((0, 2, 4)))
+
+    grown = [camera_fit._cost(errors(squares + step * e), scale) for e in np.eye(4)]
+    expected = (np.array(grown) - camera_fit._cost(errors(squares), scale)) / step
+    np.testing.assert_allclose(camera_fit._weights(errors(squares), scale), expected, atol=1e-5)
+
+
+def test_compiled_costs_are_those_of_numpy(monkeypatch):
+    """Some joints are missing on either side, some behind the camera, and some bodies show few."""
+    pytest.importorskip("numba")
+    rng = np.random.default_rng(7)
+    points = bodies(individuals=3, keypoints=6)
+    points[..., 2] -= 4.0  # some of them behind the camera
+    projection = MATRIX @ np.column_stack([POSE.rotation, POSE.translation]) / 900
+    seen = points @ projection[:, :3].T + projection[:, 3]
+    image = seen[..., :2] / seen[..., 2:] + 0.05 * rng.normal(size=(*points.shape[:3], 2))
+    for array in (points, image):
+        array[rng.random(array.shape[:3]) < 0.3] = np.nan
+    scene = Sighting(points, image[:, ::-1])
+    compiled = projection_search._detection_costs(scene, projection, 0.05)
+    monkeypatch.setattr(projection_search, "compiled", lambda _: None)
+    defined = projection_search._detection_costs(scene, projection, 0.05)
+    np.testing.assert_allclose(compiled, defined, rtol=1e-9)
+    assert 0 < (seen[..., 2] < 0).mean() < 1
+    assert 0.05 < (compiled < 0.9).mean() < 0.95

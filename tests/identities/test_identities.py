@@ -1,0 +1,307 @@
+"""Who is who through a recording: bodies that meet, vanish and come back, with truth."""
+
+from dataclasses import replace
+from itertools import product
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scenes import PEOPLE, scene
+
+from mocap_calib.config import Config, MatchingConfig
+from mocap_calib.geometry.reprojection import project
+from mocap_calib.identities import finalise as identities
+from mocap_calib.identities import joining
+from mocap_calib.identities.evidence import motion_evidence
+from mocap_calib.identities.finalise import finalise_identities
+from mocap_calib.identities.joining import join_pieces
+from mocap_calib.identities.name_swaps import exchanged_pieces
+from mocap_calib.identities.pieces import cut_into_pieces
+from mocap_calib.identities.proportions import Proportions, measure_proportions
+from mocap_calib.recording.synchronise import make_recording
+from mocap_calib.types import Matches
+
+FRAMES = 160
+JOINTS = scene().files[0].positions.shape[2]
+
+
+def a_body(seed: int = 0) -> np.ndarray:
+    """Return joints `[joint, 3]` in metres about the middle of a body."""
+    return 0.4 * np.random.default_rng(seed).normal(size=(JOINTS, 3)) + [0, 0, 1]
+
+
+def name_walkers(places: np.ndarray, bodies: list, seen: np.ndarray, *, views=4, **options):
+    """Return the names `[frame, body]` of bodies `[joint, 3]` at places `[frame, body, 3]`.
+
+    seen: `[frame, body]`. Four cameras, noise of 2 pixels, detections in another order in each
+    frame and view. views: that see the last body. -1 = not seen, or nobody.
+    """
+    rng, made = np.random.default_rng(0), scene()
+    frames, count = seen.shape
+    points = np.stack(bodies) + places[:, :, None]
+    pixels = project(made.rig, points.reshape(-1, 3).T)
+    pixels = np.moveaxis(pixels, 1, -1).reshape(4, frames, count, JOINTS, 2)
+    pixels += 2 * rng.normal(size=pixels.shape)
+    visible = np.tile(seen, (4, 1, 1))
+    visible[views:, :, -1] = False
+    pixels[~visible] = np.nan
+    order = rng.permuted(np.tile(np.arange(count), (4, frames, 1)), axis=-1)
+    shuffled = np.take_along_axis(pixels, order[..., None, None], axis=2)
+    files = [
+        replace(
+            file,
+            frames=np.arange(frames),
+            positions=view,
+            confidence=np.isfinite(view[..., 0]).astype(float),
+        )
+        for file, view in zip(made.files, shuffled, strict=True)
+    ]
+    found = make_recording(files, made.rig.cameras, PEOPLE, {})
+    groups = np.where(np.take_along_axis(visible, order, axis=2), order, -1)
+    config = Config(matching=MatchingConfig(**options))
+    labels = finalise_identities(found, made.rig, Matches(groups), config).labels
+    names = np.take_along_axis(labels, np.argsort(order, axis=-1), axis=2)
+    assert ((names == names[:1]) | ~visible).all()
+    return names[0]
+
+
+def on_lines(speed: float = 0.02) -> np.ndarray:
+    """Return places of two who walk towards each other, and pass within 0.1 m."""
+    way = speed * (np.arange(FRAMES) - FRAMES / 2)
+    places = np.zeros((FRAMES, 2, 3))
+    places[:, 0, 0], places[:, 1, 0] = way, -way
+    places[:, 1, 1] = 0.1
+    return places
+
+
+def everybody() -> np.ndarray:
+    return np.ones((FRAMES, 2), dtype=bool)
+
+
+def test_twins_who_walk_through_each_other_keep_their_names():
+    """Bodies are the same: motion alone tells. One is not seen for 6 frames as they meet."""
+    seen = everybody()
+    seen[77:83, 1] = False
+    names = name_walkers(on_lines(), [a_body(), a_body()], seen)
+    for body in range(2):
+        assert len(set(names[seen[:, body], body])) == 1
+    assert len(np.unique(names[seen])) == 2
+
+
+@pytest.mark.parametrize("exchanged", [False, True])
+def test_who_comes_back_is_known_by_proportions(exchanged):
+    """Both are away for 80 frames, and come back where they left, or where the other one did.
+
+    The second is 6 % larger.
+    """
+    places, seen = 0.3 * on_lines(), everybody()
+    places[..., 1] += [-0.8, 0.8]
+    seen[40:120] = False
+    if exchanged:
+        places[120:] = places[120:, ::-1]
+    names = name_walkers(places, [a_body(), 1.06 * a_body()], seen)
+    first, second = names[seen[:, 0]].T
+    assert set(first) != set(second)
+    assert len(set(first)) == len(set(second)) == 1
+
+
+def test_twins_who_come_back_get_no_new_names():
+    places, seen = 0.3 * on_lines(), everybody()
+    places[..., 1] += [-0.8, 0.8]
+    seen[40:120] = False
+    names = name_walkers(places, [a_body(), a_body()], seen)
+    assert set(names[seen]) == {0, 1}
+
+
+def test_no_more_individuals_than_are_known_to_be_there():
+    """A third one is seen in 40 frames: two are asked for, and the two seen longest are named."""
+    places = np.concatenate([on_lines(), on_lines()[:, :1] + [0, 1.5, 0]], axis=1)
+    seen = np.ones((FRAMES, 3), dtype=bool)
+    seen[40:, 2] = False
+    bodies = [a_body(), 1.1 * a_body(1), 0.9 * a_body(2)]
+    assert set(name_walkers(places, bodies, seen)[seen]) == {0, 1, 2}
+    names = name_walkers(places, bodies, seen, individuals=2)
+    assert (names[:, 2] == -1).all()
+    assert set(names[:, 0]) | set(names[:, 1]) == {0, 1}
+
+
+@pytest.mark.parametrize(("frames", "named"), [(8, False), (9, True)])
+def test_who_is_seen_for_a_moment_is_nobody(frames, named):
+    """A twentieth of the recording, 8 of 160 frames, is a moment."""
+    places = np.concatenate([on_lines(), on_lines()[:, :1] + [0, 1.5, 0]], axis=1)
+    seen = np.ones((FRAMES, 3), dtype=bool)
+    seen[:, 2] = np.arange(FRAMES) < frames
+    names = name_walkers(places, [a_body(), 1.1 * a_body(1), 0.9 * a_body(2)], seen)
+    assert set(names[seen[:, 2], 2]) == ({2} if named else {-1})
+    assert set(names[:, 0]) | set(names[:, 1]) == {0, 1}
+
+
+@pytest.mark.parametrize(
+    ("each", "jumps", "views", "named"),
+    [
+        (2, False, 2, True),  # there for two frames at a time
+        (1, False, 4, True),  # for one, which all views see
+        (1, True, 2, False),  # detections of two views that meet by chance
+    ],
+)
+def test_who_is_never_followed_and_seen_by_two_views_is_nobody(each, jumps, views, named):
+    rng = np.random.default_rng(2)
+    places = np.concatenate([on_lines(), np.zeros((FRAMES, 1, 3))], axis=1)
+    places[:, 2] = [0, 1.5, 0]
+    if jumps:
+        places[:, 2] += rng.uniform(-1, 1, (FRAMES, 3)) * [1, 1, 0]
+    seen = np.ones((FRAMES, 3), dtype=bool)
+    seen[:, 2] = np.arange(FRAMES) % (8 * each) < each
+    bodies = [a_body(), 1.1 * a_body(1), 0.9 * a_body(2)]
+    names = name_walkers(places, bodies, seen, views=views)
+    assert set(names[seen[:, 2], 2]) == ({2} if named else {-1})
+    assert set(names[:, 0]) | set(names[:, 1]) == {0, 1}
+
+
+def test_where_bodies_cannot_be_followed_names_go_by_place():
+    """Frames that do not follow each other: as many names as bodies, none twice in a frame."""
+    places = np.random.default_rng(1).uniform(-1.5, 1.5, (FRAMES, 2, 3)) * [1, 1, 0]
+    names = name_walkers(places, [a_body(), a_body()], everybody())
+    assert (np.sort(names, axis=1) == [0, 1]).all()
+
+
+def test_pieces_have_no_gaps():
+    """As many groups as frames from the first to the last; two bodies, one of them away twice."""
+    rng, seen = np.random.default_rng(0), everybody()
+    seen[50:60, 1] = seen[100:130, 1] = False
+    places = 0.3 * on_lines() + np.array([[0.0, 0, 0], [0, 2.0, 0]])
+    points = a_body() + places[:, :, None] + 0.002 * rng.normal(size=(FRAMES, 2, JOINTS, 3))
+    points[~seen] = np.nan
+    pieces = cut_into_pieces(points, np.arange(FRAMES), MatchingConfig())
+    assert pieces.lengths.tolist() == np.bincount(pieces.number[seen]).tolist()
+    assert sorted(pieces.lengths) == [30, 40, 50, 160]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_pieces_are_joined_by_all_evidence_together(seed):
+    """Forty pieces of two bodies: one in four pairs speaks for the wrong answer."""
+    rng, pieces = np.random.default_rng(seed), 40
+    truth = rng.integers(2, size=pieces)
+    same = truth[:, None] == truth
+    pairs = np.where(same, 1.0, -1.0) + 1.5 * rng.normal(size=same.shape)
+    pairs = np.triu(pairs, 1) + np.triu(pairs, 1).T
+    nothing = Proportions(np.zeros((pieces, 0)), np.zeros((pieces, 0)), np.zeros(0))
+    first = 10 * np.arange(pieces)
+    found = join_pieces(first, first + 8, pairs, nothing, MatchingConfig())
+    np.testing.assert_array_equal(found[:, None] == found, same)
+
+
+def evidence_of(pairs: np.ndarray, first: np.ndarray, last: np.ndarray) -> joining._Evidence:
+    """Return evidence of pairs of pieces alone, `[piece, piece]`, whose bodies say nothing."""
+    nothing = np.zeros((len(first), 0))
+    together = joining._frames_together(first, last)
+    bodies = Proportions(nothing, nothing.copy(), np.zeros(0))
+    return joining._Evidence(pairs, bodies, together, last - first + 1)
+
+
+def test_pieces_are_joined_before_any_is_exchanged():
+    """The likeliest first: forty pieces of two bodies, every pair of which tells the truth."""
+    truth = np.random.default_rng(0).integers(2, size=40)
+    same = truth[:, None] == truth
+    first = 10 * np.arange(40)
+    evidence = evidence_of(np.where(same, 1.0, -1.0), first, first + 8)
+    found = joining._agglomerate(evidence, MatchingConfig())
+    np.testing.assert_array_equal(found[:, None] == found, same)
+
+
+def test_a_piece_that_was_joined_too_early_goes_where_all_evidence_says():
+    """Two in the same frames, three times, and one more, likeliest of the first piece of the first.
+
+    All its evidence together is 2.2 for the second individual: too little for the exchange of a
+    whole stretch, which asks for 4.
+    """
+    first = np.array([0, 0, 10, 10, 20, 20, 30])
+    pairs = np.where(np.arange(7)[:, None] % 2 == np.arange(7) % 2, 4.0, -10.0)
+    pairs[6, :6] = pairs[:6, 6] = [5.0, 0.4, -3.0, 0.4, -3.0, 0.4]
+    np.fill_diagonal(pairs, 0.0)
+    nothing = Proportions(np.zeros((7, 0)), np.zeros((7, 0)), np.zeros(0))
+    found = join_pieces(first, first + 8, pairs, nothing, MatchingConfig())
+    assert found.tolist() == [0, 1, 0, 1, 0, 1, 1]
+
+
+def test_pieces_that_one_view_follows_are_joined(monkeypatch):
+    """Two begin after two others have ended, and a view has followed each of them."""
+    ends = np.zeros((4, 2), dtype=np.int64)
+    pieces = SimpleNamespace(
+        count=4, first=ends + [[0], [0], [50], [50]], last=ends + [[40], [40], [90], [90]]
+    )
+    nothing = Proportions(np.zeros((4, 0)), np.zeros((4, 0)), np.zeros(0))
+    monkeypatch.setattr(identities, "measure_proportions", lambda *_: nothing)
+    monkeypatch.setattr(identities, "motion_evidence", lambda *_: np.zeros((4, 4)))
+    for one, other in ((2, 3), (3, 2)):
+        links = np.array([0, 1]), np.array([one, other])
+        monkeypatch.setattr(identities, "image_links", lambda *_, links=links: links)
+        found = identities._join_pieces(
+            None, None, pieces, MatchingConfig(), groups=None, tracks=None
+        )
+        assert found[0] == found[one] != found[1]
+        assert found[1] == found[other]
+
+
+def two_walkers_with_a_gap() -> np.ndarray:
+    """Return points `[frame, group, joint, 3]` of two bodies 3 m apart, one larger by 1.3.
+
+    Nobody is seen in frames 40 to 42, but for one joint of the first in frame 40.
+    """
+    rng, frames = np.random.default_rng(0), 80
+    places = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0]]) + np.zeros((frames, 2, 3))
+    places[..., 1] += 0.02 * np.arange(frames)[:, None]
+    points = places[:, :, None] + np.stack([a_body(), 1.3 * a_body()])
+    points += 0.01 * rng.normal(size=points.shape)
+    points[41:43] = points[40, 1] = points[40, 0, 1:] = np.nan
+    return points
+
+
+def test_bodies_are_measured_in_their_pieces():
+    """The lengths of all pieces are those of their bodies: measured 3 %."""
+    points = two_walkers_with_a_gap()
+    pieces = cut_into_pieces(points, np.arange(80), MatchingConfig())
+    found = measure_proportions(points, pieces, MatchingConfig())
+    (small, large), again = pieces.number[10], pieces.number[60]
+    assert found.mean.shape[1] == JOINTS - 1
+    np.testing.assert_allclose(found.mean[large] - found.mean[small], np.log(1.3), atol=0.06)
+    np.testing.assert_allclose(found.mean[again], found.mean[[small, large]], atol=0.06)
+
+
+def test_who_shows_too_few_joints_is_whom_the_middles_of_bodies_say():
+    """A joint beside the end of one piece, and three metres from that of the other."""
+    points = two_walkers_with_a_gap()
+    pieces = cut_into_pieces(points, np.arange(80), MatchingConfig())
+    (near, far), joint = pieces.number[39], pieces.number[40, 0]
+    among = np.array([near, far, joint])
+    found = motion_evidence(points, np.arange(80), pieces, among, MatchingConfig())
+    assert found[0, 2] > found[1, 2] + 1.0
+    assert found[0, 1] == 0.0  # at the same time
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_best_exchange_of_names_is_found(seed):
+    """Dynamic programming against all exchanges of eight pieces that follow each other."""
+    rng, pieces = np.random.default_rng(seed), 8
+    frames = np.arange(pieces)
+    of_second = rng.random(pieces) < 0.5
+    preference = rng.normal(size=pieces) - 0.5
+    pairs = np.zeros((pieces, pieces))
+    ahead = np.arange(pieces - 1)
+    pairs[ahead, ahead + 1] = pairs[ahead + 1, ahead] = rng.normal(size=pieces - 1) + 0.5
+
+    def evidence(exchanged: np.ndarray) -> float:
+        second = of_second ^ exchanged
+        bound = pairs * (second[:, None] == second)
+        return preference[exchanged].sum() + 0.5 * bound.sum()
+
+    best = max(evidence(np.array(choice)) for choice in product([False, True], repeat=pieces))
+    found = exchanged_pieces(frames, frames, of_second, preference, pairs)
+    assert evidence(found) == pytest.approx(best)
+
+
+def test_of_nobody_left_no_piece_is_exchanged():
+    """Two names may have lost all their pieces to a third before they are compared."""
+    none, nothing = np.zeros(0, dtype=np.int64), np.zeros(0)
+    found = exchanged_pieces(none, none, none == 1, nothing, np.zeros((0, 0)))
+    assert found.shape == (0,)

@@ -1,0 +1,94 @@
+"""Which detections are of one individual without any comparison, and what else is counted."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from mocap_calib.compute.parallel import map_in_processes, map_in_threads
+from mocap_calib.config import FivePointConfig, PairwiseConfig
+from mocap_calib.geometry.rotation import matrix_from_vector
+from mocap_calib.pairs.hypotheses import _known_identities
+from mocap_calib.pairs.solve import pair_mapper
+from mocap_calib.paper.five_point import _candidates as _five_point_candidates
+from mocap_calib.paper.five_point import (
+    _count_inliers,
+    _possible_matches,
+    _Problem,
+    estimate_by_loransac,
+)
+
+
+def pair_of(present_a: list[list[int]], present_b: list[list[int]]) -> SimpleNamespace:
+    """Views that have these detections, `[frame, instance]`."""
+    a, b = (SimpleNamespace(present=np.array(each, bool)) for each in (present_a, present_b))
+    return SimpleNamespace(frames=np.arange(len(a.present)), a=a, b=b)
+
+
+def test_one_subject_in_each_view_is_one_individual():
+    """Not where one view sees two, or none; and only where half of the frames are such."""
+    pair = pair_of(
+        [[1, 0], [0, 1], [1, 1], [1, 0], [0, 0], [1, 0]],
+        [[0, 1], [1, 0], [1, 0], [1, 1], [1, 0], [0, 1]],
+    )
+    (matches,) = _known_identities(pair, False, PairwiseConfig())
+    assert matches.tolist() == [[0, 0, 1], [1, 1, 0], [5, 0, 1]]
+    more = pair_of(
+        [*pair.a.present.tolist(), [1, 1]],
+        [*pair.b.present.tolist(), [1, 1]],
+    )
+    assert _known_identities(more, False, PairwiseConfig()) == []
+
+
+def test_any_two_tracks_may_be_one_individual_where_both_are_seen():
+    pair = pair_of([[1, 0], [1, 1], [0, 1]], [[1, 0], [1, 0], [1, 0]])
+    first, second = _known_identities(pair, True, PairwiseConfig())
+    assert first.tolist() == [[0, 0, 0], [1, 0, 0]]
+    assert second.tolist() == [[1, 1, 0], [2, 1, 0]]
+
+
+def test_inliers_are_counted_of_right_matches_alone():
+    """Three bodies of ten joints, one joint wrong in each; a fourth of which four are right."""
+    rng = np.random.default_rng(0)
+    rotation, translation = (
+        matrix_from_vector(np.array([0.1, 1.0, 0.0])),
+        np.array([-8.0, 0.3, 5.0]),
+    )
+    points = rng.normal(0, 0.6, (1, 4, 10, 3)) + rng.normal([0, 0, 10], [2, 0.4, 1], (1, 4, 1, 3))
+    points_b = points @ rotation.T + translation
+    points_b[:, :, 0, 1] += 1.0
+    points_b[:, 3, :6, 1] += 1.0
+    a, b = (each / np.linalg.norm(each, axis=-1, keepdims=True) for each in (points, points_b))
+    problem = _Problem(a, b, 1e-6, FivePointConfig(), estimate_by_loransac)
+    pose = rotation, translation / np.linalg.norm(translation)
+    assert _count_inliers(problem, pose) == 27
+
+
+def test_candidates_are_of_detections_that_are_there():
+    """One in each view, the first of one and the second of the other."""
+    rays = np.ones((2, 1, 2, 10, 3))
+    rays[0, :, 1] = rays[1, :, 0] = np.nan
+    problem = _Problem(rays[0], rays[1], 1e-6, FivePointConfig(), estimate_by_loransac)
+    (mask,) = _five_point_candidates(problem, np.random.default_rng(0))
+    assert np.argwhere(mask).tolist() == [[0, 0, 1]]
+
+
+def test_pairs_are_spread_by_the_work_that_they_are():
+    """Many pairs of little work each: processes; threads, else."""
+    expected = {
+        (4, 50, 1): map_in_threads,
+        (60, 50, 2): map_in_processes,
+        (4, 200, 12): map_in_threads,
+    }
+    for (views, frames, instances), mapper in expected.items():
+        recording = SimpleNamespace(positions=np.empty((views, frames, instances, 17, 2), np.int8))
+        assert pair_mapper(recording, PairwiseConfig()) is mapper
+
+
+def test_sets_of_two_matches_are_of_two_bodies_in_each_view():
+    """Each set once; one match where there are not two bodies."""
+    found = _possible_matches(np.array([True, False, True]), np.array([True, True]))
+    assert found == [[(0, 0), (2, 1)], [(0, 1), (2, 0)]]
+    assert _possible_matches(np.array([False, True]), np.array([True, True])) == [
+        [(1, 0)],
+        [(1, 1)],
+    ]
