@@ -1,9 +1,8 @@
 """Every default, once. Imports nothing heavy, so that the command line can show them."""
 
+from dataclasses import dataclass
 from math import radians
 from typing import Literal, get_args
-
-from mocap_calib.frozen import frozen
 
 SMALL_RIG = 17  # cameras: of up to so many nearly all see the same bodies
 
@@ -24,7 +23,7 @@ COMPLETION_SPREAD = 0.2  # body sizes: a joint known to this much has exp(-1) of
 COMPLETION_CONFIDENCE = 0.5  # at most, of the mean confidence of the joints that were seen
 
 
-@frozen
+@dataclass(frozen=True)
 class TrainConfig:
     """How a lifter is trained; saved in its model card.
 
@@ -73,7 +72,7 @@ OWN_SPECIES_LARGEST_ERROR = 3.0  # median reprojection errors: joints beyond it 
 OWN_SPECIES_TRAINING = {"elevation_deg": (-60, 88), "roll_deg": 20, "straighten": 0}
 
 
-@frozen
+@dataclass(frozen=True)
 class PairsConfig:
     """The paper's training pairs (appendix C) for the rotation-token network."""
 
@@ -90,7 +89,7 @@ class PairsConfig:
 LAYOUT_DROPOUT = 0.6  # up to this share of joints is lacking where a pose lacks further joints
 
 
-@frozen
+@dataclass(frozen=True)
 class SampleConfig:
     """The frames that calibration looks at.
 
@@ -120,7 +119,7 @@ LARGEST_STEP = 4  # frames that a camera may be ahead by at once, where the othe
 VOTE_TOLERANCE = 1  # frames: so near are the offsets at which cameras agree that say the same
 
 
-@frozen
+@dataclass(frozen=True)
 class SyncConfig:
     """How the clocks of the cameras are compared before there is a rig.
 
@@ -212,7 +211,7 @@ class SyncConfig:
     evidence_blocks: int = 25
 
 
-@frozen
+@dataclass(frozen=True)
 class PairwiseConfig:
     """Relative poses of pairs. Lengths in body sizes; image errors are measured at the body."""
 
@@ -273,7 +272,7 @@ SINKHORN_SWEEPS = 12  # of rows and columns
 SINKHORN_SHARPNESS = 8.0  # of the affinity in the exponent
 
 
-@frozen
+@dataclass(frozen=True)
 class FivePointConfig:
     """The baseline that calibrates a pair of views without lifted bodies."""
 
@@ -289,7 +288,7 @@ FIVE_POINT_LEAST_JOINTS = 5  # determine an essential matrix
 PAIR_SOLVERS = ("search", "paper", "five-point")
 
 
-@frozen
+@dataclass(frozen=True)
 class PaperConfig:
     """The paper's solver (section 3.2 and appendix C.3); what the paper leaves open is marked."""
 
@@ -319,7 +318,7 @@ PairChoice = Literal["chosen", "all"]
 PAIR_CHOICES: tuple[PairChoice, ...] = get_args(PairChoice)
 
 
-@frozen
+@dataclass(frozen=True)
 class ViewGraphConfig:
     """Which pairs of cameras are calibrated.
 
@@ -358,7 +357,7 @@ class ViewGraphConfig:
     rounds: int = 3
 
 
-@frozen
+@dataclass(frozen=True)
 class AveragingConfig:
     """From the pairs to groups of cameras, and to a rig.
 
@@ -398,7 +397,7 @@ class AveragingConfig:
     iterations: int = 30
 
 
-@frozen
+@dataclass(frozen=True)
 class MatchingConfig:
     """Who is who: in a frame, through time, and in the end.
 
@@ -495,7 +494,7 @@ FACTORIZATION_LEAST_PX = 1.0
 FACTORIZATION_SWEEPS = 50
 
 
-@frozen
+@dataclass(frozen=True)
 class AdjustConfig:
     """Bundle adjustment. Loss scales are in standard deviations of each view's own residuals."""
 
@@ -555,7 +554,7 @@ REFINEMENTS: tuple[Refinement, ...] = get_args(Refinement)
 ASSUMED_REFINEMENT: Refinement = "focal+k1"
 
 
-@frozen
+@dataclass(frozen=True)
 class IntrinsicsConfig:
     """Which intrinsics are estimated from the recording, and what is known of them beforehand.
 
@@ -597,7 +596,7 @@ DEFAULT_FOCAL = 1.2  # focal length of a camera of which nothing is known, in lo
 SAME_IMAGE_SIZE = 0.01  # videos of one kind of camera may lack some rows
 
 
-@frozen
+@dataclass(frozen=True)
 class TriangulateConfig:
     """3D poses. Errors in standard deviations of each view's own error."""
 
@@ -611,7 +610,7 @@ class TriangulateConfig:
     least_noise_px: float = 0.25
 
 
-@frozen
+@dataclass(frozen=True)
 class PosesConfig:
     """Best estimates of poses (`poses/`). Lengths in body sizes, times in steps between frames.
 
@@ -681,7 +680,7 @@ class PosesConfig:
     margin_frames: int = 40
 
 
-@frozen
+@dataclass(frozen=True)
 class UncertaintyConfig:
     """Whether a recording determines its rig, and whether all cameras agree on it."""
 
@@ -744,7 +743,7 @@ class UncertaintyConfig:
     same_rig_deg: float = 10.0  # two rigs whose cameras turn by no more than this are one answer
 
 
-@frozen
+@dataclass(frozen=True)
 class VerdictConfig:
     """What a rig is called; docs/how-good.md has the rule.
 
@@ -781,7 +780,7 @@ class VerdictConfig:
     errors: float = 0.1  # of a keypoint, in sizes of the body in the image
 
 
-@frozen
+@dataclass(frozen=True)
 class ResectionConfig:
     """The search for the projection of one camera from points that others know.
 
@@ -798,7 +797,7 @@ class ResectionConfig:
     rounds: int = 8
 
 
-@frozen
+@dataclass(frozen=True)
 class CameraFitConfig:
     """A camera fitted to known points. Loss scales are in standard deviations."""
 
@@ -810,7 +809,7 @@ class CameraFitConfig:
     most_damping: float = 1e6
 
 
-@frozen
+@dataclass(frozen=True)
 class DiagnosisConfig:
     """Which camera is odd, and what explains it.
 
@@ -892,7 +891,7 @@ class DiagnosisConfig:
 PLAIN_FACTORS = (1 / 4, 1 / 3, 1 / 2, 2 / 3, 3 / 4, 4 / 3, 3 / 2, 2.0, 3.0, 4.0)
 
 
-@frozen
+@dataclass(frozen=True)
 class ExchangedConfig:
     """Whether two cameras have the intrinsics of each other (faults/exchanged.py).
 
@@ -920,7 +919,7 @@ class ExchangedConfig:
     least_significance: float = 3.0
 
 
-@frozen
+@dataclass(frozen=True)
 class MovedConfig:
     """Whether a camera was bumped or moved during the recording (faults/moved.py).
 
@@ -998,7 +997,7 @@ class MovedConfig:
     near_detections: int = 5
 
 
-@frozen
+@dataclass(frozen=True)
 class UnrelatedConfig:
     """Whether a camera saw another scene than the others (faults/unrelated.py).
 
@@ -1018,7 +1017,7 @@ class UnrelatedConfig:
     least_usual: float = 0.4
 
 
-@frozen
+@dataclass(frozen=True)
 class SubframeConfig:
     """Offsets of clocks within about a frame; see `clocks.time_offsets`.
 
@@ -1061,7 +1060,7 @@ class SubframeConfig:
     held_out: float = 0.15
 
 
-@frozen
+@dataclass(frozen=True)
 class VerifyConfig:
     """Whether a calibration goes with keypoints, and which camera moved since.
 
@@ -1093,7 +1092,7 @@ class VerifyConfig:
     pair_disagreement: float = 10.0
 
 
-@frozen
+@dataclass(frozen=True)
 class MendConfig:
     """What is done where files of a camera are wrong.
 
@@ -1125,7 +1124,7 @@ REPORT_FRAMES = 2000  # whose reprojection errors run.json tells
 RIG_ERROR_THRESHOLDS_DEG = (5, 10, 20, 30)  # at which `evaluate` tells the accuracy
 
 
-@frozen
+@dataclass(frozen=True)
 class ReportConfig:
     """How much a report.html shows. Bytes are those of the page.
 
@@ -1171,7 +1170,7 @@ class ReportConfig:
     most_hashes: int = 500
 
 
-@frozen
+@dataclass(frozen=True)
 class KinematicsConfig:
     """Contacts of feet with the floor; lengths in lengths of a leg (hip to ankle).
 
@@ -1188,7 +1187,7 @@ class KinematicsConfig:
     window: float = 0.05  # seconds before and behind, in which heights and speeds are averaged
 
 
-@frozen
+@dataclass(frozen=True)
 class FloorConfig:
     """How the floor is found that bodies stand on. Lengths in sizes of the body (see `world.body`).
 
@@ -1249,7 +1248,7 @@ CueKind = Literal["height", "length", "camera distance"]
 WORLDS = ("auto", "floor", "first-camera")  # that are asked for by a word; else a camera's name
 
 
-@frozen
+@dataclass(frozen=True)
 class ScaleCue:
     """A length that somebody knows.
 
@@ -1273,7 +1272,7 @@ class ScaleCue:
             )
 
 
-@frozen
+@dataclass(frozen=True)
 class KnownCamera:
     """Where a camera stands in a world that is known.
 
@@ -1285,7 +1284,7 @@ class KnownCamera:
     translation: tuple[float, ...]
 
 
-@frozen
+@dataclass(frozen=True)
 class Landmark:
     """A point whose place is known, as a camera sees it.
 
@@ -1298,7 +1297,7 @@ class Landmark:
     pixel: tuple[float, float]
 
 
-@frozen
+@dataclass(frozen=True)
 class CueConfig:
     """How lengths are measured that somebody knows.
 
@@ -1339,7 +1338,7 @@ class CueConfig:
     least_tall: float = 0.2
 
 
-@frozen
+@dataclass(frozen=True)
 class WorldConfig:
     """Which coordinates results are in.
 
@@ -1383,7 +1382,7 @@ class WorldConfig:
         return "m" if self.cues or self.landmarks else self.unit
 
 
-@frozen
+@dataclass(frozen=True)
 class Config:
     """All stages."""
 
@@ -1413,7 +1412,7 @@ FilterMethod = Literal["butterworth", "median", "savgol"]
 FILTER_METHODS: tuple[FilterMethod, ...] = get_args(FilterMethod)
 
 
-@frozen
+@dataclass(frozen=True)
 class FilterConfig:
     """A classic filter over time (`poses/filters.py`), which only the command `filter` uses.
 
@@ -1428,7 +1427,7 @@ class FilterConfig:
     polynomial: int = 3
 
 
-@frozen
+@dataclass(frozen=True)
 class ReadConfig:
     """What the numbers in keypoint files are taken for."""
 
@@ -1436,7 +1435,7 @@ class ReadConfig:
     least_share: float = -0.25  # a share below this is on another scale, such as -1 to 1
 
 
-@frozen
+@dataclass(frozen=True)
 class CopyConfig:
     """When two files have the same detections (recording/copies.py).
 
@@ -1483,7 +1482,7 @@ INTERSECT_AGREEING_SHARE = 0.6  # of a point's rays that must meet for the rest 
 INTERSECT_AGREEING_RAYS = 3  # and so many of them at least
 
 
-@frozen
+@dataclass(frozen=True)
 class InspectConfig:
     """What `inspect` warns of.
 
@@ -1529,7 +1528,7 @@ class InspectConfig:
     least_depth: float = 3.0
 
 
-@frozen
+@dataclass(frozen=True)
 class AnimalMotion:
     """How a kind of animal goes about in synthetic scenes.
 
@@ -1557,7 +1556,7 @@ ANIMAL_MOTION = {
 }
 
 
-@frozen
+@dataclass(frozen=True)
 class DoctorConfig:
     """The self-test: a simulated recording, and how far the result may be from the truth.
 
@@ -1571,7 +1570,7 @@ class DoctorConfig:
     least_disk_gb: float = 1.0
 
 
-@frozen
+@dataclass(frozen=True)
 class SimulateConfig:
     """A synthetic recording. Lengths in metres; all move in a square 0.9 radii wide.
 

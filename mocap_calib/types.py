@@ -8,7 +8,7 @@ docs/conventions.md has the rest.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import field, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Literal, Protocol, Self, TypeVar, get_args
 
@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from mocap_calib import mapped
 from mocap_calib.config import EPOCH_MARK, Config
-from mocap_calib.frozen import frozen
 from mocap_calib.records import Record, as_array, check_names, check_shape
 from mocap_calib.wording import count
 
@@ -122,7 +121,7 @@ class Mapper(Protocol):
         """
 
 
-@frozen
+@dataclass(frozen=True)
 class Skeleton:
     """The vocabulary of one kind of body.
 
@@ -145,7 +144,7 @@ class Skeleton:
 # --- cameras
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class Camera(Record):
     """The intrinsics of one camera.
 
@@ -190,7 +189,7 @@ class Camera(Record):
         return f"{width} x {height}, f {self.focal:.1f} px, {lens}"
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class EstimatedCamera(Camera):
     """A camera whose intrinsics follow from the recording itself.
 
@@ -210,12 +209,12 @@ class EstimatedCamera(Camera):
         return cls(**_intrinsic_fields(camera), focal_sigma=focal_sigma, k1_sigma=k1_sigma)
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class AssumedCamera(Camera):
     """A camera of which nothing is known but the size of its images: its intrinsics are a guess."""
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class PosedCamera(Camera):
     """One camera of a rig: its intrinsics and where it stands, as OpenCV takes them.
 
@@ -262,7 +261,7 @@ class PosedCamera(Camera):
 ClockKind = Literal["in step", "clock", "rate", "dropped", "not known"]
 
 
-@frozen
+@dataclass(frozen=True)
 class CameraClock:
     """How the clock of one camera differs from the one that most cameras share.
 
@@ -288,7 +287,7 @@ class CameraClock:
         return self.kind in ("clock", "rate", "dropped")
 
 
-@frozen
+@dataclass(frozen=True)
 class MeasuredCue:
     """A length that somebody knows, and what was measured of it.
 
@@ -304,7 +303,7 @@ class MeasuredCue:
     residual: float
 
 
-@frozen
+@dataclass(frozen=True)
 class MeasuredLandmark:
     """A point whose place is known, and how far from it cameras see it.
 
@@ -315,7 +314,7 @@ class MeasuredLandmark:
     distance: float
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class World(Record):
     """What the axes, the origin and the unit of coordinates are.
 
@@ -363,7 +362,7 @@ class World(Record):
         return replace(self, up=rotation @ self.up, floor=rotation @ self.floor + shift)
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class CameraRig(Record):
     """Cameras and where they stand.
 
@@ -573,7 +572,7 @@ def _find_name(names: tuple[str, ...], name: str) -> int:
 # --- detections
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class Keypoints2D(Record):
     """What one keypoint file holds: the detections of one camera.
 
@@ -617,7 +616,7 @@ class Keypoints2D(Record):
         return f"Keypoints2D({', '.join(parts)})"
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class Recording(Record):
     """All views on one clock.
 
@@ -789,7 +788,7 @@ class Recording(Record):
         return ("positions", "confidence")
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class Sample(Recording):
     """Some frames of a recording in double precision, with the rays of their detections.
 
@@ -812,7 +811,7 @@ class Sample(Recording):
         return ("positions", "confidence", "rays")
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class Clocks(Record):
     """Which frame each camera shows at each frame of a clock that is common to all.
 
@@ -908,7 +907,7 @@ class Mend(Protocol):
         """Return the recording with the detections or the intrinsics of the camera put right."""
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class Fault(Record):
     """What is wrong with the files of one camera.
 
@@ -928,7 +927,7 @@ class Fault(Record):
 # --- what the stages find
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class LiftedPoses(Record):
     """Every detection lifted by itself to a 3D body.
 
@@ -956,7 +955,7 @@ class LiftedPoses(Record):
         return LiftedPoses(self.body[views], self.centre[views], self.spread[views])
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class PairwiseCalibration(Record):
     """What is found of the views a and b.
 
@@ -990,7 +989,7 @@ class PairwiseCalibration(Record):
         return (self, *self.alternatives)
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class Averaged(Record):
     """The rig, and how well each pair agrees with it.
 
@@ -1005,7 +1004,7 @@ class Averaged(Record):
     weight: Floats
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class Matches(Record):
     """Who is who: `labels[view, frame, instance]` is the individual, -1 = nobody.
 
@@ -1040,7 +1039,7 @@ class Matches(Record):
         return int(self.labels.max(initial=-1)) + 1
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class Adjusted(Record):
     """A rig after rounds of adjusting and matching, and the labels that it implies.
 
@@ -1058,7 +1057,7 @@ class Adjusted(Record):
     converged: bool
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class TimeOffsets(Record):
     """By what part of a frame the cameras' clocks differ.
 
@@ -1089,7 +1088,7 @@ class TimeOffsets(Record):
         return np.where(self.used, self.tau, 0.0)
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class RigCovariance(Record):
     """How far the cameras of a rig may be from where they should be, after the best similarity.
 
@@ -1147,7 +1146,7 @@ class RigCovariance(Record):
         return replace(self, matrix=self.matrix + more)
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class Uncertainty(Record):
     """How well a rig is determined by what was seen.
 
@@ -1175,7 +1174,7 @@ class Uncertainty(Record):
     wrong_focal: Bools
 
 
-@frozen
+@dataclass(frozen=True)
 class Check:
     """A look at a rig that is independent of its covariance; docs/how-good.md has them all.
 
@@ -1194,7 +1193,7 @@ class Check:
         return not self.value > self.limit
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class Poses3D(Record):
     """Bodies in space.
 
@@ -1353,7 +1352,7 @@ class Poses3D(Record):
         return to_dataset(describe_poses(self, fps, individuals))
 
 
-@frozen
+@dataclass(frozen=True)
 class Smoothing:
     """How best estimates of poses were made of what was seen.
 
@@ -1376,7 +1375,7 @@ class Smoothing:
     exchanged: int = 0
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class ObservedPoints(Record):
     """Points and where cameras saw them: what a bundle adjuster takes.
 
@@ -1403,7 +1402,7 @@ class ObservedPoints(Record):
         return cls(np.zeros((0, 3)), nothing, nothing, np.zeros((0, 2)))
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class GroupResult(Record):
     """All that is found of one group of cameras that see the same bodies.
 
@@ -1473,7 +1472,7 @@ class GroupResult(Record):
         return f"{', '.join(self.rig.names)}: rig {self.verdict}, {found}"
 
 
-@frozen
+@dataclass(frozen=True)
 class UnusedPair:
     """A pair of cameras (names) that are not in one group, and the score of the pair."""
 
@@ -1482,7 +1481,7 @@ class UnusedPair:
     score: float
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class CalibrationResult(Record):
     """All that a run finds: a result for each group of cameras, the largest group first.
 
@@ -1526,7 +1525,7 @@ PlaceWord = Literal["in place", "moved", "focal", "inconsistent", "not checked"]
 PLACE_WORDS: tuple[PlaceWord, ...] = get_args(PlaceWord)
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class VerifiedCamera(Record):
     """What keypoints say of one camera of a calibration.
 
@@ -1558,7 +1557,7 @@ class VerifiedCamera(Record):
         return self.word in ("moved", "focal", "inconsistent")
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class Verification(Record):
     """How far a calibration that was given goes with keypoints, and which cameras moved since.
 

@@ -6,6 +6,7 @@
 
 import functools
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -23,7 +24,6 @@ from mocap_calib.config import (
     ViewGraphConfig,
     WorldConfig,
 )
-from mocap_calib.frozen import frozen
 from mocap_calib_cli import values
 from mocap_calib_cli.file_options import FILE_OPTIONS
 from mocap_calib_cli.numbers import COUNT, PERCENTAGE, SEED
@@ -63,7 +63,7 @@ CALIBRATION = (
 )
 
 
-@frozen
+@dataclass(frozen=True)
 class SharedOptions:
     """What was typed, as text; options that the command does not have are as if left out.
 

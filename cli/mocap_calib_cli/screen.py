@@ -2,11 +2,10 @@
 
 import sys
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import click
-
-from mocap_calib.frozen import frozen
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -15,7 +14,7 @@ if TYPE_CHECKING:
 _NUMBER = tuple("+-0123456789")  # what a number, or the dash in its place, begins with
 
 
-@frozen
+@dataclass(frozen=True)
 class Table:
     """Rows of cells below a header; alarming: the header of a column that says what is wrong."""
 
@@ -24,7 +23,7 @@ class Table:
     alarming: str = ""
 
 
-@frozen
+@dataclass(frozen=True)
 class Line:
     """A line of text, and the colour in which a terminal shows it (a style of rich)."""
 

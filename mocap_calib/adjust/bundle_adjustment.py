@@ -1,6 +1,6 @@
 """Bundle adjustment: choose the detections that the rig is built on, and fit the rig to them."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,7 +13,6 @@ from mocap_calib.adjust.schur import minimise
 from mocap_calib.compute.parallel import do_both, map_in_threads, single_threaded_libraries
 from mocap_calib.config import AdjustConfig, Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.lens import image_slopes
 from mocap_calib.geometry.view_blocks import order_by_views
 from mocap_calib.kernels.loading import contiguous
@@ -34,7 +33,7 @@ from mocap_calib.types import (
 )
 
 
-@frozen
+@dataclass(frozen=True)
 class AdjustablePoints:
     """The points that are adjusted, and what is seen of them.
 

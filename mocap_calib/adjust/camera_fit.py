@@ -7,14 +7,13 @@ Errors of one joint go together, and those of one stretch of time: what the unkn
 by is measured on these (sandwich covariance, Cameron, Gelbach and Miller 2011), not assumed.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from mocap_calib.adjust.covariance import scatter_of
 from mocap_calib.config import CameraFitConfig
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry import lens
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.types import Camera, Floats, Ints
@@ -24,7 +23,7 @@ _MOST_LOG = 3.0  # no focal length is so many times another: beyond it a fit has
 _FAR = 1e6  # pixels: the residual of what is behind the camera
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class Seen:
     """Points that are known, and where a camera saw them.
 
@@ -42,7 +41,7 @@ class Seen:
         return Seen(self.points[index], self.pixels[index], self.block[index], self.keypoint[index])
 
 
-@frozen
+@dataclass(frozen=True)
 class CameraPose:
     """rotation: `[3, 3]` and translation: `[3]` of cam_from_world."""
 
@@ -50,7 +49,7 @@ class CameraPose:
     translation: Floats
 
 
-@frozen
+@dataclass(frozen=True)
 class CameraFit:
     """The pose and the unknowns under which a camera sees points where it does.
 
@@ -79,7 +78,7 @@ class CameraFit:
         return replace(self, covariance=self.covariance + more)
 
 
-@frozen
+@dataclass(frozen=True)
 class _Linearised:
     """residual: `[2, N]` in pixels. jacobian: `[parameter, 2, N]` of turn, shift and unknowns."""
 

@@ -12,6 +12,7 @@ itself is less curved, since a robust loss bends: a rig goes 1.4 times as far as
 cost.
 """
 
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -27,11 +28,10 @@ from mocap_calib.adjust.residuals import (
 )
 from mocap_calib.adjust.schur import eliminate_points, equations_of, prior_of
 from mocap_calib.compute.parallel import map_in_threads
-from mocap_calib.frozen import frozen
 from mocap_calib.types import Floats, Ints
 
 
-@frozen
+@dataclass(frozen=True)
 class Covariance:
     """What the covariance of the free unknowns of `Freedom` is made of, `[free, free]` each.
 
@@ -49,7 +49,7 @@ class Covariance:
         return self.bread @ self.scatter @ self.bread
 
 
-@frozen
+@dataclass(frozen=True)
 class CurvedCovariance:
     """The covariance of free unknowns by the errors that go together in one way or the other.
 
@@ -132,7 +132,7 @@ def _less_curved(system: Floats, bent: Floats, least: float) -> Floats:
     return np.asarray((half * np.maximum(shares, least)) @ half.T)
 
 
-@frozen
+@dataclass(frozen=True)
 class _Told:
     """What detections of points tell of the free unknowns, with the points eliminated.
 

@@ -1,11 +1,10 @@
 """Measure how well a rig fits what was seen, and which cameras stand out."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mocap_calib.config import Config, UncertaintyConfig
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.rays import points_in_cameras
 from mocap_calib.geometry.reprojection import project
 from mocap_calib.rig.noise import view_residual
@@ -14,7 +13,7 @@ from mocap_calib.rig.triangulation import triangulate_rays
 from mocap_calib.types import Bools, CameraRig, Floats, Matches, Sample
 
 
-@frozen
+@dataclass(frozen=True)
 class Fit:
     """How well a rig fits what was seen.
 

@@ -1,6 +1,6 @@
 """A rig adjusted again to a sample, with the points that its covariance follows from."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,11 +15,10 @@ from mocap_calib.adjust.ray_residuals import RayObservations
 from mocap_calib.adjust.residuals import State
 from mocap_calib.adjust.schur import settle_points
 from mocap_calib.config import Config
-from mocap_calib.frozen import frozen
 from mocap_calib.types import Bools, CameraRig, Floats, Matches, Sample
 
 
-@frozen
+@dataclass(frozen=True)
 class FittedRig:
     """A rig adjusted to points of a sample."""
 

@@ -1,12 +1,13 @@
 """What of the cameras an adjustment may change."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from mocap_calib.frozen import frozen
 from mocap_calib.types import Bools, Floats, Ints
 
 
-@frozen
+@dataclass(frozen=True)
 class Freedom:
     """What of the cameras may change, and how far their intrinsics are likely to.
 

@@ -6,7 +6,7 @@ thousands of them weigh no more than some hundred (`covariance`): what is known 
 for as much more.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,7 +22,6 @@ from mocap_calib.adjust.residuals import State
 from mocap_calib.adjust.schur import settle_points
 from mocap_calib.config import SAME_IMAGE_SIZE, Config, IntrinsicsConfig
 from mocap_calib.errors import DegenerateError
-from mocap_calib.frozen import frozen
 from mocap_calib.kernels.loading import contiguous
 from mocap_calib.recording.sampling import with_cameras
 from mocap_calib.rig.association import associate, have_same_groups
@@ -40,7 +39,7 @@ from mocap_calib.types import (
 )
 
 
-@frozen
+@dataclass(frozen=True)
 class _Estimate:
     """A rig with its intrinsics, and what was seen with them.
 
@@ -60,7 +59,7 @@ class _Estimate:
     overconfidence: Floats
 
 
-@frozen
+@dataclass(frozen=True)
 class _Adjusted:
     """What one adjustment of poses and intrinsics together ends at; see `_Estimate`."""
 
@@ -98,7 +97,7 @@ def estimate_intrinsics(
     return _estimated_cameras(found)
 
 
-@frozen
+@dataclass(frozen=True)
 class FreeFocal:
     """What becomes of a rig when its focal lengths are free.
 

@@ -1,14 +1,15 @@
 """How triangulated points move from frame to frame."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from mocap_calib.frozen import frozen
 from mocap_calib.types import Floats, Ints
 
 _USUAL_SHARE = 0.98  # of the motions, the smaller ones
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class Motion:
     """The parabolas on which N points move, about where each is in its own frame.
 

@@ -1,6 +1,6 @@
 """Residuals of cameras and points against observed pixels, for lenses that are adjusted too."""
 
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -11,7 +11,6 @@ from mocap_calib.adjust.residuals import (
     points_in_cameras,
     positive_depth,
 )
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry import lens
 from mocap_calib.kernels.loading import contiguous
 from mocap_calib.types import Camera, Floats, Ints
@@ -19,7 +18,7 @@ from mocap_calib.types import Camera, Floats, Ints
 _LENS_ROW = 14  # numbers of a lens, as kernels take it
 
 
-@frozen
+@dataclass(frozen=True)
 class PixelObservations:
     """What the cameras saw of N points.
 

@@ -7,10 +7,11 @@ images. Who is who is not known either: hypotheses come from a few frames with a
 detections to bodies, and the one that most frames agree on wins (RANSAC, Fischler and Bolles 1981).
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from mocap_calib.config import ResectionConfig
-from mocap_calib.frozen import frozen
 from mocap_calib.kernels.loading import compiled, contiguous
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Bools, Floats, Ints
@@ -20,7 +21,7 @@ _CLEARLY = 0.5  # of the other cost: one of two readings is clearly better
 _LEAST_COMPARED = 3  # joints of a detection and a body that are compared
 
 
-@frozen
+@dataclass(frozen=True)
 class Sighting:
     """Bodies that other cameras know, and what one camera saw in the same frames.
 
@@ -32,7 +33,7 @@ class Sighting:
     image: Floats
 
 
-@frozen
+@dataclass(frozen=True)
 class Resection:
     """A projection, and who is who under it.
 
@@ -48,7 +49,7 @@ class Resection:
     tolerance: float
 
 
-@frozen
+@dataclass(frozen=True)
 class Decomposition:
     """P = K [R t] with a positive second and third diagonal element of K.
 
@@ -139,7 +140,7 @@ def decompose(projection: Floats) -> Decomposition:
     return Decomposition(matrix / scale, rotation, translation)
 
 
-@frozen
+@dataclass(frozen=True)
 class _Normalisation:
     """Similarities that bring points and image points to a unit size about their middle.
 

@@ -6,6 +6,8 @@ Residuals are taken in the plane that touches the unit sphere at the observed ra
 pixels: any lens will do, without its derivatives.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from mocap_calib.adjust.motion import Motion
@@ -16,12 +18,11 @@ from mocap_calib.adjust.residuals import (
     points_in_cameras,
     positive_depth,
 )
-from mocap_calib.frozen import frozen
 from mocap_calib.kernels.loading import contiguous
 from mocap_calib.types import Floats, Ints
 
 
-@frozen
+@dataclass(frozen=True)
 class RayObservations:
     """What the cameras saw of N points.
 
@@ -75,7 +76,7 @@ class RayObservations:
         return Slopes(in_camera=slope, intrinsics=none)
 
 
-@frozen
+@dataclass(frozen=True)
 class TimedRayObservations:
     """What cameras whose clocks differ saw of N points that move.
 

@@ -1,6 +1,6 @@
 """Find where one camera of a calibration stands now, by what the others place."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,7 +13,6 @@ from mocap_calib.adjust.resection import (
     sightings_of,
 )
 from mocap_calib.config import Config
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.rig.observations import gather_observations, labelled_frames
@@ -56,7 +55,7 @@ def find_lost_camera(
     return CameraPose(poses.rotation[best], poses.translation[best])
 
 
-@frozen
+@dataclass(frozen=True)
 class KnownPoints:
     """Points that some cameras place, and where all cameras saw them.
 

@@ -5,12 +5,12 @@ frame that fits it best under a pose, and no error counts for more than that of 
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from mocap_calib.config import MovedConfig
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.rotation import matrix_from_vector, nearest_rotation, skew
 from mocap_calib.kernels.loading import compiled, contiguous
 from mocap_calib.recording.sampling import evenly_spaced
@@ -22,7 +22,7 @@ _UNIT = 0.1  # radians: a tolerance that tells the nearest body from the others
 _RIDGE = 1e-9  # of the diagonal of normal equations
 
 
-@frozen
+@dataclass(frozen=True)
 class Sightings:
     """What one camera saw, and the bodies that were there.
 
@@ -55,7 +55,7 @@ class Sightings:
         return rays, seen, bodies, known
 
 
-@frozen
+@dataclass(frozen=True)
 class CameraPoses:
     """Poses that a camera may have: cam_from_world.
 
@@ -78,7 +78,7 @@ class CameraPoses:
         )
 
 
-@frozen
+@dataclass(frozen=True)
 class Linear:
     """Least squares of small changes of poses: three angles, three shares of the depth.
 
@@ -92,7 +92,7 @@ class Linear:
     depth: Floats
 
 
-@frozen
+@dataclass(frozen=True)
 class _Compared:
     """How poses fit detections.
 

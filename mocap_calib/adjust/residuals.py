@@ -7,11 +7,11 @@ Arrays are kept by component, `[view, component, N]`, so that every step runs al
 once, in blocks of points that threads share.
 """
 
+from dataclasses import dataclass
 from typing import Protocol, Self
 
 import numpy as np
 
-from mocap_calib.frozen import frozen
 from mocap_calib.types import Bools, Floats, Ints
 
 _BLOCK = 1024  # points at a time: what is computed of them stays in the cache
@@ -21,7 +21,7 @@ _BLOCK = 1024  # points at a time: what is computed of them stays in the cache
 BEHIND = 1e-6
 
 
-@frozen
+@dataclass(frozen=True)
 class State:
     """What is adjusted.
 
@@ -37,7 +37,7 @@ class State:
     intrinsics: Floats
 
 
-@frozen
+@dataclass(frozen=True)
 class Residuals:
     """Points about a state as the cameras see them.
 
@@ -53,7 +53,7 @@ class Residuals:
     behind: Bools
 
 
-@frozen
+@dataclass(frozen=True)
 class Slopes:
     """Derivatives of the residuals.
 
@@ -94,7 +94,7 @@ def blocks_of(points: Floats) -> list[slice]:
     return [slice(start, min(start + _BLOCK, count)) for start in range(0, count, _BLOCK)]
 
 
-@frozen
+@dataclass(frozen=True)
 class Part:
     """A block of points, and of the cameras those that see it.
 

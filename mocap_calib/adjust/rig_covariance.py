@@ -9,7 +9,7 @@ The covariance is of first order: it holds where a rig bends in proportion to wh
 Rigs that are hardly determined bend more. Rigs of parts of what was seen show that (`rig_parts`).
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,12 +21,11 @@ from mocap_calib.adjust.regions import widening
 from mocap_calib.adjust.rig_parts import LeftOut, halves_variance, leave_out_moments
 from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.gauge import project_out_similarity, rig_size
 from mocap_calib.types import CameraRig, Floats, Matches, RigCovariance, Sample
 
 
-@frozen
+@dataclass(frozen=True)
 class FirstOrder:
     """How far errors move a rig in proportion.
 

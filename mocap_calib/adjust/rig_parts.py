@@ -4,7 +4,7 @@ Without a fifth of the moments, and of halves of the joints (the delete-a-group 
 Wu 1989: "A General Theory for Jackknife Variance Estimation").
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -14,12 +14,11 @@ from mocap_calib.adjust.residuals import State
 from mocap_calib.adjust.schur import settle_points
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import Config
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.gauge import rig_change
 from mocap_calib.types import Floats, Ints
 
 
-@frozen
+@dataclass(frozen=True)
 class LeftOut:
     """What rigs of parts of what was seen tell.
 

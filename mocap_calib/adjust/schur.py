@@ -4,7 +4,7 @@ Levenberg and Marquardt's iteration on the reduced camera system (Triggs, McLauc
 Fitzgibbon 2000: "Bundle Adjustment - A Modern Synthesis", section 6.1).
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -27,7 +27,6 @@ from mocap_calib.config import (
     LM_MOST_DAMPING,
     LM_STEPS,
 )
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.kernels.loading import compiled, contiguous
 from mocap_calib.types import Floats
@@ -35,7 +34,7 @@ from mocap_calib.types import Floats
 KERNELS = "mocap_calib.kernels.schur"
 
 
-@frozen
+@dataclass(frozen=True)
 class NormalEquations:
     """The Gauss-Newton system about a state, with A and B the Jacobians of cameras and points.
 
@@ -179,7 +178,7 @@ def _root_of_inverse(matrix: Floats) -> Floats:
     return np.ascontiguousarray(root, dtype=np.float64)
 
 
-@frozen
+@dataclass(frozen=True)
 class _Reduced:
     """The system of the cameras about a state whose points have settled.
 

@@ -11,7 +11,7 @@ section 4.3).
 """
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,14 +25,13 @@ from mocap_calib.adjust.residuals import (
     slopes_of,
 )
 from mocap_calib.config import LM_LEAST_CURVATURE, LM_POINT_GAIN, LM_POINT_STEPS
-from mocap_calib.frozen import frozen
 from mocap_calib.kernels.loading import compiled, contiguous
 from mocap_calib.types import Floats
 
 KERNELS = "mocap_calib.kernels.settling"
 
 
-@frozen
+@dataclass(frozen=True)
 class Weighed:
     """A block of points that have settled, as the cameras see them.
 
@@ -111,7 +110,7 @@ def _settle(state: State, seen: Observations, loss_scale: float) -> Floats:
     return points
 
 
-@frozen
+@dataclass(frozen=True)
 class _Pull:
     """What moves points: B'B `[n, 3, 3]` and B'r `[n, 3]` of what was seen of them.
 

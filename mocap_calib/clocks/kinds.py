@@ -1,17 +1,17 @@
 """Say what kind of difference a clock has, and from which frame on which offset holds."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
 from mocap_calib.clocks.evidence import is_decisive
 from mocap_calib.config import SyncConfig
-from mocap_calib.frozen import frozen
 from mocap_calib.recording.stretches import usual_step
 from mocap_calib.types import Bools, CameraClock, ClockKind, Ints, Recording
 
 
-@frozen
+@dataclass(frozen=True)
 class StretchNumbers:
     """Which frame numbers the frames of stretches have.
 

@@ -11,19 +11,19 @@ median: what is not known counts as nothing.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from mocap_calib.clocks.timing import FrameAgreement, Singles, diagonals
 from mocap_calib.config import LARGEST_STEP, SyncConfig
-from mocap_calib.frozen import frozen
 from mocap_calib.kernels.loading import compiled, contiguous
 from mocap_calib.types import Floats, Ints
 
 Pair = tuple[int, int]
 
 
-@frozen
+@dataclass(frozen=True)
 class Ridge:
     """The map of one camera, and how well it agrees with the others there.
 
@@ -42,7 +42,7 @@ class Ridge:
     held_out: Floats
 
 
-@frozen
+@dataclass(frozen=True)
 class Agreements:
     """The agreement of the pairs of so many views in all frames.
 

@@ -1,7 +1,7 @@
 """Search for the times at which all cameras agree: offsets, rates, and frames that were lost."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -19,12 +19,11 @@ from mocap_calib.clocks.paths import (
 )
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import CLOCK_RATES, RATE_LEAST_SHARE, SyncConfig
-from mocap_calib.frozen import frozen
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Floats, Ints
 
 
-@frozen
+@dataclass(frozen=True)
 class Timing:
     """How the frames of all cameras go together, as found so far.
 

@@ -8,7 +8,7 @@ The motion follows from the neighbours of each point. It stays as it is while po
 offsets are adjusted, and follows anew from the adjusted points.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,7 +25,6 @@ from mocap_calib.adjust.residuals import State
 from mocap_calib.adjust.schur import minimise, settle_points
 from mocap_calib.clocks.in_step import held_out_error
 from mocap_calib.config import Config, SubframeConfig
-from mocap_calib.frozen import frozen
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.recording.stretches import usual_step
 from mocap_calib.rig.labels import per_frame_labels
@@ -35,7 +34,7 @@ from mocap_calib.types import Bools, CameraRig, Floats, Ints, Matches, Recording
 _COUNTED_FRAMES = 200  # that tell how many points a frame has
 
 
-@frozen
+@dataclass(frozen=True)
 class _Tracks:
     """Points of frames that follow each other, and what was seen of some of them.
 
@@ -70,7 +69,7 @@ class _Tracks:
         return positions + moved[:, self.leader]
 
 
-@frozen
+@dataclass(frozen=True)
 class _Estimate:
     """Offsets of clocks, in frames, and the rig that goes with them.
 

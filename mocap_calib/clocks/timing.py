@@ -10,11 +10,12 @@ of any two frames as candidates, and a score that leaves the time open: in each 
 best diagonal.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap_calib.config import CLOCK_RATES, SyncConfig
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.rotation import nearest_rotation
 from mocap_calib.kernels.loading import compiled, contiguous
 from mocap_calib.pairs.hypotheses import well_separated
@@ -27,7 +28,7 @@ _CELLS = 500_000  # pairs of bodies compared at a time: what a processor has at 
 _NOBODY = np.float32(-1e6)  # how alike a body is to one that is not there
 
 
-@frozen
+@dataclass(frozen=True)
 class ViewInTime:
     """The bodies of one view in stretches of consecutive frames.
 
@@ -40,7 +41,7 @@ class ViewInTime:
     seen: Bools
 
 
-@frozen
+@dataclass(frozen=True)
 class FrameAgreement:
     """How well two views agree in any two frames.
 

@@ -6,6 +6,7 @@ bit by bit with each further epoch: a change is believed where it explains far m
 change would (binary segmentation, Scott and Knott 1974).
 """
 
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -20,12 +21,11 @@ from mocap_calib.adjust.resection import (
     typical_error,
 )
 from mocap_calib.config import MovedConfig
-from mocap_calib.frozen import frozen
 from mocap_calib.rig.noise import MEDIAN_DISTANCE
 from mocap_calib.types import Bools, Floats, Ints
 
 
-@frozen
+@dataclass(frozen=True)
 class Epochs:
     """Poses that a camera had one after the other.
 
@@ -169,7 +169,7 @@ def _total_costs(found: list[Epochs], seen: Sightings, config: MovedConfig) -> t
     return np.asarray(costs[:, explained].sum(1)), int(explained.sum())
 
 
-@frozen
+@dataclass(frozen=True)
 class _Split:
     """An epoch that may be two.
 

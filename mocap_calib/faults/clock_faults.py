@@ -1,10 +1,9 @@
 """Name the cameras whose clocks differ, for `CalibrationResult.faults`."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, cast
 
 from mocap_calib.config import EPOCH_MARK
-from mocap_calib.frozen import frozen
 from mocap_calib.recording.mending import find_view
 from mocap_calib.recording.retiming import clocks_from, retime
 from mocap_calib.rig.view_graph import best_scores
@@ -21,7 +20,7 @@ from mocap_calib.verdict.verdict import no_better_than
 from mocap_calib.wording import count
 
 
-@frozen
+@dataclass(frozen=True)
 class Retimed:
     """The clock of a camera differs from that of the others."""
 

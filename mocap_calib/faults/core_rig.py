@@ -1,7 +1,7 @@
 """The rig of all cameras but one, and the points that these know."""
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -9,7 +9,6 @@ from mocap_calib.adjust.refinement import adjust_until_stable
 from mocap_calib.adjust.rig_covariance import rig_covariance
 from mocap_calib.config import Config, DiagnosisConfig
 from mocap_calib.errors import DegenerateError
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.gauge import changed_rig
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.rig.association import associate
@@ -22,7 +21,7 @@ from mocap_calib.rig.view_graph import camera_groups
 from mocap_calib.types import CameraRig, Floats, Ints, RigCovariance, Sample, silent
 
 
-@frozen
+@dataclass(frozen=True)
 class CoreRig:
     """Cameras that agree, and what they know.
 

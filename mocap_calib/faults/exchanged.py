@@ -4,7 +4,7 @@ Each looks odd by itself, and spoils the rig that it would be held against: both
 Only focal lengths that differ give them away.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -13,7 +13,6 @@ from mocap_calib.adjust.bundle_adjustment import adjust_once
 from mocap_calib.adjust.fit import measure_distances
 from mocap_calib.config import Config, ExchangedConfig
 from mocap_calib.errors import DegenerateError
-from mocap_calib.frozen import frozen
 from mocap_calib.recording.mended_intrinsics import Exchanged
 from mocap_calib.recording.sampling import with_cameras
 from mocap_calib.rig.noise import view_residual
@@ -23,7 +22,7 @@ from mocap_calib.types import CameraRig, Fault, Floats, GroupResult, Matches, Sa
 _LEAST_CAMERAS = 3  # of two nobody can say
 
 
-@frozen
+@dataclass(frozen=True)
 class _Finding:
     """What an exchange of the intrinsics of two views lowers the robust cost of a keypoint by.
 

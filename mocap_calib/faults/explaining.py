@@ -1,7 +1,7 @@
 """Hold one camera against the rig of the others: how well each explanation fits what it saw."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,7 +27,6 @@ from mocap_calib.faults.core_rig import (
 )
 from mocap_calib.faults.explanations import Explanation, explanations
 from mocap_calib.faults.suspicion import is_turned, rolls
-from mocap_calib.frozen import frozen
 from mocap_calib.recording.mending import exchanged_sides
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.rig.noise import MEDIAN_DISTANCE
@@ -38,7 +37,7 @@ from mocap_calib.types import Camera, CameraRig, Floats, Ints, RigCovariance
 _ALWAYS = ("given", "sides")
 
 
-@frozen
+@dataclass(frozen=True)
 class Finding:
     """How one explanation fits a camera.
 

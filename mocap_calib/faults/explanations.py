@@ -4,13 +4,12 @@ Each says under which intrinsics and with which detections the camera would see 
 which few unknowns go with it.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mocap_calib.adjust.camera_fit import CameraFit, Unknown
 from mocap_calib.config import PLAIN_FACTORS, DiagnosisConfig
-from mocap_calib.frozen import frozen
 from mocap_calib.recording.mended_intrinsics import Cropped, Refocused, Resized, Rotated
 from mocap_calib.recording.mending import Mirrored, Sides
 from mocap_calib.types import Camera, Floats, Mend, Recording
@@ -18,7 +17,7 @@ from mocap_calib.types import Camera, Floats, Mend, Recording
 QUARTERS = (90, 180, 270)
 
 
-@frozen
+@dataclass(frozen=True)
 class Explanation:
     """One hypothesis of a camera.
 

@@ -6,7 +6,7 @@ as they are, nothing is mended.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from mocap_calib.compute.parallel import do_both
 from mocap_calib.config import Config, MendConfig
@@ -16,7 +16,6 @@ from mocap_calib.faults.moved import find_moved_cameras
 from mocap_calib.faults.odd_cameras import find_odd_cameras
 from mocap_calib.faults.sides import exchanged_instead
 from mocap_calib.faults.unrelated import find_unrelated_cameras
-from mocap_calib.frozen import frozen
 from mocap_calib.recording.mended_intrinsics import Cropped
 from mocap_calib.recording.mending import apply_mends
 from mocap_calib.rig.observed import Observed
@@ -48,7 +47,7 @@ _HARMFUL: tuple[FaultWord, ...] = (
 _GROSS: tuple[FaultWord, ...] = ("mirrored", "resized")
 
 
-@frozen
+@dataclass(frozen=True)
 class _Explanation:
     """Faults that may explain errors, and what follows from mending them.
 

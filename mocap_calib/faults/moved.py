@@ -5,6 +5,8 @@ first, cheaply, by the rig of all without its rays; then, where it stands out, b
 others make without it. Its errors over time tell the rest (`changes`).
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from mocap_calib.adjust.refinement import adjust_until_stable
@@ -18,7 +20,6 @@ from mocap_calib.faults.changes import (
     last_moments,
     stands_out,
 )
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.gauge import rig_size
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.recording.epochs import own_name
@@ -40,7 +41,7 @@ from mocap_calib.types import (
 )
 
 
-@frozen
+@dataclass(frozen=True)
 class _Judged:
     """A view in the rig of the others.
 

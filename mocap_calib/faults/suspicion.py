@@ -1,10 +1,11 @@
 """Which cameras deserve a closer look: cheap signs, none of which is proof."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from mocap_calib.adjust.camera_fit import CameraPose, Seen, Unknown, fit_camera
 from mocap_calib.config import Config, DiagnosisConfig
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.projection import pixels_from_points
 from mocap_calib.recording.mending import exchanged_sides
 from mocap_calib.recording.sampling import evenly_spaced
@@ -30,7 +31,7 @@ _CLEARLY = 0.5  # of the error as given
 _FREE: tuple[Unknown, ...] = ("log_focal", "x", "y")
 
 
-@frozen
+@dataclass(frozen=True)
 class Signs:
     """What makes cameras suspicious, `[view]` each.
 

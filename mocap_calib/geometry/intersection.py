@@ -6,6 +6,7 @@ too few rays agree even then, every pair of rays gives a candidate. Arrays are k
 `[view, 3, N]`, in blocks that stay in the cache.
 """
 
+from dataclasses import dataclass
 from itertools import combinations
 from types import ModuleType
 
@@ -22,7 +23,6 @@ from mocap_calib.config import (
     INTERSECT_STEPS,
     INTERSECT_TIGHTENING_SCALES,
 )
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry import symmetric
 from mocap_calib.geometry.symmetric import Entries
 from mocap_calib.kernels.loading import compiled, contiguous
@@ -31,7 +31,7 @@ from mocap_calib.types import Bools, CameraRig, Floats, Ints
 _PACKAGE = "mocap_calib.kernels"
 
 
-@frozen
+@dataclass(frozen=True)
 class _Rays:
     """The rays of N points.
 

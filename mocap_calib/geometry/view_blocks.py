@@ -4,13 +4,13 @@ In a small rig nearly every view sees every block. In a large hall a point is se
 all, so points that the same views see come together there, and a block leaves out the others.
 """
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mocap_calib.config import SMALL_RIG
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.graphs import fiedler_vector
 from mocap_calib.types import Bools, Ints
 
@@ -19,7 +19,7 @@ POINT_BLOCK = 8192
 _BLOCK_OF_A_LARGE_RIG = 1024  # fewer points are seen by fewer views
 
 
-@frozen
+@dataclass(frozen=True)
 class ViewBlock:
     """Some points, and the views that see any of them.
 

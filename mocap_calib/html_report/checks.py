@@ -1,11 +1,9 @@
 """What the checks of a verdict look at, and what sound recordings show: for pages and documents."""
 
-from dataclasses import asdict
-
-from mocap_calib.frozen import frozen
+from dataclasses import asdict, dataclass
 
 
-@frozen
+@dataclass(frozen=True)
 class CheckMeaning:
     """What a check is, and the smallest and largest value of sound recordings.
 

@@ -1,17 +1,16 @@
 """What a report is made of, whether it comes from a run or from a folder of its results."""
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from mocap_calib.frozen import frozen
 from mocap_calib.records import Record
 from mocap_calib.types import CameraRig, Floats, GroupResult, Matches, Poses3D, Recording
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class Seen(Record):
     """What the cameras saw, and who is who in it: in the frames of the poses."""
 
@@ -19,7 +18,7 @@ class Seen(Record):
     matches: Matches
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class Reference(Record):
     """Another rig, to be laid over that of the report. title: where it comes from."""
 
@@ -27,7 +26,7 @@ class Reference(Record):
     rig: CameraRig
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class ReportSource(Record):
     """What a report is made of.
 

@@ -4,12 +4,12 @@ Agglomeration of pieces by the sum of their evidence, and exchanges of pieces af
 seen in one frame is two individuals, but for a few frames in which one is a false group.
 """
 
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
 from mocap_calib.config import MatchingConfig
-from mocap_calib.frozen import frozen
 from mocap_calib.identities.name_swaps import exchanged_pieces
 from mocap_calib.identities.proportions import Proportions
 from mocap_calib.types import Bools, Floats, Ints
@@ -20,7 +20,7 @@ _CANDIDATES = 4  # individuals that a piece may go to
 _LEAST_GAIN = 1e-6
 
 
-@frozen
+@dataclass(frozen=True)
 class _Evidence:
     """All that is known of who pieces are.
 

@@ -5,14 +5,13 @@ ends where the group vanishes, and where another could as well go on as it: `evi
 say who the pieces are.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mocap_calib import mapped
 from mocap_calib.compute.parallel import do_in_threads
 from mocap_calib.config import MatchingConfig
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.bodies import mean_of_known
 from mocap_calib.geometry.graphs import connected_parts
 from mocap_calib.types import Bools, Floats, Ints
@@ -20,7 +19,7 @@ from mocap_calib.types import Bools, Floats, Ints
 _FRAMES = 512  # compared at a time
 
 
-@frozen
+@dataclass(frozen=True)
 class Pieces:
     """Stretches of frames in which one group is certainly one individual.
 

@@ -4,6 +4,7 @@ Lengths are metric up to one scale, and tell individuals apart as far as those t
 together differ: where these are alike, lengths say nothing of others.
 """
 
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -11,7 +12,6 @@ import numpy as np
 from mocap_calib import mapped
 from mocap_calib.compute.parallel import do_in_threads, map_in_threads
 from mocap_calib.config import MatchingConfig
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.graphs import spanning_tree
 from mocap_calib.identities.pieces import Pieces
 from mocap_calib.recording.sampling import evenly_spaced
@@ -25,7 +25,7 @@ _NO_LENGTH = 1e-12
 _BODIES = 8192  # measured at a time
 
 
-@frozen
+@dataclass(frozen=True)
 class Proportions:
     """The bodies of pieces or of individuals: logarithms of lengths, which a log-normal describes.
 

@@ -1,9 +1,9 @@
 """The record of something that stands in the way of a run."""
 
-from mocap_calib.frozen import frozen
+from dataclasses import dataclass
 
 
-@frozen
+@dataclass(frozen=True)
 class Finding:
     """Something that stands in the way.
 

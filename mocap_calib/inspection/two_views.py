@@ -8,12 +8,12 @@ lie in one plane.
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from mocap_calib.config import LEAST_JOINTS, InspectConfig
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.bodies import mean_of_known
 from mocap_calib.geometry.epipolar import fundamental_matrix, sampson_distance
 from mocap_calib.geometry.homography import homography_errors
@@ -24,7 +24,7 @@ from mocap_calib.types import Floats, Keypoints2D
 _TINY = 1e-9  # of an error, of a size in pixels
 
 
-@frozen
+@dataclass(frozen=True)
 class TwoViews:
     """How the images of one subject in two views go together.
 

@@ -6,14 +6,13 @@ Where it is not said what the sources hold, or how to write them, ask `io.kinds`
 
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.frozen import frozen
 from mocap_calib.io.atomic import check_no_further_individual
 from mocap_calib.io.cameras.formats import CAMERA_FORMATS
 from mocap_calib.io.cameras.read import load_cameras, make_rig, parse_content, read_rig
@@ -42,7 +41,7 @@ from mocap_calib.wording import count
 _OWN_CAMERAS = "cameras.yaml"  # in the folder of a run
 
 
-@frozen
+@dataclass(frozen=True)
 class Conversion:
     """What a conversion did.
 

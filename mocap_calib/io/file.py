@@ -5,6 +5,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
@@ -12,7 +13,6 @@ import numpy as np
 
 from mocap_calib import mapped
 from mocap_calib.errors import FormatError
-from mocap_calib.frozen import frozen
 from mocap_calib.io.missing import MISSING_CUSTOMS, mark_missing
 from mocap_calib.types import Floats, Ints, Keypoints2D
 from mocap_calib.wording import one_line
@@ -182,7 +182,7 @@ def _count(names: Sequence[str]) -> str:
 # --- detections
 
 
-@frozen
+@dataclass(frozen=True)
 class Origin:
     """Where detections come from: the camera's name, and the file as complaints name it."""
 

@@ -12,19 +12,19 @@ which know their lines, and no values are constructed.
 """
 
 from collections.abc import Collection, Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 import yaml
 
 from mocap_calib.errors import FormatError, suggest
-from mocap_calib.frozen import frozen
 from mocap_calib.io.file import decode, malformed, read_bytes
 
 _MOST_CHARACTERS = 100_000  # PyYAML reads them in a tenth of a second; options take a few thousand
 _NOTHING = ("", "~", "null", "Null", "NULL")  # as YAML writes that there is no value
 
 
-@frozen
+@dataclass(frozen=True)
 class Entry:
     """What a file says of one option.
 

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, Generic, Literal, TypeVar
 
 from mocap_calib.errors import MismatchError, suggest
-from mocap_calib.frozen import frozen
 from mocap_calib.io.keypoints.losses import Loss
 
 Kind = Literal["keypoints", "cameras", "poses"]
@@ -93,7 +92,7 @@ AnyFormat = Format[Any, Any, Any]
 OneFormat = TypeVar("OneFormat", bound=AnyFormat)
 
 
-@frozen
+@dataclass(frozen=True)
 class Written:
     """Files to write: relative path -> content, and what of the records they do not carry."""
 

@@ -1,10 +1,9 @@
 """From keypoint files and a file of cameras to a recording, and what of them is not used."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from mocap_calib.frozen import frozen
 from mocap_calib.io.cameras.source import CameraFile
 from mocap_calib.io.keypoints.filled_table import describe_filled
 from mocap_calib.io.keypoints.items import find_superseded_files
@@ -20,7 +19,7 @@ from mocap_calib.recording.synchronise import join_views, recording_of_views
 from mocap_calib.types import Clocks, Keypoints2D, Recording, Skeleton
 
 
-@frozen
+@dataclass(frozen=True)
 class LoadedRecording:
     """A recording, and what a person should know of it.
 

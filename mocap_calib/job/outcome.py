@@ -1,14 +1,14 @@
 """What was written of a run, and what of all that was asked for could not be had."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.frozen import frozen
 from mocap_calib.types import ARBITRARY
 
 
-@frozen
+@dataclass(frozen=True)
 class WrittenGroup:
     """What was written of a group of cameras.
 

@@ -1,7 +1,7 @@
 """report.html of a folder of results, made again from its files and the keypoints of the run."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +9,6 @@ import numpy as np
 
 from mocap_calib.config import EPOCH_MARK
 from mocap_calib.errors import FormatError, MismatchError
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.gauge import rig_size
 from mocap_calib.html_report.page import report_page
 from mocap_calib.html_report.source import Reference, ReportSource, Seen
@@ -34,7 +33,7 @@ from mocap_calib.types import Camera, CameraRig, Floats, Ints, Matches, Mend, Re
 _REMEDY = "give the folder that `run` wrote"
 
 
-@frozen
+@dataclass(frozen=True)
 class ResultsFolder:
     """A folder of results. run: what its run.json holds. number: of the group, counted from 0."""
 

@@ -3,13 +3,12 @@
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 from mocap_calib.compute.program import identify_program
 from mocap_calib.config import PAIR_SOLVERS, Config
-from mocap_calib.frozen import frozen
 from mocap_calib.io.file import plain_path
 from mocap_calib.io.hashing import hash_inputs
 from mocap_calib.io.keypoints.document import ReadOptions
@@ -17,7 +16,7 @@ from mocap_calib.lift.weights import identify_model
 from mocap_calib.types import Mend
 
 
-@frozen
+@dataclass(frozen=True)
 class KeypointSource:
     """Which keypoints are read, and how.
 
@@ -38,7 +37,7 @@ class KeypointSource:
     mends: tuple[Mend, ...] = ()
 
 
-@frozen
+@dataclass(frozen=True)
 class CalibrationRequest:
     """Which recording to calibrate, how, and where the results go.
 

@@ -6,7 +6,7 @@ formats stay as they were, and are named.
 
 import json
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,6 @@ import numpy as np
 
 from mocap_calib.config import ScaleCue, WorldConfig
 from mocap_calib.errors import MismatchError
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.gauge import rig_size
 from mocap_calib.io.atomic import numbered_file, replace_folder, write_pieces
 from mocap_calib.io.cameras.own import SUBFRAME
@@ -40,7 +39,7 @@ _FORMATS = {_CAMERAS: "mocap-calib", "calibration.toml": "anipose"}
 _OWN = ("matches.csv", REPORT, PAGE)  # hold no lengths, or are written last
 
 
-@frozen
+@dataclass(frozen=True)
 class Scaled:
     """What was done to a folder of results.
 

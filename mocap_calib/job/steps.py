@@ -5,11 +5,11 @@ The first and the last touch files; the one between touches none and may be done
 
 import json
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from mocap_calib.errors import ClusterError, MocapCalibError
-from mocap_calib.frozen import frozen
 from mocap_calib.io.cameras.read import load_cameras, parse_content
 from mocap_calib.io.cameras.source import CameraFile
 from mocap_calib.io.hashing import hash_file
@@ -30,7 +30,7 @@ from mocap_calib.types import CalibrationResult, Mapper, Progress, silent
 from mocap_calib.world.asked import check_world
 
 
-@frozen
+@dataclass(frozen=True)
 class Job:
     """A recording that has been read: all that its calibration needs, on any machine.
 

@@ -16,6 +16,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from importlib.machinery import EXTENSION_SUFFIXES
@@ -26,14 +27,12 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.frozen import frozen
-
 _ENGINES: list[Any] = []
 _LINKED: Counter[str] = Counter()  # how many of the engines hold code of a name
 _FITS = Path(__file__).parent / "__pycache__" / f"numba.{sys.implementation.cache_tag}.fits"
 
 
-@frozen
+@dataclass(frozen=True)
 class MachineCode:
     """What numba made of a function for arguments of given types.
 

@@ -5,16 +5,16 @@ recording has counts.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
-from mocap_calib.frozen import frozen
 from mocap_calib.recording.joints import edges_of_keypoints, load_section, match_names
 from mocap_calib.types import Skeleton
 
 _SIDES = ("left_", "right_")
 
 
-@frozen
+@dataclass(frozen=True)
 class Definitions:
     """What can be measured of a recording; numbers are indices of its keypoints.
 

@@ -1,9 +1,10 @@
 """Bone lengths, joint angles, speeds and contacts of 3D poses."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from mocap_calib.config import KinematicsConfig
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.rotation import direction_angle
 from mocap_calib.kinematics.contacts import find_contacts, leg_lengths
 from mocap_calib.kinematics.definitions import Definitions, define
@@ -16,7 +17,7 @@ _CONFIG = KinematicsConfig()
 BODY = "body"  # whose speed is that of the trunk
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class Kinematics(Record):
     """What follows from poses; missing is NaN. Lengths are in the unit of the poses.
 

@@ -6,6 +6,8 @@ stand upright or are turned by a quarter: each view is lifted in the quarter tur
 which the network is surest.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from mocap_calib.compute.parallel import map_in_threads, single_threaded_libraries
@@ -17,7 +19,6 @@ from mocap_calib.config import (
     LIFT_LEAST_FORWARD,
     LIFT_UPRIGHT_SAMPLE,
 )
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.rotation import looking_along
 from mocap_calib.lift.device import CPU, Network, network_on
 from mocap_calib.lift.lifter import Floats32, Lifter
@@ -35,7 +36,7 @@ _RACE = np.arange(9, 17)
 _DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]])
 
 
-@frozen
+@dataclass(frozen=True)
 class _Bodies:
     """Lifted detections, as in `LiftedPoses`.
 

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_calib.config import ENCODER_HEADS
-from mocap_calib.frozen import frozen
 from mocap_calib.kernels.loading import compiled
 from mocap_calib.types import Bools
 
@@ -51,7 +50,7 @@ _ERF_Q = np.array(
 )
 
 
-@frozen
+@dataclass(frozen=True)
 class ModelConfig:
     """Size of the network; saved inside the checkpoint."""
 
@@ -61,7 +60,7 @@ class ModelConfig:
     heads: int = ENCODER_HEADS
 
 
-@frozen
+@dataclass(frozen=True)
 class _Linear:
     """x -> x @ matrix + bias. matrix: `[input, output]`; bias: `[output]`."""
 
@@ -75,7 +74,7 @@ class _Linear:
         return result
 
 
-@frozen
+@dataclass(frozen=True)
 class _Layer:
     """A layer of the encoder.
 
@@ -89,7 +88,7 @@ class _Layer:
     narrow: _Linear
 
 
-@frozen
+@dataclass(frozen=True)
 class _Encoder:
     """What a network computes.
 

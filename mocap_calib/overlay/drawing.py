@@ -4,14 +4,13 @@ Pixels have their centres at integers, as in OpenCV. Lenses are applied to all t
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
 import numpy as np
 
 from mocap_calib.colours import colour_of, rgb
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.gauge import rig_size
 from mocap_calib.geometry.projection import CORNER_OFFSET, pixels_from_points, rays_from_pixels
 from mocap_calib.types import ARBITRARY, METRES, Camera, CameraRig, Floats, Poses3D
@@ -25,7 +24,7 @@ _WHITE = "#ffffff"
 _LARGEST = 2**20  # pixels that OpenCV can be given
 
 
-@frozen
+@dataclass(frozen=True)
 class View:
     """Where world points are in the images of a camera.
 

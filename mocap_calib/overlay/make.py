@@ -1,6 +1,7 @@
 """Draw what a run found on the frames of its videos, and write videos or pictures of it."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -8,7 +9,6 @@ import numpy as np
 
 from mocap_calib.colours import colour_of
 from mocap_calib.errors import MismatchError, suggest
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.projection import CORNER_OFFSET
 from mocap_calib.io.atomic import replace_folder
 from mocap_calib.overlay import drawing
@@ -21,7 +21,7 @@ _GRID, _CAMERA = "#dddddd", "#ffffff"
 _CODEC = "mp4v"  # what every build of OpenCV writes
 
 
-@frozen
+@dataclass(frozen=True)
 class _Shot:
     """The video of a camera, and what is drawn on it.
 
@@ -146,7 +146,7 @@ def _drawn(shot: _Shot, *, mirrored: bool) -> Iterator[tuple[int, Image]]:
         yield index, image
 
 
-@frozen
+@dataclass(frozen=True)
 class _Stage:
     """What stays the same from frame to frame of a camera that does not move.
 

@@ -1,13 +1,13 @@
 """What of the results of a run is drawn on videos, and which of it belongs to a frame."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.frozen import frozen
 from mocap_calib.io.cameras.own import SUBFRAME
 from mocap_calib.io.cameras.read import read_rig
 from mocap_calib.io.file import decode, read_bytes
@@ -25,7 +25,7 @@ from mocap_calib.types import NO_FRAME, CameraClock, CameraRig, Floats, Ints, Ke
 _FILES = ("cameras.yaml", "poses3d.h5", "matches.csv", REPORT)
 
 
-@frozen
+@dataclass(frozen=True)
 class Results:
     """What a folder of results says, as far as it is drawn.
 
@@ -81,7 +81,7 @@ def read_results(folder: Path) -> Results:
     )
 
 
-@frozen
+@dataclass(frozen=True)
 class CameraResults:
     """What is drawn on the frames of one camera, whose numbers are those of its own file.
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -9,14 +10,13 @@ import cv2
 import numpy as np
 
 from mocap_calib.errors import FormatError, MismatchError
-from mocap_calib.frozen import frozen
 from mocap_calib.types import Camera
 
 _SAME_ASPECT = 0.01  # relative difference of the ratios of width and height
 _STEADY = 0.5  # of the usual interval: by how much one may differ
 
 
-@frozen
+@dataclass(frozen=True)
 class Video:
     """A video that can be opened.
 

@@ -3,13 +3,13 @@
 They come from the lifted bodies, and from five-point RANSAC where identities are known.
 """
 
+from dataclasses import dataclass
 from functools import reduce
 from itertools import product
 
 import numpy as np
 
 from mocap_calib.config import PairwiseConfig
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.epipolar import five_point
 from mocap_calib.geometry.rotation import nearest_rotation
 from mocap_calib.pairs.affinity import body_agreement, weigh_readings
@@ -20,7 +20,7 @@ from mocap_calib.types import Floats, Ints
 _CELLS = 2_000_000  # candidates x possible matches scored at a time
 
 
-@frozen
+@dataclass(frozen=True)
 class Hypotheses:
     """M hypotheses of the relative pose b_from_a of one pair of views.
 

@@ -8,12 +8,11 @@ bodies, and of their centres.
 """
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mocap_calib.config import PairwiseConfig
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.kernels.loading import compiled
 from mocap_calib.pairs.affinity import in_one_reading
@@ -25,7 +24,7 @@ _SIGMA_OF_MEDIAN = 1.4826  # standard deviation over median absolute value, of a
 _PARAMETERS = 5  # of an essential matrix
 
 
-@frozen
+@dataclass(frozen=True)
 class Energy:
     """An energy and its slopes in a turn (rotation vector, from the left) and a shift of t.
 

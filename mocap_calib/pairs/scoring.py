@@ -1,9 +1,10 @@
 """One score for all relative poses of a pair of views, however they were found."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from mocap_calib.config import PairwiseConfig
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.epipolar import depths
 from mocap_calib.kernels.loading import compiled, contiguous
 from mocap_calib.pairs.affinity import (
@@ -21,7 +22,7 @@ from mocap_calib.pairs.view_pair import ViewPair, body_sizes_per_radian, matched
 from mocap_calib.types import Bools, Floats, Ints
 
 
-@frozen
+@dataclass(frozen=True)
 class Scored:
     """Hypotheses, their matches, and how well they explain what was seen.
 

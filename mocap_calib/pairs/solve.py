@@ -7,7 +7,7 @@ best score is the answer, the others are its alternatives, which a third view ma
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
 
@@ -15,7 +15,6 @@ import numpy as np
 
 from mocap_calib.compute.parallel import map_in_processes, map_in_threads, single_threaded_libraries
 from mocap_calib.config import PairwiseConfig
-from mocap_calib.frozen import frozen
 from mocap_calib.pairs.hypotheses import Hypotheses, generate_hypotheses, well_separated
 from mocap_calib.pairs.posterior import most_probable
 from mocap_calib.pairs.refine import refine_on_rays
@@ -47,7 +46,7 @@ _WORTH_A_THREAD = 50_000
 _WORTH_PROCESSES = 800_000
 
 
-@frozen
+@dataclass(frozen=True)
 class PairProblem:
     """All that is needed to calibrate the views a and b, and no more.
 

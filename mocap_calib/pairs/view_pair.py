@@ -3,12 +3,11 @@
 Lengths are in body sizes (RMS distance of the joints from their centroid).
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mocap_calib.config import LEAST_LIFT_SPREAD, PairwiseConfig
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.epipolar import depths
 from mocap_calib.kernels.loading import compiled
 from mocap_calib.pairs.reversal import readings, reversal_in_spreads
@@ -17,7 +16,7 @@ from mocap_calib.types import Bools, Floats, Ints, LiftedPoses, Sample
 RAYS_OF_A_BLOCK = 64  # loops of a fixed length over arrays in the cache are quick
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class Detections:
     """The detections of one view in some frames; what is missing is 0.
 
@@ -43,7 +42,7 @@ class Detections:
         return np.where(self.weight[..., None] > 0, self.rays, np.nan)
 
 
-@frozen
+@dataclass(frozen=True)
 class Overlap:
     """How the lifted bodies X_a of one view compare with the X_b of another, I x J in each frame.
 
@@ -64,7 +63,7 @@ class Overlap:
     lifted: Floats
 
 
-@frozen
+@dataclass(frozen=True)
 class ViewPair:
     """The detections of the views a and b (I and J instances) in some frames.
 
@@ -80,7 +79,7 @@ class ViewPair:
     reversal: float
 
 
-@frozen
+@dataclass(frozen=True)
 class MatchedRays:
     """The joints that both detections of a match show, of all matches: N correspondences.
 
@@ -118,7 +117,7 @@ class MatchedRays:
         )
 
 
-@frozen
+@dataclass(frozen=True)
 class _Bodies:
     """The lifted bodies of one view with zeros for nobody.
 

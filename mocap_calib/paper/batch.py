@@ -1,17 +1,17 @@
 """Several pairs of views side by side, as tensors: what the paper's solver works on."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from mocap_calib.config import PAPER_LEAST_JOINTS, PAPER_LEAST_RAY_DEPTH
-from mocap_calib.frozen import frozen
 from mocap_calib.types import Floats
 
 
-@frozen
+@dataclass(frozen=True)
 class TwoViews:
     """The detections of views a and b in the joints of the model.
 
@@ -25,7 +25,7 @@ class TwoViews:
     focal: float
 
 
-@frozen
+@dataclass(frozen=True)
 class Batch:
     """Problems side by side: B problems, F frames, I and J instances, N joints.
 

@@ -1,6 +1,7 @@
 """A training-free baseline for two views in which nobody knows who is who."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from itertools import product
 from typing import NamedTuple, Protocol
 
@@ -12,7 +13,6 @@ from mocap_calib.config import (
     FIVE_POINT_LEAST_JOINTS,
     FivePointConfig,
 )
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.epipolar import depths, essential_matrix, sampson_angle
 from mocap_calib.pairs.assignment import mutual_best
 from mocap_calib.types import Bools, Floats, Ints
@@ -44,7 +44,7 @@ class Estimator(Protocol):
         """
 
 
-@frozen
+@dataclass(frozen=True)
 class _Problem:
     """The rays of two views, and when a joint is an inlier (radians)."""
 

@@ -1,13 +1,14 @@
 """Calibrate pairs by the five-point baseline, for the pipeline; no network is needed."""
 
+from dataclasses import dataclass
+
 from mocap_calib.config import FivePointConfig, PairwiseConfig
-from mocap_calib.frozen import frozen
 from mocap_calib.pairs.solve import PairProblem, judge_pair, mean_focal
 from mocap_calib.paper.five_point import five_point_over_matches
 from mocap_calib.types import Floats, PairwiseCalibration
 
 
-@frozen
+@dataclass(frozen=True)
 class FivePointPairs:
     """A `solve.PairSolver`: RANSAC over matches of detections, five-point on their joints.
 

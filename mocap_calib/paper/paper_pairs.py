@@ -3,10 +3,11 @@
 Its solver takes the place of our search; what it finds is scored as ours is.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from mocap_calib.config import PairwiseConfig, PaperConfig
-from mocap_calib.frozen import frozen
 from mocap_calib.lift.rays import rays_by_joint
 from mocap_calib.lift.threads import torch_threads
 from mocap_calib.pairs.solve import PairProblem, judge_pair, mean_focal
@@ -17,7 +18,7 @@ from mocap_calib.training.steer import Model
 from mocap_calib.types import Floats, Ints, PairwiseCalibration
 
 
-@frozen
+@dataclass(frozen=True)
 class PaperPairs:
     """A `solve.PairSolver`: gradient descent through a network from random rotations.
 

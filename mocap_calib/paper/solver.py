@@ -9,14 +9,13 @@ one batch, each as if it were alone.
 
 import copy
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from mocap_calib.config import PAPER_FAR_PX, PAPER_LEAST_JOINTS, PaperConfig
-from mocap_calib.frozen import frozen
 from mocap_calib.paper.batch import Batch, TwoViews, stack_problems
 from mocap_calib.paper.losses import (
     depths,
@@ -38,7 +37,7 @@ from mocap_calib.types import Floats, Ints
 SteerBoth = Callable[[Tensor], tuple[Tensor, Tensor]]
 
 
-@frozen
+@dataclass(frozen=True)
 class PaperSolution:
     """What the solver found of one pair of views.
 

@@ -9,10 +9,11 @@ grows with the number of joints, not with its cube. What joints share is that of
 each step.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from mocap_calib.config import PosesConfig
-from mocap_calib.frozen import frozen
 from mocap_calib.kernels.loading import compiled, contiguous
 from mocap_calib.poses.track import Body, Detections
 from mocap_calib.types import Floats, Ints
@@ -23,7 +24,7 @@ _TINY = 1e-100  # of an acceleration
 _ROUNDING = 1e-12  # of what a point is held by
 
 
-@frozen
+@dataclass(frozen=True)
 class Strengths:
     """How much counts for how much.
 
@@ -38,7 +39,7 @@ class Strengths:
     loss: float
 
 
-@frozen
+@dataclass(frozen=True)
 class System:
     """Normal equations of a step.
 

@@ -1,13 +1,12 @@
 """How strongly to smooth: what predicts best the detections that the fit was not shown."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from mocap_calib.config import PosesConfig
-from mocap_calib.frozen import frozen
 from mocap_calib.poses.energy import (
     Strengths,
     accelerations,
@@ -31,7 +30,7 @@ _LARGEST_AGILITY = 3.0
 _MEDIAN_LENGTH = 1.538  # of normal vectors in space, in standard deviations of a coordinate
 
 
-@frozen
+@dataclass(frozen=True)
 class Choice:
     """What was chosen, and how well it predicts.
 
@@ -79,7 +78,7 @@ def choose_strengths(
     return Choice(chosen, search.body.agility, float(search.loss(chosen).mean()), float(raw.mean()))
 
 
-@frozen
+@dataclass(frozen=True)
 class _Search:
     """What strengths are tried on: see `choose_strengths`.
 

@@ -1,16 +1,17 @@
 """A track as the kernels of `poses` take it, see `poses.lanes`."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from mocap_calib.config import PosesConfig
-from mocap_calib.frozen import frozen
 from mocap_calib.poses.energy import SHARED_LEAST, SHARED_ROUNDS, Strengths, shared_part
 from mocap_calib.poses.lanes import BandKernels, fill_tiles, in_lanes, in_tiles
 from mocap_calib.poses.track import Body, Detections
 from mocap_calib.types import Floats, Ints
 
 
-@frozen
+@dataclass(frozen=True)
 class Packed:
     """Arrays of `energy_kernels.sum_terms` and of `bands_kernels.factor_bands`.
 

@@ -1,7 +1,7 @@
 """From triangulated points to best estimates of the poses, an individual and a block at a time."""
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -9,7 +9,6 @@ import numpy as np
 from mocap_calib import mapped
 from mocap_calib.compute.parallel import map_in_threads, single_threaded_libraries
 from mocap_calib.config import Config, PosesConfig, TriangulateConfig
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.bodies import body_size
 from mocap_calib.lift.weights import load_vocabulary
 from mocap_calib.poses.certainty import covariances
@@ -47,7 +46,7 @@ from mocap_calib.types import (
 _LEAST_FRAMES = 3  # of an individual: with fewer there is nothing to go by
 
 
-@frozen
+@dataclass(frozen=True)
 class _Individual:
     """What is known of one individual.
 
@@ -64,7 +63,7 @@ class _Individual:
     reach: Floats
 
 
-@frozen
+@dataclass(frozen=True)
 class _Scene:
     """What is known of a recording: see `smooth_poses`.
 
@@ -166,7 +165,7 @@ class _Scene:
         return np.ascontiguousarray(points.swapaxes(0, 1)), detections, body
 
 
-@frozen
+@dataclass(frozen=True)
 class _Estimate:
     """What was found of one individual in some frames.
 

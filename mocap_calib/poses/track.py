@@ -5,17 +5,16 @@ is linear in time works on all of them at once.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.rays import rays_in_world
 from mocap_calib.rig.observations import Observations
 from mocap_calib.types import CameraRig, Floats, Ints
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class Detections:
     """Rays of one track.
 
@@ -39,7 +38,7 @@ class Detections:
         )
 
 
-@frozen
+@dataclass(frozen=True)
 class Body:
     """What is expected of bodies in each frame of a track.
 

@@ -1,15 +1,14 @@
 """How much a detection's confidence tells of its error: measured, since detectors differ in it."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mocap_calib.frozen import frozen
 from mocap_calib.poses.track import Detections
 from mocap_calib.types import Floats
 
 
-@frozen
+@dataclass(frozen=True)
 class Trust:
     """The inverse variance of a detection is that of its view times (confidence / usual)^power.
 

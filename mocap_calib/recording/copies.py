@@ -6,6 +6,7 @@ pixel in tens of detections.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -14,7 +15,6 @@ from mocap_calib import mapped
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import CopyConfig
 from mocap_calib.errors import MismatchError
-from mocap_calib.frozen import frozen
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Floats, Ints, Keypoints2D
 from mocap_calib.wording import count
@@ -22,7 +22,7 @@ from mocap_calib.wording import count
 _DEFAULT = CopyConfig()
 
 
-@frozen
+@dataclass(frozen=True)
 class Copy:
     """Two views with the same detections.
 
@@ -47,7 +47,7 @@ class Copy:
         )
 
 
-@frozen
+@dataclass(frozen=True)
 class _Detections:
     """The detections of a view in the order of their keys.
 

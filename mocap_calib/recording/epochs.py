@@ -5,17 +5,16 @@ is written has it once, under its own name, and a rig for each epoch of the reco
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from mocap_calib.config import EPOCH_MARK
-from mocap_calib.frozen import frozen
 from mocap_calib.types import Camera, CameraRig, Ints, Recording
 
 
-@frozen
+@dataclass(frozen=True)
 class Epoch:
     """A part of a recording in which no camera is moved.
 

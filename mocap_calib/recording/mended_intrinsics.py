@@ -4,18 +4,17 @@ The images are turned, resized or cropped, or the intrinsics are those of anothe
 The intrinsics are changed, so that they fit the images as they are.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.frozen import frozen
 from mocap_calib.recording.mending import find_view
 from mocap_calib.types import Camera, EstimatedCamera, FaultWord, Recording
 
 
-@frozen
+@dataclass(frozen=True)
 class Rotated:
     """The images of a camera are turned clockwise against its intrinsics, by quarters.
 
@@ -45,7 +44,7 @@ class Rotated:
         return _with_camera(recording, camera)
 
 
-@frozen
+@dataclass(frozen=True)
 class Resized:
     """The images of a camera are larger or smaller than its intrinsics say.
 
@@ -76,7 +75,7 @@ class Resized:
         return _with_camera(recording, replace(camera, size=(width, height), matrix=matrix))
 
 
-@frozen
+@dataclass(frozen=True)
 class Cropped:
     """The images of a camera are a part of those that its intrinsics are for.
 
@@ -108,7 +107,7 @@ class Cropped:
         return _with_camera(recording, replace(camera, matrix=matrix))
 
 
-@frozen
+@dataclass(frozen=True)
 class Exchanged:
     """The files of two cameras are exchanged: each has the intrinsics of the other."""
 
@@ -135,7 +134,7 @@ class Exchanged:
         return replace(recording, cameras=tuple(cameras))
 
 
-@frozen
+@dataclass(frozen=True)
 class Refocused:
     """A camera has another focal length than its intrinsics say.
 

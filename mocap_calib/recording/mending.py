@@ -5,14 +5,13 @@ Those of detections are here, those of intrinsics in `mended_intrinsics`.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 
 from mocap_calib.config import EPOCH_MARK, SIDE_WORDS
 from mocap_calib.errors import MismatchError
-from mocap_calib.frozen import frozen
 from mocap_calib.recording.joints import normalise_name
 from mocap_calib.types import (
     Bools,
@@ -35,7 +34,7 @@ def apply_mends(recording: Recording, mends: tuple[Mend, ...]) -> Recording:
     return recording
 
 
-@frozen
+@dataclass(frozen=True)
 class Mirrored:
     """The images of a camera are mirrored, left for right.
 
@@ -70,7 +69,7 @@ class Mirrored:
         return Sides(self.camera).apply(mirrored) if self.sides else mirrored
 
 
-@frozen
+@dataclass(frozen=True)
 class Sides:
     """The keypoints of a camera's left and right limbs are exchanged.
 
@@ -113,7 +112,7 @@ class Sides:
         return chosen
 
 
-@frozen
+@dataclass(frozen=True)
 class Moved:
     """A camera stands, or looks, elsewhere from a frame (number) on."""
 

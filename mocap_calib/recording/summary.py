@@ -1,19 +1,19 @@
 """What the files of a recording gave, and what of it is not used: for messages."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from mocap_calib import mapped
 from mocap_calib.config import LEAST_JOINTS
-from mocap_calib.frozen import frozen
 from mocap_calib.recording.meanings import unshared_keypoints
 from mocap_calib.recording.pairing import views_with_detections
 from mocap_calib.recording.synchronise import JoinedViews
 from mocap_calib.types import Camera, Keypoints2D, Recording
 
 
-@frozen
+@dataclass(frozen=True)
 class CameraSummary:
     """The keypoints of one camera: where they come from, and how many there are."""
 
@@ -23,7 +23,7 @@ class CameraSummary:
     detections: int
 
 
-@frozen
+@dataclass(frozen=True)
 class RecordingSummary:
     """What the files of a recording gave, and what of it is not used.
 

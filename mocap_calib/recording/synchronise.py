@@ -4,7 +4,7 @@ Files and cameras are joined by name, frames by number, keypoints by meaning.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,7 +12,6 @@ from mocap_calib import mapped
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import CROWDED_SHARE, LEAST_JOINTS, TYPICAL_PERCENTILE
 from mocap_calib.errors import MismatchError
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.projection import rays_from_pixels
 from mocap_calib.recording.copies import check_copies
 from mocap_calib.recording.joints import normalise_name
@@ -30,7 +29,7 @@ from mocap_calib.types import (
 )
 
 
-@frozen
+@dataclass(frozen=True)
 class JoinedViews:
     """Keypoint files joined with their cameras by name, and their keypoints by meaning.
 

@@ -6,11 +6,12 @@ in body sizes, and positions are a linear problem, not one of directions; reweig
 way. A pair that contradicts its loops loses its weight and is named.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import AveragingConfig
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.graphs import spanning_tree
 from mocap_calib.geometry.rotation import (
     angle_between,
@@ -21,7 +22,7 @@ from mocap_calib.geometry.rotation import (
 from mocap_calib.types import Averaged, Camera, CameraRig, Floats, Ints, PairwiseCalibration
 
 
-@frozen
+@dataclass(frozen=True)
 class _Edges:
     """The pairs as arrays.
 

@@ -5,14 +5,15 @@ world, two bodies are compared by products that know nothing of their views: of 
 frame, a few products of N x K by K x N matrices take the place of N^2 comparisons.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from mocap_calib.config import LEAST_LIFT_SPREAD, PairwiseConfig
-from mocap_calib.frozen import frozen
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, LiftedPoses
 
 
-@frozen
+@dataclass(frozen=True)
 class _WorldBodies:
     """The lifted bodies of N = views x instances detections, in the axes of the world; 0 = nobody.
 

@@ -4,16 +4,17 @@ Agglomerative clustering with average linkage (Sokal and Michener 1958). A group
 detections of one view.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from mocap_calib.frozen import frozen
 from mocap_calib.kernels.loading import compiled, contiguous
 from mocap_calib.types import Bools, Floats, Ints
 
 _LEAST_AFFINITY = 1e-12  # 0 stands for clusters that must not be merged
 
 
-@frozen
+@dataclass(frozen=True)
 class _Clusters:
     """The clusters of each frame, changed in place as they are merged.
 

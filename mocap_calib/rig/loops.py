@@ -1,16 +1,15 @@
 """Loops of three pairs of cameras: around a triangle rotations and baselines must close."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mocap_calib.config import AveragingConfig
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.types import Bools, Floats, Ints, PairwiseCalibration
 
 
-@frozen
+@dataclass(frozen=True)
 class PairHypotheses:
     """The hypotheses of all pairs as arrays; those that a pair lacks have prior 0.
 

@@ -5,11 +5,12 @@ covariances of points need the errors themselves, `view_noise`; what limits and 
 against are residuals, whose spread is `view_residual`.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import TriangulateConfig
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.intersection import intersect
 from mocap_calib.geometry.point_covariance import median_angles
 from mocap_calib.geometry.rays import ray_angles, rays_in_world
@@ -27,7 +28,7 @@ from mocap_calib.types import Bools, CameraRig, Floats, Ints, Matches, Recording
 MEDIAN_DISTANCE = 1.18
 
 
-@frozen
+@dataclass(frozen=True)
 class MeasuredSample:
     """Angles between the rays of an even sample of the frames that have labels, and their points.
 

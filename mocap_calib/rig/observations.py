@@ -1,15 +1,15 @@
 """Gather what all views saw of each point."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry import lens
 from mocap_calib.types import Camera, Floats, Ints, Matches, Recording
 
 
-@frozen
+@dataclass(frozen=True)
 class Observations:
     """Detections by point and by component.
 

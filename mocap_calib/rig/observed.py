@@ -1,19 +1,19 @@
 """What is known of cameras before a rig is built, and work on those of them that it constrains."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
 
 from mocap_calib.errors import UnderconstrainedCameraError
-from mocap_calib.frozen import frozen
 from mocap_calib.rig.view_graph import pairs_among
 from mocap_calib.types import Ints, LiftedPoses, PairwiseCalibration, Recording, Sample
 
 T = TypeVar("T")
 
 
-@frozen
+@dataclass(frozen=True)
 class Observed:
     """What is known of some cameras before a rig is built.
 

@@ -1,9 +1,10 @@
 """Bodies that cameras of a group place, by which one camera is judged that may be wrong."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from mocap_calib.config import Config
-from mocap_calib.frozen import frozen
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.rig.labels import per_frame_labels
 from mocap_calib.rig.noise import view_noise
@@ -21,7 +22,7 @@ from mocap_calib.types import (
 )
 
 
-@frozen
+@dataclass(frozen=True)
 class PlacedCameras:
     """Cameras that place bodies.
 
@@ -68,7 +69,7 @@ def choose_frames(sample: Sample, wanted: int, config: Config) -> Ints:
     return evenly_spaced(np.arange(len(sample.frames)), count)
 
 
-@frozen
+@dataclass(frozen=True)
 class Look:
     """What all views saw of the bodies of some frames.
 

@@ -4,6 +4,7 @@ Groups go by where they stand in space: while a rig is built, and where frames d
 other. The final names are those of `identities`.
 """
 
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -11,7 +12,6 @@ import numpy as np
 from mocap_calib import mapped
 from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import MatchingConfig
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry import lens
 from mocap_calib.rig.labels import replace_labels
 from mocap_calib.types import Bools, Camera, CameraRig, Floats, Ints, Matches, Recording
@@ -103,7 +103,7 @@ def frames_by_chance(frames: int, config: MatchingConfig) -> int:
     return min(config.fleeting_frames, int(config.fleeting_share * frames))
 
 
-@frozen
+@dataclass(frozen=True)
 class _Appearances:
     """Every individual in every frame that has it, in the order of individuals, then frames.
 
@@ -133,7 +133,7 @@ def _appearances(labels: Ints) -> _Appearances:
     )
 
 
-@frozen
+@dataclass(frozen=True)
 class _Presence:
     """When an individual is seen, and where at first and at last.
 

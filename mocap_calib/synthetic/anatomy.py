@@ -1,8 +1,9 @@
 """The lengths of people's bodies."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from mocap_calib.frozen import frozen
 from mocap_calib.types import Floats
 
 SIDES = {"left": 1.0, "right": -1.0}
@@ -24,7 +25,7 @@ _HEAD = 8  # column of the head
 _CHILDREN = 0.15  # share of the people
 
 
-@frozen
+@dataclass(frozen=True)
 class Body:
     """Lengths of one person in metres, left and right alike.
 

@@ -8,12 +8,12 @@ cycles of the stride, in which the legs' phases and the spine go together.
 """
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from mocap_calib.errors import FormatError
-from mocap_calib.frozen import frozen
 from mocap_calib.types import Floats, Ints, Skeleton
 from mocap_calib.wording import one_line
 
@@ -23,7 +23,7 @@ ROOT = "root"  # the name of the whole body among the bones
 Angles = Mapping[tuple[str, str], tuple[float, ...]]
 
 
-@frozen
+@dataclass(frozen=True)
 class PostureRange:
     """One way to hold the body, by its name.
 
@@ -38,7 +38,7 @@ class PostureRange:
     angles: Angles
 
 
-@frozen
+@dataclass(frozen=True)
 class BodyPlan:
     """A parsed section `body`.
 

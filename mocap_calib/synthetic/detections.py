@@ -1,12 +1,12 @@
 """What a keypoint detector makes of bodies in the images of a rig: noise, gaps, gross errors."""
 
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from mocap_calib.config import FALSE_CONFIDENCE, FALSE_COPIES, LEAST_DETECTED_JOINTS
 from mocap_calib.errors import MismatchError
-from mocap_calib.frozen import frozen
 from mocap_calib.recording.views import split_by_view
 from mocap_calib.records import Record, check_shape
 from mocap_calib.synthetic.bodies import JOINTS
@@ -18,7 +18,7 @@ Layout = Literal["coco17", "all"]
 LAYOUTS: dict[str, tuple[str, ...]] = {"coco17": JOINTS[:17], "all": JOINTS}
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class Detections(Record):
     """Keypoints of all views.
 

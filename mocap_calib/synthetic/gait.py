@@ -5,10 +5,11 @@ walks on the spot. Each foot stands at one place for 62 % of its cycle (Winter 2
 swings to the next one.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from mocap_calib.frozen import frozen
 from mocap_calib.synthetic.paths import Walk
 from mocap_calib.synthetic.signals import direction, ease, interpolate, left_of
 from mocap_calib.types import Floats
@@ -28,7 +29,7 @@ _PITCH = PchipInterpolator(
 )
 
 
-@frozen
+@dataclass(frozen=True)
 class Foot:
     """A foot over time.
 
@@ -42,7 +43,7 @@ class Foot:
     pitch: Floats
 
 
-@frozen
+@dataclass(frozen=True)
 class _Footholds:
     """Where a foot stands. place: `[time, 2]` metres; yaw: `[time]` radians."""
 

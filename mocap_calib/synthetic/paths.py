@@ -1,12 +1,12 @@
 """Where people walk: smooth paths with turns and pauses, on which nobody runs into anybody."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from mocap_calib.config import PEOPLE_APART, WALK_CANDIDATES
-from mocap_calib.frozen import frozen
 from mocap_calib.synthetic.signals import interpolate, wander
 from mocap_calib.types import Floats
 
@@ -18,7 +18,7 @@ _LEAST_SPEED = 0.02  # metres a second, where somebody stops
 Pauses = tuple[tuple[float, float], ...]
 
 
-@frozen
+@dataclass(frozen=True)
 class Walk:
     """One person's way.
 

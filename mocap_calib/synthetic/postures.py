@@ -1,8 +1,9 @@
 """How people hold themselves: trunk, head and arms while they walk, gesture, bend and crouch."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from mocap_calib.frozen import frozen
 from mocap_calib.synthetic.gait import vigour
 from mocap_calib.synthetic.paths import Walk
 from mocap_calib.synthetic.signals import pulse, spells, wander
@@ -26,7 +27,7 @@ _GESTURE_SHARES = np.array([0.32, 0.16, 0.12, 0.1, 0.1, 0.08, 0.12])
 _BEAT = np.array([4.0, 3.0, 12.0, 10.0])  # degrees by which gesturing arms beat the air
 
 
-@frozen
+@dataclass(frozen=True)
 class Posture:
     """Angles in radians over time, `[time]` unless another shape is given.
 

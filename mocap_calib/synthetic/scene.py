@@ -1,13 +1,12 @@
 """A whole recording with its truth, from one seed."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mocap_calib.config import ANIMAL_MOTION, CAMERA_HEIGHT, ROOM_SIDE, SimulateConfig
 from mocap_calib.errors import MismatchError
-from mocap_calib.frozen import frozen
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.records import Record
 from mocap_calib.synthetic.animals import move_animal
@@ -18,7 +17,7 @@ from mocap_calib.synthetic.rigs import ring_rig
 from mocap_calib.types import CameraRig, Floats, Ints, Keypoints2D
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class Scene(Record):
     """Detections, and the truth behind them.
 

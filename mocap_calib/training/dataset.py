@@ -5,12 +5,13 @@ upright cameras, other bodies, other joint layouts. All of it is drawn anew for 
 is stored.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 import torch
 from torch import Tensor
 
 from mocap_calib.config import HIDDEN_LIMBS, OUTLIER_NOISE, TRAINING_JOINTS, TrainConfig
-from mocap_calib.frozen import frozen
 from mocap_calib.training.draws import Draws
 from mocap_calib.training.layouts import class_of_joint, limbs, symmetry_classes
 from mocap_calib.training.model import normalise
@@ -21,7 +22,7 @@ from mocap_calib.types import Skeleton
 _LEG = ("hip", "knee", "ankle")
 
 
-@frozen
+@dataclass(frozen=True)
 class Batch:
     """What the network sees and should say.
 

@@ -3,12 +3,13 @@
 Lee et al., BMVC 2025, appendix C.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 import torch
 from torch import Tensor
 
 from mocap_calib.config import LAYOUT_DROPOUT, TRAINING_JOINTS, PairsConfig
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.rotation import vector_from_matrix
 from mocap_calib.training.draws import Draws
 from mocap_calib.training.layouts import class_of_joint, symmetry_classes
@@ -18,7 +19,7 @@ from mocap_calib.training.views import hemisphere_views, rotation_about_z
 from mocap_calib.types import Ints, Skeleton
 
 
-@frozen
+@dataclass(frozen=True)
 class SteerBatch:
     """What the network sees and should say.
 

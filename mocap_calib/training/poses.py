@@ -9,6 +9,7 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,7 +18,6 @@ from numpy.typing import NDArray
 
 from mocap_calib.config import TRAINING_JOINTS
 from mocap_calib.errors import FormatError, MismatchError
-from mocap_calib.frozen import frozen
 from mocap_calib.recording.joints import match_names
 from mocap_calib.synthetic.body_plan import parse_body
 from mocap_calib.synthetic.procedural import sample_bodies
@@ -43,7 +43,7 @@ _ARRAYS = ("poses", "poses3d", "joints", "split", "subject", "clip")
 _OTHER_NAMES = {"poses3d": "poses", "clip": "subject"}
 
 
-@frozen
+@dataclass(frozen=True)
 class PoseSet:
     """3D poses, +z up.
 

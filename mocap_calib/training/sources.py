@@ -1,12 +1,12 @@
 """Gather what a network is trained on: poses of files, poses of a run, procedural bodies."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from mocap_calib.config import OWN_SPECIES_TRAINING, TrainConfig
 from mocap_calib.errors import MismatchError
-from mocap_calib.frozen import frozen
 from mocap_calib.io.cameras.read import read_rig
 from mocap_calib.io.poses.read import read_poses
 from mocap_calib.recording.joints import load_section, load_skeleton
@@ -27,7 +27,7 @@ from mocap_calib.training.poses import (
 from mocap_calib.types import Floats, Skeleton
 
 
-@frozen
+@dataclass(frozen=True)
 class TrainingSource:
     """What to train on.
 

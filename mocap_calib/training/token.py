@@ -4,15 +4,16 @@ Lee et al., BMVC 2025, section 3.1 and appendix C. Kept as a measured reference;
 model in `model.py` is the program's own.
 """
 
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor, nn
 
 from mocap_calib.config import ENCODER_HEADS, PAPER_LAYERS, PAPER_WIDTH
-from mocap_calib.frozen import frozen
 from mocap_calib.training.model import transformer_encoder
 
 
-@frozen
+@dataclass(frozen=True)
 class TokenConfig:
     """Size of the network; saved inside the checkpoint.
 

@@ -1,6 +1,6 @@
 """Compare a rig with a reference."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
@@ -8,7 +8,6 @@ import numpy as np
 
 from mocap_calib.config import RIG_ERROR_THRESHOLDS_DEG
 from mocap_calib.errors import MismatchError
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.alignment import align_by_similarity
 from mocap_calib.geometry.rotation import angle_between, direction_angle
 from mocap_calib.records import Record
@@ -19,7 +18,7 @@ from mocap_calib.types import CameraRig, Floats, Views
 _AXIS_LENGTH = 1e-3
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class Evaluation(Record):
     """A rig against a reference.
 

@@ -1,12 +1,12 @@
 """How much of what was seen a result explains: the yardstick for whether a mend is right."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
 from mocap_calib import mapped
 from mocap_calib.config import REPORT_FRAMES
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.reprojection import project
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.rig.observations import matched_pixels
@@ -22,7 +22,7 @@ from mocap_calib.types import (
 )
 
 
-@frozen
+@dataclass(frozen=True)
 class Leftover:
     """What the points of a group leave over of what was seen, in pixels.
 
@@ -59,7 +59,7 @@ class Leftover:
         return cls(pixels=pixels, gap=gap, distance=np.linalg.norm(gap, axis=1))
 
 
-@frozen
+@dataclass(frozen=True)
 class Yardstick:
     """Which distance from a point still counts for much.
 

@@ -9,12 +9,12 @@ the rest still disagree by).
 """
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import chdtrc, fdtrc
 
 from mocap_calib.config import Config
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.gauge import gauge_of, rig_change
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.records import Record
@@ -25,7 +25,7 @@ _POSE = 6  # numbers that say where a camera stands
 _GAUGE = 7  # of them, in a whole rig, that a similarity takes away
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class RigChange(Record):
     """How a rig that was adjusted anew differs from the calibration that was given.
 
@@ -122,7 +122,7 @@ def _compare_two(problem: "_Problem", covariance: RigCovariance, config: Config)
     )
 
 
-@frozen
+@dataclass(frozen=True)
 class _Problem:
     """Least squares of what two rigs differ by.
 

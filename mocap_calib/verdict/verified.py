@@ -1,7 +1,7 @@
 """Put into records and words what a second look at a calibration found."""
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -9,7 +9,6 @@ import numpy as np
 from mocap_calib.adjust.camera_fit import CameraFit, CameraPose
 from mocap_calib.adjust.relocation import place_points, refit_camera, typical_error
 from mocap_calib.config import Config
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.gauge import rig_size
 from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.geometry.rotation import angle_between
@@ -36,7 +35,7 @@ from mocap_calib.verdict.verify_words import (
 )
 
 
-@frozen
+@dataclass(frozen=True)
 class SecondLook:
     """A rig that was adjusted from a given one.
 

@@ -5,12 +5,12 @@ move either: hands that measured, pixels that were clicked, the rig itself.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from mocap_calib.config import WorldConfig
 from mocap_calib.errors import DegenerateError
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.alignment import align_by_similarity
 from mocap_calib.geometry.gauge import rig_size
 from mocap_calib.geometry.rotation import angle_between
@@ -21,7 +21,7 @@ from mocap_calib.world.moving import Similarity
 _MIRROR = np.array([-1.0, 1.0, 1.0])
 
 
-@frozen
+@dataclass(frozen=True)
 class Fit:
     """How far things `[N]` are from where they were stated, after the best similarity.
 

@@ -2,13 +2,12 @@
 
 from collections import Counter, defaultdict
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mocap_calib.config import KnownCamera, Landmark, WorldConfig
 from mocap_calib.errors import MismatchError, suggest
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.gauge import rig_size
 from mocap_calib.recording.epochs import views_by_camera
 from mocap_calib.types import (
@@ -68,7 +67,7 @@ def align_to_cameras(
     return fit.by, _scale_sigma(fit.by.apply(cameras.rig.centres), target.centres), remark
 
 
-@frozen
+@dataclass(frozen=True)
 class _SharedCameras:
     """Cameras of a rig, its covariance, and the same ones as a file places them."""
 

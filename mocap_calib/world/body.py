@@ -1,19 +1,18 @@
 """What the bodies of poses are: which joint is where, how large they are, when they stand."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mocap_calib import mapped
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.bodies import mean_of_known
 from mocap_calib.lift.weights import load_vocabulary
 from mocap_calib.recording.joints import choose_skeleton, match_names
 from mocap_calib.types import POINT_SOURCES, Bools, Floats, Poses3D, Recording, Skeleton
 
 
-@frozen
+@dataclass(frozen=True)
 class Joints:
     """Where the joints of a skeleton are among the keypoints of poses.
 

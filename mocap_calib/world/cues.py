@@ -5,13 +5,12 @@ averaged, weighted by their variances (a product of errors is a sum of logarithm
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mocap_calib.config import CueConfig, FloorConfig, ScaleCue
 from mocap_calib.errors import MismatchError, suggest
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.bodies import body_size
 from mocap_calib.geometry.gauge import rig_size
 from mocap_calib.recording.epochs import own_name
@@ -37,7 +36,7 @@ from mocap_calib.world.floor import FEET, Floor
 _RESCALED = "axes and origin are those of the file, lengths are not: known ones set them"
 
 
-@frozen
+@dataclass(frozen=True)
 class Measurable:
     """What lengths are measured on: poses, and the cameras where those are at hand.
 
@@ -53,7 +52,7 @@ class Measurable:
     individuals: tuple[str, ...] = ()
 
 
-@frozen
+@dataclass(frozen=True)
 class Scale:
     """What a length of 1 is in metres, its relative standard deviation, and what says so."""
 

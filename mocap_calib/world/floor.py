@@ -6,11 +6,12 @@ bodies' own axis is up. The axis is a prior: where the feet leave a direction op
 to and fro, it decides. Feet in one place share their error, so that places count, not frames.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from mocap_calib import mapped
 from mocap_calib.config import FloorConfig
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.bodies import body_size
 from mocap_calib.types import CameraRig, Floats, Ints, Poses3D
 from mocap_calib.world.body import (
@@ -40,7 +41,7 @@ _TRUNK = {
 NO_FEET = "no feet are among the keypoints"  # of people, of animals on four legs
 
 
-@frozen
+@dataclass(frozen=True)
 class Floor:
     """A plane that bodies stand on, in the axes and the unit of the poses.
 
@@ -54,7 +55,7 @@ class Floor:
     sigma: float
 
 
-@frozen
+@dataclass(frozen=True)
 class _Lowest:
     """The lowest foot of each body in each frame.
 

@@ -1,17 +1,16 @@
 """Move cameras, poses and their covariances to other coordinates."""
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.rotation import nearest_rotation
 from mocap_calib.types import CameraRig, Floats, GroupResult, Poses3D, RigCovariance, World
 
 
-@frozen
+@dataclass(frozen=True)
 class Similarity:
     """How points move: x' = scale R x + shift, with a rotation `[3, 3]` and a shift `[3]`."""
 

@@ -1,14 +1,13 @@
 """Give results the coordinates that were asked for: scale, up, floor, origin and heading."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mocap_calib import mapped
 from mocap_calib.config import WORLDS, FloorConfig, ScaleCue, WorldConfig
 from mocap_calib.errors import DegenerateError, MismatchError
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.rotation import nearest_rotation
 from mocap_calib.recording.epochs import views_by_camera
 from mocap_calib.types import (
@@ -33,7 +32,7 @@ from mocap_calib.world.moving import Similarity, move_group
 from mocap_calib.world.people import check_people
 
 
-@frozen
+@dataclass(frozen=True)
 class Placement:
     """Where to move results, and what is known of the coordinates then."""
 

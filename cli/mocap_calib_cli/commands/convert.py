@@ -2,13 +2,12 @@
 
 import sys
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from mocap_calib.frozen import frozen
 from mocap_calib_cli import options, values
 from mocap_calib_cli.numbers import POSITIVE
 
@@ -25,7 +24,7 @@ _OPTIONS_OF = {
 }
 
 
-@frozen
+@dataclass(frozen=True)
 class _Task:
     """What to convert, to what.
 

@@ -7,7 +7,7 @@ once.
 import json
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import field
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import PurePath
 from typing import Any
@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.frozen import frozen
 from mocap_calib.io.cameras.syntax import is_toml, parse_json, parse_toml, parse_yaml
 from mocap_calib.io.file import decode, find_repeated, malformed
 from mocap_calib.io.zeros import unsigned_zeros
@@ -31,7 +30,7 @@ FILE_NAME = (
 )
 
 
-@frozen
+@dataclass(frozen=True)
 class Source:
     """The files at `path` by their names (one file, unless it is a folder)."""
 
@@ -92,7 +91,7 @@ class Source:
         return self.tree.keys() >= set(keys)
 
 
-@frozen
+@dataclass(frozen=True)
 class CameraFile:
     """What a source says.
 

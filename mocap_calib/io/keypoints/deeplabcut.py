@@ -8,10 +8,10 @@ any order; labelled frames have no likelihood; tables of 3D poses differ only by
 
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from mocap_calib.frozen import frozen
 from mocap_calib.io.file import NO_SCORE, Origin, check_size, frame_number, make_view, malformed
 from mocap_calib.types import Floats, Ints, Keypoints2D
 
@@ -30,7 +30,7 @@ _SPREAD = re.compile(r"[xy]_(ens_median|ens_var|posterior_var|var)|zscore|nll|en
 Columns = dict[tuple[str, str], dict[str, int]]
 
 
-@frozen
+@dataclass(frozen=True)
 class Table:
     """What the files hold.
 

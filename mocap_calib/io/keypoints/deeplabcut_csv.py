@@ -8,10 +8,10 @@ files; Lightning Pose adds a last column `set`; spreadsheets write semicolons an
 import csv
 import re
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
-from mocap_calib.frozen import frozen
 from mocap_calib.io.file import malformed
 from mocap_calib.io.keypoints.deeplabcut import LEVELS, Table, keypoints_from_table
 from mocap_calib.io.keypoints.document import Document, Item, ReadOptions
@@ -26,7 +26,7 @@ _LARGE = 5_000_000
 Header = dict[str, list[str]]  # name of the level -> cells of its row
 
 
-@frozen
+@dataclass(frozen=True)
 class _Columns:
     """The columns from `first` to before `end` hold numbers; those before name the frame.
 

@@ -10,7 +10,7 @@ import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import field
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -18,7 +18,6 @@ from typing import Any, BinaryIO
 import h5py
 import msgspec
 
-from mocap_calib.frozen import frozen
 from mocap_calib.io.file import Origin, decode, is_utf16, malformed, opened, read_bytes
 from mocap_calib.io.hdf5 import HDF5_DAMAGE
 from mocap_calib.io.sandbox import HDF5
@@ -38,7 +37,7 @@ _HEAD = 65536  # bytes of a file that formats are told by
 _BLOCK = 250_000  # bytes that are read at a time
 
 
-@frozen
+@dataclass(frozen=True)
 class ReadOptions:
     """What a file does not say itself.
 
@@ -70,7 +69,7 @@ class ReadOptions:
         return sizes.get(compose_name(camera), self.image_size)
 
 
-@frozen
+@dataclass(frozen=True)
 class Document:
     """One file, read when it is first looked at. All its properties raise FormatError.
 
@@ -214,7 +213,7 @@ class Document:
             ) from None
 
 
-@frozen
+@dataclass(frozen=True)
 class Item:
     """What is read in one go: a file, or a folder with a file per frame.
 

@@ -4,10 +4,10 @@ The columns may be called anything. Work goes column by column, since there are 
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from mocap_calib.frozen import frozen
 from mocap_calib.io.file import (
     Origin,
     blank,
@@ -22,7 +22,7 @@ from mocap_calib.io.keypoints.document import Item
 from mocap_calib.types import Floats, Ints, Keypoints2D
 
 
-@frozen
+@dataclass(frozen=True)
 class Points:
     """The points of a table, a row each.
 
@@ -42,7 +42,7 @@ class Points:
     lines: Ints
 
 
-@frozen
+@dataclass(frozen=True)
 class _Coded:
     """A column as its different texts and, of each row, which of them it has.
 
@@ -63,7 +63,7 @@ class _Coded:
         return _Coded(texts, code_by_appearance[codes])
 
 
-@frozen
+@dataclass(frozen=True)
 class _Table:
     """Points with coded columns; `values` is `[row, 3]`, `lines` is `[row]`."""
 

@@ -4,16 +4,16 @@ A writer says with these what it loses, or refuses it.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.frozen import frozen
 from mocap_calib.io.file import NO_SCORE
 from mocap_calib.types import Keypoints2D
 
 Views = Sequence[Keypoints2D]
 
 
-@frozen
+@dataclass(frozen=True)
 class Loss:
     """What a format has no place for.
 

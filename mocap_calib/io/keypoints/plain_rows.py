@@ -1,20 +1,20 @@
 """Read rows of comma-separated cells in blocks, several at a time, where all of them are plain."""
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from mocap_calib.compute.parallel import map_in_threads
-from mocap_calib.frozen import frozen
 from mocap_calib.kernels.loading import compiled
 from mocap_calib.types import Bools, Floats
 
 _ROOM = 1.2  # times the rows that the first block lets expect
 
 
-@frozen
+@dataclass(frozen=True)
 class PlainRows:
     """Rows of a table.
 

@@ -9,11 +9,11 @@ images, has the paths of its videos elsewhere.
 
 import json
 import re
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from mocap_calib.frozen import frozen
 from mocap_calib.io.file import (
     Origin,
     blank,
@@ -55,7 +55,7 @@ def read(item: Item, options: ReadOptions) -> tuple[Keypoints2D, ...]:
 # Tables
 
 
-@frozen
+@dataclass(frozen=True)
 class _Tables:
     """The tables of a project.
 

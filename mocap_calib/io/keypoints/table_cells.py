@@ -2,16 +2,16 @@
 
 import csv
 import io
+from dataclasses import dataclass
 
 import numpy as np
 
-from mocap_calib.frozen import frozen
 from mocap_calib.io.file import malformed
 from mocap_calib.io.keypoints.document import Item
 from mocap_calib.types import Floats, Ints
 
 
-@frozen
+@dataclass(frozen=True)
 class Cells:
     """The rows below the header.
 

@@ -7,11 +7,11 @@ The rest pose is the mean of the body over all frames, upright, facing along z, 
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.frozen import frozen
 from mocap_calib.geometry.rotation import nearest_rotation, turn_between
 from mocap_calib.io.poses.common import PoseFile, known_edges
 from mocap_calib.kinematics.measure import bone_lengths
@@ -27,7 +27,7 @@ _LEAST_SPREAD = 0.02  # of a joint in the body, in sizes of the body: none count
 _UP = np.array([0.0, 1.0, 0.0])
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class Tree(Record):
     """A tree of joints, parents first; the first is the root.
 
@@ -51,7 +51,7 @@ class Tree(Record):
         return tuple(k for k, parent in enumerate(self.parents) if parent == joint)
 
 
-@frozen
+@dataclass(frozen=True, eq=False, repr=False)
 class Motion(Record):
     """How the joints of a tree move.
 

@@ -10,12 +10,12 @@
 
 import io
 import warnings
+from dataclasses import dataclass
 
 import c3d
 import numpy as np
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.frozen import frozen
 from mocap_calib.io.file import malformed
 from mocap_calib.io.poses.axes import up_axis
 from mocap_calib.io.poses.common import (
@@ -40,7 +40,7 @@ _ONLY_INDIVIDUAL = "individual_0"  # what one without a name is called
 _NAMES = r"(?! )[ -9;-~]{1,60}(?<! )"
 
 
-@frozen
+@dataclass(frozen=True)
 class _Content:
     """What a file holds.
 

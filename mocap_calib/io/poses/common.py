@@ -7,14 +7,13 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import h5py
 import numpy as np
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.frozen import frozen
 from mocap_calib.io.file import find_repeated, malformed
 from mocap_calib.io.hdf5 import HDF5_DAMAGE
 from mocap_calib.io.sandbox import HDF5
@@ -40,7 +39,7 @@ _LONGEST = 5_000_000  # frames of a file without gaps: a day and a half at 30 pe
 UNNAMED = re.compile(r"individual_[0-9]+")  # what individuals without a name are called
 
 
-@frozen
+@dataclass(frozen=True)
 class PoseFile:
     """Poses and what files say beside.
 
@@ -107,7 +106,7 @@ def check_rate(fps: float | None) -> None:
         raise ValueError(f"fps: expected a number above 0, got {fps}")
 
 
-@frozen
+@dataclass(frozen=True)
 class WrittenPoses:
     """A file's content, and what of the poses it does not carry."""
 

@@ -1,14 +1,13 @@
 """Write a run's cameras and 3D poses in further formats, beside its own files."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from mocap_calib.errors import MismatchError, suggest
-from mocap_calib.frozen import frozen
 from mocap_calib.io.cameras.formats import CAMERA_FORMATS
 from mocap_calib.io.cameras.write import format_rig, write_cameras
 from mocap_calib.io.poses.common import PoseFile, bare_poses, describe_poses
@@ -20,7 +19,7 @@ from mocap_calib.types import CameraRig, ObservedPoints, Recording
 from mocap_calib.wording import describe_lost
 
 
-@frozen
+@dataclass(frozen=True)
 class WriteOutcome:
     """What was lost or left out when further formats were written.
 

@@ -10,6 +10,7 @@ its axes, its unit and its meaning in attributes.
 import io
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mocap_calib import mapped
-from mocap_calib.frozen import frozen
 from mocap_calib.io import hdf5
 from mocap_calib.io.atomic import replace_file
 from mocap_calib.io.file import malformed
@@ -34,7 +34,7 @@ _POINTS = "frame, individual, keypoint"
 _SQUARE = "^2"
 
 
-@frozen
+@dataclass(frozen=True)
 class _Dataset:
     """What the attributes of a dataset say.
 
