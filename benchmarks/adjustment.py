@@ -26,7 +26,7 @@ import numpy as np
 
 from mocap_calib.adjust.bundle_adjustment import adjust
 from mocap_calib.adjust.ceres import adjust_by_ceres
-from mocap_calib.config import AdjustConfig, Config, SimulateConfig
+from mocap_calib.config import AdjustConfig, Config
 from mocap_calib.geometry.rotation import (
     angle_between,
     direction_angle,
@@ -38,6 +38,7 @@ from mocap_calib.recording.sampling import take_sample
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.rig.observations import gather_observations
 from mocap_calib.synthetic import simulate
+from mocap_calib.synthetic.config import SimulateConfig
 from mocap_calib.types import CameraRig, Floats, Matches, Sample
 
 

@@ -28,7 +28,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from mocap_calib.config import Config, SimulateConfig
+from mocap_calib.config import Config
 from mocap_calib.geometry.rotation import angle_between, looking_along
 from mocap_calib.io.cameras.own import format_calibration_toml
 from mocap_calib.lift.loading import load_lifter
@@ -44,6 +44,7 @@ from mocap_calib.synthetic import (
     ring_rig,
     simulate,
 )
+from mocap_calib.synthetic.config import SimulateConfig
 from mocap_calib.types import Bools, CameraRig, Floats, Keypoints2D, silent
 
 TOOL = Path(sys.executable).with_name("mocap-calib")

@@ -8,7 +8,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from mocap_calib.config import Config, SimulateConfig
+    from mocap_calib.config import Config
     from mocap_calib.errors import (
         ClusterError,
         DegenerateError,
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from mocap_calib.recording.mending import Mirrored, Moved, Sides
     from mocap_calib.rig.triangulation import triangulate
     from mocap_calib.synthetic import Scene, simulate
+    from mocap_calib.synthetic.config import SimulateConfig
     from mocap_calib.types import (
         CalibrationResult,
         Camera,
@@ -53,7 +54,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _NAMES = {
-    "config": ("Config", "SimulateConfig"),
+    "config": ("Config",),
     "errors": (
         "ClusterError",
         "DegenerateError",
@@ -74,6 +75,7 @@ _NAMES = {
     "recording.mended_intrinsics": ("Cropped", "Exchanged", "Refocused", "Resized", "Rotated"),
     "recording.mending": ("Mirrored", "Moved", "Sides"),
     "synthetic": ("Scene", "simulate"),
+    "synthetic.config": ("SimulateConfig",),
     "types": (
         "CalibrationResult",
         "Camera",

@@ -13,6 +13,7 @@ import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ from threadpoolctl import threadpool_info
 from mocap_calib.compute import BLAS_THREADS
 from mocap_calib.compute.parallel import thread_count
 from mocap_calib.compute.program import identify_program
-from mocap_calib.config import Config, DoctorConfig, SimulateConfig
+from mocap_calib.config import Config
 from mocap_calib.errors import MocapCalibError
 from mocap_calib.kernels.loading import compile_ahead
 from mocap_calib.lift.device import describe_devices
@@ -32,8 +33,24 @@ from mocap_calib.lift.weights import digest
 from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.joints import SHIPPED
 from mocap_calib.synthetic import simulate
+from mocap_calib.synthetic.config import SimulateConfig
 from mocap_calib.types import Recording
 from mocap_calib.verdict.evaluation import evaluate
+
+
+@dataclass(frozen=True)
+class DoctorConfig:
+    """The self-test: a simulated recording, and how far the result may be from the truth.
+
+    least_disk_gb: free on the disk, below which that is said.
+    """
+
+    cameras: int = 3
+    people: int = 2
+    frames: int = 40
+    most_error_deg: float = 0.5  # measured 0.23
+    least_disk_gb: float = 1.0
+
 
 # name of a package -> of what is imported
 NEEDED = {

@@ -7,7 +7,7 @@ from itertools import combinations
 
 import numpy as np
 
-from mocap_calib.config import Config, SimulateConfig
+from mocap_calib.config import Config
 from mocap_calib.geometry.rotation import angle_between, matrix_from_vector
 from mocap_calib.lift.lift import lift
 from mocap_calib.lift.loading import load_lifter
@@ -16,6 +16,7 @@ from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.recording.sampling import take_sample
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.synthetic import Scene, simulate
+from mocap_calib.synthetic.config import SimulateConfig
 from mocap_calib.types import (
     CalibrationResult,
     Camera,

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from mocap_calib.config import InspectConfig
+from mocap_calib.inspection.config import InspectConfig
 from mocap_calib.inspection.finding import Finding, critical, warning
 from mocap_calib.types import Keypoints2D
 from mocap_calib.wording import count

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.config import InspectConfig
+from mocap_calib.inspection.config import InspectConfig
 from mocap_calib.inspection.motion import measure_motion
 from mocap_calib.recording.joints import normalise_name
 from mocap_calib.recording.meanings import keypoint_meanings

@@ -5,9 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.config import LEAST_JOINTS, TYPICAL_PERCENTILE, InspectConfig, SampleConfig
+from mocap_calib.config import LEAST_JOINTS, TYPICAL_PERCENTILE, SampleConfig
 from mocap_calib.errors import MismatchError
 from mocap_calib.inspection.clocks import find_clock_problems
+from mocap_calib.inspection.config import InspectConfig
 from mocap_calib.inspection.contents import seen_points
 from mocap_calib.inspection.finding import Finding, critical, warning
 from mocap_calib.inspection.motion import find_still_subjects

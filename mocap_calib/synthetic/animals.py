@@ -7,9 +7,9 @@ follow the way that the body goes, a wing beats with the time. Feet may slide on
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from mocap_calib.config import ANIMAL_MOTION, AnimalMotion
 from mocap_calib.recording.joints import load_section, load_skeleton
 from mocap_calib.synthetic.body_plan import AXES, ROOT, BodyPlan, PostureRange, parse_body
+from mocap_calib.synthetic.config import ANIMAL_MOTION, AnimalMotion
 from mocap_calib.synthetic.paths import Walk
 from mocap_calib.synthetic.procedural import assemble, joints_named, sample_bones
 from mocap_calib.synthetic.signals import wander

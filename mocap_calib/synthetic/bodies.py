@@ -7,7 +7,6 @@ and feet that stand on the floor. Body axes: x ahead, y to the body's left, z up
 import numpy as np
 from scipy.ndimage import gaussian_filter1d, minimum_filter1d
 
-from mocap_calib.config import MOTION_RATE
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.recording.joints import load_skeleton
@@ -20,6 +19,7 @@ from mocap_calib.synthetic.anatomy import (
     mirror,
     random_body,
 )
+from mocap_calib.synthetic.config import MOTION_RATE
 from mocap_calib.synthetic.gait import Foot, gait_cycles, place_foot
 from mocap_calib.synthetic.paths import Walk, plan_walks
 from mocap_calib.synthetic.postures import Posture, hold_posture

@@ -5,11 +5,11 @@ from typing import Literal
 
 import numpy as np
 
-from mocap_calib.config import FALSE_CONFIDENCE, FALSE_COPIES, LEAST_DETECTED_JOINTS
 from mocap_calib.errors import MismatchError
 from mocap_calib.recording.views import split_by_view
 from mocap_calib.records import Record, check_shape
 from mocap_calib.synthetic.bodies import JOINTS
+from mocap_calib.synthetic.config import FALSE_CONFIDENCE, FALSE_COPIES, LEAST_DETECTED_JOINTS
 from mocap_calib.synthetic.signals import direction
 from mocap_calib.types import Bools, CameraRig, Floats, Ints, Keypoints2D
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from mocap_calib.config import PEOPLE_APART, WALK_CANDIDATES
+from mocap_calib.synthetic.config import PEOPLE_APART, WALK_CANDIDATES
 from mocap_calib.synthetic.signals import interpolate, wander
 from mocap_calib.types import Floats
 

@@ -4,9 +4,9 @@ from typing import Literal
 
 import numpy as np
 
-from mocap_calib.config import CAMERA_AIM
 from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.rotation import looking_along, matrix_from_vector
+from mocap_calib.synthetic.config import CAMERA_AIM
 from mocap_calib.synthetic.signals import direction
 from mocap_calib.types import Camera, CameraRig, Floats
 

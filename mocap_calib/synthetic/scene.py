@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mocap_calib.config import ANIMAL_MOTION, CAMERA_HEIGHT, ROOM_SIDE, SimulateConfig
 from mocap_calib.errors import MismatchError
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.records import Record
 from mocap_calib.synthetic.animals import move_animal
 from mocap_calib.synthetic.bodies import motion_times, move_person
+from mocap_calib.synthetic.config import ANIMAL_MOTION, CAMERA_HEIGHT, ROOM_SIDE, SimulateConfig
 from mocap_calib.synthetic.detections import LAYOUTS, Detections, detect, keypoint_files
 from mocap_calib.synthetic.paths import plan_walks
 from mocap_calib.synthetic.rigs import ring_rig

@@ -6,11 +6,7 @@ geometry alone, and its poses train the model.
 
 import numpy as np
 
-from mocap_calib.config import (
-    OWN_SPECIES_LARGEST_ERROR,
-    OWN_SPECIES_LEAST_POSES,
-    TRAINING_JOINTS,
-)
+from mocap_calib.config import OWN_SPECIES_LARGEST_ERROR, OWN_SPECIES_LEAST_POSES, TRAINING_JOINTS
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.graphs import spanning_tree
 from mocap_calib.geometry.rotation import looking_along

@@ -6,8 +6,8 @@ import shlex
 import pytest
 from click.testing import CliRunner
 
-from mocap_calib.config import EXAMPLES
 from mocap_calib.errors import MismatchError
+from mocap_calib.synthetic.config import EXAMPLES
 from mocap_calib_cli.commands.example import command
 
 

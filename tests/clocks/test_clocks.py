@@ -14,12 +14,13 @@ from mocap_calib.adjust.ray_residuals import RayObservations, TimedRayObservatio
 from mocap_calib.adjust.residuals import State
 from mocap_calib.clocks.in_step import bring_in_step, held_out_error
 from mocap_calib.clocks.time_offsets import find_time_offsets
-from mocap_calib.config import Config, SimulateConfig
+from mocap_calib.config import Config
 from mocap_calib.recording.sampling import take_sample
 from mocap_calib.recording.stretches import usual_step
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.rig.triangulation import triangulate
 from mocap_calib.synthetic import Scene, simulate
+from mocap_calib.synthetic.config import SimulateConfig
 from mocap_calib.types import CameraRig, Floats, Matches, Recording
 
 FINER = 20  # frames of the simulation for each frame of a camera

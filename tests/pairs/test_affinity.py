@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 from scenes import lifted, recording, scene
 
-from mocap_calib.config import (
-    PairwiseConfig,
-)
+from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.epipolar import depths, essential_matrix, sampson_angle
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.pairs.affinity import (

@@ -9,11 +9,7 @@ import numpy as np
 import pytest
 from scenes import lifted, recording, scene
 
-from mocap_calib.config import (
-    FivePointConfig,
-    PairwiseConfig,
-    PaperConfig,
-)
+from mocap_calib.config import FivePointConfig, PairwiseConfig, PaperConfig
 from mocap_calib.geometry.rotation import angle_between, direction_angle, matrix_from_vector
 from mocap_calib.io.results.pairs_json import pairs_to_json
 from mocap_calib.pairs.refine import refine_two_view

@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 from scenes import rotation_errors_deg, scene
 
-from mocap_calib.config import (
-    AveragingConfig,
-)
+from mocap_calib.config import AveragingConfig
 from mocap_calib.errors import DegenerateError
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.rig.averaging import average

@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 from scenes import recording, scene, truth
 
-from mocap_calib.config import (
-    TriangulateConfig,
-)
+from mocap_calib.config import TriangulateConfig
 from mocap_calib.geometry.reprojection import project, reprojection_error
 from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.rig.observed_points import observe_points

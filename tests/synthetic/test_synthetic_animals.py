@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from scenes import calibrate_group, precision, rotation_errors_deg
 
-from mocap_calib.config import ANIMAL_MOTION, SimulateConfig
 from mocap_calib.errors import MismatchError
 from mocap_calib.lift.loading import load_lifter
 from mocap_calib.recording.joints import SHIPPED, choose_skeleton, load_skeleton
 from mocap_calib.recording.sampling import take_sample
 from mocap_calib.recording.synchronise import make_recording
 from mocap_calib.synthetic import Scene, simulate
+from mocap_calib.synthetic.config import ANIMAL_MOTION, SimulateConfig
 
 TWO = SimulateConfig(people=0, frames=40, cameras=3)
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from mocap_calib.config import EXAMPLES
+from mocap_calib.synthetic.config import EXAMPLES
 from mocap_calib_cli import options
 
 if TYPE_CHECKING:

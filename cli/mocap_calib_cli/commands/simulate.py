@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from mocap_calib.config import ANIMAL_MOTION, SimulateConfig
+from mocap_calib.synthetic.config import ANIMAL_MOTION, SimulateConfig
 from mocap_calib_cli import options
 from mocap_calib_cli.numbers import COUNT, NOT_NEGATIVE, POSITIVE, SEED, SHARE, Number
 

@@ -9,13 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from mocap_calib.config import (
-    ENCODER_HEADS,
-    PAPER_LAYERS,
-    PAPER_WIDTH,
-    PairsConfig,
-    TrainConfig,
-)
+from mocap_calib.config import ENCODER_HEADS, PAPER_LAYERS, PAPER_WIDTH, PairsConfig, TrainConfig
 from mocap_calib_cli import options, values
 from mocap_calib_cli.numbers import COUNT, POSITIVE, SHARE, WholeNumber
 
