@@ -23,14 +23,16 @@ if TYPE_CHECKING:
     from mocap_calib.io.keypoints.read import read_keypoints
     from mocap_calib.io.poses.read import read_poses
     from mocap_calib.pipeline import calibrate, match
-    from mocap_calib.recording.mended_intrinsics import (
+    from mocap_calib.recording.corrections import (
         Cropped,
         Exchanged,
+        Mirrored,
+        Moved,
         Refocused,
         Resized,
         Rotated,
+        Sides,
     )
-    from mocap_calib.recording.mending import Mirrored, Moved, Sides
     from mocap_calib.rig.triangulation import triangulate
     from mocap_calib.synthetic import Scene, simulate
     from mocap_calib.synthetic.config import SimulateConfig
@@ -72,8 +74,16 @@ _NAMES = {
     "rig.triangulation": ("triangulate",),
     "verdict.verify": ("verify",),
     "pipeline": ("calibrate", "match"),
-    "recording.mended_intrinsics": ("Cropped", "Exchanged", "Refocused", "Resized", "Rotated"),
-    "recording.mending": ("Mirrored", "Moved", "Sides"),
+    "recording.corrections": (
+        "Cropped",
+        "Exchanged",
+        "Mirrored",
+        "Moved",
+        "Refocused",
+        "Resized",
+        "Rotated",
+        "Sides",
+    ),
     "synthetic": ("Scene", "simulate"),
     "synthetic.config": ("SimulateConfig",),
     "types": (

@@ -885,7 +885,7 @@ class Clocks(Record):
 
 
 class Mend(Protocol):
-    """How the files of one camera are put right; see `recording.mending` for all there are."""
+    """How the files of one camera are corrected; see `recording.corrections`."""
 
     @property
     def camera(self) -> str:
@@ -894,14 +894,6 @@ class Mend(Protocol):
     @property
     def word(self) -> FaultWord:
         """The fault that it mends."""
-
-    @property
-    def advice(self) -> str:
-        """What a user should do about the files."""
-
-    @property
-    def option(self) -> str:
-        """How a user states it beforehand: `--mirrored cam2`."""
 
     def apply(self, recording: Recording) -> Recording:
         """Return the recording with the detections or the intrinsics of the camera put right."""

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Any, cast
 
 from mocap_calib.config import EPOCH_MARK
-from mocap_calib.recording.mending import find_view
+from mocap_calib.recording.corrections import find_view
 from mocap_calib.recording.retiming import clocks_from, retime
 from mocap_calib.rig.view_graph import best_scores
 from mocap_calib.types import (
@@ -35,18 +35,6 @@ class Retimed:
     def word(self) -> FaultWord:
         """The fault that it mends."""
         return cast(FaultWord, self.clock.kind)
-
-    @property
-    def advice(self) -> str:
-        """What a user should do about the files."""
-        return "number its frames by the clock of the others"
-
-    @property
-    def option(self) -> str:
-        """How a user states it beforehand; there is none for lost frames."""
-        if self.clock.kind == "clock":
-            return f"--frame-offset {self.camera}:{-self.clock.offset}"
-        return ""
 
     def apply(self, recording: Recording) -> Recording:
         """Return the recording with the camera on the clock of the others.

@@ -13,7 +13,7 @@ from mocap_calib.adjust.bundle_adjustment import adjust_once
 from mocap_calib.adjust.fit import measure_distances
 from mocap_calib.config import Config, ExchangedConfig
 from mocap_calib.errors import DegenerateError
-from mocap_calib.recording.mended_intrinsics import Exchanged
+from mocap_calib.recording.corrections import Exchanged
 from mocap_calib.recording.sampling import with_cameras
 from mocap_calib.rig.noise import view_residual
 from mocap_calib.rig.observed import Observed

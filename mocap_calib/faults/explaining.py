@@ -27,7 +27,7 @@ from mocap_calib.faults.core_rig import (
 )
 from mocap_calib.faults.explanations import Explanation, explanations
 from mocap_calib.faults.suspicion import is_turned, rolls
-from mocap_calib.recording.mending import exchanged_sides
+from mocap_calib.recording.corrections import exchanged_sides
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.rig.noise import MEDIAN_DISTANCE
 from mocap_calib.rig.observed import Observed

@@ -10,8 +10,7 @@ import numpy as np
 
 from mocap_calib.adjust.camera_fit import CameraFit, Unknown
 from mocap_calib.config import PLAIN_FACTORS, DiagnosisConfig
-from mocap_calib.recording.mended_intrinsics import Cropped, Refocused, Resized, Rotated
-from mocap_calib.recording.mending import Mirrored, Sides
+from mocap_calib.recording.corrections import Cropped, Mirrored, Refocused, Resized, Rotated, Sides
 from mocap_calib.types import Camera, Floats, Mend, Recording
 
 QUARTERS = (90, 180, 270)
@@ -132,23 +131,3 @@ def _may_be_cropped(explanation: Explanation, fit: CameraFit, config: DiagnosisC
     beyond = explanation.pixels > size + np.minimum(shift + 2 * sigma, 0.0)
     seen = max(int(np.isfinite(explanation.pixels[..., 0]).sum()), 1)
     return float(beyond.any(-1).sum()) / seen <= config.crop_outside
-
-
-def describe(mend: Mend) -> str:
-    """Return what is wrong with the files of a camera, for a person."""
-    says: str = mend.word
-    match mend:
-        case Mirrored(sides=sides):
-            says = "images horizontally mirrored"
-            says += ", left and right exchanged" if sides else ""
-        case Sides():
-            says = "left and right exchanged"
-        case Rotated(degrees=degrees):
-            says = f"images turned clockwise by {degrees} deg against its intrinsics"
-        case Resized(factor=factor):
-            says = f"images resized by {factor:.3g} against its intrinsics"
-        case Cropped(x=x, y=y):
-            says = f"images cut off by {x:.0f} px at the left and {y:.0f} px at the top"
-        case Refocused(focal=focal, sigma=sigma):
-            says = f"focal length {focal:.0f} +- {sigma:.0f} px, other than its intrinsics say"
-    return says

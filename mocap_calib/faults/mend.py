@@ -16,8 +16,8 @@ from mocap_calib.faults.moved import find_moved_cameras
 from mocap_calib.faults.odd_cameras import find_odd_cameras
 from mocap_calib.faults.sides import exchanged_instead
 from mocap_calib.faults.unrelated import find_unrelated_cameras
-from mocap_calib.recording.mended_intrinsics import Cropped
-from mocap_calib.recording.mending import apply_mends
+from mocap_calib.faults.words import option_of
+from mocap_calib.recording.corrections import Cropped, apply_mends
 from mocap_calib.rig.observed import Observed
 from mocap_calib.types import (
     CalibrationResult,
@@ -259,7 +259,7 @@ def _judge_faulty(group: GroupResult, faults: Sequence[Fault], config: Config) -
             continue
         if isinstance(fault.mend, Cropped):
             group = _less_sure(group, fault.mend, config)
-            remedy = f"undo it, or say {fault.mend.option} with what is known"
+            remedy = f"undo it, or say {option_of(fault.mend)} with what is known"
             reason = f"{fault.camera}: {fault.says}, which is an estimate; {remedy}"
             by_error = verdict_of_error(group.uncertainty, config.verdict)
             at_best: Verdict = "usable" if by_error == "well determined" else by_error

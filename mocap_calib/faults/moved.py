@@ -22,8 +22,8 @@ from mocap_calib.faults.changes import (
 )
 from mocap_calib.geometry.gauge import rig_size
 from mocap_calib.geometry.rotation import angle_between
+from mocap_calib.recording.corrections import Moved
 from mocap_calib.recording.epochs import own_name
-from mocap_calib.recording.mending import Moved
 from mocap_calib.recording.sampling import evenly_spaced, take_sample
 from mocap_calib.rig.labels import per_frame_labels
 from mocap_calib.rig.observed import Observed

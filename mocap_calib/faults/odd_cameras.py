@@ -12,8 +12,9 @@ import numpy as np
 from mocap_calib.config import Config, DiagnosisConfig
 from mocap_calib.faults.core_rig import core_covariance, is_determined
 from mocap_calib.faults.explaining import Finding, explain, with_uncertain_core
-from mocap_calib.faults.explanations import describe, is_acceptable, mend_of
+from mocap_calib.faults.explanations import is_acceptable, mend_of
 from mocap_calib.faults.suspicion import Signs, find_signs
+from mocap_calib.faults.words import describe
 from mocap_calib.rig.observed import Observed
 from mocap_calib.types import CalibrationResult, Fault
 

@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from mocap_calib.config import Config
-from mocap_calib.faults.explanations import describe
-from mocap_calib.recording.mending import Sides
+from mocap_calib.faults.words import describe
+from mocap_calib.recording.corrections import Sides
 from mocap_calib.rig.observed import Observed
 from mocap_calib.types import Fault
 

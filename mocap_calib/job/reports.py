@@ -24,8 +24,8 @@ from mocap_calib.io.results.run_json import read_run_json
 from mocap_calib.job.load import load_recording
 from mocap_calib.job.request import KeypointSource
 from mocap_calib.job.results import name_results
+from mocap_calib.recording.corrections import Mirrored, Moved, Sides, apply_mends
 from mocap_calib.recording.epochs import own_names, views_by_camera
-from mocap_calib.recording.mending import Mirrored, Moved, Sides, apply_mends
 from mocap_calib.recording.retiming import clocks_of_rig, retime
 from mocap_calib.report import SCHEMA
 from mocap_calib.types import Camera, CameraRig, Floats, Ints, Matches, Mend, Recording
@@ -236,7 +236,7 @@ def _mends_of(folder: ResultsFolder) -> Sequence[Mend]:
         if found.get("mirrored", {}).get("mended"):
             alone = "--sides" in (found["mirrored"]["option"] or "")
             mends.append(Mirrored(camera["name"], sides=not alone))
-        if found.get("sides", {}).get("mended") and found["sides"]["option"]:
+        if found.get("sides", {}).get("mended"):
             mends.append(Sides(camera["name"]))
     return mends
 
@@ -245,17 +245,9 @@ def _remark_detections(folder: ResultsFolder) -> list[str]:
     """Return how the detections differ from those that the run worked with, a line each."""
     cameras = folder.run["cameras"]
     late = [camera["name"] for camera in cameras if camera["clock"]["used"]]
-    single = [
-        camera["name"]
-        for camera in cameras
-        if camera["fault_evidence"].get("sides", {}).get("mended")
-        and not camera["fault_evidence"]["sides"]["option"]
-    ]
     notes = []
     if late:
         notes.append(
             f"detections of {', '.join(late)} are as in the files, a part of a frame late or early"
         )
-    if single:
-        notes.append(f"left and right of single detections of {', '.join(single)} are as in files")
     return notes

@@ -15,6 +15,7 @@ from mocap_calib.clocks.paths import Agreements, Ridge, _follow, follow_ridge
 from mocap_calib.clocks.timing import ViewInTime, compare_in_time
 from mocap_calib.config import LARGEST_STEP, SyncConfig
 from mocap_calib.faults.clock_faults import Retimed, clock_faults
+from mocap_calib.faults.words import option_of
 from mocap_calib.recording.retiming import clocks_from, retime
 from mocap_calib.types import CameraClock, LiftedPoses
 
@@ -183,7 +184,7 @@ def test_faults_name_the_camera_and_the_option_that_mends_it():
     name = made.names[1]
     assert (fault.camera, fault.word) == (name, "clock")
     assert fault.says == "its clock is 5 frames late"
-    assert fault.mend.option == f"--frame-offset {name}:-5"
+    assert option_of(fault.mend) == f"--frame-offset {name}:-5"
     np.testing.assert_array_equal(fault.mend.apply(late).positions, retime(late, clocks).positions)
     (named,) = clock_faults(clocks, applied=False)
     assert named.mend is None

@@ -13,7 +13,6 @@ from mocap_calib.faults import mend as faults
 from mocap_calib.faults import odd_cameras, suspicion
 from mocap_calib.faults.exchanged import likely_pairs
 from mocap_calib.faults.explanations import (
-    describe,
     explanations,
     is_acceptable,
     mend_of,
@@ -21,9 +20,9 @@ from mocap_calib.faults.explanations import (
 )
 from mocap_calib.faults.odd_cameras import find_odd_cameras
 from mocap_calib.faults.suspicion import is_turned, rolls
+from mocap_calib.faults.words import describe
 from mocap_calib.geometry.projection import pixels_from_points
-from mocap_calib.recording.mended_intrinsics import Cropped, Resized, Rotated
-from mocap_calib.recording.mending import Mirrored, Sides
+from mocap_calib.recording.corrections import Cropped, Mirrored, Resized, Rotated, Sides
 from mocap_calib.types import Fault, Recording
 
 ODD = 1

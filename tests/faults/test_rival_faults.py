@@ -12,7 +12,7 @@ from mocap_calib.config import Config
 from mocap_calib.faults import mend as faults
 from mocap_calib.faults.sides import exchanged_instead
 from mocap_calib.faults.unrelated import find_unrelated_cameras
-from mocap_calib.recording.mending import Sides
+from mocap_calib.recording.corrections import Sides
 from mocap_calib.types import Camera, Fault, Recording
 
 ZOOM = 1.15

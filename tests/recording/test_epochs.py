@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from mocap_calib.recording.corrections import Moved, apply_mends
 from mocap_calib.recording.epochs import (
     list_epochs,
     own_name,
@@ -10,7 +11,6 @@ from mocap_calib.recording.epochs import (
     rig_of_epoch,
     views_by_camera,
 )
-from mocap_calib.recording.mending import Moved, apply_mends
 from mocap_calib.types import Camera, CameraRig, Recording
 
 VIEWS = ("a", "b", "b@50", "b@70", "c", "c@50")

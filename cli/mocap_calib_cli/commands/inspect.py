@@ -108,6 +108,7 @@ def _compare_clocks(report: dict[str, Any], shared: options.SharedOptions) -> No
     """Add to the report how the clocks of the cameras differ, and a finding for each that does."""
     from mocap_calib.clocks.common_clock import compare_clocks
     from mocap_calib.faults.clock_faults import clock_faults, describe_clock
+    from mocap_calib.faults.words import option_of
     from mocap_calib.job.load import load_recording
     from mocap_calib_cli import inputs
 
@@ -116,7 +117,7 @@ def _compare_clocks(report: dict[str, Any], shared: options.SharedOptions) -> No
     clocks = compare_clocks(recording, recording.model)
     report["clocks"] = [describe_clock(clock, clocks) for clock in clocks.cameras]
     for fault in clock_faults(clocks, applied=True):
-        option = fault.mend.option if fault.mend else ""
+        option = option_of(fault.mend) if fault.mend else ""
         advice = f"; say {option}" if option else "; a run mends it"
         message = f"{fault.camera}: {fault.says}{advice}"
         report["findings"].append({"level": "WARNING", "message": message})

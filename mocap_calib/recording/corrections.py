@@ -1,0 +1,269 @@
+"""Correct what is wrong with the files of one camera.
+
+Each correction is a frozen record that turns a recording into another one: of detections
+(`Mirrored`, `Sides`, `Moved`) or of intrinsics, so that they fit the images as they are.
+"""
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from mocap_calib.config import EPOCH_MARK, SIDE_WORDS
+from mocap_calib.errors import MismatchError
+from mocap_calib.recording.joints import normalise_name
+from mocap_calib.types import Camera, EstimatedCamera, FaultWord, Ints, Mend, Recording
+
+
+def apply_mends(recording: Recording, mends: tuple[Mend, ...]) -> Recording:
+    """Return the recording with all mends applied, one after the other.
+
+    Raises MismatchError where a mend is of a camera that the recording does not have, or does not
+    know enough of.
+    """
+    for mend in mends:
+        recording = mend.apply(recording)
+    return recording
+
+
+@dataclass(frozen=True)
+class Mirrored:
+    """The images of a camera are mirrored, left for right.
+
+    sides: the detector took the left limbs for the right ones as well, as it does where it sees
+        nothing but the mirrored image.
+    """
+
+    camera: str
+    sides: bool = True
+    word: ClassVar[FaultWord] = "mirrored"
+
+    def apply(self, recording: Recording) -> Recording:
+        """Return the recording with the detections as the camera would have seen them."""
+        view = find_view(recording, self.camera)
+        camera = recording.cameras[view]
+        width = camera.size[0]
+        last = width - 1 if width else 2 * camera.matrix[0, 2]
+        positions = recording.positions.copy()
+        positions[view, ..., 0] = last - positions[view, ..., 0]
+        mirrored = replace(recording, positions=positions)
+        return Sides(self.camera).apply(mirrored) if self.sides else mirrored
+
+
+@dataclass(frozen=True)
+class Sides:
+    """The keypoints of a camera's left and right limbs are exchanged."""
+
+    camera: str
+    word: ClassVar[FaultWord] = "sides"
+
+    def apply(self, recording: Recording) -> Recording:
+        """Return the recording with left and right of the camera exchanged."""
+        view = find_view(recording, self.camera)
+        order = exchanged_sides(recording.keypoints)
+        positions, confidence = recording.positions.copy(), recording.confidence.copy()
+        positions[view] = positions[view][:, :, order]
+        confidence[view] = confidence[view][:, :, order]
+        return replace(recording, positions=positions, confidence=confidence)
+
+
+@dataclass(frozen=True)
+class Moved:
+    """A camera stands, or looks, elsewhere from a frame (number) on."""
+
+    camera: str
+    frame: int
+    word: ClassVar[FaultWord] = "moved"
+
+    @property
+    def later_name(self) -> str:
+        """Name of the camera from the frame on."""
+        return f"{self.camera}{EPOCH_MARK}{self.frame}"
+
+    def apply(self, recording: Recording) -> Recording:
+        """Return the recording with two cameras: up to the frame, and from it on."""
+        view = self._last_before(recording)
+        later = np.asarray(recording.frames >= self.frame)
+        both = [*range(view + 1), *range(view, len(recording.cameras))]
+        cameras = [recording.cameras[each] for each in both]
+        cameras[view + 1] = replace(cameras[view + 1], name=self.later_name)
+        split = replace(
+            recording,
+            cameras=tuple(cameras),
+            positions=recording.positions[both],
+            confidence=recording.confidence[both],
+            tracked=recording.tracked[both],
+        )
+        for part, hidden in ((view, later), (view + 1, ~later)):
+            split.positions[part, hidden] = np.nan
+            split.confidence[part, hidden] = 0.0
+        return split
+
+    def _last_before(self, recording: Recording) -> int:
+        """Return the view of the camera before the frame; it may have moved earlier.
+
+        Raises MismatchError where the recording does not have the camera.
+        """
+        view = find_view(recording, self.camera)
+        for name in recording.names[view + 1 :]:
+            camera, _, start = name.rpartition(EPOCH_MARK)
+            if camera != self.camera or int(start) >= self.frame:
+                break
+            view += 1
+        return view
+
+
+@dataclass(frozen=True)
+class Rotated:
+    """The images of a camera are turned clockwise against its intrinsics, by quarters.
+
+    degrees: 90, 180 or 270.
+    """
+
+    camera: str
+    degrees: int
+    word: ClassVar[FaultWord] = "rotated"
+
+    def apply(self, recording: Recording) -> Recording:
+        """Return the recording with intrinsics that are turned like the images."""
+        camera = recording.cameras[find_view(recording, self.camera)]
+        _check_size(camera)
+        for _ in range(self.degrees // 90):
+            camera = _turn_clockwise(camera)
+        return _with_camera(recording, camera)
+
+
+@dataclass(frozen=True)
+class Resized:
+    """The images of a camera are larger or smaller than its intrinsics say.
+
+    factor: size of the images, as a multiple of what the intrinsics are for.
+    """
+
+    camera: str
+    factor: float
+    word: ClassVar[FaultWord] = "resized"
+
+    def apply(self, recording: Recording) -> Recording:
+        """Return the recording with intrinsics of images of this size."""
+        camera = recording.cameras[find_view(recording, self.camera)]
+        matrix = camera.matrix.copy()
+        matrix[:2] *= self.factor
+        matrix[:2, 2] += (self.factor - 1) / 2  # pixel centres are integers
+        width, height = (round(self.factor * length) for length in camera.size)
+        return _with_camera(recording, replace(camera, size=(width, height), matrix=matrix))
+
+
+@dataclass(frozen=True)
+class Cropped:
+    """The images of a camera are a part of those that its intrinsics are for.
+
+    x, y: corner of the part, in pixels. sigma: standard deviation of both where they are an
+        estimate, 0 where they are known.
+    """
+
+    camera: str
+    x: float
+    y: float
+    sigma: float = 0.0
+    word: ClassVar[FaultWord] = "cropped"
+
+    def apply(self, recording: Recording) -> Recording:
+        """Return the recording with intrinsics of the part that the images show."""
+        camera = recording.cameras[find_view(recording, self.camera)]
+        matrix = camera.matrix.copy()
+        matrix[:2, 2] -= (self.x, self.y)
+        return _with_camera(recording, replace(camera, matrix=matrix))
+
+
+@dataclass(frozen=True)
+class Exchanged:
+    """The files of two cameras are exchanged: each has the intrinsics of the other."""
+
+    camera: str
+    other: str
+    word: ClassVar[FaultWord] = "exchanged"
+
+    def apply(self, recording: Recording) -> Recording:
+        """Return the recording in which each of the two has the intrinsics of the other."""
+        a, b = (find_view(recording, name) for name in (self.camera, self.other))
+        cameras = list(recording.cameras)
+        cameras[a] = replace(recording.cameras[b], name=self.camera)
+        cameras[b] = replace(recording.cameras[a], name=self.other)
+        return replace(recording, cameras=tuple(cameras))
+
+
+@dataclass(frozen=True)
+class Refocused:
+    """A camera has another focal length than its intrinsics say.
+
+    focal: in pixels, as estimated from the recording; sigma: its standard deviation.
+    """
+
+    camera: str
+    focal: float
+    sigma: float
+    word: ClassVar[FaultWord] = "focal"
+
+    def apply(self, recording: Recording) -> Recording:
+        """Return the recording with the estimated focal length."""
+        camera = recording.cameras[find_view(recording, self.camera)]
+        matrix = camera.matrix.copy()
+        matrix[[0, 1], [0, 1]] *= self.focal / camera.focal
+        refocused = EstimatedCamera.of(camera, focal_sigma=self.sigma, k1_sigma=0.0)
+        return _with_camera(recording, replace(refocused, matrix=matrix))
+
+
+def find_view(recording: Recording, camera: str) -> int:
+    """Return the index of a camera. Raises MismatchError where the recording does not have it."""
+    if camera not in recording.names:
+        raise MismatchError(
+            f"expected one of the cameras {', '.join(recording.names)}, found {camera}; "
+            "name a camera of this recording"
+        )
+    return recording.names.index(camera)
+
+
+def exchanged_sides(keypoints: tuple[str, ...]) -> Ints:
+    """Return the order `[keypoint]` in which left and right keypoints have changed places.
+
+    By their names: what begins with one side once the name is spelt out, and has a partner.
+    """
+    index = {normalise_name(name): k for k, name in enumerate(keypoints)}
+    order = np.arange(len(keypoints))
+    left, right = SIDE_WORDS
+    for name, k in index.items():
+        partner = index.get(right + name.removeprefix(left)) if name.startswith(left) else None
+        if partner is not None:
+            order[[k, partner]] = partner, k
+    return order
+
+
+def _turn_clockwise(camera: Camera) -> Camera:
+    """Return the intrinsics for images turned clockwise by a quarter.
+
+    What was at (x, y) is at (height - 1 - y, x); with normalised x' = -y and y' = x OpenCV's
+    tangential coefficients become p1' = p2 and p2' = -p1.
+    """
+    width, height = camera.size
+    (fx, _, cx), (_, fy, cy), _ = camera.matrix
+    distortion = camera.distortion.copy()
+    if not camera.fisheye and len(distortion) >= 4:
+        distortion[[2, 3]] = distortion[3], -distortion[2]
+    matrix = np.array([[fy, 0.0, height - 1 - cy], [0.0, fx, cx], [0.0, 0.0, 1.0]])
+    return replace(camera, size=(height, width), matrix=matrix, distortion=distortion)
+
+
+def _with_camera(recording: Recording, camera: Camera) -> Recording:
+    """Return the recording with other intrinsics of the camera of that name."""
+    cameras = [camera if each.name == camera.name else each for each in recording.cameras]
+    return replace(recording, cameras=tuple(cameras))
+
+
+def _check_size(camera: Camera) -> None:
+    """Raise MismatchError where the size of a camera's images is not known."""
+    if camera.size == (0, 0):
+        raise MismatchError(
+            f"{camera.name}: expected the size of its images, by which they are rotated, found "
+            f"none; give it, as in --image-size {camera.name}:WIDTHxHEIGHT"
+        )
