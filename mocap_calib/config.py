@@ -423,7 +423,6 @@ class MatchingConfig:
     tracklet_step: how far a pose may move from a frame to the next and still be followed, as a
         share of its extent in the image.
     tracklet_joints: joints that two detections need in common to be compared.
-    tracklet_frames: so many frames vote together on who a tracklet is.
 
     Who is who through the recording; evidence is in nats, see `identities.evidence`:
     individuals: how many there are at most; None = nobody knows.
@@ -454,7 +453,6 @@ class MatchingConfig:
     sure_views: int = 3
     tracklet_step: float = 0.3
     tracklet_joints: int = 3
-    tracklet_frames: int = 30
     individuals: int | None = None
     # Medians of steps over those of distances apart: .01 to .06 in video of people and dogs, .35 in
     # 81 frames of two mice, which can be followed, and .61 in pictures of a ward, which cannot

@@ -22,7 +22,7 @@ from mocap_calib.identities.evidence import (
 from mocap_calib.identities.joining import join_pieces
 from mocap_calib.identities.pieces import Pieces, cut_into_pieces
 from mocap_calib.identities.proportions import measure_proportions
-from mocap_calib.identities.tracklets import all_tracklets, name_by_tracklets
+from mocap_calib.identities.tracklets import all_tracklets
 from mocap_calib.rig.labels import name_groups, per_frame_labels, replace_labels
 from mocap_calib.rig.noise import view_noise
 from mocap_calib.rig.tracking import (
@@ -46,8 +46,7 @@ def finalise_identities(
     motion, pose and proportions. A recording has as few names as it needs, and no more than
     `config.matching.individuals`, where these are known. Who is followed for a moment alone is a
     false detection that happened to meet another: nobody; unless enough views agree on it for
-    longer, or in one frame where bodies cannot be followed. Detections without a name take that of
-    their tracklet.
+    longer, or in one frame where bodies cannot be followed.
 
     Returns labels `[view, frame, instance]`, those that are seen in most frames first. Raises
     DegenerateError where nobody is left.
@@ -73,7 +72,7 @@ def finalise_identities(
     labels = sort_by_presence(labels)
     if matching.individuals is not None:
         labels = np.where(labels < matching.individuals, labels, -1)
-    return Matches(name_by_tracklets(tracks, labels, matching))
+    return Matches(labels)
 
 
 def _triangulate_groups(

@@ -5,12 +5,10 @@ seen in one frame is two individuals, but for a few frames in which one is a fal
 """
 
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 
 from mocap_calib.config import MatchingConfig
-from mocap_calib.identities.name_swaps import exchanged_pieces
 from mocap_calib.identities.proportions import Proportions
 from mocap_calib.types import Bools, Floats, Ints
 
@@ -36,21 +34,8 @@ class _Evidence:
 
     def of(self, individual: Ints, names: int) -> Floats:
         """Return `[piece, individual]` all evidence that a piece is of each of so many."""
-        return self._with_pairs(individual, self.bodies.evidence_of(individual, names))
-
-    def total(self, individual: Ints, looks: Floats) -> float:
-        """Return all evidence for these individuals, each pair of pieces once.
-
-        looks: `[piece, individual]` of the bodies that are so.
-        """
-        there = np.flatnonzero(individual >= 0)
-        own = (there, individual[there])
-        return float(0.5 * (self._with_pairs(individual, looks)[own].sum() + looks[own].sum()))
-
-    def _with_pairs(self, individual: Ints, looks: Floats) -> Floats:
-        """Return the evidence of bodies `[piece, individual]` with that of pairs of pieces."""
-        member = (individual[:, None] == np.arange(looks.shape[1])).astype(np.float64)
-        return np.asarray(self.pairs @ member + looks)
+        member = (individual[:, None] == np.arange(names)).astype(np.float64)
+        return np.asarray(self.pairs @ member + self.bodies.evidence_of(individual, names))
 
 
 def join_pieces(
@@ -78,7 +63,6 @@ def join_pieces(
     for _ in range(_ROUNDS):
         before = individual
         individual = _exchange(individual, evidence, apart)
-        individual = _exchange_stretches(individual, evidence, (first, last), config)
         individual = _give_up(individual, evidence, apart, config)
         if np.array_equal(before, individual):
             break
@@ -179,38 +163,6 @@ def _parts_to_exchange(piece: int, name: int, individual: Ints, apart: Bools) ->
     ours = np.flatnonzero(apart[theirs].any(0) & (individual == own))
     in_the_way = apart[ours].any(0) & (individual == name)
     return (ours, theirs) if in_the_way.sum() == len(theirs) else (nothing, nothing)
-
-
-def _exchange_stretches(
-    individual: Ints, evidence: _Evidence, frames: tuple[Ints, Ints], config: MatchingConfig
-) -> Ints:
-    """Return the individuals `[piece]` after any two have exchanged names where that is certain.
-
-    Over whole stretches of the recording, see `name_swaps`. frames: the first and the last of each
-    piece.
-    """
-    names = int(individual.max(initial=-1)) + 1
-    looks = evidence.bodies.evidence_of(individual, names)
-    for a, b in combinations(range(names), 2):
-        both = np.flatnonzero((individual == a) | (individual == b))  # in the order of frames
-        own = individual[both]
-        other = np.where(own == a, b, a)
-        wrong = exchanged_pieces(
-            frames[0][both],
-            frames[1][both],
-            own == b,
-            looks[both, other] - looks[both, own],
-            evidence.pairs[np.ix_(both, both)],
-        )
-        tried = individual.copy()
-        tried[both[wrong]] = other[wrong]
-        if np.array_equal(tried, individual):
-            continue
-        looks_then = evidence.bodies.evidence_of(tried, names)
-        gain = evidence.total(tried, looks_then) - evidence.total(individual, looks)
-        if gain > config.sure_link:
-            individual, looks = tried, looks_then
-    return individual
 
 
 def _give_up(individual: Ints, evidence: _Evidence, apart: Bools, config: MatchingConfig) -> Ints:

@@ -5,12 +5,10 @@ needed for this and not believed: where they are exchanged the image jumps, and 
 followed.
 """
 
-from functools import partial
-
 import numpy as np
 
 from mocap_calib import mapped
-from mocap_calib.compute.parallel import do_in_threads, map_in_threads
+from mocap_calib.compute.parallel import map_in_threads
 from mocap_calib.config import MatchingConfig
 from mocap_calib.geometry.graphs import connected_parts
 from mocap_calib.kernels.loading import compiled, contiguous
@@ -27,35 +25,6 @@ def all_tracklets(recording: Recording, config: MatchingConfig) -> Ints:
     for view, part in zip(views, parts, strict=True):
         found[view] = part
     return found
-
-
-def name_by_tracklets(tracks: Ints, labels: Ints, config: MatchingConfig) -> Ints:
-    """Give detections without a name the name of their tracklet, and return the labels.
-
-    A detection takes the name that most of its tracklet has, if another view has that name in the
-    same frame. Names that are given stay, and none is given twice in a view and frame.
-
-    tracks: `[view, frame, instance]` of `all_tracklets`. labels: the same shape, -1 = nobody, which
-    is returned.
-    """
-    filled = labels.copy()
-    for view, given in enumerate(labels):
-        wanted = _majority(tracks[view], given, config)
-        fill = partial(_fill_names, filled, labels, view, wanted)
-        do_in_threads(fill, mapped.frame_slices(len(given)))
-    return filled
-
-
-def _fill_names(filled: Ints, labels: Ints, view: int, wanted: Ints, block: slice) -> None:
-    """Give detections of a view the names that they want, in one block of frames.
-
-    filled, labels: `[view, frame, instance]`. wanted: `[frame, instance]`.
-    """
-    own, given = wanted[block], labels[view, block]
-    others = np.delete(labels[:, block], view, axis=0)
-    confirmed = _is_among(own, np.moveaxis(others, 1, 0).reshape(len(own), -1))
-    free = ~_is_among(own, given) & ~_occurs_twice(own)
-    filled[view, block] = np.where((given < 0) & confirmed & free, own, given)
 
 
 def tracklets(recording: Recording, view: int, config: MatchingConfig) -> Ints:
@@ -142,48 +111,3 @@ def _squared_extent(positions: Floats, seen: Floats) -> Floats:
     centroid = positions.sum(-2) / joints[..., None]
     mean_square = (positions**2).sum((-1, -2)) / joints
     return mean_square - (centroid**2).sum(-1)
-
-
-def _majority(track: Ints, labels: Ints, config: MatchingConfig) -> Ints:
-    """Return the name that most detections of the tracklet have in its part.
-
-    More than half of them, of those without a name as well. A part is a stretch of frames.
-
-    track, labels: `[frame, instance]`. Returns `[frame, instance]`, -1 where there is no such name.
-    """
-    part_of = _cut_tracklets(track, config.tracklet_frames)
-    sizes = np.bincount(part_of.ravel())
-    names = int(labels.max(initial=0)) + 1
-    named = labels >= 0
-    vote, votes = np.unique((part_of * names + labels)[named], return_counts=True)
-    part, name = np.divmod(vote, names)
-    wins = 2 * votes > sizes[part]
-    winner = np.full(len(sizes), -1, dtype=np.int64)
-    winner[part[wins]] = name[wins]
-    return winner[part_of]
-
-
-def _cut_tracklets(track: Ints, length: int) -> Ints:
-    """Return the part of a tracklet that each detection is in, `[frame, instance]`, from 0 on.
-
-    Tracklets are cut at every `length` frames of the recording. What is in no tracklet is in one
-    part.
-    """
-    frames = len(track)
-    stretches = frames // length + 1
-    stretch = np.arange(frames)[:, None] // length
-    part = np.where(track >= 0, track * stretches + stretch, -1)
-    _, number = np.unique(part, return_inverse=True)
-    return number.reshape(part.shape)
-
-
-def _is_among(names: Ints, others: Ints) -> Bools:
-    """Return whether a name `[frame, I]` is one of the others `[frame, J]` of the frame."""
-    same = names[:, :, None] == others[:, None]
-    return np.asarray(same.any(-1))
-
-
-def _occurs_twice(names: Ints) -> Bools:
-    """Return `[frame, instance]` whether another detection of the frame has the same name."""
-    same = names[:, :, None] == names[:, None]
-    return np.asarray((names >= 0) & (same.sum(-1) > 1))

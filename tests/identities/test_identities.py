@@ -1,7 +1,6 @@
 """Who is who through a recording: bodies that meet, vanish and come back, with truth."""
 
 from dataclasses import replace
-from itertools import product
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,7 +14,6 @@ from mocap_calib.identities import joining
 from mocap_calib.identities.evidence import motion_evidence
 from mocap_calib.identities.finalise import finalise_identities
 from mocap_calib.identities.joining import join_pieces
-from mocap_calib.identities.name_swaps import exchanged_pieces
 from mocap_calib.identities.pieces import cut_into_pieces
 from mocap_calib.identities.proportions import Proportions, measure_proportions
 from mocap_calib.recording.synchronise import make_recording
@@ -212,8 +210,7 @@ def test_pieces_are_joined_before_any_is_exchanged():
 def test_a_piece_that_was_joined_too_early_goes_where_all_evidence_says():
     """Two in the same frames, three times, and one more, likeliest of the first piece of the first.
 
-    All its evidence together is 2.2 for the second individual: too little for the exchange of a
-    whole stretch, which asks for 4.
+    All its evidence together is 2.2 for the second individual.
     """
     first = np.array([0, 0, 10, 10, 20, 20, 30])
     pairs = np.where(np.arange(7)[:, None] % 2 == np.arange(7) % 2, 4.0, -10.0)
@@ -277,31 +274,3 @@ def test_who_shows_too_few_joints_is_whom_the_middles_of_bodies_say():
     found = motion_evidence(points, np.arange(80), pieces, among, MatchingConfig())
     assert found[0, 2] > found[1, 2] + 1.0
     assert found[0, 1] == 0.0  # at the same time
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_the_best_exchange_of_names_is_found(seed):
-    """Dynamic programming against all exchanges of eight pieces that follow each other."""
-    rng, pieces = np.random.default_rng(seed), 8
-    frames = np.arange(pieces)
-    of_second = rng.random(pieces) < 0.5
-    preference = rng.normal(size=pieces) - 0.5
-    pairs = np.zeros((pieces, pieces))
-    ahead = np.arange(pieces - 1)
-    pairs[ahead, ahead + 1] = pairs[ahead + 1, ahead] = rng.normal(size=pieces - 1) + 0.5
-
-    def evidence(exchanged: np.ndarray) -> float:
-        second = of_second ^ exchanged
-        bound = pairs * (second[:, None] == second)
-        return preference[exchanged].sum() + 0.5 * bound.sum()
-
-    best = max(evidence(np.array(choice)) for choice in product([False, True], repeat=pieces))
-    found = exchanged_pieces(frames, frames, of_second, preference, pairs)
-    assert evidence(found) == pytest.approx(best)
-
-
-def test_of_nobody_left_no_piece_is_exchanged():
-    """Two names may have lost all their pieces to a third before they are compared."""
-    none, nothing = np.zeros(0, dtype=np.int64), np.zeros(0)
-    found = exchanged_pieces(none, none, none == 1, nothing, np.zeros((0, 0)))
-    assert found.shape == (0,)

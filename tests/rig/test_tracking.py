@@ -4,14 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import PEOPLE, calibrate_group, precision, recording, rotation_errors_deg, scene, truth
+from scenes import PEOPLE, calibrate_group, precision, recording, rotation_errors_deg, scene
 
 from mocap_calib.config import MatchingConfig
 from mocap_calib.identities.tracklets import (
     _gaps_of_all,
     _squared_gaps,
-    all_tracklets,
-    name_by_tracklets,
     tracklets,
 )
 from mocap_calib.recording.synchronise import make_recording
@@ -95,11 +93,6 @@ HARD = {
 }
 
 
-def named() -> np.ndarray:
-    """The true identities as labels."""
-    return truth(**HARD).labels
-
-
 def test_tracklets_hold_one_person():
     """Six people who pass each other, shuffled in every frame.
 
@@ -168,40 +161,3 @@ def test_names_are_reused_for_those_who_come_back_nearest():
     assert names[0, 12, 0] == names[0, 0, 1]
     assert names[0, 12, 1] == names[0, 0, 0]
     np.testing.assert_array_equal(names < 0, labels < 0)
-
-
-def test_the_forgotten_are_named_by_their_tracklet():
-    """A tenth of the detections made nobody: measured 90 % are named again, all rightly.
-
-    Those that have a name keep it.
-    """
-    right, found = named(), recording(**HARD)
-    gone = np.random.default_rng(0).random(right.shape) < 0.1
-    filled = name_by_tracklets(
-        all_tracklets(found, MatchingConfig()), np.where(gone, -1, right), MatchingConfig()
-    )
-    people = right >= 0
-    assert (filled == right)[people & ~gone].all()
-    back = filled[gone & people]
-    assert (back == right[gone & people])[back >= 0].mean() > 0.99
-    assert (back >= 0).mean() > 0.7
-    for k in range(6):
-        assert ((filled == k).sum(-1) <= 1).all()
-        alone_after = (filled == k).sum((0, 2)) == 1
-        alone_before = ((right == k) & ~gone).sum((0, 2)) == 1
-        assert not (alone_after & ~alone_before).any()
-
-
-def test_the_nameless_stay_nobody():
-    found = recording(**HARD)
-    nobody = np.full(named().shape, -1)
-    np.testing.assert_array_equal(
-        name_by_tracklets(all_tracklets(found, MatchingConfig()), nobody, MatchingConfig()), nobody
-    )
-    one_view = nobody.copy()
-    third = np.arange(90)[:, None] % 3 == 0
-    one_view[0] = np.where(third, -1, named()[0])  # no other view confirms them
-    np.testing.assert_array_equal(
-        name_by_tracklets(all_tracklets(found, MatchingConfig()), one_view, MatchingConfig()),
-        one_view,
-    )
