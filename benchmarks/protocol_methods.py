@@ -18,8 +18,7 @@ from mocap_calib.config import (
     PaperConfig,
 )
 from mocap_calib.geometry.epipolar import pose_from_essential
-from mocap_calib.lift.lift import lift
-from mocap_calib.lift.rays import rays_by_joint
+from mocap_calib.lift.lift import lift, rays_by_joint
 from mocap_calib.pairs.solve import calibrate_pair, pair_problem
 from mocap_calib.paper.batch import TwoViews
 from mocap_calib.paper.five_point import (

@@ -27,13 +27,13 @@ from mocap_calib.compute.program import identify_program
 from mocap_calib.config import Config
 from mocap_calib.errors import MocapCalibError
 from mocap_calib.kernels.loading import compile_ahead
-from mocap_calib.lift.device import describe_devices
 from mocap_calib.lift.loading import load_lifter
 from mocap_calib.lift.weights import digest
 from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.joints import SHIPPED
 from mocap_calib.synthetic import simulate
 from mocap_calib.synthetic.config import SimulateConfig
+from mocap_calib.training.device import describe_devices
 from mocap_calib.types import Recording
 from mocap_calib.verdict.evaluation import evaluate
 

@@ -28,7 +28,6 @@ from mocap_calib.faults.clock_faults import add_clocks
 from mocap_calib.faults.mend import mend_faults
 from mocap_calib.identities.finalise import finalise_identities
 from mocap_calib.judging import judge_rigs
-from mocap_calib.lift.device import check_device
 from mocap_calib.lift.lift import lift
 from mocap_calib.lift.lifter import Lifter
 from mocap_calib.lift.loading import AUTO, choose_model
@@ -45,6 +44,7 @@ from mocap_calib.rig.observed import Observed, leave_out_underconstrained
 from mocap_calib.rig.pair_choice import calibrate_view_graph
 from mocap_calib.rig.triangulation import check_same_cameras
 from mocap_calib.rig.view_graph import camera_groups, select_hypotheses
+from mocap_calib.training.device import on_device
 from mocap_calib.types import (
     CalibrationResult,
     CameraRig,
@@ -95,14 +95,14 @@ def calibrate(
     (`config.world`) are asked for that the recording has no names for: see `world.asked`. What else
     of them cannot be had, `World.axes_unmet` and `World.scale_unmet` of the rigs say.
     """
-    check_device(device)
     check_world(config.world, recording, config.matching.individuals)
     intrinsics = choose_refinement(recording.cameras, config.intrinsics, refine)
     config = replace(config, intrinsics=intrinsics)
     recording, lifter = choose_model(recording, model)
+    lifter = on_device(lifter, device)
     progress = progress or silent
     clock = Clock()
-    lift_sample = RememberedLift(lifter, device, progress)
+    lift_sample = RememberedLift(lifter, progress)
     observe = partial(
         _observe,
         lift_sample=lift_sample,
@@ -221,13 +221,13 @@ def match(
     of model and device.
     """
     check_same_cameras(recording, rig)
-    check_device(device)
     recording, lifter = choose_model(hide_blind_spots(recording), model)
+    lifter = on_device(lifter, device)
     progress = progress or silent
     with single_threaded_libraries():
         sample_frames = choose_sample_frames(recording, config.sample)
         sample = take_sample(recording, sample_frames)
-        lifted = lift(sample, lifter, device=device, progress=progress)
+        lifted = lift(sample, lifter, progress=progress)
         matches = label_all_frames(
             recording,
             rig,

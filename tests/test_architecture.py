@@ -110,7 +110,7 @@ def test_the_readme_says_what_each_dependency_is_for():
 # all nouns, all constants, and kernels that share theirs: none calls a kernel of another file
 IN_ONE_PLACE = {"types.py", "config.py", "pair_refinement.py"}
 DOORS = {  # module: where alone it is imported
-    "torch": ("mocap_calib/lift/", "mocap_calib/training/", "mocap_calib/paper/"),
+    "torch": ("mocap_calib/training/", "mocap_calib/paper/"),
     "cv2": ("mocap_calib/geometry/epipolar.py", "mocap_calib/overlay/"),
     "pycolmap": (
         "mocap_calib/geometry/colmap.py",

@@ -17,6 +17,7 @@ from mocap_calib.lift.loading import load_lifter
 from mocap_calib.recording.sampling import take_sample
 from mocap_calib.rig.observations import gather_observations
 from mocap_calib.rig.triangulation import triangulate_rays
+from mocap_calib.training.device import on_device
 from mocap_calib.types import silent
 
 LONG = {"frames": 400, "people": 2, "cameras": 4, "seed": 2}
@@ -79,6 +80,7 @@ def test_results_come_in_order(monkeypatch):
 def test_lifting_on_a_gpu_is_lifting():
     found = take_sample(recording(), slice(0, 5))
     first, second = (
-        lift(found, load_lifter()[0], device=device, progress=silent) for device in ("cpu", "cuda")
+        lift(found, on_device(load_lifter()[0], device), progress=silent)
+        for device in ("cpu", "cuda")
     )
     np.testing.assert_allclose(second.body, first.body, atol=1e-3)

@@ -236,13 +236,12 @@ def lift_with_model(
     sample: Sample, model: str, device: str, reporter: Reporter, *, pair_solver: str = "search"
 ) -> LiftedPoses:
     """Lift the detections of a sample. Raises MismatchError where there is no such device."""
-    from mocap_calib.lift.device import check_device
     from mocap_calib.lift.lift import lift
     from mocap_calib.lift.loading import load_model
+    from mocap_calib.training.device import on_device
 
-    check_device(device)
-    lifter = load_model(model, pair_solver=pair_solver)
-    return lift(sample, lifter, device=device, progress=reporter)
+    lifter = on_device(load_model(model, pair_solver=pair_solver), device)
+    return lift(sample, lifter, progress=reporter)
 
 
 # --- cameras and matches

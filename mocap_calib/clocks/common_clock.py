@@ -7,13 +7,13 @@ from mocap_calib.clocks.frame_clocks import find_clocks
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config
 from mocap_calib.errors import MismatchError
-from mocap_calib.lift.device import check_device
 from mocap_calib.lift.lifter import Lifter
 from mocap_calib.lift.loading import AUTO, choose_model
 from mocap_calib.lift.remembered import RememberedLift
 from mocap_calib.recording.retiming import clocks_of_rates, retime
 from mocap_calib.recording.sampling import take_sample
 from mocap_calib.recording.stretches import choose_stretches
+from mocap_calib.training.device import on_device
 from mocap_calib.types import Clocks, Progress, Recording, silent
 
 
@@ -31,11 +31,11 @@ def compare_clocks(
     The arguments are those of `calibrate`. Raises FormatError where there is no such model, and
     MismatchError where there is no such device.
     """
-    check_device(device)
     recording, lifter = choose_model(recording, model)
+    lifter = on_device(lifter, device)
     checked = replace(config, sync=replace(config.sync, mode="check"))
     with single_threaded_libraries():
-        lift_sample = RememberedLift(lifter, device, progress or silent)
+        lift_sample = RememberedLift(lifter, progress or silent)
         return synchronise(recording, lift_sample, checked, seed=seed)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from mocap_calib.kernels.jit import changed_singles, inlined, kernel, singles
-from mocap_calib.lift.lifter import Floats32
+from mocap_calib.types import Floats32
 
 _ONE, _HALF, _ROOT_HALF = np.float32(1), np.float32(0.5), np.float32(0.5**0.5)
 # erf(x) = x P(x^2) / Q(x^2) to 2e-7 where |x| <= 4, and 1 beyond: Eigen 3.4, `generic_fast_erf`

@@ -20,12 +20,10 @@ from mocap_calib.config import (
     LIFT_UPRIGHT_SAMPLE,
 )
 from mocap_calib.geometry.rotation import looking_along
-from mocap_calib.lift.device import CPU, Network, network_on
-from mocap_calib.lift.lifter import Floats32, Lifter
-from mocap_calib.lift.rays import rays_by_joint
+from mocap_calib.lift.lifter import Lifter
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.recording.synchronise import check_joints
-from mocap_calib.types import Bools, Floats, Ints, LiftedPoses, Progress, Sample
+from mocap_calib.types import Bools, Floats, Floats32, Ints, LiftedPoses, Progress, Sample
 
 _BLOCK = 128  # detections at a time
 # Parts in which a sample is lifted to tell whether a direction is down, in sixteenths: little more
@@ -58,7 +56,7 @@ class _Bodies:
         self.spread[index] = found.spread
 
 
-def lift(sample: Sample, lifter: Lifter, *, device: str = CPU, progress: Progress) -> LiftedPoses:
+def lift(sample: Sample, lifter: Lifter, *, progress: Progress) -> LiftedPoses:
     """Lift all detections that surely show at least four joints of the model's vocabulary.
 
     The lifted body (E[X | p] of `model.py`) is freed of the virtual camera and scaled to unit size;
@@ -70,7 +68,7 @@ def lift(sample: Sample, lifter: Lifter, *, device: str = CPU, progress: Progres
     check_joints(sample)
     rays = rays_by_joint(_confident_rays(sample), sample.vocabulary, lifter.config.joints)
     enough = np.isfinite(rays[..., 0]).sum(-1) >= LEAST_JOINTS  # [view, frame, instance]
-    lifting = _Lifting(rays[enough], network_on(device, lifter), progress)
+    lifting = _Lifting(rays[enough], lifter, progress)
     with single_threaded_libraries():
         bodies = lifting.lift_views(np.nonzero(enough)[0])
     return LiftedPoses(
@@ -105,12 +103,23 @@ def _best_confidence(confidence: Floats) -> float:
     return float(np.percentile(positive, LIFT_BEST_PERCENTILE)) if len(positive) else 1.0
 
 
+def rays_by_joint(rays: Floats, vocabulary: Ints, joints: int) -> Floats:
+    """Return rays `[..., joint, 3]` in the joint order of a model, NaN for joints without keypoint.
+
+    rays: `[..., keypoint, 3]`; vocabulary: `[keypoint]` index of the model's joint, -1 = none.
+    """
+    known = vocabulary >= 0
+    ordered = np.full((*rays.shape[:-2], joints, 3), np.nan)
+    ordered[..., vocabulary[known], :] = rays[..., known, :]
+    return ordered
+
+
 class _Lifting:
     """Lifts detections of several views, rays `[B, joint, 3]`, in blocks that threads share."""
 
-    def __init__(self, rays: Floats, network: Network, progress: Progress) -> None:
+    def __init__(self, rays: Floats, lifter: Lifter, progress: Progress) -> None:
         self._rays = rays
-        self._network = network
+        self._lifter = lifter
         self._progress = progress
         self._done = 0
 
@@ -150,7 +159,7 @@ class _Lifting:
 
         def lift_block(block: Ints) -> _Bodies:
             """Lift the detections of an index."""
-            return _lift_rays(self._rays[block], down[block], self._network)
+            return _lift_rays(self._rays[block], down[block], self._lifter)
 
         blocks = [index[start : start + _BLOCK] for start in range(0, len(index), _BLOCK)]
         for block, found in zip(blocks, map_in_threads(lift_block, blocks), strict=True):
@@ -168,7 +177,7 @@ class _Lifting:
         parts: list[_Bodies] = []
         less_sure = 0
         for part in np.split(index, np.unique(_RACE * len(index) // _RACE[-1])[:-1]):
-            parts.append(_lift_rays(self._rays[part], down, self._network))
+            parts.append(_lift_rays(self._rays[part], down, self._lifter))
             less_sure += int((parts[-1].spread >= least).sum())
             if 2 * less_sure > len(index) * self._rays.shape[1]:
                 return None
@@ -179,12 +188,12 @@ class _Lifting:
         )
 
 
-def _lift_rays(rays: Floats, down: Floats, network: Network) -> _Bodies:
+def _lift_rays(rays: Floats, down: Floats, lifter: Lifter) -> _Bodies:
     """Lift rays `[B, J, 3]` in cameras' axes, directions `down` `[3]` or `[B, 3]` being down."""
     seen = np.isfinite(rays[..., 0])
     virtual_from_camera = looking_along(np.nansum(rays, axis=1), down)
     image = _project(rays, seen, virtual_from_camera)
-    joints, deviation = _apply_network(image, seen, network)
+    joints, deviation = _apply_network(image, seen, lifter)
     body = joints - joints.mean(1, keepdims=True)
     size = np.sqrt((body**2).sum(-1).mean(-1))[:, None]
     body = body / size[..., None]
@@ -203,12 +212,12 @@ def _project(rays: Floats, seen: Bools, virtual_from_camera: Floats) -> Floats:
     return turned[..., :2] / np.maximum(turned[..., 2:], LIFT_LEAST_FORWARD)
 
 
-def _apply_network(image: Floats, seen: Bools, network: Network) -> tuple[Floats, Floats]:
+def _apply_network(image: Floats, seen: Bools, lifter: Lifter) -> tuple[Floats, Floats]:
     """Return joints `[B, J, 3]` and their standard deviations `[B, J, 2]` across and along the ray.
 
     image: `[B, J, 2]` normalised image points in the virtual cameras; seen: `[B, J]`.
     """
-    joints, log_deviation = network(_normalise(image, seen), seen)
+    joints, log_deviation = lifter(_normalise(image, seen), seen)
     return joints.astype(np.float64), np.exp(log_deviation.astype(np.float64))
 
 

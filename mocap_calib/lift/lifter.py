@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 
 from mocap_calib.config import ENCODER_HEADS
 from mocap_calib.kernels.loading import compiled
-from mocap_calib.types import Bools
-
-Floats32 = NDArray[np.float32]
+from mocap_calib.types import Bools, Floats32
 
 LOG_DEVIATIONS = (-6.0, 3.0)  # the least and the largest that a network states
 _BLOCK = 32  # poses at a time: what they need stays in the cache of a core

@@ -12,13 +12,12 @@ class RememberedLift:
     """Lifts samples as `lift` does; one that equals the last one is not lifted again."""
 
     lifter: Lifter
-    device: str
     progress: Progress
     _last: list[tuple[Sample, LiftedPoses]] = field(default_factory=list, init=False)
 
     def __call__(self, sample: Sample) -> LiftedPoses:
         """Return the lifted detections of a sample. Raises what `lift` raises."""
         if not self._last or self._last[0][0] != sample:
-            lifted = lift(sample, self.lifter, device=self.device, progress=self.progress)
+            lifted = lift(sample, self.lifter, progress=self.progress)
             self._last = [(sample, lifted)]
         return self._last[0][1]

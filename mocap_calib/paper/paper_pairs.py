@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocap_calib.config import PairwiseConfig, PaperConfig
-from mocap_calib.lift.rays import rays_by_joint
-from mocap_calib.lift.threads import torch_threads
+from mocap_calib.lift.lift import rays_by_joint
 from mocap_calib.pairs.solve import PairProblem, judge_pair, mean_focal
 from mocap_calib.paper.batch import TwoViews
 from mocap_calib.paper.solver import seeded_generator, solve_pair
 from mocap_calib.recording.sampling import evenly_spaced
+from mocap_calib.training.device import torch_threads
 from mocap_calib.training.steer import Model
 from mocap_calib.types import Floats, Ints, PairwiseCalibration
 

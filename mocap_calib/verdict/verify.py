@@ -17,7 +17,6 @@ from mocap_calib.clocks.common_clock import synchronise
 from mocap_calib.compute.parallel import single_threaded_libraries
 from mocap_calib.config import Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
-from mocap_calib.lift.device import check_device
 from mocap_calib.lift.lifter import Lifter
 from mocap_calib.lift.loading import AUTO, choose_model
 from mocap_calib.lift.remembered import RememberedLift
@@ -28,6 +27,7 @@ from mocap_calib.rig.association import associate
 from mocap_calib.rig.labels import matched_share
 from mocap_calib.rig.placed import PlacedCameras
 from mocap_calib.rig.triangulation import check_same_cameras
+from mocap_calib.training.device import on_device
 from mocap_calib.types import (
     Adjusted,
     Bools,
@@ -68,10 +68,10 @@ def verify(
     device.
     """
     check_same_cameras(recording, rig)
-    check_device(device)
     recording, lifter = choose_model(recording, model)
+    lifter = on_device(lifter, device)
     progress = progress or silent
-    lift_sample = RememberedLift(lifter, device, progress)
+    lift_sample = RememberedLift(lifter, progress)
     with single_threaded_libraries():
         clocks = synchronise(recording, lift_sample, config, seed=seed)
         recording = hide_blind_spots(retime(recording, clocks))

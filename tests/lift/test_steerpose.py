@@ -11,10 +11,9 @@ from scenes import recording, scene
 from mocap_calib.config import TrainConfig
 from mocap_calib.errors import FormatError, MismatchError
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.lift.lift import lift
+from mocap_calib.lift.lift import lift, rays_by_joint
 from mocap_calib.lift.lifter import ModelConfig
 from mocap_calib.lift.loading import load_lifter
-from mocap_calib.lift.rays import rays_by_joint
 from mocap_calib.recording.joints import load_skeleton, match_names, normalise_name
 from mocap_calib.synthetic import people
 from mocap_calib.training.checkpoint import load_steerer, save_model

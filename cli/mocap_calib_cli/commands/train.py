@@ -114,9 +114,8 @@ def command(
       mocap-calib train --skeleton quadruped -o quadruped.safetensors --steps 4000
       mocap-calib train --from out/poses3d.h5 -o beetle.safetensors --steps 2000
     """
-    from mocap_calib.lift.device import check_device
-    from mocap_calib.lift.threads import torch_threads
     from mocap_calib.training.checkpoint import save_model
+    from mocap_calib.training.device import check_device, torch_threads
     from mocap_calib.training.sources import (
         TrainingSource,
         load_pose_sets,
