@@ -20,6 +20,7 @@ import numpy as np
 from mocap_calib.kernels import machine_code
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+Result = TypeVar("Result")
 
 
 class Argument(NamedTuple):
@@ -39,17 +40,17 @@ OCTET = Argument("uint8")
 _INLINED: set[Any] = set()
 
 
-def kernel(*arguments: Argument) -> Callable[[Function], Function]:
+def kernel(*arguments: Argument) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
     """Compile a function for arguments of these types, without Python's lock.
 
     Sums stay in the order in which they are written, so that results do not depend on the machine.
     """
 
-    def compile_it(function: Function) -> Function:
+    def compile_it(function: Callable[..., Result]) -> Callable[..., Result]:
         plain = cast(FunctionType, function)
         if found := machine_code.load(plain):
-            return cast(Function, _check_arguments(found, arguments))
-        return cast(Function, _compile(plain, arguments))
+            return _check_arguments(found, arguments)
+        return _compile(plain, arguments)
 
     return compile_it
 

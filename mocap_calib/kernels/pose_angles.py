@@ -1,4 +1,4 @@
-"""Angles between rays and points, compiled: `energy.squared_errors` says the same in numpy."""
+"""Angles between rays and points."""
 
 from mocap_calib.kernels.jit import changed_floats, floats, inlined, kernel
 from mocap_calib.types import Floats

@@ -1,6 +1,6 @@
 """What accelerations tell of the points of a fit, and the bands of all that is told, factored.
 
-`energy` says the same in numpy. Rows are as in `energy_kernels`. The bands of the joints are
+Rows are as in `energy_kernels`. The bands of the joints are
 factored in blocks of a frame: S[t] = A[t] - c[t]^2 P[t-2] - F[t] P[t-1] F[t]', where P = S^-1, c
 couples t with t-2, and F[t] = b[t] - c[t] P[t-2] F[t-1]' with t-1.
 """

@@ -1,8 +1,8 @@
 """What rays and bones tell of the points of a fit, compiled.
 
-`energy.linearise` and `certainty` say the same in numpy. It is summed in tiles of `LANES` frames,
-rows of which are computed at once. Over time, `LANES` joints lie side by side in a group; what the
-last has no joints for stays zero. The blocks are set where `bands_kernels` makes factors of them.
+It is summed in tiles of `LANES` frames, rows of which are computed at once. Over time, `LANES`
+joints lie side by side in a group; what the last has no joints for stays zero. The blocks are set
+where `pose_bands` makes factors of them.
 """
 
 import math
@@ -18,7 +18,7 @@ LANES = 20
 _OWN = 9 * LANES  # blocks of the diagonal, and the gradient
 _BLOCK = 6 * LANES
 _TABLE, _ROWS, _SET = floats(2), floats(3), changed_floats(3)
-_ROUNDING = 1e-12  # of what a point is held by, as in `energy`
+_ROUNDING = 1e-12  # of what a point is held by
 
 
 @inlined
@@ -58,7 +58,7 @@ def _add_view(rays: Floats, centre: Floats, narrow: float, own: Floats) -> None:
 
 @inlined
 def _hold(own: Floats) -> None:
-    """Add a trace of their size to the blocks of a joint, as `energy.linearise` does."""
+    """Add a trace of their size to the blocks of a joint."""
     for n in range(LANES):
         trace = _ROUNDING * (own[n] + own[3 * LANES + n] + own[5 * LANES + n])
         own[n] += trace

@@ -1,6 +1,6 @@
 """What factored bands give: the step of a fit, and the blocks of the inverse, compiled.
 
-`energy.solve` and `certainty` say the same in numpy. Rows are as in `energy_kernels`.
+Rows are as in `energy_kernels`.
 """
 
 import numpy as np

@@ -1,14 +1,20 @@
-"""Fit poses: Gauss-Newton steps on the energy of `poses.energy`, compiled where numba is."""
+"""Fit poses: Gauss-Newton steps on the energy of `poses.energy`.
 
-from dataclasses import replace
+Joints are coupled over time by bands, which are factored for each joint alone, and by bones, for
+which the bands precondition conjugate gradients: the cost grows with the number of joints, not
+with its cube. What joints share is that of the points before each step.
+"""
+
 from typing import NamedTuple
 
 import numpy as np
 
 from mocap_calib.config import PosesConfig
-from mocap_calib.poses.energy import Strengths, linearise, solve
-from mocap_calib.poses.lanes import band_kernels, from_lanes
-from mocap_calib.poses.packing import Packed, pack
+from mocap_calib.kernels.pose_energy import LANES, sum_terms
+from mocap_calib.kernels.pose_step import take_step
+from mocap_calib.poses.energy import Strengths
+from mocap_calib.poses.lanes import from_lanes
+from mocap_calib.poses.packing import pack
 from mocap_calib.poses.track import Body, Detections
 from mocap_calib.types import Floats
 
@@ -51,39 +57,13 @@ def fit(
 
     steps: as many of `plan_steps`.
     """
-    planned = plan_steps(strengths.loss, config, steps)
-    kernels = band_kernels()
-    if kernels:
-        packed = pack(points, seen, body, strengths, config, kernels=kernels)
-        return _fit_compiled(packed, planned, points.shape[1])
-    return _fit(points, seen, body, strengths, config, planned=planned)
-
-
-def _fit(
-    points: Floats,
-    seen: Detections,
-    body: Body,
-    strengths: Strengths,
-    config: PosesConfig,
-    *,
-    planned: list[Step],
-) -> Floats:
-    """Return the points after these steps."""
-    ridge = config.ridge / body.size**2
-    for step in planned:
-        system = linearise(points, seen, body, replace(strengths, loss=step.loss), config)
-        points = points - step.overshoot * solve(system, body, ridge, config)
-    return points
-
-
-def _fit_compiled(packed: Packed, planned: list[Step], frames: int) -> Floats:
-    """Return what `_fit` returns."""
-    kernels, config, found = packed.kernels, packed.config, packed.points
+    packed = pack(points, seen, body, strengths, config)
+    found = packed.points
     gradient, work = np.zeros_like(found), np.zeros((5, *found.shape))
     rounds = config.inner_steps if len(packed.edges) else 0
-    for step in planned:
+    for step in plan_steps(strengths.loss, config, steps):
         packed.share_accelerations()
-        kernels.energy.sum_terms(
+        sum_terms(
             packed.rays,
             packed.centres,
             found,
@@ -96,7 +76,7 @@ def _fit_compiled(packed: Packed, planned: list[Step], frames: int) -> Floats:
             gradient,
         )
         packed.factor_bands(gradient)
-        kernels.step.take_step(
+        take_step(
             packed.along,
             packed.factor,
             packed.edges,
@@ -108,4 +88,4 @@ def _fit_compiled(packed: Packed, planned: list[Step], frames: int) -> Floats:
             gradient,
             found,
         )
-    return from_lanes(found, kernels.energy.LANES, packed.joints, frames)
+    return from_lanes(found, LANES, packed.joints, points.shape[1])

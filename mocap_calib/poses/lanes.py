@@ -1,30 +1,10 @@
 """The layout of the kernels of `poses`: tiles of frames, and groups of joints side by side."""
 
-from types import ModuleType
-from typing import NamedTuple
-
 import numpy as np
 
-from mocap_calib.kernels.loading import compiled
 from mocap_calib.types import Floats
 
 AROUND = 2  # frames before and after all: as far as accelerations reach
-
-
-class BandKernels(NamedTuple):
-    """The kernels of what joints share, of the equations, their factors, and their solution."""
-
-    motion: ModuleType
-    energy: ModuleType
-    bands: ModuleType
-    step: ModuleType
-
-
-def band_kernels() -> BandKernels | None:
-    """Return the kernels; None where numpy is to run."""
-    found = [compiled(f"mocap_calib.kernels.pose_{name}") for name in BandKernels._fields]
-    there = [kernels for kernels in found if kernels is not None]
-    return BandKernels(*there) if len(there) == len(found) else None
 
 
 def in_lanes(values: Floats, lanes: int) -> Floats:

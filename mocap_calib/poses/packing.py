@@ -5,8 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocap_calib.config import PosesConfig
+from mocap_calib.kernels.pose_bands import factor_bands
+from mocap_calib.kernels.pose_energy import LANES
+from mocap_calib.kernels.pose_motion import share_accelerations
 from mocap_calib.poses.energy import SHARED_LEAST, SHARED_ROUNDS, Strengths, shared_part
-from mocap_calib.poses.lanes import BandKernels, fill_tiles, in_lanes, in_tiles
+from mocap_calib.poses.lanes import fill_tiles, in_lanes, in_tiles
 from mocap_calib.poses.track import Body, Detections
 from mocap_calib.types import Floats, Ints
 
@@ -18,7 +21,6 @@ class Packed:
     Points, what accelerations share, along and factor are overwritten.
     """
 
-    kernels: BandKernels
     joints: int
     config: PosesConfig
     rays: Floats
@@ -35,7 +37,7 @@ class Packed:
     def share_accelerations(self) -> None:
         """Set what joints share of their accelerations at the points."""
         if self.expected[:, 0].any():
-            self.kernels.motion.share_accelerations(
+            share_accelerations(
                 self.points,
                 self.steps,
                 self.joints,
@@ -47,7 +49,7 @@ class Packed:
 
     def factor_bands(self, gradient: Floats) -> None:
         """Add accelerations to the blocks and the gradient, and factor the bands."""
-        self.kernels.bands.factor_bands(
+        factor_bands(
             self.points,
             self.steps,
             self.expected,
@@ -64,12 +66,10 @@ def pack(
     body: Body,
     strengths: Strengths,
     config: PosesConfig,
-    *,
-    kernels: BandKernels,
 ) -> Packed:
     """Return a track packed, from the points `[keypoint, frame, 3]`."""
     joints, frames = points.shape[:2]
-    lanes = kernels.energy.LANES
+    lanes = LANES
     found = in_lanes(points, lanes)
     usual = 1 / (strengths.acceleration * body.size) ** 2 * (body.steps[0] != 0)
     stiffness = np.zeros((len(found), lanes))
@@ -78,7 +78,6 @@ def pack(
     expected[0], expected[1] = usual, config.ridge / body.size**2
     edges, bones = _pack_bones(body, strengths, lanes)
     return Packed(
-        kernels=kernels,
         joints=joints,
         config=config,
         rays=_pack_rays(seen, lanes),

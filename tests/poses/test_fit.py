@@ -1,22 +1,23 @@
-"""The fit of poses: kernels do what numpy does, and what the equations say."""
+"""The fit of poses against its equations in dense numpy."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from oracles import poses as oracle
 
 from mocap_calib.config import PosesConfig
+from mocap_calib.kernels import pose_energy, pose_motion
 from mocap_calib.poses import certainty, energy, fit
 from mocap_calib.poses.energy import (
     SHARED_LEAST,
     SHARED_ROUNDS,
     Strengths,
     accelerations,
-    linearise,
     shared_accelerations,
     shared_part,
 )
-from mocap_calib.poses.lanes import band_kernels, from_lanes, in_lanes, in_tiles
+from mocap_calib.poses.lanes import from_lanes, in_lanes, in_tiles
 from mocap_calib.poses.track import Body, Detections, acceleration_steps
 
 CONFIG = PosesConfig()
@@ -55,34 +56,40 @@ def track(joints: int, frames: int) -> tuple[np.ndarray, Detections, Body]:
     return true + rng.normal(size=true.shape) * 0.03, detections, body
 
 
-@pytest.mark.parametrize(("joints", "frames"), [(5, 2), (5, 16), (17, 61)])
+@pytest.mark.parametrize(("joints", "frames"), [(5, 2), (5, 16), (21, 12)])
 @pytest.mark.parametrize("strengths", STRENGTHS)
-def test_kernels_fit_as_numpy_does(joints, frames, strengths, monkeypatch):
-    """Measured: 3e-12, and 2e-9 where nothing but two rays holds a point, which moves by 1.2."""
+def test_a_step_of_the_fit_solves_the_dense_normal_equations(joints, frames, strengths):
     points, seen, body = track(joints, frames)
-    found = fit.fit(points, seen, body, strengths, CONFIG, steps=4)
-    monkeypatch.setattr(fit, "band_kernels", lambda: None)
-    defined = fit.fit(points, seen, body, strengths, CONFIG, steps=4)
-    assert np.abs(found - points).max() > 0.01
-    assert np.allclose(found, defined, rtol=0, atol=1e-8)
+    config = replace(CONFIG, inner_steps=200, inner_tolerance=1e-12)
+    (step,) = fit.plan_steps(strengths.loss, config, 1)
+    found = fit.fit(points, seen, body, strengths, config, steps=1)
+    wide = replace(strengths, loss=step.loss)
+    system, gradient = oracle.normal_equations(points, seen, body, wide, config)
+    change = np.linalg.solve(system, gradient.ravel()).reshape(points.shape)
+    assert np.abs(change).max() > 0.01
+    assert np.allclose(found, points - change, rtol=0, atol=1e-8)
 
 
-@pytest.mark.parametrize("joints", [5, 21])
-def test_kernels_find_the_covariances_that_numpy_does(joints, monkeypatch):
-    """numpy looks 24 frames ahead and back."""
-    points, seen, body = track(joints, 61)
-    given = points, seen, body, STRENGTHS[0], CONFIG
-    found = certainty.covariances(*given)
-    monkeypatch.setattr(certainty, "band_kernels", lambda: None)
-    assert np.allclose(found, certainty.covariances(*given), rtol=1e-4, atol=1e-9)
+@pytest.mark.parametrize(("joints", "frames"), [(5, 1), (5, 2), (5, 61), (21, 30)])
+@pytest.mark.parametrize("strengths", STRENGTHS)
+def test_covariances_are_the_blocks_of_the_dense_inverse(joints, frames, strengths):
+    given = *track(joints, frames), strengths, CONFIG
+    found, expected = certainty.covariances(*given), oracle.covariances(*given)
+    trace = expected[..., [0, 3, 5]].sum(-1, keepdims=True)
+    assert (np.abs(found - expected) <= 1e-5 * trace).all()  # an unseen point: 1.2e-6
 
 
-def test_kernels_find_the_errors_that_numpy_does():
+def test_errors_are_the_squared_tangents_of_angles():
     points, seen, _ = track(5, 61)
     points[2, 7] = seen.centres[1] - seen.rays[:, 1, 2, 7]  # behind a camera
-    defined = energy._squared_errors(points, seen)
-    assert (defined > 0).sum() > 900
-    assert np.allclose(energy.squared_errors(points, seen), defined, rtol=1e-12, atol=0)
+    expected = np.zeros(seen.precision.shape)
+    rows = oracle.rows_of_rays(points, seen, np.inf)
+    for (view, keypoint, frame), (_, _, off, weight) in zip(
+        np.argwhere(seen.precision > 0), rows, strict=True
+    ):
+        expected[view, keypoint, frame] = weight * off @ off
+    assert (expected > 0).sum() > 900
+    assert np.allclose(energy.squared_errors(points, seen), expected, rtol=1e-12, atol=0)
 
 
 @pytest.mark.parametrize("strengths", STRENGTHS)
@@ -129,7 +136,7 @@ def test_the_gradient_is_that_of_the_energy(strengths):
             float(scale**2 * np.log1p(square / scale**2).sum()) / 2 for square, scale in losses
         )
 
-    gradient = linearise(points, seen, body, strengths, CONFIG).gradient
+    _, gradient = oracle.normal_equations(points, seen, body, strengths, CONFIG)
     for _ in range(3):
         step = rng.normal(size=points.shape) * 1e-6
         slope = (energy(points + step) - energy(points - step)) / 2
@@ -152,15 +159,14 @@ def test_kernels_find_what_joints_share_as_numpy_does(joints):
     rng = np.random.default_rng(0)
     points = rng.normal(size=(joints, 40, 3))
     steps = np.array([1.0, -2.0, 1.0])[:, None] * (rng.random(40) < 0.5)
-    kernels = band_kernels()
-    width = kernels.motion.LANES
+    width = pose_motion.LANES
     packed = in_lanes(points, width)
     none = (np.arange(len(packed) * width) >= joints).reshape(-1, 1, 1, width)
     packed += (none * rng.normal(size=(len(packed), 1, 3, width))).reshape(len(packed), 1, -1)
     motion = np.ascontiguousarray(in_tiles(steps, width).T)
     found = np.zeros((len(motion), 5))
     how = SHARED_ROUNDS, SHARED_LEAST, shared_part(joints, CONFIG)
-    kernels.motion.share_accelerations(packed, motion, joints, *how, found)
+    pose_motion.share_accelerations(packed, motion, joints, *how, found)
     acceleration = sum(steps[k, :38, None] * points[:, k : k + 38] for k in range(3))
     expected = shared_accelerations(acceleration.transpose(1, 2, 0), CONFIG)
     assert np.allclose(found[2:40, 2:], expected, rtol=0, atol=1e-14)
@@ -169,5 +175,5 @@ def test_kernels_find_what_joints_share_as_numpy_does(joints):
 @pytest.mark.parametrize("joints", [1, 20, 21])
 def test_values_come_back_from_lanes(joints):
     values = np.random.default_rng(0).normal(size=(joints, 21, 3))
-    (lanes,) = {kernels.LANES for kernels in band_kernels()}
+    lanes = pose_energy.LANES
     assert np.array_equal(from_lanes(in_lanes(values, lanes), lanes, joints, 21), values)
