@@ -9,15 +9,15 @@ M relative poses are looked at in one go; a frame holds I instances in view a an
 
 from dataclasses import replace
 from functools import reduce
-from itertools import combinations
 
 import numpy as np
 
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.epipolar import essential_matrix
-from mocap_calib.kernels.loading import compiled, contiguous
-from mocap_calib.pairs.view_pair import ViewPair, body_sizes_per_radian
-from mocap_calib.types import Bools, CameraRig, Floats, Ints, Sample
+from mocap_calib.kernels.all_views import fit_all_views
+from mocap_calib.kernels.loading import contiguous
+from mocap_calib.pairs.view_pair import ViewPair
+from mocap_calib.types import CameraRig, Floats, Ints, Sample
 
 
 def steering_error(pair: ViewPair, rotation: Floats) -> Floats:
@@ -150,44 +150,9 @@ def unit_essential_matrix(rotation: Floats, translation: Floats) -> Floats:
     )
 
 
-def epipolar_error(pair: ViewPair, rotation: Floats, translation: Floats) -> tuple[Floats, Floats]:
-    """Return Sampson's errors of all joints of all possible matches, and the weight of each.
-
-    Hartley and Zisserman 2004, eq. 11.9, on unit rays as in `geometry.epipolar.sampson_angle`,
-    and measured at the body. rotation: `[M, 3, 3]`; translation: `[M, 3]` of any length.
-    Returns errors `[M, frame, I, J, keypoint]` in body sizes (unsigned) and weights
-    `[frame, I, J, keypoint]`.
-    """
-    matrix = unit_essential_matrix(rotation, translation)
-    from_a = np.einsum("mxy,faky->mfakx", matrix, pair.a.rays, optimize=True)
-    from_b = np.einsum("myx,fbky->mfbkx", matrix, pair.b.rays, optimize=True)
-    value = np.einsum("mfakx,fbkx->mfabk", from_a, pair.b.rays, optimize=True)
-    square_a = (from_a**2).sum(-1)[:, :, :, None]
-    square_b = (from_b**2).sum(-1)[:, :, None]
-    slope = square_a + square_b - 2 * value**2
-    angle = np.abs(value) / np.sqrt(np.maximum(slope, 1e-18))
-    weight = weight_of_matches(pair.a.weight, pair.b.weight)
-    return angle * body_sizes_per_radian(pair)[None, ..., None], weight
-
-
 def weight_of_matches(weight_a: Floats, weight_b: Floats) -> Floats:
     """Return `[frame, I, J, keypoint]` the weights of the joints of all possible matches."""
     return weight_a[:, :, None] * weight_b[:, None]
-
-
-def epipolar_fit(error: Floats, weight: Floats, config: PairwiseConfig) -> Floats:
-    """Return in 0..1 the weighted share of joints that fit the epipolar geometry.
-
-    error: `[M, frame, I, J, keypoint]` and weight: `[frame, I, J, keypoint]` of `epipolar_error`.
-    Returns `[M, frame, I, J]`, 0 where there are too few joints in common.
-    """
-    fit = (weight / (1 + (error / config.inlier) ** 2)).sum(-1)
-    return fit / np.maximum(weight.sum(-1), 1e-9) * _comparable(weight, config)
-
-
-def _comparable(weight: Floats, config: PairwiseConfig) -> Bools:
-    """Return `[..., I, J]` where two detections have enough joints in common."""
-    return np.asarray((weight > 0).sum(-1) >= config.least_common_joints)
 
 
 def match_affinity(
@@ -202,7 +167,7 @@ def match_affinity(
 
     A detection that could not be lifted has less to say than others, unless none could be: then
     geometry is all there is. rotation: `[M, 3, 3]`; translation: `[M, 3]` in body sizes;
-    epipolar: `[M, frame, I, J]` of `epipolar_fit`. Returns `[M, frame, I, J]`.
+    epipolar: `[M, frame, I, J]` of `scoring.fit_matches`. Returns `[M, frame, I, J]`.
     """
     bodies = np.sqrt(body_agreement(pair, rotation, translation, config))
     unlifted = config.unlifted_affinity if pair.overlap.lifted.any() else 1.0
@@ -219,19 +184,15 @@ def epipolar_affinity(
     something, else 0.
     """
     views, frames, instances, _ = sample.confidence.shape
-    kernels = compiled("mocap_calib.kernels.all_views")
-    if kernels is None:
-        affinity, comparable = fit_each_pair_of_views(sample, rig, distance, config)
-    else:
-        affinity = np.zeros((frames, views, instances, views, instances))
-        comparable = np.zeros_like(affinity)
-        kernels.fit_all_views(
-            *contiguous(sample.rays, sample.confidence, distance, _essential_matrices(rig)),
-            config.inlier,
-            config.least_common_joints,
-            affinity,
-            comparable,
-        )
+    affinity = np.zeros((frames, views, instances, views, instances))
+    comparable = np.zeros_like(affinity)
+    fit_all_views(
+        *contiguous(sample.rays, sample.confidence, distance, _essential_matrices(rig)),
+        config.inlier,
+        config.least_common_joints,
+        affinity,
+        comparable,
+    )
     nodes = views * instances
     return affinity.reshape(frames, nodes, nodes), comparable.reshape(frames, nodes, nodes)
 
@@ -249,60 +210,3 @@ def _essential_matrices(rig: CameraRig) -> Floats:
     matrices[a, b] = essential_matrix(rotation, translation / length)
     matrices[b, a] = np.swapaxes(matrices[a, b], 1, 2)
     return matrices
-
-
-def fit_each_pair_of_views(
-    sample: Sample, rig: CameraRig, distance: Floats, config: PairwiseConfig
-) -> tuple[Floats, Floats]:
-    """Return what `epipolar_affinity` does in numpy, `[frame, view, instance, view, instance]`."""
-    views, frames, instances, _ = sample.confidence.shape
-    affinity = np.zeros((frames, views, instances, views, instances))
-    comparable = np.zeros_like(affinity)
-    rays = np.ascontiguousarray(np.moveaxis(np.nan_to_num(sample.rays), -1, 1))  # by component
-    closeness = 1 / distance**2
-    for a, b in combinations(range(len(rig.cameras)), 2):
-        rotation, translation = rig.relative(a, b)
-        matrix = essential_matrix(rotation, translation / np.linalg.norm(translation))
-        body_sizes_squared = 2 / (closeness[a][:, :, None] + closeness[b][:, None])
-        weight = weight_of_matches(sample.confidence[a], sample.confidence[b])
-        common = _comparable(weight, config)
-        found = _fit_by_component(
-            matrix,
-            rays[a],
-            rays[b],
-            weight=weight,
-            inverse_width_squared=body_sizes_squared / config.inlier**2,
-        )
-        found *= common
-        for table, values in ((affinity, found), (comparable, common)):
-            table[:, a, :, b] = values
-            table[:, b, :, a] = np.swapaxes(values, 1, 2)
-    return affinity, comparable
-
-
-def _fit_by_component(
-    matrix: Floats,
-    rays_a: Floats,
-    rays_b: Floats,
-    *,
-    weight: Floats,
-    inverse_width_squared: Floats,
-) -> Floats:
-    """Return `epipolar_fit` of one essential matrix `[3, 3]`, for many frames.
-
-    Where v is the numerator of Sampson's error and s the square of its denominator, a joint fits
-    by 1 / (1 + v^2 / s / width^2) = s / (s + v^2 / width^2): no root, one division, and arrays
-    are reused. rays: `[3, frame, instance, keypoint]`; weight: `[frame, I, J, keypoint]`;
-    inverse_width_squared: `[frame, I, J]` 1 / width^2 in radians. Returns `[frame, I, J]`, not
-    yet 0 where there are too few joints in common.
-    """
-    from_a = (matrix @ rays_a.reshape(3, -1)).reshape(rays_a.shape)
-    from_b = (matrix.T @ rays_b.reshape(3, -1)).reshape(rays_b.shape)
-    value_squared = np.einsum("cfik,cfjk->fijk", from_a, rays_b) ** 2
-    slope = (from_a**2).sum(0)[:, :, None] + (from_b**2).sum(0)[:, None]
-    slope -= 2 * value_squared
-    denominator = value_squared
-    denominator *= inverse_width_squared[..., None]
-    denominator += slope
-    fit = np.einsum("fijk,fijk->fij", weight, slope / np.maximum(denominator, 1e-18))
-    return fit / np.maximum(weight.sum(-1), 1e-9)

@@ -5,11 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocap_calib.config import PairwiseConfig
-from mocap_calib.geometry.epipolar import depths
-from mocap_calib.kernels.loading import compiled, contiguous
+from mocap_calib.kernels import affinity as kernels
+from mocap_calib.kernels.loading import contiguous
 from mocap_calib.pairs.affinity import (
-    epipolar_error,
-    epipolar_fit,
     match_affinity,
     steering_error,
     steering_variance,
@@ -18,7 +16,7 @@ from mocap_calib.pairs.affinity import (
 )
 from mocap_calib.pairs.assignment import mutual_best, sinkhorn
 from mocap_calib.pairs.hypotheses import Hypotheses
-from mocap_calib.pairs.view_pair import ViewPair, body_sizes_per_radian, matched_rays
+from mocap_calib.pairs.view_pair import ViewPair, body_sizes_per_radian
 from mocap_calib.types import Bools, Floats, Ints
 
 
@@ -76,13 +74,13 @@ def fit_matches(
 ) -> tuple[Floats, Floats]:
     """Return Sampson's errors of the joints of all possible matches, and how well these fit.
 
-    The arguments are those of `epipolar_error`. Returns its errors and the `[M, frame, I, J]` of
-    `epipolar_fit`. Errors of two detections with too few joints in common have no meaning.
+    Hartley and Zisserman 2004, eq. 11.9, on unit rays as in `geometry.epipolar.sampson_angle`,
+    and measured at the body. rotation: `[M, 3, 3]`; translation: `[M, 3]` of any length.
+
+    Returns errors `[M, frame, I, J, keypoint]` in body sizes (unsigned), without meaning where two
+    detections have too few joints in common, and `[M, frame, I, J]` in 0..1 the weighted share of
+    joints that fit, 0 there.
     """
-    kernels = compiled("mocap_calib.kernels.affinity")
-    if kernels is None:
-        error, weight = epipolar_error(pair, rotation, translation)
-        return error, epipolar_fit(error, weight, config)
     fit = np.zeros((len(rotation), *pair.overlap.lifted.shape))
     error = np.zeros((*fit.shape, pair.a.weight.shape[-1]))
     kernels.fit_hypotheses(
@@ -136,25 +134,10 @@ def share_in_front(pair: ViewPair, hypotheses: Hypotheses, matched: Bools) -> Fl
 
     matched: `[M, frame, I, J]`.
     """
-    kernels = compiled("mocap_calib.kernels.affinity")
-    if kernels is None:
-        return share_of_depths(pair, hypotheses, matched)
     share = np.zeros(len(matched))
     of_views = (pair.a.rays, pair.b.rays, pair.a.weight, pair.b.weight)
     poses = (hypotheses.rotation, hypotheses.translation)
     kernels.share_in_front(*contiguous(*poses, *of_views, matched), share)
-    return share
-
-
-def share_of_depths(pair: ViewPair, hypotheses: Hypotheses, matched: Bools) -> Floats:
-    """Return what `share_in_front` does in numpy."""
-    share = np.zeros(len(matched))
-    for m, of_one in enumerate(matched):
-        rays = matched_rays(pair, of_one)
-        if len(rays):
-            rotation, translation = hypotheses.rotation[m], hypotheses.translation[m]
-            depth_a, depth_b = depths(rotation, translation, rays.a, rays.b)
-            share[m] = ((depth_a > 0) & (depth_b > 0)).mean()
     return share
 
 

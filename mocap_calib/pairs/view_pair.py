@@ -9,7 +9,7 @@ import numpy as np
 
 from mocap_calib.config import LEAST_LIFT_SPREAD, PairwiseConfig
 from mocap_calib.geometry.epipolar import depths
-from mocap_calib.kernels.loading import compiled
+from mocap_calib.kernels import sizes
 from mocap_calib.pairs.reversal import readings, reversal_in_spreads
 from mocap_calib.types import Bools, Floats, Ints, LiftedPoses, Sample
 
@@ -183,23 +183,10 @@ def distances_by_size(rays: Floats) -> Floats:
     since two of three dimensions are seen. rays: `[..., keypoint, 3]` unit vectors, NaN = missing.
     Returns `[...]` body sizes.
     """
-    kernels = compiled("mocap_calib.kernels.sizes")
-    if kernels is None:
-        return _distances_by_size(rays)
     distance = np.empty(rays.shape[:-2])
     bodies = np.ascontiguousarray(rays).reshape(-1, *rays.shape[-2:])
-    kernels.distances_by_size(bodies, distance.reshape(-1))
+    sizes.distances_by_size(bodies, distance.reshape(-1))
     return distance
-
-
-def _distances_by_size(rays: Floats) -> Floats:
-    """Return what `distances_by_size` returns."""
-    seen = np.isfinite(rays[..., 0])
-    count = np.maximum(seen.sum(-1), 1)
-    # the mean squared distance of unit vectors from their middle follows from how long that is
-    middle = np.where(seen[..., None], rays, 0.0).sum(-2) / count[..., None]
-    angular_size_squared = np.where(seen.any(-1), 1 - (middle**2).sum(-1), 0.0)
-    return np.sqrt(2 / 3) / np.sqrt(np.maximum(angular_size_squared, 1e-8))
 
 
 def _bodies(lifted: LiftedPoses, view: int, frames: Ints) -> _Bodies:

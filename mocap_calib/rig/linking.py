@@ -4,14 +4,13 @@ Easy frames, in which no two want the same, are linked by a kernel; the others o
 """
 
 from dataclasses import dataclass
-from types import ModuleType
 
 import numpy as np
 
 from mocap_calib import mapped
 from mocap_calib.config import MatchingConfig
 from mocap_calib.geometry.graphs import assign
-from mocap_calib.kernels.loading import compiled
+from mocap_calib.kernels.linking import link_frames
 from mocap_calib.rig.labels import name_groups
 from mocap_calib.rig.tracking import sort_by_presence
 from mocap_calib.types import Floats, Ints
@@ -32,12 +31,10 @@ def link_through_time(labels: Ints, places: Floats, frames: Ints, config: Matchi
     in most frames first.
     """
     linking = _Linking.of(places, frames, config)
-    kernels = compiled("mocap_calib.kernels.linking")
     for block in mapped.frame_slices(len(frames)):
         index = block.start
         while index < block.stop:
-            if kernels is not None:
-                index = linking.link_easy_frames(kernels, index, block.stop)
+            index = linking.link_easy_frames(index, block.stop)
             if index < block.stop:
                 linking.link_frame(index)
                 index += 1
@@ -92,10 +89,10 @@ class _Linking:
         self.last_frame[individual] = frame
         self.names[index, groups] = individual
 
-    def link_easy_frames(self, kernels: ModuleType, start: int, stop: int) -> int:
+    def link_easy_frames(self, start: int, stop: int) -> int:
         """Name the groups of frames until two want the same, and return the index of that frame."""
         reached = np.zeros(2, dtype=np.int64)
-        kernels.link_frames(
+        link_frames(
             self.places,
             self.frames,
             start,

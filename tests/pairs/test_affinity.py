@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from oracles import pairs as oracle
 from scenes import lifted, recording, scene
 
 from mocap_calib.config import PairwiseConfig
@@ -12,15 +13,11 @@ from mocap_calib.geometry.rotation import matrix_from_vector
 from mocap_calib.pairs.affinity import (
     body_agreement,
     epipolar_affinity,
-    epipolar_error,
-    epipolar_fit,
-    fit_each_pair_of_views,
     steering_error,
 )
 from mocap_calib.pairs.hypotheses import Hypotheses
-from mocap_calib.pairs.scoring import fit_matches, share_in_front, share_of_depths
+from mocap_calib.pairs.scoring import fit_matches, share_in_front
 from mocap_calib.pairs.view_pair import (
-    _distances_by_size,
     body_sizes_per_radian,
     distance_ratios,
     distances,
@@ -71,7 +68,7 @@ def test_bodies_agree_by_pose_and_place_as_far_as_the_network_is_sure():
 def test_epipolar_error_is_sampsons_at_the_body():
     pair = ten_frames_of_two_views()
     rotation, translation = matrix_from_vector(np.array([0.1, 0.5, 0.0])), np.array([0.6, 0.0, 0.8])
-    error, weight = epipolar_error(pair, rotation[None], translation[None])
+    error, weight = oracle.epipolar_error(pair, rotation[None], translation[None])
     matrix = essential_matrix(rotation, translation)
     angle = sampson_angle(matrix, pair.a.rays[3, 1], pair.b.rays[3, 2])
     slow = np.abs(angle) * body_sizes_per_radian(pair)[3, 1, 2]
@@ -88,24 +85,22 @@ def poses_of_some_hypotheses():
 
 def test_the_compiled_fit_of_matches_is_that_of_the_definition():
     """Where there are too few joints in common both say 0; their errors are of no meaning."""
-    pytest.importorskip("numba")
     pair, config, poses = ten_frames_of_two_views(), PairwiseConfig(), poses_of_some_hypotheses()
     error, fit = fit_matches(pair, poses.rotation, poses.translation, config)
-    defined, weight = epipolar_error(pair, poses.rotation, poses.translation)
-    np.testing.assert_allclose(fit, epipolar_fit(defined, weight, config), rtol=1e-9)
+    defined, weight = oracle.epipolar_error(pair, poses.rotation, poses.translation)
+    np.testing.assert_allclose(fit, oracle.epipolar_fit(defined, weight, config), rtol=1e-9)
     judged = np.broadcast_to((fit > 0)[..., None] & (weight > 0), error.shape)
     assert 0 < judged.mean() < 1
     np.testing.assert_allclose(error[judged], defined[judged], rtol=1e-9, atol=1e-12)
 
 
 def test_the_compiled_share_in_front_is_that_of_the_depths():
-    pytest.importorskip("numba")
     pair, poses = ten_frames_of_two_views(), poses_of_some_hypotheses()
     rng = np.random.default_rng(6)
     matched = rng.random((5, *pair.overlap.lifted.shape)) < 0.3
     matched[3] = False
     found = share_in_front(pair, poses, matched)
-    np.testing.assert_allclose(found, share_of_depths(pair, poses, matched), rtol=1e-12)
+    np.testing.assert_allclose(found, oracle.share_of_depths(pair, poses, matched), rtol=1e-12)
     assert found[3] == 0
     assert np.unique(found).size > 2
 
@@ -115,18 +110,15 @@ def test_the_affinity_by_a_rig_is_the_epipolar_fit_of_its_pairs():
     sample, rig, config = recording(), scene().rig, PairwiseConfig()
     every = np.arange(len(sample.frames))
     pair = gather_view_pair(sample, lifted(), (0, 2), every)
-    error, weight = epipolar_error(pair, *(part[None] for part in rig.relative(0, 2)))
+    error, weight = oracle.epipolar_error(pair, *(part[None] for part in rig.relative(0, 2)))
     distance = distances(lifted().centre, sample.rays)
     affinity, comparable = epipolar_affinity(sample, rig, distance, config)
     instances = sample.positions.shape[2]
     rows, columns = slice(0, instances), slice(2 * instances, 3 * instances)
-    fit = epipolar_fit(error, weight, config)[0]
+    fit = oracle.epipolar_fit(error, weight, config)[0]
     np.testing.assert_allclose(affinity[:, rows, columns], fit, atol=1e-9)
     assert ((comparable[:, rows, columns] > 0) | (fit == 0)).all()
     np.testing.assert_array_equal(affinity, np.swapaxes(affinity, 1, 2))
-    slow = fit_each_pair_of_views(sample, rig, distance, config)
-    np.testing.assert_allclose(affinity, slow[0].reshape(affinity.shape), rtol=1e-12, atol=1e-14)
-    np.testing.assert_array_equal(comparable, slow[1].reshape(comparable.shape))
 
 
 @pytest.mark.parametrize("frames", [1, 19, 20, 21])
@@ -156,7 +148,7 @@ def test_the_compiled_distances_by_size_are_those_of_the_definition(shape):
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     rays[rng.random(shape) < 0.3] = np.nan
     rays[:1, :1] = np.nan
-    found, expected = distances_by_size(rays), _distances_by_size(rays)
+    found, expected = distances_by_size(rays), oracle.distances_by_size(rays)
     np.testing.assert_allclose(found, expected, rtol=1e-12)
     assert found.shape == shape[:-1]
 
