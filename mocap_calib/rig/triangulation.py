@@ -171,7 +171,7 @@ def _covariance(
         variance=noise**2,
     )
     with np.errstate(over="ignore"):  # points that are nearly at infinity
-        return np.where(np.isfinite(points[0]), np.stack(entries), np.nan).astype(np.float32)
+        return np.where(np.isfinite(points[0]), entries, np.nan).astype(np.float32)
 
 
 def triangulate_rays(

@@ -16,7 +16,6 @@ from mocap_calib.geometry.epipolar import (
 )
 from mocap_calib.geometry.intersection import intersect
 from mocap_calib.geometry.projection import pixels_from_points, rays_from_pixels
-from mocap_calib.geometry.rays import are_apart
 from mocap_calib.geometry.rotation import (
     angle_between,
     direction_angle,
@@ -150,14 +149,6 @@ def test_looking_along_is_a_rotation_that_looks_along():
     ahead = (turn @ direction[..., None])[..., 0]
     np.testing.assert_allclose(ahead[:, :2], 0, atol=1e-12)
     assert (ahead[:, 2] > 0).all()
-
-
-def test_rays_are_apart_by_the_angle_between_those_in_use():
-    """Two rays 9, 11 and 30 degrees apart, the last with one of them not in use."""
-    angle = np.deg2rad([[0.0, 0, 0], [9, 11, 30]])
-    rays = np.stack([np.sin(angle), 0 * angle, np.cos(angle)], axis=1)
-    used = np.array([[True, True, True], [True, True, False]])
-    assert are_apart(rays, used, np.deg2rad(10)).tolist() == [False, True, False]
 
 
 @pytest.mark.parametrize("name", CAMERAS)

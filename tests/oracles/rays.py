@@ -1,0 +1,147 @@
+"""Definitions in plain numpy, point by point, of what kernels compute from rays of many views."""
+
+import numpy as np
+
+from mocap_calib.config import (
+    INTERSECT_AGREEING_RAYS,
+    INTERSECT_AGREEING_SHARE,
+    INTERSECT_DOUBTFUL,
+    INTERSECT_LOSS_SCALE,
+    INTERSECT_OUTLIER,
+    INTERSECT_POLISH_STEPS,
+    INTERSECT_STEPS,
+    INTERSECT_TIGHTENING_SCALES,
+)
+from mocap_calib.geometry.intersection import _candidate_pairs
+from mocap_calib.geometry.lens import project
+from mocap_calib.types import CameraRig, Floats
+
+
+def across(directions: Floats) -> Floats:
+    """Return I - u u' `[view, 3, 3]` of unit vectors `[view, 3]`."""
+    return np.eye(3) - directions[:, :, None] * directions[:, None]
+
+
+def solve(weight: Floats, rays: Floats, side: Floats) -> Floats:
+    """Return the point of sum w (I - u u') (x - s) = 0, with weights scaled to 1 and a ridge."""
+    share = weight / weight.sum()
+    matrix = np.einsum("v,vij->ij", share, across(rays))
+    return np.linalg.solve(
+        matrix + 1e-10 * np.eye(3), np.einsum("v,vij,vj->i", share, across(rays), side)
+    )
+
+
+def squared_errors(point: Floats, centres: Floats, rays: Floats, precision: Floats) -> Floats:
+    """Return squared sines between rays and a point in variances, infinite behind the camera."""
+    offset = point - centres
+    along = (offset * rays).sum(1)
+    error = np.maximum(1 - along**2 / (offset**2).sum(1), 0.0) * precision
+    return np.where(along > 0, error, np.inf)
+
+
+def refine(point: Floats, centres: Floats, rays: Floats, precision: Floats, scales) -> Floats:
+    """Return a point after Gauss-Newton steps on angles under the loss of Geman and McClure."""
+    for scale in scales:
+        offset = point - centres
+        square = (offset**2).sum(1)
+        error = np.maximum(1 - (offset * rays).sum(1) ** 2 / square, 0.0) * precision
+        weight = precision / square / (1 + error / scale**2) ** 2
+        point = point - solve(weight, rays, offset)
+    return point
+
+
+def intersect_point(centres: Floats, rays: Floats, precision: Floats, pairs) -> Floats:
+    """Return the point nearest to all rays that see it; pairs: of rays that give candidates."""
+    given = centres, rays, precision
+    loss = INTERSECT_LOSS_SCALE
+    point = refine(solve(precision, rays, centres), *given, [loss] * INTERSECT_STEPS)
+    count = len(rays)
+    if count <= 2 or (squared_errors(point, *given) <= INTERSECT_DOUBTFUL * count).all():
+        return point
+    point = refine(point, *given, INTERSECT_TIGHTENING_SCALES)
+    meeting = (squared_errors(point, *given) <= INTERSECT_OUTLIER).sum()
+    if meeting >= INTERSECT_AGREEING_RAYS and meeting >= INTERSECT_AGREEING_SHARE * count:
+        return point
+    candidates = [solve(precision[both], rays[both], centres[both]) for both in pairs]
+    costs = [
+        np.minimum(squared_errors(candidate, *given), INTERSECT_OUTLIER).sum()
+        for candidate in candidates
+    ]
+    return refine(candidates[np.argmin(costs)], *given, [loss] * INTERSECT_POLISH_STEPS)
+
+
+def intersect(rig: CameraRig, world: Floats, precision: Floats) -> Floats:
+    """Return the points `[3, N]` nearest to rays; NaN where fewer than two are seen."""
+    points = np.full(world.shape[1:], np.nan)
+    middle = rig.centres.mean(0)
+    for n, seen in enumerate((precision > 0).T):
+        if seen.sum() >= 2:
+            row = dict(zip(np.flatnonzero(seen).tolist(), range(seen.sum()), strict=True))
+            first, others = (
+                [[row[a], row[b]] for a, b in pairs if a in row and b in row]
+                for pairs in _candidate_pairs(len(rig))
+            )
+            given = rig.centres[seen] - middle, world[seen, :, n], precision[seen, n]
+            points[:, n] = intersect_point(*given, first or others) + middle
+    return points
+
+
+def information(rig: CameraRig, point: Floats) -> Floats:
+    """Return J'J `[view, 3, 3]` of the angles of each view by a point."""
+    offset = point - rig.centres
+    distance = np.linalg.norm(offset, axis=1)
+    return across(offset / distance[:, None]) / distance[:, None, None] ** 2
+
+
+def point_covariance(rig: CameraRig, point: Floats, rays: Floats, precision, variance) -> Floats:
+    """Return the covariance `[3, 3]` of one point by the sandwich of robust weights."""
+    offset = point - rig.centres
+    along = (offset * rays).sum(1) / np.linalg.norm(offset, axis=1)
+    error = np.maximum(1 - along**2, 0.0) * precision
+    weight = precision / (1 + error / INTERSECT_LOSS_SCALE**2) ** 2
+    each = information(rig, point)
+    inverse = np.linalg.inv(np.einsum("v,vij->ij", weight, each))
+    return inverse @ np.einsum("v,vij->ij", weight**2 * variance, each) @ inverse
+
+
+def median_angles(rig: CameraRig, point: Floats, weight: Floats, least_share: float) -> Floats:
+    """Return the medians `[view]` of the angles between rays and the point made of them."""
+    each = information(rig, point)
+    covariance = np.linalg.inv(np.einsum("v,vij->ij", weight, each))
+    medians = []
+    for taken in weight[:, None, None] * (covariance @ each):
+        mean = max(2 - np.trace(taken), 2 * least_share)
+        square = max(2 - 2 * np.trace(taken) + np.trace(taken @ taken), 0.5 * mean**2)
+        freedom = np.clip(mean**2 / square, 1.0, 2.0)
+        medians.append(np.sqrt(mean * (1 - 2 / (9 * freedom)) ** 3))
+    return np.array(medians)
+
+
+def ray_angles(offset: Floats, rays: Floats) -> tuple[Floats, Floats]:
+    """Return angles `[view, N]` between rays and offsets `[view, 3, N]`, and their products."""
+    along = (offset * rays).sum(1)
+    sine = np.linalg.norm(np.cross(offset, rays, axis=1), axis=1)
+    angle = np.arctan2(sine, along)
+    return np.where(np.isnan(angle), np.pi, angle), along
+
+
+def agreeing_views(rig: CameraRig, points, world, weight, *, limits, least_angle) -> Floats:
+    """Return the views `[view, N]` whose rays pass near points, where these are far apart."""
+    seen = weight > 0
+    limit = np.take_along_axis(limits, np.broadcast_to(seen.sum(0), weight.shape), axis=1)
+    angle, along = ray_angles(points - rig.centres[:, :, None], world)
+    agree = seen & (along > 0) & (angle < limit)
+    mean = np.einsum("vin,vn->in", world, agree.astype(float))
+    mean /= np.maximum(np.linalg.norm(mean, axis=0), 1e-12)
+    cosine = np.where(agree, np.einsum("vin,in->vn", world, mean), 1.0)
+    apart = cosine.min(0) < np.cos(least_angle / 2)
+    return agree & (agree.sum(0) >= 2) & apart
+
+
+def reprojection_error(rig: CameraRig, points: Floats, *, pixels: Floats, used) -> Floats:
+    """Return the RMS distances `[N]` in pixels of points from the detections that are used."""
+    in_camera = rig.rotation @ points + rig.translation[:, :, None]
+    gap = np.stack(list(map(project, rig.cameras, in_camera))) - pixels
+    square = np.nan_to_num((gap**2).sum(1)) * used
+    with np.errstate(invalid="ignore"):
+        return np.sqrt(square.sum(0) / used.sum(0))
