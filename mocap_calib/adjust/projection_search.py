@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mocap_calib.config import ResectionConfig
-from mocap_calib.kernels.loading import compiled, contiguous
+from mocap_calib.kernels.loading import contiguous
+from mocap_calib.kernels.projection import cost_detections
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Bools, Floats, Ints
 
@@ -255,28 +256,10 @@ def _solve(system: Floats, points: Floats) -> Floats:
 
 def _detection_costs(scene: Sighting, projection: Floats, tolerance: float) -> Floats:
     """Return `[frame, instance, individual]` mean costs in 0..1, 1 where nothing compares."""
-    if kernels := compiled("mocap_calib.kernels.projection"):
-        cost = np.empty((*scene.image.shape[:2], scene.points.shape[1]))
-        arrays = contiguous(scene.points, scene.image, projection)
-        kernels.cost_detections(*arrays, tolerance**2, _LEAST_COMPARED, cost)
-        return cost
-    joint_cost = _joint_costs(scene, projection, tolerance)
-    known = np.isfinite(scene.points[..., 0])[:, None]
-    both = np.isfinite(scene.image[..., 0])[:, :, None] & known
-    count = both.sum(-1)
-    cost = np.where(both, joint_cost, 0.0).sum(-1) / np.maximum(count, 1)
-    return np.where(count >= _LEAST_COMPARED, cost, 1.0)
-
-
-def _joint_costs(scene: Sighting, projection: Floats, tolerance: float) -> Floats:
-    """Return `[frame, instance, individual, keypoint]` in 0..1, NaN where something is missing."""
-    seen = scene.points @ projection[:, :3].T + projection[:, 3]
-    depth = np.where(seen[..., 2] > 0, seen[..., 2], np.nan)
-    image = seen[..., :2] / depth[..., None]
-    gap = scene.image[:, :, None] - image[:, None]
-    square = (gap**2).sum(-1) / tolerance**2
-    behind = np.isfinite(scene.points[..., 0]) & np.isnan(depth)
-    return np.where(behind[:, None], 1.0, square / (1 + square))
+    cost = np.empty((*scene.image.shape[:2], scene.points.shape[1]))
+    arrays = contiguous(scene.points, scene.image, projection)
+    cost_detections(*arrays, tolerance**2, _LEAST_COMPARED, cost)
+    return cost
 
 
 def _refine(scene: Sighting, projection: Floats, config: ResectionConfig) -> Resection:

@@ -4,7 +4,6 @@ The camera's detections need not be matched to the bodies: a detection counts by
 frame that fits it best under a pose, and no error counts for more than that of a stranger.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,12 +11,11 @@ import numpy as np
 
 from mocap_calib.config import MovedConfig
 from mocap_calib.geometry.rotation import matrix_from_vector, nearest_rotation, skew
-from mocap_calib.kernels.loading import compiled, contiguous
+from mocap_calib.kernels.loading import contiguous
+from mocap_calib.kernels.resection import compare
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Bools, Floats, Ints
 
-KERNELS = "mocap_calib.kernels.resection"
-_ENTRIES = 2_000_000  # of arrays of poses, detections, bodies and joints at a time
 _UNIT = 0.1  # radians: a tolerance that tells the nearest body from the others
 _RIDGE = 1e-9  # of the diagonal of normal equations
 
@@ -202,57 +200,12 @@ def typical_error(poses: CameraPoses, seen: Sightings, counted: Bools, least_joi
 def _compare(
     poses: CameraPoses, seen: Sightings, tolerance: Floats, least_joints: int
 ) -> _Compared:
-    """Return how poses fit the detections, in blocks of detections where there are no kernels."""
-    if kernels := compiled(KERNELS):
-        return _compare_by_kernel(kernels.compare, poses, seen, tolerance, least_joints)
-    detections, joints = seen.rays.shape[:2]
-    size = max(1, _ENTRIES // max(1, len(poses) * seen.bodies.shape[1] * joints))
-    parts = []
-    for start in range(0, detections, size):
-        block = slice(start, start + size)
-        parts.append(_compare_block(poses, seen, block, tolerance[block], least_joints))
-    empty = np.zeros((len(poses), 0))
-    cost = np.concatenate([empty, *(part.cost for part in parts)], axis=1)
-    body = np.concatenate([empty.astype(np.int64), *(part.body for part in parts)], axis=1)
-    return _Compared(cost, body)
-
-
-def _compare_by_kernel(
-    kernel: Callable[..., None],
-    poses: CameraPoses,
-    seen: Sightings,
-    tolerance: Floats,
-    least_joints: int,
-) -> _Compared:
-    """Return what `_compare` returns."""
+    """Return how poses fit the detections."""
     shape = len(poses), len(seen.frame)
     cost, body = np.empty(shape), np.empty(shape, dtype=np.int64)
     given = contiguous(poses.rotation, poses.translation, seen.frame)
-    kernel(*given, *seen.packed, *contiguous(tolerance), least_joints, cost, body)
+    compare(*given, *seen.packed, *contiguous(tolerance), least_joints, cost, body)
     return _Compared(cost, body)
-
-
-def _compare_block(
-    poses: CameraPoses, seen: Sightings, block: slice, tolerance: Floats, least_joints: int
-) -> _Compared:
-    """Return how poses fit some detections."""
-    bodies, rays = seen.bodies[seen.frame[block]], seen.rays[block]
-    joints = np.isfinite(bodies[..., 0]) & np.isfinite(rays[:, None, :, 0])  # [n, body, joint]
-    points, known = np.where(joints[..., None], bodies, 1.0), np.nan_to_num(rays)[:, None]
-    # coordinates first: sums over the last three numbers of an array take several times as long
-    flat = np.moveaxis(points, -1, 0).reshape(3, -1)
-    in_camera = (poses.rotation @ flat).reshape(len(poses), 3, *joints.shape)
-    in_camera += poses.translation[:, :, None, None, None]
-    x, y, z = np.moveaxis(in_camera, 1, 0)
-    along = x * known[..., 0] + y * known[..., 1] + z * known[..., 2]
-    along /= np.maximum(np.sqrt(x * x + y * y + z * z), 1e-12)
-    square = np.maximum(2 - 2 * along, 0.0) / tolerance[:, None, None] ** 2
-    cost = (np.where(joints, square, 0.0) / (1 + square)) @ np.ones(joints.shape[-1])
-    count = joints.sum(-1)
-    cost = np.where(count >= least_joints, cost / np.maximum(count, 1), np.inf)
-    best = cost.argmin(-1)
-    least = np.take_along_axis(cost, best[..., None], axis=-1)[..., 0]
-    return _Compared(np.where(np.isfinite(least), least, np.nan), best)
 
 
 def _step(

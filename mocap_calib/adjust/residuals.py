@@ -155,23 +155,3 @@ def _robust_weight(residuals: Residuals, weight: Floats, loss_scale: float) -> F
     square = np.einsum("vkn,vkn->vn", residuals.residual, residuals.residual)
     weight = np.where(residuals.behind, 0.0, weight)
     return np.sqrt(weight / (1 + square / loss_scale**2))
-
-
-def derivatives(rotation: Floats, in_camera: Floats, slopes: Slopes) -> tuple[Floats, Floats]:
-    """Return the derivatives of residuals by the cameras and by the points.
-
-    in_camera: `[view, 3, n]` the points. The first, `[view, 2, 6 + intrinsic, n]`: by a rotation w
-    of the camera's frame and a translation t, which move a point x in it by w x x + t, and by the
-    intrinsics. The second, `[view, 2, 3, n]`: by the point p in the world, which moves x by R p.
-    """
-    slope = slopes.in_camera
-    views, rows, _, count = slope.shape
-    camera = np.empty((views, rows, 6 + slopes.intrinsics.shape[2], count))
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        camera[:, :, i] = (
-            slope[:, :, k] * in_camera[:, None, j] - slope[:, :, j] * in_camera[:, None, k]
-        )
-    camera[:, :, 3:6] = slope
-    camera[:, :, 6:] = slopes.intrinsics
-    return camera, np.einsum("vkin,vij->vkjn", slope, rotation)

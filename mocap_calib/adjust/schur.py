@@ -15,7 +15,6 @@ from mocap_calib.adjust.residuals import (
     Slopes,
     State,
     blocks_of,
-    derivatives,
     part_of,
 )
 from mocap_calib.adjust.settling import Weighed, settle
@@ -28,10 +27,9 @@ from mocap_calib.config import (
     LM_STEPS,
 )
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.kernels.loading import compiled, contiguous
+from mocap_calib.kernels import schur as kernels
+from mocap_calib.kernels.loading import contiguous
 from mocap_calib.types import Floats
-
-KERNELS = "mocap_calib.kernels.schur"
 
 
 @dataclass(frozen=True)
@@ -102,16 +100,6 @@ def equations_of(
     in_camera: `[view, 3, n]` the points; residual: `[view, 2, n]`, weighed. What is known of the
     intrinsics beforehand is not in them (`prior_of`).
     """
-    kernels = compiled(KERNELS)
-    if kernels is None:
-        camera, point = derivatives(rotation, in_camera, slopes)
-        return NormalEquations(
-            camera=np.einsum("vkin,vkjn->vij", camera, camera, optimize=True),
-            camera_gradient=np.einsum("vkin,vkn->vi", camera, residual),
-            point=np.einsum("vkin,vkjn->ijn", point, point),
-            point_gradient=np.einsum("vkin,vkn->in", point, residual),
-            mixed=np.einsum("vkin,vkjn->vijn", camera, point),
-        )
     (views, _, count), unknowns = in_camera.shape, 6 + slopes.intrinsics.shape[2]
     camera = np.empty((views, unknowns, 2, count))
     point, point_gradient = np.empty((3, 3, count)), np.empty((3, count))
@@ -157,25 +145,10 @@ def _schur_complement(
 
 def _rooted(equations: NormalEquations) -> tuple[Floats, Floats]:
     """Return a root Q of V^-1 = QQ' `[3, 3, N]`, and W Q `[C view, 3, N]`."""
-    kernels = compiled(KERNELS)
     mixed = equations.mixed.reshape(-1, *equations.point_gradient.shape)
-    if kernels is None:
-        root = _root_of_inverse(equations.point)
-        return root, np.einsum("rjn,jkn->rkn", mixed, root)
     root, product = np.empty_like(equations.point), np.empty_like(mixed)
     kernels.rooted(equations.point, mixed, root, product)
     return root, product
-
-
-def _root_of_inverse(matrix: Floats) -> Floats:
-    """Return Q of QQ' = V^-1 of matrices V `[3, 3, n]`."""
-    system = matrix.transpose(2, 0, 1).copy()  # [n, 3, 3]
-    diagonal = np.einsum("nii->ni", system)  # a view: what is added to it is added to `system`
-    largest = diagonal.max(1, keepdims=True)
-    # a point that no view sees stays where it is
-    diagonal += np.where(largest > 0, 1e-12 * largest, 1.0)
-    root = np.linalg.inv(np.linalg.cholesky(system)).transpose(2, 1, 0)
-    return np.ascontiguousarray(root, dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -235,12 +208,6 @@ def _reduce_block(
 
 def _reduced_system(rotation: Floats, found: Weighed) -> tuple[Floats, Floats, Floats]:
     """Return the cameras' own blocks `[view, C, C]` and the reduced system of some points."""
-    kernels = compiled(KERNELS)
-    if kernels is None:
-        found_slopes = found.in_camera, found.slopes, found.residual
-        equations = equations_of(rotation, *found_slopes)
-        _, matrix, gradient = eliminate_points(equations)
-        return equations.camera, matrix, gradient
     (views, _, count), unknowns = found.in_camera.shape, 6 + found.slopes.intrinsics.shape[2]
     camera, side = np.empty((views, unknowns, 2, count)), np.empty((3, count))
     product = np.empty((views * unknowns, 3, count))

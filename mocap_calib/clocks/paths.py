@@ -17,7 +17,8 @@ import numpy as np
 
 from mocap_calib.clocks.timing import FrameAgreement, Singles, diagonals
 from mocap_calib.config import LARGEST_STEP, SyncConfig
-from mocap_calib.kernels.loading import compiled, contiguous
+from mocap_calib.kernels import clocks as kernels
+from mocap_calib.kernels.loading import contiguous
 from mocap_calib.types import Floats, Ints
 
 Pair = tuple[int, int]
@@ -190,17 +191,7 @@ def _add_windows(values: Singles, row: Ints, first: Ints, table: Floats) -> None
     values: `[stretch, row, frame]`. row: `[stretch, time]` which one, -1 = none. first: `[time]`
     the frame at the first offset; frames that are not there add nothing.
     """
-    if kernels := compiled("mocap_calib.kernels.clocks"):
-        kernels.add_windows(*contiguous(values, row, first), table)
-        return
-    size = table.shape[2]
-    before = max(0, -int(first.min()))
-    behind = max(0, int(first.max()) + size - values.shape[2])
-    # the last row has nothing: it stands for none
-    framed = np.pad(values, ((0, 0), (0, 1), (before, behind)))
-    windows = np.lib.stride_tricks.sliding_window_view(framed, size, axis=2)
-    for stretch in range(len(table)):
-        table[stretch] += windows[stretch][row[stretch], first + before]
+    kernels.add_windows(*contiguous(values, row, first), table)
 
 
 def best_constant(table: Floats) -> int:
@@ -217,34 +208,10 @@ def follow_ridge(table: Floats, price: float) -> Ints:
 
     table: `[stretch, frame, offset]`.
     """
-    kernels = compiled("mocap_calib.kernels.clocks")
-    if kernels:
-        paths = np.empty(table.shape[:2], dtype=np.int64)
-        for part, path in zip(contiguous(*table), paths, strict=True):
-            kernels.follow(part, price, LARGEST_STEP, path)
-        return paths
-    return np.stack([_follow(part, price) for part in table])
-
-
-def _follow(table: Floats, price: float) -> Ints:
-    """Return the path `[frame]` through one stretch `[frame, offset]`."""
-    frames, offsets = table.shape
-    stay = np.arange(offsets)
-    steps = np.array([0, 1, *range(-1, -LARGEST_STEP - 1, -1)])  # from where an offset is reached
-    sources = (stay + steps[:, None]).clip(0, offsets - 1)
-    prices = price * (steps != 0)[:, None]
-    origin = np.zeros((frames, offsets), dtype=np.int64)
-    total = table[0].copy()
-    for frame in range(1, frames):
-        value = total[sources] - prices
-        best = value.argmax(0)
-        origin[frame] = sources[best, stay]
-        total = value[best, stay] + table[frame]
-    path = np.zeros(frames, dtype=np.int64)
-    path[-1] = total.argmax()
-    for frame in range(frames - 1, 0, -1):
-        path[frame - 1] = origin[frame, path[frame]]
-    return path
+    paths = np.empty(table.shape[:2], dtype=np.int64)
+    for part, path in zip(contiguous(*table), paths, strict=True):
+        kernels.follow(part, price, LARGEST_STEP, path)
+    return paths
 
 
 def ridge_of(table: Floats, path: Ints, rate: float, price: float, frames: int) -> Ridge:

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from mocap_calib.config import CLOCK_RATES, SyncConfig
 from mocap_calib.geometry.rotation import nearest_rotation
-from mocap_calib.kernels.loading import compiled, contiguous
+from mocap_calib.kernels import timing as kernels
+from mocap_calib.kernels.loading import contiguous
 from mocap_calib.pairs.hypotheses import well_separated
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Bools, Floats, Ints
@@ -244,15 +245,10 @@ def _sum_on_diagonals(
     """
     each = len(rows) // blocks
     shape = (*values.shape[:2], blocks, 2 * window + 1)
-    if kernels := compiled("mocap_calib.kernels.timing"):
-        total, known = np.zeros(shape, np.float32), np.zeros(shape, np.int64)
-        first = np.round(rows * rate).astype(np.int64) - window
-        kernels.sum_on_diagonals(*contiguous(values, first), each, total, known)
-        return total, known
-    table = diagonals(values, window, rate, rows)[:, :, : blocks * each]
-    table = table.reshape(*shape[:3], each, shape[3])
-    seen = np.isfinite(table)
-    return np.where(seen, table, np.float32(0.0)).sum(3), seen.sum(3)
+    total, known = np.zeros(shape, np.float32), np.zeros(shape, np.int64)
+    first = np.round(rows * rate).astype(np.int64) - window
+    kernels.sum_on_diagonals(*contiguous(values, first), each, total, known)
+    return total, known
 
 
 def count_blocks(frames: int, config: SyncConfig) -> int:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from oracles import adjust as oracle
 
 from mocap_calib.adjust import camera_fit, projection_search
 from mocap_calib.adjust.camera_fit import CameraPose, Seen, fit_camera
@@ -199,9 +200,8 @@ def test_an_error_of_a_fit_weighs_as_its_cost_grows():
     np.testing.assert_allclose(camera_fit._weights(errors(squares), scale), expected, atol=1e-5)
 
 
-def test_compiled_costs_are_those_of_numpy(monkeypatch):
+def test_costs_of_detections_are_those_of_numpy():
     """Some joints are missing on either side, some behind the camera, and some bodies show few."""
-    pytest.importorskip("numba")
     rng = np.random.default_rng(7)
     points = bodies(individuals=3, keypoints=6)
     points[..., 2] -= 4.0  # some of them behind the camera
@@ -211,9 +211,9 @@ def test_compiled_costs_are_those_of_numpy(monkeypatch):
     for array in (points, image):
         array[rng.random(array.shape[:3]) < 0.3] = np.nan
     scene = Sighting(points, image[:, ::-1])
-    compiled = projection_search._detection_costs(scene, projection, 0.05)
-    monkeypatch.setattr(projection_search, "compiled", lambda _: None)
-    defined = projection_search._detection_costs(scene, projection, 0.05)
-    np.testing.assert_allclose(compiled, defined, rtol=1e-9)
+    costs = projection_search._detection_costs(scene, projection, 0.05)
+    least = projection_search._LEAST_COMPARED
+    defined = oracle.detection_costs(scene.points, scene.image, projection, 0.05, least)
+    np.testing.assert_allclose(costs, defined, rtol=1e-9)
     assert 0 < (seen[..., 2] < 0).mean() < 1
-    assert 0.05 < (compiled < 0.9).mean() < 0.95
+    assert 0.05 < (costs < 0.9).mean() < 0.95

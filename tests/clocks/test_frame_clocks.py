@@ -5,17 +5,18 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
+from oracles import clocks as oracle
 from scenes import lifted, recording
 
-from mocap_calib.clocks import paths as clock_paths
 from mocap_calib.clocks.evidence import weigh_clock
 from mocap_calib.clocks.frame_clocks import choose_pairs, doubt_lost_frames, find_clocks
 from mocap_calib.clocks.kinds import StretchNumbers, describe_clock
-from mocap_calib.clocks.paths import Agreements, Ridge, _follow, follow_ridge
+from mocap_calib.clocks.paths import Agreements, Ridge, follow_ridge
 from mocap_calib.clocks.timing import ViewInTime, compare_in_time
 from mocap_calib.config import LARGEST_STEP, SyncConfig
 from mocap_calib.faults.clock_faults import Retimed, clock_faults
 from mocap_calib.faults.words import option_of
+from mocap_calib.kernels import clocks as kernels
 from mocap_calib.recording.retiming import clocks_from, retime
 from mocap_calib.types import CameraClock, LiftedPoses
 
@@ -249,11 +250,10 @@ def test_steps_that_come_evenly_are_another_rate(lost, kind):
 @pytest.mark.parametrize("price", [0.0, 0.7, 5.0])
 def test_compiled_paths_are_those_of_numpy(price):
     """Of numbers that tie, too: the first of equal steps is taken."""
-    kernels = pytest.importorskip("mocap_calib.kernels.clocks")
     rng = np.random.default_rng(0)
     for offsets in (1, 2, 5, 41):
         for table in (rng.normal(size=(60, offsets)), rng.integers(0, 3, (60, offsets)) * 1.0):
-            expected = _follow(table, price)
+            expected = oracle.follow(table, price, LARGEST_STEP)
             kernels.follow(table, price, LARGEST_STEP, found := np.empty(60, dtype=np.int64))
             assert (found == expected).all()
 
@@ -319,17 +319,15 @@ def test_a_clock_that_shows_no_frame_of_the_others_is_not_known():
     assert clock.kind == "not known"
 
 
-def test_compiled_windows_of_agreement_are_those_of_numpy(monkeypatch):
+def test_windows_of_agreement_are_those_of_numpy():
     """Windows that reach beyond both ends, and rows that are not there."""
-    pytest.importorskip("numba")
     rng = np.random.default_rng(2)
     values = rng.normal(size=(2, 9, 14)).astype(np.float32)
     row, first = rng.integers(-1, 9, (2, 12)), 2 * np.arange(12) - 7
-    compiled, defined = np.ones((2, 2, 12, 9))
-    clock_paths._add_windows(values, row, first, compiled)
-    monkeypatch.setattr(clock_paths, "compiled", lambda _: None)
-    clock_paths._add_windows(values, row, first, defined)
-    np.testing.assert_array_equal(compiled, defined)
+    found, defined = np.ones((2, 2, 12, 9))
+    kernels.add_windows(values, row, first, found)
+    oracle.add_windows(values, row, first, defined)
+    np.testing.assert_array_equal(found, defined)
     assert (row < 0).any()
-    assert (compiled[:, 6] != 1)[row[:, 6] >= 0].all()
-    assert (compiled[row < 0] == 1).all()
+    assert (found[:, 6] != 1)[row[:, 6] >= 0].all()
+    assert (found[row < 0] == 1).all()
