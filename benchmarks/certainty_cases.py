@@ -14,6 +14,7 @@ from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.geometry.rotation import looking_along, matrix_from_vector
 from mocap_calib.io.cameras.read import read_cameras, read_rig
 from mocap_calib.io.keypoints.read import read_keypoints
+from mocap_calib.methods import from_keypoints
 from mocap_calib.synthetic import LAYOUTS, Scene, detect, keypoint_files, simulate
 from mocap_calib.synthetic.config import SimulateConfig
 from mocap_calib.types import CameraRig, Floats, Ints, Keypoints2D, Recording
@@ -65,7 +66,7 @@ class Files:
         Raises MocapCalibError where that is refused.
         """
         cameras = [camera for rig in self.truth for camera in rig.cameras]
-        return Recording.from_keypoints(self.views, cameras)
+        return from_keypoints(self.views, cameras)
 
     def change(self, function: Callable[[Keypoints2D], Keypoints2D]) -> "Files":
         """Return other files of the same cameras."""

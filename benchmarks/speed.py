@@ -41,6 +41,7 @@ from mocap_calib.adjust.bundle_adjustment import adjust
 from mocap_calib.config import AdjustConfig
 from mocap_calib.geometry.projection import rays_from_pixels
 from mocap_calib.geometry.rotation import matrix_from_vector
+from mocap_calib.rig.points import triangulate_pixels
 from mocap_calib.types import CameraRig, Floats, Matches, Sample
 
 TOOL = ["-m", "mocap_calib_cli"]
@@ -204,7 +205,7 @@ def adjust_elsewhere(
 def triangulate_here(rig: CameraRig, pixels: Floats) -> Measured:
     """Triangulate robustly, as in a run."""
     start, processor = time.perf_counter(), time.process_time()
-    rig.triangulate(pixels)
+    triangulate_pixels(rig, pixels, np.ones(pixels.shape[:-1]))
     return time.perf_counter() - start, time.process_time() - processor, 0.0
 
 

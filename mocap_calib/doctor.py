@@ -29,12 +29,12 @@ from mocap_calib.errors import MocapCalibError
 from mocap_calib.kernels.loading import compile_ahead
 from mocap_calib.lift.loading import load_lifter
 from mocap_calib.lift.weights import digest
+from mocap_calib.methods import from_keypoints
 from mocap_calib.pipeline import calibrate
 from mocap_calib.recording.joints import SHIPPED
 from mocap_calib.synthetic import simulate
 from mocap_calib.synthetic.config import SimulateConfig
 from mocap_calib.training.device import describe_devices
-from mocap_calib.types import Recording
 from mocap_calib.verdict.evaluation import evaluate
 
 
@@ -179,7 +179,7 @@ def _calibrate_known_scene(config: DoctorConfig) -> dict[str, Any]:
         SimulateConfig(cameras=config.cameras, people=config.people, frames=config.frames)
     )
     try:
-        recording = Recording.from_keypoints(scene.files, scene.rig.cameras)
+        recording = from_keypoints(scene.files, scene.rig.cameras)
         group = calibrate(recording, config=Config(), seed=0).groups[0]
         error = evaluate(group.rig, scene.rig).rotation_error
     except MocapCalibError as refused:

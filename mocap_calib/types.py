@@ -230,12 +230,11 @@ class PosedCamera(Camera):
         self._copy(f"camera {self.name}", "rotation", float, 3, 3)
         self._copy(f"camera {self.name}", "translation", float, 3)
 
-    @property
-    def rvec(self) -> Floats:
-        """`[3]` rotation vector of cam_from_world in radians, as of `cv2.Rodrigues`."""
-        from mocap_calib.geometry.rotation import vector_from_matrix
+    if TYPE_CHECKING:  # bound by `methods`
 
-        return vector_from_matrix(self.rotation)
+        @property
+        def rvec(self) -> Floats:
+            """`[3]` rotation vector of cam_from_world in radians, as of `cv2.Rodrigues`."""
 
     @property
     def tvec(self) -> Floats:
@@ -397,12 +396,6 @@ class CameraRig(Record):
         title = f"CameraRig of {count(len(self), 'camera')}, {_describe_unit(self.unit)}"
         return "\n".join([title, *lines])
 
-    def _repr_html_(self) -> str:
-        """Return the table that notebooks show."""
-        from mocap_calib.notebook.tables import describe_rig
-
-        return describe_rig(self)
-
     def __len__(self) -> int:
         return len(self.cameras)
 
@@ -428,11 +421,6 @@ class CameraRig(Record):
     def centres(self) -> Floats:
         """`[view, 3]` camera centres in world coordinates, C = -R' t."""
         return -np.einsum("vji,vj->vi", self.rotation, self.translation)
-
-    @property
-    def rvec(self) -> Floats:
-        """`[view, 3]` rotation vectors of cam_from_world in radians."""
-        return np.array([camera.rvec for camera in self])
 
     @property
     def P(self) -> Floats:
@@ -477,49 +465,19 @@ class CameraRig(Record):
         translation, world = factor * self.translation, self.world.scale(factor)
         return replace(self, translation=translation, unit=unit, world=world)
 
-    def project(self, points: ArrayLike) -> Floats:
-        """Return the pixels `[view, ..., 2]` of points `[..., 3]` in world coordinates.
+    if TYPE_CHECKING:  # bound by `methods`
 
-        The distortion of the lenses is applied. NaN stays NaN, and a point behind a camera is NaN
-        there. What lies outside the image is returned like any other.
+        @property
+        def rvec(self) -> Floats:
+            """`[view, 3]` rotation vectors of cam_from_world in radians."""
 
-        Raises ValueError where the last axis of the points is not 3.
-        """
-        from mocap_calib.geometry.projection import pixels_from_points
+        def project(self, points: ArrayLike) -> Floats:
+            """Return the pixels of points in world coordinates, see `geometry.projection`."""
 
-        world = as_array("points", points, float, *np.shape(points)[:-1], 3)
-        views = zip(self.cameras, self.rotation, self.translation, strict=True)
-        return np.stack(
-            [
-                pixels_from_points(camera, world @ rotation.T + translation)
-                for camera, rotation, translation in views
-            ]
-        )
-
-    def triangulate(
-        self, pixels: ArrayLike, confidence: ArrayLike | None = None
-    ) -> tuple[Floats, Floats]:
-        """Return the points `[..., 3]` that pixels `[view, ..., 2]` show, and their errors `[...]`.
-
-        As robust as the triangulation of a run (`rig.points`): a
-        view that contradicts the others is left out. A point is NaN where fewer than two views
-        agree on it, or see it from almost the same side. The error is the RMS reprojection error
-        in pixels over the views that were used.
-
-        pixels: NaN (or infinite) = missing. confidence: `[view, ...]` weights, 0 = missing; None:
-        all count alike.
-
-        Raises ValueError for arrays of other shapes.
-        """
-        from mocap_calib.rig.points import triangulate_pixels
-
-        middle = np.shape(pixels)[1:-1]
-        seen = as_array("pixels", pixels, float, len(self), *middle, 2)
-        given = np.ones(seen.shape[:-1]) if confidence is None else confidence
-        weight = as_array("confidence", given, float, len(self), *middle)
-        seen = np.where(np.isfinite(seen), seen, np.nan)
-        weight = np.where(np.isfinite(weight), weight, 0.0)
-        return triangulate_pixels(self, seen, weight)
+        def triangulate(
+            self, pixels: ArrayLike, confidence: ArrayLike | None = None
+        ) -> tuple[Floats, Floats]:
+            """Return the points that pixels show, see `methods.triangulate`."""
 
     def _pose(self, view: int) -> PosedCamera:
         """Return the camera of a view (index) with its extrinsics."""
@@ -659,60 +617,25 @@ class Recording(Record):
         ]
         return f"{type(self).__name__}({', '.join(parts)})"
 
-    @classmethod
-    def from_arrays(
-        cls,
-        positions: ArrayLike,
-        confidence: ArrayLike | None = None,
-        *,
-        keypoints: Sequence[str],
-        cameras: "Sequence[Camera] | CameraRig",
-        frames: ArrayLike | None = None,
-        tracked: bool = False,
-    ) -> "Recording":
-        """Return the recording of detections that lie in arrays.
+    if TYPE_CHECKING:  # bound by `methods`
 
-        positions: `[view, frame, instance, keypoint, 2]` pixels, NaN = missing; or
-            `[view, frame, keypoint, 2]` of a single subject.
-        confidence: `[view, frame, instance, keypoint]` (or without instances), 0 = missing; None:
-            all that is there counts alike.
-        keypoints: `[keypoint]` names. cameras: `[view]`, in the order of the positions.
-        frames: `[frame]` numbers, ascending, each once; None: counted from 0.
-        tracked: the instance index names the same individual in all frames; so it does for a
-            single subject.
+        @staticmethod
+        def from_arrays(
+            positions: ArrayLike,
+            confidence: ArrayLike | None = None,
+            *,
+            keypoints: Sequence[str],
+            cameras: Sequence[Camera] | CameraRig,
+            frames: ArrayLike | None = None,
+            tracked: bool = False,
+        ) -> "Recording":
+            """Return the recording of detections in arrays, see `methods.from_arrays`."""
 
-        Raises ValueError for arrays of other shapes, for frames that do not ascend and for names
-        that occur twice, and MismatchError as `from_keypoints` does.
-        """
-        from mocap_calib.recording.views import views_from_arrays
-
-        views = views_from_arrays(
-            positions,
-            confidence,
-            keypoints=keypoints,
-            cameras=intrinsics_of(cameras),
-            frames=frames,
-            tracked=tracked,
-        )
-        return cls.from_keypoints(views, cameras)
-
-    @classmethod
-    def from_keypoints(
-        cls, views: "Sequence[Keypoints2D]", cameras: "Sequence[Camera] | CameraRig"
-    ) -> "Recording":
-        """Return the recording of detections that were read or made, a record for each camera.
-
-        They are joined as `read_recording` joins those of files: views and cameras by name, frames
-        by number, keypoints by what their names mean to the shipped model that knows most of them.
-
-        Raises MismatchError where they do not belong together.
-        """
-        from mocap_calib.recording.joints import fit_vocabulary
-        from mocap_calib.recording.synchronise import make_recording
-
-        names = (name for view in views for name in view.keypoints)
-        skeleton, aliases = fit_vocabulary(names, aliases_file=None)
-        return make_recording(views, intrinsics_of(cameras), skeleton, aliases)
+        @staticmethod
+        def from_keypoints(
+            views: Sequence[Keypoints2D], cameras: Sequence[Camera] | CameraRig
+        ) -> "Recording":
+            """Return the recording of keypoints that were read, see `methods.from_keypoints`."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -1328,21 +1251,12 @@ class Poses3D(Record):
             lambda block: np.sqrt(self.covariance[block][..., [0, 3, 5]].sum(-1, dtype=np.float64))
         )
 
-    def to_xarray(
-        self, fps: float | None = None, individuals: Sequence[str] = ()
-    ) -> "xarray.Dataset":
-        """Return the poses as a data set of `movement`: position over time, space, keypoint, ...
+    if TYPE_CHECKING:  # bound by `methods`
 
-        fps: frames per second; without, times are frame numbers. individuals: `[individual]`
-        names; without, they are individual_0, individual_1, ...
-
-        Raises MismatchError where the package xarray, an extra, is absent, and ValueError for
-        other numbers of names, names that occur twice and a rate that is not above 0.
-        """
-        from mocap_calib.io.poses.common import describe_poses
-        from mocap_calib.io.poses.movement import to_dataset
-
-        return to_dataset(describe_poses(self, fps, individuals))
+        def to_xarray(
+            self, fps: float | None = None, individuals: Sequence[str] = ()
+        ) -> "xarray.Dataset":
+            """Return the poses as a data set of `movement`, see `methods.to_xarray`."""
 
 
 @dataclass(frozen=True)
@@ -1426,23 +1340,10 @@ class GroupResult(Record):
     def __repr__(self) -> str:
         return f"GroupResult({self._describe()})"
 
-    def _repr_html_(self) -> str:
-        """Return the verdict and the table that notebooks show."""
-        from mocap_calib.notebook.tables import describe_group
+    if TYPE_CHECKING:  # bound by `methods`
 
-        return describe_group(self)
-
-    def plot(self, *, moments: int = 60) -> "Figure":
-        """Return a figure of plotly: cameras with their names, floor, and bodies with a slider.
-
-        moments: how many frames the slider has at most; they are spread over the recording.
-
-        Raises MismatchError where the package plotly, an extra, is absent, and ValueError for no
-        moment.
-        """
-        from mocap_calib.notebook.figure import draw_group
-
-        return draw_group(self, moments)
+        def plot(self, *, moments: int = 60) -> "Figure":
+            """Return a figure of plotly, see `methods.plot_group`."""
 
     @property
     def rig(self) -> CameraRig:
@@ -1500,15 +1401,10 @@ class CalibrationResult(Record):
         title = f"CalibrationResult of {count(len(self.groups), 'group')} of cameras"
         return "\n".join([title, *lines])
 
-    def _repr_html_(self) -> str:
-        """Return the verdicts and the tables that notebooks show."""
-        from mocap_calib.notebook.tables import describe_result
+    if TYPE_CHECKING:  # bound by `methods`
 
-        return describe_result(self)
-
-    def plot(self, *, moments: int = 60) -> "Figure":
-        """Return a figure of the largest group of cameras, see `GroupResult.plot`."""
-        return self.groups[0].plot(moments=moments)
+        def plot(self, *, moments: int = 60) -> "Figure":
+            """Return a figure of plotly, see `methods.plot_result`."""
 
 
 # --- what a second look says of a calibration

@@ -124,8 +124,9 @@ DOORS = {  # module: where alone it is imported
     "pynwb": ("mocap_calib/io/",),
     "rerun": ("mocap_calib/io/poses/rerun_file.py",),
     "bpy": ("mocap_calib/io/poses/blender_scene.py",),  # which Blender runs
-    "xarray": ("mocap_calib/io/", "mocap_calib/types.py"),  # types names it to type checkers
-    "plotly": ("mocap_calib/notebook/figure.py", "mocap_calib/types.py"),
+    # types and methods name both to type checkers
+    "xarray": ("mocap_calib/io/", "mocap_calib/types.py", "mocap_calib/methods.py"),
+    "plotly": ("mocap_calib/notebook/figure.py", "mocap_calib/types.py", "mocap_calib/methods.py"),
     "tomli_w": ("mocap_calib/io/",),
     "yaml": ("mocap_calib/io/", "mocap_calib/recording/joints.py"),
     "distributed": ("mocap_calib/compute/cluster.py",),

@@ -7,9 +7,11 @@ z forward.
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mocap_calib.geometry import lens
-from mocap_calib.types import Camera, Floats, Reals
+from mocap_calib.records import as_array
+from mocap_calib.types import Camera, CameraRig, Floats, Reals
 
 # COLMAP and nerfstudio have (0, 0) at the corner of the first pixel, we have it at its centre
 CORNER_OFFSET = 0.5
@@ -34,6 +36,24 @@ def pixels_from_points(camera: Camera, points: Floats) -> Floats:
     rows = np.asarray(points, dtype=np.float64).reshape(-1, 3)
     pixels = _convert_in_blocks(lens.project, camera, rows, width=2)
     return pixels.reshape(*points.shape[:-1], 2)
+
+
+def project(rig: CameraRig, points: ArrayLike) -> Floats:
+    """Return the pixels `[view, ..., 2]` of points `[..., 3]` in world coordinates.
+
+    The distortion of the lenses is applied. NaN stays NaN, and a point behind a camera is NaN
+    there. Pixels outside the image are returned like any other.
+
+    Raises ValueError where the last axis of the points is not 3.
+    """
+    world = as_array("points", points, float, *np.shape(points)[:-1], 3)
+    views = zip(rig.cameras, rig.rotation, rig.translation, strict=True)
+    return np.stack(
+        [
+            pixels_from_points(camera, world @ rotation.T + translation)
+            for camera, rotation, translation in views
+        ]
+    )
 
 
 def _convert_in_blocks(

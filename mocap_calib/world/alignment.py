@@ -10,6 +10,7 @@ from mocap_calib.config import KnownCamera, Landmark, WorldConfig
 from mocap_calib.errors import MismatchError, suggest
 from mocap_calib.geometry.gauge import rig_size
 from mocap_calib.recording.epochs import views_by_camera
+from mocap_calib.rig.points import triangulate_pixels
 from mocap_calib.types import (
     METRES,
     Bools,
@@ -182,7 +183,7 @@ def align_to_landmarks(
     that are elsewhere than noise can explain.
     """
     names, known, pixels = _collect(rig, landmarks)
-    found, _ = rig.triangulate(pixels)
+    found, _ = triangulate_pixels(rig, pixels, np.ones(pixels.shape[:-1]))
     seen = np.isfinite(found[:, 0])
     _check_number(int(seen.sum()), len(names), config)
     for points, where in ((known[seen], "stated"), (found[seen], "seen")):

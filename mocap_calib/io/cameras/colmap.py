@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from mocap_calib.io.cameras.common import COLMAP_LENSES
 from mocap_calib.io.cameras.source import (
     CameraFile,
     Source,
@@ -25,18 +26,6 @@ from mocap_calib.io.sandbox import call_elsewhere
 from mocap_calib.io.units import ARBITRARY
 from mocap_calib.types import CameraRig, ObservedPoints
 
-# COLMAP's camera models that have a lens of ours, and whether that is cv2.fisheye's
-LENSES = {
-    "SIMPLE_PINHOLE": False,
-    "PINHOLE": False,
-    "SIMPLE_RADIAL": False,
-    "RADIAL": False,
-    "OPENCV": False,
-    "FULL_OPENCV": False,
-    "OPENCV_FISHEYE": True,
-    "SIMPLE_RADIAL_FISHEYE": True,
-    "RADIAL_FISHEYE": True,
-}
 _BINARY, _TEXT = ".bin", ".txt"
 _CAMERAS, _IMAGES, _POINTS = "cameras", "images", "points3D"
 _FILES = (_CAMERAS, _IMAGES, _POINTS, "rigs", "frames")
@@ -65,7 +54,7 @@ def sniff_text(source: Source) -> bool:
     if source.syntax != "yaml":
         return False
     rows = [line.split() for line in source.text.splitlines()[:8]]
-    return any(len(row) > 1 and row[1] in LENSES for row in rows)
+    return any(len(row) > 1 and row[1] in COLMAP_LENSES for row in rows)
 
 
 # --- reading

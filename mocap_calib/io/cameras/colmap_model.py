@@ -15,8 +15,8 @@ import pycolmap
 from mocap_calib.errors import FormatError
 from mocap_calib.geometry.colmap import silent_colmap
 from mocap_calib.geometry.projection import CORNER_OFFSET
-from mocap_calib.io.cameras.colmap import LENSES
 from mocap_calib.io.cameras.common import (
+    COLMAP_LENSES,
     PlacedCamera,
     camera_of_image,
     collect_cameras,
@@ -106,8 +106,8 @@ def _check_sizes(model: pycolmap.Reconstruction, folder: Path, source: str) -> N
 def _make_camera(camera: pycolmap.Camera, where: str) -> Camera:
     """Return a camera, called by its number. Raises FormatError where we have no such lens."""
     name = camera.model.name
-    if name not in LENSES:
-        expected = f"one of the camera models {', '.join(LENSES)}"
+    if name not in COLMAP_LENSES:
+        expected = f"one of the camera models {', '.join(COLMAP_LENSES)}"
         raise malformed(where, expected, name, "undistort, or choose another model")
     params = camera.params
     focal = params[camera.focal_length_idxs()]
@@ -117,7 +117,7 @@ def _make_camera(camera: pycolmap.Camera, where: str) -> Camera:
         size=[camera.width, camera.height],
         matrix=pinhole_matrix(focal[0], focal[-1], *middle),
         distortion=params[camera.extra_params_idxs()],  # in OpenCV's order, as many as there are
-        fisheye=LENSES[name],
+        fisheye=COLMAP_LENSES[name],
         source=where,
     )
 

@@ -7,6 +7,19 @@ from mocap_calib.io.cameras.intrinsics import make_extrinsics
 from mocap_calib.io.cameras.source import CameraFile, Source, unique
 from mocap_calib.types import Camera, Floats, ObservedPoints
 
+# COLMAP's camera models that have a lens of ours, and whether that is cv2.fisheye's
+COLMAP_LENSES = {
+    "SIMPLE_PINHOLE": False,
+    "PINHOLE": False,
+    "SIMPLE_RADIAL": False,
+    "RADIAL": False,
+    "OPENCV": False,
+    "FULL_OPENCV": False,
+    "OPENCV_FISHEYE": True,
+    "SIMPLE_RADIAL_FISHEYE": True,
+    "RADIAL_FISHEYE": True,
+}
+
 # `[3, 3]` rotation and `[3]` translation of cam_from_world
 Extrinsics = tuple[Floats, Floats]
 PlacedCamera = tuple[Camera, Extrinsics | None]
