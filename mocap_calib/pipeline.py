@@ -27,7 +27,6 @@ from mocap_calib.errors import DegenerateError
 from mocap_calib.faults.clock_faults import add_clocks
 from mocap_calib.faults.mend import mend_faults
 from mocap_calib.identities.finalise import finalise_identities
-from mocap_calib.judging import judge_rigs
 from mocap_calib.lift.lift import lift
 from mocap_calib.lift.lifter import Lifter
 from mocap_calib.lift.loading import AUTO, choose_model
@@ -58,6 +57,7 @@ from mocap_calib.types import (
     silent,
 )
 from mocap_calib.verdict.conclusion import conclude
+from mocap_calib.verdict.verdict import judge
 from mocap_calib.world.asked import check_world
 from mocap_calib.world.place import place_result
 
@@ -132,7 +132,7 @@ def calibrate(
         with last("smooth"):
             result = _smooth(result, progress)
         result = _spent_too(result, last.seconds)
-    return judge_rigs(place_result(add_clocks(result, clocks)))
+    return place_result(judge(add_clocks(result, clocks)))
 
 
 def _smooth(result: CalibrationResult, progress: Progress) -> CalibrationResult:
@@ -316,7 +316,7 @@ def _join_groups(
         for pair in observed.pairs
         if names[pair.a] not in group_of or group_of[names[pair.a]] != group_of.get(names[pair.b])
     )
-    result = CalibrationResult(
+    return CalibrationResult(
         groups=tuple(groups),
         left_out=tuple(name for name in names if name not in group_of),
         unused_pairs=tuple(unused),
@@ -324,4 +324,3 @@ def _join_groups(
         seed=seed,
         clocks=Clocks.of_one(observed.recording),
     )
-    return judge_rigs(result)

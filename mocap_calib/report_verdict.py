@@ -1,10 +1,11 @@
-"""What run.json says of how far a rig and its cameras can be trusted."""
+"""What run.json and files of cameras hold of the verdict on a rig."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from mocap_calib.io.provenance import CAMERA_SIGMAS, judgement, round_sigma
 from mocap_calib.pairs.solve import all_pairs
 from mocap_calib.recording.epochs import own_name
 from mocap_calib.types import ARBITRARY, Check, GroupResult
@@ -13,19 +14,74 @@ from mocap_calib.verdict.evaluation import median_and_max
 
 def describe_verdict(group: GroupResult) -> dict[str, Any]:
     """Return whether the recording determines the rig, and what it leaves open."""
-    uncertainty = group.uncertainty
+    uncertainty, verdict = group.uncertainty, group.assessment
     reversal = group.adjusted.depth_reversed_rig is not None
     return {
-        "rig": group.verdict,
-        "reasons": list(group.reasons),
+        "rig": verdict.word,
+        "expected_error_deg": finite_or_none(verdict.error_deg),
+        "reasons": list(verdict.reasons),
+        "causes": [
+            {"name": cause.name, "camera": cause.camera or None, "error_deg": cause.error_deg}
+            for cause in verdict.causes
+        ],
         "rotation_sigma_deg": median_and_max(np.degrees(uncertainty.covariance.rotation_sigma)),
         "centre_sigma_percent": median_and_max(100 * uncertainty.covariance.centre_sigma),
         "intrinsics_turn_deg": median_and_max(np.degrees(uncertainty.intrinsics_turn)),
         "least_sure_pair": _least_sure_pair(group),
-        "checks": [_describe_check(check) for check in group.checks],
+        "checks": [_describe_check(check) for check in verdict.checks],
         "reversal": "not observable" if reversal else "none found",
         "translation": "not observable" if uncertainty.weak_perspective.any() else "observed",
     }
+
+
+def verdict_of_cameras(report: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what files of cameras hold of the verdict: the fields of `provenance.judgement`.
+
+    report: what `run_report` or `rig_report` returns.
+    """
+    verdict = report["verdict"]
+    sigma = verdict["rotation_sigma_deg"]
+    remarks = [
+        f"camera rotations (1 SD): {sigma['median']:.2f} deg, worst {sigma['max']:.2f}",
+        *verdict["reasons"],
+        *_describe_faults(report),
+    ]
+    if report["left_out"]:
+        remarks.append(f"cameras left out: {', '.join(report['left_out'])}")
+    error = report["points"]["mean_error_px"]
+    if error is not None:
+        remarks.append(f"reprojection error {error:.2f} px, which alone proves nothing")
+    sigmas = {
+        key: {camera["name"]: round_sigma(camera[key]) for camera in report["cameras"]}
+        for key in CAMERA_SIGMAS
+    }
+    of_pairs = {f"pair_{key}": _of_pairs(report, key) for key in CAMERA_SIGMAS}
+    return judgement(verdict["rig"], remarks, error, **sigmas, **of_pairs)
+
+
+def _describe_faults(report: Mapping[str, Any]) -> list[str]:
+    """Return a line for each fault that was found, and whether it was corrected."""
+    return [
+        f"{camera['name']}: {fault['says']}" + ("; mended for this run" if fault["mended"] else "")
+        for camera in report["cameras"]
+        for fault in camera["fault_evidence"].values()
+    ]
+
+
+def _of_pairs(report: Mapping[str, Any], key: str) -> dict[str, dict[str, float]]:
+    """Return a figure of the pairs by the names of their cameras.
+
+    Where a camera was moved, it has several, and the largest counts.
+    """
+    pairs = report["pairs"]
+    views = [pair[side] for pair in pairs for side in ("a", "b")]
+    found: dict[str, dict[str, float]] = {}
+    for pair in pairs:
+        a, b = (own_name(pair[side], views) for side in ("a", "b"))
+        if a != b:
+            row = found.setdefault(a, {})
+            row[b] = max(row.get(b, 0.0), round_sigma(pair[key]))
+    return found
 
 
 def describe_sigma(group: GroupResult, views: list[int]) -> dict[str, float | None]:
@@ -94,6 +150,7 @@ def _describe_check(check: Check) -> dict[str, Any]:
         "name": check.name,
         "value": finite_or_none(check.value),
         "limit": check.limit,
+        "error_deg": check.error_deg,
         "camera": check.camera or None,
         "passed": check.passed,
     }

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mocap_calib import mapped
-from mocap_calib.config import EPOCH_MARK, Config
+from mocap_calib.config import EPOCH_MARK, VERDICT_LIMITS_DEG, Config
 from mocap_calib.records import Record, as_array, check_names, check_shape
 from mocap_calib.wording import count
 
@@ -50,8 +50,8 @@ POINT_SOURCES: tuple[PointSource, ...] = get_args(PointSource)
 NO_FRAME = np.iinfo(np.int64).min  # the number of a frame that a camera does not have
 
 # how far a rig can be trusted, the best first; docs/how-good.md says what each means
-Verdict = Literal["well determined", "usable", "weak", "not determined"]
-VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
+VerdictWord = Literal["well determined", "usable", "weak", "not determined"]
+VERDICTS: tuple[VerdictWord, ...] = get_args(VerdictWord)
 
 # what may be wrong with the files of a camera; docs/run-json.md says what each means
 FaultWord = Literal[
@@ -1092,21 +1092,79 @@ class Uncertainty(Record):
 
 @dataclass(frozen=True)
 class Check:
-    """A look at a rig that is independent of its covariance; docs/how-good.md has them all.
+    """A measure of a rig that is independent of its covariance; docs/how-good.md has them all.
 
-    name: of what was looked at. value: what was found; NaN = nothing to look at. limit: above
-    what sound recordings show. camera: the one that it was found of, "" = all.
+    value: NaN = nothing to measure. limit: the value that stands for an error of 1 degree. camera:
+    the one with this value, "" = all. error_deg: rotation error that the value stands for.
     """
 
     name: str
     value: float
     limit: float
     camera: str = ""
+    error_deg: float = 0.0
 
     @property
     def passed(self) -> bool:
-        """Whether the value is one of sound recordings."""
+        """Whether the value stands for less than 1 degree."""
         return not self.value > self.limit
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A named part of the expected error of a rig.
+
+    camera: the one that it is of, "" = all. error_deg: rotation error that it stands for. meaning:
+    what was found, with its subject. remedy: what to do about it.
+    """
+
+    name: str
+    camera: str
+    error_deg: float
+    meaning: str
+    remedy: str
+
+    def __str__(self) -> str:
+        return f"{self.meaning}; {self.remedy}"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """How far a rig can be trusted; all of it follows from its causes.
+
+    error_deg: expected rotation error of the least certain camera, in degrees: the root of the sum
+        of the squares of its causes. causes: of all cameras, the largest first. checks: all that
+        were made, passed or not.
+    """
+
+    error_deg: float = np.inf
+    causes: tuple[Cause, ...] = ()
+    checks: tuple[Check, ...] = ()
+
+    @property
+    def word(self) -> VerdictWord:
+        """The verdict in one of the words of `VERDICTS`."""
+        return word_of_error(self.error_deg)
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why the rig is no better, and what to do about it, a line each, the largest cause first.
+
+        Of each kind the largest, from half a degree on. Of a well determined rig there are none.
+        """
+        if self.word == VERDICTS[0]:
+            return ()
+        largest = {cause.name: cause for cause in reversed(self.causes)}
+        return tuple(
+            str(cause)
+            for cause in self.causes
+            if cause is largest[cause.name] and cause.error_deg >= VERDICT_LIMITS_DEG[0] / 2
+        )
+
+
+def word_of_error(degrees: float) -> VerdictWord:
+    """Return the verdict on a rig whose least certain camera is expected to be off by so much."""
+    return VERDICTS[int(np.searchsorted(VERDICT_LIMITS_DEG, degrees, side="right"))]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -1317,8 +1375,7 @@ class GroupResult(Record):
         are where the cameras would have seen them at the time of the first one, where
         `time_offsets` are used.
     matches: labels in all frames.
-    verdict: how far the rig can be trusted. reasons: why it is no better, and what to do about it,
-        a line each. checks: what else was looked at.
+    assessment: how far the rig can be trusted, and why.
     smoothing: how the best estimates of the poses were made.
     seconds: wall time by stage.
     """
@@ -1331,9 +1388,7 @@ class GroupResult(Record):
     uncertainty: Uncertainty
     poses: Poses3D
     time_offsets: TimeOffsets
-    verdict: Verdict = "not determined"  # until it is judged
-    reasons: tuple[str, ...] = ()
-    checks: tuple[Check, ...] = ()
+    assessment: Verdict = field(default_factory=Verdict)  # not determined, until it is assessed
     smoothing: Smoothing = field(default_factory=Smoothing)
     seconds: dict[str, float] = field(default_factory=dict, compare=False)
 
@@ -1347,8 +1402,18 @@ class GroupResult(Record):
 
     @property
     def rig(self) -> CameraRig:
-        """The adjusted rig, with the verdict on it among its `judgement`."""
+        """The adjusted rig."""
         return self.adjusted.rig
+
+    @property
+    def verdict(self) -> VerdictWord:
+        """How far the rig can be trusted, in a word."""
+        return self.assessment.word
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why the verdict is no better, and what to do about it, a line each."""
+        return self.assessment.reasons
 
     @property
     def clock_offsets(self) -> dict[str, float]:
@@ -1458,7 +1523,7 @@ class Verification(Record):
     """
 
     cameras: tuple[VerifiedCamera, ...]
-    verdict: Verdict
+    verdict: VerdictWord
     reasons: tuple[str, ...]
     rig: CameraRig
     clocks: Clocks

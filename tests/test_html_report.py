@@ -19,12 +19,12 @@ from report_sizes import large_source
 from scenes import turn_cameras
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.html_report.checks import CHECK_MEANINGS
 from mocap_calib.html_report.encode import MISSING, pack, pack_floats, pack_text, to_script
 from mocap_calib.html_report.frames import choose_frames, quantiles, starts_of_stretches
 from mocap_calib.html_report.page import report_page
 from mocap_calib.html_report.source import Reference
 from mocap_calib.types import CameraRig
+from mocap_calib.verdict.checks import CHECKS
 from mocap_calib.verdict.explained import Leftover
 
 ROOT = Path(__file__).parents[1]
@@ -223,8 +223,8 @@ def test_what_checks_mean_is_what_the_document_says():
         r"^\| ([a-z -]+) \| (.+) \| ([-\d.]+)(?: to ([-\d.]+))? \| [-\d.]+ \|$", text, re.M
     )
     told = {name: (words, (float(low), float(high or low))) for name, words, low, high in rows}
-    assert told == {name: (each.text, each.sound) for name, each in CHECK_MEANINGS.items()}
-    assert {check["name"] for check in source().run["verdict"]["checks"]} <= set(CHECK_MEANINGS)
+    assert told == {kind.name: (kind.text, kind.sound) for kind in CHECKS}
+    assert {check["name"] for check in source().run["verdict"]["checks"]} <= set(told)
 
 
 # --- safe, small, the same again

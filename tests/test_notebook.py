@@ -9,7 +9,15 @@ import pytest
 from scenes import calibrate_all, recording, scene
 
 from mocap_calib.errors import MismatchError
-from mocap_calib.types import CalibrationResult, CameraRig, EstimatedCamera, Fault, World
+from mocap_calib.types import (
+    CalibrationResult,
+    CameraRig,
+    Cause,
+    EstimatedCamera,
+    Fault,
+    Verdict,
+    World,
+)
 
 SCENE = {"cameras": 3, "people": 2, "frames": 30}
 EVIL = "<script>alert(1)</script>&"
@@ -68,10 +76,11 @@ def test_names_are_escaped(result):
 
 
 def test_a_result_shows_the_verdict_and_its_reasons(result):
-    group = replace(result.groups[0], verdict="weak", reasons=("cam1 is loose",))
+    causes = (Cause("bones", "", 5.0, "cam1 is loose", "fix it"),)
+    group = replace(result.groups[0], assessment=Verdict(5.0, causes))
     html = replace(result, groups=(group,))._repr_html_()
     assert "The rig is weak." in html
-    assert "<li>cam1 is loose</li>" in html
+    assert "<li>cam1 is loose; fix it</li>" in html
     assert {"cam1", "cam2", "cam3"} <= set(Reader(html).cells)
     assert group._repr_html_() in html
 

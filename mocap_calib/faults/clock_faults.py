@@ -16,7 +16,6 @@ from mocap_calib.types import (
     GroupResult,
     Recording,
 )
-from mocap_calib.verdict.verdict import no_better_than
 from mocap_calib.wording import count
 
 
@@ -47,16 +46,6 @@ class Retimed:
         return retime(recording, clocks_from(recording, tuple(cameras)))
 
 
-def _out_of_step(group: GroupResult, clocks: Clocks) -> GroupResult:
-    """Return the group, weak at best where clocks differ and that was not put right."""
-    names = [clock.camera for clock in clocks.cameras if clock.differs]
-    names = [name for name in names if name in group.rig.names]
-    if not names:
-        return group
-    reason = f"{', '.join(names)}: on another clock, which was not put right; say --sync auto"
-    return no_better_than(group, "weak", reason)
-
-
 def add_clocks(result: CalibrationResult, clocks: Clocks) -> CalibrationResult:
     """Return the result with the clocks of its cameras, and the faults that they are.
 
@@ -66,8 +55,6 @@ def add_clocks(result: CalibrationResult, clocks: Clocks) -> CalibrationResult:
     groups = result.groups
     if clocks.changed:
         groups = tuple(_with_clocks(group, clocks) for group in groups)
-    else:
-        groups = tuple(_out_of_step(group, clocks) for group in groups)
     faults = clock_faults(clocks, applied=clocks.changed)
     refuted = {name for group in groups for name in _refuted(group, result)}
     faults = tuple(fault for fault in faults if not fault.mend or fault.camera not in refuted)

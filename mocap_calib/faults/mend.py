@@ -16,33 +16,21 @@ from mocap_calib.faults.moved import find_moved_cameras
 from mocap_calib.faults.odd_cameras import find_odd_cameras
 from mocap_calib.faults.sides import exchanged_instead
 from mocap_calib.faults.unrelated import find_unrelated_cameras
-from mocap_calib.faults.words import option_of
-from mocap_calib.recording.corrections import Cropped, apply_mends
+from mocap_calib.recording.corrections import apply_mends
 from mocap_calib.rig.observed import Observed
 from mocap_calib.types import (
     CalibrationResult,
     Fault,
     FaultWord,
-    GroupResult,
     Mend,
     Recording,
-    Verdict,
 )
 from mocap_calib.verdict.explained import explained_share, usual_distance
-from mocap_calib.verdict.uncertainty import with_uncertain_corner
-from mocap_calib.verdict.verdict import no_better_than, verdict_of_error
 
 # what was known before the rigs of a recording were built, and all that was found
 Calibrated = tuple[Observed, CalibrationResult]
 Calibrate = Callable[[Recording], Calibrated]
 
-_HARMFUL: tuple[FaultWord, ...] = (
-    "mirrored",
-    "rotated",
-    "resized",
-    "cropped",
-    "exchanged",
-)
 # with these no rig fits a camera
 _GROSS: tuple[FaultWord, ...] = ("mirrored", "resized")
 
@@ -84,9 +72,7 @@ def mend_faults(
         calibrated = best.calibrated
         faults += best.faults
     if faults and all(fault.word == "moved" for fault in faults) and _is_in_vain(calibrated[1]):
-        observed, result = as_given
-        doubted = tuple(map(_in_doubt, result.groups))
-        calibrated, faults = (observed, replace(result, groups=doubted)), ()
+        calibrated, faults = as_given, ()
     observed, result = calibrated
     named = {fault.camera for fault in faults}
     unrelated = (
@@ -96,9 +82,7 @@ def mend_faults(
         for fault in find_unrelated_cameras(observed, group, result.config)
         if fault.camera not in named
     )
-    faults = (*faults, *unrelated)
-    groups = tuple(_judge_faulty(group, faults, result.config) for group in result.groups)
-    return replace(result, groups=groups, faults=faults)
+    return replace(result, faults=(*faults, *unrelated))
 
 
 def _refuting_gain(faults: Sequence[Fault], config: MendConfig) -> float:
@@ -118,15 +102,6 @@ def _is_in_vain(result: CalibrationResult) -> bool:
     Then errors come and go for another reason.
     """
     return result.groups[0].verdict == "not determined"
-
-
-def _in_doubt(group: GroupResult) -> GroupResult:
-    """Return the group of files as they are, whose errors come and go without a reason."""
-    reason = (
-        "errors come and go as if cameras had been moved, and no rig explains that; "
-        "check the keypoints, and record again"
-    )
-    return no_better_than(group, "weak", reason)
 
 
 def find_explanations(
@@ -247,33 +222,3 @@ def _explained_shares(recording: Recording, rivals: Sequence[Calibrated]) -> lis
     smallest = min(yardstick.angle for yardstick in yardsticks)
     strict = replace(yardsticks[0], angle=smallest)
     return [explained_share(result, recording, strict) for _, result in rivals]
-
-
-def _judge_faulty(group: GroupResult, faults: Sequence[Fault], config: Config) -> GroupResult:
-    """Return the group, weak at best where a fault is left, less sure where its mend is estimated.
-
-    No rig is well determined with an estimate in the place of what its files should say.
-    """
-    for fault in faults:
-        if fault.camera not in group.rig.names:
-            continue
-        if isinstance(fault.mend, Cropped):
-            group = _less_sure(group, fault.mend, config)
-            remedy = f"undo it, or say {option_of(fault.mend)} with what is known"
-            reason = f"{fault.camera}: {fault.says}, which is an estimate; {remedy}"
-            by_error = verdict_of_error(group.uncertainty, config.verdict)
-            at_best: Verdict = "usable" if by_error == "well determined" else by_error
-            group = no_better_than(group, at_best, reason)
-        elif fault.mend is None and fault.word in _HARMFUL:
-            reason = f"{fault.camera}: {fault.says}, which was not mended; mend its files"
-            group = no_better_than(group, "weak", reason)
-    return group
-
-
-def _less_sure(group: GroupResult, mend: Cropped, config: Config) -> GroupResult:
-    """Return the group with what the estimate of a mend leaves unknown."""
-    view = group.rig.names.index(mend.camera)
-    uncertainty = with_uncertain_corner(
-        group.uncertainty, group.rig, view, mend.sigma, config.uncertainty
-    )
-    return replace(group, uncertainty=uncertainty)

@@ -10,7 +10,6 @@ from typing import Any
 from mocap_calib.config import ReportConfig
 from mocap_calib.html_report.bodies import describe_bodies
 from mocap_calib.html_report.cameras import describe_reference, describe_rig
-from mocap_calib.html_report.checks import describe_checks
 from mocap_calib.html_report.detections import describe_detections
 from mocap_calib.html_report.encode import pack_text, packed_size
 from mocap_calib.html_report.fits import describe_fits
@@ -18,6 +17,7 @@ from mocap_calib.html_report.identities import describe_identities
 from mocap_calib.html_report.series import describe_series
 from mocap_calib.html_report.source import ReportSource, select_individuals
 from mocap_calib.recording.joints import normalise_name
+from mocap_calib.verdict.checks import describe_checks
 from mocap_calib.wording import count
 
 SCHEMA = 1  # goes up when the form of the data changes

@@ -27,7 +27,6 @@ from mocap_calib.io.results.group import (
 )
 from mocap_calib.io.zeros import unsigned_zeros
 from mocap_calib.job.outcome import WrittenGroup
-from mocap_calib.judging import judge_cameras
 from mocap_calib.lift.weights import load_vocabulary
 from mocap_calib.recording.epochs import (
     Epoch,
@@ -39,6 +38,7 @@ from mocap_calib.recording.epochs import (
 )
 from mocap_calib.recording.joints import edges_of_keypoints
 from mocap_calib.report import run_report
+from mocap_calib.report_verdict import verdict_of_cameras
 from mocap_calib.rig.observed_points import observe_points
 from mocap_calib.types import CalibrationResult, GroupResult, ObservedPoints
 from mocap_calib.world.body import stated_joints
@@ -77,7 +77,7 @@ def write_result(
         for number in reversed(range(len(result.groups))):
             group, place = result.groups[number], work / group_folder(number)
             place.mkdir(exist_ok=True)
-            judged = judge_cameras(reports[number])
+            judged = verdict_of_cameras(reports[number])
             source = provenance("run", seed=result.seed, inputs=inputs, **judged)
             poses = _describe_poses(group, fps)
             write_group(place, group, poses, source, clocks=result.clocks)

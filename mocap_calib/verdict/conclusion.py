@@ -1,4 +1,4 @@
-"""What follows from an adjusted rig: how far it can be trusted, and the poses of the bodies."""
+"""Finish an adjusted rig: its covariance, the points of the bodies, and the checks."""
 
 from dataclasses import replace
 
@@ -24,8 +24,9 @@ from mocap_calib.types import (
     TimeOffsets,
     silent,
 )
+from mocap_calib.verdict.checks import check_rig
 from mocap_calib.verdict.uncertainty import assess_uncertainty
-from mocap_calib.verdict.verdict import judge_group
+from mocap_calib.verdict.verdict import assess, judge
 
 _SEED = 0  # of the parts of the joints that the uncertainty looks at
 
@@ -42,7 +43,7 @@ def conclude(
     seed: int,
     progress: Progress,
 ) -> GroupResult:
-    """Judge an adjusted rig and triangulate the bodies; return all that was found.
+    """Assess an adjusted rig and triangulate the bodies; return all that was found.
 
     matches: labels in all frames of the recording. offsets: of the clocks, with which the
         recording and the sample were made. clock: its stages, and those of before, are returned.
@@ -64,8 +65,8 @@ def conclude(
         time_offsets=offsets,
     )
     with clock("verdict"):
-        group = judge_group(group, config)
-    return replace(group, seconds=clock.seconds)
+        verdict = assess(group, check_rig(group, config), config)
+    return replace(group, assessment=verdict, seconds=clock.seconds)
 
 
 @single_threaded_libraries()
@@ -98,11 +99,13 @@ def conclude_without_pairs(
         seed=_SEED,
         progress=silent,
     )
-    return CalibrationResult(
-        groups=(group,),
-        left_out=(),
-        unused_pairs=(),
-        config=config,
-        seed=_SEED,
-        clocks=Clocks.of_one(sample),
+    return judge(
+        CalibrationResult(
+            groups=(group,),
+            left_out=(),
+            unused_pairs=(),
+            config=config,
+            seed=_SEED,
+            clocks=Clocks.of_one(sample),
+        )
     )

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtrc, fdtrc
 
-from mocap_calib.config import Config
+from mocap_calib.config import VERDICT_LIMITS_DEG, Config
 from mocap_calib.geometry.gauge import gauge_of, rig_change
 from mocap_calib.geometry.rotation import angle_between
 from mocap_calib.records import Record
@@ -69,7 +69,7 @@ def find_changes(
     moved = _significant(problem, _explaining(problem), config)
     refitted = lay_over(adjusted, given, problem.others(moved))
     left = np.delete(_angles(given, refitted), moved)
-    if np.rad2deg(left.max()) > config.verdict.weak_deg:  # another rig: no camera of it is to blame
+    if np.rad2deg(left.max()) > VERDICT_LIMITS_DEG[2]:  # another rig: no camera of it is to blame
         moved, refitted = [], lay_over(adjusted, given, problem.others([]))
     alone = _aligned_turns(given, refitted, covariance)
     for view in range(problem.views):
@@ -106,10 +106,7 @@ def _compare_two(problem: "_Problem", covariance: RigCovariance, config: Config)
     turn = float(angle_between(before, after))
     disagreement = problem.cost([]) / problem.freedom([])
     chance = chdtrc(problem.freedom([]), problem.cost([]) / config.verify.pair_disagreement)
-    moved = (
-        chance < config.verify.significance
-        and np.rad2deg(turn) > config.verdict.well_determined_deg
-    )
+    moved = chance < config.verify.significance and np.rad2deg(turn) > VERDICT_LIMITS_DEG[0]
     return RigChange(
         moved=np.full(2, moved),
         turn=np.full(2, turn),

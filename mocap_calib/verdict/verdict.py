@@ -1,117 +1,261 @@
-"""Say how far a rig can be trusted, and why; docs/how-good.md has the rule in words."""
+"""The verdict on a rig: how far its cameras may be off, and why.
 
+The expected error of a camera, in degrees, is the root of the sum of the squares of named causes:
+its covariance, what is not known of given intrinsics, each check of the residuals, and each thing
+that the recording leaves open. docs/how-good.md has the rule in words.
+"""
+
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from mocap_calib.config import Config, VerdictConfig
+from mocap_calib.config import EPOCH_MARK, Config
+from mocap_calib.recording.corrections import Cropped
+from mocap_calib.recording.sampling import evenly_spaced
+from mocap_calib.rig.observations import labelled_frames
 from mocap_calib.types import (
-    VERDICTS,
+    Bools,
+    CalibrationResult,
+    Cause,
     Check,
+    Clocks,
     EstimatedCamera,
+    Fault,
     GroupResult,
-    Uncertainty,
     Verdict,
 )
-from mocap_calib.verdict.checks import check_rig
-from mocap_calib.verdict.reasons import explain
+from mocap_calib.verdict.checks import kind_of
+from mocap_calib.verdict.uncertainty import with_uncertain_corner
+from mocap_calib.wording import count
 
-# checks that fail together only where bodies, identities and cameras do not go together at all
-DOUBTS = ("convergence", "bones", "loops")
-# checks that fail together where a camera saw another scene than the others. Measured: in three of
-# the 225 cases of benchmarks/certainty.py, rigs that mix two scenes and were weak without this; in
-# no rig of 403 damaged recordings that was right
-STRANGERS = {"bridge", "pair score", "unmatched", "errors"}
-# checks that fail together where the matches do not hold, whatever the rig says of itself: a camera
-# whose frames are in another order, or whose tracks are none. Measured there: rigs that were off by
-# 1.4, 4.2, 21, 126, 151 and 174 deg, four of them *usable* without this; in no rig of 200 simulated
-# scenes and of 15 recordings
-LOOSE = {"convergence", "pair score", "unmatched"}
-
-_UNCHECKED = (
-    "the intrinsics of both cameras were estimated, and no third camera checks them; "
-    "give their intrinsics, or add a camera"
-)
+# of what the recording leaves open, where a rig may be wrong by any angle. Measured: two cameras
+# with estimated intrinsics are off by 2 to 5 deg in five of eight recordings, by 21 to 40 in three
+_OPEN_DEG = 5.0
+_HARMFUL = ("mirrored", "rotated", "resized", "cropped", "exchanged")  # where not corrected
+_FRAMES = 300  # that are looked at for a remedy
+_FEW_FRAMES = 30
+_FACING_DEG = 150.0  # between the viewing directions of cameras that face each other
 
 
-def judge_group(group: GroupResult, config: Config) -> GroupResult:
-    """Return the group with the verdict on its rig, the checks it rests on, and the reasons."""
-    checks = check_rig(group, config)
-    reversible = group.adjusted.depth_reversed_rig is not None
-    verdict = judge_rig(group.uncertainty, checks, config.verdict, reversible=reversible)
-    judged = replace(group, verdict=verdict, checks=checks)
-    judged = replace(judged, reasons=tuple(explain(judged, config)))
-    if _has_unchecked_intrinsics(group):
-        judged = no_better_than(judged, "weak", _UNCHECKED)
-    return _without_accusations(judged, config)
+def judge(result: CalibrationResult) -> CalibrationResult:
+    """Return the result with the verdict on each group of cameras, given its faults and clocks.
 
-
-def _has_unchecked_intrinsics(group: GroupResult) -> bool:
-    """Return whether the intrinsics of two cameras were estimated, which no third one checks.
-
-    Measured: rotations off by 2.2 to 5.0 deg in five of eight recordings, 21 to 40 in three.
+    Cameras are named as inconsistent, or with a wrong focal length, only where the others determine
+    that.
     """
+    groups = []
+    for group in result.groups:
+        checks, config = group.assessment.checks, result.config
+        judged = _with_estimated_crops(group, result.faults, config)
+        verdict = assess(judged, checks, config, faults=result.faults, clocks=result.clocks)
+        groups.append(_without_accusations(replace(judged, assessment=verdict), config))
+    return replace(result, groups=tuple(groups))
+
+
+def assess(
+    group: GroupResult,
+    checks: tuple[Check, ...],
+    config: Config,
+    *,
+    faults: Sequence[Fault] = (),
+    clocks: Clocks | None = None,
+) -> Verdict:
+    """Return the verdict on the rig of a group. checks: of the group, as of `check_rig`."""
+    causes = [
+        *_covariance(group, faults),
+        *_principal_points(group, config),
+        *(_of_check(check) for check in checks if check.error_deg > 0),
+        *_left_open(group),
+        *_uncorrected(group, faults),
+        *_other_clocks(clocks),
+    ]
+    causes.sort(key=lambda cause: -cause.error_deg)
+    return Verdict(expected_error(group.rig.names, causes), tuple(causes), checks)
+
+
+def expected_error(names: Sequence[str], causes: Sequence[Cause]) -> float:
+    """Return the expected error in degrees of the least certain camera. names: of the rig."""
+    squares = [
+        sum(cause.error_deg**2 for cause in causes if cause.camera in ("", name, _own(name)))
+        for name in names
+    ]
+    return float(np.sqrt(max(squares)))
+
+
+def _own(name: str) -> str:
+    """Return the name of a camera without that of its epoch."""
+    return name.partition(EPOCH_MARK)[0]
+
+
+# --- causes
+
+
+def _covariance(group: GroupResult, faults: Sequence[Fault]) -> Iterator[Cause]:
+    """Yield the standard deviation of each camera, with what would lower it."""
+    sigma = np.rad2deg(group.uncertainty.covariance.rotation_sigma)
+    turn = np.rad2deg(group.uncertainty.intrinsics_turn)
+    crops = {fault.camera: fault.says for fault in faults if isinstance(fault.mend, Cropped)}
+    estimated = any(isinstance(camera, EstimatedCamera) for camera in group.rig.cameras)
+    for view, name in enumerate(group.rig.names):
+        meaning = f"{name}: rotation +-{sigma[view]:.1f} deg"
+        if 2 * turn[view] ** 2 <= sigma[view] ** 2:
+            remedy = _remedy(group, view) if view == sigma.argmax() else "record longer"
+        elif name in crops:
+            meaning += f", as {crops[name]}, which is an estimate"
+            remedy = "undo it, or state what is known of it"
+        elif estimated:
+            meaning += ", mostly because its intrinsics were estimated"
+            remedy = "give them (--cameras)"
+        else:
+            meaning += ", mostly because of its focal length"
+            remedy = "calibrate the intrinsics again, or run again with --refine focal"
+        yield Cause("covariance", name, float(sigma[view]), meaning, remedy)
+
+
+def _principal_points(group: GroupResult, config: Config) -> Iterator[Cause]:
+    """Yield what is not known of each given principal point: no residual shows it.
+
+    Of estimated intrinsics it is part of the covariance.
+    """
+    for camera in group.rig.cameras:
+        if not isinstance(camera, EstimatedCamera):
+            sigma = config.uncertainty.given_principal_point * max(camera.size) / camera.focal
+            yield Cause(
+                "principal point",
+                camera.name,
+                float(np.rad2deg(np.sqrt(2) * sigma)),
+                f"{camera.name}: its principal point is known to "
+                f"{config.uncertainty.given_principal_point:.1%} of the image at best",
+                "calibrate its intrinsics with a board",
+            )
+
+
+def _of_check(check: Check) -> Cause:
+    """Return the cause that a check is, with its meaning in words."""
+    kind = kind_of(check)
+    meaning = kind.meaning.format(value=check.value, camera=check.camera)
+    return Cause(check.name, check.camera, check.error_deg, meaning, kind.remedy)
+
+
+def _left_open(group: GroupResult) -> Iterator[Cause]:
+    """Yield what the recording does not determine."""
+    if group.adjusted.depth_reversed_rig is not None:
+        yield Cause(
+            "depth",
+            "",
+            _OPEN_DEG,
+            "a rig reversed in depth fits as well",
+            "move the cameras closer, or use shorter lenses",
+        )
     cameras = group.rig.cameras
-    return len(cameras) == 2 and all(isinstance(each, EstimatedCamera) for each in cameras)
+    if len(cameras) == 2 and all(isinstance(each, EstimatedCamera) for each in cameras):
+        yield Cause(
+            "intrinsics",
+            "",
+            _OPEN_DEG,
+            "the intrinsics of both cameras were estimated, and no third camera checks them",
+            "give their intrinsics, or add a camera",
+        )
 
 
-def _without_accusations(group: GroupResult, config: Config) -> GroupResult:
-    """Return a group that names only cameras that can be told to be the odd ones.
+def _uncorrected(group: GroupResult, faults: Sequence[Fault]) -> Iterator[Cause]:
+    """Yield the faults of files that harm the rig and were not corrected."""
+    cameras = {_own(name) for name in group.rig.names}
+    for fault in faults:
+        if fault.camera in cameras and fault.mend is None and fault.word in _HARMFUL:
+            meaning = f"{fault.camera}: {fault.says}, which was not corrected"
+            yield Cause(fault.word, fault.camera, _OPEN_DEG, meaning, "correct its files")
 
-    A rig that is not determined accuses nobody. Where most places of cameras are uncertain, or half
-    of the cameras contradict the other half, none is the odd one. The reasons say all the same that
-    cameras contradict each other.
-    """
-    nobody = np.zeros(len(group.rig), dtype=bool)
+
+def _other_clocks(clocks: Clocks | None) -> Iterator[Cause]:
+    """Yield the cameras whose clocks differ where the recording was not put on one clock."""
+    if clocks is None or clocks.changed:
+        return
+    for clock in clocks.cameras:
+        if clock.differs:
+            meaning = f"{clock.camera}: it is on another clock, which was not corrected"
+            yield Cause("clock", clock.camera, _OPEN_DEG, meaning, "use --sync auto")
+
+
+def _with_estimated_crops(
+    group: GroupResult, faults: Sequence[Fault], config: Config
+) -> GroupResult:
+    """Return the group with what the estimates of cropped images leave unknown."""
     known = group.uncertainty
-    usual = np.rad2deg(np.median(known.covariance.rotation_sigma))
-    halves = 2 * known.outlier_cameras.sum() >= len(nobody)
-    if group.verdict == "not determined":
-        known = replace(known, outlier_cameras=nobody, wrong_focal=nobody)
-    elif halves or usual > config.diagnosis.core_deg:
-        known = replace(known, outlier_cameras=nobody)
+    for fault in faults:
+        if isinstance(fault.mend, Cropped) and fault.camera in group.rig.names:
+            view = group.rig.names.index(fault.camera)
+            known = with_uncertain_corner(
+                known, group.rig, view, fault.mend.sigma, config.uncertainty
+            )
     return replace(group, uncertainty=known)
 
 
-def judge_rig(
-    uncertainty: Uncertainty, checks: tuple[Check, ...], config: VerdictConfig, *, reversible: bool
-) -> Verdict:
-    """Return the verdict on a rig.
+def _without_accusations(group: GroupResult, config: Config) -> GroupResult:
+    """Return the group that names outlier cameras only where the others determine them.
 
-    The expected error of the worst camera decides. It cannot be better than *usable* where a check
-    fails or a focal length is wrong; than *weak* where cameras contradict the others, a reversed
-    rig fits as well, all that was seen is flat, or checks together put the model in doubt; and than
-    *not determined* where most cameras contradict each other, hardly any check is passed, or what
-    was seen is flat and the expected error is not below the least limit.
-
-    reversible: the rig reversed in depth fits as well.
+    Where a rig is not determined no camera is named, and where most cameras are uncertain or half
+    of them contradict the others none is inconsistent.
     """
-    outliers = uncertainty.outlier_cameras
-    by_error = VERDICTS.index(verdict_of_error(uncertainty, config))
-    failed = [check.name for check in checks if not check.passed]
-    # of two cameras, their pair is the bridge
-    unbridged = ("bridge" if len(outliers) > 2 else "pair score") in failed
-    several = unbridged + sum(name in DOUBTS for name in failed) >= 2
-    many = len(failed) >= config.fails_of_weak
-    in_doubt = several or unbridged or many or set(failed) >= LOOSE
-    in_vain = (several and (unbridged or many)) or len(failed) >= config.fails_of_none
-    in_vain = in_vain or set(failed) >= STRANGERS
-    at_best = [
-        (1, uncertainty.wrong_focal.any() or bool(failed)),
-        (2, outliers.any() or reversible or in_doubt or "flat" in failed),
-        (3, 2 * outliers.sum() > len(outliers) or in_vain or ("flat" in failed and by_error > 0)),
-    ]
-    return VERDICTS[max([by_error, *(place for place, holds in at_best if holds)])]
+    none, known = np.zeros(len(group.rig), dtype=bool), group.uncertainty
+    usual = np.rad2deg(np.median(known.covariance.rotation_sigma))
+    if group.verdict == "not determined":
+        known = replace(known, outlier_cameras=none, wrong_focal=none)
+    elif 2 * known.outlier_cameras.sum() >= len(none) or usual > config.diagnosis.core_deg:
+        known = replace(known, outlier_cameras=none)
+    return replace(group, uncertainty=known)
 
 
-def verdict_of_error(uncertainty: Uncertainty, config: VerdictConfig) -> Verdict:
-    """Return the verdict that the expected error of the worst camera alone allows."""
-    limits = (config.well_determined_deg, config.usable_deg, config.weak_deg)
-    worst = np.rad2deg(uncertainty.covariance.rotation_sigma.max())
-    return VERDICTS[int(np.searchsorted(limits, worst, side="right"))]
+# --- remedies for a large covariance
 
 
-def no_better_than(group: GroupResult, verdict: Verdict, reason: str) -> GroupResult:
-    """Return the group with a verdict that is no better than one, and why."""
-    place = max(VERDICTS.index(group.verdict), VERDICTS.index(verdict))
-    return replace(group, verdict=VERDICTS[place], reasons=(*group.reasons, reason))
+def _remedy(group: GroupResult, worst: int) -> str:
+    """Return what would determine a camera (index) better."""
+    frames = len(labelled_frames(group.matches))
+    if frames < _FEW_FRAMES:
+        return f"record longer: bodies are matched in {count(frames, 'frame')} only"
+    if group.uncertainty.weak_perspective[worst]:
+        return "let the subject come closer: the camera is far away for the size of its bodies"
+    partners = np.flatnonzero(_partners(group, worst))
+    if len(partners) == 1 and _face(group, worst, int(partners[0])):
+        names = f"{group.rig.names[worst]} and {group.rig.names[partners[0]]}"
+        return f"{names} face each other, and no third camera sees what both do: add one between"
+    if _stands_still(group):
+        return "let the subject walk about and turn: it barely moves"
+    return "let the subject walk about, nearer to it and in view of other cameras, for longer"
+
+
+def _partners(group: GroupResult, view: int) -> Bools:
+    """Return `[view]` which others see an individual in the same frame as a view does."""
+    labels = group.matches.labels
+    labels = labels[:, evenly_spaced(np.arange(labels.shape[1]), _FRAMES)]
+    individuals = range(group.matches.individuals)
+    sees = np.stack([(labels == each).any(-1) for each in individuals])  # [individual, view, frame]
+    together = np.asarray((sees & sees[:, view : view + 1]).any((0, 2)))
+    together[view] = False
+    return together
+
+
+def _face(group: GroupResult, first: int, second: int) -> bool:
+    """Return whether two views (indices) look at each other."""
+    axes = group.rig.rotation[:, 2]
+    return bool(axes[first] @ axes[second] < np.cos(np.deg2rad(_FACING_DEG)))
+
+
+def _stands_still(group: GroupResult) -> bool:
+    """Return whether bodies move by less than their own size in all images."""
+    positions, labels = group.recording.positions, group.matches.labels
+    frames = evenly_spaced(np.arange(labels.shape[1]), _FRAMES)
+    moves: list[float] = []
+    for seen, label in zip(positions, labels, strict=True):
+        for individual in range(group.matches.individuals):
+            frame, instance = np.nonzero(label[frames] == individual)
+            bodies = np.asarray(seen[frames[frame], instance], dtype=np.float64)
+            if len(bodies) < 2:
+                continue
+            middle = np.nanmedian(bodies, axis=1)
+            size = np.nanmedian(np.linalg.norm(bodies - middle[:, None], axis=-1))
+            way = np.median(np.linalg.norm(middle - np.median(middle, axis=0), axis=-1))
+            moves.append(float(way / size))
+    return bool(moves) and max(moves) < 1

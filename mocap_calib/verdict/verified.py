@@ -8,7 +8,7 @@ import numpy as np
 
 from mocap_calib.adjust.camera_fit import CameraFit, CameraPose
 from mocap_calib.adjust.relocation import place_points, refit_camera, typical_error
-from mocap_calib.config import Config
+from mocap_calib.config import VERDICT_LIMITS_DEG, Config
 from mocap_calib.geometry.gauge import rig_size
 from mocap_calib.geometry.lens import change_intrinsics
 from mocap_calib.geometry.rotation import angle_between
@@ -153,7 +153,7 @@ def _refit(
         pose = (free if focal[view] else plain).pose
         turn = np.rad2deg(angle_between(pose.rotation, start.rotation))
         # a telescope sees the same from the opposite side (Necker's cube): the rig of all does not
-        pose = pose if turn < config.verdict.weak_deg else start
+        pose = pose if turn < VERDICT_LIMITS_DEG[2] else start
         rig = _with_camera(rig, view, camera, pose)
     return rig, focal
 
@@ -222,7 +222,7 @@ def _describe_cameras(
             pose = CameraPose(mended.rotation[view], mended.translation[view])
             turn, shift = _change_of(pose, given, view)
         moved: PlaceWord = "focal" if focal[view] else "moved"
-        told = np.rad2deg(change.turn_sigma[view]) < config.verdict.weak_deg
+        told = np.rad2deg(change.turn_sigma[view]) < VERDICT_LIMITS_DEG[2]
         stays: PlaceWord = "in place" if told else "not checked"
         yield VerifiedCamera(
             name=name,

@@ -2,12 +2,13 @@
 
 import numpy as np
 
-from mocap_calib.config import Config
-from mocap_calib.types import Floats, Verdict, VerifiedCamera
+from mocap_calib.config import VERDICT_LIMITS_DEG, Config
+from mocap_calib.types import Floats, VerdictWord, VerifiedCamera, word_of_error
 from mocap_calib.verdict.rig_changes import RigChange
 
 _CALIBRATE = "calibrate anew: `mocap-calib run`"
 _RECORD = "verify again with another recording"
+_OPEN_DEG = 5.0  # what stands for errors of unknown size
 _TELLING = 2.0  # standard deviations from which on a turn or a shift is worth a word
 
 
@@ -17,7 +18,7 @@ def judge_calibration(
     sigma: Floats,
     names: tuple[str, ...],
     config: Config,
-) -> tuple[Verdict, list[str]]:
+) -> tuple[VerdictWord, list[str]]:
     """Return the verdict on a calibration, and why it is no better.
 
     It is that on the camera that is worst off: how far it is from where the keypoints have it, and
@@ -30,31 +31,28 @@ def judge_calibration(
     expected = np.hypot(uncertain, apart)
     worst = int(expected.argmax())
     unexplained = change.disagreement > config.verify.pair_disagreement
-    unsaid = unexplained and apart.max() > config.verdict.well_determined_deg
+    unsaid = unexplained and apart.max() > VERDICT_LIMITS_DEG[0]
     unplaced = any(camera.word == "inconsistent" for camera in cameras)
     reasons = []
-    if uncertain.max() > config.verdict.usable_deg:
+    if uncertain.max() > VERDICT_LIMITS_DEG[1]:
         reasons.append(
             f"the keypoints leave {names[int(uncertain.argmax())]} uncertain by "
             f"{uncertain.max():.1f} deg: record longer, with subjects that move through the room"
         )
     if unsaid:
         # keypoints that determine nothing give no better calibration
-        remedy = _CALIBRATE if uncertain.max() <= config.verdict.usable_deg else _RECORD
+        remedy = _CALIBRATE if uncertain.max() <= VERDICT_LIMITS_DEG[1] else _RECORD
         reasons.append(
             f"the cameras stand up to {apart.max():.1f} deg ({names[int(apart.argmax())]}) from "
             f"where these keypoints have them, and no single one explains it: {remedy}"
         )
-    elif expected[worst] > config.verdict.usable_deg:
+    elif expected[worst] > VERDICT_LIMITS_DEG[1]:
         reasons.append(
             f"{names[worst]} may be off by {expected[worst]:.1f} deg, by these keypoints"
         )
-    if expected[worst] > config.verdict.weak_deg:
-        return "not determined", reasons
-    if expected[worst] > config.verdict.usable_deg or unsaid or unplaced:
-        return "weak", reasons
-    usable = expected[worst] > config.verdict.well_determined_deg
-    return ("usable" if usable else "well determined"), reasons
+    if unsaid or unplaced:  # the calibration may be wrong by any angle
+        expected = np.hypot(expected, _OPEN_DEG)
+    return word_of_error(float(expected.max())), reasons
 
 
 def explain_cameras(cameras: tuple[VerifiedCamera, ...]) -> list[str]:

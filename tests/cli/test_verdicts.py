@@ -12,7 +12,8 @@ from mocap_calib.errors import MocapCalibError
 from mocap_calib.io.cameras.read import read_rig
 from mocap_calib.job import steps
 from mocap_calib.job.request import CalibrationRequest, KeypointSource
-from mocap_calib.types import VERDICTS, CalibrationResult
+from mocap_calib.report import rig_report
+from mocap_calib.types import VERDICTS, CalibrationResult, Cause, Verdict
 from mocap_calib.verdict import conclusion
 from mocap_calib.world.moving import Similarity, move_group
 from mocap_calib_cli.commands import adjust, batch, run
@@ -42,7 +43,11 @@ def found(small, tmp_path_factory) -> CalibrationResult:
 def judged(result: CalibrationResult, *verdicts: str) -> CalibrationResult:
     """The result with a group of each verdict."""
     (group,) = result.groups
-    groups = (replace(group, verdict=verdict, reasons=(REASON,)) for verdict in verdicts)
+    degrees = dict(zip(VERDICTS, (0.5, 2.0, 5.0, 20.0), strict=True))
+    groups = (
+        replace(group, assessment=Verdict(degrees[each], (Cause("bones", "", 5.0, WHY, REMEDY),)))
+        for each in verdicts
+    )
     return replace(result, groups=tuple(groups))
 
 
@@ -198,8 +203,8 @@ def test_a_batch_counts_the_verdicts_apart(batch_with, tmp_path):
         "4 of 5 recordings calibrated: 1 well determined, 1 usable, 1 weak, 1 not determined, "
         f"1 refused; results in {tmp_path / 'out'}\n"
     ) in done.stderr
-    assert [each.get("reasons") for each in summary["recordings"]] == [[REASON]] * 4 + [None]
-    assert done.stderr.count(f"  {WHY}\nnext: {REMEDY}\n") == 4
+    assert [each.get("reasons") for each in summary["recordings"]] == [[], *[[REASON]] * 3, None]
+    assert done.stderr.count(f"  {WHY}\nnext: {REMEDY}\n") == 3
 
 
 def test_a_batch_ends_as_a_run_does(batch_with, tmp_path):
@@ -243,7 +248,7 @@ def test_adjust_tells_errors_and_verdict_as_run_does(start, found, tmp_path):
     assert table[6].startswith(f"{tmp_path / 'a.yaml'}: rig ")
     judgement = read_rig(tmp_path / "a.yaml").judgement
     assert judgement["verdict"] in done.stderr
-    error = found.groups[0].rig.judgement["reprojection_error_px"]
+    error = rig_report(found.groups[0], found)["points"]["mean_error_px"]
     assert judgement["reprojection_error_px"] == pytest.approx(error, rel=0.2)  # measured 0.01
 
 

@@ -22,8 +22,8 @@ from mocap_calib.identities.evidence import _pieces_between
 from mocap_calib.rig.labels import matched_share
 from mocap_calib.rig.view_graph import best_scores
 from mocap_calib.types import Camera, EstimatedCamera, Matches
-from mocap_calib.verdict.checks import _clocks
-from mocap_calib.verdict.verdict import _has_unchecked_intrinsics
+from mocap_calib.verdict.measures import clocks
+from mocap_calib.verdict.verdict import _left_open
 
 
 def test_pieces_between_others_are_those_that_begin_and_end_there():
@@ -71,7 +71,8 @@ def test_no_third_camera_checks_the_intrinsics_of_two(estimated, given, unchecke
     known = Camera("a", (640, 480), np.diag([500.0, 500.0, 1.0]), np.zeros(5), False)
     found = EstimatedCamera.of(known, focal_sigma=1.0, k1_sigma=0.0)
     rig = SimpleNamespace(cameras=(found,) * estimated + (known,) * given)
-    assert _has_unchecked_intrinsics(SimpleNamespace(rig=rig)) == bool(unchecked)
+    adjusted = SimpleNamespace(depth_reversed_rig=None)
+    assert len(list(_left_open(SimpleNamespace(rig=rig, adjusted=adjusted)))) == unchecked
 
 
 def test_the_share_of_the_matched_counts_whoever_is_named():
@@ -166,7 +167,7 @@ def test_a_clock_that_was_not_put_right_counts_where_it_is_certainly_off():
         sigma=np.array([0.01, 0.01, 1.0, np.nan]),
         used=np.array([True, False, False, False]),
     )
-    found = _clocks(SimpleNamespace(time_offsets=offsets), Config())
+    found = clocks(SimpleNamespace(group=SimpleNamespace(time_offsets=offsets)))
     np.testing.assert_array_equal(found, [0.0, 0.5, 0.0, np.nan])
 
 

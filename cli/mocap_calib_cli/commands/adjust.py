@@ -111,13 +111,13 @@ def _write_judged(
     """
     from mocap_calib.io.cameras.write import format_rig
     from mocap_calib.io.provenance import hold_for, provenance
-    from mocap_calib.judging import judge_cameras
     from mocap_calib.report import rig_report
+    from mocap_calib.report_verdict import verdict_of_cameras
     from mocap_calib_cli import ending, outputs, verdicts
 
     (group,) = result.groups
     report = rig_report(group, result)
-    judged = judge_cameras(report)
+    judged = verdict_of_cameras(report)
     if frames is not None:
         judged = hold_for(judged, frames)
     source = provenance("adjust", solver=solver, **judged)
