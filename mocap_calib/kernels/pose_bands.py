@@ -18,13 +18,10 @@ _FACTOR = 16 * LANES  # P, F and c
 
 @inlined
 def _weigh_motion(
-    points: Floats, steps: Floats, expected: Floats, stiff: Floats, narrow: float, motion: Floats
+    points: Floats, steps: Floats, expected: Floats, narrow: float, motion: Floats
 ) -> None:
-    """Set the weights of accelerations and these times them, from points of three frames.
-
-    stiff: `[LANES]` factors of the frame's inverse variance, one for each joint.
-    """
-    first, second, third, usual = steps[0], steps[1], steps[2], expected[0]
+    """Set the weights of accelerations and these times them, from points of three frames."""
+    first, second, third, own = steps[0], steps[1], steps[2], expected[0]
     shared_x, shared_y, shared_z = expected[2], expected[3], expected[4]
     for n in range(LANES):
         x = first * points[n] + second * points[_POINT + n] + third * points[2 * _POINT + n]
@@ -33,7 +30,6 @@ def _weigh_motion(
         m = n + 2 * LANES
         z = first * points[m] + second * points[_POINT + m] + third * points[2 * _POINT + m]
         x, y, z = x - shared_x, y - shared_y, z - shared_z
-        own = usual * stiff[n]
         pull = own / (1 + (x * x + y * y + z * z) * own * narrow)
         motion[n], motion[LANES + n] = pull, pull * x
         motion[2 * LANES + n], motion[3 * LANES + n] = pull * y, pull * z
@@ -133,12 +129,11 @@ def _factor_frame(factor: Floats) -> None:
         factor[m + 4 * LANES], factor[m + 5 * LANES] = z * third, third
 
 
-@kernel(floats(3), floats(2), floats(2), floats(2), FLOAT, changed_floats(3), changed_floats(3))
+@kernel(floats(3), floats(2), floats(2), FLOAT, changed_floats(3), changed_floats(3))
 def factor_bands(
     points: Floats,
     steps: Floats,
     expected: Floats,
-    stiffness: Floats,
     prior_loss: float,
     factor: Floats,
     gradient: Floats,
@@ -148,8 +143,7 @@ def factor_bands(
     All have two frames of zeros before and after, and between these whole tiles of frames. points
     and gradient: `[group, frame, 3 * LANES]`. factor: `[group, frame, 16 * LANES]`, blocks where P
     is set. steps: `[frame, 3]`. expected: `[frame, 5]` inverse variances of accelerations, the
-    ridge, and what accelerations share. stiffness: `[group, LANES]` factors of the inverse
-    variances, by joint.
+    ridge, and what accelerations share.
     """
     link, narrow = np.empty(2 * LANES), 1 / prior_loss**2
     motion = np.zeros((LANES + 2, _MOTION))  # of a tile and two frames before
@@ -160,7 +154,7 @@ def factor_bands(
             for f in range(LANES):
                 t = first + f
                 three, recent = points[g, t : t + 3].reshape(-1), motion[f : f + 3].reshape(-1)
-                _weigh_motion(three, steps[t], expected[t], stiffness[g], narrow, motion[f + 2])
+                _weigh_motion(three, steps[t], expected[t], narrow, motion[f + 2])
                 ridge, before = expected[t, 1], steps[t - 2 : t + 1]
                 _add_motion(recent, before, ridge, factor[g, t], gradient[g, t], link)
                 last = factor[g, t - 2 : t + 1].reshape(-1)

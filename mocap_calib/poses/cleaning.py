@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from mocap_calib.config import PosesConfig
-from mocap_calib.poses.energy import squared_errors
+from mocap_calib.poses.fit import squared_errors
 from mocap_calib.poses.track import Detections
 from mocap_calib.types import Bools, Floats, Ints
 

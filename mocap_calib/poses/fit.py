@@ -1,26 +1,48 @@
-"""Fit poses: Gauss-Newton steps on the energy of `poses.energy`.
+"""Fit poses to detections, motion and bone lengths; covariance of the fitted points.
 
-Joints are coupled over time by bands, which are factored for each joint alone, and by bones, for
-which the bands precondition conjugate gradients: the cost grows with the number of joints, not
-with its cube. What joints share is that of the points before each step.
+The energy of the points X `[keypoint, frame, 3]` of a track is the sum of the squared angles
+between points and rays in standard deviations, of the squared accelerations beyond those that the
+joints of a body share, and of the squared errors of bone lengths, each under Cauchy's loss (weights
+1 / (1 + r^2 / c^2)). Gauss-Newton: joints are coupled over time by bands, which are factored for
+each joint alone, and along bones, for which the bands precondition conjugate gradients, so the cost
+grows linearly with the joints. Covariances over time are exact (Takahashi 1973), along bones to
+first order: a bone adds the information about its other end without it.
 """
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from mocap_calib.config import PosesConfig
-from mocap_calib.kernels.pose_energy import LANES, sum_terms
-from mocap_calib.kernels.pose_step import take_step
-from mocap_calib.poses.energy import Strengths
-from mocap_calib.poses.lanes import from_lanes
-from mocap_calib.poses.packing import pack
+from mocap_calib.kernels import pose_bands, pose_energy, pose_motion, pose_step
+from mocap_calib.kernels.pose_energy import LANES
 from mocap_calib.poses.track import Body, Detections
-from mocap_calib.types import Floats
+from mocap_calib.types import Floats, Ints
+
+AROUND = 2  # frames of padding at each end: as far as accelerations reach
+SHARED_ROUNDS = 5  # of the geometric median of accelerations (Weiszfeld 1937)
+SHARED_LEAST = 0.1  # of the mean distance from it: keeps a joint next to it from holding it
+
+
+@dataclass(frozen=True)
+class Strengths:
+    """Scales of the terms of the energy.
+
+    acceleration: standard deviation in body sizes per squared frame step, beyond what the joints
+        share; inf = off.
+    bones: standard deviation of bone lengths in body sizes, beyond their measured variation;
+        inf = off.
+    loss: error of a ray, in standard deviations, at which its weight is one half.
+    """
+
+    acceleration: float
+    bones: float
+    loss: float
 
 
 class Step(NamedTuple):
-    """A step of a fit: the loss of rays, and how many times what solves the equations is taken."""
+    """A Gauss-Newton step: the loss of rays, and the factor by which the solution is taken."""
 
     loss: float
     overshoot: float
@@ -29,10 +51,10 @@ class Step(NamedTuple):
 def plan_steps(loss: float, config: PosesConfig, steps: int) -> list[Step]:
     """Return the steps of a fit that ends with this loss of rays.
 
-    The loss starts wide and narrows: what to start from may rest on a wrong detection. A robust
-    energy is never above the quadratic that a step minimises, and it curves less: steps are too
-    short. A step of up to twice the length does not raise the energy either. The last one is taken
-    once, so that points do not swing around the minimum.
+    The loss starts wide and narrows, because the start may rest on a wrong detection. A robust
+    energy is never above the quadratic that a step minimises, and it curves less, so plain steps
+    are too short; a step of up to twice the length does not raise the energy either. The last one
+    is taken once, so that points do not oscillate around the minimum.
     """
     wide = [config.first_loss / 2**step for step in range(steps)]
     return [
@@ -55,15 +77,15 @@ def fit(
 ) -> Floats:
     """Return the points `[keypoint, frame, 3]` of least energy, from those to start from.
 
-    steps: as many of `plan_steps`.
+    steps: number of Gauss-Newton steps (`plan_steps`).
     """
-    packed = pack(points, seen, body, strengths, config)
+    packed = _pack(points, seen, body, strengths, config)
     found = packed.points
     gradient, work = np.zeros_like(found), np.zeros((5, *found.shape))
     rounds = config.inner_steps if len(packed.edges) else 0
     for step in plan_steps(strengths.loss, config, steps):
-        packed.share_accelerations()
-        sum_terms(
+        packed.share_accelerations(config)
+        pose_energy.sum_terms(
             packed.rays,
             packed.centres,
             found,
@@ -75,8 +97,8 @@ def fit(
             packed.factor,
             gradient,
         )
-        packed.factor_bands(gradient)
-        take_step(
+        packed.factor_bands(gradient, config.prior_loss)
+        pose_step.take_step(
             packed.along,
             packed.factor,
             packed.edges,
@@ -88,4 +110,181 @@ def fit(
             gradient,
             found,
         )
-    return from_lanes(found, LANES, packed.joints, points.shape[1])
+    return _unpack(found, packed.joints, points.shape[1])
+
+
+def covariances(
+    points: Floats, seen: Detections, body: Body, strengths: Strengths, config: PosesConfig
+) -> Floats:
+    """Return the covariance `[keypoint, frame, 6]` of each fitted point, xx xy xz yy yz zz.
+
+    points: `[keypoint, frame, 3]` of a fit. A point without any information has the variance
+    1 / ridge.
+    """
+    packed = _pack(points, seen, body, strengths, config)
+    packed.share_accelerations(config)
+    pose_energy.sum_known(
+        packed.rays,
+        packed.centres,
+        packed.points,
+        packed.edges,
+        packed.bones,
+        packed.expected,
+        strengths.loss,
+        config.prior_loss,
+        packed.factor,
+    )
+    packed.factor_bands(np.zeros_like(packed.points), config.prior_loss)
+    found = np.zeros((*packed.factor.shape[:2], 6 * LANES))
+    pose_step.invert_bands(packed.factor, found)
+    return _unpack(found, packed.joints, points.shape[1])
+
+
+def squared_errors(points: Floats, seen: Detections) -> Floats:
+    """Return squared angles `[view, keypoint, frame]` between rays and points in variances.
+
+    points: `[keypoint, frame, 3]`.
+    """
+    found = np.empty(seen.precision.shape)
+    given = points.swapaxes(1, 2), seen.rays, seen.precision, seen.centres
+    pose_energy.square_angles(*(np.ascontiguousarray(array) for array in given), found)
+    return found
+
+
+# The layout of the kernels: tiles of `LANES` frames, and groups of `LANES` joints side by side
+
+
+@dataclass(frozen=True)
+class _Packed:
+    """A track as the kernels take it. Points, expected, along and factor are overwritten.
+
+    expected: `[frame, 5]` inverse variance of accelerations, the ridge, and the acceleration that
+        joints share.
+    """
+
+    joints: int
+    rays: Floats
+    centres: Floats
+    points: Floats
+    steps: Floats
+    expected: Floats
+    edges: Ints
+    bones: Floats
+    along: Floats
+    factor: Floats
+
+    def share_accelerations(self, config: PosesConfig) -> None:
+        """Set the acceleration that the joints share at the points.
+
+        Of accelerations of variance s^2 around a common one of variance v, N joints are expected
+        to share N v / (s^2 + N v) of their middle.
+        """
+        if self.expected[:, 0].any():
+            known = self.joints * config.shared_acceleration
+            part = known / (1 + known)
+            pose_motion.share_accelerations(
+                self.points,
+                self.steps,
+                self.joints,
+                SHARED_ROUNDS,
+                SHARED_LEAST,
+                part,
+                self.expected,
+            )
+
+    def factor_bands(self, gradient: Floats, prior_loss: float) -> None:
+        """Add accelerations to the blocks and the gradient, and factor the bands."""
+        pose_bands.factor_bands(
+            self.points, self.steps, self.expected, prior_loss, self.factor, gradient
+        )
+
+
+def _pack(
+    points: Floats, seen: Detections, body: Body, strengths: Strengths, config: PosesConfig
+) -> _Packed:
+    """Return a track packed, from the points `[keypoint, frame, 3]`."""
+    found = _in_lanes(points)
+    usual = 1 / (strengths.acceleration * body.size) ** 2 * (body.steps[0] != 0)
+    expected = np.zeros((5, len(usual)))
+    expected[0], expected[1] = usual, config.ridge / body.size**2
+    edges, bones = _pack_bones(body, strengths)
+    return _Packed(
+        joints=len(points),
+        rays=_pack_rays(seen),
+        centres=np.ascontiguousarray(seen.centres),
+        points=found,
+        steps=np.ascontiguousarray(_in_tiles(body.steps).T),
+        expected=np.ascontiguousarray(_in_tiles(expected).T),
+        edges=edges,
+        bones=bones,
+        along=np.empty((len(bones), len(edges), 4 * LANES)),
+        factor=np.zeros((len(found), found.shape[1], 16 * LANES)),
+    )
+
+
+def _pack_rays(seen: Detections) -> Floats:
+    """Return rays and precisions `[tile, view, keypoint, 4 * LANES]`, 0 beyond the frames."""
+    views, joints, frames = seen.precision.shape
+    found = np.zeros((-(-frames // LANES), views, joints, 4, LANES))
+    for k in range(3):
+        _fill_tiles(seen.rays[k], found[..., k, :])
+    _fill_tiles(seen.precision, found[..., 3, :])
+    return found.reshape(len(found), views, joints, 4 * LANES)
+
+
+def _pack_bones(body: Body, strengths: Strengths) -> tuple[Ints, Floats]:
+    """Return the edges in use `[edge, 2]`, and of these `[tile, edge, 3 * LANES]`.
+
+    The lengths, their inverse standard deviations, and the shortest length to divide by.
+    """
+    edges = body.edges if np.isfinite(strengths.bones) else body.edges[:0]
+    lengths, varies = body.lengths[: len(edges)], body.varies[: len(edges)]
+    known = np.isfinite(lengths)
+    sigma = np.hypot(strengths.bones * body.size, np.where(known, varies, 0.0))
+    found = np.zeros((-(-lengths.shape[1] // LANES), len(edges), 3, LANES))
+    _fill_tiles(np.where(known, lengths, 0.0), found[..., 0, :])
+    _fill_tiles(known / sigma, found[..., 1, :])
+    found[..., 2, :] = 1e-9 * body.size.min()
+    return np.ascontiguousarray(edges), found.reshape(len(found), len(edges), 3 * LANES)
+
+
+def _in_lanes(values: Floats) -> Floats:
+    """Return values `[keypoint, frame, N]` as `[group, frame, N * LANES]`, see `_in_tiles`."""
+    joints, _, numbers = values.shape
+    groups = -(-joints // LANES)
+    padded = _in_tiles(values.swapaxes(1, 2))
+    found = np.zeros((groups * LANES, *padded.shape[1:]))
+    found[:joints] = padded
+    rows = found.reshape(groups, LANES, numbers, -1).transpose(0, 3, 2, 1)
+    return np.ascontiguousarray(rows).reshape(groups, -1, numbers * LANES)
+
+
+def _unpack(rows: Floats, joints: int, frames: int) -> Floats:
+    """Return values `[keypoint, frame, N]` of rows `[group, frame, N * LANES]`."""
+    numbers = rows.shape[2] // LANES
+    by_lane = rows[:, AROUND : AROUND + frames].reshape(len(rows), frames, numbers, LANES)
+    own = by_lane.transpose(0, 3, 1, 2).reshape(-1, frames, numbers)
+    return np.ascontiguousarray(own[:joints])
+
+
+def _in_tiles(values: Floats) -> Floats:
+    """Return values `[..., frame]` padded by their first and last frames.
+
+    To whole tiles, and by two frames at each end.
+    """
+    frames = values.shape[-1]
+    short = -frames % LANES
+    found = np.empty((*values.shape[:-1], AROUND + frames + short + AROUND))
+    found[..., :AROUND] = values[..., :1]
+    found[..., AROUND : AROUND + frames] = values
+    found[..., AROUND + frames :] = values[..., -1:]
+    return found
+
+
+def _fill_tiles(values: Floats, found: Floats) -> None:
+    """Set tiles `[tile, ..., LANES]` from values `[..., frame]`; lanes beyond the frames stay."""
+    whole, rest = divmod(values.shape[-1], LANES)
+    rows = values[..., : whole * LANES].reshape(*values.shape[:-1], whole, LANES)
+    found[:whole] = np.moveaxis(rows, -2, 0)
+    if rest:
+        found[whole, ..., :rest] = values[..., whole * LANES :]

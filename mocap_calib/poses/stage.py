@@ -11,11 +11,9 @@ from mocap_calib.compute.parallel import map_in_threads, single_threaded_librari
 from mocap_calib.config import Config, PosesConfig, TriangulateConfig
 from mocap_calib.geometry.bodies import body_size
 from mocap_calib.lift.weights import load_vocabulary
-from mocap_calib.poses.certainty import covariances
+from mocap_calib.poses.choose import Choice, choose_strengths
 from mocap_calib.poses.cleaning import are_beyond_reach, drop_outliers, exchange_sides
-from mocap_calib.poses.fit import fit
-from mocap_calib.poses.held_out import Choice, choose_strengths, choose_trust
-from mocap_calib.poses.spans import blocks, point_sources, with_gaps
+from mocap_calib.poses.fit import covariances, fit
 from mocap_calib.poses.start import (
     add_refused,
     arrays_to_fill,
@@ -24,8 +22,15 @@ from mocap_calib.poses.start import (
     reach_of_bones,
     with_second_neighbours,
 )
-from mocap_calib.poses.track import Body, Detections, acceleration_steps, detections_of
-from mocap_calib.poses.trust import Trust
+from mocap_calib.poses.track import (
+    Body,
+    Detections,
+    acceleration_steps,
+    blocks,
+    detections_of,
+    point_sources,
+    with_gaps,
+)
 from mocap_calib.recording.joints import edges_of_keypoints
 from mocap_calib.rig.noise import view_noise
 from mocap_calib.rig.observations import gather_observations
@@ -154,7 +159,6 @@ class _Scene:
             varies=np.repeat(who.varies[:, None], len(frames), axis=1),
             size=np.full(len(frames), who.size),
             steps=acceleration_steps(times, self.config.longest_gap + 1),
-            agility=np.ones(len(self.recording.keypoints)),
         )
         start = self.start[frames, who.index]
         impossible = are_beyond_reach(start, who.reach)
@@ -213,7 +217,7 @@ def _fit_all(
 ) -> tuple[Poses3D, Smoothing]:
     """Return the best estimates of all individuals of a scene, and how they were made."""
     poses, config = scene.poses, scene.config
-    trust, choice = _choose(scene)
+    choice = _choose(scene)
     if not np.isfinite(choice.strengths.acceleration):
         wider = replace(triangulate, outlier=max(config.alone_outlier, triangulate.outlier))
         where = (scene.recording, scene.rig, scene.matches, poses.raw)
@@ -226,7 +230,7 @@ def _fit_all(
     def work(piece: tuple[_Individual, slice, Ints]) -> Ints:
         """Fit frames; return how many, and the numbers of outliers and of exchanged pairs."""
         who, inner, frames = piece
-        found = _estimate(scene, who, frames, trust, choice)
+        found = _estimate(scene, who, frames, choice)
         own = frames[inner]
         for name, array in arrays.items():
             array[mapped.as_slice(own), who.index] = getattr(found, name)[inner]
@@ -264,16 +268,14 @@ def smooth_group(group: GroupResult, config: Config, *, progress: Progress = sil
     return replace(group, poses=poses, smoothing=smoothing)
 
 
-def _choose(scene: _Scene) -> tuple[Trust, Choice]:
-    """Return what confidences tell and how strongly to smooth, from stretches of all."""
+def _choose(scene: _Scene) -> Choice:
+    """Return how strongly to smooth, from stretches of all individuals."""
     config = scene.config
     tracks = [scene.track(who, frames) for who, frames in _stretches(scene.individuals, config)]
     parts = [list(each) for each in zip(*tracks, strict=True)]
     points, (seen, body) = np.concatenate(parts[0], axis=1), (p[0].join(p[1:]) for p in parts[1:])
     moves = config.smooth != "bones"
-    trust = choose_trust(points, seen, body, scene.noise, config, moves=moves)
-    seen = trust.weigh(seen, scene.noise)
-    return trust, choose_strengths(points, seen, body, config, moves=moves)
+    return choose_strengths(points, seen, body, config, moves=moves)
 
 
 def _stretches(
@@ -293,22 +295,16 @@ def _stretches(
         yield who, who.frames[start : start + length]
 
 
-def _estimate(
-    scene: _Scene, who: _Individual, frames: Ints, trust: Trust, choice: Choice
-) -> _Estimate:
+def _estimate(scene: _Scene, who: _Individual, frames: Ints, choice: Choice) -> _Estimate:
     """Return the best estimates of one individual in frames that follow each other."""
     config, strengths = scene.config, choice.strengths
     points, seen, body = scene.track(who, frames)
-    body = replace(body, agility=choice.agility)
-    seen = trust.weigh(seen, scene.noise)
     points = fit(points, seen, body, strengths, config, steps=config.fit_steps)
     seen, exchanged = exchange_sides(points, seen, scene.mirror, config)
     seen, outliers = drop_outliers(points, seen, config)
     points = fit(points, seen, body, strengths, config, steps=config.refit_steps)
-    # the detectors' noise does not depend on their confidence, which is a weight
-    even = np.where(seen.precision > 0, scene.noise[:, None, None] ** -2.0, 0.0)
     wide = replace(strengths, loss=config.losses[0])  # a narrow loss weighs all errors as outliers
-    covariance = covariances(points, replace(seen, precision=even), body, wide, config)
+    covariance = covariances(points, seen, body, wide, config)
     met = np.isfinite(scene.start[frames, who.index, :, 0]).T
     moves = np.isfinite(strengths.acceleration)
     source = point_sources(seen, met, scene.times[frames], config.longest_gap if moves else -1)

@@ -3,8 +3,8 @@
 import numpy as np
 
 from mocap_calib.config import PosesConfig
-from mocap_calib.poses.energy import Strengths, own_accelerations
-from mocap_calib.poses.track import Body, Detections
+from mocap_calib.poses.fit import SHARED_LEAST, SHARED_ROUNDS, Strengths
+from mocap_calib.poses.track import Body, Detections, accelerations
 
 ENTRIES = (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)  # xx xy xz yy yz zz
 
@@ -34,13 +34,30 @@ def rows_of_bones(points: np.ndarray, body: Body, strengths: Strengths, config: 
             yield (a, frame), (b, frame), along / length, error, weight
 
 
+def shared_accelerations(acceleration: np.ndarray, config: PosesConfig) -> np.ndarray:
+    """Return what joints share `[frame, 3]` of their accelerations `[keypoint, frame, 3]`.
+
+    A part of their geometric median, some steps from the mean towards it (Weiszfeld 1937).
+    """
+    joints, middle, usual = len(acceleration), acceleration.mean(0), None
+    for _ in range(SHARED_ROUNDS):
+        off = np.linalg.norm(acceleration - middle, axis=-1)
+        usual = off.mean(0) if usual is None else usual
+        weight = 1 / (off + SHARED_LEAST * usual + 1e-100)
+        middle = (acceleration * weight[..., None]).sum(0) / weight.sum(0)[:, None]
+        usual = joints / weight.sum(0)  # the harmonic mean
+    known = joints * config.shared_acceleration
+    return middle * known / (1 + known)
+
+
 def add_motion(points, body, strengths, config, hessian, gradient) -> None:
     """Add the accelerations beyond those that joints share."""
     if not np.isfinite(strengths.acceleration) or points.shape[1] < 3:
         return
-    own = own_accelerations(points, body, config)
+    own = accelerations(points, body)
+    own = own - shared_accelerations(own, config)
     for joint, frame in np.argwhere(np.broadcast_to(body.steps[0, :-2] != 0, own.shape[:2])):
-        sigma = strengths.acceleration * body.agility[joint] * body.size[frame]
+        sigma = strengths.acceleration * body.size[frame]
         square = own[joint, frame] @ own[joint, frame] / sigma**2
         weight = 1 / sigma**2 / (1 + square / config.prior_loss**2)
         steps = body.steps[:, frame]

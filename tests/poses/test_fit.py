@@ -7,18 +7,9 @@ import pytest
 from oracles import poses as oracle
 
 from mocap_calib.config import PosesConfig
-from mocap_calib.kernels import pose_energy, pose_motion
-from mocap_calib.poses import certainty, energy, fit
-from mocap_calib.poses.energy import (
-    SHARED_LEAST,
-    SHARED_ROUNDS,
-    Strengths,
-    accelerations,
-    shared_accelerations,
-    shared_part,
-)
-from mocap_calib.poses.lanes import from_lanes, in_lanes, in_tiles
-from mocap_calib.poses.track import Body, Detections, acceleration_steps
+from mocap_calib.poses import fit
+from mocap_calib.poses.fit import Strengths
+from mocap_calib.poses.track import Body, Detections, acceleration_steps, accelerations
 
 CONFIG = PosesConfig()
 STRENGTHS = [
@@ -50,7 +41,6 @@ def track(joints: int, frames: int) -> tuple[np.ndarray, Detections, Body]:
         varies=np.full(lengths.shape, 0.01),
         size=np.linspace(1, 1.2, frames),
         steps=acceleration_steps(times, 10.0),
-        agility=np.linspace(0.5, 2, joints),
     )
     detections = Detections(rays, np.where(seen, 1e5, 0.0), centres)
     return true + rng.normal(size=true.shape) * 0.03, detections, body
@@ -74,7 +64,7 @@ def test_a_step_of_the_fit_solves_the_dense_normal_equations(joints, frames, str
 @pytest.mark.parametrize("strengths", STRENGTHS)
 def test_covariances_are_the_blocks_of_the_dense_inverse(joints, frames, strengths):
     given = *track(joints, frames), strengths, CONFIG
-    found, expected = certainty.covariances(*given), oracle.covariances(*given)
+    found, expected = fit.covariances(*given), oracle.covariances(*given)
     trace = expected[..., [0, 3, 5]].sum(-1, keepdims=True)
     assert (np.abs(found - expected) <= 1e-5 * trace).all()  # an unseen point: 1.2e-6
 
@@ -89,7 +79,7 @@ def test_errors_are_the_squared_tangents_of_angles():
     ):
         expected[view, keypoint, frame] = weight * off @ off
     assert (expected > 0).sum() > 900
-    assert np.allclose(energy.squared_errors(points, seen), expected, rtol=1e-12, atol=0)
+    assert np.allclose(fit.squared_errors(points, seen), expected, rtol=1e-12, atol=0)
 
 
 @pytest.mark.parametrize("strengths", STRENGTHS)
@@ -113,9 +103,7 @@ def test_the_gradient_is_that_of_the_energy(strengths):
     """By finite differences along random directions."""
     points, seen, body = track(4, 12)
     rng = np.random.default_rng(1)
-    shared = shared_accelerations(
-        accelerations(points, body).transpose(1, 2, 0), CONFIG
-    )  # stays as it was
+    shared = oracle.shared_accelerations(accelerations(points, body), CONFIG)  # stays as it was
 
     def energy(at: np.ndarray) -> float:
         offset = at.transpose(2, 0, 1)[:, None] - seen.centres.T[:, :, None, None]
@@ -124,7 +112,7 @@ def test_the_gradient_is_that_of_the_energy(strengths):
         off = ((offset - along * seen.rays) ** 2).sum(0)[there] / along[there] ** 2
         losses = [(off * seen.precision[there], strengths.loss)]
         if np.isfinite(strengths.acceleration):
-            size = strengths.acceleration * body.agility[:, None] * body.size[:-2]
+            size = strengths.acceleration * body.size[:-2]
             square = ((accelerations(at, body) - shared) ** 2).sum(-1) / size**2
             losses.append((square, CONFIG.prior_loss))
         if np.isfinite(strengths.bones):
@@ -147,33 +135,7 @@ def test_the_gradient_is_that_of_the_energy(strengths):
 def test_joints_that_are_wrong_hardly_move_what_joints_share(wrong):
     """Of 17, 300 standard deviations off: measured 0.41, 0.44, 0.54 and 0.80 of one on average."""
     rng = np.random.default_rng(0)
-    acceleration = rng.normal(size=(200, 3, 17))
-    acceleration[..., :wrong] += 300 * rng.normal(size=(200, 3, wrong))
-    found = shared_accelerations(acceleration, CONFIG) / shared_part(17, CONFIG)
+    acceleration = rng.normal(size=(17, 200, 3))
+    acceleration[:wrong] += 300 * rng.normal(size=(wrong, 200, 3))
+    found = oracle.shared_accelerations(acceleration, CONFIG)
     assert np.linalg.norm(found, axis=1).mean() < 1.0
-
-
-@pytest.mark.parametrize("joints", [1, 2, 17, 20, 21, 40])
-def test_kernels_find_what_joints_share_as_numpy_does(joints):
-    """Measured 6e-16. Half of the frames follow no others; lanes without a joint hold anything."""
-    rng = np.random.default_rng(0)
-    points = rng.normal(size=(joints, 40, 3))
-    steps = np.array([1.0, -2.0, 1.0])[:, None] * (rng.random(40) < 0.5)
-    width = pose_motion.LANES
-    packed = in_lanes(points, width)
-    none = (np.arange(len(packed) * width) >= joints).reshape(-1, 1, 1, width)
-    packed += (none * rng.normal(size=(len(packed), 1, 3, width))).reshape(len(packed), 1, -1)
-    motion = np.ascontiguousarray(in_tiles(steps, width).T)
-    found = np.zeros((len(motion), 5))
-    how = SHARED_ROUNDS, SHARED_LEAST, shared_part(joints, CONFIG)
-    pose_motion.share_accelerations(packed, motion, joints, *how, found)
-    acceleration = sum(steps[k, :38, None] * points[:, k : k + 38] for k in range(3))
-    expected = shared_accelerations(acceleration.transpose(1, 2, 0), CONFIG)
-    assert np.allclose(found[2:40, 2:], expected, rtol=0, atol=1e-14)
-
-
-@pytest.mark.parametrize("joints", [1, 20, 21])
-def test_values_come_back_from_lanes(joints):
-    values = np.random.default_rng(0).normal(size=(joints, 21, 3))
-    lanes = pose_energy.LANES
-    assert np.array_equal(from_lanes(in_lanes(values, lanes), lanes, joints, 21), values)

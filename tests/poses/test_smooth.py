@@ -11,13 +11,11 @@ from mocap_calib import mapped
 from mocap_calib.config import Config, PosesConfig
 from mocap_calib.geometry.reprojection import project
 from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.poses.energy import Strengths
-from mocap_calib.poses.fit import fit
-from mocap_calib.poses.held_out import choose_strengths, error_of_mean
+from mocap_calib.poses.choose import error_of_mean
+from mocap_calib.poses.fit import Strengths, fit
 from mocap_calib.poses.stage import smooth_poses
 from mocap_calib.poses.start import bone_lengths, reach_of_bones, with_second_neighbours
 from mocap_calib.poses.track import Body, Detections, acceleration_steps
-from mocap_calib.poses.trust import measure_trust
 from mocap_calib.rig.triangulation import triangulate
 from mocap_calib.types import POINT_SOURCES, Matches, Poses3D, Recording, Smoothing, World
 from mocap_calib.world.moving import Similarity, move_rig
@@ -208,16 +206,6 @@ def test_heavy_tails_of_a_detector_choose_the_narrow_loss():
     assert smoothed(**EASY)[1].loss in (usual, wide)
 
 
-@pytest.mark.parametrize(("power", "expected"), [(0, 0), (0.5, 0.5), (1, 1), (3, 1)])
-def test_confidences_count_as_far_as_they_tell_of_errors(power, expected):
-    """Of 4,000 errors, a fifth of them of wrong detections; the slope is uncertain by 0.06."""
-    rng = np.random.default_rng(0)
-    confidence = rng.uniform(0.1, 1, size=4000)
-    square = rng.chisquare(2, size=4000) * confidence**-power
-    square[::5] *= 1e4
-    assert measure_trust(square, confidence, 0.5).power == pytest.approx(expected, abs=0.2)
-
-
 def test_errors_that_go_together_count_once():
     values, run = np.random.default_rng(0).normal(size=40), np.arange(40)
     alone = error_of_mean(values, run)
@@ -317,51 +305,7 @@ def test_a_point_next_to_a_camera_is_solved_for():
     points = (ray * distance[:, None])[None] * (1 + 1e-3 * rng.normal(size=(1, frames, 1)))
     none, config = np.zeros((0, frames)), PosesConfig()
     steps = acceleration_steps(np.arange(frames) * 1.0, 1.0)
-    body = Body(np.zeros((0, 2), np.int64), none, none, np.ones(frames), steps, np.ones(1))
+    body = Body(np.zeros((0, 2), np.int64), none, none, np.ones(frames), steps)
     strengths = Strengths(0.01, np.inf, 3.0)
     found = fit(points, seen, body, strengths, config, steps=4)
     assert np.abs(found).max() < 100
-
-
-def agile_joints(apart: float, noise: float = 0.01) -> tuple[np.ndarray, Detections, Body]:
-    """Return eight joints without bones that four cameras see; half accelerate more than others.
-
-    apart: by what factor. noise: in body sizes, in which usual accelerations are 0.001.
-    """
-    rng = np.random.default_rng(2)
-    joints, frames = 8, 400
-    pull = rng.normal(size=(joints, frames, 3)) * 0.001
-    pull[::2] *= apart
-    true = np.cumsum(np.cumsum(pull, axis=1), axis=1)
-    true -= np.linspace(0, 1, frames)[:, None] * true[:, -1:]  # which accelerates nothing
-    centres = 20.0 * np.array([[1, 1, 1], [-1, 1, 1], [1, -1, 1], [-1, -1, 1.0]])
-    offset = true.transpose(2, 0, 1)[:, None] - centres.T[:, :, None, None]
-    offset += rng.normal(size=offset.shape) * noise
-    length = np.sqrt((offset**2).sum(0))
-    none, steps = np.zeros((0, frames)), acceleration_steps(np.arange(frames) * 1.0, 1.0)
-    bones = np.zeros((0, 2), np.int64)
-    body = Body(bones, none, none, np.ones(frames), steps, np.ones(joints))
-    seen = Detections(offset / length, (length / 0.01) ** 2, centres)
-    return true + rng.normal(size=true.shape) * noise, seen, body
-
-
-def test_joints_that_accelerate_more_are_held_less():
-    """Measured: a ratio of 1.58, and errors smaller by 3 %."""
-    config = PosesConfig()
-    points, seen, body = agile_joints(apart=16.0)
-    choice = choose_strengths(points, seen, body, config, moves=True)
-    ratio = np.median(choice.agility[::2]) / np.median(choice.agility[1::2])
-    assert 1.4 < ratio < 2
-    true, _, _ = agile_joints(apart=16.0, noise=0.0)
-    even, own = (
-        mean_error(fit(points, seen, each, choice.strengths, config, steps=8), true)
-        for each in (body, replace(body, agility=choice.agility))
-    )
-    assert own < 0.99 * even
-
-
-def test_joints_that_accelerate_alike_are_held_alike():
-    points, seen, body = agile_joints(apart=1.0)
-    choice = choose_strengths(points, seen, body, PosesConfig(), moves=True)
-    assert np.isfinite(choice.strengths.acceleration)
-    assert (choice.agility == 1).all()

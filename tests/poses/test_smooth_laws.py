@@ -23,7 +23,7 @@ SEEDS = st.integers(0, 2**32 - 1)
 SMALL = {"frames": 24}
 HOW = ("views", "instances", "names", "time", "mirror")
 HELD = dict.fromkeys(HOW, 3e-14) | {"views": 3e-13}  # rounding
-CHOSEN = {"views": 0.0118, "instances": 1e-14, "names": 0.0109, "time": 0.008, "mirror": 1e-14}
+CHOSEN = {"views": 0.0135, "instances": 1e-14, "names": 0.0128, "time": 0.0122, "mirror": 1e-14}
 
 
 def smooth(found: Recording, rig: CameraRig, matches: Matches) -> tuple[Poses3D, Smoothing]:
@@ -83,8 +83,9 @@ def test_at_the_same_strengths_poses_know_no_order_time_or_mirror(how, seed):
 def test_another_choice_of_strengths_moves_poses_little(how, seed):
     """No exact law but of the order of detections, and of the mirror.
 
-    Measured 8.0 mm at worst for another order of cameras, 7.4 of names, 5.3 of time; the median of
-    a scene 1.0 mm at most. Accelerations are chosen up to 1.4 times as large or as small.
+    Measured 11.1 mm at worst for another order of cameras, 10.6 of names, 10.1 of time; median of
+    a scene 1.3 mm at most. Accelerations are chosen up to twice as large or as small, with
+    bones that are chosen weaker.
     """
     poses, smoothing, _ = first_told()
     rng = np.random.default_rng(seed)
@@ -94,7 +95,7 @@ def test_another_choice_of_strengths_moves_poses_little(how, seed):
     moved = differ(points, poses.positions)
     assert moved.max() < CHOSEN[how]
     assert np.median(moved) < 0.0015
-    assert abs(np.log2(chosen.acceleration / smoothing.acceleration)) < 0.51
+    assert abs(np.log2(chosen.acceleration / smoothing.acceleration)) < 1.01
 
 
 def in_other_axes(turn: np.ndarray, factor: float, shift: np.ndarray) -> tuple[np.ndarray, float]:
