@@ -219,57 +219,30 @@ class PairwiseConfig:
     frames: int = 150  # evenly spread; the search does not get better with more
     all_frames: int = 12_000  # of all pairs together: in large rigs they say the same many times
     least_frames: int = 20
-    least_joints: int = 4  # of a detection, for its frame to be looked at
+    least_joints: int = 3  # of a detection in a frame, and in common with another detection
     possible_matches: int = 6000  # in all frames; crowds get fewer frames
     # the search
     candidates_searched: int = 400  # rotations that are scored on all frames
-    hypotheses_kept: int = 8  # of the search
-    hypotheses_refined: int = 3  # to the end
-    hypothesis_separation_deg: float = 15.0  # between those that are kept
-    same_hypothesis_deg: float = 2.0  # nearer than this two have come to the same answer
-    search_dummy: float = 0.1  # affinity at which staying unmatched is as good, in the search,
-    search_match: float = 0.05  # and the least weight of a match there
+    hypotheses_searched: int = 8  # the best of them, which are aligned
+    hypotheses_refined: int = 3  # to the end: the answer and its alternatives
+    separation_deg: float = 15.0  # between hypotheses
     # five-point RANSAC where identities are known
     track_pairs: int = 9  # at most; of tracks in both views
-    five_point_draws: int = 3  # subsets of the matches of one individual,
-    five_point_matches: int = 40  # so many matches each
-    five_point_inlier: float = 0.05
-    # bodies that were lifted the wrong way round in depth, though the network was sure of them:
-    nearly_flat: float = 2.0  # spreads of the network; thinner ones are taken either way round,
-    reversal_gain: float = 1.5  # if that is so many times better; right pairs gain up to 1.4
+    five_point_matches: int = 60  # drawn from those of one individual
     # affinity
     pose_tolerance: float = 0.35  # RMS joint distance of two lifts of one body ...
     pose_doubt: float = 2.5  # ... or this many times what the network expects, where that is more
     centre_tolerance: float = 0.15  # of the distance: how well one view tells how far a body is
     inlier: float = 0.08  # epipolar error of a good joint
-    least_common_joints: int = 3  # of two detections that are compared
     unlifted_affinity: float = 0.3  # how well a body agrees that was not lifted, beside others
-    dummy: float = 0.15  # affinity at which staying unmatched is as good,
-    least_match: float = 0.1  # and the least weight of a match
-    # refinement on rays
+    least_affinity: float = 0.1  # of a match
+    # refinement
     points: int = 4000  # joints it looks at
     rounds: int = 2  # of matching and refining
-    refine_steps: int = 8  # of Gauss-Newton,
-    refine_widest: float = 4.0  # the first under a loss of this times `inlier`,
-    refine_narrowing: float = 0.75  # and each next one under so much of it, down to `inlier`
-    refine_largest_step: float = 0.3  # radians
-    # rays and lifted bodies together
-    least_noise: float = 0.01  # of a joint, at the body; no detector is better
-    loss_noises: float = 3.0  # a ray of so many times the noise is an outlier, if above `inlier`
-    lift_spread: float = 0.12  # RMS joint distance of two right lifts of one body, or where more
-    lift_turned: float = 0.5  # this share of what the network expects: the rest turns nothing
-    centre_spread: float = 0.06  # of the distance: how well two views agree how far one body is
-    centre_outlier: float = 3.0  # standard deviations
-    lift_independent: float = 2.0  # lifts err alike: many know no more than so many
-    posterior_steps: int = 25  # of Levenberg-Marquardt, at most,
-    posterior_damping: float = 1e-3  # damped so much at first,
-    posterior_damping_factor: float = 5.0  # and so much less after a good step, more after a bad
-    posterior_settled: float = 1e-3  # of the log posterior; smaller changes end the iteration
+    loss_widths: tuple[float, ...] = (4, 3, 2, 1.5, 1, 1, 1, 1)  # of each step, times `inlier`
 
 
 LEAST_LIFT_SPREAD = 0.05  # body sizes: no lifted joint is more certain
-SINKHORN_SWEEPS = 12  # of rows and columns
-SINKHORN_SHARPNESS = 8.0  # of the affinity in the exponent
 
 
 @dataclass(frozen=True)

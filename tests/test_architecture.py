@@ -107,8 +107,8 @@ def test_the_readme_says_what_each_dependency_is_for():
     assert sorted(re.findall(r"^\| ([\w-]+) \|", table, re.M)[1:]) == sorted(needed)
 
 
-# all nouns, all constants, and kernels that share theirs: none calls a kernel of another file
-IN_ONE_PLACE = {"types.py", "config.py", "pair_refinement.py"}
+# all nouns, all constants
+IN_ONE_PLACE = {"types.py", "config.py"}
 DOORS = {  # module: where alone it is imported
     "torch": ("mocap_calib/training/", "mocap_calib/paper/"),
     "cv2": ("mocap_calib/geometry/epipolar.py", "mocap_calib/overlay/"),

@@ -5,7 +5,7 @@ agreement of all bodies of one view with all of the other is a single matrix pro
 of `[body, 3 J]` and `[3 J, body]`; that gives the scores of all offsets of the clocks at once, as
 the diagonals of the agreement `[frame, frame]`, and its ridge shows lost frames and other rates.
 
-The rotation is searched for like that of a pair in step (`pairs.hypotheses`), but with matches
+The rotation is searched for like that of a pair in step (`pairs.search`), but with matches
 of any two frames as candidates, and a score that leaves the time open: in each block of time, the
 best diagonal.
 """
@@ -19,7 +19,7 @@ from mocap_calib.config import CLOCK_RATES, SyncConfig
 from mocap_calib.geometry.rotation import nearest_rotation
 from mocap_calib.kernels import timing as kernels
 from mocap_calib.kernels.loading import contiguous
-from mocap_calib.pairs.hypotheses import well_separated
+from mocap_calib.pairs.search import well_separated
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Bools, Floats, Ints
 

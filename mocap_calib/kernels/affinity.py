@@ -1,10 +1,8 @@
 """How well detections of two views fit hypotheses of the epipolar geometry, compiled.
 
-`affinity` and `scoring` define what is computed. Joints lie in rows, so that loops over them are
+Joints lie in rows, so that loops over them are
 vectorised.
 """
-
-import math
 
 import numpy as np
 
@@ -35,23 +33,20 @@ def _weigh(weight_a: Floats, weight_b: Floats, weight: Floats) -> int:
 
 
 @inlined
-def _sampson(
-    from_a: Floats, from_b: Floats, rays_b: Floats, body_sizes_per_radian: float, error: Floats
-) -> None:
-    """Set Sampson's errors `[keypoint]` of the joints of two detections, in body sizes."""
-    for k in range(len(error)):
+def _mean_fit(
+    from_a: Floats, from_b: Floats, rays_b: Floats, weight: Floats, narrow: float, terms: Floats
+) -> float:
+    """Return the mean of 1 / (1 + (Sampson's error / width)^2) by weights `[keypoint]`.
+
+    narrow: 1 / width^2, of the angle. terms: `[keypoint]` to write to.
+    """
+    for k in range(len(weight)):
         value = (
             from_a[0, k] * rays_b[0, k] + from_a[1, k] * rays_b[1, k] + from_a[2, k] * rays_b[2, k]
         )
-        slope = from_a[3, k] + from_b[3, k] - 2 * value**2
-        error[k] = abs(value) / math.sqrt(max(slope, 1e-18)) * body_sizes_per_radian
-
-
-@inlined
-def _mean_fit(error: Floats, weight: Floats, inlier: float, terms: Floats) -> float:
-    """Return the mean fit of joints of these errors, by weights `[keypoint]`."""
-    for k in range(len(weight)):
-        terms[k] = weight[k] / (1 + (error[k] / inlier) ** 2)
+        square = value * value
+        slope = max(from_a[3, k] + from_b[3, k] - 2 * square, 1e-18)
+        terms[k] = weight[k] * slope / (slope + square * narrow)
     total = fit = 0.0
     for k in range(len(weight)):
         total += weight[k]
@@ -68,7 +63,6 @@ def _mean_fit(error: Floats, weight: Floats, inlier: float, terms: Floats) -> fl
     floats(3),
     FLOAT,
     INT,
-    changed_floats(5),
     changed_floats(4),
 )
 def fit_hypotheses(
@@ -80,14 +74,12 @@ def fit_hypotheses(
     body_sizes_per_radian: Floats,
     inlier: float,
     least_common: int,
-    error: Floats,
     fit: Floats,
 ) -> None:
-    """Set error `[M, frame, I, J, keypoint]` and fit `[M, frame, I, J]`, which are 0.
+    """Set the fit `[M, frame, I, J]`, which is 0; see `pairs.affinity.epipolar_fit`.
 
-    The errors of joints without weight have no meaning. matrices: `[M, 3, 3]` essential.
-    rays_a, rays_b: `[frame, instance, 3, keypoint]`, 0 = missing. weight_a, weight_b: `[frame,
-    instance, keypoint]`. body_sizes_per_radian: `[frame, I, J]`.
+    matrices: `[M, 3, 3]` essential. rays_a, rays_b: `[frame, instance, 3, keypoint]`, 0 = missing.
+    weight_a, weight_b: `[frame, instance, keypoint]`. body_sizes_per_radian: `[frame, I, J]`.
     """
     frames, count_a, _, joints = rays_a.shape
     count_b = rays_b.shape[1]
@@ -107,10 +99,10 @@ def fit_hypotheses(
             for i in range(count_a):
                 for j in range(count_b):
                     if enough[i, j]:
-                        errors = error[m, frame, i, j]
-                        scale = body_sizes_per_radian[frame, i, j]
-                        _sampson(from_a[i], from_b[j], rays_b[frame, j], scale, errors)
-                        fit[m, frame, i, j] = _mean_fit(errors, weight[i, j], inlier, terms)
+                        narrow = (body_sizes_per_radian[frame, i, j] / inlier) ** 2
+                        fit[m, frame, i, j] = _mean_fit(
+                            from_a[i], from_b[j], rays_b[frame, j], weight[i, j], narrow, terms
+                        )
 
 
 @inlined

@@ -1,177 +1,179 @@
-"""What detections say about the relative pose of two views, and about who is who.
+"""Affinity of the detections of two views under relative poses, and the matches that follow.
 
-Three sources: lifted bodies, turned into the other view; where their centres are; and epipolar
-geometry. Lengths are in body sizes and image errors are measured at the body (an angle times the
-distance of the body), so that one tolerance serves scenes of any size.
+By lifted bodies, turned into the other view; by their centres; and by epipolar geometry. Lengths
+are in body sizes and image errors are measured at the body (an angle times the distance of the
+body), so that one tolerance serves scenes of any size.
 
-M relative poses are looked at in one go; a frame holds I instances in view a and J in view b.
+M relative poses are evaluated at once; a frame holds I instances in view a and J in view b.
 """
 
-from dataclasses import replace
 from functools import reduce
 
 import numpy as np
 
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.epipolar import essential_matrix
+from mocap_calib.kernels.affinity import fit_hypotheses
 from mocap_calib.kernels.all_views import fit_all_views
 from mocap_calib.kernels.loading import contiguous
-from mocap_calib.pairs.view_pair import ViewPair
-from mocap_calib.types import CameraRig, Floats, Ints, Sample
+from mocap_calib.pairs.view_pair import ViewPair, body_sizes_per_radian
+from mocap_calib.types import Bools, CameraRig, Floats, Ints, Sample
 
 
-def steering_error(pair: ViewPair, rotation: Floats) -> Floats:
-    """Return the mean squared joint distance |R X_a - X_b|^2 of the lifted bodies.
+def mutual_best(affinity: Floats, *, least: float) -> Bools:
+    """Return where an affinity is the largest of its row and of its column, and above `least`.
 
-    One matrix product for all rotations: the error is linear in R once the cross-covariance of
-    the bodies is known. Of several readings the nearest counts. rotation: `[M, 3, 3]`. Returns
-    `[M, frame, I, J]` squared body sizes.
+    Of equal ones the first counts: no detection is matched twice. affinity: `[..., I, J]`.
     """
-    nearest = reduce(np.maximum, np.moveaxis(_traces(pair, rotation), 1, 0))
-    return np.maximum(pair.overlap.norm - 2 * nearest, 0.0)
+    best_of_row = affinity == affinity.max(-1, keepdims=True)
+    best_of_column = affinity == affinity.max(-2, keepdims=True)
+    matched: Bools = (affinity > least) & best_of_row & best_of_column
+    for axis in (-1, -2):
+        if (matched.sum(axis) > 1).any():
+            matched &= matched.cumsum(axis) == 1
+    return matched
 
 
-def _traces(pair: ViewPair, rotation: Floats) -> Floats:
-    """Return tr(R sum w X_a X_b'), `[M, reading, frame, I, J]`."""
-    cross = np.swapaxes(pair.overlap.cross, -1, -2)
-    traces = rotation.reshape(-1, 9) @ cross.reshape(-1, 9).T
-    return traces.reshape(-1, *cross.shape[:-2])
+def match_affinity(
+    pair: ViewPair, rotation: Floats, translation: Floats, config: PairwiseConfig
+) -> tuple[Floats, Floats, Floats]:
+    """Return how well detections match: by all cues, by epipolar geometry, by lifted pose alone.
 
+    The first is the epipolar fit times the root of the agreement of the lifted bodies; a body that
+    was not lifted counts as `unlifted_affinity`, unless none of the pair was. Each in 0..1,
+    `[M, frame, I, J]`; the last is 1 for bodies that were not lifted.
 
-def weigh_readings(pair: ViewPair, rotation: Floats, weight: Floats) -> Floats:
-    """Return weights `[M, frame, I, J]` as those of the nearest reading, `[M, reading, ...]`.
-
-    rotation: `[M, 3, 3]`.
+    rotation: `[M, 3, 3]`; translation: `[M, 3]` in body sizes.
     """
-    if len(pair.overlap.cross) == 1:
-        return weight[:, None]
-    nearest = _traces(pair, rotation).argmax(1)
-    each = np.arange(len(pair.overlap.cross))[:, None, None, None]
-    return np.asarray(weight[:, None] * (nearest[:, None] == each))
-
-
-def in_one_reading(pair: ViewPair, rotation: Floats) -> ViewPair:
-    """Return the pair with the reading alone of each match that is nearest at R `[3, 3]`."""
-    cross = pair.overlap.cross
-    if len(cross) == 1:
-        return pair
-    nearest = _traces(pair, rotation[None])[0].argmax(0)[None, ..., None, None]
-    return replace(
-        pair, overlap=replace(pair.overlap, cross=np.take_along_axis(cross, nearest, axis=0))
-    )
-
-
-def steering_variance(pair: ViewPair, config: PairwiseConfig) -> Floats:
-    """Return the squared distance at which two lifts still pass for one body, `[frame, I, J]`.
-
-    The tolerance, or what the network expects where that is more.
-    """
-    expected = config.pose_doubt**2 * pair.overlap.doubt
-    return np.maximum(config.pose_tolerance**2, expected)
+    fit = epipolar_fit(pair, rotation, translation, config)
+    cells = np.flatnonzero(pair.overlap.lifted)
+    pose = np.exp(-0.5 * pose_error(pair, rotation, cells, config))
+    bodies = pose / (1 + 0.5 * centre_error(pair, rotation, translation, cells, config))
+    bodies_or_unlifted = np.full(fit.shape, config.unlifted_affinity if len(cells) else 1.0)
+    pose_or_unlifted = np.ones(fit.shape)
+    bodies_or_unlifted.reshape(len(fit), -1)[:, cells] = np.sqrt(bodies)
+    pose_or_unlifted.reshape(len(fit), -1)[:, cells] = pose
+    return fit * bodies_or_unlifted, fit, pose_or_unlifted
 
 
 def body_agreement(
     pair: ViewPair, rotation: Floats, translation: Floats, config: PairwiseConfig
 ) -> Floats:
-    """Return in 0..1 how well the lifted bodies and their centres agree, 0 where there is no body.
+    """Return in 0..1 how well lifted bodies and their centres agree, 0 if one is not lifted.
 
-    exp(-p / 2) / (1 + c / 2), where p is `steering_error` over its variance, and c is
-    |R c_a + t - c_b|^2 of the centres over the squares of their distances and of the tolerance.
-    One matrix product each, of the N possible matches of lifted bodies alone.
+    exp(-p / 2) / (1 + c / 2) of the errors p of the pose and c of the centre.
     rotation: `[M, 3, 3]`; translation: `[M, 3]` in body sizes. Returns `[M, frame, I, J]`.
     """
     cells = np.flatnonzero(pair.overlap.lifted)
-    turns = _terms_of_rotation(rotation)
-    of_readings = (
-        turns @ _pose_terms(pair, cells, config, cross=cross) for cross in pair.overlap.cross
-    )
-    agreement = reduce(np.minimum, of_readings)
+    agreement = pose_error(pair, rotation, cells, config)
     agreement *= -0.5
-    np.exp(np.minimum(agreement, 0.0, out=agreement), out=agreement)
-    distance = _terms_of_relative_pose(rotation, translation) @ _centre_terms(pair, cells)
-    distance *= 0.5 / config.centre_tolerance**2
-    agreement /= 1 + np.maximum(distance, 0.0, out=distance)
+    np.exp(agreement, out=agreement)
+    centre = centre_error(pair, rotation, translation, cells, config)
+    centre *= 0.5
+    centre += 1
+    agreement /= centre
     found = np.zeros((len(rotation), pair.overlap.lifted.size))
     found[:, cells] = agreement
     return found.reshape(-1, *pair.overlap.lifted.shape)
 
 
-def _pose_terms(pair: ViewPair, cells: Ints, config: PairwiseConfig, *, cross: Floats) -> Floats:
-    """Return `[10, N]`, of which `_terms_of_rotation` make p of `body_agreement`.
+def pose_variance(pair: ViewPair, config: PairwiseConfig) -> Floats:
+    """Return the variance of the distance between two lifts of one body, `[frame, I, J]`.
 
-    cells: `[N]` places in `[frame, I, J]`; cross: `[frame, I, J, 3, 3]` of a reading.
+    Of the tolerance, or what the network predicts where that is more.
     """
+    predicted = config.pose_doubt**2 * pair.overlap.doubt
+    return np.maximum(config.pose_tolerance**2, predicted)
+
+
+def pose_error(pair: ViewPair, rotation: Floats, cells: Ints, config: PairwiseConfig) -> Floats:
+    """Return the mean squared joint distance |R X_a - X_b|^2 of lifted bodies over its variance.
+
+    A matrix product for all rotations, as the error is linear in R; the nearest reading counts.
+    rotation: `[M, 3, 3]`; cells: `[N]` flat indices of `[frame, I, J]`. Returns `[M, N]`.
+    """
+    turns = np.column_stack([-2 * rotation.reshape(-1, 9), np.ones(len(rotation))])
     terms = np.empty((10, len(cells)))
-    of_cells = cross.reshape(-1, 9).take(cells, axis=0).T
-    terms[:9] = of_cells.reshape(3, 3, -1).swapaxes(0, 1).reshape(9, -1)
     terms[9] = pair.overlap.norm.take(cells)
-    terms /= steering_variance(pair, config).take(cells)
-    return terms
+    variance = pose_variance(pair, config).take(cells)
+
+    def error(cross: Floats) -> Floats:
+        """Return the error for sums X_a X_b' `[frame, I, J, 3, 3]` of one reading."""
+        of_cells = cross.reshape(-1, 3, 3).take(cells, axis=0)
+        terms[:9] = of_cells.swapaxes(1, 2).reshape(-1, 9).T
+        return np.asarray(turns @ (terms / variance))
+
+    nearest = reduce(np.minimum, map(error, pair.overlap.cross))
+    return np.maximum(nearest, 0.0, out=nearest)
 
 
-def _terms_of_rotation(rotation: Floats) -> Floats:
-    """Return `[M, 10]` of rotations `[M, 3, 3]`: see `steering_error`."""
-    return np.column_stack([-2 * rotation.reshape(-1, 9), np.ones(len(rotation))])
+def nearest_reading(pair: ViewPair, rotation: Floats, matched: Bools) -> Floats:
+    """Return sum w X_a X_b' `[match, 3, 3]` of matches, of the reading nearest under R `[3, 3]`.
 
-
-def _centre_terms(pair: ViewPair, cells: Ints) -> Floats:
-    """Return `[17, N]`, of which `_terms_of_relative_pose` make the error of the centres.
-
-    |R a + t - b|^2 = -2 b.R a + 2 t.R a - 2 t.b + |t|^2 + (|a|^2 + |b|^2), over the distances.
-    cells: `[N]` places in `[frame, I, J]`.
+    matched: `[frame, I, J]`.
     """
+    cross = pair.overlap.cross[:, matched]
+    nearest = np.einsum("ij,rnji->rn", rotation, cross).argmax(0)
+    return np.asarray(cross[nearest, np.arange(len(nearest))])
+
+
+def centre_error(
+    pair: ViewPair, rotation: Floats, translation: Floats, cells: Ints, config: PairwiseConfig
+) -> Floats:
+    """Return |R c_a + t - c_b|^2 of lifted centres, relative to their distances and the tolerance.
+
+    As one matrix product: -2 b.R a + 2 t.R a - 2 t.b + |t|^2 + (|a|^2 + |b|^2).
+    rotation: `[M, 3, 3]`; translation: `[M, 3]`; cells: `[N]` flat indices of `[frame, I, J]`.
+    Returns `[M, N]`.
+    """
+    of_pose = np.ones((len(rotation), 17))
+    of_pose[:, :9] = -2 * rotation.reshape(-1, 9)
+    of_pose[:, 9:12] = 2 * np.einsum("mij,mi->mj", rotation, translation)
+    of_pose[:, 12:15] = -2 * translation
+    of_pose[:, 15] = (translation**2).sum(-1)
     of_a, of_j = np.divmod(cells, pair.b.centre.shape[1])
     of_b = of_a // pair.a.centre.shape[1] * pair.b.centre.shape[1] + of_j
-    terms = np.empty((17, len(cells)))
-    outer, a, b = terms[:9].reshape(3, 3, -1), terms[9:12], terms[12:15]
-    a[:] = pair.a.centre.reshape(-1, 3).take(of_a, axis=0).T
-    b[:] = pair.b.centre.reshape(-1, 3).take(of_b, axis=0).T
-    np.multiply(b[:, None], a, out=outer)
-    terms[15] = 1.0
-    terms[16] = (a**2).sum(0) + (b**2).sum(0)
-    terms /= pair.a.distance.take(of_a) ** 2 + pair.b.distance.take(of_b) ** 2
-    return terms
+    a = pair.a.centre.reshape(-1, 3).take(of_a, axis=0).T
+    b = pair.b.centre.reshape(-1, 3).take(of_b, axis=0).T
+    outer = (b[:, None] * a).reshape(9, -1)
+    square = (a**2).sum(0) + (b**2).sum(0)
+    terms = np.vstack([outer, a, b, np.ones(len(cells)), square])
+    scale = pair.a.distance.take(of_a) ** 2 + pair.b.distance.take(of_b) ** 2
+    error = of_pose @ (terms / (config.centre_tolerance**2 * scale))
+    return np.maximum(error, 0.0, out=error)
 
 
-def _terms_of_relative_pose(rotation: Floats, translation: Floats) -> Floats:
-    """Return `[M, 17]` of rotations `[M, 3, 3]` and translations `[M, 3]`: see `_centre_terms`."""
-    terms = np.ones((len(rotation), 17))
-    terms[:, :9] = -2 * rotation.reshape(-1, 9)
-    terms[:, 9:12] = 2 * np.einsum("mij,mi->mj", rotation, translation)
-    terms[:, 12:15] = -2 * translation
-    terms[:, 15] = (translation**2).sum(-1)
-    return terms
+def epipolar_fit(
+    pair: ViewPair, rotation: Floats, translation: Floats, config: PairwiseConfig
+) -> Floats:
+    """Return in 0..1 the weighted share of joints that fit the epipolar geometry.
+
+    By Sampson's errors (Hartley and Zisserman 2004, eq. 11.9) on unit rays, at the body.
+    rotation: `[M, 3, 3]`; translation: `[M, 3]` of any length. Returns `[M, frame, I, J]`, 0 where
+    detections have too few joints in common.
+    """
+    fit = np.zeros((len(rotation), *pair.overlap.lifted.shape))
+    fit_hypotheses(
+        *contiguous(
+            unit_essential_matrix(rotation, translation),
+            np.swapaxes(pair.a.rays, 2, 3),
+            np.swapaxes(pair.b.rays, 2, 3),
+            pair.a.weight,
+            pair.b.weight,
+            body_sizes_per_radian(pair),
+        ),
+        config.inlier,
+        config.least_joints,
+        fit,
+    )
+    return fit
 
 
 def unit_essential_matrix(rotation: Floats, translation: Floats) -> Floats:
-    """Return the essential matrices of relative poses `[M, ...]`, the baseline being 1."""
+    """Return the essential matrices of relative poses `[M, ...]`, with a baseline of length 1."""
     return essential_matrix(
         rotation, translation / np.linalg.norm(translation, axis=-1, keepdims=True)
     )
-
-
-def weight_of_matches(weight_a: Floats, weight_b: Floats) -> Floats:
-    """Return `[frame, I, J, keypoint]` the weights of the joints of all possible matches."""
-    return weight_a[:, :, None] * weight_b[:, None]
-
-
-def match_affinity(
-    pair: ViewPair,
-    rotation: Floats,
-    translation: Floats,
-    config: PairwiseConfig,
-    *,
-    epipolar: Floats,
-) -> Floats:
-    """Return in 0..1 that two detections are one individual: geometry, tempered by lifted bodies.
-
-    A detection that could not be lifted has less to say than others, unless none could be: then
-    geometry is all there is. rotation: `[M, 3, 3]`; translation: `[M, 3]` in body sizes;
-    epipolar: `[M, frame, I, J]` of `scoring.fit_matches`. Returns `[M, frame, I, J]`.
-    """
-    bodies = np.sqrt(body_agreement(pair, rotation, translation, config))
-    unlifted = config.unlifted_affinity if pair.overlap.lifted.any() else 1.0
-    return epipolar * np.where(pair.overlap.lifted > 0, bodies, unlifted)
 
 
 def epipolar_affinity(
@@ -189,7 +191,7 @@ def epipolar_affinity(
     fit_all_views(
         *contiguous(sample.rays, sample.confidence, distance, _essential_matrices(rig)),
         config.inlier,
-        config.least_common_joints,
+        config.least_joints,
         affinity,
         comparable,
     )

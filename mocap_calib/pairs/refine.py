@@ -1,152 +1,144 @@
-"""Refine relative poses on the rays of two views by robust least squares, many at once."""
+"""Score hypotheses of a relative pose on all frames, and refine them on their matches."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mocap_calib.config import PairwiseConfig
-from mocap_calib.geometry.rotation import matrix_from_vector
-from mocap_calib.kernels.loading import compiled, contiguous
-from mocap_calib.pairs.hypotheses import Hypotheses
-from mocap_calib.pairs.view_pair import MatchedRays, ViewPair, matched_rays
-from mocap_calib.types import Bools, Floats
+from mocap_calib.kernels import pair_refinement
+from mocap_calib.kernels.affinity import share_in_front
+from mocap_calib.kernels.loading import contiguous
+from mocap_calib.pairs.affinity import match_affinity, mutual_best, nearest_reading, pose_variance
+from mocap_calib.pairs.search import Hypotheses
+from mocap_calib.pairs.view_pair import ViewPair, matched_rays
+from mocap_calib.types import Bools, Floats, Ints
 
 
-def refine_on_rays(
-    pair: ViewPair,
-    hypotheses: Hypotheses,
+@dataclass(frozen=True)
+class Scored:
+    """Hypotheses, their matches and their scores.
+
+    matched: `[M, frame, I, J]` matches under each hypothesis.
+    score: `[M]` in 0..1, see `score_hypotheses`.
+    in_front: `[M]` in 0..1, share of the matched joints in front of both cameras.
+    """
+
+    hypotheses: Hypotheses
+    matched: Bools
+    score: Floats
+    in_front: Floats
+
+    def __getitem__(self, index: Ints) -> "Scored":
+        return Scored(
+            hypotheses=self.hypotheses[index],
+            matched=self.matched[index],
+            score=self.score[index],
+            in_front=self.in_front[index],
+        )
+
+    def __add__(self, other: "Scored") -> "Scored":
+        return Scored(
+            hypotheses=self.hypotheses + other.hypotheses,
+            matched=np.concatenate([self.matched, other.matched]),
+            score=np.concatenate([self.score, other.score]),
+            in_front=np.concatenate([self.in_front, other.in_front]),
+        )
+
+
+def score_hypotheses(pair: ViewPair, hypotheses: Hypotheses, config: PairwiseConfig) -> Scored:
+    """Match the detections under each hypothesis, and score it by its matches.
+
+    The pair score is the share of the possible matches that are made, each weighted by the share
+    of its joints that fit the epipolar geometry, x the share of joints in front of both cameras
+    x the mean agreement of the lifted poses.
+    """
+    rotation, translation = hypotheses.rotation, hypotheses.translation
+    affinity, fit, pose = match_affinity(pair, rotation, translation, config)
+    matched = mutual_best(affinity, least=config.least_affinity)
+    in_front = np.zeros(len(hypotheses))
+    of_views = (pair.a.rays, pair.b.rays, pair.a.weight, pair.b.weight)
+    share_in_front(*contiguous(rotation, translation, *of_views, matched), in_front)
+    explained = (matched * fit).sum((1, 2, 3)) / max(_possible_matches(pair), 1)
+    agreement = (matched * pose).sum((1, 2, 3)) / np.maximum(matched.sum((1, 2, 3)), 1)
+    return Scored(hypotheses, matched, explained * in_front * agreement, in_front)
+
+
+def _possible_matches(pair: ViewPair) -> int:
+    """Return the largest number of matches: in each frame the lesser number of detections."""
+    detections_a, detections_b = pair.a.present.sum(-1), pair.b.present.sum(-1)
+    return int(np.minimum(detections_a, detections_b).sum())
+
+
+def refine_scored(
+    pair: ViewPair, scored: Scored, config: PairwiseConfig, rng: np.random.Generator
+) -> Scored:
+    """Refine each hypothesis on its matches; keep the step where the score does not fall."""
+    hypotheses = scored.hypotheses
+    count, points = len(hypotheses), config.points
+    rays = []
+    for matched in scored.matched:
+        of_one = matched_rays(pair, matched)
+        rays.append(of_one[rng.permutation(len(of_one))[:points]])
+    size = max(map(len, rays))
+    if size == 0:
+        return scored
+    sums = [
+        _body_sums(pair, *each, config)
+        for each in zip(hypotheses.rotation, scored.matched, strict=True)
+    ]
+    rotation, translation = refine_poses(
+        hypotheses.rotation,
+        hypotheses.translation,
+        config,
+        rays=np.stack([of_one.in_blocks(size) for of_one in rays]),
+        cross=np.stack([cross for cross, _ in sums]),
+        inertia=np.array([inertia for _, inertia in sums]),
+    )
+    moved = replace(hypotheses, rotation=rotation, translation=translation)
+    refined = score_hypotheses(pair, moved, config)
+    each = np.arange(count)
+    better = refined.score >= scored.score
+    return (scored + refined)[np.where(better, count + each, each)]
+
+
+def _body_sums(
+    pair: ViewPair, rotation: Floats, matched: Bools, config: PairwiseConfig
+) -> tuple[Floats, float]:
+    """Return sum w X_a X_b' `[3, 3]` and sum w (|X_a|^2 + |X_b|^2) / 2 over lifted matches.
+
+    They weigh the distance of a body, of three coordinates, against the error of a ray. The errors
+    of lifted bodies are alike: n of them have the information of n / (1 + n / 2).
+    rotation: `[3, 3]`; matched: `[frame, I, J]`.
+    """
+    lifted = matched & (pair.overlap.lifted > 0)
+    if not lifted.any():
+        return np.zeros((3, 3)), 0.0
+    share = 3 / (1 + lifted.sum() / 2)
+    weight = share * config.inlier**2 / pose_variance(pair, config)[lifted]
+    cross = np.einsum("n,nij->ij", weight, nearest_reading(pair, rotation, lifted))
+    return cross, float(weight @ pair.overlap.norm[lifted] / 2)
+
+
+def refine_poses(
+    rotation: Floats,
+    translation: Floats,
     config: PairwiseConfig,
     *,
-    matched: Bools,
-    rng: np.random.Generator,
-) -> Hypotheses:
-    """Refine each hypothesis on the rays of its own matches `[M, frame, I, J]`."""
-    batch = _gather_rays(pair, matched, config, rng)
-    rotation, translation = refine_two_view(
-        hypotheses.rotation, hypotheses.translation, batch, config
-    )
-    return replace(hypotheses, rotation=rotation, translation=translation)
-
-
-def _gather_rays(
-    pair: ViewPair, matched: Bools, config: PairwiseConfig, rng: np.random.Generator
-) -> MatchedRays:
-    """Draw joints of the matches of each hypothesis, as many of each: M batches of N.
-
-    matched: `[M, frame, I, J]`. Where there are fewer, the rest are axes of weight 0.
-    """
-    rays = [matched_rays(pair, of_one) for of_one in matched]
-    count, size = len(rays), min(config.points, max(map(len, rays)))
-    batch = MatchedRays(
-        a=np.zeros((count, size, 3)),
-        b=np.zeros((count, size, 3)),
-        weight=np.zeros((count, size)),
-        body_sizes_per_radian=np.ones((count, size)),
-    )
-    batch.a[..., 2] = batch.b[..., 2] = 1.0
-    for m, of_one in enumerate(rays):
-        drawn = of_one[rng.permutation(len(of_one))[:size]]
-        batch.a[m, : len(drawn)] = drawn.a
-        batch.b[m, : len(drawn)] = drawn.b
-        batch.weight[m, : len(drawn)] = drawn.weight
-        batch.body_sizes_per_radian[m, : len(drawn)] = drawn.body_sizes_per_radian
-    return batch
-
-
-def refine_two_view(
-    rotation: Floats, translation: Floats, rays: MatchedRays, config: PairwiseConfig
+    rays: Floats,
+    cross: Floats,
+    inertia: Floats,
 ) -> tuple[Floats, Floats]:
-    """Minimise Sampson's error at the body over R and the direction of t; the length of t stays.
+    """Minimise Sampson's error at the body, and the distance of bodies, over R and direction of t.
 
     Gauss-Newton under a Geman-McClure loss that tightens in the first steps, as graduated
-    non-convexity does (Black and Rangarajan 1996).
+    non-convexity does (Black and Rangarajan 1996). The length of t stays.
 
-    rotation: `[M, 3, 3]`; translation: `[M, 3]`; rays: M batches of N, `[M, N, ...]`.
-    Returns R `[M, 3, 3]` and t `[M, 3]`.
+    rotation: `[M, 3, 3]`; translation: `[M, 3]`; rays: `[M, block, 8, LANES]`; cross: `[M, 3, 3]`
+    and inertia: `[M]` of the bodies. Returns R `[M, 3, 3]` and t `[M, 3]`.
     """
     length = np.linalg.norm(translation, axis=-1, keepdims=True)
     direction = translation / np.maximum(length, 1e-12)
-    narrowing = config.refine_widest * config.refine_narrowing ** np.arange(config.refine_steps)
-    widths = config.inlier * np.maximum(narrowing, 1.0)
-    kernels = compiled("mocap_calib.kernels.pair_refinement")
-    if kernels:
-        rotation, direction = rotation.copy(), direction.copy()
-        given = contiguous(rays.in_blocks(), widths)
-        kernels.refine(rotation, direction, *given, config.refine_largest_step)
-        return rotation, direction * length
-    rays_a = np.ascontiguousarray(np.swapaxes(rays.a, 1, 2))  # by component, [M, 3, N]
-    rays_b = np.ascontiguousarray(np.swapaxes(rays.b, 1, 2))
-    for width in widths:
-        tangent = np.linalg.svd(direction[:, None])[2][:, 1:]  # [M, 2, 3], normal to t
-        angle, jacobian = epipolar_system(
-            rotation, direction, rays_a=rays_a, rays_b=rays_b, tangent=tangent
-        )
-        error = angle * rays.body_sizes_per_radian
-        robust = rays.weight / (1 + (error / width) ** 2) ** 2
-        delta = _gauss_newton_step(
-            error, jacobian * rays.body_sizes_per_radian[:, None], robust, config
-        )
-        rotation = matrix_from_vector(delta[:, :3]) @ rotation
-        direction = direction + np.einsum("mk,mkj->mj", delta[:, 3:], tangent)
-        direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
+    widths = config.inlier * np.array(config.loss_widths)
+    rotation = rotation.copy()
+    pair_refinement.refine(rotation, direction, *contiguous(rays, cross, inertia, widths))
     return rotation, direction * length
-
-
-def _gauss_newton_step(
-    error: Floats, jacobian: Floats, weight: Floats, config: PairwiseConfig
-) -> Floats:
-    """Return the step `[M, 5]` of weighted least squares, no longer than it may be.
-
-    error and weight: `[M, N]`; jacobian: `[M, 5, N]`.
-    """
-    weighted = jacobian * weight[:, None]
-    hessian = weighted @ np.swapaxes(jacobian, 1, 2)
-    gradient = weighted @ error[..., None]
-    trace = np.trace(hessian, axis1=1, axis2=2)[:, None, None]
-    damping = 1e-6 * trace * np.eye(5) + 1e-12 * np.eye(5)
-    delta = -np.linalg.solve(hessian + damping, gradient)[..., 0]
-    length = np.linalg.norm(delta, axis=1, keepdims=True)
-    delta *= np.minimum(1.0, config.refine_largest_step / np.maximum(length, 1e-12))
-    return delta
-
-
-def epipolar_system(
-    rotation: Floats, direction: Floats, *, rays_a: Floats, rays_b: Floats, tangent: Floats
-) -> tuple[Floats, Floats]:
-    """Return Sampson's errors in radians and their slopes in a turn and in shifts of t.
-
-    The error is t . (R u_a x u_b), Kneip and Lynen's (2013) coplanarity of the ray normals with
-    t, over the length of its gradients on the unit spheres (Sampson; Hartley and Zisserman 2004,
-    eq. 11.9): |t x R u_a|^2 + |t x u_b|^2 - 2 value^2.
-
-    rotation: `[M, 3, 3]`; direction: `[M, 3]` unit; rays: `[M, 3, N]` unit; tangent: `[M, K, 3]`
-    the shifts of t. Returns errors `[M, N]` and slopes `[M, 3 + K, N]`; turns are from the left.
-    """
-    turned = rotation @ rays_a
-    normal = _cross(turned, rays_b)
-    baseline = np.broadcast_to(direction[..., None], rays_b.shape)
-    across = _cross(rays_b, baseline)  # u_b x t
-    value = (direction[:, None] @ normal)[:, 0]
-    along_a = (direction[:, None] @ turned)[:, 0]
-    along_b = (direction[:, None] @ rays_b)[:, 0]
-    # with unit t and rays |t x R u_a|^2 = 1 - (t . R u_a)^2, and likewise |t x u_b|^2
-    gradient_squared = np.maximum(2 - along_a**2 - along_b**2 - 2 * value**2, 1e-12)
-    scale = 1 / np.sqrt(gradient_squared)
-    # a step changes the lengths of the gradients, too: without that the steps end elsewhere
-    ratio = value / gradient_squared
-    growth = (1 + 2 * value * ratio)[:, None]
-    pull_a, pull_b = (ratio * along_a)[:, None], (ratio * along_b)[:, None]
-    jacobian = np.empty((len(rotation), 3 + tangent.shape[1], rays_a.shape[2]))
-    jacobian[:, :3] = growth * _cross(turned, across) + pull_a * _cross(turned, baseline)
-    jacobian[:, 3:] = tangent @ (growth * normal + pull_a * turned + pull_b * rays_b)
-    jacobian *= scale[:, None]
-    return value * scale, jacobian
-
-
-def _cross(first: Floats, second: Floats) -> Floats:
-    """Return the cross products of `[M, 3, N]` and `[M, 3, N]`."""
-    out = np.empty(np.broadcast_shapes(first.shape, second.shape))
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        out[:, i] = first[:, j] * second[:, k] - first[:, k] * second[:, j]
-    return out

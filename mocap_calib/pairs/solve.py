@@ -15,15 +15,14 @@ import numpy as np
 
 from mocap_calib.compute.parallel import map_in_processes, map_in_threads, single_threaded_libraries
 from mocap_calib.config import PairwiseConfig
-from mocap_calib.pairs.hypotheses import Hypotheses, generate_hypotheses, well_separated
-from mocap_calib.pairs.posterior import most_probable
-from mocap_calib.pairs.refine import refine_on_rays
-from mocap_calib.pairs.scoring import Scored, keep_better, score_hypotheses
+from mocap_calib.geometry.epipolar import sampson_angle
+from mocap_calib.pairs.affinity import unit_essential_matrix
+from mocap_calib.pairs.refine import Scored, refine_scored, score_hypotheses
+from mocap_calib.pairs.search import Hypotheses, search_hypotheses, well_separated
 from mocap_calib.pairs.view_pair import (
     ViewPair,
     distance_ratios,
     gather_view_pair,
-    in_all_readings,
     matched_rays,
     shared_frames,
 )
@@ -186,77 +185,26 @@ def pair_problem(
 def calibrate_pair(problem: PairProblem, config: PairwiseConfig) -> PairwiseCalibration | None:
     """Return the relative pose of the two views with the best score, and its alternatives.
 
-    Of nearly flat bodies it is sought again among all readings, as they may have been lifted the
-    wrong way round in depth. That answer must be far better: the nearest of four readings is
-    always nearer. None where the views share nothing to go by.
+    None if the views share no frame or nothing can be searched.
     """
-    found = _calibrate(problem, config)
-    if found is None or not 1 <= problem.pair.reversal < config.nearly_flat:
-        return found
-    again = _calibrate(replace(problem, pair=in_all_readings(problem.pair)), config)
-    better = again is not None and again.score >= config.reversal_gain * found.score
-    return again if better else found
-
-
-def _calibrate(problem: PairProblem, config: PairwiseConfig) -> PairwiseCalibration | None:
-    """Return the best relative pose by the readings of the bodies that the pair has."""
     if problem.shared_frames == 0:
         return None
     pair, rng = problem.pair, problem.rng
-    hypotheses = generate_hypotheses(pair, problem.tracked, config, rng)
+    hypotheses = search_hypotheses(pair, problem.tracked, config, rng)
     if len(hypotheses) == 0:
         return None
-    refined = _refine(pair, hypotheses, config, rng)
-    final = _weigh_rays_and_bodies(pair, refined, config, rng)
-    apart = well_separated(
-        final.hypotheses.rotation,
-        final.score,
-        count=config.hypotheses_refined,
-        separation_deg=config.hypothesis_separation_deg,
-    )
-    best, *alternatives = (_answer(problem, final, int(k)) for k in apart)
-    return replace(best, alternatives=tuple(alternatives))
-
-
-def _refine(
-    pair: ViewPair, hypotheses: Hypotheses, config: PairwiseConfig, rng: np.random.Generator
-) -> Scored:
-    """Refine the hypotheses by turns of matching and robust least squares on rays.
-
-    A step that lowers the score of a hypothesis is not kept. After the first turn the best
-    distinct ones go on.
-    """
     current = score_hypotheses(pair, hypotheses, config)
-    for turn in range(config.rounds):
-        refined = refine_on_rays(pair, current.hypotheses, config, matched=current.matched, rng=rng)
-        current = keep_better(current, score_hypotheses(pair, refined, config))
-        if turn == 0:
-            distinct = well_separated(
-                current.hypotheses.rotation,
-                current.score,
-                count=config.hypotheses_refined,
-                separation_deg=config.same_hypothesis_deg,
-            )
-            current = current[distinct]
-    return current
-
-
-def _weigh_rays_and_bodies(
-    pair: ViewPair, refined: Scored, config: PairwiseConfig, rng: np.random.Generator
-) -> Scored:
-    """Move each hypothesis to where rays and lifted bodies together put it, if that is better."""
-    rotation = refined.hypotheses.rotation.copy()
-    translation = refined.hypotheses.translation.copy()
-    for m, matched in enumerate(refined.matched):
-        rays = matched_rays(pair, matched)
-        if not len(rays):  # views that see nothing in common may match nothing
-            continue
-        drawn = rays[rng.permutation(len(rays))[: config.points]]
-        rotation[m], translation[m] = most_probable(
-            pair, matched, drawn, config, rotation=rotation[m], translation=translation[m]
+    for _ in range(config.rounds):
+        current = refine_scored(pair, current, config, rng)
+        distinct = well_separated(
+            current.hypotheses.rotation,
+            current.score,
+            count=config.hypotheses_refined,
+            separation_deg=config.separation_deg,
         )
-    moved = replace(refined.hypotheses, rotation=rotation, translation=translation)
-    return keep_better(refined, score_hypotheses(pair, moved, config))
+        current = current[distinct]
+    best, *alternatives = (_answer(problem, current, k) for k in range(len(current.score)))
+    return replace(best, alternatives=tuple(alternatives))
 
 
 def mean_focal(problem: PairProblem, focal: Floats) -> float:
@@ -318,7 +266,16 @@ def _calibration(problem: PairProblem, scored: Scored, k: int) -> PairwiseCalibr
         matches=np.stack([problem.pair.frames[frame], i, j], 1),
         frames=problem.shared_frames,
         score=float(scored.score[k]),
-        residual=float(scored.residual[k]),
+        residual=_median_error(problem.pair, scored, k),
         in_front=float(scored.in_front[k]),
         source=scored.hypotheses.source[k],
     )
+
+
+def _median_error(pair: ViewPair, scored: Scored, k: int) -> float:
+    """Return the median epipolar error in radians of the matched joints, infinite if none."""
+    rays = matched_rays(pair, scored.matched[k])
+    if not len(rays):
+        return np.inf
+    matrix = unit_essential_matrix(scored.hypotheses.rotation[k], scored.hypotheses.translation[k])
+    return float(np.median(np.abs(sampson_angle(matrix, rays.a, rays.b))))

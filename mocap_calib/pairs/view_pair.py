@@ -1,4 +1,4 @@
-"""What two views show in the frames they share: the detections of each, and their overlap.
+"""Detections of two views in the frames they share, and how their lifted bodies compare.
 
 Lengths are in body sizes (RMS distance of the joints from their centroid).
 """
@@ -10,20 +10,21 @@ import numpy as np
 from mocap_calib.config import LEAST_LIFT_SPREAD, PairwiseConfig
 from mocap_calib.geometry.epipolar import depths
 from mocap_calib.kernels import sizes
-from mocap_calib.pairs.reversal import readings, reversal_in_spreads
+from mocap_calib.kernels.pair_refinement import LANES
+from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.types import Bools, Floats, Ints, LiftedPoses, Sample
 
-RAYS_OF_A_BLOCK = 64  # loops of a fixed length over arrays in the cache are quick
+_FLATNESS_FRAMES = 20  # sampled for `are_flat`
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Detections:
-    """The detections of one view in some frames; what is missing is 0.
+    """Detections of one view in some frames; missing entries are 0.
 
-    rays: `[frame, instance, keypoint, 3]` unit vectors in the frame of the camera.
+    rays: `[frame, instance, keypoint, 3]` unit rays in the frame of the camera.
     weight: `[frame, instance, keypoint]` confidence in 0..1, 0 = missing.
     centre: `[frame, instance, 3]` centroid of the lifted body in the frame of the camera.
-    distance: `[frame, instance]` of the body from the camera, by its lifted centre or its size.
+    distance: `[frame, instance]` from the camera, by the lifted centre or the apparent size.
     """
 
     rays: Floats
@@ -33,28 +34,28 @@ class Detections:
 
     @property
     def present(self) -> Bools:
-        """`[frame, instance]` where there is a detection."""
+        """`[frame, instance]` whether there is a detection."""
         return np.asarray((self.weight > 0).any(-1))
 
     @property
     def rays_or_nan(self) -> Floats:
-        """`[frame, instance, keypoint, 3]` the rays, NaN = missing."""
+        """`[frame, instance, keypoint, 3]` rays, NaN = missing."""
         return np.where(self.weight[..., None] > 0, self.rays, np.nan)
 
 
 @dataclass(frozen=True)
 class Overlap:
-    """How the lifted bodies X_a of one view compare with the X_b of another, I x J in each frame.
+    """Comparison of all lifted bodies X_a of one view with all X_b of the other (I x J a frame).
 
-    w are the weights of the joints that both have, their sum is 1; s are their standard
-    deviations as the network gives them.
+    Sums run over the joints that both bodies have, with weights w of sum 1. s are the standard
+    deviations that the network predicts.
 
-    cross: `[reading, frame, I, J, 3, 3]` sum w X_a X_b'. One reading, as the bodies were lifted;
-        or four, where they may as well be reversed (see `reversal`).
+    cross: `[reading, frame, I, J, 3, 3]` sum w X_a X_b'. One reading, or four for flat bodies,
+        whose front and back cannot be told apart (see `with_reversals`).
     norm: `[frame, I, J]` sum w (|X_a|^2 + |X_b|^2).
-    doubt: `[frame, I, J]` sum w (s_a^2 + s_b^2), the squared distance to be expected between two
-        lifts of one body.
-    lifted: `[frame, I, J]` 1 where both are lifted, else 0.
+    doubt: `[frame, I, J]` sum w (s_a^2 + s_b^2), the expected squared distance between two lifts
+        of one body.
+    lifted: `[frame, I, J]` 1 if both are lifted, else 0.
     """
 
     cross: Floats
@@ -65,25 +66,20 @@ class Overlap:
 
 @dataclass(frozen=True)
 class ViewPair:
-    """The detections of the views a and b (I and J instances) in some frames.
+    """Detections of the views a and b (I and J instances) in some frames.
 
-    frames: `[frame]` index into the sample that they were taken from.
-    reversal: how far bodies the other way round in depth differ from those that were lifted, in
-        spreads that the network states. Below 1 the overlap is of all readings.
+    frames: `[frame]` index into the sample.
     """
 
     frames: Ints
     a: Detections
     b: Detections
     overlap: Overlap
-    reversal: float
 
 
 @dataclass(frozen=True)
 class MatchedRays:
-    """The joints that both detections of a match show, of all matches: N correspondences.
-
-    Batches of equal size have more axes in front.
+    """N correspondences: the joints that both detections of a match have, of all matches.
 
     a and b: `[N, 3]` unit rays of the two views.
     weight: `[N]` product of the confidences.
@@ -98,35 +94,17 @@ class MatchedRays:
     def __len__(self) -> int:
         return len(self.a)
 
-    def in_blocks(self) -> Floats:
-        """Return `[..., block, 8, RAYS_OF_A_BLOCK]` all of it by component, as kernels take it.
-
-        Rays of no weight fill up the last block.
-        """
-        columns = (self.weight[..., None], self.body_sizes_per_radian[..., None])
-        *batch, count, _ = self.a.shape
-        blocks = -(-count // RAYS_OF_A_BLOCK)
-        filled = np.zeros((*batch, blocks * RAYS_OF_A_BLOCK, 8))
-        np.concatenate([self.a, self.b, *columns], axis=-1, out=filled[..., :count, :])
-        by_block = filled.reshape(*batch, blocks, RAYS_OF_A_BLOCK, 8)
-        return np.ascontiguousarray(np.swapaxes(by_block, -1, -2))
-
     def __getitem__(self, index: Ints) -> "MatchedRays":
         return MatchedRays(
             self.a[index], self.b[index], self.weight[index], self.body_sizes_per_radian[index]
         )
 
-
-@dataclass(frozen=True)
-class _Bodies:
-    """The lifted bodies of one view with zeros for nobody.
-
-    joints: `[frame, instance, joint, 3]`; precision and variance: `[frame, instance, joint]`.
-    """
-
-    joints: Floats
-    precision: Floats
-    variance: Floats
+    def in_blocks(self, size: int) -> Floats:
+        """Return `[block, 8, LANES]` components, padded with rays of weight 0 to `size` rays."""
+        filled = np.zeros((-(-size // LANES) * LANES, 8))
+        columns = (self.weight[:, None], self.body_sizes_per_radian[:, None])
+        np.concatenate([self.a, self.b, *columns], axis=1, out=filled[: len(self)])
+        return np.ascontiguousarray(np.swapaxes(filled.reshape(-1, LANES, 8), 1, 2))
 
 
 def shared_frames(sample: Sample, a: int, b: int, config: PairwiseConfig) -> Ints:
@@ -139,18 +117,12 @@ def shared_frames(sample: Sample, a: int, b: int, config: PairwiseConfig) -> Int
 def gather_view_pair(
     sample: Sample, lifted: LiftedPoses, views: tuple[int, int], frames: Ints
 ) -> ViewPair:
-    """Gather what the views a and b show in some frames (`[frame]` indices into the sample)."""
+    """Gather the detections of two views in some frames (`[frame]` indices into the sample)."""
     a, b = (gather_detections(sample, lifted, view, frames) for view in views)
-    overlap = _overlap(*(_bodies(lifted, view, frames) for view in views))
-    reversal = reversal_in_spreads(sample, lifted, views, frames)
-    pair = ViewPair(frames=frames, a=a, b=b, overlap=overlap, reversal=reversal)
-    return in_all_readings(pair) if reversal < 1 else pair
-
-
-def in_all_readings(pair: ViewPair) -> ViewPair:
-    """Return a pair of one reading with all four: see `reversal.readings`."""
-    cross = readings(pair.overlap.cross[0], pair.a.centre, pair.b.centre)
-    return replace(pair, overlap=replace(pair.overlap, cross=cross))
+    overlap = _compare_bodies(*(_bodies(lifted, view, frames) for view in views))
+    if are_flat(sample, lifted, views, frames):
+        overlap = replace(overlap, cross=with_reversals(overlap.cross[0], a.centre, b.centre))
+    return ViewPair(frames=frames, a=a, b=b, overlap=overlap)
 
 
 def gather_detections(sample: Sample, lifted: LiftedPoses, view: int, frames: Ints) -> Detections:
@@ -165,9 +137,9 @@ def gather_detections(sample: Sample, lifted: LiftedPoses, view: int, frames: In
 
 
 def distances(centre: Floats, rays: Floats) -> Floats:
-    """Return how far bodies are: as they were lifted, or by their angular size where they were not.
+    """Return the distances of bodies from the camera: of the lifted centre, or by apparent size.
 
-    centre: `[..., 3]` in body sizes, NaN = not lifted; rays: `[..., keypoint, 3]` unit vectors,
+    centre: `[..., 3]` in body sizes, NaN = not lifted; rays: `[..., keypoint, 3]` unit rays,
     NaN = missing. Returns `[...]` body sizes.
     """
     found = np.asarray(np.linalg.norm(centre, axis=-1))
@@ -177,10 +149,10 @@ def distances(centre: Floats, rays: Floats) -> Floats:
 
 
 def distances_by_size(rays: Floats) -> Floats:
-    """Return how far bodies are that look as large as these.
+    """Return the distances of bodies from the camera by their apparent size.
 
     A body of size 1 has an RMS distance of sqrt(2/3) from its centroid across the line of sight,
-    since two of three dimensions are seen. rays: `[..., keypoint, 3]` unit vectors, NaN = missing.
+    since two of three dimensions are seen. rays: `[..., keypoint, 3]` unit rays, NaN = missing.
     Returns `[...]` body sizes.
     """
     distance = np.empty(rays.shape[:-2])
@@ -189,51 +161,96 @@ def distances_by_size(rays: Floats) -> Floats:
     return distance
 
 
-def _bodies(lifted: LiftedPoses, view: int, frames: Ints) -> _Bodies:
-    """Gather the lifted bodies of one view."""
-    spread = lifted.spread[view, frames]
-    precision = 1.0 / (spread**2 + LEAST_LIFT_SPREAD**2)
-    return _Bodies(
-        joints=np.nan_to_num(lifted.body[view, frames]),
-        precision=np.nan_to_num(precision),
-        variance=np.nan_to_num(spread) ** 2,
-    )
+def _bodies(lifted: LiftedPoses, view: int, frames: Ints) -> tuple[Floats, Floats, Floats]:
+    """Return the lifted bodies of one view, 0 = not lifted.
+
+    joints `[frame, instance, joint, 3]`, precision and variance `[frame, instance, joint]`.
+    """
+    variance = lifted.spread[view, frames] ** 2
+    precision = 1.0 / (variance + LEAST_LIFT_SPREAD**2)
+    joints = lifted.body[view, frames]
+    return np.nan_to_num(joints), np.nan_to_num(precision), np.nan_to_num(variance)
 
 
-def _overlap(a: _Bodies, b: _Bodies) -> Overlap:
-    """Compare all lifted bodies of one view with all of the other, frame by frame."""
-    total = _sum_over_joints(a.precision, b.precision)
+def _compare_bodies(a: tuple[Floats, ...], b: tuple[Floats, ...]) -> Overlap:
+    """Compare the lifted bodies of one view with those of the other; a, b: of `_bodies`."""
+    (joints_a, precision_a, variance_a), (joints_b, precision_b, variance_b) = a, b
+    total = _sum_over_joints(precision_a, precision_b)
     divisor = np.where(total > 0, total, 1.0)
     # in C order, which pickling keeps: the last digit of sums over it depends on the memory order
     cross = np.einsum(
         "fikx,fjky->fijxy",
-        a.joints * a.precision[..., None],
-        b.joints * b.precision[..., None],
+        joints_a * precision_a[..., None],
+        joints_b * precision_b[..., None],
         optimize=True,
         order="C",
     )
-    square_a = (a.joints**2).sum(-1) * a.precision
-    square_b = (b.joints**2).sum(-1) * b.precision
-    norm = _sum_over_joints(square_a, b.precision) + _sum_over_joints(a.precision, square_b)
-    doubt_a = _sum_over_joints(a.variance * a.precision, b.precision)
-    doubt_b = _sum_over_joints(a.precision, b.variance * b.precision)
+    square_a, square_b = (joints_a**2).sum(-1), (joints_b**2).sum(-1)
+
+    def mean_sum(of_a: Floats, of_b: Floats) -> Floats:
+        """Return the weighted means `[frame, I, J]` of sums of one value of each body."""
+        sum_a = _sum_over_joints(of_a * precision_a, precision_b)
+        return (sum_a + _sum_over_joints(precision_a, of_b * precision_b)) / divisor
+
     return Overlap(
         cross=(cross / divisor[..., None, None])[None],
-        norm=norm / divisor,
-        doubt=(doubt_a + doubt_b) / divisor,
+        norm=mean_sum(square_a, square_b),
+        doubt=mean_sum(variance_a, variance_b),
         lifted=(total > 0).astype(np.float64),
     )
 
 
 def _sum_over_joints(of_a: Floats, of_b: Floats) -> Floats:
-    """Return the sums of products over the joints, `[frame, I, joint]` and `[frame, J, joint]`."""
+    """Return sums of products over the joints, of `[frame, I, joint]` and `[frame, J, joint]`."""
     return np.einsum("fik,fjk->fij", of_a, of_b)
+
+
+def are_flat(sample: Sample, lifted: LiftedPoses, views: tuple[int, ...], frames: Ints) -> bool:
+    """Return whether bodies are too thin for the network to determine their front and back.
+
+    A reversal in depth (Necker's) moves the joints of a body by twice its thickness, after the
+    best rotation. That is compared with the variance that the network predicts for the joints that
+    are seen, by medians over bodies. frames: `[frame]` indices into the sample.
+    """
+    few = evenly_spaced(frames, _FLATNESS_FRAMES)
+    known = sample.vocabulary >= 0
+    moved = expected = 0.0
+    for view in views:
+        seen = sample.confidence[view, few][..., known] > 0
+        of_joints = (part[:, :, sample.vocabulary[known]] for part in _bodies(lifted, view, few))
+        joints, precision, variance = of_joints
+        weight = seen * precision
+        some = weight.any(-1)
+        if not some.any():
+            return False
+        body, weight = joints[some], weight[some] / weight[some].sum(-1, keepdims=True)
+        body = body - np.einsum("nk,nkx->nx", weight, body)[:, None]
+        scatter = np.swapaxes(body, 1, 2) @ (body * weight[..., None])
+        moved += float(np.median(4 * np.linalg.eigvalsh(scatter)[:, 0]))
+        expected += float(np.median((weight * variance[some]).sum(-1)))
+    return moved < 2 * expected
+
+
+def with_reversals(cross: Floats, centre_a: Floats, centre_b: Floats) -> Floats:
+    """Return cross-covariances with no body, that of a, that of b, and both reversed in depth.
+
+    cross: `[frame, I, J, 3, 3]` sum w X_a X_b'; centre_a: `[frame, I, 3]`; centre_b:
+    `[frame, J, 3]`. Returns `[4, frame, I, J, 3, 3]`.
+    """
+    mirror_a, mirror_b = _mirror(centre_a)[:, :, None], _mirror(centre_b)[:, None]
+    return np.stack([cross, mirror_a @ cross, cross @ mirror_b, mirror_a @ cross @ mirror_b])
+
+
+def _mirror(centre: Floats) -> Floats:
+    """Return the reflections `[..., 3, 3]` along the lines of sight to centres `[..., 3]`."""
+    sight = centre / np.maximum(np.linalg.norm(centre, axis=-1, keepdims=True), 1e-12)
+    return np.asarray(np.eye(3) - 2 * sight[..., :, None] * sight[..., None, :])
 
 
 def body_sizes_per_radian(pair: ViewPair) -> Floats:
     """Return the body sizes per radian of Sampson's angle, `[frame, I, J]`.
 
-    The harmonic mean of both squared distances, under the root.
+    The root of the harmonic mean of both squared distances.
     """
     inverse_a = 1 / pair.a.distance[:, :, None] ** 2
     inverse_b = 1 / pair.b.distance[:, None, :] ** 2
@@ -245,21 +262,19 @@ def matched_rays(pair: ViewPair, matched: Bools) -> MatchedRays:
     frame, i, j = np.nonzero(matched)
     weight = pair.a.weight[frame, i] * pair.b.weight[frame, j]
     seen = weight > 0
-    body_sizes_of_joints = np.broadcast_to(
-        body_sizes_per_radian(pair)[frame, i, j][:, None], seen.shape
-    )
+    body_sizes = np.broadcast_to(body_sizes_per_radian(pair)[frame, i, j][:, None], seen.shape)
     return MatchedRays(
         a=pair.a.rays[frame, i][seen],
         b=pair.b.rays[frame, j][seen],
         weight=weight[seen],
-        body_sizes_per_radian=body_sizes_of_joints[seen],
+        body_sizes_per_radian=body_sizes[seen],
     )
 
 
 def distance_ratios(
     a: Detections, b: Detections, rotation: Floats, translation: Floats, matched: Bools
 ) -> Floats:
-    """Return how far bodies were lifted over how far matches are triangulated, joint by joint.
+    """Return the ratio of lifted to triangulated distance of the joints of matches.
 
     a, b: of two views. rotation: `[3, 3]` and translation: `[3]` of b_from_a, in any unit;
     matched: `[frame, I, J]`.

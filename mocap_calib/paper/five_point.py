@@ -14,7 +14,7 @@ from mocap_calib.config import (
     FivePointConfig,
 )
 from mocap_calib.geometry.epipolar import depths, essential_matrix, sampson_angle
-from mocap_calib.pairs.assignment import mutual_best
+from mocap_calib.pairs.affinity import mutual_best
 from mocap_calib.types import Bools, Floats, Ints
 
 RelativePose = tuple[Floats, Floats]  # R [3, 3] and t [3] of b_from_a

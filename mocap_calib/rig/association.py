@@ -19,9 +19,9 @@ from mocap_calib.config import (
     PairwiseConfig,
 )
 from mocap_calib.pairs.affinity import epipolar_affinity
-from mocap_calib.pairs.reversal import reversal_in_spreads
 from mocap_calib.pairs.solve import all_pairs
 from mocap_calib.pairs.view_pair import (
+    are_flat,
     distance_ratios,
     distances,
     distances_by_size,
@@ -66,9 +66,8 @@ def associate(
     views, frames, instances = sample.positions.shape[:3]
     labels = np.full((views, frames, instances), -1, dtype=np.int64)
     scale = _body_scale(sample, lifted, rig, config)
-    geometry_alone = (
-        has_single_subject(sample, config.matching.geometry_alone_share)
-        or reversal_in_spreads(sample, lifted, range(views), np.arange(frames)) < 1
+    geometry_alone = has_single_subject(sample, config.matching.geometry_alone_share) or are_flat(
+        sample, lifted, tuple(range(views)), np.arange(frames)
     )
     blocks = _cut_into_blocks(np.arange(frames), views * instances, _LIFTED_PAIRS)
     compared = ever_compared(lifted)

@@ -4,8 +4,8 @@ import numpy as np
 
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.epipolar import depths
-from mocap_calib.pairs.affinity import unit_essential_matrix, weight_of_matches
-from mocap_calib.pairs.hypotheses import Hypotheses
+from mocap_calib.pairs.affinity import unit_essential_matrix
+from mocap_calib.pairs.search import Hypotheses
 from mocap_calib.pairs.view_pair import ViewPair, body_sizes_per_radian, matched_rays
 from mocap_calib.types import Bools, Floats
 
@@ -26,7 +26,7 @@ def epipolar_error(pair: ViewPair, rotation: Floats, translation: Floats) -> tup
     square_b = (from_b**2).sum(-1)[:, :, None]
     slope = square_a + square_b - 2 * value**2
     angle = np.abs(value) / np.sqrt(np.maximum(slope, 1e-18))
-    weight = weight_of_matches(pair.a.weight, pair.b.weight)
+    weight = pair.a.weight[:, :, None] * pair.b.weight[:, None]
     return angle * body_sizes_per_radian(pair)[None, ..., None], weight
 
 
@@ -37,7 +37,7 @@ def epipolar_fit(error: Floats, weight: Floats, config: PairwiseConfig) -> Float
     Returns `[M, frame, I, J]`, 0 where there are too few joints in common.
     """
     fit = (weight / (1 + (error / config.inlier) ** 2)).sum(-1)
-    enough = (weight > 0).sum(-1) >= config.least_common_joints
+    enough = (weight > 0).sum(-1) >= config.least_joints
     return fit / np.maximum(weight.sum(-1), 1e-9) * enough
 
 

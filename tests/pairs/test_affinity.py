@@ -10,13 +10,17 @@ from scenes import lifted, recording, scene
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.epipolar import depths, essential_matrix, sampson_angle
 from mocap_calib.geometry.rotation import matrix_from_vector
+from mocap_calib.kernels.affinity import share_in_front
 from mocap_calib.pairs.affinity import (
     body_agreement,
     epipolar_affinity,
-    steering_error,
+    epipolar_fit,
+    match_affinity,
+    mutual_best,
+    pose_error,
+    pose_variance,
 )
-from mocap_calib.pairs.hypotheses import Hypotheses
-from mocap_calib.pairs.scoring import fit_matches, share_in_front
+from mocap_calib.pairs.search import Hypotheses
 from mocap_calib.pairs.view_pair import (
     body_sizes_per_radian,
     distance_ratios,
@@ -30,10 +34,17 @@ def ten_frames_of_two_views():
     return gather_view_pair(recording(), lifted(), (0, 1), np.arange(10))
 
 
-def test_steering_error_is_the_weighted_distance_of_turned_bodies():
+def body_distance(pair, rotation):
+    """The mean squared joint distance `[M, frame, I, J]` of lifted bodies, 0 if not lifted."""
+    every, shape = np.arange(pair.overlap.lifted.size), pair.overlap.lifted.shape
+    error = pose_error(pair, rotation, every, PairwiseConfig()).reshape(-1, *shape)
+    return error * pose_variance(pair, PairwiseConfig())
+
+
+def test_pose_error_is_the_weighted_distance_of_turned_bodies():
     pair, bodies = ten_frames_of_two_views(), lifted()
     rotation = matrix_from_vector(np.array([[0.3, -1.0, 0.2]]))
-    fast = steering_error(pair, rotation)[0]
+    fast = body_distance(pair, rotation)[0]
     weight = np.nan_to_num([1 / (bodies.spread[v, :10] ** 2 + 0.05**2) for v in (0, 1)])
     w = weight[0][:, :, None] * weight[1][:, None]
     gap = (np.nan_to_num(bodies.body[0, :10]) @ rotation[0].T)[:, :, None] - np.nan_to_num(
@@ -54,7 +65,7 @@ def test_bodies_agree_by_pose_and_place_as_far_as_the_network_is_sure():
     doubt = (w * (variance[0][:, :, None] + variance[1][:, None])).sum(-1)
     doubt *= config.pose_doubt**2 / np.maximum(w.sum(-1), 1e-12)
     tolerance = np.maximum(config.pose_tolerance**2, doubt)
-    pose = steering_error(pair, rotation) / tolerance
+    pose = body_distance(pair, rotation) / tolerance
     turned = np.einsum("mij,faj->mfai", rotation, pair.a.centre) + translation[:, None, None]
     place = ((turned[:, :, :, None] - pair.b.centre[:, None]) ** 2).sum(-1)
     place /= pair.a.distance[:, :, None] ** 2 + pair.b.distance[:, None] ** 2
@@ -84,14 +95,20 @@ def poses_of_some_hypotheses():
 
 
 def test_the_compiled_fit_of_matches_is_that_of_the_definition():
-    """Where there are too few joints in common both say 0; their errors are of no meaning."""
     pair, config, poses = ten_frames_of_two_views(), PairwiseConfig(), poses_of_some_hypotheses()
-    error, fit = fit_matches(pair, poses.rotation, poses.translation, config)
+    fit = epipolar_fit(pair, poses.rotation, poses.translation, config)
     defined, weight = oracle.epipolar_error(pair, poses.rotation, poses.translation)
     np.testing.assert_allclose(fit, oracle.epipolar_fit(defined, weight, config), rtol=1e-9)
-    judged = np.broadcast_to((fit > 0)[..., None] & (weight > 0), error.shape)
-    assert 0 < judged.mean() < 1
-    np.testing.assert_allclose(error[judged], defined[judged], rtol=1e-9, atol=1e-12)
+    assert 0 < (fit > 0).mean() < 1
+
+
+def test_affinity_is_the_epipolar_fit_times_the_root_of_the_agreement_of_bodies():
+    pair, config, poses = ten_frames_of_two_views(), PairwiseConfig(), poses_of_some_hypotheses()
+    affinity, fit, pose = match_affinity(pair, poses.rotation, poses.translation, config)
+    bodies = body_agreement(pair, poses.rotation, poses.translation, config)
+    expected = np.where(pair.overlap.lifted > 0, np.sqrt(bodies), config.unlifted_affinity)
+    np.testing.assert_allclose(affinity, fit * expected, rtol=1e-9)
+    assert (pose[:, pair.overlap.lifted == 0] == 1).all()
 
 
 def test_the_compiled_share_in_front_is_that_of_the_depths():
@@ -99,7 +116,9 @@ def test_the_compiled_share_in_front_is_that_of_the_depths():
     rng = np.random.default_rng(6)
     matched = rng.random((5, *pair.overlap.lifted.shape)) < 0.3
     matched[3] = False
-    found = share_in_front(pair, poses, matched)
+    found = np.zeros(5)
+    of_views = (pair.a.rays, pair.b.rays, pair.a.weight, pair.b.weight)
+    share_in_front(poses.rotation, poses.translation, *of_views, matched, found)
     np.testing.assert_allclose(found, oracle.share_of_depths(pair, poses, matched), rtol=1e-12)
     assert found[3] == 0
     assert np.unique(found).size > 2
@@ -172,3 +191,17 @@ def test_distances_are_compared_where_joints_are_in_front_of_both_views():
     assert one_sided > 0
     found = distance_ratios(pair.a, pair.b, rotation, translation, matched)
     np.testing.assert_allclose(found, np.concatenate(expected), rtol=1e-9)
+
+
+def test_the_unlike_stay_alone():
+    affinity = np.array([[0.9, 0.0], [0.0, 0.01]])
+    assert mutual_best(affinity, least=0.1).tolist() == [[True, False], [False, False]]
+
+
+def test_no_detection_is_matched_twice_where_affinities_tie():
+    """As of a detection that a file has twice: its second row or column stays unmatched."""
+    affinity = np.array([[0.9, 0.9, 0.1], [0.1, 0.1, 0.8], [0.1, 0.1, 0.8]])
+    matched = mutual_best(affinity, least=0.05)
+    assert matched.tolist() == [[True, False, False], [False, False, True], [False] * 3]
+    both = mutual_best(np.full((4, 2, 2), 0.5), least=0.2)
+    np.testing.assert_array_equal(both, np.tile([[True, False], [False, False]], (4, 1, 1)))

@@ -12,7 +12,8 @@ from scenes import lifted, recording, scene
 from mocap_calib.config import FivePointConfig, PairwiseConfig, PaperConfig
 from mocap_calib.geometry.rotation import angle_between, direction_angle, matrix_from_vector
 from mocap_calib.io.results.pairs_json import pairs_to_json
-from mocap_calib.pairs.refine import refine_two_view
+from mocap_calib.kernels.pair_refinement import LANES
+from mocap_calib.pairs.refine import refine_poses
 from mocap_calib.pairs.solve import calibrate_pair, calibrate_pairs, pair_problem
 from mocap_calib.pairs.view_pair import MatchedRays
 from mocap_calib.paper.five_point_pairs import FivePointPairs
@@ -35,12 +36,37 @@ def test_refinement_finds_the_pose_among_gross_outliers():
     b[:400] = rng.permutation(b[:400])
     a, b = (x / np.linalg.norm(x, axis=1, keepdims=True) for x in (a, b))
     start = matrix_from_vector(np.radians([[3.0, -4.0, 3.0]])) @ rotation
-    rays = MatchedRays(a[None], b[None], np.ones((1, 2000)), np.full((1, 2000), 5.0))
-    config = PairwiseConfig(inlier=0.05)
-    found, direction = refine_two_view(start, translation[None] + 0.3, rays, config)
+    rays = MatchedRays(a, b, np.ones(2000), np.full(2000, 5.0))
+    found, direction = refine_poses(
+        start,
+        translation[None] + 0.3,
+        PairwiseConfig(inlier=0.05),
+        rays=rays.in_blocks(2000)[None],
+        cross=np.zeros((1, 3, 3)),
+        inertia=np.zeros(1),
+    )
     assert np.degrees(angle_between(found[0], rotation)) < 0.1
     assert np.degrees(direction_angle(direction[0], translation)) < 0.2
     assert np.linalg.norm(direction) == pytest.approx(np.linalg.norm(translation + 0.3))
+
+
+def test_lifted_bodies_determine_a_rotation_that_rays_leave_open():
+    """Nine bodies, no ray, 30 degrees off: to 0.01 degrees after eight steps."""
+    rng = np.random.default_rng(1)
+    rotation = matrix_from_vector(np.array([0.2, 1.0, -0.1]))
+    bodies = rng.normal(size=(9, 17, 3))
+    cross = np.einsum("nkx,nky->xy", bodies, bodies @ rotation.T)
+    start = matrix_from_vector(np.radians([[0.0, 30.0, 0.0]])) @ rotation
+    found, direction = refine_poses(
+        start,
+        np.array([[1.0, 0.0, 0.0]]),
+        PairwiseConfig(),
+        rays=np.zeros((1, 1, 8, LANES)),
+        cross=cross[None],
+        inertia=np.array([(bodies**2).sum()]),
+    )
+    assert np.degrees(angle_between(found[0], rotation)) < 0.05
+    np.testing.assert_allclose(direction, [[1.0, 0.0, 0.0]])
 
 
 def test_pairs_of_a_ring_of_strangers():

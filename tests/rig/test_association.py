@@ -7,7 +7,7 @@ import numpy as np
 from scenes import lifted, precision, recording, scene
 
 from mocap_calib.config import Config, MatchingConfig, PairwiseConfig
-from mocap_calib.pairs.affinity import match_affinity
+from mocap_calib.pairs.affinity import body_agreement
 from mocap_calib.pairs.view_pair import distances, gather_view_pair
 from mocap_calib.rig import association, linking
 from mocap_calib.rig.association import associate
@@ -99,14 +99,12 @@ def test_bodies_of_all_views_temper_as_those_of_each_pair_of_views():
     by_view = [each.reshape(-1, views, instances, views, instances) for each in (affinity, found)]
     for a, b in combinations(range(views), 2):
         rotation, translation = rig.relative(a, b)
-        expected = match_affinity(
-            gather_view_pair(sample, bodies, (a, b), frames),
-            rotation[None],
-            scale * translation[None],
-            config,
-            epipolar=by_view[0][None, :, a, :, b],
-        )
-        np.testing.assert_allclose(by_view[1][:, a, :, b], expected[0], rtol=1e-9, atol=1e-12)
+        pair = gather_view_pair(sample, bodies, (a, b), frames)
+        agreement = body_agreement(pair, rotation[None], scale * translation[None], config)[0]
+        unlifted = config.unlifted_affinity if pair.overlap.lifted.any() else 1.0
+        expected = np.where(pair.overlap.lifted > 0, np.sqrt(agreement), unlifted)
+        expected *= by_view[0][:, a, :, b]
+        np.testing.assert_allclose(by_view[1][:, a, :, b], expected, rtol=1e-9, atol=1e-12)
 
 
 def test_frames_are_grouped_independently():

@@ -1,6 +1,7 @@
-"""Hypotheses of the relative pose of two views.
+"""Search of the relative poses of two views: by lifted bodies, and by five points.
 
-They come from the lifted bodies, and from five-point RANSAC where identities are known.
+Two lifted bodies give a rotation in closed form; five-point RANSAC gives more where it is known
+which detections belong to one individual.
 """
 
 from dataclasses import dataclass
@@ -12,12 +13,11 @@ import numpy as np
 from mocap_calib.config import PairwiseConfig
 from mocap_calib.geometry.epipolar import five_point
 from mocap_calib.geometry.rotation import nearest_rotation
-from mocap_calib.pairs.affinity import body_agreement, weigh_readings
-from mocap_calib.pairs.assignment import mutual_best, sinkhorn
+from mocap_calib.pairs.affinity import body_agreement, mutual_best, nearest_reading
 from mocap_calib.pairs.view_pair import ViewPair, body_sizes_per_radian
 from mocap_calib.types import Floats, Ints
 
-_CELLS = 2_000_000  # candidates x possible matches scored at a time
+_CELLS = 2_000_000  # hypotheses x possible matches scored at a time, for memory
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Hypotheses:
 
     rotation: `[M, 3, 3]`.
     translation: `[M, 3]` in body sizes.
-    source: `[M]` what each was found by ("lifted", "five-point", ...).
+    source: `[M]` method that found each ("lifted", "five-point", ...).
     """
 
     rotation: Floats
@@ -48,12 +48,12 @@ class Hypotheses:
         )
 
 
-def generate_hypotheses(
+def search_hypotheses(
     pair: ViewPair, tracked: bool, config: PairwiseConfig, rng: np.random.Generator
 ) -> Hypotheses:
-    """Search the lifted bodies for relative poses, and add those of five points.
+    """Return relative poses from the lifted bodies, and those of five points.
 
-    tracked: in both views the instance index names the same individual in all frames.
+    tracked: in both views the instance index identifies the same individual in all frames.
     """
     hypotheses = _search_bodies(pair, config, rng)
     for matches in _known_identities(pair, tracked, config):
@@ -78,35 +78,27 @@ def well_separated(rotation: Floats, score: Floats, *, count: int, separation_de
 
 
 def _search_bodies(pair: ViewPair, config: PairwiseConfig, rng: np.random.Generator) -> Hypotheses:
-    """Score the relative poses of candidate matches on all frames; return the best, aligned."""
+    """Return the relative poses of possible matches that agree best with all frames, aligned."""
     candidates = _candidates(pair, config, rng)
     if len(candidates) == 0:
         return candidates
-    agreement = _total_agreement_in_blocks(pair, candidates, config)
-    kept = candidates[
-        well_separated(
-            candidates.rotation,
-            agreement,
-            count=config.hypotheses_kept,
-            separation_deg=config.hypothesis_separation_deg,
-        )
-    ]
-    for _ in range(config.rounds):
-        kept = _align_bodies(pair, kept, config)
-    distinct = well_separated(
-        kept.rotation,
-        _total_agreement(pair, kept, config),
-        count=config.hypotheses_kept,
-        separation_deg=config.same_hypothesis_deg,
+    best = well_separated(
+        candidates.rotation,
+        _total_agreement(pair, candidates, config),
+        count=config.hypotheses_searched,
+        separation_deg=config.separation_deg,
     )
-    return kept[distinct]
+    aligned = candidates[best]
+    for _ in range(config.rounds):
+        aligned = _align_bodies(pair, aligned, config)
+    return aligned
 
 
 def _candidates(pair: ViewPair, config: PairwiseConfig, rng: np.random.Generator) -> Hypotheses:
-    """Return the relative poses of possible matches: two bodies give one in closed form (Kabsch).
+    """Return relative poses that align two lifted bodies each (Kabsch).
 
-    Each reading of the bodies gives its own. Half of them are those whose bodies agree best, half
-    are drawn at random.
+    Half of them are those whose bodies agree best, half are drawn at random; each reading of the
+    bodies gives its own.
     """
     frame, i, j = np.nonzero(pair.overlap.lifted)
     cross = pair.overlap.cross[:, frame, i, j].reshape(-1, 3, 3)
@@ -123,56 +115,43 @@ def _candidates(pair: ViewPair, config: PairwiseConfig, rng: np.random.Generator
     return Hypotheses(rotation, translation, ("lifted",) * len(picked))
 
 
-def _total_agreement_in_blocks(
-    pair: ViewPair, hypotheses: Hypotheses, config: PairwiseConfig
-) -> Floats:
-    """Return `_total_agreement` of many hypotheses, some at a time.
+def _total_agreement(pair: ViewPair, hypotheses: Hypotheses, config: PairwiseConfig) -> Floats:
+    """Return `[M]` the best agreement of each detection with one of the other view, summed."""
 
-    A single crowded frame multiplies the possible matches that each is scored on.
-    """
+    def total(k: Ints) -> Floats:
+        """Return the totals of some hypotheses: one crowded frame has many possible matches."""
+        some = hypotheses[k]
+        agreement = body_agreement(pair, some.rotation, some.translation, config)
+        # `max` over a few numbers that lie side by side takes several times as long
+        of_a = reduce(np.maximum, np.moveaxis(agreement, -1, 0))
+        of_b = reduce(np.maximum, np.moveaxis(agreement, -2, 0))
+        return np.asarray(of_a.sum((-1, -2)) + of_b.sum((-1, -2)))
+
     count = len(hypotheses)
     size = max(1, _CELLS // pair.overlap.lifted.size)
     blocks = np.split(np.arange(count), range(size, count, size))
-    return np.concatenate([_total_agreement(pair, hypotheses[k], config) for k in blocks])
-
-
-def _total_agreement(pair: ViewPair, hypotheses: Hypotheses, config: PairwiseConfig) -> Floats:
-    """Return `[M]` the best agreement of each detection with one of the other view, summed."""
-    agreement = body_agreement(pair, hypotheses.rotation, hypotheses.translation, config)
-    # `max` over a few numbers that lie side by side takes several times as long
-    of_a = reduce(np.maximum, np.moveaxis(agreement, -1, 0))
-    of_b = reduce(np.maximum, np.moveaxis(agreement, -2, 0))
-    return np.asarray(of_a.sum((-1, -2)) + of_b.sum((-1, -2)))
+    return np.concatenate([total(k) for k in blocks])
 
 
 def _align_bodies(pair: ViewPair, hypotheses: Hypotheses, config: PairwiseConfig) -> Hypotheses:
-    """Match the bodies under each hypothesis, and align the matched ones (weighted Procrustes)."""
-    agreement = body_agreement(pair, hypotheses.rotation, hypotheses.translation, config)
-    matched = mutual_best(sinkhorn(agreement, dummy=config.search_dummy), least=config.search_match)
-    weight = agreement * matched
-    of_readings = weigh_readings(pair, hypotheses.rotation, weight)
-    cross = of_readings.reshape(len(weight), -1) @ pair.overlap.cross.reshape(-1, 9)
-    cross = cross.reshape(-1, 3, 3).swapaxes(1, 2)
-    rotation = nearest_rotation(cross + 1e-9 * hypotheses.rotation)
-    mean, total = _mean_gap(pair, rotation, weight)
-    translation = np.where(total > 0, mean, hypotheses.translation)
-    return Hypotheses(rotation, translation, hypotheses.source)
+    """Match the bodies under each hypothesis, and align the matched ones (weighted Procrustes).
 
-
-def _mean_gap(pair: ViewPair, rotation: Floats, weight: Floats) -> tuple[Floats, Floats]:
-    """Return the mean of c_b - R c_a over the matches `[M, 3]`, and the sum of their weights.
-
-    rotation: `[M, 3, 3]`; weight: `[M, frame, I, J]`, which counts less for far bodies: their
-    centres are less certain. Returns the sum as `[M, 1]`.
+    Centres weigh less the farther they are: their error grows with the distance.
     """
-    scale = pair.a.distance[:, :, None] ** 2 + pair.b.distance[:, None] ** 2
-    precision = weight / scale
-    of_a, of_b = precision.sum(-1), precision.sum(-2)
-    total = of_a.sum((1, 2))[:, None]
-    sum_a = of_a.reshape(len(weight), -1) @ pair.a.centre.reshape(-1, 3)
-    sum_b = of_b.reshape(len(weight), -1) @ pair.b.centre.reshape(-1, 3)
-    gap = sum_b - (rotation @ sum_a[..., None])[..., 0]
-    return gap / np.maximum(total, 1e-12), total
+    agreement = body_agreement(pair, hypotheses.rotation, hypotheses.translation, config)
+    matched = mutual_best(agreement, least=config.least_affinity)
+    rotation, translation = hypotheses.rotation.copy(), hypotheses.translation.copy()
+    for m, of_one in enumerate(matched):
+        if not of_one.any():
+            continue
+        frame, i, j = np.nonzero(of_one)
+        weight = agreement[m, of_one]
+        cross = np.einsum("n,nij->ji", weight, nearest_reading(pair, rotation[m], of_one))
+        rotation[m] = nearest_rotation(cross + 1e-9 * rotation[m])
+        weight = weight / (pair.a.distance[frame, i] ** 2 + pair.b.distance[frame, j] ** 2)
+        gap = pair.b.centre[frame, j] - pair.a.centre[frame, i] @ rotation[m].T
+        translation[m] = weight @ gap / weight.sum()
+    return Hypotheses(rotation, translation, hypotheses.source)
 
 
 def _known_identities(pair: ViewPair, tracked: bool, config: PairwiseConfig) -> list[Ints]:
@@ -207,17 +186,12 @@ def _pairs_of_tracks(pair: ViewPair) -> list[Ints]:
 def _from_five_points(
     pair: ViewPair, matches: Ints, config: PairwiseConfig, rng: np.random.Generator
 ) -> Hypotheses:
-    """Run five-point RANSAC (Nister 2004) on subsets of matches `[match, 3]` of one individual."""
-    found: list[tuple[Floats, Floats]] = []
-    for _ in range(config.five_point_draws):
-        drawn = np.sort(rng.permutation(len(matches))[: config.five_point_matches])
-        frame, i, j = matches[drawn].T
-        both = (pair.a.weight[frame, i] > 0) & (pair.b.weight[frame, j] > 0)
-        threshold = config.five_point_inlier / float(
-            np.median(body_sizes_per_radian(pair)[frame, i, j])
-        )
-        rays_a, rays_b = pair.a.rays[frame, i][both], pair.b.rays[frame, j][both]
-        found += five_point(rays_a, rays_b, threshold)
+    """Run five-point RANSAC (Nister 2004) on matches `[match, 3]` of one individual."""
+    drawn = np.sort(rng.permutation(len(matches))[: config.five_point_matches])
+    frame, i, j = matches[drawn].T
+    both = (pair.a.weight[frame, i] > 0) & (pair.b.weight[frame, j] > 0)
+    threshold = config.inlier / float(np.median(body_sizes_per_radian(pair)[frame, i, j]))
+    found = five_point(pair.a.rays[frame, i][both], pair.b.rays[frame, j][both], threshold)
     return Hypotheses(
         rotation=np.reshape([rotation for rotation, _ in found], (-1, 3, 3)),
         translation=np.reshape([translation for _, translation in found], (-1, 3)),
