@@ -23,6 +23,8 @@ from mocap_calib.io.poses.common import check_rate, describe_poses
 from mocap_calib.io.poses.formats import POSE_FORMATS
 from mocap_calib.io.poses.write import write_poses
 from mocap_calib.io.units import ARBITRARY
+from mocap_calib.report import rig_report
+from mocap_calib.report_verdict import verdict_of_cameras
 from mocap_calib.types import (
     CalibrationResult,
     Camera,
@@ -115,6 +117,7 @@ def write(
     *,
     fps: float | None = None,
     individuals: Sequence[str] = (),
+    verdict: CalibrationResult | None = None,
 ) -> tuple[str, ...]:
     """Write cameras, 3D poses, keypoints, or all that a run finds; whole or not at all.
 
@@ -124,6 +127,7 @@ def write(
         of a result, those of a format that is named are written too.
     fps: frames per second of poses, which some formats need; also for the poses of a result.
     individuals: `[individual]` names, for `Poses3D`.
+    verdict: the result that a rig is from: the file of the rig holds the verdict on it.
 
     Returns what of the thing the format does not hold, in words. Raises MismatchError where the
     format cannot hold it, or its ending does not say the format; TypeError for other things; and
@@ -141,9 +145,22 @@ def write(
         _refuse_arguments(thing, fps=fps, individuals=individuals)
         if isinstance(thing, CameraRig):
             form = format or choose_format("cameras", path, "format=")
-            return write_cameras(path, thing, form, {"version": __version__, **thing.judgement})
+            return write_cameras(path, thing, form, _provenance_of(thing, verdict))
         views = _list_views(thing)
         return write_keypoints(path, views, format or choose_format("keypoints", path, "format="))
+
+
+def _provenance_of(rig: CameraRig, result: CalibrationResult | None) -> dict[str, Any]:
+    """Return what the file of a rig holds of its verdict, by the result that it is from.
+
+    Raises ValueError where no group of the result has these cameras.
+    """
+    if result is None:
+        return {"version": __version__}
+    for group in result.groups:
+        if set(rig.names) <= set(group.rig.names):
+            return {"version": __version__, **verdict_of_cameras(rig_report(group, result))}
+    raise ValueError("verdict: expected the result that the rig is from, got one of other cameras")
 
 
 def _list_views(thing: object) -> tuple[Keypoints2D, ...]:

@@ -370,8 +370,6 @@ class CameraRig(Record):
 
     rotation: `[view, 3, 3]` and translation: `[view, 3]` of cam_from_world.
     unit: what a length of 1 is ("m", "mm", ... or "arbitrary").
-    judgement: how far the cameras can be trusted, as `io.provenance.judgement` has it: of a rig
-        that was calibrated, and of one in a file that says so. Files that are written say it too.
     clocks: of the cameras whose frames are not numbered by the clock of the others.
     world: what the axes of the coordinates are.
     """
@@ -380,7 +378,6 @@ class CameraRig(Record):
     rotation: Floats
     translation: Floats
     unit: str = ARBITRARY
-    judgement: Mapping[str, Any] = field(default_factory=dict, compare=False)
     clocks: tuple[CameraClock, ...] = field(default=(), compare=False)
     world: World = field(default_factory=World, compare=False)
 
@@ -1520,6 +1517,7 @@ class Verification(Record):
     rig: the calibration with the cameras that moved, or have another focal length, where they are
         now; all else as given, in its coordinates and its unit.
     clocks: how the clocks of the cameras differ, beyond what the calibration says of them.
+    provenance: what files of the rig hold of the verdict, the fields of `io.provenance.judgement`.
     """
 
     cameras: tuple[VerifiedCamera, ...]
@@ -1527,6 +1525,7 @@ class Verification(Record):
     reasons: tuple[str, ...]
     rig: CameraRig
     clocks: Clocks
+    provenance: Mapping[str, Any] = field(default_factory=dict, compare=False)
 
     def __repr__(self) -> str:
         lines = [f"  {camera.name}: {camera.word}" for camera in self.cameras]

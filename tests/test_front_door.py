@@ -5,7 +5,6 @@ import inspect
 import json
 import subprocess
 import sys
-import tomllib
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -13,12 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scenes
-from scenes import PEOPLE, scene
+from scenes import PEOPLE, calibrated, scene
 
 import mocap_calib
 from mocap_calib import pipeline
+from mocap_calib.io.cameras.read import load_cameras
 from mocap_calib.io.poses.read import load_poses
-from mocap_calib.io.provenance import judgement
 from mocap_calib.lift.loading import choose_model
 from mocap_calib.recording.joints import load_skeleton
 from mocap_calib.types import AssumedCamera, Clocks
@@ -271,17 +270,29 @@ def test_what_is_written_is_read_again(files, tmp_path):
 
 
 @pytest.mark.parametrize("ending", ["toml", "yaml"])
-def test_the_verdict_on_a_rig_goes_from_file_to_file(ending, files, tmp_path):
-    """Also of some of the cameras, and in another unit."""
-    judged = judgement("weak", ["rigs differ"], 1.5)
-    rig = replace(mocap_calib.read_rig(files / "rig.toml"), judgement=judged)
-    mocap_calib.write(rig.select(["cam1", "cam2"]).scale(100, "cm"), tmp_path / f"a.{ending}")
-    again = mocap_calib.read_rig(tmp_path / f"a.{ending}")
-    mocap_calib.write(again, tmp_path / "b.toml")
-    text = (tmp_path / "b.toml").read_text("utf-8")
-    assert text.startswith("# mocap-calib: this rig is weak: check it before you measure with it\n")
-    metadata = tomllib.loads(text)["metadata"]
-    assert (metadata["adjusted"], metadata["error"], again.judgement) == (True, 1.5, judged)
+def test_the_file_of_a_rig_holds_the_verdict_of_its_result(ending, tmp_path):
+    """Also of some of the cameras, and in another unit; a file of other cameras does not."""
+    result = replace(calibrated_result(), left_out=("cam9",))
+    rig = result.groups[0].rig
+    path = tmp_path / f"a.{ending}"
+    mocap_calib.write(rig.select(["cam1", "cam2"]).scale(100, "cm"), path, verdict=result)
+    assert path.read_text("utf-8").startswith("# mocap-calib: this rig is well determined\n")
+    found = load_cameras(path).judgement
+    assert (found["adjusted"], found["verdict"]) == (True, "well determined")
+    assert "cameras left out: cam9" in found["remarks"]
+    mocap_calib.write(rig, path)
+    assert load_cameras(path).judgement == {}
+    other = mocap_calib.CameraRig(rig.cameras[:1], rig.rotation[:1], rig.translation[:1])
+    other = replace(other, cameras=(replace(rig.cameras[0], name="elsewhere"),))
+    with pytest.raises(ValueError, match="verdict: expected the result that the rig is from"):
+        mocap_calib.write(other, path, verdict=result)
+
+
+def calibrated_result() -> mocap_calib.CalibrationResult:
+    """A result with one group."""
+    group = calibrated()
+    clocks = Clocks.of_one(group.recording)
+    return mocap_calib.CalibrationResult((group,), (), (), clocks=clocks)
 
 
 def test_what_cannot_be_written_is_said_in_a_line(files, tmp_path):
@@ -352,8 +363,8 @@ def test_a_run_in_python_is_that_of_the_command(done, small, tmp_path):
     for name in ("matches.csv", "poses3d_0.csv", "poses3d_1.csv"):
         assert (tmp_path / "out" / name).read_bytes() == (done[0] / name).read_bytes()
     rig = mocap_calib.read_rig(done[0] / "cameras.yaml")
-    assert (result.groups[0].rig, result.groups[0].rig.judgement) == (rig, rig.judgement)
-    assert rig.judgement["verdict"] == result.groups[0].verdict
+    assert result.groups[0].rig == rig
+    assert load_cameras(done[0] / "cameras.yaml").judgement["verdict"] == result.groups[0].verdict
     assert (tmp_path / "out" / "colmap").is_dir()
     own, command = (
         json.loads((folder / "run.json").read_text("utf-8"))

@@ -167,23 +167,27 @@ def read_recording_of_rig(
 
     Raises FormatError and MismatchError.
     """
-    rig, loaded = read_recording_of(*read_rig(options.rig, "--rig"), options, reporter)
-    held = _frames_of_rig(loaded.recording, rig, reporter)
+    given, file = read_rig(options.rig, "--rig")
+    rig, loaded = read_recording_of(given, file, options, reporter)
+    held = _frames_of_rig(loaded.recording, file, reporter)
     return rig, replace(loaded, recording=loaded.recording.select(frames=held))
 
 
 def read_matched_recording(
     options: SharedOptions, reporter: Reporter
-) -> tuple[CameraRig, LoadedRecording, Matches]:
-    """Read a rig, the keypoints of its cameras, and who is who; see `read_recording_of_rig`.
+) -> tuple[CameraRig, LoadedRecording, Matches, list[int] | None]:
+    """Read a rig, the keypoints of its cameras, and identities; see `read_recording_of_rig`.
+
+    Returns also the first and the last frame that the rig holds for, None = all.
 
     Raises FormatError and MismatchError.
     """
-    rig, loaded = read_recording_of(*read_rig(options.rig, "--rig"), options, reporter)
+    given, file = read_rig(options.rig, "--rig")
+    rig, loaded = read_recording_of(given, file, options, reporter)
     matches = read_matches(options.matches, loaded)
-    held = _frames_of_rig(loaded.recording, rig, reporter)
+    held = _frames_of_rig(loaded.recording, file, reporter)
     part = replace(loaded, recording=loaded.recording.select(frames=held))
-    return rig, part, matches.select(frames=held)
+    return rig, part, matches.select(frames=held), file.judgement.get("frames")
 
 
 def read_recording_of(
@@ -199,12 +203,12 @@ def read_recording_of(
     return rig, replace(loaded, recording=retime(loaded.recording, clocks), clocks=clocks)
 
 
-def _frames_of_rig(recording: Recording, rig: CameraRig, reporter: Reporter) -> Ints:
+def _frames_of_rig(recording: Recording, file: CameraFile, reporter: Reporter) -> Ints:
     """Return the frames (indices) for which a rig holds: all, unless its file says which.
 
     Raises MismatchError where there are none.
     """
-    first, last = rig.judgement.get("frames", recording.frames[[0, -1]])
+    first, last = file.judgement.get("frames", recording.frames[[0, -1]])
     held = np.flatnonzero((recording.frames >= first) & (recording.frames <= last))
     if not len(held):
         raise MismatchError(

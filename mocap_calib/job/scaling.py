@@ -17,7 +17,7 @@ from mocap_calib.errors import MismatchError
 from mocap_calib.geometry.gauge import rig_size
 from mocap_calib.io.atomic import numbered_file, replace_folder, write_pieces
 from mocap_calib.io.cameras.own import SUBFRAME
-from mocap_calib.io.cameras.read import read_rig
+from mocap_calib.io.cameras.read import load_cameras, make_rig, read_rig
 from mocap_calib.io.cameras.write import format_rig
 from mocap_calib.io.file import malformed
 from mocap_calib.io.hashing import hash_files
@@ -69,13 +69,17 @@ def scale_results(folder: Path, cues: Sequence[ScaleCue], config: WorldConfig) -
                 f"{folder}: expected the results of a run, with {_CAMERAS} and {_POSES}, "
                 f"found no {name}; give the folder that `run -o` wrote"
             )
-    rig, file = read_rig(folder / _CAMERAS), load_poses(folder / _POSES)
+    cameras, file = load_cameras(folder / _CAMERAS), load_poses(folder / _POSES)
+    rig = make_rig(cameras, str(folder / _CAMERAS))
     _refuse_known_unit(folder, rig, file.poses.unit)
     poses = keep_triangulated(file.poses)
     joints = find_joints(file.spelt)
-    verdict = str(rig.judgement.get("verdict", ""))
+    verdict = str(cameras.judgement.get("verdict", ""))
+    sigmas = cameras.judgement.get("centre_sigma_percent", {})
     floor = look_for_floor(file.poses, joints, rig, verdict, config.floor)
-    on = Measurable(poses, joints, rig, floor, individuals=file.individuals)
+    on = Measurable(
+        poses, joints, rig, floor, centre_sigma_percent=sigmas, individuals=file.individuals
+    )
     scale = find_scale(cues, on, config.measure, config.floor)
     if scale is None:
         raise MismatchError(

@@ -6,6 +6,8 @@ Names come from files of others: everything is escaped.
 from collections.abc import Iterable, Sequence
 from html import escape
 
+import numpy as np
+
 from mocap_calib.types import (
     ARBITRARY,
     CalibrationResult,
@@ -17,29 +19,28 @@ from mocap_calib.types import (
 )
 from mocap_calib.wording import count
 
-_HEADER = ("camera", "image", "focal length (px)", "centre", "turn (deg)", "place (% of the rig)")
+_HEADER = ("camera", "image", "focal length (px)", "centre")
+_SIGMAS = ("rotation (deg, 1 SD)", "centre (% of the rig, 1 SD)")
 
 
 def describe_rig(rig: CameraRig) -> str:
-    """Return a rig as HTML: each camera, its focal length, its centre, and how sure these are."""
+    """Return a rig as HTML: each camera, its focal length and its centre."""
     unit = "arbitrary lengths" if rig.unit == ARBITRARY else f"lengths in {rig.unit}"
-    verdict = rig.judgement.get("verdict")
-    said = f": {verdict}" if verdict else ""
-    turns = rig.judgement.get("rotation_sigma_deg", {})
-    places = rig.judgement.get("centre_sigma_percent", {})
-    rows = [
+    title = f"<p><b>{escape(count(len(rig), 'camera'))}</b>, {escape(unit)}</p>"
+    return f"{title}{_table(_HEADER, _describe_cameras(rig))}"
+
+
+def _describe_cameras(rig: CameraRig) -> list[list[str]]:
+    """Return the row of each camera."""
+    return [
         [
             camera.name,
             f"{camera.size[0]} x {camera.size[1]}",
             _describe_focal(camera),
             _describe_point(centre),
-            *(_describe_sigma(sigmas.get(camera.name)) for sigmas in (turns, places)),
         ]
         for camera, centre in zip(rig.cameras, rig.centres, strict=True)
     ]
-    note = "<p>turn, place: how far a camera may be off, a standard deviation</p>"
-    title = f"<p><b>{escape(count(len(rig), 'camera'))}{escape(said)}</b>, {escape(unit)}</p>"
-    return f"{title}{_table(_HEADER, rows)}{note if turns or places else ''}"
 
 
 def describe_result(result: CalibrationResult) -> str:
@@ -56,7 +57,13 @@ def describe_group(group: GroupResult) -> str:
     frames, individuals = group.poses.positions.shape[:2]
     found = f"{count(individuals, 'individual')} in {count(frames, 'frame')}"
     verdict = f"<p><b>The rig is {escape(group.verdict)}.</b> {escape(found)}.</p>"
-    return f"{verdict}{_list(group.reasons)}{describe_rig(group.rig)}"
+    covariance = group.uncertainty.covariance
+    sigmas = zip(np.rad2deg(covariance.rotation_sigma), 100 * covariance.centre_sigma, strict=True)
+    rows = [
+        [*row, f"± {turn:.2g}", f"± {shift:.2g}"]
+        for row, (turn, shift) in zip(_describe_cameras(group.rig), sigmas, strict=True)
+    ]
+    return f"{verdict}{_list(group.reasons)}{_table((*_HEADER, *_SIGMAS), rows)}"
 
 
 def _describe_focal(camera: Camera) -> str:
@@ -68,11 +75,6 @@ def _describe_focal(camera: Camera) -> str:
 def _describe_point(point: Floats) -> str:
     """Return the coordinates of a point in a few digits."""
     return ", ".join(f"{coordinate + 0.0:.4g}" for coordinate in point)  # no -0
-
-
-def _describe_sigma(value: float | None) -> str:
-    """Return a standard deviation, nothing where nobody knows it."""
-    return "" if value is None else f"± {value:.2g}"
 
 
 def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

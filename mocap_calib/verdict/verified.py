@@ -81,13 +81,13 @@ def describe_rig(
     }
     error = float(np.mean(errors)) if errors else None
     said = judgement(verdict, remarks, error, **sigmas)
-    whole = _put_back(rig, look.views, mended)
     return Verification(
         cameras=cameras,
         verdict=verdict,
         reasons=(*explain_cameras(cameras), *doubts),
-        rig=replace(whole, judgement=said),
+        rig=_put_back(rig, look.views, mended),
         clocks=Clocks.of_one(sample),
+        provenance=said,
     )
 
 

@@ -4,8 +4,8 @@ Each cue says what a length of 1 is: the logarithms of what is known over what w
 averaged, weighted by their variances (a product of errors is a sum of logarithms).
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -40,7 +40,9 @@ _RESCALED = "axes and origin are those of the file, lengths are not: known ones 
 class Measurable:
     """What lengths are measured on: poses, and the cameras where those are at hand.
 
-    covariance: of the rig; None = not known. individuals: `[individual]` names besides numbers.
+    covariance: of the rig; None = not known. centre_sigma_percent: then, by the names of cameras,
+    how far their centres may be off, in percent of the size of the rig.
+    individuals: `[individual]` names besides numbers.
     floor: or why there is none.
     """
 
@@ -49,6 +51,7 @@ class Measurable:
     rig: CameraRig
     floor: Floor | str
     covariance: RigCovariance | None = None
+    centre_sigma_percent: Mapping[str, float] = field(default_factory=dict)
     individuals: tuple[str, ...] = ()
 
 
@@ -244,19 +247,19 @@ def _measure_cameras(cue: ScaleCue, on: Measurable) -> tuple[float, float]:
             "say another pair"
         )
     if on.covariance is None:
-        return length, float(np.hypot(_judged_sigma(on.rig, a, b) / length, 1e-3))
+        sigma = _distance_sigma(on.rig, on.centre_sigma_percent, a, b)
+        return length, float(np.hypot(sigma / length, 1e-3))
     parts = on.covariance.matrix[[a, b], 3:][:, :, [a, b], 3:] * on.covariance.size**2
     signs, along = np.array([-1.0, 1.0]), offset / length
     variance = float(np.einsum("a,i,aibj,b,j->", signs, along, parts, signs, along))
     return length, float(np.hypot(np.sqrt(max(variance, 0.0)) / length, 1e-3))
 
 
-def _judged_sigma(rig: CameraRig, a: int, b: int) -> float:
-    """Return the standard deviation of the distance of two views, as the verdict on a rig has it.
+def _distance_sigma(rig: CameraRig, percent: Mapping[str, float], a: int, b: int) -> float:
+    """Return the standard deviation of the distance of two views.
 
-    It says how far the centres are off in percent of the rig's size, in all directions together.
+    percent: of the size of the rig, by which centres may be off in all directions together.
     """
-    percent = rig.judgement.get("centre_sigma_percent", {})
     names = [own_name(rig.names[view], rig.names) for view in (a, b)]
     own = [float(percent.get(name, 0.0)) for name in names]
     return float(np.hypot(own[0], own[1]) / 100 * rig_size(rig) / np.sqrt(3))

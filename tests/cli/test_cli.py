@@ -18,7 +18,7 @@ from platforms import posix
 from report_pages import timeless_page, timeless_run
 from scenes import rotation_errors_deg
 
-from mocap_calib.io.cameras.read import read_rig
+from mocap_calib.io.cameras.read import load_cameras, read_rig
 from mocap_calib.io.hashing import hash_files
 from mocap_calib_cli.main import COMMANDS
 
@@ -292,8 +292,8 @@ def test_stages_keep_to_the_frames_that_the_rig_of_a_moved_camera_holds_for(
     new = tmp_path / "adjusted.yaml"
     # six frames determine a rig weakly, or not at all
     tool("adjust", keypoints, "--rig", rig, "--matches", matches, "-o", new, "-q")
-    assert read_rig(new).judgement["frames"] == [7, 12]
-    assert "holds for the frames 7 to 12" in read_rig(new).judgement["remarks"]
+    assert load_cameras(new).judgement["frames"] == [7, 12]
+    assert "holds for the frames 7 to 12" in load_cameras(new).judgement["remarks"]
     hold_for("[1007, 1012]")
     said = tool("match", keypoints, "--rig", rig, "-q")
     assert (said.returncode, said.stdout) == (1, "")

@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from mocap_calib.errors import MocapCalibError
-from mocap_calib.io.cameras.read import read_rig
+from mocap_calib.io.cameras.read import load_cameras
 from mocap_calib.job import steps
 from mocap_calib.job.request import CalibrationRequest, KeypointSource
 from mocap_calib.report import rig_report
@@ -94,7 +94,7 @@ def test_the_status_follows_from_the_verdict_after_all_files_were_written(
         assert done.exit_code == expected
         assert json.loads(done.stdout)["verdict"]["rig"] == verdict
         assert {path.name for path in (tmp_path / "out").iterdir()} >= FILES
-        assert read_rig(tmp_path / "out").judgement["verdict"] == verdict
+        assert load_cameras(tmp_path / "out").judgement["verdict"] == verdict
         doubtful = verdict in ("weak", "not determined")
         lines = done.stderr.splitlines()
         assert bool(lines) == doubtful  # also with --quiet
@@ -246,7 +246,7 @@ def test_adjust_tells_errors_and_verdict_as_run_does(start, found, tmp_path):
     assert [line.split()[0] for line in table[1:4]] == list(found.groups[0].rig.names)
     assert table[5].startswith("least sure pair: cam")
     assert table[6].startswith(f"{tmp_path / 'a.yaml'}: rig ")
-    judgement = read_rig(tmp_path / "a.yaml").judgement
+    judgement = load_cameras(tmp_path / "a.yaml").judgement
     assert judgement["verdict"] in done.stderr
     error = rig_report(found.groups[0], found)["points"]["mean_error_px"]
     assert judgement["reprojection_error_px"] == pytest.approx(error, rel=0.2)  # measured 0.01
@@ -263,7 +263,7 @@ def test_adjust_ends_as_run_does(start, monkeypatch, tmp_path):
         done = call(adjust.command, *start, "-o", tmp_path / "a.yaml", "-q", *options)
         assert done.exit_code == expected
         assert done.stderr.startswith(f"mocap-calib: {tmp_path / 'a.yaml'}: rig not determined: do")
-        assert read_rig(tmp_path / "a.yaml").judgement["verdict"] == "not determined"
+        assert load_cameras(tmp_path / "a.yaml").judgement["verdict"] == "not determined"
 
 
 def test_a_quiet_reporter_still_warns(capsys):

@@ -199,7 +199,8 @@ def test_a_conversion_reads_the_verdict_wherever_there_is_room_for_it(name, tmp_
         return
     assert said in (JUDGED, {key: JUDGED[key] for key in ("adjusted", "verdict", "remarks")})
     convert_cameras(tmp_path / "out", tmp_path / "again.toml", "anipose")
-    assert read_rig(tmp_path / "again.toml").judgement == load_cameras(tmp_path / "out").judgement
+    again = load_cameras(tmp_path / "again.toml").judgement
+    assert again == load_cameras(tmp_path / "out").judgement
 
 
 def test_a_comment_of_another_word_is_no_verdict():

@@ -63,7 +63,7 @@ def command(
     outputs.check_text(matches_out)
     config = Config()
     with Reporter(quiet=shared.quiet) as reporter:
-        rig, loaded, matches = inputs.read_matched_recording(shared, reporter)
+        rig, loaded, matches, frames = inputs.read_matched_recording(shared, reporter)
         recording = loaded.recording
         sample_frames, sample, lifted = inputs.lift_sample(loaded, shared.device, reporter)
         instances = sample.positions.shape[2]  # a frame that is not in the sample may have more
@@ -91,7 +91,6 @@ def command(
             matches = finalise_identities(recording, adjusted.rig, matches, config)
             outputs.write_text(matches_out, matches_csv(recording, matches, loaded.clocks))
         result = conclude_without_pairs(sample, lifted, rig, adjusted, config)
-    frames = rig.judgement.get("frames")
     _write_judged(result, output, shared, reporter, solver=solver, frames=frames)
     context.exit(verdicts.exit_status(result.groups[0].verdict, shared))
 

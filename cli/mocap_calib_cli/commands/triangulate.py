@@ -25,7 +25,7 @@ def command(shared: options.SharedOptions, output: Path) -> None:
 
     outputs.check_poses(output)
     with Reporter(quiet=shared.quiet) as reporter:
-        rig, loaded, matches = inputs.read_matched_recording(shared, reporter)
+        rig, loaded, matches, _ = inputs.read_matched_recording(shared, reporter)
         outputs.check_individuals(output, matches.individuals)
         poses = triangulate(loaded.recording, rig, matches, progress=reporter)
     outputs.write_poses(output, poses, loaded.recording, "triangulate")

@@ -163,9 +163,8 @@ def _write(output: str, form: str, given: "CameraRig", found: "Verification") ->
         click.echo(f"{output}: not written, nobody can say which of two cameras moved", err=True)
         return
     lost = [camera.name for camera in found.cameras if camera.word == "inconsistent"]
-    rig = replace(_mend(given, found), judgement=found.rig.judgement)
-    rig = rig.select([name for name in given.names if name not in lost])
-    notes = write_cameras(output, rig, form, provenance("verify", **rig.judgement))
+    rig = _mend(given, found).select([name for name in given.names if name not in lost])
+    notes = write_cameras(output, rig, form, provenance("verify", **found.provenance))
     for note in notes:
         click.echo(f"{output}: without {note}", err=True)
     if lost:

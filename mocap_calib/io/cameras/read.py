@@ -73,7 +73,6 @@ def make_rig(found: CameraFile, source: str) -> CameraRig:
         rotation=np.stack([rotation for rotation, _ in extrinsics]),
         translation=np.stack([translation for _, translation in extrinsics]),
         unit=found.unit or ARBITRARY,
-        judgement=found.judgement,
         clocks=found.clocks,
         world=found.world,
     )
