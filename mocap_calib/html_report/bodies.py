@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from mocap_calib import mapped
-from mocap_calib.config import ReportConfig
+from mocap_calib.html_report.config import ReportConfig
 from mocap_calib.html_report.encode import pack, quantise, small_ints
 from mocap_calib.html_report.frames import fill_room, starts_of_stretches
 from mocap_calib.html_report.source import ReportSource

@@ -7,9 +7,9 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from mocap_calib.config import ReportConfig
 from mocap_calib.html_report.bodies import describe_bodies
 from mocap_calib.html_report.cameras import describe_reference, describe_rig
+from mocap_calib.html_report.config import ReportConfig
 from mocap_calib.html_report.detections import describe_detections
 from mocap_calib.html_report.encode import pack_text, packed_size
 from mocap_calib.html_report.fits import describe_fits

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mocap_calib.config import ReportConfig
+from mocap_calib.html_report.config import ReportConfig
 from mocap_calib.types import Floats, Ints
 
 MISSING = -32768  # of int16

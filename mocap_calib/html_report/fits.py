@@ -7,7 +7,8 @@ import numpy as np
 
 from mocap_calib import mapped
 from mocap_calib.compute.parallel import map_in_threads
-from mocap_calib.config import REPORT_FRAMES, ReportConfig
+from mocap_calib.config import REPORT_FRAMES
+from mocap_calib.html_report.config import ReportConfig
 from mocap_calib.html_report.encode import pack, pack_floats, quantise, small_ints
 from mocap_calib.html_report.frames import quantiles, split_evenly
 from mocap_calib.html_report.source import Seen

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.config import ReportConfig
+from mocap_calib.html_report.config import ReportConfig
 from mocap_calib.html_report.encode import packed_size
 from mocap_calib.types import Floats, Ints
 

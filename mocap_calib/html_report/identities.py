@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from mocap_calib.config import ReportConfig
+from mocap_calib.html_report.config import ReportConfig
 from mocap_calib.html_report.encode import pack, small_ints
 from mocap_calib.html_report.source import Seen
 from mocap_calib.recording.stretches import usual_step

@@ -6,7 +6,7 @@ import html
 from functools import cache
 from importlib import resources
 
-from mocap_calib.config import ReportConfig
+from mocap_calib.html_report.config import ReportConfig
 from mocap_calib.html_report.data import describe_report
 from mocap_calib.html_report.encode import to_script
 from mocap_calib.html_report.source import ReportSource

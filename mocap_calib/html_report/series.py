@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from mocap_calib import mapped
-from mocap_calib.config import ReportConfig
+from mocap_calib.html_report.config import ReportConfig
 from mocap_calib.html_report.encode import pack_floats
 from mocap_calib.html_report.frames import quantiles, split_evenly
 from mocap_calib.html_report.source import ReportSource
