@@ -1,13 +1,12 @@
 """Measure bundle adjustment alone: ours, COLMAP's, aniposelib's and scipy's, from the same start.
 
     .venv/bin/python benchmarks/adjustment.py SCRATCH [--cameras 8] [--frames 1000]
-        [--people 1] [--methods ours colmap ours-all colmap-all anipose scipy]
+        [--people 1] [--methods ours colmap colmap-all anipose scipy]
 
 One synthetic person, identities known, 2 px of noise, 5 % missing, 1 % gross errors; the cameras
 start 3 degrees and 3 % of the radius off, intrinsics fixed. SCRATCH: a folder in which the others
 get an environment of their own (aniposelib 0.8.0 from the package index). Ours is timed from
-detections to rig: choice of points, triangulation and all; `ours-all` takes all points and weighs
-detections by their confidence, which knows of the noise here. `colmap` is Ceres, as in
+detections to rig: choice of points, triangulation and all. `colmap` is Ceres, as in
 `adjust --solver colmap`, on the points of `ours`; `colmap-all` takes all points. Both adjust twice,
 as `ours` does: how large errors are is known only of a rig that is close. Of aniposelib,
 what it compiles is not counted.
@@ -50,12 +49,11 @@ def adjust_by_ceres_twice(
     return adjust_by_ceres(recording, rig, matches, config, already_close=True)
 
 
-METHODS = ("ours", "colmap", "ours-all", "colmap-all", "anipose", "scipy")
-ALL_POINTS = AdjustConfig(points=100_000, doubtful_share=0.0)
+METHODS = ("ours", "colmap", "colmap-all", "anipose", "scipy")
+ALL_POINTS = AdjustConfig(points=100_000, low_confidence_share=0.0)
 OURS = {
     "ours": (adjust, AdjustConfig()),
     "colmap": (adjust_by_ceres_twice, AdjustConfig()),
-    "ours-all": (adjust, replace(ALL_POINTS, confidence_power=1.0)),
     "colmap-all": (adjust_by_ceres_twice, ALL_POINTS),
 }
 PEERS = Path(__file__).with_name("adjustment_peers.py")

@@ -473,28 +473,18 @@ class AdjustConfig:
     # Rays this many times farther off than an outlier of triangulation may still constrain a point:
     # the rig is not yet right, and the robust loss deals with outliers.
     outlier_tolerance: float = 5.0
-    # One after the other, to tighten the loss; with the last, normal errors are used with 97 % of
-    # the efficiency that there can be ...
-    loss_scales: tuple[float, ...] = (6.0, 3.0)
-    # ... and this one 86 %, but it is safe from more wrong ones. The recording's own errors say
-    # which: measured, the variance with the wide one is 0.91 to 0.99 of that with the narrow one
-    # where errors are normal, 1.04 to 1.31 on ten recordings by detectors, 0.98 on one.
-    narrow_loss_scale: float = 1.5
+    # One after the other, to tighten the loss. Normal errors are used with 97 % of the efficiency
+    # that there can be at 3, with 86 % at 1.5, which is safer from wrong ones. The last one of the
+    # two under which the rig's variance is estimated to be less is used.
+    loss_scales: tuple[float, ...] = (6.0, 3.0, 1.5)
     # Share of the cost: a step of the cameras that promises to lower it by less is the last one at
     # the last loss scale ...
     tolerance: float = 1e-6
     rough_tolerance: float = 1e-3  # ... and at those before, which need not be minimised to the end
-    # Detections are weighed by this power of their confidence: detectors' own confidence is no
-    # measure of their precision.
-    confidence_power: float = 0.0
-    # This share of each view's detections, the least confident, is left out of the adjustment ...
-    doubtful_share: float = 0.3
-    enough_detections: int = 500  # ... as long as so many are left,
-    # and where their errors repeat: correlate by more than this from frame to frame of a sample.
-    # Measured: below 0.04 where chance makes them, 0.2 to 0.95 of detectors. Of fewer pairs than
-    # `least_following` nothing is known.
-    repeated_errors: float = 0.1
-    least_following: int = 100
+    # This share of each view's detections, the least confident, is left out of the adjustment, as
+    # long as `enough_detections` of the view are left.
+    low_confidence_share: float = 0.3
+    enough_detections: int = 1000
     least_keypoints: int = 12  # a camera is constrained by: twice what would do without any noise
     rounds: int = 6  # of adjusting and matching; it stops when no label changes
     still_deg: float = 0.05  # and no camera turns by more than this
@@ -509,9 +499,6 @@ LM_FIRST_DAMPING = 1e-4
 LM_DAMPING_FACTOR = 10.0  # more damping after a step that raised the cost, less after another
 LM_LEAST_DAMPING = 1e-10
 LM_MOST_DAMPING = 1e8  # beyond it no step lowers the cost
-# A robust loss bends less than its weights say, or the other way where residuals are large: as
-# little as this share of the weight counts
-LM_LEAST_CURVATURE = 0.2
 # Points settle after each step of the cameras, in so many steps of their own at most, until one
 # lowers the cost by less than so much, in squared standard deviations
 LM_POINT_STEPS = 10

@@ -4,8 +4,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mocap_calib.adjust.doubt import doubtful_errors_repeat, names_of_groups, without_doubtful
-from mocap_calib.adjust.efficiency import choose_loss_scale
 from mocap_calib.adjust.freedom import Freedom, free_poses
 from mocap_calib.adjust.ray_residuals import RayObservations
 from mocap_calib.adjust.residuals import Observations, State
@@ -14,11 +12,13 @@ from mocap_calib.compute.parallel import do_both, map_in_threads, single_threade
 from mocap_calib.config import AdjustConfig, Config
 from mocap_calib.errors import DegenerateError, UnderconstrainedCameraError
 from mocap_calib.geometry.lens import image_slopes
+from mocap_calib.geometry.point_covariance import median_angles
+from mocap_calib.geometry.rays import ray_angles
 from mocap_calib.geometry.view_blocks import order_by_views
 from mocap_calib.kernels.loading import contiguous
 from mocap_calib.recording.sampling import evenly_spaced
 from mocap_calib.rig.labels import per_frame_labels
-from mocap_calib.rig.noise import measure_sample, residual_noise
+from mocap_calib.rig.noise import MEDIAN_DISTANCE, view_residual
 from mocap_calib.rig.observations import gather_observations, labelled_frames
 from mocap_calib.rig.triangulation import triangulate_rays
 from mocap_calib.types import (
@@ -43,7 +43,7 @@ class AdjustablePoints:
     rays: `[view, 3, N]` unit vectors in each camera's frame, NaN = missing.
     weight: `[view, N]`, what a detection counts for; 0 where it does not agree on the point.
     noise: `[view]` standard deviation of a coordinate, in radians.
-    loss_scale: how wide the loss of their residuals is in the end, in these.
+    loss_scale: width of the robust loss, in these.
     """
 
     points: Floats
@@ -138,7 +138,7 @@ def choose_points(
         )
     in_frame = per_frame_labels(matches)  # who it is in other frames does not matter here
     frames = _choose_frames(sample, in_frame, config.adjust.points)
-    points = agreed_points(sample, rig, in_frame, named=matches, frames=frames, config=config)
+    points = agreed_points(sample, rig, in_frame, frames, config)
     _check_every_camera(rig, points, config.adjust.least_keypoints)
     return points
 
@@ -188,29 +188,18 @@ def with_size_of(reference: CameraRig, rig: CameraRig) -> CameraRig:
 
 
 def agreed_points(
-    recording: Recording,
-    rig: CameraRig,
-    matches: Matches,
-    *,
-    named: Matches,
-    frames: Ints,
-    config: Config,
+    recording: Recording, rig: CameraRig, matches: Matches, frames: Ints, config: Config
 ) -> AdjustablePoints:
     """Return the points of frames (`[frame]` indices) that at least two views agree on.
 
-    named: the same groups, by the names that they have in other frames.
+    The least confident detections of each view are left out: detectors repeat their errors from
+    frame to frame, so that these do not average out.
     """
-    measured, seen = do_both(
-        lambda: measure_sample(recording, rig, matches, config.triangulate),
+    noise, seen = do_both(
+        lambda: view_residual(recording, rig, matches, config.triangulate),
         lambda: gather_observations(recording, matches, frames),
     )
-    noise = residual_noise(rig, measured, config.triangulate)
-    names = names_of_groups(named, matches)[measured.frames]
-    repeat, loss_scale = do_both(
-        lambda: doubtful_errors_repeat(rig, measured, names, config.adjust),
-        lambda: choose_loss_scale(rig, measured, config),
-    )
-    weight = without_doubtful(seen.confidence, config.adjust) if repeat else seen.confidence
+    weight = drop_low_confidence(seen.confidence, config.adjust)
     outlier = config.adjust.outlier_tolerance * config.triangulate.outlier
     tolerant = replace(config.triangulate, outlier=outlier)
     points, used = triangulate_rays(rig, seen.rays, weight=weight, noise=noise, config=tolerant)
@@ -219,7 +208,6 @@ def agreed_points(
     known = known[order_by_views(used[:, known])]
     shape = (len(frames), matches.individuals, len(recording.keypoints))
     frame, individual, keypoint = np.unravel_index(known, shape)
-    confidence = weight[:, known] ** config.adjust.confidence_power
     return AdjustablePoints(
         points=points[:, known],
         frame=frames[frame],
@@ -227,10 +215,50 @@ def agreed_points(
         keypoint=keypoint,
         pixels=seen.pixels[..., known],
         rays=seen.rays[..., known],
-        weight=np.where(used[:, known], confidence, 0.0),
+        weight=np.where(used[:, known], 1.0, 0.0),
         noise=noise,
-        loss_scale=loss_scale,
+        loss_scale=choose_loss_scale(rig, points, seen.rays, used, config.adjust),
     )
+
+
+def choose_loss_scale(
+    rig: CameraRig, points: Floats, rays: Floats, used: Bools, config: AdjustConfig
+) -> float:
+    """Return the width of Cauchy's loss, one of the last two, that gives the least variance.
+
+    points: `[3, N]`; rays: `[view, 3, N]`; used: `[view, N]`.
+
+    With the influence psi = w r of an error r in standard deviations, w = 1 / (1 + r^2 / s^2), the
+    variance is E |psi|^2 / (E psi')^2 (Huber 1981: "Robust Statistics", section 3.2). The mean
+    slope of psi over all directions of an error in the plane is w^2. Of points that three views
+    see (two where there are no more), in multiples of the median that their residuals would have.
+    """
+    angle = ray_angles(rig, points, rays)[0] / median_angles(rig, points, used.astype(np.float64))
+    counted = used & (used.sum(0) >= min(3, len(rig)))
+    of_views = [own[seen] for own, seen in zip(angle, counted, strict=True) if seen.any()]
+    error = np.concatenate([np.zeros(0), *(own / np.median(own) for own in of_views)])
+    error *= MEDIAN_DISTANCE
+
+    def variance(scale: float) -> float:
+        """Return the variance under a loss."""
+        weight = 1 / (1 + (error / scale) ** 2)
+        return float(np.mean((weight * error) ** 2) / np.mean(weight**2) ** 2)
+
+    return min(config.loss_scales[-2:], key=variance) if len(error) else config.loss_scales[-1]
+
+
+def drop_low_confidence(confidence: Floats, config: AdjustConfig) -> Floats:
+    """Return the confidence `[view, N]` with 0 for the least confident share of each view.
+
+    confidence: 0 = missing. All are kept where a view has few detections.
+    """
+    kept = confidence.copy()
+    for in_view in kept:
+        seen = in_view[in_view > 0]
+        if len(seen):
+            spare = max(0.0, 1.0 - config.enough_detections / len(seen))
+            in_view[in_view < np.quantile(seen, min(config.low_confidence_share, spare))] = 0.0
+    return kept
 
 
 def _choose_frames(sample: Sample, matches: Matches, budget: int) -> Ints:

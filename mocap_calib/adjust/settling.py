@@ -3,11 +3,6 @@
 A point is three numbers: it settles at once, while in the steps of all cameras together it lags
 behind wherever what was seen of it disagrees (Ruhe and Wedin 1980: "Algorithms for Separable
 Nonlinear Least Squares Problems").
-
-The cost of a robust loss bends less than weights that stay as they are say, and steps by these are
-too short. With r the residual, Cauchy's loss has the curvature u (1 - x) / (1 + x) along r where
-x = r'r / s^2, which is taken where it is more than a share of the weight u (Triggs et al. 2000,
-section 4.3).
 """
 
 from collections.abc import Callable
@@ -24,7 +19,7 @@ from mocap_calib.adjust.residuals import (
     State,
     slopes_of,
 )
-from mocap_calib.config import LM_LEAST_CURVATURE, LM_POINT_GAIN, LM_POINT_STEPS
+from mocap_calib.config import LM_POINT_GAIN, LM_POINT_STEPS
 from mocap_calib.kernels.loading import compiled, contiguous
 from mocap_calib.types import Floats
 
@@ -36,8 +31,7 @@ class Weighed:
     """A block of points that have settled, as the cameras see them.
 
     points: `[3, n]` in world coordinates; in_camera: `[view, 3, n]` in each camera's frame.
-    slopes: weighed so that their squares are the curvature of the cost; residual: `[view, 2, n]`
-        so that the product with them is its gradient.
+    slopes and residual, `[view, 2, n]`: weighed by the root of their robust weight.
     cost: divided by the square of the loss scale.
     """
 
@@ -84,7 +78,7 @@ def _settle_by_kernel(
     (views, intrinsics), count = state.intrinsics.shape, points.shape[1]
     in_camera, residual = np.empty((views, 3, count)), np.empty((views, 2, count))
     slope, own = np.empty((views, 2, 3, count)), np.empty((views, 2, intrinsics, count))
-    options = np.array([loss_scale**2, BEHIND, LM_POINT_GAIN, LM_LEAST_CURVATURE])
+    options = np.array([loss_scale**2, BEHIND, LM_POINT_GAIN])
     given = (*contiguous(state.rotation, *given), options)
     changed = (points, in_camera, slope, own, residual)
     cost = kernel(block.start, *given, LM_POINT_STEPS, *changed)
@@ -155,24 +149,10 @@ def _weigh(state: State, seen: Observations, loss_scale: float) -> Weighed:
     found, robust, slopes = slopes_of(slice(0, state.points.shape[1]), state, seen, loss_scale)
     square = np.einsum("vkn,vkn->vn", found.residual, found.residual)
     share = square / loss_scale**2
-    bend = np.sqrt(np.maximum(LM_LEAST_CURVATURE, (1 - share) / (1 + share)))
-    less = (1 - bend) / np.maximum(square, 1e-300)
     return Weighed(
         points=state.points,
         in_camera=found.in_camera,
-        slopes=Slopes(
-            in_camera=_bent(slopes.in_camera, found.residual, less),
-            intrinsics=_bent(slopes.intrinsics, found.residual, less),
-        ),
-        residual=found.residual * (robust / bend)[:, None],
+        slopes=slopes,
+        residual=found.residual * robust[:, None],
         cost=float((seen.weight * np.log1p(share)).sum()),
     )
-
-
-def _bent(slopes: Floats, residual: Floats, less: Floats) -> Floats:
-    """Return slopes `[view, 2, i, n]` with as much less along residuals `[view, 2, n]`.
-
-    less: `[view, n]` of the square of the residual.
-    """
-    radial = np.einsum("vkn,vkin->vin", residual, slopes) * less[:, None]
-    return np.ascontiguousarray(slopes - residual[:, :, None] * radial[:, None])

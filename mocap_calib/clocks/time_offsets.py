@@ -161,7 +161,7 @@ def _find_tracks(
 ) -> _Tracks:
     """Return about `budget` points of stretches of the recording, with their neighbours."""
     frames = _choose_stretches(matches, len(recording.keypoints), budget, config.subframe.stretch)
-    points = agreed_points(recording, rig, matches, named=matches, frames=frames, config=config)
+    points = agreed_points(recording, rig, matches, frames, config)
     step = usual_step(recording.frames)
     before, after = _find_neighbours(points, recording.frames, step)
     between = (before >= 0) & (after >= 0)

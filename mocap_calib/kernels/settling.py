@@ -221,17 +221,15 @@ def _settle(given: Any, steps: int, points: Floats) -> None:
 
 
 @inlined
-def _set_own(lens: Floats | None, v: int, x: float, y: float, by: Any, own: Floats) -> None:
+def _set_own(lens: Floats | None, v: int, x: float, y: float, root: float, own: Floats) -> None:
     """Set the weighed slopes `[2, intrinsic]` by log focal length and k1, where they may change."""
-    r, s, less, root = by
     if lens is not None:
         there_x, there_y, _, _, _, by_k1 = _lens(lens, v, x, y)
         per_x, per_y = lens[v, 2], lens[v, 3]
         for i in range(own.shape[1]):
             by_r = per_x * (x * by_k1 if i else there_x)
             by_s = per_y * (y * by_k1 if i else there_y)
-            radial = less * (r * by_r + s * by_s)
-            own[0, i], own[1, i] = (by_r - r * radial) * root, (by_s - s * radial) * root
+            own[0, i], own[1, i] = by_r * root, by_s * root
 
 
 @inlined
@@ -240,7 +238,7 @@ def _weigh(given: Any, points: Floats, into: Any) -> float:
     in_camera, slope, own, residual = into
     first, turn, _, lens, seen, _, weight, options = given
     views, count = len(seen), points.shape[1]
-    square_scale, least, least_curvature = options[0], options[1], options[3]
+    square_scale, least = options[0], options[1]
     saw = np.zeros((views, 4, 3))
     cost = 0.0
     for n in range(count):
@@ -256,15 +254,11 @@ def _weigh(given: Any, points: Floats, into: Any) -> float:
             if w > 0:
                 cost += w * np.log1p(share)
                 root = np.sqrt(w / (1 + share)) if in_front else 0.0
-            bend = np.sqrt(max(least_curvature, (1 - share) / (1 + share)))
-            less = (1 - bend) / max(square, 1e-300)
-            residual[v, 0, n], residual[v, 1, n] = root * r / bend, root * s / bend
+            residual[v, 0, n], residual[v, 1, n] = root * r, root * s
             for i, by_r, by_s in ((0, a, d), (1, b, e), (2, c, f)):
-                radial = less * (r * by_r + s * by_s)
-                slope[v, 0, i, n] = (by_r - r * radial) * root
-                slope[v, 1, i, n] = (by_s - s * radial) * root
+                slope[v, 0, i, n], slope[v, 1, i, n] = root * by_r, root * by_s
             along = max(z, least * max(abs(x), abs(y), abs(z)))
-            _set_own(lens, v, x / along, y / along, (r, s, less, root), own[v, :, :, n])
+            _set_own(lens, v, x / along, y / along, root, own[v, :, :, n])
     return cost
 
 
@@ -295,8 +289,8 @@ def settle_rays(
 
     origin: that of the world in each camera's frame when it saw a point, `[view, 3, n]`, or
     `[view, 3, 1]`. seen: `[view, 3, N]` rays with their metric `[view, 2, 3, N]`. options: the
-    square of the loss scale, the least depth of a point as a share of its size, the gain that ends
-    it, and the least curvature of the loss. steps: of a point, at most.
+    square of the loss scale, the least depth of a point as a share of its size, and the gain that
+    ends it. steps: of a point, at most.
     """
     given = (first, rotation, origin, None, seen, metric, weight, options)
     _settle(given, steps, points)
